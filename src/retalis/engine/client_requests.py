@@ -109,7 +109,7 @@ def run_restricted(engine: Engine, work: Callable[[], Result], work_name: Term =
     """
 
     def restricted_work() -> Result:
-        with engine.logic.for_others():
+        with engine.logic.serving_client():
             return work()
 
     return engine.do(restricted_work, work_name)

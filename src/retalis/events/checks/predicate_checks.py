@@ -148,7 +148,7 @@ def find_undefined_predicates(program: ProgramModel) -> Iterator[RuleError]:
                 continue
             # Each predicate is reported once, at its first call.
             reported[key] = None
-            similar = program.logic.similar(key) if len(reported) <= _MAX_HINTS else []
+            similar = program.logic.find_similar(key) if len(reported) <= _MAX_HINTS else []
             hint = f"; did you mean {' or '.join(similar)}?" if similar else ""
             yield RuleError(
                 f"there is no predicate {key}{hint or ': define it, or assert facts of it'}", subterm.place

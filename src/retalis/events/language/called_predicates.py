@@ -135,7 +135,7 @@ def undefined_call_warnings(
             defined_later.add(key)
             # The search for similar names compares with all predicates, so only the first ones get a hint.
             hints_left -= 1
-            similar = logic.similar(key) if hints_left >= 0 and not advice else []
+            similar = logic.find_similar(key) if hints_left >= 0 and not advice else []
             hint = f"; did you mean {' or '.join(similar)}?" if similar else ""
             hint = f"; {advice}" if advice else hint
             prefix = f"{caller}: " if caller else ""

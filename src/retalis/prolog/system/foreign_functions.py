@@ -44,7 +44,7 @@ from ..machine.errors import PrologError, instantiation_error, permission_error,
 from ..machine.machine import Machine
 from ..terms.types import SLASH, Atom, Functor, String, Term, Var, atom, deref, functor
 from .prolog_system import PrologSystem
-from .value_conversion import reader_of, to_term
+from .value_conversion import argument_converter, to_term
 
 if TYPE_CHECKING:
     from inspect import Parameter
@@ -59,24 +59,24 @@ _SPEC_ATTRIBUTE = "__retalis_foreign__"
 Function = TypeVar("Function", bound=Callable[..., object])
 
 
-class _Spec(NamedTuple):
-    """Arguments of the decorator, stored with the function.
+class _ForeignSpec(NamedTuple):
+    """Properties of the predicate of a function, stored with the function.
 
     Attributes:
         name: name of the predicate.
-        outputs: number of output arguments.
-        readers: for each parameter, the conversion of a term to its argument.
-        many: whether the function is a generator.
+        output_count: number of output arguments.
+        converters: for each parameter, the conversion of a term to its argument.
+        is_generator: whether the function is a generator.
     """
 
     name: str
-    outputs: int
-    readers: List[Callable[[Term], object]]
-    many: bool
+    output_count: int
+    converters: List[Callable[[Term], object]]
+    is_generator: bool
 
     @property
     def arity(self) -> int:
-        return len(self.readers) + self.outputs
+        return len(self.converters) + self.output_count
 
 
 @overload
@@ -127,8 +127,8 @@ def foreign(
         count = outputs
         if count is None:
             count = 0 if hints.get("return", 1) in (bool, type(None)) else 1
-        readers = [reader_of(hints.get(parameter.name)) for parameter in _parameters(function)]
-        spec = _Spec(name or function.__name__, count, readers, isgeneratorfunction(function))
+        converters = [argument_converter(hints.get(parameter.name)) for parameter in _parameters(function)]
+        spec = _ForeignSpec(name or function.__name__, count, converters, isgeneratorfunction(function))
         setattr(function, _SPEC_ATTRIBUTE, spec)
         return function
 
@@ -175,11 +175,11 @@ def define_foreign(logic: PrologSystem, executor: "SerialExecutor", *sources: ob
 
 
 def _is_marked(value: object) -> bool:
-    return isinstance(getattr(value, _SPEC_ATTRIBUTE, None), _Spec)
+    return isinstance(getattr(value, _SPEC_ATTRIBUTE, None), _ForeignSpec)
 
 
 def _define(
-    logic: PrologSystem, executor: "SerialExecutor", function: Callable[..., Any], spec: _Spec
+    logic: PrologSystem, executor: "SerialExecutor", function: Callable[..., Any], spec: _ForeignSpec
 ) -> Functor:
     key = functor(spec.name, spec.arity)
     existing = logic.database.predicates.get(key)
@@ -187,30 +187,30 @@ def _define(
         existing.is_locked or existing.is_library_predicate and existing.is_protected
     ):
         raise permission_error("modify", "static_procedure", _indicator(key))
-    if spec.many:
+    if spec.is_generator:
         logic.define_nondeterministic(
-            spec.name, spec.arity, _nondeterministic_step(executor, function, spec, key)
+            spec.name, spec.arity, _generator_function(executor, function, spec, key)
         )
     else:
-        logic.define(spec.name, spec.arity, _deterministic_step(executor, function, spec, key))
+        logic.define(spec.name, spec.arity, _deterministic_function(executor, function, spec, key))
     return key
 
 
-def _deterministic_step(
-    executor: "SerialExecutor", function: Callable[..., object], spec: _Spec, key: Functor
+def _deterministic_function(
+    executor: "SerialExecutor", function: Callable[..., object], spec: _ForeignSpec, key: Functor
 ) -> Callable[..., bool]:
-    count = len(spec.readers)
+    input_count = len(spec.converters)
     description = f"the foreign predicate {key}"
 
     def run(machine: Machine, *arguments: Term) -> bool:
-        values = [read(term) for read, term in zip(spec.readers, arguments)]
+        values = [convert(term) for convert, term in zip(spec.converters, arguments)]
         outer_callback = executor.running_callback
         executor.running_callback = (description,)
         try:
             result = function(*values)
-            if not spec.outputs:
+            if not spec.output_count:
                 return result is not False
-            return result is not None and _unify_outputs(machine, arguments[count:], result)
+            return result is not None and _unify_outputs(machine, arguments[input_count:], result)
         except Exception as error:
             # Any exception of a user's function is an error of the goal and must not end the program.
             raise _goal_error(error, key) from error
@@ -220,17 +220,17 @@ def _deterministic_step(
     return run
 
 
-def _nondeterministic_step(
+def _generator_function(
     executor: "SerialExecutor",
     function: Callable[..., Generator[object, None, None]],
-    spec: _Spec,
+    spec: _ForeignSpec,
     key: Functor,
 ) -> Callable[..., Iterator[None]]:
-    count = len(spec.readers)
+    input_count = len(spec.converters)
     description = f"the foreign predicate {key}"
 
     def run(machine: Machine, *arguments: Term) -> Iterator[None]:
-        values = [read(term) for read, term in zip(spec.readers, arguments)]
+        values = [convert(term) for convert, term in zip(spec.converters, arguments)]
         # A cut drops the generator of solutions; closing it then runs the function's finally blocks.
         with closing(function(*values)) as solutions:
             while True:
@@ -238,14 +238,16 @@ def _nondeterministic_step(
                 executor.running_callback = (description,)
                 try:
                     result = next(solutions)
-                    solved = not spec.outputs or _unify_outputs(machine, arguments[count:], result)
+                    is_solution = not spec.output_count or _unify_outputs(
+                        machine, arguments[input_count:], result
+                    )
                 except StopIteration:
                     return
-                except Exception as error:  # an error of the goal, see `_deterministic_step`
+                except Exception as error:  # an error of the goal, see `_deterministic_function`
                     raise _goal_error(error, key) from error
                 finally:
                     executor.running_callback = outer_callback
-                if solved:
+                if is_solution:
                     yield None
 
     return run
@@ -274,7 +276,7 @@ def _indicator(key: Functor) -> Term:
 
 
 def define_use_foreign(
-    logic: PrologSystem, executor: "SerialExecutor", files: "SourceFiles", allowed: bool
+    logic: PrologSystem, executor: "SerialExecutor", files: "SourceFiles", is_allowed: bool
 ) -> None:
     """Define ``use_foreign(Module)``, which loads a Python module and defines its predicates.
 
@@ -282,8 +284,8 @@ def define_use_foreign(
         logic: Prolog system in which the predicates are defined.
         executor: executor of the engine; see `define_foreign`.
         files: files of the program.
-        allowed: whether the program's own files may load modules while they are loaded. Goals that run later never
-            may.
+        is_allowed: whether the program's own files may load modules while they are loaded. Goals that run later
+            never may.
     """
 
     def use_foreign(machine: Machine, module: Term) -> bool:
@@ -292,7 +294,7 @@ def define_use_foreign(
             raise instantiation_error()
         if not isinstance(module, (Atom, String)):
             raise type_error("atom", module)
-        reason = "" if allowed else "the setting allow_foreign is off"
+        reason = "" if is_allowed else "the setting allow_foreign is off"
         if not files.sandbox.is_loading:
             reason = "Python may be loaded only by the program's own files, while they are being loaded"
         if reason:

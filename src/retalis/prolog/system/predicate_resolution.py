@@ -71,18 +71,20 @@ def library_index() -> Dict[Tuple[str, int], str]:
     return index
 
 
-def load_library(database: Database, part: str) -> None:
+def load_library(database: Database, file_name: str) -> None:
     """Load a file of the library. The goal that needs it is not charged for the loading."""
     outer_watch = set_limit_check(accept_all_work)
     try:
-        _load(database, part)
+        _load(database, file_name)
     finally:
         set_limit_check(outer_watch)
 
 
-def _load(database: Database, part: str) -> None:
-    path = LIBRARY_FOLDER / f"{part}.pl"
-    for clause_read in read_program(path.read_text(encoding="utf-8"), Operators.prolog(), f"library({part})"):
+def _load(database: Database, file_name: str) -> None:
+    path = LIBRARY_FOLDER / f"{file_name}.pl"
+    for clause_read in read_program(
+        path.read_text(encoding="utf-8"), Operators.prolog(), f"library({file_name})"
+    ):
         if isinstance(clause_read, SyntaxFault):
             raise clause_read
         term = deref(clause_read.term)
@@ -101,10 +103,11 @@ def _load(database: Database, part: str) -> None:
 
 
 _NO_SOLUTION = object()
+"""Default of ``next`` after the last solution of a generator."""
 
 
 def is_replaceable(key: Functor) -> bool:
-    """Return whether a predicate is a built-in outside of ISO Prolog, which facts of a program replace."""
+    """Return whether facts of a program replace a predicate: a built-in outside of ISO Prolog that is not fixed."""
     return (key.name, key.arity) in ENTRIES and key not in ISO_PREDICATES and key not in FIXED
 
 
@@ -251,15 +254,17 @@ class PredicateTable:
 
         if known is None:
             return self.database.define(key, call, run, "control")
-        bound_form = self.define_function(f"${name}", arity, known)
+        function_predicate = self.define_function(f"${name}", arity, known)
 
         def run_known(frame: Frame) -> Optional[Frame]:
             return (
-                run(frame) if deref(frame[1]).__class__ is Var else bound_form.run((bound_form, *frame[1:]))
+                run(frame)
+                if deref(frame[1]).__class__ is Var
+                else function_predicate.run((function_predicate, *frame[1:]))
             )
 
         predicate = self.database.define(key, None, run_known, "control")
-        predicate.bound_argument_builtin = bound_form.functor
+        predicate.bound_argument_builtin = function_predicate.functor
         return predicate
 
     def define_control(
@@ -329,6 +334,6 @@ class PredicateTable:
         for name, arity in self._library:
             yield functor(name, arity)
 
-    def _load_library(self, part: str) -> None:
+    def _load_library(self, file_name: str) -> None:
         """Load a file of the library."""
-        load_library(self.database, part)
+        load_library(self.database, file_name)

@@ -7,7 +7,7 @@ contains three services of a running system:
   exception) that a goal passes.
 * `handle_undefined_call` raises the existence error of an unknown procedure, with possible callers and similar names.
 * `machine_state`, `restore_machine` and `repair_after_interrupt` return a machine to an earlier state after an
-interrupt at any point.
+  interrupt at any point.
 """
 
 import sys
@@ -72,24 +72,25 @@ from .predicate_resolution import PredicateTable
 if TYPE_CHECKING:
     from ...events.program.source_files import SourceFiles
 
-_SILENT = frozenset(functor(name, 0) for name in ("true", "!", "fail", "false", "otherwise"))
-_CONTROL = frozenset(
-    (
-        functor(name, arity)
-        for name, arity in ((";", 2), ("|", 2), ("->", 2), ("*->", 2), ("\\+", 1), ("call", 1))
-    )
+_UNREPORTED_GOALS = frozenset(functor(name, 0) for name in ("true", "!", "fail", "false", "otherwise"))
+"""Goals without ports in a trace."""
+
+_CONTROL_CONSTRUCTS = frozenset(
+    functor(name, arity)
+    for name, arity in ((";", 2), ("|", 2), ("->", 2), ("*->", 2), ("\\+", 1), ("call", 1))
 )
+"""Constructs without ports in a trace; the goals in them have ports."""
 
 
 class _TracedCall:
-    """Traced call: its goal, its depth, and whether it has exited and can be retried."""
+    """Traced call: its goal, its depth, and whether it has exited with choice points, so that it can be retried."""
 
-    __slots__ = ("goal", "depth", "exited")
+    __slots__ = ("goal", "depth", "has_exited")
 
     def __init__(self, goal: Term, depth: int):
         self.goal = goal
         self.depth = depth
-        self.exited = False
+        self.has_exited = False
 
 
 class Tracer:
@@ -110,11 +111,11 @@ class Tracer:
         self._choices = logic.machine.choices
         self._trail = logic.machine.trail
         self._depth = 0
-        self._guard = Guard("trace", self._on_unwind)
-        self._guard.run = self._on_failure
-        self._exit = Code("trace exit", self._on_exit)
-        self._redo = Code("trace redo", self._on_redo)
-        self._next = Code("trace clause", self._next_clause)
+        self._guard_code = Guard("trace", self._on_unwind)
+        self._guard_code.run = self._on_failure
+        self._exit_code = Code("trace exit", self._on_exit)
+        self._redo_code = Code("trace redo", self._on_redo)
+        self._next_clause_code = Code("trace clause", self._next_clause)
 
     @contextmanager
     def on(self) -> Iterator[None]:
@@ -127,7 +128,7 @@ class Tracer:
 
     def start(self) -> None:
         """Start tracing."""
-        # An instance attribute hides the method, so that without tracing no call pays for a test.
+        # An instance attribute hides the method, so that calls need no test whether tracing is on.
         control = self._control
         self._untraced_solve = control.solve
         control.solve = self._logic.database.solve = self.solve  # type: ignore[method-assign]
@@ -148,7 +149,7 @@ class Tracer:
         if goal.__class__ is tuple and goal[0] is COLON:
             return self.solve(self._logic.database.modules.resolve_qualified_goal(goal), height, continuation)
         key = _functor_of(goal)
-        if key is None or key in _SILENT or key in _CONTROL:
+        if key is None or key in _UNREPORTED_GOALS or key in _CONTROL_CONSTRUCTS:
             return self._untraced_solve(goal, height, continuation)
         return self._call(goal, key, continuation)
 
@@ -159,13 +160,13 @@ class Tracer:
         # The guard lies below the choice points of the call: backtracking reaches it when the call has failed, and an
         # exception unwinds it.
         base = len(self._choices)
-        self._choices.append((self._guard, call, len(self._trail)))
-        exit_frame = (self._exit, call, base, continuation)
+        self._choices.append((self._guard_code, call, len(self._trail)))
+        exit_frame = (self._exit_code, call, base, continuation)
         predicate = self._logic.lookup(key) or self._logic.database.predicate(key)
         if predicate.kind == "user" and not predicate.is_library_predicate:
             arguments = goal[1:] if goal.__class__ is tuple else ()
             clauses = list(predicate.active_clauses())
-            return self._next_clause((self._next, arguments, clauses, 0, exit_frame, call, None))
+            return self._next_clause((self._next_clause_code, arguments, clauses, 0, exit_frame, call, None))
         return self._untraced_solve(goal, base + 1, exit_frame)
 
     def _next_clause(self, entry: Frame) -> Optional[Frame]:
@@ -177,14 +178,15 @@ class Tracer:
         height = len(self._choices)
         for index in range(start, len(clauses)):
             clause = clauses[index]
-            fresh: Dict[Var, Term] = {}
-            head = copy(clause.head, fresh)
+            new_vars: Dict[Var, Term] = {}
+            head = copy(clause.head, new_vars)
             head_args = head[1:] if head.__class__ is tuple else ()
             if all(unify(argument, head_arg, trail) for argument, head_arg in zip(arguments, head_args)):
                 if index + 1 < len(clauses):
-                    rest = (self._next, arguments, clauses, index + 1, exit_frame, call, mark)
-                    self._choices.append(rest)
-                return self._control.solve(copy(clause.body, fresh), height, exit_frame)
+                    self._choices.append(
+                        (self._next_clause_code, arguments, clauses, index + 1, exit_frame, call, mark)
+                    )
+                return self._control.solve(copy(clause.body, new_vars), height, exit_frame)
             undo(trail, mark)
         return None
 
@@ -197,13 +199,13 @@ class Tracer:
             self._choices.pop()
         else:
             # On top of the call's choice points: backtracking into the call passes its redo port first.
-            call.exited = True
-            self._choices.append((self._redo, call, len(self._trail)))
+            call.has_exited = True
+            self._choices.append((self._redo_code, call, len(self._trail)))
         return continuation
 
     def _on_redo(self, entry: Frame) -> None:
         call = entry[1]
-        call.exited = False
+        call.has_exited = False
         self._depth = call.depth
         self._report_port("Redo", call)
 
@@ -213,7 +215,7 @@ class Tracer:
 
     def _on_unwind(self, entry: Frame) -> None:
         call = entry[1]
-        if not call.exited:
+        if not call.has_exited:
             self._report_port("Exception", call)
         self._depth = call.depth - 1
 
@@ -225,6 +227,7 @@ class Tracer:
 
 
 def _functor_of(goal: Term) -> Optional[Functor]:
+    """Return the functor of a goal, or None for a term that is no goal."""
     if goal.__class__ is tuple:
         key: Functor = goal[0]
         return key
@@ -241,10 +244,11 @@ def trace(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame
     # codes below do that at the corresponding points of the choice point stack.
     height = len(machine.choices)
     machine.choices.append((_TRACE_GUARD, tracer, len(machine.trail)))
-    return tracer.solve(args[0], height + 1, (_LEAVE, machine, tracer, height, continuation))
+    return tracer.solve(args[0], height + 1, (_EXIT_TRACE, machine, tracer, height, continuation))
 
 
-def _leave(frame: Frame) -> Frame:
+def _exit_trace(frame: Frame) -> Frame:
+    """Stop tracing when the traced goal exits; backtracking into it starts tracing again."""
     machine: Machine
     tracer: Tracer
     continuation: Frame
@@ -258,7 +262,7 @@ def _leave(frame: Frame) -> Frame:
 
 
 _TRACE_GUARD = Guard("trace", lambda entry: entry[1].stop())
-_LEAVE = Code("trace", _leave)
+_EXIT_TRACE = Code("trace", _exit_trace)
 _RESUME_TRACE = Code("trace", lambda entry: entry[1].start())
 
 
@@ -288,7 +292,7 @@ def handle_undefined_call(logic: PredicateTable, predicate: Predicate, frame: Fr
     callers = _possible_callers(logic, predicate, frame)
     if callers:
         notes.append(f"called from {', '.join(callers)}")
-    suggestions = similar(logic, logic.database.modules.plain_functor(key) or key)
+    suggestions = find_similar(logic, logic.database.modules.plain_functor(key) or key)
     if suggestions:
         notes.append(f"did you mean {' or '.join(suggestions)}?")
     shown_indicator = logic.database.modules.module_indicator(key) or indicator(key)
@@ -305,7 +309,7 @@ def _possible_callers(logic: PredicateTable, predicate: Predicate, frame: Frame)
     """
     key = predicate.functor
     call = (key, *frame[1:-1])
-    following_functor = getattr(frame[-1][0], "functor", None)
+    return_functor = getattr(frame[-1][0], "functor", None)
     clauses = [
         clause
         for candidate in list(logic.database.predicates.values())
@@ -317,22 +321,23 @@ def _possible_callers(logic: PredicateTable, predicate: Predicate, frame: Frame)
     # A closure, to which maplist/3 and others add arguments, has fewer of them in the clause.
     if not matching:
         matching = [clause for clause in clauses if _may_call(clause, call, 1)]
-    returned_to = [clause for clause in matching if clause.predicate.functor is following_functor]
-    return [_describe(clause) for clause in (returned_to or matching)[:3]]
+    callers_returned_to = [clause for clause in matching if clause.predicate.functor is return_functor]
+    return [_describe_clause(clause) for clause in (callers_returned_to or matching)[:3]]
 
 
-def _describe(clause: Clause) -> str:
+def _describe_clause(clause: Clause) -> str:
+    """Return the functor of a clause, and the first line of its place if that is known."""
     place_text = f" ({clause.place})" if clause.place is not None else ""
     return f"{clause.predicate.functor}{place_text}".split("\n")[0]
 
 
-def _may_call(clause: Clause, call: CompoundTerm, least: int) -> bool:
+def _may_call(clause: Clause, call: CompoundTerm, min_items: int) -> bool:
     """Return whether a clause's body contains a goal that may have made a call.
 
     Args:
         clause: the clause.
         call: functor and arguments of the call.
-        least: least number of items of a goal; arguments that it lacks may have been added when it was called.
+        min_items: minimum number of items of a goal; arguments that it lacks may have been added when it was called.
     """
     stack = [clause.body]
     while stack:
@@ -340,7 +345,11 @@ def _may_call(clause: Clause, call: CompoundTerm, least: int) -> bool:
         if item.__class__ is Atom:
             item = (item.functor,)
         if item.__class__ is tuple:
-            if item[0].name == call[0].name and least <= len(item) <= len(call) and _may_unify(item, call):
+            if (
+                item[0].name == call[0].name
+                and min_items <= len(item) <= len(call)
+                and _may_unify(item, call)
+            ):
                 return True
             stack.extend(item[1:])
     return False
@@ -355,7 +364,7 @@ def _may_unify(goal: CompoundTerm, call: CompoundTerm) -> bool:
     return unifies
 
 
-def similar(logic: PredicateTable, key: Functor) -> List[str]:
+def find_similar(logic: PredicateTable, key: Functor) -> List[str]:
     """Return indicators of defined procedures with the same name or a similar one, at most three."""
     names: Dict[str, List[Functor]] = {}
     for candidate in logic.names():
@@ -411,14 +420,14 @@ def repair_after_interrupt(logic: Any) -> None:
     logic.database.solve = logic.control.solve
     for predicate in list(logic.database.predicates.values()):
         predicate.repair()
-    for stored in list(logic.state.values()):
-        if hasattr(stored, "repair"):
-            stored.repair()
+    for value in list(logic.state.values()):
+        if hasattr(value, "repair"):
+            value.repair()
 
 
 _DIRECTIVE = functor(":-", 1)
 _QUERY = functor("?-", 1)
-_ARROW = functor("-->", 2)
+_GRAMMAR_RULE = functor("-->", 2)
 _FLAGS_LOCKED = "goals of services and the dashboard may not change flags: set the parameter ~allow_flags"
 
 
@@ -444,9 +453,9 @@ class UserStream:
         # characters are added once they are known.
         self._budget.count_output(len(text))
         escaped = printable(text)
-        extra = len(escaped.encode()) - len(text)
-        if extra:
-            self._budget.count_output(extra)
+        added_bytes = len(escaped.encode()) - len(text)
+        if added_bytes:
+            self._budget.count_output(added_bytes)
         self._write(escaped)
 
 
@@ -469,7 +478,8 @@ class PrologSystem(PredicateTable):
         files: opens files for goals; None if goals may open none.
         ask: returns the next line that the user types, None at the end of input; None if there is no user.
         environment: environment variables of the process; None if the program may not read them.
-        is_serving_client: whether the current work is done for a client and not for the program; see `for_others`.
+        is_serving_client: whether the current work is done for a client and not for the program; see
+            `serving_client`.
         allow_flags: whether goals of clients, including those that they add to the program, may change flags.
         new_goals: goals compiled since `precompiling_goals` began; None outside of it.
     """
@@ -509,13 +519,13 @@ class PrologSystem(PredicateTable):
     # Clients
 
     @contextmanager
-    def for_others(self) -> Iterator[None]:
+    def serving_client(self) -> Iterator[None]:
         """Return a context in which work is done for clients: services and the dashboard."""
-        was_from_outside, self.is_serving_client = self.is_serving_client, True
+        was_serving_client, self.is_serving_client = self.is_serving_client, True
         try:
             yield
         finally:
-            self.is_serving_client = was_from_outside
+            self.is_serving_client = was_serving_client
 
     def require_flags(self, flag: Term) -> None:
         """Require that the running goal may change a flag.
@@ -562,11 +572,11 @@ class PrologSystem(PredicateTable):
         term, error_clause = translate_single_sided(rule)
         clause = self._add_to_predicate(term, place, first, asserted)
         predicate = self.database.writable(clause.predicate.functor, "modify")
-        last = predicate.clauses[-1]
-        if not is_error_clause_body(last.body):
-            for earlier in list(predicate.active_clauses())[-2:]:
-                if is_error_clause_body(earlier.body):
-                    predicate.remove(earlier)
+        last_clause = predicate.clauses[-1]
+        if not is_error_clause_body(last_clause.body):
+            for earlier_clause in list(predicate.active_clauses())[-2:]:
+                if is_error_clause_body(earlier_clause.body):
+                    predicate.remove(earlier_clause)
             self._add_to_predicate(error_clause, None, False, asserted)
         return clause
 
@@ -584,7 +594,7 @@ class PrologSystem(PredicateTable):
         while term.__class__ is tuple and term[0] is COLON:
             named_module = modules.find_module(term[1])
             module, term = (module if named_module is None else named_module), deref(term[2])
-        if term.__class__ is tuple and term[0] is _ARROW:
+        if term.__class__ is tuple and term[0] is _GRAMMAR_RULE:
             term = translate_rule(term)
         if module is not None and term.__class__ is not Var:
             return modules.resolve_clause(
@@ -600,14 +610,16 @@ class PrologSystem(PredicateTable):
         return goal if modules.loading_module is None else modules.resolve_body(modules.loading_module, goal)
 
     def load(
-        self, terms: Sequence[Tuple[Term, Optional[Place]]], problem: Callable[[str, Optional[Place]], None]
+        self,
+        terms: Sequence[Tuple[Term, Optional[Place]]],
+        report_problem: Callable[[str, Optional[Place]], None],
     ) -> None:
         """Add clauses and run directives in order; ``initialization/1`` goals run at the end.
 
         Args:
             terms: clauses and directives with their source positions.
-            problem: called with message and position of each directive that fails or raises, and of each invalid
-                clause.
+            report_problem: called with message and position of each directive that fails or raises, and of each
+                invalid clause.
         """
         initializations: List[Tuple[Term, Optional[Place]]] = []
         for term, place in terms:
@@ -617,19 +629,19 @@ class PrologSystem(PredicateTable):
                 if goal.__class__ is tuple and goal[0].name == "initialization":
                     initializations.append((goal[1], place))
                 else:
-                    self.run_directive(goal, place, problem)
+                    self.run_directive(goal, place, report_problem)
                 continue
             try:
                 self.add_clause(term, place)
             except PrologError as error:
-                problem(error.message, place)
+                report_problem(error.message, place)
         for goal, place in initializations:
-            self.run_directive(goal, place, problem)
+            self.run_directive(goal, place, report_problem)
 
     def run_directive(
-        self, goal: Term, place: Optional[Place], problem: Callable[[str, Optional[Place]], None]
+        self, goal: Term, place: Optional[Place], report_problem: Callable[[str, Optional[Place]], None]
     ) -> bool:
-        """Run a directive, and call ``problem`` if it fails or raises.
+        """Run a directive, and call ``report_problem`` if it fails or raises.
 
         Returns:
             Whether it succeeded.
@@ -637,9 +649,9 @@ class PrologSystem(PredicateTable):
         try:
             if self.once(self.resolve_file_goal(goal)):
                 return True
-            problem(f"Goal (directive) failed: {self.show(goal)}", place)
+            report_problem(f"Goal (directive) failed: {self.show(goal)}", place)
         except PrologError as error:
-            problem(error.message, place)
+            report_problem(error.message, place)
         return False
 
     # Goals
@@ -776,8 +788,8 @@ class PrologSystem(PredicateTable):
         key = predicate.functor
         if predicate.dynamic:
             return None
-        plain = self.database.modules.plain_functor(key)
-        plain_predicate = None if plain is None else self.lookup(plain)
+        plain_key = self.database.modules.plain_functor(key)
+        plain_predicate = None if plain_key is None else self.lookup(plain_key)
         if plain_predicate is not None:
             return plain_predicate.run((plain_predicate, *frame[1:]))
         library_file = self._library.get((key.name, key.arity))
@@ -786,9 +798,9 @@ class PrologSystem(PredicateTable):
             return self.database.predicate(key).run(frame)
         return handle_undefined_call(self, predicate, frame)
 
-    def similar(self, key: Functor) -> List[str]:
+    def find_similar(self, key: Functor) -> List[str]:
         """Return indicators of predicates with a similar name, for "did you mean" hints."""
-        return similar(self, key)
+        return find_similar(self, key)
 
 
 def _write_stdout(text: str) -> None:

@@ -189,20 +189,22 @@ def _is_ndarray(value_class: object) -> bool:
     return getattr(value_class, "__name__", "") == "ndarray" and value_class.__module__ == "numpy"
 
 
-def reader_of(hint: object) -> Callable[[Term], object]:
+def argument_converter(hint: object) -> Callable[[Term], object]:
     """Return the conversion of a term to the argument of a parameter with an annotation."""
     if hint in (Any, Term, Var):
         return deref
     # `numpy.ndarray`, or `numpy.typing.NDArray` with a type of elements.
     if _is_ndarray(getattr(hint, "__origin__", hint)):
         return array_of
-    return _READERS.get(hint, to_python)
+    return _CONVERTERS_BY_TYPE.get(hint, to_python)
 
 
-def _typed(
+def _typed_converter(
     accepts: Tuple[type, ...], name: str, convert: Callable[[Any], object]
 ) -> Callable[[Term], object]:
-    def read(term: Term) -> object:
+    """Return the conversion of a term to an argument of some types; other terms are a type error with ``name``."""
+
+    def convert_argument(term: Term) -> object:
         value = to_python(term)
         # The atoms true and false are texts for a parameter of type str, and bool must not pass as an integer.
         if isinstance(value, bool) and bool not in accepts:
@@ -211,15 +213,15 @@ def _typed(
             raise type_error(name, deref(term))
         return convert(value)
 
-    return read
+    return convert_argument
 
 
-_READERS: Dict[object, Callable[[Term], object]] = {
-    int: _typed((int,), "integer", int),
-    float: _typed((int, float), "number", float),
-    str: _typed((str,), "atom", str),
-    bool: _typed((bool,), "bool", bool),
-    list: _typed((list,), "list", list),
+_CONVERTERS_BY_TYPE: Dict[object, Callable[[Term], object]] = {
+    int: _typed_converter((int,), "integer", int),
+    float: _typed_converter((int, float), "number", float),
+    str: _typed_converter((str,), "atom", str),
+    bool: _typed_converter((bool,), "bool", bool),
+    list: _typed_converter((list,), "list", list),
 }
 
 
@@ -266,18 +268,18 @@ def to_json(term: Term, names: Dict[Var, str], max_length: int) -> str:
             if item.__class__ is tuple:
                 # Each entry of the stack becomes at least one character.
                 if length + len(stack) > max_length:
-                    raise _too_long(max_length)
+                    raise _length_error(max_length)
                 stack.extend(_json_parts(item, max_length))
                 continue
             text = _json_constant(item, names, max_length)
         length += len(text)
         if length > max_length:
-            raise _too_long(max_length)
+            raise _length_error(max_length)
         parts.append(text)
     return "".join(parts)
 
 
-def _too_long(max_length: int) -> UsageError:
+def _length_error(max_length: int) -> UsageError:
     """Return the error for a solution whose JSON is too long."""
     return UsageError(f"a solution has more than {max_length} characters")
 
@@ -287,14 +289,14 @@ def _json_parts(item: CompoundTerm, max_length: int) -> List[Union[Term, _ReadyT
     items = list_items(item) if item[0] is CONS else None
     parts = list(item[1:]) if items is None else items
     if len(parts) > max_length:
-        raise _too_long(max_length)
+        raise _length_error(max_length)
     entries: List[Union[Term, _ReadyText]] = [_ReadyText("]" if items is not None else "]}")]
     for index, part in enumerate(reversed(parts)):
         if index:
             entries.append(_ReadyText(", "))
         entries.append(part)
-    functor = "" if items is not None else f'{{"functor": {json.dumps(item[0].name)}, "args": '
-    entries.append(_ReadyText(f"{functor}["))
+    prefix = "" if items is not None else f'{{"functor": {json.dumps(item[0].name)}, "args": '
+    entries.append(_ReadyText(f"{prefix}["))
     return entries
 
 
@@ -308,11 +310,11 @@ def _json_constant(item: Term, names: Dict[Var, str], max_length: int) -> str:
     if isinstance(item, (Atom, String)):
         text = item.name if isinstance(item, Atom) else item.text
         if len(text) > max_length:
-            raise _too_long(max_length)
+            raise _length_error(max_length)
         return json.dumps(text, ensure_ascii=False)
     if isinstance(item, float) and not math.isfinite(item):
         return f'"{item}"'
     # Conversion of a long integer to decimal takes quadratic time, so its length is estimated from its bits.
     if isinstance(item, int) and item.bit_length() > 4 * max_length:
-        raise _too_long(max_length)
+        raise _length_error(max_length)
     return writeq(item)
