@@ -169,8 +169,10 @@ def create_rate_operator(rate_pattern: RatePattern) -> StreamOperator:
 
 def compile_rate_spec(rate_pattern: RatePattern, value_vars: Sequence[Var]) -> StreamNodeSpec:
     """Return the specification of a node of ``P with S``, given the variables of P's matches."""
-    build_key = _compile_builder(rate_pattern.keys, value_vars)
-    build_values = _compile_builder(() if rate_pattern.value is None else (rate_pattern.value,), value_vars)
+    build_key = _compile_values_builder(rate_pattern.keys, value_vars)
+    build_values = _compile_values_builder(
+        () if rate_pattern.value is None else (rate_pattern.value,), value_vars
+    )
 
     def key_and_values(values: Values) -> Tuple[Values, Values]:
         return build_key(values), build_values(values)
@@ -206,7 +208,7 @@ def compile_window_spec(
     measured_terms = [value for value in window_pattern.values if value is not None]
     navigated_vars = window_pattern.window.navigated_vars
     build, navigated_positions = (
-        _compile_builder(measured_terms, value_vars),
+        _compile_values_builder(measured_terms, value_vars),
         [position_of[var] for var in navigated_vars],
     )
     evaluate_values = [
@@ -382,7 +384,7 @@ def compile_absence_spec(
     )
 
 
-def _compile_builder(terms: Sequence[Term], value_vars: Sequence[Var]) -> Callable[[Values], Values]:
+def _compile_values_builder(terms: Sequence[Term], value_vars: Sequence[Var]) -> Callable[[Values], Values]:
     """Return a function that makes the values of terms from those of variables."""
     builders = [compile_builder(term, list(value_vars), "operator on a stream") for term in terms]
     if not builders:
@@ -454,64 +456,64 @@ class StreamCompiler:
 
     def _build_stream(
         self,
-        operator: Union[WindowPattern, RatePattern, AbsencePattern],
+        pattern: Union[WindowPattern, RatePattern, AbsencePattern],
         context: VarSet,
         max_interval: Optional[int],
     ) -> BuiltPattern:
-        """Build an operator on streams.
+        """Build the pattern of an operator on streams.
 
         Args:
-            operator: the operator.
+            pattern: the pattern.
             context: variables of the patterns to its left.
             max_interval: longest interval of a useful match, in ns; None for no bound.
         """
-        if isinstance(operator, AbsencePattern):
-            return self._build_absence(operator, context)
-        pattern = operator.collected if isinstance(operator, WindowPattern) else operator.pattern
-        below = self._build(pattern, context, UNLIMITED)
+        if isinstance(pattern, AbsencePattern):
+            return self._build_absence(pattern, context)
+        input_pattern = pattern.collected if isinstance(pattern, WindowPattern) else pattern.pattern
+        below = self._build(input_pattern, context, UNLIMITED)
         # A window has no partner further left at the time when its elements are measured, so such conditions cannot
         # be deferred.
         if below.deferred:
             subject = (
                 "what is measured"
-                if isinstance(operator, WindowPattern)
-                else f"the pattern of {operator.operator}"
+                if isinstance(pattern, WindowPattern)
+                else f"the pattern of {pattern.operator}"
             )
             raise RuleError(f"a condition in {subject} uses a pattern to the left of it", self.rule.place)
         value_vars = below.node.vars
-        if isinstance(operator, RatePattern):
+        if isinstance(pattern, RatePattern):
             node = StreamNode(
-                self.rule, [below.node], value_vars, compile_rate_spec(operator, value_vars), operator
+                self.rule, [below.node], value_vars, compile_rate_spec(pattern, value_vars), pattern
             )
-            built = below if operator.operator != "debounce" else BuiltPattern(node, [], below.leaves, [])
+            built = below if pattern.operator != "debounce" else BuiltPattern(node, [], below.leaves, [])
             return built._replace(node=self._add(node, None, Retention(max_interval, max_interval)))
         if any(
             var in context and var not in value_vars
-            for goal in operator.window.goals
+            for goal in pattern.window.goals
             for var in variables(goal)
         ):
             raise RuleError(
                 "a condition of a step uses a pattern to the left of what is measured", self.rule.place
             )
-        values = [value for value in operator.values if value is not None]
-        outside_vars = self._find_outside_vars(pattern, [*values, *operator.window.navigated_vars])
+        values = [value for value in pattern.values if value is not None]
+        outside_vars = self._find_outside_vars(input_pattern, [*values, *pattern.window.navigated_vars])
         key_vars = [var for var in value_vars if var in outside_vars]
-        own_vars, build_match_values = compile_window_result(operator, key_vars)
+        own_vars, build_match_values = compile_window_result(pattern, key_vars)
         evaluators = Evaluators(self.rule)
-        spec = compile_window_spec(operator, value_vars, key_vars, build_match_values, evaluators)
+        spec = compile_window_spec(pattern, value_vars, key_vars, build_match_values, evaluators)
         node = self._add(
-            StreamNode(self.rule, [below.node], own_vars, spec, operator),
+            StreamNode(self.rule, [below.node], own_vars, spec, pattern),
             None,
             Retention(max_interval, max_interval),
         )
         return BuiltPattern(node, [], below.leaves, [])
 
-    def _build_absence(self, operator: AbsencePattern, context: VarSet) -> BuiltPattern:
+    def _build_absence(self, pattern: AbsencePattern, context: VarSet) -> BuiltPattern:
         """Build a pattern after which another one must not happen for some time."""
-        below = self._build(operator.pattern, context, UNLIMITED)
-        inner_context = context | frozenset(bound_by(operator.pattern))
-        negated = self._make_negated(operator, inner_context, UNLIMITED)
-        always_bound = always_bound_by(operator.pattern, False, True)
+        below = self._build(pattern.pattern, context, UNLIMITED)
+        inner_context = context | frozenset(bound_by(pattern.pattern))
+        negated = self._make_negated(pattern, inner_context, UNLIMITED)
+        always_bound = always_bound_by(pattern.pattern, False, True)
         value_vars = below.node.vars
         # The timeout has no left operand whose variables could become known later.
         if negated.find_missing_vars(inner_context, set(value_vars)) | negated.find_missing_vars(
@@ -521,11 +523,11 @@ class StreamCompiler:
             raise RuleError(message, self.rule.place)
         built = negated.next_copy()
         negation = create_negation_buffer(self.rule, built, value_vars, False)
-        identity_of = self._match_keys.identity_function(value_vars, operator.pattern)
+        identity_of = self._match_keys.identity_function(value_vars, pattern.pattern)
         spec = compile_absence_spec(
-            operator.span, value_vars, built.node.vars, negation.condition, identity_of
+            pattern.span, value_vars, built.node.vars, negation.condition, identity_of
         )
-        node = StreamNode(self.rule, [below.node, built.node], value_vars, spec, operator)
+        node = StreamNode(self.rule, [below.node, built.node], value_vars, spec, pattern)
         node.deferred_negations = negation.deferred_negations
         self._add(node, None, UNLIMITED)
         return BuiltPattern(node, below.deferred, [*negated.first.leaves, *below.leaves], [])
