@@ -215,11 +215,7 @@ def _check_goals(
                 # The arguments of arithmetic functions are numbers as well.
                 operands += [(term, argument_position) for argument_position in range(1, len(term))]
             occurrence = slots.get(term) if term.__class__ is Var else None
-            if (
-                occurrence is not None
-                and occurrence.description in _ADVICE_BY_DESCRIPTION
-                and term not in reported
-            ):
+            if occurrence is not None and occurrence.description in _NUMBER_ADVICE and term not in reported:
                 reported.add(term)
                 yield RuleError(
                     _explain_not_a_number(_name_variable(term, names), occurrence),
@@ -256,7 +252,7 @@ def _check_predicate_arguments(
 
 _SCALAR_DESCRIPTIONS = ("a number", "true or false", "an atom")
 
-_ADVICE_BY_DESCRIPTION = {
+_NUMBER_ADVICE = {
     "a text": "compare texts with == or \\==",
     "true or false": "write == true or == false",
     "a string": "compare strings with == or \\==",
@@ -269,7 +265,7 @@ _ADVICE_BY_DESCRIPTION = {
 def _explain_not_a_number(name: str, occurrence: SlotOccurrence) -> str:
     """Return the warning for a variable that is used as a number but has another type."""
     if not occurrence.is_created:
-        advice = _ADVICE_BY_DESCRIPTION[occurrence.description]
+        advice = _NUMBER_ADVICE[occurrence.description]
         return f"{name} is {occurrence.description} ({occurrence.slot}), not a number: {advice}"
     advice = (
         _advise_conversion_to_text(name) if occurrence.description == "a text" else "send another variable"
@@ -298,11 +294,7 @@ def _check_aggregated_terms(
         and subterm.term[0].name in _ELEMENTWISE_AGGREGATES
     ):
         return
-    if (
-        occurrence is not None
-        and occurrence.description in _ADVICE_BY_DESCRIPTION
-        and not occurrence.is_created
-    ):
+    if occurrence is not None and occurrence.description in _NUMBER_ADVICE and not occurrence.is_created:
         source = f"{occurrence.description} ({occurrence.slot})"
         text = f"{_name_variable(value, names)} is {source}: {subterm.term[0].name} collects numbers"
         yield RuleError(text, subterm.place_of(subterm.term, position))
@@ -387,9 +379,9 @@ class _NumberSlot(NamedTuple):
 
 def find_number_type_mismatches(program: ProgramModel) -> Iterator[RuleError]:
     """Yield numbers that no message has in that slot, and comparisons with such slots that never hold."""
-    created_functors = _functors_of_created_events(program)
+    created_keys = _functors_of_created_events(program)
     for event, prefix in program.patterns():
-        for subterm, definition in _find_input_messages(program, event, created_functors):
+        for subterm, definition in _find_input_messages(program, event, created_keys):
             for position, slot in enumerate(definition.fields, 1):
                 value, number_type = deref(subterm.term[position]), _number_type(slot)
                 if _has_other_type(value, number_type):
@@ -402,45 +394,40 @@ def find_number_type_mismatches(program: ProgramModel) -> Iterator[RuleError]:
         events = [node.term for node in walk(rule.definition.pattern, True) if isinstance(node, EventPattern)]
         event_subterms = [Subterm(deref(term), wrap_term(term), 1, rule.place_of) for term in events]
         rule_subterm = Subterm(None, wrap_term(rule.definition.term), 1, rule.place_of)
-        yield from _check_compared_numbers(
-            program,
-            event_subterms,
-            rule_subterm,
-            {**program.names, **rule.definition.names},
-            created_functors,
-        )
+        names = {**program.names, **rule.definition.names}
+        yield from _check_compared_numbers(program, event_subterms, rule_subterm, names, created_keys)
     for consumer in (*program.memories, *program.subscriptions):
         for error in _check_compared_numbers(
             program,
             [consumer.event],
             Subterm(None, consumer.term, 2, consumer.place_of),
             program.names,
-            created_functors,
+            created_keys,
         ):
             yield RuleError(f"{consumer.prefix}{error.message}", error.place)
 
 
 def _functors_of_created_events(program: ProgramModel) -> Set[Optional[Functor]]:
     """Return the functors of the events that the program creates; None is included if some are unknown."""
-    created_functors: Set[Optional[Functor]] = set()
+    created_keys: Set[Optional[Functor]] = set()
     for rule in program.rules:
         head = event_raised_by(rule.definition.head)
         if head is not None:
-            created_functors.add(key_of(head))
+            created_keys.add(key_of(head))
     for call in program.all_subterms():
         if call.term.__class__ is tuple and call.term[0] in NEW_EVENT:
-            created_functors.add(key_of(call.term[1]))
-    return created_functors
+            created_keys.add(key_of(call.term[1]))
+    return created_keys
 
 
 def _find_input_messages(
-    program: ProgramModel, event: Subterm, created_functors: Set[Optional[Functor]]
+    program: ProgramModel, event: Subterm, created_keys: Set[Optional[Functor]]
 ) -> Iterator[Tuple[Subterm, Definition]]:
     """Yield the messages in an event pattern if topics are the only source of such events.
 
     The program may raise other events with numbers that no message has.
     """
-    if event.key in created_functors or None in created_functors or program.message_of(event.term) is None:
+    if event.key in created_keys or None in created_keys or program.message_of(event.term) is None:
         return
     for subterm in subterms(event.parent, event.position, event.place_of):
         definition = program.message_of(subterm.term)
@@ -453,14 +440,14 @@ def _check_compared_numbers(
     events: List[Subterm],
     source: Subterm,
     names: Mapping[Var, str],
-    created_functors: Set[Optional[Functor]],
+    created_keys: Set[Optional[Functor]],
 ) -> Iterator[RuleError]:
     """Yield comparisons that never hold, given the events that contain their variables."""
     all_subterms = list(subterms(source.parent, source.position, source.place_of))
     # With alternatives, the variable may be bound in another branch.
     if any(subterm.key in _ALTERNATIVES for subterm in all_subterms):
         return
-    slots = _find_numeric_variables(program, events, created_functors)
+    slots = _find_numeric_variables(program, events, created_keys)
     for subterm in all_subterms:
         numeric = _NUMERIC_EQUIVALENTS.get(subterm.key) if subterm.key is not None else None
         if numeric is None:
@@ -479,12 +466,12 @@ def _check_compared_numbers(
 
 
 def _find_numeric_variables(
-    program: ProgramModel, events: List[Subterm], created_functors: Set[Optional[Functor]]
+    program: ProgramModel, events: List[Subterm], created_keys: Set[Optional[Functor]]
 ) -> Dict[Var, _NumberSlot]:
     """Return the variables of events that are numeric slots."""
     slots: Dict[Var, _NumberSlot] = {}
     for event in events:
-        for subterm, definition in _find_input_messages(program, event, created_functors):
+        for subterm, definition in _find_input_messages(program, event, created_keys):
             for position, slot in enumerate(definition.fields, 1):
                 value: Any = deref(subterm.term[position])
                 number_type = _number_type(slot)

@@ -294,20 +294,10 @@ class TriggeredQuery(ReleasableQuery):
         goal_inputs = tuple([values[position] for position in self._inputs])
         call = self._dispatcher.call
         return call(
-            goal,
-            goal_inputs,
-            self._warn_of_error,
-            self._trigger_for_solution,
-            TRUE,
-            values,
-            start,
-            end,
-            next_frame,
+            goal, goal_inputs, self._warn_of_error, self._trigger_solved, TRUE, values, start, end, next_frame
         )
 
-    def _trigger_for_solution(
-        self, term: Term, values: Values, start: int, end: int, next_frame: Frame
-    ) -> Frame:
+    def _trigger_solved(self, term: Term, values: Values, start: int, end: int, next_frame: Frame) -> Frame:
         return self._trigger(values, start, end, next_frame)
 
     def _trigger(self, values: Values, start: int, end: int, next_frame: Frame) -> Frame:

@@ -375,22 +375,14 @@ class FileChecker:
 
     def _warn_of_pattern(self, rule: CompoundTerm, place_of: PlaceLookup) -> None:
         """Warn about an unbracketed rule inside a pattern (two arrows in a row), and about a variable as pattern."""
-        pattern_term, pattern_place = deref(rule[2]), place_of(rule, 2)
-        if pattern_term.__class__ is Var:
-            name = self._names.get(pattern_term, "_")
+        body, body_place = deref(rule[2]), place_of(rule, 2)
+        if body.__class__ is Var:
+            name = self._names.get(body, "_")
             # The variable matches the rule's own events, so the rule triggers itself without end.
-            self._warn(
-                f"{name} is any event, those of this rule included: it fires for itself", pattern_place
-            )
-        if (
-            pattern_term.__class__ is tuple
-            and pattern_term[0] in ARROWS
-            and pattern_place is not None
-            and pattern_place.character != "("
-        ):
-            self._warn(
-                "this rule is inside the pattern of another; put it in brackets", place_of(pattern_term)
-            )
+            self._warn(f"{name} is any event, those of this rule included: it fires for itself", body_place)
+        is_rule_inside = body.__class__ is tuple and body[0] in ARROWS
+        if is_rule_inside and body_place is not None and body_place.character != "(":
+            self._warn("this rule is inside the pattern of another; put it in brackets", place_of(body))
 
     def _check_goals(
         self, goals: List[Subgoal], pattern: Pattern, place_of: PlaceLookup, place: Optional[Place]

@@ -352,11 +352,9 @@ class Timers:
             self._delayed_goal_count = 0
         else:
             self._delayed_goal_count += 1
-        return (
-            reached
-            if alarm_instant is None or self._delayed_goal_count > MAX_FIRINGS_PER_JUMP
-            else alarm_instant
-        )
+        if alarm_instant is None or self._delayed_goal_count > MAX_FIRINGS_PER_JUMP:
+            return reached
+        return alarm_instant
 
     def _schedule_next(self, timer: ProgramTimer, now: int) -> None:
         """Compute the next instant of a timer, from the given time or from the clock's first time."""
