@@ -5,7 +5,7 @@ from prolog.support import answers, first, prolog
 
 from retalis import Engine, ProgramErrors, PrologError, Var, atom, functor
 from retalis.prolog.builtins.builtin_registry import ENTRIES
-from retalis.prolog.compiler.clause_nodes import FIXED
+from retalis.prolog.compiler.clause_nodes import PROTECTED_PREDICATES
 from retalis.prolog.database.predicate import NEVER_COMPILE
 
 
@@ -17,7 +17,7 @@ def rule_for(key):
     )
 
 
-FREE = sorted({functor(*key) for key in ENTRIES} - FIXED, key=str)
+FREE = sorted({functor(*key) for key in ENTRIES} - PROTECTED_PREDICATES, key=str)
 
 
 def test_all_but_control_unification_comparison_and_type_tests_can_be_defined():
@@ -27,7 +27,7 @@ def test_all_but_control_unification_comparison_and_type_tests_can_be_defined():
     assert len(FREE) > 200
 
 
-@pytest.mark.parametrize("key", sorted(FIXED, key=str), ids=str)
+@pytest.mark.parametrize("key", sorted(PROTECTED_PREDICATES, key=str), ids=str)
 def test_those_cannot(key):
     with pytest.raises(PrologError, match="modify"):
         prolog().add_clause(rule_for(key))

@@ -449,7 +449,7 @@ _FORMS: Dict[Functor, str] = {
     **dict.fromkeys(TYPE_TESTS, "type"),
 }
 
-FIXED = frozenset(
+PROTECTED_PREDICATES = frozenset(
     (
         *CONTROL,
         *_FORMS,

@@ -13,7 +13,7 @@ drops them when no frame or clause refers to them any more.
 from typing import Any, Callable, Dict, Iterable, Optional, Set
 from weakref import WeakSet, WeakValueDictionary
 
-from ..compiler.clause_nodes import FIXED
+from ..compiler.clause_nodes import PROTECTED_PREDICATES
 from ..compiler.function_code import FunctionCode
 from ..machine.errors import indicator, permission_error
 from ..machine.machine import Code, Machine
@@ -115,6 +115,7 @@ class Database:
         return predicate
 
     def _is_defined(self, key: Functor) -> bool:
+        """Return whether the program or the system defines or declares a predicate."""
         predicate = self.predicates.get(key)
         return predicate is not None and not predicate.is_undeclared
 
@@ -202,10 +203,10 @@ class Database:
             PrologError: a permission error for predicates of the system.
         """
         predicate = self.predicate(key)
-        locked = predicate.is_library_predicate and (
+        is_locked = predicate.is_library_predicate and (
             predicate.is_locked or (asserted and key in ISO_PREDICATES)
         )
-        if locked or key in FIXED:
+        if is_locked or key in PROTECTED_PREDICATES:
             raise permission_error(action, "static_procedure", indicator(key))
 
     def restore_library(self, predicate: Predicate) -> None:

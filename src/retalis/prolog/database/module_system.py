@@ -14,7 +14,7 @@ when it is called.
 from contextlib import contextmanager
 from typing import Callable, Dict, FrozenSet, Iterable, Iterator, List, Optional, Sequence, Set, Tuple, Union
 
-from ..compiler.clause_nodes import FIXED
+from ..compiler.clause_nodes import PROTECTED_PREDICATES
 from ..machine.errors import indicator, instantiation_error, permission_error, type_error
 from ..terms.list_terms import list_items
 from ..terms.types import (
@@ -44,9 +44,11 @@ indicators of existing predicates. Any other kind is a plain term.
 ArgumentKinds = Tuple[ArgumentKind, ...]
 
 PLAIN: ArgumentKind = "?"
+"""Kind of an argument that is a plain term."""
 
 
 def _parse_kinds(text: str) -> Dict[Functor, ArgumentKinds]:
+    """Return the argument kinds in a text of entries such as ``findall(?|0|?)``."""
     kinds_of: Dict[Functor, ArgumentKinds] = {}
     for entry in text.split():
         name, _, rest = entry.rpartition("(")
@@ -93,7 +95,7 @@ def parse_meta_declaration(args: Tuple[object, ...]) -> ArgumentKinds:
 
 GRAMMAR_NAME = functor("//", 2)
 
-_GLOBAL_PREDICATES = FIXED | {
+_GLOBAL_PREDICATES = PROTECTED_PREDICATES | {
     *(functor(name, 2) for name in ("term_expansion", "goal_expansion")),
     *(functor("portray", 1), functor("message_hook", 3)),
 }
@@ -159,6 +161,7 @@ class ModuleNames:
         self.on_begin: Callable[[str], None] = lambda name: None
         self.on_change: Callable[[], None] = lambda: None
         self.on_import_conflict: Callable[[str], None] = lambda text: None
+        # For each file that is being loaded, whether it may declare a module; the innermost one is last.
         self._files: List[bool] = []
         self._plain_names: Dict[str, str] = {}
 
@@ -235,6 +238,7 @@ class ModuleNames:
         }
 
     def _warn_of_import_conflict(self, module: Module, key: Functor, importer: str, current: Functor) -> None:
+        """Warn that a module cannot import a predicate, because it has imported ``current`` under its name."""
         exporter = next(
             (
                 other_module.name
@@ -276,6 +280,7 @@ class ModuleNames:
         return (COLON, atom(key.name[: -len(name) - 1]), (SLASH, atom(name), key.arity))
 
     def _has_plain_name(self, module: Module, key: Functor) -> bool:
+        """Return whether a module's predicate is stored under its name without the module."""
         if key in module.exports and key not in module.shadowed_exports:
             return True
         return key in _GLOBAL_PREDICATES or key.name in self._plain_names
@@ -416,6 +421,7 @@ class Modules(ModuleNames):
         return resolved
 
     def _resolve_goal(self, module: Module, goal: Term, module_variables: FrozenSet[Var]) -> Term:
+        """Return a goal that is no control construct, with its name and arguments resolved; see `resolve_body`."""
         if goal.__class__ is Var:
             # The goal is known only at run time, so it is qualified with the module.
             return goal if goal in module_variables else (COLON, module.name_atom, goal)

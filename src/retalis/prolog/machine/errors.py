@@ -22,36 +22,40 @@ def describe(ball: Term) -> str:
     """Return a ball as one English sentence."""
     ball = deref(ball)
     if ball.__class__ is not tuple or ball[0] is not ERROR:
-        return f"Unhandled exception: {_shown(ball)}"
-    text = _formal(deref(ball[1]))
+        return f"Unhandled exception: {_term_text(ball)}"
+    text = _formal_text(deref(ball[1]))
+    context_text = _context_text(deref(ball[2]))
     # The context of an unknown procedure is usually the procedure itself, which the text names already.
-    text += _context(deref(ball[2])).replace(f" (in {text[len(_UNKNOWN) :]})", "", text.startswith(_UNKNOWN))
-    return beginning(text, MAX_MESSAGE_CHARACTERS)
+    if text.startswith(_UNKNOWN_PROCEDURE):
+        context_text = context_text.replace(f" (in {text[len(_UNKNOWN_PROCEDURE) :]})", "", 1)
+    return beginning(text + context_text, MAX_MESSAGE_CHARACTERS)
 
 
-_UNKNOWN = "Unknown procedure: "
+_UNKNOWN_PROCEDURE = "Unknown procedure: "
 """Beginning of the text for a missing procedure."""
 
 
-def _formal(formal: Term) -> str:
+def _formal_text(formal: Term) -> str:
+    """Return the text of a formal term."""
     if formal.__class__ is Atom:
         if formal.name == "instantiation_error":
             return "Arguments are not sufficiently instantiated"
         return formal.name
     if formal.__class__ is not tuple:
-        return f"Unknown error: {_shown(formal)}"
+        return f"Unknown error: {_term_text(formal)}"
     name, args = formal[0].name, [deref(arg) for arg in formal[1:]]
-    if name == "existence_error" and _name(args[0]) == "procedure":
-        return f"{_UNKNOWN}{_shown(args[1])}"
-    if name == "existence_error" and _name(args[0]) == "source_sink":
-        return f"cannot read {_name(args[1])}: No such file or directory"
+    if name == "existence_error" and _name_text(args[0]) == "procedure":
+        return f"{_UNKNOWN_PROCEDURE}{_term_text(args[1])}"
+    if name == "existence_error" and _name_text(args[0]) == "source_sink":
+        return f"cannot read {_name_text(args[1])}: No such file or directory"
     if name == "system_error":
-        return _name(args[0])  # a sentence
+        # The argument is a sentence.
+        return _name_text(args[0])
     template = _TEMPLATES.get(name)
     # A program can throw a formal term of its own, or an ISO one with another number of arguments.
     if template is None or template.count("{}") != len(args):
-        return f"Unknown error: {_shown(formal)}"
-    return template.format(*[_name(arg) for arg in args[:-1]], _shown(args[-1]))
+        return f"Unknown error: {_term_text(formal)}"
+    return template.format(*[_name_text(arg) for arg in args[:-1]], _term_text(args[-1]))
 
 
 _TEMPLATES = {
@@ -70,30 +74,32 @@ _TEMPLATES = {
 """Texts of ISO errors by the functor of the formal term; all arguments but the last one are names."""
 
 
-def _name(term: Term) -> str:
-    return beginning(term.name, MAX_MESSAGE_CHARACTERS) if term.__class__ is Atom else _shown(term)
+def _name_text(term: Term) -> str:
+    """Return the name of an atom without quotes, and the text of any other term."""
+    return beginning(term.name, MAX_MESSAGE_CHARACTERS) if term.__class__ is Atom else _term_text(term)
 
 
-def _shown(term: Term) -> str:
+def _term_text(term: Term) -> str:
     return truncated_text(term, MAX_MESSAGE_CHARACTERS)
 
 
-def _context(context: Term) -> str:
+def _context_text(context: Term) -> str:
+    """Return the text of an error's context: the predicate and the reason, as far as they are known."""
     if context.__class__ is Var:
         return ""
     if context.__class__ is tuple and context[0] is CONTEXT:
         place, message = deref(context[1]), deref(context[2])
-        text = "" if place.__class__ is Var else f" (in {_shown(place)})"
+        text = "" if place.__class__ is Var else f" (in {_term_text(place)})"
         if message.__class__ is Atom:
             text += f": {beginning(message.name, MAX_MESSAGE_CHARACTERS)}"
         elif message.__class__ is String:
             text += f": {beginning(message.text, MAX_MESSAGE_CHARACTERS)}"
         elif message.__class__ is not Var:
-            text += f": {_shown(message)}"
+            text += f": {_term_text(message)}"
         return text
     if context.__class__ is tuple and context[0] in (SLASH, COLON):
-        return f" (in {_shown(context)})"
-    return f": {_shown(context)}"
+        return f" (in {_term_text(context)})"
+    return f": {_term_text(context)}"
 
 
 _TYPE_ERROR = functor("type_error", 2)
@@ -156,15 +162,16 @@ def instantiation_error() -> PrologError:
 
 def type_error(type_name: str, culprit: Term, reason: Optional[str] = None) -> PrologError:
     """Return the error for a term of the wrong type."""
-    return error((_TYPE_ERROR, atom(type_name), culprit), _because(reason))
+    return error((_TYPE_ERROR, atom(type_name), culprit), _reason_context(reason))
 
 
 def domain_error(domain: str, culprit: Term, reason: Optional[str] = None) -> PrologError:
     """Return the error for a term of the right type whose value is not allowed."""
-    return error((_DOMAIN_ERROR, atom(domain), culprit), _because(reason))
+    return error((_DOMAIN_ERROR, atom(domain), culprit), _reason_context(reason))
 
 
-def _because(reason: Optional[str]) -> Optional[Term]:
+def _reason_context(reason: Optional[str]) -> Optional[Term]:
+    """Return the context of an error with a reason; the machine adds the predicate."""
     return None if reason is None else (CONTEXT, Var(), atom(reason))
 
 
@@ -187,12 +194,12 @@ def permission_error(
     action: str, object_type: str, culprit: Term, reason: Optional[str] = None
 ) -> PrologError:
     """Return the error for an operation that is not allowed."""
-    return error((_PERMISSION_ERROR, atom(action), atom(object_type), culprit), _because(reason))
+    return error((_PERMISSION_ERROR, atom(action), atom(object_type), culprit), _reason_context(reason))
 
 
 def representation_error(limit: str, reason: Optional[str] = None) -> PrologError:
     """Return the error for a value that cannot be represented."""
-    return error((_REPRESENTATION_ERROR, atom(limit)), _because(reason))
+    return error((_REPRESENTATION_ERROR, atom(limit)), _reason_context(reason))
 
 
 def evaluation_error(reason: str) -> PrologError:
@@ -204,7 +211,7 @@ def resource_error(
     resource: str, context: Optional[Term] = None, reason: Optional[str] = None
 ) -> PrologError:
     """Return the error for a limit that has been reached."""
-    return error((_RESOURCE_ERROR, atom(resource)), _because(reason) if context is None else context)
+    return error((_RESOURCE_ERROR, atom(resource)), _reason_context(reason) if context is None else context)
 
 
 def syntax_error(message: str) -> PrologError:
@@ -227,14 +234,14 @@ def indicator(key: Functor) -> Term:
     return (SLASH, atom(key.name), key.arity)
 
 
-_BODIES = {COMMA, functor(";", 2), functor("->", 2), functor("*->", 2)}
+_FIRST_GOAL_CONSTRUCTS = {COMMA, functor(";", 2), functor("->", 2), functor("*->", 2)}
 """Control constructs whose first goal runs first."""
 
 
 def first_goal_functor(goal: Term) -> Optional[Functor]:
     """Return the functor of the goal that a body calls first, or None if the term is not callable."""
     goal = deref(goal)
-    while goal.__class__ is tuple and goal[0] in _BODIES:
+    while goal.__class__ is tuple and goal[0] in _FIRST_GOAL_CONSTRUCTS:
         goal = deref(goal[1])
     return goal[0] if goal.__class__ is tuple else goal.functor if goal.__class__ is Atom else None
 

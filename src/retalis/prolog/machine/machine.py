@@ -67,9 +67,9 @@ class Code:
 
     __slots__ = ("name", "run", "functor", "keeps_choice_points", "closes_goal", "on_drop")
 
-    def __init__(self, name: str, run: Step, closes: bool = False):
+    def __init__(self, name: str, run: Step, closes_goal: bool = False):
         self.name = name
-        self.closes_goal = closes
+        self.closes_goal = closes_goal
         self.run = run
         self.functor: Optional[Functor] = None
         self.keeps_choice_points = False

@@ -44,7 +44,7 @@ from ..builtins import (  # noqa: F401
 from ..builtins.builtin_registry import ENTRIES
 from ..builtins.clause_translation import translate_rule
 from ..builtins.global_state import default_flags
-from ..compiler.clause_nodes import FIXED
+from ..compiler.clause_nodes import PROTECTED_PREDICATES
 from ..database.clause_index import Clause, functional
 from ..database.control_constructs import Control, control_predicates, functor_of, split_clause
 from ..database.database import ISO_PREDICATES, Database
@@ -107,8 +107,8 @@ _NO_SOLUTION = object()
 
 
 def is_replaceable(key: Functor) -> bool:
-    """Return whether facts of a program replace a predicate: a built-in outside of ISO Prolog that is not fixed."""
-    return (key.name, key.arity) in ENTRIES and key not in ISO_PREDICATES and key not in FIXED
+    """Return whether facts of a program replace a predicate: an unprotected built-in outside of ISO Prolog."""
+    return (key.name, key.arity) in ENTRIES and key not in ISO_PREDICATES and key not in PROTECTED_PREDICATES
 
 
 def _close_generator(entry: Frame) -> None:
@@ -161,7 +161,7 @@ class PredicateTable:
     @staticmethod
     def _mark_as_system(predicate: Predicate) -> None:
         predicate.is_protected = True
-        predicate.is_locked = predicate.functor in FIXED
+        predicate.is_locked = predicate.functor in PROTECTED_PREDICATES
 
     def define(self, name: str, arity: int, function: Callable[..., bool]) -> Predicate:
         """Define a deterministic predicate by ``function(machine, *args)``, which returns whether it succeeds.
