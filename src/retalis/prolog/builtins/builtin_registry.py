@@ -33,9 +33,9 @@ Outcome = Union[bool, Solutions]
 
 
 Function = TypeVar("Function", bound=Callable[..., object])
-Test = TypeVar("Test", bound=Callable[..., bool])
-Search = TypeVar("Search", bound=Callable[..., Outcome])
-Jump = TypeVar("Jump", bound=Callable[..., Optional[Frame]])
+DeterministicFunction = TypeVar("DeterministicFunction", bound=Callable[..., bool])
+NondeterministicFunction = TypeVar("NondeterministicFunction", bound=Callable[..., Outcome])
+ControlFunction = TypeVar("ControlFunction", bound=Callable[..., Optional[Frame]])
 
 
 class Entry(NamedTuple):
@@ -55,7 +55,7 @@ class Entry(NamedTuple):
 ENTRIES: Dict[Tuple[str, int], Entry] = {}
 
 
-def _register(determinism: str, names: Tuple[str, ...], is_locked: bool) -> Callable[[Function], Function]:
+def _register(kind: str, names: Tuple[str, ...], is_locked: bool) -> Callable[[Function], Function]:
     """Return a decorator that adds a function to `ENTRIES` under each of some predicate indicators."""
     keys: List[Tuple[str, int]] = []
     for text in names:
@@ -65,13 +65,15 @@ def _register(determinism: str, names: Tuple[str, ...], is_locked: bool) -> Call
 
     def register(function: Function) -> Function:
         for key in keys:
-            ENTRIES[key] = Entry(determinism, function, is_locked)
+            ENTRIES[key] = Entry(kind, function, is_locked)
         return function
 
     return register
 
 
-def deterministic(*names: str, is_locked: bool = True) -> Callable[[Test], Test]:
+def deterministic(
+    *names: str, is_locked: bool = True
+) -> Callable[[DeterministicFunction], DeterministicFunction]:
     """Register ``function(machine, *args) -> bool`` under indicators such as ``"atom_length/2"``."""
     return _register("deterministic", names, is_locked)
 
@@ -81,11 +83,13 @@ def function(*names: str, is_locked: bool = True) -> Callable[[Function], Functi
     return _register("function", names, is_locked)
 
 
-def nondeterministic(*names: str, is_locked: bool = True) -> Callable[[Search], Search]:
+def nondeterministic(
+    *names: str, is_locked: bool = True
+) -> Callable[[NondeterministicFunction], NondeterministicFunction]:
     """Register a generator ``function(machine, *args)``; see `PredicateTable.define_nondeterministic`."""
     return _register("nondeterministic", names, is_locked)
 
 
-def control(*names: str, is_locked: bool = True) -> Callable[[Jump], Jump]:
+def control(*names: str, is_locked: bool = True) -> Callable[[ControlFunction], ControlFunction]:
     """Register ``function(machine, args, next) -> frame or None``, where None is failure."""
     return _register("control", names, is_locked)

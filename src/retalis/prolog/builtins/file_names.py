@@ -25,53 +25,54 @@ _EXTENSIONS: Dict[str, List[str]] = {
 """Extensions that a file name may omit, by file type."""
 
 
-def _file_name(term: Term) -> str:
+def _read_file_name(term: Term) -> str:
+    """Return the text of a file name."""
     return whole_text(term, "text")
 
 
 @deterministic("file_base_name/2")
 def file_base_name(machine: Machine, path: Term, base: Term) -> bool:
     """Unify with the part of a path after its last slash."""
-    text = _file_name(path)
+    text = _read_file_name(path)
     # Trailing slashes are ignored; a path of slashes only is the root (POSIX `basename`).
-    plain = text.rstrip("/")
-    return unify(base, atom(basename(plain) if plain else text[:1]), machine.trail)
+    stripped = text.rstrip("/")
+    return unify(base, atom(basename(stripped) if stripped else text[:1]), machine.trail)
 
 
 @deterministic("file_directory_name/2")
 def file_directory_name(machine: Machine, path: Term, folder: Term) -> bool:
     """Unify with the part of a path before its last slash."""
-    text = _file_name(path)
-    plain = text.rstrip("/")
-    return unify(folder, atom((dirname(plain) or ".") if plain else text[:1] or "."), machine.trail)
+    text = _read_file_name(path)
+    stripped = text.rstrip("/")
+    return unify(folder, atom((dirname(stripped) or ".") if stripped else text[:1] or "."), machine.trail)
 
 
 @deterministic("file_name_extension/3")
 def file_name_extension(machine: Machine, base: Term, extension: Term, name: Term) -> bool:
     """Relate a file name with its base name and its extension."""
     if deref(name).__class__ is not Var:
-        file_name = _file_name(name)
+        file_name = _read_file_name(name)
         if deref(extension).__class__ is not Var:
             # An extension may be given with or without its dot.
-            suffix = "." + _file_name(extension).lstrip(".")
+            suffix = "." + _read_file_name(extension).lstrip(".")
             if suffix != "." and file_name.endswith(suffix):
-                return _is_text(machine, base, file_name[: -len(suffix)])
-            return suffix == "." and "." not in file_name and _is_text(machine, base, file_name)
-        stem, ending = _split(file_name)
-        return unify(extension, atom(ending), machine.trail) and _is_text(machine, base, stem)
-    stem, ending = _file_name(base), _file_name(extension).lstrip(".")
+                return _unify_text(machine, base, file_name[: -len(suffix)])
+            return suffix == "." and "." not in file_name and _unify_text(machine, base, file_name)
+        stem, ending = _split_extension(file_name)
+        return unify(extension, atom(ending), machine.trail) and _unify_text(machine, base, stem)
+    stem, ending = _read_file_name(base), _read_file_name(extension).lstrip(".")
     if ending and not stem.endswith(f".{ending}"):
         stem = f"{stem}.{ending}"
     return unify(name, atom(stem), machine.trail)
 
 
-def _split(name: str) -> List[str]:
+def _split_extension(name: str) -> List[str]:
     """Return a name without its extension, and the extension; dots in folder names are ignored."""
     stem, point, ending = name.rpartition(".")
     return [stem, ending] if point and "/" not in ending else [name, ""]
 
 
-def _is_text(machine: Machine, term: Term, text: str) -> bool:
+def _unify_text(machine: Machine, term: Term, text: str) -> bool:
     """Unify an argument with a text; a bound argument of any text type is compared by its text."""
     term = deref(term)
     return unify(term, atom(text), machine.trail) if term.__class__ is Var else text_of(term) == text
@@ -81,17 +82,17 @@ def _is_text(machine: Machine, term: Term, text: str) -> bool:
 def directory_file_path(machine: Machine, folder: Term, name: Term, path: Term) -> bool:
     """Relate a path with its folder and file name."""
     if deref(folder).__class__ is Var or deref(name).__class__ is Var:
-        file_path = _file_name(path)
+        file_path = _read_file_name(path)
         return machine.unify_all((folder, atom(dirname(file_path) or ".")), (name, atom(basename(file_path))))
-    inside, last = _file_name(folder), _file_name(name)
-    joined = last if inside == "." or isabs(last) else join(inside or "/", last)
+    folder_name, file_name = _read_file_name(folder), _read_file_name(name)
+    joined = file_name if folder_name == "." or isabs(file_name) else join(folder_name or "/", file_name)
     return unify(path, atom(joined), machine.trail)
 
 
 @deterministic("is_absolute_file_name/1")
 def is_absolute_file_name(machine: Machine, path: Term) -> bool:
     """Test for a path that begins with a slash."""
-    return isabs(_file_name(path))
+    return isabs(_read_file_name(path))
 
 
 @deterministic("absolute_file_name/2")
@@ -111,31 +112,32 @@ def absolute_file_name_with(machine: Machine, name: Term, path: Term, options: T
     for option in option_values(options):
         if isinstance(option, tuple) and len(option) == 2:
             values.setdefault(option[0].name, deref(option[1]))
-    file_type = _option(values, "file_type", "txt")
+    file_type = _option_name(values, "file_type", "txt")
     endings = _EXTENSIONS.get(file_type, [""])
     if "extensions" in values:
         endings = [
             f".{text.lstrip('.')}" if text else "" for text in map(text_of, items(values["extensions"]))
         ]
     absolute = _absolute_path(machine, name, values.get("relative_to"))
-    access = _option(values, "access", "none")
+    access = _option_name(values, "access", "none")
     if absolute is not None:
         must_search = access != "none" or endings != [""]
-        existing = _existing_file(machine, absolute, endings, file_type) if must_search else absolute
+        existing = _find_existing(machine, absolute, endings, file_type) if must_search else absolute
         if existing is not None or access in ("none", "write", "append"):
             return unify(path, atom(absolute if existing is None else existing), machine.trail)
-    if _option(values, "file_errors", "error") == "fail":
+    if _option_name(values, "file_errors", "error") == "fail":
         return False
     raise existence_error("source_sink", deref(name))
 
 
-def _option(values: Dict[str, Term], name: str, default: str) -> str:
+def _option_name(values: Dict[str, Term], name: str, default: str) -> str:
+    """Return the value of an option, which is an atom, or a default."""
     return atom_of(values[name]).name if name in values else default
 
 
-def _existing_file(machine: Machine, path: str, endings: List[str], file_type: str) -> Optional[str]:
+def _find_existing(machine: Machine, path: str, endings: List[str], file_type: str) -> Optional[str]:
     """Return the path of the first existing file with one of the extensions, or of an existing folder; else None."""
-    files = _files(machine)
+    files = _require_files(machine)
     if file_type == "directory":
         return path if files.is_folder(path) else None
     # A name that already has the extension is not extended again.
@@ -143,7 +145,8 @@ def _existing_file(machine: Machine, path: str, endings: List[str], file_type: s
     return next((candidate for candidate in candidates if files.is_readable(candidate)), None)
 
 
-def _files(machine: Machine) -> "SourceFiles":
+def _require_files(machine: Machine) -> "SourceFiles":
+    """Return the files that goals may open; raise a permission error if there are none."""
     files = machine.logic.files
     if files is None:
         raise permission_error("access", "source_sink", atom("."), "this program has no access to files")
@@ -156,16 +159,16 @@ def _absolute_path(machine: Machine, name: Term, folder: Optional[Term]) -> Opti
     if name.__class__ is Var:
         raise instantiation_error()
     if name.__class__ is tuple and name[0] is SLASH:
-        text = _joined_path(name)
+        text = _join_segments(name)
     elif name.__class__ is tuple and name[0].arity == 1:
         return None
     else:
-        text = _file_name(name)
-    start = _files(machine).absolute(".") if folder is None else _file_name(folder)
+        text = _read_file_name(name)
+    start = _require_files(machine).absolute(".") if folder is None else _read_file_name(folder)
     return normpath(join(start, text)) + ("/" if text.endswith("/") and text != "/" else "")
 
 
-def _joined_path(path: Term) -> str:
+def _join_segments(path: Term) -> str:
     """Return the path of a term such as ``folder/file``."""
     # Collects the parts from right to left without recursion, so that the depth of the term is not limited.
     segments: List[str] = []
@@ -182,8 +185,8 @@ def _joined_path(path: Term) -> str:
 @deterministic("exists_directory/1")
 def exists_directory(machine: Machine, name: Term) -> bool:
     """Test for an existing folder whose files goals may open."""
-    path = _file_name(name)
-    return _files(machine).is_folder(path)
+    path = _read_file_name(name)
+    return _require_files(machine).is_folder(path)
 
 
 @deterministic("getenv/2")

@@ -21,6 +21,7 @@ from .builtin_registry import Outcome, Solutions, deterministic, function, nonde
 from .text_arguments import atomic_text, require_no_compound
 
 _MAX_ARGUMENTS = 1_000_000
+"""Maximum arity of a new term."""
 
 _ARGUMENT_BYTES = 64
 """Approximate size of an argument that is a new variable."""
@@ -35,11 +36,11 @@ def functor_of(machine: Machine, term: Term, name: Term, arity: Term) -> bool:
         return unify(name, term[0].atom, trail) and unify(arity, len(term) - 1, trail)
     if term.__class__ is not Var:
         return unify(name, term, trail) and unify(arity, 0, trail)
-    return unify(term, blank(name, arity), trail)
+    return unify(term, make_most_general(name, arity), trail)
 
 
 @function("$blank/3")
-def blank(name: Term, arity: Term) -> Term:
+def make_most_general(name: Term, arity: Term) -> Term:
     """Return the most general term of a name and an arity; compiled clauses call it for ``functor/3``."""
     name, arity = deref(name), deref(arity)
     if name.__class__ is Var:
@@ -56,7 +57,7 @@ def blank(name: Term, arity: Term) -> Term:
         raise type_error("atomic", name)
     if name.__class__ is not Atom:
         raise type_error("atom", name)
-    return _compound(name, [Var() for _ in range(_checked_arity(count))])
+    return _make_compound(name, [Var() for _ in range(_checked_arity(count))])
 
 
 def _checked_arity(count: int) -> int:
@@ -73,7 +74,7 @@ def _checked_arity(count: int) -> int:
     return count
 
 
-def _compound(name: Atom, args: Sequence[Term]) -> Term:
+def _make_compound(name: Atom, args: Sequence[Term]) -> Term:
     return (functor(name.name, _checked_arity(len(args))), *args)
 
 
@@ -99,7 +100,7 @@ def _enumerate_arguments(machine: Machine, number: Term, term: CompoundTerm, val
 
 
 @function("$arg/3")
-def known_arg(number: Term, term: Term) -> Optional[Term]:
+def get_argument(number: Term, term: Term) -> Optional[Term]:
     """Return an argument by its number; compiled clauses call it, except for simple cases that they do inline."""
     term = deref(term)
     if term.__class__ is not tuple:
@@ -144,7 +145,7 @@ def _term_of_list(list_term: Term) -> Term:
         return head
     if head.__class__ is not Atom:
         raise type_error("atom", head)
-    return _compound(head, args)
+    return _make_compound(head, args)
 
 
 @deterministic("copy_term/2", "duplicate_term/2", "copy_term_nat/2")
@@ -168,7 +169,7 @@ def compound_name_arity(machine: Machine, term: Term, name: Term, arity: Term) -
         raise type_error("atom", name)
     # Unlike by `functor/3`, arity 0 creates a compound term without arguments, as in SWI-Prolog.
     count = natural(arity)
-    return unify(term, _compound(name, [Var() for _ in range(_checked_arity(count))]), machine.trail)
+    return unify(term, _make_compound(name, [Var() for _ in range(_checked_arity(count))]), machine.trail)
 
 
 @deterministic("compound_name_arguments/3")
@@ -188,7 +189,7 @@ def compound_name_arguments(machine: Machine, term: Term, name: Term, arguments:
     if name.__class__ is not Atom:
         raise type_error("atom", name)
     values = items(arguments)
-    return unify(term, _compound(name, values), machine.trail)
+    return unify(term, _make_compound(name, values), machine.trail)
 
 
 @deterministic("setarg/3", "nb_setarg/3")
@@ -198,7 +199,7 @@ def setarg(machine: Machine, number: Term, term: Term, value: Term) -> bool:
     raise permission_error("modify", "term", resolve(term))
 
 
-_NUMBERED = functor("$VAR", 1)
+_NUMBERED_VAR = functor("$VAR", 1)
 
 
 @deterministic("numbervars/3")
@@ -207,7 +208,7 @@ def numbervars(machine: Machine, term: Term, start: Term, end: Term) -> bool:
     number = integer(start)
     # Variables are numbered in the order of their first occurrence.
     for var in with_limit_checks(variables(term)):
-        unify(var, (_NUMBERED, number), machine.trail)
+        unify(var, (_NUMBERED_VAR, number), machine.trail)
         number += 1
     return unify(end, number, machine.trail)
 
@@ -241,7 +242,7 @@ def term_hash(machine: Machine, term: Term, value: Term) -> bool:
     return unify(value, crc32(machine.logic.show(term).encode()) & 0xFFFFFF, machine.trail)
 
 
-def _counters(machine: Machine) -> Dict[str, int]:
+def _symbol_counters(machine: Machine) -> Dict[str, int]:
     counters: Dict[str, int] = machine.logic.state.setdefault("gensym", {})
     return counters
 
@@ -251,7 +252,7 @@ def gensym(machine: Machine, base: Term, result: Term) -> bool:
     """Unify with a new atom that consists of a base and a number."""
     name = atomic_text(base)
     require_no_compound(result, "atomic")
-    counters = _counters(machine)
+    counters = _symbol_counters(machine)
     # The counter belongs to the program and is not reset on backtracking, so names are never reused.
     counters[name] = counters.get(name, 0) + 1
     return unify(result, atom(f"{name}{counters[name]}"), machine.trail)
@@ -260,14 +261,14 @@ def gensym(machine: Machine, base: Term, result: Term) -> bool:
 @deterministic("reset_gensym/1")
 def reset_gensym(machine: Machine, base: Term) -> bool:
     """Restart the numbers of a base."""
-    _counters(machine).pop(atomic_text(base), None)
+    _symbol_counters(machine).pop(atomic_text(base), None)
     return True
 
 
 @deterministic("reset_gensym/0")
 def reset_all_gensym(machine: Machine) -> bool:
     """Restart the numbers of all bases."""
-    _counters(machine).clear()
+    _symbol_counters(machine).clear()
     return True
 
 

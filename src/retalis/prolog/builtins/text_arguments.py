@@ -73,14 +73,14 @@ def convert_each(make: Callable[[str], Term], parts: Sequence[str]) -> List[Term
     return terms
 
 
-def join_texts(parts: Sequence[str], between: str = "") -> str:
+def join_texts(parts: Sequence[str], separator: str = "") -> str:
     """Return the concatenation of texts.
 
     Raises:
         PrologError: a resource error if the result would be too long.
     """
-    check_text_length(sum(map(len, parts)) + len(between) * len(parts), between, *parts[:1])
-    return between.join(parts)
+    check_text_length(sum(map(len, parts)) + len(separator) * len(parts), separator, *parts[:1])
+    return separator.join(parts)
 
 
 def number_text(value: Number) -> str:
@@ -117,7 +117,7 @@ def text_of(term: Term, type_name: str = "text", numbers: bool = True) -> str:
     if term is NIL:
         return ""
     if term.__class__ is tuple:
-        return _checked_list(term, type_name)
+        return _require_text_list(term, type_name)
     text = constant_text(term)
     if text is None:
         raise instantiation_error()
@@ -130,7 +130,7 @@ def whole_text(term: Term, type_name: str) -> str:
     """Return the text of an argument like `text_of`, but with the whole list as the culprit of a type error."""
     term = deref(term)
     if term.__class__ is tuple:
-        text = _good_list_text(term)
+        text = _text_of_valid_list(term)
         if text is None:
             raise type_error(type_name, term)
         return text
@@ -139,17 +139,17 @@ def whole_text(term: Term, type_name: str) -> str:
 
 def is_text_list(term: Term) -> bool:
     """Return whether a term is a list of character codes or of characters."""
-    return _good_list_text(term) is not None
+    return _text_of_valid_list(term) is not None
 
 
-def _good_list_text(term: Term) -> Optional[str]:
+def _text_of_valid_list(term: Term) -> Optional[str]:
     try:
-        return _checked_list(term, "list")
+        return _require_text_list(term, "list")
     except PrologError:
         return None
 
 
-def _checked_list(term: Term, type_name: str) -> str:
+def _require_text_list(term: Term, type_name: str) -> str:
     codes_or_chars, tail = list_parts(term)
     if tail is not NIL and tail.__class__ is not Var:
         raise type_error(type_name, term)
@@ -198,11 +198,11 @@ def text_of_list(machine: Machine, term: Term, as_codes: bool) -> str:
     if term.__class__ is not tuple and term is not NIL and term.__class__ is not Var:
         raise type_error("list", term)
     if is_iso(machine):
-        _check_standard(list_parts(term)[0], as_codes)
+        _check_iso_items(list_parts(term)[0], as_codes)
     return text_of(term, "list")
 
 
-def _check_standard(items: List[Term], as_codes: bool) -> None:
+def _check_iso_items(items: List[Term], as_codes: bool) -> None:
     """Raise the error of ISO 13211-1 for the first item that is not a character code or character."""
     first = deref(items[0]) if items else None
     # The type of the first item decides which error the others cause.
