@@ -8,7 +8,7 @@ from source import NODES, TREES
 from retalis.foundation.bounded_caches import ENTRY_BYTES, Cache, TextCache
 
 DECORATED = {
-    ("explanation/why_not.py", "_spans"): "one entry for each operator",
+    ("explanation/why_not.py", "_compile_interval_join"): "one entry for each operator",
     (
         "events/matches/interval_index.py",
         "interval_bounds",
@@ -20,7 +20,7 @@ DECORATED = {
     ("prolog/syntax/event_text.py", "_second_text"): "64 seconds, of the years 1 to 9999",
     ("prolog/syntax/operators.py", "standard_operators"): "one entry",
     ("prolog/terms/timestamps.py", "first_reaching"): "64 floats",
-    ("serialization/codec.py", "_extension"): "1024 extension types of at most 4 bytes",
+    ("serialization/codec.py", "_make_extension"): "1024 extension types of at most 4 bytes",
     ("prolog/terms/timestamps.py", "_day_fields"): "64 numbers",
     ("prolog/terms/timestamps.py", "_day_number"): "64 dates",
 }
