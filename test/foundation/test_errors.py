@@ -8,12 +8,12 @@ import pytest
 from retalis import Operators, Place
 from retalis.foundation.errors import (
     MAX_SHOWN_CHARACTERS,
-    beginning,
-    counted,
+    format_count,
     place_at,
     place_in,
     printable,
     printable_json,
+    shorten,
 )
 from retalis.prolog.syntax.term_reader import read_program
 
@@ -37,8 +37,8 @@ def test_a_place_made_of_a_whole_line_shows_it():
 
 
 def test_texts_are_shown_by_their_beginning():
-    assert beginning("a" * MAX_SHOWN_CHARACTERS) == "a" * MAX_SHOWN_CHARACTERS
-    assert beginning("a" * 5000) == "a" * MAX_SHOWN_CHARACTERS + "..."
+    assert shorten("a" * MAX_SHOWN_CHARACTERS) == "a" * MAX_SHOWN_CHARACTERS
+    assert shorten("a" * 5000) == "a" * MAX_SHOWN_CHARACTERS + "..."
 
 
 @pytest.mark.slow
@@ -49,8 +49,8 @@ def test_what_is_read_of_one_long_line_keeps_little_of_it():
 
 
 def test_one_thing_is_counted_as_one():
-    assert [counted(number, "slot") for number in (0, 1, 2)] == ["0 slots", "1 slot", "2 slots"]
-    assert [counted(number, "memory", "memories") for number in (1, 2)] == ["1 memory", "2 memories"]
+    assert [format_count(number, "slot") for number in (0, 1, 2)] == ["0 slots", "1 slot", "2 slots"]
+    assert [format_count(number, "memory", "memories") for number in (1, 2)] == ["1 memory", "2 memories"]
 
 
 FORGING = [

@@ -25,7 +25,7 @@ from ..engine.engine_settings import Settings
 from ..events.program.topic_configuration import TopicType, topic_type
 from ..explanation.explain import explain, record_origins
 from ..foundation.cpython_and_pypy import limit_gc_pauses, restore_gc
-from ..foundation.errors import RetalisError, UsageError, shortened
+from ..foundation.errors import RetalisError, UsageError, quote_shortened
 from ..playback.bag_locations import (
     BagLocation,
     MergedBag,
@@ -290,7 +290,7 @@ def _parse_topics(texts: List[str]) -> List[TopicType]:
             topics.append(topic_type(name, type_name))
         except UsageError as error:
             raise UsageError(
-                f"--topic {shortened(text)}: expected TOPIC=package/Type: {error.message}"
+                f"--topic {quote_shortened(text)}: expected TOPIC=package/Type: {error.message}"
             ) from None
     return topics
 

@@ -9,7 +9,7 @@ from typing import Callable, Dict
 from ..engine.engine_settings import Settings
 from ..engine.program_check import check_program
 from ..events.checks.check_registry import ERROR, INFO, Finding
-from ..foundation.errors import MessageError, counted, printable
+from ..foundation.errors import MessageError, format_count, printable
 from ..messages.type_registry import Definitions
 from ..playback.bag_locations import open_bag
 from ..prolog.machine.resource_limits import Limits
@@ -116,7 +116,7 @@ def _add_types_of_bag(definitions: Definitions, path: Path, max_chunk_megabytes:
 
 
 def _format_count(number: int, noun: str) -> str:
-    return counted(number, noun) if number else f"no {noun}s"
+    return format_count(number, noun) if number else f"no {noun}s"
 
 
 def _finding_to_json(finding: Finding) -> Dict[str, object]:

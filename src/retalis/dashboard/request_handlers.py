@@ -20,7 +20,7 @@ from tornado.web import Application, HTTPError, RequestHandler
 
 from ..engine.client_requests import ask
 from ..explanation.explain import explain, records_origins
-from ..foundation.errors import RetalisError, SyntaxFault, beginning, printable_json
+from ..foundation.errors import RetalisError, SyntaxFault, printable_json, shorten
 from ..prolog.machine.resource_limits import Limits
 from .view_model import DashboardSource, LiveUpdates, Snapshots
 
@@ -86,9 +86,9 @@ class AnswerService:
             try:
                 result = work()
             except SyntaxFault as fault:
-                result = {"error": beginning(fault.brief(), MAX_ERROR_CHARACTERS)}
+                result = {"error": shorten(fault.brief(), MAX_ERROR_CHARACTERS)}
             except RetalisError as error:
-                result = {"error": beginning(error.brief(), MAX_ERROR_CHARACTERS)}
+                result = {"error": shorten(error.brief(), MAX_ERROR_CHARACTERS)}
             finally:
                 self._answer_slots.release()
                 # The server may have been closed while the thread was working.

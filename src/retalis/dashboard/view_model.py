@@ -18,7 +18,7 @@ from ..engine.engine import Engine
 from ..engine.engine_status import Status
 from ..events.dispatch.listeners import NOT_READ, Listener, ListenerPhase
 from ..explanation.explain import records_origins
-from ..foundation.errors import beginning, printable_json
+from ..foundation.errors import printable_json, shorten
 from ..messages.type_definition import functor_name
 from ..prolog.machine.resource_limits import resident_bytes
 from ..prolog.syntax.term_reader import read_term
@@ -217,7 +217,7 @@ def format_event_beginning(format_term: Callable[[Term], str], term: Term) -> Tu
     """
     budget = _SubtermBudget()
     text = format_term(_truncate(term, budget, MAX_EVENT_DEPTH))
-    return beginning(text, MAX_EVENT_CHARACTERS), budget.remaining > 0 and len(text) <= MAX_EVENT_CHARACTERS
+    return shorten(text, MAX_EVENT_CHARACTERS), budget.remaining > 0 and len(text) <= MAX_EVENT_CHARACTERS
 
 
 def _truncate(term: Term, budget: _SubtermBudget, depth: int) -> Term:
@@ -359,7 +359,7 @@ class Snapshots:
         counters.update({f"rule:{index}": rule.fired for index, rule in enumerate(status.rules)})
         counters.update({f"memory:{memory.id}": memory.added for memory in status.memories})
         for subscription in status.subscriptions:
-            name = f"output:{beginning(subscription.topic)}"
+            name = f"output:{shorten(subscription.topic)}"
             counters[name] = counters.get(name, 0) + subscription.sent
         counters.update({f"event:{key}": count.number_of_events for key, count in event_counts.items()})
         rows = [self._create_topic_row(topic, event_counts, status.now, counters) for topic in topics]

@@ -27,7 +27,7 @@ from ..events.program.topic_configuration import Topics, TopicType
 from ..events.rules.event_input_predicates import define_new_event
 from ..events.rules.rule_base import RuleBase
 from ..foundation.cpython_and_pypy import count_records_of
-from ..foundation.errors import RetalisError, UsageError, counted
+from ..foundation.errors import RetalisError, UsageError, format_count
 from ..messages.named_slots import SlotNames
 from ..messages.type_registry import Definitions
 from ..prolog.machine.resource_limits import MEGABYTE
@@ -553,9 +553,9 @@ class Engine:
         '0 event rules, 0 memories, 0 subscriptions'
         """
         return (
-            f"{counted(len(self.rules.rules), 'event rule')}, "
-            f"{counted(len(list(self.knowledge.memories)), 'memory', 'memories')}, "
-            f"{counted(len(list(self.knowledge.subscriptions)), 'subscription')}"
+            f"{format_count(len(self.rules.rules), 'event rule')}, "
+            f"{format_count(len(list(self.knowledge.memories)), 'memory', 'memories')}, "
+            f"{format_count(len(list(self.knowledge.subscriptions)), 'subscription')}"
         )
 
     def warnings(

@@ -14,7 +14,7 @@ from ..events.knowledge.pending_queries import AwaitedSource
 from ..events.knowledge.transforms import AwaitedTransform, Transforms
 from ..events.rules.rule_base import RuleBase
 from ..events.rules.timer_service import FIRST_INSTANT
-from ..foundation.errors import beginning
+from ..foundation.errors import shorten
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.types import Term, Var, deref
 from .runtime.clock import Clock
@@ -500,7 +500,7 @@ def _list_subscriptions(
             (0, 0) if rate_limiter is None else (rate_limiter.late_count, rate_limiter.dropped_count)
         )
         return SubscriptionStatus(
-            beginning(topic),
+            shorten(topic),
             format_brief(subscription.id),
             format_term(pattern, None),
             subscription.sent_counter.count,

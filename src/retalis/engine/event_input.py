@@ -17,7 +17,7 @@ from ..events.knowledge.transform_buffer import Transform
 from ..events.language.event_declarations import DeclaredEvents, event_name_error
 from ..events.program.topic_configuration import TopicEvent, Topics, TopicType
 from ..events.rules.event_input_predicates import InputReader
-from ..foundation.errors import RetalisError, UsageError, beginning
+from ..foundation.errors import RetalisError, UsageError, shorten
 from ..foundation.ros_names import ros1_type_name, topic_fault, type_fault
 from ..messages.named_slots import SlotNames
 from ..messages.transform_messages import TransformMessage
@@ -390,32 +390,32 @@ class TextInput:
         """Process a text: ``event/1,2``, ``new_event/2,3,5``, or any goal if goals are accepted."""
         if len(text) > MAX_EVENT_TEXT_CHARACTERS:
             self._reject(
-                f"{beginning(text)}: it has {len(text)} characters, at most {MAX_EVENT_TEXT_CHARACTERS} are allowed"
+                f"{shorten(text)}: it has {len(text)} characters, at most {MAX_EVENT_TEXT_CHARACTERS} are allowed"
             )
             return
         try:
             event = self._reader.parse_event(text)
         except RetalisError as error:
-            self._reject(error if error.place else f"{beginning(text)}: {error}")
+            self._reject(error if error.place else f"{shorten(text)}: {error}")
             return
         if event is not None:
             refusal_reason = self._declared.refusal(event.term) if self._declared.checks_events else ""
             if refusal_reason:
-                self._reject(f"{beginning(text)}: {refusal_reason}")
+                self._reject(f"{shorten(text)}: {refusal_reason}")
             else:
                 self._dispatch(*event)
         elif self._call_goal is not None:
             self._run_goal(text, self._call_goal)
         else:
-            self._reject(f"{beginning(text)}: only event/1,2 and new_event/2,3,5 are accepted")
+            self._reject(f"{shorten(text)}: only event/1,2 and new_event/2,3,5 are accepted")
 
     def _run_goal(self, text: str, call: Callable[[Term], bool]) -> None:
         goal = self._reader.parse_goal(text)
         try:
             if not call(goal):
-                self._reports.warning(f"the goal {beginning(text)} fails")
+                self._reports.warning(f"the goal {shorten(text)} fails")
         except RetalisError as error:
-            self._reports.warning(f"the goal {beginning(text)} ends with an error: {error}")
+            self._reports.warning(f"the goal {shorten(text)} ends with an error: {error}")
 
     def _reject(self, reason: object) -> None:
         self._reports.warning(f"event refused: {reason}", "refused", texts=20)

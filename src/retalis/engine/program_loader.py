@@ -27,7 +27,15 @@ from ..events.program.goal_file import FileGoal, errors_of_goal, read_file_goals
 from ..events.program.topic_configuration import GOALS, event_types, read_text
 from ..events.rules.rule_base import RuleBase
 from ..events.rules.timer_service import ProgramTimer
-from ..foundation.errors import Errors, Place, ProgramErrors, RetalisError, RuleError, UsageError, counted
+from ..foundation.errors import (
+    Errors,
+    Place,
+    ProgramErrors,
+    RetalisError,
+    RuleError,
+    UsageError,
+    format_count,
+)
 from ..prolog.database.clause_index import Clause
 from ..prolog.database.predicate import Predicate
 from ..prolog.machine.resource_limits import NO_LIMITS
@@ -198,7 +206,7 @@ def _format_lost_matches(rule: EventRule) -> str:
 
 
 def _format_match_count(number: int) -> str:
-    return counted(number, "partial match", "partial matches")
+    return format_count(number, "partial match", "partial matches")
 
 
 def _format_position(place: object) -> str:
@@ -222,7 +230,7 @@ def _describe_memories(logic: PrologSystem, old: Deployment, new: Deployment) ->
     ]
     records = sum(len(instance.memory) for instance in unchanged)
     return _format_section(
-        "memories", added, removed, changed, f"{len(unchanged)} kept, with {counted(records, 'record')}"
+        "memories", added, removed, changed, f"{len(unchanged)} kept, with {format_count(records, 'record')}"
     )
 
 

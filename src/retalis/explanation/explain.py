@@ -20,7 +20,7 @@ from ..events.matches.partial_matches import AfterMatchSkipStrategy
 from ..events.network.event_rule import EventRule
 from ..events.provenance.event_log import Occurrence
 from ..foundation.cancellation import check_limits, set_limit_check
-from ..foundation.errors import RetalisError, UsageError, counted
+from ..foundation.errors import RetalisError, UsageError, format_count
 from ..prolog.syntax.term_reader import read_term
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms import timestamps
@@ -338,7 +338,9 @@ class _Explainer:
             )
         if len(occurrences) > _MAX_SHOWN_OCCURRENCES:
             lines.append(
-                ExplanationLine(f"and {counted(len(occurrences) - _MAX_SHOWN_OCCURRENCES, 'more time')}", [])
+                ExplanationLine(
+                    f"and {format_count(len(occurrences) - _MAX_SHOWN_OCCURRENCES, 'more time')}", []
+                )
             )
         return Explanation(True, lines)
 

@@ -13,7 +13,7 @@ from typing import Any, Callable, Dict, Hashable, Iterable, Mapping, NamedTuple,
 
 from .bounded_caches import Cache
 from .cpython_and_pypy import restrict_builtins
-from .errors import shortened
+from .errors import quote_shortened
 
 _BUILTINS: Dict[str, object] = {
     name: getattr(builtins, name)
@@ -157,7 +157,7 @@ def define(source: str, names: Dict[str, Any], title: str) -> Dict[str, Any]:
         raise ValueError("generated source must be ASCII")
     for name in names:
         if not _NAME.match(name):
-            raise ValueError(f"{shortened(name)} is not a name for generated source")
+            raise ValueError(f"{quote_shortened(name)} is not a name for generated source")
     # `linecache` identifies sources by file name, so the name must be unique. Tracebacks then show the source.
     file = f"retalis, {_printable_title(title)} #{next(_serials)}"
     names["__name__"] = file
@@ -198,7 +198,7 @@ def _make_factory(source: str, names: Tuple[str, ...], title: str) -> Callable[.
     """Return a factory that binds values to ``names`` and returns the function of a source."""
     for name in names:
         if not _NAME.match(name):
-            raise ValueError(f"{shortened(name)} is not a name for generated source")
+            raise ValueError(f"{quote_shortened(name)} is not a name for generated source")
     lines = ["    " + line for line in source.splitlines(True)]
     text = "".join([f"def maker({', '.join(names)}):\n", *lines, "\n    return generated\n"])
     factory: Callable[..., Any] = define(text, {}, title).pop("maker")
@@ -207,4 +207,6 @@ def _make_factory(source: str, names: Tuple[str, ...], title: str) -> Callable[.
 
 def _printable_title(title: str) -> str:
     """Return a title in a form that is valid in a file name: no NUL, no surrogates, one line."""
-    return shortened(title).strip("'\"") if not (title.isascii() and title.isprintable()) else title[:200]
+    return (
+        quote_shortened(title).strip("'\"") if not (title.isascii() and title.isprintable()) else title[:200]
+    )

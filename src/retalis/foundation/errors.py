@@ -16,7 +16,7 @@ MAX_MESSAGE_CHARACTERS = 4000
 """Maximum length of an error message."""
 
 
-def beginning(text: str, limit: int = MAX_SHOWN_CHARACTERS) -> str:
+def shorten(text: str, limit: int = MAX_SHOWN_CHARACTERS) -> str:
     """Return a text, shortened to its first ``limit`` characters."""
     return text if len(text) <= limit else f"{text[:limit]}..."
 
@@ -124,7 +124,7 @@ def place_at(source: str, text: str, offset: int) -> Place:
     return place_on(source, text.count("\n", 0, start) + 1, text, start, offset)
 
 
-def shortened(text: str) -> str:
+def quote_shortened(text: str) -> str:
     """Return an external text for an error message: quoted, in ASCII, and shortened."""
     return (
         ascii(text)
@@ -133,12 +133,12 @@ def shortened(text: str) -> str:
     )
 
 
-def counted(number: int, singular: str, plural: str = "") -> str:
+def format_count(number: int, singular: str, plural: str = "") -> str:
     """Return a count with its noun: ``1 slot``, ``2 slots``; ``plural`` is an irregular plural."""
     return f"{number} {singular if number == 1 else plural or f'{singular}s'}"
 
 
-def undecodable(error: UnicodeDecodeError) -> str:
+def describe_decode_error(error: UnicodeDecodeError) -> str:
     """Return an error text for bytes that are not UTF-8, with line and byte."""
     line = error.object.count(b"\n", 0, error.start) + 1
     return f"not UTF-8 text (line {line}: {error.reason} 0x{error.object[error.start]:02x})"
@@ -163,7 +163,7 @@ class RetalisError(Exception):
 
     def __init__(self, message: str, place: Optional[Place] = None):
         # Messages can quote terms of any size, and reports keep them in memory.
-        message = beginning(message, MAX_MESSAGE_CHARACTERS)
+        message = shorten(message, MAX_MESSAGE_CHARACTERS)
         super().__init__(message)
         self.message = message
         self.place = place

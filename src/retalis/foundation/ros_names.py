@@ -7,7 +7,7 @@ names or requests. Each function returns an error text, or None for a valid name
 import re
 from typing import Optional
 
-from .errors import shortened
+from .errors import quote_shortened
 
 MAX_NAME_CHARACTERS = 255
 """Maximum length of a name: the name of a type is also the name of a file."""
@@ -46,12 +46,12 @@ def topic_fault(text: str) -> Optional[str]:
     )
     # ROS collapses repeated slashes, so one topic would have two names here.
     if fault is None and "//" in text:
-        return f'expected a topic name, found {shortened(text)}, which has "//" in it'
+        return f'expected a topic name, found {quote_shortened(text)}, which has "//" in it'
     return fault
 
 
 def _describe_fault(form: "re.Pattern[str]", text: str, expected: str) -> Optional[str]:
-    problem = f"expected {expected}, found {shortened(text)}"
+    problem = f"expected {expected}, found {quote_shortened(text)}"
     if len(text) > MAX_NAME_CHARACTERS:
         return f"{problem}: longer than {MAX_NAME_CHARACTERS} characters"
     if form.fullmatch(text):

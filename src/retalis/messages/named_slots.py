@@ -12,7 +12,7 @@ from difflib import get_close_matches
 from typing import Any, Dict, Iterable, Iterator, List, NamedTuple, Optional, Set, Tuple
 
 from ..foundation.bounded_caches import Cache
-from ..foundation.errors import MessageError, UsageError, counted
+from ..foundation.errors import MessageError, UsageError, format_count
 from ..prolog.syntax.event_text import to_text
 from ..prolog.syntax.message_slots import MessageNotation, MessageSlot, MessageSuggestions
 from ..prolog.syntax.term_writer import write_term
@@ -137,7 +137,7 @@ class SlotNames:
             ) from error
         if definition.measure.min_size > MAX_DEFAULT_MESSAGE_BYTES:
             raise UsageError(
-                f"messages of {message_type} have {counted(definition.measure.min_size, 'byte')} at least: "
+                f"messages of {message_type} have {format_count(definition.measure.min_size, 'byte')} at least: "
                 "write all slots in their order"
             )
         return self._make_slots(definition)
@@ -328,7 +328,7 @@ class _Template:
 
 def _format_size(measure: Measure) -> str:
     """Return the size of a message: ``8 bytes`` if it is fixed, or the minimum: ``8 bytes or more``."""
-    size = counted(measure.min_size, "byte")
+    size = format_count(measure.min_size, "byte")
     return size if measure.is_fixed_size else f"{size} or more"
 
 

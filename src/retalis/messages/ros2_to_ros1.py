@@ -27,7 +27,7 @@ from struct import error as StructError
 from typing import Callable, Deque, Dict, FrozenSet, List, NamedTuple, Optional, Tuple
 
 from ..foundation import codegen
-from ..foundation.errors import MessageError, beginning, place_at, shortened
+from ..foundation.errors import MessageError, place_at, quote_shortened, shorten
 from ..foundation.ros_names import ros1_type_name
 from .type_definition import (
     EXPECTED_CONSTANT_TYPE,
@@ -96,7 +96,7 @@ def parse_ros2_type(name: str, text: str, find: FindText) -> Ros2Type:
     name = ros1_type_name(name)
     if len(text) > MAX_DEFINITION_CHARACTERS:
         raise MessageError(
-            f"the definition of {beginning(name)} has {len(text)} characters: "
+            f"the definition of {shorten(name)} has {len(text)} characters: "
             f"at most {MAX_DEFINITION_CHARACTERS} are allowed"
         )
     types = _read_nested_types(name, _split_by_type(name, text), find)
@@ -142,7 +142,7 @@ def _read_nested_types(name: str, texts: Dict[str, str], find: FindText) -> Dict
             text = _BUILTIN_DEFINITIONS.get(type_name) or find(type_name)
             if text is None:
                 raise MessageError(
-                    f"the type {beginning(type_name)} is not defined in the bag or on this system"
+                    f"the type {shorten(type_name)} is not defined in the bag or on this system"
                 )
             # Definitions that came with the bag have priority over installed ones.
             for nested, section_text in _split_by_type(type_name, text).items():
@@ -186,7 +186,7 @@ class _Ros2DefinitionReader:
                 continue
             match = _LINE.match(line)
             if match is None or (match["bound"] and match["type"] not in _STRING_TYPES):
-                problem = f"expected 'type name' or 'type NAME=value', found {shortened(content)}"
+                problem = f"expected 'type name' or 'type NAME=value', found {quote_shortened(content)}"
             else:
                 problem = self._read_line(match)
             if problem:
@@ -202,7 +202,7 @@ class _Ros2DefinitionReader:
             return ""
         type_name = _ROS1_TYPES.get(match["type"], match["type"])
         if type_name not in PRIMITIVES and type_name != "string":
-            return f"a constant cannot be of type {shortened(type_name)}: {EXPECTED_CONSTANT_TYPE}"
+            return f"a constant cannot be of type {quote_shortened(type_name)}: {EXPECTED_CONSTANT_TYPE}"
         self._add_constant(type_name, match["name"], rest[1:])
         return ""
 

@@ -30,11 +30,11 @@ from ..foundation.errors import (
     MAX_SHOWN_CHARACTERS,
     MessageError,
     Place,
-    beginning,
-    counted,
+    format_count,
     place_at,
     place_in,
-    shortened,
+    quote_shortened,
+    shorten,
 )
 from ..foundation.ros_names import name_fault, ros1_type_name, type_fault
 
@@ -327,12 +327,12 @@ def describe_mismatch(definition: Definition, data: bytes) -> str:
     try:
         end = _SlotSkipper(data).skip_message(definition, 0, "")
     except _Truncated as truncated:
-        return f"{_format_byte_count(size)} not a {definition.name}: they end inside slot {beginning(truncated.path)}"
+        return f"{_format_byte_count(size)} not a {definition.name}: they end inside slot {shorten(truncated.path)}"
     return f"{_format_byte_count(size)} not a {definition.name}: {size - end} left over"
 
 
 def _format_byte_count(size: int) -> str:
-    return f"{counted(size, 'byte')} {'is' if size == 1 else 'are'}"
+    return f"{format_count(size, 'byte')} {'is' if size == 1 else 'are'}"
 
 
 def check_empty_elements(definition: Definition, data: bytes, limit: int) -> None:
@@ -557,7 +557,7 @@ class _DefinitionReader:
             return
         start = offset + len(line) - len(line.lstrip())
         raise self._make_error(
-            f"expected 'type name' or 'type NAME=value', found {shortened(line.strip())}", start
+            f"expected 'type name' or 'type NAME=value', found {quote_shortened(line.strip())}", start
         )
 
     def _add_constant(self, type_name: str, match: "re.Match[str]", offset: int) -> None:
@@ -578,9 +578,8 @@ class _DefinitionReader:
             value = parse_constant(type_name, text)
         except ValueError:
             position = offset + match.start("value")
-            problem = (
-                f"{shortened(text)} is not a value of type {type_name}: {_describe_expected_value(type_name)}"
-            )
+            expected = _describe_expected_value(type_name)
+            problem = f"{quote_shortened(text)} is not a value of type {type_name}: {expected}"
             raise self._make_error(problem, position) from None
         self.constants[match["name"]] = Constant(type_name, match["name"], text, value)
 

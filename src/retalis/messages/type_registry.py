@@ -29,7 +29,7 @@ from typing import (
 )
 
 from ..foundation.bounded_caches import Cache
-from ..foundation.errors import MessageError, beginning
+from ..foundation.errors import MessageError, shorten
 from ..foundation.ros_names import ros1_type_name, type_fault
 from .decoder import Decoder
 from .encoder import Encoder
@@ -444,7 +444,7 @@ class Definitions:
         """Parse a text, or return its cached definition; the type is not registered by its name."""
         if len(text) > MAX_DEFINITION_CHARACTERS:
             raise MessageError(
-                f"the definition of {beginning(name)} has {len(text)} characters: "
+                f"the definition of {shorten(name)} has {len(text)} characters: "
                 f"at most {MAX_DEFINITION_CHARACTERS} are allowed"
             )
         # Publishers of one topic send the same text with each connection.
@@ -721,7 +721,7 @@ class _Resolver:
         if name in _ALIASES:
             return self.resolve(_ALIASES[name]).renamed(name)
         raise MessageError(
-            f"no definition of the message type {beginning(name)} is installed or has been received"
+            f"no definition of the message type {shorten(name)} is installed or has been received"
         )
 
     def read_installed(self, name: str, installed_type: InstalledType) -> Definition:

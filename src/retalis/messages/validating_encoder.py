@@ -12,7 +12,7 @@ from struct import error as StructError
 from struct import pack
 from typing import Any, Callable, Dict, List, Optional
 
-from ..foundation.errors import MessageError, counted
+from ..foundation.errors import MessageError, format_count
 from ..prolog.terms import timestamps
 from ..prolog.terms.array_terms import BLOB, element_count, lazy_array
 from ..prolog.terms.byte_texts import text_bytes
@@ -140,7 +140,7 @@ def _get_items(slot: Field, term: Term, path: str) -> List[Term]:
 def _check_length(slot: Field, count: int, path: str) -> None:
     if slot.length != VARIABLE_LENGTH and count != slot.length:
         raise _Misfit(
-            path, f"expected {counted(slot.length or 0, 'element')} ({slot.describe()}), got {count}"
+            path, f"expected {format_count(slot.length or 0, 'element')} ({slot.describe()}), got {count}"
         )
 
 

@@ -51,7 +51,14 @@ from ..events.program.topic_configuration import (
     direct_topics,
     read_topics,
 )
-from ..foundation.errors import MessageError, ProgramErrors, RetalisError, beginning, counted, shortened
+from ..foundation.errors import (
+    MessageError,
+    ProgramErrors,
+    RetalisError,
+    format_count,
+    quote_shortened,
+    shorten,
+)
 from ..foundation.ros_names import ros1_type_name, topic_fault, type_fault
 from ..messages.decoder import Decoder
 from ..messages.transform_messages import (
@@ -432,7 +439,7 @@ class Playback:
                 text = f"topic {topic.name}: {problem}"
                 dropped_counts[text, strip_slashes(topic.name) in default_topics] += topic.messages
         for (text, is_default), message_count in dropped_counts.items():
-            text = f"{text}; {counted(message_count, 'message')} dropped"
+            text = f"{text}; {format_count(message_count, 'message')} dropped"
             if is_default:
                 log.warning("%s", text)
             else:
@@ -468,7 +475,7 @@ class Playback:
         definition = data = None
         try:
             if type_name is None and topic not in self._reported_untyped_topics:
-                shown_topic = beginning(topic)
+                shown_topic = shorten(topic)
                 self._reports.warning(
                     f"topic {shown_topic} has no type: its outputs are no messages; "
                     f'<publish_to name="{shown_topic}" msg_type="package/Type"/> in {TOPICS} would give it one',
@@ -493,8 +500,8 @@ def _describe_topics(topics: Iterable[Topic]) -> List[str]:
     """Return names and types of a bag's topics; names that ROS does not allow are quoted."""
     return sorted(
         {
-            f"{topic.name if topic_fault(topic.name) is None else shortened(topic.name)} "
-            f"({topic.type if type_fault(topic.type) is None else shortened(topic.type)})"
+            f"{topic.name if topic_fault(topic.name) is None else quote_shortened(topic.name)} "
+            f"({topic.type if type_fault(topic.type) is None else quote_shortened(topic.type)})"
             for topic in topics
         }
     )

@@ -28,7 +28,7 @@ from struct import Struct
 from tempfile import TemporaryDirectory
 from typing import Any, Callable, Collection, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple, Union
 
-from ..foundation.errors import MessageError, beginning, counted, place_at, shortened
+from ..foundation.errors import MessageError, format_count, place_at, quote_shortened, shorten
 from ..foundation.ros_names import ros1_type_name, topic_fault
 from ..messages.ros2_to_ros1 import Ros2Type, parse_ros2_type
 from ..messages.type_registry import InstalledTypes
@@ -695,7 +695,7 @@ class Ros2BagReader:
             raise BagError(f"{self.path}: the bag is broken: {describe_error(error)}") from error
         finally:
             for name, count in dropped.items():
-                log.warning("%s: %s on %s dropped", self.path, counted(count, "message"), name)
+                log.warning("%s: %s on %s dropped", self.path, format_count(count, "message"), name)
 
     def close(self) -> None:
         """Close the files."""
@@ -727,7 +727,7 @@ class _Types:
             MessageError: if its type is not defined, or the definition is invalid.
         """
         if connection.format != "cdr":
-            raise MessageError(f"its messages are in '{beginning(connection.format)}': expected cdr")
+            raise MessageError(f"its messages are in '{shorten(connection.format)}': expected cdr")
         key = connection.type, connection.definition
         message_type = self._by_definition.get(key)
         if message_type is None:
@@ -785,18 +785,18 @@ def _make_idl_error(name: str, text: str, error: Exception) -> MessageError:
     problem = str(error).partition(repr(text))[2] or describe_error(error)
     match = _IDL_PROBLEM.match(problem)
     if match is None:
-        reason = shortened(" ".join(problem.split())) if problem.strip() else "it is not IDL"
+        reason = quote_shortened(" ".join(problem.split())) if problem.strip() else "it is not IDL"
         return MessageError(f"its definition in IDL cannot be parsed: {reason}")
     expected = " or ".join(sorted(re.findall(r"'[^']*'|/[^/]*/", match["expected"] or ""))) or "IDL"
     return MessageError(
-        f"its definition in IDL cannot be parsed: expected {beginning(expected)}",
+        f"its definition in IDL cannot be parsed: expected {shorten(expected)}",
         place_at(ros1_type_name(name), text, min(int(match["offset"]), len(text))),
     )
 
 
 def _quote_if_invalid(name: str) -> str:
     """Return the name of a topic or type; it is quoted if ROS does not allow it."""
-    return name if topic_fault(name) is None else shortened(name)
+    return name if topic_fault(name) is None else quote_shortened(name)
 
 
 def _open_files(path: Path, limit: ChunkLimit, stack: ExitStack) -> Tuple[List[Storage], bool]:
@@ -917,7 +917,7 @@ def _unpack_file(path: Path, target: Path, limit: ChunkLimit) -> Path:
     with path.open("rb") as packed, zstd_reader(packed) as source, target.open("wb") as file:
         if copy_up_to(source, file, max_bytes) > max_bytes:
             raise BagError(
-                f"{path} is too large: unpacked it would have more than {counted(max_bytes, 'byte')} "
+                f"{path} is too large: unpacked it would have more than {format_count(max_bytes, 'byte')} "
                 "(--max-chunk-megabytes allows more)"
             )
     return target

@@ -27,7 +27,7 @@ import rosgraph.xmlrpc
 import rospy
 from rospy.impl import tcpros_base
 
-from ..foundation.errors import beginning, printable
+from ..foundation.errors import printable, shorten
 
 MAX_LISTEN_BACKLOG = 1024
 """Limit for connections that wait until the node accepts them, if `net.core.somaxconn` allows it.
@@ -114,7 +114,7 @@ class ClosedConnectionCounter:
         with self._lock:
             if not self._reasons:
                 self._report_time = self._now() + REPORT_DELAY_SECONDS
-            reason = printable(beginning(reason, MAX_REASON_CHARACTERS))
+            reason = printable(shorten(reason, MAX_REASON_CHARACTERS))
             # A client can vary the reason with each connection: neither memory nor the line may grow with their
             # number.
             if reason not in self._reasons and len(self._reasons) >= MAX_REASONS:

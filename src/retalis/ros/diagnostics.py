@@ -13,7 +13,7 @@ from typing import Any, Callable, Collection, Dict, List, NamedTuple, Optional, 
 import rospy
 
 from ..engine.engine_status import RuleStatus, Status
-from ..foundation.errors import beginning, counted, printable
+from ..foundation.errors import format_count, printable, shorten
 from ..prolog.machine.resource_limits import resident_bytes
 from .topic_statistics import InputStatus, OutputStatus
 
@@ -299,7 +299,9 @@ class EngineHealth:
         failing = [rule for rule in status.rules if rule.errors]
         errors = sum(rule.errors for rule in failing)
         has_recent_errors = self._trends.record(now, "errors", errors).is_recent(now)
-        values = [(_name_rule(rule), counted(rule.errors, "error")) for rule in failing[:MAX_STATUS_VALUES]]
+        values = [
+            (_name_rule(rule), format_count(rule.errors, "error")) for rule in failing[:MAX_STATUS_VALUES]
+        ]
         if len(failing) > MAX_STATUS_VALUES:
             values.append(("further rules", str(len(failing) - MAX_STATUS_VALUES)))
         # Buffers of partial matches are the usual reason for growing memory.
@@ -307,9 +309,9 @@ class EngineHealth:
         values += [(f"held by {_name_rule(rule)}", _format_buffers(rule)) for rule in largest if rule.waiting]
         total = len(status.rules) + status.left_out.rules
         if not failing:
-            return Health("rules", Level.OK, f"{counted(total, 'rule')} without errors", values)
+            return Health("rules", Level.OK, f"{format_count(total, 'rule')} without errors", values)
         bound = " or more" if len(failing) == len(status.rules) < total else ""
-        text = f"{counted(errors, 'error')} in {counted(len(failing), 'rule')}{bound}"
+        text = f"{format_count(errors, 'error')} in {format_count(len(failing), 'rule')}{bound}"
         return Health("rules", Level.ERROR if has_recent_errors else Level.WARN, text, values)
 
     def _evaluate_queries(self, now: float, status: Status) -> Health:
@@ -346,11 +348,11 @@ class EngineHealth:
         ]
         if self._trends.record(now, "transforms", transforms.refused).is_recent(now):
             return [Health("transforms", Level.WARN, "transforms are refused", values)]
-        return [Health("transforms", Level.OK, counted(transforms.frames, "frame"), values)]
+        return [Health("transforms", Level.OK, format_count(transforms.frames, "frame"), values)]
 
 
 def _format_buffers(rule: RuleStatus) -> str:
-    return f"{counted(rule.waiting, 'item')}, {counted(rule.keys, 'key')}, about {rule.bytes / 1e6:.1f} MB"
+    return f"{format_count(rule.waiting, 'item')}, {format_count(rule.keys, 'key')}, about {rule.bytes / 1e6:.1f} MB"
 
 
 def _name_rule(rule: RuleStatus) -> str:
@@ -395,10 +397,12 @@ def evaluate_program(errors: Sequence[str], warnings: Sequence[str]) -> Health:
     if len(problems) > MAX_STATUS_VALUES:
         values.append(("further ones", str(len(problems) - MAX_STATUS_VALUES)))
     if errors:
-        return Health("program", Level.ERROR, f"{counted(len(errors), 'error')} when it was loaded", values)
+        return Health(
+            "program", Level.ERROR, f"{format_count(len(errors), 'error')} when it was loaded", values
+        )
     if warnings:
         return Health(
-            "program", Level.WARN, f"{counted(len(warnings), 'warning')} when it was loaded", values
+            "program", Level.WARN, f"{format_count(len(warnings), 'warning')} when it was loaded", values
         )
     return Health("program", Level.OK, "loaded without warnings", values)
 
@@ -521,4 +525,4 @@ class Diagnostics:
 
 def _to_single_line(text: str) -> str:
     """Return a text as one line, without control characters."""
-    return " ".join(printable(beginning(text, MAX_VALUE_CHARACTERS)).split("\n"))
+    return " ".join(printable(shorten(text, MAX_VALUE_CHARACTERS)).split("\n"))

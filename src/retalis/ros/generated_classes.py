@@ -11,7 +11,7 @@ from typing import Any
 
 from roslib.message import get_message_class
 
-from ..foundation.errors import MessageError, shortened
+from ..foundation.errors import MessageError, quote_shortened
 from ..messages.type_registry import GeneratedClass, InstalledTypes
 
 
@@ -61,6 +61,7 @@ def _find_import_error(name: str) -> Exception:
 
 def _import_error(name: str, reason: Exception) -> MessageError:
     return MessageError(
-        f"{name}: the generated Python class of this message type cannot be imported: {shortened(str(reason))}: "
+        f"{name}: the generated Python class of this message type cannot be imported: "
+        f"{quote_shortened(str(reason))}: "
         "build its package, with all packages that it depends on, for this Python"
     )

@@ -13,7 +13,7 @@ from ..engine.runtime.clock_skew import ClockSkewMonitor
 from ..engine.runtime.problem_reports import Reports
 from ..events.dispatch.listeners import NOT_READ
 from ..events.program.topic_configuration import TOPICS, Topics, direct_topics, read_topics
-from ..foundation.errors import RetalisError, UsageError, beginning
+from ..foundation.errors import RetalisError, UsageError, shorten
 from ..messages.decoder import Decoder
 from ..messages.event_text_writer import make_text_writer, write_without_unread
 from ..messages.type_registry import Definitions
@@ -153,7 +153,7 @@ class InterfaceNode:
         try:
             output = self._event_reader.read(text)
             if output.__class__ is not tuple or output[0] is not OUTPUT_EVENT:
-                raise UsageError(f"expected event(Term,Topic,Id), found {beginning(text)}")
+                raise UsageError(f"expected event(Term,Topic,Id), found {shorten(text)}")
         except RetalisError as error:
             self._reports.error(RetalisError(f"an output is not published: {error}"), OUTPUT)
             return

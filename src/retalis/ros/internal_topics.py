@@ -22,7 +22,7 @@ from ..engine.engine import Engine
 from ..engine.event_input import MAX_INPUT_TOPICS, TopicRequest
 from ..engine.runtime.problem_reports import Reports
 from ..events.language.event_declarations import event_name_error
-from ..foundation.errors import MessageError, RetalisError, UsageError, beginning
+from ..foundation.errors import MessageError, RetalisError, UsageError, shorten
 from ..foundation.ros_names import topic_fault
 from ..prolog.terms.types import Functor
 
@@ -187,7 +187,7 @@ def _parse_positions(text: str) -> Dict[str, FrozenSet[int]]:
     Raises:
         MessageError: if the text does not have the expected form.
     """
-    malformed = MessageError(f"expected numbers of arguments by name, found {beginning(text)}")
+    malformed = MessageError(f"expected numbers of arguments by name, found {shorten(text)}")
     data = read_control_json(text, malformed)
     if not isinstance(data, dict):
         raise malformed
@@ -286,7 +286,7 @@ def read_subscriptions(text: str) -> List[TopicRequest]:
     Raises:
         MessageError: if the text does not have the expected form.
     """
-    malformed = MessageError(f"expected topics, types and names of events, found {beginning(text)}")
+    malformed = MessageError(f"expected topics, types and names of events, found {shorten(text)}")
     items = read_control_json(text, malformed)
     if not isinstance(items, list):
         raise malformed
@@ -305,4 +305,4 @@ def _subscribe(interface: "RosInterface", request: TopicRequest) -> None:
         rospy.logerr("subscribe_to: %s", error)
     except rospy.ROSException as error:
         # The node is being shut down.
-        rospy.logdebug("subscribe_to: topic %s: %s", beginning(request.topic), error)
+        rospy.logdebug("subscribe_to: topic %s: %s", shorten(request.topic), error)

@@ -12,7 +12,7 @@ from ..dashboard.page_server import DASHBOARD_PORT
 from ..engine.engine_settings import Settings
 from ..events.knowledge.transform_buffer import DEFAULT_CACHE_SECONDS
 from ..events.program.topic_configuration import AUTO, DirectTopics, read_direct
-from ..foundation.errors import UsageError, beginning, printable
+from ..foundation.errors import UsageError, printable, shorten
 from ..messages.type_definition import MAX_EMPTY_ELEMENTS
 from ..prolog.machine.resource_limits import Limits, Number, validate_limit
 from .diagnostics import DEFAULT_HARDWARE_ID
@@ -154,7 +154,7 @@ def _warn_about_unknown_parameters() -> None:
                 if matches
                 else f"the parameters are ~{', ~'.join(PARAMETER_NAMES)}"
             )
-            rospy.logwarn("there is no parameter ~%s; %s", printable(beginning(name)), hint)
+            rospy.logwarn("there is no parameter ~%s; %s", printable(shorten(name)), hint)
 
 
 def _read_program_folder(argv: List[str]) -> Path:
@@ -173,7 +173,7 @@ def _check_folder(folder: Path, description: str) -> Path:
     if folder.is_dir():
         return folder
     problem = "is not a folder" if folder.exists() else "does not exist"
-    folder_text = printable(beginning(str(folder)))
+    folder_text = printable(shorten(str(folder)))
     raise UsageError(
         f"{description}: {folder_text} {problem}: give the absolute path of the folder with goalPredicates.txt "
         "and pub_sub.xml, as program:=/path of retalis.launch or as parameter ~program"

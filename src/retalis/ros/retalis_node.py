@@ -30,7 +30,7 @@ from ..engine.runtime.clock_skew import ClockSkewMonitor
 from ..engine.runtime.problem_reports import Reports
 from ..events.program.topic_configuration import TOPICS, Topics, TopicType, direct_topics, read_topics
 from ..explanation.explain import record_origins
-from ..foundation.errors import RetalisError, UsageError, counted
+from ..foundation.errors import RetalisError, UsageError, format_count
 from ..messages.decoder import Decoder
 from ..messages.transform_messages import TRANSFORM_TOPICS
 from ..messages.type_definition import functor_name
@@ -155,9 +155,9 @@ class CheckpointFile:
             self._parameters.checkpoint,
             time.time() - restored.written_at,
             engine.summary(),
-            counted(records, "record"),
-            counted(engine.rules.match_count, "partial match", "partial matches"),
-            counted(len(engine.knowledge.pending_queries), "waiting query", "waiting queries"),
+            format_count(records, "record"),
+            format_count(engine.rules.match_count, "partial match", "partial matches"),
+            format_count(len(engine.knowledge.pending_queries), "waiting query", "waiting queries"),
         )
 
     def start_writing(self, engine: Engine) -> None:

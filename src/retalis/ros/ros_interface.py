@@ -37,7 +37,7 @@ from ..engine.runtime.clock_skew import ClockSkewMonitor, EarlyMessage, RefusedM
 from ..engine.runtime.problem_reports import Reports
 from ..events.program.topic_configuration import TOPICS, Topics, TopicType, topic_type
 from ..foundation.bounded_caches import Cache
-from ..foundation.errors import MessageError, RetalisError, UsageError, beginning, printable
+from ..foundation.errors import MessageError, RetalisError, UsageError, printable, shorten
 from ..messages.decoder import Decoder
 from ..messages.encoder import Encoder
 from ..messages.transform_messages import (
@@ -522,8 +522,8 @@ class InputTopic:
                 "topic %s is subscribed as %s, which is unknown here; %s publishes %s, which is used instead",
                 self._name,
                 self.message_type,
-                printable(beginning(header.get("callerid", "somebody"))),
-                printable(beginning(sent_type)),
+                printable(shorten(header.get("callerid", "somebody"))),
+                printable(shorten(sent_type)),
             )
         return learned.decoder
 
@@ -668,7 +668,7 @@ class OutputTopics:
             self._logged_topics.add(topic)
             rospy.loginfo(
                 "topic %s has no type in %s: its outputs are on %s only",
-                printable(beginning(topic)),
+                printable(shorten(topic)),
                 TOPICS,
                 OUTPUT,
             )
@@ -692,7 +692,7 @@ class UntypedTopicWarnings:
         if topic not in self._checked and not topic.startswith(WATCH):
             self._checked.store(topic, True, len(topic))
             if not self._has_type(topic):
-                name = beginning(topic)
+                name = shorten(topic)
                 self._reports.warning(
                     f"topic {name} has no type: its events are published only as text on {OUTPUT}; "
                     f'<publish_to name="{name}" msg_type="package/Type"/> in {TOPICS} would give it one',

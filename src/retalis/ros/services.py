@@ -24,7 +24,7 @@ from ..engine.runtime.problem_reports import Reports
 from ..events.language.stream_parser import subscription_event
 from ..events.program.topic_configuration import TOPICS, Topics, read_topics, topic_type
 from ..explanation.explain import explain, records_origins
-from ..foundation.errors import ProgramErrors, RetalisError, SyntaxFault, UsageError, beginning, printable
+from ..foundation.errors import ProgramErrors, RetalisError, SyntaxFault, UsageError, printable, shorten
 from ..messages.type_registry import Definitions
 from ..prolog.machine.resource_limits import Limits, validate_limit
 from ..prolog.syntax.operators import Operators
@@ -54,7 +54,7 @@ _SUBSCRIBE = functor("subscribe", 5)
 
 def quote_text(text: str) -> str:
     """Return the field of a request in the form in which responses quote it."""
-    return printable(beginning(text.strip()))
+    return printable(shorten(text.strip()))
 
 
 def offer_service(name: str, service_class: Any, handler: Callable[[Any], Any]) -> None:
@@ -97,7 +97,7 @@ def execute_request(execute: Callable[[], None]) -> str:
 def format_error(error: RetalisError) -> str:
     """Return the result of a request that failed with an error."""
     # In one line: quoted names may contain line breaks.
-    return "error: " + " ".join(beginning(error.brief(), MAX_ANSWER_CHARACTERS).splitlines())
+    return "error: " + " ".join(shorten(error.brief(), MAX_ANSWER_CHARACTERS).splitlines())
 
 
 class _Fields(NamedTuple):
@@ -253,7 +253,7 @@ class EngineServices:
         try:
             size = int(text)
         except ValueError:
-            raise UsageError(f'size: expected a whole number, found "{beginning(text)}"') from None
+            raise UsageError(f'size: expected a whole number, found "{shorten(text)}"') from None
         if size < 0:
             raise UsageError(f"size: expected a whole number of 0 or more, found {size}")
         return size
@@ -338,7 +338,7 @@ class RuleServices:
             return self._response(OK, add_rule(self._engine, request.rule, request.label))
         except (SyntaxFault, ProgramErrors) as error:
             # In several lines: the source lines, with carets below the errors.
-            return self._response(f"error: {beginning(str(error), MAX_ANSWER_CHARACTERS)}", "")
+            return self._response(f"error: {shorten(str(error), MAX_ANSWER_CHARACTERS)}", "")
         except RetalisError as error:
             return self._response(format_error(error), "")
 
@@ -593,7 +593,7 @@ class ReloadService:
             changes = self._engine.reload(self._folder)
         except RetalisError as error:
             # In several lines: the source lines, with carets below the errors.
-            return self._response(f"error: {beginning(str(error), MAX_RELOAD_ERROR_CHARACTERS)}", [])
+            return self._response(f"error: {shorten(str(error), MAX_RELOAD_ERROR_CHARACTERS)}", [])
         if topics != self._topics:
             changes.append(TOPICS_CHANGED)
         self._after_reload(topics)

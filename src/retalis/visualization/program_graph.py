@@ -18,7 +18,7 @@ from ..engine.engine import Engine
 from ..events.knowledge.transforms import TF, TRANSFORM_PREDICATES
 from ..events.language.pattern_tree import EventPattern, own_terms, walk
 from ..events.language.rule_head_parser import ALARMS, SYNCHRONIZED, sets_timer
-from ..foundation.errors import UsageError, beginning, counted, printable
+from ..foundation.errors import UsageError, format_count, printable, shorten
 from ..prolog.terms.list_terms import list_items, list_parts
 from ..prolog.terms.term_traversal import variables
 from ..prolog.terms.types import Atom, Functor, Term, Var, atom, deref, functor
@@ -145,9 +145,7 @@ class _GraphBuilder:
             self._add_memory(instance)
         for (topic, _), subscription in self._engine.knowledge.subscriptions.items():
             output = self._add_node("output", topic, topic)
-            self._add_edge(
-                self._add_event(subscription.listener.pattern), output, f"output:{beginning(topic)}"
-            )
+            self._add_edge(self._add_event(subscription.listener.pattern), output, f"output:{shorten(topic)}")
         for state in self._engine.knowledge.states:
             event = self._add_event(state.form.state)
             self._add_edge(self._add_event(state.form.begin_event), event, "")
@@ -303,7 +301,7 @@ class _GraphBuilder:
                 self._omitted_node_ids.add(node_id)
             else:
                 self._nodes[node_id] = GraphNode(
-                    node_id, kind, beginning(label or name), beginning(text, MAX_LABEL_CHARACTERS)
+                    node_id, kind, shorten(label or name), shorten(text, MAX_LABEL_CHARACTERS)
                 )
         return node_id
 
@@ -313,7 +311,7 @@ class _GraphBuilder:
 
 
 def _make_node_id(kind: str, name: str) -> str:
-    return f"{kind}:{beginning(name)}"
+    return f"{kind}:{shorten(name)}"
 
 
 def _name_kinds(ids: Iterable[str]) -> str:
@@ -391,7 +389,7 @@ def dot_text(graph: Graph, title: str) -> str:
     node_names = {node.id: f"n{index}" for index, node in enumerate(graph.nodes)}
     # Edges can refer to nodes beyond the limit.
     edges = [edge for edge in graph.edges if edge.source in node_names and edge.target in node_names]
-    omitted = f"; {counted(graph.omitted_count, 'more node')} left out" if graph.omitted_count else ""
+    omitted = f"; {format_count(graph.omitted_count, 'more node')} left out" if graph.omitted_count else ""
     lines = [
         "digraph program {",
         f"  label={_quote(title + omitted)} labelloc=t fontsize=16",

@@ -13,7 +13,7 @@ import re
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple
 
-from ..foundation.errors import UsageError, beginning, printable, printable_json
+from ..foundation.errors import UsageError, printable, printable_json, shorten
 from ..prolog.terms import timestamps
 from ..prolog.terms.timestamps import SECOND
 
@@ -84,7 +84,7 @@ class _LaneBuilder:
 
     def add(self, start: int, end: int, text: str) -> None:
         if self.total % self._step == 0:
-            self.marks.append((start, end, beginning(text, MAX_MARK_CHARACTERS)))
+            self.marks.append((start, end, shorten(text, MAX_MARK_CHARACTERS)))
             # Dropping every second mark keeps the density even, in constant memory and without knowing the number in
             # advance.
             if len(self.marks) > MAX_MARKS:
@@ -124,7 +124,7 @@ class TimelineBuilder:
                 lane.total = total if isinstance(total, int) else lane.total
 
     def _get_lane(self, kind: str, name: str) -> Optional[_LaneBuilder]:
-        key = (kind, beginning(name))
+        key = (kind, shorten(name))
         lane = self._lanes.get(key)
         if lane is None:
             # Names can contain values, such as ids of objects, so their number is not bounded by the program.

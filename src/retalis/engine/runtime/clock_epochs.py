@@ -38,7 +38,7 @@ from typing import (
     Tuple,
 )
 
-from ...foundation.errors import counted
+from ...foundation.errors import format_count
 from .clock import JUMP
 from .problem_reports import Reports
 
@@ -215,7 +215,7 @@ class ClockEpochs:
                 self._byte_count -= oldest.size
                 self.dropped += len(oldest.messages)
                 self._reports.warning(
-                    f"{counted(self.dropped, 'message')} dropped: too many arrived before the clock went back",
+                    f"{format_count(self.dropped, 'message')} dropped: too many arrived before the clock went back",
                     "early",
                 )
         if starts_buffering:

@@ -17,7 +17,7 @@ import time
 from typing import Callable, Dict, Iterator, List, Optional
 
 from ...foundation.bounded_caches import Cache
-from ...foundation.errors import beginning, printable
+from ...foundation.errors import printable, shorten
 from ...messages.decoder import Decoder
 from ...messages.header_stamps import FrameStamp, format_frame_key, make_observed_decoder
 from ...prolog.terms.timestamps import SECOND
@@ -437,7 +437,7 @@ class ClockSkewMonitor:
             self._warn_about_all_frames(frames, distance)
             return
         place = f"topic {topic}, frame {_format_frame_name(key)}"
-        origin = f" from {printable(beginning(publisher))}" if publisher else ""
+        origin = f" from {printable(shorten(publisher))}" if publisher else ""
         consequence = (
             ""
             if self._max_distance is None or abs(distance) <= self._max_distance
@@ -482,7 +482,7 @@ MAX_NAMED_FRAMES = 20
 
 
 def _format_frame_name(key: bytes) -> str:
-    return printable(beginning(format_frame_key(key))) or "without a name"
+    return printable(shorten(format_frame_key(key))) or "without a name"
 
 
 def _format_distance(distance: int) -> str:

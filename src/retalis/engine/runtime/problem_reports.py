@@ -8,8 +8,8 @@ from ...foundation.errors import (
     MAX_MESSAGE_CHARACTERS,
     MAX_SHOWN_CHARACTERS,
     RetalisError,
-    beginning,
     printable,
+    shorten,
 )
 
 log = logging.getLogger("retalis")
@@ -104,7 +104,7 @@ class Reports:
     def _log(self, level: int, kind: object, text: str, max_texts: int = 1, first_only: bool = False) -> None:
         """Count a problem, and log it at its 1st, 2nd, 4th, ... occurrence, or if its text is new."""
         key = hash(kind)
-        text = printable(beginning(text, MAX_MESSAGE_CHARACTERS))
+        text = printable(shorten(text, MAX_MESSAGE_CHARACTERS))
         problem = self._problems.get(key)
         if problem is None:
             # The whole table is cleared: evicting single entries would need their order, for a case that only a

@@ -13,7 +13,7 @@ from weakref import WeakSet, ref
 
 from ...events.dispatch.dispatcher import Dispatcher
 from ...events.dispatch.listeners import TERM
-from ...foundation.errors import Place, RuleError, beginning
+from ...foundation.errors import Place, RuleError, shorten
 from ...prolog.database.compiled_goal import CompiledGoal
 from ...prolog.machine.resource_limits import Budget
 from ...prolog.system.prolog_system import PrologSystem
@@ -215,7 +215,7 @@ def describe_work(logic: PrologSystem, dispatcher: Dispatcher, entry: object) ->
     goal_text = ""
     if isinstance(goal, CompiledGoal):
         place = goal.place
-        goal_text = f"{goal.name}: goal {beginning(logic.show(goal.term))}"
+        goal_text = f"{goal.name}: goal {shorten(logic.show(goal.term))}"
     elif goal is not None:
         goal_text = f"goal {_describe_entry((_find_first_goal(goal),))}"
     return RunningWork(
@@ -240,7 +240,7 @@ def _describe_entry(entry: object) -> str:
     """
     goal = _find_first_goal(entry[0]) if isinstance(entry, tuple) and entry else None
     if isinstance(goal, str):
-        return beginning(goal)
+        return shorten(goal)
     if isinstance(goal, Atom):
-        return beginning(goal.name)
-    return beginning(str(goal[0])) if isinstance(goal, tuple) else "a request"
+        return shorten(goal.name)
+    return shorten(str(goal[0])) if isinstance(goal, tuple) else "a request"

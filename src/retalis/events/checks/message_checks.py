@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 from xml.parsers import expat
 
-from ...foundation.errors import Place, RuleError, UsageError, beginning, counted, place_in, printable
+from ...foundation.errors import Place, RuleError, UsageError, format_count, place_in, printable, shorten
 from ...messages.type_definition import Definition, Field, type_name
 from ...messages.validating_encoder import find_fault
 from ...prolog.terms.list_terms import list_items
@@ -141,7 +141,7 @@ def _find_type_fault(
     slots = [slot.name for slot in definition.fields]
     if len(slots) == key.arity:
         return ""
-    fault = f"{key} does not match its type: {type_name} has {counted(len(slots), 'slot')}"
+    fault = f"{key} does not match its type: {type_name} has {format_count(len(slots), 'slot')}"
     if not slots:
         return fault
     advice = "write" if key.arity == 0 else "write all of them, or some by name:"
@@ -260,7 +260,7 @@ def find_untyped_topics(program: ProgramModel) -> Iterator[RuleError]:
         ):
             continue
         reported.add(topic)
-        name = beginning(topic)
+        name = shorten(topic)
         advice = f'; <publish_to name="{name}" msg_type="package/Type"/> in {TOPICS} would give it one'
         yield RuleError(
             f"topic {name} has no type: its events are published only as text on retalisOutputEvents"
@@ -349,7 +349,7 @@ def find_topic_mistakes(program: ProgramModel) -> Iterator[RuleError]:
         attributes = ATTRIBUTES.get(element.tag)
         if attributes is None:
             if element.attributes and element.tag != _ROOT_ELEMENT:
-                tag = printable(beginning(element.tag))
+                tag = printable(shorten(element.tag))
                 yield RuleError(
                     f"<{tag}> is not known: it is ignored{did_you_mean(element.tag, ATTRIBUTES, 0.5)}",
                     element.place,
@@ -357,7 +357,7 @@ def find_topic_mistakes(program: ProgramModel) -> Iterator[RuleError]:
             continue
         for name in element.attributes:
             if name not in attributes:
-                attribute = printable(beginning(name))
+                attribute = printable(shorten(name))
                 hint = did_you_mean(name, attributes) or f"; it has {', '.join(attributes)}"
                 yield RuleError(f"<{element.tag}> has no attribute {attribute}{hint}", element.place)
         topic, type_name = (element.attributes.get(name, "").strip() for name in ("name", "msg_type"))

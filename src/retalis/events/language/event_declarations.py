@@ -28,7 +28,7 @@ from typing import (
     Tuple,
 )
 
-from ...foundation.errors import Place, RuleError, UsageError, counted
+from ...foundation.errors import Place, RuleError, UsageError, format_count
 from ...foundation.ros_names import name_fault
 from ...messages.type_definition import Field, type_name
 from ...prolog.database.clause_index import Clause
@@ -426,7 +426,7 @@ class Declarations:
         if declaration is not None:
             if len(declaration.arguments) == key.arity:
                 return ""
-            argument_count = counted(len(declaration.arguments), "argument")
+            argument_count = format_count(len(declaration.arguments), "argument")
             return f"{key} does not match its declaration: {self._term_text(declaration.term)} has {argument_count}"
         if not self.strict or self._is_exempt(key):
             return ""

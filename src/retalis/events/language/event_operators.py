@@ -13,7 +13,7 @@ partners are searched.
 from enum import Enum
 from typing import Dict, NamedTuple, Optional, Tuple
 
-from ...foundation.errors import counted
+from ...foundation.errors import format_count
 from ...prolog.syntax.operators import EVENT_SYNTAX
 from ...prolog.terms.types import Functor, functor
 
@@ -466,7 +466,9 @@ FUNCTIONAL_FORMS = tuple(
 def _build_notations() -> Dict[str, str]:
     texts: Dict[str, str] = {}
     for name, count, notation in FUNCTIONAL_FORMS:
-        arity_text = f"{texts[name]}, or {count}" if name in texts else f"takes {counted(count, 'argument')}"
+        arity_text = (
+            f"{texts[name]}, or {count}" if name in texts else f"takes {format_count(count, 'argument')}"
+        )
         texts[name] = f"{arity_text}: {notation}"
     return texts
 

@@ -11,7 +11,7 @@ and constructs the rule that covers all gaps.
 from difflib import SequenceMatcher, get_close_matches
 from typing import Any, Callable, Dict, Iterable, List, Mapping, Optional, Tuple
 
-from ...foundation.errors import beginning
+from ...foundation.errors import shorten
 from ...prolog.syntax.term_writer import write_term
 from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.term_traversal import variables
@@ -228,8 +228,8 @@ def uncovered_gap_warning(
     texts = [_format_pattern(part, names) for part in parts[:_MAX_SHOWN_PARTS]]
     negated = _format_pattern(term[2], names)
     last_text = _format_pattern(parts[-1], names)
-    gap = f"the gap before the last part of the sequence, {beginning(last_text)}"
-    message = f"{operator} covers only {gap}: {beginning(negated)} in an earlier gap does not prevent a match"
+    gap = f"the gap before the last part of the sequence, {shorten(last_text)}"
+    message = f"{operator} covers only {gap}: {shorten(negated)} in an earlier gap does not prevent a match"
     is_long = any(len(text) > _MAX_SHOWN_CHARACTERS for text in (*texts, last_text, negated))
     # If the absent pattern uses variables of later parts, it cannot be checked in the first gap: no rule covers all
     # gaps.

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from typing import Iterable, Iterator, List, Optional, Tuple, Union
 
 from ...foundation.cpython_and_pypy import O_PATH
-from ...foundation.errors import RetalisError, UsageError, shortened, undecodable
+from ...foundation.errors import RetalisError, UsageError, describe_decode_error, quote_shortened
 from ...prolog.machine.errors import (
     domain_error,
     existence_error,
@@ -167,7 +167,7 @@ class FileSandbox:
         try:
             text = data.decode(encoding)
         except UnicodeDecodeError as error:
-            raise UsageError(f"cannot read {path}: {undecodable(error)}") from error
+            raise UsageError(f"cannot read {path}: {describe_decode_error(error)}") from error
         if encoding != "utf-8":
             return text
         return text.replace("\r\n", "\n").replace("\r", "\n")
@@ -261,7 +261,7 @@ def check_name(name: str) -> None:
         raise domain_error("source_sink", atom(name), "a file name cannot contain surrogates") from None
     if len(data) > _MAX_PATH_BYTES or max(map(len, data.split(b"/"))) > _MAX_NAME_BYTES:
         limits = f"a file name has at most {_MAX_PATH_BYTES} bytes, and {_MAX_NAME_BYTES} between slashes"
-        raise representation_error("max_path_length", f"{limits}; found {shortened(name)}")
+        raise representation_error("max_path_length", f"{limits}; found {quote_shortened(name)}")
 
 
 def _resolve_folders(folders: Optional[Iterable[FolderName]]) -> Folders:

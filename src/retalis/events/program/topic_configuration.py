@@ -17,10 +17,10 @@ from ...foundation.errors import (
     RuleError,
     SyntaxFault,
     UsageError,
-    beginning,
+    describe_decode_error,
     place_in,
     printable,
-    undecodable,
+    shorten,
 )
 from ...foundation.ros_names import ros1_type_name, topic_fault, type_fault
 from ..language.event_declarations import event_name_error
@@ -119,7 +119,7 @@ def read_text(path: Union[str, Path]) -> str:
     except OSError as error:
         raise UsageError(f"cannot read {path}: {error.strerror}") from error
     except UnicodeDecodeError as error:
-        raise UsageError(f"cannot read {path}: {undecodable(error)}") from error
+        raise UsageError(f"cannot read {path}: {describe_decode_error(error)}") from error
     except ValueError as error:
         # The name contains a NUL character or surrogates.
         raise UsageError(f"cannot read {str(path)!r}: {error}") from error
@@ -164,7 +164,7 @@ def read_direct(value: object) -> DirectTopics:
             )
     raise UsageError(
         "expected auto, true, false, or a list of topics and types [topic, package/Type, ...], "
-        f"found {printable(beginning(repr(value)))}"
+        f"found {printable(shorten(repr(value)))}"
     )
 
 
@@ -298,7 +298,7 @@ class _TopicReader:
         if value == "true":
             self.latched.add(topic)
         elif value != "false":
-            self.add_error(f'<publish_to>: latch is "true" or "false", found "{beginning(value)}"', place)
+            self.add_error(f'<publish_to>: latch is "true" or "false", found "{shorten(value)}"', place)
 
     def add_error(self, message: str, place: Place) -> None:
         self.errors.append(RuleError(message, place))

@@ -251,9 +251,11 @@ def define_new_event(logic: PrologSystem, dispatcher: Dispatcher) -> None:
         event = _PARSERS[functor("new_event", len(arguments))](arguments)
         return dispatch(event.term, event.start, event.end, frame, is_owned=False)
 
-    logic.define_control("new_event", 2, dispatch_with_conversion, at_once=True)
-    logic.define_control("new_event", 3, dispatch_at_instant, at_once=True, gate=dispatcher.event_filter)
-    logic.define_control("new_event", 5, dispatch_with_conversion, at_once=True)
+    logic.define_control("new_event", 2, dispatch_with_conversion, finishes_at_once=True)
+    logic.define_control(
+        "new_event", 3, dispatch_at_instant, finishes_at_once=True, make_filter=dispatcher.event_filter
+    )
+    logic.define_control("new_event", 5, dispatch_with_conversion, finishes_at_once=True)
 
 
 def define_event_predicates(rules: "RuleBase") -> None:
@@ -268,8 +270,8 @@ class _EventPredicates:
         self.rules = rules
 
     def define(self, logic: PrologSystem) -> None:
-        logic.define_control("event", 1, self.dispatch_event, at_once=True)
-        logic.define_control("event", 2, self.dispatch_event, at_once=True)
+        logic.define_control("event", 1, self.dispatch_event, finishes_at_once=True)
+        logic.define_control("event", 2, self.dispatch_event, finishes_at_once=True)
         logic.define_control("fire_event_list", 1, self.fire_event_list)
         logic.define_control("fire_event_list_return_external_events", 2, self.fire_and_return_events)
         logic.define_control("execute_event_stream_file", 1, self.execute_stream_file)

@@ -28,7 +28,7 @@ from typing import (
     Tuple,
 )
 
-from ...foundation.errors import UsageError, counted
+from ...foundation.errors import UsageError, format_count
 from ...prolog.builtins.argument_checks import callable_of
 from ...prolog.machine.errors import domain_error, instantiation_error, resource_error
 from ...prolog.machine.machine import Machine
@@ -433,7 +433,7 @@ class Timers:
             seconds = missed_count * schedule.period // SECOND
             self._rules.on_warning(
                 UsageError(
-                    f"time has jumped by {seconds} s: {counted(missed_count, 'event')} of timer "
+                    f"time has jumped by {seconds} s: {format_count(missed_count, 'event')} of timer "
                     f"{show(timer.event)}, {show(schedule.term)} left out; {self.omitted_count} of all timers so far"
                 )
             )

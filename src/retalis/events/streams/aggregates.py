@@ -34,7 +34,7 @@ from typing import (
     Type,
 )
 
-from ...foundation.errors import RuleError, UsageError, beginning, counted
+from ...foundation.errors import RuleError, UsageError, format_count, shorten
 from ...prolog.builtins.argument_checks import array_of
 from ...prolog.machine.arithmetic import EVALUABLE
 from ...prolog.syntax.term_writer import write_term
@@ -56,7 +56,7 @@ _NUMBER_CLASSES = (int, float)
 
 def value_error(name: str, value: Term, expected: str = "a number") -> RuleError:
     """Return the error for a value that an aggregate cannot process."""
-    return RuleError(f"aggregate {name}: the value is '{beginning(write_term(value))}': expected {expected}")
+    return RuleError(f"aggregate {name}: the value is '{shorten(write_term(value))}': expected {expected}")
 
 
 def check_finite(value: Any, name: str) -> None:
@@ -259,7 +259,7 @@ class _ElementwiseAccumulator(Accumulator):
         """
         length = array_length(value)
         if self.array_count and length != self.array_length:
-            raise value_error(self.name, value, f"an array of {counted(self.array_length, 'element')}")
+            raise value_error(self.name, value, f"an array of {format_count(self.array_length, 'element')}")
         if length is None:
             raise value_error(self.name, value)
         return True

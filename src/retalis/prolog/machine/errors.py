@@ -10,7 +10,7 @@ take longer than the goal that failed.
 
 from typing import Optional
 
-from ...foundation.errors import MAX_MESSAGE_CHARACTERS, RetalisError, TermTooLarge, beginning
+from ...foundation.errors import MAX_MESSAGE_CHARACTERS, RetalisError, TermTooLarge, shorten
 from ..syntax.term_writer import truncated_text
 from ..terms.types import COLON, COMMA, SLASH, Atom, Functor, String, Term, Var, atom, deref, functor
 
@@ -28,7 +28,7 @@ def describe(ball: Term) -> str:
     # The context of an unknown procedure is usually the procedure itself, which the text names already.
     if text.startswith(_UNKNOWN_PROCEDURE):
         context_text = context_text.replace(f" (in {text[len(_UNKNOWN_PROCEDURE) :]})", "", 1)
-    return beginning(text + context_text, MAX_MESSAGE_CHARACTERS)
+    return shorten(text + context_text, MAX_MESSAGE_CHARACTERS)
 
 
 _UNKNOWN_PROCEDURE = "Unknown procedure: "
@@ -76,7 +76,7 @@ _TEMPLATES = {
 
 def _name_text(term: Term) -> str:
     """Return the name of an atom without quotes, and the text of any other term."""
-    return beginning(term.name, MAX_MESSAGE_CHARACTERS) if term.__class__ is Atom else _term_text(term)
+    return shorten(term.name, MAX_MESSAGE_CHARACTERS) if term.__class__ is Atom else _term_text(term)
 
 
 def _term_text(term: Term) -> str:
@@ -91,9 +91,9 @@ def _context_text(context: Term) -> str:
         place, message = deref(context[1]), deref(context[2])
         text = "" if place.__class__ is Var else f" (in {_term_text(place)})"
         if message.__class__ is Atom:
-            text += f": {beginning(message.name, MAX_MESSAGE_CHARACTERS)}"
+            text += f": {shorten(message.name, MAX_MESSAGE_CHARACTERS)}"
         elif message.__class__ is String:
-            text += f": {beginning(message.text, MAX_MESSAGE_CHARACTERS)}"
+            text += f": {shorten(message.text, MAX_MESSAGE_CHARACTERS)}"
         elif message.__class__ is not Var:
             text += f": {_term_text(message)}"
         return text

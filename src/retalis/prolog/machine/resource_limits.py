@@ -42,7 +42,7 @@ from typing import (
 )
 
 from ...foundation.cancellation import CURRENT_CHECK, register_budget
-from ...foundation.errors import UsageError, shortened
+from ...foundation.errors import UsageError, quote_shortened
 from ..terms.types import Term
 from .errors import PrologError, resource_error
 
@@ -87,7 +87,7 @@ def validate_limit(name: str, value: object, number_type: Type[Number]) -> Numbe
             return number_type(value)
         value_text = str(value) if abs(value) < 1e300 else "a larger number"
     else:
-        value_text = shortened(repr(value))
+        value_text = quote_shortened(repr(value))
     expected = "a whole number" if number_type is int else "a number"
     raise UsageError(f"{name}: expected {expected} from 0 to {maximum:.0e}, found {value_text}")
 

@@ -14,7 +14,7 @@ from typing import Any, Callable, Dict, List, Optional, Tuple
 
 from ...foundation.bounded_caches import Cache
 from ...foundation.cancellation import STEPS_PER_ROUND, check_limits
-from ...foundation.errors import TermTooLarge, beginning
+from ...foundation.errors import TermTooLarge, shorten
 from ..machine.errors import representation_error, resource_error
 from ..syntax.literals import integer
 from ..terms.list_terms import make_list
@@ -556,7 +556,7 @@ class SwiTerms:
             self._swi.term_types["dict"]: "a dict",
         }
         description = names.get(term_type, "a stream, a clause or another handle")
-        text = beginning(self._read_text(ref, self._swi.any_term_as_text))
+        text = shorten(self._read_text(ref, self._swi.any_term_as_text))
         raise representation_error(
             "term", f"{description} of SWI-Prolog cannot be converted to a term: '{text}'"
         )

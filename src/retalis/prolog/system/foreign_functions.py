@@ -39,7 +39,7 @@ from typing import (
     overload,
 )
 
-from ...foundation.errors import RetalisError, UsageError, counted
+from ...foundation.errors import RetalisError, UsageError, format_count
 from ..machine.errors import PrologError, instantiation_error, permission_error, type_error
 from ..machine.machine import Machine
 from ..terms.types import SLASH, Atom, Functor, String, Term, Var, atom, deref, functor
@@ -258,7 +258,7 @@ def _unify_outputs(machine: Machine, outputs: Sequence[Term], result: Any) -> bo
         return machine.unify(outputs[0], to_term(result))
     if len(result) != len(outputs):
         raise UsageError(
-            f"a foreign predicate returned {counted(len(result), 'value')} for {len(outputs)} outputs"
+            f"a foreign predicate returned {format_count(len(result), 'value')} for {len(outputs)} outputs"
         )
     return machine.unify_all(*[(output, to_term(value)) for output, value in zip(outputs, result)])
 

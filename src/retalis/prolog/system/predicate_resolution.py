@@ -183,7 +183,7 @@ class PredicateTable:
         arity: int,
         function: Callable[..., Any],
         outputs: Tuple[int, ...] = (),
-        shows: Tuple[Optional[Callable[..., Term]], ...] = (),
+        converters: Tuple[Optional[Callable[..., Term]], ...] = (),
     ) -> Predicate:
         """Define a deterministic predicate by a function of its input arguments; see `FunctionalModes`.
 
@@ -193,9 +193,9 @@ class PredicateTable:
             function: takes the inputs; returns the outputs, or None if the predicate fails.
             outputs: positions of the output arguments, whose values are returned as a tuple. By default the last
                 argument is the only output, and its value is returned without a tuple.
-            shows: for each output, the conversion of its value to a term; None if the value is a term.
+            converters: for each output, the conversion of its value to a term; None if the value is a term.
         """
-        modes = functional(function, arity, outputs, shows)
+        modes = functional(function, arity, outputs, converters)
         predicate = self.define(name, arity, modes.predicate())
         predicate.functional_modes = modes
         return predicate
@@ -205,7 +205,7 @@ class PredicateTable:
         name: str,
         arity: int,
         function: Callable[..., Union[bool, Iterable[object]]],
-        known: Optional[Callable[..., Optional[Term]]] = None,
+        evaluate: Optional[Callable[..., Optional[Term]]] = None,
     ) -> Predicate:
         """Define a predicate by a generator ``function(machine, *args)`` that yields at each solution.
 
@@ -218,8 +218,9 @@ class PredicateTable:
             name: name of the predicate.
             arity: arity of the predicate.
             function: the generator.
-            known: for a predicate that is a function of its other arguments if the first one is bound: returns the
-                last argument, or None if it fails. Then ``function`` is called only with an unbound first argument.
+            evaluate: for a predicate that is a function of its other arguments if the first one is bound: returns
+                the last argument, or None if it fails. Then ``function`` is called only with an unbound first
+                argument.
         """
         machine = self.machine
         choices, trail = machine.choices, machine.trail
@@ -252,9 +253,9 @@ class PredicateTable:
         def run(frame: Frame) -> Optional[Frame]:
             return call(machine, frame[1:-1], frame[-1])
 
-        if known is None:
+        if evaluate is None:
             return self.database.define(key, call, run, "control")
-        function_predicate = self.define_function(f"${name}", arity, known)
+        function_predicate = self.define_function(f"${name}", arity, evaluate)
 
         def run_known(frame: Frame) -> Optional[Frame]:
             return (
@@ -272,8 +273,8 @@ class PredicateTable:
         name: str,
         arity: int,
         function: Callable[..., Optional[Frame]],
-        at_once: bool = False,
-        gate: Optional[Callable[[Functor, Tuple[int, ...]], object]] = None,
+        finishes_at_once: bool = False,
+        make_filter: Optional[Callable[[Functor, Tuple[int, ...]], object]] = None,
     ) -> Predicate:
         """Define a control predicate by ``function(machine, args, next)``, which returns the frame to run.
 
@@ -281,20 +282,23 @@ class PredicateTable:
             name: name of the predicate.
             arity: arity of the predicate.
             function: runs a call.
-            at_once: whether a call most often finishes within the function, which then returns ``next``. Compiled
-                clauses call such predicates inline.
-            gate: pushdown filter, for a predicate whose calls often have no effect. Takes the functor of the first
-                argument and positions in it, and returns an object whose ``passes`` takes the other arguments and the
-                values at the positions, and returns False if a call would have no effect. Compiled clauses omit such
-                calls, and pass ``function`` one more argument: whether the first one is certainly ground.
+            finishes_at_once: whether a call most often finishes within the function, which then returns ``next``.
+                Compiled clauses call such predicates inline.
+            make_filter: creates a pushdown filter, for a predicate whose calls often have no effect. Takes the
+                functor of the first argument and positions in it, and returns an object whose ``passes`` takes the
+                other arguments and the values at the positions, and returns False if a call would have no effect.
+                Compiled clauses omit such calls, and pass ``function`` one more argument: whether the first one is
+                certainly ground.
         """
         machine = self.machine
 
         def run(frame: Frame) -> Optional[Frame]:
             return function(machine, frame[1:-1], frame[-1])
 
-        predicate = self.database.define(functor(name, arity), function if at_once else None, run, "control")
-        predicate.make_pushdown_filter = gate
+        predicate = self.database.define(
+            functor(name, arity), function if finishes_at_once else None, run, "control"
+        )
+        predicate.make_pushdown_filter = make_filter
         return predicate
 
     def lookup(self, key: Functor) -> Optional[Predicate]:
