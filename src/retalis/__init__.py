@@ -33,7 +33,7 @@ if TYPE_CHECKING:  # for type checkers; a program gets them by `__getattr__`
     from .engine.runtime.clock import Clock, StreamClock
     from .engine.runtime.problem_reports import Reports
     from .events.program.topic_configuration import TopicType
-    from .explanation.explain import Explanation, ExplanationLine, explain, record_origins
+    from .explanation.event_explanations import Explanation, ExplanationLine, explain, record_origins
     from .foundation.cpython_and_pypy import collect_when_idle, limit_gc_pauses, restore_gc
     from .foundation.errors import (
         MessageError,
@@ -140,9 +140,9 @@ _MODULES = {
     "deref": "prolog.terms.types",
     "Encoder": "messages.encoder",
     "Engine": "engine.engine",
-    "explain": "explanation.explain",
-    "Explanation": "explanation.explain",
-    "ExplanationLine": "explanation.explain",
+    "explain": "explanation.event_explanations",
+    "Explanation": "explanation.event_explanations",
+    "ExplanationLine": "explanation.event_explanations",
     "foreign": "prolog.system.foreign_functions",
     "Functor": "prolog.terms.types",
     "functor": "prolog.terms.types",
@@ -163,7 +163,7 @@ _MODULES = {
     "ProgramErrors": "foundation.errors",
     "PrologError": "prolog.machine.errors",
     "Record": "playback.rosbag1",
-    "record_origins": "explanation.explain",
+    "record_origins": "explanation.event_explanations",
     "Reports": "engine.runtime.problem_reports",
     "restore_gc": "foundation.cpython_and_pypy",
     "RetalisError": "foundation.errors",

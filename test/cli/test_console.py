@@ -14,7 +14,7 @@ import pytest
 
 from retalis import Limits, Operators, Settings
 from retalis.cli.console import Console
-from retalis.cli.stderr_report import StderrReporter
+from retalis.cli.stderr_and_progress import StderrReporter
 from retalis.cli.toplevel_io import PipedInput, TerminalInput, find_completions, format_bindings
 from retalis.foundation.cpython_and_pypy import PYPY
 from retalis.prolog.syntax.term_reader import read_term

@@ -5,7 +5,7 @@ from events.stream_programs import Program, fired, show
 
 from retalis import StreamClock
 from retalis.events.matches import consumption_policy
-from retalis.events.matches.partial_matches import RepetitionChain
+from retalis.events.matches.match_types import RepetitionChain
 from retalis.events.provenance import lineage
 from retalis.prolog.terms.timestamps import SECOND
 

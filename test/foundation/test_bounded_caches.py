@@ -13,7 +13,7 @@ DECORATED = {
         "events/matches/interval_index.py",
         "interval_bounds",
     ): "1000 entries of an operator's name and two numbers",
-    ("prolog/builtins/message_printing.py", "_layout_operators"): "one entry",
+    ("prolog/builtins/listing_and_messages.py", "_layout_operators"): "one entry",
     ("prolog/system/predicate_resolution.py", "library_index"): "one entry",
     ("prolog/swi/libswipl.py", "find_library"): "one entry",
     ("prolog/swi/swi_session.py", "_start_runtime"): "one entry",
@@ -47,7 +47,7 @@ HELD = {
     ("messages/type_registry.py", "self._by_text"): (1000, 32 << 20),
     ("messages/type_registry.py", "self._decoders"): (1000, 32 << 20),
     ("messages/type_registry.py", "self._encoders"): (1000, 32 << 20),
-    ("messages/named_slots.py", "self.notations"): (1000, 1 << 20),
+    ("messages/message_notation.py", "self.notations"): (1000, 1 << 20),
     ("messages/encoder.py", "_packed_texts"): (2048, 1 << 20),
     ("messages/decoder.py", "cache"): (
         2048,

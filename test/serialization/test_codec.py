@@ -12,7 +12,7 @@ from retalis.prolog.terms.term_traversal import term_key
 from retalis.prolog.terms.timestamps import FloatSeconds, Stamp
 from retalis.prolog.terms.types import Lazy
 from retalis.serialization.codec import from_bytes, to_bytes
-from retalis.serialization.schema import FlatKey, key
+from retalis.serialization.decoded_value_checks import FlatKey, key
 
 ATOMS = st.text(max_size=5).map(atom)
 LEAVES = st.one_of(

@@ -23,7 +23,7 @@ from typing import Any, Callable, Deque, Dict, Generator, List, NamedTuple, Opti
 
 from ..engine.engine_settings import Settings
 from ..events.program.topic_configuration import TopicType, topic_type
-from ..explanation.explain import explain, record_origins
+from ..explanation.event_explanations import explain, record_origins
 from ..foundation.cpython_and_pypy import limit_gc_pauses, restore_gc
 from ..foundation.errors import RetalisError, UsageError, quote_shortened
 from ..playback.bag_locations import (
@@ -39,8 +39,8 @@ from ..playback.bag_locations import (
     result_file,
 )
 from ..playback.playback import Output, Playback, RunRecord, RunRecorder, RunTable, make_output_record
+from ..playback.process_and_dask_pool import Unfinished, run_in_processes, run_on_cluster
 from ..playback.rosbag1 import BagWriter
-from ..playback.worker_pool import Unfinished, run_in_processes, run_on_cluster
 from ..prolog.syntax.event_text import to_text
 from ..prolog.syntax.term_reader import read_term
 from ..prolog.terms import timestamps
@@ -58,9 +58,9 @@ from .command_options import (
     non_negative,
     positive_integer,
 )
+from .optional_ros_imports import installed_definitions
 from .result_printer import JSON_HELP, Printer
-from .ros_access import installed_definitions
-from .stderr_report import (
+from .stderr_and_progress import (
     ProgressBar,
     StderrReporter,
     detach_reporters,

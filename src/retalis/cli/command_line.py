@@ -13,7 +13,7 @@ from typing import Any, Callable, Iterable, List, Optional
 from xml.etree import ElementTree
 
 from ..foundation.errors import RetalisError
-from .stderr_report import OutputClosed, detach_reporters
+from .stderr_and_progress import OutputClosed, detach_reporters
 
 AddParser = Callable[[Callable[..., argparse.ArgumentParser]], object]
 """Adds the parser of a command with the given function, which is the method ``add_parser`` of argparse."""
@@ -61,13 +61,13 @@ COMMANDS = {
     "docs": "demo_and_docs_commands.add_docs_parser",
     "events": "event_stream_command.add_parser",
     "graph": "drawing_commands.add_graph_parser",
-    "help": "situation_help.add_parser",
-    "query": "node_commands.add_parsers",
-    "explain": "node_commands.add_parsers",
-    "list": "node_commands.add_parsers",
-    "status": "node_commands.add_parsers",
-    "watch": "node_commands.add_parsers",
-    "reload": "node_commands.add_parsers",
+    "help": "operator_guide.add_parser",
+    "query": "node_command_options.add_parsers",
+    "explain": "node_command_options.add_parsers",
+    "list": "node_command_options.add_parsers",
+    "status": "node_command_options.add_parsers",
+    "watch": "node_command_options.add_parsers",
+    "reload": "node_command_options.add_parsers",
     "msg": "msg_command.add_parser",
     "plot": "drawing_commands.add_plot_parser",
     "complete": "completion.add_parser",

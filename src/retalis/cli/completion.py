@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Callable, Dict, Iterable, List, Optional, Sequence
 
 from ..foundation.errors import UsageError
-from .ros_access import import_ros_module
+from .optional_ros_imports import import_ros_module
 
 BASH_SCRIPT = Path(__file__).with_name("retalis.bash")
 
@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
 def list_names(category: str, node: Optional[str]) -> List[str]:
     """Return the names of nodes, or of a node's memories; none without ROS or without an answer."""
     try:
-        node_names: List[str] = import_ros_module("live_commands").list_completions(category, node)
+        node_names: List[str] = import_ros_module("node_client_commands").list_completions(category, node)
     except UsageError:
         return []
     return node_names

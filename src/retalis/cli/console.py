@@ -27,8 +27,8 @@ from ..prolog.system.prolog_system import Tracer
 from ..prolog.terms.list_terms import list_items
 from ..prolog.terms.types import COMMA, Atom, String, Term, Var, deref, functor
 from .command_options import add_limits, apply_limits, non_negative
-from .ros_access import installed_definitions, run_ros_command
-from .stderr_report import StderrReporter, end_run_on_closed_pipe
+from .optional_ros_imports import installed_definitions, run_ros_command
+from .stderr_and_progress import StderrReporter, end_run_on_closed_pipe
 from .toplevel_io import QUIT_GOALS, PipedInput, TerminalInput, format_bindings, read_clause
 
 PREDICATES_PAGE = "docs/reference/predicates.md"
@@ -225,7 +225,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command; with goals from a pipe, the status is 1 if there was an error."""
     if options.node is not None:
-        return run_ros_command("live_commands", options)
+        return run_ros_command("node_client_commands", options)
     reporter = StderrReporter().attach(show_events=True)
     console = Console(reporter, apply_limits(UNRESTRICTED, options), options.max_solutions)
     for path in options.files:

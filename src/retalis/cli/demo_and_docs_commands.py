@@ -17,7 +17,7 @@ from ..playback.playback import Playback
 from ..prolog.terms.term_traversal import resolve
 from .bag_command import elapsed_fraction
 from .command_options import any_integer, positive_seconds
-from .stderr_report import StderrReporter, show_progress
+from .stderr_and_progress import StderrReporter, show_progress
 
 SOURCE_EXAMPLE = Path("examples", "nao")
 """Folder of the NAO example in the source tree."""

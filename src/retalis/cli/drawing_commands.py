@@ -24,8 +24,8 @@ from ..visualization.timeline import (
 )
 from .bag_command import add_source, create_playback, elapsed_fraction, open_bags
 from .command_options import add_folders, add_limits, apply_limits
-from .ros_access import installed_definitions
-from .stderr_report import StderrReporter, show_progress
+from .optional_ros_imports import installed_definitions
+from .stderr_and_progress import StderrReporter, show_progress
 
 TEXT_SUFFIXES = ("dot", "gv")
 """Suffixes of files in the text format of Graphviz."""

@@ -22,7 +22,7 @@ from ..engine.runtime.problem_reports import Reports
 from ..events.program.goal_file import goal_of, read_goals
 from ..events.program.topic_configuration import read_text
 from ..events.rules.event_input_predicates import event_of
-from ..explanation.explain import explain, record_origins
+from ..explanation.event_explanations import explain, record_origins
 from ..foundation.cpython_and_pypy import limit_gc_pauses
 from ..foundation.errors import (
     Place,
@@ -48,9 +48,9 @@ from .command_options import (
     apply_folders,
     apply_limits,
 )
+from .optional_ros_imports import installed_definitions
 from .result_printer import JSON_HELP, Printer
-from .ros_access import installed_definitions
-from .stderr_report import StderrReporter, end_run_on_closed_pipe
+from .stderr_and_progress import StderrReporter, end_run_on_closed_pipe
 
 
 class EventLine(NamedTuple):

@@ -6,12 +6,12 @@ from typing import Callable, Dict
 
 from ..foundation.errors import MessageError, UsageError
 from ..foundation.ros_names import ros1_type_name, type_fault
-from ..messages.named_slots import format_positional, format_with_names, format_with_zeros
+from ..messages.message_notation import format_positional, format_with_names, format_with_zeros
 from ..messages.type_definition import Definition
 from ..messages.type_registry import Definitions
 from ..playback.bag_locations import open_bag
 from .command_options import add_chunk_limit_option
-from .ros_access import installed_definitions
+from .optional_ros_imports import installed_definitions
 
 FORMATS: Dict[str, Callable[[Definition, Definitions], str]] = {
     "term": lambda definition, definitions: format_positional(definition),

@@ -5,7 +5,7 @@ import sys
 from typing import IO, Dict, List, Optional
 
 from ..events.knowledge.knowledge_base import MEMORY_EVENTS
-from ..explanation.explain import Explanation, ExplanationLine
+from ..explanation.event_explanations import Explanation, ExplanationLine
 from ..prolog.syntax.term_writer import add_full_stop, canonical_text
 from ..prolog.terms import timestamps
 from ..prolog.terms.types import Term, atom, functor

@@ -19,7 +19,7 @@ from tornado.iostream import IOStream, StreamClosedError
 from tornado.web import Application, HTTPError, RequestHandler
 
 from ..engine.client_requests import ask
-from ..explanation.explain import explain, records_origins
+from ..explanation.event_explanations import explain, records_origins
 from ..foundation.errors import RetalisError, SyntaxFault, printable_json, shorten
 from ..prolog.machine.resource_limits import Limits
 from .view_model import DashboardSource, LiveUpdates, Snapshots

@@ -17,7 +17,7 @@ from typing import Any, Callable, Deque, Dict, List, NamedTuple, Optional, Seque
 from ..engine.engine import Engine
 from ..engine.engine_status import Status
 from ..events.dispatch.listeners import NOT_READ, Listener, ListenerPhase
-from ..explanation.explain import records_origins
+from ..explanation.event_explanations import records_origins
 from ..foundation.errors import printable_json, shorten
 from ..messages.type_definition import functor_name
 from ..prolog.machine.resource_limits import resident_bytes

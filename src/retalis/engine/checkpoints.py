@@ -27,7 +27,7 @@ from ..foundation.errors import UsageError
 from ..messages.type_registry import Definitions
 from ..serialization.codec import from_bytes, to_bytes
 from ..serialization.columns import MemoryRecords, encode_records
-from ..serialization.schema import any_value, dict_of, text
+from ..serialization.decoded_value_checks import any_value, dict_of, text
 from ..serialization.state_file_format import (
     FORMAT_NUMBER,
     LAYOUT_CHECKSUM,
@@ -37,7 +37,7 @@ from ..serialization.state_file_format import (
     read_records,
     read_section,
 )
-from .deployments import Deployment
+from .deployment_contents import Deployment
 from .engine import Engine
 from .engine_settings import Settings
 from .engine_snapshot import EngineSnapshot, convert_errors, records_since

@@ -28,7 +28,7 @@ from ..events.rules.event_input_predicates import define_new_event
 from ..events.rules.rule_base import RuleBase
 from ..foundation.cpython_and_pypy import count_records_of
 from ..foundation.errors import RetalisError, UsageError, format_count
-from ..messages.named_slots import SlotNames
+from ..messages.message_notation import SlotNames
 from ..messages.type_registry import Definitions
 from ..prolog.machine.resource_limits import MEGABYTE
 from ..prolog.swi.use_swi import define_use_swi
@@ -43,7 +43,7 @@ from ..prolog.terms.term_traversal import copy, variables
 from ..prolog.terms.timestamps import FloatSeconds
 from ..prolog.terms.types import Frame, Functor, Term, Var
 from ..serialization.state_file_format import pack_sections, read_records, unpack_sections
-from .deployments import Deployment
+from .deployment_contents import Deployment
 from .engine_settings import Settings
 from .engine_snapshot import EngineSnapshot, convert_errors, create_clock, decode_sections, encode_state
 from .engine_status import DEFAULT_LISTING_LIMIT, Status, StatusReader, StatusSources

@@ -22,7 +22,7 @@ from ..serialization.codec import to_bytes
 from ..serialization.columns import DecodedRecords, MemoryRecords, encode_records
 from ..serialization.network_state import restore_matches, restore_rules, snapshot_matches, snapshot_rules
 from ..serialization.state_file_format import SECTIONS, read_section
-from .deployments import restore_deployments, save_deployments
+from .deployment_contents import restore_deployments, save_deployments
 from .event_input import TopicRequest
 from .runtime.clock import StreamClock
 

@@ -19,7 +19,7 @@ from ..events.program.topic_configuration import TopicEvent, Topics, TopicType
 from ..events.rules.event_input_predicates import InputReader
 from ..foundation.errors import RetalisError, UsageError, shorten
 from ..foundation.ros_names import ros1_type_name, topic_fault, type_fault
-from ..messages.named_slots import SlotNames
+from ..messages.message_notation import SlotNames
 from ..messages.transform_messages import TransformMessage
 from ..prolog.machine.errors import domain_error, instantiation_error, permission_error, resource_error
 from ..prolog.machine.machine import Machine

@@ -42,7 +42,7 @@ from ..prolog.machine.resource_limits import NO_LIMITS
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.term_traversal import term_key
 from ..prolog.terms.types import Term, atom
-from .deployments import (
+from .deployment_contents import (
     EMPTY_DEPLOYMENT,
     Clauses,
     Deployment,

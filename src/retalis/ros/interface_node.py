@@ -2,7 +2,7 @@
 
 It keeps the conversion and the TCP connections to publishers out of the process of the engine. Messages go to node
 ``retalis`` as texts on one topic, in the order in which they were received; outputs come back as texts on another.
-Fields that the program does not read are left out of the texts (projection pushdown, `internal_topics`).
+Fields that the program does not read are left out of the texts (projection pushdown, `internode_topics`).
 """
 
 from typing import Iterable, List
@@ -20,8 +20,8 @@ from ..messages.type_registry import Definitions
 from ..prolog.syntax.event_text import EventReader, event_text, to_text
 from ..prolog.terms.types import deref
 from .diagnostics import Diagnostics, InputRole, NodeHealth, evaluate_program
-from .generated_classes import installed_types
-from .internal_topics import INPUT, OUTPUT, ProjectionReceiver, SubscriptionReceiver
+from .installed_message_classes import installed_types
+from .internode_topics import INPUT, OUTPUT, ProjectionReceiver, SubscriptionReceiver
 from .latched_deduplication import LatchedConnection
 from .node_lifecycle import run_node
 from .parameters import Parameters

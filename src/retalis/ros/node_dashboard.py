@@ -14,7 +14,7 @@ from ..events.program.topic_configuration import TopicEvent, TopicType
 from ..foundation.errors import UsageError
 from ..prolog.terms.timestamps import SECOND
 from .diagnostics import DIAGNOSTICS_TOPIC
-from .internal_topics import INPUT, OUTPUT
+from .internode_topics import INPUT, OUTPUT
 from .topic_statistics import InputStatus
 
 _SEPARATOR = ": input "

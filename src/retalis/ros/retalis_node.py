@@ -29,7 +29,7 @@ from ..engine.runtime.clock_epochs import ClockEpochs
 from ..engine.runtime.clock_skew import ClockSkewMonitor
 from ..engine.runtime.problem_reports import Reports
 from ..events.program.topic_configuration import TOPICS, Topics, TopicType, direct_topics, read_topics
-from ..explanation.explain import record_origins
+from ..explanation.event_explanations import record_origins
 from ..foundation.errors import RetalisError, UsageError, format_count
 from ..messages.decoder import Decoder
 from ..messages.transform_messages import TRANSFORM_TOPICS
@@ -46,8 +46,8 @@ from .diagnostics import (
     NodeHealth,
     evaluate_program,
 )
-from .generated_classes import installed_types
-from .internal_topics import (
+from .installed_message_classes import installed_types
+from .internode_topics import (
     INPUT,
     OUTPUT,
     DynamicSubscriptions,

@@ -50,7 +50,7 @@ from ..messages.type_registry import Definitions
 from ..prolog.terms.types import Term, functor
 from .connection_reader import read_in_batches
 from .connection_writer import TopicWriter, serialized_bytes, serialized_class
-from .internal_topics import INPUT, OUTPUT, WATCH, resolve
+from .internode_topics import INPUT, OUTPUT, WATCH, resolve
 from .latched_deduplication import LatchedConnection, LatchedMessageDeduplicator
 from .text_topics import make_text_handler_factory
 from .topic_statistics import InputCounts, InputStatus, OutputStatus

@@ -23,7 +23,7 @@ from ..engine.engine_status import MemoryStatus, RuleStatus, Status, Subscriptio
 from ..engine.runtime.problem_reports import Reports
 from ..events.language.stream_parser import subscription_event
 from ..events.program.topic_configuration import TOPICS, Topics, read_topics, topic_type
-from ..explanation.explain import explain, records_origins
+from ..explanation.event_explanations import explain, records_origins
 from ..foundation.errors import ProgramErrors, RetalisError, SyntaxFault, UsageError, printable, shorten
 from ..messages.type_registry import Definitions
 from ..prolog.machine.resource_limits import Limits, validate_limit
@@ -34,8 +34,8 @@ from ..prolog.terms.list_terms import conjuncts, make_list
 from ..prolog.terms.term_traversal import variables
 from ..prolog.terms.timestamps import SECOND
 from ..prolog.terms.types import COMMA, TRUE, Atom, CompoundTerm, Term, Var, atom, deref, functor
-from .generated_classes import installed_types
-from .internal_topics import resolve
+from .installed_message_classes import installed_types
+from .internode_topics import resolve
 from .ros_interface import RosInterface, UntypedTopicWarnings
 from .ros_log import log_counts
 from .topic_statistics import InputStatus, published_types

@@ -18,7 +18,7 @@ from ..engine.runtime.problem_reports import Reports
 from ..foundation.bounded_caches import Cache
 from ..foundation.errors import MessageError, UsageError
 from .connection_writer import TopicWriter
-from .internal_topics import resolve
+from .internode_topics import resolve
 from .latched_deduplication import (
     LATCHED_MARK_PREFIX,
     LatchedMessage,

@@ -14,7 +14,7 @@ from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from ..prolog.terms.timestamps import FloatSeconds, Stamp
 from ..prolog.terms.types import Atom, Term
-from .schema import (
+from .decoded_value_checks import (
     Decoded,
     any_value,
     boolean,

@@ -9,8 +9,8 @@ describes this for the matches of one node, and `buffer_shapes` for each buffer 
 from itertools import chain
 from typing import Any, Iterable, List, NamedTuple, Sequence, Set, Tuple
 
+from ..events.matches.match_types import PartialMatch, RepetitionChain
 from ..events.matches.negation import NegationBuffer
-from ..events.matches.partial_matches import PartialMatch, RepetitionChain
 from ..events.matches.shared_run_buffer import BufferSlice, Run, RunCursor, RunGroup
 from ..events.network.event_rule import EventRule, RuleState
 from ..events.network.join_node import JoinNode
@@ -21,8 +21,8 @@ from ..events.network.stream_node import StreamNode
 from ..events.provenance.event_log import Occurrence, Suppressed
 from ..foundation.errors import UsageError
 from ..prolog.terms.types import Var
+from .decoded_value_checks import invalid_value
 from .match_graph import GraphReader
-from .schema import invalid_value
 
 
 class MatchShape(NamedTuple):

@@ -15,7 +15,7 @@ from enum import Enum
 from operator import attrgetter, is_
 from typing import Any, Callable, DefaultDict, Dict, List, Sequence, Tuple
 
-from ..events.matches.partial_matches import (
+from ..events.matches.match_types import (
     NO_REPETITIONS,
     ComputedValues,
     EventMatch,
@@ -36,7 +36,7 @@ from ..foundation.errors import UsageError
 from ..prolog.terms.types import Functor
 from .codec import Ref
 from .columns import decode_instants, encode_instants
-from .schema import (
+from .decoded_value_checks import (
     Decoded,
     ValueCheck,
     any_value,

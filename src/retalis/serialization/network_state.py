@@ -15,7 +15,7 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tu
 from ..engine.runtime.clock import Clock
 from ..events.knowledge.knowledge_base import KnowledgeBase
 from ..events.knowledge.timeouts import TimeoutAlarm
-from ..events.matches.partial_matches import EventMatch
+from ..events.matches.match_types import EventMatch
 from ..events.network.event_rule import EventRule, RuleState
 from ..events.network.join_node import JoinNode
 from ..events.network.kleene_node import KleeneNode
@@ -38,16 +38,7 @@ from ..events.streams.windows import AnchoredTumblingWindow, HoppingWindow
 from ..foundation.errors import UsageError
 from ..prolog.terms.term_traversal import term_key
 from ..prolog.terms.unification import may_unify
-from .match_checks import (
-    MatchShape,
-    buffer_shapes,
-    check_arrivals,
-    check_lineage,
-    check_stored_once,
-    group_fits,
-)
-from .match_graph import MATCH_KINDS, GraphReader, GraphWriter
-from .schema import (
+from .decoded_value_checks import (
     Decoded,
     ValueCheck,
     any_value,
@@ -71,6 +62,15 @@ from .schema import (
     tuple_of,
     with_name,
 )
+from .match_checks import (
+    MatchShape,
+    buffer_shapes,
+    check_arrivals,
+    check_lineage,
+    check_stored_once,
+    group_fits,
+)
+from .match_graph import MATCH_KINDS, GraphReader, GraphWriter
 
 
 class StreamCheck:

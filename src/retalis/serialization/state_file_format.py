@@ -23,8 +23,7 @@ from ..prolog.terms.timestamps import MAX_TIMESTAMP, FloatSeconds, Stamp
 from ..prolog.terms.types import Atom, Functor
 from .codec import from_bytes
 from .columns import decode_records
-from .match_graph import FIELDS
-from .schema import (
+from .decoded_value_checks import (
     Decoded,
     ValueCheck,
     any_value,
@@ -51,6 +50,7 @@ from .schema import (
     variable,
     with_name,
 )
+from .match_graph import FIELDS
 
 MAGIC = b"retalis state\n"
 

@@ -98,7 +98,7 @@ import logging
 import sys
 
 from retalis import Engine, ProgramErrors
-from retalis.explanation.explain import explain, record_origins
+from retalis.explanation.event_explanations import explain, record_origins
 from retalis.engine.runtime.clock import StreamClock
 from retalis.prolog.terms.timestamps import SECOND; from retalis.prolog.terms.types import functor
 

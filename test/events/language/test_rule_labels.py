@@ -4,7 +4,7 @@ import pytest
 from events.load_messages import assert_refused, warnings_of
 
 from retalis.events.language.rule_head_parser import WORD_PROPERTIES
-from retalis.events.matches.partial_matches import AfterMatchSkipStrategy, ConsumptionPolicy
+from retalis.events.matches.match_types import AfterMatchSkipStrategy, ConsumptionPolicy
 
 FORMS = "a label is an atom, or Label([property(Name, Value), ...])"
 

@@ -11,7 +11,7 @@ from retalis import Var, atom
 from retalis.events.matches import match_buffer
 from retalis.events.matches.interval_index import IntervalIndex, interval_bounds
 from retalis.events.matches.match_buffer import MatchBuffer
-from retalis.events.matches.partial_matches import PartialMatch
+from retalis.events.matches.match_types import PartialMatch
 
 
 class Rule:

@@ -6,7 +6,7 @@ import pytest
 from events.stream_programs import Program, fired, show
 
 from retalis import Engine, UsageError
-from retalis.events.matches.partial_matches import ConsumptionPolicy, check_policy
+from retalis.events.matches.match_types import ConsumptionPolicy, check_policy
 
 STREAM = "a(1)@1 a(2)@2 b@3 b@4"
 TWICE = "a@1 a@2 b@3 b@4"

@@ -3,7 +3,7 @@
 import pytest
 
 from retalis import atom
-from retalis.events.matches.partial_matches import PartialMatch
+from retalis.events.matches.match_types import PartialMatch
 from retalis.events.matches.shared_run_buffer import BufferSlice, SharedLog, repetitions
 
 

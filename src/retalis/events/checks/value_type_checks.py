@@ -11,7 +11,7 @@ different, so such a pattern never matches, and ``==`` never holds.
 from typing import Any, Dict, Iterator, List, Mapping, NamedTuple, Optional, Set, Tuple
 
 from ...foundation.errors import RuleError
-from ...messages.named_slots import SENSOR_PREDICATES
+from ...messages.message_notation import SENSOR_PREDICATES
 from ...messages.type_definition import Definition, Field, functor_name
 from ...prolog.terms.types import Atom, CompoundTerm, Functor, String, Term, Var, deref, functor
 from ..language.event_declarations import ValueType, slot_value_type

@@ -23,14 +23,14 @@ from ...prolog.terms.types import EventAction, Frame, Var
 from ..language.event_operators import EventOperator
 from ..matches.consumption_policy import Emit, MatchSide
 from ..matches.match_buffer import MatchBuffer
-from ..matches.negation import NegationBuffer
-from ..matches.partial_matches import (
+from ..matches.match_types import (
     ComputedValues,
     EventMatch,
     IdentifiedEventMatch,
     OrderedEventMatch,
     PartialMatch,
 )
+from ..matches.negation import NegationBuffer
 from .fused_single_event import Continuation
 
 STALE_ARRIVALS_TOLERANCE = 1000

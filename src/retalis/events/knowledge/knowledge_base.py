@@ -16,6 +16,7 @@ from ..dispatch.dispatcher import Dispatcher
 from ..language.stream_parser import subscription_event
 from .event_states import StateRegistry
 from .memory import UPDATED, MemoryInstance, Warn, key_of
+from .memory_gaps_and_pose_chains import MemoryGaps, TransformChains
 from .memory_registry import (
     CREATED,
     DELETED,
@@ -25,7 +26,6 @@ from .memory_registry import (
     enumerate_records,
 )
 from .pending_queries import TIMEOUT_EVENT, MissingSources, PendingQueries
-from .record_interpolation import MemoryGaps, TransformChains
 from .subscriptions import Deliver, Subscriptions
 from .transform_buffer import TransformBuffer
 from .transforms import Transforms

@@ -31,7 +31,7 @@ from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import Listener, ListenerPhase
 from ..language.pattern_tree import RatePattern
 from ..language.stream_parser import subscription_event, subscription_rate_operator
-from ..matches.partial_matches import NetworkOptions
+from ..matches.match_types import NetworkOptions
 from ..network.stream_compiler import compile_rate_spec
 from ..streams.stream_operators import StreamElement, StreamOperator, StreamOutput
 from .memory import Recording, Warn, compile_recording, key_of, record_event, unused_variables

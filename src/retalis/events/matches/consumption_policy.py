@@ -46,7 +46,7 @@ from typing import (
 from ...prolog.machine.resource_limits import Meter
 from ...prolog.terms.types import Frame
 from .match_buffer import MatchBuffer, has_equal_key
-from .partial_matches import PartialMatch, arrival_number_of, lineage_sources, unify_sides
+from .match_types import PartialMatch, arrival_number_of, lineage_sources, unify_sides
 
 if TYPE_CHECKING:
     from ..provenance.lineage import LineageTracker

@@ -23,7 +23,7 @@ import heapq
 from collections import deque
 from typing import Callable, Deque, Dict, List, NamedTuple, Optional, Tuple, TypeVar
 
-from .partial_matches import PartialMatch
+from .match_types import PartialMatch
 
 
 class Retention(NamedTuple):

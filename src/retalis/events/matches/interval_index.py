@@ -21,7 +21,7 @@ from typing import Any, Callable, Dict, Iterable, Iterator, List, NamedTuple, Op
 
 from ...foundation.codegen import shared_function
 from ..language.event_operators import PAIR_OPERATORS, EventOperator
-from .partial_matches import PartialMatch
+from .match_types import PartialMatch
 
 TimeBounds = Tuple[int, int, int, int]
 """Smallest and largest start, smallest and largest end; all inclusive."""

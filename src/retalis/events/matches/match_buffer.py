@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Callable, Dict, Hashable, Iterator, List, Opti
 from ...prolog.terms.term_traversal import SELF_KEYED, freeze
 from ...prolog.terms.types import Values
 from .interval_index import MAX_VALUE, MIN_VALUE, IntervalBounds, IntervalIndex, TimeBounds
-from .partial_matches import EventMatch, IdentifiedEventMatch, PartialMatch
+from .match_types import EventMatch, IdentifiedEventMatch, PartialMatch
 
 if TYPE_CHECKING:
     from ..network.event_rule import EventRule

@@ -29,7 +29,7 @@ from typing import (
 )
 
 from ...prolog.terms.types import NIL, Term, Values, Var
-from .partial_matches import NO_REPETITIONS, IdentifyingRepetitions, PartialMatch, Parts, identity
+from .match_types import NO_REPETITIONS, IdentifyingRepetitions, PartialMatch, Parts, identity
 
 if TYPE_CHECKING:
     from ..network.repeat_node import RepeatNode

@@ -18,7 +18,7 @@ from ...prolog.terms.types import Frame
 from ..dispatch.listeners import DEPTH
 from ..matches.consumption_policy import Emit
 from ..matches.expiration import ExpirationQueue
-from ..matches.partial_matches import AfterMatchSkipStrategy, NetworkOptions, PartialMatch
+from ..matches.match_types import AfterMatchSkipStrategy, NetworkOptions, PartialMatch
 from .pattern_nodes import ActionNode, FilterNode, NetworkNode
 
 if TYPE_CHECKING:

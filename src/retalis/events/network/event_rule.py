@@ -40,8 +40,8 @@ from ..matches.expiration import (
     smaller_bound,
 )
 from ..matches.match_buffer import MatchBuffer
+from ..matches.match_types import NetworkOptions, PartialMatch, check_policy
 from ..matches.negation import RuledOutSweep
-from ..matches.partial_matches import NetworkOptions, PartialMatch, check_policy
 from .after_match_skip import AfterMatchSkip, select_skip_state
 from .pattern_nodes import EventNode
 from .rule_compiler import RuleCompiler

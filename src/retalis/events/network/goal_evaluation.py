@@ -28,7 +28,7 @@ from ...prolog.terms.term_traversal import are_ground, positions, variables
 from ...prolog.terms.types import Atom, EventAction, Frame, Term, Values, Var, deref, functor
 from ..fused.fused_single_event import Continuation, compile_goal_action
 from ..matches.consumption_policy import emit_each, metered
-from ..matches.partial_matches import PartialMatch
+from ..matches.match_types import PartialMatch
 from ..streams.aggregates import AGGREGATES, array_length, is_number, is_number_expression, value_error
 
 if TYPE_CHECKING:

@@ -40,8 +40,8 @@ from ..matches.consumption_policy import (
 from ..matches.expiration import retention_for_late
 from ..matches.interval_index import interval_bounds
 from ..matches.match_buffer import MatchBuffer
+from ..matches.match_types import ComputedValues, NetworkOptions, PartialMatch, is_retracted
 from ..matches.negation import DeferredNegations, NegationBuffer, RuledOutSweep
-from ..matches.partial_matches import ComputedValues, NetworkOptions, PartialMatch, is_retracted
 from .goal_evaluation import Test
 from .pattern_nodes import (
     EventNode,

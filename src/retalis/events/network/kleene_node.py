@@ -11,7 +11,7 @@ Conditions are divided by the data that they need:
 * *step tests* use one repetition and the start; they decide whether the repetition extends the run;
 * *tests* use the run as a whole and are part of the match: a repetition that fails one does not extend the run;
 * *result tests* use the result of an aggregate: the repetition extends the run, but the result is not emitted;
-* conditions that use variables of patterns further left are tested by nodes further up (see `deferred_conditions`).
+* conditions that use variables of patterns further left are tested by nodes further up (see `condition_placement`).
   Their values are passed on as a list of items, one for each repetition (see `RepetitionItems`).
 
 If an event is retracted, the repetitions that contain it are removed and the run is computed again
@@ -49,8 +49,7 @@ from ..matches.consumption_policy import (
 )
 from ..matches.interval_index import interval_bounds
 from ..matches.match_buffer import MatchBuffer, has_equal_key
-from ..matches.negation import DeferredNegations
-from ..matches.partial_matches import (
+from ..matches.match_types import (
     ComputedValues,
     NetworkOptions,
     PartialMatch,
@@ -60,9 +59,10 @@ from ..matches.partial_matches import (
     unify_sides,
     unify_values,
 )
+from ..matches.negation import DeferredNegations
 from ..matches.shared_run_buffer import NO_ITEMS, Run, identity_by_start, identity_by_start_interval
 from ..streams.aggregates import SequenceAggregate
-from .deferred_conditions import RepetitionItems, append_item
+from .condition_placement import RepetitionItems, append_item
 from .goal_evaluation import Test
 from .pattern_nodes import IdentityFunction, NetworkNode, OperandBuffer, computed_values_getter
 

@@ -46,14 +46,14 @@ from ..language.pattern_tree import (
 )
 from ..matches.consumption_policy import Emit
 from ..matches.match_buffer import MatchBuffer
-from ..matches.negation import DeferredNegations, NegationBuffer, RuledOutSweep
-from ..matches.partial_matches import (
+from ..matches.match_types import (
     ComputedValues,
     IdentityWithValues,
     NetworkOptions,
     PartialMatch,
     identity,
 )
+from ..matches.negation import DeferredNegations, NegationBuffer, RuledOutSweep
 from ..matches.shared_run_buffer import RunGroupBuffer
 from .goal_evaluation import RuleGoal, Test
 

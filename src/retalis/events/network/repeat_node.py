@@ -37,7 +37,7 @@ from ..language.pattern_tree import SEQ
 from ..matches.consumption_policy import Emit, emit_each, metered
 from ..matches.interval_index import interval_bounds
 from ..matches.match_buffer import MatchBuffer, key_function
-from ..matches.partial_matches import NetworkOptions, PartialMatch, identity
+from ..matches.match_types import NetworkOptions, PartialMatch, identity
 from ..matches.shared_run_buffer import (
     BufferSlice,
     RunCursor,

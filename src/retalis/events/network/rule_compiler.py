@@ -41,7 +41,7 @@ from ..language.pattern_tree import (
 )
 from ..matches.expiration import UNLIMITED, Retention
 from ..streams.aggregates import SequenceAggregate
-from .deferred_conditions import (
+from .condition_placement import (
     BuiltPattern,
     DeferredCondition,
     NegatedPattern,

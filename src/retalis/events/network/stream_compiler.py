@@ -37,7 +37,7 @@ from ..language.pattern_tree import (
 from ..language.stream_parser import split_condition
 from ..matches.expiration import UNLIMITED, Retention
 from ..matches.match_buffer import key_function
-from ..matches.partial_matches import NetworkOptions, PartialMatch, unify_sides
+from ..matches.match_types import NetworkOptions, PartialMatch, unify_sides
 from ..streams.absence_timeout import AbsenceTimeout, Correlation
 from ..streams.aggregates import AGGREGATES
 from ..streams.row_pattern import (
@@ -56,7 +56,7 @@ from ..streams.windows import (
     SlidingTimeWindow,
     TumblingCountWindow,
 )
-from .deferred_conditions import BuiltPattern, NegatedPattern, VarSet, create_negation_buffer
+from .condition_placement import BuiltPattern, NegatedPattern, VarSet, create_negation_buffer
 from .goal_evaluation import Evaluate, Evaluators, FoldFunction, GoalTest
 from .pattern_nodes import MatchKeys
 from .stream_node import MatchValuesBuilder, StreamNode, StreamNodeSpec

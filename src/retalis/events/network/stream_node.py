@@ -42,8 +42,7 @@ from ..fused.fused_window import FusedWindow, compile_fused_window
 from ..language.pattern_tree import Pattern
 from ..matches.consumption_policy import Emit, emit_each, metered
 from ..matches.expiration import smaller_bound
-from ..matches.negation import DeferredNegations
-from ..matches.partial_matches import (
+from ..matches.match_types import (
     NO_REPETITIONS,
     ComputedValues,
     NetworkOptions,
@@ -52,6 +51,7 @@ from ..matches.partial_matches import (
     arrival_number_of,
     is_retracted,
 )
+from ..matches.negation import DeferredNegations
 from ..provenance.event_log import lineage_nodes_of
 from ..streams.row_pattern import MAX_STATES_PER_START
 from ..streams.stream_operators import KeyBounds, OperatorState, StreamElement, StreamOperator, StreamOutput

@@ -11,8 +11,8 @@ from itertools import chain
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Set
 
 from ...foundation.errors import Errors, Place, RetalisError, RuleError
-from ...prolog.builtins.clause_translation import SINGLE_SIDED, translate_single_sided
-from ...prolog.database.control_constructs import split_clause
+from ...prolog.builtins.grammar_and_ssu_rules import SINGLE_SIDED, translate_single_sided
+from ...prolog.database.goal_interpreter import split_clause
 from ...prolog.machine.errors import PrologError
 from ...prolog.syntax.term_reader import ReadTerm
 from ...prolog.system.predicate_resolution import is_replaceable
@@ -54,8 +54,8 @@ from ..language.rule_head_parser import (
     split_label,
 )
 from ..language.state_parser import HOLDS, STATE, declares_state
+from .file_and_library_names import renaming_clauses
 from .file_directives import FileDeclarations, Goals, directive_goals
-from .source_files import renaming_clauses
 
 _CLAUSE = functor(":-", 2)
 _GRAMMAR = functor("-->", 2)

@@ -54,9 +54,9 @@ from .event_file_checker import (
     included_file_name,
     predicates_defined_in,
 )
+from .file_and_library_names import LIBRARY, SourceFiles, check_library
 from .file_directives import Directives
 from .prolog_file_loader import PrologFileLoader, PrologSource
-from .source_files import LIBRARY, SourceFiles, check_library
 from .source_preprocessing import ConditionalCompilation, TermExpansion
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from ...foundation.errors import Place, ProgramErrors, RetalisError, RuleError, 
 from ...prolog.syntax.operators import Operators
 from ...prolog.syntax.term_reader import ReadTerm, read_term
 from ...prolog.terms.types import Term, deref, functor
-from .source_files import SourceFiles
+from .file_and_library_names import SourceFiles
 
 ReadResult = Union[ReadTerm, SyntaxFault]
 RunWithPermissions = Callable[[Optional[Path], Callable[[], Any]], Any]

@@ -26,8 +26,8 @@ from .event_file_checker import (
     fact_error,
     included_file_name,
 )
+from .file_and_library_names import SourceFiles, declare_operators
 from .file_directives import Directives, Goals
-from .source_files import SourceFiles, declare_operators
 from .source_preprocessing import ConditionalCompilation, TermExpansion
 
 if TYPE_CHECKING:

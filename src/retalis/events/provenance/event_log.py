@@ -27,7 +27,7 @@ from typing import (
 )
 
 from ...foundation.errors import RetalisError, UsageError
-from ...prolog.database.control_constructs import functor_of
+from ...prolog.database.goal_interpreter import functor_of
 from ...prolog.database.predicate import Predicate
 from ...prolog.machine.machine import Machine
 from ...prolog.terms.term_traversal import copy
@@ -35,7 +35,7 @@ from ...prolog.terms.timestamps import interval_term
 from ...prolog.terms.types import SLASH, Atom, Frame, Functor, Term, Trail, Values, Var, deref, functor
 from ...prolog.terms.unification import undo, unify
 from ..dispatch.listeners import Listener, ListenerPhase
-from ..matches.partial_matches import (
+from ..matches.match_types import (
     Dependent,
     PartialMatch,
     RepetitionChain,

@@ -45,7 +45,7 @@ from ..language.pattern_tree import (
     WithinPattern,
 )
 from ..language.stream_parser import rate_operator_term, window_term
-from ..matches.partial_matches import ComputedValues, PartialMatch, RepetitionChain
+from ..matches.match_types import ComputedValues, PartialMatch, RepetitionChain
 from ..matches.shared_run_buffer import repetitions
 from .event_log import Occurrence
 from .lineage import LineageTracker

@@ -35,7 +35,7 @@ from ...prolog.terms.types import Frame, Term, Values, Var, functor
 from ..dispatch.listeners import CAUSE, END, PARENT, START, TERM, TOKEN, Context, Listener, ListenerPhase
 from ..language.rule_head_parser import SYNCHRONIZED
 from ..matches.consumption_policy import metered
-from ..matches.partial_matches import PartialMatch, RepetitionChain, lineage_sources
+from ..matches.match_types import PartialMatch, RepetitionChain, lineage_sources
 from ..matches.shared_run_buffer import Run
 from .event_log import (
     LineageNode,

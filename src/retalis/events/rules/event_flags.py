@@ -8,7 +8,7 @@ from ...foundation.errors import UsageError
 from ...prolog.terms.timestamps import from_seconds
 from ...prolog.terms.types import Atom, Term, atom
 from ..language.event_declarations import STRICTLY, UNDECLARED
-from ..matches.partial_matches import ConsumptionPolicy, NetworkOptions
+from ..matches.match_types import ConsumptionPolicy, NetworkOptions
 from ..streams.stream_operators import KeyBounds
 
 _SWITCH = ("off", "on")

@@ -25,12 +25,12 @@ from ..language.event_declarations import UNDECLARED, DeclaredEvents
 from ..language.pattern_parser import no_place
 from ..language.pattern_tree import RuleDefinition
 from ..language.rule_head_parser import Property, is_absolute_alarm, is_rule
-from ..matches.partial_matches import NetworkOptions, options_with_property
+from ..matches.match_types import NetworkOptions, options_with_property
 from ..network.event_rule import EventRule
 from ..network.goal_evaluation import ConditionState, TimedNode
 from ..program.event_file_checker import FileChecker
 from ..program.event_file_loader import EventFileLoader
-from ..program.source_files import SourceFiles
+from ..program.file_and_library_names import SourceFiles
 from ..provenance.event_log import EventLog, Occurrence
 from ..provenance.explanation_terms import Justifier
 from ..provenance.lineage import LineageTracker

@@ -2,7 +2,7 @@
 
 A message with named slots is an entry of kind ``SLOTS`` on the parser's stack. When its bracket closes, the term is
 built with all arguments in the order of the message type: a variable for each slot that is not named, and floats in
-place of integers in float slots. `SlotNames` (in `messages.named_slots`) provides the slots of a message type.
+place of integers in float slots. `SlotNames` (in `messages.message_notation`) provides the slots of a message type.
 
 `misnamed_message_error` creates the error for a name before the bracket that is not a message type: a ROS notation
 (``Temperature``, ``sensor_msgs/Temperature``), a misspelt name, or a space before the bracket.
@@ -15,12 +15,12 @@ from ...foundation.errors import RetalisError, SyntaxFault
 from ..terms.types import Term, Var, atom, functor
 from . import parser_stack
 from .literals import atom_text
-from .message_slots import MessageSlot, ParsedMessage, integers_to_floats
 from .parser_stack import LIST, SLOTS, OpenBracket, OperatorTable, ParserStack, ParserState
+from .slot_defaults import MessageSlot, ParsedMessage, integers_to_floats
 from .tokenizer import NAME, QUOTED, VARIABLE, token_description
 
 if TYPE_CHECKING:
-    from ...messages.named_slots import SlotNames
+    from ...messages.message_notation import SlotNames
 
 _MAX_SUGGESTED_TYPES = 3
 """Maximum number of message types that an error suggests."""
@@ -248,7 +248,7 @@ class NamedSlotParser(ParserStack):
         for number, slot in enumerate(slots, 1):
             value, offset = values.get(number, (None, start))
             if value is None:
-                # `message_slots.bind_defaults` binds the variable if the message is in a constructed part of the
+                # `slot_defaults.bind_defaults` binds the variable if the message is in a constructed part of the
                 # clause, which is known when the whole clause has been read.
                 value = Var()
                 default_values[value] = slot.default

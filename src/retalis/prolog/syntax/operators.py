@@ -23,7 +23,7 @@ from ...foundation.errors import UsageError
 from ..terms.types import Functor, functor
 
 if TYPE_CHECKING:
-    from ...messages.named_slots import SlotNames
+    from ...messages.message_notation import SlotNames
 
 
 class Operator(NamedTuple):

@@ -18,9 +18,9 @@ from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 from ...foundation.errors import SyntaxFault
 from ..terms.types import COMMA, CONS, NIL, Term, Var, functor
-from .message_slots import ParsedMessage
 from .operators import EVENT_SYNTAX, Operator, Operators
 from .rule_detection import ARROW, NO_RULES, RuleLayout
+from .slot_defaults import ParsedMessage
 from .tokenizer import (
     END,
     NAME,

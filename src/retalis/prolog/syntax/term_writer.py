@@ -41,14 +41,14 @@ from ..terms.types import (
     serial,
 )
 from .literals import atom_text, float_text, integer_text, quote
-from .message_slots import (
+from .operators import Operator, Operators, standard_operators
+from .slot_defaults import (
     MessageNotation,
     MessageSlot,
     compound_subterms,
     constructed_parts,
     floats_to_integers,
 )
-from .operators import Operator, Operators, standard_operators
 
 _CURLY_TERM = functor("{}", 1)
 _VAR_FUNCTOR = functor("$VAR", 1)

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from inspect import Parameter
 
     from ...engine.runtime.serial_executor import SerialExecutor
-    from ...events.program.source_files import SourceFiles
+    from ...events.program.file_and_library_names import SourceFiles
 
 _ERROR = functor("error", 2)
 _PYTHON_ERROR = functor("python_error", 2)

@@ -9,7 +9,7 @@ from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
 from ...foundation.errors import Place
 from ..builtins.clause_predicates import declare_tabled
-from ..builtins.global_state import restored_flags
+from ..builtins.flags_operators_modules import restored_flags
 from ..builtins.tabling import tables_of
 from ..database.clause_index import Clause
 from ..database.predicate import Predicate

@@ -23,14 +23,14 @@ from ..builtins import (  # noqa: F401
     association_lists,
     atoms_and_strings,
     clause_predicates,
-    clause_translation,
     file_names,
+    flags_operators_modules,
     format_strings,
-    global_state,
+    grammar_and_ssu_rules,
     input_predicates,
+    limits_and_cleanup,
     list_predicates,
-    message_printing,
-    meta_calls,
+    listing_and_messages,
     output_predicates,
     pose_predicates,
     sensor_predicates,
@@ -42,12 +42,12 @@ from ..builtins import (  # noqa: F401
     time_predicates,
 )
 from ..builtins.builtin_registry import ENTRIES
-from ..builtins.clause_translation import translate_rule
-from ..builtins.global_state import default_flags
+from ..builtins.flags_operators_modules import default_flags
+from ..builtins.grammar_and_ssu_rules import translate_rule
 from ..compiler.clause_nodes import PROTECTED_PREDICATES
 from ..database.clause_index import Clause, functional
-from ..database.control_constructs import Control, control_predicates, functor_of, split_clause
 from ..database.database import ISO_PREDICATES, Database
+from ..database.goal_interpreter import Control, control_predicates, functor_of, split_clause
 from ..database.predicate import COMPILE_AFTER, Predicate
 from ..machine.machine import LAST, Code, Machine
 from ..syntax.operators import Operators

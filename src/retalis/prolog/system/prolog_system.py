@@ -32,7 +32,7 @@ from typing import (
 
 from ...foundation.errors import MAX_SHOWN_CHARACTERS, Place, printable
 from ..builtins.builtin_registry import control
-from ..builtins.clause_translation import (
+from ..builtins.grammar_and_ssu_rules import (
     SINGLE_SIDED,
     is_error_clause_body,
     translate_rule,
@@ -42,7 +42,7 @@ from ..builtins.text_streams import end_captures
 from ..compiler.clause_nodes import CALL
 from ..database.clause_index import Clause
 from ..database.compiled_goal import CompiledGoal
-from ..database.control_constructs import check_body, functor_of, split_clause
+from ..database.goal_interpreter import check_body, functor_of, split_clause
 from ..database.predicate import COMPILE_AFTER, Predicate
 from ..machine.errors import CONTEXT, PrologError, existence_error, indicator, permission_error
 from ..machine.machine import Code, Guard, Machine
@@ -70,7 +70,7 @@ from ..terms.unification import undo, unify
 from .predicate_resolution import PredicateTable
 
 if TYPE_CHECKING:
-    from ...events.program.source_files import SourceFiles
+    from ...events.program.file_and_library_names import SourceFiles
 
 _UNREPORTED_GOALS = frozenset(functor(name, 0) for name in ("true", "!", "fail", "false", "otherwise"))
 """Goals without ports in a trace."""

@@ -43,8 +43,8 @@ from ..language.pattern_tree import (
     occurrences,
     walk,
 )
+from ..matches.match_types import PartialMatch
 from ..matches.negation import DeferredNegations, NegationBuffer
-from ..matches.partial_matches import PartialMatch
 from ..matches.shared_run_buffer import NO_ITEMS
 from .goal_evaluation import RuleGoal, Test, compile_condition_test
 from .pattern_nodes import EventNode, NetworkNode

@@ -6,7 +6,7 @@ import pytest
 from events.stream_programs import Program, show
 
 from retalis import Engine, ProgramErrors, PrologError, Settings, StreamClock, atom
-from retalis.events.program.source_files import SourceFiles
+from retalis.events.program.file_and_library_names import SourceFiles
 
 
 def write(folder, **texts):

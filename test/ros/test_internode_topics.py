@@ -8,8 +8,8 @@ import pytest
 rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
 from retalis import MessageError, functor  # noqa: E402
-from retalis.ros import internal_topics  # noqa: E402
-from retalis.ros.internal_topics import (  # noqa: E402
+from retalis.ros import internode_topics  # noqa: E402
+from retalis.ros.internode_topics import (  # noqa: E402
     MAX_CONTROL_CHARACTERS,
     ProjectionReceiver,
     read_subscriptions,
@@ -24,7 +24,7 @@ def interface(monkeypatch):
     """Return what the interface knows, with rospy's connections and reports in lists."""
     sources = []
     impl = SimpleNamespace(connections=sources)
-    monkeypatch.setattr(internal_topics.rospy, "Subscriber", lambda *_, **__: SimpleNamespace(impl=impl))
+    monkeypatch.setattr(internode_topics.rospy, "Subscriber", lambda *_, **__: SimpleNamespace(impl=impl))
     texts, said = [SimpleNamespace(endpoint_id="/retalis")], []
     reports = SimpleNamespace(warning=lambda text, kind: said.append(text))
     known = ProjectionReceiver(lambda: texts, reports)

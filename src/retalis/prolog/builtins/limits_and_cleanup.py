@@ -12,7 +12,7 @@ from typing import Dict, Hashable, Optional, Set
 from ...foundation.cancellation import set_limit_check
 from ...foundation.cpython_and_pypy import PYPY
 from ..compiler.clause_nodes import ARROW, CALL, NOT, SEMICOLON
-from ..database.control_constructs import add_arguments, check_body
+from ..database.goal_interpreter import add_arguments, check_body
 from ..machine.arithmetic import evaluate
 from ..machine.errors import PrologError, domain_error, instantiation_error, type_error
 from ..machine.machine import Code, Guard, Machine
@@ -36,7 +36,7 @@ from ..terms.types import (
 from ..terms.unification import undo, unify
 from .argument_checks import callable_of, integer, items, number
 from .builtin_registry import control, deterministic
-from .clause_translation import translate_body
+from .grammar_and_ssu_rules import translate_body
 
 
 @deterministic("true/0", "otherwise/0", "trim_stacks/0")

@@ -9,7 +9,12 @@ from source import ROOT
 from worker_tasks import run_task, run_task_in_folder
 
 from retalis import UsageError
-from retalis.playback.worker_pool import MAX_WORKER_DEATHS, Unfinished, run_in_processes, run_on_cluster
+from retalis.playback.process_and_dask_pool import (
+    MAX_WORKER_DEATHS,
+    Unfinished,
+    run_in_processes,
+    run_on_cluster,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -41,7 +46,7 @@ def test_workers_end_where_nobody_waits_for_them_any_more():
     script = (
         "import os, signal\n"
         "from worker_tasks import run_task\n"
-        "from retalis.playback.worker_pool import run_in_processes\n"
+        "from retalis.playback.process_and_dask_pool import run_in_processes\n"
         "if __name__ == '__main__':\n"
         "    for number, process in run_in_processes(run_task, ['pid'] * 2, 1, '', print):\n"
         "        os.kill(os.getpid(), signal.SIGKILL)\n"
@@ -73,7 +78,7 @@ def test_a_cluster_does_again_what_a_lost_worker_was_at(cluster, tmp_path):
 
 def test_a_scheduler_that_does_not_answer_is_an_error(monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("retalis.playback.worker_pool._CONNECT_TIMEOUT_SECONDS", 0.2)
+    monkeypatch.setattr("retalis.playback.process_and_dask_pool._CONNECT_TIMEOUT_SECONDS", 0.2)
     with pytest.raises(UsageError, match="--scheduler tcp://127.0.0.1:1: no scheduler answers: "):
         list(run_on_cluster(run_task, ["pid"], "tcp://127.0.0.1:1"))
     with pytest.raises(UsageError, match="--scheduler nonsense://: no scheduler answers: "):

@@ -8,7 +8,7 @@ import argparse
 from typing import Callable
 
 from .command_options import any_number, non_negative
-from .ros_access import run_ros_command
+from .optional_ros_imports import run_ros_command
 
 AddCommand = Callable[..., argparse.ArgumentParser]
 
@@ -104,4 +104,4 @@ def _add_node_command(add_command: AddCommand, name: str, summary: str) -> argpa
 
 def run(options: argparse.Namespace) -> int:
     """Run a command for a running node."""
-    return run_ros_command("live_commands", options)
+    return run_ros_command("node_client_commands", options)

@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from retalis import Engine, atom, functor
-from retalis.events.matches.partial_matches import (
+from retalis.events.matches.match_types import (
     EventMatch,
     Identity,
     OrderedEventMatch,

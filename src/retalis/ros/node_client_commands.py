@@ -30,7 +30,7 @@ from ..prolog.syntax.term_reader import ReadTerm, read_term
 from ..prolog.syntax.term_writer import write_term, writeq
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.types import Atom, deref
-from .internal_topics import INPUT, OUTPUT, WATCH
+from .internode_topics import INPUT, OUTPUT, WATCH
 from .master_watch import MasterWatch
 from .services import NO_DURATION
 

@@ -16,7 +16,7 @@ from ..engine.engine import Engine
 from ..events.knowledge.subscriptions import Subscription, SubscriptionKey
 from ..events.language.pattern_tree import AggregatePattern, RatePattern, WindowPattern, walk
 from ..events.language.stream_parser import subscription_event
-from ..events.matches.partial_matches import AfterMatchSkipStrategy
+from ..events.matches.match_types import AfterMatchSkipStrategy
 from ..events.network.event_rule import EventRule
 from ..events.provenance.event_log import Occurrence
 from ..foundation.cancellation import check_limits, set_limit_check

@@ -2,7 +2,7 @@
 
 from io import StringIO
 
-from retalis.cli.stderr_report import ProgressBar, show_progress
+from retalis.cli.stderr_and_progress import ProgressBar, show_progress
 
 
 class Clock:

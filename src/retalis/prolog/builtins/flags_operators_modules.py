@@ -41,7 +41,7 @@ from ..terms.unification import unify
 from .argument_checks import atom_of, integer, is_iso, items
 from .builtin_registry import Solutions, control, deterministic, nondeterministic
 from .clause_predicates import declared_items
-from .clause_translation import translate_rule
+from .grammar_and_ssu_rules import translate_rule
 
 
 def default_flags() -> Dict[str, Term]:

@@ -51,7 +51,7 @@ def _inspect_class(name: str) -> Optional[GeneratedClass]:
     ROS is imported when the first module of such a class has been found, so that other commands start fast.
     """
     try:
-        module: Any = import_ros_module("generated_classes")
+        module: Any = import_ros_module("installed_message_classes")
     except UsageError:
         return None
     generated: GeneratedClass = module.inspect_class(name)

@@ -14,7 +14,7 @@ from typing import Any, Dict, Iterable, Iterator, List, NamedTuple, Optional, Se
 from ..foundation.bounded_caches import Cache
 from ..foundation.errors import MessageError, UsageError, format_count
 from ..prolog.syntax.event_text import to_text
-from ..prolog.syntax.message_slots import MessageNotation, MessageSlot, MessageSuggestions
+from ..prolog.syntax.slot_defaults import MessageNotation, MessageSlot, MessageSuggestions
 from ..prolog.syntax.term_writer import write_term
 from ..prolog.terms.term_traversal import copy
 from ..prolog.terms.types import atom

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Callable, Dict, Iterator, List, NamedTuple, Se
 from ..terms.types import CONS, CompoundTerm, Functor, Term, Var, deref, functor
 
 if TYPE_CHECKING:
-    from ...messages.named_slots import SlotNames
+    from ...messages.message_notation import SlotNames
 
 _ARROW = functor("<-", 2)
 _DO = functor("do", 2)
