@@ -79,6 +79,21 @@ def test_an_error_in_one_rule_does_not_keep_others_from_ringing(rule):
     assert engine.reports
 
 
+@pytest.mark.parametrize(
+    ("stream", "is_emitted"),
+    [
+        ("a(_,1)@1 b(2,3)@2", True),
+        ("a(2,1)@1 b(_,3)@2", True),
+        ("b(_,3)@2 a(2,1)@1", True),
+        ("a(_,1)@1 b(2,1)@2", False),
+        ("b(_,1)@2 a(2,1)@1", False),
+    ],
+)
+def test_absent_event_with_variables_cancels_only_what_it_unifies_with(stream, is_emitted):
+    engine = Run("o(Y) <- a(X, Y) seq absent(b(X, Y), 3).")
+    assert engine.feed(f"{stream} tick@9").endswith(" o(1)@1-4") == is_emitted
+
+
 def test_a_rule_that_is_deleted_rings_no_more():
     engine = Run(EVERY.format("a", 2) + EVERY.format("z", 2))
     engine.feed("in(1)@1")

@@ -137,6 +137,7 @@ class AbsenceTimeout(StreamOperator):
         element.order = self._order
         key = self.correlation.key_of(element.match, channel)
         if channel:
+            element.key = key
             self._cancel_pending(element, key)
             self._store_forbidden(element, key)
         # The deadline has passed: forbidden elements that would cancel this element may have been dropped already.
@@ -182,7 +183,8 @@ class AbsenceTimeout(StreamOperator):
             self._set_pending_key(element, self.correlation.key_of(element.match, 0))
             self._add_pending(element)
         for element in forbidden:
-            self._store_forbidden(element, self.correlation.key_of(element.match, 1))
+            element.key = self.correlation.key_of(element.match, 1)
+            self._store_forbidden(element, element.key)
         self._update_deadline()
 
     def _set_pending_key(self, element: StreamElement, key: Hashable) -> None:
@@ -251,14 +253,14 @@ class AbsenceTimeout(StreamOperator):
         if not (element.end < forbidden.start and forbidden.end < element.end + self.span):
             return False
         correlation = self.correlation
-        key: Any = element.key
-        # The candidates were found by their key, so equality needs no further test.
-        if correlation.key_is_sufficient and key is not None and forbidden.key is not None:
+        pending_key: Any = element.key
+        # The candidates were found by their key, so equal keys need no further test. A key of None is no such key: it
+        # stands for values with variables.
+        if correlation.key_is_sufficient and pending_key[0] is not None and forbidden.key is not None:
             return True
         return correlation.cancels(element.match, forbidden.match)
 
     def _store_forbidden(self, element: StreamElement, key: Hashable) -> None:
-        element.key = key
         forbidden_elements = self._forbidden.setdefault(key, _ForbiddenElements())
         drops_redundant = self.correlation.key_is_sufficient and key is not None
         self._stored_count += 1
