@@ -28,7 +28,7 @@ DECORATED = {
 
 HELD = {
     ("ros/ros_interface.py", "self._cached_handlers"): (1000, 16 << 20),
-    ("engine/runtime/clock_skew.py", "times"): (5000, 4 << 20),  # for each topic
+    ("engine/runtime/clock_skew.py", "frames"): (5000, 4 << 20),  # for each topic
     ("ros/ros_interface.py", "self._checked"): (1000, 1 << 20),
     ("ros/text_topics.py", "self._full_names"): (1000, 1 << 20),
     ("events/rules/event_input_predicates.py", "self._seconds"): (64, 64 << 10),
@@ -40,10 +40,10 @@ HELD = {
     ("prolog/syntax/event_text.py", "self._spans"): (2048, 1 << 20),
     ("prolog/syntax/literals.py", "atom_text"): (8192, 4 << 20),
     ("foundation/codegen.py", "_factories"): (1000, 16 << 20),
-    ("prolog/swi/swi_terms.py", "self._handles"): (4096, 1 << 20),
-    ("prolog/swi/swi_terms.py", "self._functors"): (4096, 1 << 20),
-    ("prolog/swi/swi_terms.py", "self._atoms"): (4096, 1 << 20),
-    ("prolog/swi/swi_terms.py", "self._names"): (4096, 1 << 20),
+    ("prolog/swi/swi_terms.py", "self._atom_handles"): (4096, 1 << 20),
+    ("prolog/swi/swi_terms.py", "self._functor_handles"): (4096, 1 << 20),
+    ("prolog/swi/swi_terms.py", "self._atoms_by_handle"): (4096, 1 << 20),
+    ("prolog/swi/swi_terms.py", "self._functors_by_handle"): (4096, 1 << 20),
     ("messages/type_registry.py", "self._by_text"): (1000, 32 << 20),
     ("messages/type_registry.py", "self._decoders"): (1000, 32 << 20),
     ("messages/type_registry.py", "self._encoders"): (1000, 32 << 20),

@@ -9,8 +9,8 @@ from retalis import Operators, Place
 from retalis.foundation.errors import (
     MAX_SHOWN_CHARACTERS,
     format_count,
-    place_at,
-    place_in,
+    place_at_column,
+    place_at_offset,
     printable,
     printable_json,
     shorten,
@@ -23,7 +23,10 @@ from retalis.prolog.syntax.term_reader import read_program
 )
 def test_the_caret_stands_under_the_column_of_a_line_of_any_length(length, column):
     line = "".join(chr(ord("a") + at % 26) for at in range(length))
-    for place in (place_in("file", 3, column, line), place_at("file", f"1\n\n{line}\nend", column + 2)):
+    for place in (
+        place_at_column("file", 3, column, line),
+        place_at_offset("file", f"1\n\n{line}\nend", column + 2),
+    ):
         assert (place.source, place.line, place.column) == ("file", 3, column)
         shown, caret = place.context().split("\n")
         assert len(shown) <= MAX_SHOWN_CHARACTERS and len(caret) <= MAX_SHOWN_CHARACTERS + 1

@@ -31,7 +31,7 @@ from ..foundation.errors import (
     RuleError,
     SyntaxFault,
     UsageError,
-    place_in,
+    place_at_column,
 )
 from ..prolog.machine.machine import Machine
 from ..prolog.syntax.event_text import EventReader
@@ -73,7 +73,7 @@ def read_stream(file: IO[str], operators: Operators, source: str) -> Iterator[St
     reader = EventReader(operators)
     for line_number, text in enumerate(file, 1):
         if not unparsed_text and text.startswith("event("):
-            place = place_in(source, line_number, 1, text.rstrip("\n"))
+            place = place_at_column(source, line_number, 1, text.rstrip("\n"))
             event = _parse_event_line(reader, text.rstrip(), place)
             if event is not None:
                 yield event

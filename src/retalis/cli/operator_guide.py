@@ -665,7 +665,7 @@ _SUFFIXES = (
     "e",
     "y",
 )
-"""Suffixes that are removed from a word to obtain its stem, the longest first."""
+"""Suffixes that are removed from a word to obtain its stem; a suffix stands before its own endings."""
 
 _MIN_STEM_LETTERS = 3
 """Minimum number of letters of a stem."""

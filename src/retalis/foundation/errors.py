@@ -102,7 +102,7 @@ class Place(NamedTuple):
         return f"{self.text}\n{lead}^"
 
 
-def place_on(source: str, line: int, text: str, start: int, offset: int) -> Place:
+def place_in_line(source: str, line_number: int, text: str, start: int, offset: int) -> Place:
     """Return the place of the character at ``offset`` of a text, in the line that begins at ``start``."""
     end = text.find("\n", offset, offset + MAX_SHOWN_CHARACTERS)
     if end < 0:
@@ -110,18 +110,18 @@ def place_on(source: str, line: int, text: str, start: int, offset: int) -> Plac
     # Only a part of at most `MAX_SHOWN_CHARACTERS` around the offset is copied: a line may be as long as the file.
     before = max(0, min(offset - MAX_SHOWN_CHARACTERS // 2, end - MAX_SHOWN_CHARACTERS) - start)
     shown = text[start + before : min(end, start + before + MAX_SHOWN_CHARACTERS)]
-    return Place(source, line, offset - start + 1, shown, before)
+    return Place(source, line_number, offset - start + 1, shown, before)
 
 
-def place_in(source: str, number: int, column: int, line: str) -> Place:
+def place_at_column(source: str, line_number: int, column: int, line: str) -> Place:
     """Return the place at a column of a line."""
-    return place_on(source, number, line, 0, column - 1)
+    return place_in_line(source, line_number, line, 0, column - 1)
 
 
-def place_at(source: str, text: str, offset: int) -> Place:
+def place_at_offset(source: str, text: str, offset: int) -> Place:
     """Return the place of the character at ``offset`` of ``text``."""
     start = text.rfind("\n", 0, offset) + 1
-    return place_on(source, text.count("\n", 0, start) + 1, text, start, offset)
+    return place_in_line(source, text.count("\n", 0, start) + 1, text, start, offset)
 
 
 def quote_shortened(text: str) -> str:
@@ -262,7 +262,7 @@ class Errors(List[RetalisError]):
 
 
 class ProgramErrors(RetalisError):
-    """All errors of a file; nothing of the file is active.
+    """All errors of a file. No rule of the file is active; of a goal file, the other goals have been called.
 
     If there are more than `MAX_ERRORS`, the last entry states the number of further errors.
 

@@ -1,4 +1,4 @@
-"""Message slots by name, near misses of message names, and templates of messages.
+"""Message slots by name, suggestions for misspelt message names, and templates of messages.
 
 Programs may write a message with named slots (``T{a: X}``). `SlotNames` supplies the slots of the type and their
 default values. If the name is not a message, it suggests the messages that the name is another spelling of
@@ -46,7 +46,7 @@ _MAX_NAME_CHARACTERS = 200
 
 
 class TypeSpellings:
-    """Index of message names by their lower-case normalized and digits, which are equal for all spellings of a name.
+    """Index of message names by their letters and digits in lower case, which are equal for all spellings of a name.
 
     Args:
         names: pairs of a message's name in programs and its type (or the name again).
@@ -67,7 +67,7 @@ class TypeSpellings:
         return self._names.get(_normalize(name.replace("__0__", "/")), [])
 
     def find_similar(self, name: str) -> List[str]:
-        """Return the names of the message whose spelling is closest to ``name`` and begins with the same letter."""
+        """Return the names of the messages with the closest spelling that begin with the same letter as ``name``."""
         if len(name) > _MAX_NAME_CHARACTERS:
             return []
         normalized = _normalize(name)
@@ -235,7 +235,7 @@ class _Template:
         self.used_variables: Set[str] = set()
 
     def format_type(self, definition: Definition) -> str:
-        """Return the term of a type, with those of the elements of arrays and the constants as comments."""
+        """Return the term of a type, followed by comments: terms of the types of array elements, and constants."""
         lines = list(self.format_message(definition, "", "", [], _format_size(definition.measure)))
         template_lines = _align_comments(lines)
         elements = _find_element_types(definition)
@@ -333,7 +333,7 @@ def _format_size(measure: Measure) -> str:
 
 
 def _format_slot_size(slot: Field) -> str:
-    """Return the serialized size of a slot: fixed, or the minimum and that of each element."""
+    """Return the serialized size of a slot as text; for arrays of variable length, the size of each element."""
     element = measure_of(slot)
     if slot.length == VARIABLE_LENGTH:
         element_size = f"{element.min_size}{'' if element.is_fixed_size else ' or more'}"

@@ -27,7 +27,7 @@ from struct import error as StructError
 from typing import Callable, Deque, Dict, FrozenSet, List, NamedTuple, Optional, Tuple
 
 from ..foundation import codegen
-from ..foundation.errors import MessageError, place_at, quote_shortened, shorten
+from ..foundation.errors import MessageError, place_at_offset, quote_shortened, shorten
 from ..foundation.ros_names import ros1_type_name
 from .type_definition import (
     EXPECTED_CONSTANT_TYPE,
@@ -190,7 +190,7 @@ class _Ros2DefinitionReader:
             else:
                 problem = self._read_line(match)
             if problem:
-                place = place_at(self.name, text, offset + len(line) - len(line.lstrip()))
+                place = place_at_offset(self.name, text, offset + len(line) - len(line.lstrip()))
                 raise MessageError(problem, place)
         return _Ros2Section("".join(f"{line}\n" for line in self.lines), self.wide_slots, self.slot_types)
 

@@ -31,8 +31,8 @@ from ..foundation.errors import (
     MessageError,
     Place,
     format_count,
-    place_at,
-    place_in,
+    place_at_column,
+    place_at_offset,
     quote_shortened,
     shorten,
 )
@@ -460,7 +460,8 @@ def split_sections(name: str, text: str) -> Dict[str, str]:
         if separator_line:
             if not line.startswith("MSG:"):
                 raise MessageError(
-                    "expected 'MSG: pkg/Type' after the line of '='", place_in(name, line_number, 1, line)
+                    "expected 'MSG: pkg/Type' after the line of '='",
+                    place_at_column(name, line_number, 1, line),
                 )
             current, lines, separator_line = ros1_type_name(line[4:].strip()), [], 0
         elif len(line) >= _MIN_SEPARATOR_CHARACTERS and not line.strip("="):
@@ -624,7 +625,7 @@ class _DefinitionReader:
             )
 
     def _make_error(self, message: str, offset: int) -> MessageError:
-        return MessageError(message, place_at(self.source, self.text, offset))
+        return MessageError(message, place_at_offset(self.source, self.text, offset))
 
 
 def lines_with_offsets(text: str) -> Iterator[Tuple[int, str]]:

@@ -28,7 +28,7 @@ from struct import Struct
 from tempfile import TemporaryDirectory
 from typing import Any, Callable, Collection, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple, Union
 
-from ..foundation.errors import MessageError, format_count, place_at, quote_shortened, shorten
+from ..foundation.errors import MessageError, format_count, place_at_offset, quote_shortened, shorten
 from ..foundation.ros_names import ros1_type_name, topic_fault
 from ..messages.ros2_to_ros1 import Ros2Type, parse_ros2_type
 from ..messages.type_registry import InstalledTypes
@@ -790,7 +790,7 @@ def _make_idl_error(name: str, text: str, error: Exception) -> MessageError:
     expected = " or ".join(sorted(re.findall(r"'[^']*'|/[^/]*/", match["expected"] or ""))) or "IDL"
     return MessageError(
         f"its definition in IDL cannot be parsed: expected {shorten(expected)}",
-        place_at(ros1_type_name(name), text, min(int(match["offset"]), len(text))),
+        place_at_offset(ros1_type_name(name), text, min(int(match["offset"]), len(text))),
     )
 
 

@@ -24,7 +24,7 @@ from ..prolog.terms.timestamps import SECOND
 _AUTHORITY = "retalis"
 
 _MAX_LATE = 86_400 * SECOND
-"""Time before the first transform that others may have, in nanoseconds, before times become absolute."""
+"""How much older than the first transform others may be, in ns. After an older one, times become absolute."""
 
 _MAX_CACHE_SECONDS = (1 << 31) - 1
 """Longest duration of ROS in seconds."""
@@ -116,7 +116,7 @@ class Tf2Buffer(TransformBuffer):
             self._copy_pending()
         if instant:
             relative = instant - self._offset
-            # Only static transforms hold at instants that are not after the origin, or after the end of ROS time.
+            # At instants up to the origin, and beyond the end of ROS time, only static transforms hold.
             if not 0 < relative < END_OF_TIME:
                 relative = 1 if relative < 1 else END_OF_TIME - 1
             time = _Seconds(relative / 1e9)
@@ -125,14 +125,15 @@ class Tf2Buffer(TransformBuffer):
         try:
             transform = self._lookup_core(target, source, time).transform
         except self._error:
-            return self.lookup(target, source, instant) if self._copy(target, source) else None
+            # The frames may not have been copied to tf2. Then they are copied, and the look-up is repeated once.
+            return self.lookup(target, source, instant) if self._start_copying(target, source) else None
         translation, rotation = transform.translation, transform.rotation
         return (
             (translation.x, translation.y, translation.z),
             (rotation.x, rotation.y, rotation.z, rotation.w),
         )
 
-    def _copy(self, *names: str) -> bool:
+    def _start_copying(self, *names: str) -> bool:
         """Copy frames from now on, with those above them; return whether any was not copied before."""
         frames = [self._frames[name] for name in names if name in self._frames]
         if all(frame.is_copied for frame in frames):

@@ -210,10 +210,10 @@ def check_stored_once(rules: Sequence[EventRule], states: Sequence[RuleState]) -
 
 
 def check_lineage(graph: GraphReader) -> None:
-    """Check that the matches that are tried again after a retraction fit their nodes.
+    """Check the matches and runs that depend on tracked events, and the matches that a retraction tries again.
 
     Raises:
-        UsageError: if one does not.
+        UsageError: if one does not fit its node.
     """
     for suppressed in graph.objects_of(Suppressed):
         if not _can_retry(suppressed.node, suppressed.match_or_pair):

@@ -489,7 +489,7 @@ class GraphReader:
                 return [check_value(None)] * len(numbers)
             values = []
             for number, value in zip(numbers, items(column)):
-                # References to what the object consists of are added by `_check_event` and `_source_reference`.
+                # `_check_event`, `_check_part` and `_source_reference` add references to what the object consists of.
                 self._current_sources = self._sources[number]
                 values.append(check_value(value))
             return values

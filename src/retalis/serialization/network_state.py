@@ -289,7 +289,7 @@ def _is_certain(nfa: RowPatternNFA, state: _ComputationStateData) -> bool:
     steps = state.remaining_steps
     if steps is None:
         steps = nfa.transitions_after(state.step, state.element_count).steps
-    return bool(steps) and nfa.is_certain_to_complete(steps)
+    return bool(steps) and nfa.can_never_fail(steps)
 
 
 def check_rule_state(graph: GraphReader, rule: EventRule, value: Decoded) -> RuleState:

@@ -4,7 +4,7 @@ import pytest
 from reachability import reachable
 
 from retalis import Place, Reports, RetalisError, RuleError
-from retalis.foundation.errors import place_at
+from retalis.foundation.errors import place_at_offset
 
 
 @pytest.fixture
@@ -15,7 +15,7 @@ def logged(caplog):
 
 def test_what_comes_again_is_logged_ever_more_seldom_and_counted(logged):
     reports = Reports()
-    place = place_at("rules", "a\nb", 2)
+    place = place_at_offset("rules", "a\nb", 2)
     for number in range(100):
         reports.error(RuleError(f"event {number}", place))
     assert len(logged.records) == 7
@@ -26,7 +26,7 @@ def test_what_comes_again_is_logged_ever_more_seldom_and_counted(logged):
 def test_different_places_are_told_apart(logged):
     reports = Reports()
     for offset in (0, 2):
-        reports.warning(RuleError("wrong", place_at("rules", "a\nb", offset)))
+        reports.warning(RuleError("wrong", place_at_offset("rules", "a\nb", offset)))
     reports.warning("text")
     assert len(logged.records) == 3
     assert reports.warnings == 3

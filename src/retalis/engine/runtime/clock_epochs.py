@@ -79,7 +79,7 @@ class _ClockTime(NamedTuple):
     Attributes:
         reset_count: number of resets.
         now: current time in ns; 0 before the first message of the clock.
-        previous_end: time before the last reset, in ns.
+        previous_end: last time of the current epoch if a reset is pending, otherwise of the epoch before, in ns.
     """
 
     reset_count: int
@@ -153,6 +153,7 @@ class ClockEpochs:
             self._newest_time = max(instant, self._newest_time)
             self._time = _ClockTime(reset_count, instant, end)
             return
+        # A second reset before the next epoch begins does not change the end of the current one.
         if reset_count == self.epoch:
             end = self._newest_time
         self._newest_time = instant
@@ -184,7 +185,10 @@ class ClockEpochs:
         return self._time.reset_count != self.epoch or publisher in self._early_publishers
 
     def must_buffer_texts(self, sender: object) -> bool:
-        """Return whether texts of a sender must be buffered: it is ahead, or has not reported a pending reset."""
+        """Return whether texts of a sender must be buffered.
+
+        They must be if it has reported a later epoch, or has never reported one while a reset is pending.
+        """
         sender_state = self._senders.get(sender)
         if sender_state is None:
             return self._time.reset_count != self.epoch

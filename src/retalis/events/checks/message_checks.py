@@ -8,7 +8,15 @@ from pathlib import Path
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 from xml.parsers import expat
 
-from ...foundation.errors import Place, RuleError, UsageError, format_count, place_in, printable, shorten
+from ...foundation.errors import (
+    Place,
+    RuleError,
+    UsageError,
+    format_count,
+    place_at_column,
+    printable,
+    shorten,
+)
 from ...messages.type_definition import Definition, Field, type_name
 from ...messages.validating_encoder import find_fault
 from ...prolog.terms.list_terms import list_items
@@ -326,7 +334,9 @@ def read_elements(path: Path) -> List[Element]:
         line_number = parser.CurrentLineNumber
         line = lines[line_number - 1] if line_number <= len(lines) else ""
         result.append(
-            Element(tag, attributes, place_in(str(path), line_number, parser.CurrentColumnNumber + 1, line))
+            Element(
+                tag, attributes, place_at_column(str(path), line_number, parser.CurrentColumnNumber + 1, line)
+            )
         )
 
     # expat reports positions, which the standard tree parsers do not.

@@ -193,9 +193,10 @@ _REQUIREMENTS = {
 
 
 def _can_match(operator: str, left_is_instant: bool, right_is_instant: bool) -> bool:
-    """Return whether the comparisons of an operator hold for some intervals, or instants where required."""
+    """Return whether the comparisons of an operator hold for some intervals; an instant starts and ends together."""
     comparisons = PAIR_OPERATORS[operator].comparisons
-    # The comparisons depend on the order of four end points only, and five values are enough for every order.
+    # The comparisons depend on the order of four end points only, and five values for intervals and three
+    # for instants are enough for every order.
     for s1, e1 in _SAMPLE_INSTANTS if left_is_instant else _SAMPLE_INTERVALS:
         for s2, e2 in _SAMPLE_INSTANTS if right_is_instant else _SAMPLE_INTERVALS:
             values = {"s1": s1, "e1": e1, "s2": s2, "e2": e2}
@@ -213,7 +214,7 @@ def _comparison_holds(comparison: str, values: Dict[str, int]) -> bool:
 
 
 class _InstantEvents:
-    """Events that are always instants: messages, alarms, and heads of rules with one such event."""
+    """Events that are always instants: messages, and heads of rules with one such event, except alarms."""
 
     def __init__(self, program: ProgramModel):
         self._program = program
@@ -323,7 +324,7 @@ _ANY_EVENT = functor("$any", 0)
 
 
 def find_unlikely_spans(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield unlikely time spans: zero, or more than a day."""
+    """Yield unlikely time spans: more than a day, and for properties also zero."""
     for rule in program.rules:
         for subterm in subterms(wrap_term(rule.definition.term), 1, rule.place_of):
             term = subterm.term

@@ -208,7 +208,10 @@ class _ActionGenerator:
         return statements if len(indices) == 1 else [*statements, f"key = {tuple_source(names)}"]
 
     def clock_statements(self, stores_event: bool) -> List[Statement]:
-        """Return statements that advance the clock of the rule; events out of order take the general path."""
+        """Return statements that advance the clock of the rule.
+
+        An event that is stored takes the general path if it has expired already or is out of the order of its queue.
+        """
         span, queue = self.own_buffer.retention, self.queue
         long_event_test: List[Statement] = []
         if stores_event and span is not None:

@@ -182,7 +182,7 @@ class CoordinateFrame(QueryQueue):
         self.poses, self.parents, self.stamps = [pose], [parent], [instant]
 
     def trim(self, oldest: int) -> int:
-        """Drop the samples before an instant, up to the last one; return their number."""
+        """Drop the samples before an instant, but keep the last sample; return the number of dropped samples."""
         stamps = self.stamps
         first = bisect_left(stamps, oldest, self.first)
         dropped = first - self.first
@@ -255,7 +255,7 @@ class TransformBuffer:
         topology: queue of the queries about frames that are unknown or not connected.
         sample_count: number of samples.
         refused: number of transforms that were refused, without repetitions.
-        version: increases with each change.
+        version: increases with each change, except a repair.
         topology_version: increases if a frame gets its first sample, or another parent.
     """
 
@@ -357,7 +357,7 @@ class TransformBuffer:
                 return f"there are {MAX_SAMPLES} transforms already"
             self.sample_count += 1
             if is_newest:
-                # Other threads read the stamps first, so these come last.
+                # An interrupt may come between these steps: `repair` relies on the stamp being appended last.
                 frame.poses.append(numbers)
                 frame.parents.append(parent_frame)
                 stamps.append(instant)

@@ -14,7 +14,7 @@ operands receive events before left ones, so that an event completes a match bef
 """
 
 from functools import partial
-from typing import TYPE_CHECKING, Any, Dict, List, Optional, Sequence, Set, Tuple, TypeVar, Union
+from typing import TYPE_CHECKING, Dict, List, Optional, Sequence, Set, Tuple, TypeVar, Union
 
 from ...foundation.errors import RuleError
 from ...prolog.terms.term_traversal import variables
@@ -40,6 +40,7 @@ from ..language.pattern_tree import (
     occurrences,
 )
 from ..matches.expiration import UNLIMITED, Retention
+from ..matches.negation import DeferredNegations
 from ..streams.aggregates import SequenceAggregate
 from .condition_placement import (
     BuiltPattern,
@@ -139,7 +140,7 @@ class RuleCompiler(StreamCompiler):
         Args:
             pattern: the pattern.
             context: variables of the patterns to its left.
-            retention: smallest interval bounds above it; None for none.
+            retention: smallest interval bounds above it.
         """
         pairs: List[Tuple[PairPattern, UnwrappedPattern, Retention]] = []
         first_left_stream = len(self.stream_nodes)
@@ -242,7 +243,8 @@ class RuleCompiler(StreamCompiler):
         value_vars: List[Var] = node.vars
         tests: List[Test] = []
         for condition in conditions:
-            compiled_test = self._compile_test(node, condition, value_vars)
+            # The deferred conditions of one event, ``or`` or action are goals, which have no negation buffers.
+            compiled_test = self._compile_test([], condition, value_vars)
             if compiled_test is not None:
                 tests.append(compiled_test[0])
                 value_vars = compiled_test[1]
@@ -275,15 +277,20 @@ class RuleCompiler(StreamCompiler):
         return assigned, [condition for condition in assigned if isinstance(condition, DeferredCondition)]
 
     def _compile_test(
-        self, node: Any, condition: TestedCondition, value_vars: List[Var]
+        self, negations: DeferredNegations, condition: TestedCondition, value_vars: List[Var]
     ) -> Optional[Tuple[Test, List[Var]]]:
-        """Return the test of a condition and the variables after it; None if it cannot be tested at this node.
+        """Return the test of a condition at a node and the variables after it; None if it cannot be tested there.
 
         A deferred condition is tried at a node that may bind all variables that it requires.
+
+        Args:
+            negations: receives the negation buffers of the condition.
+            condition: the condition.
+            value_vars: variables of the node.
         """
         if isinstance(condition, DeferredCondition):
             return (
-                compile_early_test(self.rule, node.deferred_negations, condition, value_vars)
+                compile_early_test(self.rule, negations, condition, value_vars)
                 if condition.may_be_testable(value_vars)
                 else None
             )
@@ -410,7 +417,7 @@ class RuleCompiler(StreamCompiler):
             elif deferred.may_be_testable(node.vars):
                 node.add_test(*compile_early_test(self.rule, node.deferred_negations, deferred, node.vars))
         for condition in conditions:
-            compiled_test = self._compile_test(node, condition, node.vars)
+            compiled_test = self._compile_test(node.deferred_negations, condition, node.vars)
             if compiled_test is not None:
                 node.add_test(*compiled_test)
 
@@ -516,7 +523,7 @@ class RuleCompiler(StreamCompiler):
                     *compile_early_test(self.rule, node.deferred_negations, condition, node.vars), False
                 )
         for uses_result, tested_condition in order_by_result_use(conditions, node.vars, node.new_result_vars):
-            compiled_test = self._compile_test(node, tested_condition, node.vars)
+            compiled_test = self._compile_test(node.deferred_negations, tested_condition, node.vars)
             if compiled_test is not None:
                 node.add_test(*compiled_test, uses_result)
         return BuiltPattern(

@@ -18,7 +18,7 @@ from ...foundation.errors import (
     SyntaxFault,
     UsageError,
     describe_decode_error,
-    place_in,
+    place_at_column,
     printable,
     shorten,
 )
@@ -243,7 +243,7 @@ class _TopicReader:
 
     def place_at(self, line: int, offset: int) -> Place:
         text = self.lines[line - 1] if line <= len(self.lines) else ""
-        return place_in(self.source, line, offset + 1, text)
+        return place_at_column(self.source, line, offset + 1, text)
 
     def current_place(self) -> Place:
         """Return the position of the parser."""

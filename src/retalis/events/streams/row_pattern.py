@@ -128,8 +128,8 @@ class RowPatternNFA:
         step = self.steps[step_number]
         return min(count, step.min_count) if step.max_count is None else count
 
-    def is_certain_to_complete(self, steps: Tuple[int, ...]) -> bool:
-        """Return whether a match in these steps is certain to complete, however long that takes."""
+    def can_never_fail(self, steps: Tuple[int, ...]) -> bool:
+        """Return whether a match in these steps can only complete or wait, never fail."""
         return self._is_certain_from[min(steps)]
 
     def count_class(self, step: int, count: int) -> Union[int, StepTransitions]:
@@ -516,7 +516,7 @@ class RowPatternWindow(StreamOperator):
                     state.start_time,
                     state.preceding_matches,
                 )
-                if self._add(successor, successors) and self.nfa.is_certain_to_complete(skipping):
+                if self._add(successor, successors) and self.nfa.can_never_fail(skipping):
                     return successors
         return successors
 
@@ -574,7 +574,7 @@ class RowPatternWindow(StreamOperator):
                 ),
                 successors,
             )
-            if is_present and not may_end and nfa.is_certain_to_complete(next_steps):
+            if is_present and not may_end and nfa.can_never_fail(next_steps):
                 return True
         if may_end:
             successors.completed = _CompletedMatch(matched, start_order)

@@ -233,7 +233,7 @@ def _sum(values: List[Term]) -> Term:
     return total
 
 
-@control("aggregate_all/4", is_locked=False)
+@control("aggregate_all/4", is_protected=False)
 def aggregate_all_distinct(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Aggregate over the solutions with distinct pairs of discriminator and template."""
     spec, discriminator, goal, result = deref(args[0]), args[1], args[2], args[3]
@@ -249,7 +249,7 @@ def aggregate_all_distinct(machine: Machine, args: Values, continuation: Frame) 
     return machine.logic.control.collect(inner_goal, (MINUS, discriminator, template), unify_aggregate)
 
 
-@control("aggregate_all/3", is_locked=False)
+@control("aggregate_all/3", is_protected=False)
 def aggregate_all(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Aggregate over all solutions.
 

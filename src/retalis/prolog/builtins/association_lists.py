@@ -55,7 +55,7 @@ def _is_balance(term: Term) -> bool:
     return term is _EVEN or term is _LEFT or term is _RIGHT
 
 
-@deterministic("get_assoc/3", is_locked=False)
+@deterministic("get_assoc/3", is_protected=False)
 def get_assoc(machine: Machine, key: Term, tree: Term, value: Term) -> bool:
     """Look up a key."""
     key = deref(key)
@@ -81,7 +81,7 @@ def get_assoc(machine: Machine, key: Term, tree: Term, value: Term) -> bool:
     return False
 
 
-@deterministic("put_assoc/4", is_locked=False)
+@deterministic("put_assoc/4", is_protected=False)
 def put_assoc(machine: Machine, key: Term, tree: Term, value: Term, result: Term) -> bool:
     """Insert a key or replace its value."""
     key = deref(key)
@@ -191,7 +191,7 @@ def _rotate(key: Term, value: Term, left: Any, right: Any, order: int) -> Compou
     return (_NODE, top_key, top_value, _EVEN, left_node, right_node)
 
 
-@deterministic("del_assoc/4", is_locked=False)
+@deterministic("del_assoc/4", is_protected=False)
 def del_assoc(machine: Machine, key: Term, tree: Term, value: Term, result: Term) -> bool:
     """Remove a key."""
     key = deref(key)
@@ -316,9 +316,9 @@ def _listing_predicate(position: Optional[int]) -> Callable[[Machine, Term, Term
     return run
 
 
-deterministic("assoc_to_list/2", is_locked=False)(_listing_predicate(None))
-deterministic("assoc_to_keys/2", is_locked=False)(_listing_predicate(1))
-deterministic("assoc_to_values/2", is_locked=False)(_listing_predicate(2))
+deterministic("assoc_to_list/2", is_protected=False)(_listing_predicate(None))
+deterministic("assoc_to_keys/2", is_protected=False)(_listing_predicate(1))
+deterministic("assoc_to_values/2", is_protected=False)(_listing_predicate(2))
 
 
 @deterministic("$pairs_to_assoc/2")

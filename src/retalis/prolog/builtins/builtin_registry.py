@@ -44,18 +44,18 @@ class Entry(NamedTuple):
     Attributes:
         kind: "deterministic", "function", "nondeterministic" or "control".
         function: see `PredicateTable.define`, `define_function`, `define_nondeterministic` and `define_control`.
-        is_locked: whether access to its clauses raises a permission error; see `Predicate.is_protected`.
+        is_protected: whether access to its clauses raises a permission error; see `Predicate.is_protected`.
     """
 
     kind: str
     function: Callable[..., object]
-    is_locked: bool
+    is_protected: bool
 
 
 ENTRIES: Dict[Tuple[str, int], Entry] = {}
 
 
-def _register(kind: str, names: Tuple[str, ...], is_locked: bool) -> Callable[[Function], Function]:
+def _register(kind: str, names: Tuple[str, ...], is_protected: bool) -> Callable[[Function], Function]:
     """Return a decorator that adds a function to `ENTRIES` under each of some predicate indicators."""
     keys: List[Tuple[str, int]] = []
     for text in names:
@@ -65,31 +65,31 @@ def _register(kind: str, names: Tuple[str, ...], is_locked: bool) -> Callable[[F
 
     def register(function: Function) -> Function:
         for key in keys:
-            ENTRIES[key] = Entry(kind, function, is_locked)
+            ENTRIES[key] = Entry(kind, function, is_protected)
         return function
 
     return register
 
 
 def deterministic(
-    *names: str, is_locked: bool = True
+    *names: str, is_protected: bool = True
 ) -> Callable[[DeterministicFunction], DeterministicFunction]:
     """Register ``function(machine, *args) -> bool`` under indicators such as ``"atom_length/2"``."""
-    return _register("deterministic", names, is_locked)
+    return _register("deterministic", names, is_protected)
 
 
-def function(*names: str, is_locked: bool = True) -> Callable[[Function], Function]:
+def function(*names: str, is_protected: bool = True) -> Callable[[Function], Function]:
     """Register ``function(*inputs)``, which returns the value of the last argument, or None for failure."""
-    return _register("function", names, is_locked)
+    return _register("function", names, is_protected)
 
 
 def nondeterministic(
-    *names: str, is_locked: bool = True
+    *names: str, is_protected: bool = True
 ) -> Callable[[NondeterministicFunction], NondeterministicFunction]:
     """Register a generator ``function(machine, *args)``; see `PredicateTable.define_nondeterministic`."""
-    return _register("nondeterministic", names, is_locked)
+    return _register("nondeterministic", names, is_protected)
 
 
-def control(*names: str, is_locked: bool = True) -> Callable[[ControlFunction], ControlFunction]:
+def control(*names: str, is_protected: bool = True) -> Callable[[ControlFunction], ControlFunction]:
     """Register ``function(machine, args, next) -> frame or None``, where None is failure."""
-    return _register("control", names, is_locked)
+    return _register("control", names, is_protected)

@@ -340,7 +340,7 @@ def getval(machine: Machine, name: Term, value: Term) -> bool:
 # Counters and flags of the original Retalis
 
 
-@deterministic("incCounter/1", is_locked=False)
+@deterministic("incCounter/1", is_protected=False)
 def inc_counter(machine: Machine, name: Term) -> bool:
     """Increment a counter."""
     counters = machine.logic.state.setdefault("counters", {})
@@ -349,27 +349,27 @@ def inc_counter(machine: Machine, name: Term) -> bool:
     return True
 
 
-@deterministic("resetCounter/1", is_locked=False)
+@deterministic("resetCounter/1", is_protected=False)
 def reset_counter(machine: Machine, name: Term) -> bool:
     """Set a counter to zero."""
     machine.logic.state.setdefault("counters", {})[_counter_key(name)] = 0
     return True
 
 
-@deterministic("counter/2", is_locked=False)
+@deterministic("counter/2", is_protected=False)
 def counter(machine: Machine, name: Term, value: Term) -> bool:
     """Unify with the value of a counter."""
     return unify(value, machine.logic.state.get("counters", {}).get(_counter_key(name), 0), machine.trail)
 
 
-@deterministic("set_flag/2", is_locked=False)
+@deterministic("set_flag/2", is_protected=False)
 def set_flag(machine: Machine, name: Term, value: Term) -> bool:
     """Set a flag of the program."""
     machine.logic.state.setdefault("flags", {})[_counter_key(name)] = copy(value)
     return True
 
 
-@deterministic("get_flag/2", is_locked=False)
+@deterministic("get_flag/2", is_protected=False)
 def get_flag(machine: Machine, name: Term, value: Term) -> bool:
     """Unify with a flag of the program, or ``nil`` if it is not set."""
     return unify(

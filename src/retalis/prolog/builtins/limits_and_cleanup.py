@@ -305,7 +305,7 @@ def _number_solution(frame: Frame) -> Optional[Frame]:
 _NUMBER_SOLUTION = Code("call_nth", _number_solution)
 
 
-@control(*[f">>/{arity}" for arity in range(2, 10)], is_locked=False)
+@control(*[f">>/{arity}" for arity in range(2, 10)], is_protected=False)
 def call_lambda(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Call a lambda expression ``Free/[X1, ...]>>Body`` with arguments.
 

@@ -521,7 +521,7 @@ def _checked_pair(term: Term) -> CompoundTerm:
     return pair
 
 
-@control("reverse/2", is_locked=False)
+@control("reverse/2", is_protected=False)
 def reverse(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Reverse a list."""
     values = list_items(args[0])
@@ -530,7 +530,7 @@ def reverse(machine: Machine, args: Values, continuation: Frame) -> Optional[Fra
     return continuation if unify(args[1], make_list(values[::-1]), machine.trail) else None
 
 
-@deterministic("memberchk/2", is_locked=False)
+@deterministic("memberchk/2", is_protected=False)
 def memberchk(machine: Machine, item: Term, list_term: Term) -> bool:
     """Unify with the first item of a list that unifies; a partial list is extended."""
     trail = machine.trail
@@ -636,16 +636,16 @@ def _array_minimum(values: "Array") -> Optional[Number]:
     return _array_extremum(values, np.fmin.reduce)
 
 
-deterministic("sum_list/2", "sumlist/2", is_locked=False)(_fold_predicate("sum_list", add, 0, _array_sum))
-deterministic("max_list/2", is_locked=False)(
+deterministic("sum_list/2", "sumlist/2", is_protected=False)(_fold_predicate("sum_list", add, 0, _array_sum))
+deterministic("max_list/2", is_protected=False)(
     _fold_predicate("max_list", _extremum(_MAX), None, _array_maximum)
 )
-deterministic("min_list/2", is_locked=False)(
+deterministic("min_list/2", is_protected=False)(
     _fold_predicate("min_list", _extremum(_MIN), None, _array_minimum)
 )
 
 
-@deterministic("numlist/3", is_locked=False)
+@deterministic("numlist/3", is_protected=False)
 def numlist(machine: Machine, low: Term, high: Term, result: Term) -> bool:
     """Unify with the list of integers between two bounds."""
     first, last = integer(low), integer(high)
@@ -660,7 +660,7 @@ def numlist(machine: Machine, low: Term, high: Term, result: Term) -> bool:
     return first <= last and unify(result, numbers, machine.trail)
 
 
-@control("last/2", is_locked=False)
+@control("last/2", is_protected=False)
 def last(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Unify with the last item of a list."""
     values = list_items(args[0])
@@ -669,7 +669,7 @@ def last(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]
     return continuation if values and unify(args[1], values[-1], machine.trail) else None
 
 
-@deterministic("list_to_set/2", is_locked=False)
+@deterministic("list_to_set/2", is_protected=False)
 def list_to_set(machine: Machine, list_term: Term, result: Term) -> bool:
     """Remove duplicates by ``==``, and keep the first of each."""
     values = items(list_term)
@@ -682,7 +682,7 @@ def list_to_set(machine: Machine, list_term: Term, result: Term) -> bool:
     return unify(result, make_list(compress(values, is_first)), machine.trail)
 
 
-@deterministic("list_to_ord_set/2", is_locked=False)
+@deterministic("list_to_ord_set/2", is_protected=False)
 def list_to_ord_set(machine: Machine, list_term: Term, result: Term) -> bool:
     """Sort without duplicates."""
     return sort(machine, list_term, result)
@@ -759,8 +759,8 @@ def _extended_list(count: int, item: Term) -> Term:
     return cells
 
 
-nondeterministic("nth0/3", is_locked=False)(_nth_predicate(0))
-nondeterministic("nth1/3", is_locked=False)(_nth_predicate(1))
+nondeterministic("nth0/3", is_protected=False)(_nth_predicate(0))
+nondeterministic("nth1/3", is_protected=False)(_nth_predicate(1))
 
 
 @nondeterministic("between/3")
@@ -840,14 +840,16 @@ def _filter_predicate(
     return run
 
 
-deterministic("subtract/3", is_locked=False)(_filter_predicate(_SUBTRACT, False, lambda second_list: NIL))
-deterministic("intersection/3", is_locked=False)(
+deterministic("subtract/3", is_protected=False)(_filter_predicate(_SUBTRACT, False, lambda second_list: NIL))
+deterministic("intersection/3", is_protected=False)(
     _filter_predicate(_INTERSECTION, True, lambda second_list: NIL)
 )
-deterministic("union/3", is_locked=False)(_filter_predicate(_UNION, False, lambda second_list: second_list))
+deterministic("union/3", is_protected=False)(
+    _filter_predicate(_UNION, False, lambda second_list: second_list)
+)
 
 
-@deterministic("subset/2", is_locked=False)
+@deterministic("subset/2", is_protected=False)
 def subset(machine: Machine, list_term: Term, superset: Term) -> bool:
     """Test that each item of a list unifies with an item of another list."""
     remaining = deref(list_term)
@@ -886,11 +888,11 @@ def _extreme_member_predicate(name: str, sign: int) -> Callable[[Machine, Term, 
     return run
 
 
-deterministic("max_member/2", is_locked=False)(_extreme_member_predicate("max_member", 1))
-deterministic("min_member/2", is_locked=False)(_extreme_member_predicate("min_member", -1))
+deterministic("max_member/2", is_protected=False)(_extreme_member_predicate("max_member", 1))
+deterministic("min_member/2", is_protected=False)(_extreme_member_predicate("min_member", -1))
 
 
-@deterministic("ord_union/3", is_locked=False)
+@deterministic("ord_union/3", is_protected=False)
 def ord_union(machine: Machine, left: Term, right: Term, result: Term) -> bool:
     """Compute the union of two ordered sets."""
     first: Optional[Term] = None  # the item taken from the left set and not yet merged
@@ -921,7 +923,7 @@ def ord_union(machine: Machine, left: Term, right: Term, result: Term) -> bool:
     return False
 
 
-@deterministic("ord_union/2", is_locked=False)
+@deterministic("ord_union/2", is_protected=False)
 def ord_union_all(machine: Machine, sets: Term, result: Term) -> bool:
     """Compute the union of a list of ordered sets."""
     merged = list_items(sets)

@@ -480,7 +480,7 @@ def type_error_of(type_term: Term, term: Term) -> PrologError:
     return error((_TYPE_ERROR, type_term, term))
 
 
-@deterministic("must_be/2", is_locked=False)
+@deterministic("must_be/2", is_protected=False)
 def must_be(machine: Machine, type_term: Term, term: Term) -> bool:
     """Raise an error unless a term has a type."""
     problem = find_type_error(type_term, term)
@@ -489,7 +489,7 @@ def must_be(machine: Machine, type_term: Term, term: Term) -> bool:
     return True
 
 
-@deterministic("is_of_type/2", is_locked=False)
+@deterministic("is_of_type/2", is_protected=False)
 def is_of_type(machine: Machine, type_term: Term, term: Term) -> bool:
     """Test that a term has a type; fail for an unknown type."""
     type_term = deref(type_term)

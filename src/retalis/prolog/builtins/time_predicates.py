@@ -121,8 +121,8 @@ def _select_timestamp(selects_earlier: bool) -> Callable[[Machine, Term, Term, T
     return run
 
 
-deterministic("min/3", is_locked=False)(_select_timestamp(True))
-deterministic("max/3", is_locked=False)(_select_timestamp(False))
+deterministic("min/3", is_protected=False)(_select_timestamp(True))
+deterministic("max/3", is_protected=False)(_select_timestamp(False))
 
 
 @deterministic("is_datime/1")

@@ -4,9 +4,9 @@ Unification, arithmetic, comparison, type tests, deterministic built-ins and pre
 Python statements that fall through on success and execute the scope's ``fail`` statement otherwise. Conditions whose
 parts are all inline become a Python ``if``.
 
-Two optimizations belong here. A unification with a variable that has no value yet writes no code: the variable
-becomes a name for the value. Consecutive built-ins whose intermediate values are used nowhere else become one call of
-a fused function (`join_goals`), so that the intermediate values never become terms.
+Two optimizations belong here. A unification with a variable that has no value yet writes at most an assignment:
+the variable becomes a name for the value. Consecutive built-ins whose intermediate values are used nowhere else
+become one call of a fused function (`join_goals`), so that the intermediate values never become terms.
 
 An arithmetic expression is compiled bottom-up: each operation becomes one assignment to a temporary, and its result
 is described by a class (`Operand`). A known class removes tests: the sum of two locals that hold integers needs no
@@ -134,7 +134,7 @@ def write_call(scope: Scope, node: CallNode) -> None:
 
 
 def _write_unify(scope: Scope, node: CallNode) -> None:
-    """Write ``=/2``; for a variable without a value only its name is recorded."""
+    """Write ``=/2``; a variable without a value becomes a name for the other term."""
     left, right = deref(node.args[0]), deref(node.args[1])
     if left.__class__ is not Var:
         left, right = right, left
@@ -149,7 +149,8 @@ def _write_unify(scope: Scope, node: CallNode) -> None:
             return
         if left not in variables(right):
             scope.names[left] = scope.build(right)
-            # A compound is stored in a local, so that it is built once however often the variable is used.
+            # A term that is not a variable is stored in a local, so that it is built once however often the variable
+            # is used.
             if right.__class__ is not Var:
                 name = scope.clause.local(left)
                 scope.write(f"{name} = {scope.names[left]}")
@@ -662,7 +663,7 @@ def _write_basic_operation(scope: Scope, key: Functor, expression: CompoundTerm,
     scope.write(f"{target} = {left} {symbol} {right}")
     if key is _TIMES:
         # Repeated multiplication grows integers exponentially, so each product is checked against the bounds at once.
-        # The comparison is false for inf and nan as well, which `checked` then rejects.
+        # The comparison is false for inf and nan as well, which `check_result` then rejects.
         scope.write(f"if not MIN_INTEGER < {target} < MAX_INTEGER:")
         scope.write(f"    check_result({target})")
         classes = {left_class, right_class}

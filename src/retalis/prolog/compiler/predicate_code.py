@@ -107,10 +107,10 @@ def _try_lines(arity: int, indexed: Optional[int]) -> List[str]:
         "    while position < end:",
         f"        _, {''.join(f'c{position}, ' for position in range(arity))[:-2]} = clauses[position].head",
         "        position += 1",
+        # The next candidate is found before the current fact is unified: if there is none, no choice point is left
+        # behind, and the caller stays deterministic.
         *_skip_lines("        "),
     ]
-    # The next candidate is found before the current fact is unified: if there is none, no choice point is left
-    # behind, and the caller stays deterministic.
     for position in range(arity):
         lines += _unify_lines(position, position == indexed)
     return [
@@ -713,7 +713,8 @@ def _selective_position(
 ) -> Optional[int]:
     """Return the position of the argument whose keys distinguish the clauses best; None if none does.
 
-    The first argument is taken whenever it distinguishes clauses: programmers rely on first-argument indexing.
+    The first argument is preferred to better ones if it distinguishes clauses and its score is positive: programmers
+    rely on first-argument indexing.
     """
     best_score, position = 0, None
     # Only the first arguments are examined, which bounds the work for predicates of many arguments.
@@ -723,7 +724,7 @@ def _selective_position(
         keys = [key_of(clause.args[candidate]) for clause in clauses]
         bound_keys = [key for key in keys if key is not None]
         distinct = len(set(bound_keys))
-        # A clause with a variable belongs to every case, which makes the switch less selective: it outweighs three
+        # A clause with a variable belongs to every case, which makes the switch less selective: each costs three
         # quarters of what a further key gains.
         score = distinct * 4 - (len(keys) - len(bound_keys)) * 3
         if bound_keys and score > best_score:

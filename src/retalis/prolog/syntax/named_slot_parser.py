@@ -141,7 +141,7 @@ class NamedSlotParser(ParserStack):
             error = misnamed_message_error(self, message_types)
         return error or parser_stack.missing_operator_error(self)
 
-    def _open_nested_message(self, position: int, start: int) -> bool:
+    def _open_nested_message(self, start: int) -> bool:
         """Open a nested message without a name, whose type is that of the slot.
 
         Returns:

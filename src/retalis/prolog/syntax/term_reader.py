@@ -123,7 +123,7 @@ class Parser(NamedSlotParser):
     def _open_bracket(self, token_kind: str, position: int, start: int) -> None:
         """Open a square or curly bracket: a list, a term in curly brackets, or a nested message."""
         closer = parser_stack.CLOSER[token_kind]
-        if token_kind == "{" and self._open_nested_message(position, start):
+        if token_kind == "{" and self._open_nested_message(start):
             return
         if self.tokens[position + 1][0] == closer:
             self.position = position + 2

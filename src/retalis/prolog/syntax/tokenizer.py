@@ -15,7 +15,7 @@ from bisect import bisect_right
 from typing import Any, Callable, Dict, Iterator, List, Match, NamedTuple, Optional, Tuple
 
 from ...foundation.cancellation import STEPS_PER_ROUND, check_limits
-from ...foundation.errors import Place, SyntaxFault, place_on
+from ...foundation.errors import Place, SyntaxFault, place_in_line
 from ..terms.list_terms import make_list
 from ..terms.types import String, Term, atom
 from . import literals
@@ -80,7 +80,7 @@ class Source:
                 starts.append(line_start)
                 line_start = text.find("\n", line_start) + 1
         line = bisect_right(starts, offset)
-        return place_on(self.name, line + self.first_line - 1, text, starts[line - 1], offset)
+        return place_in_line(self.name, line + self.first_line - 1, text, starts[line - 1], offset)
 
     def fault(self, message: str, offset: int) -> SyntaxFault:
         """Return the error about the character at ``offset``."""

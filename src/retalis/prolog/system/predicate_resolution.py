@@ -153,7 +153,7 @@ class PredicateTable:
         }
         for (name, arity), entry in ENTRIES.items():
             predicate = definers[entry.kind](name, arity, entry.function)
-            if entry.is_locked:
+            if entry.is_protected:
                 self._mark_as_system(predicate)
         self._library = library_index()
         self.database.modules.is_system_predicate = self.is_system_predicate

@@ -1,6 +1,6 @@
 """Instants as integer nanoseconds since the Unix epoch (UTC), and their terms.
 
-Inside the engine an instant is an ``int`` of nanoseconds, so comparisons are seconds_class. Programs see a term:
+Inside the engine an instant is an ``int`` of nanoseconds, so comparisons are exact. Programs see a term:
 ``datime(Year,Month,Day,Hour,Minute,Second,Nanosecond)``, the same without the last field, or a number of seconds. An
 instant keeps the form in which it was given:
 
@@ -29,11 +29,11 @@ SECOND = 1_000_000_000
 DATIME7: Functor = functor("datime", 7)
 DATIME6: Functor = functor("datime", 6)
 
-_DAY = 86_400
+_DAY_SECONDS = 86_400
 _EPOCH_DAY = date(1970, 1, 1).toordinal()
 FIRST_INSTANT, END_INSTANT = (
-    (1 - _EPOCH_DAY) * _DAY * SECOND,
-    (date.max.toordinal() + 1 - _EPOCH_DAY) * _DAY * SECOND,
+    (1 - _EPOCH_DAY) * _DAY_SECONDS * SECOND,
+    (date.max.toordinal() + 1 - _EPOCH_DAY) * _DAY_SECONDS * SECOND,
 )
 """Range of instants that have a datime, in ns: the first one (year 1), and the end, the first one after the range
 (year 10000)."""
@@ -153,7 +153,7 @@ def datime_fields(instant: int) -> Tuple[int, int, int, int, int, int, int]:
     if not has_datime(instant):
         raise UsageError(f"{instant} ns since the epoch is outside the years 1 to 9999")
     seconds, nanoseconds = divmod(instant, SECOND)
-    day, rest = divmod(seconds, _DAY)
+    day, rest = divmod(seconds, _DAY_SECONDS)
     # `datetime` would not do: it has no nanoseconds.
     minutes, second = divmod(rest, 60)
     hour, minute = divmod(minutes, 60)

@@ -159,7 +159,7 @@ class Var:
 
 
 class ArrayDecoder:
-    """The ``make`` of an array term, see `array_terms`: a function, and the type of the numbers that it reads.
+    """The ``decoder`` of an array term, see `array_terms`: a function, and the type of the numbers that it reads.
 
     Attributes:
         dtype: numpy's name of the type, such as ``"<f4"``.
@@ -204,12 +204,12 @@ class Lazy:
         decoded = self.decoded_term
         if decoded is None:
             # Read `source` before `decoded_term`: another thread may build the term between the two reads, and it
-            # stores `decoded_term` before it clears `source`. In the other order this thread could call `make(None)`.
+            # stores `decoded_term` before it clears `source`. In the other order this thread could decode None.
             source, decoded = self.source, self.decoded_term
             if decoded is None:
-                make = self.decoder
-                decoded = self.decoded_term = make(source)
-                if make.__class__ is not ArrayDecoder:
+                decoder = self.decoder
+                decoded = self.decoded_term = decoder(source)
+                if decoder.__class__ is not ArrayDecoder:
                     self.source = None
         return decoded
 
