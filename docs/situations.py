@@ -7,7 +7,7 @@ from pathlib import Path
 DOCS = Path(__file__).resolve().parent
 sys.path.insert(0, str(DOCS.parent / "src"))
 
-from retalis.cli.operator_guide import SITUATIONS  # noqa: E402
+from retalis.cli.situation_guide import SITUATIONS  # noqa: E402
 
 PAGE = DOCS / "reference" / "situations.md"
 
@@ -20,7 +20,7 @@ def page_text() -> str:
         "",
         "For people who know the situation but not the operator. The command `retalis help WORD` searches this list.",
         "",
-        f"<!-- The {count} situations are in src/retalis/cli/operator_guide.py; "
+        f"<!-- The {count} situations are in src/retalis/cli/situation_guide.py; "
         "docs/situations.py writes this page. -->",
     ]
     for title, section in SITUATIONS.items():

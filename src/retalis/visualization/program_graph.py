@@ -15,7 +15,7 @@ from types import MappingProxyType
 from typing import Any, Dict, Hashable, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Set, Tuple
 
 from ..engine.engine import Engine
-from ..events.knowledge.transforms import TF, TRANSFORM_PREDICATES
+from ..events.knowledge.transform_queries import TF, TRANSFORM_PREDICATES
 from ..events.language.pattern_tree import EventPattern, own_terms, walk
 from ..events.language.rule_head_parser import ALARMS, SYNCHRONIZED, sets_timer
 from ..foundation.errors import UsageError, format_count, printable, shorten

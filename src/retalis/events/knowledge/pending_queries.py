@@ -11,8 +11,8 @@ event costs one comparison for any number of pending queries. When the memory re
 registered with the next memory that has not reached its instant, or called if there is none. Queries that become
 ready with one event are called in order of their registration.
 
-A condition ``[tf(Target, Source), Time]`` names a transform instead of a memory, see `transforms`. A memory with
-that id takes precedence.
+A condition ``[tf(Target, Source), Time]`` names a transform instead of a memory, see `transform_queries`. A memory
+with that id takes precedence.
 
 If a rule makes the synchronized event and it has no other listener, the event is not created: conditions, query
 and event are compiled for the variables of the rule (`compile_conditions`, `compile_query`).
@@ -53,7 +53,7 @@ from ..network.event_rule import EventRule
 from .memory import MemoryInstance, Warn, key_of
 from .memory_registry import MemoryInstances
 from .timeouts import Timeouts, timeout_of
-from .transforms import AwaitedTransform, ReachedTransforms, Transforms
+from .transform_queries import AwaitedTransform, ReachedTransforms, Transforms
 
 if TYPE_CHECKING:
     from ...engine.runtime.clock import Clock

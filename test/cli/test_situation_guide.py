@@ -8,9 +8,9 @@ import pytest
 from doc_pages import load_script
 
 from retalis import Engine
-from retalis.cli import operator_guide
+from retalis.cli import situation_guide
 from retalis.cli.command_line import COMMANDS, main
-from retalis.cli.operator_guide import SITUATIONS, find_situations, stem_word, suggest_words
+from retalis.cli.situation_guide import SITUATIONS, find_situations, stem_word, suggest_words
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 ALL = [situation for section in SITUATIONS.values() for situation in section]
@@ -85,7 +85,7 @@ def test_words_of_a_question_are_ignored_unless_they_are_all():
 
 
 def test_many_matches_are_cut(capsys, monkeypatch):
-    monkeypatch.setattr("retalis.cli.operator_guide.MAX_MATCHES", 1)
+    monkeypatch.setattr("retalis.cli.situation_guide.MAX_MATCHES", 1)
     assert main(["help", "window"]) == 0
     assert capsys.readouterr().out.splitlines()[-1].endswith(" more: add a word")
 
@@ -123,5 +123,5 @@ def test_every_guide_has_a_situation():
 
 
 def test_vocabulary_is_lower_case():
-    assert all(operator_guide.split_words(situation.keywords) for situation in ALL)
+    assert all(situation_guide.split_words(situation.keywords) for situation in ALL)
     assert all(situation.keywords == situation.keywords.lower() for situation in ALL)
