@@ -50,6 +50,11 @@ def test_the_version_imports_no_engine():
     assert {name.split(".")[1] for name in found} == {"cli", "foundation"}
 
 
+@pytest.mark.parametrize("command", ["docs", "query", "status", "demo"])
+def test_the_help_of_a_command_that_needs_none_imports_no_engine(command):
+    assert {name.split(".")[1] for name in imported(command, "--help")} == {"cli", "foundation"}
+
+
 @pytest.mark.slow
 def test_a_command_imports_no_other_command_and_bags_only_if_it_reads_them():
     found = imported("events", "--help")

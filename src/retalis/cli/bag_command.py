@@ -46,15 +46,17 @@ from ..prolog.syntax.term_reader import read_term
 from ..prolog.terms import timestamps
 from ..prolog.terms.types import Term, atom, functor
 from .command_options import (
-    RELATIVE_TIMES_OPTION,
-    TIMES_AS_STAMPS,
-    TIMES_RELATIVE,
     add_chunk_limit_option,
     add_direct,
     add_folders,
     add_limits,
     apply_folders,
     apply_limits,
+)
+from .option_values import (
+    RELATIVE_TIMES_OPTION,
+    TIMES_AS_STAMPS,
+    TIMES_RELATIVE,
     non_negative,
     positive_integer,
 )

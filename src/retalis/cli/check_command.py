@@ -13,7 +13,8 @@ from ..foundation.errors import MessageError, format_count, printable
 from ..messages.type_registry import Definitions
 from ..playback.bag_locations import open_bag
 from ..prolog.machine.resource_limits import Limits
-from .command_options import add_chunk_limit_option, add_direct, add_swi, non_negative
+from .command_options import add_chunk_limit_option, add_direct, add_swi
+from .option_values import non_negative
 from .optional_ros_imports import installed_definitions
 
 _DEFAULT_MAX_SECONDS = 60

@@ -13,6 +13,7 @@ from typing import Any, Callable, Iterable, List, Optional
 from xml.etree import ElementTree
 
 from ..foundation.errors import RetalisError
+from .option_values import join_times_option
 from .stderr_and_progress import OutputClosed, detach_reporters
 
 AddParser = Callable[[Callable[..., argparse.ArgumentParser]], object]
@@ -102,7 +103,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
             # argparse would print only the usage, without the commands.
             parser.print_help(sys.stderr)
             return 2
-        options = parser.parse_args(_join_times_option(words))
+        options = parser.parse_args(join_times_option(words))
         status: int = options.run(options)
         return status
     except RetalisError as error:
@@ -134,21 +135,3 @@ def _import_function(path: str) -> AddParser:
     module, _, name = path.partition(".")
     function: AddParser = getattr(import_module(f"{__package__}.{module}"), name)
     return function
-
-
-def _join_times_option(words: List[str]) -> List[str]:
-    """Join ``--times relative`` to one argument; the words of other command lines are returned as they are.
-
-    ``--times`` alone takes no value, so that a bag may follow it. argparse cannot distinguish the two forms.
-    """
-    if "--times" not in words:
-        return words
-    from .command_options import RELATIVE_TIMES_OPTION, TIMES_RELATIVE  # noqa: PLC0415 - imports the engine
-
-    joined: List[str] = []
-    for word in words:
-        if word == TIMES_RELATIVE and joined and joined[-1] == "--times":
-            joined[-1] = RELATIVE_TIMES_OPTION
-        else:
-            joined.append(word)
-    return joined

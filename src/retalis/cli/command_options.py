@@ -1,4 +1,4 @@
-"""Options that several commands share, and the conversion of their values."""
+"""Options that several commands share."""
 
 import argparse
 from typing import Callable, NamedTuple, Optional
@@ -7,61 +7,7 @@ from ..engine.engine_settings import Settings
 from ..events.program.topic_configuration import AUTO, DirectTopics, read_direct
 from ..foundation.errors import UsageError
 from ..prolog.machine.resource_limits import Limits
-
-NumberConverter = Callable[[str], float]
-"""Returns the number in the text of an option, for argparse; raises `argparse.ArgumentTypeError` if it is invalid."""
-
-TIMES_AS_STAMPS, TIMES_RELATIVE = "stamps", "relative"
-"""Values of option ``--times``."""
-
-RELATIVE_TIMES_OPTION = "--times=relative"
-"""Option for times relative to the start of a run; ``--times relative`` is the same."""
-
-
-def non_negative(number_type: Callable[[str], float]) -> NumberConverter:
-    """Return a converter for numbers of 0 or more.
-
-    Args:
-        number_type: ``int`` or ``float``.
-    """
-    name = "a whole number" if number_type is int else "a number"
-    return _make_converter(number_type, lambda number: 0 <= number < float("inf"), f"{name} of 0 or more")
-
-
-def _make_converter(
-    number_type: Callable[[str], float], is_allowed: Callable[[float], bool], expected: str
-) -> NumberConverter:
-    """Return a converter.
-
-    Args:
-        number_type: ``int`` or ``float``.
-        is_allowed: whether a number is in the range of the option.
-        expected: description of the allowed numbers for the error.
-    """
-
-    def convert(text: str) -> float:
-        number = _parse_number(number_type, text)
-        if number is None or not is_allowed(number):
-            raise argparse.ArgumentTypeError(f"expected {expected}, found {text}")
-        return number
-
-    return convert
-
-
-def _parse_number(number_type: Callable[[str], float], text: str) -> Optional[float]:
-    try:
-        return number_type(text)
-    except ValueError:
-        return None
-
-
-positive_integer = _make_converter(int, lambda number: number >= 1, "a whole number of 1 or more")
-any_integer = _make_converter(int, lambda number: True, "a whole number")
-any_number = _make_converter(float, lambda number: True, "a number")
-positive_seconds = _make_converter(
-    float, lambda number: 0 < number < float("inf"), "a positive number of seconds"
-)
-
+from .option_values import non_negative, positive_integer
 
 _DEFAULT_MAX_MEGABYTES = 2000
 

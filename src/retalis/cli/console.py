@@ -26,7 +26,8 @@ from ..prolog.syntax.term_reader import ReadTerm
 from ..prolog.system.prolog_system import Tracer
 from ..prolog.terms.list_terms import list_items
 from ..prolog.terms.types import COMMA, Atom, String, Term, Var, deref, functor
-from .command_options import add_limits, apply_limits, non_negative
+from .command_options import add_limits, apply_limits
+from .option_values import non_negative
 from .optional_ros_imports import installed_definitions, run_ros_command
 from .stderr_and_progress import StderrReporter, end_run_on_closed_pipe
 from .toplevel_io import QUIT_GOALS, PipedInput, TerminalInput, format_bindings, read_clause

@@ -12,11 +12,7 @@ from pathlib import Path
 from typing import Any, Callable, Dict, Optional, Tuple
 
 from ..foundation.errors import UsageError
-from ..playback.bag_locations import MergedBag
-from ..playback.playback import Playback
-from ..prolog.terms.term_traversal import resolve
-from .bag_command import elapsed_fraction
-from .command_options import any_integer, positive_seconds
+from .option_values import any_integer, positive_seconds
 from .stderr_and_progress import StderrReporter, show_progress
 
 SOURCE_EXAMPLE = Path("examples", "nao")
@@ -92,6 +88,12 @@ def locate_markers(
     bag: Path, program: Path, reporter: StderrReporter
 ) -> Dict[str, Tuple[float, float, float]]:
     """Run the NAO program over a bag; return the last position of each marker by its name."""
+    # Imported here, because command `docs` needs no engine.
+    from ..playback.bag_locations import MergedBag  # noqa: PLC0415
+    from ..playback.playback import Playback  # noqa: PLC0415
+    from ..prolog.terms.term_traversal import resolve  # noqa: PLC0415
+    from .bag_command import elapsed_fraction  # noqa: PLC0415
+
     located: Dict[str, Tuple[float, float, float]] = {}
     playback = Playback(program, reporter)
     with MergedBag([bag]) as bags, show_progress("messages", lambda: elapsed_fraction(playback, bags)) as bar:

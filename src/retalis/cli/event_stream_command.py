@@ -40,14 +40,8 @@ from ..prolog.syntax.term_reader import ReadTerm, read_program, read_term
 from ..prolog.terms import timestamps
 from ..prolog.terms.term_traversal import rebuild, variables
 from ..prolog.terms.types import Frame, Term, deref
-from .command_options import (
-    RELATIVE_TIMES_OPTION,
-    TIMES_RELATIVE,
-    add_folders,
-    add_limits,
-    apply_folders,
-    apply_limits,
-)
+from .command_options import add_folders, add_limits, apply_folders, apply_limits
+from .option_values import RELATIVE_TIMES_OPTION, TIMES_RELATIVE
 from .optional_ros_imports import installed_definitions
 from .result_printer import JSON_HELP, Printer
 from .stderr_and_progress import StderrReporter, end_run_on_closed_pipe

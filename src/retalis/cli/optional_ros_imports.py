@@ -6,10 +6,12 @@ imported by name, when a command needs them.
 
 import argparse
 from importlib import import_module
-from typing import Any, Optional, Sequence
+from typing import TYPE_CHECKING, Any, Optional, Sequence
 
 from ..foundation.errors import UsageError
-from ..messages.type_registry import Definitions, GeneratedClass, InstalledTypes
+
+if TYPE_CHECKING:
+    from ..messages.type_registry import Definitions, GeneratedClass
 
 
 def import_ros_module(name: str) -> Any:
@@ -36,16 +38,19 @@ def run_ros_command(module: str, options: argparse.Namespace) -> int:
     return status
 
 
-def installed_definitions(extra_folders: Sequence[str] = ()) -> Definitions:
+def installed_definitions(extra_folders: Sequence[str] = ()) -> "Definitions":
     """Return the message types of the system.
 
     Args:
         extra_folders: folders that are searched first; each is a package or contains packages.
     """
+    # Commands for a running node import this module, but read no message types.
+    from ..messages.type_registry import Definitions, InstalledTypes  # noqa: PLC0415
+
     return Definitions(InstalledTypes(extra_folders=extra_folders, inspect_class=_inspect_class))
 
 
-def _inspect_class(name: str) -> Optional[GeneratedClass]:
+def _inspect_class(name: str) -> "Optional[GeneratedClass]":
     """Inspect a generated class with package ``ros``; return None without ROS.
 
     ROS is imported when the first module of such a class has been found, so that other commands start fast.

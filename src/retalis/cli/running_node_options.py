@@ -7,7 +7,7 @@ works without ROS.
 import argparse
 from typing import Callable
 
-from .command_options import any_number, non_negative
+from .option_values import any_number, non_negative
 from .optional_ros_imports import run_ros_command
 
 AddCommand = Callable[..., argparse.ArgumentParser]
