@@ -12,9 +12,17 @@ dropped earlier if its neighbours in time cancel every pending element that it w
 """
 
 import heapq
-from typing import Any, Callable, Dict, Hashable, Iterator, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, Hashable, Iterator, List, NamedTuple, Optional
 
-from .stream_operators import BEFORE_ALL_INSTANTS, OperatorState, StreamElement, StreamOperator, StreamOutput
+from .stream_operators import (
+    BEFORE_ALL_INSTANTS,
+    DeadlineOperator,
+    ElementHeap,
+    OperatorState,
+    StreamElement,
+    StreamOutput,
+    push_element,
+)
 
 _MAX_ALWAYS_COMPACTED = 32
 """Length up to which a list is compacted at every removal."""
@@ -79,7 +87,7 @@ class _ForbiddenElements:
             self.elements = [element for element in self.elements if not element.is_removed]
 
 
-class AbsenceTimeout(StreamOperator):
+class AbsenceTimeout(DeadlineOperator):
     """Operator that emits an element ``span`` ns after its end unless a forbidden element lies strictly in between.
 
     The `StreamElement.key` of a pending element is a pair: its correlation key, and its replacement key or arrival
@@ -94,16 +102,12 @@ class AbsenceTimeout(StreamOperator):
     KEY_BYTES, ELEMENT_BYTES = 300, 1100
 
     def __init__(self, span: int, correlation: Correlation):
-        super().__init__()
-        self.span = span
+        super().__init__(span)
         self.correlation = correlation
         self._pending: Dict[Hashable, Dict[Hashable, StreamElement]] = {}
         self._forbidden: Dict[Hashable, _ForbiddenElements] = {}
         self._stored_count = 0
-        self._latest_now = BEFORE_ALL_INSTANTS
-        self._deadlines: List[Tuple[int, int, StreamElement]] = []
-        self._forbidden_by_start: List[Tuple[int, int, StreamElement]] = []
-        self._order = 0
+        self._forbidden_by_start: ElementHeap = []
 
     def __len__(self) -> int:
         return self._stored_count
@@ -150,16 +154,6 @@ class AbsenceTimeout(StreamOperator):
         self._update_deadline()
         return []
 
-    def advance_to(self, instant: int) -> List[StreamOutput]:
-        """See `StreamOperator.advance_to`."""
-        outputs = []
-        while self.next_deadline is not None and self.next_deadline <= instant:
-            deadline, _, element = self._deadlines[0]
-            self._drop_pending(element)
-            outputs.append(StreamOutput((element,), element.start, deadline))
-            self._update_deadline()
-        return outputs
-
     def snapshot(self) -> OperatorState:
         """See `StreamOperator.snapshot`."""
         pending = [element for _, _, element in self._deadlines if not element.is_removed]
@@ -200,7 +194,7 @@ class AbsenceTimeout(StreamOperator):
         key: Any = element.key
         self._pending.setdefault(key[0], {})[key[1]] = element
         self._stored_count += 1
-        _push(self._deadlines, element.end + self.span, element, self._stored_count)
+        push_element(self._deadlines, element.end + self.span, element, self._stored_count)
 
     def _drop_pending(self, element: StreamElement) -> None:
         element.is_removed = True
@@ -210,12 +204,6 @@ class AbsenceTimeout(StreamOperator):
         if not pending:
             del self._pending[key[0]]
         self._stored_count -= 1
-
-    def _update_deadline(self) -> None:
-        """Remove dropped elements from the top of the heap of deadlines, and set the next deadline."""
-        while self._deadlines and self._deadlines[0][2].is_removed:
-            heapq.heappop(self._deadlines)
-        self.next_deadline = self._deadlines[0][0] if self._deadlines else None
 
     def _cancel_pending(self, forbidden: StreamElement, key: Hashable) -> None:
         """Drop all pending elements that a forbidden one cancels."""
@@ -267,7 +255,7 @@ class AbsenceTimeout(StreamOperator):
         for redundant in forbidden_elements.add(element, self.span, drops_redundant):
             redundant.is_removed = True
             self._stored_count -= 1
-        _push(self._forbidden_by_start, element.start, element, self._stored_count)
+        push_element(self._forbidden_by_start, element.start, element, self._stored_count)
 
     def _drop_forbidden_before(self, min_start: int) -> None:
         """Drop the forbidden elements that started too long ago to cancel a pending one."""
@@ -284,13 +272,3 @@ class AbsenceTimeout(StreamOperator):
 
 def _arrival_order(element: StreamElement) -> int:
     return element.order
-
-
-def _push(
-    heap: List[Tuple[int, int, StreamElement]], instant: int, element: StreamElement, element_count: int
-) -> None:
-    """Push an element on a heap; compact the heap if more than half of its elements were dropped."""
-    heapq.heappush(heap, (instant, element.order, element))
-    if len(heap) > 2 * element_count + 64:
-        heap[:] = [entry for entry in heap if not entry[2].is_removed]
-        heapq.heapify(heap)

@@ -357,20 +357,70 @@ class DistinctUntilChanged(StreamOperator):
             self._store(term_key(element.values[0]), element)
 
 
-class Debounce(StreamOperator):
-    """Operator that emits an element ``span`` ns after its end if no later element of its key has arrived by then.
+ElementHeap = List[Tuple[int, int, StreamElement]]
+"""Heap of elements: instant, order of arrival, element. It may contain elements that were dropped."""
 
-    Several elements of one key can be pending if their ends are ahead of the clock and at least ``span`` ns apart.
+
+def push_element(heap: ElementHeap, instant: int, element: StreamElement, element_count: int) -> None:
+    """Push an element on a heap; compact the heap if more than half of its elements were dropped.
+
+    Args:
+        heap: the heap.
+        instant: the instant by which the heap is ordered.
+        element: the element.
+        element_count: number of elements that were not dropped, or an upper bound.
+    """
+    heapq.heappush(heap, (instant, element.order, element))
+    if len(heap) > 2 * element_count + 64:
+        heap[:] = [entry for entry in heap if not entry[2].is_removed]
+        heapq.heapify(heap)
+
+
+class DeadlineOperator(StreamOperator):
+    """Operator that emits each pending element ``span`` ns after its end, unless it is dropped before.
+
+    Args:
+        span: time in ns from the end of an element to its deadline.
     """
 
     def __init__(self, span: int):
         super().__init__()
         self.span = span
         self._latest_now = BEFORE_ALL_INSTANTS
+        self._deadlines: ElementHeap = []
+        self._order = 0
+
+    def advance_to(self, instant: int) -> List[StreamOutput]:
+        """See `StreamOperator.advance_to`."""
+        outputs = []
+        while self.next_deadline is not None and self.next_deadline <= instant:
+            deadline, _, element = self._deadlines[0]
+            self._drop_pending(element)
+            outputs.append(StreamOutput((element,), element.start, deadline))
+            self._update_deadline()
+        return outputs
+
+    def _drop_pending(self, element: StreamElement) -> None:
+        """Drop a pending element; its entry in the heap of deadlines is removed later."""
+        raise NotImplementedError
+
+    def _update_deadline(self) -> None:
+        """Remove dropped elements from the top of the heap, and set the next deadline."""
+        while self._deadlines and self._deadlines[0][2].is_removed:
+            heapq.heappop(self._deadlines)
+        self.next_deadline = self._deadlines[0][0] if self._deadlines else None
+
+
+class Debounce(DeadlineOperator):
+    """Operator that emits an element ``span`` ns after its end if no later element of its key has arrived by then.
+
+    Several elements of one key can be pending if their ends are ahead of the clock and at least ``span`` ns apart.
+    """
+
+    def __init__(self, span: int):
+        super().__init__(span)
         self.pending: Dict[Hashable, List[StreamElement]] = {}
         self._pending_count = 0
-        self._deadlines: List[Tuple[int, int, StreamElement]] = []
-        self._order = 0
 
     def __len__(self) -> int:
         return self._pending_count
@@ -411,23 +461,10 @@ class Debounce(StreamOperator):
         self._update_deadline()
         return []
 
-    def advance_to(self, instant: int) -> List[StreamOutput]:
-        """See `StreamOperator.advance_to`."""
-        outputs = []
-        while self.next_deadline is not None and self.next_deadline <= instant:
-            deadline, _, element = self._deadlines[0]
-            self._drop_pending(element)
-            outputs.append(StreamOutput((element,), element.start, deadline))
-            self._update_deadline()
-        return outputs
-
     def _add_pending(self, element: StreamElement) -> None:
         self.pending.setdefault(element.key, []).append(element)
         self._pending_count += 1
-        heapq.heappush(self._deadlines, (element.end + self.span, element.order, element))
-        if len(self._deadlines) > 2 * self._pending_count + 64:
-            self._deadlines = [entry for entry in self._deadlines if not entry[2].is_removed]
-            heapq.heapify(self._deadlines)
+        push_element(self._deadlines, element.end + self.span, element, self._pending_count)
 
     def _drop_pending(self, element: StreamElement) -> None:
         element.is_removed = True
@@ -436,12 +473,6 @@ class Debounce(StreamOperator):
         pending.remove(element)
         if not pending:
             del self.pending[element.key]
-
-    def _update_deadline(self) -> None:
-        """Remove dropped elements from the top of the heap, and set the next deadline."""
-        while self._deadlines and self._deadlines[0][2].is_removed:
-            heapq.heappop(self._deadlines)
-        self.next_deadline = self._deadlines[0][0] if self._deadlines else None
 
     def snapshot(self) -> OperatorState:
         """See `StreamOperator.snapshot`."""
