@@ -24,7 +24,7 @@ from ..prolog.terms.timestamps import SECOND
 _AUTHORITY = "retalis"
 
 _MAX_LATE = 86_400 * SECOND
-"""How much older than the first transform others may be, in ns. After an older one, times become absolute."""
+"""Maximum age of a transform relative to the first one, in ns. After an older one, times become absolute."""
 
 _MAX_CACHE_SECONDS = (1 << 31) - 1
 """Longest duration of ROS in seconds."""

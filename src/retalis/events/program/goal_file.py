@@ -4,6 +4,7 @@ Programs of the original system write one goal per line and omit most full stops
 goal. Otherwise the goal is assumed to continue to the next line that ends in a full stop.
 """
 
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Tuple, Union
@@ -64,38 +65,24 @@ def read_file_goals(
         files: files of the program.
         run_with_permissions: opens included files.
     """
-    if folder is None:
-        yield from _read_goals_of_text(text, source, None, operators, files, run_with_permissions)
-        return
-    with files.loading_file(folder / Path(source).name):
-        yield from _read_goals_of_text(text, source, folder, operators, files, run_with_permissions)
-
-
-def _read_goals_of_text(
-    text: str,
-    source: str,
-    folder: Optional[Path],
-    operators: Operators,
-    files: SourceFiles,
-    run_with_permissions: RunWithPermissions,
-) -> Iterator[Union[FileGoal, RetalisError]]:
-    for entry in read_goals(text, operators, source):
-        if isinstance(entry, SyntaxFault):
-            yield entry
-            continue
-        term = goal_of(entry.term)
-        if term.__class__ is not tuple or term[0] is not _INCLUDE:
-            yield FileGoal(term, entry.place, folder)
-            continue
-        try:
-            # Included files are opened with the permissions of the program, when the goals before them have been
-            # called.
-            path, included_text = run_with_permissions(folder, partial(_find_text, files, term[1]))
-            yield from read_file_goals(
-                included_text, str(path), path.parent, operators, files, run_with_permissions
-            )
-        except RetalisError as error:
-            yield RuleError(error.message, entry.place)
+    with nullcontext() if folder is None else files.loading_file(folder / Path(source).name):
+        for entry in read_goals(text, operators, source):
+            if isinstance(entry, SyntaxFault):
+                yield entry
+                continue
+            term = goal_of(entry.term)
+            if term.__class__ is not tuple or term[0] is not _INCLUDE:
+                yield FileGoal(term, entry.place, folder)
+                continue
+            try:
+                # Included files are opened with the permissions of the program, when the goals before them have been
+                # called.
+                path, included_text = run_with_permissions(folder, partial(_find_text, files, term[1]))
+                yield from read_file_goals(
+                    included_text, str(path), path.parent, operators, files, run_with_permissions
+                )
+            except RetalisError as error:
+                yield RuleError(error.message, entry.place)
 
 
 def _find_text(files: SourceFiles, name: Term) -> Tuple[Path, str]:
