@@ -36,7 +36,7 @@ def held():
         if isinstance(one, Cache):
             one.clear()
         elif isinstance(one, Database):
-            one.demote_undefined()
+            one.demote_unused()
     gc.collect()
     gc.collect()
     return len(gc.get_objects())

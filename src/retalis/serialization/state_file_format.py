@@ -192,7 +192,7 @@ def _check_property(value: Decoded) -> Property:
 
 
 _check_predicate_items = tuple_of(
-    functor, tuple_of(boolean, boolean, boolean, boolean), sequence_of(check_clause)
+    functor, tuple_of(boolean, boolean, boolean, boolean, boolean), sequence_of(check_clause)
 )
 
 
@@ -320,6 +320,7 @@ SECTIONS: Dict[str, ValueCheck] = {
         table_declarations=sequence_of(term),
         predicates=sequence_of(_check_predicate),
         observed_predicates=sequence_of(functor),
+        empty_dynamic=sequence_of(functor),
     ),
 }
 """Checks of all sections by name, except those of memories."""

@@ -317,3 +317,56 @@ def test_a_line_is_ended_where_one_has_begun(form, text):
     logic.output = written.append
     assert answers(logic, f"format('{form}', [])") == [{}]
     assert "".join(written) == text
+
+
+@pytest.mark.parametrize(
+    ("goal", "expected"),
+    [
+        ("term_string(f('A b', \"s\"), S, [quoted(false)])", {"S": '"f(A b,s)"'}),
+        ("term_string(f('A b', \"s\"), S, [])", {"S": '"f(\'A b\',\\"s\\")"'}),
+        ("term_string(1 + a, S, [ignore_ops(true)])", {"S": '"+(1,a)"'}),
+        ("X = f(A), term_string(X, S, [variable_names(['Left' = A])])", {"S": '"f(Left)"'}),
+        ("term_string(_, \"p(X, Y)\", [variable_names(['X' = 1, 'Y' = Z])]), Z = 2", {"Z": "2"}),
+        ('term_string(X, "\\"s\\"", [double_quotes(atom)])', {"X": "s"}),
+        ('term_string(X, "s", [2])', "type_error(option,2)"),
+        ("term_string(X, S, Options)", "instantiation_error"),
+    ],
+)
+def test_term_string_uses_its_options(goal, expected):
+    solution = answers(prolog(), goal)[0]
+    if isinstance(expected, dict):
+        solution = {name: solution[name] for name in expected}
+    assert solution == expected
+
+
+@pytest.mark.parametrize("text", ["' 12'", "'\\n12'", '" 12"', "'12 '", "'+ 12'"])
+def test_atom_number_fails_for_white_space(text):
+    assert answers(prolog(), f"atom_number({text}, X)") == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ("3, 30, Root, Remainder", [{"Root": "3", "Remainder": "3"}]),
+        ("3, -30, Root, Remainder", [{"Root": "-3", "Remainder": "-3"}]),
+        ("1, -7, Root, Remainder", [{"Root": "-7", "Remainder": "0"}]),
+        ("2, 0, Root, Remainder", [{"Root": "0", "Remainder": "0"}]),
+        ("2, 10 ** 40, Root, Remainder", ["type_error(integer,10**40)"]),
+        ("2, 5, 3, _", []),
+        ("2, -30, Root, Remainder", ["evaluation_error(undefined)"]),
+        ("0, 30, Root, Remainder", ["domain_error(not_less_than_one,0)"]),
+        ("Degree, 30, Root, Remainder", ["instantiation_error"]),
+    ],
+)
+def test_nth_integer_root_and_remainder(arguments, expected):
+    assert answers(prolog(), f"nth_integer_root_and_remainder({arguments})") == expected
+
+
+def test_integer_root_of_huge_number_is_exact_or_refused():
+    logic = prolog()
+    goal = "X is 7 ** 5000 + 12345, nth_integer_root_and_remainder(D, X, R, M), X =:= R ** D + M, X < (R + 1) ** D"
+    for degree in (2, 3, 7, 1000):
+        assert len(answers(logic, f"D = {degree}, {goal}")) == 1
+    assert answers(logic, "X is 3 ** 500000, nth_integer_root_and_remainder(2, X, R, M)") == [
+        "resource_error(integer_size)"
+    ]

@@ -170,7 +170,11 @@ def atom_number(machine: Machine, text: Term, number: Term) -> bool:
         if number.__class__ not in (int, float):
             raise type_error("number", number)
         return False
-    value = parse_number(atomic_text(text), machine.logic.operators)
+    characters = atomic_text(text)
+    # Unlike number_codes/2, this predicate refuses leading white space.
+    if characters[:1].isspace():
+        return False
+    value = parse_number(characters, machine.logic.operators)
     return value is not None and unify(number, value, machine.trail)
 
 

@@ -73,7 +73,7 @@ def _assert_predicate(first: bool) -> Callable[[Machine, Term], bool]:
         predicate = clause.predicate
         # A predicate that is created by an assertion is dynamic, one that was loaded from a file stays static.
         if not predicate.is_compiled and len(predicate) == 1:
-            predicate.dynamic = True
+            predicate.make_dynamic(by_goal=True)
         return True
 
     return run
@@ -213,7 +213,7 @@ def retractall(machine: Machine, head: Term) -> bool:
     predicate = _require_access(machine, key, "modify", "static_procedure")
     # As in SWI-Prolog, later calls of an undefined predicate fail then, instead of raising an error.
     if not predicate.is_defined:
-        predicate.dynamic = True
+        predicate.make_dynamic(by_goal=True)
         machine.logic.database.change_count += 1
         return True
     trail = machine.trail
@@ -344,7 +344,7 @@ def declare_dynamic(machine: Machine, item: Term, options: Set[str]) -> None:
     """Declare the predicate of an indicator dynamic."""
     database = machine.logic.database
     predicate = database.writable(indicator_of(item), "modify")
-    predicate.dynamic = True
+    predicate.make_dynamic()
     predicate.discontiguous |= "discontiguous" in options
     predicate.multifile |= "multifile" in options
     database.change_count += 1

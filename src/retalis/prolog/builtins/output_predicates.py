@@ -21,12 +21,22 @@ from ..machine.machine import Code, Guard, Machine
 from ..syntax.term_writer import write_term
 from ..terms.list_terms import list_items, make_list
 from ..terms.term_traversal import resolve
-from ..terms.types import CONS, NIL, Atom, CompoundTerm, Frame, Term, Values, Var, atom, deref
+from ..terms.types import CONS, NIL, Atom, CompoundTerm, Frame, String, Term, Values, Var, atom, deref
 from ..terms.unification import unify
 from .argument_checks import integer, is_iso, option_values
 from .builtin_registry import control, deterministic
 from .format_strings import Formatter, make_portray, print_to_text
-from .text_arguments import MAX_CODE, check_text_length, fill_sink, is_sink, join_texts, make_text, whole_text
+from .text_arguments import (
+    MAX_CODE,
+    check_text_length,
+    fill_sink,
+    is_sink,
+    join_texts,
+    make_text,
+    read_with_options,
+    text_of,
+    whole_text,
+)
 from .text_streams import OutputCapture, OutputStream, is_stream_term, streams_of
 
 _ELLIPSIS = atom("...")
@@ -224,9 +234,15 @@ def flush_output(machine: Machine) -> bool:
 # Writing with options
 
 
-def write_options(machine: Machine, options: Term) -> Dict[str, object]:
-    """Return the options of ``write_term/2`` as keyword arguments of the writer."""
-    values: Dict[str, object] = {"quoted": False}
+def write_options(machine: Machine, options: Term, quoted: bool = False) -> Dict[str, object]:
+    """Return the options of ``write_term/2`` as keyword arguments of the writer.
+
+    Args:
+        machine: the machine.
+        options: list of options.
+        quoted: value of the option ``quoted`` if the list does not contain it.
+    """
+    values: Dict[str, object] = {"quoted": quoted}
     iso = is_iso(machine)
     for option in option_values(options):
         if option.__class__ is not tuple or len(option) != 2:
@@ -286,8 +302,8 @@ def _convert_variable_names(option: CompoundTerm) -> Dict[Var, str]:
     return names
 
 
-def _text_with_options(machine: Machine, term: Term, options: Term) -> str:
-    values: Dict[str, Any] = write_options(machine, options)
+def _text_with_options(machine: Machine, term: Term, options: Term, quoted: bool = False) -> str:
+    values: Dict[str, Any] = write_options(machine, options, quoted)
     depth = values.pop("max_depth", 0)
     return write_term(limit_depth(term, depth) if depth > 0 else term, machine.logic.operators, **values)
 
@@ -304,6 +320,25 @@ def write_term_3(machine: Machine, stream: Term, term: Term, options: Term) -> b
     """Write a term with options to a stream."""
     write_to(machine, stream, _text_with_options(machine, term, options))
     return True
+
+
+@deterministic("term_string/2")
+def term_string(machine: Machine, term: Term, text: Term) -> bool:
+    """Convert between a term and its text as a string."""
+    return term_string_options(machine, term, text, NIL)
+
+
+@deterministic("term_string/3")
+def term_string_options(machine: Machine, term: Term, text: Term, options: Term) -> bool:
+    """Convert between a term and its text as a string.
+
+    The options are those of ``read_term/2`` if the text is given, otherwise those of ``write_term/2``; ``quoted``
+    is true by default.
+    """
+    text_term = deref(text)
+    if text_term.__class__ is not Var:
+        return read_with_options(machine, text_of(text_term), term, options)
+    return unify(text, String(_text_with_options(machine, term, options, quoted=True)), machine.trail)
 
 
 # Formatted text

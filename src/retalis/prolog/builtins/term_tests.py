@@ -14,12 +14,13 @@ from ...foundation import codegen
 from ...foundation.cancellation import STEPS_PER_ROUND, check_limits, with_limit_checks
 from ...foundation.errors import TermTooLarge
 from ..compiler.clause_nodes import COMPARISONS, ORDERS
-from ..machine.arithmetic import evaluate, evaluate_exact, without_instant
+from ..machine.arithmetic import evaluate, evaluate_exact, integer_root, without_instant
 from ..machine.errors import (
     CONTEXT,
     PrologError,
     domain_error,
     error,
+    evaluation_error,
     existence_error,
     indicator,
     instantiation_error,
@@ -197,6 +198,21 @@ def plus(machine: Machine, left: Term, right: Term, total: Term) -> bool:
     if right.__class__ is Var:
         return unify(right, integer(total) - integer(left), machine.trail)
     return unify(left, integer(total) - integer(right), machine.trail)
+
+
+@deterministic("nth_integer_root_and_remainder/4")
+def nth_integer_root_and_remainder(
+    machine: Machine, degree: Term, power: Term, root: Term, remainder: Term
+) -> bool:
+    """Compute the integer root of a degree, truncated toward zero, and the remainder of its power."""
+    exponent, value = integer(degree), integer(power)
+    if exponent < 1:
+        raise domain_error("not_less_than_one", exponent)
+    if value < 0 and exponent % 2 == 0:
+        raise evaluation_error("undefined")
+    magnitude = integer_root(exponent, abs(value))
+    result = -magnitude if value < 0 else magnitude
+    return machine.unify_all((root, result), (remainder, value - result**exponent))
 
 
 def _type_test(*classes: type) -> Callable[[Machine, Term], bool]:

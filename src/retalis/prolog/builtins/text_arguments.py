@@ -373,21 +373,6 @@ def end_of_file(machine: Machine) -> ReadTerm:
     return read(machine, "")
 
 
-@deterministic("term_string/2")
-def term_string(machine: Machine, term: Term, text: Term) -> bool:
-    """Convert between a term and its text as a string."""
-    text_term = deref(text)
-    if text_term.__class__ is not Var:
-        return unify(term, parse(machine, text_of(text_term)), machine.trail)
-    return unify(text, String(machine.logic.show(term)), machine.trail)
-
-
-@deterministic("term_string/3")
-def term_string_options(machine: Machine, term: Term, text: Term, options: Term) -> bool:
-    """Convert between a term and its text, see ``term_string/2``; options are ignored."""
-    return term_string(machine, term, text)
-
-
 @deterministic("atom_to_term/3")
 def atom_to_term(machine: Machine, text: Term, term: Term, bindings: Term) -> bool:
     """Read a term and the names of its variables from a text."""
@@ -403,7 +388,11 @@ def atom_to_term(machine: Machine, text: Term, term: Term, bindings: Term) -> bo
 @deterministic("read_term_from_atom/3")
 def read_term_from_atom(machine: Machine, text: Term, term: Term, options: Term) -> bool:
     """Read a term from a text, with the options of ``read_term/2``."""
-    source_text = text_of(text, numbers=False)
+    return read_with_options(machine, text_of(text, numbers=False), term, options)
+
+
+def read_with_options(machine: Machine, source_text: str, term: Term, options: Term) -> bool:
+    """Unify a term with the one that a text denotes, and the output options of ``read_term/2`` with their values."""
     requested: List[CompoundTerm] = []
     for option in option_values(options):
         if option.__class__ is not tuple:

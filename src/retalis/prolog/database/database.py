@@ -6,8 +6,10 @@ of the library. Predicates of ISO Prolog (`ISO_PREDICATES`) may be redefined in 
 which is most likely an accident.
 
 A call of an unknown functor creates an undefined predicate. Programs that construct functors could create them
-without limit, so undefined predicates are moved to a weak dictionary from time to time (`demote_undefined`), which
-drops them when no frame or clause refers to them any more.
+without limit, so undefined predicates are moved to a weak dictionary from time to time (`demote_unused`), which
+drops them when no frame or clause refers to them any more. The same applies to predicates without clauses that only
+goals have made dynamic; of these the functors are kept, up to `MAX_EMPTY_DYNAMIC`, because a call has to fail and not
+to raise an error.
 """
 
 from typing import Any, Callable, Dict, Iterable, Optional, Set
@@ -46,8 +48,13 @@ ISO_PREDICATES = frozenset(map(_functor_of, _ISO_INDICATORS.split()))
 """Predicates of ISO Prolog that a program may redefine in a file but not by asserting a clause."""
 
 
-_UNDEFINED_ALLOWANCE = 1000
-"""Allowance of undefined predicates: they are moved to the weak dictionary when the table has more than twice the
+MAX_EMPTY_DYNAMIC = 10_000
+"""Maximum number of functors without clauses that a goal has made dynamic.
+
+The oldest ones beyond it are undefined again."""
+
+_UNUSED_ALLOWANCE = 1000
+"""Allowance of unused predicates: they are moved to the weak dictionary when the table has more than twice the
 predicates that remained after the last move, plus this number."""
 
 
@@ -68,6 +75,7 @@ class Database:
         is_interpreter_only: whether ``compile_after`` is `NEVER_COMPILE`, so that all goals of the program are
             interpreted.
         predicates: the predicates by functor.
+        empty_dynamic: functors that goals have made dynamic and whose predicates have been demoted, oldest first.
         modules: the modules of the program.
         library: the predicates as the clauses of the library resolve them.
         compiled_goals: the compiled goals that Python code holds. Their code is discarded together with that of the
@@ -87,8 +95,9 @@ class Database:
         self.compile_after = compile_after
         self.is_interpreter_only = compile_after >= NEVER_COMPILE
         self.predicates: Dict[Functor, Predicate] = {}
-        self._weak_undefined: WeakValueDictionary[Functor, Predicate] = WeakValueDictionary()
-        self._undefined_limit = _UNDEFINED_ALLOWANCE
+        self._demoted: WeakValueDictionary[Functor, Predicate] = WeakValueDictionary()
+        self.empty_dynamic: Dict[Functor, None] = {}
+        self._demotion_limit = _UNUSED_ALLOWANCE
         self.modules = Modules()
         self.modules.is_defined = self._is_defined
         self.modules.on_change = self.discard_compiled_code
@@ -103,28 +112,39 @@ class Database:
         """Return the predicate of a functor, creating an undefined one if there is none."""
         predicate = self.predicates.get(key)
         if predicate is None:
-            if len(self.predicates) >= self._undefined_limit:
-                self.demote_undefined()
+            if len(self.predicates) >= self._demotion_limit:
+                self.demote_unused()
             # A frame or compiled clause may still refer to the predicate in the weak dictionary. Clauses that are
             # added to a second predicate with the same functor would be invisible to it. Compared with None, because
             # a predicate without clauses has the length 0 and is false.
-            undefined_predicate = self._weak_undefined.get(key)
+            demoted_predicate = self._demoted.get(key)
             predicate = self.predicates[key] = (
-                Predicate(self, key) if undefined_predicate is None else undefined_predicate
+                Predicate(self, key) if demoted_predicate is None else demoted_predicate
             )
+            if key in self.empty_dynamic:
+                del self.empty_dynamic[key]
+                predicate.make_dynamic(by_goal=True)
         return predicate
 
     def _is_defined(self, key: Functor) -> bool:
         """Return whether the program or the system defines or declares a predicate."""
         predicate = self.predicates.get(key)
-        return predicate is not None and not predicate.is_undeclared
+        return key in self.empty_dynamic or (predicate is not None and not predicate.is_undeclared)
 
-    def demote_undefined(self) -> None:
-        """Move undefined predicates to the weak dictionary."""
+    def demote_unused(self) -> None:
+        """Move undefined predicates, and empty ones that goals have made dynamic, to the weak dictionary."""
         for key, predicate in list(self.predicates.items()):
-            if predicate.is_undeclared:
-                self._weak_undefined[key] = self.predicates.pop(key)
-        self._undefined_limit = 2 * len(self.predicates) + _UNDEFINED_ALLOWANCE
+            if predicate.is_forgettable:
+                self.empty_dynamic[key] = None
+            elif not predicate.is_undeclared:
+                continue
+            self._demoted[key] = self.predicates.pop(key)
+        for key in list(self.empty_dynamic)[: max(0, len(self.empty_dynamic) - MAX_EMPTY_DYNAMIC)]:
+            del self.empty_dynamic[key]
+            # Clauses and frames may still refer to the predicate, and must see that it is undefined.
+            if key in self._demoted:
+                self._demoted[key].abolish()
+        self._demotion_limit = 2 * len(self.predicates) + _UNUSED_ALLOWANCE
 
     def compile_reachable(self, terms: Iterable[Term]) -> None:
         """Compile the program's predicates that occur in terms, and those that their clauses call.

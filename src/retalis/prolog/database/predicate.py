@@ -69,6 +69,7 @@ class Predicate:
         functional_modes: inputs and outputs, if it is a function of some of its arguments.
         bound_argument_builtin: functor of the deterministic built-in for calls with a bound first argument, or None.
         dynamic: whether the program may assert and retract clauses.
+        is_dynamic_by_goal: whether it is dynamic only because a goal has asserted or retracted clauses.
         discontiguous: whether its clauses may be separated by those of other predicates.
         multifile: whether its clauses may be in several files.
         is_locked: whether programs may not redefine it, if it is a library predicate.
@@ -96,6 +97,7 @@ class Predicate:
         self.functional_modes: Optional[FunctionalModes] = None
         self.bound_argument_builtin: Optional[Functor] = None
         self.dynamic = False
+        self.is_dynamic_by_goal = False
         self.discontiguous = False
         self.multifile = False
         self.is_locked = False
@@ -137,6 +139,15 @@ class Predicate:
             or self.discontiguous
             or self.multifile
             or self.is_library_predicate
+        )
+
+    @property
+    def is_forgettable(self) -> bool:
+        """True if it has no clauses, and goals of the program alone have made it dynamic."""
+        return (
+            self.is_dynamic_by_goal
+            and not self.clauses
+            and not (self.discontiguous or self.multifile or self.is_library_predicate or self.is_incremental)
         )
 
     @property
@@ -210,12 +221,21 @@ class Predicate:
         for clause in list(self.active_clauses()):
             self.remove(clause)
 
+    def make_dynamic(self, by_goal: bool = False) -> None:
+        """Make the predicate dynamic.
+
+        Args:
+            by_goal: whether a goal that asserts or retracts clauses does so, and not a declaration.
+        """
+        self.is_dynamic_by_goal = by_goal and (self.is_dynamic_by_goal or not self.dynamic)
+        self.dynamic = True
+
     def abolish(self) -> None:
         """Remove all clauses and declarations, so that a call is an existence error."""
         self.clear()
         # Also if there were no clauses: compiled code fails, and has to be replaced by code that raises the error.
         self.record_change()
-        self.dynamic = self.discontiguous = self.multifile = False
+        self.dynamic = self.is_dynamic_by_goal = self.discontiguous = self.multifile = False
         if self.kind == "user":
             self.kind = "undefined"
 

@@ -501,6 +501,32 @@ def _lcm(left: Number, right: Number) -> int:
     return abs(left // math.gcd(left, right) * right) if left and right else 0
 
 
+def integer_root(degree: int, value: int) -> int:
+    """Return the largest integer whose power of ``degree`` is at most ``value``.
+
+    Args:
+        degree: at least 1.
+        value: at least 0.
+
+    Raises:
+        PrologError: a resource error if the computation would take too long.
+    """
+    bits = value.bit_length()
+    # The root is 1 for any degree that exceeds the bits, and a power of that degree would be computed in vain.
+    if degree >= bits:
+        return value if degree == 1 else min(value, 1)
+    # Each of the steps, whose number grows with the logarithm of the bits, takes quadratic time.
+    if bits * bits * bits.bit_length() > MAX_BIT_PRODUCT:
+        raise resource_error("integer_size")
+    # Newton's method from above: the estimates decrease until they reach the root.
+    root = 1 << -(-bits // degree)
+    while True:
+        estimate = ((degree - 1) * root + value // root ** (degree - 1)) // degree
+        if estimate >= root:
+            return root
+        root = estimate
+
+
 @evaluable(">>", 2)
 def shift_right(left: Number, right: Number) -> int:
     """Return ``left`` shifted right by ``right`` bits."""

@@ -27,13 +27,15 @@ class PredicateProperties(NamedTuple):
     """Properties of a predicate.
 
     Attributes:
-        is_dynamic: whether it is declared dynamic.
+        is_dynamic: whether it is dynamic.
+        is_dynamic_by_goal: whether it is dynamic only because a goal has asserted or retracted clauses.
         is_discontiguous: whether it is declared discontiguous.
         is_multifile: whether it is declared multifile.
         is_user_defined: whether the program defines it; otherwise it is known only by its declaration.
     """
 
     is_dynamic: bool
+    is_dynamic_by_goal: bool
     is_discontiguous: bool
     is_multifile: bool
     is_user_defined: bool
@@ -52,12 +54,14 @@ class ProgramSnapshot(NamedTuple):
         table_declarations: declarations of tabled predicates.
         predicates: predicates of the program.
         observed_predicates: predicates whose clauses incremental tables depend on.
+        empty_dynamic: functors without clauses that goals have made dynamic.
     """
 
     operators: List[Tuple[int, str, str]]
     table_declarations: List[Term]
     predicates: List[PredicateSnapshot]
     observed_predicates: List[Functor]
+    empty_dynamic: List[Functor]
 
 
 class ValuesSnapshot(NamedTuple):
@@ -87,6 +91,10 @@ def snapshot_program(logic: PrologSystem) -> ProgramSnapshot:
         tables.declarations(),
         [_snapshot_predicate(predicate) for predicate in predicates],
         [predicate.functor for predicate in predicates if predicate.is_incremental],
+        [
+            *logic.database.empty_dynamic,
+            *(key for key, predicate in logic.database.predicates.items() if predicate.is_forgettable),
+        ],
     )
 
 
@@ -106,7 +114,7 @@ def snapshot_values(logic: PrologSystem) -> ValuesSnapshot:
 
 
 def program_predicates(logic: PrologSystem) -> List[Predicate]:
-    """Return the program's predicates, in the order of their definition."""
+    """Return the program's predicates, in the order of their definition, without those that have no contents."""
     predicates = logic.database.predicates.values()
     return [
         predicate
@@ -114,6 +122,7 @@ def program_predicates(logic: PrologSystem) -> List[Predicate]:
         if not predicate.is_library_predicate
         and predicate.hidden_predicate is None
         and not predicate.is_undeclared
+        and not predicate.is_forgettable
     ]
 
 
@@ -122,7 +131,11 @@ def _snapshot_predicate(predicate: Predicate) -> PredicateSnapshot:
     return (
         predicate.functor,
         PredicateProperties(
-            predicate.dynamic, predicate.discontiguous, predicate.multifile, predicate.kind == "user"
+            predicate.dynamic,
+            predicate.is_dynamic_by_goal,
+            predicate.discontiguous,
+            predicate.multifile,
+            predicate.kind == "user",
         ),
         clauses,
     )
@@ -144,10 +157,17 @@ def restore_program(logic: PrologSystem, program: ProgramSnapshot) -> None:
         tables.observe(logic.database.writable(key, "modify"))
     for key, properties, clauses in program.predicates:
         predicate = logic.database.writable(key, "modify")
-        predicate.dynamic, predicate.discontiguous, predicate.multifile, is_user_defined = properties
+        (
+            predicate.dynamic,
+            predicate.is_dynamic_by_goal,
+            predicate.discontiguous,
+            predicate.multifile,
+            is_user_defined,
+        ) = properties
         predicate.kind = "user" if is_user_defined else predicate.kind
         for head, body, place in clauses:
             predicate.add(Clause(predicate, head, body, place))
+    logic.database.empty_dynamic.update(dict.fromkeys(program.empty_dynamic))
 
 
 def restore_values(logic: PrologSystem, snapshot: ValuesSnapshot) -> None:

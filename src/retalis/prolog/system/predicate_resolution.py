@@ -307,12 +307,18 @@ class PredicateTable:
         if (predicate is None or predicate.kind == "undefined") and (key.name, key.arity) in self._library:
             self._load_library(self._library[key.name, key.arity])
             predicate = self.database.predicates.get(key)
+        if key in self.database.empty_dynamic:
+            predicate = self.database.predicate(key)
         return predicate if predicate is not None and predicate.is_defined else None
 
     def defines(self, key: Functor) -> bool:
         """Return whether a predicate is defined."""
         predicate = self.database.predicates.get(key)
-        return (predicate is not None and predicate.is_defined) or (key.name, key.arity) in self._library
+        return (
+            (predicate is not None and predicate.is_defined)
+            or key in self.database.empty_dynamic
+            or (key.name, key.arity) in self._library
+        )
 
     def is_system_predicate(self, key: Functor) -> bool:
         """Return whether a predicate belongs to the system and the program has not redefined it."""

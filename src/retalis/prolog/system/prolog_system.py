@@ -1,18 +1,16 @@
 """Prolog system: the interface of a Prolog to Python.
 
 `PrologSystem` adds clauses, runs directives and goals, compiles goals for Python, and prints terms. The module also
-contains three services of a running system:
+contains two services of a running system:
 
 * `Tracer` runs goals in the box model of Byrd: it interprets clauses and reports each port (call, exit, redo, fail,
   exception) that a goal passes.
-* `handle_undefined_call` raises the existence error of an unknown procedure, with possible callers and similar names.
 * `machine_state`, `restore_machine` and `repair_after_interrupt` return a machine to an earlier state after an
   interrupt at any point.
 """
 
 import sys
 from contextlib import contextmanager
-from difflib import get_close_matches
 from time import time_ns
 from typing import (
     TYPE_CHECKING,
@@ -44,7 +42,7 @@ from ..database.clause_index import Clause
 from ..database.compiled_goal import CompiledGoal
 from ..database.goal_interpreter import check_body, functor_of, split_clause
 from ..database.predicate import COMPILE_AFTER, Predicate
-from ..machine.errors import CONTEXT, PrologError, existence_error, indicator, permission_error
+from ..machine.errors import PrologError, permission_error
 from ..machine.machine import Code, Guard, Machine
 from ..machine.resource_limits import Budget, BudgetState, Limits
 from ..syntax.operators import Operators
@@ -53,21 +51,19 @@ from ..terms.term_traversal import copy
 from ..terms.types import (
     COLON,
     COMMA,
-    FALSE,
     Atom,
     CompoundTerm,
     Frame,
     Functor,
     Term,
-    Trail,
     Values,
     Var,
-    atom,
     deref,
     functor,
 )
 from ..terms.unification import undo, unify
 from .predicate_resolution import PredicateTable
+from .undefined_procedures import UndefinedProcedures, find_similar
 
 if TYPE_CHECKING:
     from ...events.program.file_and_library_names import SourceFiles
@@ -266,116 +262,6 @@ _EXIT_TRACE = Code("trace", _exit_trace)
 _RESUME_TRACE = Code("trace", lambda entry: entry[1].start())
 
 
-_MAX_COMPARED_CHARACTERS = 200
-"""Characters of a name that are compared with other names; the comparison is quadratic."""
-
-
-def handle_undefined_call(logic: PredicateTable, predicate: Predicate, frame: Frame) -> Optional[Frame]:
-    """Handle a call of an undefined procedure as the flag ``unknown`` says.
-
-    Returns:
-        None, which fails, if the flag is ``fail`` or ``warning``; the first such call logs a warning.
-
-    Raises:
-        PrologError: an existence error that names callers and similar procedures, if the flag is ``error``.
-    """
-    flag = deref(logic.flags["unknown"])
-    if flag is atom("fail") or flag is FALSE:
-        return None
-    key = predicate.functor
-    if flag is atom("warning"):
-        if not predicate.has_warned_undefined:
-            predicate.has_warned_undefined = True
-            logic.message("warning", f"Unknown procedure: {key}")
-        return None
-    notes = []
-    callers = _possible_callers(logic, predicate, frame)
-    if callers:
-        notes.append(f"called from {', '.join(callers)}")
-    suggestions = find_similar(logic, logic.database.modules.plain_functor(key) or key)
-    if suggestions:
-        notes.append(f"did you mean {' or '.join(suggestions)}?")
-    shown_indicator = logic.database.modules.module_indicator(key) or indicator(key)
-    context = (CONTEXT, shown_indicator, atom("; ".join(notes))) if notes else shown_indicator
-    raise existence_error("procedure", shown_indicator, context)
-
-
-def _possible_callers(logic: PredicateTable, predicate: Predicate, frame: Frame) -> List[str]:
-    """Return descriptions of the clauses that may have made a call, at most three.
-
-    A last call leaves no frame of its clause. The candidates are therefore the clauses with a goal that the call is
-    an instance of. If the frame that the call returns to belongs to the predicate of some of them, only those are
-    returned.
-    """
-    key = predicate.functor
-    call = (key, *frame[1:-1])
-    return_functor = getattr(frame[-1][0], "functor", None)
-    clauses = [
-        clause
-        for candidate in list(logic.database.predicates.values())
-        if not candidate.is_library_predicate
-        for clause in candidate.active_clauses()
-        if not clause.is_fact
-    ]
-    matching = [clause for clause in clauses if _may_call(clause, call, len(call))]
-    # A closure, to which maplist/3 and others add arguments, has fewer of them in the clause.
-    if not matching:
-        matching = [clause for clause in clauses if _may_call(clause, call, 1)]
-    callers_returned_to = [clause for clause in matching if clause.predicate.functor is return_functor]
-    return [_describe_clause(clause) for clause in (callers_returned_to or matching)[:3]]
-
-
-def _describe_clause(clause: Clause) -> str:
-    """Return the functor of a clause, and the first line of its place if that is known."""
-    place_text = f" ({clause.place})" if clause.place is not None else ""
-    return f"{clause.predicate.functor}{place_text}".split("\n")[0]
-
-
-def _may_call(clause: Clause, call: CompoundTerm, min_items: int) -> bool:
-    """Return whether a clause's body contains a goal that may have made a call.
-
-    Args:
-        clause: the clause.
-        call: functor and arguments of the call.
-        min_items: minimum number of items of a goal; arguments that it lacks may have been added when it was called.
-    """
-    stack = [clause.body]
-    while stack:
-        item = deref(stack.pop())
-        if item.__class__ is Atom:
-            item = (item.functor,)
-        if item.__class__ is tuple:
-            if (
-                item[0].name == call[0].name
-                and min_items <= len(item) <= len(call)
-                and _may_unify(item, call)
-            ):
-                return True
-            stack.extend(item[1:])
-    return False
-
-
-def _may_unify(goal: CompoundTerm, call: CompoundTerm) -> bool:
-    """Return whether a goal, which may lack the last arguments, unifies with a call."""
-    trail: Trail = []
-    pairs = zip(copy(goal)[1:], call[1:])
-    unifies = all(unify(left, right, trail) for left, right in pairs)
-    undo(trail, 0)
-    return unifies
-
-
-def find_similar(logic: PredicateTable, key: Functor) -> List[str]:
-    """Return indicators of defined procedures with the same name or a similar one, at most three."""
-    names: Dict[str, List[Functor]] = {}
-    for candidate in logic.names():
-        if candidate is not key and not candidate.name.startswith("$"):
-            names.setdefault(candidate.name, []).append(candidate)
-    compared = key.name[:_MAX_COMPARED_CHARACTERS]
-    close_names = [key.name] if key.name in names else get_close_matches(compared, names, 1, 0.8)
-    matches = [match for name in close_names for match in sorted(names[name], key=lambda match: match.arity)]
-    return [str(match) for match in matches[:3]]
-
-
 class MachineState(NamedTuple):
     """Position of a machine, to which `restore_machine` returns it.
 
@@ -487,6 +373,7 @@ class PrologSystem(PredicateTable):
     def __init__(self, operators: Optional[Operators] = None, compile_after: int = COMPILE_AFTER):
         super().__init__(operators, compile_after)
         self.database.call_undefined = self._call_undefined
+        self._undefined_procedures = UndefinedProcedures(self)
         self.globals: Dict[str, Term] = {}
         self.column = 0
         self.output: Callable[[str], None]
@@ -796,7 +683,7 @@ class PrologSystem(PredicateTable):
         if library_file is not None:
             self._load_library(library_file)
             return self.database.predicate(key).run(frame)
-        return handle_undefined_call(self, predicate, frame)
+        return self._undefined_procedures.handle_call(predicate, frame)
 
     def find_similar(self, key: Functor) -> List[str]:
         """Return indicators of predicates with a similar name, for "did you mean" hints."""
