@@ -217,6 +217,12 @@ CASES: Dict[str, Case] = {
     r"[a-z][a-z0-9_+]*": Case("findall", "one run", ("", "a"), ("a", "_", "1")),
     r"[A-Za-z/~][A-Za-z0-9_/]*": Case("match", "one run", ("", "~"), ("a", "/", "_")),
     r"[^A-Za-z0-9_/~]": Case("search", "one look at each character", ("",), ("a", "!")),
+    r"""<\?xml[^>]{0,100}\sencoding\s*=\s*["']([A-Za-z][A-Za-z0-9._-]{0,30})["']""": Case(
+        "match",
+        "the first 200 characters a hundred times",
+        ("", "<?xml", "<?xml encoding=", '<?xml encoding="'),
+        (" ", "a", " encoding", " encoding =", "="),
+    ),
     # messages/type_definition.py: one line each
     r"#.*": Case("search", "the rest of the line is one run", ("",), ("#", "a", "\n")),
     r"\s*string\s+(?P<name>\w+)\s*=(?P<value>.*)": Case(

@@ -94,6 +94,15 @@ def test_messages_become_events_and_outputs_become_messages(program, bag, defini
     assert decoded == parse_term("my_msgs__0__Point(13.0)")
 
 
+def test_topic_name_with_trailing_slash_is_the_name_without_it(program, bag, definitions):
+    path = bag((7 * SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(6.5)"))
+    goals = "subscribe(my_msgs__0__Point(X), [], my_msgs__0__Point(X), '/out', 1)"
+    topics = IN.replace('"in"', '"/in/"') + OUT.replace('"out"', '"/out/"')
+    outputs, events, problems = run(program("", goals, topics), path)
+    assert (problems, len(events), len(outputs)) == ([], 1, 1)
+    assert outputs[0].definition.name == "my_msgs/Point"
+
+
 def test_a_header_stamps_its_event_and_a_zero_stamp_counts_as_none(program, bag):
     text = "my_msgs__0__Stamped(std_msgs__0__Header(1,[{},{}],'\"f\"'),1.0)"
     path = bag(

@@ -18,7 +18,7 @@ from ..events.language.event_declarations import DeclaredEvents, event_name_erro
 from ..events.program.topic_configuration import TopicEvent, Topics, TopicType
 from ..events.rules.event_input_predicates import InputReader
 from ..foundation.errors import RetalisError, UsageError, shorten
-from ..foundation.ros_names import ros1_type_name, topic_fault, type_fault
+from ..foundation.ros_names import ros1_type_name, strip_slashes, topic_fault, type_fault
 from ..messages.message_notation import SlotNames
 from ..messages.transform_messages import TransformMessage
 from ..prolog.machine.errors import domain_error, instantiation_error, permission_error, resource_error
@@ -200,11 +200,6 @@ class TopicRequest(NamedTuple):
 
 Subscribe = Callable[[TopicRequest], object]
 """A function that subscribes to a topic and makes its messages events; it must not wait for the engine."""
-
-
-def strip_slashes(topic: str) -> str:
-    """Return the name of a topic without leading slashes."""
-    return topic.lstrip("/")
 
 
 class InputTopics:

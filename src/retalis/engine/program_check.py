@@ -26,11 +26,11 @@ from ..events.program.topic_configuration import (
     read_topics,
 )
 from ..foundation.errors import MessageError, Omission, Place, ProgramErrors, RetalisError, RuleError
+from ..foundation.ros_names import strip_slashes
 from ..messages.type_registry import Definitions
 from ..prolog.terms.types import CompoundTerm, Term
 from .engine import Engine
 from .engine_settings import Settings
-from .event_input import strip_slashes
 from .runtime.clock import Clock
 from .runtime.problem_reports import Reports
 

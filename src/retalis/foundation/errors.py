@@ -139,9 +139,11 @@ def format_count(number: int, singular: str, plural: str = "") -> str:
 
 
 def describe_decode_error(error: UnicodeDecodeError) -> str:
-    """Return an error text for bytes that are not UTF-8, with line and byte."""
+    """Return an error text for bytes that are not text in an encoding, with line and byte."""
     line = error.object.count(b"\n", 0, error.start) + 1
-    return f"not UTF-8 text (line {line}: {error.reason} 0x{error.object[error.start]:02x})"
+    return (
+        f"not {error.encoding.upper()} text (line {line}: {error.reason} 0x{error.object[error.start]:02x})"
+    )
 
 
 class RetalisError(Exception):

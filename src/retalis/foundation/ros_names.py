@@ -50,6 +50,14 @@ def topic_fault(text: str) -> Optional[str]:
     return fault
 
 
+def strip_slashes(topic: str) -> str:
+    """Return the name of a topic without leading and trailing slashes: ROS resolves ``/scan/`` and ``scan`` alike.
+
+    Names are compared so where no node resolves them: in bags, and in checks.
+    """
+    return topic.strip("/")
+
+
 def _describe_fault(form: "re.Pattern[str]", text: str, expected: str) -> Optional[str]:
     problem = f"expected {expected}, found {quote_shortened(text)}"
     if len(text) > MAX_NAME_CHARACTERS:

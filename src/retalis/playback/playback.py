@@ -38,7 +38,7 @@ from typing import (
 
 from ..engine.engine import Engine
 from ..engine.engine_settings import Settings
-from ..engine.event_input import TopicRequest, strip_slashes
+from ..engine.event_input import TopicRequest
 from ..engine.runtime.clock import StreamClock
 from ..engine.runtime.clock_skew import ClockSkewMonitor, RefusedMessage
 from ..engine.runtime.problem_reports import Reports
@@ -59,7 +59,7 @@ from ..foundation.errors import (
     quote_shortened,
     shorten,
 )
-from ..foundation.ros_names import ros1_type_name, topic_fault, type_fault
+from ..foundation.ros_names import ros1_type_name, strip_slashes, topic_fault, type_fault
 from ..messages.decoder import Decoder
 from ..messages.transform_messages import (
     STATIC_TRANSFORM_TOPIC,

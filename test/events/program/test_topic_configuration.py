@@ -155,6 +155,28 @@ def test_where_a_text_is_no_utf_8_is_said(tmp_path):
         engine.call(f"compile_event_file('{path}')")
 
 
+@pytest.mark.parametrize("encoding", ["ISO-8859-1", "iso-8859-15", "windows-1252", "US-ASCII", "UTF-8"])
+def test_declared_encoding_is_used(tmp_path, encoding):
+    comment = "" if encoding == "US-ASCII" else "gr\u00fcn"
+    path = tmp_path / "pub_sub.xml"
+    text = (
+        f"<?xml version='1.0' encoding='{encoding}'?>\n<publish_subscribe><!-- {comment} -->"
+        '<subscribe_to name="a" msg_type="std_msgs/String"/></publish_subscribe>'
+    )
+    path.write_text(text, encoding=encoding)
+    assert read_topics(path).subscribed == (TopicType("a", "std_msgs/String"),)
+
+
+def test_unknown_or_wrong_encoding_is_reported(tmp_path):
+    path = tmp_path / "pub_sub.xml"
+    path.write_bytes(b'<?xml version="1.0" encoding="utf-7"?><publish_subscribe/>')
+    with pytest.raises(UsageError, match="its encoding 'utf-7' is unknown: expected utf-8 or us-ascii or"):
+        read_topics(path)
+    path.write_bytes(b'<?xml version="1.0" encoding="us-ascii"?>\n<!-- \xfc --><publish_subscribe/>')
+    with pytest.raises(UsageError, match="not ASCII text .line 2: ordinal not in range"):
+        read_topics(path)
+
+
 @pytest.mark.parametrize("name", ["a\0b", f"{chr(0xD800)}.txt", "x" * 10_000])
 def test_what_no_file_is_called_is_a_clear_error(tmp_path, name):
     with pytest.raises(UsageError, match="cannot read "):

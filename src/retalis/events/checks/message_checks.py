@@ -17,6 +17,7 @@ from ...foundation.errors import (
     printable,
     shorten,
 )
+from ...foundation.ros_names import strip_slashes
 from ...messages.type_definition import Definition, Field, type_name
 from ...messages.validating_encoder import find_fault
 from ...prolog.terms.list_terms import list_items
@@ -35,7 +36,7 @@ from ...prolog.terms.types import (
 )
 from ..language.pattern_parser import no_place
 from ..language.rule_head_parser import NEW_EVENT, event_raised_by
-from ..program.topic_configuration import ATTRIBUTES, TOPICS, read_text
+from ..program.topic_configuration import ATTRIBUTES, TOPICS, read_xml
 from .event_flow_checks import SUBSCRIBE_TO
 from .program_model import (
     EventConsumer,
@@ -246,9 +247,9 @@ def _is_open_list(value: Term) -> bool:
 
 def find_output_mismatches(program: ProgramModel) -> Iterator[RuleError]:
     """Yield outputs of subscriptions that do not fit the message types of their topics."""
-    published = {normalize_topic(topic): type_name for topic, type_name in program.topics.published}
+    published = {strip_slashes(topic): type_name for topic, type_name in program.topics.published}
     for subscription, topic in _subscriptions_with_topic(program):
-        type_name = published.get(normalize_topic(topic))
+        type_name = published.get(strip_slashes(topic))
         definition = None if type_name is None else program.definition(type_name)
         fault = None if definition is None else find_output_fault(definition, subscription.term, topic)
         if fault is not None:
@@ -260,11 +261,11 @@ def find_output_mismatches(program: ProgramModel) -> Iterator[RuleError]:
 
 def find_untyped_topics(program: ProgramModel) -> Iterator[RuleError]:
     """Yield topics of subscriptions that have no message type."""
-    published = [normalize_topic(topic) for topic, _ in program.topics.published]
+    published = [strip_slashes(topic) for topic, _ in program.topics.published]
     reported: Set[str] = set()
     for subscription, topic in _subscriptions_with_topic(program):
         if topic in reported or any(
-            _may_be_same_topic(normalize_topic(topic), published_topic) for published_topic in published
+            _may_be_same_topic(strip_slashes(topic), published_topic) for published_topic in published
         ):
             continue
         reported.add(topic)
@@ -272,7 +273,7 @@ def find_untyped_topics(program: ProgramModel) -> Iterator[RuleError]:
         advice = f'; <publish_to name="{name}" msg_type="package/Type"/> in {TOPICS} would give it one'
         yield RuleError(
             f"topic {name} has no type: its events are published only as text on retalisOutputEvents"
-            f"{did_you_mean(normalize_topic(topic), published) or advice}",
+            f"{did_you_mean(strip_slashes(topic), published) or advice}",
             subscription.place_of(subscription.term, 4),
         )
 
@@ -287,11 +288,6 @@ def _subscriptions_with_topic(program: ProgramModel) -> Iterator[Tuple[EventCons
 def _may_be_same_topic(first: str, second: str) -> bool:
     """Return whether two topic names can denote the same topic in some namespace."""
     return first == second or first.endswith(f"/{second}") or second.endswith(f"/{first}")
-
-
-def normalize_topic(topic: str) -> str:
-    """Return a topic name without leading slashes, so that names differ in the namespace at most."""
-    return topic.lstrip("/")
 
 
 def find_output_fault(definition: Definition, subscription: CompoundTerm, topic: str) -> Optional[str]:
@@ -324,7 +320,7 @@ def read_elements(path: Path) -> List[Element]:
     """Return the elements of ``pub_sub.xml``; none if it cannot be read or is not well-formed."""
     result: List[Element] = []
     try:
-        text = read_text(path)
+        text = read_xml(path)
     except UsageError:
         return result
     lines = text.splitlines()
@@ -372,7 +368,7 @@ def find_topic_mistakes(program: ProgramModel) -> Iterator[RuleError]:
                 yield RuleError(f"<{element.tag}> has no attribute {attribute}{hint}", element.place)
         topic, type_name = (element.attributes.get(name, "").strip() for name in ("name", "msg_type"))
         # Names with and without a leading slash denote the same topic at the top level.
-        first = elements_by_topic.setdefault((element.tag, normalize_topic(topic)), element)
+        first = elements_by_topic.setdefault((element.tag, strip_slashes(topic)), element)
         if first is not element:
             yield RuleError(_explain_duplicate_topic(element, first, topic, type_name), element.place)
         yield from _find_misspelt_type(program, type_name, element.place)

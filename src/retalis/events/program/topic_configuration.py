@@ -4,6 +4,7 @@
 one ("billion laughs") or read other files; size and depth are limited. All errors are collected with their positions.
 """
 
+import re
 from pathlib import Path
 from typing import Callable, Dict, FrozenSet, List, NamedTuple, Optional, Set, Tuple, Union
 from xml.parsers import expat
@@ -37,6 +38,13 @@ MAX_XML_CHARACTERS = 4_000_000
 
 MAX_XML_DEPTH = 100
 """Maximum nesting depth of elements in ``pub_sub.xml``."""
+
+
+_XML_ENCODING = re.compile(r"""<\?xml[^>]{0,100}\sencoding\s*=\s*["']([A-Za-z][A-Za-z0-9._-]{0,30})["']""")
+"""Encoding in the declaration at the beginning of an XML file."""
+
+_XML_ENCODINGS = ("utf-8", "us-ascii", "iso-8859-1", "iso-8859-15", "windows-1252")
+"""Encodings of ``pub_sub.xml``."""
 
 
 class TopicType(NamedTuple):
@@ -108,14 +116,14 @@ class Topics(NamedTuple):
         return next((event for name, event in self.events if canonical_name(name) == canonical_topic), "")
 
 
-def read_text(path: Union[str, Path]) -> str:
-    """Return the text of a UTF-8 file.
+def read_text(path: Union[str, Path], encoding: str = "utf-8") -> str:
+    """Return the text of a file, in UTF-8 by default.
 
     Raises:
         UsageError: if it cannot be read.
     """
     try:
-        return Path(path).read_text(encoding="utf-8")
+        return Path(path).read_text(encoding=encoding)
     except OSError as error:
         raise UsageError(f"cannot read {path}: {error.strerror}") from error
     except UnicodeDecodeError as error:
@@ -132,8 +140,27 @@ def read_topics(path: Union[str, Path]) -> Topics:
         ProgramErrors: all errors with their positions.
         UsageError: if it cannot be read.
     """
-    reader = _TopicReader(str(path), read_text(path))
+    reader = _TopicReader(str(path), read_xml(Path(path)))
     return reader.read()
+
+
+def read_xml(path: Path) -> str:
+    """Return the text of an XML file in the encoding that it declares, UTF-8 by default.
+
+    Raises:
+        UsageError: if it cannot be read.
+    """
+    try:
+        # The declaration is ASCII in each of the encodings.
+        declaration = _XML_ENCODING.match(path.read_bytes()[:200].decode("latin-1"))
+    except OSError as error:
+        raise UsageError(f"cannot read {path}: {error.strerror}") from error
+    encoding = "utf-8" if declaration is None else declaration[1].lower()
+    if encoding not in _XML_ENCODINGS:
+        raise UsageError(
+            f"cannot read {path}: its encoding '{encoding}' is unknown: expected {' or '.join(_XML_ENCODINGS)}"
+        )
+    return read_text(path, encoding)
 
 
 def read_direct(value: object) -> DirectTopics:
