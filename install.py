@@ -117,7 +117,6 @@ DEPENDENCIES = {
     "python3-msgpack": "python3-msgpack",
     "python3-numpy": "python3-numpy",
     "python3-pytest": "pip",
-    "python3-rosbags-pip": "pip",
     "python3-rospkg": "python3-rospkg",
     "python3-setuptools": "python3-setuptools",
     "python3-tornado": "python3-tornado",
