@@ -114,6 +114,14 @@ class Services(unittest.TestCase):
         self.assertEqual(self.delete_subscription("t", "twice").result, "ok")
         self.assertEqual(self.delete_subscription("other", "twice").result, "ok")
 
+    def test_subscription_of_invalid_topic_is_refused(self):
+        for topic in ("bad topic!", "4x4", "a//b", "über"):
+            with self.subTest(topic):
+                self.assert_error(
+                    self.add_subscription("a(X)", "", "_", topic, "never"), "topic: expected a topic"
+                )
+                self.assert_error(self.delete_subscription(topic, "never"), "there is no subscription never")
+
     def test_an_unknown_subscription_is_an_error(self):
         self.assert_error(self.delete_subscription("t", "never"), "never")
         self.assert_error(self.delete_subscription("t", "two\nlines"), "two lines")
@@ -146,7 +154,10 @@ class Services(unittest.TestCase):
 
     def test_bad_memories_are_errors_and_nothing_is_half_added(self):
         self.assert_error(self.add_memory("v(X)", "", "_", "bad", "many"), "size", "many")
-        self.assert_error(self.add_memory("v(X)", "", "_", "bad", "-1"), "size")
+        self.assert_error(self.add_memory("v(X)", "", "_", "bad", "-1"), "size: expected", "found -1")
+        self.assert_error(
+            self.add_memory("v(X)", "", "_", "bad", "0"), "size: expected", "1 or more, found 0"
+        )
         self.assert_error(
             self.add_memory("v(X)", "1", "_", "bad", "5"), "conditions: expected goals", "found 1"
         )

@@ -25,6 +25,7 @@ from ..events.language.stream_parser import subscription_event
 from ..events.program.topic_configuration import TOPICS, Topics, read_topics, topic_type
 from ..explanation.event_explanations import explain, records_origins
 from ..foundation.errors import ProgramErrors, RetalisError, SyntaxFault, UsageError, printable, shorten
+from ..foundation.ros_names import topic_fault
 from ..messages.type_registry import Definitions
 from ..prolog.machine.resource_limits import Limits, validate_limit
 from ..prolog.syntax.operators import Operators
@@ -148,6 +149,10 @@ class EngineServices:
     def _add_subscription(self, request: Any) -> str:
         def execute() -> None:
             topic, key = parse_name(request.topic, "topic"), parse_name(request.id, "id")
+            # No event could ever be published on such a topic.
+            fault = topic_fault(request.topic.strip())
+            if fault is not None:
+                raise UsageError(f"topic: {fault}")
             if self._engine.has_subscription(topic, key):
                 raise UsageError(
                     f"a subscription {quote_text(request.id)} of topic {quote_text(request.topic)} already exists"
@@ -254,8 +259,9 @@ class EngineServices:
             size = int(text)
         except ValueError:
             raise UsageError(f'size: expected a whole number, found "{shorten(text)}"') from None
-        if size < 0:
-            raise UsageError(f"size: expected a whole number of 0 or more, found {size}")
+        # A memory of size 0 would never store a record.
+        if size < 1:
+            raise UsageError(f"size: expected a whole number of 1 or more, found {size}")
         return size
 
 
