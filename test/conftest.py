@@ -16,6 +16,8 @@ import retalis.events.language.event_operators  # noqa: F401 -- adds its operato
 from retalis import Definitions
 from retalis.foundation.cpython_and_pypy import PYPY
 
+pytest_plugins = ["process_state"]
+
 FAST_TESTS = "not slow"
 """The expression of ``-m`` that selects the fast tests."""
 
@@ -72,15 +74,3 @@ def freeze_caches():
     gc.collect()
     if not PYPY:
         gc.freeze()
-
-
-def pytest_runtest_teardown():
-    if not PYPY:
-        # A command that a test has run changes the collector of the process. Callbacks of other packages remain: a
-        # Dask cluster whose callback is missing when it ends prevents the start of the next one.
-        gc.callbacks[:] = [
-            callback
-            for callback in gc.callbacks
-            if not (getattr(callback, "__module__", None) or "").startswith("retalis")
-        ]
-        gc.set_threshold(*GC_THRESHOLDS)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import patch
 
 import pytest
 
@@ -18,6 +19,13 @@ def install():
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(HERE))
         yield importlib.import_module("install")
+
+
+@pytest.fixture(autouse=True)
+def environment():
+    """Restore the environment variables: `install.main` removes those that results must not depend on."""
+    with patch.dict(os.environ):
+        yield os.environ
 
 
 @pytest.fixture(scope="module")
@@ -490,18 +498,16 @@ def test_options_may_stand_before_the_command_and_behind_it(install, command, pl
 
 
 @pytest.fixture
-def ran(install, monkeypatch, tmp_path):
-    """Return a function that runs install.py up to the command of the tests; it returns that and the environment."""
-    monkeypatch.setattr(
-        install.os, "environ", dict(os.environ, PYTHONUNBUFFERED="1", RETALIS_SCENARIOS="here")
-    )
+def ran(install, environment, monkeypatch, tmp_path):
+    """Return a function that runs install.py up to the command of the tests; it returns the environment of that."""
+    environment.update(PYTHONUNBUFFERED="1", RETALIS_SCENARIOS="here")
     monkeypatch.setattr(install, "Shell", lambda logs, dry: Recorder(logs))
     for step in ("install_system_packages", "install_python_packages"):
         monkeypatch.setattr(install.Installation, step, lambda *_: None)
 
     def run(*argv):
         assert install.main(["--workspace", str(tmp_path / "ws"), *argv]) == 0
-        return install.os.environ
+        return environment
 
     return run
 

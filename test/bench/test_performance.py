@@ -6,6 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 
+from retalis.foundation.cpython_and_pypy import stop_limiting_gc_pauses
+
 ROOT = Path(__file__).resolve().parents[2]
 MODULES = (
     "comparison",
@@ -27,6 +29,7 @@ def bench(monkeypatch):
     yield importlib.import_module
     for name in MODULES:
         sys.modules.pop(name, None)
+    stop_limiting_gc_pauses()  # a case limits them as a node does
 
 
 def test_a_case_is_one_line(bench, capsys, monkeypatch):

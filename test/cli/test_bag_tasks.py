@@ -10,13 +10,19 @@ from bags_and_program import SECOND, make_bag, make_program
 
 from retalis import BagReader
 from retalis.cli.bag_command import _MAX_MESSAGE_CHARACTERS, BagTask, add_parser, play_bag, single_bag_options
+from retalis.foundation.cpython_and_pypy import stop_limiting_gc_pauses
 
 
 @pytest.fixture(autouse=True)
 def tightened(monkeypatch):
-    """Note that the collector is asked to free a bag's program; do not, it would walk what all tests have loaded."""
+    """Record each `restore_gc`, which frees a bag's program; without a collection of what all tests have loaded."""
     asked = []
-    monkeypatch.setattr("retalis.cli.bag_command.restore_gc", lambda: asked.append(True))
+
+    def restore_gc():
+        asked.append(True)
+        stop_limiting_gc_pauses()
+
+    monkeypatch.setattr("retalis.cli.bag_command.restore_gc", restore_gc)
     return asked
 
 

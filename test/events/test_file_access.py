@@ -471,10 +471,9 @@ def test_what_is_swapped_before_it_is_opened_is_not_read(place, monkeypatch, goa
             swap(path, place / "outside")
         return real(opened, *arguments, **named)
 
-    monkeypatch.setattr(f"retalis.events.program.file_sandbox.os.{hook}", swapping)
-    text = told(lambda: engine.call(GOALS[goal]("sub/in.pl")))
-    monkeypatch.undo()
-    os.chdir(str(place / "here"))
+    with monkeypatch.context() as patch:
+        patch.setattr(f"retalis.events.program.file_sandbox.os.{hook}", swapping)
+        text = told(lambda: engine.call(GOALS[goal]("sub/in.pl")))
     assert calls
     assert "No permission to open source_sink" in text
     assert not was_read(engine)
@@ -498,10 +497,9 @@ def test_what_is_swapped_before_it_is_opened_is_not_written(place, monkeypatch, 
         calls.append(opened)
         return real(opened, *arguments, **named)
 
-    monkeypatch.setattr("retalis.events.program.file_sandbox.os.open", swapping)
-    persistent(place, write_folders=(folder,))
-    monkeypatch.undo()
-    os.chdir(str(place / "here"))
+    with monkeypatch.context() as patch:
+        patch.setattr("retalis.events.program.file_sandbox.os.open", swapping)
+        persistent(place, write_folders=(folder,))
     assert calls  # and nothing outside has changed
 
 

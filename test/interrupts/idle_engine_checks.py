@@ -1,12 +1,9 @@
 """What holds of an engine that does nothing, whatever was interrupted before."""
 
-from concurrent.futures import ThreadPoolExecutor
+from threading import Thread
 
 from retalis.events.rules.timer_service import TimerAlarm
 from retalis.foundation.cancellation import CURRENT_CHECK
-
-OTHER = ThreadPoolExecutor(1)
-"""Another thread."""
 
 
 def faults(engine):
@@ -54,7 +51,9 @@ def faults(engine):
 def others_are_served(executor):
     """Tell whether the work of another thread is done at once."""
     done = []
-    OTHER.submit(executor.post, done.append, 1).result()
+    thread = Thread(target=executor.post, args=(done.append, 1))
+    thread.start()
+    thread.join()
     return bool(done)
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Callable, Iterable, List, Optional
 from xml.etree import ElementTree
 
+from ..foundation.cpython_and_pypy import stop_limiting_gc_pauses
 from ..foundation.errors import RetalisError
 from .option_values import join_times_option
 from .stderr_and_progress import OutputClosed, detach_reporters
@@ -116,7 +117,9 @@ def main(arguments: Optional[List[str]] = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     finally:
+        # A caller in the same process keeps its loggers and its garbage collector.
         detach_reporters()
+        stop_limiting_gc_pauses()
 
 
 def import_commands(words: List[str]) -> List[AddParser]:

@@ -8,8 +8,9 @@ import importlib
 import sys
 import tempfile
 import webbrowser
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Callable, Dict, Optional, Tuple
+from typing import Any, Callable, Dict, Iterator, Optional, Tuple
 
 from ..foundation.errors import UsageError
 from .option_values import any_integer, positive_seconds
@@ -56,10 +57,8 @@ def run_demo(options: argparse.Namespace) -> int:
     """Run command ``demo``; return its exit status."""
     reporter = StderrReporter().attach()
     folder = example_folder()
-    # The example's modules are scripts beside its data, not part of the package.
-    sys.path.append(str(folder))
-    truth_module = importlib.import_module("nao_truth")
-    with tempfile.TemporaryDirectory() as temporary:
+    with tempfile.TemporaryDirectory() as temporary, module_folder(folder):
+        truth_module = importlib.import_module("nao_truth")
         bag = options.bag
         if bag is None:
             bag = Path(temporary) / "nao.bag"
@@ -82,6 +81,17 @@ def run_demo(options: argparse.Namespace) -> int:
     return (
         0 if comparisons and all(comparison.good for comparison in comparisons) and not reporter.errors else 1
     )
+
+
+@contextmanager
+def module_folder(folder: Path) -> Iterator[None]:
+    """Find modules in a folder, too: the example's modules are scripts beside its data, not part of the package."""
+    search_path = list(sys.path)
+    sys.path.append(str(folder))
+    try:
+        yield
+    finally:
+        sys.path[:] = search_path
 
 
 def locate_markers(

@@ -90,10 +90,10 @@ def test_a_full_disk_leaves_no_half_of_a_text(door, tmp_path, monkeypatch, is_er
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         return 3
 
-    monkeypatch.setattr("retalis.events.program.file_sandbox.os.write", short)
-    with pytest.raises(UsageError, match="cannot write .*: No space left on device"):
-        door.append(str(path), "a text\n")
-    monkeypatch.undo()
+    with monkeypatch.context() as patch:
+        patch.setattr("retalis.events.program.file_sandbox.os.write", short)
+        with pytest.raises(UsageError, match="cannot write .*: No space left on device"):
+            door.append(str(path), "a text\n")
     assert path.read_bytes() == before
 
 
