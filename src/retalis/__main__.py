@@ -1,14 +1,23 @@
 """``python3 -m retalis``, and the command ``retalis`` of an installation."""
 
 import gc
+import os
 import signal
 import sys
+
+_INTERRUPTED = 130
+"""Exit status after ctrl-C."""
 
 
 def main() -> int:
     """Run a command; return its exit status."""
-    # While modules are imported, ctrl-C ends the process at once, and there is no garbage to collect.
-    default = signal.signal(signal.SIGINT, signal.SIG_DFL)
+    _open_closed_streams()
+    # Before and after the command there is nothing to clean up after ctrl-C. A process that ignores it, as one in the
+    # background of a script, goes on ignoring it.
+    handles_interrupts = signal.getsignal(signal.SIGINT) is not signal.SIG_IGN
+    if handles_interrupts:
+        signal.signal(signal.SIGINT, _exit_at_once)
+    # While modules are imported, there is no garbage to collect.
     gc.disable()
     from .cli.command_line import import_commands  # noqa: PLC0415
     from .cli.command_line import main as command_line  # noqa: PLC0415
@@ -17,11 +26,30 @@ def main() -> int:
     import_commands(sys.argv[1:])
     stop_collecting()  # modules stay: later collections, and those at the exit, do not visit them
     gc.enable()
-    signal.signal(signal.SIGINT, default)
     try:
+        if handles_interrupts:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
         return command_line()
+    except KeyboardInterrupt:
+        return _INTERRUPTED
     finally:
+        if handles_interrupts:
+            signal.signal(signal.SIGINT, _exit_at_once)
         stop_collecting()
+
+
+def _exit_at_once(*signal_arguments: object) -> None:
+    os._exit(_INTERRUPTED)
+
+
+def _open_closed_streams() -> None:
+    """Replace standard streams that are closed by the null device.
+
+    Otherwise the next file that is opened would get the number of the stream.
+    """
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115 - stays open until the process ends
 
 
 if __name__ == "__main__":

@@ -154,12 +154,13 @@ def test_a_result_that_cannot_be_written_is_an_error(tmp_path):
 
 
 def test_what_dead_workers_left_is_removed_and_nothing_else(tmp_path):
-    for name in (".a.bag.01.part", ".b.bag.02.part", "a.bag", ".a.bag.03.parts"):
+    others = [".02.incomplete.b.bag", ".incomplete", "03.incomplete.a.bag", "a.bag"]
+    for name in (*others, ".01.incomplete.a.bag", ".05.incomplete..04.incomplete.a.bag"):
         (tmp_path / name).touch()
     remove_incomplete_results(
         [str(tmp_path / "a.bag"), "s3://bucket/b.bag", str(tmp_path / "none" / "c.bag")]
     )
-    assert sorted(path.name for path in tmp_path.iterdir()) == [".a.bag.03.parts", ".b.bag.02.part", "a.bag"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(others)
 
 
 def test_a_url_that_sends_more_than_it_states_is_an_error(tmp_path, monkeypatch):

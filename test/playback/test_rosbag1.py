@@ -1,3 +1,5 @@
+import resource
+import signal
 import tracemalloc
 from pathlib import Path
 
@@ -86,6 +88,44 @@ def test_an_empty_bag(tmp_path):
 def test_a_bag_is_not_overwritten(bag):
     with pytest.raises(BagError, match="already exists"):
         BagWriter(bag)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
+def test_exception_discards_new_bag_and_keeps_old_one(bag, error):
+    old = bag.read_bytes()
+    with pytest.raises(error), BagWriter(bag, overwrite=True) as writer:
+        writer.write(writer.add("/a", Definitions().find("std_msgs/Empty")), 1, b"")
+        raise error
+    assert bag.read_bytes() == old
+    assert [path.name for path in bag.parent.iterdir()] == [bag.name]
+
+
+def test_full_disk_discards_new_bag_and_keeps_old_one(bag):
+    old = bag.read_bytes()
+    size_limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    # The signal of a file that grows beyond the limit is ignored, so that writing raises an error, as on a full disk.
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, size_limit[1]))
+    try:
+        with pytest.raises(BagError, match="cannot be written: .*File too large"), BagWriter(
+            bag, overwrite=True
+        ) as writer:
+            connection = writer.add("/a", Definitions().find("std_msgs/String"))
+            for number in range(100):
+                writer.write(connection, number, bytes(1_000_000))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, size_limit)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert bag.read_bytes() == old
+    assert [path.name for path in bag.parent.iterdir()] == [bag.name]
+
+
+def test_closed_bag_can_be_closed_again(tmp_path):
+    writer = BagWriter(tmp_path / "empty.bag")
+    assert not (tmp_path / "empty.bag").exists()
+    writer.close()
+    writer.close()
+    assert BagReader(tmp_path / "empty.bag").messages == 0
 
 
 def test_a_bag_in_a_folder_that_is_not_there(tmp_path):

@@ -149,6 +149,8 @@ def test_what_matplotlib_is_asked_for(monkeypatch, tmp_path):
         def __getattr__(self, name):
             def call(*arguments, **named):
                 calls.append((name, arguments))
+                if name == "savefig":
+                    arguments[0].write_text("picture")
                 return Noting(axes=True)
 
             return call
@@ -163,6 +165,8 @@ def test_what_matplotlib_is_asked_for(monkeypatch, tmp_path):
     assert named == [["Level", "a (b", "seen waits", "odom", "y", "z"], ["1", "1", "1", "4", "1", "1"]]
     (title,) = [arguments[0] for name, arguments in calls if name == "set_title"]
     assert title.startswith("a run of \\$x_{\\$\n")
-    assert [arguments[0] for name, arguments in calls if name == "savefig"] == [tmp_path / "run.png"]
+    (drawn,) = [arguments[0] for name, arguments in calls if name == "savefig"]
+    assert (drawn.parent, drawn.suffix) == (tmp_path, ".png")
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"run.png": "picture"}
     bars = [arguments[0] for name, arguments in calls if name == "broken_barh"]
     assert bars == [[(0.0, 2.0)], [(1.0, 1.0)], [(1.0, 3.0)]]

@@ -66,7 +66,6 @@ from .stderr_and_progress import (
     ProgressBar,
     StderrReporter,
     detach_reporters,
-    end_run_on_closed_pipe,
     show_progress,
 )
 
@@ -317,9 +316,9 @@ class _RunPrinter:
         self._printer = Printer(options.json, False, None)
         self._recorder: Optional[RunRecorder] = None
         if options.events and options.json:
-            self._recorder = RunRecorder(playback, end_run_on_closed_pipe(self._print_record))
+            self._recorder = RunRecorder(playback, self._print_record)
         elif options.events:
-            self._engine.on_event(end_run_on_closed_pipe(self._print_event))
+            self._engine.on_event(self._print_event)
 
     def advance(self, message_count: int) -> None:
         """Update records and progress bar after a message; ``message_count`` messages have been processed."""

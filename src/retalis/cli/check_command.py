@@ -93,8 +93,6 @@ def run(options: argparse.Namespace) -> int:
             print(f"{finding.severity}: {finding.problem}")
         counts_text = f"{_format_count(errors, 'error')}, {_format_count(warnings, 'warning')}"
         print(f"{printable(str(options.folder))}: {counts_text}")
-    # A closed pipe is reported here, where the caller handles it, and not at exit.
-    sys.stdout.flush()
     if errors:
         return 1
     return 2 if warnings and options.strict else 0

@@ -14,8 +14,9 @@ from xml.etree import ElementTree
 
 from ..foundation.cpython_and_pypy import stop_limiting_gc_pauses
 from ..foundation.errors import RetalisError
+from ..foundation.output_files import GuardedOutput, OutputFailed
 from .option_values import join_times_option
-from .stderr_and_progress import OutputClosed, detach_reporters
+from .stderr_and_progress import detach_reporters
 
 AddParser = Callable[[Callable[..., argparse.ArgumentParser]], object]
 """Adds the parser of a command with the given function, which is the method ``add_parser`` of argparse."""
@@ -86,7 +87,31 @@ def main(arguments: Optional[List[str]] = None) -> int:
     Raises:
         SystemExit: with status 2 for other wrong usage, with 0 after ``--help`` and ``--version``.
     """
-    words = sys.argv[1:] if arguments is None else arguments
+    output = sys.stdout
+    sys.stdout = GuardedOutput(output, "standard output")
+    try:
+        try:
+            return _run_command(sys.argv[1:] if arguments is None else arguments)
+        finally:
+            # Also after --help, which raises SystemExit. Text that is left would be written at exit, where an error
+            # is a traceback.
+            sys.stdout.flush()
+    except OutputFailed as failure:
+        # A reader that has ended, such as `head`, is no error that the user needs to know.
+        if not isinstance(failure.error, BrokenPipeError):
+            print(f"retalis: {failure}", file=sys.stderr)
+        try:
+            output.flush()
+        except OSError:
+            # Python writes the text that is left in the buffer at exit, and would report the error again.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), output.fileno())
+        return 1
+    finally:
+        sys.stdout = output
+
+
+def _run_command(words: List[str]) -> int:
+    """Run a command with its arguments; return its exit status."""
     parser = argparse.ArgumentParser(
         prog="retalis",
         description="Event rules and a knowledge base for robots.",
@@ -112,10 +137,6 @@ def main(arguments: Optional[List[str]] = None) -> int:
         return 1
     except KeyboardInterrupt:
         return 130
-    except (BrokenPipeError, OutputClosed):
-        # The reader of the output has closed the pipe. Python flushes stdout at exit, and would report the error.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
     finally:
         # A caller in the same process keeps its loggers and its garbage collector.
         detach_reporters()

@@ -29,7 +29,7 @@ from ..prolog.terms.types import COMMA, Atom, String, Term, Var, deref, functor
 from .command_options import add_limits, apply_limits
 from .option_values import non_negative
 from .optional_ros_imports import installed_definitions, run_ros_command
-from .stderr_and_progress import StderrReporter, end_run_on_closed_pipe
+from .stderr_and_progress import StderrReporter
 from .toplevel_io import QUIT_GOALS, PipedInput, TerminalInput, format_bindings, read_clause
 
 PREDICATES_PAGE = "docs/reference/predicates.md"
@@ -280,7 +280,7 @@ class Console:
         # As in other top levels, singleton variables of loaded clauses are reported.
         self._rules.warn_singletons = True
         self._files = LoadedFiles(self.engine)
-        self.engine.on_output(end_run_on_closed_pipe(self._print_output))
+        self.engine.on_output(self._print_output)
         self.logic = self.engine.logic
         self.logic.print_to(_write_output, _write_error)
         self._reporter = reporter

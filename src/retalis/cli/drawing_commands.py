@@ -11,6 +11,7 @@ from ..engine.event_input import InputTopics
 from ..events.program.topic_configuration import GOALS, TOPICS, Topics, read_topics
 from ..foundation.cpython_and_pypy import limit_gc_pauses
 from ..foundation.errors import ProgramErrors, UsageError
+from ..foundation.output_files import open_output
 from ..messages.type_definition import functor_name
 from ..playback.playback import RunRecorder
 from ..visualization.program_graph import PICTURE_SUFFIXES, GraphTopic, dot_text, draw_graph, program_graph
@@ -204,7 +205,5 @@ def _unsupported_suffix(path: Optional[Path], suffixes: Sequence[str]) -> UsageE
 
 
 def _write_file(path: Path, text: str) -> None:
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise UsageError(f"cannot write {path}: {error.strerror}") from error
+    with open_output(path) as file:
+        file.write(text)

@@ -33,6 +33,7 @@ from ..foundation.errors import (
     UsageError,
     place_at_column,
 )
+from ..foundation.output_files import open_output
 from ..prolog.machine.machine import Machine
 from ..prolog.syntax.event_text import EventReader
 from ..prolog.syntax.operators import Operators
@@ -44,7 +45,7 @@ from .command_options import add_folders, add_limits, apply_folders, apply_limit
 from .option_values import RELATIVE_TIMES_OPTION, TIMES_RELATIVE
 from .optional_ros_imports import installed_definitions
 from .result_printer import JSON_HELP, Printer
-from .stderr_and_progress import StderrReporter, end_run_on_closed_pipe
+from .stderr_and_progress import StderrReporter
 
 
 class EventLine(NamedTuple):
@@ -233,10 +234,7 @@ def _open_output(name: Optional[str], stack: ExitStack) -> Optional[IO[str]]:
         return None
     if name == "-":
         return sys.stdout
-    try:
-        return stack.enter_context(open(name, "w", encoding="utf-8"))
-    except OSError as error:
-        raise UsageError(f"cannot write {name}: {error.strerror}") from error
+    return stack.enter_context(open_output(name, keep_on_interrupt=True))
 
 
 class Session:
@@ -260,8 +258,8 @@ class Session:
             installed_definitions(),
         )
         # Registered before goals are called, because goals may cause events.
-        self.engine.on_event(end_run_on_closed_pipe(printer.print_event))
-        self.engine.on_output(end_run_on_closed_pipe(self._print_output))
+        self.engine.on_event(printer.print_event)
+        self.engine.on_output(self._print_output)
         self._first_start: Optional[int] = None
         if options.times == TIMES_RELATIVE:
             self.engine.on_event(self._update_first_start)

@@ -13,25 +13,6 @@ _event_logger = logging.getLogger("retalis.events")
 """Logger of the events that a program requests to be shown."""
 
 
-class OutputClosed(BaseException):
-    """Raised in a callback of the engine to end the run when the reader of the output has closed the pipe.
-
-    It is not an `Exception`, because the engine reports exceptions of callbacks and continues.
-    """
-
-
-def end_run_on_closed_pipe(callback: Callable[..., None]) -> Callable[..., None]:
-    """Wrap a printing callback of the engine, so that a closed pipe ends the run."""
-
-    def print_or_end_run(*arguments: object) -> None:
-        try:
-            callback(*arguments)
-        except BrokenPipeError:
-            raise OutputClosed from None
-
-    return print_or_end_run
-
-
 class StderrReporter(logging.Handler):
     """Printer of errors and warnings to standard error, with a count of the errors.
 

@@ -16,7 +16,6 @@ from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import (
     Any,
-    Callable,
     Collection,
     Dict,
     Iterable,
@@ -28,9 +27,9 @@ from typing import (
     Tuple,
     Union,
 )
-from uuid import uuid4
 
 from ..foundation.errors import UsageError
+from ..foundation.output_files import replace_file, target_name_of
 from ..prolog.terms.timestamps import SECOND
 from .decompression import MAX_CHUNK_MEGABYTES, copy_up_to, describe_error
 from .rosbag1 import BagError, BagReader, PathLike, Record, Topic
@@ -156,7 +155,6 @@ def _reject_duplicates(paths: Sequence[PathLike]) -> None:
 
 
 _BAG_SUFFIXES = (".bag", *SUFFIXES)
-_INCOMPLETE_SUFFIX = ".part"
 """Suffix of an incomplete result, whose name also begins with a dot."""
 
 
@@ -310,33 +308,23 @@ def result_file(target: str, scratch: str) -> Iterator[str]:
             _call_filesystem(target, filesystem.makedirs, str(PurePosixPath(path).parent), exist_ok=True)
             _call_filesystem(target, filesystem.put_file, local, path)
         return
-    folder, name = os.path.split(target)
-    # In the target's folder, because a move is only atomic within one file system.
-    incomplete_path = os.path.join(folder, f".{name}.{uuid4().hex}{_INCOMPLETE_SUFFIX}")
-    _call_os(target, os.makedirs, folder or ".", exist_ok=True)
+    folder = os.path.dirname(target)
     try:
-        yield incomplete_path
-        _call_os(target, os.replace, incomplete_path, target)
-    finally:
-        if os.path.exists(incomplete_path):
-            os.unlink(incomplete_path)
+        os.makedirs(folder or ".", exist_ok=True)
+        with replace_file(target) as incomplete_path:
+            yield str(incomplete_path)
+    except OSError as error:
+        raise BagError(f"{target} cannot be written: {describe_error(error)}") from error
 
 
 def remove_incomplete_results(targets: Iterable[str]) -> None:
     """Remove incomplete results of worker processes that were killed."""
     result_names = {os.path.split(target) for target in targets if not is_url(target)}
     for folder in {folder for folder, _ in result_names}:
-        for path in Path(folder).glob(f".*{_INCOMPLETE_SUFFIX}"):
+        for path in Path(folder).glob(".*"):
             # Other runs may be writing other results to the same folder.
-            if (folder, path.name[1 : -len(_INCOMPLETE_SUFFIX)].rpartition(".")[0]) in result_names:
+            if (folder, target_name_of(path)) in result_names:
                 path.unlink()
-
-
-def _call_os(target: str, function: Callable[..., object], *arguments: str, **options: bool) -> None:
-    try:
-        function(*arguments, **options)
-    except OSError as error:
-        raise BagError(f"{target} cannot be written: {describe_error(error)}") from error
 
 
 def _strip_suffix(name: str) -> str:

@@ -16,11 +16,12 @@ import io
 import os
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import closing
+from contextlib import ExitStack, closing, contextmanager, suppress
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
 from struct import Struct
+from types import TracebackType
 from typing import (
     Any,
     BinaryIO,
@@ -37,10 +38,12 @@ from typing import (
     Optional,
     Set,
     Tuple,
+    Type,
     Union,
 )
 
 from ..foundation.errors import RetalisError
+from ..foundation.output_files import replace_file
 from ..messages.type_definition import Definition
 from .decompression import MAX_CHUNK_MEGABYTES, ChunkLimit, describe_error, unpack
 
@@ -385,7 +388,8 @@ class BagWriter:
     1
 
     Args:
-        path: path of the file.
+        path: path of the file. It is written beside and renamed by `close`; if the block of the context manager
+            raises an exception, it is discarded.
         overwrite: whether an existing file may be replaced.
 
     Raises:
@@ -398,13 +402,30 @@ class BagWriter:
         # A folder is never replaced.
         if self.path.exists() and not (overwrite and self.path.is_file()):
             raise BagError(f"{self.path} already exists")
-        try:
-            if self.path.exists():
-                self.path.unlink()
-            self._writer = writer_class(self.path)
+        self._stack = ExitStack()
+        self._writer = writer_class(self._stack.enter_context(replace_file(self.path)))
+        with self._discarding_on_error():
             self._writer.open()
-        except OSError as error:
-            raise BagError(f"{self.path} cannot be written: {describe_error(error)}") from error
+
+    @contextmanager
+    def _discarding_on_error(self) -> Iterator[None]:
+        """Discard the file after any exception; raise a `BagError` for one of the file system."""
+        try:
+            yield
+        except BaseException as error:
+            self._discard(error)
+            if isinstance(error, OSError):
+                raise BagError(f"{self.path} cannot be written: {describe_error(error)}") from error
+            raise
+
+    def _discard(self, error: BaseException) -> None:
+        """Close and remove the file; the target stays as it was."""
+        # Closing writes the buffer, which may fail, and closes the file nevertheless.
+        with suppress(OSError):
+            self._writer.abort()
+        # The context manager of the file raises the exception that it is given.
+        with suppress(type(error)):
+            self._stack.__exit__(type(error), error, error.__traceback__)
 
     def add(self, topic: str, definition: Definition, latched: bool = False, caller: str = "") -> object:
         """Add a connection; return the argument for `write` that identifies it."""
@@ -419,22 +440,41 @@ class BagWriter:
         )
 
     def write(self, connection: object, time: int, data: bytes) -> None:
-        """Write a message, with the time of its receipt in nanoseconds."""
-        self._writer.write(connection, time, data)
+        """Write a message, with the time of its receipt in nanoseconds.
+
+        Raises:
+            BagError: if the file cannot be written, as on a full disk.
+        """
+        with self._discarding_on_error():
+            self._writer.write(connection, time, data)
 
     def close(self) -> None:
-        """Write the index and close the file.
+        """Write the index, and give the file its name; further calls have no effect.
 
         >>> bag = BagWriter(folder / "silence.bag")
         >>> bag.close()
+
+        Raises:
+            BagError: if the file cannot be written.
         """
-        self._writer.close()
+        if self._writer.bio is not None:
+            with self._discarding_on_error():
+                self._writer.close()
+                self._stack.close()
 
     def __enter__(self) -> "BagWriter":
         return self
 
-    def __exit__(self, *raised: object) -> None:
-        self.close()
+    def __exit__(
+        self,
+        error_type: Optional[Type[BaseException]],
+        error: Optional[BaseException],
+        traceback: Optional[TracebackType],
+    ) -> None:
+        if error is None:
+            self.close()
+        else:
+            self._discard(error)
 
 
 def _import_rosbag1() -> Any:

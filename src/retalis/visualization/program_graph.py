@@ -19,6 +19,7 @@ from ..events.knowledge.transform_queries import TF, TRANSFORM_PREDICATES
 from ..events.language.pattern_tree import EventPattern, own_terms, walk
 from ..events.language.rule_head_parser import ALARMS, SYNCHRONIZED, sets_timer
 from ..foundation.errors import UsageError, format_count, printable, shorten
+from ..foundation.output_files import replace_file
 from ..prolog.terms.list_terms import list_items, list_parts
 from ..prolog.terms.term_traversal import variables
 from ..prolog.terms.types import Atom, Functor, Term, Var, atom, deref, functor
@@ -420,7 +421,15 @@ def draw_graph(text: str, path: Path) -> None:
             f"drawing {path.name} needs the command dot of Graphviz (apt install graphviz); "
             f"without it, {path.with_suffix('.dot').name} can be written, which is the graph as text"
         )
-    command = [dot, f"-T{path.suffix[1:]}", "-o", str(path)]
+    try:
+        with replace_file(path) as new_path:
+            _run_dot([dot, f"-T{path.suffix[1:]}", "-o", str(new_path)], text, path)
+    except OSError as error:
+        raise UsageError(f"cannot write {path}: {error.strerror}") from error
+
+
+def _run_dot(command: List[str], text: str, path: Path) -> None:
+    """Run the command dot with a text as its input; errors name the path."""
     try:
         process = subprocess.run(
             command,

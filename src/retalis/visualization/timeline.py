@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple
 
 from ..foundation.errors import UsageError, printable, printable_json, shorten
+from ..foundation.output_files import replace_file
 from ..prolog.terms import timestamps
 from ..prolog.terms.timestamps import SECOND
 
@@ -339,7 +340,8 @@ def draw_timeline(timeline: Timeline, title: str, path: Path) -> None:
         frameon=False,
     )
     try:
-        figure.savefig(path, dpi=110, bbox_inches="tight")
+        with replace_file(path) as new_path:
+            figure.savefig(new_path, dpi=110, bbox_inches="tight")
     except OSError as error:
         raise UsageError(f"cannot write {path}: {error.strerror}") from error
 

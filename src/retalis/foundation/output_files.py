@@ -1,0 +1,129 @@
+"""Output files: written beside their target and then renamed, so that a failure never damages an existing file.
+
+`GuardedOutput` wraps standard output and text files, so that an error of the operating system, such as a full disk,
+ends a run also if a callback of the engine has printed the text.
+"""
+
+import os
+import shutil
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any, Iterator, Union, cast
+from uuid import uuid4
+
+_INCOMPLETE_MARK = ".incomplete."
+
+
+@contextmanager
+def replace_file(target: Union[str, Path], keep_on_interrupt: bool = False) -> Iterator[Path]:
+    """Provide the path of a new file, which replaces the target when the block ends without an exception.
+
+    After an exception, the new file is removed and the target is as it was. The new file is in the folder of the
+    target, because a move is atomic within one file system only, and has its suffix. Devices and pipes are written
+    directly.
+
+    Args:
+        target: path of the file; if it is a link, the file that the link leads to is replaced.
+        keep_on_interrupt: whether a `KeyboardInterrupt` replaces the target, too, as for a log of lines.
+
+    Raises:
+        OSError: if the target cannot be replaced.
+    """
+    path = Path(os.path.realpath(target))
+    if path.exists() and not path.is_file():
+        yield path
+        return
+    incomplete_path = path.with_name(f".{uuid4().hex}{_INCOMPLETE_MARK}{path.name}")
+    try:
+        try:
+            yield incomplete_path
+        except KeyboardInterrupt:
+            if keep_on_interrupt:
+                _move(incomplete_path, path)
+            raise
+        _move(incomplete_path, path)
+    finally:
+        if incomplete_path.exists():
+            incomplete_path.unlink()
+
+
+def _move(source: Path, target: Path) -> None:
+    """Rename a file after its contents are on the disk; the permissions of an existing target are kept."""
+    with source.open("rb") as file:
+        os.fsync(file.fileno())
+    if target.exists():
+        shutil.copymode(target, source)
+    os.replace(source, target)
+
+
+def target_name_of(path: Path) -> str:
+    """Return the name of the target of a file that `replace_file` has created, or "" for other files."""
+    _, mark, name = path.name.rpartition(_INCOMPLETE_MARK)
+    return name if mark and path.name.startswith(".") else ""
+
+
+class OutputFailed(BaseException):
+    """Raised if an output cannot be written: the disk is full, or the reader of a pipe has ended.
+
+    It is not an `Exception`, because the engine reports exceptions of callbacks and continues.
+
+    Attributes:
+        name: name of the output.
+        error: the error of the operating system.
+    """
+
+    def __init__(self, name: str, error: OSError):
+        super().__init__(name, error)
+        self.name = name
+        self.error = error
+
+    def __str__(self) -> str:
+        return f"cannot write {self.name}: {self.error.strerror}"
+
+
+class GuardedOutput:
+    """A text file that raises `OutputFailed` instead of `OSError`.
+
+    Args:
+        file: the file; attributes that this class does not define are those of the file.
+        name: name of the file in errors.
+    """
+
+    def __init__(self, file: IO[str], name: str):
+        self._file = file
+        self._name = name
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._file, name)
+
+    def write(self, text: str) -> int:
+        """Write a text."""
+        try:
+            return self._file.write(text)
+        except OSError as error:
+            raise OutputFailed(self._name, error) from None
+
+    def flush(self) -> None:
+        """Write the buffered text."""
+        try:
+            self._file.flush()
+        except OSError as error:
+            raise OutputFailed(self._name, error) from None
+
+
+@contextmanager
+def open_output(target: Union[str, Path], keep_on_interrupt: bool = False) -> Iterator[IO[str]]:
+    """Open a text file, which replaces the target when the block ends.
+
+    Args:
+        target: path of the file.
+        keep_on_interrupt: see `replace_file`.
+
+    Raises:
+        OutputFailed: if the file cannot be written.
+    """
+    try:
+        with replace_file(target, keep_on_interrupt) as path, path.open("w", encoding="utf-8") as file:
+            yield cast(IO[str], GuardedOutput(file, str(target)))
+    except OSError as error:
+        raise OutputFailed(str(target), error) from None

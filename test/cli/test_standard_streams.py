@@ -1,0 +1,130 @@
+"""Standard streams of the commands: full disks, readers that end, closed streams, and interrupts."""
+
+import os
+import shlex
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from retalis import BagWriter, Definitions
+
+SOURCE = Path(__file__).resolve().parents[2] / "src"
+FULL_DISK = "retalis: cannot write standard output: No space left on device\n"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Return a folder with a program, a stream of events and a bag."""
+    folder = tmp_path_factory.mktemp("streams")
+    (folder / "rules.txt").write_text("hot(T) <- temp(T) where T > 38.\n")
+    (folder / "stream.txt").write_text("".join(f"event(temp(39.{n}), [{n},{n}]).\n" for n in range(1, 500)))
+    program = folder / "program"
+    program.mkdir()
+    (program / "pub_sub.xml").write_text(
+        '<publish_subscribe><subscribe_to name="in" msg_type="std_msgs/Int32"/>'
+        '<publish_to name="out" msg_type="std_msgs/Int32"/></publish_subscribe>'
+    )
+    (program / "goalPredicates.txt").write_text("subscribe(std_msgs__0__Int32(_), [], _, out, o)\n")
+    definition = Definitions().find("std_msgs/Int32")
+    with BagWriter(folder / "some.bag") as bag:
+        connection = bag.add("/in", definition)
+        for number in range(500):
+            bag.write(connection, 10**9 + number, number.to_bytes(4, "little"))
+    return folder
+
+
+def run(folder, arguments, **options):
+    environment = {**os.environ, "PYTHONPATH": f"{SOURCE}:{os.environ.get('PYTHONPATH', '')}"}
+    return subprocess.run(
+        [sys.executable, "-m", "retalis", *shlex.split(arguments)],
+        cwd=folder,
+        env=environment,
+        stderr=subprocess.PIPE,
+        text=True,
+        timeout=60,
+        **options,
+    )
+
+
+COMMANDS = (
+    "events --rules rules.txt --stream stream.txt",
+    "bag some.bag --program program",
+    "bag some.bag --program program --events --json",
+    "check program",
+    "graph program",
+    "help missing",
+    "--help",
+    "bag --help",
+    "--version",
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arguments", COMMANDS)
+def test_full_disk_is_one_line_and_status_1(folder, arguments):
+    with open("/dev/full", "w") as full:
+        ended = run(folder, arguments, stdin=subprocess.DEVNULL, stdout=full)
+    assert (ended.stderr, ended.returncode) == (FULL_DISK, 1)
+
+
+@pytest.mark.slow
+def test_console_on_full_disk_is_one_line_and_status_1(folder):
+    with open("/dev/full", "w") as full:
+        ended = run(folder, "console", input="X = 1.\nX = 2.\n", stdout=full)
+    assert (ended.stderr, ended.returncode) == (FULL_DISK, 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arguments", COMMANDS[:3])
+def test_reader_that_ends_is_no_error(folder, arguments):
+    reading, writing = os.pipe()
+    os.close(reading)
+    try:
+        ended = run(folder, arguments, stdin=subprocess.DEVNULL, stdout=writing)
+    finally:
+        os.close(writing)
+    assert (ended.stderr, ended.returncode) == ("", 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arguments", ["console", "events --rules rules.txt --stream -", "check program"])
+def test_closed_standard_input_is_empty(folder, arguments):
+    ended = run(folder, arguments, stdout=subprocess.PIPE, preexec_fn=lambda: os.close(0))
+    assert (ended.stderr, ended.returncode) == ("", 0)
+
+
+@pytest.mark.slow
+def test_closed_standard_output_changes_no_other_file(folder):
+    page = folder / "run.html"
+    ended = run(folder, f"plot some.bag --program program -o {page}", preexec_fn=lambda: os.close(1))
+    assert (ended.stderr, ended.returncode) == ("", 0)
+    assert page.read_text().rstrip().endswith("</html>")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "module", ["retalis.cli.command_line", "retalis.engine.engine", "retalis.playback.playback"]
+)
+def test_interrupt_while_modules_are_imported_is_status_130(folder, module):
+    # The import of a module sends the signal, so that the test depends on no duration.
+    program = (
+        "import os, signal, sys\n"
+        "class Finder:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        f"        if name == {module!r}: os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Finder())\n"
+        "import retalis.__main__\n"
+        "sys.exit(retalis.__main__.main())\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", program, "bag", "some.bag", "--program", "program"],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": f"{SOURCE}:{os.environ.get('PYTHONPATH', '')}"},
+        capture_output=True,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    assert (ended.stdout, ended.stderr, ended.returncode) == ("", "", 130)

@@ -1,0 +1,76 @@
+"""Output files: a failure leaves the target as it was, and nothing beside it."""
+
+import os
+
+import pytest
+
+from retalis.foundation.output_files import OutputFailed, open_output, replace_file, target_name_of
+
+
+def names_in(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
+def test_exception_leaves_target_unchanged(tmp_path, error):
+    target = tmp_path / "run.html"
+    target.write_text("old")
+    with pytest.raises(error), replace_file(target) as path:
+        path.write_text("half of the new")
+        raise error
+    assert (target.read_text(), names_in(tmp_path)) == ("old", ["run.html"])
+
+
+def test_new_file_replaces_target_and_keeps_permissions(tmp_path):
+    target = tmp_path / "run.html"
+    target.write_text("old")
+    target.chmod(0o640)
+    with replace_file(target) as path:
+        path.write_text("new")
+        assert (path.suffix, target_name_of(path), target.read_text()) == (".html", "run.html", "old")
+    assert (target.read_text(), target.stat().st_mode & 0o777, names_in(tmp_path)) == (
+        "new",
+        0o640,
+        ["run.html"],
+    )
+
+
+def test_target_of_link_is_replaced(tmp_path):
+    (tmp_path / "data").mkdir()
+    target, link = tmp_path / "data" / "run.html", tmp_path / "link.html"
+    target.write_text("old")
+    link.symlink_to(target)
+    with replace_file(link) as path:
+        path.write_text("new")
+    assert link.is_symlink() and target.read_text() == "new"
+
+
+def test_pipe_is_written_directly(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with replace_file(pipe) as path:
+        assert path == pipe
+    assert names_in(tmp_path) == ["pipe"]
+
+
+def test_interrupt_keeps_lines_of_log(tmp_path):
+    target = tmp_path / "outputs.txt"
+    with pytest.raises(KeyboardInterrupt), open_output(target, keep_on_interrupt=True) as file:
+        file.write("a line\n")
+        raise KeyboardInterrupt
+    assert (target.read_text(), names_in(tmp_path)) == ("a line\n", ["outputs.txt"])
+
+
+def test_full_disk_is_reported_with_name():
+    with pytest.raises(OutputFailed, match="^cannot write /dev/full: No space left on device$"), open_output(
+        "/dev/full"
+    ) as file:
+        file.write("text")
+        file.flush()
+
+
+def test_missing_folder_is_reported_with_name(tmp_path):
+    with pytest.raises(
+        OutputFailed, match="cannot write .*/none/run.html: No such file or directory"
+    ), open_output(tmp_path / "none" / "run.html"):
+        pytest.fail("there is no folder")
