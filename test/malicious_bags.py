@@ -132,7 +132,17 @@ SCHEMA = op(3, struct.pack("<H", 1) + text("std_msgs/msg/String") + text("ros2ms
 CHANNEL = op(4, struct.pack("<HH", 1, 1) + text("/a") + text("cdr") + struct.pack("<I", 0))
 
 
-def mcap(chunks, compression="", stated=None, packed=None, has_index=True, times=None, repeated=1):
+def mcap(
+    chunks,
+    compression="",
+    stated=None,
+    packed=None,
+    has_index=True,
+    times=None,
+    repeated=1,
+    profile="ros2",
+    has_counts=True,
+):
     """Return an mcap file with a topic /a of strings.
 
     Args:
@@ -143,8 +153,10 @@ def mcap(chunks, compression="", stated=None, packed=None, has_index=True, times
         has_index: whether there is a summary.
         times: the seconds that the index gives each chunk, by default from 0 to 100.
         repeated: how often the index names each chunk.
+        profile: the profile that the header names.
+        has_counts: whether the summary has the number of messages of the topic.
     """
-    body = MAGIC + op(1, text("ros2") + text("test")) + SCHEMA + CHANNEL
+    body = MAGIC + op(1, text(profile) + text("test")) + SCHEMA + CHANNEL
     index = b""
     for number, data in enumerate(chunks):
         place = len(body)
@@ -159,7 +171,8 @@ def mcap(chunks, compression="", stated=None, packed=None, has_index=True, times
     if has_index:
         summary = len(body)
         totals = struct.pack("<QHIIIIQQ", len(chunks), 1, 1, 0, 0, len(chunks), 0, 100 * 10**9)
-        body += SCHEMA + CHANNEL + index + op(11, totals + struct.pack("<IHQ", 10, 1, len(chunks)))
+        counts = struct.pack("<IHQ", 10, 1, len(chunks)) if has_counts else struct.pack("<I", 0)
+        body += SCHEMA + CHANNEL + index + op(11, totals + counts)
     return body + op(2, struct.pack("<QQI", summary, 0, 0)) + MAGIC
 
 

@@ -206,6 +206,26 @@ def test_a_type_that_cannot_be_read_costs_its_own_topic(tmp_path, storage, caplo
     ]
 
 
+@pytest.mark.parametrize(("topic", "is_named"), [("chatter", False), ("gone", True)])
+def test_unreadable_topic_is_reported_if_program_names_it(tmp_path, caplog, topic, is_named):
+    program = tmp_path / "program"
+    program.mkdir()
+    (program / "pub_sub.xml").write_text(
+        f'<publish_subscribe><subscribe_to name="{topic}" msg_type="std_msgs/String"/></publish_subscribe>'
+    )
+    (program / "goalPredicates.txt").write_text("")
+    folder = typed_bag(
+        tmp_path / "two",
+        STORAGES[-1],
+        ("/gone", "my_msgs/msg/Gone", "", HELLO),
+        ("/chatter", "std_msgs/msg/String", "string data\n", HELLO),
+    )
+    with MergedBag([folder]) as bags:
+        list(Playback(program, pytest.fail).run(bags))
+    expected = f"{folder}: left out: topic /gone (my_msgs/Gone): the type is not defined in the bag or on this system"
+    assert [record.getMessage() for record in caplog.records] == [expected] * is_named
+
+
 @pytest.mark.parametrize("storage", STORAGES)
 def test_bounds_and_defaults_are_read(tmp_path, storage):
     text = '"Jü"'
@@ -255,6 +275,7 @@ def test_a_definition_in_idl_that_cannot_be_parsed_is_reported_with_its_place(
     folder = typed_bag(tmp_path / "two", STORAGES[-1], ("/few", "my_msgs/msg/Few", text, raw))
     with MergedBag([folder]) as bags:
         assert not bags.topics
+        assert list(bags.records()) == []
     (record,) = caplog.records
     message = record.getMessage()
     assert len(message) < 1000

@@ -258,3 +258,12 @@ def test_a_real_bag_has_the_frames_it_should():
     transform = term[1][1]
     assert transform[0].name == "geometry_msgs__0__TransformStamped"
     assert transform[1][3].__class__ is type(atom("a"))
+
+
+def test_empty_file_is_named_by_its_path(tmp_path):
+    path = tmp_path / "empty.bag"
+    path.touch()
+    with pytest.raises(BagError) as caught:
+        BagReader(path)
+    assert str(caught.value).count(str(path)) == 2
+    assert " at 0x" not in str(caught.value)

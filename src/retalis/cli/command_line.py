@@ -134,7 +134,7 @@ def _run_command(words: List[str]) -> int:
         return status
     except RetalisError as error:
         print(f"retalis: {error}", file=sys.stderr)
-        return 1
+        return error.exit_status
     except KeyboardInterrupt:
         return 130
     finally:

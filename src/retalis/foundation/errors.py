@@ -159,9 +159,11 @@ class RetalisError(Exception):
         message: what is wrong and what was expected, in one sentence.
         place: position in a source text, or None.
         code: stable code of a finding in a program, as ``RT1203``, or "".
+        exit_status: exit status of a command that fails with this error.
     """
 
     code = ""
+    exit_status = 1
 
     def __init__(self, message: str, place: Optional[Place] = None):
         # Messages can quote terms of any size, and reports keep them in memory.

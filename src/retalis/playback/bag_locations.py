@@ -32,7 +32,7 @@ from ..foundation.errors import UsageError
 from ..foundation.output_files import replace_file, target_name_of
 from ..prolog.terms.timestamps import SECOND
 from .decompression import MAX_CHUNK_MEGABYTES, copy_up_to, describe_error
-from .rosbag1 import BagError, BagReader, PathLike, Record, Topic
+from .rosbag1 import BagError, BagReader, PathLike, Record, Topic, UnreadableTopic
 from .rosbag2 import METADATA, SUFFIXES, Ros2BagReader
 
 SingleBag = Union[BagReader, Ros2BagReader]
@@ -73,6 +73,7 @@ class MergedBag:
     Attributes:
         path: description of the bags for messages.
         topics: connections of all bags.
+        unreadable: topics of all bags that cannot be read.
         start, end: times of the first and the last message that are read, in nanoseconds; 0 for empty bags.
 
     Raises:
@@ -98,6 +99,9 @@ class MergedBag:
             self._stack = stack.pop_all()
         self.path = ", ".join(str(bag.path) for bag in self._bags)
         self.topics: Tuple[Topic, ...] = tuple(topic for bag in self._bags for topic in bag.topics)
+        self.unreadable: Tuple[UnreadableTopic, ...] = tuple(
+            topic for bag in self._bags for topic in bag.unreadable
+        )
 
     def _select_interval(self, start: float, duration: Optional[float]) -> None:
         """Set the times between which messages are read."""
@@ -266,6 +270,9 @@ def local_copy(location: str, scratch: str) -> Iterator[str]:
     with TemporaryDirectory(dir=scratch) as folder:
         local = str(Path(folder) / PurePosixPath(path).name)
         _call_filesystem(location, _download, filesystem, path, local)
+        # The newest messages of a database can be in its write-ahead log.
+        if path.endswith(".db3") and _call_filesystem(location, filesystem.exists, f"{path}-wal"):
+            _call_filesystem(location, _download, filesystem, f"{path}-wal", f"{local}-wal")
         yield local
 
 

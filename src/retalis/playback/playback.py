@@ -232,10 +232,9 @@ class Playback:
         # The warnings above cover outputs without a type.
         self._reported_untyped_topics.update(self.engine.output_topics())
         topic_names = {
-            topic.name
-            for topic in bag.topics
-            if strip_slashes(topic.name) in self._subscribed_types
-            or strip_slashes(topic.name) in self._transform_readers
+            name
+            for name in _list_topic_names(bag)
+            if strip_slashes(name) in self._subscribed_types or strip_slashes(name) in self._transform_readers
         }
         self._new_topics.clear()
         self._topics_being_read = set(topic_names)
@@ -331,7 +330,7 @@ class Playback:
 
     def _read_new_topics(self, bag: Bag, decoders: Dict[int, Optional[Decoder]]) -> Iterator[Record]:
         """Return the messages after the current time of the topics that goals have just subscribed to."""
-        new_names = {topic.name for topic in bag.topics if strip_slashes(topic.name) in self._new_topics}
+        new_names = {name for name in _list_topic_names(bag) if strip_slashes(name) in self._new_topics}
         # A topic may be read already: for its transforms, or for its events.
         joining_topics = new_names - self._topics_being_read
         self._topics_being_read |= new_names
@@ -419,7 +418,7 @@ class Playback:
         """
         requested = list(requested)
         names = set(map(strip_slashes, requested))
-        available = {strip_slashes(topic.name) for topic in bag.topics}
+        available = set(map(strip_slashes, _list_topic_names(bag)))
         missing = [
             topic
             for topic in requested
@@ -494,6 +493,11 @@ class Playback:
             return self.definitions.find(type_name)
         except MessageError as error:
             raise MessageError(f"topic {topic}: {error.message}", error.place) from error
+
+
+def _list_topic_names(bag: Bag) -> List[str]:
+    """Return the names of a bag's topics, including those that it cannot read, about which it warns itself."""
+    return [topic.name for topic in bag.topics] + [topic.name for topic in bag.unreadable]
 
 
 def _describe_topics(topics: Iterable[Topic]) -> List[str]:

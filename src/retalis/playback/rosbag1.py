@@ -237,6 +237,12 @@ class BagError(RetalisError):
     """
 
 
+class IncompleteBagError(BagError):
+    """A bag, a part of whose messages cannot be read."""
+
+    exit_status = 3
+
+
 class Topic(NamedTuple):
     """A connection of a bag: a topic of one publisher.
 
@@ -262,6 +268,14 @@ class Topic(NamedTuple):
     messages: int = 0
     latched: bool = False
     caller: str = ""
+
+
+class UnreadableTopic(NamedTuple):
+    """A topic of a bag whose messages cannot be read: its name, its type ``pkg/Type``, and the reason."""
+
+    name: str
+    type: str
+    problem: str
 
 
 class Record(NamedTuple):
@@ -295,10 +309,13 @@ class BagReader:
         topics: connections; a topic with several publishers has several connections.
         start, end: times of the first and the last message in nanoseconds; 0 for an empty bag.
         messages: number of messages.
+        unreadable: topics that cannot be read, which ``topics`` does not contain.
 
     Raises:
         BagError: if the file is missing, is not a ROS 1 bag, or is truncated (``rosbag reindex`` repairs it).
     """
+
+    unreadable: Tuple[UnreadableTopic, ...] = ()
 
     def __init__(self, path: PathLike, max_chunk_megabytes: int = MAX_CHUNK_MEGABYTES):
         self.path = Path(path)
@@ -575,6 +592,11 @@ class _BagPath:
 
     def __init__(self, path: Path):
         self._path = path
+
+    def __str__(self) -> str:
+        return str(self._path)
+
+    __repr__ = __str__
 
     def open(self, mode: str) -> BinaryIO:
         """Open the file for reading; ``mode`` is ignored."""

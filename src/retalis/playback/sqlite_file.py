@@ -1,0 +1,224 @@
+"""Reading of the SQLite files (``.db3``) of ROS 2 bags.
+
+The files are not trusted: a database may only have plain tables, and is limited to a number of virtual machine
+instructions and of bytes.
+
+A recorder that was killed leaves its newest messages in the write-ahead log (``.db3-wal``;
+https://www.sqlite.org/wal.html). SQLite would create an index of the log beside it (``.db3-shm``), and would copy the
+log into the database when the last connection is closed. Here the index is in memory, which the locking mode
+``EXCLUSIVE`` does, and the database is open for reading only, so nothing is written: bags on read-only media are read
+with their log.
+"""
+
+import logging
+import os
+import sqlite3
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, Collection, Dict, Iterator, List, Optional, Tuple
+
+from .decompression import ChunkLimit, describe_error
+from .ros2_storage import Connection, Message
+from .rosbag1 import IncompleteBagError
+
+log = logging.getLogger("retalis")
+
+_BASE_QUERY_STEPS = 1_000_000
+_STEPS_PER_BYTE = 10
+"""Limit for the virtual machine instructions of a query: a row has at least 10 bytes, and takes about 20 of them."""
+
+_STEPS_PER_CALLBACK = 1000
+
+_TOO_MANY_BYTES_MESSAGE = "its rows have more bytes than the file: some name the same pages"
+
+_LIMIT_LENGTH = 0
+"""``SQLITE_LIMIT_LENGTH`` of ``sqlite3.h``: maximum size of a string, blob or row."""
+
+_MAX_LENGTH = (1 << 31) - 1
+"""Maximum value of a limit, which is a C ``int``."""
+
+
+class SqliteFile:
+    """A ``.db3`` file.
+
+    Attributes:
+        connections: topics of the file.
+        start, end: times of the first and the last message in nanoseconds; 0 if there are none.
+
+    Raises:
+        Exception: if the file cannot be read.
+    """
+
+    def __init__(self, path: Path, limit: ChunkLimit):
+        # SQLite searches the log beside the file itself, not beside a symbolic link to it.
+        path = path.resolve()
+        log_size = _measure_log(path)
+        self._size = path.stat().st_size + log_size
+        self._steps = 0
+        # SQLite deletes the log of an empty database, although that is opened for reading only.
+        if self._size == log_size:
+            raise ValueError("it is empty: expected a database that ros2 bag has written")
+        # Without locks, which need write permission. `immutable` also ignores the log.
+        access = "vfs=unix-none" if log_size else "immutable=1"
+        with ExitStack() as stack:
+            self._database = sqlite3.connect(
+                f"{path.as_uri()}?mode=ro&{access}", uri=True, check_same_thread=False
+            )
+            stack.callback(self._database.close)
+            self._database.execute("PRAGMA locking_mode = EXCLUSIVE")
+            # A schema from an untrusted file must not call functions with side effects.
+            self._database.execute("PRAGMA trusted_schema = OFF")
+            # Older versions of Python cannot limit single values; the number of rows and steps is limited in any
+            # case.
+            set_limit = getattr(self._database, "setlimit", None)  # from Python 3.11
+            if set_limit is not None:
+                set_limit(_LIMIT_LENGTH, min(limit.bytes + 1, self._size + 1, _MAX_LENGTH))
+            self._database.set_progress_handler(self._count_steps, _STEPS_PER_CALLBACK)
+            self.connections = self._read_connections()
+            self.start, self.end = self._read_times()
+            self._stack = stack.pop_all()
+
+    def read(self, ids: Collection[int], start: Optional[int], stop: Optional[int]) -> Iterator[Message]:
+        """Yield the messages of connections in order of time, from ``start`` and before ``stop``.
+
+        Raises:
+            Exception: if the file is malformed.
+        """
+        query = (
+            f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({','.join(map(str, ids))})"
+        )
+        arguments = []
+        for operator, bound in ((">=", start), ("<", stop)):
+            if bound is not None:
+                query += f" AND timestamp {operator} ?"
+                arguments.append(bound)
+        for identifier, time, data in self._query_limited(f"{query} ORDER BY timestamp", *arguments):
+            # SQLite does not enforce the types of columns.
+            if time.__class__ is not int or data.__class__ is not bytes:
+                raise ValueError("a message is not an integer and a blob")
+            yield identifier, time, data
+
+    def close(self) -> None:
+        """Close the file."""
+        self._stack.close()
+
+    def _query_limited(self, query: str, *arguments: object) -> Iterator[Tuple[Any, ...]]:
+        """Yield the rows of a query, which may not have more bytes than the file."""
+        # Rows of a malformed database can share pages, so that a small file returns gigabytes.
+        remaining = self._size
+        for row in self._execute(query, *arguments):
+            remaining -= sum(len(value) for value in row if isinstance(value, (str, bytes)))
+            if remaining < 0:
+                raise ValueError(_TOO_MANY_BYTES_MESSAGE)
+            yield row
+
+    def _execute(self, query: str, *arguments: object) -> Iterator[Tuple[Any, ...]]:
+        """Yield the rows of a query; raise `ValueError` if it takes more steps than the size of the file allows."""
+        # The budget is per query. A crafted schema could otherwise make a query run forever.
+        self._steps = _BASE_QUERY_STEPS + _STEPS_PER_BYTE * self._size
+        try:
+            # `yield from` would close the cursor of an abandoned iterator, which raises after the file was closed.
+            for row in self._database.execute(query, arguments):  # noqa: UP028
+                yield row
+        except sqlite3.OperationalError as error:
+            if self._steps >= 0:
+                raise
+            raise ValueError("its tables have more rows than a file of its size can hold") from error
+
+    def _count_steps(self) -> bool:
+        self._steps -= _STEPS_PER_CALLBACK
+        return self._steps < 0  # True interrupts the query
+
+    def _read_connections(self) -> List[Connection]:
+        """Return the topics, with the definitions and the number of their messages."""
+        for table in ("topics", "messages"):
+            if not self._has_table(table):
+                raise ValueError(f"it has no table '{table}': expected a database that ros2 bag has written")
+        definitions: Dict[str, Tuple[str, str]] = {}
+        if self._has_table("message_definitions"):
+            rows = self._query_limited(
+                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+            )
+            for name, encoding, text in rows:
+                definitions.setdefault(_require_text(name), (_require_text(encoding), _require_text(text)))
+        counts = dict(self._query_limited("SELECT topic_id, count(*) FROM messages GROUP BY topic_id"))
+        connections = []
+        for identifier, topic, name, message_format in self._query_limited(
+            "SELECT id, name, type, serialization_format FROM topics"
+        ):
+            # rosbag2 stores the definition of the events of a service under the name of the service.
+            service = _require_text(name).rpartition("_Event")[0] if "/srv/" in name else name
+            encoding, text = definitions.get(name) or definitions.get(service) or ("", "")
+            message_count = counts.get(identifier, 0)
+            connections.append(
+                Connection(
+                    int(identifier),
+                    _require_text(topic),
+                    name,
+                    encoding,
+                    text,
+                    _require_text(message_format),
+                    message_count,
+                )
+            )
+        return connections
+
+    def _has_table(self, name: str) -> bool:
+        """Return whether there is a table; raise `ValueError` if it is not a plain one.
+
+        A view or a generated column would execute SQL from the file, which may run forever or produce gigabytes.
+        """
+        rows = list(self._query_limited("SELECT type, sql FROM sqlite_master WHERE name = ?", name))
+        if not rows:
+            return False
+        types = [str(object_type) for object_type, sql in rows if str(sql)[:13].upper() == "CREATE TABLE "]
+        columns = list(self._query_limited(f"PRAGMA table_xinfo({name})"))
+        # Columns: number, name, type, not null, default, primary key, and 0 for columns that are not generated.
+        if types != ["table"] or any(column[6] or column[4] is not None for column in columns):
+            raise ValueError(
+                f"'{name}' is not a plain table: expected columns without defaults or expressions"
+            )
+        return True
+
+    def _read_times(self) -> Tuple[int, int]:
+        ((first, last, size),) = self._query_limited(
+            "SELECT min(timestamp), max(timestamp), total(length(data)) FROM messages"
+        )
+        # Rows that share pages would fill the disk when SQLite sorts them.
+        if size > self._size:
+            raise ValueError(_TOO_MANY_BYTES_MESSAGE)
+        return (0, 0) if first is None else (int(first), int(last))
+
+
+def _measure_log(path: Path) -> int:
+    """Return the size of the write-ahead log of a database; 0 if it has none.
+
+    Raises:
+        IncompleteBagError: if the log cannot be read.
+    """
+    journal_path = f"{path}-journal"
+    if os.path.exists(journal_path) and os.path.getsize(journal_path):
+        # SQLite would change the file to undo its last transaction, and may delete a file that the journal names.
+        log.warning(
+            "%s: its rollback journal %s-journal is ignored: the recorder was interrupted, and the last messages may "
+            "be incomplete; open a copy of both files with sqlite3 to undo the last transaction",
+            path,
+            path.name,
+        )
+    log_path = f"{path}-wal"
+    if not os.path.lexists(log_path):
+        return 0
+    try:
+        with open(log_path, "rb") as file:
+            return os.fstat(file.fileno()).st_size
+    except OSError as error:
+        raise IncompleteBagError(
+            f"{path}: its write-ahead log {path.name}-wal, which has the newest messages, cannot be read: "
+            f"{describe_error(error)}: make the log readable, or copy both files to another folder"
+        ) from error
+
+
+def _require_text(text: object) -> str:
+    if not isinstance(text, str):
+        raise ValueError("a name or a definition is not text")
+    return text

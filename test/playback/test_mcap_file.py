@@ -1,0 +1,141 @@
+"""MCAP files: order, limits, and damaged files."""
+
+import struct
+
+import pytest
+
+pytest.importorskip("rosbags.rosbag2")
+
+from malicious_bags import mcap, mcap_message  # noqa: E402
+
+from retalis import BagError  # noqa: E402
+from retalis.playback.bag_locations import MergedBag  # noqa: E402
+from retalis.playback.decompression import ChunkLimit  # noqa: E402
+from retalis.playback.mcap_file import McapFile  # noqa: E402
+
+SECOND = 10**9
+
+
+def read(path):
+    with MergedBag([path], max_chunk_megabytes=1) as bags:
+        return [(record.time // SECOND, record.data[4:]) for record in bags.records()]
+
+
+CHUNKS = [
+    mcap_message(5) + mcap_message(1),
+    mcap_message(3) + mcap_message(9),
+    mcap_message(10) + mcap_message(12),
+]
+
+
+@pytest.mark.parametrize("has_index", [True, False])
+@pytest.mark.parametrize("compression", ["", "lz4", "zstd"])
+def test_chunks_are_merged_by_time(tmp_path, compression, has_index):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(mcap(CHUNKS, compression, has_index=has_index))
+    assert [time for time, _ in read(path)] == [1, 3, 5, 9, 10, 12]
+
+
+def mcap_without_chunks(seconds, chunks=(), profile="ros2"):
+    """Return a file with messages outside of chunks, whose data is their number."""
+    data = mcap(chunks, has_index=False, profile=profile)
+    end = len(data) - 37
+    messages = (
+        mcap_message(second, b"\0\1\0\0" + struct.pack("<I2s", 2, b"%d\0" % number))
+        for number, second in enumerate(seconds)
+    )
+    return data[:end] + b"".join(messages) + data[end:]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "chunks", "expected"),
+    [
+        ([1, 2, 2, 7], [mcap_message(1)], [1, 1, 2, 2, 7]),
+        ([1, 3, 2], [], [1, 2, 3]),
+        ([5, 7, 3, 6, 0, 8], CHUNKS[:1], [0, 1, 3, 5, 5, 6, 7, 8]),
+    ],
+)
+def test_messages_outside_of_chunks_are_sorted(tmp_path, seconds, chunks, expected):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(mcap_without_chunks(seconds, chunks))
+    assert [time for time, _ in read(path)] == expected
+
+
+def test_unsorted_messages_with_equal_times_keep_their_order(tmp_path):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(mcap_without_chunks([2, 2, 1, 2]))
+    assert read(path) == [(1, b"2"), (2, b"0"), (2, b"1"), (2, b"3")]
+    file = McapFile(path, ChunkLimit(1))
+    assert [time // SECOND for _, time, _ in file.read([1], 2 * SECOND, None)] == [2, 2, 2]
+    assert list(file.read([2], None, None)) == []
+    file.close()
+
+
+def test_index_of_unsorted_messages_is_limited(tmp_path):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(mcap_without_chunks([2, 1, 3, 4] * 8000))
+    with pytest.raises(
+        BagError, match="the index of 32000 unsorted messages takes 1024000 bytes: expected at"
+    ):
+        read(path)
+
+
+@pytest.mark.parametrize("profile", ["", "ros1", "any"])
+def test_profile_of_header_is_not_needed(tmp_path, profile):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(mcap_without_chunks([1], profile=profile))
+    assert read(path) == [(1, b"0")]
+
+
+def test_summary_without_counts_of_channels_is_completed(tmp_path):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(mcap(CHUNKS, has_counts=False))
+    with MergedBag([path]) as bags:
+        assert [topic.messages for topic in bags.topics] == [6]
+    assert [time for time, _ in read(path)] == [1, 3, 5, 9, 10, 12]
+
+
+WRONG_MCAP = [
+    (mcap([CHUNKS[0]], repeated=2), "the index names the chunk at byte 124 inside another one"),
+    (mcap([b"\0" * 900]), "a chunk has a record with opcode 0: expected schemas, channels, messages"),
+    (
+        mcap([struct.pack("<BQ", 5, 1 << 62)]),
+        "a record in a chunk states 4611686018427387904 bytes: there are fewer",
+    ),
+    (mcap([CHUNKS[0]])[:-1], "it is truncated: repair it with 'mcap recover'"),
+    (
+        mcap([CHUNKS[0]])[:-36] + b"\xff" * 28 + mcap([])[-8:],
+        "it is truncated|is outside of the file",
+    ),
+    (b"\x89MCAP0\r\n", "it is truncated: repair it with"),
+    (
+        mcap([mcap_message(1, bytes(400_000))] * 3),
+        "chunks that overlap in time have 1200093 bytes: expected at most 1 ",
+    ),
+]
+
+
+@pytest.mark.parametrize(("data", "expected"), WRONG_MCAP, ids=range(len(WRONG_MCAP)))
+def test_mcap_files_that_would_take_too_much(tmp_path, data, expected):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(data)
+    with pytest.raises(BagError, match=expected):
+        read(path)
+
+
+def test_chunks_that_do_not_overlap_are_held_one_at_a_time(tmp_path):
+    path = tmp_path / "a.mcap"
+    chunks = [mcap_message(second, bytes(400_000)) for second in range(9)]
+    path.write_bytes(mcap(chunks, times=[(second, second) for second in range(9)]))
+    file = McapFile(path, ChunkLimit(1))
+    assert [time // SECOND for _, time, _ in file.read([1], None, None)] == list(range(9))
+    file.close()
+
+
+def test_every_cut_of_an_mcap_file_is_one_error(tmp_path):
+    content = mcap(CHUNKS, "zstd")
+    path = tmp_path / "a.mcap"
+    for size in range(0, len(content), 13):
+        path.write_bytes(content[:size])
+        with pytest.raises(BagError):
+            read(path)

@@ -1,0 +1,40 @@
+"""Merge of messages by time."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from retalis.playback.ros2_storage import merge_by_time
+
+
+def make_sources(times_by_source, open_sources=None):
+    """Return sources of messages for `merge_by_time`, sorted by their first time."""
+
+    def read(number, times):
+        if open_sources is not None:
+            open_sources.add(number)
+        for position, time in enumerate(times):
+            yield number, time, b"%d" % position
+        if open_sources is not None:
+            open_sources.discard(number)
+
+    ordered = sorted((sorted(times) for times in times_by_source), key=lambda times: times[:1])
+    return [
+        (times[0] if times else 0, lambda number=number, times=times: read(number, times))
+        for number, times in enumerate(ordered)
+    ]
+
+
+@given(st.lists(st.lists(st.integers(0, 12), max_size=6), max_size=6))
+def test_merge_yields_each_message_in_order_of_time(times_by_source):
+    merged = list(merge_by_time(make_sources(times_by_source)))
+    sources = [list(read()) for _, read in make_sources(times_by_source)]
+    # A stable sort keeps messages with equal times in the order of their sources.
+    assert merged == sorted((message for source in sources for message in source), key=lambda item: item[1])
+
+
+@given(st.lists(st.tuples(st.integers(0, 50), st.integers(0, 5)), max_size=8))
+def test_only_overlapping_sources_are_open(intervals):
+    ranges = [range(start, start + length + 1) for start, length in intervals]
+    open_sources = set()
+    for _, time, _ in merge_by_time(make_sources(ranges, open_sources)):
+        assert len(open_sources) <= sum(times[0] <= time <= times[-1] for times in ranges)

@@ -1,0 +1,217 @@
+"""SQLite files of ROS 2 bags: write-ahead logs, limits, and malicious files."""
+
+import gc
+import hashlib
+import os
+import shutil
+import sqlite3
+import struct
+import sys
+from contextlib import closing
+
+import pytest
+
+pytest.importorskip("rosbags.rosbag2")
+
+from malicious_bags import HELLO, ROWS, TABLES, sqlite_bag  # noqa: E402
+
+from retalis import BagError  # noqa: E402
+from retalis.cli.command_line import main  # noqa: E402
+from retalis.playback.bag_locations import MergedBag  # noqa: E402
+from retalis.playback.decompression import ChunkLimit  # noqa: E402
+from retalis.playback.sqlite_file import SqliteFile  # noqa: E402
+
+SECOND = 10**9
+
+
+def read(path):
+    with MergedBag([path], max_chunk_megabytes=1) as bags:
+        return [(record.time // SECOND, record.data[4:]) for record in bags.records()]
+
+
+ENDLESS = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i FROM n)"
+DATA = "data BLOB NOT NULL);"
+WRONG_SQLITE = [
+    (
+        {"after": f"DROP TABLE topics; CREATE VIEW topics AS {ENDLESS} SELECT i AS id, i AS name FROM n"},
+        "'topics' is not a plain table: expected columns without defaults or expressions",
+    ),
+    (
+        {
+            "after": f"DROP TABLE message_definitions; CREATE VIEW message_definitions AS {ENDLESS} SELECT i FROM n"
+        },
+        "'message_definitions' is not a plain table",
+    ),
+    (
+        {"after": "DROP TABLE messages"},
+        "it has no table 'messages': expected a database that ros2 bag has written",
+    ),
+    (
+        {
+            "tables": TABLES.replace(DATA, "data BLOB AS (zeroblob(1000000000)));"),
+            "messages": [],
+            "after": "INSERT INTO messages(topic_id, timestamp) VALUES(1, 1)",
+        },
+        "'messages' is not a plain table",
+    ),
+    ({"after": "UPDATE messages SET timestamp = 'x'"}, "."),
+    ({"messages": [(1, "text")]}, "a message is not an integer and a blob"),
+    ({"rows": ROWS.replace("'/a'", "x'ff'")}, "a name or a definition is not text"),
+]
+
+
+@pytest.mark.parametrize(("changes", "expected"), WRONG_SQLITE, ids=range(len(WRONG_SQLITE)))
+def test_databases_that_would_take_too_much(tmp_path, changes, expected):
+    path = sqlite_bag(tmp_path / "a.db3", **changes)
+    with pytest.raises(BagError, match=expected):
+        read(path)
+
+
+def test_a_table_whose_pages_are_named_again_and_again_ends(tmp_path):
+    """A tree of pages in which each page names the next one some hundred times has more rows than can be counted."""
+    path = sqlite_bag(tmp_path / "a.db3", messages=[(second, HELLO) for second in range(20_000)])
+    with closing(sqlite3.connect(str(path))) as database:
+        (size,) = database.execute("PRAGMA page_size").fetchone()
+        (root,) = database.execute("SELECT rootpage FROM sqlite_master WHERE name = 'messages'").fetchone()
+    pages = bytearray(path.read_bytes())
+
+    def children(page):
+        """Return the places in which an interior page of a table names others."""
+        begin = (page - 1) * size
+        assert pages[begin] == 5
+        (cells,) = struct.unpack_from(">H", pages, begin + 3)
+        offsets = struct.unpack_from(f">{cells}H", pages, begin + 12)
+        return [*(begin + offset for offset in offsets), begin + 8]
+
+    # A copy of the root goes below itself, a few levels deep: each level multiplies the rows.
+    levels = 6
+    end = len(pages) // size
+    original = bytes(pages[(root - 1) * size : root * size])
+    for level in range(levels):
+        page = end + level + 1
+        pages += original
+        if level:
+            for place in children(page):
+                struct.pack_into(">I", pages, place, page - 1)
+    for place in children(root):
+        struct.pack_into(">I", pages, place, end + levels)
+    struct.pack_into(">I", pages, 28, len(pages) // size)
+    path.write_bytes(bytes(pages))
+    with pytest.raises(BagError, match="its tables have more rows than a file of its size can hold"):
+        read(path)
+
+
+def test_a_database_is_read_in_the_order_of_time_without_its_index(tmp_path):
+    tables = TABLES.replace("CREATE INDEX timestamp_idx ON messages (timestamp ASC);", "")
+    path = sqlite_bag(tmp_path / "a.db3", tables, messages=[(3, HELLO), (1, HELLO), (2, HELLO)])
+    assert [time for time, _ in read(path)] == [1, 2, 3]
+    file = SqliteFile(path, ChunkLimit(1))
+    assert [time // SECOND for _, time, _ in file.read([1], 2 * SECOND, 3 * SECOND)] == [2]
+    assert list(file.read([2], None, None)) == []
+    file.close()
+
+
+def test_a_reading_that_is_given_up_ends_after_its_file_was_closed(tmp_path, monkeypatch):
+    unraisable = []
+    monkeypatch.setattr(sys, "unraisablehook", unraisable.append)
+    file = SqliteFile(sqlite_bag(tmp_path / "a.db3", messages=[(1, HELLO), (2, HELLO)]), ChunkLimit(1))
+    messages = file.read([1], None, None)
+    next(messages)
+    file.close()
+    messages.close()
+    gc.collect()
+    assert unraisable == []
+
+
+def test_a_large_database_is_read_with_a_large_limit(tmp_path):
+    path = sqlite_bag(tmp_path / "a.db3")
+    os.truncate(path, 3 << 30)  # a sparse file: its last pages are holes
+    file = SqliteFile(path, ChunkLimit(4096))
+    assert [time for _, time, _ in file.read([1], None, None)] == [SECOND]
+    file.close()
+
+
+# ---- write-ahead log ---------------------------------------------------------------------------------
+
+
+def interrupted_bag(folder, stored, logged):
+    """Write a database with messages at some seconds, and with later ones in its log, as a killed recorder does."""
+    folder.mkdir()
+    path = folder / "w.db3"
+    with closing(sqlite3.connect(str(folder / "recording.db3"))) as database:
+        database.execute("PRAGMA journal_mode = WAL")
+        database.execute("PRAGMA wal_autocheckpoint = 0")
+        database.executescript(TABLES + ROWS)
+        insert = "INSERT INTO messages(topic_id, timestamp, data) VALUES(1, ?, ?)"
+        database.executemany(insert, [(second * SECOND, HELLO) for second in stored])
+        database.commit()
+        if stored:
+            database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        database.executemany(insert, [(second * SECOND, HELLO) for second in logged])
+        database.commit()
+        shutil.copy(str(folder / "recording.db3"), str(path))
+        shutil.copy(str(folder / "recording.db3-wal"), f"{path}-wal")
+    (folder / "recording.db3").unlink()
+    return path
+
+
+def digests(folder):
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize("stored", [[1, 2], []])
+def test_write_ahead_log_is_read_and_nothing_written(tmp_path, stored):
+    path = interrupted_bag(tmp_path / "bag", stored, [3, 4, 5])
+    before = digests(path.parent)
+    assert sorted(before) == ["w.db3", "w.db3-wal"]
+    assert [time for time, _ in read(path)] == [*stored, 3, 4, 5]
+    assert digests(path.parent) == before
+
+
+def test_log_beside_target_of_link_is_read(tmp_path):
+    link = tmp_path / "link.db3"
+    link.symlink_to(interrupted_bag(tmp_path / "bag", [1], [2]))
+    assert [time for time, _ in read(link)] == [1, 2]
+
+
+def test_log_in_read_only_folder_is_read(tmp_path):
+    path = interrupted_bag(tmp_path / "bag", [1], [2])
+    path.chmod(0o444)
+    path.parent.chmod(0o555)
+    try:
+        assert [time for time, _ in read(path)] == [1, 2]
+    finally:
+        path.parent.chmod(0o755)
+
+
+def test_unreadable_log_is_reported_with_exit_status_3(tmp_path, capsys):
+    path = interrupted_bag(tmp_path / "bag", [1], [2])
+    log = path.with_name("w.db3-wal")
+    log.unlink()
+    log.mkdir()
+    (tmp_path / "program").mkdir()
+    (tmp_path / "program" / "pub_sub.xml").write_text("<publish_subscribe/>")
+    (tmp_path / "program" / "goalPredicates.txt").write_text("")
+    assert main(["bag", str(path), "--program", str(tmp_path / "program")]) == 3
+    error = capsys.readouterr().err
+    assert "its write-ahead log w.db3-wal, which has the newest messages, cannot be read: " in error
+
+
+def test_empty_database_keeps_its_log(tmp_path):
+    path = interrupted_bag(tmp_path / "bag", [1], [2])
+    path.write_bytes(b"")
+    before = digests(path.parent)
+    with pytest.raises(BagError, match="it is empty: expected a database"):
+        read(path)
+    assert digests(path.parent) == before
+
+
+def test_rollback_journal_is_ignored_with_warning(tmp_path, caplog):
+    path = sqlite_bag(tmp_path / "a.db3")
+    journal = tmp_path / "a.db3-journal"
+    journal.write_bytes(b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7" + bytes(504))
+    before = digests(tmp_path)
+    assert [time for time, _ in read(path)] == [1]
+    (record,) = caplog.records
+    assert f"{path}: its rollback journal a.db3-journal is ignored" in record.getMessage()
+    assert digests(tmp_path) == before
