@@ -90,7 +90,7 @@ def screenshot(url, options):
         browser.wait_for("document.getElementById('why-text').textContent.length > 3")
         browser.resize(options.width, options.height or browser.height())
         browser.wait_for(f"Number(document.body?.dataset.looks) >= {options.seconds + 2}")
-        print(*browser.console, sep="\n")
+        print(*browser.take_problems(), sep="\n")
         return browser.picture(whole=options.height is None)
     finally:
         browser.close()

@@ -1,4 +1,10 @@
-"""A headless Chromium, driven by the protocol of its developer tools."""
+"""A headless Chromium, controlled by the DevTools protocol, that collects everything that goes wrong in a page.
+
+`Browser.problems` has the errors and warnings of the console, uncaught exceptions, and failed requests. Objects that
+a page parses from JSON are strict: reading a field that they do not have is an exception, so a name that differs
+between Python and a script is a problem, and not an empty cell. The fixture ``browser`` in ``conftest.py`` shares a
+browser among the tests of a module, and fails each test that leaves a problem.
+"""
 
 import asyncio
 import base64
@@ -12,7 +18,7 @@ from urllib.request import ProxyHandler, build_opener
 
 from tornado.websocket import websocket_connect
 
-NAMES = ("chromium", "chromium-browser", "google-chrome")
+COMMANDS = ("chromium", "chromium-browser", "google-chrome")
 OPTIONS = (
     "--headless",
     "--no-sandbox",
@@ -25,140 +31,244 @@ OPTIONS = (
     "--disable-dev-shm-usage",
     "--remote-debugging-port=0",
 )
-PATIENCE = 60.0
-"""Seconds to wait for anything: the machine may be busy."""
+TIMEOUT_SECONDS = 60.0
+"""Limit for each wait. The machine may be busy."""
+
+MAX_MOBILE_WIDTH = 600
+"""Width in pixels up to which the browser behaves as on a phone."""
+
+STRICT_JSON = """
+(() => {
+  // The names that the language itself reads from any object.
+  const implicit = new Set(["then", "toJSON"]);
+  const handler = {
+    get(target, name) {
+      if (typeof name === "string" && !(name in target) && !implicit.has(name))
+        throw new TypeError(`this object of JSON has no field '${name}', only ${Object.keys(target)}`);
+      return target[name];
+    },
+  };
+  const strict = (value) => {
+    if (value === null || typeof value !== "object") return value;
+    for (const key of Object.keys(value)) value[key] = strict(value[key]);
+    return Array.isArray(value) ? value : new Proxy(value, handler);
+  };
+  const { parse } = JSON;
+  JSON.parse = (text, ...others) => strict(parse(text, ...others));
+  Response.prototype.json = async function () { return JSON.parse(await this.text()); };
+})();
+"""
+"""Script that makes objects from JSON strict, before the scripts of a page run."""
 
 
 def chromium():
-    """Return the path of a Chromium that is installed, or None."""
-    return next(filter(None, map(shutil.which, NAMES)), None)
+    """Return the path of an installed Chromium, or None."""
+    return next(filter(None, map(shutil.which, COMMANDS)), None)
 
 
 class Browser:
-    """A browser with one page, and what that has said on its console."""
+    """A browser with one page.
+
+    Args:
+        width: width of the page in pixels.
+        height: height of the page in pixels.
+        dark: whether the page is shown in dark colours.
+
+    Attributes:
+        console: all messages of the page's console.
+        problems: errors and warnings of the console, exceptions, and failed requests.
+    """
 
     def __init__(self, width=1280, height=900, dark=False):
         self._folder = tempfile.mkdtemp(prefix="browser-")
-        self._link = None
+        self._socket = None
         command = [chromium(), *OPTIONS, f"--user-data-dir={self._folder}", "about:blank"]
         self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         self._loop = asyncio.new_event_loop()
-        self._last = 0
+        self._last_id = 0
+        self._urls = {}
         self.console = []
+        self.problems = []
         try:
-            self._link = self._loop.run_until_complete(self._connect())
-            for part in ("Page", "Runtime", "Log", "Network"):
-                self.do(f"{part}.enable")
+            self._socket = self._loop.run_until_complete(self._connect())
+            for domain in ("Page", "Runtime", "Log", "Network"):
+                self.call(f"{domain}.enable")
+            self.call("Page.addScriptToEvaluateOnNewDocument", source=STRICT_JSON)
+            self.call("Emulation.setScrollbarsHidden", hidden=True)
             self.resize(width, height)
-            self.do("Emulation.setScrollbarsHidden", hidden=True)
-            scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
-            self.do("Emulation.setEmulatedMedia", features=[scheme])
+            self.set_dark(dark)
         except BaseException:
             self.close()
             raise
 
     async def _connect(self):
-        told = Path(self._folder) / "DevToolsActivePort"
-        port = await self._until(lambda: told.exists() and told.read_text().split("\n")[0])
+        port_file = Path(self._folder) / "DevToolsActivePort"
+        port = await self._wait_until(lambda: port_file.exists() and port_file.read_text().split("\n")[0])
         opener = build_opener(ProxyHandler({}))
 
-        def page():
-            with opener.open(f"http://127.0.0.1:{port}/json/list", timeout=PATIENCE) as answer:
-                found = json.load(answer)
-            return next((one["webSocketDebuggerUrl"] for one in found if one["type"] == "page"), None)
+        def find_page():
+            with opener.open(f"http://127.0.0.1:{port}/json/list", timeout=TIMEOUT_SECONDS) as response:
+                targets = json.load(response)
+            return next(
+                (target["webSocketDebuggerUrl"] for target in targets if target["type"] == "page"), None
+            )
 
-        return await websocket_connect(await self._until(page), max_message_size=1 << 28)
+        return await websocket_connect(await self._wait_until(find_page), max_message_size=1 << 28)
 
-    async def _until(self, what):
-        end = time.monotonic() + PATIENCE
-        while time.monotonic() < end:
-            found = what()
-            if found:
-                return found
+    async def _wait_until(self, condition):
+        deadline = time.monotonic() + TIMEOUT_SECONDS
+        while time.monotonic() < deadline:
+            value = condition()
+            if value:
+                return value
             await asyncio.sleep(0.05)
         raise AssertionError("the browser does not start")
 
-    def do(self, method, **parameters):
+    def call(self, method, **parameters):
         """Call a method of the protocol and return its result."""
-        return self._loop.run_until_complete(asyncio.wait_for(self._do(method, parameters), PATIENCE))
+        return self._loop.run_until_complete(
+            asyncio.wait_for(self._call(method, parameters), TIMEOUT_SECONDS)
+        )
 
-    async def _do(self, method, parameters):
-        self._last += 1
-        await self._link.write_message(json.dumps({"id": self._last, "method": method, "params": parameters}))
+    async def _call(self, method, parameters):
+        self._last_id += 1
+        request = {"id": self._last_id, "method": method, "params": parameters}
+        await self._socket.write_message(json.dumps(request))
         while True:
-            message = json.loads(await self._link.read_message())
-            if message.get("id") == self._last:
+            message = json.loads(await self._socket.read_message())
+            if message.get("id") == self._last_id:
                 assert "error" not in message, message
                 return message["result"]
-            self._note(message)
+            self._record(message.get("method"), message.get("params", {}))
 
-    def _note(self, message):
-        """Keep what a page says on its console, and what goes wrong in it."""
-        kind, told = message.get("method"), message.get("params", {})
-        if kind == "Runtime.consoleAPICalled":
-            self.console.append(" ".join(str(one.get("value")) for one in told["args"]))
-        elif kind == "Runtime.exceptionThrown":
-            details = told["exceptionDetails"]
-            self.console.append(details.get("exception", {}).get("description", details["text"]))
-        elif kind == "Log.entryAdded":
-            self.console.append(f"{told['entry']['text']} {told['entry'].get('url', '')}")
+    def _record(self, event, details):
+        """Record a message of the console, an exception, or a request."""
+        if event == "Runtime.consoleAPICalled":
+            text = " ".join(str(argument.get("value")) for argument in details["args"])
+            self.console.append(text)
+            if details["type"] in ("error", "warning", "assert"):
+                self._add_problem(text)
+        elif event == "Runtime.exceptionThrown":
+            exception = details["exceptionDetails"]
+            self._add_problem(exception.get("exception", {}).get("description", exception["text"]))
+        elif event == "Log.entryAdded":
+            entry = details["entry"]
+            text = f"{entry['text']} {entry.get('url', '')}"
+            self.console.append(text)
+            if entry["level"] in ("error", "warning"):
+                self._add_problem(text)
+        elif event == "Network.requestWillBeSent":
+            self._urls[details["requestId"]] = details["request"]["url"]
+        elif event == "Network.responseReceived" and details["response"]["status"] >= 400:
+            self._add_problem(f"status {details['response']['status']} {details['response']['url']}")
+        # A page that is left, or that closes its stream, cancels requests.
+        elif event == "Network.loadingFailed" and not details.get("canceled"):
+            url = self._urls.get(details["requestId"], "")
+            self._add_problem(f"{details['errorText']} {url}")
+
+    def _add_problem(self, text):
+        # A page that is updated in a loop repeats its problem.
+        if text not in self.problems:
+            self.problems.append(text)
+
+    def take_problems(self):
+        """Return the problems so far, and forget them."""
+        # Messages are read during a call only.
+        self.ask("0")
+        problems, self.problems = self.problems, []
+        return problems
+
+    def reset(self):
+        """Leave the page, forget messages and problems, and restore the default size and colours."""
+        self.call("Page.navigate", url="about:blank")
+        self.take_problems()
+        self.console.clear()
+        self.resize(1280, 900)
+        self.set_dark(False)
 
     def resize(self, width, height):
-        """Give the page a size; a narrow one is a phone's."""
-        self.do(
+        """Set the size of the page in pixels; a narrow page is shown as on a phone."""
+        self.call(
             "Emulation.setDeviceMetricsOverride",
             width=width,
             height=height,
             deviceScaleFactor=1,
-            mobile=width < 600,
+            mobile=width < MAX_MOBILE_WIDTH,
         )
 
+    def set_dark(self, dark):
+        """Show the page in dark or in light colours."""
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        self.call("Emulation.setEmulatedMedia", features=[scheme])
+
     def open(self, url):
-        self.do("Page.navigate", url=url)
+        """Open a page, and wait until its scripts have run."""
+        self.call("Page.navigate", url=url)
+        self.wait_for("document.readyState === 'complete'")
 
     def ask(self, expression):
         """Return the value of an expression in the page."""
-        found = self.do("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
-        assert "exceptionDetails" not in found, found["exceptionDetails"]
-        return found["result"].get("value")
+        result = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        assert "exceptionDetails" not in result, result["exceptionDetails"]
+        return result["result"].get("value")
 
-    def wait_for(self, expression):
-        """Return the value of an expression as soon as it is one that counts."""
-        end = time.monotonic() + PATIENCE
-        while time.monotonic() < end:
-            found = self.ask(expression)
-            if found:
-                return found
+    def wait_for(self, expression, allow_problems=False):
+        """Return the value of an expression as soon as it is true; fail at the first problem unless it is allowed."""
+        deadline = time.monotonic() + TIMEOUT_SECONDS
+        while time.monotonic() < deadline:
+            value = self.ask(expression)
+            if value:
+                return value
+            if self.problems and not allow_problems:
+                break
             self._loop.run_until_complete(asyncio.sleep(0.05))
-        raise AssertionError(f"waited in vain for {expression}; console: {self.console}")
+        raise AssertionError(f"{expression} is not true; problems: {self.problems}")
+
+    def send_mouse_event(self, event, x, y, **details):
+        """Send an event of the mouse, such as ``mouseMoved``, at a position in pixels."""
+        self.call("Input.dispatchMouseEvent", type=event, x=x, y=y, **details)
+
+    def click(self, x, y, count=1):
+        """Click at a position in pixels; a double click has the count 2."""
+        for number in range(1, count + 1):
+            for event in ("mousePressed", "mouseReleased"):
+                self.send_mouse_event(event, x, y, button="left", clickCount=number)
+
+    def press(self, key):
+        """Press and release a key, such as ``ArrowLeft``."""
+        text = {"text": key} if len(key) == 1 else {}
+        self.call("Input.dispatchKeyEvent", type="keyDown", key=key, **text)
+        self.call("Input.dispatchKeyEvent", type="keyUp", key=key)
 
     def picture(self, whole=True):
-        """Return the page as PNG, or what is seen of it."""
-        found = self.do("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
-        return base64.b64decode(found["data"])
+        """Return the page as PNG, or only the visible part of it."""
+        result = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
+        return base64.b64decode(result["data"])
 
     def height(self):
-        """Return how high all of the page is."""
+        """Return the height of the whole page in pixels."""
         return self.ask("document.documentElement.scrollHeight")
 
     def close(self):
-        if self._link is not None:
-            self._link.close()
-            self._loop.run_until_complete(_settle())
+        """End the browser."""
+        if self._socket is not None:
+            self._socket.close()
+            self._loop.run_until_complete(_cancel_other_tasks())
         self._process.terminate()
         try:
-            self._process.wait(PATIENCE)
+            self._process.wait(TIMEOUT_SECONDS)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
         self._loop.close()
-        shutil.rmtree(self._folder, ignore_errors=True)  # its other processes may be just ending
+        # Other processes of the browser may still write to the folder.
+        shutil.rmtree(self._folder, ignore_errors=True)
 
 
-async def _settle():
-    """Let what reads from the browser end."""
-    me = asyncio.current_task()
-    others = [task for task in asyncio.all_tasks() if task is not me]
+async def _cancel_other_tasks():
+    """Cancel the tasks that read from the browser, and wait for their end."""
+    current = asyncio.current_task()
+    others = [task for task in asyncio.all_tasks() if task is not current]
     for task in others:
         task.cancel()
     await asyncio.gather(*others, return_exceptions=True)

@@ -67,6 +67,27 @@ def definitions():
     return Definitions()
 
 
+@pytest.fixture(scope="module")
+def module_browser():
+    """Return a browser for the tests of a module; its start takes a second."""
+    pytest.importorskip("tornado", reason="the browser is controlled through tornado")
+    from browser import Browser, chromium  # noqa: PLC0415 - tornado is optional
+
+    if chromium() is None:
+        pytest.skip("no Chromium is installed (Debian's package chromium)")
+    browser = Browser()
+    yield browser
+    browser.close()
+
+
+@pytest.fixture
+def browser(module_browser):
+    """Return a browser with an empty page; fail if a problem is left at the end of the test."""
+    module_browser.reset()
+    yield module_browser
+    assert module_browser.take_problems() == []
+
+
 @pytest.fixture(scope="module", autouse=True)
 def freeze_caches():
     """Exempt the objects that a module of tests has left in caches, too: some tests collect all garbage."""

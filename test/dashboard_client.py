@@ -24,9 +24,9 @@ def engine():
 
 
 @contextmanager
-def serving(of=None, **known):
-    """Serve a page on a port that is free."""
-    page = Dashboard(DashboardSource(of or engine(), "/retalis", **known), 0, period=0.05)
+def serving(of=None, port=0, **known):
+    """Serve a page on a port, by default on a free one."""
+    page = Dashboard(DashboardSource(of or engine(), "/retalis", **known), port, period=0.05)
     try:
         yield page
     finally:

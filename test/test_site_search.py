@@ -6,9 +6,6 @@ from urllib.parse import quote
 import pytest
 from source import ROOT
 
-pytest.importorskip("tornado", reason="the browser is driven by it")
-from browser import Browser, chromium  # noqa: E402
-
 DOCS = ROOT / "docs"
 SITE = DOCS / "_build" / "html"
 GUIDE_ROW = re.compile(r"^\| ([^|]+) \| \[([^]]+)\]\(([\w-]+)\.md\) \|$", re.MULTILINE)
@@ -34,7 +31,6 @@ def site_is_built():
 pytestmark = [
     pytest.mark.docs,
     pytest.mark.slow,
-    pytest.mark.skipif(chromium() is None, reason="no Chromium is installed (Debian's package chromium)"),
     pytest.mark.skipif(
         not site_is_built(), reason="the site is not built from the present pages (./install.py docs)"
     ),
@@ -48,13 +44,6 @@ def queries():
         yield title, guide
         yield words.split(", ")[0], guide
     yield "a picture's time", "transform-at-time"
-
-
-@pytest.fixture(scope="module")
-def browser():
-    browser = Browser()
-    yield browser
-    browser.close()
 
 
 @pytest.mark.parametrize(("query", "guide"), list(queries()))

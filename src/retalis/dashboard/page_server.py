@@ -89,6 +89,9 @@ class Dashboard:
             server.stop()
             live_updates.close()
             self._loop.run_until_complete(_cancel_tasks())
+            # A browser keeps connections open for further requests. If they stayed open, a page would send the next
+            # request to this server, which does not answer, although another one listens on the port.
+            server.close_streams()
             self._loop.close()
 
 

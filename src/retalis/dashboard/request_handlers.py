@@ -331,8 +331,13 @@ class BoundedServer(HTTPServer):
                 return
         super().handle_stream(stream, address)
 
+    def close_streams(self) -> None:
+        """Close all connections."""
+        for stream in self._streams:
+            stream.close()
 
-def create_server(source: DashboardSource, snapshots: Snapshots, live_updates: LiveUpdates) -> HTTPServer:
+
+def create_server(source: DashboardSource, snapshots: Snapshots, live_updates: LiveUpdates) -> BoundedServer:
     """Return the server, without a socket."""
     answer_service = AnswerService(source, snapshots)
     paths = "|".join(path.replace(".", "[.]") for path in FILES)

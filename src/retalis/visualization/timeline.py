@@ -277,28 +277,69 @@ _LEGEND_TEXTS = {"event": "events", "wait": "waits of queries", "memory": "memor
 _LANE_HEIGHT_INCHES, _PICTURE_WIDTH_INCHES = 0.24, 12.0
 
 
+class PageLane(NamedTuple):
+    """A lane as the page reads it; the names of the fields are those in the script of the page.
+
+    Attributes:
+        kind: one of `LANE_KINDS`; the colour of the lane is the CSS variable of this name.
+        name: name of an event or topic, or id of a memory.
+        total: number that is shown beside the name; see `TimelineLane`.
+        row_count: number of rows that the marks need.
+        marks: start and end in seconds, text, and row of each mark. Lists, because a lane can have 20,000 of them.
+    """
+
+    kind: str
+    name: str
+    total: int
+    row_count: int
+    marks: List[List[Any]]
+
+
+class PageTimeline(NamedTuple):
+    """A timeline as the page reads it; the names of the fields are those in the script of the page.
+
+    Attributes:
+        title: heading of the page.
+        about: summary in one line.
+        length: duration in seconds.
+        legend: kind and description of each kind of lanes that occurs.
+        lanes: the lanes as dictionaries with the fields of `PageLane`.
+    """
+
+    title: str
+    about: str
+    length: float
+    legend: List[Tuple[str, str]]
+    lanes: List[Dict[str, Any]]
+
+
 def timeline_page(timeline: Timeline, title: str) -> str:
     """Return a timeline as a self-contained HTML page."""
-    data: Dict[str, Any] = {
-        "title": title,
-        "about": _describe_timeline(timeline),
-        "length": timeline.length,
-        "lanes": [
-            {**lane._asdict(), "marks": _marks_with_rows(lane), "rows": _count_rows(lane)}
-            for lane in timeline.lanes
-        ],
-    }
+    data = PageTimeline(
+        title=title,
+        about=_describe_timeline(timeline),
+        length=timeline.length,
+        legend=_list_legend(timeline.lanes),
+        lanes=[_make_page_lane(lane)._asdict() for lane in timeline.lanes],
+    )
     # "<" is escaped, so that no text of the program can close the script element.
-    json_text = printable_json(data).replace("<", "\\u003c")
+    json_text = printable_json(data._asdict()).replace("<", "\\u003c")
     return _PAGE.read_text(encoding="utf-8").replace(_DATA_PLACEHOLDER, f">{json_text}<", 1)
 
 
-def _marks_with_rows(lane: TimelineLane) -> List[Any]:
-    """Return the marks of a lane with their rows, in microsecond precision."""
-    rows = assign_rows(lane.marks)
-    return [
-        [round(start, 6), round(end, 6), text, row or 0] for (start, end, text), row in zip(lane.marks, rows)
+def _make_page_lane(lane: TimelineLane) -> PageLane:
+    # Microseconds are finer than a pixel, and keep the page small.
+    marks = [
+        [round(start, 6), round(end, 6), text, row or 0]
+        for (start, end, text), row in zip(lane.marks, assign_rows(lane.marks))
     ]
+    return PageLane(lane.kind, lane.name, lane.total, _count_rows(lane), marks)
+
+
+def _list_legend(lanes: Sequence[TimelineLane]) -> List[Tuple[str, str]]:
+    """Return kind and description of each kind of lanes that occurs, from top to bottom."""
+    kinds = {lane.kind for lane in lanes}
+    return [(kind, _LEGEND_TEXTS[kind]) for kind in LANE_KINDS if kind in kinds]
 
 
 def _count_rows(lane: TimelineLane) -> int:
@@ -328,8 +369,7 @@ def draw_timeline(timeline: Timeline, title: str, path: Path) -> None:
     axes.set_xlim(-0.01 * timeline.length, 1.01 * timeline.length or 1.0)
     axes.set_title(f"{_escape_formulas(title)}\n{_describe_timeline(timeline)}", fontsize=10, loc="left")
     _label_rows(axes.twinx(), [f"{lane.total:,}" for lane in lanes], fontsize=8, color="#5b6675")
-    kinds = [kind for kind in LANE_KINDS if any(lane.kind == kind for lane in lanes)]
-    patches = [Patch(color=_COLOURS[kind], label=_LEGEND_TEXTS[kind]) for kind in kinds]
+    patches = [Patch(color=_COLOURS[kind], label=text) for kind, text in _list_legend(lanes)]
     legend_position = (1.0, -0.3 / height)
     axes.legend(
         handles=patches,
@@ -399,5 +439,5 @@ def _describe_timeline(timeline: Timeline) -> str:
     omitted_marks = f"; of {incomplete_lanes} lanes not all marks are shown" if incomplete_lanes else ""
     return (
         f"{timeline.length:.3f} s from {year}-{month:02}-{day:02} {hour:02}:{minute:02}:{second:02} UTC; "
-        f"numbers on the right are counts per lane{omitted_lanes}{omitted_marks}"
+        f"numbers are counts per lane{omitted_lanes}{omitted_marks}"
     )

@@ -109,8 +109,8 @@ const numeric = (text, bad = false, wide = false) => ({ text, kind: `n${bad ? " 
 
 function showTiles({ status, rates, memory }) {
   const tiles = [
-    ["events in /s", rate(rates.taken)],
-    ["rules fired /s", rate(rates.fired)],
+    ["events in /s", rate(rates.get("taken"))],
+    ["rules fired /s", rate(rates.get("fired"))],
     ["in the queue", number(status.queued), status.queued > status.queue / 2 ? "bad" : ""],
     ["dropped", number(status.dropped), status.dropped ? "bad" : ""],
     ["errors", number(status.errors), status.errors ? "bad" : ""],
@@ -151,7 +151,7 @@ function more(rows, left, columns) {
 function showTopics({ topics, rates }) {
   fill("topics", topics.map((one) => ({ key: one.name, cells: [
     { text: one.name, sub: one.kind + (one.publishers === 0 ? ", no publisher" : "") },
-    numeric(rate(rates[`topic:${one.name}`])),
+    numeric(rate(rates.get(`topic:${one.name}`))),
     numeric(seconds(one.age)),
     numeric(seconds(one.lag), one.lag > 1),
     numeric(number(one.dropped), one.dropped > 0),
@@ -171,7 +171,7 @@ function showMemories({ status, rates }) {
     { ...numeric(`${number(one.records)} / ${number(one.size)}`), part: one.size ? one.records / one.size : 0 },
     numeric(one.oldest === null ? "–" : seconds(one.newest - one.oldest)),
     numeric(one.newest === null ? "–" : `${since(status.now, one.newest)} ago`),
-    numeric(rate(rates[`memory:${one.id}`])),
+    numeric(rate(rates.get(`memory:${one.id}`))),
   ] }));
   fill("memories", more(rows, status.left_out.memories, 5), 5, "there are none");
 }
@@ -200,7 +200,7 @@ function showRules({ status, rates }) {
   const rows = status.rules.map((one, at) => ({ key: `${at} ${one.place}`, cells: [
     { text: one.label || fileOf(one.place) || `rule ${at + 1}`, sub: one.text },
     numeric(number(one.fired)),
-    numeric(rate(rates[`rule:${at}`])),
+    numeric(rate(rates.get(`rule:${at}`))),
     numeric(one.last_fired === null ? "–" : `${since(status.now, one.last_fired)} ago`, false, true),
     numeric(number(one.waiting) + (one.dropped ? ` (${number(one.dropped)} lost)` : ""), one.dropped > 0, true),
     numeric(number(one.keys), false, true),
@@ -271,7 +271,7 @@ async function why(event) {
   set(find("why-title"), brief(event.text));
   set(find("why-text"), "...");
   const found = await ask("explain", { serial: event.serial });
-  set(find("why-text"), found.error || found.lines.join("\n"));
+  set(find("why-text"), "error" in found ? found.error : found.lines.join("\n"));
 }
 
 function solutionText(solution) {
@@ -284,7 +284,7 @@ async function query(event) {
   answer.hidden = false;
   set(answer, "...");
   const found = await ask("query", { goal: find("goal").value });
-  if (found.error) return set(answer, found.error);
+  if ("error" in found) return set(answer, found.error);
   const texts = found.solutions.map(solutionText);
   if (!texts.length) texts.push("false");
   else if (!found.complete) texts.push("... there may be more");
@@ -308,7 +308,12 @@ function open() {
   close();
   source = new EventSource(`stream?events=${find("follow").checked ? 1 : 0}`);
   source.addEventListener("graph", (event) => { graph = JSON.parse(event.data); redraw(); });
-  source.addEventListener("snapshot", (event) => { state("live", "live"); show(JSON.parse(event.data)); });
+  source.addEventListener("snapshot", (event) => {
+    const snapshot = JSON.parse(event.data);
+    state("live", "live");
+    // The only part with keys from the program: a counter without a former value has no rate.
+    show({ ...snapshot, rates: new Map(Object.entries(snapshot.rates)) });
+  });
   source.onerror = () => {
     const refused = source.readyState === EventSource.CLOSED;
     state(refused ? "refused: too many pages are open" : "the node does not answer", "lost");

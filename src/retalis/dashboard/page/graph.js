@@ -181,7 +181,7 @@ export function draw(graph, place, shown) {
   place.append(svg);
   return (rates) => {
     for (const { edge, drawn, label } of lively) {
-      const rate = rates[edge.rate];
+      const rate = rates.get(edge.rate);
       label.textContent = rate === undefined ? "" : shown(rate);
       drawn.classList.toggle("on", rate > 0);
     }

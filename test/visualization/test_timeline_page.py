@@ -1,0 +1,227 @@
+"""The page with a timeline in a browser: lanes, marks, details, zoom and colours, compared with the data."""
+
+import json
+
+import pytest
+from doc_pages import FENCE, ROOT, PageRun
+
+from retalis.visualization.timeline import read_run, timeline_page
+
+pytestmark = pytest.mark.slow
+
+SECOND = 10**9
+RECORDS = [
+    {"event": "my_msgs__0__Level(1)", "start": 5 * SECOND, "end": 5 * SECOND},
+    {"event": "my_msgs__0__Level(2)", "start": 8 * SECOND, "end": 8 * SECOND},
+    {"event": "high(1)", "start": 5 * SECOND, "end": 7 * SECOND},
+    {"event": "high(2)", "start": 6 * SECOND, "end": 8 * SECOND},
+    {"output": "x", "topic": "alarm", "id": "i", "time": 7 * SECOND},
+    {"wait": "seen(1)", "memories": ["odom"], "start": 6 * SECOND, "end": 7 * SECOND},
+    {
+        "memory": "odom",
+        "pattern": "p(_)",
+        "size": 9000,
+        "records": 3000,
+        "taken": 4000,
+        "start": 6 * SECOND,
+        "end": 9 * SECOND,
+    },
+]
+COLOURED_AREAS = """
+    (() => {
+      // A copy that is read frequently, so that the browser does not warn about reading the picture itself.
+      const copy = document.createElement("canvas"), pixels = copy.getContext("2d", { willReadFrequently: true });
+      [copy.width, copy.height] = [canvas.width, canvas.height];
+      pixels.fillStyle = getComputedStyle(document.body).backgroundColor;
+      pixels.fillRect(0, 0, copy.width, copy.height);
+      pixels.drawImage(canvas, 0, 0);
+      const isColoured = ([red, green, blue]) => Math.max(red, green, blue) - Math.min(red, green, blue) > 25;
+      const areas = (image, length, step) => {
+        const found = [];
+        for (let at = 0, last = -2; at < length; at++) {
+          const line = [...Array(image.data.length / 4 / length).keys()];
+          const position = (other) => 4 * step(at, other);
+          if (!line.some((other) => isColoured(image.data.subarray(position(other), position(other) + 3)))) continue;
+          if (last === at - 1) found[found.length - 1][1] = at; else found.push([at, at]);
+          last = at;
+        }
+        return found;
+      };
+      return run.lanes.map((lane, row) => {
+        const top = AXIS + row * LANE_HEIGHT, image = pixels.getImageData(LEFT, top, copy.width - LEFT, LANE_HEIGHT);
+        return areas(image, image.width, (x, y) => y * image.width + x).map(([first, last]) => {
+          const middle = pixels.getImageData(LEFT + (first + last >> 1), top, 1, LANE_HEIGHT);
+          return [LEFT + first, LEFT + last, areas(middle, LANE_HEIGHT, (y) => y).length];
+        });
+      });
+    })()
+"""
+"""Expression for the coloured areas in each lane: first and last column, and number of rows in the middle."""
+
+DRAWN_TEXTS = """
+    (() => {
+      const texts = [], { fillText } = paint;
+      paint.fillText = (text, ...others) => { texts.push(text); fillText.call(paint, text, ...others); };
+      draw();
+      paint.fillText = fillText;
+      return texts;
+    })()
+"""
+"""Expression for the texts that the page draws."""
+
+IS_REDRAWN = "new Promise((finish) => requestAnimationFrame(() => requestAnimationFrame(() => finish(true))))"
+
+
+@pytest.fixture
+def timeline():
+    return read_run(map(json.dumps, RECORDS), "run.jsonl")
+
+
+@pytest.fixture
+def page(browser, timeline, tmp_path):
+    """Open the page with the timeline of `RECORDS`; return the browser."""
+    (tmp_path / "run.html").write_text(timeline_page(timeline, "run"), encoding="utf-8")
+    browser.open((tmp_path / "run.html").as_uri())
+    return browser
+
+
+def read_areas(browser):
+    """Return the coloured areas of each lane after the next frame."""
+    browser.ask(IS_REDRAWN)
+    return browser.ask(COLOURED_AREAS)
+
+
+def check_areas(lanes, timeline):
+    """Compare coloured areas with the marks of a timeline; marks that touch are one area."""
+    first = min(area[0] for areas in lanes for area in areas)
+    last = max(area[1] for areas in lanes for area in areas)
+    for lane, areas in zip(timeline.lanes, lanes):
+        expected = []
+        for start, end, _ in sorted(lane.marks):
+            begin, until = (first + time / timeline.length * (last - first) for time in (start, end))
+            if expected and begin <= expected[-1][1] + 2:
+                expected[-1][1] = max(until, expected[-1][1])
+            else:
+                expected.append([begin, until])
+        assert [area[:2] for area in areas] == [pytest.approx(area, abs=2) for area in expected], lane.name
+
+
+def test_marks_are_where_the_data_say(page, timeline):
+    check_areas(read_areas(page), timeline)
+
+
+def test_each_lane_has_its_name_and_count(page, timeline):
+    texts = page.ask(DRAWN_TEXTS)
+    labels = [text for lane in timeline.lanes for text in (lane.name, f"{lane.total:,}")]
+    assert [text for text in texts if text in labels] == labels
+    assert "4,000" in labels and "3.0 s" in texts
+
+
+def test_overlapping_marks_have_rows_of_their_own(page, timeline):
+    rows = {
+        lane.name: [count for _, _, count in areas] for lane, areas in zip(timeline.lanes, read_areas(page))
+    }
+    assert rows == {"Level": [1, 1], "high": [2], "seen waits": [1], "odom": [1], "alarm": [1]}
+
+
+def test_details_of_a_mark_are_shown_at_the_pointer(page, timeline):
+    top = page.ask("canvas.offsetTop + AXIS")
+    details = {}
+    for row, (lane, areas) in enumerate(zip(timeline.lanes, read_areas(page))):
+        page.send_mouse_event("mouseMoved", areas[0][0], top + (row + 0.3) * page.ask("LANE_HEIGHT"))
+        details[lane.name] = page.ask("details.textContent")
+    assert details == {
+        "Level": "event Level at 0.000000 s: my_msgs__0__Level(1)",
+        "high": "event high at 0.000000 s to 2.000000 s, 2.000000 s long: high(1)",
+        "seen waits": "wait seen waits at 1.000000 s to 2.000000 s, 1.000000 s long: for odom: seen(1)",
+        "odom": "memory odom at 1.000000 s to 4.000000 s, 3.000000 s long: 3000 of 9000 records, 4000 taken: p(_)",
+        "alarm": "output alarm at 2.000000 s: x",
+    }
+
+
+def test_wheel_zooms_around_the_pointer(page):
+    ((before, *_),) = read_areas(page)[-1]
+    whole = page.ask("view[1] - view[0]")
+    y = page.ask("canvas.offsetTop + AXIS + 5")
+    page.send_mouse_event("mouseWheel", before, y, deltaX=0, deltaY=-100)
+    ((start, *_),) = read_areas(page)[-1]
+    assert abs(start - before) <= 1
+    assert page.ask("view[1] - view[0]") == pytest.approx(0.8 * whole)
+    page.click(before, y, count=2)
+    page.ask(IS_REDRAWN)
+    assert page.ask("view[1] - view[0]") == whole
+
+
+def test_dragging_moves_the_marks(page):
+    y = page.ask("canvas.offsetTop + AXIS + 5")
+    page.send_mouse_event("mouseWheel", 700, y, deltaX=0, deltaY=-100)
+    ((before, *_),) = read_areas(page)[-1]
+    page.send_mouse_event("mousePressed", 600, y, button="left", clickCount=1)
+    page.send_mouse_event("mouseMoved", 640, y, button="left", buttons=1)
+    page.send_mouse_event("mouseReleased", 640, y, button="left", clickCount=1)
+    ((after, *_),) = read_areas(page)[-1]
+    assert abs(after - before - 40) <= 1
+
+
+def test_keys_zoom_and_move(page):
+    page.ask("canvas.focus()")
+    whole = page.ask("view")
+    page.press("+")
+    page.press("+")
+    page.press("+")
+    zoomed = page.ask("view")
+    assert zoomed[0] > whole[0] and zoomed[1] < whole[1]
+    page.press("ArrowRight")
+    assert page.ask("view")[0] > zoomed[0]
+    page.press("ArrowLeft")
+    assert page.ask("view") == pytest.approx(zoomed)
+    for _ in range(4):
+        page.press("-")
+    assert page.ask("view") == pytest.approx(whole)
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_kinds_have_distinct_colours_with_a_legend(page, timeline, dark):
+    page.set_dark(dark)
+    check_areas(read_areas(page), timeline)
+    assert page.ask("[...document.querySelectorAll('#legend span')].map((entry) => entry.textContent)") == [
+        "events",
+        "waits of queries",
+        "memories",
+        "outputs",
+    ]
+    samples = "[...document.querySelectorAll('#legend i')]"
+    colours = page.ask(f"{samples}.map((sample) => getComputedStyle(sample).backgroundColor)")
+    background = page.ask("getComputedStyle(document.body).backgroundColor")
+    assert len({*colours, background}) == 5
+
+
+def test_page_of_an_empty_run_opens(browser, tmp_path):
+    (tmp_path / "run.html").write_text(timeline_page(read_run([], "run"), "run"), encoding="utf-8")
+    browser.open((tmp_path / "run.html").as_uri())
+    assert browser.ask("document.getElementById('legend').textContent") == ""
+
+
+def test_narrow_page_has_nothing_to_scroll_to_the_side(page):
+    page.resize(390, 800)
+    page.ask(IS_REDRAWN)
+    assert page.ask("document.documentElement.scrollWidth") == 390
+
+
+def test_tutorial_draws_its_run(browser, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    run = PageRun(tmp_path)
+    page = (ROOT / "docs" / "tutorials" / "robot-program.md").read_text(encoding="utf-8")
+    for fence in FENCE.finditer(page):
+        assert run.result(fence) == fence["text"]
+    browser.open((tmp_path / "run.html").as_uri())
+    assert browser.ask("run.lanes.map((lane) => [lane.kind, lane.name, lane.total])") == [
+        ["event", "String", 4],
+        ["event", "bump", 4],
+        ["event", "cornered", 1],
+        ["event", "turn", 1],
+        ["event", "history", 1],
+        ["memory", "bumps", 4],
+        ["output", "turn", 1],
+    ]
+    assert [len(areas) for areas in read_areas(browser)] == [4, 4, 1, 1, 1, 1, 1]
