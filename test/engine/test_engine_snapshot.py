@@ -17,6 +17,7 @@ from retalis import (
 )
 from retalis.engine.engine import Engine as Whole
 from retalis.prolog.terms.term_traversal import variables
+from retalis.prolog.terms.timestamps import SECOND
 
 ALARM = "exceptionAlarm(late(X), 5) <- start(X).\nwarned(X) <- late(X)."
 
@@ -240,6 +241,48 @@ def test_an_alarm_of_a_rule_that_was_deleted_rings():
         feed(listened(engine), ["x"], 20)
     assert other.said == one.said
     assert len(one.said) == 2
+
+
+DUE_AT_ONE_INSTANT = {
+    "state after timer": ("timer(t, after(2)), state(s, from(a), until(b), [within(1)])", ("a", 2)),
+    "timer after state": ("state(s, from(a), until(b), [within(3)])", ("a", 1), ("set", 2)),
+    "query after alarm": ("memorize(m, [], _, m, 3)", ("alarm", 2), ("ask", 2)),
+    "alarm after query": ("memorize(m, [], _, m, 3)", ("ask", 2), ("alarm", 2)),
+    "alarm after state": ("state(s, from(a), until(b), [within(3)])", ("a", 1), ("alarm", 2)),
+}
+
+
+@pytest.mark.parametrize("name", DUE_AT_ONE_INSTANT)
+def test_restore_keeps_order_of_alarms_at_one_instant(name):
+    goals, *events = DUE_AT_ONE_INSTANT[name]
+    rules = (
+        "null do timer(t, after(2)) <- set.\n"
+        "exceptionAlarm(late, 2) <- alarm.\n"
+        "synchronized(never, true, [[m, 100]], [timeout(2)]) <- ask."
+    )
+    engine = Engine()
+    engine.event("start", 1)
+    engine.load(rules=rules, goals=goals)
+    feed(engine, events, 1)
+    restored = Engine.restore(Engine.restore(engine.snapshot()).snapshot())
+    for either in (engine, restored):
+        feed(listened(either), ["tick"], 9)
+    assert {end for _, _, end in engine.said[:2]} == {engine.said[0][-1]}
+    assert restored.said == engine.said
+
+
+def test_restore_omits_state_whose_beginning_was_retracted():
+    engine = Engine()
+    engine.load(
+        goals="set_etalis_flag(revision_flag, on), state(s(X), from(a(X)), until(b), [within(9)])",
+        rules="open(L) <- c where findall(X, holds(s(X)), L).",
+    )
+    feed(engine, ["a(1)", "a(2)", "rev(a(1))", "c"], 1)
+    restored = Engine.restore(engine.snapshot())
+    for either in (engine, restored):
+        feed(listened(either), ["c", "a(1)", "c", "c", "c", "c", "c"], 5)
+    assert ("open([2,1])", 7 * SECOND, 7 * SECOND) in engine.said
+    assert restored.said == engine.said
 
 
 def test_a_clock_of_ones_own_is_not_moved_by_events():

@@ -7,9 +7,11 @@ import sys
 import time
 from typing import Any, Collection, List, Optional, Tuple
 
-from retalis import RetalisError
+from retalis import Engine, RetalisError, StreamClock
+from retalis.prolog.terms.timestamps import SECOND
 
-from .comparison import add_options, engine_steps, shrink
+from .clock_programs import ClockProgram, random_clock_program
+from .comparison import add_options, as_text, engine_steps, shrink
 from .strategies import Case, random_case
 
 
@@ -41,6 +43,51 @@ def cut_case(
     )
 
 
+def clock_steps(program: ClockProgram, cuts: Collection[int] = ()) -> List[List[Any]]:
+    """Run a program; return its events and outputs at each step, in order.
+
+    Before the steps in ``cuts`` another engine is restored from the engine's state, and continues.
+
+    Raises:
+        RetalisError: if the program is refused.
+    """
+    steps: List[List[Any]] = []
+
+    def listen(engine: Engine) -> Engine:
+        engine.on_event(lambda *event: steps[-1].append(as_text(*event)))
+        engine.on_output(lambda term, topic, name: steps[-1].append((topic, engine.show(term))))
+        return engine
+
+    engine = listen(Engine(StreamClock(10 * SECOND)))
+    steps.append([])  # a program may emit events while it is loaded
+    engine.load(goals=program.goals, rules=program.rules)
+    for position, (event, instant) in enumerate(program.steps):
+        if position in cuts:
+            engine = listen(Engine.restore(engine.snapshot(), clock=StreamClock()))
+        steps.append([])
+        engine.clock.move_to(int(instant * SECOND))
+        engine.advance()
+        if event is not None:
+            engine.event(event, instant)
+    return steps
+
+
+def clock_difference(seed: int) -> Optional[Tuple[Any, Any]]:
+    """Return the steps of a random program, and the steps of a run with restored engines; None if they are equal.
+
+    Raises:
+        RetalisError: if the program is refused.
+    """
+    program, choose = random_clock_program(seed), random.Random(seed)
+    cuts = {choose.randrange(len(program.steps)) for _ in range(choose.choice((1, 1, 2, 4)))}
+    expected = clock_steps(program)
+    try:
+        steps: Any = clock_steps(program, cuts)
+    except Exception as error:  # noqa: BLE001 - an internal error is a difference too
+        steps = f"{type(error).__name__}: {error}"
+    return None if steps == expected else (expected, steps)
+
+
 def compare(options: argparse.Namespace) -> int:
     """Compare cases; print those that differ, shrunk where they do so cut everywhere."""
     begin, differing = time.time(), 0
@@ -61,12 +108,34 @@ def compare(options: argparse.Namespace) -> int:
     return 1 if differing else 0
 
 
+def compare_clock_programs(options: argparse.Namespace) -> int:
+    """Compare random programs of `clock_programs`; print those that differ."""
+    begin, differing, refused = time.time(), 0, 0
+    for seed in range(options.seed, options.seed + options.cases):
+        try:
+            difference = clock_difference(seed)
+        except RetalisError:
+            refused += 1
+            continue
+        if difference is None:
+            continue
+        differing += 1
+        if differing <= options.show:
+            program = random_clock_program(seed)
+            print(f"seed {seed}:\n{program.goals}{program.rules}\n{program.steps}\n{difference}", flush=True)
+    duration = time.time() - begin
+    print(f"{options.cases} programs, {refused} refused, {differing} differ, {duration:.0f} s")
+    return 1 if differing else 0
+
+
 def main() -> int:
     """Compare many cases."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     add_options(parser, cases=10_000, show=5)
+    parser.add_argument("--clock", action="store_true", help="programs of everything that the clock moves")
     logging.disable(logging.CRITICAL)
-    return compare(parser.parse_args())
+    options = parser.parse_args()
+    return compare_clock_programs(options) if options.clock else compare(options)
 
 
 if __name__ == "__main__":

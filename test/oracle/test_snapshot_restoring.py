@@ -2,7 +2,9 @@
 
 import pytest
 
-from .snapshot_restoring import cut_case, cut_difference
+from retalis import RetalisError
+
+from .snapshot_restoring import clock_difference, cut_case, cut_difference
 
 
 @pytest.mark.slow
@@ -17,3 +19,16 @@ def test_goes_on_alike(revision, streams, first, number):
         assert cut_difference(case, places) is None, (seed, places, case.text())
         cut += bool(places)
     assert cut == number
+
+
+@pytest.mark.slow
+def test_restored_clock_programs_give_equal_outputs():
+    refused = 0
+    for seed in range(150):
+        try:
+            assert clock_difference(seed) is None, (
+                f"python -m oracle.snapshot_restoring --clock --seed {seed}"
+            )
+        except RetalisError:
+            refused += 1
+    assert refused < 15

@@ -14,7 +14,7 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tu
 
 from ..engine.runtime.clock import Clock
 from ..events.knowledge.knowledge_base import KnowledgeBase
-from ..events.knowledge.timeouts import TimeoutAlarm
+from ..events.knowledge.timeouts import TimeoutAlarm, Timeouts
 from ..events.matches.match_types import EventMatch
 from ..events.network.event_rule import EventRule, RuleState
 from ..events.network.join_node import JoinNode
@@ -510,14 +510,25 @@ def _write_state(graph: GraphWriter, rule: EventRule) -> Any:
 
 
 def _snapshot_alarms(clock: Clock, knowledge: KnowledgeBase) -> List[Tuple[Any, ...]]:
-    """Return the alarms of rules and pending queries; timers and declared states set theirs when restored."""
+    """Return the alarms of rules, pending queries and declared states; those of timers are saved with the timers.
+
+    Each alarm has its order: alarms of the same instant are called in the order in which they were set. Nodes have
+    one alarm, which comes before all others; it is set again from their deadlines.
+    """
+    owner_numbers = {id(timeouts): number for number, timeouts in enumerate(_all_timeouts(knowledge))}
     alarms: List[Tuple[Any, ...]] = []
     for due_at, order, alarm in sorted(clock.alarms, key=lambda entry: entry[:2]):
         if isinstance(alarm, RuleAlarm):
             alarms.append((due_at, order, alarm.rule, alarm.term, alarm.start, alarm.instant, alarm.token))
-        elif isinstance(alarm, TimeoutAlarm) and alarm.timeouts is knowledge.pending_queries.timeouts:
-            alarms.append((due_at, order, alarm.alarm_instant))
+        # Alarms of declarations that were deleted have no effect, and are left out.
+        elif isinstance(alarm, TimeoutAlarm) and id(alarm.timeouts) in owner_numbers:
+            alarms.append((due_at, order, owner_numbers[id(alarm.timeouts)], alarm.alarm_instant))
     return alarms
+
+
+def _all_timeouts(knowledge: KnowledgeBase) -> List[Timeouts]:
+    """Return the deadlines of pending queries, then those of each declared state."""
+    return [knowledge.pending_queries.timeouts, *(declared.timeouts for declared in knowledge.states)]
 
 
 def restore_matches(
@@ -540,19 +551,24 @@ def restore_matches(
     queries = knowledge.pending_queries
     queries.restore(checked.next_query_order, checked.pending_queries)
     queries.timeouts.restore(*checked.timeouts)
-    for due_at, order, *arguments in checked.alarms:
-        # The alarm of a rule has five arguments, see `_snapshot_alarms`.
+    knowledge.states.restore(checked.state_intervals)
+    all_timeouts = _all_timeouts(knowledge)
+    for due_at, order, owner, *arguments in checked.alarms:
+        # The owner of an alarm is a number of `_all_timeouts`, or a rule.
         alarm: Any = (
-            TimeoutAlarm(queries.timeouts, *arguments)
-            if len(arguments) == 1
-            else RuleAlarm(rules, *arguments)
+            RuleAlarm(rules, owner, *arguments)
+            if isinstance(owner, EventRule)
+            else TimeoutAlarm(all_timeouts[owner], *arguments)
         )
         clock.put_back(due_at, order, alarm)
     rules.timers.restore(*checked.timers)
-    knowledge.states.restore(checked.state_intervals)
     knowledge.subscriptions.restore_rate_limiters(checked.rate_limiters)
     rules.event_log.restore(checked.stored_events)
     rules.serial, rules.fired_by_deleted_rules, rules.failed_retraction_count = checked.counts
+
+
+_check_timeouts = tuple_of(sequence_of(tuple_of(instant, count)), sequence_of(instant))
+"""Check of deadlines; see `Timeouts.snapshot`."""
 
 
 class _CheckedState:
@@ -583,14 +599,13 @@ class _CheckedState:
         event = graph.reference_to("event")
         occurrences = with_name("occurrences", tuple_of(sequence_of(event), count, count))
         self.occurrences = occurrences(data["occurrences"])
+        self._timeouts_number = integer(0, len(_all_timeouts(knowledge)) - 1)
         self.alarms = sequence_of(self._check_alarm)(data["alarms"])
         self.next_query_order = count(data["next_query_order"])
         self.pending_queries = sequence_of(self._make_query_check(knowledge))(data["pending_queries"])
         self.state_intervals = self._check_state_intervals(knowledge, data["state_intervals"])
         self.rate_limiters = self._check_rate_limiters(knowledge, data["rate_limiters"])
-        self.timeouts = tuple_of(sequence_of(tuple_of(instant, count)), sequence_of(instant))(
-            data["timeouts"]
-        )
+        self.timeouts = _check_timeouts(data["timeouts"])
         timer = tuple_of(callable_term, term, optional(instant), instant, count)
         self.timers = tuple_of(sequence_of(timer), count)(data["timers"])
         self.stored_events = sequence_of(tuple_of(callable_term, instant, instant))(data["stored_events"])
@@ -599,8 +614,8 @@ class _CheckedState:
 
     def _check_alarm(self, value: Decoded) -> Decoded:
         graph = self._graph
-        if len(items(value)) == 3:
-            return tuple_of(instant, count, instant)(value)
+        if len(items(value)) == 4:
+            return tuple_of(instant, count, self._timeouts_number, instant)(value)
         rule, token = graph.reference_to("rule"), optional(graph.reference_to("event"))
         return tuple_of(instant, count, rule, callable_term, instant, instant, token)(value)
 
@@ -636,15 +651,18 @@ class _CheckedState:
         token = optional(self._graph.reference_to("event"))
         openings = sequence_of(tuple_of(instant, token))
         check = tuple_of(
-            sequence_of(tuple_of(key, callable_term, key, openings)),
+            count,
+            sequence_of(tuple_of(count, key, callable_term, key, openings)),
             sequence_of(tuple_of(key, callable_term, instant, instant, token)),
             count,
+            _check_timeouts,
         )
         checked_intervals = sequence_of(check)(value)
         if len(checked_intervals) != len(list(knowledge.states)):
             raise invalid_value(len(checked_intervals), "the intervals of each declared state")
-        for declared_state, (open_states, _, _) in zip(knowledge.states, checked_intervals):
-            for stored_key, state, _, starts in open_states:
+        for declared_state, (next_order, open_states, *_) in zip(knowledge.states, checked_intervals):
+            _check_increasing([order for order, *_ in open_states], next_order, "states")
+            for _, stored_key, state, _, starts in open_states:
                 # The key is stored redundantly; a different one would make the state unreachable.
                 if (
                     not starts
@@ -652,7 +670,7 @@ class _CheckedState:
                     or not may_unify(declared_state.form.state, state)
                 ):
                     raise invalid_value(state, "a declared state that has begun")
-            if len({stored_key for stored_key, *_ in open_states}) != len(open_states):
+            if len({stored_key for _, stored_key, *_ in open_states}) != len(open_states):
                 raise invalid_value(len(open_states), "distinct states")
         return checked_intervals  # type: ignore[no-any-return]
 
@@ -680,10 +698,12 @@ class _CheckedState:
         """Check that alarms, timers and queries have distinct sequence numbers."""
         timers, _ = self.timers
         alarm_orders = [order for _, order, *_ in self.alarms] + [order for *_, order in timers]
-        query_orders = [order for order, *_ in self.pending_queries]
         if len(set(alarm_orders)) != len(alarm_orders):
             raise invalid_value(alarm_orders, "alarms with distinct sequence numbers")
-        if query_orders != sorted(set(query_orders)) or any(
-            order >= self.next_query_order for order in query_orders
-        ):
-            raise invalid_value(query_orders, "queries with increasing sequence numbers")
+        _check_increasing([order for order, *_ in self.pending_queries], self.next_query_order, "queries")
+
+
+def _check_increasing(orders: List[int], next_order: int, subject: str) -> None:
+    """Check that sequence numbers increase and are below the next one."""
+    if orders != sorted(set(orders)) or any(order >= next_order for order in orders):
+        raise invalid_value(orders, f"{subject} with increasing sequence numbers")

@@ -60,7 +60,7 @@ _MAX_HEADER_BYTES = 16_000_000
 _MAX_HEADER_DIGITS = 20
 """Maximum number of digits of an integer in the header."""
 
-FORMAT_NUMBER = 8
+FORMAT_NUMBER = 9
 """Format number of state files, incremented when their structure changes."""
 
 

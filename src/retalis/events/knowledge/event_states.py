@@ -56,7 +56,7 @@ from ..dispatch.matcher_compiler import compile_builder
 from ..language.state_parser import StateForm, parse_state_declaration
 from ..provenance.event_log import Occurrence
 from .memory import Warn
-from .timeouts import Timeouts
+from .timeouts import Timeouts, TimeoutsState
 
 if TYPE_CHECKING:
     from ...engine.runtime.clock import Clock
@@ -70,8 +70,11 @@ _MAX_OPENINGS = 100
 Opening = Tuple[int, Optional[Occurrence]]
 """End of an event with which a state may have begun, and the occurrence of that event if events are tracked."""
 
-DeclarationState = Tuple[List[Tuple[Hashable, Term, Hashable, List[Opening]]], List[Tuple[Any, ...]], int]
-"""Open states (key, term, key of the shared values, openings), past states, and the number of dropped states."""
+OpenStateRow = Tuple[int, Hashable, Term, Hashable, List[Opening]]
+"""Order, key, term, key of the shared values, and openings of an open state."""
+
+DeclarationState = Tuple[int, List[OpenStateRow], List[Tuple[Any, ...]], int, TimeoutsState]
+"""Next order, open states, past states, number of dropped states, and deadlines."""
 
 
 class OpenState:
@@ -136,6 +139,7 @@ class DeclaredState:
     Attributes:
         open: open states by the keys of their terms, oldest first.
         past: past states, newest last.
+        timeouts: deadlines of open states that end by themselves.
         dropped_count: number of states that were dropped because too many were open.
         version: changes with each change of the states; unique among all declarations.
     """
@@ -167,7 +171,7 @@ class DeclaredState:
         self.past: Deque[PastState] = deque(maxlen=form.max_past)
         self.dropped_count = 0
         self.version = next(_VERSIONS)
-        self._timeouts = Timeouts(clock, self._open_by_order, self._end_by_timeout)
+        self.timeouts = Timeouts(clock, self._open_by_order, self._end_by_timeout)
         self.listeners: List[Listener] = []
 
     def listen(self) -> None:
@@ -224,12 +228,15 @@ class DeclaredState:
         # warning.
         if len(self.open) >= self.form.max_open:
             self._drop_oldest(next(iter(self.open.values())))
+        self._index_open_state(state)
+        start = state.start
+        if self.form.max_duration is not None and start is not None:
+            self.timeouts.add_at(state.order, int(start) + self.form.max_duration)
+
+    def _index_open_state(self, state: OpenState) -> None:
         self.open[state.key] = state
         self._open_by_shared_key.setdefault(state.shared_key, {})[state.key] = state
         self._open_by_order[state.order] = state
-        start = state.start
-        if self.form.max_duration is not None and start is not None:
-            self._timeouts.add_at(state.order, int(start) + self.form.max_duration)
 
     def _drop_oldest(self, oldest: OpenState) -> None:
         self._remove_open_state(oldest)
@@ -310,7 +317,7 @@ class DeclaredState:
         start = state.start
         if max_duration is not None and start is not None and int(start) + max_duration > instant:
             # The first opening was retracted, so the state began later.
-            self._timeouts.add_at(order, int(start) + max_duration)
+            self.timeouts.add_at(order, int(start) + max_duration)
             return
         ended_state = self._end_state(state, int(instant), None)
         if ended_state is not None:
@@ -353,7 +360,7 @@ class DeclaredState:
         self.version = next(_VERSIONS)
         for index in (self.open, self._open_by_shared_key, self._open_by_order):
             index.clear()
-        self._timeouts.clear()
+        self.timeouts.clear()
         if includes_past:
             self.past.clear()
 
@@ -363,24 +370,33 @@ class DeclaredState:
         self.open.clear()
         self._open_by_shared_key.clear()
         self._open_by_order.clear()
-        self._timeouts.clear()
+        self.timeouts.clear()
         for state in open_states:
             self._add_open_state(state)
 
     def snapshot(self) -> DeclarationState:
         """Return open and past states as data; see `restore`."""
+        # `count` has no way to read its next value without taking it.
+        next_order = next(self._next_order)
+        self._next_order = count(next_order)
+        # A state whose beginning was retracted does not hold, and is left out.
         open_rows = [
-            (state.key, state.term, state.shared_key, list(state.openings)) for state in self.open.values()
+            (state.order, state.key, state.term, state.shared_key, list(state.openings))
+            for state in self.open.values()
+            if state.start is not None
         ]
-        return open_rows, [tuple(state) for state in self.past], self.dropped_count
+        past_rows = [tuple(state) for state in self.past]
+        return next_order, open_rows, past_rows, self.dropped_count, self.timeouts.snapshot()
 
     def restore(self, saved: DeclarationState) -> None:
-        """Set the states from `snapshot` of an equal declaration."""
-        open_rows, past, self.dropped_count = saved
+        """Set the states from `snapshot` of an equal declaration; the clock restores their alarms."""
+        next_order, open_rows, past, self.dropped_count, timeouts = saved
         self.version = next(_VERSIONS)
-        for key, term, shared_key, openings in open_rows:
-            self._add_open_state(OpenState(key, term, shared_key, next(self._next_order), list(openings)))
+        self._next_order = count(next_order)
+        for order, key, term, shared_key, openings in open_rows:
+            self._index_open_state(OpenState(key, term, shared_key, order, list(openings)))
         self.past.extend([PastState(*fields) for fields in past])
+        self.timeouts.restore(*timeouts)
 
 
 MAX_STATES = 1000

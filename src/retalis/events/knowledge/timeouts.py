@@ -16,6 +16,9 @@ from ...prolog.terms.types import Term, deref, functor
 if TYPE_CHECKING:
     from ...engine.runtime.clock import Clock
 
+TimeoutsState = Tuple[List[Tuple[int, int]], List[int]]
+"""Deadlines (instant, order), and instants for which an alarm is set."""
+
 TIMEOUT = functor("timeout", 1)
 _STALE_TOLERANCE = 16
 
@@ -106,7 +109,7 @@ class Timeouts:
         finally:  # `on_timeout` may raise
             self._set_alarm()
 
-    def snapshot(self) -> Tuple[List[Tuple[int, int]], List[int]]:
+    def snapshot(self) -> TimeoutsState:
         """Return the deadlines of pending queries, and the instants of alarms; see `restore`."""
         return [entry for entry in self._deadlines if entry[1] in self._pending_orders], sorted(
             self._alarm_instants
