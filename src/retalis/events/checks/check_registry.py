@@ -49,6 +49,7 @@ from .time_checks import (
     find_unlikely_spans,
 )
 from .value_type_checks import find_number_type_mismatches, find_type_conflicts
+from .window_checks import find_windows_of_long_events
 
 ERROR, WARNING, INFO = "error", "warning", "info"
 
@@ -99,6 +100,7 @@ CHECKS: Tuple[Check, ...] = (
     Check("timers", "RT1209", find_invalid_timers, requires_valid_program=True),
     Check("states", "RT1303", find_undeclared_states, requires_valid_program=True),
     Check("label", "RT1210", find_duplicate_labels),
+    Check("long-elements", "RT1211", find_windows_of_long_events, severity=INFO),
     Check("singleton", "RT1406", find_singletons),
 )
 
