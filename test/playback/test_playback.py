@@ -6,7 +6,18 @@ from types import SimpleNamespace
 import pytest
 from parsing import parse_term
 
-from retalis import BagError, BagReader, BagWriter, Definitions, Engine, Playback, TopicType, atom, deref
+from retalis import (
+    BagError,
+    BagReader,
+    BagWriter,
+    Definitions,
+    Engine,
+    Playback,
+    Settings,
+    TopicType,
+    atom,
+    deref,
+)
 from retalis.events.rules import timer_service
 from retalis.playback.playback import MAX_RECORDED_QUERIES, RunRecorder
 from retalis.prolog.syntax.event_text import to_text
@@ -469,3 +480,48 @@ def test_of_many_queries_that_wait_the_first_are_looked_at(monkeypatch):
     monkeypatch.setattr(engine.knowledge, "pending_queries", waiting)
     recorder.update_waits()
     assert waiting.looked_at == MAX_RECORDED_QUERIES
+
+
+def make_lagging_bag(bag, readings):
+    """Write a bag of readings (receipt in ms, stamp in ms, value)."""
+    return bag(
+        *(
+            (
+                receipt * 1_000_000,
+                "readings",
+                "my_msgs/Stamped",
+                "my_msgs__0__Stamped(std_msgs__0__Header"
+                f"(0,[{stamp // 1000},{stamp % 1000 * 1_000_000}],'\"\"'),{value})",
+            )
+            for receipt, stamp, value in readings
+        )
+    )
+
+
+LAGGING_RULES = "turn(V) <- my_msgs__0__Stamped(_, V).\nalarm <- turn(1.0) seq absent(turn(2.0), 0.5)."
+LAGGING_GOALS = "subscribe(alarm, [], _, alarms, a)\n"
+
+
+@pytest.mark.parametrize(
+    ("delay", "alarm_count"), [(None, 0), (0, 1)], ids=["by the lag of the topic", "without delay"]
+)
+def test_alarm_of_bag_waits_for_messages_received_late(program, bag, delay, alarm_count):
+    folder = program(LAGGING_RULES, LAGGING_GOALS)
+    readings = [(1_000_015, 1_000_000, 1.0), (1_000_505, 1_000_490, 2.0), (1_002_000, 1_001_980, 3.0)]
+    with BagReader(make_lagging_bag(bag, readings)) as reader:
+        playback = Playback(
+            folder,
+            report=print,
+            topics=[TopicType("readings", "my_msgs/Stamped")],
+            settings=Settings(watermark_delay=delay),
+        )
+        assert len(list(playback.run(reader))) == alarm_count
+
+
+@pytest.mark.parametrize(("is_last", "alarm_count"), [(True, 1), (False, 0)])
+def test_alarm_does_not_wait_at_end_of_last_bag(program, bag, is_last, alarm_count):
+    folder = program(LAGGING_RULES, LAGGING_GOALS)
+    readings = [(1_000_300, 1_000_000, 1.0), (1_000_600, 1_000_300, 3.0)]
+    with BagReader(make_lagging_bag(bag, readings)) as reader:
+        playback = Playback(folder, report=print, topics=[TopicType("readings", "my_msgs/Stamped")])
+        assert len(list(playback.run(reader, is_last=is_last))) == alarm_count

@@ -2,7 +2,7 @@
 
 import pytest
 
-from retalis import Engine, Work
+from retalis import Engine, StreamClock, Work
 from retalis.ros.diagnostics import (
     MAX_REPORTED_TOPICS,
     MAX_STATUS_VALUES,
@@ -242,3 +242,13 @@ def test_the_rules_that_hold_most_are_named_with_what_they_hold():
     assert list(values)[0].startswith("held by many")
     assert "100 items, 100 keys, about 0.2 MB" in list(values.values())[0]
     assert list(values)[1].startswith("held by few")
+
+
+def test_lags_and_delays_are_reported():
+    engine = Engine(StreamClock(10_000_000_000))
+    engine.load(rules="lost <- beat seq absent(beat, 2).", source="mine")
+    assert "late events" not in engine_levels(engine)
+    engine.event("beat", 9.75)
+    health = engine_levels(engine)["late events"]
+    assert (health.level, health.message) == (Level.OK, "alarms wait up to 0.250 s")
+    assert dict(health.values) == {"lag of beat/0 (s)": "0.250", "delay of mine:1:1 (s)": "0.250"}

@@ -74,6 +74,16 @@ def test_any_gap_may_be_interpolated_over_where_no_limit_is_given(read):
         read(max_gap=-1)
 
 
+def test_watermark_delay_is_auto_or_number(read):
+    assert (read().settings.watermark_delay, read().settings.max_watermark_delay) == (None, 1)
+    assert read(watermark_delay="auto").settings.watermark_delay is None
+    assert read(watermark_delay=0).settings.watermark_delay == 0
+    assert read(max_watermark_delay=0.5).settings.max_watermark_delay == 0.5
+    for parameter in ("watermark_delay", "max_watermark_delay"):
+        with pytest.raises(UsageError, match=f"~{parameter}"):
+            read(**{parameter: "much"})
+
+
 def test_the_first_argument_is_the_package_and_a_program_wins(read):
     assert read("/here").program == Path("/here/application_source")
     assert read("/here", program="/there").program == Path("/there")

@@ -57,6 +57,7 @@ from .option_values import (
     RELATIVE_TIMES_OPTION,
     TIMES_AS_STAMPS,
     TIMES_RELATIVE,
+    delay,
     non_negative,
     positive_integer,
 )
@@ -175,6 +176,13 @@ def add_source(parser: argparse.ArgumentParser, bags: str = "+", required: bool 
         help="do not interpolate over longer gaps (0: no limit)",
     )
     add(
+        "--watermark-delay",
+        type=delay,
+        metavar="SECONDS",
+        help="time that absent, windows, debounce, states and timeouts wait for messages received later than their "
+        "stamps (default: auto, the recent lag of their topics, at most 1; 0: do not wait)",
+    )
+    add(
         "--tf-cache",
         type=non_negative(float),
         metavar="SECONDS",
@@ -210,6 +218,7 @@ def play(
     reporter: StderrReporter,
     write_record: RecordHandler = print_record,
     state: Optional[bytes] = None,
+    is_last: bool = True,
 ) -> Playback:
     """Play the bags of the options as one recording; return the program in its final state.
 
@@ -218,6 +227,7 @@ def play(
         reporter: receives errors.
         write_record: receives events and outputs if the options request JSON.
         state: snapshot of the program to continue from; None to start without state.
+        is_last: whether no bag follows that continues these.
     """
     with ExitStack() as stack:
         # The bags are opened before the program is loaded, because rules may name fields of types that only a bag
@@ -232,7 +242,7 @@ def play(
         printer = _RunPrinter(options, playback, bar, write_record, bags.start)
         # After the program is loaded: only the objects of the run are left to the collector.
         limit_gc_pauses()
-        for output in playback.run(bags, printer.advance):
+        for output in playback.run(bags, printer.advance, is_last):
             printer.print_output(output)
             if writer is not None:
                 writer.write(output)
@@ -261,7 +271,7 @@ def create_playback(
         state: snapshot of the program to continue from; None to start without state.
     """
     settings = apply_limits(apply_folders(Settings(), options), options)
-    settings = settings._replace(max_gap=options.max_gap or None)
+    settings = settings._replace(max_gap=options.max_gap or None, watermark_delay=options.watermark_delay)
     if options.tf_cache:
         settings = settings._replace(tf_cache=options.tf_cache)
     return Playback(
@@ -494,7 +504,7 @@ def _play_to_file(result: str, bag: str, task: BagTask, reporter: StderrReporter
         printed_output_path = result if task.format in (None, "jsonl") else os.devnull
         file = stack.enter_context(open(printed_output_path, "w", encoding="utf-8"))
         stack.enter_context(redirect_stdout(file))
-        playback = play(options, reporter, write_record, task.state)
+        playback = play(options, reporter, write_record, task.state, not task.has_next_part)
         return playback.engine.snapshot() if task.has_next_part else None
 
 

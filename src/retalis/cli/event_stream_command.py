@@ -253,7 +253,8 @@ class Session:
         self.reports = Reports()
         self.engine = Engine(
             self._clock,
-            apply_limits(apply_folders(Settings(), options), options),
+            # The clock follows the stamps, so an event with an earlier stamp does not lag: it is out of order.
+            apply_limits(apply_folders(Settings(watermark_delay=0), options), options),
             self.reports,
             installed_definitions(),
         )
@@ -295,6 +296,7 @@ class Session:
         operators = self.engine.operators
         if name == "-":
             self._process_terms(read_stream(sys.stdin, operators, "standard input"))
+            self.engine.executor.post(self.engine.event_input.end_input)
             return
         with ExitStack() as stack:
             try:
@@ -302,6 +304,7 @@ class Session:
             except OSError as error:
                 raise UsageError(f"cannot read {name}: {error.strerror}") from error
             self._process_terms(read_stream(file, operators, name))
+        self.engine.executor.post(self.engine.event_input.end_input)
 
     def _process_terms(self, stream: Iterable[StreamItem]) -> None:
         try:

@@ -209,6 +209,11 @@ _TABLE_FORMS = {
             _Column(
                 "MB", lambda row, before, time: _format_megabytes(row.get("bytes", 0)), hidden_if_empty=True
             ),
+            _Column(
+                "delay",
+                lambda row, before, time: _format_lag(row.get("delay", 0) / 1e9),
+                hidden_if_empty=True,
+            ),
             _plain_column("errors", hidden_if_empty=True),
             _plain_column("dropped", hidden_if_empty=True),
         ),

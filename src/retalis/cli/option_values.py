@@ -73,3 +73,8 @@ def join_times_option(words: List[str]) -> List[str]:
         else:
             joined.append(word)
     return joined
+
+
+def delay(text: str) -> Optional[float]:
+    """Return a number of seconds from an option; None for ``auto``."""
+    return None if text == "auto" else float(non_negative(float)(text))

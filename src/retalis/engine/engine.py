@@ -23,7 +23,9 @@ from ..events.checks.program_model import ProgramModel
 from ..events.dispatch.dispatcher import Dispatcher
 from ..events.dispatch.listeners import ListenerPhase
 from ..events.knowledge.knowledge_base import DELETE_MEMORY, MEMORIZE, OWN_EVENTS, SUBSCRIBE, KnowledgeBase
+from ..events.language.rule_head_parser import WATERMARK_DELAY
 from ..events.program.topic_configuration import Topics, TopicType
+from ..events.rules.event_flags import MAX_WATERMARK_DELAY
 from ..events.rules.event_input_predicates import define_new_event
 from ..events.rules.rule_base import RuleBase
 from ..foundation.cpython_and_pypy import count_records_of
@@ -200,6 +202,9 @@ class Engine:
         self.rules.flags.on_numeric_change("max_gap", self.knowledge.gaps.set_limit)
         if settings.max_gap is not None:
             self.rules.flags.set_default("max_gap", settings.max_gap)
+        if settings.watermark_delay is not None:
+            self.rules.flags.set_default(WATERMARK_DELAY, settings.watermark_delay)
+        self.rules.flags.set_default(MAX_WATERMARK_DELAY, settings.max_watermark_delay)
         recovery = EngineRecovery(self.logic, self.dispatcher, self.rules, self.knowledge)
         self.executor = SerialExecutor(
             settings.queue, self._report_drop, reports.error, recovery, settings.patience
@@ -212,6 +217,7 @@ class Engine:
             self.dispatcher,
             self.clock,
             stream_clock,
+            self.rules.watermarks,
             self._clear_state,
             self.knowledge.transforms.store_message,
         )

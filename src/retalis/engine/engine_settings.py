@@ -33,6 +33,9 @@ class Settings(NamedTuple):
             such as those of persistent events, are written to the first one.
         max_gap: initial value of flag ``max_gap``: the longest time in seconds between two records for
             ``datime_interpolate/4``.
+        watermark_delay: initial value of flag ``watermark_delay``: time in seconds by which alarms wait for late
+            events; None for ``auto``, the recent lag of the topics of a pattern.
+        max_watermark_delay: initial value of flag ``max_watermark_delay``: upper bound of ``auto`` in seconds.
         max_file_megabytes: maximum size of a file that a program reads or writes.
         tf_cache: history of transforms in seconds.
         transform_buffer: creates the buffer of transforms, given ``tf_cache``. Nodes use tf2.
@@ -51,6 +54,8 @@ class Settings(NamedTuple):
     write_folders: Optional[Tuple[str, ...]] = ()
     max_file_megabytes: int = 100
     max_gap: Optional[float] = None
+    watermark_delay: Optional[float] = None
+    max_watermark_delay: float = 1
     allow_flags: bool = False
     tf_cache: float = DEFAULT_CACHE_SECONDS
     transform_buffer: Callable[[float], TransformBuffer] = TransformBuffer

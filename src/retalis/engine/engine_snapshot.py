@@ -64,6 +64,7 @@ class EngineSnapshot:
         counters = {
             "clock": engine.clock.snapshot(),
             "clock_follows_events": engine.event_input.stream_clock is not None,
+            "lags": rules.watermarks.snapshot(),
             "event_count": engine.event_input.event_count,
             "dropped_count": engine.executor.dropped,
             "next_token_number": engine.dispatcher.next_token_number,
@@ -183,6 +184,7 @@ class EngineSnapshot:
         engine.input_topics.restore(TopicRequest(*item) for item in program["topics"])
         # Last, because adding rules and timers above may read the clock or set alarms.
         engine.clock.restore(counters["clock"])
+        rules.watermarks.restore(counters["lags"])
         engine.event_input.event_count = counters["event_count"]
         engine.executor.dropped = counters["dropped_count"]
         engine.dispatcher.next_token_number = counters["next_token_number"]

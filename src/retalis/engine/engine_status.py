@@ -75,6 +75,7 @@ class RuleStatus(NamedTuple):
         dropped: number of these, and of keys, that were dropped because of a limit.
         keys: number of keys with a state: values that partial matches share, or by which windows are grouped.
         bytes: estimated memory of these: numbers of elements and keys times measured constants.
+        delay: nanoseconds by which its alarms wait for events that are received late; see `LagStatus`.
     """
 
     label: str
@@ -87,6 +88,7 @@ class RuleStatus(NamedTuple):
     dropped: int
     keys: int
     bytes: int
+    delay: int = 0
 
 
 class MemoryStatus(NamedTuple):
@@ -208,6 +210,26 @@ class TransformStatus(NamedTuple):
     refused: int
 
 
+class LagStatus(NamedTuple):
+    """The lag of the messages of a topic, if alarms of the program wait for it; see `Status`.
+
+    >>> clock = StreamClock(10_000_000_000)
+    >>> engine = Engine(clock)
+    >>> engine.load(rules="lost <- beat seq absent(beat, 2).")
+    >>> engine.event("beat", 9.75)
+    >>> engine.status().lags, engine.status().rules[0].delay
+    ((LagStatus(event='beat/0', lag=250000000),), 250000000)
+
+    Attributes:
+        event: functor of the topic's events.
+        lag: recent maximum of the time of receipt minus the stamp, in nanoseconds, at most flag
+            ``max_watermark_delay``.
+    """
+
+    event: str
+    lag: int
+
+
 class LeftOut(NamedTuple):
     """Numbers of items that a `Status` does not list.
 
@@ -258,6 +280,7 @@ class Status(NamedTuple):
         waiting: pending queries, oldest first.
         left_out: numbers of items of these four kinds that are not listed.
         transforms: transforms; None if the program does not read any.
+        lags: lags of topics that alarms of the program wait for, by name.
     """
 
     now: int
@@ -279,6 +302,7 @@ class Status(NamedTuple):
     waiting: Tuple[WaitingStatus, ...]
     left_out: LeftOut
     transforms: Optional[TransformStatus] = None
+    lags: Tuple[LagStatus, ...] = ()
 
     def json(self) -> Dict[str, Any]:
         """Return the status as dictionaries and lists, for ``json.dumps``.
@@ -376,6 +400,9 @@ class StatusReader:
             waiting=waiting,
             left_out=LeftOut(omitted_rules, omitted_memories, omitted_subscriptions, omitted_queries),
             transforms=_read_transforms(sources.knowledge.transforms),
+            lags=tuple(
+                [LagStatus(str(functor), lag) for functor, lag in sources.rules.watermarks.lags()][:limit]
+            ),
         )
 
     def count_records(self) -> int:
@@ -457,6 +484,7 @@ def _list_rules(
             rule.dropped_count,
             rule.keys,
             rule.bytes,
+            rule.watermark_delay,
         )
 
     return tuple([read_status(rule) for rule in listed]), len(rules.rules) - len(listed)

@@ -15,6 +15,7 @@ from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Se
 from ..events.dispatch.dispatcher import Dispatcher
 from ..events.knowledge.transform_buffer import Transform
 from ..events.language.event_declarations import DeclaredEvents, event_name_error
+from ..events.matches.watermarks import Watermarks
 from ..events.program.topic_configuration import TopicEvent, Topics, TopicType
 from ..events.rules.event_input_predicates import InputReader
 from ..foundation.errors import RetalisError, UsageError, shorten
@@ -40,6 +41,7 @@ class EventInput:
         dispatcher: dispatches the events.
         clock: the clock of the engine.
         stream_clock: the same clock if timestamps of events move it; None if only its owner moves it.
+        watermarks: receives the lags of events behind a clock that they do not move.
         clear_state: clears memories, pending queries and partial matches; called if time went back.
         store_transforms: stores the transforms of a message; the flag is True for static transforms.
 
@@ -54,6 +56,7 @@ class EventInput:
         dispatcher: Dispatcher,
         clock: Clock,
         stream_clock: Optional[StreamClock],
+        watermarks: Watermarks,
         clear_state: Callable[[], None],
         store_transforms: Callable[[Sequence[Transform], bool], None],
     ):
@@ -61,6 +64,7 @@ class EventInput:
         self._store_transforms = store_transforms
         self._clock = clock
         self.stream_clock = stream_clock
+        self._watermarks = watermarks
         self._clear_state = clear_state
         self._dispatch = dispatcher.dispatch_input
         self.event_count = 0
@@ -79,6 +83,10 @@ class EventInput:
         Raises:
             UsageError: if the event ends before it starts, or has no complete interval and the clock is not set.
         """
+        watermarks = self._watermarks
+        # Before alarms run: the lag of this event delays those that it precedes by its stamp.
+        if watermarks.is_observing and self.stream_clock is None:
+            watermarks.observe(term, end, self._clock.present())
         if start is None or end is None:
             # The common case, in which no alarm is due and time did not go back, takes one call.
             start = self._clock.stamp_at_once()
@@ -96,6 +104,9 @@ class EventInput:
 
     def dispatch_message(self, term: Term, instant: Optional[int] = None) -> None:
         """Dispatch a message with a time in ns, by default the clock's present time; see `dispatch_event`."""
+        watermarks = self._watermarks
+        if watermarks.is_observing and self.stream_clock is None:
+            watermarks.observe(term, instant, self._clock.present())
         if instant is None:
             stamp = self._clock.stamp_at_once()
             if stamp is None:
@@ -160,6 +171,8 @@ class EventInput:
         if clock.went_back():
             log.warning("time went back: memories, waiting queries and partial matches are cleared")
             self._clear_state()
+        # Rules that were added or removed may have changed the delays of alarms.
+        self._watermarks.update()
         # Only alarms up to the present instant run here. An alarm that becomes due meanwhile runs before the next
         # event, so that events are processed even if alarms set new alarms.
         until = clock.reached()
@@ -175,6 +188,10 @@ class EventInput:
                 self._logic.machine.budget.run_as_entry(("an alarm", instant), lambda: alarm(instant))  # noqa: B023
             finally:
                 clock.ringing = None
+
+    def end_input(self) -> None:
+        """Run the alarms that the clock has reached and that only wait for late events: no more events will come."""
+        self._watermarks.end_input(self.process_clock_changes)
 
 
 MAX_INPUT_TOPICS = 1000

@@ -428,7 +428,7 @@ class WhyNot:
         window = _WindowEvaluation(node, len(pattern.window.steps), self._instantiate)
         for match in part.matches:
             window.process(match)
-        outputs = window.finish(self._current_time)
+        outputs = window.finish(self._current_time if node is None else node.watermark_time())
         matches = []
         results = []
         for output in outputs:
@@ -488,8 +488,8 @@ class WhyNot:
             outputs += operator.process(
                 StreamElement(match, match.start, match.end, keys, value), match.end, 0
             )
-        # Operators with deadlines emit at the current time, even without a further event.
-        outputs += operator.advance_to(self._current_time)
+        # Operators with deadlines emit when the watermark reaches them, even without a further event.
+        outputs += operator.advance_to(self._current_time if node is None else node.watermark_time())
         matches = [output.elements[-1].match._replace(end=output.end, event=None) for output in outputs]
         reason = _REASONS_OF_RATE_OPERATORS[pattern.operator].format(timestamps.to_seconds(pattern.span))
         reason = reason if part.matches else "not tested"
@@ -500,7 +500,9 @@ class WhyNot:
 
     def _evaluate_absence_timeout(self, pattern: AbsencePattern) -> PartResult:
         part, negated = self.evaluate(pattern.pattern), self.evaluate(pattern.negated)
-        elapsed_matches = [match for match in part.matches if match.end + pattern.span <= self._current_time]
+        node = self._rule.stream_node(pattern)
+        watermark_time = self._current_time if node is None else node.watermark_time()
+        elapsed_matches = [match for match in part.matches if match.end + pattern.span <= watermark_time]
         matches = [
             match._replace(end=match.end + pattern.span, event=None)
             for match in elapsed_matches
@@ -509,8 +511,14 @@ class WhyNot:
                 for negated_match in negated.matches
             )
         ]
-        reason = "ruled out by what must not happen" if elapsed_matches else "the time after it is not over"
-        reason = reason if part.matches else "not tested"
+        is_waiting = any(match.end + pattern.span <= self._current_time for match in part.matches)
+        if elapsed_matches:
+            reason = "ruled out by what must not happen"
+        elif is_waiting:
+            delay = timestamps.to_seconds(self._current_time - watermark_time)
+            reason = f"the time after it is over, and the alarm waits {delay:g} s for late events"
+        else:
+            reason = "the time after it is not over" if part.matches else "not tested"
         seconds = timestamps.to_seconds(pattern.span)
         text = f"{_TIMEOUT_NAME} {seconds:g}: {self._format_result(matches, reason)}"
         return PartResult(text, matches, [part, _create_negated_part(negated)], None, bool(part.matches))

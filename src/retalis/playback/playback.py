@@ -209,7 +209,12 @@ class Playback:
             self._transform_readers[name] = TransformReader(topic == STATIC_TRANSFORM_TOPIC)
             self._new_topics.add(name)
 
-    def run(self, bag: Bag, progress: Callable[[int], object] = lambda done: None) -> Iterable[Output]:
+    def run(
+        self,
+        bag: Bag,
+        progress: Callable[[int], object] = lambda done: None,
+        is_last: bool = True,
+    ) -> Iterable[Output]:
         """Process a bag, and yield the outputs of the program as they are published.
 
         >>> with BagReader(folder / "talk.bag") as bag:
@@ -220,6 +225,8 @@ class Playback:
             bag: source of messages in the order of receipt: a `BagReader`, or several bags merged into one.
             progress: called with the number of messages read so far after each message, while the engine is
                 processing: it may inspect the engine but must not change it.
+            is_last: whether no bag follows that continues this one; if so, alarms do not wait for late events at the
+                end.
         """
         outputs = self._outputs
         engine = self.engine
@@ -258,6 +265,8 @@ class Playback:
         # Alarms that are due before the end of the bag fire even if no further message is used.
         self.clock.move_to(bag.end)
         self.engine.advance()
+        if is_last:
+            engine.executor.post(engine.event_input.end_input)
         yield from outputs
         outputs.clear()
         self._skew_monitor.log_counts()

@@ -249,6 +249,7 @@ class EngineHealth:
             self._evaluate_rules(now, status),
             self._evaluate_queries(now, status),
             *self._evaluate_transforms(now, status),
+            *_evaluate_lags(status),
         ]
         self._trends.remove_unrecorded()
         return healths
@@ -349,6 +350,20 @@ class EngineHealth:
         if self._trends.record(now, "transforms", transforms.refused).is_recent(now):
             return [Health("transforms", Level.WARN, "transforms are refused", values)]
         return [Health("transforms", Level.OK, format_count(transforms.frames, "frame"), values)]
+
+
+def _evaluate_lags(status: Status) -> List[Health]:
+    """Return the status of the lags that alarms wait for; none if no alarm of the program waits for a topic."""
+    if not status.lags:
+        return []
+    longest_first = sorted(status.lags, key=lambda status: -status.lag)[:MAX_STATUS_VALUES]
+    values = [(f"lag of {event} (s)", f"{lag / 1e9:.3f}") for event, lag in longest_first]
+    delayed = sorted(status.rules, key=lambda rule: -rule.delay)[:MAX_STATUS_VALUES]
+    values += [
+        (f"delay of {_name_rule(rule)} (s)", f"{rule.delay / 1e9:.3f}") for rule in delayed if rule.delay
+    ]
+    longest_delay = max((rule.delay for rule in status.rules), default=0)
+    return [Health("late events", Level.OK, f"alarms wait up to {longest_delay / 1e9:.3f} s", values)]
 
 
 def _format_buffers(rule: RuleStatus) -> str:

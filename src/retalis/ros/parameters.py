@@ -44,6 +44,8 @@ PARAMETER_NAMES = (
     "max_output_megabytes",
     "max_skew",
     "max_gap",
+    "watermark_delay",
+    "max_watermark_delay",
     "tf_cache",
     "watchdog",
     "diagnostics",
@@ -118,6 +120,10 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
         folders=_read_folders("~folders"),
         write_folders=_read_folders("~write_folders"),
         max_gap=_read_limit("~max_gap", float, None),
+        watermark_delay=_read_delay("~watermark_delay"),
+        max_watermark_delay=validate_limit(
+            "parameter ~max_watermark_delay", rospy.get_param("~max_watermark_delay", 1.0), float
+        ),
         tf_cache=_read_positive_number("~tf_cache", float) or DEFAULT_CACHE_SECONDS,
     )
     max_file_megabytes = _read_positive_number("~max_file_megabytes", int)
@@ -245,6 +251,14 @@ def _read_limit(name: str, number_type: Type[Number], default: Optional[Number])
         )
         or None
     )
+
+
+def _read_delay(name: str) -> Optional[float]:
+    """Return the seconds in a parameter; None for ``auto``, the default."""
+    value = rospy.get_param(name, "auto")
+    if value == "auto":
+        return None
+    return validate_limit(f"parameter {name} (auto or a number of seconds)", value, float)
 
 
 def _read_positive_number(name: str, number_type: Type[Number]) -> Optional[Number]:

@@ -298,6 +298,7 @@ SECTIONS: Dict[str, ValueCheck] = {
     "run": mapping_with(
         clock=_check_clock,
         clock_follows_events=boolean,
+        lags=sequence_of(tuple_of(functor, _check_clock_instant, count, count)),
         event_count=count,
         dropped_count=count,
         next_token_number=count,

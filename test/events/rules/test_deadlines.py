@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retalis import StreamClock
+from retalis.events.matches.watermarks import PatternWatermark
 from retalis.events.rules.timer_service import NodeTimers
 
 
@@ -19,6 +20,7 @@ class Node:
         self.name = name
         self.rule = SimpleNamespace(serial=serial, active=True)
         self.position = place
+        self.watermark = PatternWatermark()
         self.alarm_instant = None
         self.more = []
 

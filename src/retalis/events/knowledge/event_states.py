@@ -54,6 +54,7 @@ from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import Listener, ListenerPhase
 from ..dispatch.matcher_compiler import compile_builder
 from ..language.state_parser import StateForm, parse_state_declaration
+from ..matches.watermarks import PatternWatermark, Watermarks, functor_of
 from ..provenance.event_log import Occurrence
 from .memory import Warn
 from .timeouts import Timeouts, TimeoutsState
@@ -134,6 +135,7 @@ class DeclaredState:
         logic: the system whose machine processes events.
         dispatcher: dispatcher of the events that begin and end states.
         clock: calls alarms for states that end by themselves.
+        watermarks: the watermarks that such ends wait for.
         warn: receives warnings.
 
     Attributes:
@@ -145,7 +147,13 @@ class DeclaredState:
     """
 
     def __init__(
-        self, form: StateForm, logic: PrologSystem, dispatcher: Dispatcher, clock: "Clock", warn: Warn
+        self,
+        form: StateForm,
+        logic: PrologSystem,
+        dispatcher: Dispatcher,
+        clock: "Clock",
+        watermarks: Watermarks,
+        warn: Warn,
     ):
         self.form = form
         self._logic = logic
@@ -171,7 +179,16 @@ class DeclaredState:
         self.past: Deque[PastState] = deque(maxlen=form.max_past)
         self.dropped_count = 0
         self.version = next(_VERSIONS)
-        self.timeouts = Timeouts(clock, self._open_by_order, self._end_by_timeout)
+        self._clock = clock
+        self.timeouts = Timeouts(
+            clock,
+            self._open_by_order,
+            self._end_by_timeout,
+            watermarks,
+            watermarks.watch(frozenset(map(functor_of, (form.begin_event, form.end_event))))
+            if form.max_duration is not None
+            else PatternWatermark(),
+        )
         self.listeners: List[Listener] = []
 
     def listen(self) -> None:
@@ -214,13 +231,17 @@ class DeclaredState:
         if open_state is not None and open_state.start is None:
             self._remove_open_state(open_state)
             open_state = None
+        ended_states: List[PastState] = []
+        if open_state is not None and self._has_expired(open_state, end):
+            ended_states = self._end_expired([open_state])
+            open_state = None
         if open_state is None:
             self._add_open_state(OpenState(key, state, shared_key, next(self._next_order), [(end, token)]))
         # The state holds already. This event would have begun it if the earlier ones are retracted.
         elif token is not None and len(open_state.openings) < _MAX_OPENINGS:
             open_state.openings.append((end, token))
             self.version = next(_VERSIONS)
-        return frame
+        return self._dispatch_ended_states((self, iter(ended_states), frame)) if ended_states else frame
 
     def _add_open_state(self, state: OpenState) -> None:
         self.version = next(_VERSIONS)
@@ -273,10 +294,29 @@ class DeclaredState:
         token = self._dispatcher.token() if self._dispatcher.tracks_lineage else None
         # All states are ended before their events are dispatched: such an event may begin or end states of this
         # declaration.
-        ended_states = [self._end_state(state, start, token) for state in list(states_to_end.values())]
-        return self._dispatch_ended_states(
-            (self, iter([state for state in ended_states if state is not None]), frame)
-        )
+        states = list(states_to_end.values())
+        ended_states = self._end_expired([state for state in states if self._has_expired(state, start)])
+        ended_by_event = [
+            self._end_state(state, start, token) for state in states if state.order in self._open_by_order
+        ]
+        ended_states += [state for state in ended_by_event if state is not None]
+        return self._dispatch_ended_states((self, iter(ended_states), frame))
+
+    def _has_expired(self, state: OpenState, instant: int) -> bool:
+        """Return whether a state ended by itself before an instant, and only waits for events that are late."""
+        start, max_duration = state.start, self.form.max_duration
+        if max_duration is None or start is None:
+            return False
+        return int(start) + max_duration <= min(instant, self._clock.reached())
+
+    def _end_expired(self, states: Iterable[OpenState]) -> List[PastState]:
+        """End states that have ended by themselves, and return them."""
+        # Only states with a start and a bounded duration expire.
+        ended_states = [
+            self._end_state(state, int(state.start or 0) + (self.form.max_duration or 0), None)
+            for state in states
+        ]
+        return [state for state in ended_states if state is not None]
 
     def _end_state(self, state: OpenState, end: int, token: Optional[Occurrence]) -> Optional[PastState]:
         """End a state and return it; return None if it begins after the instant, or its beginning was retracted."""
@@ -344,8 +384,10 @@ class DeclaredState:
                 and not past_state.retracted
             ):
                 terms[past_state.key] = past_state.term
+        max_duration = self.form.max_duration
         for term, start in self.open_states(key):
-            if start <= instant:
+            # A state that ends by itself may still be open, because its end waits for late events.
+            if start <= instant and (max_duration is None or instant <= int(start) + max_duration):
                 terms[freeze(term)] = term
         return list(terms.values())
 
@@ -412,16 +454,25 @@ class StateRegistry:
         logic: the system in which the predicates are defined.
         dispatcher: dispatcher of the events that begin and end states.
         clock: calls alarms for states that end by themselves.
+        watermarks: the watermarks that such ends wait for.
         warn: receives warnings.
 
     Attributes:
         on_event: called with each event of a declaration before it is declared; may raise an error.
     """
 
-    def __init__(self, logic: PrologSystem, dispatcher: Dispatcher, clock: "Clock", warn: Warn):
+    def __init__(
+        self,
+        logic: PrologSystem,
+        dispatcher: Dispatcher,
+        clock: "Clock",
+        watermarks: Watermarks,
+        warn: Warn,
+    ):
         self._logic = logic
         self._dispatcher = dispatcher
         self._clock = clock
+        self._watermarks = watermarks
         self._warn = warn
         self._declarations: Dict[Hashable, DeclaredState] = {}
         self._detached: Dict[Hashable, DeclaredState] = {}
@@ -453,7 +504,9 @@ class StateRegistry:
         if detached_declaration is not None and _are_equal_forms(detached_declaration.form, form):
             declaration = self._detached.pop(form.key)
         else:
-            declaration = DeclaredState(form, self._logic, self._dispatcher, self._clock, self._warn)
+            declaration = DeclaredState(
+                form, self._logic, self._dispatcher, self._clock, self._watermarks, self._warn
+            )
         declaration.listen()
         self._declarations[form.key] = declaration
         self._index_by_functor()

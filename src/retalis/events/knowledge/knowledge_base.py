@@ -86,9 +86,11 @@ class KnowledgeBase:
         self.transforms = Transforms(
             logic, dispatcher, TransformBuffer() if buffer is None else buffer, self.gaps, warn
         )
-        self.pending_queries = PendingQueries(logic, dispatcher, self.memories, self.transforms, warn, clock)
+        self.pending_queries = PendingQueries(
+            logic, dispatcher, self.memories, self.transforms, warn, clock, rules.watermarks
+        )
         self.subscriptions = Subscriptions(logic, dispatcher, deliver, warn, rules)
-        self.states = StateRegistry(logic, dispatcher, clock, warn)
+        self.states = StateRegistry(logic, dispatcher, clock, rules.watermarks, warn)
         # Looked up at each call, because `on_pattern` is assigned later.
         self.states.on_event = lambda event: self.on_pattern(event)
         self._define_predicates()

@@ -49,6 +49,7 @@ from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import ListenerPhase
 from ..dispatch.matcher_compiler import compile_builder
 from ..fused.fused_single_event import compile_query_action
+from ..matches.watermarks import PatternWatermark, Watermarks, functor_of
 from ..network.event_rule import EventRule
 from .memory import MemoryInstance, Warn, key_of
 from .memory_registry import MemoryInstances
@@ -495,6 +496,7 @@ class PendingQueries:
         transforms: Transforms,
         warn: Warn,
         clock: "Clock",
+        watermarks: Watermarks,
         limit: int = MAX_PENDING_QUERIES,
     ):
         self._logic = logic
@@ -506,7 +508,10 @@ class PendingQueries:
         self._next_order = count()
         self._queries_by_order: Dict[int, PendingQuery] = {}
         self._oldest_order = 0
-        self.timeouts = Timeouts(clock, self._queries_by_order, self._drop_timed_out)
+        self._watermarks = watermarks
+        self.timeouts = Timeouts(
+            clock, self._queries_by_order, self._drop_timed_out, watermarks, PatternWatermark()
+        )
         self._context = QueryContext(logic, dispatcher, warn)
         self._general_query = compile_general_query(self._context)
         memories.on_update = self._on_memory_update
@@ -579,6 +584,7 @@ class PendingQueries:
 
     def restore(self, order: int, queries: Sequence[QueryRow]) -> None:
         """Replace the pending queries by those of `snapshot`."""
+        self._watch_sources()
         self._next_order = count(order)
         self._oldest_order = queries[0][0] if queries else order
         for query_order, event, query, start, end, awaited, cause in queries:
@@ -641,8 +647,21 @@ class PendingQueries:
         if not missing:
             return self._general_query.execute((event, query), start, end, next_frame)
         order = self._register(self._general_query_with_cause(), (event, query), start, end, missing)
+        self._watch_sources()
         self.timeouts.add(order, end, wait)
         return next_frame
+
+    def _watch_sources(self) -> None:
+        """Let timeouts wait for late events of the memories."""
+        # Of all memories: a single watermark for all queries, which follows from the program alone, is the same after
+        # a restore. Transforms come from topics without events, so their watermark is that of any topic.
+        functors = frozenset(
+            [functor_of(instance.recorder.pattern) for instance in self._memories]
+            + ([None] if self._transforms.is_required else [])
+        )
+        if functors != self.timeouts.watermark.functors:
+            self.timeouts.watermark = self._watermarks.watch(functors)
+            self._watermarks.update()
 
     def _general_query_with_cause(self) -> ReleasableQuery:
         """Return the general query; with tracked lineage, its event is derived from the event being dispatched."""

@@ -26,12 +26,13 @@ from ...foundation.errors import UsageError
 from ...prolog.machine.errors import domain_error, permission_error
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.term_traversal import copy, term_key, variables
-from ...prolog.terms.types import MINUS, Atom, EventAction, Frame, Term, Values, Var, deref
+from ...prolog.terms.types import MINUS, Atom, EventAction, Frame, Term, Values, deref
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import Listener, ListenerPhase
 from ..language.pattern_tree import RatePattern
 from ..language.stream_parser import subscription_event, subscription_rate_operator
 from ..matches.match_types import NetworkOptions
+from ..matches.watermarks import PatternWatermark, functor_of
 from ..network.stream_compiler import compile_rate_spec
 from ..streams.stream_operators import StreamElement, StreamOperator, StreamOutput
 from .memory import Recording, Warn, compile_recording, key_of, record_event, unused_variables
@@ -57,7 +58,7 @@ class OutputRateLimiter:
 
     Args:
         rate_pattern: the rate operator.
-        pattern_variables: variables of the pattern.
+        event: pattern of the events.
         title: name of the subscription in reports.
         rules: the rule base, which sets the alarms and provides the limits.
         warn: receives warnings.
@@ -68,6 +69,7 @@ class OutputRateLimiter:
         serial: 0, so that alarms of subscriptions run before those of rules.
         active: whether it may be called by the clock.
         alarm_instant: instant of its next alarm; None if no alarm is set.
+        watermark: the watermark of the events of the subscription.
         late_count: number of events that arrived too late.
         dropped_count: number of events that were dropped because there were too many.
         value_counts: number of values in its key, and number of other values that it uses.
@@ -78,13 +80,13 @@ class OutputRateLimiter:
     def __init__(
         self,
         rate_pattern: RatePattern,
-        pattern_variables: Sequence[Var],
+        event: Term,
         title: str,
         rules: "RuleBase",
         warn: Warn,
         position: int,
     ):
-        self._spec = compile_rate_spec(rate_pattern, pattern_variables)
+        self._spec = compile_rate_spec(rate_pattern, variables(event))
         self.value_counts = (len(rate_pattern.keys), int(rate_pattern.value is not None))
         self._title = title
         self._rules = rules
@@ -93,6 +95,10 @@ class OutputRateLimiter:
         self.position = position
         self.active = True
         self.alarm_instant: Optional[int] = None
+        functors = frozenset((functor_of(event),))
+        self.watermark = (
+            rules.watermarks.watch(functors) if self._spec.uses_clock else PatternWatermark(functors)
+        )
         self.late_count = self.dropped_count = self._evicted_count = 0
         self._stream = self._create_stream()
 
@@ -126,7 +132,7 @@ class OutputRateLimiter:
             start: start of its interval.
             end: end of its interval.
         """
-        now = self._rules.alarm_time() if self._spec.uses_clock else 0
+        now = self._rules.alarm_time() - self.watermark.delay if self._spec.uses_clock else 0
         stream = self._stream
         previous_late_count = stream.late_count
         # A flag may have changed the bounds, which are replaced as a whole.
@@ -310,7 +316,7 @@ class Subscriptions:
         rate_limiter = (
             None
             if rate_operator is None
-            else self._create_rate_limiter(rate_operator, variables(pattern), title, unchanged)
+            else self._create_rate_limiter(rate_operator, pattern, title, unchanged)
         )
         listener = self._dispatcher.listen(
             ListenerPhase.SUBSCRIPTIONS,
@@ -369,13 +375,13 @@ class Subscriptions:
     def _create_rate_limiter(
         self,
         rate_operator: RatePattern,
-        pattern_variables: Sequence[Var],
+        event: Term,
         title: str,
         unchanged: Optional[Subscription],
     ) -> OutputRateLimiter:
         """Return the rate limiter, with the state of an unchanged subscription that was detached."""
         rate_limiter = OutputRateLimiter(
-            rate_operator, pattern_variables, title, self._rules, self._warn, next(self._next_position)
+            rate_operator, event, title, self._rules, self._warn, next(self._next_position)
         )
         if unchanged is not None and unchanged.rate_limiter is not None:
             rate_limiter.restore(unchanged.rate_limiter.snapshot())

@@ -2,7 +2,8 @@
 
 An alarm in the clock for each query would remain there until the deadline, although most queries are answered long
 before. `Timeouts` keeps the deadlines in a heap and sets an alarm for the earliest one only. Deadlines of answered
-queries are removed when they reach the top of the heap, or all together when the heap has doubled in size.
+queries are removed when they reach the top of the heap, or all together when the heap has doubled in size. A deadline
+is due when the watermark reaches it, that is when the clock has passed it by the delay of the watermark.
 """
 
 from heapq import heapify, heappop, heappush
@@ -12,6 +13,7 @@ from ...foundation.errors import UsageError
 from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.timestamps import from_seconds
 from ...prolog.terms.types import Term, deref, functor
+from ..matches.watermarks import PatternWatermark, Watermarks
 
 if TYPE_CHECKING:
     from ...engine.runtime.clock import Clock
@@ -46,14 +48,23 @@ class Timeouts:
         clock: clock that calls the alarms.
         pending_orders: orders of the queries and states that are still pending; others have no deadline any more.
         on_timeout: called with the order of a query and its deadline.
+        watermarks: the watermarks of the program.
+        watermark: the watermark that has to reach a deadline.
     """
 
     def __init__(
-        self, clock: "Clock", pending_orders: Container[int], on_timeout: Callable[[int, int], None]
+        self,
+        clock: "Clock",
+        pending_orders: Container[int],
+        on_timeout: Callable[[int, int], None],
+        watermarks: Watermarks,
+        watermark: PatternWatermark,
     ):
         self._clock = clock
         self._pending_orders = pending_orders
         self._on_timeout = on_timeout
+        self.watermark = watermark
+        watermarks.on_shorter_delay(self._set_alarm)
         self._deadlines: List[Tuple[int, int]] = []
         self._rebuild_size = _STALE_TOLERANCE
         """Size of the heap at which deadlines of answered queries are removed."""
@@ -93,16 +104,18 @@ class Timeouts:
             heappop(self._deadlines)
         # An alarm cannot be removed from the clock. An earlier alarm sets the next one when it is called, so none is
         # set now.
-        if self._deadlines and not any(instant <= self._deadlines[0][0] for instant in self._alarm_instants):
-            instant = self._deadlines[0][0]
-            self._alarm_instants.add(instant)
-            self._clock.call_at(instant, TimeoutAlarm(self, instant))
+        if self._deadlines:
+            due_time = self._deadlines[0][0] + self.watermark.delay
+            if not any(instant <= due_time for instant in self._alarm_instants):
+                self._alarm_instants.add(due_time)
+                self._clock.call_at(due_time, TimeoutAlarm(self, due_time))
 
     def on_alarm(self, alarm_instant: int, now: int) -> None:
         """Report the queries whose deadline has passed; called by the alarm that was set for an instant."""
         self._alarm_instants.discard(alarm_instant)
         try:
-            while self._deadlines and self._deadlines[0][0] <= max(now, alarm_instant):
+            # The delay is read again for each deadline: it may have become longer since the alarm was set.
+            while self._deadlines and self._deadlines[0][0] + self.watermark.delay <= max(now, alarm_instant):
                 instant, order = heappop(self._deadlines)
                 if order in self._pending_orders:
                     self._on_timeout(order, instant)

@@ -32,7 +32,10 @@ WORD_PROPERTIES: Dict[str, Tuple[str, ...]] = {
 }
 """Properties whose value is one of several words. If a property is set twice, the last value holds."""
 
-KNOWN_PROPERTIES = ("event_rule_window", "window", "window_step", "ttl", *WORD_PROPERTIES)
+WATERMARK_DELAY = "watermark_delay"
+"""Name of the property, and of the flag, whose value is ``auto`` or a number of seconds."""
+
+KNOWN_PROPERTIES = ("event_rule_window", "window", "window_step", "ttl", WATERMARK_DELAY, *WORD_PROPERTIES)
 _LABEL_FORM = "a label is an atom, or Label([property(Name, Value), ...])"
 
 
@@ -75,6 +78,9 @@ class Property(NamedTuple):
                 if value in words
                 else f"property {self.name} is {_join_alternatives(words)}{suggestion(value, words)}"
             )
+        if self.name == WATERMARK_DELAY and isinstance(self.value, Atom):
+            is_auto = self.value.name == "auto"
+            return None if is_auto else f"property {self.name} is auto or a number of seconds, 0 or more"
         if self.value.__class__ not in (int, float) or not (self.value >= 0 and isfinite(self.value)):
             return f"property {self.name} needs a number of seconds, 0 or more"
         return None
@@ -244,6 +250,11 @@ SYNCHRONIZED = frozenset(functor(name, arity) for name in ("syncronized", "synch
 """Heads and events of synchronized queries; the original Retalis has the first spelling."""
 
 _TIMEOUT = functor("timeout", 1)
+
+
+def has_timeout(head: Optional[Term]) -> bool:
+    """Return whether the head of a rule is a synchronized query with options, which bound its time."""
+    return head.__class__ is tuple and head[0] in SYNCHRONIZED and head[0].arity == 4
 
 
 def check_head(

@@ -413,6 +413,12 @@ class EventRule:
         return self.stored_match_count * MATCH_BYTES + sum(node.bytes() for node, _, _ in self.nodes)
 
     @property
+    def watermark_delay(self) -> int:
+        """Longest delay in ns by which its operators on streams wait for late events."""
+        nodes = [node for node, _, _ in self.nodes if isinstance(node, StreamNode)]
+        return max((node.watermark.delay for node in nodes), default=0)
+
+    @property
     def active(self) -> bool:
         """True if it receives events."""
         return bool(self.listeners)

@@ -33,6 +33,7 @@ from ..streams.aggregates import AGGREGATES, array_length, is_number, is_number_
 
 if TYPE_CHECKING:
     from ..knowledge.subscriptions import OutputRateLimiter
+    from ..matches.watermarks import PatternWatermark
     from .event_rule import EventRule
 
 
@@ -42,10 +43,12 @@ class TimedNode(Protocol):
     Attributes:
         alarm_instant: the instant of its next alarm; None without one.
         position: position among the nodes of the same owner.
+        watermark: the watermark that has to reach the instant.
     """
 
     alarm_instant: Optional[int]
     position: int
+    watermark: "PatternWatermark"
 
     @property
     def rule(self) -> "Union[EventRule, OutputRateLimiter]":

@@ -52,6 +52,7 @@ from ..matches.match_types import (
     is_retracted,
 )
 from ..matches.negation import DeferredNegations
+from ..matches.watermarks import PatternWatermark, functors_of
 from ..provenance.event_log import lineage_nodes_of
 from ..streams.row_pattern import MAX_STATES_PER_START
 from ..streams.stream_operators import KeyBounds, OperatorState, StreamElement, StreamOperator, StreamOutput
@@ -321,6 +322,7 @@ class StreamNode(NetworkNode):
 
     Attributes:
         alarm_instant: instant of its next alarm; None if no alarm is set.
+        watermark: its watermark, the time that its operator takes as the present one.
         late_count: number of matches that arrived too late.
         evicted_count: number of keys that were dropped because there were too many.
         position: position among the nodes of the rule.
@@ -350,6 +352,9 @@ class StreamNode(NetworkNode):
         self.span: Optional[int] = None
         self._bounds = KeyBounds()
         self.alarm_instant: Optional[int] = None
+        watermarks = rule.network.watermarks
+        # Operators that depend on time stamps only have no alarms, so no topic is observed for them.
+        self.watermark = watermarks.watch(functors_of(pattern)) if spec.uses_clock else PatternWatermark()
         self.late_count = self.evicted_count = 0
         self._options: Optional[NetworkOptions] = None
         self.stream = self._create_operator(NetworkOptions(), rule.meter)
@@ -503,7 +508,7 @@ class StreamNode(NetworkNode):
         The match itself is optional; its values and interval are required.
         """
         key_and_values, uses_clock = self.spec.key_and_values, self.spec.uses_clock or options.emits_revisions
-        network = self.rule.network
+        network, watermark = self.rule.network, self.watermark
         meter = self.rule.meter
 
         def process(
@@ -512,7 +517,7 @@ class StreamNode(NetworkNode):
             if meter is not None and meter(1):
                 return []
             # Reading the clock is avoided for operators that depend on time stamps only.
-            now = network.alarm_time() if uses_clock else 0
+            now = network.alarm_time() - watermark.delay if uses_clock else 0
             stream = self.stream
             pruned_count = stream.pruned_count
             if self.replay is not None:
@@ -538,6 +543,10 @@ class StreamNode(NetworkNode):
             return outputs
 
         return process
+
+    def watermark_time(self) -> int:
+        """Return the instant that the watermark of the node has reached."""
+        return self.rule.network.alarm_time() - self.watermark.delay
 
     def _drop_oldest(self) -> List[StreamOutput]:
         """Drop the oldest element with its partial matches; return the outputs that follow from that."""
@@ -665,7 +674,7 @@ class StreamNode(NetworkNode):
         """Return the lineage objects of outputs that are invalid without the excluded matches."""
         if self.replay is None:
             return []
-        rerun = self.replay.run_again(self.rule.network.alarm_time(), self.rule.meter)
+        rerun = self.replay.run_again(self.watermark_time(), self.rule.meter)
         if rerun is None:
             # Its outputs so far remain valid.
             self._reset_operator()

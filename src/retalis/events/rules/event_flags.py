@@ -8,14 +8,16 @@ from ...foundation.errors import UsageError
 from ...prolog.terms.timestamps import from_seconds
 from ...prolog.terms.types import Atom, Term, atom
 from ..language.event_declarations import STRICTLY, UNDECLARED
+from ..language.rule_head_parser import WATERMARK_DELAY
 from ..matches.match_types import ConsumptionPolicy, NetworkOptions
+from ..matches.watermarks import DelaySetting, delay_setting
 from ..streams.stream_operators import KeyBounds
 
 _SWITCH = ("off", "on")
 
 
 class Flag(NamedTuple):
-    """A flag with its default and its values: names, or numbers if there are no names.
+    """A flag with its default and its values: names, or numbers if there is a description of these, or both.
 
     Attributes:
         default: default value.
@@ -35,6 +37,9 @@ class Flag(NamedTuple):
 def _switch_flag(default: str = "off") -> Flag:
     return Flag(atom(default), _SWITCH)
 
+
+MAX_WATERMARK_DELAY = "max_watermark_delay"
+"""Name of the flag that bounds delays of watermarks."""
 
 _SECONDS = Flag(-1, (), "a number of seconds from 0, or -1 for none", 0)
 
@@ -61,6 +66,8 @@ FLAGS: Dict[str, Flag] = {
     "db_trace": _switch_flag(),
     "subPatterns": _switch_flag("on"),
     "save_ruleId": _switch_flag(),
+    WATERMARK_DELAY: Flag(atom("auto"), ("auto",), "auto or a number of seconds from 0"),
+    MAX_WATERMARK_DELAY: Flag(1, (), "a number of seconds from 0"),
     UNDECLARED.name: Flag(atom("allowed"), ("allowed", STRICTLY.name)),
 }
 
@@ -97,9 +104,10 @@ class Flags:
         if flag is None:
             matches = get_close_matches(name, FLAGS, 1)
             raise UsageError(f"there is no flag {name}{f'; did you mean {matches[0]}?' if matches else ''}")
-        if flag.values:
-            if value.__class__ is not Atom or value.name not in flag.values:
-                raise UsageError(f"{name} takes {', '.join(flag.values)}")
+        if value.__class__ is Atom and value.name in flag.values:
+            pass
+        elif not flag.description:
+            raise UsageError(f"{name} takes {', '.join(flag.values)}")
         elif (
             not isinstance(value, (int, float))
             # NaN is neither in the range nor equal to the default.
@@ -152,6 +160,10 @@ class Flags:
         value = self._values[name]
         assert isinstance(value, (int, float))
         return value
+
+    def watermark_delay(self) -> DelaySetting:
+        """Return the delay of watermarks in ns for patterns without a property; None for ``auto``."""
+        return delay_setting(self._values[WATERMARK_DELAY])
 
     def _atom_name(self, name: str) -> str:
         value = self._values[name]

@@ -24,17 +24,19 @@ from ..language.called_predicates import calls_in_goals
 from ..language.event_declarations import UNDECLARED, DeclaredEvents
 from ..language.pattern_parser import no_place
 from ..language.pattern_tree import RuleDefinition
-from ..language.rule_head_parser import Property, is_absolute_alarm, is_rule
+from ..language.rule_head_parser import WATERMARK_DELAY, Property, has_timeout, is_absolute_alarm, is_rule
 from ..matches.match_types import NetworkOptions, options_with_property
+from ..matches.watermarks import Watermarks, delay_setting
 from ..network.event_rule import EventRule
 from ..network.goal_evaluation import ConditionState, TimedNode
+from ..network.stream_node import StreamNode
 from ..program.event_file_checker import FileChecker
 from ..program.event_file_loader import EventFileLoader
 from ..program.file_and_library_names import SourceFiles
 from ..provenance.event_log import EventLog, Occurrence
 from ..provenance.explanation_terms import Justifier
 from ..provenance.lineage import LineageTracker
-from .event_flags import Flags
+from .event_flags import MAX_WATERMARK_DELAY, Flags
 from .event_language_predicates import define_predicates
 from .timer_service import NodeTimers, RuleAlarm, Timers
 
@@ -133,6 +135,7 @@ class RuleBase:
         options: network options derived from the flags.
         key_bounds: limits for keyed state derived from the flags.
         tracker: the lineage of events, if a flag requires it.
+        watermarks: lags of the topics, and the watermarks that timeouts wait for.
         serial: serial number of the newest rule; rules fire in the order of their serial numbers.
         fired_by_deleted_rules: number of complete matches of deleted rules.
         failed_retraction_count: number of events ``rev(E)`` without an event E.
@@ -163,6 +166,7 @@ class RuleBase:
         self.on_warning = on_warning
         self.condition_state = ConditionState()
         self._rule_index = RuleIndex()
+        self.watermarks = Watermarks(lambda: (rule.definition for rule in self._rule_index))
         self.flags = Flags(self._apply_flag)
         self.declared_events = DeclaredEvents(logic, self.flags, is_external_event)
         self.options: NetworkOptions = self.flags.network_options()
@@ -171,6 +175,7 @@ class RuleBase:
         self.justifier = Justifier(self, self.tracker)
         self.event_log = EventLog(self)
         self.node_timers = NodeTimers(self)
+        self.watermarks.on_shorter_delay(self.node_timers.reschedule)
         self.files = SourceFiles()
         self.loader = EventFileLoader(self)
         self._properties: Dict[Hashable, List[Property]] = {}
@@ -234,6 +239,9 @@ class RuleBase:
     def activate(self, rule: EventRule) -> None:
         """Activate a rule, so that it receives events."""
         self._rule_index.add(rule)
+        self.watermarks.note_changed_rules()
+        if has_timeout(rule.definition.head):
+            self.watermarks.is_observing = True
         self._configure(rule)
 
     def insert(self, term: Term) -> bool:
@@ -277,6 +285,7 @@ class RuleBase:
     def remove(self, rule: EventRule) -> None:
         """Remove a rule and its partial matches."""
         was_active = self._rule_index.discard(rule)
+        self.watermarks.note_changed_rules()
         rule.unlisten()
         rule.clear()
         if was_active:
@@ -371,8 +380,9 @@ class RuleBase:
     def set_property(self, prop: Property) -> None:
         """Set a property of a label; it is applied at once to the rules with the label."""
         properties = self._properties.setdefault(term_key(prop.label), [])
-        # A word replaces the previous value of the property. Numbers accumulate, and the smallest one applies.
-        if prop.word_value is not None:
+        # A word replaces the previous value of the property. Numbers accumulate, and the smallest one applies. A
+        # delay is either.
+        if prop.word_value is not None or prop.name == WATERMARK_DELAY:
             properties[:] = [other for other in properties if other.name != prop.name]
         if prop not in properties:
             properties.append(prop)
@@ -398,11 +408,18 @@ class RuleBase:
         """Apply the flags and the properties of its label to a rule."""
         times: Dict[str, List[int]] = {}
         options = self.options
+        delay_values: List[Term] = []
         for prop in self.properties(label_of(rule)):
-            if prop.word_value is not None:
+            if prop.name == WATERMARK_DELAY:
+                delay_values = [prop.value]
+            elif prop.word_value is not None:
                 options = options_with_property(options, prop.name, prop.word_value)
             else:
                 times.setdefault(prop.name, []).append(from_seconds(prop.numeric_value))
+        for node, _, _ in rule.nodes:
+            if isinstance(node, StreamNode):
+                setting = delay_setting(delay_values[0]) if delay_values else None
+                self.watermarks.configure(node.watermark, bool(delay_values), setting)
         windows = times.get("window", []) + times.get("event_rule_window", [])
         rule.configure(options, min(windows) if windows else None, self.flags.garbage_control(times))
 
@@ -414,6 +431,11 @@ class RuleBase:
             # Options are compiled into the nodes, so a change reconfigures all rules.
             for rule in self.rules:
                 self._configure(rule)
+        elif name in (WATERMARK_DELAY, MAX_WATERMARK_DELAY):
+            self.watermarks.set_default(
+                self.flags.watermark_delay(),
+                from_seconds(self.flags.number(MAX_WATERMARK_DELAY)),
+            )
         elif name == "store_fired_events":
             self.event_log.set_storing(self.flags.is_on(name))
         elif name == UNDECLARED.name:
@@ -430,6 +452,7 @@ class RuleBase:
     def clear(self) -> None:
         """Remove all partial matches and stored events after time went back; timers start again."""
         self.node_timers.clear()
+        self.watermarks.clear()
         for rule in self.rules:
             rule.clear()
         self.tracker.clear()

@@ -3,9 +3,10 @@
 All of them are alarms of the engine's clock (a binary heap by time and order of setting), as the per-key timers of
 Flink's timer service are entries of one queue.
 
-* `NodeTimers` has one alarm for all nodes with timeouts, such as ``within`` bounds and windows. A node that moves its
-  timeout does not search the heap: the old entry stays and is skipped when it is reached (lazy deletion). The heap is
-  rebuilt when more than half of it is stale.
+* `NodeTimers` has one alarm for all nodes with timeouts, such as windows and absence. A timeout runs when the
+  watermark of its node reaches it (see `watermarks`). A node that moves its timeout does not search the heap: the old
+  entry stays and is skipped when it is reached (lazy deletion). The heap is rebuilt when more than half of it is
+  stale.
 * `RuleAlarm` emits an event of a rule at a future instant (``exceptionAlarm``).
 * `Timers` holds the timers of the program, once or periodic. A jump of time, as at the start of a bag, would fire a
   periodic timer millions of times; beyond `MAX_FIRINGS_PER_JUMP` only the last instant fires, with a warning.
@@ -53,15 +54,17 @@ _MAX_NEVER_REBUILT = 64
 _FIRST_ORDER = -1
 """Order of the node alarm: before all other alarms of the same instant."""
 
-_TimerEntry = Tuple[int, int, int, int, TimedNode]
-"""Instant, serial number of the rule, position of the node in it, order of the request, and the node."""
+_TimerEntry = Tuple[int, int, int, int, int, TimedNode]
+"""Due time by the clock, serial number of the rule, position of the node in it, order of the request, the instant of
+the timeout, and the node."""
 
 
 class NodeTimers:
     """Timeouts of network nodes.
 
-    At one instant, nodes of older rules come first, and within a rule nodes further right or below. Each node has its
-    own limits and error handling, so an error in one does not affect the others.
+    A timeout is due when the clock reaches its instant plus the delay of the node's watermark. At one due time, nodes
+    of older rules come first, and within a rule nodes further right or below. Each node has its own limits and error
+    handling, so an error in one does not affect the others.
 
     Args:
         rules: the rules of the program.
@@ -88,9 +91,23 @@ class NodeTimers:
 
     def add(self, node: TimedNode, instant: int) -> None:
         """Set the timeout of a node; a later one replaces an earlier one."""
-        heapq.heappush(self._heap, (instant, node.rule.serial, node.position, next(self._next_number), node))
+        self._push(node, instant)
         if len(self._heap) > self._rebuild_size:
             self._drop_all_stale()
+        self._set_alarm()
+
+    def _push(self, node: TimedNode, instant: int) -> None:
+        due_time = instant + node.watermark.delay
+        heapq.heappush(
+            self._heap, (due_time, node.rule.serial, node.position, next(self._next_number), instant, node)
+        )
+
+    def reschedule(self) -> None:
+        """Compute all due times again, because the delays of watermarks have become shorter."""
+        entries, self._heap = self._heap, []
+        for *_, instant, node in sorted(entries, key=lambda entry: entry[:5]):
+            if node.alarm_instant == instant:
+                self._push(node, instant)
         self._set_alarm()
 
     def _set_alarm(self) -> None:
@@ -130,13 +147,17 @@ class NodeTimers:
         heap = self._heap
         try:
             if heap and heap[0][0] <= instant:
-                due_instant, *_, node = heapq.heappop(heap)
+                *_, node_instant, node = heapq.heappop(heap)
+                # The delay may have become longer since the due time was computed.
+                if node_instant + node.watermark.delay > instant:
+                    self._push(node, node_instant)
+                    return
                 node.alarm_instant = None
                 # An inactive rule is being reloaded; its nodes set their timeouts again if the rule is activated.
                 if node.rule.active:
                     machine = self._rules.logic.machine
                     self._rules.dispatcher.run_without_context(
-                        lambda: machine.run(node.on_alarm(due_instant, machine.done))
+                        lambda: machine.run(node.on_alarm(node_instant, machine.done))
                     )
         # Also after an error or interrupt, otherwise no later alarm would run.
         finally:
@@ -144,7 +165,7 @@ class NodeTimers:
 
 
 def _is_current(entry: _TimerEntry) -> bool:
-    return entry[-1].alarm_instant == entry[0]
+    return entry[-1].alarm_instant == entry[-2]
 
 
 class RuleAlarm:

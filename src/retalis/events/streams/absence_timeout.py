@@ -28,6 +28,10 @@ _MAX_ALWAYS_COMPACTED = 32
 """Length up to which a list is compacted at every removal."""
 
 
+_COMPLETE = object()
+"""Part of the replacement keys of pending elements that later ones do not replace."""
+
+
 class Correlation(NamedTuple):
     """Correlation of pending and forbidden elements.
 
@@ -92,6 +96,9 @@ class AbsenceTimeout(DeadlineOperator):
 
     The `StreamElement.key` of a pending element is a pair: its correlation key, and its replacement key or arrival
     number. For a forbidden element it is the correlation key alone.
+
+    An element does not replace a pending one whose deadline it does not precede: that one is complete, and only waits
+    for forbidden elements that arrive late.
 
     Args:
         span: time in ns without a forbidden element.
@@ -182,13 +189,21 @@ class AbsenceTimeout(DeadlineOperator):
         self._update_deadline()
 
     def _set_pending_key(self, element: StreamElement, key: Hashable) -> None:
-        """Set the key of an element, and drop the pending element that it replaces."""
+        """Set the key of an element, and drop the pending element that it replaces, if its deadline comes later."""
         replacement_key_of = self.correlation.replacement_key_of
         replacement_key = element.order if replacement_key_of is None else replacement_key_of(element.match)
         element.key = (key, replacement_key)
-        replaced = self._pending.get(key, {}).get(replacement_key)
-        if replaced is not None:
+        pending = self._pending.get(key, {})
+        replaced = pending.get(replacement_key)
+        if replaced is None:
+            return
+        if element.end < replaced.end + self.span:
             self._drop_pending(replaced)
+        else:
+            # Nothing replaces it any more, so it gets a replacement key of its own.
+            del pending[replacement_key]
+            replaced.key = (key, (_COMPLETE, replaced.order))
+            pending[replaced.key[1]] = replaced
 
     def _add_pending(self, element: StreamElement) -> None:
         key: Any = element.key

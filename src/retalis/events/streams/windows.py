@@ -456,12 +456,17 @@ class AnchoredTumblingWindow(Window):
         self._advance(element.end)
         if now > self._latest_now:
             self._latest_now = now
-        # Windows that end before this element are closed first, so the element cannot enter one of them.
-        outputs = self._close(self.clock)
         keyed_window = self.states.get(element.key)
+        outputs: List[StreamOutput] = []
+        # The window of the key is closed first if it ends before this element. Those of other keys may still get
+        # elements with earlier ends; the clock closes them.
+        if keyed_window is not None and keyed_window.reference_time + self.span <= element.end:
+            outputs = self._close_window(element.key, keyed_window)
+            self._compact()
+            keyed_window = None
         if keyed_window is None:
             # Its window has ended already.
-            if element.end + self.span <= max(self.clock, self._latest_now):
+            if element.end + self.span <= self._latest_now:
                 self.late_count += 1
                 return outputs
             keyed_window = KeyedWindow(self.make_accumulators(), element.end)
@@ -505,12 +510,16 @@ class AnchoredTumblingWindow(Window):
         outputs: List[StreamOutput] = []
         open_windows = self._open
         while open_windows and open_windows[0][0] + self.span <= instant:
-            window_start, _, key, keyed_window = heapq.heappop(open_windows)
+            _, _, key, keyed_window = heapq.heappop(open_windows)
             if self.states.get(key) is keyed_window:
-                if not self.running:
-                    outputs += self._emit(keyed_window, window_start, window_start + self.span)
-                self._clear_key(keyed_window, key)
+                outputs += self._close_window(key, keyed_window)
         self._update_deadline()
+        return outputs
+
+    def _close_window(self, key: Hashable, keyed_window: KeyedWindow) -> List[StreamOutput]:
+        start = keyed_window.reference_time
+        outputs = [] if self.running else self._emit(keyed_window, start, start + self.span)
+        self._clear_key(keyed_window, key)
         return outputs
 
     def _update_deadline(self) -> None:

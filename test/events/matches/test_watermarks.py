@@ -1,0 +1,313 @@
+"""Watermarks: alarms wait for events that are received later than their stamps say."""
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from retalis import Engine, Settings, StreamClock, explain, record_origins
+from retalis.events.matches.watermarks import LAG_WINDOW, TopicLag
+from retalis.prolog.terms.timestamps import SECOND
+
+MILLISECOND = SECOND // 1000
+MAX_LAG = 300 * MILLISECOND
+END = 100 * SECOND
+
+
+class Run:
+    """An engine with a receipt clock; its alarms run at their own instants, as on a robot and in a bag."""
+
+    def __init__(self, rules, goals="", **engine_settings):
+        self.clock = StreamClock()
+        self.engine = Engine(self.clock, Settings(**engine_settings))
+        self.derived = []
+        self.engine.on_event(self.record)
+        self.engine.load(rules=rules, goals=goals)
+
+    def record(self, term, start, end):
+        text = self.engine.show(term)
+        if not text.startswith(("in", "memory_")):
+            self.derived.append((text, int(start), int(end)))
+
+    def advance(self, instant):
+        alarm = self.clock.next_alarm()
+        while alarm is not None and alarm <= instant:
+            self.clock.move_to(alarm)
+            self.engine.advance()
+            alarm = self.clock.next_alarm()
+        self.clock.move_to(instant)
+        self.engine.advance()
+
+    def receive(self, text, stamp, lag=0):
+        self.advance(stamp + lag)
+        self.engine.event_at(self.engine.query(f"X = {text}")[0]["X"], stamp, stamp)
+
+    def receive_all(self, arrivals):
+        for receipt, text, stamp in arrivals:
+            self.receive(text, stamp, receipt - stamp)
+        self.advance(END)
+        return self.derived
+
+
+ALARM = "alarm <- in(no) seq absent(in(yes), 0.5)."
+
+
+def test_event_within_its_time_cancels_alarm_though_received_later():
+    run = Run(ALARM)
+    run.clock.move_to(1000 * SECOND)
+    run.engine.event("in(no)", 1000)
+    # The message is received after the deadline, before the alarm has run.
+    run.clock.move_to(1000 * SECOND + 505 * MILLISECOND)
+    run.engine.event("in(yes)", 1000.49)
+    run.advance(1010 * SECOND)
+    assert run.derived == []
+
+
+def test_known_lag_delays_alarm_but_not_its_interval():
+    run = Run(ALARM)
+    run.receive("in(no)", 10 * SECOND, 30 * MILLISECOND)
+    run.advance(10 * SECOND + 529 * MILLISECOND)
+    assert run.derived == []
+    run.advance(10 * SECOND + 530 * MILLISECOND)
+    assert run.derived == [("alarm", 10 * SECOND, 10 * SECOND + 500 * MILLISECOND)]
+
+
+def test_delay_of_zero_ignores_lag():
+    run = Run(ALARM, watermark_delay=0)
+    run.receive("in(no)", 10 * SECOND, 30 * MILLISECOND)
+    run.advance(10 * SECOND + 500 * MILLISECOND)
+    assert len(run.derived) == 1
+
+
+def test_property_of_label_replaces_flag():
+    run = Run(f"slow([property(watermark_delay, 2)]) : {ALARM}", watermark_delay=0)
+    run.receive("in(no)", 10 * SECOND)
+    run.advance(12 * SECOND)
+    assert run.derived == []
+    run.advance(12 * SECOND + 500 * MILLISECOND)
+    assert len(run.derived) == 1
+
+
+def test_delay_is_bounded():
+    run = Run(ALARM, max_watermark_delay=0.2)
+    run.receive("in(no)", 10 * SECOND, 400 * MILLISECOND)
+    run.advance(10 * SECOND + 700 * MILLISECOND)
+    assert len(run.derived) == 1
+
+
+@pytest.mark.parametrize(
+    "rules",
+    [
+        "turn(X) <- in(X). alarm <- turn(no) seq absent(turn(yes), 0.5).",
+        "null do event(turn(X), [T, T]) <- in(X) timestamp t2(T). alarm <- turn(no) seq absent(turn(yes), 0.5).",
+    ],
+    ids=["by a rule", "by a goal"],
+)
+def test_lag_of_topic_delays_patterns_of_derived_events(rules):
+    run = Run(rules)
+    run.receive("in(no)", 10 * SECOND, 30 * MILLISECOND)
+    run.receive("in(yes)", 10 * SECOND + 490 * MILLISECOND, 25 * MILLISECOND)
+    run.advance(END)
+    assert [event for event in run.derived if event[0] == "alarm"] == []
+
+
+def test_lag_of_another_topic_does_not_delay_pattern():
+    run = Run("alarm <- in(no) seq absent(in(yes), 0.5). other <- in_camera(1) seq absent(in_camera(2), 5).")
+    run.receive("in_camera(0)", 9 * SECOND, 300 * MILLISECOND)
+    run.receive("in(no)", 10 * SECOND)
+    run.advance(10 * SECOND + 500 * MILLISECOND)
+    assert len(run.derived) == 1
+
+
+def test_clock_that_follows_events_measures_no_lag():
+    engine = Engine()
+    engine.load(rules=ALARM)
+    outputs = []
+    engine.on_event(lambda term, start, end: outputs.append(engine.show(term)))
+    for event, second in (("in(no)", 10), ("in(other)", 1), ("in(other)", 10.5)):
+        engine.event(event, second)
+    assert outputs == ["in(no)", "in(other)", "alarm", "in(other)"]
+
+
+def test_restored_engine_continues_with_lags_and_waiting_alarm():
+    run = Run(ALARM)
+    run.receive("in(no)", 10 * SECOND, 30 * MILLISECOND)
+    run.advance(10 * SECOND + 510 * MILLISECOND)
+    data = run.engine.snapshot()
+    other = Run("")
+    other.engine = Engine.restore(data, other.clock)
+    other.engine.on_event(other.record)
+    for each in (run, other):
+        each.advance(10 * SECOND + 529 * MILLISECOND)
+        assert each.derived == []
+        each.advance(10 * SECOND + 530 * MILLISECOND)
+        assert each.derived == [("alarm", 10 * SECOND, 10 * SECOND + 500 * MILLISECOND)]
+    assert other.engine.snapshot() == run.engine.snapshot()
+
+
+def test_query_timeout_waits_for_late_records():
+    run = Run(
+        "synchronized(answer, true, [[records, 10]], [timeout(0.2)]) <- in_go.",
+        "memorize(in(X), [], X, records, 9).",
+    )
+    run.receive("in(1)", 9 * SECOND, 300 * MILLISECOND)
+    run.receive("in_go", 10 * SECOND)
+    run.receive("in(2)", 10 * SECOND + MILLISECOND, 299 * MILLISECOND)
+    run.advance(END)
+    assert ("answer", 10 * SECOND, 10 * SECOND) in run.derived
+
+
+def test_timeout_without_lag_is_as_written():
+    run = Run(
+        "synchronized(answer, true, [[records, 10]], [timeout(0.2)]) <- in_go.",
+        "memorize(in(X), [], X, records, 9).",
+    )
+    run.receive("in_go", 10 * SECOND)
+    run.advance(10 * SECOND + 200 * MILLISECOND)
+    assert [(text[:14], end) for text, _, end in run.derived if text.startswith("query")] == [
+        ("query_given_up", 10 * SECOND + 200 * MILLISECOND)
+    ]
+
+
+STATE = "state(open(X), from(in(X, on)), until(in(X, off)), [within(1)])."
+
+
+def test_event_after_end_of_state_by_itself_does_not_extend_it():
+    run = Run("closed(X) <- open(X).", STATE)
+    run.receive("in(a, on)", 10 * SECOND, 300 * MILLISECOND)
+    # Received while the end of the state waits for late events.
+    run.receive("in(a, off)", 11 * SECOND + 50 * MILLISECOND, 10 * MILLISECOND)
+    assert ("open(a)", 10 * SECOND, 11 * SECOND) in run.derived
+
+
+def test_state_begins_again_while_its_end_waits():
+    run = Run("closed(X) <- open(X).", STATE)
+    run.receive("in(a, on)", 10 * SECOND, 300 * MILLISECOND)
+    run.receive("in(a, on)", 11 * SECOND + 50 * MILLISECOND, 10 * MILLISECOND)
+    assert not run.engine.call("holds_at(open(a), 11.02)")
+    run.advance(END)
+    intervals = [(start, end) for text, start, end in run.derived if text == "open(a)"]
+    assert intervals == [
+        (10 * SECOND, 11 * SECOND),
+        (11 * SECOND + 50 * MILLISECOND, 12 * SECOND + 50 * MILLISECOND),
+    ]
+
+
+def test_lag_is_forgotten_after_one_to_two_periods():
+    lag = TopicLag()
+    lag.observe(5, 0)
+    lag.observe(1, LAG_WINDOW)
+    assert lag.lag == 5
+    lag.observe(2, 2 * LAG_WINDOW)
+    assert lag.lag == 2
+
+
+# ---- equal results with and without lags ---------------------------------------------------------------
+
+stamped_events = st.lists(
+    st.tuples(
+        st.integers(20_000, 50_000),
+        st.sampled_from(["in(a, on)", "in(a, off)", "in(b, on)", "in(b, off)"]),
+        st.integers(0, 300),
+    ),
+    max_size=12,
+    unique_by=lambda event: event[0],
+)
+"""Stamp in ms, event, and lag in ms."""
+
+
+def with_beacons(events):
+    """Return (stamp, text, lag) in ns, with an event of the longest lag every 4 s, by which the delay is known."""
+    beacons = [(stamp, "in(none, none)", 300) for stamp in range(10_000, 60_000, 4000)]
+    return [
+        (stamp * MILLISECOND, text, lag * MILLISECOND) for stamp, text, lag in sorted([*beacons, *events])
+    ]
+
+
+def receive_at_stamps(run, events):
+    return run.receive_all([(stamp, text, stamp) for stamp, text, _ in events])
+
+
+def receive_with_lags(run, events, in_order):
+    arrivals = []
+    receipt = 0
+    for stamp, text, lag in events:
+        receipt = max(receipt, stamp + lag) if in_order else stamp + lag
+        arrivals.append((receipt, text, stamp))
+    return run.receive_all(sorted(arrivals, key=lambda arrival: arrival[0]))
+
+
+OUT_OF_ORDER_PROGRAMS = {
+    "absent": "alarm(X) <- in(X, on) seq absent(in(X, off), 0.5).",
+    "absent after a rule": "t(X, S) <- in(X, S). alarm(X) <- t(X, on) seq absent(t(X, off), 0.5).",
+    "debounce": "settled(X, S) <- in(X, S) with debounce(0.5, X).",
+    "hopping": "n(X, N) <- aggregate(count, in(X, _), N, last(2, every(1))).",
+    "every": "n(X, N) <- aggregate(count, in(X, _), N, every(1)).",
+}
+
+
+@pytest.mark.parametrize("rules", OUT_OF_ORDER_PROGRAMS.values(), ids=list(OUT_OF_ORDER_PROGRAMS))
+@pytest.mark.slow
+@settings(max_examples=60, deadline=None)
+@given(stamped_events)
+@example([(20_000, "in(a, on)", 0), (20_490, "in(a, off)", 15)])
+def test_results_with_lags_equal_those_at_stamps(rules, events):
+    all_events = with_beacons(events)
+    expected = sorted(receive_at_stamps(Run(rules, watermark_delay=0), all_events))
+    for delay in (None, 0.3):
+        outputs = receive_with_lags(Run(rules, watermark_delay=delay), all_events, in_order=False)
+        assert sorted(outputs) == expected
+
+
+IN_ORDER_PROGRAMS = {
+    "first": ("n(X, N) <- aggregate(count, in(X, _), N, every(1, first)).", ""),
+    "state": ("ended(X) <- open(X).", STATE),
+}
+
+
+@pytest.mark.parametrize("program", IN_ORDER_PROGRAMS.values(), ids=list(IN_ORDER_PROGRAMS))
+@pytest.mark.slow
+@settings(max_examples=60, deadline=None)
+@given(stamped_events)
+def test_results_in_order_with_lags_equal_those_at_stamps(program, events):
+    all_events = with_beacons(events)
+    expected = sorted(receive_at_stamps(Run(*program, watermark_delay=0), all_events))
+    outputs = receive_with_lags(Run(*program), all_events, in_order=True)
+    assert sorted(outputs) == expected
+
+
+@pytest.mark.slow
+@settings(max_examples=30, deadline=None)
+@given(stamped_events, st.integers(20_000, 51_000))
+def test_restored_run_equals_continued_run(events, instant):
+    rules = "\n".join(OUT_OF_ORDER_PROGRAMS[name] for name in ("absent", "debounce", "every"))
+    arrivals = sorted((stamp + lag, text, stamp) for stamp, text, lag in with_beacons(events))
+    restored = Run(rules, STATE)
+    earlier = [arrival for arrival in arrivals if arrival[0] < instant * MILLISECOND]
+    for receipt, text, stamp in earlier:
+        restored.receive(text, stamp, receipt - stamp)
+    restored.advance(instant * MILLISECOND)
+    data = restored.engine.snapshot()
+    restored.clock = StreamClock()
+    restored.engine = Engine.restore(data, restored.clock)
+    restored.engine.on_event(restored.record)
+    restored.receive_all(arrivals[len(earlier) :])
+    continued = Run(rules, STATE)
+    assert restored.derived == continued.receive_all(arrivals)
+
+
+def test_event_after_deadline_does_not_replace_waiting_one():
+    run = Run(ALARM, watermark_delay=1)
+    run.receive("in(no)", 10 * SECOND)
+    run.receive("in(no)", 10 * SECOND + 600 * MILLISECOND)
+    run.advance(END)
+    assert [start for _, start, _ in run.derived] == [10 * SECOND, 10 * SECOND + 600 * MILLISECOND]
+
+
+def test_explanation_names_waiting_alarm():
+    run = Run("", watermark_delay=1)
+    record_origins(run.engine)
+    run.engine.load(rules=ALARM)
+    run.receive("in(no)", 10 * SECOND)
+    run.advance(11 * SECOND)
+    text = str(explain(run.engine, "alarm"))
+    assert "the time after it is over, and the alarm waits 1 s for late events" in text
