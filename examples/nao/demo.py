@@ -268,7 +268,7 @@ def arguments(argv: Optional[Sequence[str]]) -> argparse.Namespace:
     parser.add_argument("--rate", type=float, default=1.0, help="speed of the bag (default 1)")
     parser.add_argument(
         "--input", choices=sorted(INPUTS), default="topics",
-        help="way in: direct, embedded (both nodes in one process), or as text on topics between them (default)",
+        help="way in: direct (node retalis subscribes), embedded (one node), or as text between the nodes (default)",
     )  # fmt: skip
     options = parser.parse_args(argv)
     if options.bag and not options.bag.is_file():

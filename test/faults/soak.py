@@ -279,7 +279,7 @@ def arguments():
     parser.add_argument("--size", default="640x480", help="of an image")
     parser.add_argument("--restarts", type=float, default=90.0, help="seconds between them; 0: none")
     parser.add_argument(
-        "--direct", action="store_true", help="have node retalis subscribe tf and the markers"
+        "--direct", action="store_true", help="have node retalis subscribe and publish itself"
     )
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--log", type=Path, default=Path("soak.csv"))

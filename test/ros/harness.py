@@ -1,10 +1,13 @@
 """Helpers of the tests on a real master: publishers of raw bytes, and waiting for messages."""
 
+import signal
+import subprocess
 import threading
 import time
 from http.client import HTTPException
 from xmlrpc.client import Error, ServerProxy
 
+import roslib.packages
 import rospy
 from std_msgs.msg import String
 
@@ -107,6 +110,50 @@ class RawPublisher:
 
     def is_connected(self):
         return self.publisher.get_num_connections() > 0
+
+
+ENGINE, INTERFACE = "retalis", "retalis_ros_interface"
+"""Names of the two nodes in the launch file."""
+
+_NODE_TYPES = {ENGINE: "retalis_node", INTERFACE: "retalis_ros_converter.py"}
+
+
+class NodeProcesses:
+    """The two nodes, started and ended one by one.
+
+    Args:
+        program: folder of the program.
+        arguments: remappings and parameters of both nodes.
+    """
+
+    def __init__(self, program, *arguments):
+        self._arguments = [f"_program:={program}", *arguments]
+        self._running = {}
+
+    def start(self, name, *arguments):
+        """Start a node, with further arguments of its own."""
+        program = roslib.packages.find_node("retalis", _NODE_TYPES[name])[0]
+        command = [program, f"__name:={name}", *self._arguments, *arguments]
+        self._running[name] = subprocess.Popen(command, start_new_session=True)
+
+    def end(self, number, *names):
+        """End nodes together by a signal, and check their exit status."""
+        for name in names:
+            process = self._running[name]
+            assert process.poll() is None, f"node {name} has ended"
+            process.send_signal(number)
+        for name in names:
+            status = self._running.pop(name).wait(TIMEOUT_SECONDS)
+            expected = 0 if number == signal.SIGINT else -number
+            assert status == expected, f"exit status of node {name}: {status}"
+
+    def end_all(self):
+        """Interrupt the nodes that still run."""
+        for process in self._running.values():
+            process.send_signal(signal.SIGINT)
+        for process in self._running.values():
+            process.wait(TIMEOUT_SECONDS)
+        self._running.clear()
 
 
 def wait_for_service(name, service_class):

@@ -5,12 +5,10 @@ rostest retalis start_orders.test starts:=50 kills:=50
 """
 
 import signal
-import subprocess
 import sys
 import unittest
 from pathlib import Path
 
-import roslib.packages
 import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray
@@ -19,13 +17,12 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 sys.path.append(str(Path(__file__).resolve().parent))
-from harness import TIMEOUT_SECONDS, Collector, wait_for_service, wait_until  # noqa: E402
+from harness import ENGINE, INTERFACE, Collector, NodeProcesses, wait_for_service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402
 
 PROGRAM = Path(__file__).resolve().parent / "start_orders"
-NODES = {"retalis": "retalis_node", "retalis_ros_interface": "retalis_ros_converter.py"}
-ENGINE, INTERFACE = NODES
+NODES = (ENGINE, INTERFACE)
 LATCHED = {
     "map_name": String("hall"),
     "joints": JointState(),
@@ -38,7 +35,7 @@ class StartOrders(unittest.TestCase):
     starts = kills = 0
 
     def setUp(self):
-        self.running = {}
+        self.nodes = NodeProcesses(PROGRAM, "_direct:=false")
         self.addCleanup(self.end_all)
         self.latched = []
         for topic, message in LATCHED.items():
@@ -48,29 +45,8 @@ class StartOrders(unittest.TestCase):
         self.where = Collector("where", String)
         self.texts = Collector("retalisOutputEvents", String)
 
-    def start(self, name):
-        command = [
-            roslib.packages.find_node("retalis", NODES[name])[0],
-            f"__name:={name}",
-            f"_program:={PROGRAM}",
-            "_direct:=false",
-        ]
-        self.running[name] = subprocess.Popen(command, start_new_session=True)
-
-    def end(self, number, *names):
-        """End nodes together."""
-        for name in names:
-            process = self.running[name]
-            self.assertIsNone(process.poll(), f"node {name} has died")
-            process.send_signal(number)
-        for name in names:
-            status = self.running.pop(name).wait(TIMEOUT_SECONDS)
-            self.assertEqual(status, 0 if number == signal.SIGINT else -number, f"status of node {name}")
-
     def end_all(self):
-        for process in self.running.values():
-            process.send_signal(signal.SIGINT)
-            process.wait(TIMEOUT_SECONDS)
+        self.nodes.end_all()
         for publisher in (*self.latched, self.events):
             publisher.unregister()
         self.where.close()
@@ -97,21 +73,21 @@ class StartOrders(unittest.TestCase):
         for number in range(self.starts):
             with self.subTest(start=number):
                 for name in NODES:
-                    self.start(name)
+                    self.nodes.start(name)
                 self.come(number + 1)
-                self.end(signal.SIGINT, *NODES)
+                self.nodes.end(signal.SIGINT, *NODES)
 
     def test_outputs_wait_for_an_interface_that_was_killed(self):
         for name in NODES:
-            self.start(name)
+            self.nodes.start(name)
         self.come(1)
         wait_until(lambda: self.events.get_num_connections() > 0, "node retalis")
         wait_until(lambda: ENGINE in "".join(self.texts.publishers()), "the outputs of node retalis")
         for number in range(1, self.kills + 1):
             with self.subTest(kill=number):
-                self.end(signal.SIGKILL, INTERFACE)
+                self.nodes.end(signal.SIGKILL, INTERFACE)
                 self.assertEqual(self.say(2 * number), "1")
-                self.start(INTERFACE)
+                self.nodes.start(INTERFACE)
                 self.assertEqual(self.say(2 * number + 1), "1")
                 self.come(number + 1)
                 wait_until(lambda: self.received() >= 3, "both outputs, and the latched one", pause=0.1)

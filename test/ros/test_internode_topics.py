@@ -7,11 +7,15 @@ import pytest
 
 rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
-from retalis import MessageError, functor  # noqa: E402
+from retalis import MessageError, UsageError, functor  # noqa: E402
+from retalis.engine.event_input import TopicRequest  # noqa: E402
+from retalis.engine.runtime.problem_reports import Reports  # noqa: E402
 from retalis.ros import internode_topics  # noqa: E402
 from retalis.ros.internode_topics import (  # noqa: E402
     MAX_CONTROL_CHARACTERS,
+    InputTopicChangesReceiver,
     ProjectionReceiver,
+    read_input_changes,
     read_subscriptions,
 )
 
@@ -115,3 +119,96 @@ def test_a_list_of_subscriptions_is_read():
 def test_a_malformed_list_is_refused(text):
     with pytest.raises(MessageError, match="expected topics, types and names of events"):
         read_subscriptions(text)
+
+
+CHANGES = '{"direct": "auto", "added": [["scan", "sensor_msgs/LaserScan"]], "deleted": ["/odom"]}'
+
+
+def test_changes_of_input_topics_are_read():
+    assert tuple(read_input_changes(CHANGES)) == (
+        "auto",
+        {"/scan": "sensor_msgs/LaserScan"},
+        frozenset({"/odom"}),
+    )
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        "{}",
+        "[" * 100_000,
+        CHANGES.replace('"auto"', '"never"'),
+        CHANGES.replace('["scan", ', '["scan", 1, '),
+        CHANGES.replace('"scan"', "1"),
+        CHANGES.replace('"scan"', '"a b"'),
+        CHANGES.replace('"scan"', '"retalisInputEvents"'),
+        CHANGES.replace("sensor_msgs/", ""),
+        CHANGES.replace('"/odom"', "[]"),
+        CHANGES + " " * MAX_CONTROL_CHARACTERS,
+    ],
+)
+def test_malformed_changes_are_refused(text):
+    with pytest.raises(MessageError, match="expected direct, added and deleted topics"):
+        read_input_changes(text)
+
+
+class Subscriptions:
+    """Stand-in of the ROS interface, which stores its subscriptions."""
+
+    def __init__(self, **topics):
+        self.topics = {f"/{topic}": TopicRequest(f"/{topic}", *rest) for topic, rest in topics.items()}
+
+    def subscribe(self, topic, message_type, event_name=""):
+        if topic in self.topics:
+            raise UsageError(f"topic {topic} is already subscribed")
+        self.topics[topic] = TopicRequest(topic, message_type, event_name)
+
+    def unsubscribe(self, topic):
+        if topic not in self.topics:
+            raise UsageError(f"topic {topic} is not subscribed")
+        return self.topics.pop(topic)
+
+
+@pytest.fixture
+def receiver(monkeypatch):
+    """Return the receiver of changes, and the subscriptions that it changes."""
+    monkeypatch.setattr(internode_topics.rospy, "Subscriber", lambda *_, **__: None)
+    subscriptions = Subscriptions(a=("std_msgs/Int8", "number"), b=("std_msgs/Bool",))
+    return SimpleNamespace(
+        changes=InputTopicChangesReceiver(subscriptions, "auto", Reports()), subscriptions=subscriptions
+    )
+
+
+def apply_changes(receiver, added, deleted):
+    """Pass changes to the receiver; return type and event of each topic afterwards."""
+    text = json.dumps({"direct": "auto", "added": list(added.items()), "deleted": deleted})
+    receiver.changes._receive(SimpleNamespace(data=text))  # noqa: SLF001
+    return {topic: tuple(request)[1:] for topic, request in receiver.subscriptions.topics.items()}
+
+
+A, B = ("std_msgs/Int8", "number"), ("std_msgs/Bool", "")
+
+
+def test_each_list_of_changes_replaces_the_previous_one(receiver):
+    added = {"/c": "std_msgs/Empty"}
+    expected = {"/a": A, "/b": B, "/c": ("std_msgs/Empty", "")}
+    assert apply_changes(receiver, added, []) == expected
+    assert apply_changes(receiver, added, []) == expected
+    assert apply_changes(receiver, {"/c": "std_msgs/Int8"}, []) == {**expected, "/c": ("std_msgs/Int8", "")}
+    assert apply_changes(receiver, {}, []) == {"/a": A, "/b": B}
+
+
+def test_deleted_topic_is_restored_with_its_event_name(receiver):
+    assert apply_changes(receiver, {}, ["/a", "/unknown"]) == {"/b": B}
+    assert apply_changes(receiver, {"/a": "std_msgs/Int16"}, ["/a"]) == {
+        "/a": ("std_msgs/Int16", ""),
+        "/b": B,
+    }
+    assert apply_changes(receiver, {}, []) == {"/a": A, "/b": B}
+
+
+def test_added_topic_that_is_subscribed_already_keeps_its_subscription(receiver):
+    assert apply_changes(receiver, {"/a": "std_msgs/Int16"}, []) == {"/a": A, "/b": B}
+    assert apply_changes(receiver, {}, []) == {"/a": A, "/b": B}

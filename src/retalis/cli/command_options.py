@@ -123,7 +123,7 @@ def add_direct(parser: argparse.ArgumentParser) -> None:
         type=_parse_direct,
         default=AUTO,
         metavar="TOPICS",
-        help="topics that become events without pub_sub.xml, as parameter ~direct of a node: auto (tf and "
+        help="topics that become events in addition to pub_sub.xml, as parameter ~direct of a node: auto (tf and "
         "ar_pose_marker if pub_sub.xml does not name them), true (both), false, or a list [topic, type, ...] (auto)",
     )
 

@@ -258,6 +258,26 @@ def _are_callbacks(callbacks: object) -> bool:
     )
 
 
+def refuse_own_connection(subscriber: Any) -> None:
+    """Keep a subscriber from connecting to a publisher of the same topic in its own process.
+
+    rospy would connect them, and each message that this node publishes for others would return to it.
+    """
+    topic = subscriber.impl
+    rospy_add_connection = topic.add_connection
+    own_address = rospy.get_node_uri()
+
+    def add_connection(connection: Any) -> Any:
+        # rospy closes a connection that is not added.
+        return connection.endpoint_id != own_address and rospy_add_connection(connection)
+
+    topic.add_connection = add_connection
+    # Connections that were made before `add_connection` was replaced.
+    for connection in topic.connections:
+        if connection.endpoint_id == own_address:
+            connection.close()
+
+
 def read_in_batches(subscriber: Any, handler_factory: BatchHandlerFactory, max_delay: float) -> None:
     """Read the connections of a subscriber with a `ConnectionReader`, if rospy's internals are the expected ones."""
     topic = getattr(subscriber, "impl", None)

@@ -1,10 +1,14 @@
-"""Node ``retalis_ros_interface``: converts messages to event texts, and output texts to messages.
+"""Node ``retalis_ros_interface``: the services for input topics, and the conversion of messages if they pass as text.
 
-It keeps the conversion and the TCP connections to publishers out of the process of the engine. Messages go to node
-``retalis`` as texts on one topic, in the order in which they were received; outputs come back as texts on another.
-Fields that the program does not read are left out of the texts (projection pushdown, `internode_topics`).
+By default node ``retalis`` subscribes and publishes itself, and this node only offers the services (`ServiceNode`).
+With ``direct:=false``, or a list of topics, it converts messages to event texts, and output texts to messages
+(`TextInterfaceNode`). It then keeps the conversion and the TCP connections to publishers out of the process of the
+engine. Messages go to node ``retalis`` as texts on one topic, in the order in which they were received; outputs come
+back as texts on another. Fields that the program does not read are left out of the texts (projection pushdown,
+`internode_topics`).
 """
 
+from functools import partial
 from typing import Iterable, List
 
 import rospy
@@ -13,19 +17,26 @@ from ..engine.runtime.clock_skew import ClockSkewMonitor
 from ..engine.runtime.problem_reports import Reports
 from ..events.dispatch.listeners import NOT_READ
 from ..events.program.topic_configuration import TOPICS, Topics, direct_topics, read_topics
-from ..foundation.errors import RetalisError, UsageError, shorten
+from ..foundation.errors import RetalisError
 from ..messages.decoder import Decoder
 from ..messages.event_text_writer import make_text_writer, write_without_unread
 from ..messages.type_registry import Definitions
-from ..prolog.syntax.event_text import EventReader, event_text, to_text
-from ..prolog.terms.types import deref
+from ..prolog.syntax.event_text import event_text
 from .diagnostics import Diagnostics, InputRole, NodeHealth, evaluate_program
 from .installed_message_classes import installed_types
-from .internode_topics import INPUT, OUTPUT, ProjectionReceiver, SubscriptionReceiver
+from .internode_topics import (
+    INPUT,
+    OUTPUT,
+    InputTopicChanges,
+    ProjectionReceiver,
+    SubscriptionReceiver,
+    announce_direct,
+    subscribe,
+)
 from .latched_deduplication import LatchedConnection
 from .node_lifecycle import run_node
 from .parameters import Parameters
-from .ros_interface import OUTPUT_EVENT, MessageHandler, Publisher, RosInterface, connect, consume_and_discard
+from .ros_interface import MessageHandler, Publisher, RosInterface, connect, consume_and_discard
 from .ros_log import log_error
 from .ros_time import Receipts, SimulatedTime
 from .services import InterfaceServices, ListService
@@ -44,8 +55,31 @@ MIN_PROJECTED_BYTES = 1024
 """Size in bytes from which on unread fields of a message are left out; for smaller ones the check costs more."""
 
 
-class InterfaceNode:
-    """Node ``retalis_ros_interface``, constructed from its parameters."""
+class ServiceNode:
+    """Node ``retalis_ros_interface`` if node ``retalis`` itself subscribes and publishes: only the services."""
+
+    def __init__(self, parameters: Parameters):
+        reports = Reports()
+        rospy.on_shutdown(reports.sum_up)
+        try:
+            topics = read_topics(parameters.program / TOPICS)
+        except RetalisError:
+            # Node retalis reports it.
+            topics = Topics()
+        direct = direct_topics(parameters.direct, topics, rospy.resolve_name)
+        definitions = Definitions(installed_types(), parameters.max_empty_elements)
+        self._changes = InputTopicChanges(
+            parameters.direct, (*topics.subscribed, *direct), definitions, reports
+        )
+        InterfaceServices(self._changes)
+        ListService(list, reports=reports)
+        self._diagnostics = Diagnostics(
+            parameters.diagnostics, NodeHealth(list, list, list), parameters.hardware_id
+        )
+
+
+class TextInterfaceNode:
+    """Node ``retalis_ros_interface`` if messages pass through it as text."""
 
     def __init__(self, parameters: Parameters):
         self._reports = reports = Reports()
@@ -63,7 +97,6 @@ class InterfaceNode:
             INPUT, parameters.queue, reports, self._receipts.epoch, self._time.epochs
         )
         self._unread = ProjectionReceiver(self._texts.connections, reports)
-        self._event_reader = EventReader()
         self._interface = RosInterface(
             self._handler_factory,
             parameters.queue,
@@ -90,11 +123,13 @@ class InterfaceNode:
         connect(self._interface, topics, direct)
         for topic, message_type in direct:
             self._interface.learn(topic, message_type)
-        self._subscriptions = SubscriptionReceiver(self._interface, reports)
+        self._subscriptions = SubscriptionReceiver(partial(subscribe, self._interface), reports)
+        # Node retalis compares it with its own value.
+        self._direct = announce_direct(parameters.direct)
         InterfaceServices(self._interface)
         ListService(self._interface.input_statuses, reports=reports)
         # After the services: they identify this node to node retalis as soon as it connects; see `late_joiners`.
-        self._interface.subscribe_texts(OUTPUT, self._publish_output)
+        self._interface.subscribe_output_texts()
         program_status = evaluate_program(errors, [])
         StartupWarnings(self._interface.input_statuses, [topic for topic, _ in topics.subscribed])
         self._diagnostics = Diagnostics(
@@ -149,17 +184,6 @@ class InterfaceNode:
 
         return handle
 
-    def _publish_output(self, text: str) -> None:
-        try:
-            output = self._event_reader.read(text)
-            if output.__class__ is not tuple or output[0] is not OUTPUT_EVENT:
-                raise UsageError(f"expected event(Term,Topic,Id), found {shorten(text)}")
-        except RetalisError as error:
-            self._reports.error(RetalisError(f"an output is not published: {error}"), OUTPUT)
-            return
-        topic = deref(output[2])
-        self._interface.outputs.publish(deref(output[1]), getattr(topic, "name", None) or to_text(topic))
-
 
 def _input_role(topic: str) -> InputRole:
     """Return the role of a topic in the program."""
@@ -168,4 +192,8 @@ def _input_role(topic: str) -> InputRole:
 
 def main() -> int:
     """Run the node until it is shut down; return its exit status."""
-    return run_node("retalis_ros_converter", InterfaceNode)
+
+    def create_node(parameters: Parameters) -> object:
+        return TextInterfaceNode(parameters) if parameters.uses_texts else ServiceNode(parameters)
+
+    return run_node("retalis_ros_converter", create_node)

@@ -5,7 +5,9 @@ on latched topics, so that an interface node that is restarted receives them:
 
 * the argument positions that no rule, memory or goal reads (projection pushdown): the interface node omits the fields
   of messages that node ``retalis`` does not read (`ProjectionPublisher`, `ProjectionReceiver`);
-* the topics to which goals subscribe with ``subscribe_to`` (`DynamicSubscriptions`, `SubscriptionReceiver`).
+* the topics to which goals subscribe with ``subscribe_to`` (`DynamicSubscriptions`, `SubscriptionReceiver`);
+* the topics that the services of the interface node add and delete, and the value of ``~direct`` there
+  (`InputTopicChanges`, `InputTopicChangesReceiver`).
 
 Any node may publish on these topics, so a receiver validates what it reads.
 """
@@ -13,7 +15,7 @@ Any node may publish on these topics, so a receiver validates what it reads.
 import json
 import threading
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any, Callable, Dict, FrozenSet, List, NamedTuple, Optional, Set
+from typing import TYPE_CHECKING, Any, Callable, Dict, FrozenSet, Iterable, List, NamedTuple, Optional, Set
 
 import rospy
 from std_msgs.msg import String
@@ -22,8 +24,16 @@ from ..engine.engine import Engine
 from ..engine.event_input import MAX_INPUT_TOPICS, TopicRequest
 from ..engine.runtime.problem_reports import Reports
 from ..events.language.event_declarations import event_name_error
-from ..foundation.errors import MessageError, RetalisError, UsageError, shorten
+from ..events.program.topic_configuration import (
+    DirectTopics,
+    TopicType,
+    read_direct,
+    topic_type,
+    uses_texts,
+)
+from ..foundation.errors import MessageError, RetalisError, UsageError, printable, shorten
 from ..foundation.ros_names import topic_fault
+from ..messages.type_registry import Definitions
 from ..prolog.terms.types import Functor
 
 if TYPE_CHECKING:
@@ -212,17 +222,16 @@ class DynamicSubscriptions:
         self._requests: SimpleQueue[TopicRequest] = SimpleQueue()
         self.request: Callable[[TopicRequest], None] = self._requests.put
 
-    def start(self, interface: Optional["RosInterface"]) -> None:
+    def start(self, *executors: Callable[[TopicRequest], object]) -> None:
         """Execute the queued requests, and start the thread for later ones.
 
         Args:
-            interface: the ROS interface of this node; None if the interface runs in another node.
+            executors: functions to call for each request.
         """
-        execute = (
-            _SubscriptionPublisher().publish_added
-            if interface is None
-            else lambda request: _subscribe(interface, request)
-        )
+
+        def execute(request: TopicRequest) -> None:
+            for executor in executors:
+                executor(request)
 
         def run() -> None:
             while not rospy.is_shutdown():
@@ -237,8 +246,11 @@ class DynamicSubscriptions:
         threading.Thread(target=run, daemon=True, name="topics of goals").start()
 
 
-class _SubscriptionPublisher:
-    """Publisher of the list of subscriptions, for the interface node."""
+class SubscriptionPublisher:
+    """Publisher of the list of subscriptions, for the interface node.
+
+    If node ``retalis`` subscribes itself, the services of the interface node need the list for their answers.
+    """
 
     def __init__(self) -> None:
         self._subscriptions: List[TopicRequest] = []
@@ -255,15 +267,15 @@ class _SubscriptionPublisher:
 
 
 class SubscriptionReceiver:
-    """Receiver of the list of subscriptions in the interface node; it subscribes to each topic once.
+    """Receiver of the list of subscriptions in the interface node, which passes each one on once.
 
     Args:
-        interface: the ROS interface.
+        subscribe: subscribes to a topic.
         reports: receives a warning for each malformed list.
     """
 
-    def __init__(self, interface: "RosInterface", reports: Reports):
-        self._interface = interface
+    def __init__(self, subscribe: Callable[[TopicRequest], object], reports: Reports):
+        self._subscribe = subscribe
         self._reports = reports
         self._subscribed: Set[TopicRequest] = set()
         self._subscriber = rospy.Subscriber(SUBSCRIPTIONS_TOPIC, String, self._receive, queue_size=10)
@@ -277,7 +289,7 @@ class SubscriptionReceiver:
         for request in topics:
             if request not in self._subscribed and len(self._subscribed) < MAX_INPUT_TOPICS:
                 self._subscribed.add(request)
-                _subscribe(self._interface, request)
+                self._subscribe(request)
 
 
 def read_subscriptions(text: str) -> List[TopicRequest]:
@@ -298,11 +310,208 @@ def read_subscriptions(text: str) -> List[TopicRequest]:
     return [TopicRequest(*item) for item in items]
 
 
-def _subscribe(interface: "RosInterface", request: TopicRequest) -> None:
+def subscribe(interface: "RosInterface", request: TopicRequest, requester: str = "subscribe_to") -> bool:
+    """Subscribe to a topic; return whether it succeeds. An error is logged, with the name of the requester."""
     try:
         interface.subscribe(*request)
+        return True
     except RetalisError as error:
-        rospy.logerr("subscribe_to: %s", error)
+        rospy.logerr("%s: %s", requester, error)
     except rospy.ROSException as error:
         # The node is being shut down.
-        rospy.logdebug("subscribe_to: topic %s: %s", shorten(request.topic), error)
+        rospy.logdebug("%s: topic %s: %s", requester, shorten(request.topic), error)
+    return False
+
+
+INPUT_CHANGES_TOPIC = "retalisInputTopics"
+"""Topic of changes by the services of the interface node: JSON, an object with ``direct`` (the value of its
+parameter), ``added`` (a list of [topic, type]) and ``deleted`` (a list of topics)."""
+
+
+class InputChanges(NamedTuple):
+    """Content of `INPUT_CHANGES_TOPIC`, with full names of topics.
+
+    Attributes:
+        direct: value of ``~direct`` of the interface node.
+        added: types of the added topics.
+        deleted: deleted topics.
+    """
+
+    direct: DirectTopics
+    added: Dict[str, str]
+    deleted: FrozenSet[str]
+
+
+def _publish_changes(publisher: rospy.Publisher, changes: InputChanges) -> None:
+    data = {
+        "direct": changes.direct,
+        "added": sorted(changes.added.items()),
+        "deleted": sorted(changes.deleted),
+    }
+    publisher.publish(String(json.dumps(data)))
+
+
+def announce_direct(direct: DirectTopics) -> rospy.Publisher:
+    """Publish the value of ``~direct`` of an interface node that subscribes to topics itself."""
+    publisher = rospy.Publisher(INPUT_CHANGES_TOPIC, String, queue_size=10, latch=True)
+    _publish_changes(publisher, InputChanges(direct, {}, frozenset()))
+    return publisher
+
+
+class InputTopicChanges:
+    """The input topics that services add and delete while node ``retalis`` itself subscribes to all topics.
+
+    All changes are published together on a latched topic, so they apply whichever node starts first, and again if
+    node ``retalis`` is restarted. If the interface node is restarted, there are no changes.
+
+    Args:
+        direct: value of ``~direct`` of the interface node.
+        topics: further topics to which node ``retalis`` subscribes.
+        definitions: known message types.
+        reports: receives a warning for each malformed list of topics of goals.
+    """
+
+    def __init__(
+        self, direct: DirectTopics, topics: Iterable[TopicType], definitions: Definitions, reports: Reports
+    ):
+        self._direct = direct
+        self._definitions = definitions
+        self._lock = threading.Lock()
+        self._types_by_topic = {rospy.resolve_name(topic): message_type for topic, message_type in topics}
+        self._added: Dict[str, str] = {}
+        self._deleted: Set[str] = set()
+        self._publisher = rospy.Publisher(INPUT_CHANGES_TOPIC, String, queue_size=10, latch=True)
+        self._publish()
+        self._goal_topics = SubscriptionReceiver(self._record, reports)
+
+    def knows_type(self, message_type: str) -> bool:
+        """Return whether a message type is known."""
+        return message_type in self._definitions
+
+    def subscribe(self, topic: str, message_type: str) -> None:
+        """Have node ``retalis`` subscribe to a topic.
+
+        Raises:
+            UsageError: if the topic is subscribed already, a name is invalid, or there are too many topics.
+        """
+        topic, message_type = topic_type(topic, message_type)
+        name = resolve_subscribable_topic(topic)
+        with self._lock:
+            known_type = self._added.get(name) or (
+                None if name in self._deleted else self._types_by_topic.get(name)
+            )
+            if known_type is not None:
+                raise UsageError(f"topic {topic} is already subscribed (as {known_type})")
+            if len(self._added) >= MAX_INPUT_TOPICS:
+                raise UsageError(f"topic {topic}: expected at most {MAX_INPUT_TOPICS} topics of services")
+            self._added[name] = message_type
+            self._publish()
+
+    def unsubscribe(self, topic: str) -> None:
+        """Have node ``retalis`` unsubscribe from a topic.
+
+        Raises:
+            UsageError: if it is not subscribed.
+        """
+        name = resolve(topic)
+        with self._lock:
+            if self._added.pop(name, None) is None:
+                if name in self._deleted or name not in self._types_by_topic:
+                    raise UsageError(f"topic {topic} is not subscribed")
+                self._deleted.add(name)
+            self._publish()
+
+    def _record(self, request: TopicRequest) -> None:
+        """Record a topic to which a goal has subscribed in node ``retalis``."""
+        with self._lock:
+            self._types_by_topic.setdefault(rospy.resolve_name(request.topic), request.message_type)
+
+    def _publish(self) -> None:
+        _publish_changes(self._publisher, InputChanges(self._direct, self._added, frozenset(self._deleted)))
+
+
+class InputTopicChangesReceiver:
+    """Receiver of the changes in node ``retalis``, which subscribes and unsubscribes accordingly.
+
+    Args:
+        interface: the ROS interface of this node; None if it has none, and only the value of ``~direct`` is checked.
+        direct: value of ``~direct`` of this node.
+        reports: receives a warning for each malformed message.
+    """
+
+    def __init__(self, interface: Optional["RosInterface"], direct: DirectTopics, reports: Reports):
+        self._interface = interface
+        self._direct = direct
+        self._reports = reports
+        self._lock = threading.Lock()
+        self._added: Dict[str, str] = {}
+        self._deleted: Dict[str, TopicRequest] = {}
+        self._subscriber = rospy.Subscriber(INPUT_CHANGES_TOPIC, String, self._receive, queue_size=10)
+
+    def _receive(self, message: Any) -> None:
+        try:
+            changes = read_input_changes(message.data)
+        except MessageError as error:
+            self._reports.warning(f"{INPUT_CHANGES_TOPIC}: {error}", INPUT_CHANGES_TOPIC)
+            return
+        if changes.direct != self._direct and (uses_texts(changes.direct) or uses_texts(self._direct)):
+            header = message._connection_header  # noqa: SLF001 - rospy has no other name for it
+            rospy.logerr(
+                "parameter ~direct: it is %s here and %s in node %s: messages may be processed twice or not at all: "
+                "start both nodes with the same value",
+                json.dumps(self._direct),
+                json.dumps(changes.direct),
+                printable(shorten(header.get("callerid", "unknown"))),
+            )
+        if self._interface is not None:
+            # An interface node that ends and its successor have two connections for a moment.
+            with self._lock:
+                self._apply(self._interface, changes)
+
+    def _apply(self, interface: "RosInterface", changes: InputChanges) -> None:
+        for topic, message_type in list(self._added.items()):
+            if changes.added.get(topic) != message_type:
+                del self._added[topic]
+                _unsubscribe(interface, topic)
+        for topic in changes.deleted.difference(self._deleted):
+            request = _unsubscribe(interface, topic)
+            if request is not None:
+                self._deleted[topic] = request
+        for topic in set(self._deleted).difference(changes.deleted):
+            subscribe(interface, self._deleted.pop(topic), INPUT_CHANGES_TOPIC)
+        for topic, message_type in changes.added.items():
+            if topic not in self._added and subscribe(
+                interface, TopicRequest(topic, message_type), "add_input_subscription"
+            ):
+                self._added[topic] = message_type
+
+
+def _unsubscribe(interface: "RosInterface", topic: str) -> Optional[TopicRequest]:
+    """Unsubscribe from a topic; return its subscription, or None if there is none."""
+    try:
+        return interface.unsubscribe(topic)
+    except RetalisError as error:
+        rospy.logdebug("%s: %s", INPUT_CHANGES_TOPIC, error)
+        return None
+
+
+def read_input_changes(text: str) -> InputChanges:
+    """Return the changes in a text.
+
+    Raises:
+        MessageError: if the text does not have the expected form.
+    """
+    malformed = MessageError(f"expected direct, added and deleted topics, found {shorten(text)}")
+    data = read_control_json(text, malformed)
+    try:
+        added = [topic_type(topic, message_type) for topic, message_type in data["added"]]
+        return InputChanges(
+            read_direct(data["direct"]),
+            {
+                resolve_subscribable_topic(topic): message_type
+                for topic, message_type in added[:MAX_INPUT_TOPICS]
+            },
+            frozenset(map(resolve, data["deleted"])),
+        )
+    except (AttributeError, KeyError, TypeError, ValueError, UsageError):
+        raise malformed from None

@@ -11,7 +11,7 @@ import rospy
 from ..dashboard.page_server import DASHBOARD_PORT
 from ..engine.engine_settings import Settings
 from ..events.knowledge.transform_buffer import DEFAULT_CACHE_SECONDS
-from ..events.program.topic_configuration import AUTO, DirectTopics, read_direct
+from ..events.program.topic_configuration import AUTO, DirectTopics, read_direct, uses_texts
 from ..foundation.errors import UsageError, printable, shorten
 from ..messages.type_definition import MAX_EMPTY_ELEMENTS
 from ..prolog.machine.resource_limits import Limits, Number, validate_limit
@@ -62,7 +62,8 @@ class Parameters(NamedTuple):
 
     Attributes:
         program: folder with pub_sub.xml and goalPredicates.txt.
-        direct: ``auto``, True, False, or the topics that node retalis subscribes to itself.
+        direct: ``auto``, True, False, or the topics that node retalis subscribes to itself; see
+            `uses_texts`.
         embedded: whether the ROS interface runs inside node retalis.
         queue: maximum length of each queue, in events or messages.
         settings: settings of the engine.
@@ -90,6 +91,14 @@ class Parameters(NamedTuple):
     dashboard: Optional[int] = None
     dashboard_queries: bool = False
     checkpoint: Optional[Path] = None
+
+    @property
+    def uses_texts(self) -> bool:
+        """True if messages pass as text through the interface node.
+
+        Otherwise node retalis itself subscribes to and publishes the topics of ``pub_sub.xml``.
+        """
+        return not self.embedded and uses_texts(self.direct)
 
 
 def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:

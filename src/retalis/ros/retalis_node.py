@@ -4,7 +4,9 @@ The order of construction matters. The engine exists first, restored from a chec
 program is loaded, so that subscriptions of its goals are known; then topics are subscribed. Services are offered
 before the node subscribes to the texts of the interface, because they identify it as the receiver (`late_joiners`).
 
-The ROS interface runs in its own node by default, and inside this one with parameter ``~embedded``.
+By default this node itself subscribes to and publishes all topics of the program. The interface node then only offers
+the services for input topics; with parameter ``~embedded`` this node offers them, too. If parameter ``~direct`` is
+false or a list, messages of the other topics pass as text through the interface node.
 """
 
 import threading
@@ -51,9 +53,12 @@ from .internode_topics import (
     INPUT,
     OUTPUT,
     DynamicSubscriptions,
+    InputTopicChangesReceiver,
     ProjectionPublisher,
+    SubscriptionPublisher,
     resolve,
     resolve_subscribable_topic,
+    subscribe,
 )
 from .latched_deduplication import LatchedConnection, LatchedMessageDeduplicator
 from .node_dashboard import NodeDashboard
@@ -68,7 +73,7 @@ from .ros_interface import (
     connect,
 )
 from .ros_log import log_counts, log_error, print_goal_output
-from .ros_time import SimulatedTime, ros_now
+from .ros_time import Receipts, SimulatedTime, ros_now
 from .services import (
     EngineServices,
     InterfaceServices,
@@ -77,7 +82,7 @@ from .services import (
     ReloadService,
     RuleServices,
 )
-from .text_topics import OutputTextPublisher
+from .text_topics import EventTextMirror, OutputTextPublisher
 from .tf2_buffer import choose_buffer
 from .topic_statistics import OutputStatus, StartupWarnings
 
@@ -294,6 +299,7 @@ class RetalisNode:
             self._load()
         epochs = self._time.epochs
         self._latched = LatchedMessageDeduplicator(int if epochs is None else lambda: epochs.epoch)
+        self._event_texts = None if parameters.uses_texts else self._make_event_mirror()
         self._texts = self._make_output_publisher(topics)
         self._interface = RosInterface(
             self._handler_factory,
@@ -309,18 +315,18 @@ class RetalisNode:
         self._log_mistakes(topics)
         # Before topics are subscribed, so that the outputs of the first message are sent.
         self.engine.on_output(self._send_text)
-        if parameters.embedded:
+        if parameters.uses_texts:
+            ProjectionPublisher(self.engine)
+        else:
             self.engine.on_output(lambda term, topic, name: self._interface.outputs.publish(term, topic))
             connect(self._interface, topics, direct)
-            InterfaceServices(self._interface)
-        else:
-            ProjectionPublisher(self.engine)
+            self._interface.subscribe_output_texts()
         transforms = self.engine.knowledge.transforms
         transforms.require_if_mentioned(self.engine.rules.terms())
         transforms.set_feed(self._start_transform_feed)
         for topic, message_type in direct:
             self._subscribe(topic, message_type, topics.event_name_of(topic, rospy.resolve_name))
-        subscriptions.start(self._interface if parameters.embedded else None)
+        self._connect_interface_node(subscriptions)
         types = {rospy.resolve_name(topic): message_type for topic, message_type in topics.published}
         EngineServices(
             self.engine,
@@ -368,6 +374,22 @@ class RetalisNode:
         if checkpoint_file.resumed:
             threading.Thread(target=self._run_missed_alarms, daemon=True).start()
 
+    def _connect_interface_node(self, subscriptions: DynamicSubscriptions) -> None:
+        """Start to exchange the topics of goals and services with the interface node, if there is one."""
+        parameters, interface = self._parameters, self._interface
+        if parameters.embedded:
+            InterfaceServices(interface)
+            subscriptions.start(partial(subscribe, interface))
+            return
+        publish = SubscriptionPublisher().publish_added
+        if parameters.uses_texts:
+            subscriptions.start(publish)
+        else:
+            subscriptions.start(partial(subscribe, interface), publish)
+        self._input_changes = InputTopicChangesReceiver(
+            None if parameters.uses_texts else interface, parameters.direct, self._reports
+        )
+
     def _start_transform_feed(self) -> None:
         """Subscribe to the topics of transforms, because the program reads transforms.
 
@@ -388,7 +410,7 @@ class RetalisNode:
     def _run_missed_alarms(self) -> None:
         """Run the alarms that became due while the node was not running, after the interface has connected."""
         end = time.monotonic() + MAX_INTERFACE_WAIT_SECONDS
-        while not self._parameters.embedded and not self._texts.connections() and time.monotonic() < end:
+        while self._parameters.uses_texts and not self._texts.connections() and time.monotonic() < end:
             time.sleep(0.05)
         self.engine.advance()
 
@@ -417,7 +439,7 @@ class RetalisNode:
 
     def _make_role_lookup(self, topics: Topics, direct: Iterable[TopicType]) -> Callable[[str], InputRole]:
         """Return a function from a topic to its present role in the program, whose rules may change."""
-        embedded, is_read = self._parameters.embedded, self.engine.dispatcher.has_listener_for_name
+        uses_texts, is_read = self._parameters.uses_texts, self.engine.dispatcher.has_listener_for_name
         resolve_name = rospy.resolve_name
         named_topics = set(map(resolve_name, self._named_topics(topics)))
         # Topics that the node subscribes to by default, with the names of their events.
@@ -426,7 +448,7 @@ class RetalisNode:
             for topic, message_type in direct
             if resolve_name(topic) not in named_topics
         }
-        text_topic = resolve_name(INPUT)
+        text_topics = {resolve_name(INPUT), resolve_name(OUTPUT)}
         transforms = self.engine.knowledge.transforms
         # A robot need not have static transforms.
         transform_roles: Dict[str, InputRole] = dict(
@@ -434,8 +456,8 @@ class RetalisNode:
         )
 
         def get_role(topic: str) -> InputRole:
-            if topic == text_topic:
-                return InputRole.OPTIONAL if embedded else InputRole.LINK
+            if topic in text_topics:
+                return InputRole.LINK if uses_texts else InputRole.OPTIONAL
             if transforms.is_required and topic in transform_roles:
                 return transform_roles[topic]
             event = default_events.get(topic)
@@ -444,7 +466,8 @@ class RetalisNode:
         return get_role
 
     def _output_statuses(self) -> List[OutputStatus]:
-        return [self._texts.status(), *self._interface.outputs.status()]
+        event_texts = [] if self._event_texts is None else [self._event_texts.status()]
+        return [self._texts.status(), *event_texts, *self._interface.outputs.status()]
 
     def _on_reload(self, topics: Topics) -> None:
         self._errors.clear()
@@ -466,7 +489,7 @@ class RetalisNode:
     def _named_topics(self, topics: Topics) -> List[str]:
         """Return the topics of this node that its program or parameters name, without those subscribed by default."""
         direct = self._parameters.direct
-        topic_types = [*(topics.subscribed if self._parameters.embedded else ())]
+        topic_types = [*(() if self._parameters.uses_texts else topics.subscribed)]
         topic_types += direct if isinstance(direct, tuple) else ()
         return [topic for topic, _ in topic_types]
 
@@ -504,9 +527,9 @@ class RetalisNode:
         try:
             return read_topics(self._parameters.program / TOPICS)
         except RetalisError as error:
-            if self._parameters.embedded:
+            if not self._parameters.uses_texts:
                 # Otherwise the interface node reports it.
-                rospy.logerr("%s", error)
+                self._errors += log_error(error)
             return Topics()
 
     def _subscribe(self, topic: str, message_type: str, event: str) -> None:
@@ -518,28 +541,46 @@ class RetalisNode:
     def _handler_factory(self, decoder: Decoder) -> MessageHandler:
         """Return the handler of messages of a type, which returns the event and its instant."""
         decode, stamp = decoder.decode, decoder.stamp
-        return lambda data: (decode(data), stamp(data))
+        if self._event_texts is None:
+            return lambda data: (decode(data), stamp(data))
+        send_text = self._event_texts.make_sender(decoder)
+
+        def handle(data: bytes) -> Tuple[Term, Optional[int]]:
+            event, instant = decode(data), stamp(data)
+            send_text(data, instant)
+            return event, instant
+
+        return handle
 
     def _latched_handler_factory(
         self, decoder: Decoder, publisher: Publisher, connection: LatchedConnection
     ) -> MessageHandler:
         """Return the handler of latched messages, which skips messages that the engine has processed already."""
-        decode_event, deduplicator = self._handler_factory(decoder), self._latched
+        decode, stamp, deduplicator = decoder.decode, decoder.stamp, self._latched
+        send_text = None if self._event_texts is None else self._event_texts.make_sender(decoder)
 
         def handle(data: bytes) -> Any:
             # Before `record_message`, which records the message as processed: decoding may fail, or the message may
             # belong to the next clock epoch.
-            event = decode_event(data)
-            return None if deduplicator.record_message(connection.describe_message(data)) else event
+            event, instant = decode(data), stamp(data)
+            if deduplicator.record_message(connection.describe_message(data)):
+                return None
+            if send_text is not None:
+                send_text(data, instant)
+            return event, instant
 
         return handle
 
     def _make_output_publisher(self, topics: Topics) -> OutputTextPublisher:
-        """Return the publisher of output texts; with an embedded interface, no other node requires them."""
-        if self._parameters.embedded:
+        """Return the publisher of output texts; if this node publishes the messages, no other node requires them."""
+        if not self._parameters.uses_texts:
             topics = Topics()
         published = [topic for topic, _ in topics.published]
         return OutputTextPublisher(OUTPUT, self._parameters.queue, self._reports, published, topics.latched)
+
+    def _make_event_mirror(self) -> EventTextMirror:
+        """Return the publisher of event texts for nodes that subscribe to `INPUT`."""
+        return EventTextMirror(INPUT, self._parameters.queue, self._reports, Receipts(self._time.now).stamp)
 
     def _send_text(self, term: Term, topic: str, name: Term) -> None:
         # A rule may have added a subscription to a new topic.

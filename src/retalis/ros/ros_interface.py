@@ -32,6 +32,7 @@ from typing import (
 
 import rospy
 
+from ..engine.event_input import TopicRequest
 from ..engine.runtime.clock_epochs import ClockEpochs
 from ..engine.runtime.clock_skew import ClockSkewMonitor, EarlyMessage, RefusedMessage
 from ..engine.runtime.problem_reports import Reports
@@ -47,8 +48,9 @@ from ..messages.transform_messages import (
     TransformReader,
 )
 from ..messages.type_registry import Definitions
-from ..prolog.terms.types import Term, functor
-from .connection_reader import read_in_batches
+from ..prolog.syntax.event_text import EventReader, to_text
+from ..prolog.terms.types import Term, deref, functor
+from .connection_reader import read_in_batches, refuse_own_connection
 from .connection_writer import TopicWriter, serialized_bytes, serialized_class
 from .internode_topics import INPUT, OUTPUT, WATCH, resolve
 from .latched_deduplication import LatchedConnection, LatchedMessageDeduplicator
@@ -205,6 +207,8 @@ class RosInterface:
     ) -> ContextManager[object]:
         """Subscribe to a topic of texts between the nodes; return the lock under which the texts are processed.
 
+        Texts that this node publishes itself are not received.
+
         Args:
             topic: name of the topic.
             handler: handler of a text.
@@ -214,18 +218,35 @@ class RosInterface:
         name = rospy.resolve_name(topic)
         handler_factory = make_text_handler_factory(handler, clock_epochs, latched)
         processing_lock = threading.Lock()
-        self._text_topics.append(
-            InputTopic(
-                self._definitions,
-                name,
-                "std_msgs/String",
-                handler_factory,
-                self._queue,
-                processing_lock,
-                self._reports,
-            )
+        input_topic = InputTopic(
+            self._definitions,
+            name,
+            "std_msgs/String",
+            handler_factory,
+            self._queue,
+            processing_lock,
+            self._reports,
         )
+        input_topic.refuse_own_connection()
+        self._text_topics.append(input_topic)
         return processing_lock
+
+    def subscribe_output_texts(self) -> None:
+        """Subscribe to the outputs that other nodes send as text, and publish them as messages."""
+        reader = EventReader()
+
+        def publish(text: str) -> None:
+            try:
+                output = reader.read(text)
+                if output.__class__ is not tuple or output[0] is not OUTPUT_EVENT:
+                    raise UsageError(f"expected event(Term,Topic,Id), found {shorten(text)}")
+            except RetalisError as error:
+                self._reports.error(RetalisError(f"an output is not published: {error}"), OUTPUT)
+                return
+            topic = deref(output[2])
+            self.outputs.publish(deref(output[1]), getattr(topic, "name", None) or to_text(topic))
+
+        self.subscribe_texts(OUTPUT, publish)
 
     def subscribe_transforms(self, consume_results: ResultConsumer) -> None:
         """Subscribe to the topics of transforms; their messages become no events, unless a program names the topics.
@@ -255,7 +276,7 @@ class RosInterface:
 
     def learn(self, topic: str, message_type: str) -> None:
         """Learn an unknown type from a publisher of a topic that node retalis subscribes to; process no messages."""
-        if self.outputs.knows_type(message_type):
+        if self.knows_type(message_type):
             return
         is_learned = threading.Event()
 
@@ -286,17 +307,23 @@ class RosInterface:
         topics = {**self._transform_topics, **self._inputs}
         return [topic.status() for topic in [*topics.values(), *self._text_topics]]
 
-    def unsubscribe(self, topic: str) -> None:
-        """Unsubscribe from a topic.
+    def knows_type(self, message_type: str) -> bool:
+        """Return whether a message type is known."""
+        return message_type in self._definitions
+
+    def unsubscribe(self, topic: str) -> TopicRequest:
+        """Unsubscribe from a topic; return its subscription.
 
         Raises:
             UsageError: if it is not subscribed.
         """
+        name = resolve(topic)
         with self._lock:
-            input_topic = self._inputs.pop(resolve(topic), None)
+            input_topic = self._inputs.pop(name, None)
         if input_topic is None:
             raise UsageError(f"topic {topic} is not subscribed")
         input_topic.close()
+        return TopicRequest(name, input_topic.message_type, input_topic.event_name)
 
 
 class InputTopic:
@@ -327,7 +354,7 @@ class InputTopic:
         clock_epochs: Optional[ClockEpochs] = None,
     ):
         self._latched = latched
-        self._event_name = event_name
+        self.event_name = event_name
         self._clock_epochs = clock_epochs
         self.message_type = message_type
         self._skew = skew
@@ -359,6 +386,10 @@ class InputTopic:
             age,
             counts.lag,
         )
+
+    def refuse_own_connection(self) -> None:
+        """Receive no messages that this node publishes."""
+        refuse_own_connection(self._subscriber)
 
     def close(self) -> None:
         """Stop receiving."""
@@ -515,7 +546,7 @@ class InputTopic:
             sent_type,
             header.get("message_definition", ""),
             header.get("md5sum", ""),
-            self._event_name,
+            self.event_name,
         )
         if learned.is_replacement:
             rospy.logwarn(
@@ -599,10 +630,6 @@ class OutputTopics:
     def status(self) -> List[OutputStatus]:
         """Return the counters of each topic."""
         return [topic.writer.status(topic.encoder.definition.name) for topic in list(self._typed.values())]
-
-    def knows_type(self, message_type: str) -> bool:
-        """Return whether a message type is known."""
-        return message_type in self._definitions
 
     def _type_of(self, name: str) -> Optional[str]:
         """Return the type of a topic; None if it has none."""
@@ -722,8 +749,7 @@ def connect(interface: RosInterface, topics: Topics, direct_topics: Iterable[Top
     direct_topics = tuple(direct_topics)
     direct_names = {rospy.resolve_name(topic) for topic, _ in direct_topics}
     may_be_learned = any(
-        not interface.outputs.knows_type(message_type)
-        for _, message_type in (*topics.subscribed, *direct_topics)
+        not interface.knows_type(message_type) for _, message_type in (*topics.subscribed, *direct_topics)
     )
     for topic, message_type in topics.published:
         latched = topic in topics.latched

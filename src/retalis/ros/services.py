@@ -13,7 +13,7 @@ hands its work to the engine, which executes it between two events.
 import os
 from pathlib import Path
 from threading import BoundedSemaphore
-from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple, Union
 
 import rospy
 
@@ -36,7 +36,7 @@ from ..prolog.terms.term_traversal import variables
 from ..prolog.terms.timestamps import SECOND
 from ..prolog.terms.types import COMMA, TRUE, Atom, CompoundTerm, Term, Var, atom, deref, functor
 from .installed_message_classes import installed_types
-from .internode_topics import resolve
+from .internode_topics import InputTopicChanges, resolve
 from .ros_interface import RosInterface, UntypedTopicWarnings
 from .ros_log import log_counts
 from .topic_statistics import InputStatus, published_types
@@ -266,9 +266,13 @@ class EngineServices:
 
 
 class InterfaceServices:
-    """The services of the ROS interface: subscriptions of input topics."""
+    """The services of the ROS interface: subscriptions of input topics.
 
-    def __init__(self, interface: RosInterface):
+    Args:
+        interface: the ROS interface; or the list of changes for node retalis, if that node subscribes itself.
+    """
+
+    def __init__(self, interface: Union[RosInterface, InputTopicChanges]):
         from .. import srv  # noqa: PLC0415 - generated when the package is built
 
         self._interface = interface
@@ -281,7 +285,7 @@ class InterfaceServices:
         def execute() -> None:
             # Rejects invalid names before any lookup.
             topic_type(topic, message_type)
-            is_known = self._interface.outputs.knows_type(message_type)
+            is_known = self._interface.knows_type(message_type)
             suggestion = "" if is_known else Definitions(installed_types()).misspelt(message_type)
             # An unknown type is not an error: a publisher's connection header contains its definition.
             if suggestion and not _is_published(topic, message_type):
@@ -300,7 +304,10 @@ class InterfaceServices:
         return execute_request(execute)
 
     def _delete(self, request: Any) -> str:
-        return execute_request(lambda: self._interface.unsubscribe(request.topic.strip()))
+        def execute() -> None:
+            self._interface.unsubscribe(request.topic.strip())
+
+        return execute_request(execute)
 
 
 def _is_published(topic: str, message_type: str) -> bool:

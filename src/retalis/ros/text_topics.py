@@ -4,6 +4,9 @@
 deliver through a `LateJoinerBuffer`. Some texts are *marks*, control texts for the receiver: one announces the clock
 epoch of the texts after it, another describes the latched message after it. A mark has the syntax of an event, so
 that other subscribers can read the stream.
+
+If node ``retalis`` reads the messages itself, no node needs the texts, and `EventTextMirror` sends them to whoever
+subscribes.
 """
 
 import threading
@@ -16,9 +19,12 @@ from std_msgs.msg import String
 from ..engine.runtime.clock_epochs import ClockEpochs
 from ..engine.runtime.problem_reports import Reports
 from ..foundation.bounded_caches import Cache
-from ..foundation.errors import MessageError, UsageError
+from ..foundation.errors import MessageError, RetalisError, UsageError
+from ..messages.decoder import Decoder
+from ..messages.event_text_writer import make_text_writer
+from ..prolog.syntax.event_text import event_text
 from .connection_writer import TopicWriter
-from .internode_topics import resolve
+from .internode_topics import INPUT, resolve
 from .latched_deduplication import (
     LATCHED_MARK_PREFIX,
     LatchedMessage,
@@ -148,6 +154,48 @@ class EventTextPublisher:
         if messages:
             self._late_joiners.send(b"".join(messages), len(messages))
             messages.clear()
+
+
+class EventTextMirror:
+    """Publisher of the events of node retalis as text, for other subscribers; used if no interface sends the texts.
+
+    Args:
+        topic: name of the topic.
+        queue_size: number of texts to queue for a slow subscriber.
+        reports: receives a warning for every dropped text.
+        stamp: returns the stamp in ns of an event without one.
+    """
+
+    def __init__(self, topic: str, queue_size: int, reports: Reports, stamp: Callable[[], int]):
+        self._stamp = stamp
+        self._reports = reports
+        self._topic_writer = TopicWriter(topic, String, queue_size, reports)
+
+    def make_sender(self, decoder: Decoder) -> Callable[[bytes, Optional[int]], None]:
+        """Return the function that sends a message of a type as text, with the stamp of its event (ns) or None.
+
+        Without a subscriber it does nothing.
+        """
+        connections, current_stamp = self._topic_writer.connections, self._stamp
+        # Without the clock skew check, which is done.
+        write = make_text_writer(decoder.plain or decoder)
+
+        def send(data: bytes, instant: Optional[int]) -> None:
+            if not connections():
+                return
+            try:
+                text = event_text(write(data), current_stamp() if instant is None else instant)
+            except RetalisError as error:
+                # The event itself is processed.
+                self._reports.error(error, INPUT)
+                return
+            self._topic_writer.send(serialize_string(text))
+
+        return send
+
+    def status(self) -> OutputStatus:
+        """Return the counters of the topic."""
+        return self._topic_writer.status("std_msgs/String")
 
 
 class OutputTextPublisher:

@@ -62,7 +62,7 @@ DEFAULT_DIRECT_TOPICS = (TopicType("tf", "tf/tfMessage"), TopicType("ar_pose_mar
 
 
 AUTO = "auto"
-"""Value of ``~direct`` for the topics of `DEFAULT_DIRECT_TOPICS` that ``pub_sub.xml`` does not name."""
+"""Value of ``~direct``: all topics of ``pub_sub.xml``, and those of `DEFAULT_DIRECT_TOPICS` that it does not name."""
 
 DirectTopics = Union[bool, str, Tuple[TopicType, ...]]
 """Value of ``~direct``: `AUTO`, True, False, or the topics."""
@@ -195,10 +195,17 @@ def read_direct(value: object) -> DirectTopics:
     )
 
 
+def uses_texts(direct: DirectTopics) -> bool:
+    """Return whether topics of ``pub_sub.xml`` pass as text between the nodes with this value of ``~direct``."""
+    return direct is not True and direct != AUTO
+
+
 def direct_topics(
     direct: DirectTopics, topics: Topics, canonical_name: Callable[[str], str] = str
 ) -> Tuple[TopicType, ...]:
-    """Return the topics that node retalis subscribes to directly, both live and offline.
+    """Return the topics that node retalis reads in addition to those of ``pub_sub.xml``, both live and offline.
+
+    A topic that ``pub_sub.xml`` names, too, is read with the type that is returned here.
 
     Args:
         direct: value of ``~direct``.
