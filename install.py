@@ -72,12 +72,14 @@ class Platform(NamedTuple):
     Attributes:
         name: name of the distribution.
         packages: system packages that building and running need.
+        test_packages: system packages that only tests need.
         setup: script that has to be sourced to use ROS; None if ROS is part of the system.
         source: line that apt's sources need; None if they need none.
     """
 
     name: str
     packages: Sequence[str]
+    test_packages: Sequence[str] = ()
     setup: Optional[str] = None
     source: Optional[str] = None
 
@@ -142,8 +144,10 @@ rosdep's own data need a network, and catkin_lint accepts any name without them.
 SWI_PACKAGE = "swi-prolog-nox"
 """Package of SWI-Prolog without graphics, installed on request."""
 
-DEBIAN_12 = Platform("Debian 12", [*_COMMON.split(), *_DEBIAN.split()])
+# The tests open pages in a browser.
+DEBIAN_12 = Platform("Debian 12", [*_COMMON.split(), *_DEBIAN.split()], test_packages=["chromium"])
 
+# No browser: Ubuntu's package chromium-browser installs a snap, which containers cannot run.
 UBUNTU_20_04 = Platform(
     "Ubuntu 20.04",
     [*_COMMON.split(), *("ros-noetic-" + name for name in _NOETIC.split())],
@@ -697,8 +701,9 @@ def main(argv: Sequence[str]) -> int:
     if options.command == "docs":
         return build_site(options, shell)
     platform = choose_platform(parse_os_release(Path("/etc/os-release").read_text()))
-    if options.with_swi:
-        platform = platform._replace(packages=[*platform.packages, SWI_PACKAGE])
+    test_packages = platform.test_packages if options.command == "test" else ()
+    swi_packages = (SWI_PACKAGE,) if options.with_swi else ()
+    platform = platform._replace(packages=[*platform.packages, *test_packages, *swi_packages])
     return run_command(options, Installation(platform, options.workspace, shell, not options.no_system))
 
 

@@ -61,7 +61,8 @@ def test_unknown_platform_names_itself_and_the_way_without_ros(install):
 
 def test_platforms_name_each_package_once(install):
     for platform in install.PLATFORMS.values():
-        assert len(set(platform.packages)) == len(platform.packages)
+        packages = [*platform.packages, *platform.test_packages, install.SWI_PACKAGE]
+        assert len(set(packages)) == len(packages)
 
 
 def test_missing_packages_keeps_the_order_and_counts_removed_ones(install):
@@ -538,23 +539,42 @@ def test_a_single_file_and_what_the_user_says_are_left_to_pytest(install, option
     assert install.choose_parallel_options(options) == ()
 
 
-def test_swi_prolog_is_installed_for_who_asks_for_it(install, monkeypatch, tmp_path):
-    asked = []
+@pytest.fixture
+def packages(install, monkeypatch, tmp_path):
+    """Return a function that returns the packages that a command installs on a platform."""
 
     class Stopped(Exception):
         pass
 
-    def made(platform, *rest):
-        asked.append(platform.packages)
-        raise Stopped
+    def run(platform, *words):
+        installed = []
 
-    monkeypatch.setattr(install, "Installation", made)
-    for options in ([], ["--with-swi"]):
+        def stop(platform, *rest):
+            installed.extend(platform.packages)
+            raise Stopped
+
+        monkeypatch.setattr(install, "choose_platform", lambda release: platform)
+        monkeypatch.setattr(install, "Installation", stop)
         with pytest.raises(Stopped):
-            install.main(["--workspace", str(tmp_path / "ws"), *options])
-    without, among = asked
-    assert [*without, "swi-prolog-nox"] == among
-    assert "swi-prolog-nox" not in without
+            install.main(["--workspace", str(tmp_path / "ws"), *words])
+        return installed
+
+    return run
+
+
+def test_swi_prolog_is_installed_on_request(install, packages):
+    for platform in install.PLATFORMS.values():
+        assert packages(platform, "--with-swi") == [*platform.packages, "swi-prolog-nox"]
+        assert packages(platform) == platform.packages
+
+
+def test_browser_is_installed_for_tests_on_debian(install, packages):
+    debian, ubuntu = install.DEBIAN_12, install.UBUNTU_20_04
+    assert packages(debian, "test") == [*debian.packages, "chromium"]
+    assert packages(debian, "test", "--with-swi") == [*debian.packages, "chromium", "swi-prolog-nox"]
+    assert packages(ubuntu, "test") == ubuntu.packages
+    for command in ("demo", "lint", "build"):
+        assert "chromium" not in packages(debian, command)
 
 
 def test_what_is_not_for_the_installation_goes_on(install):
