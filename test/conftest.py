@@ -16,7 +16,7 @@ import retalis.events.language.event_operators  # noqa: F401 -- adds its operato
 from retalis import Definitions
 from retalis.foundation.cpython_and_pypy import PYPY
 
-pytest_plugins = ["process_state"]
+pytest_plugins = ["process_state", "random_order"]
 
 FAST_TESTS = "not slow"
 """The expression of ``-m`` that selects the fast tests."""

@@ -15,7 +15,7 @@ from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Tu
 
 import pytest
 
-THREAD_TIMEOUT_SECONDS = 10.0
+THREAD_TIMEOUT_SECONDS = 30.0
 """Time for threads to end after the test that has started them. Only threads that do not end take as long."""
 
 VARIABLES_OF_PYTEST = ("PYTEST_CURRENT_TEST",)
