@@ -57,7 +57,7 @@ def ros(session: nox.Session) -> None:
 
 @nox.session(name="all", python=False)
 def everything(session: nox.Session) -> None:
-    """All three stages of ``.ci/run``; ``nox -s all -- fast`` runs one of them."""
+    """All of ``.ci/run``; ``nox -s all -- fast`` runs one of its stages."""
     session.run(".ci/run", *session.posargs, external=True)
 
 

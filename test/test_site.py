@@ -46,4 +46,4 @@ def test_the_index_page_of_a_section_links_to_all_of_its_pages(section):
 
 def test_ci_builds_the_site():
     script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
-    assert 'install.py --workspace "$work/workspace" docs ||' in script
+    assert '"$python" install.py docs ||' in script
