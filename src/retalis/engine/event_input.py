@@ -10,6 +10,7 @@ topics itself, so a node or a bag player registers a function that subscribes.
 """
 
 import logging
+from functools import partial
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, Union
 
 from ..events.dispatch.dispatcher import Dispatcher
@@ -44,6 +45,7 @@ class EventInput:
         watermarks: receives the lags of events behind a clock that they do not move.
         clear_state: clears memories, pending queries and partial matches; called if time went back.
         store_transforms: stores the transforms of a message; the flag is True for static transforms.
+        run_isolated: calls a function and reports the error that it raises.
 
     Attributes:
         event_count: number of events received.
@@ -59,6 +61,7 @@ class EventInput:
         watermarks: Watermarks,
         clear_state: Callable[[], None],
         store_transforms: Callable[[Sequence[Transform], bool], None],
+        run_isolated: Callable[[Callable[[], object]], None],
     ):
         self._logic = logic
         self._store_transforms = store_transforms
@@ -66,6 +69,7 @@ class EventInput:
         self.stream_clock = stream_clock
         self._watermarks = watermarks
         self._clear_state = clear_state
+        self._run_isolated = run_isolated
         self._dispatch = dispatcher.dispatch_input
         self.event_count = 0
 
@@ -176,6 +180,7 @@ class EventInput:
         # Only alarms up to the present instant run here. An alarm that becomes due meanwhile runs before the next
         # event, so that events are processed even if alarms set new alarms.
         until = clock.reached()
+        run_as_entry = self._logic.machine.budget.run_as_entry
         while True:
             due_alarm = clock.due(until)
             if due_alarm is None:
@@ -183,9 +188,11 @@ class EventInput:
             instant, alarm = due_alarm
             # Goals of the alarm see its own instant as the present time, even if the clock has moved further.
             clock.ringing = instant
+            # Each alarm has its own limits and errors, which affect neither the other alarms nor the event that moved
+            # the clock.
+            work = partial(run_as_entry, ("an alarm", instant), partial(alarm, instant))
             try:
-                # Each alarm has its own limits: one that exceeds them must not prevent the others.
-                self._logic.machine.budget.run_as_entry(("an alarm", instant), lambda: alarm(instant))  # noqa: B023
+                self._run_isolated(work)
             finally:
                 clock.ringing = None
 

@@ -347,10 +347,11 @@ class WhyNot:
                 aggregated_values = tuple([self._instantiate(values, term) for term in (*value_vars, value)])
                 try:
                     state = aggregate.add(state, aggregated_values)
+                    result = aggregate.result(state)
                 except RuleError as error:
                     problem = f", {error.message}"
                     continue
-                add_result(match, last.end, aggregate.result(state))
+                add_result(match, last.end, result)
         reason = self._format_other_results(results) or "nothing was collected"
         reason = f"{reason}{problem}" if first_part.matches else "it did not begin"
         matches = matches[-MAX_CANDIDATES:]

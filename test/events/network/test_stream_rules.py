@@ -477,3 +477,87 @@ def test_matches_of_steps_that_wait_are_given_on_where_what_they_wait_for_is_one
     assert [one.partition("@")[0] for one in engine.seen] == [f"w([{number}])" for number in range(20)]
     assert engine.event_rules[0].dropped_count == 3
     assert engine.reports
+
+
+def test_array_of_another_length_costs_only_its_event():
+    rules = "r(K,N,M) <- aggregate([count,max(V)], in(K,V), [N,M], {}).\n"
+    samples = [f"in({key},[{number},1,2])@1.{number}" for number in range(1, 6) for key in "abc"]
+    odd = ["in(a,[1,2,3,4])@1.55", "in(b,long)@1.56", "in(d,[7,1,2])@1.57"]
+    for window in (
+        "every(1)",
+        "last(1,every(1))",
+        "every(1,first)",
+        "last(9)",
+        "last(9,events)",
+        "running(every(1))",
+    ):
+        plain, mixed = Run(rules.format(window)), Run(rules.format(window))
+        expected = plain.feed(" ".join([*samples, odd[2], "tick@2 tick@3"]))
+        assert mixed.feed(" ".join([*samples, *odd, "tick@2 tick@3"])) == expected
+        assert "r(c,5,[5,1,2])" in expected
+        assert len(mixed.reports) == mixed.event_rules[0].metrics.error_count == 2
+        assert {report.split("aggregate max: ")[1] for report in mixed.reports} == {
+            "the value is '[1,2,3,4]': expected an array of 3 elements",
+            "the value is 'long': expected a number",
+        }
+
+
+def test_report_of_value_refused_at_end_of_window_names_key():
+    engine = Run("r(K,M) <- aggregate(max(V), in(K,V), M, every(1)).")
+    assert engine.feed("in(a,[1,2,3])@1.1 in(a,[1,2,3,4])@1.2 tick@3") == "r(a,[1,2,3])@1-2"
+    assert engine.reports == [
+        "rule r(K,M), at key a: aggregate max: the value is '[1,2,3,4]': expected an array of 3 elements"
+    ]
+
+
+@pytest.mark.parametrize(
+    "window", ["last(1)", "every(1)", "running(every(1))", "last(2,every(1))", "running(every(1,first))"]
+)
+def test_length_of_arrays_may_change_when_the_earlier_ones_are_out(window):
+    engine = Run(f"r(M) <- aggregate(max(V), in(V), M, {window}).")
+    assert "[1,2,3]" in engine.feed("in([1,2,3])@1.1 tick@2")
+    assert "[1,2,3,4]" in engine.feed("in([1,2,3,4])@9.1 tick@10")
+    assert engine.reports == []
+
+
+def test_length_of_arrays_may_change_after_key_is_idle():
+    rules = "q([property(ttl, 5)]) : r(M) <- aggregate(max(V), in(V), M, last(3,events))."
+    engine = Run(rules)
+    assert engine.feed("in([1,2,3])@1 in([1,2,3,4])@9") == "r([1,2,3])@1-1 r([1,2,3,4])@9-9"
+    assert engine.reports == []
+
+
+def test_array_after_numbers_is_refused_by_each_measure():
+    engine = Run("r(A,B) <- aggregate([max(V),max(W)], in(V,W), [A,B], last(9)).")
+    assert (
+        engine.feed("in([1,2,3],5)@1 in([1,2,4],[1])@2 in([1,2,5],6)@3")
+        == "r([1,2,3],5)@1-1 r([1,2,5],6)@1-3"
+    )
+    assert len(engine.reports) == 1 and "the value is '[1]': expected a number" in engine.reports[0]
+
+
+def test_average_beyond_floats_is_reported_and_later_rules_match():
+    huge = 10**400 + 1
+    engine = Run("r(M) <- p seq aggregate(avg(V), in(V), M). later <- in(_).")
+    assert (
+        engine.feed(f"p@1 in({huge})@2 in(0)@3 in({-huge + 3})@4")
+        == f"p@1-1 r({huge})@1-2 later@2-2 later@3-3 r(1)@1-4 later@4-4"
+    )
+    assert len(engine.reports) == 1
+    assert engine.reports[0].endswith("aggregate avg: the result is too large for a float")
+
+
+def test_error_of_alarm_affects_no_other_alarm_and_no_event(caplog):
+    def fail(machine):
+        raise KeyError("defect")
+
+    rules = (
+        "r(K) <- (in(K) seq absent(no, 1)) where broken. other(K) <- in(K) seq absent(no, 1). last <- tick."
+    )
+    engine = Run(rules)
+    engine.logic.define("broken", 0, fail)
+    assert engine.feed("in(a)@1 in(b)@2 tick@9") == "other(a)@1-2 other(b)@2-3 last@9-9"
+    assert caplog.text.count("internal error") == 2
+    # The rule continues with later events.
+    engine.logic.define("broken", 0, lambda machine: True)
+    assert engine.feed("in(c)@10 tick@19") == "r(c)@10-11 other(c)@10-11 last@19-19"

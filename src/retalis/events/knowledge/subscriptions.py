@@ -22,7 +22,7 @@ from typing import (
     Tuple,
 )
 
-from ...foundation.errors import UsageError
+from ...foundation.errors import RetalisError, RuleError, TermTooLarge, UsageError
 from ...prolog.machine.errors import domain_error, permission_error
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.term_traversal import copy, term_key, variables
@@ -139,7 +139,12 @@ class OutputRateLimiter:
         if stream.bounds is not self._rules.key_bounds:
             stream.set_bounds(self._rules.key_bounds)
         # The element contains the term that is sent; the operator only reads its key, values and interval.
-        outputs = stream.process(StreamElement(term, start, end, *self._spec.key_and_values(values)), now, 0)
+        try:
+            element = StreamElement(term, start, end, *self._spec.key_and_values(values))
+            outputs = stream.process(element, now, 0)
+        except (RuleError, TermTooLarge) as error:
+            self.report_alarm_error(error)
+            return
         if stream.late_count != previous_late_count:
             self.late_count += 1
             self._warn(
@@ -171,6 +176,10 @@ class OutputRateLimiter:
         self._set_alarm()
         self._send(outputs)
         return frame
+
+    def report_alarm_error(self, error: RetalisError) -> None:
+        """Report an error of the rate operator; see `TimedNode.report_alarm_error`."""
+        self._warn(f"{self._title}: {error.message}", ("error", self._title))
 
     def _send(self, outputs: List[StreamOutput]) -> None:
         for output in outputs:

@@ -19,7 +19,7 @@ aggregates and windows.
 
 from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Protocol, Sequence, Tuple, Union
 
-from ...foundation.errors import RuleError
+from ...foundation.errors import RetalisError, RuleError
 from ...prolog.database.compiled_goal import CompiledGoal
 from ...prolog.machine.errors import PrologError, resource_error
 from ...prolog.machine.resource_limits import record_caught_error
@@ -56,6 +56,9 @@ class TimedNode(Protocol):
 
     def on_alarm(self, instant: int, frame: Frame, /) -> Frame:
         """Return the frame that processes everything that is due, and continues with ``frame``."""
+
+    def report_alarm_error(self, error: RetalisError, /) -> None:
+        """Report an error that `on_alarm` or the frame has raised."""
 
 
 class ConditionState:

@@ -84,6 +84,9 @@ class KleeneValues(NetworkNode):
         free_vars: variables of the aggregated term that no repetition binds and that are used elsewhere in the rule.
     """
 
+    rule: "EventRule"
+    """The rule that it belongs to."""
+
     _computed_values: Callable[[Values], Values]
     """Returns the values that are computed here and not passed on."""
 
@@ -201,7 +204,12 @@ class KleeneValues(NetworkNode):
         start, end = run.start, run.last
         aggregate = self.aggregate
         if aggregate is not None:
-            value = aggregate.result(run.state)
+            try:
+                value = aggregate.result(run.state)
+            except RuleError as error:
+                # The repetition is part of the run: with further ones, the run may have a result again.
+                self.rule.network.report_rule_error(self.rule, error)
+                return None
             if self.free_vars:
                 result_values, value = self._bind_free_vars(run, result_values, value)
             result_values = self._insert_result(result_values, value)

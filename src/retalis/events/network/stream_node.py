@@ -31,7 +31,7 @@ from typing import (
     Tuple,
 )
 
-from ...foundation.errors import RuleError
+from ...foundation.errors import RetalisError, RuleError, TermTooLarge
 from ...prolog.machine.resource_limits import Meter
 from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.timestamps import FloatSeconds
@@ -184,7 +184,11 @@ class Replay:
         outputs: List[StreamOutput] = []
         for channel, element, instant in metered(self._elements, meter):
             outputs += stream.advance_to(instant)
-            outputs += stream.process(_fresh_element(element), instant, channel)
+            try:
+                outputs += stream.process(_fresh_element(element), instant, channel)
+            except RuleError:
+                # Without the excluded matches, another element is in the window, and this value does not fit to it.
+                continue
         outputs += stream.advance_to(now)
         if meter is not None and meter(0):
             return None
@@ -525,7 +529,7 @@ class StreamNode(NetworkNode):
             try:
                 element = StreamElement(match, start, end, *key_and_values(values))
                 outputs = stream.process(element, now, channel)
-            except RuleError as error:
+            except (RuleError, TermTooLarge) as error:
                 network.report_rule_error(self.rule, error)
                 return []
             if self.replay is not None:
@@ -594,6 +598,10 @@ class StreamNode(NetworkNode):
         arrival_number = self.rule.network.tracker.next_alarm_number() if self.stream.tracks_elements else 0
         return self._emit_outputs(outputs, frame, arrival_number)
 
+    def report_alarm_error(self, error: RetalisError) -> None:
+        """See `TimedNode.report_alarm_error`."""
+        self.rule.network.report_rule_error(self.rule, error)
+
     def _emit_outputs(self, outputs: List[StreamOutput], frame: Frame, arrival_number: int = 0) -> Frame:
         return emit_each(
             metered(self._matches_of(outputs, arrival_number), self.rule.meter), self.emit, frame
@@ -615,10 +623,10 @@ class StreamNode(NetworkNode):
 
     def _match_of(self, output: StreamOutput, arrival_number: int) -> Optional[PartialMatch]:
         """Return the match of an output; None if its results do not unify with the terms of the rule."""
-        if output.error is not None:
-            self.rule.network.report_rule_error(self.rule, output.error)
-            return None
         newest = output.elements[-1]
+        if output.error is not None:
+            self.rule.network.report_result_error(self.rule, newest.key_values, output.error)
+            return None
         build_match_values = self.spec.build_match_values
         values = () if build_match_values is None else build_match_values(newest.key_values, output.results)
         if values is None:

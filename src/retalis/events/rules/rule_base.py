@@ -16,7 +16,7 @@ from ...prolog.machine.resource_limits import record_caught_error
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.term_traversal import copy, term_key, variables
 from ...prolog.terms.timestamps import SECOND, from_seconds
-from ...prolog.terms.types import Functor, Term, Trail, atom, deref
+from ...prolog.terms.types import Functor, Term, Trail, Values, atom, deref
 from ...prolog.terms.unification import unify
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import TERM, ListenerPhase
@@ -530,12 +530,25 @@ class RuleBase:
             place = None if rule is None else rule.place
             self.on_warning(RuleError(f"{text}; {occurrence_count} so far", place))
 
-    def report_rule_error(self, rule: EventRule, error: RuleError) -> None:
-        """Report an error that prevented a rule from firing."""
+    def report_rule_error(self, rule: EventRule, error: RetalisError, subject: str = "") -> None:
+        """Report an error that prevented a rule from firing.
+
+        Args:
+            rule: the rule.
+            error: the error.
+            subject: the subject of the error if no event is being dispatched.
+        """
         rule.metrics.error_count += 1
         context = self.dispatcher.current
-        context_text = "" if context is None else f", at event {self.logic.brief(context[TERM])}"
+        if context is not None:
+            subject = f"event {self.logic.brief(context[TERM])}"
+        context_text = f", at {subject}" if subject else ""
         self.on_error(RuleError(f"{rule.name}{context_text}: {error.message}", rule.place))
+
+    def report_result_error(self, rule: EventRule, key_values: Values, error: RuleError) -> None:
+        """Report an error that prevented a result of a window; it names the key if the clock has ended the window."""
+        keys = ", ".join([self.logic.brief(value) for value in key_values])
+        self.report_rule_error(rule, error, f"key {keys}" if keys else "")
 
     def report_goal_error(self, rule: EventRule, goal: Term, error: RetalisError) -> None:
         """Report an error of a goal of a rule."""

@@ -29,9 +29,9 @@ from typing import (
     Tuple,
 )
 
-from ...foundation.errors import UsageError, format_count
+from ...foundation.errors import RetalisError, UsageError, format_count
 from ...prolog.builtins.argument_checks import callable_of
-from ...prolog.machine.errors import domain_error, instantiation_error, resource_error
+from ...prolog.machine.errors import Halt, domain_error, instantiation_error, resource_error
 from ...prolog.machine.machine import Machine
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.list_terms import make_list
@@ -159,6 +159,12 @@ class NodeTimers:
                     self._rules.dispatcher.run_without_context(
                         lambda: machine.run(node.on_alarm(node_instant, machine.done))
                     )
+        # The other nodes that are due are not affected. An unexpected exception is handled by the caller, which
+        # repairs the state.
+        except Halt:
+            raise
+        except RetalisError as error:
+            node.report_alarm_error(error)
         # Also after an error or interrupt, otherwise no later alarm would run.
         finally:
             self._set_alarm()

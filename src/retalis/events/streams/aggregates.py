@@ -174,6 +174,7 @@ class Accumulator:
         value_rule: the values that the aggregate accepts.
         accepts_arrays: whether arrays are accepted as well as numbers.
         accepts_empty: whether an empty window has a result.
+        array_count: number of elements of the window whose value is an array.
         scans_window: whether the computation of the result visits every element.
     """
 
@@ -181,6 +182,7 @@ class Accumulator:
     accepts_arrays = False
     accepts_empty = False
     scans_window = False
+    array_count = 0
 
     def __init__(self, index: int, name: str, setting: Setting):
         self.index = index
@@ -231,8 +233,7 @@ class _ElementwiseAccumulator(Accumulator):
     """Base class, for aggregates whose values are numbers, or arrays of equal length.
 
     Attributes:
-        array_count: number of elements of the window whose value is an array.
-        array_length: length of these arrays.
+        array_length: length of the arrays of the window.
         check_number: raises an error if a number is not suitable; takes the number and the name of the aggregate.
     """
 
@@ -645,7 +646,7 @@ class Fold(NamedTuple):
         initial_state: state without any value.
         empty_result: result without any value; None if there is none.
         add: returns the state with one more value.
-        result: returns the result of a state.
+        result: returns the result of a state; raises RuleError if it is too large for a float.
     """
 
     initial_state: Any
@@ -684,7 +685,10 @@ def _compute_average(state: Tuple[float, int]) -> Term:
     # Integers whose average is an integer stay exact, as `avg` of integers of any size.
     if total.__class__ is int and total % count == 0:
         return total // count
-    return total / count
+    try:
+        return total / count
+    except OverflowError:
+        raise RuleError("aggregate avg: the result is too large for a float") from None
 
 
 def _make_list_of_state(state: Any) -> Term:

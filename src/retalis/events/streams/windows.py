@@ -22,7 +22,7 @@ from typing import Callable, Deque, Hashable, List, Optional, Sequence, Tuple
 
 from ...foundation.errors import RuleError
 from ...prolog.terms.types import Values
-from .aggregates import Accumulator, value_error
+from .aggregates import Accumulator, present_elements, value_error
 from .running_statistics import LazyMinHeap
 from .stream_operators import BEFORE_ALL_INSTANTS, OperatorState, StreamElement, StreamOperator, StreamOutput
 
@@ -49,7 +49,7 @@ class KeyedWindow:
         elements: the elements in order of arrival; those that were removed may remain between others.
         removed_count: number of these that were removed; 0 as long as elements arrive in order.
         measures: the accumulators.
-        checks: checks of the values of an element, see `Accumulator.check`.
+        checked_measures: the accumulators that reject some values, see `Accumulator.check`.
         reference_time: instant from which its time counts: the clock at the last element, or the end of the first
             element for windows that start with an element.
         starts: starts of the elements; None as long as elements arrive in the order of their starts and ends.
@@ -61,7 +61,7 @@ class KeyedWindow:
         "elements",
         "removed_count",
         "measures",
-        "checks",
+        "checked_measures",
         "reference_time",
         "starts",
         "ends",
@@ -72,7 +72,7 @@ class KeyedWindow:
         self.elements: Deque[StreamElement] = deque()
         self.removed_count = 0
         self.measures = measures
-        self.checks = [measure.check for measure in measures if measure.checks_values]
+        self.checked_measures = [measure for measure in measures if measure.checks_values]
         self.reference_time = reference_time
         self.starts: Optional[LazyMinHeap] = None
         self.ends: Optional[LazyMinHeap] = None
@@ -100,11 +100,6 @@ class KeyedWindow:
                 # The fused window supports only numbers; it calls this method for windows that have heaps.
                 if self.starts is None:
                     self._build_heaps([element for element in elements if not element.is_removed])
-
-    def array_error(self, element: StreamElement) -> RuleError:
-        """Return the error for an element with an array, if the elements before it have numbers."""
-        measure = next(measure for measure in self.measures if measure.check(element))
-        return value_error(measure.name, element.values[measure.index])
 
     def _build_heaps(self, elements: Sequence[StreamElement]) -> None:
         """Create the heaps of starts and ends."""
@@ -201,7 +196,7 @@ class Window(StreamOperator):
         self.states: OrderedDict[Hashable, KeyedWindow] = OrderedDict()
         accumulators = make_accumulators()
         self._scans_window = any(measure.scans_window for measure in accumulators)
-        self._checks_of_new_window = KeyedWindow(accumulators).checks
+        self._measures_of_new_window = KeyedWindow(accumulators).checked_measures
         self.element_count = 0
         self.last_order = 0
 
@@ -246,29 +241,57 @@ class Window(StreamOperator):
         """Index a new element by the time at which it is to be removed."""
 
     def _keyed_window_of(self, element: StreamElement) -> KeyedWindow:
-        """Return the keyed window of an element, possibly a new one; a rejected value changes nothing."""
+        """Return the keyed window of an element, possibly a new one; a rejected value changes nothing.
+
+        Raises:
+            RuleError: if a measure cannot process the value.
+        """
         keyed_window = self.states.get(element.key)
         if keyed_window is None:
             keyed_window = KeyedWindow(self.make_accumulators())
-        # All checks run before the element is added to any accumulator.
-        for check in keyed_window.checks:
-            if check(element) and keyed_window.element_count and not keyed_window.has_arrays:
-                raise keyed_window.array_error(element)
+        try:
+            # All checks run before the element is added to any accumulator.
+            for measure in keyed_window.checked_measures:
+                if measure.check(element) and not measure.array_count and keyed_window.element_count:
+                    # The elements of the window have numbers.
+                    raise value_error(measure.name, element.values[measure.index])
+        except RuleError:
+            # Values need to fit only those of elements that are in a window together.
+            if not self._is_obsolete(keyed_window, element):
+                raise
+            self._check_alone(element)
         return keyed_window
+
+    def _is_obsolete(self, keyed_window: KeyedWindow, element: StreamElement) -> bool:
+        """Return whether all elements of a window are removed before a new element is inserted."""
+        return False
+
+    def _check_alone(self, element: StreamElement) -> None:
+        """Reject an element with a value that does not fit into an empty window."""
+        for measure in self._measures_of_new_window:
+            measure.check(element)
 
     def _check_values(self, element: StreamElement) -> None:
         """Reject an element with an unsuitable value, before anything changes; see `_keyed_window_of`."""
-        keyed_window = self.states.get(element.key)
-        if keyed_window is not None:
+        if element.key in self.states:
             self._keyed_window_of(element)
         else:
-            # A new window has no numbers that an array would contradict, so no window is created.
-            for check in self._checks_of_new_window:
-                check(element)
+            self._check_alone(element)
+
+    def _clock_after(self, end: int) -> int:
+        """Return the clock after an element with this end."""
+        return self.clock if end <= self.clock or self._is_too_far_ahead(end) else end
 
     def _number_element(self, element: StreamElement) -> None:
         self.last_order += 1
         element.order = self.last_order
+
+    def _is_idle(self, keyed_window: KeyedWindow, element: StreamElement) -> bool:
+        """Return whether `_most_recent_window` drops the key of an element before it returns a new window."""
+        idle_time = self._max_idle_time
+        return (
+            idle_time is not None and keyed_window.reference_time < self._clock_after(element.end) - idle_time
+        )
 
     def _most_recent_window(self, element: StreamElement) -> KeyedWindow:
         """Return the keyed window of an element as the most recently used one, after idle keys are dropped."""
@@ -358,6 +381,10 @@ class SlidingTimeWindow(Window):
         self._schedule_removal(element)
         return self._emit(keyed_window)
 
+    def _is_obsolete(self, keyed_window: KeyedWindow, element: StreamElement) -> bool:
+        min_start = self._clock_after(element.end) - self.span
+        return all(present.start <= min_start for present in present_elements(keyed_window.elements))
+
     def _schedule_removal(self, element: StreamElement) -> None:
         queue = self.queue
         # Most elements arrive in order, and a queue is cheaper than a heap.
@@ -390,6 +417,9 @@ class SlidingCountWindow(Window):
         super().__init__(make_accumulators)
         self.size = size
 
+    def _is_obsolete(self, keyed_window: KeyedWindow, element: StreamElement) -> bool:
+        return self._is_idle(keyed_window, element)
+
     def process(self, element: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.process`."""
         keyed_window = self._most_recent_window(element)
@@ -408,6 +438,9 @@ class TumblingCountWindow(Window):
         super().__init__(make_accumulators)
         self.size = size
         self.running = running
+
+    def _is_obsolete(self, keyed_window: KeyedWindow, element: StreamElement) -> bool:
+        return self._is_idle(keyed_window, element)
 
     def process(self, element: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.process`."""
@@ -482,6 +515,9 @@ class AnchoredTumblingWindow(Window):
         self._update_deadline()
         return [*outputs, *self._emit(keyed_window)] if self.running else outputs
 
+    def _is_obsolete(self, keyed_window: KeyedWindow, element: StreamElement) -> bool:
+        return keyed_window.reference_time + self.span <= self._clock_after(element.end)
+
     def restore(self, saved: OperatorState) -> None:
         """See `StreamOperator.restore`."""
         super().restore(saved)
@@ -551,6 +587,9 @@ class AlignedTumblingWindow(Window):
         self._insert(element, keyed_window)
         return self._emit(keyed_window)
 
+    def _is_obsolete(self, keyed_window: KeyedWindow, element: StreamElement) -> bool:
+        return element.end // self.span > self.clock // self.span
+
 
 class HoppingWindow(Window):
     """Window of the elements that ended in the last ``span`` ns; emits at multiples of ``slide`` ns since 1970."""
@@ -592,22 +631,37 @@ class HoppingWindow(Window):
 
     def process(self, element: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.process`."""
-        self._check_values(element)
-        slide = self.slide
+        end, slide = element.end, self.slide
         if now > self._latest_now:
             # The maximum, because ``now`` goes back when an alarm raises an event with a past timestamp.
             self._latest_now = now
-        # The last window end that was emitted. An element is late if all windows that contain it have been emitted.
-        last_emitted = self._latest_now // slide * slide
-        if (element.end + self.span) // slide * slide <= last_emitted:
+        # If windows do not touch, no window contains an element between two of them, whenever it arrives.
+        if end < (end // slide + 1) * slide - self.span:
+            return []
+        self._check_values(element)
+        # An element is late if all windows that contain it have been emitted.
+        if (end + self.span) // slide * slide <= self._last_emitted():
             self.late_count += 1
             return []
         self._number_element(element)
-        heapq.heappush(self._future_elements, (element.end, element.order, element))
-        first_window_end = max((element.end // slide + 1) * slide, last_emitted + slide)
+        heapq.heappush(self._future_elements, (end, element.order, element))
+        first_window_end = self._first_window_end(end)
         if self.next_deadline is None or first_window_end < self.next_deadline:
             self.next_deadline = first_window_end
         return []
+
+    def _last_emitted(self) -> int:
+        """Return the end of the last window that was emitted."""
+        return self._latest_now // self.slide * self.slide
+
+    def _first_window_end(self, end: int) -> int:
+        """Return the end of the first window that will be emitted and contains an element with this end."""
+        slide = self.slide
+        return max((end // slide + 1) * slide, self._last_emitted() + slide)
+
+    def _is_obsolete(self, keyed_window: KeyedWindow, element: StreamElement) -> bool:
+        min_end = self._first_window_end(element.end) - self.span
+        return all(present.end < min_end for present in present_elements(keyed_window.elements))
 
     def advance_to(self, instant: int) -> List[StreamOutput]:
         """See `StreamOperator.advance_to`."""
@@ -618,15 +672,22 @@ class HoppingWindow(Window):
 
     def _emit_at(self, instant: int) -> List[StreamOutput]:
         self._remove_before(instant - self.span)
+        outputs: List[StreamOutput] = []
         entering = []
         # Elements are added when a window ends after them: their end may lie ahead of the clock.
         while self._future_elements and self._future_elements[0][0] < instant:
             entering.append(heapq.heappop(self._future_elements)[2])
         # The heap is ordered by ends; the elements of a window must be in order of arrival.
         for element in sorted(entering, key=lambda new_element: new_element.order):
-            self._insert(element, self._keyed_window_of(element))
+            try:
+                keyed_window = self._keyed_window_of(element)
+            except RuleError as error:
+                # Its value was suitable alone, but an earlier element of this window has another kind of value.
+                outputs.append(StreamOutput((element,), element.start, element.end, (), error))
+                continue
+            self._insert(element, keyed_window)
             self._schedule_removal(element)
-        outputs = [
+        outputs += [
             output
             for keyed_window in sorted(
                 self.states.values(), key=lambda keyed_window: keyed_window.elements[0].order

@@ -779,7 +779,8 @@ def _powm(base: Number, exponent: Number, modulus: Number) -> int:
 
 @evaluable("cot", 1)
 def _cot(value: Number) -> float:
-    if value == 0:
+    # An infinity has no tangent.
+    if value == 0 or value in (math.inf, -math.inf):
         raise evaluation_error("undefined")
     return 1.0 / math.tan(value)
 
@@ -813,9 +814,8 @@ def _eval(value: Number) -> Number:
 @evaluable("rational", 1)
 @evaluable("rationalize", 1)
 def _rational(value: Number) -> Number:
-    if value.__class__ is float and value == math.trunc(value):
-        return math.trunc(value)
-    return value
+    # `is_integer` is false for infinities and nan, which `math.trunc` cannot convert.
+    return math.trunc(value) if value.__class__ is float and value.is_integer() else value
 
 
 def _datime_function(key: Functor) -> Callable[..., Number]:
