@@ -7,18 +7,22 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from types import SimpleNamespace
 from zlib import crc32
 
 import pytest
 
 from retalis import Engine, Reports, Settings, StreamClock, UsageError
 from retalis.engine.checkpoints import (
+    MIN_INTERVAL_SECONDS,
+    MIN_PAUSE_FACTOR,
     Checkpointer,
     CheckpointStorage,
     read_checkpoint,
     rename_refused_file,
     resume,
 )
+from retalis.engine.engine_snapshot import EngineSnapshot
 from retalis.serialization.codec import from_bytes, to_bytes
 
 from .checkpoint_victim import GOALS, RULES
@@ -465,3 +469,105 @@ def test_what_is_asked_meanwhile_binds_nothing_that_is_kept(folder):
     said = listened(other)
     other.event("in(7)", 50)
     assert "out(7)" in said
+
+
+def test_pause_is_a_multiple_of_the_work_without_its_waits(folder, monkeypatch):
+    engine = begun(folder)
+    times = SimpleNamespace(now=0.0, cpu=0.0)
+    monkeypatch.setattr(
+        "retalis.engine.checkpoints.time",
+        SimpleNamespace(
+            monotonic=lambda: times.now,
+            thread_time=lambda: times.cpu,
+            time=lambda: times.now,
+            sleep=lambda seconds: None,
+        ),
+    )
+    checkpointer = checkpoints(engine, folder)
+    call, capture_state = engine.executor.call, EngineSnapshot.capture
+
+    def call_after_wait(work, entry):
+        times.now += 7.0  # the engine is busy
+        result = call(work, entry)
+        times.cpu += 100.0  # of another thread that has captured the state meanwhile
+        return result
+
+    def capture(snapshot, include_program):
+        times.now += 0.2
+        times.cpu += durations.pop(0)
+        return capture_state(snapshot, include_program)
+
+    durations = [0.01, 0.05]
+    monkeypatch.setattr(engine.executor, "call", call_after_wait)
+    monkeypatch.setattr(EngineSnapshot, "capture", capture)
+    checkpointer.write()
+    assert checkpointer.pause_seconds == MIN_INTERVAL_SECONDS
+    checkpointer.write()
+    assert checkpointer.pause_seconds == pytest.approx(MIN_PAUSE_FACTOR * 0.05)
+
+
+def test_database_of_another_program_is_left_untouched(tmp_path):
+    path = tmp_path / "music.db"
+    database = sqlite3.connect(str(path))
+    database.executescript(
+        "PRAGMA journal_mode = WAL; CREATE TABLE songs (title); INSERT INTO songs VALUES ('x');"
+    )
+    files = [path, tmp_path / "music.db-wal"]
+    before = [file.read_bytes() for file in files]
+    with pytest.raises(UsageError, match="music.db: it is the database of another program"):
+        CheckpointStorage(path)
+    assert [file.read_bytes() for file in files] == before
+    database.close()
+    content = path.read_bytes()
+    with pytest.raises(UsageError, match="music.db: it is the database of another program"):
+        CheckpointStorage(path)
+    with pytest.raises(UsageError, match="music.db is the database of another program"):
+        rename_refused_file(path)
+    assert path.read_bytes() == content and [file.name for file in tmp_path.iterdir()] == ["music.db"]
+
+
+def test_other_file_is_left_untouched(tmp_path):
+    path = tmp_path / "notes.txt"
+    path.write_text("not a database " * 100)
+    with pytest.raises(UsageError, match="cannot write a checkpoint to .*notes.txt: file is not a database"):
+        CheckpointStorage(path)
+    assert path.read_text() == "not a database " * 100
+
+
+READ_IN_READ_ONLY_FOLDER = """
+import os, sys
+from pathlib import Path
+from retalis.engine.checkpoints import read_checkpoint
+path = Path(sys.argv[1])
+assert not os.access(path.parent, os.W_OK)
+print(read_checkpoint(path).sections["run"]["event_count"], sorted(os.listdir(path.parent)))
+"""
+
+
+@pytest.mark.parametrize("is_killed", [False, True], ids=["closed", "with log"])
+def test_checkpoint_in_read_only_folder_is_read(folder, is_killed):
+    engine = begun(folder)
+    checkpointer = checkpoints(engine, folder)
+    checkpointer.write()
+    target = folder / "medium"
+    target.mkdir()
+    if not is_killed:
+        checkpointer.stop()
+    expected = [file.name for file in sorted(folder.glob("state.db*")) if not file.name.endswith("-shm")]
+    assert expected == (["state.db", "state.db-wal"] if is_killed else ["state.db"])
+    for name in expected:
+        (target / name).write_bytes((folder / name).read_bytes())
+        (target / name).chmod(0o444)
+    target.chmod(0o555)
+    # The superuser may write to a read-only folder, unless this capability is missing.
+    prefix = ["setpriv", "--bounding-set=-dac_override"] if os.geteuid() == 0 else []
+    try:
+        process = subprocess.run(
+            [*prefix, sys.executable, "-c", READ_IN_READ_ONLY_FOLDER, str(target / "state.db")],
+            capture_output=True,
+            text=True,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        )
+    finally:
+        target.chmod(0o755)
+    assert (process.stdout, process.stderr) == (f"{engine.event_input.event_count} {expected}\n", "")

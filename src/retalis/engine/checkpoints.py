@@ -128,11 +128,12 @@ class CheckpointStorage:
         next_number: a memory number greater than all numbers in the file.
 
     Raises:
-        UsageError: if the file cannot be opened for writing.
+        UsageError: if the file cannot be opened for writing, or is not a checkpoint; then it is not changed.
     """
 
     def __init__(self, path: Path):
         self.path = path
+        _check_owned(path)
         try:
             self._database = sqlite3.connect(str(path), isolation_level=None, check_same_thread=False)
             _query_value(self._database, "PRAGMA journal_mode = WAL")
@@ -237,7 +238,7 @@ def read_checkpoint(path: Path) -> Optional[Checkpoint]:
     if size > MAX_FILE_BYTES:
         raise UsageError(f"it has {size} bytes: the limit is {MAX_FILE_BYTES}")
     try:
-        database = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)
+        database = _open_for_reading(path)
     except _DATABASE_ERRORS as error:
         raise UsageError(f"it cannot be opened: {error}") from error
     try:
@@ -246,6 +247,70 @@ def read_checkpoint(path: Path) -> Optional[Checkpoint]:
         raise UsageError(f"it is not a checkpoint, or is damaged: {error}") from error
     finally:
         database.close()
+
+
+def _open_for_reading(path: Path) -> sqlite3.Connection:
+    """Return a connection that does not change the database; in a read-only folder, it reads without locks.
+
+    Raises:
+        sqlite3.Error: if the database cannot be opened.
+    """
+    database = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)
+    try:
+        _query_value(database, "PRAGMA schema_version")
+    except sqlite3.OperationalError:
+        database.close()
+        if os.access(path.parent, os.W_OK):
+            raise
+        # Readers of a write-ahead log create an index and locks beside it, which this folder does not permit.
+        return _open_without_locks(path)
+    except _DATABASE_ERRORS:
+        # The file is no database; the first query raises the error again.
+        return database
+    return database
+
+
+def _open_without_locks(path: Path) -> sqlite3.Connection:
+    """Return a connection that reads a database and creates no files beside it; nobody should write meanwhile."""
+    # SQLite searches the write-ahead log beside the file itself, not beside a symbolic link to it.
+    path = path.resolve()
+    log = Path(f"{path}-wal")
+    # `immutable` ignores the log. Without shared memory, its index is in this process (SQLite manual, "Use of WAL
+    # Without Shared-Memory").
+    access = "vfs=unix-none" if log.is_file() and log.stat().st_size else "immutable=1"
+    database = sqlite3.connect(f"{path.as_uri()}?mode=ro&{access}", uri=True)
+    try:
+        database.execute("PRAGMA locking_mode = EXCLUSIVE")
+    except BaseException:
+        database.close()
+        raise
+    return database
+
+
+def _check_owned(path: Path) -> None:
+    """Check that a file does not exist, is empty, or is a checkpoint file; it is not changed.
+
+    Raises:
+        UsageError: if it is another file.
+    """
+    if path.is_file() and path.stat().st_size and is_foreign_database(path):
+        raise UsageError(
+            f"cannot write a checkpoint to {path}: it is the database of another program: name another file"
+        )
+
+
+def is_foreign_database(path: Path) -> bool:
+    """Return whether a file is a valid SQLite database, but not a checkpoint."""
+    try:
+        database = _open_without_locks(path)
+        try:
+            has_tables = _query_value(database, "SELECT count(*) FROM sqlite_master")
+            application_id = _query_value(database, "PRAGMA application_id")
+        finally:
+            database.close()
+    except _DATABASE_ERRORS:
+        return False
+    return application_id != APPLICATION_ID and bool(has_tables or application_id)
 
 
 def _limit_reading(database: sqlite3.Connection, size: int) -> None:
@@ -397,10 +462,12 @@ def rename_refused_file(path: Path) -> Path:
     """Rename a refused checkpoint file, with its write-ahead log; at most `MAX_REFUSED_FILES` are kept.
 
     Raises:
-        UsageError: if the path is not a file or renaming is not permitted.
+        UsageError: if the path is not a file, is the database of another program, or renaming is not permitted.
     """
     if not path.is_file():
         raise UsageError(f"{path} is not a file")
+    if is_foreign_database(path):
+        raise UsageError(f"{path} is the database of another program")
     candidates = [
         Path(f"{path}{_REFUSED_FILE_SUFFIX}{number if number > 1 else ''}")
         for number in range(1, MAX_REFUSED_FILES + 1)
@@ -423,7 +490,11 @@ MIN_INTERVAL_SECONDS = 0.5
 """Minimum interval between two checkpoints, in seconds."""
 
 MIN_PAUSE_FACTOR = 20
-"""Minimum pause after a checkpoint, as a multiple of its duration: writing uses at most 5 % of the time."""
+"""Minimum pause after a checkpoint, as a multiple of its CPU time: writing uses at most 5 % of a core.
+
+The time for which it has waited for the engine, for other Python threads and for the disk does not count. Otherwise
+the checkpoints of a busy engine, which are needed most, would be the rarest.
+"""
 
 RECORDS_PER_STEP = 200
 """Records that are encoded in one step; other Python threads wait for the duration of a step."""
@@ -453,6 +524,7 @@ class Checkpointer:
     Attributes:
         checkpoint_count: number of checkpoints written.
         longest_pause_seconds: longest time for which the engine was blocked, in seconds.
+        cpu_seconds: CPU time of the last checkpoint, in seconds.
     """
 
     def __init__(
@@ -480,7 +552,8 @@ class Checkpointer:
         self._stop_requested = threading.Event()
         self._writer_thread = threading.Thread(target=self._run, name="checkpoints", daemon=True)
         self.checkpoint_count = 0
-        self.longest_pause_seconds = 0.0
+        self.longest_pause_seconds = self.cpu_seconds = 0.0
+        self._capture_cpu_seconds = 0.0
         self._update_digests()
 
     def start(self) -> None:
@@ -499,11 +572,15 @@ class Checkpointer:
     def _run(self) -> None:
         pause = 0.0
         while not self._stop_requested.wait(pause):
-            start_time = time.monotonic()
             if not self._write_or_report():
                 return
-            pause = max(self._interval_seconds, MIN_PAUSE_FACTOR * (time.monotonic() - start_time))
+            pause = self.pause_seconds
         self._write_last()
+
+    @property
+    def pause_seconds(self) -> float:
+        """Pause until the next checkpoint, in seconds."""
+        return max(self._interval_seconds, MIN_PAUSE_FACTOR * self.cpu_seconds)
 
     def _write_last(self) -> None:
         """Write the last checkpoint and close the file."""
@@ -536,7 +613,20 @@ class Checkpointer:
         state = engine.executor.call(
             lambda: engine.dispatcher.run_restoring_context(self._capture_state), (UNNAMED_REQUEST,)
         )
-        sections, clauses, records = state
+        start_time = time.thread_time()
+        try:
+            self._write_state(*state)
+        finally:
+            # The state may have been captured by another thread, whose CPU time is counted there.
+            self.cpu_seconds = self._capture_cpu_seconds + time.thread_time() - start_time
+
+    def _write_state(
+        self,
+        sections: Dict[str, bytes],
+        clauses: Any,
+        records: "List[Tuple[int, MemoryRecords]]",
+    ) -> None:
+        """Encode the rest of a state from `_capture_state`, and write it."""
         if clauses is not None:
             sections["clauses"] = to_bytes(clauses)
         self._update_digests()
@@ -574,7 +664,7 @@ class Checkpointer:
             The encoded sections that have changed; the clauses or None; for each memory, its number in the file and
             the records that are not in the file.
         """
-        start_time = time.monotonic()
+        start_time, start_cpu_time = time.monotonic(), time.thread_time()
         data_by_name = self._snapshot.capture(include_program=False)
         clauses = data_by_name.pop("clauses", None)
         # Variables of matches and values may be bound temporarily, so these sections are encoded before the
@@ -597,6 +687,7 @@ class Checkpointer:
             file_positions[instance] = _FilePosition(number, memory.added_count)
             records.append((number, records_since(instance, first_changed)))
         self._file_positions = file_positions
+        self._capture_cpu_seconds = time.thread_time() - start_cpu_time
         self.longest_pause_seconds = max(self.longest_pause_seconds, time.monotonic() - start_time)
         return sections, clauses, records
 

@@ -1,10 +1,12 @@
 import threading
 import time
+from types import SimpleNamespace
 
 import pytest
 
 from retalis import UsageError
-from retalis.engine.runtime.serial_executor import QueuedCall, Recovery, SerialExecutor
+from retalis.engine.runtime import serial_executor
+from retalis.engine.runtime.serial_executor import MAX_ENTRIES_PER_TURN, QueuedCall, Recovery, SerialExecutor
 
 
 def make(size=100, **options):
@@ -468,3 +470,82 @@ def test_work_that_an_interrupt_has_ended_anywhere_wakes_who_waits():
     assert not waiting.is_alive()
     with pytest.raises(KeyboardInterrupt):
         call.result()
+
+
+@pytest.fixture
+def at_end_of_turn(monkeypatch):
+    """Return a function that sets what other threads do when this thread has done a turn."""
+    this_thread = threading.current_thread()
+
+    def set_action(action):
+        def sleep(seconds):
+            if threading.current_thread() is this_thread:
+                action()
+
+        monkeypatch.setattr(serial_executor, "time", SimpleNamespace(sleep=sleep))
+
+    return set_action
+
+
+def run_in_thread(name, work):
+    thread = threading.Thread(target=work, name=name)
+    thread.start()
+    thread.join(30)
+
+
+def test_caller_is_relieved_by_thread_that_posts_in_a_loop(at_end_of_turn):
+    executor, _, errors = make(10_000)
+    workers = []
+
+    def work(number):
+        workers.append((number, threading.current_thread().name))
+
+    def post_burst():
+        for number in range(1000):
+            executor.post(work, number)
+
+    at_end_of_turn(lambda: run_in_thread("loop", lambda: executor.post(work, 1000)))
+    executor.call(lambda: run_in_thread("burst", post_burst))
+    assert [number for number, _ in workers] == list(range(1001))
+    expected = [threading.current_thread().name] * MAX_ENTRIES_PER_TURN
+    assert [name for _, name in workers] == expected + ["loop"] * (1001 - MAX_ENTRIES_PER_TURN)
+    assert not errors and executor.thread is None
+
+
+def test_thread_that_posts_is_relieved_by_waiting_caller(at_end_of_turn):
+    executor, _, _ = make(10_000)
+    workers, callers = [], []
+
+    def work(number):
+        workers.append(threading.current_thread().name)
+
+    def begin_call():
+        caller = threading.Thread(target=executor.call, args=(lambda: work(0),), name="caller")
+        callers.append(caller)
+        caller.start()
+        while not executor.callers:
+            time.sleep(0.001)
+
+    def post_burst():
+        for number in range(MAX_ENTRIES_PER_TURN - 1):
+            executor.post(work, number)
+        executor.post(begin_call)
+        for number in range(MAX_ENTRIES_PER_TURN):
+            executor.post(work, number)
+
+    at_end_of_turn(lambda: callers[0].join(30))
+    executor.post(lambda: run_in_thread("burst", post_burst))
+    this_thread = threading.current_thread().name
+    assert workers == [this_thread] * (MAX_ENTRIES_PER_TURN - 1) + ["caller"] * (MAX_ENTRIES_PER_TURN + 1)
+
+
+def test_follow_up_work_is_done_in_the_turn_of_its_entry():
+    executor, _, _ = make(10_000)
+    done = []
+
+    def work(number):
+        done.append(number)
+        executor.call_next(lambda: done.append(-number))
+
+    executor.call(lambda: [executor.post(work, number) for number in range(1, 301)])
+    assert done == [value for number in range(1, 301) for value in (number, -number)]

@@ -4,6 +4,10 @@ Callers append work to a bounded queue. The caller that acquires the lock withou
 others return at once, or wait for the result of a call. Passing each event to a worker thread would double its cost
 (the technique is called flat combining).
 
+While one thread posts in a loop, the queue may never be empty, and the thread that works it off could never return.
+It therefore releases the lock after `MAX_ENTRIES_PER_TURN` entries and lets other threads run: a thread that posts or
+waits for a call then takes over.
+
 An interrupt, usually a signal, can end this code between any two steps. The steps are therefore not required to leave
 a consistent state. Instead, the state is repaired: the interrupted thread, or the next one that enters, returns to
 the idle state (`Recovery`). Every component that outlives an event can rebuild its derived data from its primary
@@ -16,6 +20,7 @@ unfinished in the child, so the executor of the child refuses all work. An idle 
 import os
 import sys
 import threading
+import time
 from collections import deque
 from types import FrameType
 from typing import Any, Callable, Deque, Iterable, Iterator, Optional, Tuple, TypeVar
@@ -121,6 +126,10 @@ _thread_id = threading.get_ident
 
 FULL_QUEUE_WAIT_SECONDS = 1.0
 """Time for which a caller of `post` waits for progress if the queue is full."""
+
+
+MAX_ENTRIES_PER_TURN = 100
+"""Maximum number of entries and calls that a thread does before it lets another thread take over the queue."""
 
 
 class Recovery:
@@ -439,12 +448,15 @@ class SerialExecutor:
         self._on_drop(self.dropped)
 
     def _process_if_free(self) -> None:
-        """Do all queued work, unless another thread works."""
+        """Do all queued work, unless another thread works or takes over."""
         # Repeated after each release: a thread that found the lock taken may have appended work just before.
         while self._queue or self._calls:
             if not self._lock.acquire(False):
                 return
             self._process_queue()
+            if self._queue or self._calls:
+                # Releases Python's global lock, so that a thread that posts or has been woken finds the lock free.
+                time.sleep(0)
 
     def _release(self) -> None:
         """Release the lock, and do the work that arrived in the meantime."""
@@ -454,12 +466,15 @@ class SerialExecutor:
             self._process_if_free()
 
     def _process_queue(self) -> None:
-        """Do all queued work and release the lock, which the caller has acquired."""
+        """Do at most `MAX_ENTRIES_PER_TURN` pieces of work and release the lock, which the caller has acquired."""
         if self._working_thread is not None:
             self._restore(True)
         self._working_thread = _thread_id()
         queue, calls = self._queue, self._calls
-        while True:
+        remaining = MAX_ENTRIES_PER_TURN
+        # Work of `call_next` belongs to the work before it and is done in the same turn.
+        while remaining > 0 or (calls and calls[0].is_follow_up):
+            remaining -= 1
             if calls:
                 self.entry = calls[0].entry
                 calls[0]()
@@ -471,15 +486,19 @@ class SerialExecutor:
             try:
                 work, arguments = queue.popleft()
             except IndexError:
+                self._waits_for_room = True
                 break
             self.entry = arguments
             try:
                 work(*arguments)
             except Exception as error:  # a failing event must not affect the others
                 self._handle_entry_error(error)
-        self._waits_for_room = True
+        next_call = calls[0] if calls else None
         self._working_thread = None
         self._lock.release()
+        if next_call is not None:
+            # Its caller can do the work itself.
+            next_call.wake()
 
     def _handle_entry_error(self, error: Exception) -> None:
         self._restore(is_unexpected(error))
