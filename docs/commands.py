@@ -18,12 +18,14 @@ INTRODUCTION = """\
 # Commands
 
 For people who use the command `retalis`: all commands with their arguments and options, as
-`retalis COMMAND --help` prints them.
+`retalis COMMAND --help-all` prints them. `retalis COMMAND --help` prints the frequent ones.
 
 <!-- docs/commands.py writes this page. -->
 
-In a clone, `PYTHONPATH=src python3 -m retalis` is the same command. In a workspace with ROS it is
-`rosrun retalis retalis`. `retalis --version` prints the version.
+The `setup.bash` of a workspace puts the command on `PATH`; `rosrun retalis retalis` is the same. In a
+clone it is `PYTHONPATH=src python3 -m retalis`. `retalis --version` prints the version.
+
+Labels such as `error:` are coloured on terminals, unless the environment variable `NO_COLOR` is set.
 
 The exit status is 0 for success, 1 for errors, 2 for wrong usage, and 130 after ctrl-C, unless a
 command states other values.

@@ -152,3 +152,8 @@ def test_goals_that_never_end_are_errors(capsys, folder):
     assert (
         f"{folder}/eventRules.txt:4:4: this directive raises an error: Not enough resources: seconds" in text
     )
+
+
+def test_option_json_is_the_json_format(capsys, folder):
+    texts = [checked(capsys, folder, *options)[1] for options in (["--json"], ["--format", "json"])]
+    assert texts[0] == texts[1] and json.loads(texts[0])["errors"] == 0

@@ -118,7 +118,7 @@ def test_what_is_no_limit_is_refused(command, option, value, capsys):
 @pytest.mark.parametrize("command", ["console", "events", "bag"])
 def test_each_command_explains_them(command, capsys):
     with pytest.raises(SystemExit):
-        main([command, "--help"])
+        main([command, "--help-all"])
     shown = capsys.readouterr().out
     for name in ("seconds", "inferences", "megabytes", "depth"):
         assert f"--max-{name} N" in shown

@@ -12,12 +12,12 @@ def after(*words, names=lambda kind, node: []):
     """Return what the last of the words may become."""
     whole = []
 
-    def parse(parser, arguments=None):
+    def parse(parser, arguments=None, namespace=None):
         whole.append(parser)
         raise SystemExit(0)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(argparse.ArgumentParser, "parse_args", parse)
+        patch.setattr(argparse.ArgumentParser, "parse_known_args", parse)
         with pytest.raises(SystemExit):
             main(["--help"])
     return completion.list_candidates(whole[0], words, names)
@@ -36,7 +36,8 @@ def named(kind, node):
         (["bag", "--program", ""], []),  # the shell takes files
         (["bag", "--program", "x", "--max-skew", "2", "a.bag", "--prog"], ["--program"]),
         (["bag", "x.bag", "--quiet", "--quie"], ["--quiet"]),
-        (["list", ""], ["--help", "--node", "--json"]),  # nothing else can come
+        (["list", ""], ["--help", "--node", "--json"]),  # there are no other arguments
+        (["console", "--he"], ["--help", "--help-all"]),
         (["list", "--no"], ["--node"]),
         (["query", "--node", ""], ["nodes of None", "odom"]),
         (["query", "--node", "="], ["nodes of None", "odom"]),

@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import pytest
 
 from retalis import Limits, Operators, Settings
+from retalis.cli.command_line import main
 from retalis.cli.console import Console
 from retalis.cli.stderr_and_progress import StderrReporter
 from retalis.cli.toplevel_io import PipedInput, TerminalInput, find_completions, format_bindings
@@ -339,3 +340,12 @@ def test_a_goal_asks_who_types(capsys):
 
 def test_a_goal_from_a_pipe_finds_the_end_of_its_input(ask):
     assert ask("read(X).\nfoo.\n").out.startswith("X = end_of_file.")
+
+
+@pytest.mark.parametrize(
+    ("goals", "status"),
+    [(["true"], 0), (["fail"], 1), (["true", "fail"], 1), (["member(X, [1,2])"], 0), (["X = f("], 1)],
+)
+def test_status_of_option_goal(goals, status, capsys):
+    assert main(["console", *(f"--goal={goal}" for goal in goals)]) == status
+    assert "false." in capsys.readouterr().out or "fail" not in goals

@@ -524,3 +524,40 @@ def test_warns_of_events_on_standard_input_that_are_not_read(tmp_path, stream, w
     )
     assert ("standard input was not read; --stream -" in done.stderr) is warned
     assert done.stdout == ("" if warned else "event(smoke(a),[1,2]).\n")
+
+
+def test_missing_rule_file_ends_the_command(tmp_path, capsys):
+    stream = tmp_path / "stream.txt"
+    stream.write_text("event(smoke(a),[1,1]).\n")
+    assert main(["events", "-r", str(tmp_path / "none.txt"), "-s", str(stream)]) == 1
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err == f"retalis: cannot read {tmp_path}/none.txt: No such file or directory\n"
+
+
+def test_stream_that_goes_back_is_reported_once(run):
+    stream = "event(a(1),[5,5]).\nevent(a(2),[3,3]).\nevent(a(3),[6,6]).\nevent(a(4),[1,2]).\n"
+    status, lines, errors = run(stream=stream)
+    assert (status, len(lines)) == (0, 4)
+    assert "stream.txt:2:1: the stream goes back in time here: " in errors
+    assert errors.count("goes back in time here") == 2 and "2 times in all" in errors
+
+
+@pytest.mark.parametrize("stream", ["event(a,[5,5]).\nevent(b,[5,5]).\n", "event(a).\nevent(b).\n"])
+def test_stream_with_equal_or_no_stamps_is_not_reported(run, stream):
+    assert run(stream=stream)[2] == ""
+
+
+def test_relative_times_are_those_of_all_output(run):
+    stream = "event(smoke(a),[100,100]).\nevent(heat(a),[102,103.5]).\nevent(late,[99,100.5]).\n"
+    lines = run("--times", "relative", "--explain", "alarm(a)", rules=RULES, stream=stream)[1]
+    assert lines[:4] == [
+        "event(smoke(a),[0.0,0.0]).",
+        "event(heat(a),[2.0,3.5]).",
+        "event(alarm(a),[0.0,3.5]).",
+        "event(late,[0.0,0.5]).",  # begins before the start of the run
+    ]
+    assert "% alarm(a) happened" in lines and not any("100" in line for line in lines)
+    records = map(json.loads, run("--times", "relative", "--json", rules=RULES, stream=stream)[1])
+    times = [(record["start"], record["end"]) for record in records]
+    assert times == [(0, 0), (2 * 10**9, 35 * 10**8), (0, 35 * 10**8), (0, 5 * 10**8)]

@@ -1,8 +1,12 @@
-"""The progress bar: share, number, rate, time left."""
+"""The progress bar: share, number, rate, time left; colours of labels."""
 
+import sys
 from io import StringIO
 
-from retalis.cli.stderr_and_progress import ProgressBar, show_progress
+import pytest
+
+from retalis import RetalisError
+from retalis.cli.stderr_and_progress import ProgressBar, StderrReporter, paint, show_progress
 
 
 class Clock:
@@ -43,3 +47,28 @@ def test_nothing_is_drawn_where_nobody_looks(capsys):
     with show_progress("messages", lambda: 0.5) as bar:
         assert bar is None
     assert capsys.readouterr().err == ""
+
+
+class Terminal(StringIO):
+    def isatty(self):
+        return True
+
+
+def test_labels_are_coloured_on_terminals_only(monkeypatch):
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    monkeypatch.setenv("TERM", "xterm")
+    for file, expected in (
+        (Terminal(), "\033[1;31merror\033[0m: it is hot\n"),
+        (StringIO(), "error: it is hot\n"),
+    ):
+        monkeypatch.setattr(sys, "stderr", file)
+        StderrReporter()(RetalisError("it is hot"))
+        assert file.getvalue() == expected
+
+
+@pytest.mark.parametrize(("name", "value"), [("NO_COLOR", "1"), ("TERM", "dumb")])
+def test_colours_can_be_switched_off(monkeypatch, name, value):
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv(name, value)
+    assert paint("warning", "warning", Terminal()) == "warning"

@@ -62,7 +62,7 @@ from .option_values import (
     positive_integer,
 )
 from .optional_ros_imports import installed_definitions
-from .result_printer import JSON_HELP, Printer
+from .result_printer import JSON_HELP, Printer, TimeOrigin
 from .stderr_and_progress import (
     ProgressBar,
     StderrReporter,
@@ -99,10 +99,9 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     )
     add_source(parser)
     add = parser.add_argument
-    add("--output", metavar="BAG", help="write the published messages to a bag")
+    add("-o", "--output", metavar="BAG", help="write the published messages to a bag")
     add("--overwrite", action="store_true", help="replace this bag if it exists")
-    add_many_bags_options(parser)
-    add("--events", action="store_true", help="print each event too, as event(TERM,[T1,T2])")
+    add("-v", "--events", action="store_true", help="print each event too, as event(TERM,[T1,T2])")
     add(
         "--times",
         action="store_const",
@@ -114,7 +113,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         action="store_const",
         const=TIMES_RELATIVE,
         dest="times",
-        help="print outputs and explanations with times in seconds since the start of the run",
+        help="print outputs, events and explanations with times in seconds since the start of the run",
     )
     add(
         "--explain",
@@ -124,9 +123,10 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         help="print at the end why an event like TERM happened or did not happen, in lines that start with %%",
     )
     add("--json", action="store_true", help="print one JSON object per line instead of terms")
-    add("--quiet", action="store_true", help="print no outputs")
-    add_limits(parser)
+    add("-q", "--quiet", action="store_true", help="print no outputs")
+    add_many_bags_options(parser)
     add_folders(parser)
+    add_limits(parser)
     parser.set_defaults(run=run)
 
 
@@ -135,6 +135,7 @@ def add_source(parser: argparse.ArgumentParser, bags: str = "+", required: bool 
     add = parser.add_argument
     add("bags", nargs=bags, metavar="BAG", help="a bag of ROS 1 or ROS 2")
     add(
+        "-p",
         "--program",
         type=Path,
         required=required,
@@ -161,7 +162,9 @@ def add_source(parser: argparse.ArgumentParser, bags: str = "+", required: bool 
         metavar="TOPIC=TYPE",
         help="a topic whose messages become events, in addition to those of pub_sub.xml",
     )
-    add_direct(parser)
+    group = parser.add_argument_group("messages")
+    add = group.add_argument
+    add_direct(add)
     add(
         "--max-skew",
         type=non_negative(float),
@@ -188,7 +191,7 @@ def add_source(parser: argparse.ArgumentParser, bags: str = "+", required: bool 
         metavar="SECONDS",
         help="history of transforms for tf_lookup and similar goals (default: 10)",
     )
-    add_chunk_limit_option(parser)
+    add_chunk_limit_option(add)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -319,11 +322,11 @@ class _RunPrinter:
     ):
         self._options = options
         # Time to which printed times are relative; None for absolute times.
-        self._origin = start if options.times == TIMES_RELATIVE else None
+        self._origin = TimeOrigin(start) if options.times == TIMES_RELATIVE else None
         self._engine = playback.engine
         self._bar = bar
         self._write_record = write_record
-        self._printer = Printer(options.json, False, None)
+        self._printer = Printer(options.json, False, None, self._origin)
         self._recorder: Optional[RunRecorder] = None
         if options.events and options.json:
             self._recorder = RunRecorder(playback, self._print_record)
@@ -350,7 +353,7 @@ class _RunPrinter:
         if self._options.times:
             instant: Term = timestamps.to_term(int(output.time))
             if self._origin is not None:
-                instant = timestamps.to_seconds(output.time - self._origin)
+                instant = timestamps.to_seconds(self._origin.relative(output.time))
             print(f"{to_text((_TIMED_OUTPUT_FUNCTOR, output.term, topic, instant))}.")
         else:
             print(f"{to_text((_OUTPUT_FUNCTOR, output.term, topic))}.")
@@ -362,7 +365,8 @@ class _RunPrinter:
         for query in self._options.explain:
             term = read_term(query, self._engine.operators, "--explain").term
             self._clear_bar()
-            self._printer.print_explanation(term, explain(self._engine, term, origin=self._origin))
+            start = None if self._origin is None else self._origin.start
+            self._printer.print_explanation(term, explain(self._engine, term, origin=start))
 
     def _print_event(self, *event: object) -> None:
         self._clear_bar()
@@ -370,7 +374,7 @@ class _RunPrinter:
 
     def _print_record(self, record: RunRecord) -> None:
         self._clear_bar()
-        self._write_record(record)
+        self._write_record(record if self._origin is None else self._origin.relative_record(record))
 
     def _clear_bar(self) -> None:
         if self._bar is not None:

@@ -16,6 +16,7 @@ from ..prolog.machine.resource_limits import Limits
 from .command_options import add_chunk_limit_option, add_direct, add_swi
 from .option_values import non_negative
 from .optional_ros_imports import installed_definitions
+from .stderr_and_progress import paint
 
 _DEFAULT_MAX_SECONDS = 60
 
@@ -43,8 +44,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         help="the program's folder (the current one), or a file of rules",
     )
     add("--format", choices=("text", "json"), default="text", help="lines for people, or one JSON object")
-    add_swi(parser)
-    add_direct(parser)
+    add("--json", action="store_const", const="json", dest="format", help="the same as --format json")
     add("--strict", action="store_true", help="exit with status 2 if there are warnings")
     add(
         "--bag",
@@ -62,7 +62,10 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         metavar="FOLDER",
         help="a package with a folder msg, that folder itself, or a folder of packages",
     )
-    add_chunk_limit_option(parser)
+    add = parser.add_argument_group("limits and permissions").add_argument
+    add_direct(add)
+    add_chunk_limit_option(add)
+    add_swi(add)
     add(
         "--max-seconds",
         type=non_negative(float),
@@ -90,7 +93,7 @@ def run(options: argparse.Namespace) -> int:
         print(json.dumps(content, indent=1, ensure_ascii=False))
     else:
         for finding in findings:
-            print(f"{finding.severity}: {finding.problem}")
+            print(f"{paint(finding.severity, finding.severity, sys.stdout)}: {finding.problem}")
         counts_text = f"{_format_count(errors, 'error')}, {_format_count(warnings, 'warning')}"
         print(f"{printable(str(options.folder))}: {counts_text}")
     if errors:

@@ -13,8 +13,9 @@ from typing import Any, Callable, Iterable, List, Optional
 from xml.etree import ElementTree
 
 from ..foundation.cpython_and_pypy import stop_limiting_gc_pauses
-from ..foundation.errors import RetalisError
+from ..foundation.errors import RetalisError, quote_shortened
 from ..foundation.output_files import GuardedOutput, OutputFailed
+from .command_parser import CommandParser, suggest_name
 from .option_values import join_times_option
 from .stderr_and_progress import detach_reporters
 
@@ -112,7 +113,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
 
 def _run_command(words: List[str]) -> int:
     """Run a command with its arguments; return its exit status."""
-    parser = argparse.ArgumentParser(
+    parser = CommandParser(
         prog="retalis",
         description="Event rules and a knowledge base for robots.",
         epilog="retalis COMMAND --help lists the options of a command. The exit status is 0 for success, 1 for "
@@ -125,11 +126,18 @@ def _run_command(words: List[str]) -> int:
         # argparse lists the subcommands in the order of their registration.
         for add_parser in import_commands(words):
             add_parser(commands.add_parser)
+        for command_parser in commands.choices.values():
+            command_parser.add_all_help()
         if not words:
             # argparse would print only the usage, without the commands.
             parser.print_help(sys.stderr)
             return 2
-        options = parser.parse_args(join_times_option(words))
+        name = words[0]
+        if not name.startswith("-") and name not in COMMANDS:
+            parser.error(f"there is no command {quote_shortened(name)}{suggest_name(name, COMMANDS)}")
+        options, unknown_words = parser.parse_known_args(join_times_option(words))
+        if unknown_words:
+            commands.choices[options.command].reject_unknown(unknown_words)
         status: int = options.run(options)
         return status
     except RetalisError as error:

@@ -50,11 +50,14 @@ _LIMIT_OPTIONS = (
 )
 
 
+AddArgument = Callable[..., argparse.Action]
+"""The method ``add_argument`` of a parser, or of a group of its arguments."""
+
+
 def add_limits(parser: argparse.ArgumentParser) -> None:
     """Add the options for resource limits, and ``--allow-swi``."""
-    add_swi(parser)
     group = parser.add_argument_group(
-        "limits",
+        "limits and permissions",
         "A goal that exceeds a limit ends with a resource error, and the run continues; 0 means no limit. "
         "A megabyte is 1,000,000 bytes. "
         "Defaults are in brackets.",
@@ -69,12 +72,16 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help=f"maximum length of a chain of derived events ({Settings().max_depth})",
     )
+    add_swi(group.add_argument)
 
 
-def add_swi(parser: argparse.ArgumentParser) -> None:
+def add_swi(add: AddArgument) -> None:
     """Add the option that lets a program use SWI-Prolog."""
-    text = "let the program have SWI-Prolog load files with use_swi/1"
-    parser.add_argument("--allow-swi", action="store_true", help=text)
+    add(
+        "--allow-swi",
+        action="store_true",
+        help="let the program have SWI-Prolog load files with use_swi/1",
+    )
 
 
 def apply_limits(settings: Settings, options: argparse.Namespace) -> Settings:
@@ -95,14 +102,15 @@ def apply_limits(settings: Settings, options: argparse.Namespace) -> Settings:
 
 def add_folders(parser: argparse.ArgumentParser) -> None:
     """Add the options for folders in which goals may open files."""
-    parser.add_argument(
+    add = parser.add_argument_group("files").add_argument
+    add(
         "--folder",
         action="append",
         default=[],
         metavar="FOLDER",
         help="a further folder in which goals of events, streams and queries may read files",
     )
-    parser.add_argument(
+    add(
         "--write-folder",
         action="append",
         default=[],
@@ -116,9 +124,9 @@ def apply_folders(settings: Settings, options: argparse.Namespace) -> Settings:
     return settings._replace(folders=tuple(options.folder), write_folders=tuple(options.write_folder))
 
 
-def add_direct(parser: argparse.ArgumentParser) -> None:
+def add_direct(add: AddArgument) -> None:
     """Add the option that corresponds to parameter ``~direct`` of a node."""
-    parser.add_argument(
+    add(
         "--direct",
         type=_parse_direct,
         default=AUTO,
@@ -135,11 +143,11 @@ def _parse_direct(text: str) -> DirectTopics:
         raise argparse.ArgumentTypeError(error.message) from None
 
 
-def add_chunk_limit_option(parser: argparse.ArgumentParser) -> None:
+def add_chunk_limit_option(add: AddArgument) -> None:
     """Add the option that limits the decompressed size of chunks of bags."""
     from ..playback.decompression import MAX_CHUNK_MEGABYTES  # noqa: PLC0415 - only for commands that read bags
 
-    parser.add_argument(
+    add(
         "--max-chunk-megabytes",
         type=positive_integer,
         default=MAX_CHUNK_MEGABYTES,

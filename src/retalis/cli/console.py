@@ -205,7 +205,14 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         metavar="FILE",
         help="files of rules and clauses, or a program's folder",
     )
-    add("--goal", "-g", action="append", default=[], metavar="GOAL", help="ask this goal, then exit")
+    add(
+        "-g",
+        "--goal",
+        action="append",
+        default=[],
+        metavar="GOAL",
+        help="ask this goal, then exit: with status 1 if it fails",
+    )
     add(
         "--most",
         dest="max_solutions",
@@ -224,7 +231,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command; with goals from a pipe, the status is 1 if there was an error."""
+    """Run the command; the status is 1 if there was an error in goals from a pipe, or a goal of ``--goal`` failed."""
     if options.node is not None:
         return run_ros_command("node_client_commands", options)
     reporter = StderrReporter().attach(show_events=True)
@@ -242,7 +249,7 @@ def run(options: argparse.Namespace) -> int:
     else:
         console.solve_goals(PipedInput(sys.stdin))
     console.reports.sum_up()
-    return 1 if reporter.errors else 0
+    return 1 if reporter.errors or (options.goal and console.has_failed_goal) else 0
 
 
 def _write_output(text: str) -> None:
@@ -261,6 +268,9 @@ class Console:
         reporter: receives errors.
         settings: settings of the engine; by default `UNRESTRICTED`.
         max_solutions: maximum number of solutions of a goal if the input is not a terminal.
+
+    Attributes:
+        has_failed_goal: whether a goal had no solution.
     """
 
     def __init__(
@@ -286,6 +296,7 @@ class Console:
         self._reporter = reporter
         self._max_solutions = max_solutions
         self._is_tracing = False
+        self.has_failed_goal = False
         self._input: Union[PipedInput, TerminalInput] = PipedInput(sys.stdin)
 
     def predicate_names(self) -> List[str]:
@@ -503,6 +514,8 @@ class Console:
                 print(" ;", flush=True)
                 self.logic.column = 0
         self._start_new_line()
+        if not shown_count:
+            self.has_failed_goal = True
         print("false.")
 
     def _start_new_line(self) -> None:

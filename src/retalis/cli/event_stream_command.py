@@ -44,7 +44,7 @@ from ..prolog.terms.types import Frame, Term, deref
 from .command_options import add_folders, add_limits, apply_folders, apply_limits
 from .option_values import RELATIVE_TIMES_OPTION, TIMES_RELATIVE
 from .optional_ros_imports import installed_definitions
-from .result_printer import JSON_HELP, Printer
+from .result_printer import JSON_HELP, Printer, TimeOrigin
 from .stderr_and_progress import StderrReporter
 
 
@@ -171,8 +171,17 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("--rules", type=Path, action="append", default=[], metavar="FILE", help="event rules and clauses")
     add(
+        "-r",
+        "--rules",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="event rules and clauses",
+    )
+    add(
+        "-g",
         "--goals",
         type=Path,
         action="append",
@@ -180,8 +189,9 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         metavar="FILE",
         help="goals called first, one per line",
     )
-    add("--stream", metavar="FILE", help="events and goals; - is standard input, read as it arrives")
+    add("-s", "--stream", metavar="FILE", help="events and goals; - is standard input, read as it arrives")
     add(
+        "-o",
         "--outputs",
         metavar="FILE",
         help="write the outputs to subscribers, as output(TERM,TOPIC,ID); - prints them",
@@ -201,7 +211,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         action="store_const",
         const=TIMES_RELATIVE,
         dest="times",
-        help="print explanations with times in seconds since the first event",
+        help="print events and explanations with times in seconds since the first event",
     )
     add("--clock", metavar="TERM", help="pin the clock to an instant: datime(2001,1,1,0,0,0,0) or seconds")
     add("--json", action="store_true", help="print one JSON object per line instead of terms")
@@ -216,8 +226,10 @@ def run(options: argparse.Namespace) -> int:
         options.reject_usage("nothing to do: give --rules, --goals, --stream, --queries or --explain")
     reporter = StderrReporter().attach()
     with ExitStack() as stack:
-        printer = Printer(options.json, options.memory_events, _open_output(options.outputs, stack))
-        session = Session(options, reporter, printer)
+        origin = TimeOrigin() if options.times == TIMES_RELATIVE else None
+        output = _open_output(options.outputs, stack)
+        printer = Printer(options.json, options.memory_events, output, origin)
+        session = Session(options, reporter, printer, origin)
         session.load()
         limit_gc_pauses()
         session.process_stream()
@@ -245,7 +257,13 @@ class Session:
         reports: counts of the engine's problems.
     """
 
-    def __init__(self, options: argparse.Namespace, reporter: StderrReporter, printer: Printer):
+    def __init__(
+        self,
+        options: argparse.Namespace,
+        reporter: StderrReporter,
+        printer: Printer,
+        origin: Optional[TimeOrigin],
+    ):
         self._options = options
         self._reporter = reporter
         self._printer = printer
@@ -261,9 +279,8 @@ class Session:
         # Registered before goals are called, because goals may cause events.
         self.engine.on_event(printer.print_event)
         self.engine.on_output(self._print_output)
-        self._first_start: Optional[int] = None
-        if options.times == TIMES_RELATIVE:
-            self.engine.on_event(self._update_first_start)
+        self._origin = origin
+        self._newest_end = -timestamps.MAX_TIMESTAMP
         self.engine.logic.define_control("sleep", 1, self._sleep)
         # Before any event: the causes of earlier events cannot be recovered.
         if options.explain:
@@ -279,14 +296,19 @@ class Session:
         self._printer.print_output(term, topic, name, self._clock.now())
 
     def load(self) -> None:
-        """Call the goals and load the rules; a file with an error is skipped, and the others are loaded."""
-        for path in self._options.goals:
-            self._call_reporting_errors(self._load_file, self.engine.call_goals, path)
-        for path in self._options.rules:
-            self._call_reporting_errors(self._load_file, self.engine.load_rules, path)
+        """Call the goals and load the rules; a file with an error is skipped, and the others are loaded.
 
-    def _load_file(self, load: Callable[[str, str, Path], None], path: Path) -> None:
-        load(read_text(path), str(path), path.parent)
+        Raises:
+            UsageError: if a file cannot be read.
+        """
+        for load, paths in (
+            (self.engine.call_goals, self._options.goals),
+            (self.engine.load_rules, self._options.rules),
+        ):
+            for path in paths:
+                # A wrong path ends the command: a run without the file would print misleading events.
+                text = read_text(path)
+                self._call_reporting_errors(load, text, str(path), path.parent)
 
     def process_stream(self) -> None:
         """Process the stream."""
@@ -318,11 +340,11 @@ class Session:
 
     def _process_term(self, item: Union[EventLine, ReadTerm]) -> None:
         try:
-            self._execute(goal_of(item.term))
+            self._execute(goal_of(item.term), item.place)
         except RetalisError as error:
             raise (error if error.place else RuleError(error.message, item.place)) from error
 
-    def _execute(self, goal: Term) -> None:
+    def _execute(self, goal: Term, place: Optional[Place]) -> None:
         event = event_of(goal)
         if event is None:
             # A goal of the stream is a command, so its failure is an error.
@@ -331,6 +353,17 @@ class Session:
             return
         # The clock moves first, so that alarms that are due before the event run before it.
         if event.end is not None:
+            if event.end < self._newest_end:
+                self.reports.warning(
+                    RuleError(
+                        "the stream goes back in time here: rules match events by their stamps, and windows do not "
+                        "measure events that are too late; sort the stream by end, unless this is intended",
+                        place,
+                    ),
+                    kind="stream that goes back",
+                    once=True,
+                )
+            self._newest_end = max(self._newest_end, event.end)
             self._clock.move_to(event.end)
         self.engine.event(event.term, *event.interval_terms())
 
@@ -346,12 +379,10 @@ class Session:
         for term in self._options.explain:
             self._call_reporting_errors(self._print_explanation, term)
 
-    def _update_first_start(self, term: Term, start: int, end: int) -> None:
-        self._first_start = int(start) if self._first_start is None else min(self._first_start, int(start))
-
     def _print_explanation(self, text: str) -> None:
         term = read_term(text, self.engine.operators, "--explain").term
-        self._printer.print_explanation(term, explain(self.engine, term, origin=self._first_start))
+        start = None if self._origin is None else self._origin.start
+        self._printer.print_explanation(term, explain(self.engine, term, origin=start))
 
     def _print_solutions(self, goal: ReadTerm) -> None:
         instances: List[Term] = []

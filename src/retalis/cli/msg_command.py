@@ -38,7 +38,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         help="term: a variable for each slot, slots as comments (default); names: slots by name; "
         "zero: a message with zeros, to publish",
     )
-    add_chunk_limit_option(parser)
+    add_chunk_limit_option(parser.add_argument)
     parser.set_defaults(run=run)
 
 

@@ -2,12 +2,13 @@
 
 import json
 import sys
-from typing import IO, Dict, List, Optional
+from typing import IO, Any, Dict, List, Mapping, Optional
 
 from ..events.knowledge.knowledge_base import MEMORY_EVENTS
 from ..explanation.event_explanations import Explanation, ExplanationLine
 from ..prolog.syntax.term_writer import add_full_stop, canonical_text
 from ..prolog.terms import timestamps
+from ..prolog.terms.list_terms import make_list
 from ..prolog.terms.types import Term, atom, functor
 
 EVENT_FUNCTOR = functor("event", 2)
@@ -19,8 +20,36 @@ OUTPUT_FUNCTOR = functor("output", 3)
 
 JSON_HELP = """\
 with --json each line is one object. Terms are texts that can be parsed as terms; T, T1 and T2 are whole nanoseconds
-since the epoch, for every form of stamps in terms:
+since the epoch, or since the start with --times=relative, for every form of stamps in terms:
 """
+
+
+class TimeOrigin:
+    """Start of a run, to which printed times are relative; an earlier stamp counts as the start.
+
+    Args:
+        start: nanoseconds since the epoch; None for the first time that is printed.
+    """
+
+    def __init__(self, start: Optional[int] = None):
+        self.start = start
+
+    def relative(self, instant: int) -> int:
+        """Return the nanoseconds from the start to an instant, or 0 before the start."""
+        if self.start is None:
+            self.start = int(instant)
+        return max(0, int(instant) - self.start)
+
+    def relative_record(self, record: Mapping[str, Any]) -> Dict[str, Any]:
+        """Return a record of a run with relative times."""
+        return {
+            name: self.relative(value) if name in _TIME_FIELDS and isinstance(value, int) else value
+            for name, value in record.items()
+        }
+
+
+_TIME_FIELDS = ("start", "end", "time")
+"""Fields of the records of a run that are instants in nanoseconds."""
 
 
 class Printer:
@@ -30,12 +59,20 @@ class Printer:
         as_json: whether to print one JSON object per line, with stamps in nanoseconds.
         memory_events: whether to print memory events, too.
         outputs: file for the outputs to subscribers; None to discard them.
+        origin: start of the run for relative times; None for absolute times.
     """
 
-    def __init__(self, as_json: bool, memory_events: bool, outputs: Optional[IO[str]]):
+    def __init__(
+        self,
+        as_json: bool,
+        memory_events: bool,
+        outputs: Optional[IO[str]],
+        origin: Optional[TimeOrigin] = None,
+    ):
         self._as_json = as_json
         self._prints_memory_events = memory_events
         self._output_file = outputs
+        self._origin = origin
 
     def print_event(self, term: Term, start: int, end: int) -> None:
         """Print an event."""
@@ -52,6 +89,9 @@ class Printer:
             )
         else:
             interval = timestamps.interval_term(start, end)
+            if self._origin is not None:
+                times = [self._origin.relative(instant) for instant in (start, end)]
+                interval = make_list(list(map(timestamps.to_seconds, times)))
             print(
                 f"{canonical_text((MEMORY_EVENT_FUNCTOR if is_memory_event else EVENT_FUNCTOR, term, interval))}.",
                 flush=True,
@@ -104,6 +144,8 @@ class Printer:
 
     def print_json(self, content: Dict[str, object], file: Optional[IO[str]] = None) -> None:
         """Print a line of JSON."""
+        if self._origin is not None:
+            content = self._origin.relative_record(content)
         print(json.dumps(content, ensure_ascii=False), file=file or sys.stdout, flush=True)
 
 

@@ -1,7 +1,4 @@
-# Completion of `retalis` for bash; where it is no command, it is made one for `rosrun retalis retalis`.
-if ! type retalis >/dev/null 2>&1; then
-  retalis() { rosrun retalis retalis "$@"; }
-fi
+# Completion of `retalis` for bash.
 
 declare -gA _retalis_known # commands, and the options of each: they are asked for once
 

@@ -1,6 +1,7 @@
 """Reporting on standard error: errors and warnings with a count, and a progress bar on terminals."""
 
 import logging
+import os
 import sys
 import time
 from contextlib import contextmanager
@@ -11,6 +12,20 @@ from ..foundation.errors import RetalisError, printable
 _package_logger = logging.getLogger("retalis")
 _event_logger = logging.getLogger("retalis.events")
 """Logger of the events that a program requests to be shown."""
+
+
+_COLOURS = {"error": "1;31", "warning": "1;33", "info": "1;34"}
+"""Colour of each kind of finding on a terminal: parameters of the control sequence SGR of ECMA-48."""
+
+
+def paint(text: str, kind: str, file: IO[str]) -> str:
+    """Return a text in the colour of a kind of finding if a file is a terminal and colours are not switched off.
+
+    See https://no-color.org for the environment variable ``NO_COLOR``.
+    """
+    if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb" or not file.isatty():
+        return text
+    return f"\033[{_COLOURS[kind]}m{text}\033[0m"
 
 
 class StderrReporter(logging.Handler):
@@ -27,7 +42,7 @@ class StderrReporter(logging.Handler):
     def __call__(self, error: RetalisError) -> None:
         """Print and count an error."""
         self.errors += 1
-        print(f"error: {error}", file=sys.stderr)
+        print(f"{paint('error', 'error', sys.stderr)}: {error}", file=sys.stderr)
 
     def emit(self, record: logging.LogRecord) -> None:
         """Print a log record, and count it if it is an error."""
@@ -38,9 +53,11 @@ class StderrReporter(logging.Handler):
             return
         if record.levelno < logging.WARNING:
             return
-        if record.levelno >= logging.ERROR:
+        is_error = record.levelno >= logging.ERROR
+        if is_error:
             self.errors += 1
-        print(f"{record.levelname.lower()}: {text}", file=sys.stderr)
+        label = paint(record.levelname.lower(), "error" if is_error else "warning", sys.stderr)
+        print(f"{label}: {text}", file=sys.stderr)
 
     def attach(self, show_events: bool = False) -> "StderrReporter":
         """Report the log records of the package until `detach_reporters` is called.

@@ -172,10 +172,10 @@ class TimeFormat:
     def _format_instant(self, instant: int) -> str:
         if self._reference_time is None:
             return self._show(timestamps.lazy_term(instant))
-        nanoseconds = int(instant) - self._reference_time
-        whole, remainder = divmod(abs(nanoseconds), 10**9)
+        # A stamp before the start of the run counts as the start, as in the output of the commands.
+        whole, remainder = divmod(max(0, int(instant) - self._reference_time), 10**9)
         fraction = f".{remainder:09d}".rstrip("0") if remainder else ""
-        return f"{'-' if nanoseconds < 0 else ''}{whole}{fraction}"
+        return f"{whole}{fraction}"
 
 
 class WhyNot:

@@ -1,0 +1,79 @@
+"""Help and errors of the parsers of commands."""
+
+import pytest
+
+from retalis.cli.command_line import COMMANDS, main
+
+MAX_LINES = 40
+"""Lines of a usual terminal window."""
+
+
+def fails_to_parse(arguments, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    return captured.err.splitlines()
+
+
+def printed_help(arguments, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert not ended.value.code
+    return capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_fits_on_screen(command, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = printed_help([command, "--help"], capsys).splitlines()
+    assert len(lines) <= MAX_LINES
+    assert lines[0].startswith(f"usage: retalis {command} [options]")
+
+
+def test_full_help_has_groups_that_short_help_omits(capsys):
+    short, full = (printed_help(["bag", option], capsys) for option in ("--help", "--help-all"))
+    for name in ("--max-seconds", "--jobs", "--direct", "--folder", "many bags:", "with --json each line"):
+        assert name in full and name not in short
+    assert "--help-all" in short and "--program" in short
+
+
+def test_command_without_groups_has_no_full_help(capsys):
+    assert "--help-all" not in printed_help(["list", "--help"], capsys)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "usage", "error"),
+    [
+        (["bga", "x.bag"], "retalis [options] COMMAND ...", "there is no command 'bga'; did you mean bag?"),
+        (["xyzzy"], "retalis [options] COMMAND ...", "there is no command 'xyzzy'"),
+        (
+            ["check", "--strct"],
+            "retalis check [options] [FOLDER]",
+            "unknown option '--strct'; did you mean --strict?",
+        ),
+        (
+            ["bag", "--progam", "p", "x.bag"],
+            "retalis bag [options] -p FOLDER BAG [BAG ...]",
+            "unknown option '--progam'; did you mean --program?",
+        ),
+        (
+            ["bag", "x.bag"],
+            "retalis bag [options] -p FOLDER BAG [BAG ...]",
+            "the following arguments are required: -p/--program",
+        ),
+        (["check", "a", "b"], "retalis check [options] [FOLDER]", "unknown argument 'b'"),
+        (["check", "-z"], "retalis check [options] [FOLDER]", "unknown argument '-z'"),
+    ],
+)
+def test_error_shows_usage_and_similar_name(arguments, usage, error, capsys):
+    *usage_lines, last = fails_to_parse(arguments, capsys)
+    assert usage_lines == [f"usage: {usage}"]
+    assert last.partition(": error: ")[2] == error
+
+
+def test_abbreviated_option_is_accepted(capsys, tmp_path):
+    (tmp_path / "rules.txt").write_text("a <- b.")
+    assert main(["check", str(tmp_path / "rules.txt"), "--form", "json"]) == 0
+    assert '"findings"' in capsys.readouterr().out
