@@ -17,8 +17,11 @@ def codes_of(folder, text):
 
 
 def test_codes_are_unique_and_well_formed():
-    codes = [check.code for check in CHECKS] + [code for _, code in LOAD_CODES]
+    # Several functions can find problems of one code: these have one name and one severity.
+    checks = {(check.code, check.name, check.severity) for check in CHECKS}
+    codes = [code for code, _, _ in checks] + [code for _, code in LOAD_CODES]
     assert sorted(set(codes)) == sorted(codes)
+    assert len({name for _, name, _ in checks}) == len(checks)
     assert all(re.fullmatch(r"RT1\d{3}", code) for code in codes)
 
 

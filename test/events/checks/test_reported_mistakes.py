@@ -83,7 +83,7 @@ def test_a_stamp_is_a_number_of_arithmetic(tmp_path, definitions):
         "std_msgs__0__Bool(X) <- std_msgs__0__String(_) where member(X, [0, 1]), X > 0.",
         "std_msgs__0__Bool(X) <- sensor_msgs__0__Temperature(_, X, _).",
         "std_msgs__0__String(X) <- sensor_msgs__0__Temperature(_, T, _) where T > 3, X = go, X == go.",
-        "std_msgs__0__Float64(X) <- alarm(X) where X \\== unknown.",
+        "std_msgs__0__Float64(X) <- reading(X) where X \\== unknown.",
     ],
 )
 def test_what_a_program_makes_of_other_kinds_of_values_is_left_alone(tmp_path, definitions, rule):

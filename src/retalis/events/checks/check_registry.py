@@ -48,6 +48,7 @@ from .time_checks import (
     find_unbounded_waits,
     find_unlikely_spans,
 )
+from .value_flow import find_conflicting_flows, find_impossible_flows
 from .value_type_checks import find_number_type_mismatches, find_type_conflicts
 from .window_checks import find_windows_of_long_events
 
@@ -79,6 +80,8 @@ CHECKS: Tuple[Check, ...] = (
     Check("declared", "RT1108", find_declaration_violations, requires_valid_program=True),
     Check("values", "RT1105", find_impossible_values),
     Check("kinds", "RT1106", find_type_conflicts),
+    Check("values", "RT1105", find_impossible_flows, requires_valid_program=True),
+    Check("kinds", "RT1106", find_conflicting_flows, requires_valid_program=True),
     Check("numerals", "RT1107", find_number_type_mismatches),
     Check("outputs", "RT1103", find_output_mismatches),
     Check("unpublished", "RT1102", find_untyped_topics, requires_valid_program=True),
@@ -181,6 +184,7 @@ def run_checks(program: ProgramModel, is_valid: bool = True) -> Iterator[Finding
         is_valid: whether it was loaded without errors.
     """
     reported: Set[Tuple[str, Optional[Place]]] = set()
+    check_of_place: Dict[Tuple[str, Optional[Place]], Check] = {}
     suppressions = Suppressions()
     for check in CHECKS:
         # In a program with errors, definitions may be missing because they could not be loaded: reporting their uses
@@ -190,6 +194,9 @@ def run_checks(program: ProgramModel, is_valid: bool = True) -> Iterator[Finding
         for problem in check.find(program):
             key = (problem.message, problem.place)
             problem.code = check.code
-            if key not in reported and not suppressions.suppresses(problem):
+            # Of the checks with one code, the first one to report a place explains the mistake there.
+            first = check_of_place.setdefault((check.code, problem.place), check)
+            is_explained = problem.place is not None and first is not check
+            if key not in reported and not is_explained and not suppressions.suppresses(problem):
                 reported.add(key)
                 yield Finding(check.severity, check.name, problem)

@@ -75,7 +75,7 @@ class EventProducers:
             self._add_event(state.form.state, None)
         for clause in program.clauses:
             if key_of(clause.head) is _INPUT_EVENT:
-                self.places_by_functor.update(dict.fromkeys(_functors_in_fact(clause.head)))
+                self.places_by_functor.update(dict.fromkeys(functors_in_fact(clause.head)))
 
     def __contains__(self, key: object) -> bool:
         """Return whether events of a functor are produced, or may be."""
@@ -123,7 +123,7 @@ class EventProducers:
             self.places_by_functor.setdefault(key, place)
 
 
-def _functors_in_fact(head: Any) -> Iterator[Functor]:
+def functors_in_fact(head: Any) -> Iterator[Functor]:
     """Yield the functors that a fact names, by ``Name/Arity`` or an event pattern."""
     term: Any = deref(head[1])
     if term.__class__ is tuple and term[0] is SLASH:
@@ -255,7 +255,7 @@ def _consumed_functors(program: ProgramModel) -> Optional[FrozenSet[Functor]]:
             consumed_functors.update(filter(None, [key_of(subterm.term[1])]))
     for clause in program.clauses:
         if key_of(clause.head) in _CONSUMER_FACTS:
-            functors = list(_functors_in_fact(clause.head))
+            functors = list(functors_in_fact(clause.head))
             if not functors:
                 return None
             consumed_functors.update(functors)

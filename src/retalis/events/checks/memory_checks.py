@@ -42,7 +42,7 @@ MEMORY_READS = frozenset(
 )
 
 
-_RECORD_READS = frozenset(key for key in MEMORY_READS if not key.name.startswith("memory_"))
+RECORD_READS = frozenset(key for key in MEMORY_READS if not key.name.startswith("memory_"))
 POSE_CHAIN = functor("pose_chain", 3)
 
 
@@ -76,7 +76,7 @@ def find_record_mismatches(program: ProgramModel) -> Iterator[RuleError]:
             continue
         if term[0] in SYNCHRONIZED:
             yield from _find_reversed_pairs(subterm, records)
-        elif term[0] in _RECORD_READS:
+        elif term[0] in RECORD_READS:
             name, record = deref(term[1]), deref(term[2])
             if isinstance(name, Atom):
                 candidates = records.get(name.name, [record])

@@ -49,6 +49,7 @@ from .program_model import (
     subterms,
     wrap_term,
 )
+from .value_kinds import is_numeral
 
 _SPECIAL_NUMBERS = frozenset(("nan", "inf", "infinite"))
 _TIMES = frozenset(("time", "duration"))
@@ -222,15 +223,7 @@ def _find_number_fault(value: Any) -> str:
     if value.__class__ is tuple and value[0].name == "-":
         return ""
     numeral = getattr(value, "name", getattr(value, "text", "")).strip('"')
-    return f"is a number in events: write {numeral}" if _is_numeral(numeral) else "is a number in events"
-
-
-def _is_numeral(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+    return f"is a number in events: write {numeral}" if is_numeral(numeral) else "is a number in events"
 
 
 def _find_message_fault(definition: Definition, value: Any) -> str:

@@ -13,7 +13,20 @@ time.
 import os
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Dict, Iterable, Iterator, List, NamedTuple, Optional, Set, Tuple, Union
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    Iterable,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Set,
+    Tuple,
+    TypeVar,
+    Union,
+)
 
 from ...foundation.errors import MessageError, Place, SyntaxFault, UsageError
 from ...messages.type_definition import Definition, type_name
@@ -34,6 +47,8 @@ from ..program.event_file_checker import EntryKind, FileChecker
 from ..program.goal_file import goal_of, read_goals
 from ..program.topic_configuration import GOALS, Topics, TopicType, read_text
 from ..rules.rule_base import RuleBase
+
+Analysis = TypeVar("Analysis")
 
 _MAX_CANDIDATES = 2000
 """Maximum number of names among which a similar one is searched."""
@@ -416,6 +431,14 @@ class ProgramModel:
         self._collect_consumers(knowledge)
         self._collect_states(knowledge)
         self._definitions_by_type: Dict[str, Optional[Definition]] = {}
+        self._analyses: Dict[Callable[[ProgramModel], Any], Any] = {}
+
+    def derive(self, analyse: Callable[["ProgramModel"], Analysis]) -> Analysis:
+        """Return the result of an analysis of this program, which several checks share; it runs once."""
+        if analyse not in self._analyses:
+            self._analyses[analyse] = analyse(self)
+        analysis: Analysis = self._analyses[analyse]
+        return analysis
 
     def definition(self, type_name: Optional[str]) -> Optional[Definition]:
         """Return the definition of a message type, or None if it is unknown."""

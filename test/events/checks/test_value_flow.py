@@ -1,0 +1,345 @@
+"""Values that flow through the events, memories, states and predicates of a program."""
+
+import re
+
+import pytest
+from doc_pages import ROOT
+
+from retalis import Engine
+from retalis.engine.program_check import check_program
+from retalis.events.checks.program_model import ProgramModel
+from retalis.events.checks.value_flow import ValueFlow, find_conflicting_flows, find_impossible_flows
+from retalis.events.checks.value_kinds import kind_of, overlaps
+from retalis.events.program.topic_configuration import Topics
+from retalis.prolog.terms.timestamps import from_seconds
+from retalis.prolog.terms.types import functor
+
+FENCE = re.compile(r"^```prolog\n(.*?)^```", re.MULTILINE | re.DOTALL)
+EVENT = re.compile(r"(\S.*?) \[([\d.]+),([\d.]+)\](?:, |$)")
+
+
+def model_of(definitions, rules):
+    engine = Engine()
+    engine.load(rules=rules)
+    return ProgramModel(engine.rules, engine.knowledge, definitions, Topics())
+
+
+def impossible_values(definitions, rules):
+    return [error.message for error in find_impossible_flows(model_of(definitions, rules))]
+
+
+def type_conflicts(definitions, rules):
+    return [error.message for error in find_conflicting_flows(model_of(definitions, rules))]
+
+
+TEXT = "text(X) <- std_msgs__0__String(X).\n"
+BOOL = "flag(X) <- std_msgs__0__Bool(X).\n"
+NUMBER = "level(X) <- std_msgs__0__Float32(X).\n"
+QUOTES = "a text keeps its quotes in events, write '\"anna\"'"
+
+
+@pytest.mark.parametrize(
+    "rules, message",
+    [
+        (
+            BOOL + "d <- flag(1).",
+            "argument 1 of flag/1 is true or false (data of std_msgs/Bool), never 1: write true or false",
+        ),
+        (
+            TEXT + "d <- text(anna).",
+            f"argument 1 of text/1 is a text (data of std_msgs/String), never anna: {QUOTES}",
+        ),
+        (
+            TEXT + 'd <- text("anna").',
+            f'argument 1 of text/1 is a text (data of std_msgs/String), never "anna": {QUOTES}',
+        ),
+        (
+            NUMBER + "d <- level('5').",
+            "argument 1 of level/1 is a number (data of std_msgs/Float32), never '5': write 5",
+        ),
+        (
+            "status(ready) <- boot. d <- status('\"ready\"').",
+            "argument 1 of status/1 is an atom (ready in line 1), never '\"ready\"': "
+            "write the atom without double quotes, as ready",
+        ),
+        (
+            'name("anna") <- boot. d <- name(anna).',
+            'argument 1 of name/1 is a string ("anna" in line 1), never anna: write "anna"',
+        ),
+    ],
+)
+def test_constant_that_no_event_has_is_reported_with_advice(definitions, rules, message):
+    assert impossible_values(definitions, rules) == [message]
+    assert type_conflicts(definitions, rules) == []
+
+
+@pytest.mark.parametrize(
+    "rules",
+    [
+        # Heads, through chains and alternatives.
+        TEXT + "b(X) <- text(X). c(X) <- b(X) where true. d <- c(anna).",
+        TEXT + "c(X) <- text(X) or std_msgs__0__String(X). d <- c(anna).",
+        TEXT + "c(X) <- text(X) seq absent(stop, 5). d <- c(anna).",
+        TEXT + "c(X) <- (go seq text(X)) cnot stop. d <- c(anna).",
+        TEXT + "exceptionAlarm(c(X), 5) <- text(X). d <- c(anna).",
+        TEXT + "c(X) <- text(X) with throttle(5). d <- c(anna).",
+        TEXT + "d <- go seq absent(text(anna), 5).",
+        TEXT + "c(X) <- text(Y) where X = Y. d <- c(anna).",
+        # Aggregates, windows and row patterns.
+        TEXT + "c(X) <- aggregate(last(V), text(V), X, last(5)). d <- c(anna).",
+        TEXT + "c(X) <- aggregate([count, first(V)], text(V), [_, X], every(5)). d <- c(anna).",
+        TEXT + "c(X, N) <- aggregate(count, text(X), N, last(5)). d <- c(anna, _).",
+        "c(N) <- aggregate(count, text(_), N, last(5)). d <- c(many).",
+        "c(N) <- go seq aggregate(count, text(_), N). d <- c(many).",
+        NUMBER + "c(A) <- aggregate(avg(V), level(V), A, last(5)). d <- c(high).",
+        NUMBER + "c(L) <- aggregate(list(V), level(V), L, last(5)). d <- c(high).",
+        TEXT + "c(X) <- aggregate(last(V), text(V), X, steps([one, two])). d <- c(anna).",
+        # States, and the goals that emit events.
+        TEXT + ":- state(on(X), from(text(X)), until(off)). d <- on(anna).",
+        TEXT + "null do new_event(c(X), 1, 2) <- text(X). d <- c(anna).",
+        TEXT
+        + "null do send(X) <- text(X). send(X) :- room(X), new_event(c(X), 1, 2). room('\"a\"'). d <- c(anna).",
+        # Results of goals, memories and predicates.
+        NUMBER + "c(Y) <- level(X) where Y is X * 2. d <- c(high).",
+        "c(X) <- go where room(X). room('\"hall\"'). d <- c(anna).",
+        TEXT + ":- memorize(text(X), [], o(X), m, 5). c(X) <- go where prev(m, o(X), 1, _, _). d <- c(anna).",
+        TEXT + ":- memorize(text(X), [], X, m, 5). c(X) <- go where access_mem(m, X, _). d <- c(anna).",
+        TEXT
+        + ":- memorize(text(X), [], o(X), m, 5). synchronized(c(X), access_mem(m, o(X), _), [[m, 1]]) <- go. "
+        "d <- c(anna).",
+        ":- declare_event(reading(celsius:float)). c(X) <- reading(X). d <- c(high).",
+    ],
+)
+def test_values_flow_to_an_event(definitions, rules):
+    (message,) = impossible_values(definitions, rules)
+    assert message.startswith(
+        ("argument 1 of c/1 is", "argument 1 of c/2 is", "argument 1 of on/1 is", "argument 1 of text/1")
+    )
+
+
+@pytest.mark.parametrize(
+    "rules, message",
+    [
+        (
+            "ok(N) <- std_msgs__0__String(N) where allowed(N). allowed(anna). allowed(bob).",
+            "N is a text (data of std_msgs/String), and argument 1 of allowed/1 is an atom (anna in line 1): "
+            f"these are never equal; {QUOTES}",
+        ),
+        (
+            'ok(X) <- text(X) where \\+ allowed(X). allowed("anna").',
+            'X is a text (data of std_msgs/String), and argument 1 of allowed/1 is a string ("anna" in line 2): '
+            f"these are never equal; {QUOTES}",
+        ),
+        (
+            "ok(X) <- text(X) where code(X). code(5).",
+            "X is a text (data of std_msgs/String), and argument 1 of code/1 is a number (5 in line 2): these are "
+            "never equal; for the number in a text write sub_atom(X, 1, _, 1, Atom), atom_number(Atom, Number)",
+        ),
+        ("ok(X) <- text(X) where X == anna.", f"X is a text (data of std_msgs/String), never anna: {QUOTES}"),
+        (
+            "ok(X) <- text(X) where X > 5.",
+            "X is a text (data of std_msgs/String), not a number: compare texts with == or \\==",
+        ),
+        (
+            "m(A) <- aggregate(avg(X), text(X), A, last(5)).",
+            "X is a text (data of std_msgs/String): avg collects numbers",
+        ),
+        (
+            "both(X) <- text(X) seq std_msgs__0__Float32(X).",
+            "X is a text (data of std_msgs/String), and here it is a number (data of std_msgs/Float32): these are "
+            "never equal; for the number in a text write sub_atom(X, 1, _, 1, Atom), atom_number(Atom, Number)",
+        ),
+        (
+            "std_msgs__0__String(X) <- std_msgs__0__Float32(Y) where X is Y + 1.",
+            "X is a number (result of is) and goes into a text (data of std_msgs/String): "
+            "make a text of it, as with format(atom(Text), '\"~w\"', [X])",
+        ),
+        (
+            "std_msgs__0__Float32(X) <- text(X).",
+            "X is a text (data of std_msgs/String) and goes into a number (data of std_msgs/Float32): "
+            "for the number in a text write sub_atom(X, 1, _, 1, Atom), atom_number(Atom, Number)",
+        ),
+    ],
+)
+def test_conflict_is_reported_with_advice(definitions, rules, message):
+    rules = rules if rules.startswith("ok(N)") else TEXT + rules
+    assert type_conflicts(definitions, rules) == [message]
+    assert impossible_values(definitions, rules) == []
+
+
+@pytest.mark.parametrize(
+    "rules",
+    [
+        # Predicates: clauses, recursion, comparisons in bodies, calls with constants, assertions.
+        "ok(X) <- text(X) where friend(X). friend(X) :- known(X). known(anna). known(X) :- friend(X).",
+        "ok(X) <- text(X) where warm(X). warm(T) :- T > 38.",
+        "ok(X) <- text(X) where anna(X). anna(N) :- N == anna.",
+        'ok <- go where known(anna). known("anna").',
+        ":- dynamic seen/1. null do assertz(seen(X)) <- text(X). ok <- go where seen(anna).",
+        ":- dynamic n/1. null do assertz(n(0)) <- a. null do (retract(n(X)), Y is X + 1, assertz(n(Y))) <- b. "
+        "ok <- go where n(zero).",
+        "ok(X) <- text(X) where (X = anna ; fail).",
+        "ok(X) <- text(X) where (go(X) -> true ; X == anna). go(_).",
+        "ok(X) <- text(X) where findall(Y, (known(Y), Y == X), _). known(anna).",
+        "ok(X) <- text(X) where atom_length(X, X).",
+        # Memories, subscriptions, states.
+        ":- memorize(text(X), [], o(X), m, 5). ok <- go where access_mem(m, o(anna), _).",
+        ":- memorize(text(X), [], X, m, 5). ok <- go where (prev(m, Y, 1, _, _), Y == anna).",
+        ":- memorize(text(X), [X == anna], X, m, 5).",
+        ":- subscribe(text(X), [known(X)], X, topic, id). known(anna).",
+        ":- state(on(X), from(text(X)), until(off)). ok <- go where holds(on(anna)).",
+        ":- state(on(X), from(text(X)), until(off)). ok <- go where (holds(on(Y)), Y > 3).",
+        # Joins of the program's own events, and conditions of row patterns.
+        "level(X) <- std_msgs__0__Float32(X). ok(X) <- text(X) seq level(X).",
+        "ok(N) <- aggregate(count, text(X), N, steps([one where X == anna])).",
+    ],
+)
+def test_values_flow_to_a_goal(definitions, rules):
+    assert len(type_conflicts(definitions, TEXT + rules)) == 1
+
+
+@pytest.mark.parametrize(
+    "rules",
+    [
+        TEXT + "d <- text('\"anna\"').",
+        BOOL + "d <- flag(true).",
+        "ok(N) <- std_msgs__0__String(N) where allowed(N). allowed('\"anna\"').",
+        # Events of other programs, and events and clauses that are not known.
+        TEXT + "input_event(text/1). d <- text(anna).",
+        "d <- other(anna). e <- other(1).",
+        TEXT + "d <- text(anna). null do (thing(T), new_event(T, 1, 2)) <- go. thing(text(anna)).",
+        TEXT + "null do ins_event_rule(R) <- add(R). d <- text(anna).",
+        ":- dynamic allowed/1. allowed(anna). ok(N) <- std_msgs__0__String(N) where allowed(N).",
+        "allowed(anna). null do assertz(C) <- learn(C). ok(N) <- std_msgs__0__String(N) where allowed(N).",
+        ":- table allowed/1. allowed(anna). ok(N) <- std_msgs__0__String(N) where allowed(N).",
+        # Several sources, and unbound arguments.
+        TEXT + "text(anna) <- boot. d <- text(bob).",
+        "c(X) <- std_msgs__0__String(X) or go. d <- c(anna).",
+        "allowed(anna). allowed(X) :- extra(X). extra('\"b\"'). ok(N) <- std_msgs__0__String(N) where allowed(N).",
+        "allowed(_). ok(N) <- std_msgs__0__String(N) where allowed(N).",
+        TEXT + ":- memorize(text(X), [], o(X), m, 5). :- memorize(go, [], o(anna), m2, 5). "
+        "d <- go where access_mem(m2, o(anna), _).",
+        # Variables that are unbound at the goal, or have another value in another scope.
+        "ok <- go where (findall(X, name(X), _), findall(X, code(X), _)). name(anna). code(5).",
+        "ok <- go where (\\+ name(X), X = 5). name(anna).",
+        "ok(X) <- go where (name(X) ; code(X)). name(anna). code(5). d <- ok(anna). e <- ok(5).",
+        # Names of numbers, timestamps, arrays, and numbers of any type.
+        NUMBER + "d <- level(nan). e <- level(inf). f <- level(1).",
+        "c(S) <- std_msgs__0__Header(_, S, _). d <- c([_, _]). e(S) <- c(S) where S > 5.",
+        "c(R) <- sensor_msgs__0__LaserScan{ranges: R}. m(A) <- aggregate(avg(R), c(R), A, last(5)). d <- m([_|_]).",
+        "d(X) <- go where (X = 1 + 2, X > 2).",
+        "limit(1 + 2). d <- go where (limit(X), X > 2).",
+        # Slots that accept other values than they deliver.
+        "std_msgs__0__Bool(X) <- go where X is 1.",
+        BOOL + "std_msgs__0__String(X) <- flag(X).",
+        "std_msgs__0__String(X) <- go where room(X). room(hall). room(pi).",
+        "std_msgs__0__Time(X) <- go where instant(X). instant(datime(2026,1,1,0,0,0,0)). instant([1,2]).",
+        # Rules without any source of values.
+        "loop(X) <- loop(X) where true. d <- loop(3). e(X) <- loop(X) seq std_msgs__0__String(X).",
+        "p(X) :- p(X). ok <- go where p(3).",
+    ],
+)
+def test_values_that_are_possible_or_unknown_are_not_reported(definitions, rules):
+    assert impossible_values(definitions, rules) + type_conflicts(definitions, rules) == []
+
+
+def test_use_in_the_rule_of_the_message_is_reported_once(check):
+    assert [finding.problem.code for finding in check("ok <- std_msgs__0__String(X) where X == anna.")] == [
+        "RT1106"
+    ]
+    assert [finding.problem.code for finding in check("ok <- std_msgs__0__String(anna).")] == ["RT1105"]
+
+
+@pytest.fixture
+def check(tmp_path, definitions):
+    """Return a function that checks rules, without the findings about missing topics."""
+
+    def run(rules):
+        path = tmp_path / "rules.txt"
+        path.write_text(rules + "\n")
+        return [finding for finding in check_program(path, definitions) if finding.problem.code != "RT1201"]
+
+    return run
+
+
+def test_finding_has_the_place_of_the_constant_and_is_suppressed_by_a_comment(check):
+    (finding,) = check(TEXT + "d <- go seq text(anna).")
+    assert (finding.check, finding.problem.code) == ("values", "RT1105")
+    assert (finding.problem.place.line, finding.problem.place.column) == (2, 18)
+    assert check(TEXT + "d <- go seq text(anna). % retalis: ignore=RT1105") == []
+
+
+def test_constant_of_another_file_is_shown_with_its_file(tmp_path, check):
+    (tmp_path / "people.pl").write_text("allowed(anna).\n")
+    (finding,) = check(":- consult('people.pl').\nok(N) <- std_msgs__0__String(N) where allowed(N).")
+    assert finding.problem.code == "RT1106"
+    assert "argument 1 of allowed/1 is an atom (anna in line 1 of people.pl)" in finding.problem.message
+
+
+def test_change_of_a_file_is_checked_at_reload(tmp_path, definitions):
+    (tmp_path / "pub_sub.xml").write_text("<publish_subscribe/>")
+    (tmp_path / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')\n")
+    rules = tmp_path / "eventRules.txt"
+    rules.write_text(TEXT + "d <- text('\"anna\"').\n")
+    engine = Engine()
+    engine.load_program(tmp_path)
+
+    def codes():
+        return [warning.code for warning in engine.warnings(tmp_path, definitions)]
+
+    assert "RT1105" not in codes()
+    rules.write_text(TEXT + "d <- text(anna).\n")
+    engine.reload(tmp_path)
+    assert "RT1105" in codes()
+
+
+def test_values_flow_through_long_chains_in_any_order(definitions):
+    rules = [f"e{number + 1}(X) <- e{number}(X) where true." for number in range(300)]
+    clauses = [f"p{number + 1}(X) :- p{number}(X)." for number in range(300)]
+    ends = "e0(X) <- std_msgs__0__String(X). d <- e300(anna). ok(X) <- e300(X) where p300(X). p0(5)."
+    model = model_of(definitions, "\n".join([*reversed(rules), *reversed(clauses), ends]))
+    assert len(list(find_impossible_flows(model))) == len(list(find_conflicting_flows(model))) == 1
+
+
+@pytest.mark.slow
+def test_events_of_the_examples_have_the_computed_kinds(definitions):
+    checked = 0
+    for page in sorted((ROOT / "docs").rglob("*.md")):
+        for text in FENCE.findall(page.read_text(encoding="utf-8")):
+            for line in text.splitlines():
+                if line.startswith("% ") and "=>" in line:
+                    checked += _check_events(
+                        definitions, text, EVENT.findall(line[2:].split("=>")[0].strip())
+                    )
+    assert checked > 100
+
+
+def _check_events(definitions, rules, arrivals):
+    """Run an example, compare its events with their computed kinds, and return the number of compared arguments."""
+    engine = Engine()
+    engine.load(rules=rules)
+    flow = ValueFlow(ProgramModel(engine.rules, engine.knowledge, definitions, Topics()))
+    outputs = []
+    engine.on_event(lambda term, start, end: outputs.append(term))
+    for term, start, end in arrivals:
+        engine.clock.move_to(from_seconds(float(end)))
+        engine.event(term, *(float(stamp) if "." in stamp else int(stamp) for stamp in (start, end)))
+    checked = 0
+    for event in outputs:
+        for argument, kinds in (
+            zip(event[1:], flow.kinds_of_event(event[0]) or ()) if isinstance(event, tuple) else ()
+        ):
+            kind = kind_of(argument)
+            assert kind is None or overlaps(kind, kinds), engine.show(event)
+            checked += 1
+    return checked
+
+
+def test_kinds_of_a_predicate_are_those_of_its_clauses(definitions):
+    flow = ValueFlow(model_of(definitions, "p(X, Y) :- q(X), Y is 1. q(anna). q([1]). r(_)."))
+    assert [sorted(kinds) for kinds in flow.kinds_of_predicate(functor("p", 2))] == [
+        ["atom", "list"],
+        ["number"],
+    ]
+    assert flow.kinds_of_predicate(functor("r", 1)) == [None]
+    assert flow.kinds_of_predicate(functor("append", 3)) is None
