@@ -215,6 +215,7 @@ _TABLE_FORMS = {
                 hidden_if_empty=True,
             ),
             _plain_column("errors", hidden_if_empty=True),
+            _plain_column("late", hidden_if_empty=True),
             _plain_column("dropped", hidden_if_empty=True),
         ),
     ),

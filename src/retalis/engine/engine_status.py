@@ -76,6 +76,7 @@ class RuleStatus(NamedTuple):
         keys: number of keys with a state: values that partial matches share, or by which windows are grouped.
         bytes: estimated memory of these: numbers of elements and keys times measured constants.
         delay: nanoseconds by which its alarms wait for events that are received late; see `LagStatus`.
+        late: number of events that arrived too late for its windows and other stream operators.
     """
 
     label: str
@@ -89,6 +90,7 @@ class RuleStatus(NamedTuple):
     keys: int
     bytes: int
     delay: int = 0
+    late: int = 0
 
 
 class MemoryStatus(NamedTuple):
@@ -485,6 +487,7 @@ def _list_rules(
             rule.keys,
             rule.bytes,
             rule.watermark_delay,
+            rule.late_count,
         )
 
     return tuple([read_status(rule) for rule in listed]), len(rules.rules) - len(listed)

@@ -6,7 +6,7 @@ they can be shown with a caret after the source is gone. Texts from outside are 
 
 import json
 import re
-from typing import Iterable, List, NamedTuple, Optional
+from typing import Callable, Hashable, Iterable, List, NamedTuple, Optional
 
 MAX_SHOWN_CHARACTERS = 200
 """Maximum number of characters of an external text that are stored and displayed."""
@@ -209,6 +209,22 @@ class RuleError(RetalisError):
     ...     print(type(errors.errors[0]) is RuleError)
     True
     """
+
+
+class RecurringWarning(RuleError):
+    """A warning about something that recurs, at its 1st, 2nd, 4th, 8th, ... occurrence.
+
+    Attributes:
+        category: identity of what recurs.
+        count_occurrences: returns the number of its occurrences so far.
+    """
+
+    def __init__(
+        self, message: str, place: Optional[Place], category: Hashable, count_occurrences: Callable[[], int]
+    ):
+        super().__init__(message, place)
+        self.category = category
+        self.count_occurrences = count_occurrences
 
 
 class Omission(RetalisError):

@@ -3,7 +3,7 @@ import logging
 import pytest
 from reachability import reachable
 
-from retalis import Place, Reports, RetalisError, RuleError
+from retalis import Engine, Place, Reports, RetalisError, RuleError
 from retalis.foundation.errors import place_at_offset
 
 
@@ -107,3 +107,56 @@ def test_what_is_logged_does_nothing_to_a_terminal(caplog):
         assert "\\x1b]0;title\\x07" in text and "\\u202e\\ud800" in text and "ok é" in text
         text.encode("utf-8")
     assert len(caplog.records) == 2
+
+
+LATE = "w(N) <- aggregate(count, in(_), N, last(2))."
+
+
+def feed_late_events(reports, count):
+    engine = Engine(reports=reports)
+    engine.load(rules=LATE)
+    engine.event("in(0)", 100)
+    for number in range(count):
+        engine.event(f"in({number})", 50)
+    return engine
+
+
+def test_late_events_are_logged_at_powers_of_two(logged):
+    reports = Reports()
+    engine = feed_late_events(reports, 300)
+    counts = [int(record.message.split("; ")[1].split(" so far")[0]) for record in logged.records]
+    assert counts == [1, 2, 4, 8, 16, 32, 64, 128, 256]
+    assert engine.status().rules[0].late == 300
+
+
+def test_sum_of_late_events_is_logged_at_the_end(logged):
+    reports = Reports()
+    feed_late_events(reports, 300)
+    reports.sum_up()
+    assert logged.records[-1].message.startswith(
+        "300 times in all: text:1:1: rule w(N): an event is too late"
+    )
+    assert reports.warnings == 300
+    reports.sum_up()
+    assert len(logged.records) == 10
+
+
+def test_batch_run_logs_first_late_event_and_sum(logged):
+    reports = Reports()
+    reports.once = True
+    feed_late_events(reports, 5)
+    assert len(logged.records) == 1
+    reports.sum_up()
+    assert logged.records[-1].message.startswith("5 times in all: ")
+
+
+def test_late_and_dropped_events_of_a_rule_are_counted_apart(logged):
+    reports = Reports()
+    engine = Engine(reports=reports)
+    engine.rules.max_stored = 2
+    engine.load(rules=LATE)
+    for instant in (100, 100.1, 100.2, 100.3, 50, 51, 52):
+        engine.event("in(1)", instant)
+    reports.sum_up()
+    assert sum("have been dropped" in record.message for record in logged.records) == 2
+    assert logged.records[-1].message.startswith("3 times in all: ")

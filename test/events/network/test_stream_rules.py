@@ -561,3 +561,12 @@ def test_error_of_alarm_affects_no_other_alarm_and_no_event(caplog):
     # The rule continues with later events.
     engine.logic.define("broken", 0, lambda machine: True)
     assert engine.feed("in(c)@10 tick@19") == "r(c)@10-11 other(c)@10-11 last@19-19"
+
+
+def test_event_between_hopping_windows_is_in_none_and_not_late():
+    engine = Run("n(N) <- aggregate(count, in(_), N, last(1,every(10))).")
+    assert engine.feed("in(1)@3 in(2)@9.5 in(3)@14 in(4)@12 tick@30") == "n(1)@9-10"
+    assert engine.event_rules[0].late_count == 0 and engine.reports == []
+    # An event of a window that has ended is late.
+    assert engine.feed("in(5)@29.5") == ""
+    assert engine.event_rules[0].late_count == 1

@@ -2,11 +2,12 @@
 
 import logging
 import traceback
-from typing import Dict, Set
+from typing import Callable, Dict, Optional, Set
 
 from ...foundation.errors import (
     MAX_MESSAGE_CHARACTERS,
     MAX_SHOWN_CHARACTERS,
+    RecurringWarning,
     RetalisError,
     printable,
     shorten,
@@ -73,6 +74,9 @@ class Reports:
         >>> reports.warnings
         1
         """
+        if isinstance(problem, RecurringWarning):
+            self._log_recurring(problem)
+            return
         self.warnings += 1
         key = kind or getattr(problem, "place", None) or str(problem)
         self._log(logging.WARNING, key, str(problem), texts, once)
@@ -86,6 +90,7 @@ class Reports:
         >>> reports.sum_up()
         """
         for problem in list(self._problems.values()):
+            self._update_count(problem)
             if problem.count > problem.logged_count:
                 problem.logged_count = problem.count
                 log.log(
@@ -101,10 +106,43 @@ class Reports:
             )
             self._evicted_count = 0
 
+    def _log_recurring(self, warning: RecurringWarning) -> None:
+        """Log a warning whose source counts the occurrences and has decided to show this one."""
+        text = printable(str(warning))
+        problem = self._find_problem(hash(warning.category), logging.WARNING, text)
+        problem.count_occurrences = warning.count_occurrences
+        self._update_count(problem)
+        if self.once and problem.logged_count:
+            return
+        problem.logged_count = problem.count
+        log.warning("%s", text, extra={COUNTED_ATTRIBUTE: True})
+
+    def _update_count(self, problem: "_RecurringProblem") -> None:
+        """Read the number of occurrences from the source that counts them."""
+        if problem.count_occurrences is not None:
+            count = problem.count_occurrences()
+            # The count of a rule that was loaded again starts at 0.
+            self.warnings += max(0, count - problem.count)
+            problem.count = count
+
     def _log(self, level: int, kind: object, text: str, max_texts: int = 1, first_only: bool = False) -> None:
         """Count a problem, and log it at its 1st, 2nd, 4th, ... occurrence, or if its text is new."""
         key = hash(kind)
         text = printable(shorten(text, MAX_MESSAGE_CHARACTERS))
+        problem = self._find_problem(key, level, text)
+        problem.count = count = problem.count + 1
+        is_new = len(problem.text_hashes) < max_texts and hash(text) not in problem.text_hashes
+        if is_new:
+            problem.text_hashes.add(hash(text))
+        # Counts other than 1, 2, 4, 8, ... have more than one bit.
+        elif count & (count - 1) or first_only or self.once:
+            return
+        problem.logged_count = count
+        logged_text = text if is_new else f"{text}\n({count} times so far)"
+        log.log(level, "%s", logged_text, extra={COUNTED_ATTRIBUTE: True})
+
+    def _find_problem(self, key: int, level: int, text: str) -> "_RecurringProblem":
+        """Return the problem with a key, possibly a new one."""
         problem = self._problems.get(key)
         if problem is None:
             # The whole table is cleared: evicting single entries would need their order, for a case that only a
@@ -117,22 +155,17 @@ class Reports:
             problem = self._problems[key] = _RecurringProblem(
                 level, text[:MAX_SHOWN_CHARACTERS].split("\n", 1)[0]
             )
-        problem.count = count = problem.count + 1
-        is_new = len(problem.text_hashes) < max_texts and hash(text) not in problem.text_hashes
-        if is_new:
-            problem.text_hashes.add(hash(text))
-        # Counts other than 1, 2, 4, 8, ... have more than one bit.
-        elif count & (count - 1) or first_only or self.once:
-            return
-        problem.logged_count = count
-        logged_text = text if is_new else f"{text}\n({count} times so far)"
-        log.log(level, "%s", logged_text, extra={COUNTED_ATTRIBUTE: True})
+        return problem
 
 
 class _RecurringProblem:
-    """Recurring problem: its count, the count at the last log entry, its first line, and hashes of logged texts."""
+    """Recurring problem: its count, the count at the last log entry, its first line, and hashes of logged texts.
 
-    __slots__ = ("first_line", "level", "text_hashes", "count", "logged_count")
+    Attributes:
+        count_occurrences: returns the count if the source of the problem counts it; else None.
+    """
+
+    __slots__ = ("first_line", "level", "text_hashes", "count", "logged_count", "count_occurrences")
 
     def __init__(self, level: int, first_line: str):
         self.level = level
@@ -140,3 +173,4 @@ class _RecurringProblem:
         self.count = 0
         self.logged_count = 0
         self.text_hashes: Set[int] = set()
+        self.count_occurrences: Optional[Callable[[], int]] = None

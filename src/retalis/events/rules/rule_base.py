@@ -11,7 +11,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Callable, Dict, Hashable, Iterator, List, Optional, Sequence, Tuple, Union
 
-from ...foundation.errors import Place, RetalisError, RuleError
+from ...foundation.errors import Place, RecurringWarning, RetalisError, RuleError
 from ...prolog.machine.resource_limits import record_caught_error
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.term_traversal import copy, term_key, variables
@@ -491,7 +491,7 @@ class RuleBase:
             rule.dropped_alarm_count += 1
             count = rule.dropped_alarm_count
             text = f": more than {self.max_stored} alarms are set; {count} have been dropped so far"
-            self._warn_rarely(rule, count, text)
+            self._warn_rarely(rule, "dropped alarms", text, lambda: rule.dropped_alarm_count)
             return
         self.clock.call_at(instant, RuleAlarm(self, rule, term, start, instant, token))
 
@@ -507,7 +507,8 @@ class RuleBase:
     def report_late(self, rule: EventRule, reason: str) -> None:
         """Report that a match was too late to be used."""
         rule.late_count += 1
-        self._warn_rarely(rule, rule.late_count, f": {reason}; {rule.late_count} so far")
+        text = f": {reason}; {rule.late_count} so far"
+        self._warn_rarely(rule, "late", text, lambda: rule.late_count)
 
     def report_past_alarm(self, rule: EventRule, head: Term, alarm: Optional[Tuple[Term, int, int]]) -> None:
         """Report an alarm for a past instant; ``alarm`` is None if the instant precedes the event's own start."""
@@ -516,7 +517,7 @@ class RuleBase:
         rule.past_alarm_count += 1
         consequence = "it is an ordinary event" if alarm is None else "it fires at once"
         text = f": the instant of its alarm is in the past, so {consequence}; {rule.past_alarm_count} so far"
-        self._warn_rarely(rule, rule.past_alarm_count, text)
+        self._warn_rarely(rule, "past alarms", text, lambda: rule.past_alarm_count)
 
     def report_nothing_retracted(self, term: Term, rule: Optional[EventRule]) -> None:
         """Report an event ``rev(E)`` without an event E to retract, at the occurrences 1, 2, 4, 8 and so on."""
@@ -528,7 +529,14 @@ class RuleBase:
                 f"{prefix}rev retracts nothing: no event {self.logic.brief(term)} that still holds is known"
             )
             place = None if rule is None else rule.place
-            self.on_warning(RuleError(f"{text}; {occurrence_count} so far", place))
+            self.on_warning(
+                RecurringWarning(
+                    f"{text}; {occurrence_count} so far",
+                    place,
+                    "nothing retracted",
+                    lambda: self.failed_retraction_count,
+                )
+            )
 
     def report_rule_error(self, rule: EventRule, error: RetalisError, subject: str = "") -> None:
         """Report an error that prevented a rule from firing.
@@ -568,7 +576,7 @@ class RuleBase:
                 f" has more than {max_runs} ways to take its steps from one start; "
                 f"{rule.dropped_count} have been dropped so far"
             )
-        self._warn_rarely(rule, rule.dropped_count, text)
+        self._warn_rarely(rule, "dropped", text, lambda: rule.dropped_count)
 
     def report_dropped_keys(self, rule: EventRule) -> None:
         """Report that keys of a rule were dropped."""
@@ -576,9 +584,16 @@ class RuleBase:
             f" has more than {self.key_bounds.max_keys} keys; {rule.dropped_count} of the least recently used have "
             "been dropped so far; flag max_keys sets the number, property(ttl, SECONDS) of a label ends idle keys"
         )
-        self._warn_rarely(rule, rule.dropped_count, text)
+        self._warn_rarely(rule, "dropped keys", text, lambda: rule.dropped_count)
 
-    def _warn_rarely(self, rule: EventRule, occurrence_count: int, text: str) -> None:
+    def _warn_rarely(
+        self, rule: EventRule, category: str, text: str, count_occurrences: Callable[[], int]
+    ) -> None:
         """Log a warning at the occurrences 1, 2, 4, 8 and so on."""
-        if occurrence_count & (occurrence_count - 1) == 0:
-            self.on_warning(RuleError(f"{rule.name}{text}", rule.place))
+        count = count_occurrences()
+        if count & (count - 1) == 0:
+            self.on_warning(
+                RecurringWarning(
+                    f"{rule.name}{text}", rule.place, (rule.name, rule.place, category), count_occurrences
+                )
+            )
