@@ -97,7 +97,7 @@ _COMMON = """
     """
 
 _DEBIAN = """
-    catkin librostest-dev libstd-msgs-dev python3-diagnostic-msgs python3-geometry-msgs
+    catkin librostest-dev libstd-msgs-dev python3-diagnostic-msgs python3-geometry-msgs python3-lark
     python3-rosbag python3-roslaunch python3-rosmaster python3-rosmsg python3-rosnode python3-rosparam
     python3-rospy python3-rosservice python3-rostest python3-rostopic python3-std-msgs python3-std-srvs
     python3-tf python3-tf2 python3-tf2-msgs python3-tf2-ros ros-message-generation ros-message-runtime rosbash rosout

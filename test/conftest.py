@@ -27,6 +27,11 @@ GC_THRESHOLDS = (700, 10, 100)
 """Thresholds of the garbage collector: those of Python, except that all objects are visited a tenth as often."""
 
 try:
+    import lark  # noqa: F401 - sets its logger when it is imported, which a test must not change
+except ImportError:
+    pass
+
+try:
     from hypothesis import settings
 except ImportError:  # the tests that need hypothesis are skipped, or fail with a message
     pass

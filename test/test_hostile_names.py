@@ -132,11 +132,19 @@ def test_xml_is_refused_with_a_place(name, attribute, tmp_path):
 
 @every_name
 @pytest.mark.parametrize("line", ["int32 {}", "{} x", "int32 {}=1", "{} X=1", "int32[{}] x", "int32 X={}"])
-def test_definitions_are_refused_with_a_place(name, line):
-    with pytest.raises(MessageError) as caught:
-        Definitions().add("pkg/Type", "int8 first\n" + line.format(name) + "\n")
-    assert caught.value.place.source.startswith("pkg/Type")
-    assert len(caught.value.message) < 1000
+def test_definitions_are_refused_with_a_place(name, line, caplog):
+    try:
+        definition = Definitions().add("pkg/Type", "int8 first\n" + line.format(name) + "\n")
+    except MessageError as error:
+        assert error.place.source.startswith("pkg/Type")
+        assert len(error.message) < 1000
+    else:
+        # An invalid constant is ignored.
+        assert "=" in line
+        assert definition.constants == ()
+        (record,) = caplog.records
+        assert record.getMessage().startswith("pkg/Type:2:")
+        assert len(record.getMessage()) < 1000
 
 
 @every_name

@@ -129,13 +129,15 @@ CASES: Dict[str, Case] = {
         "search", "the blanks behind a comma once more", ("", "\0,"), (" ", "\0", "\0,", "\0, ")
     ),
     # foundation/ros_names.py
-    r"([^/]+)/(?:msg|action)/([^/]+)": Case(
+    r"([^/]+)/(?:msg|srv|action)/([^/]+)": Case(
         "match", "each part once", ("", "a/", "a/msg/"), ("a", "/", "a/msg/", "/msg", "msg")
     ),
     # prolog/terms/byte_texts.py
     "[\0-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]": Case(
         "search", "one look at each character", ("",), ("a", "\n", "ü")
     ),
+    # messages/idl_definitions.py
+    r"\w+|.": Case("match", "the word once", ("",), ("a", " ", "_", "\n")),
     # messages/ros2_to_ros1.py
     r"\s*(?P<type>[\w/]+)(?P<bound><=[0-9]+)?(?P<array>\[(?:<=)?[0-9]*\])?\s+"
     r"(?P<name>\w+)(?P<rest>(?:[\s=#].*)?)$": Case(
@@ -151,21 +153,11 @@ CASES: Dict[str, Case] = {
         ("a", "\\", '\\"', " ", "#", "'"),
     ),
     r"\\(.)": Case("search", "two characters", ("",), ("\\", "a", "\\\n")),
-    # playback/rosbag2.py
-    r"^(?:={20,}|IDL:.*)$": Case(
-        "search", "a line once more", ("", "=" * 20, "IDL:"), ("=", "a", "IDL:", "=\n", "IDL:\n")
-    ),
-    r"\n(?P<offset>[0-9]{1,9})\n(?s:.*?)(?:\n\{(?P<expected>.*)\})?\Z": Case(
-        "match",
-        "the rest of each line that begins with a brace once more",
-        ("", "\n1\n", "\n1\n{"),
-        ("a", "\n", "{", "}", "\n{", "\n{}"),
-    ),
-    r"'[^']*'|/[^/]*/": Case(
-        "findall",
-        "a quote or slash that is never closed: all once more",
-        ("", "'", "/"),
-        ("a", "'a'", "/a/", "/", "'"),
+    r"^={20,}[ \t\r]*\n(MSG|SRV|IDL):[ \t]*(\S*)": Case(
+        "search",
+        "a line of '=', blanks, and a name once more",
+        ("", "=" * 20, "=" * 20 + "\nMSG:"),
+        ("=", " ", "\n", "a", "=" * 20 + "\n", "MSG:"),
     ),
     # prolog/syntax/literals.py
     r"[^\W\d_]\w*\Z|[-+*/\\^<>=~:.?@#&$]+\Z|\[\]\Z|\{\}\Z|[!;]\Z": Case(

@@ -20,8 +20,8 @@ def find(kind):
     return STORE.generate_msgdef(name, ros_version=2)[0] if name in STORE.types else None
 
 
-def read(text, name="my_msgs/msg/Kind", find=find):
-    return parse_ros2_type(name, text, find)
+def read(text, name="my_msgs/msg/Kind", find=find, is_idl=False):
+    return parse_ros2_type(name, text, find, is_idl)
 
 
 def slots(found):
@@ -279,10 +279,14 @@ def check_type(name):
 
 
 def without_numbers(definition, values):
-    """Have 0 in all headers as the number that ROS 2 does not have."""
+    """Return values with 0 as the number in headers, which ROS 2 does not have, and with times before 2038."""
     values = list(values)
     for at, slot in enumerate(definition.fields):
-        if slot.definition is not None and slot.length is None:
+        if slot.type == "time" and slot.length is None:
+            values[at] = [values[at][0] % 2**31, values[at][1]]
+        elif slot.type == "time":
+            values[at] = [[seconds % 2**31, nanoseconds] for seconds, nanoseconds in values[at]]
+        elif slot.definition is not None and slot.length is None:
             values[at] = without_numbers(slot.definition, values[at])
         elif slot.definition is not None:
             values[at] = [without_numbers(slot.definition, one) for one in values[at]]
@@ -341,3 +345,137 @@ def test_types_of_any_slots_are_converted_as_rosbags_does(slots, data):
     for end in range(len(converted)):
         with pytest.raises(MessageError):
             found.to_ros1(converted[:end])
+
+
+# ---- times before 1970 -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize(
+    ("text", "layout", "values"),
+    [
+        ("builtin_interfaces/Time t\nint8 x\n", "iIb", [(-5, 0, 1), (5, 0, 1)]),
+        ("int8 x\nint64 y\nbuiltin_interfaces/Time t\n", "b7xqiI", [(1, -1, -5, 9), (1, -1, 5, 9)]),
+        ("builtin_interfaces/Time[2] t\n", "iIiI", [(1, 0, -5, 0), (1, 0, 5, 0)]),
+        ("builtin_interfaces/Time[] t\n", "IiIiI", [(2, 1, 0, -5, 0), (2, 1, 0, 5, 0)]),
+        ("wstring w\nbuiltin_interfaces/Time t\n", "IiI", [(0, -5, 0), (0, 5, 0)]),
+    ],
+)
+def test_negative_seconds_of_time_are_an_error(order, text, layout, values):
+    found = read(text)
+    negative, positive = (cdr(layout, *numbers, order=order) for numbers in values)
+    assert len(found.to_ros1(positive)) > 4
+    with pytest.raises(MessageError, match="a my_msgs/Kind has a time of -5 s: expected at least 0 s"):
+        found.to_ros1(negative)
+
+
+def test_negative_seconds_of_stamp_and_duration():
+    found = read("Header header\nbuiltin_interfaces/Duration d\n")
+    message = cdr("iIIBxxxiI", 4, 0, 1, 0, -5, 0)
+    assert shown(found, message) == "my_msgs__0__Kind(std_msgs__0__Header(0,[4,0],'\"\"'),[-5,0])"
+    with pytest.raises(MessageError, match="has a time of -4 s"):
+        found.to_ros1(cdr("iIIBxxxiI", -4, 0, 1, 0, -5, 0))
+
+
+# ---- events of services ------------------------------------------------------------------------------
+
+SERVICE = f"""\
+{"=" * 80}
+SRV: my_msgs/srv/Go
+# where
+geometry_msgs/Point goal
+Pace pace
+---
+bool ok
+string<=9 reason
+{"=" * 80}
+MSG: my_msgs/Pace
+uint8 FAST=1
+uint8 pace
+"""
+
+
+@pytest.mark.parametrize("text", [SERVICE, SERVICE.split("srv/Go\n")[1]])
+def test_service_event_has_info_request_and_response(text):
+    found = read(text, "my_msgs/srv/Go_Event")
+    assert found.definition.name == "my_msgs/Go_Event"
+    assert slots(found) == [
+        "service_msgs/ServiceEventInfo info",
+        "my_msgs/Go_Request[] request",
+        "my_msgs/Go_Response[] response",
+    ]
+    info = struct.pack("<BxxxiI16s4xq", 2, 4, 5, bytes(range(16)), 7)
+    request = shown(found, b"\0\1\0\0" + info + struct.pack("<I4x3dBxxxI", 1, 1.0, 2.0, 3.0, 1, 0))
+    gid = to_text(shown_gid(bytes(range(16))))
+    head = f"my_msgs__0__Go_Event(service_msgs__0__ServiceEventInfo(2,[4,5],{gid},7)"
+    assert request == (
+        f"{head},[my_msgs__0__Go_Request(geometry_msgs__0__Point(1.0,2.0,3.0),my_msgs__0__Pace(1))],[])"
+    )
+    response = shown(found, b"\0\1\0\0" + info + struct.pack("<IIBxxxI3s", 0, 1, 1, 3, b"no\0"))
+    assert response == f"{head},[],[my_msgs__0__Go_Response(true,'\"no\"')])"
+
+
+def shown_gid(gid):
+    """Return the term of a byte array."""
+    definitions = Definitions()
+    array = definitions.add("my_msgs/Gid", "char[16] gid")
+    return definitions.decoder(array).decode(gid)[1]
+
+
+def test_empty_request_of_service_has_a_byte():
+    found = read("---\nbool ok\n", "my_msgs/srv/Stop_Event")
+    info = struct.pack("<BxxxiI16s4xq", 0, 4, 5, bytes(16), 7)
+    raw = b"\0\1\0\0" + info + struct.pack("<IBxxxI", 1, 0, 0)
+    assert shown(found, raw).endswith(",[my_msgs__0__Stop_Request],[])")
+
+
+@pytest.mark.parametrize("text", ["int8 x\n", "---\n---\n"])
+def test_service_without_one_separator_is_an_error(text):
+    with pytest.raises(MessageError, match="service my_msgs/Go has [02] lines '---': expected one, between"):
+        read(text, "my_msgs/srv/Go_Event")
+
+
+# ---- IDL ---------------------------------------------------------------------------------------------
+
+
+def test_types_in_idl_are_read_with_those_after_other_headings():
+    line = "=" * 80
+    text = (
+        f'{line}\nIDL: p/msg/A\n// generated\n#include "p/msg/B.idl"\n'
+        "module p { module msg { struct A { p::msg::B b; std_msgs::msg::Header header; }; }; };\n"
+        f"\n{line}\nIDL: p/msg/B\nmodule p {{ module msg {{ struct B {{ double x; }}; }}; }};\n"
+    )
+    found = read(text, "p/msg/A", is_idl=True)
+    assert slots(found) == ["p/B b", "std_msgs/Header header"]
+    assert shown(found, cdr("diIIs", 1.5, 4, 5, 1, b"\0")) == (
+        "p__0__A(p__0__B(1.5),std_msgs__0__Header(0,[4,5],'\"\"'))"
+    )
+
+
+def test_service_event_has_types_in_idl():
+    line = "=" * 80
+    text = (
+        f"{line}\nSRV: p/srv/Go\np/B b\n---\n{line}\nIDL: p/msg/B\n"
+        "module p { module msg { struct B { double x; }; }; };\n"
+    )
+    found = read(text, "p/srv/Go_Event")
+    assert slots(found)[1] == "p/Go_Request[] request"
+    (request,) = [nested for nested in found.definition.dependencies() if nested.name == "p/Go_Request"]
+    assert request.fields[0].type == "p/B"
+
+
+def test_error_in_idl_names_line_of_whole_text():
+    line = "=" * 80
+    text = (
+        f"{line}\nSRV: p/srv/Go\np/B b\n---\n{line}\nIDL: p/msg/B\nmodule p {{ struct B {{ double }}; }};\n"
+    )
+    with pytest.raises(MessageError) as caught:
+        read(text, "p/srv/Go_Event")
+    assert (caught.value.place.line, caught.value.place.column) == (7, 30)
+
+
+def test_odd_constant_of_ros2_is_ignored_with_warning(caplog):
+    found = read("uint8 K=0\nuint8 K=0\nint8 x\n")
+    assert slots(found) == ["int8 x"]
+    (record,) = caplog.records
+    assert record.getMessage() == "my_msgs/Kind: 'K' is defined twice: the constant is ignored"

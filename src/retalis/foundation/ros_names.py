@@ -18,7 +18,7 @@ _TOPIC = re.compile(r"[A-Za-z/~][A-Za-z0-9_/]*")
 
 _NOT_ALLOWED = re.compile(r"[^A-Za-z0-9_/~]")
 
-_ROS2_TYPE = re.compile(r"([^/]+)/(?:msg|action)/([^/]+)")
+_ROS2_TYPE = re.compile(r"([^/]+)/(?:msg|srv|action)/([^/]+)")
 
 _LETTERS = 'ASCII letters, digits and "_", a letter first'
 
@@ -29,7 +29,10 @@ def name_fault(text: str) -> Optional[str]:
 
 
 def ros1_type_name(name: str) -> str:
-    """Return the name of a message type in the form of ROS 1: ``pkg/Type`` for ``pkg/msg/Type``."""
+    """Return the name of a message type in the form of ROS 1: ``pkg/Type`` for ``pkg/msg/Type``.
+
+    ROS 2 also has message types of services and actions: ``pkg/srv/Type_Event``, ``pkg/action/Type_FeedbackMessage``.
+    """
     match = _ROS2_TYPE.fullmatch(name) if name.count("/") == 2 else None
     return f"{match[1]}/{match[2]}" if match else name
 

@@ -6,7 +6,11 @@ bounds of strings and arrays (``string<=10[<=5] names``), default values (``int3
 they are omitted from the ROS 1 definition. A ``byte`` is an octet (``uint8``), a ``wstring`` a ``string`` in UTF-8.
 The lines are parsed here instead of with ``get_types_from_msg`` of rosbags: that does not know ``wstring``, rejects
 ``wstring<=4``, gives errors no position, and in version 0.9.20 renames slots that are keywords of Python and rejects
-default values of strings without quotes. Definitions in IDL are parsed with rosbags (see `playback.rosbag2`).
+default values of strings without quotes. `idl_definitions` converts definitions in IDL.
+
+The events of a service (``pkg/srv/Type_Event``) are defined by the text of the ``.srv`` file: rosidl generates a
+type with the slot ``info``, and with at most one ``request`` and one ``response``. The text that ``ros2 bag`` stores
+begins with a heading ``SRV: pkg/srv/Type``.
 
 CDR (OMG, Common Object Request Broker Architecture, 9.3; "plain CDR", which ROS 2 uses) aligns each number to its
 size, counted from the end of the four bytes that encode the byte order. A function is generated for each type and
@@ -24,11 +28,13 @@ from array import array
 from collections import deque
 from struct import Struct
 from struct import error as StructError
-from typing import Callable, Deque, Dict, FrozenSet, List, NamedTuple, Optional, Tuple
+from sys import byteorder
+from typing import Callable, Deque, Dict, FrozenSet, List, NamedTuple, Optional, Set, Tuple
 
 from ..foundation import codegen
 from ..foundation.errors import MessageError, place_at_offset, quote_shortened, shorten
-from ..foundation.ros_names import ros1_type_name
+from ..foundation.ros_names import name_fault, ros1_type_name
+from .idl_definitions import convert_idl
 from .type_definition import (
     EXPECTED_CONSTANT_TYPE,
     HEADER,
@@ -41,6 +47,7 @@ from .type_definition import (
     measure_of,
     parse_constant,
     split_sections,
+    warn_of_ignored_constants,
 )
 from .type_registry import MAX_DEFINITION_CHARACTERS, Definitions, InstalledTypes
 
@@ -65,7 +72,21 @@ _ROS1_TYPES = {
 _STRING_TYPES = ("string", "wstring")
 
 _INSTANT = "int32 sec\nuint32 nanosec\n"
-_BUILTIN_DEFINITIONS = {"builtin_interfaces/Time": _INSTANT, "builtin_interfaces/Duration": _INSTANT}
+_SERVICE_EVENT_INFO = """\
+uint8 REQUEST_SENT=0
+uint8 REQUEST_RECEIVED=1
+uint8 RESPONSE_SENT=2
+uint8 RESPONSE_RECEIVED=3
+uint8 event_type
+builtin_interfaces/Time stamp
+char[16] client_gid
+int64 sequence_number
+"""
+_BUILTIN_DEFINITIONS = {
+    "builtin_interfaces/Time": _INSTANT,
+    "builtin_interfaces/Duration": _INSTANT,
+    "service_msgs/ServiceEventInfo": _SERVICE_EVENT_INFO,
+}
 """Types that definitions use without containing them."""
 
 
@@ -82,24 +103,35 @@ class Ros2Type(NamedTuple):
     to_ros1: Callable[[bytes], bytes]
 
 
-def parse_ros2_type(name: str, text: str, find: FindText) -> Ros2Type:
+_EVENT_SUFFIX = "_Event"
+
+_HEADING = re.compile(r"^={20,}[ \t\r]*\n(MSG|SRV|IDL):[ \t]*(\S*)", re.MULTILINE)
+"""Beginning of the definition of another type in a text."""
+
+
+def parse_ros2_type(name: str, text: str, find: FindText, is_idl: bool = False) -> Ros2Type:
     """Parse a definition of ROS 2.
 
     Args:
-        name: ``pkg/Type`` or ``pkg/msg/Type``.
-        text: the definition, including all nested types that ``find`` does not know.
+        name: ``pkg/Type``, ``pkg/msg/Type``, or ``pkg/srv/Type_Event`` for the events of a service.
+        text: the definition, including all nested types that ``find`` does not know; of a service the ``.srv`` file.
         find: returns the definitions of nested types.
+        is_idl: whether the text before the first heading is in IDL.
 
     Raises:
         MessageError: if the text is not a valid definition, is too long, or names an unknown type.
     """
+    is_service_event = "/srv/" in name and name.endswith(_EVENT_SUFFIX)
     name = ros1_type_name(name)
     if len(text) > MAX_DEFINITION_CHARACTERS:
         raise MessageError(
             f"the definition of {shorten(name)} has {len(text)} characters: "
             f"at most {MAX_DEFINITION_CHARACTERS} are allowed"
         )
-    types = _read_nested_types(name, _split_by_type(name, text), find)
+    types = _read_nested_types(name, _split_by_type(name, text, is_idl, is_service_event), find)
+    warn_of_ignored_constants(
+        [problem for section in types.values() for problem in section.ignored_constants]
+    )
     parts = [types[name].text]
     parts += [f"{'=' * 80}\nMSG: {nested}\n{types[nested].text}" for nested in types if nested != name]
     # A registry without installed types: the nested types must be those of CDR, not types of ROS 1 with equal names.
@@ -118,16 +150,95 @@ class _Ros2Section(NamedTuple):
         text: the definition in ROS 1 form.
         wide_slots: names of the slots that are wide strings or arrays of wide strings.
         nested_types: types of slots.
+        ignored_constants: reasons why constants are ignored.
     """
 
     text: str
     wide_slots: List[str]
     nested_types: List[str]
+    ignored_constants: List[str]
 
 
-def _split_by_type(name: str, text: str) -> Dict[str, str]:
-    """Return the definitions in a concatenated text by their types, ``pkg/Type``."""
-    return {ros1_type_name(type_name): section for type_name, section in split_sections(name, text).items()}
+def _split_by_type(
+    name: str, text: str, is_idl: bool = False, is_service_event: bool = False
+) -> Dict[str, str]:
+    """Return the definitions in a concatenated text by their types, ``pkg/Type``, in the syntax of ``.msg`` files."""
+    sections = _list_sections(name, text, "IDL" if is_idl else "SRV" if is_service_event else "MSG")
+    if all(section.syntax == "MSG" for section in sections):
+        return {
+            ros1_type_name(type_name): section for type_name, section in split_sections(name, text).items()
+        }
+    service = name[: -len(_EVENT_SUFFIX)] if is_service_event else name
+    texts: Dict[str, str] = {}
+    for section in sections:
+        if section.syntax == "SRV" and section.text.strip():
+            texts.update(_split_service(service if section.type == name else section.type, section.text))
+        elif section.syntax == "MSG":
+            texts.setdefault(section.type, section.text)
+    if is_idl:
+        # Types that this one does not use may be unreadable.
+        requested = [f"{service}_Request", f"{service}_Response"] if is_service_event else [name]
+    else:
+        requested = [section.type for section in sections if section.syntax == "IDL"]
+    if requested:
+        # The other sections are replaced by empty lines, so that line numbers stay the same.
+        idl_text = "".join(
+            section.text if section.syntax == "IDL" else "\n" * section.line_count for section in sections
+        )
+        for type_name, type_text in convert_idl(name, idl_text, requested).items():
+            texts.setdefault(type_name, type_text)
+    if is_service_event:
+        service_name = service.rpartition("/")[2]
+        texts.setdefault(
+            name,
+            "service_msgs/ServiceEventInfo info\n"
+            f"{service_name}_Request[<=1] request\n{service_name}_Response[<=1] response\n",
+        )
+    return texts
+
+
+class _TextSection(NamedTuple):
+    """Definition of one type in a concatenated text.
+
+    Attributes:
+        syntax: ``MSG``, ``SRV`` or ``IDL``.
+        type: name of the type or service.
+        text: the definition.
+        line_count: number of lines, including those of the heading.
+    """
+
+    syntax: str
+    type: str
+    text: str
+    line_count: int
+
+
+def _list_sections(name: str, text: str, syntax: str) -> List[_TextSection]:
+    """Return the definitions in a text; that before the first heading has the given name and syntax."""
+    headings = list(_HEADING.finditer(text))
+    ends = [*(heading.start() for heading in headings), len(text)]
+    sections = [_TextSection(syntax, name, text[: ends[0]], text.count("\n", 0, ends[0]))]
+    for heading, end in zip(headings, ends[1:]):
+        # The grammar of IDL includes the heading.
+        start = heading.start() if heading[1] == "IDL" else heading.end()
+        line_count = text.count("\n", heading.start(), end)
+        sections.append(_TextSection(heading[1], ros1_type_name(heading[2]), text[start:end], line_count))
+    return sections
+
+
+def _split_service(service: str, text: str) -> Dict[str, str]:
+    """Return the types of the request and the response of a service, from the text of its ``.srv`` file."""
+    lines = text.splitlines(keepends=True)
+    separators = [number for number, line in enumerate(lines) if line.strip() == "---"]
+    if len(separators) != 1:
+        raise MessageError(
+            f"the definition of service {shorten(service)} has {len(separators)} lines '---': expected one, between "
+            "request and response"
+        )
+    return {
+        f"{service}_Request": "".join(lines[: separators[0]]),
+        f"{service}_Response": "".join(lines[separators[0] + 1 :]),
+    }
 
 
 def _read_nested_types(name: str, texts: Dict[str, str], find: FindText) -> Dict[str, _Ros2Section]:
@@ -163,6 +274,8 @@ class _Ros2DefinitionReader:
         lines: the lines of the definition in ROS 1 form.
         wide_slots: names of the slots that are wide strings.
         slot_types: message types of slots.
+        constants: names of the constants.
+        ignored_constants: reasons why constants are ignored.
         by_short_name: the types in ``texts`` by their names without package.
     """
 
@@ -173,6 +286,8 @@ class _Ros2DefinitionReader:
         self.lines: List[str] = ["uint32 seq"] if name == HEADER else []
         self.wide_slots: List[str] = []
         self.slot_types: List[str] = []
+        self.constants: Set[str] = set()
+        self.ignored_constants: List[str] = []
         self.by_short_name: Dict[str, List[str]] = {}
         for full_name in texts:
             self.by_short_name.setdefault(full_name.rpartition("/")[2], []).append(full_name)
@@ -192,7 +307,12 @@ class _Ros2DefinitionReader:
             if problem:
                 place = place_at_offset(self.name, text, offset + len(line) - len(line.lstrip()))
                 raise MessageError(problem, place)
-        return _Ros2Section("".join(f"{line}\n" for line in self.lines), self.wide_slots, self.slot_types)
+        return _Ros2Section(
+            "".join(f"{line}\n" for line in self.lines),
+            self.wide_slots,
+            self.slot_types,
+            self.ignored_constants,
+        )
 
     def _read_line(self, match: "re.Match[str]") -> str:
         """Add a slot or a constant; return an error text, or an empty string."""
@@ -207,16 +327,22 @@ class _Ros2DefinitionReader:
         return ""
 
     def _add_constant(self, type_name: str, name: str, text: str) -> None:
-        """Add a constant. A value that ROS 1 cannot express is omitted: constants are not part of messages."""
+        """Add a constant. One that ROS 1 cannot express is ignored: constants are not part of messages."""
         quoted = _QUOTED.match(text) if type_name == "string" else None
         if quoted is not None:
             value = re.sub(r"\\(.)", r"\1", quoted[1] if quoted[1] is not None else quoted[2])
         else:
             value = text.partition("#")[0].strip()
-        try:
-            parse_constant(type_name, value)
-        except ValueError:
+        problem = f"{quote_shortened(name)} is defined twice" if name in self.constants else name_fault(name)
+        if problem is None:
+            try:
+                parse_constant(type_name, value)
+            except ValueError:
+                problem = f"{quote_shortened(value)} is not a value of type {type_name}"
+        if problem is not None:
+            self.ignored_constants.append(f"{self.name}: {problem}")
             return
+        self.constants.add(name)
         self.lines.append(f"{type_name} {name}={value}")
 
     def _add_slot(self, match: "re.Match[str]") -> None:
@@ -258,6 +384,11 @@ _WideSlots = FrozenSet[Tuple[str, str]]
 _CODES = {1: "B", 2: "H", 4: "I", 8: "Q"}
 """Codes by which numbers are copied, by size: integers, because they preserve every bit of a float."""
 
+_SECONDS = -4
+"""Size of the seconds of a time, four bytes: negative ones of ROS 2 would be a time after 2106 in ROS 1."""
+
+_MAX_SECONDS = (1 << 31) - 1
+
 _MAX_INLINE_NUMBERS = 8
 """Arrays of at most this many numbers are copied together with the slots around them."""
 
@@ -283,6 +414,7 @@ def _make_converter(definition: Definition, wide_slots: _WideSlots) -> Callable[
             converters[order] = [
                 _ConverterGenerator(order, width, wide_slots).compile(definition) for width in widths
             ]
+        negative_time: Optional[_NegativeTimeError] = None
         # The message does not say how wide its characters are: the first width that consumes all bytes is right.
         for convert in converters[order]:
             chunks: List[bytes] = []
@@ -290,11 +422,23 @@ def _make_converter(definition: Definition, wide_slots: _WideSlots) -> Callable[
                 end = convert(data, 0, chunks.append)
             except (StructError, UnicodeDecodeError):
                 continue
+            except _NegativeTimeError as error:
+                negative_time = error
+                continue
             if 0 <= len(data) - end <= _MAX_PADDING_BYTES:
                 return b"".join(chunks)
+        if negative_time is not None:
+            raise MessageError(f"a {definition.name} has {negative_time}")
         raise MessageError(f"{len(data)} bytes of CDR are not a {definition.name}")
 
     return to_ros1
+
+
+class _NegativeTimeError(ValueError):
+    """A time before 1970, which ROS 1 cannot express."""
+
+    def __init__(self, seconds: int):
+        super().__init__(f"a time of {seconds - (1 << 32)} s: expected at least 0 s")
 
 
 class _ConverterGenerator:
@@ -312,6 +456,8 @@ class _ConverterGenerator:
         self.bound_names = codegen.BoundNames(
             {
                 "StructError": StructError,
+                "NegativeTimeError": _NegativeTimeError,
+                "check_seconds": _make_seconds_check(order),
                 "unpack_count": Struct(f"{order}I").unpack_from,
                 "pack": Struct("<I").pack,
                 "swapped": _swap_bytes,
@@ -320,7 +466,10 @@ class _ConverterGenerator:
             }
         )
         self.run_sizes: List[int] = []
-        """Sizes of the numbers of the run; 0 for four bytes that only ROS 1 has, -1 for a byte that only CDR has."""
+        """Sizes of the numbers of the run, or `_SECONDS`.
+
+        0 stands for four bytes that only ROS 1 has, -1 for a byte that only CDR has.
+        """
 
     def compile(self, definition: Definition) -> _Converter:
         """Return the function for a type: from bytes and an offset, to the offset after the message."""
@@ -396,12 +545,14 @@ class _ConverterGenerator:
 
     def add_numbers(self, count: str, sizes: List[int]) -> None:
         """Add an array of numbers of equal size, between which there is no padding."""
-        size = sizes[0]
+        size = abs(sizes[0])
+        seconds = [index for index, element_size in enumerate(sizes) if element_size == _SECONDS]
         self.lines += [
             f"if {count}:",
             f"  offset = offset + {size - 1} & -{size}",
             f"  end = offset + {size * len(sizes)} * {count}",
             "  if end > len(data): raise StructError",
+            *(f"  check_seconds(data[offset:end], {index}, {len(sizes)})" for index in seconds),
             f"  write({f'swapped(data[offset:end], {size})' if self.order == '>' else 'data[offset:end]'})",
             "  offset = end",
         ]
@@ -411,6 +562,12 @@ class _ConverterGenerator:
         if not self.run_sizes:
             return
         # Padding depends on the offset modulo 8 at which the run begins, which is only known when a message is read.
+        seconds = [
+            index
+            for index, size in enumerate(size for size in self.run_sizes if size not in (0, -1))
+            if size == _SECONDS
+        ]
+        self.run_sizes = [4 if size == _SECONDS else size for size in self.run_sizes]
         output_layout = Struct(
             "<" + "".join("4x" if not size else _CODES.get(size, "") for size in self.run_sizes)
         )
@@ -421,17 +578,25 @@ class _ConverterGenerator:
         pack = self.bound_names.name("pack", output_layout.pack)
         self.lines += [
             f"read, size = {layouts}[offset & 7]",
-            f"write({pack}(*read(data, offset)))",
+            "values = read(data, offset)",
+            *(
+                f"if values[{index}] > {_MAX_SECONDS}: raise NegativeTimeError(values[{index}])"
+                for index in seconds
+            ),
+            f"write({pack}(*values))",
             "offset += size",
         ]
         self.run_sizes = []
 
 
 def _list_number_sizes(slot: Field) -> List[int]:
-    """Return the sizes of the numbers in one element if all are equal, otherwise an empty list."""
+    """Return the sizes of the numbers in one element if all are equal, otherwise an empty list.
+
+    `_SECONDS` stands for the size 4.
+    """
     if slot.definition is None:
         if slot.type in TIMES:
-            return [4, 4]
+            return [_SECONDS if slot.type == "time" else 4, 4]
         return [] if slot.type == "string" else [measure_of(slot).min_size]
     sizes: List[int] = []
     if slot.definition.name == HEADER:
@@ -442,7 +607,7 @@ def _list_number_sizes(slot: Field) -> List[int]:
             if inner.length is None or 0 < inner.length <= _MAX_INLINE_NUMBERS
             else []
         )
-        if not element_sizes or element_sizes[0] != (sizes or element_sizes)[0]:
+        if not element_sizes or abs(element_sizes[0]) != abs((sizes or element_sizes)[0]):
             return []
         sizes += element_sizes * (inner.length or 1)
     return sizes if len(sizes) <= _MAX_INLINE_NUMBERS else []
@@ -460,6 +625,20 @@ def _make_input_format(sizes: List[int], phase: int) -> str:
             codes.append("x")
             offset += 1
     return "".join(codes)
+
+
+def _make_seconds_check(order: str) -> Callable[[bytes, int, int], None]:
+    """Return the function that checks the seconds of times in an array."""
+
+    def check(data: bytes, first: int, step: int) -> None:
+        numbers = array("I", data)
+        if (order == ">") == (byteorder == "little"):
+            numbers.byteswap()
+        seconds = max(numbers[first::step])
+        if seconds > _MAX_SECONDS:
+            raise _NegativeTimeError(seconds)
+
+    return check
 
 
 def _swap_bytes(data: bytes, size: int) -> bytes:

@@ -21,10 +21,23 @@ definitions differently than genmsg:
   Publishers determine the definition, and its size limit allows 125,000 lines.
 """
 
+import logging
 import re
 from struct import calcsize, unpack_from
 from struct import error as StructError
-from typing import Callable, Container, Dict, Iterable, Iterator, List, NamedTuple, Optional, Tuple, Union
+from typing import (
+    Callable,
+    Container,
+    Dict,
+    Iterable,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Set,
+    Tuple,
+    Union,
+)
 
 from ..foundation.errors import (
     MAX_SHOWN_CHARACTERS,
@@ -37,6 +50,8 @@ from ..foundation.errors import (
     shorten,
 )
 from ..foundation.ros_names import name_fault, ros1_type_name, type_fault
+
+log = logging.getLogger("retalis")
 
 PRIMITIVES: Dict[str, str] = {
     "bool": "?",
@@ -79,12 +94,22 @@ ConstantValue = Union[bool, int, float, str]
 
 
 class Constant(NamedTuple):
-    """A named value of a definition; ``text`` is the value as written."""
+    """A named value of a definition.
+
+    Attributes:
+        type: type of the value.
+        name: name of the constant.
+        text: the value as written.
+        value: the value.
+        problem: why the constant is ignored, with its place; "" for a valid one. Other tools write definitions with
+            repeated names or invalid values, and these are part of the checksum.
+    """
 
     type: str
     name: str
     text: str
     value: ConstantValue
+    problem: str = ""
 
 
 class Field(NamedTuple):
@@ -188,7 +213,7 @@ class Definition:
     Attributes:
         name: ``pkg/Type``.
         fields: the slots in order.
-        constants: the constants in order.
+        constants: the valid constants in order.
         text: the text of the definition, without those of nested types.
         event: name of its event terms if it differs from ``pkg__0__Type``.
         md5sum: checksum that identifies the version of the type in ROS.
@@ -213,11 +238,20 @@ class Definition:
             raise MessageError(fault)
         self.name = name
         self.fields = fields
-        self.constants = constants
+        self.constants = tuple(constant for constant in constants if not constant.problem)
+        self._all_constants = constants
         self.text = text
         self.event = event
         self.measure = measure_of_slots(fields)
         self.md5sum = md5(_checksum_text(self).encode()).hexdigest()
+
+    def describe_constants(self) -> List[str]:
+        """Return the lines of all constants without comments, including those that are ignored."""
+        return [f"{constant.type} {constant.name}={constant.text}" for constant in self._all_constants]
+
+    def ignored_constants(self) -> List[str]:
+        """Return why constants are ignored, each with its place."""
+        return [constant.problem for constant in self._all_constants if constant.problem]
 
     @property
     def functor_name(self) -> str:
@@ -260,7 +294,7 @@ class Definition:
         >>> Definitions().find("std_msgs/String").renamed("my_robot/Text").functor_name
         'my_robot__0__Text'
         """
-        return Definition(name, self.fields, self.constants, self.text)
+        return Definition(name, self.fields, self._all_constants, self.text)
 
     def as_event(self, event: str) -> "Definition":
         """Return the same definition with event terms of another name; "" restores the type's name.
@@ -270,7 +304,7 @@ class Definition:
         """
         if event == self.event:
             return self
-        return Definition(self.name, self.fields, self.constants, self.text, event)
+        return Definition(self.name, self.fields, self._all_constants, self.text, event)
 
     def __repr__(self) -> str:
         return f"Definition({self.name!r}, md5sum={self.md5sum!r})"
@@ -301,7 +335,7 @@ def _checksum_text(definition: Definition) -> str:
 
     As in genmsg, comments, spacing and the array length of nested types do not count.
     """
-    lines = [f"{constant.type} {constant.name}={constant.text}" for constant in definition.constants]
+    lines = definition.describe_constants()
     for slot in definition.fields:
         if slot.definition is None:
             lines.append(f"{slot.describe()} {slot.name}")
@@ -512,7 +546,8 @@ class _DefinitionReader:
 
     Attributes:
         fields: the slots that have been parsed, by name.
-        constants: the constants that have been parsed, by name.
+        constants: the constants that have been parsed.
+        constant_names: names of the valid ones.
         measure: the measure of the slots.
     """
 
@@ -522,7 +557,8 @@ class _DefinitionReader:
         self.find = find
         self.source = source
         self.fields: Dict[str, Field] = {}
-        self.constants: Dict[str, Constant] = {}
+        self.constants: List[Constant] = []
+        self.constant_names: Set[str] = set()
         self.measure = Measure()
 
     def read(self) -> Tuple[Tuple[Field, ...], Tuple[Constant, ...]]:
@@ -536,7 +572,7 @@ class _DefinitionReader:
             ) from None
         for offset, line in lines_with_offsets(self.text):
             self._read_line(offset, line)
-        return tuple(self.fields.values()), tuple(self.constants.values())
+        return tuple(self.fields.values()), tuple(self.constants)
 
     def _read_line(self, offset: int, line: str) -> None:
         """Add the constant or the slot of a line, which begins at ``offset``."""
@@ -563,26 +599,43 @@ class _DefinitionReader:
 
     def _add_constant(self, type_name: str, match: "re.Match[str]", offset: int) -> None:
         # Definitions come from other nodes: limits are checked per line, before the rest of the text is read.
-        text = match["value"].strip()
-        self._check_name(match, offset, self.constants)
-        # Constants are not slots of messages, but their count must be bounded as well.
+        text, name = match["value"].strip(), match["name"]
         if len(self.constants) >= MAX_SLOTS:
             raise self._make_error(
                 f"a type cannot have more than {MAX_SLOTS} constants", offset + match.start("name")
             )
+        value: ConstantValue = ""
+        try:
+            self._check_name(match, offset, self.constant_names)
+            value = self._parse_constant(type_name, text, match, offset)
+        except MessageError as error:
+            # Constants are not part of messages, so an invalid one does not prevent reading them.
+            problem = str(error).partition("\n")[0]
+            self.constants.append(Constant(type_name, name, text, value, problem))
+        else:
+            self.constants.append(Constant(type_name, name, text, value))
+            self.constant_names.add(name)
+
+    def _parse_constant(
+        self, type_name: str, text: str, match: "re.Match[str]", offset: int
+    ) -> ConstantValue:
+        """Return the value of a constant.
+
+        Raises:
+            MessageError: if it is not one of the type.
+        """
         if type_name not in PRIMITIVES and type_name != "string":
             raise self._make_error(
                 f"a constant cannot be of type {type_name[:MAX_SHOWN_CHARACTERS]}: {EXPECTED_CONSTANT_TYPE}",
                 offset + match.start(),
             )
         try:
-            value = parse_constant(type_name, text)
+            return parse_constant(type_name, text)
         except ValueError:
             position = offset + match.start("value")
             expected = _describe_expected_value(type_name)
             problem = f"{quote_shortened(text)} is not a value of type {type_name}: {expected}"
             raise self._make_error(problem, position) from None
-        self.constants[match["name"]] = Constant(type_name, match["name"], text, value)
 
     def _add_field(self, match: "re.Match[str]", offset: int) -> None:
         self._check_name(match, offset, self.fields)
@@ -626,6 +679,16 @@ class _DefinitionReader:
 
     def _make_error(self, message: str, offset: int) -> MessageError:
         return MessageError(message, place_at_offset(self.source, self.text, offset))
+
+
+def warn_of_ignored_constants(problems: List[str]) -> None:
+    """Log one warning for the constants of a definition that are ignored, given the reasons."""
+    if problems:
+        log.warning(
+            "%s: %s ignored",
+            problems[0],
+            "the constant is" if len(problems) == 1 else f"this and {len(problems) - 1} more constants are",
+        )
 
 
 def lines_with_offsets(text: str) -> Iterator[Tuple[int, str]]:

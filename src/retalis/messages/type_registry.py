@@ -42,6 +42,7 @@ from .type_definition import (
     Field,
     parse,
     split_sections,
+    warn_of_ignored_constants,
 )
 
 _ROS_FOLDER = "/opt/ros"
@@ -451,6 +452,13 @@ class Definitions:
         definition = self._by_text.get((name, text))
         if definition is None:
             definition = _Resolver(self, self._installed, split_sections(name, text)).resolve(name)
+            warn_of_ignored_constants(
+                [
+                    problem
+                    for part in (definition, *definition.dependencies())
+                    for problem in part.ignored_constants()
+                ]
+            )
             self._by_text.store(
                 (name, text), definition, 2 * len(text) + _BYTES_PER_SLOT * definition.measure.slot_count
             )

@@ -12,7 +12,6 @@ receipt, and a file is read from the time of its first message on.
 """
 
 import logging
-import re
 import shutil
 from collections import Counter
 from contextlib import ExitStack
@@ -23,10 +22,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Callable, Collection, Dict, Iterator, List, NamedTuple, Optional, Tuple, Union
 
-from ..foundation.errors import MessageError, format_count, place_at_offset, quote_shortened, shorten
+from ..foundation.errors import MessageError, format_count, quote_shortened, shorten
 from ..foundation.ros_names import ros1_type_name, topic_fault
 from ..messages.ros2_to_ros1 import Ros2Type, parse_ros2_type
-from ..messages.type_registry import InstalledTypes
+from ..messages.type_definition import Definition
+from ..messages.type_registry import Definitions, InstalledTypes
 from .decompression import MAX_CHUNK_MEGABYTES, ChunkLimit, copy_up_to, describe_error, zstd_reader
 from .mcap_file import McapFile
 from .ros2_storage import Connection, merge_by_time
@@ -53,12 +53,6 @@ A decompressed file may also take at most half of the free disk space.
 """
 
 MAX_METADATA_BYTES = 4_000_000
-
-_IDL_HEADING = re.compile(r"^(?:={20,}|IDL:.*)$", re.MULTILINE)
-"""Lines between IDL definitions that are not part of IDL."""
-
-_IDL_PROBLEM = re.compile(r"\n(?P<offset>[0-9]{1,9})\n(?s:.*?)(?:\n\{(?P<expected>.*)\})?\Z")
-"""End of an error of the IDL parser of rosbags."""
 
 
 class _ConvertedTopic(NamedTuple):
@@ -219,47 +213,33 @@ class _Types:
         Raises:
             MessageError: if its type is not defined, or the definition is invalid.
         """
+        if connection.format == "ros1":
+            # Messages that were converted from a ROS 1 bag, with the complete definition.
+            definition = Definitions(self._installed).add(connection.type, connection.definition)
+            return _make_topic(connection, definition, bytes)
         if connection.format != "cdr":
-            raise MessageError(f"its messages are in '{shorten(connection.format)}': expected cdr")
+            raise MessageError(f"its messages are in '{shorten(connection.format)}': expected cdr or ros1")
         key = connection.type, connection.definition
         message_type = self._by_definition.get(key)
         if message_type is None:
             text = self._find_definition(connection)
-            message_type = self._by_definition[key] = parse_ros2_type(connection.type, text, self._find_text)
-        definition = message_type.definition
-        topic = Topic(
-            connection.topic,
-            definition.name,
-            definition.full_text,
-            definition.md5sum,
-            connection.messages,
-        )
-        return _ConvertedTopic(topic, message_type.to_ros1)
+            is_idl = connection.encoding.endswith("idl")
+            message_type = self._by_definition[key] = parse_ros2_type(
+                connection.type, text, self._find_text, is_idl
+            )
+        return _make_topic(connection, message_type.definition, message_type.to_ros1)
 
     def _find_definition(self, connection: Connection) -> str:
-        """Return the text of the type of a connection, in the syntax of ``.msg`` files."""
-        name, text = connection.type, connection.definition
-        if not text:
-            definition = self._find_text(ros1_type_name(name))
-            if definition is None:
-                raise MessageError("the type is not defined in the bag or on this system")
-            return definition
-        if connection.encoding.endswith("idl") or text.lstrip("=\r\n ").startswith("IDL:"):
-            return self._convert_idl(name, text)
-        return text
-
-    def _convert_idl(self, name: str, text: str) -> str:
-        """Return a definition in IDL in the syntax of ``.msg`` files."""
-        store = self._typesys.get_typestore(self._typesys.Stores.EMPTY)
-        # Lines are emptied and not removed, so that line numbers stay the same.
-        text = _IDL_HEADING.sub("", text)
-        try:
-            # The attribute depends on the version of rosbags.
-            field_definitions = getattr(self._ros2_store, "fielddefs", None) or self._ros2_store.FIELDDEFS
-            store.register({**field_definitions, **self._typesys.get_types_from_idl(text)})
-            return str(store.generate_msgdef(name, ros_version=2)[0])
-        except Exception as error:  # the IDL parser raises arbitrary exceptions for malformed text
-            raise _make_idl_error(name, text, error) from error
+        """Return the text of the type of a connection."""
+        if connection.definition.strip():
+            return connection.definition
+        definition = self._find_text(ros1_type_name(connection.type))
+        if definition is None:
+            # A type without slots has an empty text, which other definitions only have if they are missing.
+            if connection.encoding == "ros2msg":
+                return ""
+            raise MessageError("the type is not defined in the bag or on this system")
+        return definition
 
     def _find_text(self, type_name: str) -> Optional[str]:
         name = "/msg/".join(type_name.split("/"))
@@ -269,22 +249,14 @@ class _Types:
         return None if installed is None else installed.text
 
 
-def _make_idl_error(name: str, text: str, error: Exception) -> MessageError:
-    """Return the error for a definition in IDL that rosbags cannot parse.
-
-    Its errors contain the complete text; in version 0.11 the offset of the first part that it cannot parse and the
-    expected tokens follow.
-    """
-    problem = str(error).partition(repr(text))[2] or describe_error(error)
-    match = _IDL_PROBLEM.match(problem)
-    if match is None:
-        reason = quote_shortened(" ".join(problem.split())) if problem.strip() else "it is not IDL"
-        return MessageError(f"its definition in IDL cannot be parsed: {reason}")
-    expected = " or ".join(sorted(re.findall(r"'[^']*'|/[^/]*/", match["expected"] or ""))) or "IDL"
-    return MessageError(
-        f"its definition in IDL cannot be parsed: expected {shorten(expected)}",
-        place_at_offset(ros1_type_name(name), text, min(int(match["offset"]), len(text))),
+def _make_topic(
+    connection: Connection, definition: Definition, convert: Callable[[bytes], bytes]
+) -> _ConvertedTopic:
+    """Return the topic of a connection with the type in ROS 1 form."""
+    topic = Topic(
+        connection.topic, definition.name, definition.full_text, definition.md5sum, connection.messages
     )
+    return _ConvertedTopic(topic, convert)
 
 
 def _quote_if_invalid(name: str) -> str:
