@@ -12,8 +12,9 @@ from zlib import crc32
 
 import pytest
 
-from retalis import Engine, Reports, Settings, StreamClock, UsageError
+from retalis import Engine, Reports, Settings, StreamClock, UsageError, explain
 from retalis.engine.checkpoints import (
+    MAX_EXPLAINED_EVENTS,
     MIN_INTERVAL_SECONDS,
     MIN_PAUSE_FACTOR,
     Checkpointer,
@@ -492,10 +493,10 @@ def test_pause_is_a_multiple_of_the_work_without_its_waits(folder, monkeypatch):
         times.cpu += 100.0  # of another thread that has captured the state meanwhile
         return result
 
-    def capture(snapshot, include_program):
+    def capture(snapshot, **options):
         times.now += 0.2
         times.cpu += durations.pop(0)
-        return capture_state(snapshot, include_program)
+        return capture_state(snapshot, **options)
 
     durations = [0.01, 0.05]
     monkeypatch.setattr(engine.executor, "call", call_after_wait)
@@ -571,3 +572,78 @@ def test_checkpoint_in_read_only_folder_is_read(folder, is_killed):
     finally:
         target.chmod(0o755)
     assert (process.stdout, process.stderr) == (f"{engine.event_input.event_count} {expected}\n", "")
+
+
+def explained(folder, number_of_events):
+    """Return a checkpointer of an engine that has recorded events for explanations."""
+    (folder / "r.txt").write_text(
+        "pair(X) <- first(X) seq second(X).\nnext(X) <- (pair(X) where X < 9) seq third(X).\n"
+    )
+    (folder / "goalPredicates.txt").write_text(
+        "compile_event_file('r.txt').\nset_etalis_flag(etalis_justification, on).\n"
+    )
+    engine = begun(folder)
+    for number in range(number_of_events):
+        engine.event(f"first({number})", number + 1)
+        engine.event(f"second({number})", number + 1.5)
+    return engine, checkpoints(engine, folder)
+
+
+def size_of_matches(folder):
+    """Return the size of the section with partial matches and recorded events."""
+    database = sqlite3.connect(str(folder / "state.db"))
+    try:
+        return database.execute("SELECT length(data) FROM sections WHERE name = 'matches'").fetchone()[0]
+    finally:
+        database.close()
+
+
+def explanation_of(engine, event):
+    return [line for tree in explain(engine, event).lines for line in tree.indented()]
+
+
+def test_size_of_recorded_events_is_bounded(folder):
+    sizes = []
+    for number_of_events in (400, 1200):
+        _, checkpointer = explained(folder, number_of_events)
+        checkpointer.write()
+        checkpointer.stop()
+        sizes.append(size_of_matches(folder))
+    assert sizes[1] < 1.1 * sizes[0]
+
+
+def test_newest_events_are_explained_after_restart(folder):
+    engine, checkpointer = explained(folder, 400)
+    checkpointer.write()
+    other = resumed(folder)
+    assert len(other.rules.tracker.remembered_events()) == MAX_EXPLAINED_EVENTS
+    assert len(explanation_of(engine, "pair(399)")) == 3
+    assert explanation_of(other, "pair(399)") == explanation_of(engine, "pair(399)")
+
+
+def test_partial_match_of_older_events_continues_after_restart(folder):
+    engine, checkpointer = explained(folder, 400)
+    checkpointer.write()
+    other = resumed(folder)
+    for either in (engine, other):
+        either.event("third(0)", 1000)
+    assert len(explanation_of(engine, "next(0)")) == 5
+    _, origin, third = explanation_of(other, "next(0)")
+    assert origin.endswith("/r.txt:1): what it came from is no longer recorded")
+    assert third == explanation_of(engine, "next(0)")[-1]
+
+
+def test_snapshot_contains_all_recorded_events(folder):
+    engine, _ = explained(folder, 400)
+    other = Engine.restore(engine.snapshot())
+    assert (
+        len(other.rules.tracker.remembered_events()) == len(engine.rules.tracker.remembered_events()) > 1200
+    )
+
+
+def test_checkpoint_contains_all_events_that_may_be_retracted(folder):
+    engine, checkpointer = explained(folder, 400)
+    engine.call("set_etalis_flag(revision_flag, on)")
+    checkpointer.write()
+    other = resumed(folder)
+    assert len(other.rules.tracker.remembered_events()) == len(engine.rules.tracker.remembered_events())

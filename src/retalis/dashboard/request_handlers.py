@@ -39,6 +39,9 @@ MAX_GOAL_CHARACTERS = 5_000
 LIMITS = Limits(seconds=5.0, output_megabytes=None)
 """Limits of a query, in addition to the engine's."""
 
+MAX_EXPLANATION_SECONDS = 0.2
+"""Limit for the time of an explanation, during which the engine processes no events."""
+
 MAX_EXPLANATION_LINES = 500
 """Limit for the lines of an explanation."""
 
@@ -109,7 +112,7 @@ class AnswerService:
         if event is None:
             return {"error": EVENT_NOT_STORED}
         lines: List[str] = []
-        for tree in explain(self._engine, event).lines:
+        for tree in explain(self._engine, event, MAX_EXPLANATION_SECONDS).lines:
             for line in tree.indented():
                 if len(lines) == MAX_EXPLANATION_LINES:
                     return {"lines": [*lines, "..."]}

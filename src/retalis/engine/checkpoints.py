@@ -496,6 +496,13 @@ The time for which it has waited for the engine, for other Python threads and fo
 the checkpoints of a busy engine, which are needed most, would be the rarest.
 """
 
+MAX_EXPLAINED_EVENTS = 500
+"""Maximum number of events in a checkpoint that can be explained after a restart.
+
+An engine records up to 100,000 events for explanations. They change with each event and are encoded while the engine
+is blocked, so writing all of them would block it for seconds.
+"""
+
 RECORDS_PER_STEP = 200
 """Records that are encoded in one step; other Python threads wait for the duration of a step."""
 
@@ -665,7 +672,9 @@ class Checkpointer:
             the records that are not in the file.
         """
         start_time, start_cpu_time = time.monotonic(), time.thread_time()
-        data_by_name = self._snapshot.capture(include_program=False)
+        data_by_name = self._snapshot.capture(
+            include_program=False, max_explained_events=MAX_EXPLAINED_EVENTS
+        )
         clauses = data_by_name.pop("clauses", None)
         # Variables of matches and values may be bound temporarily, so these sections are encoded before the
         # engine continues. Clauses and records are immutable and can be encoded later.

@@ -46,11 +46,12 @@ class EngineSnapshot:
         self._engine = engine
         self._signature: Any = None
 
-    def capture(self, include_program: bool = True) -> Sections:
+    def capture(self, include_program: bool = True, max_explained_events: Optional[int] = None) -> Sections:
         """Return the state without the records of memories, which are separate sections; see `encode_records`.
 
         Args:
             include_program: whether the program is included even if it has not changed since the last call.
+            max_explained_events: see `snapshot_matches`.
 
         Raises:
             UsageError: if an event or goal is active.
@@ -60,7 +61,9 @@ class EngineSnapshot:
         # While a goal runs, choice points and bindings on the trail belong to its state, and they cannot be saved.
         if engine.dispatcher.current is not None or logic.machine.choices:
             raise UsageError("a goal or callback of an engine cannot take a snapshot of it")
-        matches, numbered_rules = snapshot_matches(rules, knowledge, engine.clock, rules.rules)
+        matches, numbered_rules = snapshot_matches(
+            rules, knowledge, engine.clock, rules.rules, max_explained_events
+        )
         counters = {
             "clock": engine.clock.snapshot(),
             "clock_follows_events": engine.event_input.stream_clock is not None,

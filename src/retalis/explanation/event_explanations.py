@@ -313,19 +313,12 @@ class _Explainer:
         )
         self._expanded_ids: Set[int] = set()
         """Ids of the occurrences whose causes have been shown."""
-        self._causes: Dict[int, List[Occurrence]] = {}
-        """Occurrences from which one was derived, by its id."""
-        for occurrence in self._occurrences:
-            for derived in occurrence.derived:
-                # Occurrences only refer to what they were derived into, so the opposite direction is built once.
-                self._causes.setdefault(id(derived), []).append(occurrence)
+        self._causes_by_id: Optional[Dict[int, List[Occurrence]]] = None
 
     def explain(self, request: Term) -> Explanation:
         """Return the explanation of a request; see ``asked`` of `explain`."""
         term, interval = _parse_request(request)
-        occurrences = [occurrence for occurrence in self._occurrences if _unifies(occurrence.term, term)]
-        if interval is not None:
-            occurrences = [occurrence for occurrence in occurrences if _has_interval(occurrence, interval)]
+        occurrences = self._find_occurrences(term, interval)
         if not occurrences:
             return Explanation(False, self._explain_missing(term, interval, ()))
         lines = [
@@ -344,6 +337,28 @@ class _Explainer:
             )
         return Explanation(True, lines)
 
+    def _find_occurrences(self, term: Term, interval: Optional[Tuple[int, int]]) -> List[Occurrence]:
+        """Return the recorded occurrences of an event."""
+        # One event, as the dashboard asks for it, is found by its term in an index. The search below takes a second
+        # if 100,000 events are recorded.
+        candidates: Sequence[Occurrence] = (
+            () if interval is None else self._engine.rules.tracker.occurrences_of(term)
+        ) or [occurrence for occurrence in self._occurrences if _unifies(occurrence.term, term)]
+        if interval is None:
+            return list(candidates)
+        return [occurrence for occurrence in candidates if _has_interval(occurrence, interval)]
+
+    def _causes_of(self, occurrence: Occurrence) -> List[Occurrence]:
+        """Return the occurrences from which an occurrence without a match was derived."""
+        if self._causes_by_id is None:
+            # Occurrences only refer to what they were derived into, so the opposite direction is built once.
+            self._causes_by_id = {}
+            for cause in self._occurrences:
+                for derived in cause.derived:
+                    if derived.match is None:
+                        self._causes_by_id.setdefault(id(derived), []).append(cause)
+        return self._causes_by_id.get(id(occurrence), [])
+
     def _explain_occurrence(self, occurrence: Occurrence, depth: int) -> ExplanationLine:
         """Return the explanation of an occurrence.
 
@@ -355,16 +370,21 @@ class _Explainer:
                 f"{text} retracts",
                 [ExplanationLine(self._format_event(retracted), []) for retracted in occurrence.retracts],
             )
-        causes = self._causes.get(id(occurrence), [])
-        if occurrence.match is None and not causes:
-            return ExplanationLine(f"{text} came from outside", [])
+        source_occurrences = occurrence.sources() or self._causes_of(occurrence)
+        if occurrence.match is None and not source_occurrences:
+            origin = (
+                "came from outside"
+                if occurrence.rule is None
+                else f"by {self._format_rule(occurrence.rule)}: what it came from is no longer recorded"
+            )
+            return ExplanationLine(f"{text} {origin}", [])
         # Shared causes would make the tree grow exponentially, so each occurrence is expanded once.
         if id(occurrence) in self._expanded_ids or depth > _MAX_EXPLANATION_DEPTH:
             return ExplanationLine(
                 f"{text}, see above" if depth <= _MAX_EXPLANATION_DEPTH else f"{text} ...", []
             )
         self._expanded_ids.add(id(occurrence))
-        sources = [self._explain_occurrence(source, depth + 1) for source in occurrence.sources() or causes]
+        sources = [self._explain_occurrence(source, depth + 1) for source in source_occurrences]
         if occurrence.rule is None:
             verb = "is over: it held from" if self._is_state(occurrence) else "was released by"
             return ExplanationLine(f"{text} {verb}", sources)

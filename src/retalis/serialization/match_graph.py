@@ -11,6 +11,7 @@ the graph of what objects were made of must be acyclic, because the engine trave
 """
 
 from collections import defaultdict, deque
+from copy import copy
 from enum import Enum
 from operator import attrgetter, is_
 from typing import Any, Callable, DefaultDict, Dict, List, Sequence, Tuple
@@ -188,10 +189,13 @@ class GraphWriter:
 
     Args:
         rules: rules with known numbers. Deleted rules that are still referred to are added after them.
+        first_event_number: number of the first event whose lineage is written. Older events that partial matches use
+            are written without what they were derived from and without what was derived from them.
     """
 
-    def __init__(self, rules: Sequence[EventRule]):
+    def __init__(self, rules: Sequence[EventRule], first_event_number: int = 0):
         self.rules = list(rules)
+        self._first_event_number = first_event_number
         self._numbers: Dict[int, int] = {}
         self._refs: Dict[int, Ref] = {}
         self._unexplored: List[Any] = []
@@ -231,7 +235,8 @@ class GraphWriter:
 
     def _collect_unexplored(self) -> None:
         """Collect the objects that were numbered last, and assign numbers to the objects that they refer to."""
-        reached, self._unexplored = self._unexplored, []
+        # Without this cut, the links would lead from one event to all that are remembered.
+        reached, self._unexplored = list(map(self._cut_lineage, self._unexplored)), []
         kinds = [self._register_kind(item) for item in reached]
         self._kinds += bytes(map(_CODES.__getitem__, kinds))
         by_kind: DefaultDict[str, List[Any]] = defaultdict(list)
@@ -248,6 +253,26 @@ class GraphWriter:
                     column += map(self._to_parts, values)
                 elif encoding is _MIXED:
                     column += map(self.write, values)
+
+    def _is_old(self, item: Any) -> bool:
+        """Return whether an object is an event that is too old for its lineage to be written."""
+        # The number of an event that was not dispatched, such as a pending alarm, is 0.
+        return item.__class__ is Occurrence and 0 < item.number < self._first_event_number
+
+    def _cut_lineage(self, item: Any) -> Any:
+        """Return an object, or its copy without links to events that are too old."""
+        if not self._first_event_number:
+            return item
+        if item.__class__ is RepetitionChain and any(map(self._is_old, item.derived)):
+            chain = copy(item)
+            chain.derived = [derived for derived in item.derived if not self._is_old(derived)]
+            return chain
+        if not self._is_old(item):
+            return item
+        event = Occurrence(item.term, item.start, item.end, item.rule, None)
+        event.number, event.retracted, event.reported = item.number, item.retracted, item.reported
+        event.forgotten = True
+        return event
 
     def _register_kind(self, item: Any) -> str:
         """Return the kind of an object, and assign a number to its rule."""

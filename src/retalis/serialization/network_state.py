@@ -472,20 +472,42 @@ def restore_rules(rules: RuleBase, saved_rules: Dict[str, Any]) -> List[EventRul
 
 
 def snapshot_matches(
-    rules: RuleBase, knowledge: KnowledgeBase, clock: Clock, active: Sequence[EventRule]
+    rules: RuleBase,
+    knowledge: KnowledgeBase,
+    clock: Clock,
+    active: Sequence[EventRule],
+    max_explained_events: Optional[int] = None,
 ) -> Tuple[Any, List[EventRule]]:
     """Return partial matches and recorded events as data.
+
+    Args:
+        rules: the rule base.
+        knowledge: the knowledge base.
+        clock: the clock of the engine.
+        active: the active rules.
+        max_explained_events: maximum number of recorded events whose lineage is included if it only serves
+            explanations; None for all.
 
     Returns:
         The data, and all rules that it refers to: active ones, then deleted ones.
     """
-    graph = GraphWriter(active)
+    remembered_events, *event_counters = rules.tracker.snapshot()
+    first_event_number = 0
+    # Retractions need the complete lineage, explanations do not.
+    if (
+        max_explained_events is not None
+        and len(remembered_events) > max_explained_events
+        and not rules.flags.is_on("revision_flag")
+    ):
+        remembered_events = remembered_events[-max_explained_events:]
+        first_event_number = remembered_events[0].number
+    graph = GraphWriter(active, first_event_number)
     states = [_write_state(graph, rule) for rule in active]
     queries = knowledge.pending_queries
     next_query_order, pending_queries = queries.snapshot()
     data = {
         "rules": states,
-        "occurrences": graph.write(rules.tracker.snapshot()),
+        "occurrences": graph.write((remembered_events, *event_counters)),
         "alarms": [graph.write(entry) for entry in _snapshot_alarms(clock, knowledge)],
         "next_query_order": next_query_order,
         "pending_queries": [graph.write(entry) for entry in pending_queries],

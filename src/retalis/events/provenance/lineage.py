@@ -359,6 +359,14 @@ class LineageTracker:
         token.retracts = [occurrence]
         return lambda frame: self._rules.dispatcher.dispatch(term, start, end, frame, token)
 
+    def occurrences_of(self, term: Term) -> List[Occurrence]:
+        """Return the remembered events with a term that are not retracted, the oldest first."""
+        return [
+            occurrence
+            for occurrence in self._occurrences_by_term.get(term_key(term), ())
+            if not occurrence.retracted
+        ]
+
     def remembered_events(self) -> List[Occurrence]:
         """Return the remembered events that are not retracted, the oldest first."""
         return [occurrence for occurrence in self._remembered_events if not occurrence.retracted]
