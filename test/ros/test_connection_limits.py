@@ -489,10 +489,14 @@ def test_a_server_without_handlers_runs_as_in_rospy(monkeypatch):
         sock.close()
 
     server = HandshakeServer(handle)
-    threading.Thread(target=server.run, daemon=True).start()
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
     with connect(server):
         assert served.wait(PATIENCE)
-    server.shutdown()
+    server.is_shutdown = True
+    with connect(server):  # rospy's loop ends when it has accepted another connection
+        thread.join(PATIENCE)
+    server.server_sock.close()
     assert len(warnings) == 1
 
 

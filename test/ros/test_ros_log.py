@@ -22,15 +22,10 @@ def log():
 
 @pytest.fixture
 def logger(log):
-    made = logging.getLogger("test_log")
-    handler = RosStreamHandler(colorize=False, stdout=log, stderr=log)
-    made.addHandler(handler)
+    made = logging.Logger("test_log", logging.INFO)  # `getLogger` would keep it in the process
+    made.addHandler(RosStreamHandler(colorize=False, stdout=log, stderr=log))
     made.addFilter(escape_record)
-    made.setLevel(logging.INFO)
-    made.propagate = False
-    yield made
-    made.removeHandler(handler)
-    made.removeFilter(escape_record)
+    return made
 
 
 def test_a_text_forges_no_record_and_no_colour(logger, log):

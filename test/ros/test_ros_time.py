@@ -67,9 +67,9 @@ def test_time_that_is_not_simulated_has_no_runs(monkeypatch):
 @pytest.fixture
 def clock(warnings, monkeypatch):
     """Return simulated time, of which each run begins at once, with what sets it and notes where runs ended."""
-    ended, callbacks, begun = [], [], threading.Semaphore(0)
+    ended, callbacks, begun, shutdown = [], [], threading.Semaphore(0), threading.Event()
     monkeypatch.setattr(rospy, "get_rostime", rospy.Time)
-    monkeypatch.setattr(rospy, "is_shutdown", lambda: False)
+    monkeypatch.setattr(rospy, "is_shutdown", shutdown.is_set)
     monkeypatch.setattr(rospy, "Subscriber", lambda topic, kind, callback: callbacks.append(callback))
     simulated = ros_time.SimulatedTime(Reports())
 
@@ -83,7 +83,13 @@ def clock(warnings, monkeypatch):
 
     simulated.start([threading.Lock()], note)
     simulated.move, simulated.ended = move, ended
-    return simulated
+    yield simulated
+    shutdown.set()
+    for seconds in (1000, 0):  # a clock that goes back wakes the thread, which ends
+        move(seconds)
+    for thread in threading.enumerate():
+        if thread.name == "runs of /clock":
+            thread.join(60)
 
 
 def test_a_run_begins_when_the_clock_goes_back(clock):
