@@ -220,7 +220,7 @@ class Engine:
             self.rules.watermarks,
             self._clear_state,
             self.knowledge.transforms.store_message,
-            self.executor.run_isolated,
+            self.executor.report_isolated_error,
         )
         # Bound once, which saves an attribute access per event.
         self._dispatch_event = self.event_input.dispatch_event

@@ -10,7 +10,6 @@ topics itself, so a node or a bag player registers a function that subscribes.
 """
 
 import logging
-from functools import partial
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, Union
 
 from ..events.dispatch.dispatcher import Dispatcher
@@ -23,7 +22,7 @@ from ..foundation.errors import RetalisError, UsageError, shorten
 from ..foundation.ros_names import ros1_type_name, strip_slashes, topic_fault, type_fault
 from ..messages.message_notation import SlotNames
 from ..messages.transform_messages import TransformMessage
-from ..prolog.machine.errors import domain_error, instantiation_error, permission_error, resource_error
+from ..prolog.machine.errors import Halt, domain_error, instantiation_error, permission_error, resource_error
 from ..prolog.machine.machine import Machine
 from ..prolog.syntax.operators import Operators
 from ..prolog.system.prolog_system import PrologSystem
@@ -45,7 +44,8 @@ class EventInput:
         watermarks: receives the lags of events behind a clock that they do not move.
         clear_state: clears memories, pending queries and partial matches; called if time went back.
         store_transforms: stores the transforms of a message; the flag is True for static transforms.
-        run_isolated: calls a function and reports the error that it raises.
+        report_alarm_error: reports an error of an alarm; the flag states whether no event is being dispatched and no
+            goal runs.
 
     Attributes:
         event_count: number of events received.
@@ -61,7 +61,7 @@ class EventInput:
         watermarks: Watermarks,
         clear_state: Callable[[], None],
         store_transforms: Callable[[Sequence[Transform], bool], None],
-        run_isolated: Callable[[Callable[[], object]], None],
+        report_alarm_error: Callable[[Exception, bool], None],
     ):
         self._logic = logic
         self._store_transforms = store_transforms
@@ -69,7 +69,8 @@ class EventInput:
         self.stream_clock = stream_clock
         self._watermarks = watermarks
         self._clear_state = clear_state
-        self._run_isolated = run_isolated
+        self._report_alarm_error = report_alarm_error
+        self._dispatcher = dispatcher
         self._dispatch = dispatcher.dispatch_input
         self.event_count = 0
 
@@ -180,7 +181,7 @@ class EventInput:
         # Only alarms up to the present instant run here. An alarm that becomes due meanwhile runs before the next
         # event, so that events are processed even if alarms set new alarms.
         until = clock.reached()
-        run_as_entry = self._logic.machine.budget.run_as_entry
+        is_idle = self._dispatcher.current is None and not self._logic.machine.choices
         while True:
             due_alarm = clock.due(until)
             if due_alarm is None:
@@ -190,9 +191,12 @@ class EventInput:
             clock.ringing = instant
             # Each alarm has its own limits and errors, which affect neither the other alarms nor the event that moved
             # the clock.
-            work = partial(run_as_entry, ("an alarm", instant), partial(alarm, instant))
             try:
-                self._run_isolated(work)
+                self._logic.machine.budget.run_as_entry(("an alarm", instant), lambda: alarm(instant))  # noqa: B023
+            except Halt:
+                raise
+            except Exception as error:
+                self._report_alarm_error(error, is_idle)
             finally:
                 clock.ringing = None
 

@@ -30,7 +30,6 @@ from ...events.dispatch.dispatcher import Dispatcher
 from ...events.knowledge.knowledge_base import KnowledgeBase
 from ...events.rules.rule_base import RuleBase
 from ...foundation.errors import RetalisError, UsageError
-from ...prolog.machine.errors import Halt
 from ...prolog.system.prolog_system import (
     PrologSystem,
     machine_state,
@@ -322,16 +321,16 @@ class SerialExecutor:
             self._return_to_idle()
             raise
 
-    def run_isolated(self, work: Callable[[], object]) -> None:
-        """Do a part of the current work whose errors are reported and do not affect the rest, except `Halt`."""
-        state = self._recovery.state()
-        try:
-            work()
-        except Halt:
-            raise
-        except Exception as error:
-            self._recovery.restore(state, is_unexpected(error))
-            self._on_error(error)
+    def report_isolated_error(self, error: Exception, is_idle: bool) -> None:
+        """Report an error of a part of the current work that does not affect the rest.
+
+        Args:
+            error: the error.
+            is_idle: whether no event is being dispatched and no goal runs, so that data can be rebuilt.
+        """
+        if is_idle and is_unexpected(error):
+            self._recovery.restore(None, True)
+        self._on_error(error)
 
     def _handle_failed_work(self, error: Exception, report: Callable[[Exception], None]) -> None:
         """Return to the idle state after an error of this thread's work, and work off the queue.
@@ -635,8 +634,7 @@ class EngineRecovery(Recovery):
             self._rules.files.restore(saved_files)
         dispatcher.restore(*saved_dispatch)
         self._logic.new_goals = new_goals
-        # Data can be rebuilt while no event is being dispatched and no goal runs.
-        if rebuild and (saved_machine is None or saved_dispatch[0] is None and not saved_machine.height):
+        if rebuild and state is None:
             repair_after_interrupt(self._logic)
             self._logic.is_serving_client = False
             dispatcher.repair()

@@ -635,32 +635,27 @@ class HoppingWindow(Window):
         if now > self._latest_now:
             # The maximum, because ``now`` goes back when an alarm raises an event with a past timestamp.
             self._latest_now = now
+        first_window_end = (end // slide + 1) * slide
         # If windows do not touch, no window contains an element between two of them, whenever it arrives.
-        if end < (end // slide + 1) * slide - self.span:
+        if end < first_window_end - self.span:
             return []
         self._check_values(element)
         # An element is late if all windows that contain it have been emitted.
-        if (end + self.span) // slide * slide <= self._last_emitted():
+        last_emitted = self._latest_now // slide * slide
+        if (end + self.span) // slide * slide <= last_emitted:
             self.late_count += 1
             return []
         self._number_element(element)
         heapq.heappush(self._future_elements, (end, element.order, element))
-        first_window_end = self._first_window_end(end)
+        if first_window_end <= last_emitted:
+            first_window_end = last_emitted + slide
         if self.next_deadline is None or first_window_end < self.next_deadline:
             self.next_deadline = first_window_end
         return []
 
-    def _last_emitted(self) -> int:
-        """Return the end of the last window that was emitted."""
-        return self._latest_now // self.slide * self.slide
-
-    def _first_window_end(self, end: int) -> int:
-        """Return the end of the first window that will be emitted and contains an element with this end."""
-        slide = self.slide
-        return max((end // slide + 1) * slide, self._last_emitted() + slide)
-
     def _is_obsolete(self, keyed_window: KeyedWindow, element: StreamElement) -> bool:
-        min_end = self._first_window_end(element.end) - self.span
+        # The first window that contains the element and has not been emitted begins at this instant.
+        min_end = (max(element.end, self._latest_now) // self.slide + 1) * self.slide - self.span
         return all(present.end < min_end for present in present_elements(keyed_window.elements))
 
     def advance_to(self, instant: int) -> List[StreamOutput]:
