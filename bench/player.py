@@ -47,7 +47,7 @@ class Player:
 
     def connected(self) -> bool:
         """Return whether every topic has a subscriber."""
-        return all(one.connected() for one in self._publishers.values())
+        return all(one.is_connected() for one in self._publishers.values())
 
     def close(self) -> None:
         """Unregister the publishers."""
