@@ -128,8 +128,13 @@ def mcap_message(second, data=HELLO):
     return op(5, struct.pack("<HIQQ", 1, 0, second * 10**9, second * 10**9) + data)
 
 
-SCHEMA = op(3, struct.pack("<H", 1) + text("std_msgs/msg/String") + text("ros2msg") + text(TEXT))
-CHANNEL = op(4, struct.pack("<HH", 1, 1) + text("/a") + text("cdr") + struct.pack("<I", 0))
+def mcap_topic(type_name, encoding, definition, message_format="cdr"):
+    """Return the records of a schema and of the topic /a."""
+    schema = op(3, struct.pack("<H", 1) + text(type_name) + text(encoding) + text(definition))
+    return schema + op(4, struct.pack("<HH", 1, 1) + text("/a") + text(message_format) + struct.pack("<I", 0))
+
+
+TOPIC = mcap_topic("std_msgs/msg/String", "ros2msg", TEXT)
 
 
 def mcap(
@@ -142,6 +147,7 @@ def mcap(
     repeated=1,
     profile="ros2",
     has_counts=True,
+    topic=TOPIC,
 ):
     """Return an mcap file with a topic /a of strings.
 
@@ -155,8 +161,9 @@ def mcap(
         repeated: how often the index names each chunk.
         profile: the profile that the header names.
         has_counts: whether the summary has the number of messages of the topic.
+        topic: the records of the topic, as `mcap_topic` returns them.
     """
-    body = MAGIC + op(1, text(profile) + text("test")) + SCHEMA + CHANNEL
+    body = MAGIC + op(1, text(profile) + text("test")) + topic
     index = b""
     for number, data in enumerate(chunks):
         place = len(body)
@@ -172,7 +179,7 @@ def mcap(
         summary = len(body)
         totals = struct.pack("<QHIIIIQQ", len(chunks), 1, 1, 0, 0, len(chunks), 0, 100 * 10**9)
         counts = struct.pack("<IHQ", 10, 1, len(chunks)) if has_counts else struct.pack("<I", 0)
-        body += SCHEMA + CHANNEL + index + op(11, totals + counts)
+        body += topic + index + op(11, totals + counts)
     return body + op(2, struct.pack("<QQI", summary, 0, 0)) + MAGIC
 
 

@@ -63,6 +63,14 @@ def test_a_type_of_a_bag_of_ros_2_is_printed(tmp_path, capsys):
     )
 
 
+def test_type_that_bag_cannot_read_is_reported_with_reason(tmp_path, capsys):
+    options = {"version": 8} if hasattr(rosbag2, "StoragePlugin") else {}
+    with rosbag2.Writer(tmp_path / "two", **options) as writer:
+        writer.add_connection("/solid", "my_msgs/msg/Solid", msgdef="float64[<3] sizes\n", rihs01="RIHS01_0")
+    assert main(["msg", "my_msgs/Solid", "--bag", str(tmp_path / "two")]) == 1
+    assert "two: my_msgs/Solid:1:1: expected 'type name' or" in capsys.readouterr().err
+
+
 def test_a_type_that_there_is_not_is_an_error_in_one_line(bag, capsys):
     assert main(["msg", "only_in_bags/Point"]) == 1
     assert "retalis: no definition of the message type only_in_bags/Point" in capsys.readouterr().err

@@ -213,3 +213,60 @@ def test_any_text_is_converted_or_an_error(text):
         convert(text)
     except MessageError as error:
         assert len(error.message) < 1000
+
+
+# ---- the types of rosbags ----------------------------------------------------------------------------
+
+IDL_NAMES = {"bool": "boolean", "float32": "float", "float64": "double", "byte": "octet"}
+
+
+def write_idl(name, constants, slots):
+    """Return the definition of a type of rosbags in IDL, in the form that ROS 2 generates."""
+    package, _, short_name = name.split("/")
+    lines = [f'#include "{package}/msg/Other.idl"', f"module {package} {{", "module msg {"]
+    lines.append(f"module {short_name}_Constants {{")
+    for constant, type_name, value in constants:
+        text = (
+            f'"{value}"' if isinstance(value, str) else str(value).upper() if value is True else repr(value)
+        )
+        lines.append(f"const {IDL_NAMES.get(type_name, type_name)} {constant} = {text};")
+    lines.append("};")
+    members = []
+    for slot, (kind, detail) in slots:
+        element, length = detail if kind.name in ("ARRAY", "SEQUENCE") else ((kind, detail), 0)
+        element_name = element[1] if element[0].name == "NAME" else element[1][0]
+        element_name = IDL_NAMES.get(element_name, element_name).replace("/", "::")
+        if kind.name == "ARRAY":
+            lines.append(f"typedef {element_name} array_of_{slot}[{length}];")
+            members.append(f"array_of_{slot} {slot};")
+        elif kind.name == "SEQUENCE":
+            members.append(f"sequence<{element_name}{f', {length}' if length else ''}> {slot};")
+        else:
+            members.append(f"{element_name} {slot};")
+    lines += [f"struct {short_name} {{", *members, "};", "};", "};"]
+    return "\n".join(lines)
+
+
+@pytest.mark.slow
+def test_types_of_rosbags_are_read_from_idl_as_from_msg():
+    typesys = pytest.importorskip("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.LATEST)
+    definitions = getattr(store, "fielddefs", None) or store.FIELDDEFS
+
+    def find(type_name):
+        name = type_name.replace("/", "/msg/")
+        return store.generate_msgdef(name, ros_version=2)[0] if name in store.types else None
+
+    count = 0
+    for name, (constants, slots) in definitions.items():
+        if slots and name.count("/msg/") == 1:
+            expected = parse_ros2_type(name, find(name.replace("/msg/", "/")), find).definition
+            found = parse_ros2_type(name, write_idl(name, constants, slots), find, is_idl=True).definition
+            assert [slot.describe() for slot in found.fields] == [
+                slot.describe() for slot in expected.fields
+            ], name
+            assert [slot.name for slot in found.fields] == [slot.name for slot in expected.fields], name
+            values = [[(item.name, item.value) for item in found.constants] for found in (found, expected)]
+            assert values[0] == values[1], name
+            count += 1
+    assert count > 100

@@ -176,3 +176,15 @@ def test_a_url_that_sends_more_than_it_states_is_an_error(tmp_path, monkeypatch)
         pass
     assert list(tmp_path.iterdir()) == []
     memory().rm("/sent.bag")
+
+
+def test_write_ahead_log_is_downloaded_with_its_file(tmp_path):
+    pytest.importorskip("fsspec")
+    for name in ("a.db3", "a.db3-wal", "b.db3"):
+        (tmp_path / name).write_text(name)
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    with local_copy(f"file://{tmp_path}/a.db3", str(scratch)) as path:
+        assert Path(f"{path}-wal").read_text() == "a.db3-wal"
+    with local_copy(f"file://{tmp_path}/b.db3", str(scratch)) as path:
+        assert [file.name for file in Path(path).parent.iterdir()] == ["b.db3"]

@@ -6,7 +6,7 @@ import pytest
 
 rosbag2 = pytest.importorskip("rosbags.rosbag2")
 
-from malicious_bags import HELLO, folder_bag, mcap, mcap_message, sqlite_bag  # noqa: E402
+from malicious_bags import HELLO, folder_bag, mcap, mcap_message, mcap_topic, sqlite_bag  # noqa: E402
 from rosbags.typesys import Stores, get_typestore  # noqa: E402
 
 from retalis import BagError  # noqa: E402
@@ -152,3 +152,74 @@ def test_suffix_decides_without_storage_identifier(tmp_path, identifier):
     folder = folder_bag(tmp_path / "bag", "a.mcap", identifier)
     (folder / "a.mcap").write_bytes(mcap([mcap_message(1)]))
     assert [time for time, _ in read(folder)] == [1]
+
+
+# ---- definitions -------------------------------------------------------------------------------------
+
+
+def read_message(path):
+    """Return the topic of a bag with one message, and the message."""
+    with MergedBag([path]) as bags:
+        (topic,) = bags.topics
+        (record,) = bags.records()
+    return topic, record.data
+
+
+def test_type_with_empty_definition_has_no_slots(tmp_path):
+    path = tmp_path / "a.mcap"
+    topic = mcap_topic("my_msgs/msg/Go", "ros2msg", "")
+    path.write_bytes(mcap([mcap_message(1, b"\0\1\0\0\0")], topic=topic))
+    topic, data = read_message(path)
+    assert (topic.type, topic.definition, data) == ("my_msgs/Go", "", b"")
+
+
+def test_type_without_schema_is_searched_in_installation(tmp_path, caplog):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(mcap([mcap_message(1)], topic=mcap_topic("my_msgs/msg/Go", "", "")))
+    with MergedBag([path]) as bags:
+        assert [topic.problem for topic in bags.unreadable] == [
+            "the type is not defined in the bag or on this system"
+        ]
+    path.write_bytes(mcap([mcap_message(1)], topic=mcap_topic("std_msgs/msg/String", "", "")))
+    assert read_message(path)[1] == b"\5\0\0\0hello"
+
+
+def test_messages_of_ros1_in_mcap_are_read(tmp_path):
+    path = tmp_path / "a.mcap"
+    topic = mcap_topic("std_msgs/String", "ros1msg", "string data", "ros1")
+    path.write_bytes(mcap([mcap_message(1, b"\2\0\0\0hi")], profile="ros1", topic=topic))
+    topic, data = read_message(path)
+    assert (topic.type, topic.md5sum) == ("std_msgs/String", "992ce8a1687cec8c8bd883ec73ca41d1")
+    assert data == b"\2\0\0\0hi"
+
+
+def test_messages_in_other_formats_are_refused(tmp_path):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(mcap([mcap_message(1, b"{}")], topic=mcap_topic("a", "jsonschema", "{}", "json")))
+    with MergedBag([path]) as bags:
+        assert bags.unreadable == (("/a", "a", "its messages are in 'json': expected cdr or ros1"),)
+
+
+SERVICE = f"{'=' * 80}\nSRV: my_msgs/srv/Go\nint8 x\n---\nint8 y\n"
+EVENT = b"\0\1\0\0" + struct.pack("<BxxxiI16s4xq", 1, 4, 5, bytes(16), 7) + struct.pack("<IbxxxI", 1, 3, 0)
+
+
+def test_service_events_of_mcap_are_read(tmp_path):
+    path = tmp_path / "a.mcap"
+    topic = mcap_topic("my_msgs/srv/Go_Event", "unknown", SERVICE)
+    path.write_bytes(mcap([mcap_message(1, EVENT)], topic=topic))
+    topic, data = read_message(path)
+    assert topic.type == "my_msgs/Go_Event"
+    assert data.endswith(struct.pack("<qIbI", 7, 1, 3, 0))
+
+
+def test_service_events_of_database_are_read(tmp_path):
+    """The database has the definition under the name of the service."""
+    rows = f"""
+    INSERT INTO topics VALUES(1, '/go/_service_event', 'my_msgs/srv/Go_Event', 'cdr', '', '');
+    INSERT INTO message_definitions VALUES(1, 'my_msgs/srv/Go', 'unknown', '{SERVICE}', '');
+    """
+    path = sqlite_bag(tmp_path / "a.db3", rows=rows, messages=[(1, EVENT)])
+    topic, data = read_message(path)
+    assert (topic.name, topic.type) == ("/go/_service_event", "my_msgs/Go_Event")
+    assert data.endswith(struct.pack("<qIbI", 7, 1, 3, 0))

@@ -74,6 +74,9 @@ def _add_types_of_bag(definitions: Definitions, path: Path, type_name: str, max_
         UsageError: if the definition of type ``type_name`` is malformed; malformed definitions of others are skipped.
     """
     with open_bag(path, max_chunk_megabytes) as bag:
+        for unreadable in bag.unreadable:
+            if unreadable.type == type_name:
+                raise UsageError(f"{path}: {unreadable.problem}")
         # Topics of the type come first, because definitions of other topics may contain it as the type of a slot.
         topics = sorted(bag.topics, key=lambda topic: topic.type != type_name)
         for topic in topics:

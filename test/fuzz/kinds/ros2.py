@@ -1,9 +1,10 @@
-"""Definitions of ROS 2 mutated, and messages in CDR for those that are accepted."""
+"""Definitions of ROS 2 mutated, of services and in IDL, too, and messages in CDR for those that are accepted."""
 
 import struct
 
 from retalis import Definitions
 from retalis.messages.event_text_writer import make_text_writer
+from retalis.messages.idl_definitions import convert_idl
 from retalis.messages.ros2_to_ros1 import parse_ros2_type
 from retalis.prolog.syntax.event_text import to_text as text_of
 
@@ -104,6 +105,9 @@ PIECES = (
     "\r",
     "\x85",
     "MSG: ",
+    "\n---\n",
+    f"\n{'=' * 80}\nSRV: pkg/srv/Kind\n",
+    f"\n{'=' * 80}\nIDL: pkg/msg/Kind\n",
 )
 MSG_NAMES = (
     "pkg/msg/Kind",
@@ -114,7 +118,17 @@ MSG_NAMES = (
     "Kind",
     "pkg/msg/é",
     "msg/msg/msg",
+    "pkg/srv/Kind_Event",
 )
+IDL_PIECES = (
+    "module msg {", "module pkg {", "struct Kind {", "struct B : Kind {", "union U switch (long) {", "enum E {",
+    "A, B", "@value(3) ", "@bit_bound(8) ", "typedef ", "const long N = ", "1 << 3", "N * 2", "-(N)", "case 1:",
+    "sequence<", "string<5>", "wstring ", "long ", "unsigned long long ", "double ", "octet ", "boolean ",
+    "long double ",    "std_msgs::msg::Header ", "::pkg::msg::Kind ", "E ", "U ", "B ", "a", "b", "[3]", "[N]",
+    ",", ">", ";", "};", "};\n",
+    "#include <x>\n", "// c\n", "/* c */", '"s"', "'", "{", "}", "(", ")", "=", "\n",
+)  # fmt: skip
+IDL_START = "module pkg { module msg { enum E { A, B }; const long N = 3; struct Kind {"
 FOUND = {
     "pkg/Type": "int32 found\nstring<=3 name",
     "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
@@ -130,9 +144,13 @@ class Inputs(Kind):
     def setup(self):
         for encoding in ("utf-16-le", "utf-16-be", "utf-32-le", "utf-32-be"):  # imports the codecs
             "".encode(encoding)
+        convert_idl("pkg/Kind", f"{IDL_START}}}; }}; }};", ["pkg/Kind"])  # imports lark
 
     def generate(self, rng):
         what = rng.random()
+        if what < 0.05:
+            name = rng.choice(("pkg/msg/Kind", "pkg/srv/Kind_Event"))
+            return to_bytes(f"{name}\n{IDL_START}" + random_tokens(rng, IDL_PIECES, 25) + "}; }; };")
         if what < 0.1:
             return to_bytes(f"{rng.choice(MSG_NAMES)}\n" + random_tokens(rng, PIECES, 15))
         if what < 0.4 and self.texts:
@@ -160,7 +178,7 @@ class Inputs(Kind):
         # Types that differ in arrays of nested types only have one checksum in ROS, which `Definitions` goes by.
         self.known = Definitions()
         name, _, text = to_text(data).partition("\n")
-        found = self.attempt(parse_ros2_type, name, text, FOUND.get)
+        found = self.attempt(parse_ros2_type, name, text, FOUND.get, text.startswith("module"))
         if found is None:
             return
         definition = found.definition
