@@ -1,12 +1,14 @@
-"""Goals that subscribe to topics: what they ask for, what is refused, and engines without topics."""
+"""Event input: goals that subscribe to topics, and timestamps that are far ahead of the clock."""
 
 import logging
+from collections import Counter
 
 import pytest
 
-from retalis import Definitions, Engine, RetalisError
+from retalis import Definitions, Engine, RetalisError, StreamClock
 from retalis.engine.program_check import check_program
 from retalis.events.program.topic_configuration import TopicEvent, Topics, topic_type
+from retalis.prolog.terms.timestamps import SECOND
 
 TOPICS = Topics(
     (topic_type("/left", "std_msgs/Bool"), topic_type("said", "std_msgs/String")),
@@ -119,3 +121,107 @@ def test_events_of_such_topics_are_made(tmp_path):
         "goalPredicates.txt:3:1: there is no message type std_msgs/Strng; did you mean std_msgs/String?",
         "rules.txt:4:11: no producer of bumb/1: no topic, rule or goal; did you mean bump/1?",
     ]
+
+
+# ---- timestamps far ahead ------------------------------------------------------------------------------
+
+YEAR = 365 * 86_400
+START = 1_700_000_000
+
+TIMED_RULES = """
+last_10(N) <- aggregate(count, tick, N, last(10)).
+hopping(N) <- aggregate(count, tick, N, every(5)).
+from_first(N) <- aggregate(count, tick, N, every(5, first)).
+running(N) <- aggregate(count, tick, N, running(every(5))).
+pair <- (left seq right) within 3.
+silent <- left seq absent(never, 0.5).
+"""
+
+
+class FarStamps:
+    """An engine with its default clock, and what it has derived and reported."""
+
+    def __init__(self, rules=TIMED_RULES):
+        self.engine = Engine()
+        self.warnings = []
+        self.engine.rules.on_warning = lambda warning: self.warnings.append(warning.message)
+        self.engine.load(rules=rules, goals="timer(beat, every(10)).")
+        self.counts = Counter()
+        self.engine.on_event(lambda term, start, end: self.counts.update([functor_name(self.engine, term)]))
+
+    def run(self, seconds, wrong=()):
+        """Feed three events for each second; ``wrong`` maps seconds to the distance of the first one's time."""
+        for second in seconds:
+            self.engine.event("tick", START + second + dict(wrong).get(second, 0))
+            self.engine.event("left", START + second + 0.1)
+            self.engine.event("right", START + second + 0.2)
+        return self.counts
+
+
+def functor_name(engine, term):
+    return engine.show(term).partition("(")[0]
+
+
+def test_single_stamp_far_ahead_does_not_move_time():
+    expected = FarStamps().run(range(100))
+    run = FarStamps()
+    counts = run.run(range(100), {25: YEAR})
+    assert (counts["last_10"], counts["running"]) == (99, 99)
+    for name in ("pair", "silent", "hopping", "from_first", "beat"):
+        assert counts[name] == expected[name], name
+    (warning,) = run.warnings
+    assert warning.startswith("event tick: its time is 365 days ahead of the clock")
+    assert run.engine.event_input.far_ahead_count == 1
+
+
+def test_first_stamp_far_ahead_is_given_up():
+    expected = FarStamps().run(range(100))
+    counts = FarStamps().run(range(100), {0: YEAR})
+    assert counts["last_10"] >= 99
+    for name in ("pair", "silent", "beat"):
+        assert counts[name] >= expected[name] - 1, name
+
+
+@pytest.mark.parametrize("offset", [3600, 40 * 86_400, 20 * YEAR])
+def test_stream_with_another_date_is_processed_as_any(offset):
+    run = FarStamps()
+    shifted = FarStamps()
+    shifted_engine = shifted.engine
+    for second in range(50):
+        for event, fraction in (("tick", 0), ("left", 0.1), ("right", 0.2)):
+            run.engine.event(event, START + second + fraction)
+            shifted_engine.event(event, START + offset + second + fraction)
+    assert {**shifted.counts, "beat": 0} == {**run.counts, "beat": 0}
+    assert shifted.warnings == []
+
+
+def test_second_event_far_ahead_confirms_first_one():
+    run = FarStamps("late <- left seq absent(right, 5).")
+    run.engine.event("tick", START)
+    run.engine.event("left", START + 1)
+    run.engine.event("tick", START + YEAR)
+    assert run.counts["late"] == 0
+    run.engine.event("tick", START + YEAR + 1)
+    assert run.counts["late"] == 1
+    assert run.engine.clock.now() == (START + YEAR + 1) * SECOND
+
+
+def test_source_with_another_date_moves_clock_after_three_events():
+    run = FarStamps("late(X) <- in(X) seq absent(never, 1).")
+    for second in range(10):
+        run.engine.event("tick", START + second)
+        run.engine.event("in(1)", START + YEAR + second)
+    assert run.counts["late"] >= 6
+    assert run.engine.event_input.far_ahead_count == 2
+
+
+def test_window_on_receipt_clock_reports_stamp_ahead():
+    clock = StreamClock(START * SECOND)
+    engine = Engine(clock)
+    warnings = []
+    engine.rules.on_warning = lambda warning: warnings.append(warning.message)
+    engine.load(rules="n(N) <- aggregate(count, tick, N, every(5, first)).")
+    engine.event("tick", START)
+    engine.event("tick", START + 60)
+    assert len(warnings) == 1
+    assert "an event is too far ahead of the clock" in warnings[0]

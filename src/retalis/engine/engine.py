@@ -137,8 +137,8 @@ class Engine:
     alarms alarm(kitchen)
 
     Args:
-        clock: the time of the program; by default a `StreamClock` that follows the timestamps of events and never
-            goes back.
+        clock: the time of the program; by default a `StreamClock` that follows the timestamps of events, except a
+            single one far ahead, and never goes back.
         settings: limits and sizes.
         reports: receives errors and warnings while events are processed; by default they are logged.
         definitions: the message types whose fields a program may name; by default the installed ones.
@@ -217,7 +217,7 @@ class Engine:
             self.dispatcher,
             self.clock,
             stream_clock,
-            self.rules.watermarks,
+            self.rules,
             self._clear_state,
             self.knowledge.transforms.store_message,
             self.executor.report_isolated_error,

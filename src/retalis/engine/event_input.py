@@ -15,9 +15,9 @@ from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Se
 from ..events.dispatch.dispatcher import Dispatcher
 from ..events.knowledge.transform_buffer import Transform
 from ..events.language.event_declarations import DeclaredEvents, event_name_error
-from ..events.matches.watermarks import Watermarks
 from ..events.program.topic_configuration import TopicEvent, Topics, TopicType
 from ..events.rules.event_input_predicates import InputReader
+from ..events.rules.rule_base import RuleBase
 from ..foundation.errors import RetalisError, UsageError, shorten
 from ..foundation.ros_names import ros1_type_name, strip_slashes, topic_fault, type_fault
 from ..messages.message_notation import SlotNames
@@ -26,6 +26,7 @@ from ..prolog.machine.errors import Halt, domain_error, instantiation_error, per
 from ..prolog.machine.machine import Machine
 from ..prolog.syntax.operators import Operators
 from ..prolog.system.prolog_system import PrologSystem
+from ..prolog.terms.timestamps import SECOND
 from ..prolog.terms.types import Atom, String, Term, Var, deref
 from .runtime.clock import Clock, StreamClock
 from .runtime.problem_reports import Reports
@@ -41,7 +42,7 @@ class EventInput:
         dispatcher: dispatches the events.
         clock: the clock of the engine.
         stream_clock: the same clock if timestamps of events move it; None if only its owner moves it.
-        watermarks: receives the lags of events behind a clock that they do not move.
+        rules: the rules, whose watermarks receive the lags of events behind a clock that they do not move.
         clear_state: clears memories, pending queries and partial matches; called if time went back.
         store_transforms: stores the transforms of a message; the flag is True for static transforms.
         report_alarm_error: reports an error of an alarm; the flag states whether no event is being dispatched and no
@@ -49,6 +50,7 @@ class EventInput:
 
     Attributes:
         event_count: number of events received.
+        far_ahead_count: number of events whose times were too far ahead to move the clock.
         stream_clock: the clock if timestamps of events move it.
     """
 
@@ -58,7 +60,7 @@ class EventInput:
         dispatcher: Dispatcher,
         clock: Clock,
         stream_clock: Optional[StreamClock],
-        watermarks: Watermarks,
+        rules: RuleBase,
         clear_state: Callable[[], None],
         store_transforms: Callable[[Sequence[Transform], bool], None],
         report_alarm_error: Callable[[Exception, bool], None],
@@ -67,12 +69,13 @@ class EventInput:
         self._store_transforms = store_transforms
         self._clock = clock
         self.stream_clock = stream_clock
-        self._watermarks = watermarks
+        self._rules = rules
+        self._watermarks = rules.watermarks
         self._clear_state = clear_state
         self._report_alarm_error = report_alarm_error
         self._dispatcher = dispatcher
         self._dispatch = dispatcher.dispatch_input
-        self.event_count = 0
+        self.event_count = self.far_ahead_count = 0
 
     def dispatch_event(
         self, term: Term, start: Optional[int], end: Optional[int], ground: Optional[bool] = None
@@ -102,8 +105,10 @@ class EventInput:
             raise UsageError(f"{self._logic.brief(term)} ends before it starts")
         else:
             stream_clock = self.stream_clock
-            if not (self._clock.is_quiet() if stream_clock is None else stream_clock.follow(end)):
-                self._move_clock_to(end)
+            is_quiet = self._clock.is_quiet() if stream_clock is None else stream_clock.follow(end)
+            if not is_quiet and not self._move_clock_to(end):
+                self._dispatch_far_ahead(term, start, end, ground)
+                return
         self.event_count += 1
         self._dispatch(term, start, end, ground)
 
@@ -119,8 +124,10 @@ class EventInput:
         else:
             stamp = instant if instant.__class__ is int else int(instant)
             stream_clock = self.stream_clock
-            if not (self._clock.is_quiet() if stream_clock is None else stream_clock.follow(instant)):
-                self._move_clock_to(instant)
+            is_quiet = self._clock.is_quiet() if stream_clock is None else stream_clock.follow(instant)
+            if not is_quiet and not self._move_clock_to(instant):
+                self._dispatch_far_ahead(term, stamp, stamp, True)
+                return
         self.event_count += 1
         # Messages contain no variables.
         self._dispatch(term, stamp, stamp, True)
@@ -151,14 +158,31 @@ class EventInput:
             )
         return clock.stamp(self._read_clock_and_run_alarms())
 
-    def _move_clock_to(self, instant: int) -> None:
-        """Move the clock to the time of an event and run the alarms that are due."""
+    def _move_clock_to(self, instant: int) -> bool:
+        """Move the clock to the time of an event and run the alarms that are due.
+
+        Returns:
+            False if the event is too far ahead of the clock to move it.
+        """
         stream_clock = self.stream_clock
+        is_followed = True
         if stream_clock is not None:
-            # Reading the clock first detects that its owner has set it back; `move_to` would hide that.
+            # Reading the clock first detects that its owner has set it back; moving it would hide that.
             stream_clock.now()
-            stream_clock.move_to(instant)
+            is_followed = stream_clock.follow_checked(instant)
         self._read_clock_and_run_alarms()
+        return is_followed
+
+    def _dispatch_far_ahead(self, term: Term, start: int, end: int, ground: Optional[bool]) -> None:
+        """Dispatch an event whose time is too far ahead of the clock to move it, with one report for all rules."""
+        self.event_count += 1
+        self.far_ahead_count += 1
+        days = (end - self._clock.reached()) / (86_400 * SECOND)
+        text = (
+            f"event {self._logic.brief(term)}: its time is {days:.0f} days ahead of the clock, which does not follow "
+            f"it before further events have such times; {self.far_ahead_count} so far"
+        )
+        self._rules.dispatch_reported_ahead(text, lambda: self._dispatch(term, start, end, ground))
 
     def _read_clock_and_run_alarms(self) -> int:
         """Read the clock, clear the state if time went back, run the alarms that are due, and return the time."""

@@ -120,7 +120,7 @@ def test_alarms_ring_by_the_time_of_a_stream_whose_clock_is_pinned():
 
 
 def test_a_clock_follows_events_as_far_as_nothing_is_due():
-    clock = StreamClock()
+    clock = StreamClock(0)
     assert clock.follow(50) and clock.now() == 50
     assert clock.follow(40) and clock.now() == 50, "an event that is late moves nothing"
     clock.call_at(60, lambda instant: None)
@@ -131,7 +131,7 @@ def test_a_clock_follows_events_as_far_as_nothing_is_due():
 
 
 def test_it_is_seen_that_somebody_has_put_a_followed_clock_back():
-    clock = StreamClock()
+    clock = StreamClock(0)
     assert clock.follow(5 * SECOND)
     clock.move_to(0, back=True)
     assert not clock.follow(6 * SECOND)

@@ -22,6 +22,16 @@ JUMP = SECOND
 """Minimum step back in ns that starts a new clock epoch, for example when a bag is played again."""
 
 
+MAX_STEP = 30 * 86_400 * SECOND
+"""Step in ns beyond which the timestamp of a single event does not advance a `StreamClock`: thirty days."""
+
+MAX_OFFSET_CHANGE = 60 * SECOND
+"""Largest change in ns of the distance between two timestamps far ahead and the clock at which they agree."""
+
+MIN_AGREEING_STAMPS = 3
+"""Number of agreeing timestamps far ahead that advance the clock although other events follow the present time."""
+
+
 class Clock:
     """A clock with alarms over a source of time.
 
@@ -274,6 +284,11 @@ class Clock:
 class StreamClock(Clock):
     """A clock that stands still until it is moved: the time of a stream of events or of a bag.
 
+    If the clock follows events (`follow`), a single timestamp far ahead (`MAX_STEP`) does not advance it: it may be
+    an error. Another event near it confirms it, if it is the next one, or if several of them have a constant distance
+    from the clock, as those of a computer with another date. A first timestamp that is far ahead of the second one
+    is given up.
+
     A pinned clock always returns the same time, but its alarms follow the stream's time. A clock without a start that
     was neither moved nor pinned is not set, and has no time for events without timestamps.
 
@@ -293,6 +308,13 @@ class StreamClock(Clock):
         self._time = start or 0
         self._heading = self._time
         self._pinned: Optional[int] = None
+        # A time that the owner has given is not given up as a first timestamp may be.
+        self._followed_count = 0 if start is None else 2
+        self._far_stamp: Optional[int] = None
+        self._far_offset = 0
+        self._agreeing_count = 0
+        self._fast_limit = -1 if start is None else start + MAX_STEP
+        """Latest timestamp that `follow` accepts; -1 if each one must be checked."""
         super().__init__(self._present)
 
     def _present(self) -> int:
@@ -319,6 +341,8 @@ class StreamClock(Clock):
         super().restore(saved)
         if len(saved) > 4:
             self._time, self.is_set = saved[4], True
+            # Several events may have moved the other clock, so its time is not given up.
+            self._followed_count = 2
         if len(saved) > 5:
             self._pinned = saved[5]
 
@@ -358,6 +382,8 @@ class StreamClock(Clock):
         """Move to the timestamp of an event if no alarm is due and time did not go back; return whether it has moved.
 
         >>> clock = StreamClock()
+        >>> clock.follow_checked(500_000_000), clock.follow_checked(500_000_000)
+        (True, True)
         >>> clock.follow(1_000_000_000), clock.now()
         (True, 1000000000)
         >>> clock.call_at(2_000_000_000, print)
@@ -366,7 +392,7 @@ class StreamClock(Clock):
         """
         # The common case of each event, so the tests of `now`, `move_to` and `due` are combined here.
         time = self._time
-        if time < self._newest or self.behind or self._pinned is not None:
+        if time < self._newest or self.behind or self._pinned is not None or instant > self._fast_limit:
             return False
         if instant > time:
             time = instant if instant.__class__ is int else int(instant)
@@ -375,6 +401,38 @@ class StreamClock(Clock):
         self._time = self._newest = time
         self.is_set = True
         return True
+
+    def follow_checked(self, instant: int) -> bool:
+        """Move to the timestamp of an event unless it is far ahead and not confirmed; return whether it is not.
+
+        Time goes back if the first timestamp is given up; see `went_back`.
+
+        >>> clock = StreamClock(0)
+        >>> clock.follow_checked(10**18), clock.now(), clock.follow_checked(10**18), clock.now()
+        (False, 0, True, 1000000000000000000)
+        """
+        step = instant - self._time
+        if step > MAX_STEP and self._followed_count and not self._confirms(instant, step):
+            # The next event decides whether this one was alone.
+            self._fast_limit = -1
+            return False
+        self._followed_count += 1
+        # The second event shows that the first one, which has set the clock, was far ahead.
+        self.move_to(instant, back=self._followed_count == 2 and step < -MAX_STEP)
+        if step > MAX_STEP:
+            self._agreeing_count = 0
+        self._far_stamp = None
+        if self._followed_count > 1:
+            self._fast_limit = self._time + MAX_STEP
+        return True
+
+    def _confirms(self, instant: int, step: int) -> bool:
+        """Record a timestamp far ahead; return whether earlier ones confirm it."""
+        is_next = self._far_stamp is not None and abs(instant - self._far_stamp) <= MAX_STEP
+        is_constant = abs(step - self._far_offset) <= MAX_OFFSET_CHANGE
+        self._agreeing_count = self._agreeing_count + 1 if is_constant else 1
+        self._far_stamp, self._far_offset = instant, step
+        return is_next or self._agreeing_count >= MIN_AGREEING_STAMPS
 
     def move_by(self, nanoseconds: int) -> None:
         """Advance the stream's time by a duration.

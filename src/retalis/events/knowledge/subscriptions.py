@@ -134,7 +134,7 @@ class OutputRateLimiter:
         """
         now = self._rules.alarm_time() - self.watermark.delay if self._spec.uses_clock else 0
         stream = self._stream
-        previous_late_count = stream.late_count
+        previous_late_count, previous_ahead_count = stream.late_count, stream.ahead_count
         # A flag may have changed the bounds, which are replaced as a whole.
         if stream.bounds is not self._rules.key_bounds:
             stream.set_bounds(self._rules.key_bounds)
@@ -145,8 +145,14 @@ class OutputRateLimiter:
         except (RuleError, TermTooLarge) as error:
             self.report_alarm_error(error)
             return
+        if stream.ahead_count != previous_ahead_count:
+            self._warn(
+                f"{self._title}: an event is too far ahead of the clock to advance its time",
+                ("ahead", self._title),
+            )
         if stream.late_count != previous_late_count:
             self.late_count += 1
+        if stream.late_count != previous_late_count and stream.ahead_count == previous_ahead_count:
             self._warn(
                 f"{self._title}: {self._spec.late_report}; {self.late_count} so far", ("late", self._title)
             )

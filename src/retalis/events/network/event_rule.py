@@ -153,6 +153,7 @@ class EventRule:
         self.dropped_alarm_count = 0
         self.past_alarm_count = 0
         self.late_count = 0
+        self.ahead_count = 0
         self.maintains_clock = False
         self._tracks_stored = False
         self.clock: int = _BEFORE_ALL_INSTANTS
@@ -481,6 +482,7 @@ class EventRule:
         if end > self.max_timestamp:
             self.max_timestamp = self.network.compute_max_timestamp()
             if end > self.max_timestamp:
+                self.network.report_ahead(self)
                 return
         self.clock = end
         self.expiration_queue.expire(end)

@@ -523,7 +523,7 @@ class StreamNode(NetworkNode):
             # Reading the clock is avoided for operators that depend on time stamps only.
             now = network.alarm_time() - watermark.delay if uses_clock else 0
             stream = self.stream
-            pruned_count = stream.pruned_count
+            pruned_count, ahead_count = stream.pruned_count, stream.ahead_count
             if self.replay is not None:
                 self.replay.begin_step(stream)
             try:
@@ -534,9 +534,8 @@ class StreamNode(NetworkNode):
                 return []
             if self.replay is not None:
                 self._record_element(channel, element, now)
-            if stream.late_count != self.late_count:
-                self.late_count = stream.late_count
-                network.report_late(self.rule, self.spec.late_report)
+            if stream.late_count != self.late_count or stream.ahead_count != ahead_count:
+                self._report_wrong_time(stream.ahead_count != ahead_count)
             if stream.pruned_count != pruned_count or stream.evicted_count != self.evicted_count:
                 self._report_dropped(stream.pruned_count - pruned_count)
             # One element can add several partial matches to a row pattern.
@@ -547,6 +546,16 @@ class StreamNode(NetworkNode):
             return outputs
 
         return process
+
+    def _report_wrong_time(self, is_ahead: bool) -> None:
+        """Report an element that is too far ahead of the clock, or too late."""
+        # An operator that refuses an element ahead of the clock has counted it as late, too.
+        self.late_count = self.stream.late_count
+        network = self.rule.network
+        if is_ahead:
+            network.report_ahead(self.rule)
+        else:
+            network.report_late(self.rule, self.spec.late_report)
 
     def watermark_time(self) -> int:
         """Return the instant that the watermark of the node has reached."""

@@ -179,6 +179,8 @@ class RuleBase:
         self.files = SourceFiles()
         self.loader = EventFileLoader(self)
         self._properties: Dict[Hashable, List[Property]] = {}
+        self._is_ahead_reported = False
+        self._far_ahead_count = 0
         self.serial = 0
         self.timers = Timers(self)
         define_predicates(self)
@@ -509,6 +511,35 @@ class RuleBase:
         rule.late_count += 1
         text = f": {reason}; {rule.late_count} so far"
         self._warn_rarely(rule, "late", text, lambda: rule.late_count)
+
+    def report_ahead(self, rule: EventRule) -> None:
+        """Report that a match is too far ahead of the clock to advance the time of a rule or operator."""
+        # Before its first time, a clock that no event moves is behind all events.
+        if not self.clock.is_set:
+            return
+        rule.ahead_count += 1
+        if not self._is_ahead_reported:
+            text = (
+                ": an event is too far ahead of the clock to advance the time of the rule, and windows that end by "
+                f"the clock ignore it; {rule.ahead_count} so far"
+            )
+            self._warn_rarely(rule, "ahead", text, lambda: rule.ahead_count)
+
+    def dispatch_reported_ahead(self, text: str, dispatch: Callable[[], object]) -> None:
+        """Dispatch an event that is far ahead of the clock; one warning covers all rules.
+
+        Args:
+            text: text of the warning.
+            dispatch: dispatches the event.
+        """
+        count = self._far_ahead_count = self._far_ahead_count + 1
+        if count & (count - 1) == 0:
+            self.on_warning(RecurringWarning(text, None, "far ahead", lambda: self._far_ahead_count))
+        self._is_ahead_reported = True
+        try:
+            dispatch()
+        finally:
+            self._is_ahead_reported = False
 
     def report_past_alarm(self, rule: EventRule, head: Term, alarm: Optional[Tuple[Term, int, int]]) -> None:
         """Report an alarm for a past instant; ``alarm`` is None if the instant precedes the event's own start."""

@@ -109,6 +109,7 @@ class StreamOperator:
     Attributes:
         next_deadline: next instant at which `advance_to` may have an output; None if only elements cause outputs.
         late_count: number of elements that arrived too late.
+        ahead_count: number of times that an element was too far in the future to advance the time of the stream.
         pruned_count: number of partial matches of a row pattern that were discarded because too many had the same
             start.
         evicted_count: number of keys that were dropped because there were too many.
@@ -130,7 +131,7 @@ class StreamOperator:
 
     def __init__(self) -> None:
         self.next_deadline: Optional[int] = None
-        self.late_count = self.pruned_count = self.evicted_count = 0
+        self.late_count = self.ahead_count = self.pruned_count = self.evicted_count = 0
         self.tracks_elements = False
         self.meter: Optional[Meter] = None
         self.compute_max_timestamp: Callable[[], int] = lambda: 1 << 64
@@ -194,7 +195,10 @@ class StreamOperator:
         # sufficient.
         if end > self.max_timestamp:
             self.max_timestamp = self.compute_max_timestamp()
-        return end > self.max_timestamp
+        if end <= self.max_timestamp:
+            return False
+        self.ahead_count += 1
+        return True
 
     def _advance(self, end: int) -> None:
         # `max_timestamp` is tested first, which avoids a call in the usual case.

@@ -26,6 +26,9 @@ from .aggregates import Accumulator, present_elements, value_error
 from .running_statistics import LazyMinHeap
 from .stream_operators import BEFORE_ALL_INSTANTS, OperatorState, StreamElement, StreamOperator, StreamOutput
 
+MAX_AHEAD = 30 * 86_400 * 10**9
+"""Distance in ns from the time of a sliding window beyond which an element in the future is not measured: 30 days."""
+
 MAX_TRACKED_ELEMENTS = 100
 """Maximum number of elements in a tracked output, the newest ones, so that long windows stay cheap."""
 
@@ -371,6 +374,10 @@ class SlidingTimeWindow(Window):
         """See `StreamOperator.process`."""
         keyed_window = self._keyed_window_of(element)
         self._advance(element.end)
+        # Such an element would be in all windows until the clock reaches it. If the window has no time of its own,
+        # all of its elements may be that far ahead, because their clock is wrong.
+        if BEFORE_ALL_INSTANTS < self.clock < element.end - MAX_AHEAD:
+            return []
         min_start = self.clock - self.span
         self._remove_before(min_start)
         if element.start <= min_start:
@@ -574,7 +581,7 @@ class AlignedTumblingWindow(Window):
         self._check_values(element)
         index = element.end // self.span
         current_index = self.clock // self.span
-        if index < current_index or element.end > self.compute_max_timestamp():
+        if index < current_index or self._is_too_far_ahead(element.end):
             self.late_count += 1
             return []
         if index > current_index:
