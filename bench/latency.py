@@ -8,9 +8,10 @@ This process publishes ``geometry_msgs/PoseStamped`` messages and subscribes to 
 differ only in what runs between the two topics:
 
 * ``relay``: a rospy node that publishes each message that it receives;
-* ``direct``: node ``retalis`` subscribes to the topic, and the ROS interface publishes the result;
-* ``embedded``: the ROS interface runs in node ``retalis``;
-* ``two``: the ROS interface subscribes and publishes, and all events go through text to node ``retalis`` and back.
+* ``direct``: both nodes by default: node ``retalis`` subscribes and publishes;
+* ``embedded``: only node ``retalis``;
+* ``two``: node ``retalis_ros_interface`` subscribes and publishes, and all events go through text to node ``retalis``
+  and back.
 
 The configurations run one after the other at each rate; the runs of a configuration are pooled. ``of relay`` is the
 99th percentile divided by that of ``relay`` at the same rate.
@@ -56,7 +57,7 @@ PROGRAM = {
 
 CONFIGURATIONS = {
     "relay": [sys.executable, "-c", RELAY],
-    "direct": [*LAUNCH, "direct:=[latency_in, geometry_msgs/PoseStamped]", "embedded:=false"],
+    "direct": LAUNCH,
     "embedded": [*LAUNCH, "embedded:=true"],
     "two": [*LAUNCH, "direct:=false", "embedded:=false"],
 }
@@ -110,6 +111,7 @@ class Probe:
         wait_until(lambda: publisher.get_num_connections() and subscriber.get_num_connections())
         if configuration in ("direct", "two"):
             wait_until(lambda: len(list(running("/retalis"))) == 2)
+        if configuration == "two":
             nodes = dict(running("/retalis"))
             wait_until(lambda: connected(nodes, "/retalisInputEvents", "/retalisOutputEvents"))
         # The subscriber notes a connection before the publisher does; then a first result shows that all is ready.

@@ -36,12 +36,13 @@ LAUNCH = ["roslaunch", "retalis", "retalis.launch", "use_sim_time:=false"]
 WAYS = {
     "idle": [sys.executable, "-c", ROSPY_IDLE],
     "roscpp": [],
-    "direct": [*LAUNCH, "direct:=true", "embedded:=false"],
-    "kept": [*LAUNCH, "direct:=true", "embedded:=false", f"checkpoint:={tempfile.mkdtemp()}/state.db"],
-    "embedded": [*LAUNCH, "direct:=auto", "embedded:=true"],
+    "direct": LAUNCH,
+    "kept": [*LAUNCH, f"checkpoint:={tempfile.mkdtemp()}/state.db"],
+    "embedded": [*LAUNCH, "embedded:=true"],
     "converter": [*LAUNCH, "direct:=false", "embedded:=false"],
 }
-"""Configurations with their commands: ``embedded`` contains the interface, ``kept`` writes checkpoints."""
+"""Configurations with their commands: ``direct`` is the default, ``embedded`` is one node, ``kept`` writes
+checkpoints, ``converter`` passes messages as text."""
 
 PATIENCE = 20.0
 
@@ -97,7 +98,7 @@ class Bench:
         nodes = dict(running("/retalis"))
         topics = {one.resolved_name for one in listening}
         wait_until(lambda: topics <= {topic for name in nodes for topic in heard(name)})
-        if len(nodes) > 1:
+        if way == "converter":
             wait_until(lambda: connected(nodes, "/retalisInputEvents", "/retalisOutputEvents"))
         return nodes
 

@@ -2,7 +2,7 @@
 
 from typing import Dict, NamedTuple, Tuple
 
-COUNTERS = ("dropped", "refused", "dropped events")
+COUNTERS = ("dropped", "refused", "missing", "dropped events")
 """The values of a status that count messages or events."""
 
 APART = "input /camera", "input /input_"

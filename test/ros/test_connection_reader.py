@@ -18,6 +18,7 @@ from retalis.ros.connection_reader import (  # noqa: E402
     WINDOW_WAKE_UPS,
     ConnectionReader,
     LowWaterMark,
+    _ignore_end,
     read_in_batches,
 )
 
@@ -67,7 +68,7 @@ def subscribed(callbacks=(callback,), **topic):
 
 
 def new_reader(link, taken, callbacks=(callback,)):
-    return ConnectionReader(link, subscribed(callbacks), lambda header: taken.append, 0.001)
+    return ConnectionReader(link, subscribed(callbacks), lambda header: taken.append, 0.001, _ignore_end)
 
 
 def send_in_pieces(sender, data, size):
@@ -153,6 +154,42 @@ def test_a_connection_that_is_closed_ends(pair):
         new_reader(new_link(None), [])()
 
 
+@pytest.mark.parametrize(
+    ("data", "is_incomplete"),
+    [
+        (b"", False),
+        (frame(b"one"), False),
+        (frame(b"one")[:2], True),
+        (frame(b"one") + frame(b"two")[:6], True),
+    ],
+)
+def test_end_of_connection_is_reported(pair, data, is_incomplete):
+    sender, receiver = pair
+    ends = []
+    link = new_link(receiver)
+    reader = ConnectionReader(
+        link, subscribed(), lambda header: lambda messages: None, 0.001, lambda *end: ends.append(end)
+    )
+    send_in_pieces(sender, data, 1000)
+    with pytest.raises(TransportTerminated):
+        reader()
+    assert ends == [(HEADER, is_incomplete)]
+
+
+def test_connection_that_this_node_closes_has_no_loss(pair):
+    sender, receiver = pair
+    ends = []
+    link = new_link(receiver)
+
+    def close(messages):
+        link.done = True
+
+    reader = ConnectionReader(link, subscribed(), lambda header: close, 0.001, lambda *end: ends.append(end))
+    send_in_pieces(sender, frame(b"one") + frame(b"two")[:6], 1000)
+    assert reader() == []
+    assert ends == []
+
+
 def test_a_message_alone_arrives_where_several_are_waited_for(pair, monkeypatch):
     sender, receiver = pair
     link, taken = new_link(receiver), []
@@ -167,7 +204,7 @@ def test_a_message_alone_arrives_where_several_are_waited_for(pair, monkeypatch)
             self.set_min_bytes(1000)
 
     monkeypatch.setattr(connection_reader, "LowWaterMark", Patient)
-    reader = ConnectionReader(link, subscribed(), lambda header: take, 0.001)
+    reader = ConnectionReader(link, subscribed(), lambda header: take, 0.001, _ignore_end)
     sender.sendall(frame(b"alone"))
     assert reader() == []
     assert taken == [b"alone"]

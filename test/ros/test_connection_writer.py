@@ -80,8 +80,8 @@ def outlet(monkeypatch, link, reports):
         return SimpleNamespace(name=topic, impl=SimpleNamespace(connections=[link]), listener=listener)
 
     monkeypatch.setattr(rospy, "Publisher", publisher)
-    return lambda queue=1000, patient=connection_writer.never_wait, latched=False: TopicWriter(
-        "/topic", object, queue, reports, patient, latched
+    return lambda queue=1000, patient=connection_writer.never_wait, latched=False, hint="": TopicWriter(
+        "/topic", object, queue, reports, patient, latched, wait_hint=hint
     )
 
 
@@ -197,6 +197,19 @@ def test_patience_is_tried_once(outlet, link, reports, monkeypatch):
     assert count > 0
     it.send(numbered(1))
     assert len(waits) == count
+
+
+def test_wait_for_slow_receiver_is_reported_once(outlet, link, reports, caplog):
+    it = outlet(queue=5, patient=anybody, hint="be quick")
+    for _ in range(2):
+        receiving = threading.Thread(target=link.read, args=(99,))
+        receiving.start()
+        for number in range(100):
+            it.send(numbered(number))
+        receiving.join()
+    expected = "/listener does not keep up with topic /topic: messages wait; be quick"
+    assert 1 <= reports.warnings <= 2
+    assert {record.getMessage() for record in caplog.records} == {expected}
 
 
 def test_a_connection_that_has_ended_is_closed(outlet, link):

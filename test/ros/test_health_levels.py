@@ -20,7 +20,7 @@ from retalis.ros.diagnostics import (
 )
 from retalis.ros.topic_statistics import InputCounts, InputStatus, OutputStatus
 
-TOPIC = InputStatus("/tf", "tf/tfMessage", 1, 0, 0, 0, None, None)
+TOPIC = InputStatus("/tf", "tf/tfMessage", 1, 0, 0, 0, 0, None, None)
 
 
 def engine_levels(engine, now=0.0, health=None, **changed):
@@ -107,6 +107,8 @@ def test_a_loss_keeps_its_level_for_a_while():
     assert health.evaluate(1.0, TOPIC._replace(refused=1)).level is Level.ERROR
     assert health.evaluate(RECENT_SECONDS, TOPIC._replace(refused=1)).level is Level.ERROR
     assert health.evaluate(RECENT_SECONDS + 2, TOPIC._replace(refused=1)).level is Level.OK
+    status = health.evaluate(RECENT_SECONDS + 3, TOPIC._replace(refused=1, missing=2))
+    assert (status.level, dict(status.values)["missing"]) == (Level.ERROR, "2")
 
 
 def test_an_output_whose_subscriber_is_slow():

@@ -62,7 +62,7 @@ def taken_by(monkeypatch):
     takers = []
     monkeypatch.setattr(rospy, "Subscriber", lambda *arguments, **options: None)
     monkeypatch.setattr(
-        ros_interface, "read_in_batches", lambda subscriber, taker, hold: takers.append(taker)
+        ros_interface, "read_in_batches", lambda subscriber, taker, hold, end: takers.append(taker)
     )
     return takers
 

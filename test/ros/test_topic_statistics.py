@@ -1,10 +1,18 @@
-"""Warnings about topics without publishers after the start."""
+"""Warnings about topics without publishers after the start, and detection of lost messages."""
+
+from struct import pack
 
 import pytest
 
-from retalis.ros.topic_statistics import InputStatus, unpublished_topic_warnings
+from retalis.ros.topic_statistics import (
+    MIN_BEHIND_SECONDS,
+    InputCounts,
+    InputStatus,
+    LossMonitor,
+    unpublished_topic_warnings,
+)
 
-SCAN = InputStatus("/robot/scan", "sensor_msgs/LaserScan", 0, 0, 0, 0, None, None)
+SCAN = InputStatus("/robot/scan", "sensor_msgs/LaserScan", 0, 0, 0, 0, 0, None, None)
 OWN = {"/retalis", "/retalis_ros_interface"}
 
 
@@ -31,3 +39,95 @@ def test_topics_that_somebody_publishes_are_left_alone():
     assert (
         list(unpublished_topic_warnings([SCAN._replace(messages=3)], {}, OWN)) == []
     )  # from one who has gone
+
+
+class Connection:
+    """A monitored connection with a clock of its own.
+
+    Args:
+        has_header: whether messages begin with a header.
+    """
+
+    def __init__(self, has_header=True):
+        self.now = 0.0
+        self.counts, self.reports = InputCounts(), []
+        self.monitor = LossMonitor(self.counts, has_header, self.reports.append, lambda: self.now)
+
+    def read(self, *numbers, waited=0.0, busy=1.0):
+        """Read messages, given as number or bytes, after a wait, and process them; times are in seconds."""
+        self.now += waited
+        self.monitor.begin(
+            [number if isinstance(number, bytes) else pack("<I", number) for number in numbers]
+        )
+        self.now += busy
+        self.monitor.end()
+
+
+def test_gap_that_a_busy_node_reads_is_a_loss():
+    connection = Connection()
+    connection.read(7)
+    connection.read(8, 12)
+    connection.read(13)
+    connection.read(15)
+    assert connection.counts.missing == 4
+    assert connection.reports == [
+        "3 messages missing between header.seq 8 and 12",
+        "1 message missing between header.seq 13 and 15",
+    ]
+
+
+def test_gap_after_a_wait_is_no_loss():
+    connection = Connection()
+    for number in range(0, 100, 10):
+        connection.read(number, number + 1, waited=2.0)
+    assert (connection.counts.missing, connection.reports) == (0, [])
+
+
+@pytest.mark.parametrize("numbers", [(3, 100, 4, 101, 200), (0, 9, 9, 30), (5, 8, 1, 40)])
+def test_numbers_that_do_not_increase_make_gaps_meaningless(numbers):
+    connection = Connection()
+    for number in numbers:
+        connection.read(number)
+    assert connection.counts.missing == 0
+
+
+def test_message_without_number_has_no_gap():
+    connection = Connection()
+    connection.read(1)
+    connection.read(b"abc", 5)
+    connection.read(9)
+    assert connection.counts.missing == 7
+    connection = Connection(has_header=False)
+    connection.read(1)
+    connection.read(9)
+    assert connection.counts.missing == 0
+
+
+def test_incomplete_last_message_is_a_loss():
+    connection = Connection()
+    connection.read(1, waited=2.0)
+    connection.monitor.close(is_incomplete=True)
+    assert connection.counts.missing == 1
+    assert connection.reports == [
+        "it closed the connection within a message: those in its queue are lost, too"
+    ]
+
+
+def test_connection_that_ends_behind_is_reported():
+    connection = Connection()
+    connection.read(1, busy=2 * MIN_BEHIND_SECONDS)
+    connection.read(2, busy=0.0)
+    connection.monitor.close(is_incomplete=False)
+    assert connection.counts.missing == 0
+    assert connection.reports == ["it closed the connection: messages that were still in its queue are lost"]
+
+
+def test_connection_that_ends_after_a_short_burst_is_not_reported():
+    connection = Connection()
+    connection.read(1, busy=MIN_BEHIND_SECONDS / 4)
+    connection.read(2, busy=MIN_BEHIND_SECONDS / 4)
+    connection.monitor.close(is_incomplete=False)
+    connection.read(3, waited=2.0)
+    connection.now += 1.0
+    connection.monitor.close(is_incomplete=False)
+    assert connection.reports == []

@@ -260,7 +260,9 @@ _TABLE_FORMS = {
             _plain_column("publishers"),
             _Column(
                 "lost",
-                lambda row, before, time: str(row.get("dropped", 0) + row.get("refused", 0)),
+                lambda row, before, time: str(
+                    row.get("dropped", 0) + row.get("refused", 0) + row.get("missing", 0)
+                ),
                 hidden_if_empty=True,
             ),
         ),

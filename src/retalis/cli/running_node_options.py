@@ -90,7 +90,7 @@ def _add_watch(add_command: AddCommand) -> None:
         metavar="PATTERN",
         help="print these events, too, with a temporary subscription",
     )
-    add("--inputs", action="store_true", help="print the input events that arrive as text, too")
+    add("--inputs", action="store_true", help="print the input events, too")
     add("--count", type=non_negative(int), metavar="N", default=0, help="stop after N lines; 0: never (0)")
 
 

@@ -285,7 +285,7 @@ class TopicRow(NamedTuple):
         kind: message type.
         messages: number of received messages.
         publishers: number of connected publishers.
-        dropped: number of messages that were dropped or refused.
+        dropped: number of messages that were dropped or refused, or are missing.
         age: seconds since the last message.
         lag: seconds from the stamp of a recent message to its receipt.
         event: name of the events; "" if it is derived from the type.

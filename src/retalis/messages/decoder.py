@@ -735,10 +735,15 @@ def _make_mismatch_function(definition: Definition) -> Callable[[bytes], None]:
     return raise_mismatch
 
 
+def has_header(definition: Definition) -> bool:
+    """Return whether messages of a type begin with a header, as ROS defines it."""
+    first = definition.fields[0] if definition.fields else None
+    return first is not None and first.type == HEADER and first.length is None and first.name == "header"
+
+
 def _compile_stamp(definition: Definition) -> Callable[[bytes], Optional[int]]:
     """Return the function that reads the time of a message's header."""
-    first = definition.fields[0] if definition.fields else None
-    if first is None or first.type != HEADER or first.length is not None or first.name != "header":
+    if not has_header(definition):
         return _no_stamp
     unpack = Struct("<II").unpack_from
     raise_mismatch = _make_mismatch_function(definition)

@@ -46,6 +46,9 @@ MAX_SINGLE_MESSAGE_WINDOWS = 64
 BatchHandlerFactory = Callable[[Dict[str, str]], Callable[[List[bytes]], object]]
 """Returns the handler of a connection's messages, by the connection's header."""
 
+EndHandler = Callable[[Dict[str, str], bool], object]
+"""Called when a publisher closes a connection, with its header, and whether its last message is incomplete."""
+
 _REQUIRED_ATTRIBUTES = (
     "socket",
     "header",
@@ -147,11 +150,18 @@ class ConnectionReader:
             of them.
         handler_factory: returns the handler of a wake-up's messages, a list of bytes, by the connection's header.
         max_delay: see `LowWaterMark`.
+        on_end: called when the publisher closes the connection.
     """
 
     def __init__(
-        self, connection: Any, subscriber: Any, handler_factory: BatchHandlerFactory, max_delay: float
+        self,
+        connection: Any,
+        subscriber: Any,
+        handler_factory: BatchHandlerFactory,
+        max_delay: float,
+        on_end: EndHandler,
     ):
+        self._on_end = on_end
         self._connection = connection
         self._topic = subscriber.impl
         self._callback = subscriber.callback
@@ -207,8 +217,10 @@ class ConnectionReader:
                 self._low_water_mark.record_wake_up(0, 0)
                 return []
             except OSError as error:
+                self._handle_end()
                 raise TransportTerminated(f"cannot receive: {error}") from error
             if not data:
+                self._handle_end()
                 raise TransportTerminated("the sender closed the connection")
         received_bytes = len(data)
         connection.stat_bytes += received_bytes
@@ -223,6 +235,11 @@ class ConnectionReader:
         connection.stat_num_msg += len(messages)
         self._low_water_mark.record_wake_up(received_bytes, len(messages))
         return messages
+
+    def _handle_end(self) -> None:
+        """Report the end of the connection, unless this node has closed it."""
+        if not (self._connection.done or is_shutdown()):
+            self._on_end(self._connection.header, any(self._parts))
 
     def _split(self, data: bytes) -> List[bytes]:
         """Return the complete messages in received data, and store the rest."""
@@ -278,7 +295,16 @@ def refuse_own_connection(subscriber: Any) -> None:
             connection.close()
 
 
-def read_in_batches(subscriber: Any, handler_factory: BatchHandlerFactory, max_delay: float) -> None:
+def _ignore_end(header: Dict[str, str], is_incomplete: bool) -> None:
+    """Do nothing at the end of a connection."""
+
+
+def read_in_batches(
+    subscriber: Any,
+    handler_factory: BatchHandlerFactory,
+    max_delay: float,
+    on_end: EndHandler = _ignore_end,
+) -> None:
     """Read the connections of a subscriber with a `ConnectionReader`, if rospy's internals are the expected ones."""
     topic = getattr(subscriber, "impl", None)
     rospy_add_connection = getattr(topic, "add_connection", None)
@@ -298,7 +324,9 @@ def read_in_batches(subscriber: Any, handler_factory: BatchHandlerFactory, max_d
     def prepare(connection: Any) -> None:
         is_prepared = getattr(connection, "receive_once", None).__class__ is ConnectionReader
         if not is_prepared and all(hasattr(connection, name) for name in _REQUIRED_ATTRIBUTES):
-            connection.receive_once = ConnectionReader(connection, subscriber, handler_factory, max_delay)
+            connection.receive_once = ConnectionReader(
+                connection, subscriber, handler_factory, max_delay, on_end
+            )
 
     def add_connection(connection: Any) -> Any:
         prepare(connection)

@@ -95,6 +95,7 @@ class TopicWriter:
             a burst loses nothing. It waits as long as the receiver reads.
         latched: whether each new receiver gets the last message.
         listener: rospy listener for new receivers; ignored if the topic is latched.
+        wait_hint: how to avoid waits, for the warning that the publisher waits; no warning if it is "".
     """
 
     def __init__(
@@ -106,7 +107,9 @@ class TopicWriter:
         must_wait_for: WaitRule = never_wait,
         latched: bool = False,
         listener: Optional[rospy.SubscribeListener] = None,
+        wait_hint: str = "",
     ):
+        self._wait_hint = wait_hint
         self._max_queued = queue_size
         self._reports = reports
         self._must_wait_for = must_wait_for
@@ -147,6 +150,7 @@ class TopicWriter:
                     self._reports,
                     self._must_wait_for,
                     self.counts,
+                    self._wait_hint,
                 )
                 receiver = self._receivers.setdefault(connection, new_receiver)
             try:
@@ -225,7 +229,10 @@ class _Receiver:
         reports: Reports,
         must_wait_for: WaitRule,
         counts: OutputCounts,
+        wait_hint: str,
     ):
+        self._wait_hint = wait_hint
+        self._is_wait_reported = False
         self._counts = counts
         self._rospy_connection = connection
         self._close_connection = close_connection
@@ -263,7 +270,7 @@ class _Receiver:
                 thread.name = f"to {self._topic}"
                 thread.start()
             else:
-                self._is_slow = False
+                self._is_slow = self._is_wait_reported = False
 
     def _write_without_blocking(self, sock: socket.socket, messages: bytes, count: int) -> bytes:
         """Write as many bytes as the socket accepts without blocking; return the other bytes."""
@@ -283,6 +290,12 @@ class _Receiver:
         if not self._is_slow and self._must_wait_for(self._rospy_connection):
             # A receiver that used up the wait once stays `_is_slow` until its queue has drained: otherwise each
             # further message would delay the publisher, and all other receivers, by the whole wait.
+            if self._wait_hint and not self._is_wait_reported:
+                self._is_wait_reported = True
+                self._reports.warning(
+                    f"{self._connection.endpoint_id} does not keep up with topic {self._topic}: messages wait; "
+                    f"{self._wait_hint}"
+                )
             self._wait_for_room()
             self._is_slow = self._queued_messages >= self._max_queued
         dropped = 0

@@ -150,7 +150,8 @@ class InputHealth:
     def evaluate(self, now: float, status: InputStatus) -> Health:
         """Return the status of a topic."""
         rate = self._trends.record(now, ("in", status.topic), status.messages).rate
-        loss = self._trends.record(now, ("lost", status.topic), status.dropped + status.refused)
+        lost_count = status.dropped + status.refused + status.missing
+        loss = self._trends.record(now, ("lost", status.topic), lost_count)
         values = [
             ("type", status.type),
             ("publishers", str(status.publishers)),
@@ -160,6 +161,7 @@ class InputHealth:
             ("lag (s)", "unknown" if status.lag is None else f"{status.lag / 1e9:.3f}"),
             ("dropped", str(status.dropped)),
             ("refused", str(status.refused)),
+            ("missing", str(status.missing)),
         ]
         level, message = self._determine_level(now, status, loss, rate)
         return Health(f"input {status.topic}", level, message, values)
@@ -179,7 +181,7 @@ class InputHealth:
             publisher = "" if status.publishers else "no publisher; "
             return Level.OK, f"{publisher}the program reads no message of it"
         if loss.is_recent(now):
-            return Level.ERROR, "messages are dropped or refused"
+            return Level.ERROR, "messages are dropped, refused or missing"
         if not status.publishers:
             if role is InputRole.OPTIONAL:
                 return Level.OK, "no publisher, and none is needed"

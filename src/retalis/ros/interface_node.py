@@ -40,7 +40,7 @@ from .ros_interface import MessageHandler, Publisher, RosInterface, connect, con
 from .ros_log import log_error
 from .ros_time import Receipts, SimulatedTime
 from .services import InterfaceServices, ListService
-from .text_topics import EventTextPublisher
+from .text_topics import NO_TEXT_HINT, EventTextPublisher
 from .topic_statistics import OutputStatus, StartupWarnings
 
 MAX_DELAY_SECONDS = 0.0018
@@ -107,6 +107,7 @@ class TextInterfaceNode:
             skew=skew,
             latched=self._latched_handler_factory,
             clock_epochs=self._time.epochs,
+            loss_hint=NO_TEXT_HINT,
         )
         self._texts.start_identification(self._interface.processing_lock, self._interface.publishers)
         self._time.start([self._interface.processing_lock], skew.begin_epoch, self._texts.begin_epoch)

@@ -126,7 +126,7 @@ class NodeDashboard:
 
 def _topic_row(status: InputStatus) -> TopicRow:
     lag = None if status.lag is None else status.lag / SECOND
-    lost = status.dropped + status.refused
+    lost = status.dropped + status.refused + status.missing
     return TopicRow(status.topic, status.type, status.messages, status.publishers, lost, status.age, lag)
 
 
@@ -138,7 +138,7 @@ def _remote_topic_row(topic: str, values: Dict[str, str]) -> TopicRow:
         values.get("type", ""),
         None if messages is None else int(messages),
         None if publishers is None else int(publishers),
-        int((_number(values, "dropped") or 0) + (_number(values, "refused") or 0)),
+        int(sum(_number(values, name) or 0 for name in ("dropped", "refused", "missing"))),
         _number(values, "last message (s ago)"),
         _number(values, "lag (s)"),
     )

@@ -39,7 +39,7 @@ from ..engine.runtime.problem_reports import Reports
 from ..events.program.topic_configuration import TOPICS, Topics, TopicType, topic_type
 from ..foundation.bounded_caches import Cache
 from ..foundation.errors import MessageError, RetalisError, UsageError, printable, shorten
-from ..messages.decoder import Decoder
+from ..messages.decoder import Decoder, has_header
 from ..messages.encoder import Encoder
 from ..messages.transform_messages import (
     STATIC_TRANSFORM_TOPIC,
@@ -55,7 +55,7 @@ from .connection_writer import TopicWriter, serialized_bytes, serialized_class
 from .internode_topics import INPUT, OUTPUT, WATCH, resolve
 from .latched_deduplication import LatchedConnection, LatchedMessageDeduplicator
 from .text_topics import make_text_handler_factory
-from .topic_statistics import InputCounts, InputStatus, OutputStatus
+from .topic_statistics import InputCounts, InputStatus, LossMonitor, OutputStatus
 
 MessageHandler = Callable[[bytes], Any]
 """Handler of a message; returns the result to pass on, or None if the handler has passed it on itself."""
@@ -78,8 +78,17 @@ MAX_CACHED_CONNECTIONS = 1000
 BatchHandler = Callable[[List[bytes]], None]
 """Handler of messages that were read together."""
 
-_CachedHandler = Tuple[Dict[str, str], BatchHandler]
-"""A connection's header, and the handler of its messages."""
+
+class _CachedHandler(NamedTuple):
+    """A connection's header, the handler of its messages, and the monitor of its losses."""
+
+    header: Dict[str, str]
+    handler: BatchHandler
+    monitor: LossMonitor
+
+
+LOSS_HINT = "have it publish more slowly, with a longer queue, or end later (rosbag play --keep-alive)"
+"""How to lose fewer messages, at the end of a warning."""
 
 MAX_DELAY_SECONDS = 0.0012
 """Seconds for which a message of a fast topic may wait for the next ones."""
@@ -102,6 +111,7 @@ class RosInterface:
         skew: checks the stamps of messages.
         latched: returns the handler of messages of latched connections; by default ``handler_factory`` does.
         clock_epochs: clock epochs; messages of an epoch that has not begun are queued there.
+        loss_hint: how to lose fewer messages, for warnings about losses.
 
     Attributes:
         processing_lock: lock under which messages are processed.
@@ -119,7 +129,9 @@ class RosInterface:
         skew: Optional[ClockSkewMonitor] = None,
         latched: Optional[LatchedHandlerFactory] = None,
         clock_epochs: Optional[ClockEpochs] = None,
+        loss_hint: str = LOSS_HINT,
     ):
+        self._loss_hint = loss_hint
         self._clock_epochs = clock_epochs
         self._handler_factory = handler_factory
         self._latched = None if latched is None else self._wrap_latched_factory(latched)
@@ -174,6 +186,7 @@ class RosInterface:
                 self._latched,
                 event_name,
                 self._clock_epochs,
+                self._loss_hint,
             )
 
     def publishers(self) -> Set[Publisher]:
@@ -352,7 +365,9 @@ class InputTopic:
         latched: Optional[LatchedHandlerFactory] = None,
         event_name: str = "",
         clock_epochs: Optional[ClockEpochs] = None,
+        loss_hint: str = LOSS_HINT,
     ):
+        self._loss_hint = loss_hint
         self._latched = latched
         self.event_name = event_name
         self._clock_epochs = clock_epochs
@@ -369,7 +384,7 @@ class InputTopic:
         self._subscriber = rospy.Subscriber(
             name, rospy.AnyMsg, self._receive, queue_size=queue, tcp_nodelay=True
         )
-        read_in_batches(self._subscriber, self._handler_for, max_delay)
+        read_in_batches(self._subscriber, self._handler_for, max_delay, self._record_end)
 
     def status(self) -> InputStatus:
         """Return the counters, and request that the lag of the next message is measured."""
@@ -383,6 +398,7 @@ class InputTopic:
             counts.messages,
             counts.dropped,
             counts.refused,
+            counts.missing,
             age,
             counts.lag,
         )
@@ -417,10 +433,31 @@ class InputTopic:
         cached = self._cached_handlers.get(id(header))
         if cached is None:
             cached = self._add_connection(header)
-        return cached[1]
+        return cached.handler
+
+    def _record_end(self, header: Dict[str, str], is_incomplete: bool) -> None:
+        """Record that a publisher has closed its connection."""
+        cached = self._cached_handlers.get(id(header))
+        if cached is not None:
+            cached.monitor.close(is_incomplete)
+
+    def _make_loss_monitor(self, publisher: str, has_header: bool) -> LossMonitor:
+        """Return the monitor of a connection, which reports losses as warnings."""
+
+        def report(loss: str) -> None:
+            self._reports.warning(
+                f"topic {self._name}: {publisher} sends faster than this node reads: {loss}; {self._loss_hint}",
+                ("loss", self._name),
+            )
+
+        return LossMonitor(self.counts, has_header, report)
 
     def _make_batch_handler(
-        self, handler: MessageHandler, stamp: Callable[[bytes], Optional[int]], publisher: str
+        self,
+        handler: MessageHandler,
+        stamp: Callable[[bytes], Optional[int]],
+        publisher: str,
+        monitor: LossMonitor,
     ) -> BatchHandler:
         """Return the handler of messages that were read together, which queues those of a coming epoch."""
         processing_lock, counts, clock_epochs = self._processing_lock, self.counts, self._clock_epochs
@@ -428,6 +465,7 @@ class InputTopic:
 
         def handle_messages(messages: List[bytes]) -> None:
             counts.count(len(messages))
+            monitor.begin(messages)
             if counts.needs_lag:
                 counts.measure_lag(stamp, messages[-1])
             with processing_lock:
@@ -439,6 +477,7 @@ class InputTopic:
                     clock_epochs.buffer(handle_batch, messages)
                 else:
                     handle_batch(messages)
+            monitor.end()
 
         return handle_messages
 
@@ -485,13 +524,16 @@ class InputTopic:
 
         The cache holds the header, too: its identity is the key, and would be reused if the header were freed.
         """
+        publisher = header.get("callerid", "")
+        monitor = self._make_loss_monitor(publisher, False)
         try:
             decoder = self._decoder_for(header)
             stamp = decoder.stamp
+            monitor = self._make_loss_monitor(publisher, has_header(decoder.definition))
             if self._skew is not None:
-                decoder = self._skew.watch(decoder, self._name, header.get("callerid", ""))
+                decoder = self._skew.watch(decoder, self._name, publisher)
             handler = self._make_batch_handler(
-                self._make_message_handler(header, decoder), stamp, header.get("callerid", "")
+                self._make_message_handler(header, decoder), stamp, publisher, monitor
             )
         # Without a handler, rospy would close the connection and connect again at once, forever. A publisher of the
         # wrong type is therefore connected to a handler that drops its messages.
@@ -499,12 +541,11 @@ class InputTopic:
             if not isinstance(error, MessageError):
                 self._reports.error(error)
             reason = getattr(error, "message", "internal error")
-            publisher = header.get("callerid", "somebody")
             handler = self._make_dropping_handler(
-                f"topic {self._name}: {reason}: a message of {publisher} is dropped"
+                f"topic {self._name}: {reason}: a message of {publisher or 'somebody'} is dropped"
             )
         size = sum(map(len, header.values()))
-        return self._cached_handlers.store(id(header), (header, handler), 2 * size)
+        return self._cached_handlers.store(id(header), _CachedHandler(header, handler, monitor), 2 * size)
 
     def _make_message_handler(self, header: Dict[str, str], decoder: Decoder) -> MessageHandler:
         """Return the handler of a connection's messages, latched or not."""

@@ -37,6 +37,9 @@ from .topic_statistics import OutputStatus
 MAX_TEXTS_PER_WRITE = 64
 """Limit for the texts that one write combines."""
 
+NO_TEXT_HINT = "direct:=auto or embedded:=true passes no text between the nodes, and is faster"
+"""How to avoid delays and losses of messages as text, at the end of a warning."""
+
 _UINT32 = Struct("<I")
 _TWO_UINT32 = Struct("<II")
 
@@ -70,7 +73,13 @@ class EventTextPublisher:
         self._clock_epochs = clock_epochs
         self._subscriber_identifier = SubscriberIdentifier()
         self._topic_writer = TopicWriter(
-            topic, String, queue_size, reports, self._must_wait_for, listener=self._subscriber_identifier
+            topic,
+            String,
+            queue_size,
+            reports,
+            self._must_wait_for,
+            listener=self._subscriber_identifier,
+            wait_hint=NO_TEXT_HINT,
         )
         self._late_joiners = LateJoinerBuffer(
             self._topic_writer, ENGINE, queue_size, reports, epoch, self._serialize_epoch_mark

@@ -4,13 +4,14 @@ import threading
 import time
 from difflib import get_close_matches
 from http.client import HTTPException
+from struct import Struct
 from typing import Callable, Collection, Dict, Iterable, Iterator, List, Mapping, NamedTuple, Optional
 from xmlrpc.client import Error
 
 import rosgraph
 import rospy
 
-from ..foundation.errors import MessageError, printable
+from ..foundation.errors import MessageError, format_count, printable
 from .ros_time import ros_now
 
 
@@ -21,16 +22,17 @@ class InputCounts:
         messages: number of received messages.
         dropped: number of messages that could not be decoded.
         refused: number of messages from publishers of another type, or with a refused stamp.
+        missing: number of messages that publishers dropped because this node read too slowly; see `LossMonitor`.
         last: receipt time of the last messages in seconds of the monotonic clock; None before the first.
         lag: time in nanoseconds from a message's stamp to its receipt; None if it has no stamp.
         needs_lag: whether to measure the lag of the next message. Decoding a stamp is expensive, so only one message
             per status report is measured.
     """
 
-    __slots__ = ("dropped", "lag", "last", "messages", "refused", "needs_lag")
+    __slots__ = ("dropped", "lag", "last", "messages", "missing", "refused", "needs_lag")
 
     def __init__(self) -> None:
-        self.messages = self.dropped = self.refused = 0
+        self.messages = self.dropped = self.refused = self.missing = 0
         self.last: Optional[float] = None
         self.lag: Optional[int] = None
         self.needs_lag = True
@@ -50,6 +52,92 @@ class InputCounts:
             return
         now = ros_now()
         self.lag = None if not instant or not now else now - instant
+
+
+MIN_BEHIND_SECONDS = 0.2
+"""Seconds for which a node must have been behind a publisher for the end of the connection to be a probable loss."""
+
+_read_uint32 = Struct("<I").unpack_from
+
+
+class LossMonitor:
+    """Detection of messages that the publisher of one connection dropped because this node read too slowly.
+
+    TCP loses nothing, but a publisher whose subscriber is slow drops messages from its own queue. Two traces of this
+    reach the subscriber:
+
+    * ROS numbers the messages of a publisher in ``header.seq``. A gap counts if this node was busy with earlier
+      messages for longer than it waited for this one. Otherwise another node has left the messages out on purpose, as
+      the nodes of ``topic_tools`` do. If a number does not increase, several publishers or a bag have numbered the
+      messages, and the gaps of the connection count no more.
+    * A publisher that ends with a full queue closes the connection, often within a message.
+
+    Args:
+        counts: counters of the topic.
+        has_header: whether messages begin with a header.
+        report: called with the description of a loss.
+        now: clock in seconds.
+    """
+
+    def __init__(
+        self,
+        counts: InputCounts,
+        has_header: bool,
+        report: Callable[[str], None],
+        now: Callable[[], float] = time.monotonic,
+    ):
+        self._counts = counts
+        self._has_sequence = has_header
+        self._report = report
+        self._now = now
+        self._last_number: Optional[int] = None
+        self._missing = 0
+        self._begin = self._end = now()
+        self._behind_since: Optional[float] = None
+
+    def begin(self, messages: List[bytes]) -> None:
+        """Record that messages were read, before they are processed."""
+        now = self._now()
+        if now - self._end >= self._end - self._begin:
+            self._behind_since = None
+        elif self._behind_since is None:
+            self._behind_since = self._begin
+        self._begin = now
+        if self._has_sequence:
+            self._check_sequence(messages)
+
+    def end(self) -> None:
+        """Record that the messages have been processed."""
+        self._end = self._now()
+
+    def close(self, is_incomplete: bool) -> None:
+        """Record that the publisher has closed the connection, possibly within a message."""
+        if is_incomplete:
+            self._counts.missing += 1
+            self._report("it closed the connection within a message: those in its queue are lost, too")
+        # Shorter: a publisher that sends some messages and ends has probably sent all of them.
+        elif self._behind_since is not None and self._now() - self._behind_since > MIN_BEHIND_SECONDS:
+            self._report("it closed the connection: messages that were still in its queue are lost")
+
+    def _check_sequence(self, messages: List[bytes]) -> None:
+        for data in messages:
+            if len(data) < 4:
+                return
+            number, last_number = _read_uint32(data)[0], self._last_number
+            self._last_number = number
+            if last_number is None or number == last_number + 1:
+                continue
+            if number <= last_number:
+                self._counts.missing -= self._missing
+                self._has_sequence = False
+                return
+            if self._behind_since is not None:
+                missing = number - last_number - 1
+                self._missing += missing
+                self._counts.missing += missing
+                self._report(
+                    f"{format_count(missing, 'message')} missing between header.seq {last_number} and {number}"
+                )
 
 
 class OutputCounts:
@@ -76,6 +164,7 @@ class InputStatus(NamedTuple):
         messages: number of received messages.
         dropped: number of messages that could not be decoded.
         refused: number of messages from publishers of another type, or with a refused stamp.
+        missing: number of messages that publishers dropped because this node read too slowly; see `LossMonitor`.
         age: seconds since the last message; None before the first.
         lag: time in nanoseconds from a recent message's stamp to its receipt; None if messages have no stamps.
     """
@@ -86,6 +175,7 @@ class InputStatus(NamedTuple):
     messages: int
     dropped: int
     refused: int
+    missing: int
     age: Optional[float]
     lag: Optional[int]
 
