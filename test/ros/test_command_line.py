@@ -76,7 +76,9 @@ def test_numbers_that_cannot_be_are_told_in_a_line(node):
 
 
 def test_the_interface_is_listed_too(node):
-    node.start("rosrun", "retalis", "retalis_ros_converter.py", "__name:=retalis_ros_interface")
+    node.start(
+        "rosrun", "retalis", "retalis_ros_converter.py", "__name:=retalis_ros_interface", "_direct:=false"
+    )
     node.expect(lambda found, services: "/retalis_ros_interface/list" in services)
     listed = json.loads(said(node, "list", "--json", "--node", "/retalis_ros_interface"))
     assert "/retalisOutputEvents" in [topic["topic"] for topic in listed["inputs"]]
