@@ -99,6 +99,33 @@ def test_transforms_have_one_node_with_edges_to_their_readers():
     assert ("memory:odom", "query:0", "reads") in found
 
 
+def test_facts_are_read_and_changed_by_rules():
+    found = edges(
+        "near(X) <- seen(X) where known(X). known(X) :- owner(X, _). owner(ann, desk). "
+        "null_event do (retractall(count(_)), assertz(count(N))) <- tick(N). :- dynamic count/1. "
+        "late(N) <- tock where enabled, count(N). enabled."
+    )
+    assert {edge for edge in found if "facts" in edge[0] + edge[1]} == {
+        ("facts:owner/2", "rule:0", "reads"),
+        ("rule:1", "facts:count/1", "flow"),
+        ("facts:count/1", "rule:2", "reads"),
+        ("facts:enabled/0", "rule:2", "reads"),
+    }
+
+
+def test_states_have_edges_to_the_rules_that_query_them():
+    found = edges(
+        "alarm(R) <- bump(R) where holds(docked(R)). long(R) <- tick where idle(R). idle(R) :- holds(docked(R), _).",
+        "state(docked(R), from(dock(R)), until(undock(R)))",
+    )
+    assert {
+        ("event:dock/1", "event:docked/1", "flow"),
+        ("event:undock/1", "event:docked/1", "flow"),
+        ("event:docked/1", "rule:0", "reads"),
+        ("event:docked/1", "rule:1", "reads"),
+    } <= found
+
+
 def test_a_memory_whose_id_is_a_transform_is_read_as_a_memory():
     found = edges(
         "synchronized(seen(X), ask(X), [[tf(map, base), T]]) <- marker(X, T).",

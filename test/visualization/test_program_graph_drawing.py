@@ -2,6 +2,7 @@
 
 import re
 import subprocess
+from itertools import combinations
 from pathlib import Path
 from shutil import which
 from xml.etree import ElementTree
@@ -43,18 +44,59 @@ def test_colours_are_those_of_the_page():
         assert re.search(rf"--{kind}: (#\w+)", page).group(1) == look.colour
 
 
+def test_kinds_have_distinct_colours():
+    colours = [bytes.fromhex(style.colour[1:]) for style in NODE_STYLES.values()]
+    for first, second in combinations(colours, 2):
+        assert sum(abs(one - other) for one, other in zip(first, second)) >= 20
+
+
+def test_terms_have_spaces_at_operators_and_commas():
+    engine = Engine()
+    engine.load(rules="alarm(X,Y)<-heat(X)and smoke(Y)where X>1,Y<2.")
+    (rule,) = [node for node in program_graph(engine).nodes if node.kind == "rule"]
+    assert rule.text == "alarm(X, Y) <- heat(X) and smoke(Y) where X > 1, Y < 2"
+
+
+def test_chain_of_rules_is_drawn_from_top_to_bottom():
+    engine = Engine()
+    engine.load(rules=" ".join(f"stage{number + 1}(X) <- stage{number}(X)." for number in range(6)))
+    assert "rankdir=TB" in dot_text(program_graph(engine), "chain")
+
+
+def test_parallel_rules_are_drawn_from_left_to_right():
+    engine = Engine()
+    engine.load(rules=" ".join(f"alarm{number} <- event{number}." for number in range(12)))
+    assert "rankdir=LR" in dot_text(program_graph(engine), "parallel")
+
+
+def test_cycle_of_rules_is_drawn():
+    engine = Engine()
+    engine.load(rules="a(X) <- b(X). b(X) <- a(X). b(X) <- c(X).")
+    assert dot_text(program_graph(engine), "cycle").count(" -> ") == 6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("folder", ["application_source", "examples/cookbook/joint_effort"])
+def test_picture_is_at_most_three_times_as_long_as_wide(folder, tmp_path):
+    if which("dot") is None:
+        pytest.skip("Graphviz is not installed")
+    engine = Engine()
+    engine.load_program(ROOT / folder)
+    draw_graph(dot_text(program_graph(engine), folder), tmp_path / "program.svg")
+    svg = ElementTree.parse(tmp_path / "program.svg").getroot()
+    width, height = (float(svg.get(name)[:-2]) for name in ("width", "height"))
+    assert 1 / 3 <= width / height <= 3
+
+
 @given(some.text(max_size=40))
-def test_no_text_from_outside_becomes_part_of_the_language(name):
-    nodes = [GraphNode("a", "topic", name, name), GraphNode("b", "rule", "r", name)]
-    text = dot_text(Graph(nodes, [GraphEdge("a", "b", "", "flow")], 3), name)
-    bare = STRING.sub("", text)
-    assert bare == STRING.sub(
-        "",
-        dot_text(
-            Graph([node._replace(label="", text="") for node in nodes], [GraphEdge("a", "b", "", "flow")], 3),
-            "",
-        ),
-    )
+def test_text_of_a_program_stays_a_string(name):
+    def remove_strings(label, title):
+        nodes = [GraphNode("a", "topic", label, label), GraphNode("b", "rule", "r", label)]
+        text = dot_text(Graph(nodes, [GraphEdge("a", "b", "", "flow")], 3), title)
+        # The direction depends on the lengths of the labels.
+        return STRING.sub("", text).replace("rankdir=TB", "rankdir=LR")
+
+    assert remove_strings(name, name) == remove_strings("", "")
 
 
 FORGING = "\x1b[31m\x9b\u202e\x00\ud800\uffff &#27; &amp; &x; a & b"

@@ -32,9 +32,9 @@ TEXT_SUFFIXES = ("dot", "gv")
 """Suffixes of files in the text format of Graphviz."""
 
 _GRAPH_DESCRIPTION = """\
-Load a program and draw its graph: topics, events, rules, queries, memories, transforms, subscriptions, and the data
-flow between them. The suffix of the file determines the format: .svg, .png and .pdf are drawn by Graphviz; .dot, or
-no file, is the input text of Graphviz, which is not required for it.
+Load a program and draw its graph: topics, events, rules, queries, memories, transforms, facts, subscriptions, and the
+data flow between them. The suffix of the file determines the format: .svg, .png and .pdf are drawn by Graphviz; .dot,
+or no file, is the input text of Graphviz, which is not required for it.
 """
 
 

@@ -10,7 +10,7 @@ import asyncio
 import json
 import threading
 from pathlib import Path
-from typing import Any, Awaitable, Callable, Dict, List, Optional
+from typing import Any, Awaitable, Callable, Dict, List, NamedTuple, Optional, Tuple, Union
 from urllib.parse import urlsplit
 from weakref import WeakSet
 
@@ -58,6 +58,33 @@ BUSY_ANSWER = "other answers are still awaited: the engine is busy"
 Json = Dict[str, Any]
 
 
+class ErrorAnswer(NamedTuple):
+    """Answer to a request that cannot be fulfilled, with the reason; the page reads the name of the field."""
+
+    error: str
+
+
+class ExplanationAnswer(NamedTuple):
+    """Explanation of an event in lines; the page reads the name of the field."""
+
+    lines: List[str]
+
+
+class QueryAnswer(NamedTuple):
+    """Solutions of a goal; the page reads the names of the fields.
+
+    Attributes:
+        solutions: for each solution, the name and the value of each variable.
+        complete: whether there are no more solutions.
+    """
+
+    solutions: List[List[Tuple[str, str]]]
+    complete: bool
+
+
+Answer = Union[ErrorAnswer, ExplanationAnswer, QueryAnswer]
+
+
 class AnswerService:
     """Answers to requests of the page, each in a thread: a busy engine must not block the server's loop.
 
@@ -72,26 +99,26 @@ class AnswerService:
         self._events = snapshots.events
         self._answer_slots = threading.BoundedSemaphore(MAX_CONCURRENT_ANSWERS)
 
-    async def answer_in_thread(self, work: Callable[[], Json]) -> Json:
-        """Run ``work`` in a thread; return its result, or a dictionary with the key ``error``."""
+    async def answer_in_thread(self, work: Callable[[], Answer]) -> Answer:
+        """Run ``work`` in a thread; return its result, or an `ErrorAnswer`."""
         if not self._answer_slots.acquire(blocking=False):
-            return {"error": BUSY_ANSWER}
+            return ErrorAnswer(BUSY_ANSWER)
         loop = asyncio.get_event_loop()
-        answer: asyncio.Future[Json] = loop.create_future()
+        answer: asyncio.Future[Answer] = loop.create_future()
 
-        def set_answer(result: Json) -> None:
+        def set_answer(result: Answer) -> None:
             if not answer.done():
                 # Cancelled if the page was closed.
                 answer.set_result(result)
 
         def run_work() -> None:
-            result: Json = {"error": "internal error"}
+            result: Answer = ErrorAnswer("internal error")
             try:
                 result = work()
             except SyntaxFault as fault:
-                result = {"error": shorten(fault.brief(), MAX_ERROR_CHARACTERS)}
+                result = ErrorAnswer(shorten(fault.brief(), MAX_ERROR_CHARACTERS))
             except RetalisError as error:
-                result = {"error": shorten(error.brief(), MAX_ERROR_CHARACTERS)}
+                result = ErrorAnswer(shorten(error.brief(), MAX_ERROR_CHARACTERS))
             finally:
                 self._answer_slots.release()
                 # The server may have been closed while the thread was working.
@@ -101,34 +128,34 @@ class AnswerService:
         threading.Thread(target=run_work, daemon=True, name="dashboard answer").start()
         return await answer
 
-    def explain(self, request: Json) -> Json:
+    def explain(self, request: Json) -> Answer:
         """Return the explanation of a recent event, which the page identifies by its serial number."""
         if not records_origins(self._engine):
-            return {"error": NOT_RECORDED}
+            return ErrorAnswer(NOT_RECORDED)
         serial: Any = request.get("serial")
         # The page sends a number and no text, so nothing has to be parsed and any event can be explained without
         # permission.
         event = self._events.find(serial) if serial.__class__ is int else None
         if event is None:
-            return {"error": EVENT_NOT_STORED}
+            return ErrorAnswer(EVENT_NOT_STORED)
         lines: List[str] = []
         for tree in explain(self._engine, event, MAX_EXPLANATION_SECONDS).lines:
             for line in tree.indented():
                 if len(lines) == MAX_EXPLANATION_LINES:
-                    return {"lines": [*lines, "..."]}
+                    return ExplanationAnswer([*lines, "..."])
                 lines.append(line[:MAX_LINE_CHARACTERS])
-        return {"lines": lines}
+        return ExplanationAnswer(lines)
 
-    def query(self, request: Json) -> Json:
+    def query(self, request: Json) -> Answer:
         """Return the first solutions of a goal as text."""
         if not self._allows_queries:
-            return {"error": QUERIES_NOT_ALLOWED}
+            return ErrorAnswer(QUERIES_NOT_ALLOWED)
         goal = request.get("goal")
         if not isinstance(goal, str) or len(goal) > MAX_GOAL_CHARACTERS:
-            return {"error": f"expected a goal of {MAX_GOAL_CHARACTERS} characters at most"}
+            return ErrorAnswer(f"expected a goal of {MAX_GOAL_CHARACTERS} characters at most")
         answer = ask(self._engine, goal, MAX_PAGE_SOLUTIONS, LIMITS, MAX_PAGE_ANSWER_CHARACTERS)
-        solutions = [[[value.name, value.text] for value in solution] for solution in answer.solutions]
-        return {"solutions": solutions, "complete": answer.complete}
+        solutions = [[(value.name, value.text) for value in solution] for solution in answer.solutions]
+        return QueryAnswer(solutions, answer.complete)
 
 
 PAGE = Path(__file__).resolve().parent / "page"
@@ -276,7 +303,7 @@ class StreamHandler(LocalHandler):
 class AnswerHandler(LocalHandler):
     """Answers requests in JSON with JSON."""
 
-    def initialize(self, answer: Callable[[Dict[str, Any]], Any], answer_service: AnswerService) -> None:
+    def initialize(self, answer: Callable[[Dict[str, Any]], Answer], answer_service: AnswerService) -> None:
         """Store the answering function; tornado calls this for each request."""
         self._answer = answer
         self._answer_service = answer_service
@@ -292,7 +319,7 @@ class AnswerHandler(LocalHandler):
         if not isinstance(fields, dict):
             raise HTTPError(400, reason="Expected an object of JSON")
         answer = await self._answer_service.answer_in_thread(lambda: self._answer(fields))
-        self.finish(printable_json(answer))
+        self.finish(printable_json(answer._asdict()))
 
 
 class NotFoundHandler(LocalHandler):

@@ -26,7 +26,7 @@ from ..prolog.terms import timestamps
 from ..prolog.terms.list_terms import make_list
 from ..prolog.terms.timestamps import SECOND
 from ..prolog.terms.types import CONS, NIL, Frame, Functor, Lazy, Term, Var, atom, deref, functor
-from ..visualization.program_graph import Graph, GraphTopic, graph_key, program_graph
+from ..visualization.program_graph import NODE_STYLES, Graph, GraphTopic, graph_key, program_graph
 
 MAX_EVENT_CHARACTERS = 800
 """Limit for the characters of an event's text."""
@@ -322,6 +322,32 @@ class DashboardSource(NamedTuple):
     allows_queries: bool = False
 
 
+class Snapshot(NamedTuple):
+    """The state of a program as the page reads it; the names of the fields are those in its scripts.
+
+    Attributes:
+        title: title of the page.
+        queries: whether users of the page may ask goals.
+        explains: whether events can be explained.
+        watching: whether events are observed.
+        memory: resident memory of the process in bytes.
+        rates: growth of each counter per second, by the name of the counter.
+        topics: the topics as dictionaries with the fields of `TopicRow`.
+        events: the last events as dictionaries with the fields of `RecentEvent`, with times in seconds.
+        status: the fields of `Status`, with times in seconds.
+    """
+
+    title: str
+    queries: bool
+    explains: bool
+    watching: bool
+    memory: int
+    rates: Dict[str, float]
+    topics: List[Json]
+    events: List[Json]
+    status: Json
+
+
 class Snapshots:
     """Successive snapshots of a program.
 
@@ -364,20 +390,20 @@ class Snapshots:
         counters.update({f"event:{key}": count.number_of_events for key, count in event_counts.items()})
         rows = [self._create_topic_row(topic, event_counts, status.now, counters) for topic in topics]
         self._update_graph([GraphTopic(topic.name, topic.event_name) for topic in topics])
-        return {
-            "title": self._source.title,
-            "queries": self._source.allows_queries,
-            "explains": records_origins(self._engine),
-            "watching": self.events.is_observing,
-            "memory": resident_bytes(),
-            "rates": self._compute_rates(counters),
-            "topics": rows,
-            "events": [
+        return Snapshot(
+            title=self._source.title,
+            queries=self._source.allows_queries,
+            explains=records_origins(self._engine),
+            watching=self.events.is_observing,
+            memory=resident_bytes(),
+            rates=self._compute_rates(counters),
+            topics=rows,
+            events=[
                 {**event._asdict(), "start": event.start / SECOND, "end": event.end / SECOND}
                 for event in self.events.take_latest()
             ],
-            **_status_to_json(status),
-        }
+            status=_status_to_json(status),
+        )._asdict()
 
     def _create_topic_row(
         self, topic: TopicRow, event_counts: Dict[str, EventCount], now: int, counters: Dict[str, int]
@@ -418,15 +444,33 @@ class Snapshots:
         key = graph_key(self._engine, topics)
         if key != self._graph_key:
             self._graph_key = key
-            self.graph = _graph_to_json(program_graph(self._engine, topics))
+            self.graph = _make_page_graph(program_graph(self._engine, topics))._asdict()
 
 
-def _graph_to_json(graph: Graph) -> Json:
-    return {
-        "nodes": [node._asdict() for node in graph.nodes],
-        "edges": [edge._asdict() for edge in graph.edges],
-        "left_out": graph.omitted_count,
-    }
+class PageGraph(NamedTuple):
+    """A graph as the page reads it; the names of the fields are those in its scripts.
+
+    Attributes:
+        nodes: the nodes as dictionaries with the fields of `GraphNode`.
+        edges: the edges as dictionaries with the fields of `GraphEdge`.
+        left_out: number of nodes that are not included.
+        legend: kind and description of each kind of nodes that occurs.
+    """
+
+    nodes: List[Json]
+    edges: List[Json]
+    left_out: int
+    legend: List[Tuple[str, str]]
+
+
+def _make_page_graph(graph: Graph) -> PageGraph:
+    kinds = {node.kind for node in graph.nodes}
+    return PageGraph(
+        nodes=[node._asdict() for node in graph.nodes],
+        edges=[edge._asdict() for edge in graph.edges],
+        left_out=graph.omitted_count,
+        legend=[(kind, style.legend) for kind, style in NODE_STYLES.items() if kind in kinds],
+    )
 
 
 _TIME_FIELDS = frozenset(
@@ -445,7 +489,8 @@ def _status_to_json(status: Status) -> Json:
             return [convert_times(part) for part in value]
         return value / SECOND if field in _TIME_FIELDS and value is not None else value
 
-    return {"status": convert_times(status.json())}
+    converted: Json = convert_times(status.json())
+    return converted
 
 
 _logger = logging.getLogger("retalis")

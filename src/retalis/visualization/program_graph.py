@@ -1,9 +1,9 @@
-"""Graph of a program: topics, events, rules, queries, memories, transforms, outputs, and the flow of events.
+"""Graph of a program: topics, events, rules, queries, memories, transforms, facts, outputs, and the flow of events.
 
 `program_graph` derives the graph from the engine's rules, memories and subscriptions. Goals of rules are searched for
-events that they create, and memories and transforms that they read, also in the clauses that they call, up to a
-limit. `dot_text` writes the graph in the DOT language of Graphviz, and `draw_graph` renders it with the command
-``dot``.
+events that they create, and memories, states, transforms and facts that they read, also in the clauses that they
+call, up to a limit. `dot_text` writes the graph in the DOT language of Graphviz, and `draw_graph` renders it with the
+command ``dot``.
 """
 
 import re
@@ -12,14 +12,29 @@ from pathlib import Path
 from shutil import which
 from textwrap import wrap
 from types import MappingProxyType
-from typing import Any, Dict, Hashable, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Set, Tuple
+from typing import (
+    Any,
+    Dict,
+    FrozenSet,
+    Hashable,
+    Iterable,
+    Iterator,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Set,
+    Tuple,
+)
 
 from ..engine.engine import Engine
 from ..events.knowledge.transform_queries import TF, TRANSFORM_PREDICATES
 from ..events.language.pattern_tree import EventPattern, own_terms, walk
 from ..events.language.rule_head_parser import ALARMS, SYNCHRONIZED, sets_timer
-from ..foundation.errors import UsageError, format_count, printable, shorten
+from ..events.language.state_parser import queried_state
+from ..foundation.errors import MAX_SHOWN_CHARACTERS, UsageError, format_count, printable, shorten
 from ..foundation.output_files import replace_file
+from ..prolog.database.predicate import Predicate
 from ..prolog.terms.list_terms import list_items, list_parts
 from ..prolog.terms.term_traversal import variables
 from ..prolog.terms.types import Atom, Functor, Term, Var, atom, deref, functor
@@ -53,6 +68,11 @@ _POSE_CHAIN = functor("pose_chain", 3)
 
 _TRANSFORM_STORING_GOALS = frozenset((functor("tf_add", 4), functor("tf_add_static", 3)))
 
+_FACT_STORING_GOALS = frozenset(
+    functor(name, 1) for name in ("assert", "asserta", "assertz", "retract", "retractall")
+)
+"""Goals that add or remove the fact in their argument."""
+
 _KIND_PLURALS = {"memory": "memories", "transforms": "transforms"}
 
 ANY_EVENT_LABEL = "any event"
@@ -67,7 +87,7 @@ class GraphNode(NamedTuple):
 
     Attributes:
         id: unique identifier.
-        kind: ``topic``, ``event``, ``rule``, ``query``, ``memory``, ``transforms`` or ``output``.
+        kind: ``topic``, ``event``, ``rule``, ``query``, ``memory``, ``transforms``, ``facts`` or ``output``.
         label: short name.
         text: full description.
     """
@@ -85,8 +105,8 @@ class GraphEdge(NamedTuple):
         source: id of a node.
         target: id of a node.
         rate: name of the counter of its events; empty if there is none.
-        kind: ``flow``, ``absent`` for an event that must not happen, or ``reads`` for a query of a memory or of
-            transforms.
+        kind: ``flow``, ``absent`` for an event that must not happen, or ``reads`` for a query of a memory, a state,
+            transforms or facts.
     """
 
     source: str
@@ -193,7 +213,8 @@ class _GraphBuilder:
 
     def _format_term(self, term: Term, names: Mapping[Var, str] = MappingProxyType({})) -> str:
         """Return the shortened text of a term. Unnamed variables become ``_``, so that drawings are stable."""
-        return self._engine.logic.brief(term, {**dict.fromkeys(variables(term), "_"), **names})
+        names = {**dict.fromkeys(variables(term), "_"), **names}
+        return self._engine.logic.show(term, names=names, longest=MAX_SHOWN_CHARACTERS, spacing=True)
 
     def _add_head(self, node: str, index: int, head: Term) -> None:
         """Add the edges from a rule to the events that it fires."""
@@ -228,7 +249,9 @@ class _GraphBuilder:
             elif _get_functor(name) is TF:
                 is_memory = not variables(name) and self._engine.knowledge.memories.find(name) is not None
                 sources.append(
-                    _make_node_id("memory", self._format_term(name)) if is_memory else self._add_transforms()
+                    _make_node_id("memory", self._engine.logic.brief(name))
+                    if is_memory
+                    else self._add_transforms()
                 )
         return sources
 
@@ -237,19 +260,26 @@ class _GraphBuilder:
         return self._add_node("transforms", "transforms", "tree of the transforms on /tf and /tf_static")
 
     def _add_memory(self, memory_instance: Any) -> None:
-        # Ids can be compound terms, so the text is used if there is no name.
-        name = self._format_term(memory_instance.id)
+        # Ids can be compound terms, so the text is used if there is no name. It is the text in the status of the
+        # engine, because the edge names the counter of the memory.
+        name = self._engine.logic.brief(memory_instance.id)
         plain_name = getattr(memory_instance.id, "name", name)
         memory = self._add_node("memory", plain_name, f"memory {name}", name)
         self._add_edge(self._add_event(memory_instance.recorder.pattern), memory, f"memory:{name}")
 
     def _add_goals(self, node: str, goals: List[Term]) -> None:
-        """Add edges for the events that goals create, and for the memories and transforms that they read or store.
+        """Add edges for the events that goals create, and for what they read or store.
 
         The clauses that the goals call are included.
         """
         for term in self._find_called_terms(goals):
-            if term[0] in _CREATING_GOALS or sets_timer(term):
+            self._add_facts(node, term)
+            if term.__class__ is not tuple:
+                continue
+            state = queried_state(term)
+            if state is not None:
+                self._add_edge(self._add_node("event", str(state), str(state)), node, "", "reads")
+            elif term[0] in _CREATING_GOALS or sets_timer(term):
                 event = self._add_event(deref(term[1]))
                 self._add_edge(node, event, event)
             elif term[0] in _READING_GOALS or term[0] is _POSE_CHAIN:
@@ -262,8 +292,21 @@ class _GraphBuilder:
             elif term[0] in _TRANSFORM_STORING_GOALS:
                 self._add_edge(node, self._add_transforms(), "")
 
+    def _add_facts(self, node: str, term: Any) -> None:
+        """Add an edge if a goal reads, adds or removes facts of the program."""
+        is_storing = term.__class__ is tuple and term[0] in _FACT_STORING_GOALS
+        key = _get_functor(deref(term[1]) if is_storing else term)
+        predicate = None if key is None else self._engine.logic.database.predicates.get(key)
+        if predicate is None or not (is_storing or _has_facts_only(predicate)):
+            return
+        facts = self._add_node("facts", str(key), f"facts of {key}")
+        if is_storing:
+            self._add_edge(node, facts, "")
+        else:
+            self._add_edge(facts, node, "", "reads")
+
     def _find_called_terms(self, goals: List[Term]) -> Iterator[Any]:
-        """Yield all compound terms in goals, and in the bodies of the program's clauses that they call."""
+        """Yield all atoms and compound terms in goals, and in the bodies of the program's clauses that they call."""
         predicates = self._engine.logic.database.predicates
         # Each predicate is expanded once, because clauses may be recursive.
         expanded: Set[Functor] = set()
@@ -281,8 +324,9 @@ class _GraphBuilder:
                 predicate = predicates.get(key)
                 if predicate is not None and not predicate.is_library_predicate:
                     pending += [clause.body for clause in predicate.active_clauses() if not clause.is_fact]
-            if term.__class__ is tuple:
-                yield term
+            yield term
+            # A fact that is added is not called.
+            if term.__class__ is tuple and key not in _FACT_STORING_GOALS:
                 pending += term[1:]
 
     def _add_event(self, pattern: Term) -> str:
@@ -309,6 +353,14 @@ class _GraphBuilder:
     def _add_edge(self, source: str, target: str, rate: str, kind: str = "flow") -> None:
         # Several goals of a rule can create the same event; one edge is drawn.
         self._edges.setdefault((source, target, kind), GraphEdge(source, target, rate, kind))
+
+
+def _has_facts_only(predicate: Predicate) -> bool:
+    """Return whether a predicate of the program has facts and no clauses with a body."""
+    if predicate.is_library_predicate:
+        return False
+    clauses = list(predicate.active_clauses())
+    return (bool(clauses) or predicate.dynamic) and all(clause.is_fact for clause in clauses)
 
 
 def _make_node_id(kind: str, name: str) -> str:
@@ -346,6 +398,12 @@ DOT_TIMEOUT_SECONDS = 60
 MAX_LINE_CHARACTERS, MAX_LINES = 38, 3
 """Maximum length and number of the lines of text in a node."""
 
+_CHARACTER_POINTS, _LINE_POINTS, _PADDING_POINTS = 6.0, 13.0, 20.0
+"""Mean width of a character, height of a line, and space around the text of a node, in points."""
+
+_NODE_GAP_POINTS, _RANK_GAP_POINTS = 9, 32
+"""Distances between nodes of a rank and between ranks, in points."""
+
 
 class _NodeStyle(NamedTuple):
     """Appearance of a kind of nodes.
@@ -367,26 +425,24 @@ NODE_STYLES = {
     "rule": _NodeStyle("box", "#e8defa", "rule"),
     "query": _NodeStyle("hexagon", "#fdeccb", "query that waits for memories or transforms"),
     "memory": _NodeStyle("cylinder", "#d9f0df", "memory"),
-    "transforms": _NodeStyle("cylinder", "#d3efee", "transforms on /tf and /tf_static"),
-    "output": _NodeStyle("cds", "#cfe3f1", "published topic"),
+    "transforms": _NodeStyle("cylinder", "#bce8dd", "transforms on /tf and /tf_static"),
+    "facts": _NodeStyle("note", "#e9dfcc", "facts"),
+    "output": _NodeStyle("cds", "#fbd3cb", "published topic"),
 }
 
 _ENTITY_START = re.compile(r"&(?=#?\w+;)")
 _PACKAGE_PREFIX = re.compile(r"\b\w+?__0__")
-_UNNAMED_VARIABLE = re.compile(r"\b_G\d+\b")
-_MISSING_SPACE = re.compile(r"(,|\)(?=\w))")
-"""Matches places in the text of a term where a space is added, so that the line may be broken there."""
 
 EDGE_ATTRIBUTES = {
     "flow": "",
     "absent": 'style=dashed color="#b3261e" arrowhead=tee',
     "reads": 'style=dotted color="#3c7d50"',
 }
-"""Attributes of edges by kind: flow of events, events that must not happen, memories or transforms that are read."""
+"""Attributes of edges by kind: flow of events, events that must not happen, and what a rule or query reads."""
 
 
 def dot_text(graph: Graph, title: str) -> str:
-    """Return a graph in the DOT language, drawn from left to right, with a legend."""
+    """Return a graph in the DOT language, drawn from left to right or from top to bottom, with a legend."""
     node_names = {node.id: f"n{index}" for index, node in enumerate(graph.nodes)}
     # Edges can refer to nodes beyond the limit.
     edges = [edge for edge in graph.edges if edge.source in node_names and edge.target in node_names]
@@ -394,7 +450,8 @@ def dot_text(graph: Graph, title: str) -> str:
     lines = [
         "digraph program {",
         f"  label={_quote(title + omitted)} labelloc=t fontsize=16",
-        '  rankdir=LR nodesep=0.12 ranksep=0.45 fontname="Helvetica"',
+        f"  rankdir={_choose_direction(graph.nodes, edges)} nodesep={_NODE_GAP_POINTS / 72} "
+        f'ranksep={_RANK_GAP_POINTS / 72} fontname="Helvetica"',
         '  node [fontname="Helvetica" fontsize=11 style="filled" color="#8592a3" height=0.3 margin="0.12,0.05"]',
         '  edge [color="#6b7887" arrowsize=0.7]',
         *(f"  {node_names[node.id]} [{_format_node(node)}]" for node in graph.nodes),
@@ -407,6 +464,47 @@ def dot_text(graph: Graph, title: str) -> str:
         "}",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _choose_direction(nodes: List[GraphNode], edges: List[GraphEdge]) -> str:
+    """Return the direction in which the picture is nearer to a square: ``LR``, or ``TB`` for top to bottom.
+
+    A rule is a wide node, so a chain of rules from left to right would be a strip that no screen shows whole.
+    """
+    ranks = _estimate_ranks(nodes, edges)
+    sizes: Dict[int, List[Tuple[float, float]]] = {}
+    for node in nodes:
+        lines = _format_label(node).split("\n")
+        width = _CHARACTER_POINTS * max(map(len, lines)) + _PADDING_POINTS
+        sizes.setdefault(ranks[node.id], []).append((width, _LINE_POINTS * len(lines) + _PADDING_POINTS))
+    extents = {}
+    for direction, along, across in (("LR", 0, 1), ("TB", 1, 0)):
+        length = sum(max(size[along] for size in rank) + _RANK_GAP_POINTS for rank in sizes.values())
+        breadth = max(
+            (sum(size[across] + _NODE_GAP_POINTS for size in rank) for rank in sizes.values()), default=1.0
+        )
+        extents[direction] = max(length, breadth) / max(1.0, min(length, breadth))
+    return min(extents, key=lambda direction: extents[direction])
+
+
+def _estimate_ranks(nodes: List[GraphNode], edges: List[GraphEdge]) -> Dict[str, int]:
+    """Return the rank of each node: one more than the highest rank of its predecessors, without edges of cycles."""
+    predecessors: Dict[str, List[str]] = {node.id: [] for node in nodes}
+    for edge in edges:
+        predecessors[edge.target].append(edge.source)
+    ranks: Dict[str, int] = {}
+
+    def find_rank(node_id: str, path: FrozenSet[str]) -> int:
+        if node_id not in ranks:
+            path |= {node_id}
+            before = [find_rank(other, path) for other in predecessors[node_id] if other not in path]
+            ranks[node_id] = max(before, default=-1) + 1
+        return ranks[node_id]
+
+    for node in nodes:
+        # A path has at most `MAX_NODES` nodes, so the recursion is bounded.
+        find_rank(node.id, frozenset())
+    return ranks
 
 
 def draw_graph(text: str, path: Path) -> None:
@@ -447,11 +545,14 @@ def _run_dot(command: List[str], text: str, path: Path) -> None:
 
 def _format_node(node: GraphNode) -> str:
     style = NODE_STYLES[node.kind]
-    # All texts of a program are quoted: a label could otherwise contain attributes or HTML.
-    label = "\n".join([_format_first_line(node), *_format_further_lines(node)])
     rounded = ' style="filled,rounded"' if node.kind == "event" else ""
-    tooltip = _quote(_UNNAMED_VARIABLE.sub("_", node.text))
-    return f'label={_quote(label)} tooltip={tooltip} shape={style.shape} fillcolor="{style.colour}"{rounded}'
+    # All texts of a program are quoted: a label could otherwise contain attributes or HTML.
+    texts = f"label={_quote(_format_label(node))} tooltip={_quote(node.text)}"
+    return f'{texts} shape={style.shape} fillcolor="{style.colour}"{rounded}'
+
+
+def _format_label(node: GraphNode) -> str:
+    return "\n".join([_format_first_line(node), *_format_further_lines(node)])
 
 
 def _format_first_line(node: GraphNode) -> str:
@@ -466,18 +567,12 @@ def _format_further_lines(node: GraphNode) -> List[str]:
     if node.kind != "rule":
         return []
     # Long words are not broken, because a term is unreadable in the middle of a name.
-    lines = wrap(_make_breakable(node.text), MAX_LINE_CHARACTERS, break_long_words=False)
+    lines = wrap(_PACKAGE_PREFIX.sub("", node.text), MAX_LINE_CHARACTERS, break_long_words=False)
     return lines if len(lines) <= MAX_LINES else [*lines[: MAX_LINES - 1], lines[MAX_LINES - 1] + " ..."]
 
 
-def _make_breakable(rule: str) -> str:
-    """Return the text of a rule with spaces to break it at, without packages and internal variable names."""
-    shortened = _UNNAMED_VARIABLE.sub("_", _PACKAGE_PREFIX.sub("", rule))
-    return " ".join(_MISSING_SPACE.sub(r"\1 ", shortened).replace("<-", " <- ").split())
-
-
 def _format_ranks(graph: Graph, node_names: Dict[str, str]) -> Iterator[str]:
-    """Yield constraints that place topics at the left and outputs at the right."""
+    """Yield constraints that place topics in the first rank and outputs in the last one."""
     for kind, rank in (("topic", "source"), ("output", "sink")):
         nodes = [node_names[node.id] for node in graph.nodes if node.kind == kind]
         if nodes:

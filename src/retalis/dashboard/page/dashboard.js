@@ -3,8 +3,6 @@
 
 import { draw } from "./graph.js";
 
-const KINDS = { topic: "topic", event: "event", rule: "rule", memory: "memory", transforms: "transforms",
-  query: "synchronized query", output: "published topic" };
 const RETRY = 4000;
 
 const find = (id) => document.getElementById(id);
@@ -241,6 +239,21 @@ function redraw() {
   width = find("graph").clientWidth;
   setRates = draw(graph, find("graph"), rate);
   if (last) setRates(last.rates);
+  find("legend").replaceChildren(...graph.legend.map(([kind, text]) => {
+    const entry = element("span");
+    entry.append(element("i", "", `k-${kind}`), text);
+    return entry;
+  }));
+  showScrollHint();
+}
+
+// Shade the sides to which the graph continues, and say so: scroll bars are hidden on many systems.
+function showScrollHint() {
+  const { scrollLeft, clientWidth, scrollWidth, classList } = find("graph");
+  const before = scrollLeft > 1, after = scrollLeft + clientWidth < scrollWidth - 1;
+  classList.toggle("before", before);
+  classList.toggle("after", after);
+  find("graph-scroll").hidden = !(before || after);
 }
 
 function show(snapshot) {
@@ -321,11 +334,7 @@ function open() {
   };
 }
 
-for (const [kind, name] of Object.entries(KINDS)) {
-  const entry = element("span");
-  entry.append(element("i", "", `k-${kind}`), document.createTextNode(name));
-  find("legend").append(entry);
-}
+find("graph").addEventListener("scroll", showScrollHint);
 find("query").addEventListener("submit", query);
 find("why-close").addEventListener("click", () => { find("why").hidden = true; });
 find("follow").addEventListener("change", open);

@@ -643,6 +643,7 @@ class PrologSystem(PredicateTable):
         names: Optional[Mapping[Var, str]] = None,
         is_constructed: bool = False,
         longest: Optional[int] = None,
+        spacing: bool = False,
     ) -> str:
         """Return a term as text that reads back with the program's operators.
 
@@ -652,8 +653,16 @@ class PrologSystem(PredicateTable):
             names: names of variables.
             is_constructed: whether the term is constructed and not matched; see `ReadFlags`.
             longest: length in characters after which the text ends with ``...``.
+            spacing: whether there are spaces after commas and around the infix operators of rules and conditions.
         """
-        options = {"quoted": quoted, "numbervars": True, "variable_names": names, "longest": longest}
+        options = {
+            "quoted": quoted,
+            "numbervars": True,
+            "variable_names": names,
+            "longest": longest,
+            "spacing": spacing,
+            "wide": spacing,
+        }
         named_variables = [var for var, name in (names or {}).items() if name != "_"]
         portray = (
             named_message_portray(term, self.operators, named_variables, is_constructed, **options)
