@@ -136,8 +136,8 @@ function showWork({ status }) {
   const long = work !== null && work.seconds >= 1;
   place.hidden = !long;
   if (!long) return;
-  const doing = [work.goal && `goal ${work.goal}`, work.event && `for event ${work.event}`, work.place]
-    .filter(Boolean).join(" ");
+  const doing = [work.goal, work.event && `for event ${work.event}`, work.place && `at ${work.place}`]
+    .filter(Boolean).join(", ");
   set(place, `Busy for ${seconds(work.seconds)} with ${work.what}${doing ? `: ${doing}` : ""}`);
 }
 
