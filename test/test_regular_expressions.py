@@ -93,8 +93,6 @@ CASES: Dict[str, Case] = {
     r"\b\w+?__0__": Case(
         "search", "one run of word characters: it begins at none inside", ("",), ("a", "_", "a ")
     ),
-    r"\b_G\d+\b": Case("search", "one run of digits", ("",), ("_G1", "_G", "1", "_")),
-    r"(,|\)(?=\w))": Case("search", "two characters", ("",), (",", ")", "a")),
     # events/program/event_file_loader.py
     r"<-|'rule:'|'?\b(?:do|iff|IFF|event_rule_property|include)\b": Case(
         "search",

@@ -5,6 +5,7 @@ import sys
 import pytest
 
 from retalis import BagError
+from retalis.engine.run_records import RECORD_TYPES
 from retalis.playback import playback
 from retalis.playback.playback import RunTable
 
@@ -23,6 +24,13 @@ def test_rows_are_those_of_json(tmp_path, monkeypatch):
     assert found.column("memories").to_pylist() == [None, ["a", "b"], None]
     assert found.column("time").cast("int64").to_pylist() == [OUTPUT["time"], None, OUTPUT["time"]]
     assert parquet.ParquetFile(tmp_path / "run.parquet").num_row_groups == 2
+
+
+def test_each_field_of_a_record_has_a_column(tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    RunTable(tmp_path / "run.parquet", events=True).close()
+    fields = {field for record_type in RECORD_TYPES.values() for field in record_type.__annotations__}
+    assert set(parquet.read_table(tmp_path / "run.parquet").column_names) == fields
 
 
 def test_a_run_without_outputs_has_its_columns(tmp_path):

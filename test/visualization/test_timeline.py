@@ -78,6 +78,7 @@ def test_a_long_run_is_thinned_over_its_whole_length():
     [
         ("{", "run.jsonl:2: this is not JSON"),
         ("[1]", "run.jsonl:2: this is not a JSON object"),
+        ('{"event": "a", "start": 1}', 'run.jsonl:2: expected a field "end"'),
         ('{"event": 1, "start": 1, "end": 1}', 'run.jsonl:2: expected a text as "event"'),
         ('{"event": "a", "start": "1", "end": 1}', 'run.jsonl:2: expected whole nanoseconds as "start"'),
         ('{"event": "a", "start": 1.5, "end": 2}', 'run.jsonl:2: expected whole nanoseconds as "start"'),
@@ -131,11 +132,29 @@ def test_the_page_shows_control_characters_as_escapes():
     assert (found["lanes"][0]["name"], found["lanes"][0]["marks"][0][2]) == (r"z\u202e", r"x\x1b")
 
 
-def test_without_matplotlib_the_error_says_what_to_do(monkeypatch, tmp_path):
+@pytest.mark.parametrize(
+    ("prefix", "folder", "command"),
+    [
+        ("/usr", "/usr/lib/python3/dist-packages", "apt install python3-matplotlib"),
+        ("/home/me/venv", "/usr/lib/python3/dist-packages", "pip install matplotlib"),
+        ("/usr", "/usr/lib/python3/site-packages", "pip install matplotlib"),
+    ],
+)
+def test_missing_matplotlib_is_an_error_with_the_remedy(monkeypatch, tmp_path, prefix, folder, command):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(UsageError, match=r"pip install matplotlib\).*run\.html.* needs nothing"):
+    monkeypatch.setattr(sys, "prefix", prefix)
+    monkeypatch.setattr(sys, "path", [folder])
+    with pytest.raises(UsageError, match=rf"\({command}\).*run\.html.* needs nothing"):
         draw_timeline(of(RUN), "run", tmp_path / "run.png")
+
+
+def test_record_without_a_field_is_an_error():
+    for record in RUN[:-1]:
+        for field in list(record)[1:]:
+            incomplete = {name: value for name, value in record.items() if name != field}
+            with pytest.raises(UsageError, match=f'run.jsonl:1: expected a field "{field}"'):
+                of([incomplete])
 
 
 def test_what_matplotlib_is_asked_for(monkeypatch, tmp_path):

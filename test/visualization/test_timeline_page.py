@@ -225,3 +225,6 @@ def test_tutorial_draws_its_run(browser, tmp_path, monkeypatch):
         ["output", "turn", 1],
     ]
     assert [len(areas) for areas in read_areas(browser)] == [4, 4, 1, 1, 1, 1, 1]
+    assert browser.ask("run.lanes[5].marks.map(([start, end, text]) => [start, end, text])") == [
+        [0, 29, "4 of 100 records, 4 taken: bump(_)"]
+    ]

@@ -19,9 +19,10 @@ from collections import deque
 from contextlib import ExitStack, closing, redirect_stderr, redirect_stdout
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Callable, Deque, Dict, Generator, List, NamedTuple, Optional, Tuple, Union
+from typing import Any, Callable, Deque, Dict, Generator, List, Mapping, NamedTuple, Optional, Tuple, Union
 
 from ..engine.engine_settings import Settings
+from ..engine.run_records import RunRecord
 from ..events.program.topic_configuration import TopicType, topic_type
 from ..explanation.event_explanations import explain, record_origins
 from ..foundation.cpython_and_pypy import limit_gc_pauses, restore_gc
@@ -38,7 +39,7 @@ from ..playback.bag_locations import (
     remove_incomplete_results,
     result_file,
 )
-from ..playback.playback import Output, Playback, RunRecord, RunRecorder, RunTable, make_output_record
+from ..playback.playback import Output, Playback, RunRecorder, RunTable, make_output_record
 from ..playback.process_and_dask_pool import Unfinished, run_in_processes, run_on_cluster
 from ..playback.rosbag1 import BagWriter
 from ..prolog.syntax.event_text import to_text
@@ -207,11 +208,11 @@ _OUTPUT_FUNCTOR = functor("output", 2)
 _TIMED_OUTPUT_FUNCTOR = functor("output", 3)
 """Functors of printed outputs: term, topic and optionally the time."""
 
-RecordHandler = Callable[[RunRecord], None]
+RecordHandler = Callable[[Mapping[str, Any]], None]
 """Receives a record of a run, which is printed as JSON or written to a table."""
 
 
-def print_record(record: RunRecord) -> None:
+def print_record(record: Mapping[str, Any]) -> None:
     """Print a record of a run as JSON."""
     print(json.dumps(record, ensure_ascii=False))
 

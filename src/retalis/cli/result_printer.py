@@ -4,6 +4,7 @@ import json
 import sys
 from typing import IO, Any, Dict, List, Mapping, Optional
 
+from ..engine.run_records import OutputRecord
 from ..events.knowledge.knowledge_base import MEMORY_EVENTS
 from ..explanation.event_explanations import Explanation, ExplanationLine
 from ..prolog.syntax.term_writer import add_full_stop, canonical_text
@@ -102,12 +103,9 @@ class Printer:
         if self._output_file is None:
             return
         if self._as_json:
-            content = {
-                "output": canonical_text(term),
-                "topic": topic,
-                "id": canonical_text(name),
-                "time": int(instant),
-            }
+            content = OutputRecord(
+                output=canonical_text(term), topic=topic, id=canonical_text(name), time=int(instant)
+            )
             self.print_json(content, self._output_file)
         else:
             print(
@@ -142,7 +140,7 @@ class Printer:
             for part in line.indented(1):
                 print(f"% {part}")
 
-    def print_json(self, content: Dict[str, object], file: Optional[IO[str]] = None) -> None:
+    def print_json(self, content: Mapping[str, object], file: Optional[IO[str]] = None) -> None:
         """Print a line of JSON."""
         if self._origin is not None:
             content = self._origin.relative_record(content)

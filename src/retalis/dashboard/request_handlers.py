@@ -82,7 +82,7 @@ class QueryAnswer(NamedTuple):
     complete: bool
 
 
-Answer = Union[ErrorAnswer, ExplanationAnswer, QueryAnswer]
+PageAnswer = Union[ErrorAnswer, ExplanationAnswer, QueryAnswer]
 
 
 class AnswerService:
@@ -99,20 +99,20 @@ class AnswerService:
         self._events = snapshots.events
         self._answer_slots = threading.BoundedSemaphore(MAX_CONCURRENT_ANSWERS)
 
-    async def answer_in_thread(self, work: Callable[[], Answer]) -> Answer:
+    async def answer_in_thread(self, work: Callable[[], PageAnswer]) -> PageAnswer:
         """Run ``work`` in a thread; return its result, or an `ErrorAnswer`."""
         if not self._answer_slots.acquire(blocking=False):
             return ErrorAnswer(BUSY_ANSWER)
         loop = asyncio.get_event_loop()
-        answer: asyncio.Future[Answer] = loop.create_future()
+        answer: asyncio.Future[PageAnswer] = loop.create_future()
 
-        def set_answer(result: Answer) -> None:
+        def set_answer(result: PageAnswer) -> None:
             if not answer.done():
                 # Cancelled if the page was closed.
                 answer.set_result(result)
 
         def run_work() -> None:
-            result: Answer = ErrorAnswer("internal error")
+            result: PageAnswer = ErrorAnswer("internal error")
             try:
                 result = work()
             except SyntaxFault as fault:
@@ -128,7 +128,7 @@ class AnswerService:
         threading.Thread(target=run_work, daemon=True, name="dashboard answer").start()
         return await answer
 
-    def explain(self, request: Json) -> Answer:
+    def explain(self, request: Json) -> PageAnswer:
         """Return the explanation of a recent event, which the page identifies by its serial number."""
         if not records_origins(self._engine):
             return ErrorAnswer(NOT_RECORDED)
@@ -146,7 +146,7 @@ class AnswerService:
                 lines.append(line[:MAX_LINE_CHARACTERS])
         return ExplanationAnswer(lines)
 
-    def query(self, request: Json) -> Answer:
+    def query(self, request: Json) -> PageAnswer:
         """Return the first solutions of a goal as text."""
         if not self._allows_queries:
             return ErrorAnswer(QUERIES_NOT_ALLOWED)
@@ -303,7 +303,9 @@ class StreamHandler(LocalHandler):
 class AnswerHandler(LocalHandler):
     """Answers requests in JSON with JSON."""
 
-    def initialize(self, answer: Callable[[Dict[str, Any]], Answer], answer_service: AnswerService) -> None:
+    def initialize(
+        self, answer: Callable[[Dict[str, Any]], PageAnswer], answer_service: AnswerService
+    ) -> None:
         """Store the answering function; tornado calls this for each request."""
         self._answer = answer
         self._answer_service = answer_service

@@ -6,6 +6,7 @@ they can be shown with a caret after the source is gone. Texts from outside are 
 
 import json
 import re
+import sys
 from typing import Callable, Hashable, Iterable, List, NamedTuple, Optional
 
 MAX_SHOWN_CHARACTERS = 200
@@ -136,6 +137,15 @@ def quote_shortened(text: str) -> str:
 def format_count(number: int, singular: str, plural: str = "") -> str:
     """Return a count with its noun: ``1 slot``, ``2 slots``; ``plural`` is an irregular plural."""
     return f"{number} {singular if number == 1 else plural or f'{singular}s'}"
+
+
+def install_hint(package: str, debian_package: str) -> str:
+    """Return the command that installs an optional Python package: apt's if Python is Debian's, otherwise pip's.
+
+    Debian's Python refuses pip, and has a folder ``dist-packages`` that no other Python has.
+    """
+    is_debian_python = sys.prefix == "/usr" and any("dist-packages" in folder for folder in sys.path)
+    return f"apt install {debian_package}" if is_debian_python else f"pip install {package}"
 
 
 def describe_decode_error(error: UnicodeDecodeError) -> str:

@@ -29,6 +29,7 @@ from typing import (
     Iterable,
     Iterator,
     List,
+    Mapping,
     NamedTuple,
     Optional,
     Set,
@@ -39,6 +40,7 @@ from typing import (
 from ..engine.engine import Engine
 from ..engine.engine_settings import Settings
 from ..engine.event_input import TopicRequest
+from ..engine.run_records import EventRecord, MemoryStateRecord, OutputRecord, RunRecord, WaitRecord
 from ..engine.runtime.clock import StreamClock
 from ..engine.runtime.clock_skew import ClockSkewMonitor, RefusedMessage
 from ..engine.runtime.problem_reports import Reports
@@ -523,9 +525,6 @@ def _describe_topics(topics: Iterable[Topic]) -> List[str]:
 # ---- records of a playback ---------------------------------------------------------------------------
 
 
-RunRecord = Dict[str, Union[None, int, str, List[str]]]
-"""A record; its type is the name of its first field. Times are nanoseconds since the epoch, terms are strings."""
-
 MAX_RECORDED_QUERIES = 1000
 """Maximum number of waiting queries that are observed; further ones are not recorded."""
 
@@ -563,7 +562,7 @@ class RunRecorder:
     def _record_event(self, term: Term, start: int, end: int) -> None:
         # Events of memories are internal; `record_final_state` reports their result.
         if term.__class__ is not tuple or term[0] not in MEMORY_EVENTS:
-            self._write_record({"event": canonical_text(term), "start": int(start), "end": int(end)})
+            self._write_record(EventRecord(event=canonical_text(term), start=int(start), end=int(end)))
 
     def record_output(self, output: Output) -> None:
         """Report an output."""
@@ -591,7 +590,7 @@ class RunRecorder:
                 )
 
     def _record_wait(self, wait: _Wait, now: int) -> None:
-        self._write_record({"wait": wait.event, "memories": wait.memories, "start": wait.start, "end": now})
+        self._write_record(WaitRecord(wait=wait.event, memories=wait.memories, start=wait.start, end=now))
 
     def record_final_state(self) -> None:
         """Report the queries that are still waiting, and the contents of the memories."""
@@ -601,27 +600,24 @@ class RunRecorder:
         self._waits.clear()
         for memory in self._engine.status(MAX_RECORDED_MEMORIES).memories:
             self._write_record(
-                {
-                    "memory": memory.id,
-                    "pattern": memory.event,
-                    "size": memory.size,
-                    "records": memory.records,
-                    "taken": memory.added,
-                    "start": memory.oldest,
-                    "end": memory.newest,
-                }
+                MemoryStateRecord(
+                    memory=memory.id,
+                    pattern=memory.event,
+                    size=memory.size,
+                    records=memory.records,
+                    taken=memory.added,
+                    start=memory.oldest,
+                    end=memory.newest,
+                )
             )
 
 
-def make_output_record(output: Output) -> RunRecord:
+def make_output_record(output: Output) -> OutputRecord:
     """Return the record of an output."""
     output_id = None if output.id is None else canonical_text(output.id)
-    return {
-        "output": canonical_text(output.term),
-        "topic": output.topic,
-        "id": output_id,
-        "time": int(output.time),
-    }
+    return OutputRecord(
+        output=canonical_text(output.term), topic=output.topic, id=output_id, time=int(output.time)
+    )
 
 
 _ROW_GROUP_SIZE = 10_000
@@ -674,9 +670,9 @@ class RunTable:
             [(name, arrow_types[column_type]) for name, column_type in columns.items()]
         )
         self._writer: Any = parquet.ParquetWriter(str(path), self._schema)
-        self._records: List[RunRecord] = []
+        self._records: List[Mapping[str, Any]] = []
 
-    def write(self, record: RunRecord) -> None:
+    def write(self, record: Mapping[str, Any]) -> None:
         """Write a record as a row."""
         self._records.append(record)
         if len(self._records) >= _ROW_GROUP_SIZE:

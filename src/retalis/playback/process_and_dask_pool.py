@@ -24,7 +24,7 @@ from typing import (
     Union,
 )
 
-from ..foundation.errors import UsageError
+from ..foundation.errors import UsageError, install_hint
 from .decompression import describe_error
 
 MAX_WORKER_DEATHS = 4
@@ -222,7 +222,8 @@ def _import_distributed() -> Any:
         import distributed  # noqa: PLC0415 - an optional package
     except ImportError:
         raise UsageError(
-            "--scheduler needs the Python package distributed (pip install distributed)"
+            "--scheduler needs the Python package distributed "
+            f"({install_hint('distributed', 'python3-distributed')})"
         ) from None
     return distributed
 

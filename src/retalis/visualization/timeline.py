@@ -11,9 +11,10 @@ matplotlib.
 import json
 import re
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple, cast
 
-from ..foundation.errors import UsageError, printable, printable_json, shorten
+from ..engine.run_records import RECORD_TYPES, EventRecord, MemoryStateRecord, OutputRecord, WaitRecord
+from ..foundation.errors import UsageError, install_hint, printable, printable_json, shorten
 from ..foundation.output_files import replace_file
 from ..prolog.terms import timestamps
 from ..prolog.terms.timestamps import SECOND
@@ -102,7 +103,7 @@ class TimelineBuilder:
         self._omitted_lanes: Dict[Tuple[str, str], None] = {}
         self._lane_counts = dict.fromkeys(LANE_KINDS, 0)
 
-    def add_record(self, record: Dict[str, Any]) -> None:
+    def add_record(self, record: Mapping[str, Any]) -> None:
         """Add a record; records of unknown kinds are ignored.
 
         Raises:
@@ -112,6 +113,9 @@ class TimelineBuilder:
         read_mark = _MARK_READERS.get(kind)
         if read_mark is None:
             return
+        for field in RECORD_TYPES[kind].__annotations__:
+            if field not in record:
+                raise UsageError(f'expected a field "{field}"')
         name, start, end, text = read_mark(record)
         # An empty memory has no time range.
         if start is None or end is None or name == _NULL_EVENT:
@@ -121,7 +125,7 @@ class TimelineBuilder:
             lane.add(start, end, text)
             # A memory has one mark for all its records.
             if kind == "memory":
-                total = record.get("taken")
+                total = cast(MemoryStateRecord, record)["taken"]
                 lane.total = total if isinstance(total, int) else lane.total
 
     def _get_lane(self, kind: str, name: str) -> Optional[_LaneBuilder]:
@@ -205,51 +209,54 @@ _MarkData = Tuple[str, Optional[int], Optional[int], str]
 """Name of a lane, and start, end and text of a mark in it. The times are None if the mark is omitted."""
 
 
-def _make_interval_reader(kind: str) -> Callable[[Dict[str, Any]], _MarkData]:
-    """Return a function that reads the mark of an event or of the wait of a query."""
-
-    def read_mark(record: Dict[str, Any]) -> _MarkData:
-        text = _get_text(record, kind)
-        start, end = _get_instant(record, "start"), _get_instant(record, "end")
-        if kind == "wait":
-            memories = record.get("memories")
-            names = ", ".join(map(str, memories)) if isinstance(memories, list) else ""
-            return f"{_get_functor_name(text)} waits", start, end, f"for {names}: {text}"
-        return _get_functor_name(text), start, end, text
-
-    return read_mark
+def _read_event_mark(record: EventRecord) -> _MarkData:
+    text = _check_text(record["event"], "event")
+    return (
+        _get_functor_name(text),
+        _check_instant(record["start"], "start"),
+        _check_instant(record["end"], "end"),
+        text,
+    )
 
 
-def _read_memory_mark(record: Dict[str, Any]) -> _MarkData:
+def _read_wait_mark(record: WaitRecord) -> _MarkData:
+    """Return the mark of a query that waits; its lane has the name of the event that the query triggers."""
+    text, memories = _check_text(record["wait"], "wait"), record["memories"]
+    names = ", ".join(map(str, memories)) if isinstance(memories, list) else ""
+    start, end = _check_instant(record["start"], "start"), _check_instant(record["end"], "end")
+    return f"{_get_functor_name(text)} waits", start, end, f"for {names}: {text}"
+
+
+def _read_memory_mark(record: MemoryStateRecord) -> _MarkData:
     """Return the mark of a memory; its times are None if the memory is empty."""
-    times = [None if record.get(name) is None else _get_instant(record, name) for name in ("start", "end")]
-    counts = f"{record.get('records')} of {record.get('size')} records, {record.get('taken')} taken"
-    text = f"{counts}: {record.get('pattern')}"
-    return _get_text(record, "memory"), times[0], times[1], text
+    start = None if record["start"] is None else _check_instant(record["start"], "start")
+    end = None if record["end"] is None else _check_instant(record["end"], "end")
+    counts = f"{record['records']} of {record['size']} records, {record['taken']} taken"
+    return _check_text(record["memory"], "memory"), start, end, f"{counts}: {record['pattern']}"
 
 
-def _read_output_mark(record: Dict[str, Any]) -> _MarkData:
-    instant = _get_instant(record, "time")
-    return _get_text(record, "topic"), instant, instant, _get_text(record, "output")
+def _read_output_mark(record: OutputRecord) -> _MarkData:
+    instant = _check_instant(record["time"], "time")
+    return _check_text(record["topic"], "topic"), instant, instant, _check_text(record["output"], "output")
 
 
-_MARK_READERS: Dict[str, Callable[[Dict[str, Any]], _MarkData]] = {
-    "event": _make_interval_reader("event"),
-    "wait": _make_interval_reader("wait"),
+_MARK_READERS: Dict[str, Callable[[Any], _MarkData]] = {
+    "event": _read_event_mark,
+    "wait": _read_wait_mark,
     "memory": _read_memory_mark,
     "output": _read_output_mark,
 }
 
 
-def _get_text(record: Dict[str, Any], name: str) -> str:
-    value = record.get(name)
+def _check_text(value: object, name: str) -> str:
+    """Return the value of a field that has to be a text; lines of a file can contain any JSON."""
     if not isinstance(value, str):
         raise UsageError(f'expected a text as "{name}"')
     return value
 
 
-def _get_instant(record: Dict[str, Any], name: str) -> int:
-    value = record.get(name)
+def _check_instant(value: object, name: str) -> int:
+    """Return the value of a field that has to be a time."""
     # In Python, booleans are integers.
     if not isinstance(value, int) or isinstance(value, bool):
         raise UsageError(f'expected whole nanoseconds as "{name}"')
@@ -358,7 +365,8 @@ def draw_timeline(timeline: Timeline, title: str, path: Path) -> None:
         from matplotlib.patches import Patch  # noqa: PLC0415
     except ImportError:
         raise UsageError(
-            f"drawing {path.name} needs the Python package matplotlib (pip install matplotlib); "
+            f"drawing {path.name} needs the Python package matplotlib "
+            f"({install_hint('matplotlib', 'python3-matplotlib')}); "
             f"{path.with_suffix('.html').name}, a page to zoom in, needs nothing"
         ) from None
     lanes = timeline.lanes
