@@ -19,6 +19,7 @@ from ...foundation.errors import (
     UsageError,
 )
 from ..program.topic_configuration import read_text
+from .condition_checks import find_impossible_conditions
 from .event_flow_checks import find_declaration_violations, find_unconsumed_events, find_unproduced_events
 from .memory_checks import find_record_mismatches, find_stale_tables, find_unknown_memories
 from .message_checks import (
@@ -105,6 +106,7 @@ CHECKS: Tuple[Check, ...] = (
     Check("label", "RT1210", find_duplicate_labels),
     Check("long-elements", "RT1211", find_windows_of_long_events, severity=INFO),
     Check("singleton", "RT1406", find_singletons),
+    Check("conditions", "RT1407", find_impossible_conditions),
 )
 
 

@@ -72,6 +72,29 @@ def calls(parent: CompoundTerm, position: int) -> Iterator[Subgoal]:
             stack += [Subgoal(deref(term[position]), term, position) for position in reversed(positions)]
 
 
+def conjunctions(parent: CompoundTerm, position: int) -> Iterator[List[Subgoal]]:
+    """Yield the groups of goals that must all have a solution: the goal in an argument of a term, and nested goals.
+
+    The goals of a control construct other than a conjunction begin groups of their own.
+    """
+    starts = [Subgoal(deref(parent[position]), parent, position)]
+    while starts:
+        stack, group = [starts.pop()], []
+        while stack:
+            goal = stack.pop()
+            term = goal.term
+            positions = _GOAL_POSITIONS.get(term[0]) if term.__class__ is tuple else None
+            if positions is None or term.__class__ is not tuple:
+                group.append(goal)
+                continue
+            parts = [Subgoal(deref(term[position]), term, position) for position in reversed(positions)]
+            if term[0] is COMMA:
+                stack += parts
+            else:
+                starts += parts
+        yield group
+
+
 def required_interval_calls(parent: CompoundTerm, position: int) -> List[Subgoal]:
     """Return the calls of ``t1/1`` and ``t2/1`` that a goal, an argument of a term, needs for a solution."""
     interval_calls: List[Subgoal] = []
