@@ -48,6 +48,7 @@ from .diagnostics import (
     NodeHealth,
     evaluate_program,
 )
+from .first_outputs import OutputRelay
 from .installed_message_classes import installed_types
 from .internode_topics import (
     INPUT,
@@ -290,8 +291,10 @@ class RetalisNode:
             record_origins(self.engine)
         topics = self._read_topics()
         direct = direct_topics(parameters.direct, topics, rospy.resolve_name)
-        # Before the program is loaded: its goals may subscribe to topics, which are queued until the interface
-        # exists.
+        # Before the program is loaded: its goals may emit events, and subscribe to topics, which are queued until the
+        # interface exists.
+        outputs = OutputRelay(parameters.queue, self._reports)
+        self.engine.on_output(outputs)
         subscriptions = DynamicSubscriptions()
         input_topics = self.engine.input_topics
         input_topics.set_subscriber(subscriptions.request, topics, direct, resolve_subscribable_topic)
@@ -313,14 +316,14 @@ class RetalisNode:
         )
         self._untyped_topics = UntypedTopicWarnings((topic for topic, _ in topics.published), self._reports)
         self._log_mistakes(topics)
-        # Before topics are subscribed, so that the outputs of the first message are sent.
-        self.engine.on_output(self._send_text)
+        receivers = [self._send_text]
         if parameters.uses_texts:
             ProjectionPublisher(self.engine)
         else:
-            self.engine.on_output(lambda term, topic, name: self._interface.outputs.publish(term, topic))
+            receivers.append(lambda term, topic, name: self._interface.outputs.publish(term, topic))
             connect(self._interface, topics, direct)
             self._interface.subscribe_output_texts()
+        self.engine.do(lambda: outputs.start(*receivers))
         transforms = self.engine.knowledge.transforms
         transforms.require_if_mentioned(self.engine.rules.terms())
         transforms.set_feed(self._start_transform_feed)

@@ -52,6 +52,7 @@ from ..prolog.syntax.event_text import EventReader, to_text
 from ..prolog.terms.types import Term, deref, functor
 from .connection_reader import read_in_batches, refuse_own_connection
 from .connection_writer import TopicWriter, serialized_bytes, serialized_class
+from .first_outputs import StartupQueue, SubscriberWait
 from .internode_topics import INPUT, OUTPUT, WATCH, resolve
 from .latched_deduplication import LatchedConnection, LatchedMessageDeduplicator
 from .text_topics import make_text_handler_factory
@@ -608,9 +609,16 @@ _LENGTH = Struct("<I")
 
 
 class _TypedTopic(NamedTuple):
-    """An advertised topic: the writer of its messages, and the encoder of terms to messages of its type."""
+    """An advertised topic.
+
+    Attributes:
+        writer: writer of its messages.
+        queue: messages that wait for the subscribers that were registered before.
+        encoder: encoder of terms to messages of its type.
+    """
 
     writer: TopicWriter
+    queue: StartupQueue
     encoder: Encoder
 
 
@@ -638,6 +646,7 @@ class OutputTopics:
         self._queue = queue
         self._reports = reports
         self._lock = threading.Lock()
+        self._subscriber_wait = SubscriberWait(reports)
         self._typed: Dict[str, _TypedTopic] = {}
         self._unadvertised: Dict[str, _UnadvertisedTopic] = {}
         """Topics that are advertised when their types become known."""
@@ -683,7 +692,9 @@ class OutputTopics:
         topic_writer = TopicWriter(
             name, serialized_class(definition), self._queue, self._reports, latched=latched
         )
-        self._typed[name] = _TypedTopic(topic_writer, self._definitions.encoder(definition))
+        queue = StartupQueue(topic_writer, self._queue, self._reports)
+        self._typed[name] = _TypedTopic(topic_writer, queue, self._definitions.encoder(definition))
+        self._subscriber_wait.add(name, queue)
 
     def advertise_learned_types(self) -> None:
         """Advertise the topics whose types have become known through a new connection to a publisher."""
@@ -709,9 +720,8 @@ class OutputTopics:
             if typed_topic is None:
                 self._report_unpublished(topic)
                 return
-            topic_writer, encoder = typed_topic
-            data = encoder.encode(term, topic)
-            topic_writer.send(_LENGTH.pack(len(data)) + data)
+            data = typed_topic.encoder.encode(term, topic)
+            typed_topic.queue.send(_LENGTH.pack(len(data)) + data)
         except RetalisError as error:
             self._reports.error(error, ("out", topic))
 

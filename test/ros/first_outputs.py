@@ -1,0 +1,76 @@
+#!/usr/bin/env python3
+"""Outputs of goals while the program is loaded, and of a latched input: each subscriber gets all of each start.
+
+rostest retalis first_outputs.test starts:=50
+"""
+
+import signal
+import sys
+import unittest
+from pathlib import Path
+
+import rospy
+import rostest
+from std_msgs.msg import Int32, String
+
+sys.path.append(str(Path(__file__).resolve().parent))
+from harness import ENGINE, INTERFACE, Collector, NodeProcesses  # noqa: E402
+
+PROGRAM = Path(__file__).resolve().parent / "first_outputs"
+WAYS = {
+    "direct": ((ENGINE, INTERFACE), ()),
+    "text": ((ENGINE, INTERFACE), ("_direct:=false",)),
+    "embedded": ((ENGINE,), ("_embedded:=true",)),
+}
+
+
+class FirstOutputs(unittest.TestCase):
+    starts = 0
+
+    def setUp(self):
+        self.map_name = rospy.Publisher("map_name", String, queue_size=1, latch=True)
+        self.map_name.publish("hall")
+        self.outputs = {
+            "ready": Collector("ready", Int32),
+            "where": Collector("where", String),
+            "greeting": Collector("greeting", String),
+        }
+        self.addCleanup(self.map_name.unregister)
+        for collector in self.outputs.values():
+            self.addCleanup(collector.close)
+
+    def start_nodes(self, way):
+        names, arguments = WAYS[way]
+        nodes = NodeProcesses(PROGRAM, *arguments)
+        self.addCleanup(nodes.end_all)
+        for number in range(1, self.starts + 1):
+            with self.subTest(start=number):
+                for name in names:
+                    nodes.start(name)
+                for topic, count in (("ready", 2), ("where", 1), ("greeting", 2)):
+                    self.outputs[topic].wait_for(
+                        lambda messages, expected=count * number: len(messages) >= expected,
+                        f"{topic} {number}",
+                    )
+                nodes.end(signal.SIGINT, *names)
+        received = {
+            topic: [message.data for message in collector.messages]
+            for topic, collector in self.outputs.items()
+        }
+        expected = {"ready": [1, 2], "where": ["hall"], "greeting": ["hello"] * 2}
+        self.assertEqual(received, {topic: values * self.starts for topic, values in expected.items()})
+
+    def test_no_output_is_lost_on_the_direct_way(self):
+        self.start_nodes("direct")
+
+    def test_no_output_is_lost_on_the_text_way(self):
+        self.start_nodes("text")
+
+    def test_no_output_is_lost_of_an_embedded_interface(self):
+        self.start_nodes("embedded")
+
+
+if __name__ == "__main__":
+    rospy.init_node("first_outputs")
+    FirstOutputs.starts = int(sys.argv[1])
+    rostest.rosrun("retalis", "first_outputs", FirstOutputs)

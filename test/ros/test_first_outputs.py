@@ -1,0 +1,153 @@
+"""First outputs: those of the load of a program, and messages before subscribers have connected."""
+
+import socket
+from types import SimpleNamespace
+
+import pytest
+
+from retalis import Reports
+
+pytest.importorskip("rospy")
+
+from retalis.ros import first_outputs  # noqa: E402
+from retalis.ros.first_outputs import OutputRelay, StartupQueue, SubscriberWait  # noqa: E402
+
+
+class RecordingWriter:
+    """Stand-in of a `TopicWriter` that records what it writes."""
+
+    def __init__(self):
+        self.publisher = SimpleNamespace(name="/topic")
+        self.counts = SimpleNamespace(dropped=0)
+        self.connected = []
+        self.written = []
+
+    def connections(self):
+        return [SimpleNamespace(_connection=SimpleNamespace(endpoint_id=name)) for name in self.connected]
+
+    def send(self, message):
+        self.written.append(message)
+
+
+@pytest.fixture
+def listening_uri():
+    """Return the URI of a server that accepts connections."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        yield f"http://127.0.0.1:{server.getsockname()[1]}/"
+
+
+@pytest.fixture
+def writer():
+    return RecordingWriter()
+
+
+@pytest.fixture
+def queue(writer):
+    return StartupQueue(writer, 3, Reports())
+
+
+def test_outputs_of_load_are_passed_on_in_order():
+    received = []
+    relay = OutputRelay(10, Reports())
+    relay("a", "topic", "id")
+    relay("b", "topic", "id")
+    relay.start(lambda *output: received.append(output), lambda *output: received.append("second"))
+    relay("c", "topic", "id")
+    assert received == [item for name in "abc" for item in ((name, "topic", "id"), "second")]
+
+
+def test_excess_of_outputs_of_load_is_dropped_and_reported():
+    reports, received = Reports(), []
+    relay = OutputRelay(2, reports)
+    for number in range(5):
+        relay(number, "topic", "id")
+    relay.start(lambda term, topic, name: received.append(term))
+    assert (received, reports.warnings) == ([3, 4], 3)
+
+
+def test_messages_wait_for_release(writer, queue):
+    queue.send(b"1")
+    queue.send(b"2")
+    assert writer.written == []
+    queue.release()
+    queue.send(b"3")
+    assert writer.written == [b"1", b"2", b"3"]
+
+
+def test_excess_of_waiting_messages_is_counted_as_dropped(writer, queue):
+    for number in range(5):
+        queue.send(b"%d" % number)
+    queue.release()
+    assert (writer.written, writer.counts.dropped) == ([b"2", b"3", b"4"], 2)
+
+
+def make_master(subscribers, running):
+    """Return a stand-in of the master: nodes by topic, and the URI of each node."""
+    return SimpleNamespace(
+        getSystemState=lambda: (1, "", [[], [[topic, nodes] for topic, nodes in subscribers.items()], []]),
+        lookupNode=lambda node: (1, "", running.get(node, "http://127.0.0.1:1/")),
+    )
+
+
+@pytest.fixture
+def start_wait(monkeypatch):
+    """Return a function that waits for subscribers, and returns when all queues are released."""
+
+    def start(queues, master, is_connected=lambda checks: None):
+        checks = []
+
+        def check(seconds):
+            checks.append(seconds)
+            is_connected(len(checks))
+
+        monkeypatch.setattr(first_outputs.rospy, "get_master", lambda: master)
+        monkeypatch.setattr(first_outputs.rospy, "is_shutdown", lambda: False)
+        monkeypatch.setattr(first_outputs, "wallsleep", check)
+        reports = Reports()
+        wait = SubscriberWait(reports)
+        # The thread of the first topic runs at once in this test.
+        monkeypatch.setattr(
+            first_outputs.threading,
+            "Thread",
+            lambda target, **options: SimpleNamespace(start=lambda: None, run=target),
+        )
+        for topic, queue in queues.items():
+            wait.add(topic, queue)
+        wait._run()  # noqa: SLF001 - the body of the thread
+        return reports.warnings
+
+    return start
+
+
+def test_topic_without_subscribers_is_released_at_once(writer, queue, start_wait):
+    queue.send(b"1")
+    assert start_wait({"/topic": queue}, make_master({}, {})) == 0
+    assert writer.written == [b"1"]
+
+
+def test_queue_is_released_when_known_subscriber_connects(writer, queue, start_wait, listening_uri):
+    queue.send(b"1")
+    written_before = []
+
+    def connect(check):
+        written_before.append(list(writer.written))
+        if check == 3:
+            writer.connected.append("/listener")
+
+    master = make_master({"/topic": ["/listener"]}, {"/listener": listening_uri})
+    assert start_wait({"/topic": queue}, master, connect) == 0
+    assert written_before[:3] == [[], [], []] and writer.written == [b"1"]
+
+
+def test_crashed_subscriber_is_not_awaited(writer, queue, start_wait):
+    queue.send(b"1")
+    assert start_wait({"/topic": queue}, make_master({"/topic": ["/crashed"]}, {})) == 0
+    assert writer.written == [b"1"]
+
+
+def test_subscriber_that_does_not_connect_is_reported(monkeypatch, writer, queue, start_wait, listening_uri):
+    monkeypatch.setattr(first_outputs, "MAX_SUBSCRIBER_WAIT_SECONDS", 0.0)
+    queue.send(b"1")
+    master = make_master({"/topic": ["/listener"]}, {"/listener": listening_uri})
+    assert start_wait({"/topic": queue}, master) == 1
+    assert writer.written == [b"1"]
