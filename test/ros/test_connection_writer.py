@@ -59,6 +59,26 @@ def numbered(number):
     return pack("<II", len(BODY) + 4, number) + BODY
 
 
+@pytest.fixture(autouse=True)
+def end_identification(monkeypatch):
+    """End the threads that identify subscribers, as the end of a node does."""
+    identifiers = []
+    start = late_joiners.SubscriberIdentifier.start
+
+    def start_and_record(identifier, *arguments):
+        identifiers.append(identifier)
+        start(identifier, *arguments)
+
+    monkeypatch.setattr(late_joiners.SubscriberIdentifier, "start", start_and_record)
+    yield
+    monkeypatch.setattr(rospy, "is_shutdown", lambda: True)
+    for identifier in identifiers:
+        identifier.peer_subscribe("/topic", None, None)
+    for thread in threading.enumerate():
+        if thread.name == "identifying subscribers":
+            thread.join(20)
+
+
 @pytest.fixture
 def link():
     it = Link()
@@ -313,11 +333,13 @@ def test_the_last_message_of_a_latched_topic_goes_once_to_who_comes_later(outlet
     assert [one.read(3) for one in (link, before, between, after)] == [[2, 3], [1, 2, 3], [2, 3], [2, 3]]
 
 
-def test_a_latched_topic_without_a_message_sends_nothing_to_who_comes(outlet, link):
-    it = outlet(latched=True)
-    come(it, Link())()
-    it.send(numbered(0))
+def test_latched_topic_without_message_sends_nothing_to_new_subscriber(outlet, link):
+    writer, subscriber = outlet(latched=True), Link()
+    come(writer, subscriber)()
+    writer.send(numbered(0))
     assert link.read(0) == [0]
+    subscriber.socket.close()
+    subscriber.other.close()
 
 
 def test_texts_go_out_together_in_order(outlet, link, monkeypatch):
