@@ -13,6 +13,8 @@ from time import monotonic
 from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple, Union
 
 from ..engine.engine import Engine
+from ..events.checks.program_model import did_you_mean
+from ..events.knowledge.event_states import DeclaredState, OpenState
 from ..events.knowledge.subscriptions import Subscription, SubscriptionKey
 from ..events.language.pattern_tree import AggregatePattern, RatePattern, WindowPattern, walk
 from ..events.language.stream_parser import subscription_event
@@ -166,6 +168,9 @@ _EVENT_FUNCTOR = functor("event", 2)
 _MAX_SHOWN_OCCURRENCES = 10
 _MAX_EXPLANATION_DEPTH = 50
 """Maximum length of a chain of derived events that is shown."""
+
+_EventSource = Union[EventRule, DeclaredState]
+"""Part of a program that raises events."""
 
 
 class ExplanationLine(NamedTuple):
@@ -394,14 +399,15 @@ class _Explainer:
         return bool(self._engine.knowledge.states.declarations_with_functor_of(occurrence.term))
 
     def _explain_missing(
-        self, term: Term, interval: Optional[Tuple[int, int]], above: Tuple[EventRule, ...]
+        self, term: Term, interval: Optional[Tuple[int, int]], above: Tuple[_EventSource, ...]
     ) -> List[ExplanationLine]:
-        """Return the missing parts for each rule that could have fired the event.
+        """Return the missing parts for each rule and declared state that could have raised the event.
 
         Args:
             term: the event, which did not happen.
             interval: its interval; None if any.
-            above: rules in whose explanation the event is missing, outermost first; () for the event of the request.
+            above: rules and states in whose explanation the event is missing, outermost first; () for the
+                event of the request.
         """
         lines = []
         for rule in self._engine.rules.rules:
@@ -421,14 +427,66 @@ class _Explainer:
                         ExplanationLine(f"- but {_explain_no_firing(rule, part, interval)}", [])
                     )
             undo(trail, 0)
+        lines += self._explain_states(term, above)
         if not above:
             lines += self._explain_missing_messages(term)
             if not lines:
+                hint = did_you_mean(functor_name(deref(term)), self._collect_event_names())
                 lines.append(
-                    ExplanationLine("no rule has such a head, and no such event came from outside", [])
+                    ExplanationLine(f"no rule has such a head, and no such event came from outside{hint}", [])
                 )
             lines += self._find_retracted(term) + self._find_events_with_name(term)
         return lines
+
+    def _explain_states(self, term: Term, above: Tuple[_EventSource, ...]) -> List[ExplanationLine]:
+        """Return which declared states are open for an event at the end of a state, or why none has begun."""
+        lines = []
+        for declaration in self._engine.knowledge.states.declarations_with_functor_of(term):
+            # Two states can begin with the ends of each other.
+            if declaration in above:
+                continue
+            open_lines = [
+                self._explain_open_state(state)
+                for state in declaration.open.values()
+                if state.start is not None and _unifies(state.term, term)
+            ]
+            if open_lines:
+                lines += open_lines[-_MAX_SHOWN_OCCURRENCES:]
+                continue
+            pair: Any = copy((_COMMA_FUNCTOR, declaration.form.state, declaration.form.begin_event))
+            _, state_term, begin_event = pair
+            trail: Trail = []
+            if unify(state_term, copy(term), trail):
+                begin_occurrences = self._find_occurrences(begin_event, None)
+                text = f"state {self._show(state_term)} is not open"
+                if begin_occurrences:
+                    text += f", though {self._format_event(begin_occurrences[-1])} begins it"
+                    below = []
+                else:
+                    text += f": {self._show(begin_event)}, which begins it, did not happen"
+                    below = self._explain_missing(begin_event, None, (*above, declaration))
+                lines.append(ExplanationLine(text, below))
+            undo(trail, 0)
+        return lines
+
+    def _explain_open_state(self, state: OpenState) -> ExplanationLine:
+        # The property drops openings whose events were retracted, so the first one that is left is valid.
+        start = state.start or 0
+        _, beginning = state.openings[0]
+        since = self._times.format_instant(start)
+        return ExplanationLine(
+            f"state {self._show(state.term)} is open since {since}: it becomes an event when it ends",
+            [] if beginning is None else [self._explain_occurrence(beginning, 1)],
+        )
+
+    def _collect_event_names(self) -> List[str]:
+        """Return the names of the events that the program receives or raises, or that happened."""
+        heads = [
+            rule.definition.head for rule in self._engine.rules.rules if rule.definition.head is not None
+        ]
+        terms = [*map(_get_head_event, heads), *(occurrence.term for occurrence in self._occurrences)]
+        listened_names = self._engine.rules.dispatcher.listened_names()
+        return [*listened_names, *(functor_name(deref(term)) for term in terms)]
 
     def _explain_missing_messages(self, term: Term) -> List[ExplanationLine]:
         """Return the subscriptions that publish such messages, and the reasons for their events."""
@@ -444,7 +502,7 @@ class _Explainer:
             lines.append(ExplanationLine(text, below or [ExplanationLine("no such event happened", [])]))
         return lines
 
-    def _explain_part(self, part: PartResult, above: Tuple[EventRule, ...]) -> ExplanationLine:
+    def _explain_part(self, part: PartResult, above: Tuple[_EventSource, ...]) -> ExplanationLine:
         """Return the line of a part of a pattern; a missing event is explained below it."""
         below = [self._explain_part(inner, above) for inner in part.parts]
         if part.event is not None and not part.matches:

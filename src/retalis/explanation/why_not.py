@@ -162,14 +162,18 @@ class TimeFormat:
     def format_interval(self, start: int, end: int) -> str:
         """Return the text of an interval."""
         if start == end:
-            return f"at {self._format_instant(start)}{self._unit_suffix}"
-        return f"[{self._format_instant(start)},{self._format_instant(end)}]{self._unit_suffix}"
+            return f"at {self.format_instant(start)}"
+        return f"[{self._format_number(start)},{self._format_number(end)}]{self._unit_suffix}"
+
+    def format_instant(self, instant: int) -> str:
+        """Return the text of an instant."""
+        return f"{self._format_number(instant)}{self._unit_suffix}"
 
     @property
     def _unit_suffix(self) -> str:
         return "" if self._reference_time is None else " s"
 
-    def _format_instant(self, instant: int) -> str:
+    def _format_number(self, instant: int) -> str:
         if self._reference_time is None:
             return self._show(timestamps.lazy_term(instant))
         # A stamp before the start of the run counts as the start, as in the output of the commands.

@@ -162,6 +162,10 @@ class ListenerIndex:
         """Return whether a pattern has this event name; patterns for all events are ignored."""
         return any(functor is not None and functor.name == name for functor in list(self._listeners))
 
+    def listened_names(self) -> List[str]:
+        """Return the names of the events that listeners receive."""
+        return list(dict.fromkeys(functor.name for functor in list(self._listeners) if functor is not None))
+
     def _invalidate_plans(self, functor: Optional[Functor]) -> None:
         """Drop what depends on the listeners of a functor, or of all functors if it is None."""
         self.on_change()

@@ -14,6 +14,7 @@ is retracted, the state holds since the next one.
 """
 
 from collections import OrderedDict, deque
+from difflib import get_close_matches
 from itertools import count
 from typing import (
     TYPE_CHECKING,
@@ -38,6 +39,7 @@ from ...prolog.builtins.argument_checks import callable_of
 from ...prolog.builtins.tabling import tables_of
 from ...prolog.builtins.time_predicates import instant_of
 from ...prolog.machine.errors import (
+    CONTEXT,
     domain_error,
     existence_error,
     indicator,
@@ -48,7 +50,7 @@ from ...prolog.machine.machine import Machine
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.term_traversal import copy, freeze, term_key, variables
 from ...prolog.terms.timestamps import lazy_term
-from ...prolog.terms.types import Frame, Functor, Term, Values, Var, deref, functor
+from ...prolog.terms.types import Frame, Functor, Term, Values, Var, atom, deref, functor
 from ...prolog.terms.unification import may_unify
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import Listener, ListenerPhase
@@ -552,7 +554,10 @@ class StateRegistry:
             self._tables.record_read(self, key)
         declarations = self.declarations_with_functor_of(state)
         if not declarations:
-            raise existence_error("state", indicator(key))
+            names = {functor.name: functor for functor in self._declarations_by_functor}
+            similar = get_close_matches(key.name, names, 1, 0.66)
+            hint = (CONTEXT, Var(), atom(f"did you mean {names[similar[0]]}?")) if similar else None
+            raise existence_error("state", indicator(key), hint)
         try:
             return declarations, freeze(state)
         except ValueError:

@@ -112,8 +112,9 @@ class Occurrence:
                 source.derived.append(self)
 
     def sources(self) -> List["Occurrence"]:
-        """Return the occurrences that it is derived from."""
-        return [] if self.match is None else occurrences_in(self.match)
+        """Return the occurrences that it is derived from, each one once."""
+        # A result of ``with`` or ``absent`` refers to its event twice: as element of the operator and as match.
+        return [] if self.match is None else list(dict.fromkeys(occurrences_in(self.match)))
 
 
 LineageNode = Union[Occurrence, RepetitionChain]
