@@ -55,6 +55,14 @@ ESCAPES = (
 BLANKS = (" ", "\t", "\n", " \n")
 
 CASES: Dict[str, Case] = {
+    # prolog/syntax/parser_stack.py
+    r"[/\w]+": Case("match", "one class: each character once", ("",), ("/", "a", "/a", " ", ".")),
+    r"\w+\.[a-z]\w*": Case(
+        "match",
+        "a word, a full stop and a word: each character once",
+        ("", "a", "a."),
+        ("a", "a.", "1", ".a", " "),
+    ),
     # events/checks/check_registry.py
     r"%\s*retalis:\s*ignore(-file)?=\s*(RT\d{4}(?:\s*,\s*RT\d{4})*)": Case(
         "findall",

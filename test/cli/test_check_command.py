@@ -157,3 +157,37 @@ def test_goals_that_never_end_are_errors(capsys, folder):
 def test_option_json_is_the_json_format(capsys, folder):
     texts = [checked(capsys, folder, *options)[1] for options in (["--json"], ["--format", "json"])]
     assert texts[0] == texts[1] and json.loads(texts[0])["errors"] == 0
+
+
+@pytest.mark.parametrize(
+    "topic, message",
+    [
+        ("/hto", "the bag has no topic hot; did you mean hto?"),
+        ("/engine", "the bag has no topic hot; did you mean /engine?"),
+        ("/hot", ""),
+    ],
+)
+def test_topics_are_compared_with_bags(capsys, folder, tmp_path, topic, message):
+    heat = Definitions().add("my_robot/Heat", "float64 heat\nfloat64 time")
+    with BagWriter(tmp_path / "hot.bag") as bag:
+        bag.write(bag.add(topic, heat), 1, bytes(16))
+    status, printed = checked(capsys, folder, "--bag", tmp_path / "hot.bag")
+    assert [line for line in printed.split("\n") if "RT1101" in line] == (
+        [f"warning: {folder}/pub_sub.xml:1:20: {message} [RT1101]"] if message else []
+    )
+
+
+def test_type_of_topic_is_compared_with_bags(capsys, folder, tmp_path):
+    with BagWriter(tmp_path / "hot.bag") as bag:
+        bag.write(bag.add("/hot", Definitions().add("my_robot/Cold", "float64 heat")), 1, bytes(8))
+    assert (
+        "topic hot is my_robot/Cold in the bag, not my_robot/Heat"
+        in checked(capsys, folder, "--bag", tmp_path / "hot.bag")[1]
+    )
+
+
+def test_rule_in_goal_file_is_reported(capsys, folder):
+    (folder / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')\nhot(X) <- cold(X)\n")
+    status, printed = checked(capsys, folder)
+    assert status == 1
+    assert "goalPredicates.txt:2:1: this is a rule, not a goal: write it into a file" in printed

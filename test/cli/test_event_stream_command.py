@@ -561,3 +561,13 @@ def test_relative_times_are_those_of_all_output(run):
     records = map(json.loads, run("--times", "relative", "--json", rules=RULES, stream=stream)[1])
     times = [(record["start"], record["end"]) for record in records]
     assert times == [(0, 0), (2 * 10**9, 35 * 10**8), (0, 35 * 10**8), (0, 5 * 10**8)]
+
+
+def test_absent_event_with_similar_name_is_reported(run):
+    *_, errors = run(rules="hot(M) <- tmep(M, _).", stream="event(temp(a, 40), [1, 1]).")
+    assert "no event tmep/2 came; did you mean temp/2? [RT1201]" in errors
+
+
+def test_absent_event_is_not_reported_if_streams_are_complete(run):
+    rules = "hot(M) <- temp(M, _). hotter(M) <- temps(M, _)."
+    assert run(rules=rules, stream="event(temp(a, 40), [1, 1]).")[2] == ""

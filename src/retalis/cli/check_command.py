@@ -4,11 +4,12 @@ import argparse
 import json
 import sys
 from pathlib import Path
-from typing import Callable, Dict
+from typing import Callable, Dict, List
 
 from ..engine.engine_settings import Settings
 from ..engine.program_check import check_program
 from ..events.checks.check_registry import ERROR, INFO, Finding
+from ..events.program.topic_configuration import TopicType
 from ..foundation.errors import MessageError, format_count, printable
 from ..messages.type_registry import Definitions
 from ..playback.bag_locations import open_bag
@@ -52,7 +53,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         action="append",
         default=[],
         metavar="BAG",
-        help="a bag whose message types are added",
+        help="a bag whose message types are added, and whose topics are compared with those of pub_sub.xml",
     )
     add(
         "--msg",
@@ -80,10 +81,13 @@ def run(options: argparse.Namespace) -> int:
     """Run the command; return its exit status."""
     definitions = installed_definitions([_definitions_folder(path) for path in options.msg])
     # Before the check: rules with field names cannot be checked without the types.
-    for path in options.bag:
-        _add_types_of_bag(definitions, path, options.max_chunk_megabytes)
+    recorded_topics = [
+        topic
+        for path in options.bag
+        for topic in _add_types_of_bag(definitions, path, options.max_chunk_megabytes)
+    ]
     settings = Settings(allow_swi=options.allow_swi, limits=Limits(options.max_seconds or None))
-    findings = check_program(options.folder, definitions, options.direct, settings)
+    findings = check_program(options.folder, definitions, options.direct, settings, tuple(recorded_topics))
     errors = sum(finding.severity == ERROR for finding in findings)
     infos = sum(finding.severity == INFO for finding in findings)
     warnings = len(findings) - errors - infos
@@ -107,14 +111,15 @@ def _definitions_folder(path: Path) -> str:
     return str(path.parent if path.name == "msg" else path)
 
 
-def _add_types_of_bag(definitions: Definitions, path: Path, max_chunk_megabytes: int) -> None:
-    """Add the message types of a bag; a malformed definition is reported and skipped."""
+def _add_types_of_bag(definitions: Definitions, path: Path, max_chunk_megabytes: int) -> List[TopicType]:
+    """Add the message types of a bag, and return its topics; a malformed definition is reported and skipped."""
     with open_bag(path, max_chunk_megabytes) as bag:
         for topic in bag.topics:
             try:
                 definitions.received(topic.type, topic.type, topic.definition, topic.md5sum)
             except MessageError as error:
                 print(f"warning: {path}: topic {printable(topic.name)}: {error}", file=sys.stderr)
+        return [TopicType(topic.name, topic.type) for topic in bag.topics]
 
 
 def _format_count(number: int, noun: str) -> str:

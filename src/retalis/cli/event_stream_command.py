@@ -13,10 +13,11 @@ import sys
 from array import array
 from contextlib import ExitStack
 from pathlib import Path
-from typing import IO, Callable, Iterable, Iterator, List, NamedTuple, Optional, Sequence, Union
+from typing import IO, Callable, Iterable, Iterator, List, NamedTuple, Optional, Sequence, Set, Union
 
 from ..engine.engine import Engine
 from ..engine.engine_settings import Settings
+from ..engine.program_check import find_absent_events
 from ..engine.runtime.clock import StreamClock
 from ..engine.runtime.problem_reports import Reports
 from ..events.program.goal_file import goal_of, read_goals
@@ -40,7 +41,7 @@ from ..prolog.syntax.operators import Operators
 from ..prolog.syntax.term_reader import ReadTerm, read_program, read_term
 from ..prolog.terms import timestamps
 from ..prolog.terms.term_traversal import rebuild, variables
-from ..prolog.terms.types import Frame, Term, deref
+from ..prolog.terms.types import Frame, Functor, Term, deref
 from .command_options import add_folders, add_limits, apply_folders, apply_limits
 from .option_values import RELATIVE_TIMES_OPTION, TIMES_RELATIVE
 from .optional_ros_imports import installed_definitions
@@ -233,6 +234,7 @@ def run(options: argparse.Namespace) -> int:
         session.load()
         limit_gc_pauses()
         session.process_stream()
+        session.report_absent_events()
         session.print_results()
         session.reports.sum_up()
     sys.stdout.flush()
@@ -277,7 +279,8 @@ class Session:
             installed_definitions(),
         )
         # Registered before goals are called, because goals may cause events.
-        self.engine.on_event(printer.print_event)
+        self.engine.on_event(self._print_event)
+        self._occurred: Set[Functor] = set()
         self.engine.on_output(self._print_output)
         self._origin = origin
         self._newest_end = -timestamps.MAX_TIMESTAMP
@@ -291,6 +294,17 @@ class Session:
                 self._clock.pin(timestamps.from_term(clock_term))
             except UsageError as error:
                 raise UsageError(f"--clock {options.clock}: {error.message}") from error
+
+    def _print_event(self, term: Term, start: int, end: int) -> None:
+        self._occurred.add(term[0] if term.__class__ is tuple else term.functor)  # type: ignore[union-attr]
+        self._printer.print_event(term, start, end)
+
+    def report_absent_events(self) -> None:
+        """Report awaited events that the stream does not have, if it has one with a similar name."""
+        if self._options.stream is None or self._reporter.errors:
+            return
+        for error in find_absent_events(self.engine, self._occurred):
+            self.reports.warning(error)
 
     def _print_output(self, term: Term, topic: str, name: Term) -> None:
         self._printer.print_output(term, topic, name, self._clock.now())

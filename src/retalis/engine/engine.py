@@ -228,6 +228,8 @@ class Engine:
         self._text_input = TextInput(self.logic.operators, self._dispatch_event, call_goal, reports, declared)
         self._output_callbacks: List[OnOutput] = []
         self._has_event_callbacks = False
+        # After an error in a file, checks of the whole program would report the absence of its rules.
+        self._is_program_complete = True
         self._foreign_sources: List[Tuple[object, ...]] = []
         """Arguments of the calls of `add_foreign`, which are repeated for a trial engine."""
         self.deployments: Dict[str, Deployment] = {}
@@ -305,7 +307,9 @@ class Engine:
             ProgramErrors: the goals that have a syntax error, fail or raise; the other goals have been called.
             UsageError: if the file cannot be read.
         """
+        self._is_program_complete = False
         load_folder(self, Path(folder))
+        self._is_program_complete = True
 
     def reload(self, folder: Union[str, Path]) -> List[str]:
         """Load a program's folder again in one transaction, and return a description of the changes, one per line.
@@ -325,7 +329,9 @@ class Engine:
             ProgramErrors: all errors; the program is unchanged.
             UsageError: if a file cannot be read, or if a goal or callback of this engine calls this method.
         """
-        return reload_folder(self, Path(folder), self._create_trial_engine)
+        changes = reload_folder(self, Path(folder), self._create_trial_engine)
+        self._is_program_complete = True
+        return changes
 
     def _create_trial_engine(self) -> "Engine":
         """Return a second engine with the same settings, the same time and the same foreign predicates."""
@@ -589,7 +595,8 @@ class Engine:
         program = ProgramModel(
             self.rules, self.knowledge, definitions, topics, tuple(direct), folder, self._has_event_callbacks
         )
-        return (finding.problem for finding in run_checks(program) if finding.severity != INFO)
+        findings = run_checks(program, self._is_program_complete)
+        return (finding.problem for finding in findings if finding.severity != INFO)
 
     def status(self, most: int = DEFAULT_LISTING_LIMIT) -> Status:
         """Return the activity and contents of the engine, without waiting for it.

@@ -3,7 +3,7 @@
 import os
 import time
 from pathlib import Path
-from typing import Dict, Iterable, List, Optional, Tuple
+from typing import Collection, Dict, Iterable, Iterator, List, Optional, Tuple
 
 from ..events.checks.check_registry import (
     ERROR,
@@ -13,9 +13,9 @@ from ..events.checks.check_registry import (
     code_of_load_problem,
     run_checks,
 )
-from ..events.checks.event_flow_checks import explain_missing_producer
+from ..events.checks.event_flow_checks import EventProducers, explain_missing_producer
 from ..events.checks.message_checks import find_output_fault
-from ..events.checks.program_model import ProgramModel
+from ..events.checks.program_model import FunctorSuggestions, ProgramModel
 from ..events.program.topic_configuration import (
     AUTO,
     TOPICS,
@@ -28,7 +28,7 @@ from ..events.program.topic_configuration import (
 from ..foundation.errors import MessageError, Omission, Place, ProgramErrors, RetalisError, RuleError
 from ..foundation.ros_names import strip_slashes
 from ..messages.type_registry import Definitions
-from ..prolog.terms.types import CompoundTerm, Term
+from ..prolog.terms.types import CompoundTerm, Functor, Term
 from .engine import Engine
 from .engine_settings import Settings
 from .runtime.clock import Clock
@@ -71,6 +71,7 @@ def check_program(
     definitions: Definitions,
     direct: DirectTopics = AUTO,
     settings: Optional[Settings] = None,
+    recorded_topics: Tuple[TopicType, ...] = (),
 ) -> List[Finding]:
     """Return the errors and likely mistakes of a program, grouped by file, and in each file by position.
 
@@ -81,6 +82,7 @@ def check_program(
         definitions: known message types.
         direct: value of ``~direct``: topics whose messages become events, in addition to those of ``pub_sub.xml``.
         settings: settings of the engine.
+        recorded_topics: topics of bags that the program is to run with.
     """
     collector = FindingCollector()
     topics = Topics()
@@ -100,7 +102,14 @@ def check_program(
         collector.add_errors(error)
     topics = engine.input_topics.merge_with(topics)
     program = ProgramModel(
-        engine.rules, engine.knowledge, definitions, topics, direct_types, folder, has_observer=is_single_file
+        engine.rules,
+        engine.knowledge,
+        definitions,
+        topics,
+        direct_types,
+        folder,
+        has_observer=is_single_file,
+        recorded_topics=recorded_topics,
     )
     # After an error a part of the program is missing, and checks of the whole program would report its absence.
     is_loaded = not any(finding.severity == ERROR for finding in collector.findings)
@@ -122,6 +131,29 @@ def explain_missing_events(
     topics = engine.input_topics.merge_with(topics)
     program = ProgramModel(engine.rules, engine.knowledge, definitions, topics, tuple(direct))
     return explain_missing_producer(program, pattern)
+
+
+def find_absent_events(engine: Engine, occurred: Collection[Functor]) -> Iterator[RuleError]:
+    """Yield the awaited events that did not occur in a stream, if it had an event with a similar name.
+
+    Args:
+        engine: engine that has processed the stream.
+        occurred: functors of the events that occurred.
+    """
+    program = ProgramModel(engine.rules, engine.knowledge, Definitions(), Topics())
+    producers = EventProducers(program)
+    awaited = {subterm.key: subterm for subterm, _ in program.patterns() if subterm.key is not None}
+    # Events that the program awaits as well are no misspelt ones.
+    others = [key for key in occurred if key not in awaited and key not in producers.places_by_functor]
+    suggestions = FunctorSuggestions()
+    suppressions = Suppressions()
+    for key, subterm in awaited.items():
+        suggestion = "" if key in occurred or key in producers else suggestions.suggest(key, others)
+        if suggestion:
+            error = RuleError(f"no event {key} came; did you mean {suggestion}?", subterm.place)
+            error.code = "RT1201"
+            if not suppressions.suppresses(error):
+                yield error
 
 
 def explain_output_mismatch(

@@ -13,6 +13,13 @@ OPERATORS = Operators.prolog()
 
 # text, column of the caret, parts of the message
 FAULTS = [
+    ("// note\na <- b.", 4, ["a comment begins with %"]),
+    ("# note\na <- b.", 3, ["a comment begins with %"]),
+    ("a <- b || c.", 9, ['"or" in patterns']),
+    ("a <- b where f(/warn/x, 1).", 17, ["is quoted: '/warn/x'"]),
+    ("a <- b where f(rules.txt).", 21, ["is quoted: 'rules.txt'"]),
+    ("a <- b(T) where 1 < T < 3.", 23, ["A < B, B < C"]),
+    ("a <- b(N) where N += 1.", 19, ["New is N + 1"]),
     ("out <- a Seq b.", 10, ['before "Seq"', "write seq or 'Seq'"]),
     ("h :- a <- b.", 8, ['":-" and "<-"', "an event rule has <-"]),
     ("h <- a :- b.", 8, ['"<-" and ":-"']),

@@ -23,7 +23,7 @@ from ..language.event_declarations import (
 )
 from ..language.event_operators import ARROWS, OPERATOR_NAMES
 from ..language.pattern_parser import EventTerm, PatternReader
-from ..language.pattern_tree import ActionPattern
+from ..language.pattern_tree import ActionPattern, EventPattern, walk
 from ..language.rule_head_parser import event_raised_by, makes_event
 from ..language.state_parser import StateForm
 from ..program.topic_configuration import TOPICS
@@ -144,6 +144,7 @@ def find_unproduced_events(program: ProgramModel) -> Iterator[RuleError]:
     # names are reported.
     may_be_fed_externally = not (program.topics.subscribed or program.topics.published)
     reported: Set[Functor] = set()
+    heads = _heads_by_event(program)
     for subterm, prefix in program.patterns():
         key = subterm.key
         if key is None or key in producers or key in reported or key is _NO_EVENT:
@@ -158,11 +159,37 @@ def find_unproduced_events(program: ProgramModel) -> Iterator[RuleError]:
             # Errors in messages are reported by `find_message_mismatches`.
             continue
         reported.add(key)
-        suggestion = suggestions.suggest(key, producers.places_by_functor)
+        # The head of the rule that awaits the event is no misspelt event.
+        own_heads = heads.get(key, ())
+        candidates = [producer for producer in producers.places_by_functor if producer not in own_heads]
+        suggestion = suggestions.suggest(key, candidates)
         if type_name is not None:
             yield RuleError(f"{prefix}{_explain_missing_topic(program, key, type_name)}", subterm.place)
+        elif program.logic.is_system_predicate(key):
+            yield RuleError(
+                f"{prefix}no producer of {key}: {key} is a predicate, and a goal is written after where",
+                subterm.place,
+            )
         elif suggestion or not may_be_fed_externally:
             yield RuleError(f"{prefix}{_explain_missing_producer(key, suggestion)}", subterm.place)
+
+
+def _heads_by_event(program: ProgramModel) -> Dict[Functor, Set[Functor]]:
+    """Return the heads of the rules and states that await an event, for each event."""
+    heads: Dict[Functor, Set[Functor]] = {}
+    for rule in program.rules:
+        head = event_raised_by(rule.definition.head)
+        head_key = None if head is None else key_of(head)
+        for node in walk(rule.definition.pattern, negated=True):
+            key = key_of(node.term) if isinstance(node, EventPattern) else None
+            if key is not None and head_key is not None:
+                heads.setdefault(key, set()).add(head_key)
+    for state in program.states:
+        for event in _events_of_state(state.form):
+            key = key_of(event.term)
+            if key is not None:
+                heads.setdefault(key, set()).add(state.form.functor)
+    return heads
 
 
 def _has_wrong_arity(program: ProgramModel, type_name: str, key: Functor) -> bool:

@@ -70,11 +70,17 @@ def find_record_mismatches(program: ProgramModel) -> Iterator[RuleError]:
     # A memory whose name is computed at run time may be the queried one.
     if None in records:
         return
+    sizes = {
+        getattr(deref(memory.term[4]), "name", None): deref(memory.term[5]) for memory in program.memories
+    }
     for subterm in program.all_subterms():
         term: Any = subterm.term
         if term.__class__ is not tuple:
             continue
-        if term[0] in SYNCHRONIZED:
+        if term[0] in RECORD_READS and sizes.get(getattr(deref(term[1]), "name", "")) == 0:
+            text = f"memory {program.logic.brief(term[1])} keeps 0 records: give memorize a size of 1 or more"
+            yield RuleError(text, subterm.place)
+        elif term[0] in SYNCHRONIZED:
             yield from _find_reversed_pairs(subterm, records)
         elif term[0] in RECORD_READS:
             name, record = deref(term[1]), deref(term[2])

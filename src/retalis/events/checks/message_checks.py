@@ -365,6 +365,37 @@ def find_topic_mistakes(program: ProgramModel) -> Iterator[RuleError]:
         if first is not element:
             yield RuleError(_explain_duplicate_topic(element, first, topic, type_name), element.place)
         yield from _find_misspelt_type(program, type_name, element.place)
+        if element.tag == _SUBSCRIBE_TO:
+            yield from _find_unrecorded_topic(program, topic, type_name, element.place)
+
+
+_SUBSCRIBE_TO = "subscribe_to"
+
+
+def _find_unrecorded_topic(
+    program: ProgramModel, topic: str, type_name: str, place: Place
+) -> Iterator[RuleError]:
+    """Yield a subscribed topic that the bags have with another type, or under a similar name only."""
+    name = strip_slashes(topic)
+    types = {
+        recorded_type
+        for recorded, recorded_type in program.recorded_topics
+        if _may_be_same_topic(strip_slashes(recorded), name)
+    }
+    if types:
+        if type_name not in types:
+            yield RuleError(
+                f"topic {topic} is {' or '.join(sorted(types))} in the bag, not {type_name}", place
+            )
+        return
+    subscribed = {strip_slashes(other) for other, _ in program.topics.subscribed}
+    others = [
+        recorded for recorded in program.recorded_topics if strip_slashes(recorded.topic) not in subscribed
+    ]
+    closest = closest_name(name, [strip_slashes(other.topic) for other in others])
+    suggestions = [closest] if closest else [other.topic for other in others if other.type == type_name]
+    if suggestions:
+        yield RuleError(f"the bag has no topic {topic}; did you mean {suggestions[0]}?", place)
 
 
 def _find_misspelt_types_in_goals(program: ProgramModel) -> Iterator[RuleError]:

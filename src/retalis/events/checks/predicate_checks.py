@@ -6,11 +6,12 @@ undefined.
 """
 
 import os
-from typing import Any, Dict, Iterator, List, Optional, Set
+from typing import Any, Dict, Iterator, List, Optional, Set, Tuple
 
 from ...foundation.errors import RuleError, UsageError
+from ...prolog.machine.arithmetic import EVALUABLE
 from ...prolog.terms.term_traversal import term_key
-from ...prolog.terms.types import COMMA, CONS, SLASH, Atom, Functor, Term, Var, deref, functor
+from ...prolog.terms.types import COMMA, CONS, SLASH, Atom, CompoundTerm, Functor, Term, Var, deref, functor
 from ..language.called_predicates import calls
 from ..language.event_operators import OPERATOR_NAMES
 from ..language.state_parser import queried_state
@@ -101,6 +102,12 @@ class _DefinablePredicates:
 def find_operators_in_clauses(program: ProgramModel) -> Iterator[RuleError]:
     """Yield pattern operators in the bodies of clauses, where an event rule was probably intended."""
     for clause in program.clauses:
+        head: Any = clause.head
+        if head.__class__ is tuple and _is_reversed_rule(head):
+            yield RuleError(
+                "this is a fact, not a rule: an event rule is written Head <- Pattern where Goal",
+                clause.place_of(head),
+            )
         if clause.parent[0] is not NECK:
             continue
         for subterm in _calls_in(clause):
@@ -111,6 +118,16 @@ def find_operators_in_clauses(program: ProgramModel) -> Iterator[RuleError]:
                     f"{name} occurs in the body of a clause; the arrow of an event rule is <-", subterm.place
                 )
                 break
+
+
+def _is_reversed_rule(head: CompoundTerm) -> bool:
+    """Return whether a fact is a pattern, or a pattern with an arrow to its head."""
+    return head[0] in _RIGHT_ARROWS or (
+        head[0] in OPERATOR_NAMES and len(head) == 3 and head[0].name.isidentifier()
+    )
+
+
+_RIGHT_ARROWS = frozenset((functor("->", 2), functor("=>", 2)))
 
 
 def _calls_in(clause: SourceTerm) -> Iterator[Subterm]:
@@ -134,6 +151,8 @@ def find_undefined_predicates(program: ProgramModel) -> Iterator[RuleError]:
     """Yield calls of undefined predicates in clauses."""
     definable = _DefinablePredicates(program)
     reported: Dict[Functor, None] = {}
+    events = {subterm.key for subterm, _ in program.patterns()}
+    called = {call.key for call in program.calls()}
     for clause in program.clauses:
         for subterm in _calls_in(clause):
             key = subterm.key
@@ -150,9 +169,12 @@ def find_undefined_predicates(program: ProgramModel) -> Iterator[RuleError]:
             reported[key] = None
             similar = program.logic.find_similar(key) if len(reported) <= _MAX_HINTS else []
             hint = f"; did you mean {' or '.join(similar)}?" if similar else ""
-            yield RuleError(
-                f"there is no predicate {key}{hint or ': define it, or assert facts of it'}", subterm.place
-            )
+            hint = hint or ": define it, or assert facts of it"
+            if key in events or (
+                not similar and clause.head is not None and key_of(clause.head) not in called
+            ):
+                hint += f"; if {key} is an event, the arrow of the rule is <-"
+            yield RuleError(f"there is no predicate {key}{hint}", subterm.place)
 
 
 _MAX_HINTS = 100
@@ -258,6 +280,42 @@ def find_singletons(program: ProgramModel) -> Iterator[RuleError]:
                 # The reader has counted one occurrence, so this is the only place.
                 unreported.discard(term)
                 name = names[term]
-                yield RuleError(
-                    f"{name} occurs only here: a misspelt name? Otherwise write _{name} or _", subterm.place
+                text = _explain_variable_as_constant(program, name, subterm) or (
+                    f"{name} occurs only here: a misspelt name? Otherwise write _{name} or _"
                 )
+                yield RuleError(text, subterm.place)
+
+
+def _explain_variable_as_constant(program: ProgramModel, name: str, variable: Subterm) -> str:
+    """Return the finding for a variable that was probably meant as a constant or as a bound value, or ""."""
+    if variable.parent[0] in _COMPARED or variable.parent[0] in EVALUABLE:
+        return (
+            f"nothing binds {name}: a misspelt name? The start and the end of a match are S and E in "
+            f"check (t1(S), t2(E), E - S > 1)"
+        )
+    definition = program.message_of(variable.parent)
+    matches = f"{name} is a variable, which matches every value"
+    if definition is not None:
+        slot = definition.fields[variable.position - 1]
+        for constant in definition.constants:
+            if constant.name == name and not constant.problem:
+                return f"{matches}: for the constant of {definition.name} write {constant.text.strip()}"
+        if slot.type == "bool" and name.lower() in ("true", "false"):
+            return f"{matches}: write {name.lower()}"
+    constants = program.derive(_constants_by_position)
+    word = f"{name[:1].lower()}{name[1:]}"
+    if len(name) > 1 and word in constants.get((variable.parent[0], variable.position), ()):
+        return f"{matches}: for the constant write {word}; otherwise write _{name} or _"
+    return ""
+
+
+_COMPARED = frozenset(functor(name, 2) for name in ("<", ">", "=<", ">=", "=:=", "=\\="))
+
+
+def _constants_by_position(program: ProgramModel) -> Dict[Tuple[Functor, int], Set[str]]:
+    """Return the names that the program writes as arguments, by functor and position."""
+    constants: Dict[Tuple[Functor, int], Set[str]] = {}
+    for subterm in program.all_subterms():
+        if isinstance(subterm.term, Atom) and subterm.term.name[:1].islower():
+            constants.setdefault((subterm.parent[0], subterm.position), set()).add(subterm.term.name)
+    return constants

@@ -390,6 +390,7 @@ class ProgramModel:
         directly_subscribed: topics that node retalis subscribes to itself.
         folder: the folder of the program, or its only event file; None if only the loaded program is checked.
         has_observer: whether there is an observer of all events.
+        recorded_topics: topics of bags that the program is to run with.
     """
 
     def __init__(
@@ -401,6 +402,7 @@ class ProgramModel:
         directly_subscribed: Tuple[TopicType, ...] = (),
         folder: Optional[Path] = None,
         has_observer: bool = False,
+        recorded_topics: Tuple[TopicType, ...] = (),
     ):
         self.rule_base = rules
         self.logic: PrologSystem = rules.logic
@@ -414,6 +416,7 @@ class ProgramModel:
         self.directly_subscribed = directly_subscribed
         self.folder = folder
         self.has_observer = has_observer
+        self.recorded_topics = recorded_topics
         files = ParsedSources([], [], [], [], set())
         if folder is not None:
             files = parse_sources_again(self.logic, folder, rules.files.loaded)

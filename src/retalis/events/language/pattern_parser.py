@@ -15,7 +15,18 @@ from ...foundation.errors import Place, RuleError
 from ...prolog.machine.arithmetic import EVALUABLE
 from ...prolog.terms.term_traversal import variables
 from ...prolog.terms.timestamps import from_seconds
-from ...prolog.terms.types import CONS, Atom, CompoundTerm, String, Term, Var, deref, functor, functor_name
+from ...prolog.terms.types import (
+    COMMA,
+    CONS,
+    Atom,
+    CompoundTerm,
+    String,
+    Term,
+    Var,
+    deref,
+    functor,
+    functor_name,
+)
 from ..streams.aggregates import AGGREGATES, SEQUENCE_AGGREGATES
 from .called_predicates import Subgoal, calls, required_interval_calls
 from .event_operators import (
@@ -318,7 +329,12 @@ class PatternReader:
         """
         for call in calls(parent, position):
             if call.term.__class__ not in (tuple, Atom, Var):
-                raise self.create_error(f"{operator} needs a goal", call.parent, call.position)
+                # ``11,5`` is a conjunction whose second goal is a number.
+                is_decimal = call.term.__class__ is int and call.parent[0] is COMMA
+                hint = (
+                    f", found {call.term}; a decimal is written with a point, as 11.5" if is_decimal else ""
+                )
+                raise self.create_error(f"{operator} needs a goal{hint}", call.parent, call.position)
             self.goals.append(call)
         if (
             operator not in EVENT_OPERATORS_BY_NAME

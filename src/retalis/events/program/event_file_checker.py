@@ -394,8 +394,10 @@ class FileChecker:
             # All occurrences of the variable are calls, so nothing can bind it to a goal.
             if term.__class__ is Var and counts[term] == sum(subgoal.term is term for subgoal in goals):
                 name = self._names.get(term, "this variable")
+                constant = _FOREIGN_TRUTH_VALUES.get(name.lower())
+                hint = f": a name with a capital is a variable; write {constant}" if constant else ""
                 raise RuleError(
-                    f"{name} never gets a goal to call", place_of(call.parent, call.position) or place
+                    f"{name} never gets a goal to call{hint}", place_of(call.parent, call.position) or place
                 )
             self._record_call(call, place_of, place)
 
@@ -456,9 +458,26 @@ def _is_labelled(term: Term) -> bool:
     return term.__class__ is tuple and (term[0] is RULE or term[0] is COLON)
 
 
+_FOREIGN_TRUTH_VALUES = {"true": "true", "yes": "true", "false": "false", "no": "false"}
+_GOAL_NOTATIONS = {
+    "and": "goals are joined with a comma, as in A > 1, A < 2",
+    "or": "alternatives of a goal are joined with a semicolon, as in (A > 2 ; A < 1)",
+}
+_COMPARISONS = frozenset(
+    functor(name, 2) for name in ("<", ">", "=<", ">=", "=:=", "=\\=", "==", "\\==", "=", "\\=", "is")
+)
+
+
+def _functors_of_operands(term: CompoundTerm) -> List[Optional[Functor]]:
+    operands: List[Any] = [deref(operand) for operand in term[1:]]
+    return [operand[0] if operand.__class__ is tuple else None for operand in operands]
+
+
 def _advice_for(goal: CompoundTerm) -> str:
     """Return advice for a goal whose predicate does not exist, or ""."""
     name = OPERATOR_NAMES.get(goal[0])
+    if name in _GOAL_NOTATIONS and all(key in _COMPARISONS for key in _functors_of_operands(goal)):
+        return _GOAL_NOTATIONS[name]
     if name is not None:
         return f"{name} is part of the goal here; to apply it to the pattern, write (Pattern where Goal) {name} ..."
     return "a rule that contains a comma needs brackets of its own" if goal[0] is _INSERT else ""

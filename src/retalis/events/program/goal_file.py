@@ -13,6 +13,7 @@ from ...foundation.errors import Place, ProgramErrors, RetalisError, RuleError, 
 from ...prolog.syntax.operators import Operators
 from ...prolog.syntax.term_reader import ReadTerm, read_term
 from ...prolog.terms.types import Term, deref, functor
+from ..language.event_operators import ARROWS
 from .file_and_library_names import SourceFiles
 
 ReadResult = Union[ReadTerm, SyntaxFault]
@@ -71,6 +72,12 @@ def read_file_goals(
                 yield entry
                 continue
             term = goal_of(entry.term)
+            if term.__class__ is tuple and term[0] in ARROWS:
+                yield RuleError(
+                    "this is a rule, not a goal: write it into a file that the goal compile_event_file(File) loads",
+                    entry.place,
+                )
+                continue
             if term.__class__ is not tuple or term[0] is not _INCLUDE:
                 yield FileGoal(term, entry.place, folder)
                 continue

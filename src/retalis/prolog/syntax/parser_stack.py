@@ -13,6 +13,7 @@ Each entry also holds the operator table that applied before it: in the pattern 
 operators than in a goal, so the table changes within a clause (see `rule_detection`).
 """
 
+import re
 from difflib import get_close_matches
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
@@ -196,13 +197,23 @@ _FOREIGN_OPERATORS = {
     "&&": 'goals are joined with "," and patterns with "and"',
     "&": 'goals are joined with "," and patterns with "and"',
     "||": 'alternatives are joined with ";" in goals and with "or" in patterns',
-    "#": '"#" is not an operator in a goal',
+    "#": '"#" is not an operator in a goal; a comment begins with %',
+    "+=": "a variable keeps its value: write New is N + 1",
+    "-=": "a variable keeps its value: write New is N - 1",
     "not": "a goal is negated with \\+; the absence of an event is written with cnot or fnot",
     "<--": "a rule's arrow is written <-",
     ".": "a full stop ends a clause only where a space or a new line follows; a number needs digits on both"
     " sides of its point",
 }
 """Operators of other languages, and the notation to use instead."""
+
+_FOREIGN_COMMENTS = ("#", "//", "--")
+"""Beginnings of comments in other languages."""
+
+_COMPARISON_PRIORITY = 700
+_OPENERS = (",", "(", OPEN_CT, "[", "|")
+_FILE_NAME = re.compile(r"\w+\.[a-z]\w*")
+_SLASHED_NAME = re.compile(r"[/\w]+")
 
 
 def missing_operand_error(parser: ParserState) -> SyntaxFault:
@@ -230,6 +241,8 @@ def _operand_hint(parser: ParserState, token: AnyToken) -> str:
         if token[0] == END:
             return "a clause ends with a full stop, without a comma before it"
         return "is the comma before it superfluous?"
+    if token[0] == "|" and previous_token is not None and previous_token[0] == "|":
+        return _FOREIGN_OPERATORS["||"]
     if token[0] == "|":
         return '"|" is allowed only between terms; to write the atom, quote it'
     return ""
@@ -263,6 +276,8 @@ def _operator_hint(parser: ParserState, token: AnyToken, bracket_position: Optio
         return (
             f"{value} is a variable here; as an operator write {EVENT_SYNTAX.canonical[value]} or '{value}'"
         )
+    if parser.position == 1 and previous_token[1] in _FOREIGN_COMMENTS:
+        return "a comment begins with %"
     # Clauses usually begin at the start of a line: a missing full stop or bracket is then more likely than an
     # unknown operator.
     if starts_line(text, start):
@@ -273,9 +288,27 @@ def _operator_hint(parser: ParserState, token: AnyToken, bracket_position: Optio
         return _FOREIGN_OPERATORS[previous_token[1]]
     if token_kind == NAME and value == "!" and text[start + 1 : start + 2] == "=":
         return _FOREIGN_OPERATORS["!="]
+    unquoted_name = _find_unquoted_name(parser, token, bracket_position)
+    if unquoted_name:
+        return f"a name with / or a full stop is quoted: '{unquoted_name}'"
     return _hint_for_adjacent_tokens(previous_token, token) or (
         _unknown_operator_hint(parser, value) if token_kind in (NAME, QUOTED) else ""
     )
+
+
+def _find_unquoted_name(parser: ParserState, token: AnyToken, bracket_position: Optional[int]) -> str:
+    """Return the topic or file name without quotes that ends at a token of an argument, or an empty text."""
+    kind, value, start, _ = token
+    previous_token = parser.tokens[parser.position - 1]
+    pattern = None
+    if bracket_position is None or kind != NAME or previous_token[3] != start:
+        return ""
+    if value == ".":
+        pattern = _FILE_NAME
+    elif previous_token[:2] == (NAME, "/") and parser.tokens[parser.position - 2][0] in _OPENERS:
+        pattern = _SLASHED_NAME
+    name = None if pattern is None else pattern.match(parser.source.text, previous_token[2])
+    return "" if name is None else name.group()
 
 
 def _hint_for_adjacent_tokens(previous_token: AnyToken, token: AnyToken) -> str:
@@ -362,6 +395,8 @@ def priority_clash_error(
             f'"{left}"'
         )
         hint = f"{name} cannot be chained" if left == name else ""
+        if operator.priority == _COMPARISON_PRIORITY and left == name:
+            hint += f"; two comparisons are joined with a comma, as A {name} B, B {name} C"
     else:
         message, hint = f'expected brackets around the argument with "{name}" ({operator.priority})', ""
     return _fault(parser, message, hint, start)
