@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 import pytest
 
 from retalis.cli import command_line
-from retalis.cli.command_line import COMMANDS, main
+from retalis.cli.command_line import COMMANDS, main, make_parser
 
 SOURCES = Path(__file__).resolve().parents[2] / "src"
 
@@ -92,18 +92,7 @@ def test_without_a_command_the_help_is_an_error_message(capsys):
 
 def parsers():
     """Return the parser of each command by its name."""
-    found = []
-
-    def parse(parser, arguments=None):
-        found.append(parser)
-        raise SystemExit(0)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(argparse.ArgumentParser, "parse_args", parse)
-        with pytest.raises(SystemExit):
-            main(["--help"])
-    (commands,) = [action.choices for action in found[0]._actions if isinstance(action.choices, dict)]
-    return commands
+    return make_parser([])[1]
 
 
 @pytest.mark.parametrize("name, parser", parsers().items())

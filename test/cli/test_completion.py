@@ -1,26 +1,14 @@
 """What may come next on a command line, as a shell asks for it."""
 
-import argparse
-
 import pytest
 
 from retalis.cli import completion
-from retalis.cli.command_line import main
+from retalis.cli.command_line import main, make_parser
 
 
 def after(*words, names=lambda kind, node: []):
     """Return what the last of the words may become."""
-    whole = []
-
-    def parse(parser, arguments=None, namespace=None):
-        whole.append(parser)
-        raise SystemExit(0)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(argparse.ArgumentParser, "parse_known_args", parse)
-        with pytest.raises(SystemExit):
-            main(["--help"])
-    return completion.list_candidates(whole[0], words, names)
+    return completion.list_candidates(make_parser([])[0], words, names)
 
 
 def named(kind, node):

@@ -9,7 +9,7 @@ import os
 import sys
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Callable, Iterable, List, Optional
+from typing import Any, Callable, Dict, Iterable, List, Optional, Tuple
 from xml.etree import ElementTree
 
 from ..foundation.cpython_and_pypy import stop_limiting_gc_pauses
@@ -111,8 +111,12 @@ def main(arguments: Optional[List[str]] = None) -> int:
         sys.stdout = output
 
 
-def _run_command(words: List[str]) -> int:
-    """Run a command with its arguments; return its exit status."""
+def make_parser(words: List[str]) -> Tuple[CommandParser, Dict[str, CommandParser]]:
+    """Return the parser of a command line, and the parsers of the commands by name.
+
+    Args:
+        words: the command line; only the parser of its command is created, or all parsers if it has none.
+    """
     parser = CommandParser(
         prog="retalis",
         description="Event rules and a knowledge base for robots.",
@@ -122,12 +126,18 @@ def _run_command(words: List[str]) -> int:
     parser.add_argument("--version", action=ShowVersion, help="print the version and exit")
     parser.set_defaults(root_parser=parser)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    # argparse lists the subcommands in the order of their registration.
+    for add_parser in import_commands(words):
+        add_parser(commands.add_parser)
+    for command_parser in commands.choices.values():
+        command_parser.add_all_help()
+    return parser, commands.choices
+
+
+def _run_command(words: List[str]) -> int:
+    """Run a command with its arguments; return its exit status."""
     try:
-        # argparse lists the subcommands in the order of their registration.
-        for add_parser in import_commands(words):
-            add_parser(commands.add_parser)
-        for command_parser in commands.choices.values():
-            command_parser.add_all_help()
+        parser, command_parsers = make_parser(words)
         if not words:
             # argparse would print only the usage, without the commands.
             parser.print_help(sys.stderr)
@@ -137,7 +147,7 @@ def _run_command(words: List[str]) -> int:
             parser.error(f"there is no command {quote_shortened(name)}{suggest_name(name, COMMANDS)}")
         options, unknown_words = parser.parse_known_args(join_times_option(words))
         if unknown_words:
-            commands.choices[options.command].reject_unknown(unknown_words)
+            command_parsers[options.command].reject_unknown(unknown_words)
         status: int = options.run(options)
         return status
     except RetalisError as error:

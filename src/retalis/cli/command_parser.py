@@ -70,6 +70,8 @@ class CommandParser(argparse.ArgumentParser):
             formatter.start_section(group.title)
             formatter.add_arguments(group._group_actions)
             formatter.end_section()
+        if _HELP_ALL not in self._option_string_actions:
+            formatter.add_text(self.epilog)
         return f"{self.format_usage()}\n{formatter.format_help()}"
 
     def _format_all_help(self) -> str:

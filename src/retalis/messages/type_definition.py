@@ -246,11 +246,19 @@ class Definition:
         self.md5sum = md5(_checksum_text(self).encode()).hexdigest()
 
     def describe_constants(self) -> List[str]:
-        """Return the lines of all constants without comments, including those that are ignored."""
+        """Return the lines of all constants without comments, including those that are ignored.
+
+        >>> Definitions().add("my_robot/Door", "uint8 OPEN=1 # wide").describe_constants()
+        ['uint8 OPEN=1']
+        """
         return [f"{constant.type} {constant.name}={constant.text}" for constant in self._all_constants]
 
     def ignored_constants(self) -> List[str]:
-        """Return why constants are ignored, each with its place."""
+        r"""Return why constants are ignored, each with its place.
+
+        >>> len(Definitions().add("my_robot/Gate", "uint8 OPEN=1\nuint8 OPEN=2").ignored_constants())
+        1
+        """
         return [constant.problem for constant in self._all_constants if constant.problem]
 
     @property
