@@ -8,6 +8,7 @@ comparisons with constants that the value never equals.
 different, so such a pattern never matches, and ``==`` never holds.
 """
 
+import struct
 from typing import Any, Dict, Iterator, List, Mapping, NamedTuple, Optional, Set, Tuple
 
 from ...foundation.errors import RuleError
@@ -359,6 +360,7 @@ _NUMERIC_EQUIVALENTS = {
 }
 """Comparisons of terms, with the corresponding comparisons of numbers."""
 
+_NUMERIC_EQUALITIES = frozenset((functor("=:=", 2), functor("=\\=", 2)))
 _ALTERNATIVES = frozenset((functor("or", 2), functor("\\/", 2), functor(";", 2), functor("->", 2)))
 _NUMBER_TYPES = {
     **dict.fromkeys(("float32", "float64"), float),
@@ -375,6 +377,7 @@ class _NumberSlot(NamedTuple):
 
     number_type: type
     slot: str
+    is_single: bool
 
 
 def find_number_type_mismatches(program: ProgramModel) -> Iterator[RuleError]:
@@ -388,6 +391,12 @@ def find_number_type_mismatches(program: ProgramModel) -> Iterator[RuleError]:
                     fault = (
                         f"{slot.name} of {definition.name} is {_describe_number_type(number_type)} in events: "
                         f"write {_advise_number(number_type, value)}"
+                    )
+                    yield RuleError(f"{prefix}{fault}", subterm.place_of(subterm.term, position))
+                elif slot.type == "float32" and slot.length is None and _is_no_single(value):
+                    fault = (
+                        f"{slot.name} of {definition.name} is a float32, which is never exactly {value}: "
+                        f"write a variable V, and where abs(V - {value}) < 0.001"
                     )
                     yield RuleError(f"{prefix}{fault}", subterm.place_of(subterm.term, position))
     for rule in program.rules:
@@ -450,13 +459,20 @@ def _check_compared_numbers(
     slots = _find_numeric_variables(program, events, created_keys)
     for subterm in all_subterms:
         numeric = _NUMERIC_EQUIVALENTS.get(subterm.key) if subterm.key is not None else None
-        if numeric is None:
+        if numeric is None and subterm.key not in _NUMERIC_EQUALITIES:
             continue
         for position, other_position in ((1, 2), (2, 1)):
             variable: Any = deref(subterm.term[position])
             value = deref(subterm.term[other_position])
             slot = slots.get(variable) if variable.__class__ is Var else None
-            if slot is not None and _has_other_type(value, slot.number_type):
+            if slot is not None and slot.is_single and _is_no_single(value):
+                name = names.get(variable, "this variable")
+                yield RuleError(
+                    f"{name} is a float32 ({slot.slot}), which is never exactly {value}: "
+                    f"write abs({name} - {value}) < 0.001",
+                    subterm.place_of(subterm.term, other_position),
+                )
+            elif numeric and slot is not None and _has_other_type(value, slot.number_type):
                 name = names.get(variable, "this variable")
                 yield RuleError(
                     f"{name} is {_describe_number_type(slot.number_type)} ({slot.slot}), "
@@ -476,8 +492,19 @@ def _find_numeric_variables(
                 value: Any = deref(subterm.term[position])
                 number_type = _number_type(slot)
                 if value.__class__ is Var and number_type is not None:
-                    slots.setdefault(value, _NumberSlot(number_type, f"{slot.name} of {definition.name}"))
+                    source = f"{slot.name} of {definition.name}"
+                    slots.setdefault(value, _NumberSlot(number_type, source, slot.type == "float32"))
     return slots
+
+
+def _is_no_single(value: Any) -> bool:
+    """Return whether a value is a float that no number of 32 bits equals."""
+    if value.__class__ is not float or abs(value) > _MAX_SINGLE:
+        return False
+    return bool(struct.unpack("f", struct.pack("f", value))[0] != value)
+
+
+_MAX_SINGLE = 3.4e38
 
 
 def _number_type(slot: Field) -> Optional[type]:
