@@ -192,3 +192,25 @@ def test_defaults_of_limits_are_in_the_help(capsys):
         shown = " ".join(capsys.readouterr().out.split())
         for option in re.findall(r"(--max-\w+|--watchdog) [A-Z]+ (.*?\))", shown):
             assert re.search(r"\((\d+|0: [\w ]+)\)$", option[1]), option
+
+
+@pytest.mark.parametrize("folder", ["", "arm_msgs", "arm_msgs/msg"])
+def test_message_types_of_topic_without_messages_come_from_folder(bag, tmp_path, capsys, folder):
+    (tmp_path / "arm_msgs" / "msg").mkdir(parents=True)
+    (tmp_path / "arm_msgs" / "msg" / "Feedback.msg").write_text("int32 id\nbool ok\n")
+    program = tmp_path / "program"
+    program.mkdir()
+    (program / "pub_sub.xml").write_text(
+        '<publish_subscribe><subscribe_to name="feedback" msg_type="arm_msgs/Feedback"/></publish_subscribe>'
+    )
+    (program / "eventRules.txt").write_text(
+        "silent <- ar_pose__0__ARMarkers(_, _) seq absent(arm_msgs__0__Feedback{ok: true}, 1).\n"
+    )
+    (program / "goalPredicates.txt").write_text(
+        "compile_event_file('eventRules.txt')\nsubscribe(silent, [], silent, alarms, a)\n"
+    )
+    play = ["bag", str(bag), "--program", str(program), "--topic", "/ar_pose_marker=ar_pose/ARMarkers"]
+    assert main(play) == 1
+    assert "arm_msgs/Feedback" in capsys.readouterr().err
+    assert main([*play, "--msg", str(tmp_path / folder)]) == 0
+    assert "output(silent,alarms)." in capsys.readouterr().out

@@ -1,5 +1,6 @@
 """``retalis graph``: a program as a picture, or as text, and ``retalis plot``: a run as a page."""
 
+import json
 import sys
 from pathlib import Path
 
@@ -25,6 +26,15 @@ def test_the_text_is_printed_or_written(tmp_path, capsys, monkeypatch):
         assert f'label="{name}' in shown.out
     assert main(["graph", ".", "-o", str(tmp_path / "nao.dot")]) == 0
     assert (tmp_path / "nao.dot").read_text() == shown.out
+
+
+def test_graph_is_printed_as_json(capsys):
+    assert main(["graph", PROGRAM, "--json"]) == 0
+    graph = json.loads(capsys.readouterr().out)
+    ids = {node["id"] for node in graph["nodes"]}
+    assert {edge[end] for edge in graph["edges"] for end in ("source", "target")} <= ids
+    assert graph["omitted"] == 0
+    assert {"rule", "event", "topic", "memory", "output"} <= {node["kind"] for node in graph["nodes"]}
 
 
 def test_a_topic_with_events_of_its_own_leads_to_these(tmp_path, capsys):
@@ -79,3 +89,18 @@ def test_wrong_options_are_refused(tmp_path, capsys):
         with pytest.raises(SystemExit) as ended:
             main(["plot", *arguments, "-o", "run.html"])
         assert ended.value.code == 2
+
+
+def test_plot_takes_message_types_from_folder(tmp_path, capsys):
+    bag = tmp_path / "nao.bag"
+    make_bag(bag, 0.1, 1)
+    (tmp_path / "arm_msgs" / "msg").mkdir(parents=True)
+    (tmp_path / "arm_msgs" / "msg" / "Feedback.msg").write_text("bool ok\n")
+    (tmp_path / "pub_sub.xml").write_text("<publish_subscribe></publish_subscribe>")
+    (tmp_path / "eventRules.txt").write_text("fine <- arm_msgs__0__Feedback{ok: true}.\n")
+    (tmp_path / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')\n")
+    plot = ["plot", str(bag), "--program", str(tmp_path), "-o", str(tmp_path / "run.html")]
+    assert main(plot) == 1
+    assert "arm_msgs/Feedback" in capsys.readouterr().err
+    assert main([*plot, "--msg", str(tmp_path / "arm_msgs")]) == 0
+    assert "error" not in capsys.readouterr().err

@@ -1,5 +1,7 @@
 """``msg`` prints types of the installation and of bags."""
 
+import json
+
 import pytest
 from rosbags import rosbag2
 
@@ -84,3 +86,32 @@ def test_a_type_that_there_is_not_is_an_error_in_one_line(bag, capsys):
 def test_the_type_that_was_probably_meant_is_named(wrong, capsys):
     assert main(["msg", wrong]) == 1
     assert capsys.readouterr().err.endswith("; did you mean std_msgs/String?\n")
+
+
+def test_topics_of_bag_are_listed_without_type(bag, capsys):
+    assert main(["msg", "--bag", str(bag)]) == 0
+    assert capsys.readouterr().out == (
+        "topic    type                messages\n/points  only_in_bags/Point  1\n"
+    )
+    assert main(["msg", "--bag", str(bag), "--json"]) == 0
+    row = {"topic": "/points", "type": "only_in_bags/Point", "messages": 1}
+    assert json.loads(capsys.readouterr().out) == {"topics": [row], "unreadable": []}
+
+
+def test_type_is_printed_as_json(capsys):
+    assert main(["msg", "geometry_msgs/PoseWithCovariance", "--json", "--format", "zero"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["type"] == "geometry_msgs/PoseWithCovariance"
+    assert printed["md5sum"] == "c23e848cf1b7533a8d7c259073a97e6f"
+    assert printed["slots"] == [
+        {"name": "pose", "type": "geometry_msgs/Pose"},
+        {"name": "covariance", "type": "float64[36]"},
+    ]
+    assert printed["text"].startswith("geometry_msgs__0__PoseWithCovariance(")
+
+
+def test_missing_type_without_bag_is_usage_error(capsys):
+    with pytest.raises(SystemExit) as exit_info:
+        main(["msg"])
+    assert exit_info.value.code == 2
+    assert "give a type as PACKAGE/Type, or --bag" in capsys.readouterr().err

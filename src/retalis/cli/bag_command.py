@@ -51,8 +51,10 @@ from .command_options import (
     add_direct,
     add_folders,
     add_limits,
+    add_message_folders,
     apply_folders,
     apply_limits,
+    message_folders,
 )
 from .option_values import (
     RELATIVE_TIMES_OPTION,
@@ -165,6 +167,7 @@ def add_source(parser: argparse.ArgumentParser, bags: str = "+", required: bool 
     )
     group = parser.add_argument_group("messages")
     add = group.add_argument
+    add_message_folders(add)
     add_direct(add)
     add(
         "--max-skew",
@@ -287,7 +290,7 @@ def create_playback(
         bag=bags,
         state=state,
         direct=options.direct,
-        definitions=installed_definitions(),
+        definitions=installed_definitions(message_folders(options)),
     )
 
 
@@ -707,6 +710,7 @@ def _create_tasks(
 
     bag_options = single_bag_options(options)
     bag_options["program"] = Path(absolute(options.program))
+    bag_options["msg"] = [Path(absolute(folder)) for folder in options.msg]
     bag_options["folder"] = [absolute(folder_name) for folder_name in options.folder]
     targets: Dict[str, str] = {}
     tasks: List[BagTask] = []

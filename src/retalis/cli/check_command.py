@@ -14,7 +14,13 @@ from ..foundation.errors import MessageError, format_count, printable
 from ..messages.type_registry import Definitions
 from ..playback.bag_locations import open_bag
 from ..prolog.machine.resource_limits import Limits
-from .command_options import add_chunk_limit_option, add_direct, add_swi
+from .command_options import (
+    add_chunk_limit_option,
+    add_direct,
+    add_message_folders,
+    add_swi,
+    message_folders,
+)
 from .option_values import non_negative
 from .optional_ros_imports import installed_definitions
 from .stderr_and_progress import paint
@@ -55,14 +61,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         metavar="BAG",
         help="a bag whose message types are added, and whose topics are compared with those of pub_sub.xml",
     )
-    add(
-        "--msg",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="FOLDER",
-        help="a package with a folder msg, that folder itself, or a folder of packages",
-    )
+    add_message_folders(add)
     add = parser.add_argument_group("limits and permissions").add_argument
     add_direct(add)
     add_chunk_limit_option(add)
@@ -79,7 +78,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return its exit status."""
-    definitions = installed_definitions([_definitions_folder(path) for path in options.msg])
+    definitions = installed_definitions(message_folders(options))
     # Before the check: rules with field names cannot be checked without the types.
     recorded_topics = [
         topic
@@ -103,12 +102,6 @@ def run(options: argparse.Namespace) -> int:
     if errors:
         return 1
     return 2 if warnings and options.strict else 0
-
-
-def _definitions_folder(path: Path) -> str:
-    """Return the folder in which packages are searched: the folder itself, or the parent of a folder ``msg``."""
-    path = path.resolve()
-    return str(path.parent if path.name == "msg" else path)
 
 
 def _add_types_of_bag(definitions: Definitions, path: Path, max_chunk_megabytes: int) -> List[TopicType]:

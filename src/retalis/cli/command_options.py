@@ -1,7 +1,8 @@
 """Options that several commands share."""
 
 import argparse
-from typing import Callable, NamedTuple, Optional
+from pathlib import Path
+from typing import Callable, List, NamedTuple, Optional
 
 from ..engine.engine_settings import Settings
 from ..events.program.topic_configuration import AUTO, DirectTopics, read_direct
@@ -141,6 +142,28 @@ def _parse_direct(text: str) -> DirectTopics:
         return read_direct(text)
     except UsageError as error:
         raise argparse.ArgumentTypeError(error.message) from None
+
+
+def add_message_folders(add: AddArgument) -> None:
+    """Add the option for folders of message definitions; `message_folders` returns them."""
+    add(
+        "--msg",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FOLDER",
+        help="message types in addition to the installed ones: a package with a folder msg, that folder itself, or a "
+        "folder of packages",
+    )
+
+
+def message_folders(options: argparse.Namespace) -> List[str]:
+    """Return the folders in which packages are searched.
+
+    These are the folders of ``--msg``, or the parent of a folder ``msg``.
+    """
+    folders = [path.resolve() for path in options.msg]
+    return [str(folder.parent if folder.name == "msg" else folder) for folder in folders]
 
 
 def add_chunk_limit_option(add: AddArgument) -> None:

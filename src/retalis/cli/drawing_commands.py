@@ -1,9 +1,10 @@
 """Commands ``graph`` and ``plot``, which draw a program as a graph and a run as a timeline."""
 
 import argparse
+import json
 import sys
 from pathlib import Path
-from typing import Callable, List, Optional, Sequence
+from typing import Callable, Dict, List, Optional, Sequence
 
 from ..engine.engine import Engine
 from ..engine.engine_settings import Settings
@@ -14,7 +15,14 @@ from ..foundation.errors import ProgramErrors, UsageError
 from ..foundation.output_files import open_output
 from ..messages.type_definition import functor_name
 from ..playback.playback import RunRecorder
-from ..visualization.program_graph import PICTURE_SUFFIXES, GraphTopic, dot_text, draw_graph, program_graph
+from ..visualization.program_graph import (
+    PICTURE_SUFFIXES,
+    Graph,
+    GraphTopic,
+    dot_text,
+    draw_graph,
+    program_graph,
+)
 from ..visualization.timeline import (
     PICTURE_FORMATS,
     Timeline,
@@ -50,6 +58,7 @@ def add_graph_parser(add_command: Callable[..., argparse.ArgumentParser]) -> Non
         metavar="FOLDER",
         help="the program's folder, with goalPredicates.txt; the current one by default",
     )
+    add = parser.add_mutually_exclusive_group().add_argument
     add(
         "-o",
         "--output",
@@ -57,6 +66,7 @@ def add_graph_parser(add_command: Callable[..., argparse.ArgumentParser]) -> Non
         metavar="FILE",
         help="where to draw it, as program.svg; without it the text is printed",
     )
+    add("--json", action="store_true", help="print the nodes and edges as one JSON object")
     add_limits(parser)
     parser.set_defaults(run=draw_program)
 
@@ -79,14 +89,25 @@ def draw_program(options: argparse.Namespace) -> int:
         for error in errors.errors:
             reporter(error)
     # A program with errors is drawn as far as it was loaded.
-    text = dot_text(program_graph(engine, _collect_topics(folder, input_topics)), folder.resolve().name)
-    if options.output is None:
+    graph = program_graph(engine, _collect_topics(folder, input_topics))
+    text = dot_text(graph, folder.resolve().name)
+    if options.json:
+        print(json.dumps(_graph_to_json(graph), ensure_ascii=False))
+    elif options.output is None:
         sys.stdout.write(text)
     elif suffix in TEXT_SUFFIXES:
         _write_file(options.output, text)
     else:
         draw_graph(text, options.output)
     return 1 if reporter.errors else 0
+
+
+def _graph_to_json(graph: Graph) -> Dict[str, object]:
+    return {
+        "nodes": [node._asdict() for node in graph.nodes],
+        "edges": [edge._asdict() for edge in graph.edges],
+        "omitted": graph.omitted_count,
+    }
 
 
 def _get_output_format(path: Optional[Path]) -> str:
@@ -182,7 +203,7 @@ def _record_timeline(options: argparse.Namespace, reporter: StderrReporter) -> T
     """Run the program over the bags, and return the timeline of the run."""
     builder = TimelineBuilder()
     with open_bags(options) as bags:
-        playback = create_playback(options, reporter)
+        playback = create_playback(options, reporter, bags)
         recorder = RunRecorder(playback, builder.add_record)
         with show_progress("messages", lambda: elapsed_fraction(playback, bags)) as bar:
 

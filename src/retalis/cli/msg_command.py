@@ -1,16 +1,19 @@
 """Command ``msg``: prints a message type as a term with the names of its slots, to paste into a program."""
 
 import argparse
+import json
+import sys
 from pathlib import Path
-from typing import Callable, Dict
+from typing import Callable, Dict, List, Tuple
 
-from ..foundation.errors import MessageError, UsageError
+from ..foundation.errors import MessageError, UsageError, printable
 from ..foundation.ros_names import ros1_type_name, type_fault
 from ..messages.message_notation import format_positional, format_with_names, format_with_zeros
 from ..messages.type_definition import Definition
 from ..messages.type_registry import Definitions
 from ..playback.bag_locations import open_bag
 from .command_options import add_chunk_limit_option
+from .node_status_tables import format_table
 from .optional_ros_imports import installed_definitions
 
 FORMATS: Dict[str, Callable[[Definition, Definitions], str]] = {
@@ -25,9 +28,14 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     parser = add_command(
         "msg",
         help="print a message type as a term to paste into a program",
-        description="Print a message type as a term, with the names of its slots.",
+        description="Print a message type as a term, with the names of its slots, or the topics and types of a bag.",
     )
-    parser.add_argument("type", metavar="PACKAGE/Type", help="for example sensor_msgs/LaserScan")
+    parser.add_argument(
+        "type",
+        nargs="?",
+        metavar="PACKAGE/Type",
+        help="for example sensor_msgs/LaserScan; without a type, the topics of --bag are printed with their types",
+    )
     parser.add_argument(
         "--bag", type=Path, metavar="BAG", help="a bag that has the type, if it is not installed"
     )
@@ -38,12 +46,18 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         help="term: a variable for each slot, slots as comments (default); names: slots by name; "
         "zero: a message with zeros, to publish",
     )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_chunk_limit_option(parser.add_argument)
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, reject_usage=parser.error)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return its exit status."""
+    if options.type is None:
+        if options.bag is None:
+            options.reject_usage("give a type as PACKAGE/Type, or --bag to list the types of a bag")
+        _print_topics(options)
+        return 0
     # Functors in programs have `__0__` in place of the slash; both forms are accepted.
     type_name = ros1_type_name(options.type.replace("__0__", "/"))
     definitions = installed_definitions()
@@ -57,8 +71,44 @@ def run(options: argparse.Namespace) -> int:
     except MessageError as error:
         hint = "" if options.bag is not None else "; use --bag BAG to read it from a bag"
         raise UsageError(f"{error.message}{_suggest_type(definitions, type_name) or hint}") from error
-    print(FORMATS[options.format](definition, definitions), end="")
+    text = FORMATS[options.format](definition, definitions)
+    if options.json:
+        slots = [{"name": slot.name, "type": slot.describe()} for slot in definition.fields]
+        content = {"type": definition.name, "md5sum": definition.md5sum, "slots": slots, "text": text}
+        print(json.dumps(content, ensure_ascii=False))
+    else:
+        print(text, end="")
     return 0
+
+
+def _print_topics(options: argparse.Namespace) -> None:
+    """Print the topics of a bag with their types and numbers of messages, sorted by name."""
+    message_counts: Dict[Tuple[str, str], int] = {}
+    problems: Dict[Tuple[str, str], str] = {}
+    with open_bag(options.bag, options.max_chunk_megabytes) as bag:
+        # A topic has a connection for each publisher.
+        for topic in bag.topics:
+            key = (topic.name, topic.type)
+            message_counts[key] = message_counts.get(key, 0) + topic.messages
+        for unreadable in bag.unreadable:
+            problems[unreadable.name, unreadable.type] = unreadable.problem
+    rows: List[Dict[str, object]] = [
+        {"topic": name, "type": type_name, "messages": count}
+        for (name, type_name), count in sorted(message_counts.items())
+    ]
+    unreadable_rows: List[Dict[str, object]] = [
+        {"topic": name, "type": type_name, "problem": problem}
+        for (name, type_name), problem in sorted(problems.items())
+    ]
+    if options.json:
+        print(json.dumps({"topics": rows, "unreadable": unreadable_rows}, ensure_ascii=False))
+        return
+    for line in format_table(rows):
+        print(printable(line))
+    for row in unreadable_rows:
+        print(
+            f"warning: {options.bag}: topic {printable(str(row['topic']))}: {row['problem']}", file=sys.stderr
+        )
 
 
 def _suggest_type(definitions: Definitions, type_name: str) -> str:
