@@ -5,6 +5,7 @@ import pytest
 from retalis import Definitions, Engine, TopicType
 from retalis.events.checks.program_model import ProgramModel
 from retalis.events.checks.time_checks import (
+    find_conditions_after_throttle,
     find_cycles,
     find_impossible_pairs,
     find_missed_pairs,
@@ -132,3 +133,18 @@ def test_state_of_keys_that_no_time_ends_is_named(rule):
 )
 def test_state_that_is_bounded_or_not_by_keys_is_not_named(rule):
     assert unbounded(rule) == []
+
+
+@pytest.mark.parametrize(
+    "pattern, count",
+    [
+        ("temp(M, T) with throttle(10, M) where T > 40", 1),
+        ("(temp(M, T) where T > 40) with throttle(10, M)", 0),
+        ("temp(M, T) with change(T, M) where T > 40", 0),
+    ],
+)
+def test_condition_after_throttle_is_reported(pattern, count):
+    engine = Engine()
+    engine.load(rules=f"hot(M) <- {pattern}.")
+    program = ProgramModel(engine.rules, engine.knowledge, Definitions(), TOPICS)
+    assert len(list(find_conditions_after_throttle(program))) == count

@@ -41,6 +41,7 @@ from .predicate_checks import (
 )
 from .program_model import MAX_SOURCE_CHARACTERS, ProgramModel
 from .time_checks import (
+    find_conditions_after_throttle,
     find_cycles,
     find_impossible_pairs,
     find_invalid_timers,
@@ -105,6 +106,7 @@ CHECKS: Tuple[Check, ...] = (
     Check("states", "RT1303", find_undeclared_states, requires_valid_program=True),
     Check("label", "RT1210", find_duplicate_labels),
     Check("long-elements", "RT1211", find_windows_of_long_events, severity=INFO),
+    Check("throttled-first", "RT1212", find_conditions_after_throttle, severity=INFO),
     Check("singleton", "RT1406", find_singletons),
     Check("conditions", "RT1407", find_impossible_conditions),
 )

@@ -450,6 +450,19 @@ def _aggregate_place(rule: SourceRule) -> Optional[Place]:
     return rule.definition.place
 
 
+def find_conditions_after_throttle(program: ProgramModel) -> Iterator[RuleError]:
+    """Yield conditions on the output of ``throttle``: a match that fails them has suppressed others."""
+    for rule in program.rules:
+        for node in _walk_nodes(rule.definition.pattern):
+            limited = node.pattern if isinstance(node, ConditionPattern) else None
+            if isinstance(limited, RatePattern) and limited.operator == "throttle":
+                yield RuleError(
+                    "throttle is applied before the condition: a match that fails the condition suppresses later "
+                    "ones that satisfy it; write (Pattern where Goal) with throttle(...), unless this is intended",
+                    _operator_place(rule, "with"),
+                )
+
+
 def find_missed_pairs(program: ProgramModel) -> Iterator[RuleError]:
     """Yield joins of messages within a span of time that miss pairs, because the default policy uses a message once.
 
