@@ -2,44 +2,76 @@
 
 import pytest
 
-from retalis.cli.node_status_tables import format_record, format_status
+from retalis.cli.node_status_tables import format_list, format_status
+
+LISTED = {
+    "node": "/a",
+    "now": 1795367020.25,
+    "work": "event b",
+    "work_time": 75.0,
+    "work_goal": "",
+    "work_place": "",
+    "taken": 30,
+    "fired": 2,
+    "queued": 4,
+    "dropped": 0,
+    "errors": 1,
+    "warnings": 0,
+    "alarms": 5,
+}
 
 
-def test_plain_values_and_tables():
-    found = format_record(
-        {"node": "/a", "memories": [{"id": "m", "size": 10}, {"id": "long", "size": 2}], "none": []}
-    )
-    assert found == ["node  /a", "none  -", "", "memories", "  id    size", "  m     10", "  long  2"]
+def test_list_begins_with_summary():
+    assert format_list(LISTED) == [
+        "node      /a",
+        "time      1795367020.25",
+        "work      busy for 1m15s with event b",
+        "events    30 received, 4 queued, 0 dropped",
+        "firings   2",
+        "problems  1 error, 0 warnings",
+        "alarms    5",
+    ]
+    assert format_list({**LISTED, "now": None}, has_engine=False) == ["node  /a", "time  -"]
 
 
-def test_what_is_long_or_has_lines_is_shown_in_one_short_line():
-    assert format_record({"text": "a\nb" + "c" * 100}) == ["text  a b" + "c" * 54 + "..."]
-
-
-def test_records_in_records():
-    assert format_record({"work": {"what": "a", "seconds": 1.5}, "x": [1, 2]}) == [
-        "work  what a, seconds 1.5",
-        "x     1; 2",
+def test_list_names_published_and_subscribed_topics():
+    tables = {
+        "subscriptions": [{"topic": "alarms", "sent": 3}],
+        "inputs": [{"topic": "/tf", "lag": 0.000012}],
+        "memories": [{"id": "m", "size": 10}, {"id": "long", "size": 2}],
+        "more_memories": 7,
+        "more_rules": 2,
+        "more_inputs": 0,
+    }
+    assert format_list({**LISTED, **tables})[7:] == [
+        "rules: 2",
+        "",
+        "memories",
+        "  id    size",
+        "  m     10",
+        "  long  2",
+        "  and 7 more",
+        "",
+        "published topics",
+        "  topic   sent",
+        "  alarms  3",
+        "",
+        "subscribed topics",
+        "  topic  lag",
+        "  /tf    0.000012",
     ]
 
 
-def test_instants_are_shown_to_the_microsecond_and_none_as_a_dash():
-    assert format_record({"now": 1795367020.25, "lag": 0.000012, "at": 7.0, "oldest": None}) == [
-        "now     1795367020.25",
-        "lag     0.000012",
-        "at      7",
-        "oldest  -",
-    ]
-
-
-def test_nothing():
-    assert format_record({}) == []
-
-
-def test_of_a_path_the_end_is_shown():
-    assert format_record({"a": "/x" * 100 + "/rules.txt:12:1"}) == [
-        "a  ..." + ("/x" * 100 + "/rules.txt:12:1")[-57:]
-    ]
+def test_list_shortens_values_to_one_line():
+    for value, text in (
+        ("a\nb" + "c" * 100, "a b" + "c" * 54 + "..."),
+        ("/x" * 100 + "/rules.txt:12:1", "..." + ("/x" * 100 + "/rules.txt:12:1")[-57:]),
+        ([1, 2], "1; 2"),
+        ([{"id": "a", "behind": 1.5}], "id a, behind 1.5"),
+        (None, "-"),
+        (7.0, "7"),
+    ):
+        assert format_list({"node": "/a", "inputs": [{"value": value}]}, False)[-1] == f"  {text}"
 
 
 NODE = {"node": "/a", "now": 100.0, "work": "", "taken": 0, "fired": 0, "queued": 0, "errors": 0}
@@ -50,7 +82,7 @@ RULE = {**RULE, "errors": 0, "waiting": 0, "dropped": 0}
 def test_a_status_has_rates_and_ages():
     after = {**NODE, "now": 110.0, "taken": 30, "fired": 5, "rules": [{**RULE, "fired": 7}]}
     assert format_status({**NODE, "rules": [RULE]}, after, 10.0, 80) == [
-        "/a  idle  3.0 events/s  0.5 firings/s",
+        "/a  active  3.0 events/s  0.5 firings/s",
         "",
         "rules",
         "  rule    firings/s  last",
@@ -84,6 +116,11 @@ def test_a_status_has_no_value_that_says_nothing_and_names_what_somebody_has_to_
 def test_a_status_before_the_clock_has_begun_has_no_ages():
     lines = format_status(NODE, {**NODE, "now": None, "rules": [RULE]}, 1.0, 80)
     assert lines[-1].split()[-1] == "-"
+
+
+def test_status_is_idle_without_events():
+    assert format_status(NODE, NODE, 1.0, 80)[0].startswith("/a  idle  0.0 events/s")
+    assert format_status(NODE, {**NODE, "taken": 1}, 1.0, 80)[0].startswith("/a  active  1.0 events/s")
 
 
 def test_a_counter_of_a_node_that_was_started_anew_has_no_negative_rate():

@@ -1,11 +1,13 @@
 """Answers of a node's service ``~list`` as text in columns, for ``retalis list`` and ``retalis status``.
 
-`format_record` prints all fields of an answer. `format_status` compares two answers, and shows what is useful on a
-terminal: rates instead of counters, and ages instead of instants.
+`format_list` prints all fields of an answer: a summary, then a table for each list of records. `format_status`
+compares two answers, and shows what is useful on a terminal: rates instead of counters, and ages instead of instants.
 """
 
 from textwrap import wrap
 from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+
+from ..foundation.errors import format_count
 
 MAX_COLUMN_WIDTH = 60
 """Limit for the width of a column in characters."""
@@ -17,23 +19,57 @@ PlainRecord = Mapping[str, Any]
 """A message of a node as a dictionary: an answer of ``~list``, or a record in one of its lists."""
 
 
-def format_record(record: PlainRecord) -> List[str]:
-    """Return the lines of a record: its simple values, then a table for each list of records.
+def format_list(record: PlainRecord, has_engine: bool = True) -> List[str]:
+    """Return the lines of an answer of service ``~list``: a summary, then the tables, topics last.
 
-    >>> for line in format_record({"events": 3, "memories": [{"id": "odom", "size": 10}]}):
+    >>> counters = {"taken": 3, "queued": 0, "dropped": 0, "fired": 1, "errors": 0, "warnings": 2, "alarms": 0}
+    >>> for line in format_list({"node": "/a", "now": 7.5, "work": "", **counters, "inputs": [{"topic": "/tf"}]}):
     ...     print(line)
-    events  3
+    node      /a
+    time      7.5
+    work      idle
+    events    3 received, 0 queued, 0 dropped
+    firings   1
+    problems  0 errors, 2 warnings
+    alarms    0
     <BLANKLINE>
-    memories
-      id    size
-      odom  10
+    subscribed topics
+      topic
+      /tf
+
+    Args:
+        record: the answer as a dictionary.
+        has_engine: whether the node has an engine.
     """
-    simple_values = [(name, value) for name, value in record.items() if not _is_table(value)]
-    lines = _align_columns([[name, _format_value(value)] for name, value in simple_values])
-    for name, rows in record.items():
-        if _is_table(rows):
-            lines += ["", name, *(f"  {line}" for line in format_table(rows))]
+    summary = [["node", str(record["node"])], ["time", _format_value(record.get("now"))]]
+    if has_engine:
+        events = f"{record['taken']} received, {record['queued']} queued, {record['dropped']} dropped"
+        problems = (format_count(record["errors"], "error"), format_count(record["warnings"], "warning"))
+        summary += [
+            ["work", _format_work(record)],
+            ["events", events],
+            ["firings", str(record["fired"])],
+            ["problems", ", ".join(problems)],
+            ["alarms", str(record["alarms"])],
+        ]
+    lines = _align_columns(summary)
+    for name, title in _LIST_TITLES.items():
+        rows, omitted_count = record.get(name), record.get(f"more_{name}")
+        if rows:
+            lines += ["", title, *(f"  {line}" for line in format_table(rows))]
+        if omitted_count:
+            lines += [f"  and {omitted_count} more" if rows else f"{title}: {omitted_count}"]
     return lines
+
+
+_LIST_TITLES = {
+    "rules": "rules",
+    "memories": "memories",
+    "waiting": "waiting queries",
+    "subscriptions": "published topics",
+    "inputs": "subscribed topics",
+}
+"""Titles of the tables of `format_list`, by the names of the lists of records."""
 
 
 def format_status(
@@ -45,7 +81,7 @@ def format_status(
     >>> row = {"topic": "/tf", "type": "tf/tfMessage", "messages": 4, "publishers": 1, "age": 0.5}
     >>> for line in format_status(before, {**before, "taken": 5, "inputs": [row]}, 2.0, 80):
     ...     print(line)
-    /a  idle  1.0 events/s  0.0 firings/s
+    /a  active  1.0 events/s  0.0 firings/s
     <BLANKLINE>
     inputs
       topic  type          messages/s  last  lag  publishers
@@ -64,7 +100,9 @@ def format_status(
         rates = (
             f"{_format_rate(before, current, name, time)} {heading}/s" for name, heading in _RATES.items()
         )
-        summary += [_format_work(current), *rates]
+        # An engine that has processed events since the former answer is not idle, also if it waits at this moment.
+        idle_text = "active" if current["taken"] != before["taken"] else "idle"
+        summary += [_format_work(current, idle_text), *rates]
     summary += [f"{name} {current[name]}" for name in _COUNTS if current.get(name)]
     omitted_counts = [name for name in current if name.startswith("more_") and current[name]]
     summary += [f"{current[name]} more {name[len('more_') :]}" for name in omitted_counts]
@@ -113,9 +151,9 @@ def _record_key(row: PlainRecord, form: _TableForm) -> Tuple[Any, ...]:
     return tuple(row.get(name) for name in form.keys)
 
 
-def _format_work(record: PlainRecord) -> str:
+def _format_work(record: PlainRecord, idle_text: str = "idle") -> str:
     if not record.get("work"):
-        return "idle"
+        return idle_text
     place = f" at {record['work_place']}" if record.get("work_place") else ""
     goal = f": {record['work_goal']}" if record.get("work_goal") else ""
     return f"busy for {_format_duration(record.get('work_time'))} with {record['work']}{goal}{place}"

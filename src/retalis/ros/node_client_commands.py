@@ -323,11 +323,12 @@ def _node_status(node: NodeClient) -> Dict[str, Any]:
 
 
 def _list(options: argparse.Namespace) -> int:
-    status = _node_status(NodeClient(options.node, include_interfaces=True))
+    node = NodeClient(options.node, include_interfaces=True)
+    status = _node_status(node)
     print(
         json.dumps(status)
         if options.json
-        else "\n".join(map(printable, node_status_tables.format_record(status)))
+        else "\n".join(map(printable, node_status_tables.format_list(status, node.has_engine)))
     )
     return 0
 
