@@ -571,3 +571,23 @@ def test_absent_event_with_similar_name_is_reported(run):
 def test_absent_event_is_not_reported_if_streams_are_complete(run):
     rules = "hot(M) <- temp(M, _). hotter(M) <- temps(M, _)."
     assert run(rules=rules, stream="event(temp(a, 40), [1, 1]).")[2] == ""
+
+
+OPEN_RULES = ":- state(docked(R), from(dock(R)), until(undock(R))).\nlost <- dock(_) seq absent(beat, 5).\n"
+OPEN_STREAM = "event(dock(a), [10, 10]).\nevent(dock(b), [12, 12]).\n"
+
+
+def test_flush_lets_clock_run_on_after_stream(run):
+    assert not any("lost" in line for line in run(rules=OPEN_RULES, stream=OPEN_STREAM)[1])
+    for seconds, count in (("4", 1), ("5", 2)):
+        lines = run("--flush", seconds, rules=OPEN_RULES, stream=OPEN_STREAM)[1]
+        assert sum(line.startswith("event(lost,") for line in lines) == count, lines
+
+
+def test_open_states_are_printed_at_end(run):
+    lines = run("--open", rules=OPEN_RULES, stream=OPEN_STREAM)[1]
+    assert lines[-2:] == ["% docked(a) is open since 10", "% docked(b) is open since 12"]
+    lines = run("--open", "--times=relative", rules=OPEN_RULES, stream=OPEN_STREAM)[1]
+    assert lines[-1] == "% docked(b) is open since 2.0"
+    lines = run("--open", "--json", rules=OPEN_RULES, stream=OPEN_STREAM)[1]
+    assert lines[-1] == '{"open": "docked(b)", "start": 12000000000}'

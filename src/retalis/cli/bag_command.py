@@ -49,6 +49,7 @@ from ..prolog.terms.types import Term, atom, functor
 from .command_options import (
     add_chunk_limit_option,
     add_direct,
+    add_end_of_input,
     add_folders,
     add_limits,
     add_message_folders,
@@ -87,6 +88,7 @@ JSON_LINES_HELP = """\
   {"event": TERM, "start": T1, "end": T2}                  with --events, and the two below
   {"wait": TERM, "memories": [ID, ...], "start": T1, "end": T2}    a query that has waited
   {"memory": ID, "pattern": TERM, "size": N, "records": N, "taken": N, "start": T1, "end": T2}    at the end
+  {"open": TERM, "start": T}                               with --open, a declared state that is open at the end
   {"explain": TERM, "happened": true or false, "because": [{"text": LINE, "below": [...]}, ...]}
 """
 
@@ -127,6 +129,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     )
     add("--json", action="store_true", help="print one JSON object per line instead of terms")
     add("-q", "--quiet", action="store_true", help="print no outputs")
+    add_end_of_input(parser)
     add_many_bags_options(parser)
     add_folders(parser)
     add_limits(parser)
@@ -249,7 +252,8 @@ def play(
         printer = _RunPrinter(options, playback, bar, write_record, bags.start)
         # After the program is loaded: only the objects of the run are left to the collector.
         limit_gc_pauses()
-        for output in playback.run(bags, printer.advance, is_last):
+        flush_time = timestamps.from_seconds(options.flush)
+        for output in playback.run(bags, printer.advance, is_last, flush_time):
             printer.print_output(output)
             if writer is not None:
                 writer.write(output)
@@ -366,6 +370,9 @@ class _RunPrinter:
         """Print the summary and the requested explanations."""
         if self._recorder is not None:
             self._recorder.record_final_state()
+        if self._options.prints_open_states:
+            self._clear_bar()
+            self._printer.print_open_states(self._engine.knowledge.states)
         for query in self._options.explain:
             term = read_term(query, self._engine.operators, "--explain").term
             self._clear_bar()
@@ -674,16 +681,30 @@ def _check_options(options: argparse.Namespace) -> None:
         )
     if result_format == "bag" and options.events:
         raise UsageError("--events: a bag contains only published messages; use --format jsonl or parquet")
-    if result_format in ("bag", "parquet") and options.explain:
-        raise UsageError(
-            f"--explain: --format {result_format} cannot contain explanations: use --format jsonl"
-        )
+    _check_printed_lines(options, result_format)
     if options.output and not is_url(options.output):
         target = Path(options.output).resolve()
         for location in options.bags:
             if is_folder_of_bags(location) and Path(location).resolve() in (target, *target.parents):
                 raise UsageError(
                     f"--output {options.output} is below {location}: results would be played the next time"
+                )
+
+
+def _check_printed_lines(options: argparse.Namespace, result_format: Optional[str]) -> None:
+    """Reject options that print lines at the end, if the format of the results cannot contain them.
+
+    Raises:
+        UsageError: if there are any.
+    """
+    if result_format in ("bag", "parquet"):
+        for name, value, content in (
+            ("explain", options.explain, "explanations"),
+            ("open", options.prints_open_states, "open states"),
+        ):
+            if value:
+                raise UsageError(
+                    f"--{name}: --format {result_format} cannot contain {content}: use --format jsonl"
                 )
 
 

@@ -144,6 +144,24 @@ def _parse_direct(text: str) -> DirectTopics:
         raise argparse.ArgumentTypeError(error.message) from None
 
 
+def add_end_of_input(parser: argparse.ArgumentParser) -> None:
+    """Add the options for windows and states that are open when the input ends."""
+    add = parser.add_argument_group("end of the input").add_argument
+    add(
+        "--flush",
+        type=non_negative(float),
+        default=0.0,
+        metavar="SECONDS",
+        help="let the clock run on by this time at the end, so that windows, absent and states within it end (0)",
+    )
+    add(
+        "--open",
+        dest="prints_open_states",
+        action="store_true",
+        help="print at the end the declared states that are open, in lines that start with %%",
+    )
+
+
 def add_message_folders(add: AddArgument) -> None:
     """Add the option for folders of message definitions; `message_folders` returns them."""
     add(

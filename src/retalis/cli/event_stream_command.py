@@ -42,7 +42,7 @@ from ..prolog.syntax.term_reader import ReadTerm, read_program, read_term
 from ..prolog.terms import timestamps
 from ..prolog.terms.term_traversal import rebuild, variables
 from ..prolog.terms.types import Frame, Functor, Term, deref
-from .command_options import add_folders, add_limits, apply_folders, apply_limits
+from .command_options import add_end_of_input, add_folders, add_limits, apply_folders, apply_limits
 from .option_values import RELATIVE_TIMES_OPTION, TIMES_RELATIVE
 from .optional_ros_imports import installed_definitions
 from .result_printer import JSON_HELP, Printer, TimeOrigin
@@ -216,6 +216,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     )
     add("--clock", metavar="TERM", help="pin the clock to an instant: datime(2001,1,1,0,0,0,0) or seconds")
     add("--json", action="store_true", help="print one JSON object per line instead of terms")
+    add_end_of_input(parser)
     add_folders(parser)
     add_limits(parser)
     parser.set_defaults(run=run, reject_usage=parser.error)
@@ -332,7 +333,7 @@ class Session:
         operators = self.engine.operators
         if name == "-":
             self._process_terms(read_stream(sys.stdin, operators, "standard input"))
-            self.engine.executor.post(self.engine.event_input.end_input)
+            self._end_stream()
             return
         with ExitStack() as stack:
             try:
@@ -340,6 +341,12 @@ class Session:
             except OSError as error:
                 raise UsageError(f"cannot read {name}: {error.strerror}") from error
             self._process_terms(read_stream(file, operators, name))
+        self._end_stream()
+
+    def _end_stream(self) -> None:
+        if self._options.flush:
+            self._clock.move_by(timestamps.from_seconds(self._options.flush))
+            self.engine.advance()
         self.engine.executor.post(self.engine.event_input.end_input)
 
     def _process_terms(self, stream: Iterable[StreamItem]) -> None:
@@ -390,6 +397,8 @@ class Session:
                     self._reporter(goal)
                 else:
                     self._call_reporting_errors(self._print_solutions, goal)
+        if self._options.prints_open_states:
+            self._printer.print_open_states(self.engine.knowledge.states)
         for term in self._options.explain:
             self._call_reporting_errors(self._print_explanation, term)
 

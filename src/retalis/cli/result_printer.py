@@ -2,9 +2,10 @@
 
 import json
 import sys
-from typing import IO, Any, Dict, List, Mapping, Optional
+from typing import IO, Any, Dict, Iterable, List, Mapping, Optional
 
 from ..engine.run_records import OutputRecord
+from ..events.knowledge.event_states import DeclaredState
 from ..events.knowledge.knowledge_base import MEMORY_EVENTS
 from ..explanation.event_explanations import Explanation, ExplanationLine
 from ..prolog.syntax.term_writer import add_full_stop, canonical_text
@@ -126,6 +127,19 @@ class Printer:
             return
         for solution in goal_instances:
             print(add_full_stop(canonical_text(solution)), flush=True)
+
+    def print_open_states(self, states: Iterable[DeclaredState]) -> None:
+        """Print the declared states that are open."""
+        for declaration in states:
+            for term, start in declaration.open_states(None):
+                if self._as_json:
+                    self.print_json({"open": canonical_text(term), "start": int(start)})
+                    continue
+                # Not converted to an int, which would lose the form in which the event states its time.
+                instant: Term = timestamps.lazy_term(start)
+                if self._origin is not None:
+                    instant = timestamps.to_seconds(self._origin.relative(start))
+                print(f"% {canonical_text(term)} is open since {canonical_text(instant)}", flush=True)
 
     def print_explanation(self, term: Term, answer: Explanation) -> None:
         """Print the explanation of an event that happened or did not happen."""

@@ -216,6 +216,7 @@ class Playback:
         bag: Bag,
         progress: Callable[[int], object] = lambda done: None,
         is_last: bool = True,
+        flush_time: int = 0,
     ) -> Iterable[Output]:
         """Process a bag, and yield the outputs of the program as they are published.
 
@@ -229,6 +230,8 @@ class Playback:
                 processing: it may inspect the engine but must not change it.
             is_last: whether no bag follows that continues this one; if so, alarms do not wait for late events at the
                 end.
+            flush_time: nanoseconds by which the clock runs on after the end of the last bag, so that windows and
+                states within it end.
         """
         outputs = self._outputs
         engine = self.engine
@@ -268,6 +271,11 @@ class Playback:
         self.clock.move_to(bag.end)
         self.engine.advance()
         if is_last:
+            if flush_time:
+                # One alarm after the other, so that outputs have the times of their alarms.
+                self._fire_alarms_until(bag.start, bag.end + flush_time)
+                self.clock.move_to(bag.end + flush_time)
+                self.engine.advance()
             engine.executor.post(engine.event_input.end_input)
         yield from outputs
         outputs.clear()
