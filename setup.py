@@ -18,6 +18,9 @@ LAYOUT = {
 SHARED = ("application_source", "examples/nao")
 """Folders that the command ``demo`` needs; catkin installs them by itself."""
 
+PAGES = ("explanation", "how-to", "reference", "tutorials")
+"""Folders of pages that the commands ``help`` and ``console`` search."""
+
 SITE = "docs/_build/html"
 """The documentation site, which ``./install.py docs`` builds; a wheel that is built without it has none."""
 
@@ -35,14 +38,15 @@ def shared() -> list:
     return [entry for folder in SHARED for entry in placed(folder, f"share/retalis/{folder}")]
 
 
-def placed(source: str, target: str) -> list:
+def placed(source: str, target: str, suffix: str = "") -> list:
     """Return the files of a folder and its subfolders, and where an installation has them.
 
     Args:
         source: Folder, which may be missing.
         target: Its place in an installation.
+        suffix: Suffix of the files; all files by default.
     """
-    files = [path for path in sorted(Path(source).rglob("*")) if path.is_file()]
+    files = [path for path in sorted(Path(source).rglob(f"*{suffix}")) if path.is_file()]
     kept = [path for path in files if "__pycache__" not in path.parts]
     return [
         (
@@ -119,7 +123,11 @@ def described() -> dict:
         "data_files": [
             *shared(),
             *placed(SITE, "share/retalis/docs/html"),
-            ("share/retalis/docs/reference", ["docs/reference/predicates.md"]),
+            *[
+                entry
+                for folder in PAGES
+                for entry in placed(f"docs/{folder}", f"share/retalis/docs/{folder}", ".md")
+            ],
             ("share/bash-completion/completions", ["src/retalis/cli/retalis.bash"]),
         ],
     }

@@ -18,7 +18,8 @@ def page_text() -> str:
     lines = [
         "# I want ... take ...",
         "",
-        "For people who know the situation but not the operator. The command `retalis help WORD` searches this list.",
+        "For people who know the situation but not the operator. The command `retalis help WORD ...` "
+        "searches this list, the pages and the predicates.",
         "",
         f"<!-- The {count} situations are in src/retalis/cli/situation_guide.py; "
         "docs/situations.py writes this page. -->",

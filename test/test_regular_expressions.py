@@ -200,6 +200,9 @@ CASES: Dict[str, Case] = {
     ),
     r"\d{1,9}\)": Case("match", "ten characters", ("",), ("1",)),
     # cli
+    r"\[([^\[\]]*)\]\([^()]*\)": Case(
+        "search", "each character once more", ("", "[", "[]("), ("a", "[", "]", "(", "](", "[](")
+    ),
     r"[\"`]|\b(?:inf|nan|True|False)\b": Case(
         "search", "five looks at each character", ("",), ("inf", "a", "Tru ", "nan_")
     ),

@@ -65,7 +65,7 @@ COMMANDS = {
     "docs": "demo_and_docs_commands.add_docs_parser",
     "events": "event_stream_command.add_parser",
     "graph": "drawing_commands.add_graph_parser",
-    "help": "situation_guide.add_parser",
+    "help": "help_search.add_parser",
     "query": "running_node_options.add_parsers",
     "explain": "running_node_options.add_parsers",
     "list": "running_node_options.add_parsers",

@@ -1,28 +1,6 @@
-"""Situations on robots with the operators that solve them, and command ``help``, which searches them by words.
+"""Situations on robots with what solves them, for command ``help`` and ``docs/reference/situations.md``."""
 
-`SITUATIONS` is also the source of the page ``docs/reference/situations.md``. A search compares the stems of words, so
-that it finds other forms of a word, too.
-"""
-
-import argparse
-import re
-import sys
-from difflib import get_close_matches
-from typing import Callable, Dict, List, NamedTuple, Sequence
-
-MAX_MATCHES = 10
-"""Maximum number of situations that are printed for a search."""
-
-USAGE = """\
-retalis help WORD ... finds the operator for a situation on a robot, by words that
-describe it. All words must occur; their endings do not matter. For example:
-
-  retalis help missing
-  retalis help too many alerts
-  retalis help last seen
-
-The whole list is in docs/reference/situations.md. For the options of a command,
-see retalis COMMAND --help; for predicates, the goal help(NAME) of retalis console."""
+from typing import Dict, NamedTuple, Sequence
 
 
 class Situation(NamedTuple):
@@ -68,6 +46,20 @@ SITUATIONS: Dict[str, Sequence[Situation]] = {
             "cancel(G) <- started(G) seq absent(ended(G), 20).",
             "how-to/task-timeout.md",
             "timeout goal actionlib overdue abort deadline",
+        ),
+        Situation(
+            "know that a door is open for too long",
+            "P seq absent(Q, N)",
+            "left_open(D) <- opened(D) seq absent(closed(D), 60).",
+            "how-to/task-timeout.md",
+            "state lasts longer duration stays remains timeout window gate",
+        ),
+        Situation(
+            "warn about a low battery, at most once a minute",
+            "P with throttle(N, Key)",
+            "low(B) <- (battery(B, V) where V < 11.5) with throttle(60, B).",
+            "how-to/limit-alerts.md",
+            "voltage charge threshold below empty level percentage warning",
         ),
         Situation(
             "match A then B, with no C between them",
@@ -622,159 +614,3 @@ SITUATIONS: Dict[str, Sequence[Situation]] = {
     ),
 }
 """Situations by their section of the page."""
-
-_STOP_WORDS = frozenset(
-    (
-        "a",
-        "an",
-        "and",
-        "are",
-        "be",
-        "for",
-        "from",
-        "i",
-        "in",
-        "is",
-        "it",
-        "of",
-        "on",
-        "or",
-        "the",
-        "to",
-        "want",
-        "with",
-    )
-)
-"""Words that are ignored in a search, unless it has no others."""
-
-_SUFFIXES = (
-    "ations",
-    "ation",
-    "ating",
-    "ated",
-    "ates",
-    "ate",
-    "ings",
-    "ing",
-    "ies",
-    "ied",
-    "ed",
-    "es",
-    "er",
-    "s",
-    "e",
-    "y",
-)
-"""Suffixes that are removed from a word to obtain its stem; a suffix stands before its own endings."""
-
-_MIN_STEM_LETTERS = 3
-"""Minimum number of letters of a stem."""
-
-MAX_SUGGESTIONS = 5
-"""Maximum number of similar words that are suggested if nothing matches."""
-
-
-def split_words(text: str) -> List[str]:
-    """Return the words of a text in lower case, without duplicates."""
-    return list(dict.fromkeys(re.findall(r"[a-z][a-z0-9_+]*", text.lower())))
-
-
-def stem_word(word: str) -> str:
-    """Return a word without its suffix and without a doubled last letter, so that forms of a word agree.
-
-    >>> [stem_word(word) for word in ("stop", "stopped", "stopping", "retries", "retry", "rate", "rates")]
-    ['stop', 'stop', 'stop', 'retr', 'retr', 'rat', 'rat']
-    """
-    for suffix in _SUFFIXES:
-        if word.endswith(suffix) and len(word) - len(suffix) >= _MIN_STEM_LETTERS:
-            word = word[: -len(suffix)]
-            break
-    return word[:-1] if len(word) > _MIN_STEM_LETTERS and word[-1] == word[-2] else word
-
-
-def searchable_words(situation: Situation) -> List[str]:
-    """Return the words by which a situation is found."""
-    return split_words(f"{situation.need} {situation.solution} {situation.keywords}")
-
-
-def find_situations(text: str) -> List[Situation]:
-    """Return the situations that have all words of a text, those with the words in their need first."""
-    words = split_words(text)
-    # `AND` is an operator as well as a stop word, so stop words count if the text has no other words.
-    searched_stems = {stem_word(word) for word in words if word not in _STOP_WORDS} or {
-        stem_word(word) for word in words
-    }
-    if not searched_stems:
-        return []
-    matches = [
-        situation
-        for section in SITUATIONS.values()
-        for situation in section
-        if searched_stems <= {stem_word(word) for word in searchable_words(situation)}
-    ]
-    return sorted(
-        matches,
-        key=lambda situation: (
-            -len(searched_stems & {stem_word(word) for word in split_words(situation.need)})
-        ),
-    )
-
-
-def suggest_words(text: str) -> List[str]:
-    """Return words that find a situation: those of a text that do, and words similar to the others."""
-    all_words = sorted(
-        {
-            word
-            for section in SITUATIONS.values()
-            for situation in section
-            for word in searchable_words(situation)
-        }
-    )
-    stems = {stem_word(word) for word in all_words}
-    suggestions: List[str] = []
-    for word in split_words(text):
-        if word in _STOP_WORDS:
-            continue
-        if stem_word(word) in stems:
-            suggestions.append(word)
-        else:
-            suggestions += get_close_matches(word, all_words, n=3, cutoff=0.7)
-    return list(dict.fromkeys(suggestions))[:MAX_SUGGESTIONS]
-
-
-def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
-    """Add the parser of command ``help``."""
-    parser = add_command(
-        "help",
-        help="find the operator for a situation in words",
-        description="Print the situations that have all of the words, each with the operator, predicate or command "
-        "for it, an example and the page of the documentation. Exit status 1 if there are none.",
-    )
-    parser.add_argument(
-        "words", nargs="*", metavar="WORD", help="words of the situation, such as missing message"
-    )
-    parser.set_defaults(run=run)
-
-
-def run(options: argparse.Namespace) -> int:
-    """Run the command; return its exit status."""
-    text = " ".join(options.words)
-    if not text.strip():
-        print(USAGE)
-        return 0
-    matches = find_situations(text)
-    if not matches:
-        suggestions = suggest_words(text)
-        hint = (
-            f"did you mean {' or '.join(suggestions)}?" if suggestions else "see docs/reference/situations.md"
-        )
-        print(f"retalis help: no situation has all words of {text!r}: {hint}", file=sys.stderr)
-        return 1
-    for situation in matches[:MAX_MATCHES]:
-        print(f"{situation.need}")
-        print(f"  take     {situation.solution}")
-        print(f"  example  {situation.example}")
-        print(f"  page     docs/{situation.page}\n")
-    if len(matches) > MAX_MATCHES:
-        print(f"{len(matches) - MAX_MATCHES} more: add a word")
-    return 0

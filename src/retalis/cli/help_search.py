@@ -1,0 +1,321 @@
+"""Command ``help``: a search by words over situations, the sections of the pages, and the predicates.
+
+An entry scores for each word of the search that it has: more in its title than in its keywords and its text, and more
+the fewer entries have the word (inverse document frequency, see Manning, Raghavan and Schuetze, Introduction to
+Information Retrieval, chapter 6). Words are compared by their stems, so that other forms of a word are found.
+"""
+
+import argparse
+import re
+from collections import Counter
+from difflib import get_close_matches
+from math import log
+from pathlib import Path
+from typing import Callable, Dict, FrozenSet, Iterable, Iterator, List, NamedTuple, Optional, Tuple
+
+from ..foundation.errors import UsageError
+from .situation_guide import SITUATIONS, Situation
+
+MAX_MATCHES = 10
+"""Maximum number of entries that are printed for a search."""
+
+MIN_RELATIVE_SCORE = 0.15
+"""Minimum score of a printed entry, as a fraction of the best score."""
+
+USAGE = """\
+retalis help WORD ... searches situations, pages and predicates, best matches first.
+The order and the endings of the words do not matter. For example:
+
+  retalis help missing message
+  retalis help battery low
+  retalis help count in the last hour
+
+All situations are in docs/reference/situations.md. For the options of a command,
+see retalis COMMAND --help; for predicates, the goal help(NAME) of retalis console."""
+
+_FOLDERS = ("how-to", "tutorials", "reference", "explanation")
+"""Folders of the searched pages, below ``docs``."""
+
+_SITUATIONS_PAGE = "reference/situations.md"
+
+_MAX_SECTION_WORDS = 60
+"""Number of words of a section that are searched."""
+
+_TITLE_WEIGHT, _KEYWORD_WEIGHT, _TEXT_WEIGHT = 3.0, 2.0, 1.0
+_SITUATION_FACTOR, _GUIDE_FACTOR, _PREDICATE_FACTOR = 1.5, 1.2, 0.7
+"""Factors of the scores of situations and how-to guides, which show what to do, and of the many predicates."""
+
+_LINK = re.compile(r"\[([^\[\]]*)\]\([^()]*\)")
+
+_STOP_WORDS = frozenset(
+    (
+        "a",
+        "an",
+        "and",
+        "are",
+        "be",
+        "for",
+        "from",
+        "i",
+        "in",
+        "is",
+        "it",
+        "of",
+        "on",
+        "or",
+        "the",
+        "to",
+        "want",
+        "with",
+    )
+)
+"""Words that are ignored in a search, unless it has no others."""
+
+_SUFFIXES = (
+    "ations",
+    "ation",
+    "ating",
+    "ated",
+    "ates",
+    "ate",
+    "ings",
+    "ing",
+    "ies",
+    "ied",
+    "ed",
+    "es",
+    "er",
+    "s",
+    "e",
+    "y",
+)
+"""Suffixes that are removed from a word to obtain its stem; a suffix stands before its own endings."""
+
+_MIN_STEM_LETTERS = 3
+"""Minimum number of letters of a stem."""
+
+MAX_SUGGESTIONS = 5
+"""Maximum number of similar words that are suggested if nothing matches."""
+
+
+def split_words(text: str) -> List[str]:
+    """Return the words of a text in lower case, without duplicates."""
+    return list(dict.fromkeys(re.findall(r"[a-z][a-z0-9_+]*", text.lower())))
+
+
+def stem_word(word: str) -> str:
+    """Return a word without its suffix and without a doubled last letter, so that forms of a word agree.
+
+    >>> [stem_word(word) for word in ("stop", "stopped", "stopping", "retries", "retry", "rate", "rates")]
+    ['stop', 'stop', 'stop', 'retr', 'retr', 'rat', 'rat']
+    """
+    for suffix in _SUFFIXES:
+        if word.endswith(suffix) and len(word) - len(suffix) >= _MIN_STEM_LETTERS:
+            word = word[: -len(suffix)]
+            break
+    return word[:-1] if len(word) > _MIN_STEM_LETTERS and word[-1] == word[-2] else word
+
+
+class HelpEntry(NamedTuple):
+    """An entry of the search.
+
+    Attributes:
+        title: first printed line.
+        lines: further printed lines.
+        title_stems: stems of the title.
+        keyword_stems: stems of keywords, which users have in mind.
+        text_stems: stems of the text.
+        factor: factor of the score.
+    """
+
+    title: str
+    lines: List[str]
+    title_stems: FrozenSet[str]
+    keyword_stems: FrozenSet[str]
+    text_stems: FrozenSet[str]
+    factor: float = 1.0
+
+    def stems(self) -> FrozenSet[str]:
+        """Return all stems by which the entry is found."""
+        return self.title_stems | self.keyword_stems | self.text_stems
+
+
+def _stems_of(text: str) -> FrozenSet[str]:
+    return frozenset(map(stem_word, split_words(text)))
+
+
+def _situation_entry(situation: Situation) -> HelpEntry:
+    return HelpEntry(
+        situation.need,
+        [
+            f"  take     {situation.solution}",
+            f"  example  {situation.example}",
+            f"  page     docs/{situation.page}",
+        ],
+        _stems_of(situation.need),
+        _stems_of(f"{situation.solution} {situation.keywords}"),
+        frozenset(),
+        _SITUATION_FACTOR,
+    )
+
+
+def all_entries() -> List[HelpEntry]:
+    """Return the entries of all situations, sections and predicates; only situations if there are no pages."""
+    entries = [_situation_entry(situation) for section in SITUATIONS.values() for situation in section]
+    folder = docs_folder()
+    if folder is not None:
+        for page in sorted(page for name in _FOLDERS for page in (folder / name).rglob("*.md")):
+            name = page.relative_to(folder).as_posix()
+            if page.name == "predicates.md":
+                entries += _predicate_entries(name, page.read_text(encoding="utf-8"))
+            elif name != _SITUATIONS_PAGE and page.name != "index.md":
+                entries += _section_entries(name, page.read_text(encoding="utf-8"))
+    return entries
+
+
+def docs_folder() -> Optional[Path]:
+    """Return the folder ``docs`` of the source tree or of the installation."""
+    for root in Path(__file__).resolve().parents:
+        for folder in (root / "docs", root / "share" / "retalis" / "docs"):
+            if (folder / "how-to").is_dir():
+                return folder
+    return None
+
+
+def _section_entries(page: str, text: str) -> Iterator[HelpEntry]:
+    """Yield an entry for each section of a page."""
+    factor = _GUIDE_FACTOR if page.startswith("how-to/") else 1.0
+    page_title = ""
+    for heading, body in _sections(text):
+        page_title = page_title or heading
+        title = heading if heading == page_title else f"{page_title}: {heading}"
+        words = " ".join(_plain(body).split()[:_MAX_SECTION_WORDS])
+        yield HelpEntry(
+            title, [f"  page     docs/{page}"], _stems_of(title), frozenset(), _stems_of(words), factor
+        )
+
+
+def _sections(text: str) -> Iterator[Tuple[str, str]]:
+    """Yield the heading and the text of each section of a page, without code blocks and comments."""
+    heading, body, is_code = "", "", False
+    for line in text.splitlines():
+        if line.startswith("```"):
+            is_code = not is_code
+        elif is_code or line.startswith("<!--"):
+            continue
+        elif line.startswith("#"):
+            if heading:
+                yield heading, body
+            heading, body = _plain(line.lstrip("# ")), ""
+        else:
+            body += f"{line}\n"
+    if heading:
+        yield heading, body
+
+
+def _predicate_entries(page: str, text: str) -> Iterator[HelpEntry]:
+    """Yield an entry for each row of a table: indicators, call, meaning, errors, example, answer."""
+    for line in text.splitlines():
+        # A vertical bar inside a cell is escaped, and replaced by a zero byte while the row is split.
+        cells = [_plain(cell.replace("\0", "|")) for cell in line.replace("\\|", "\0").split("|")[1:-1]]
+        if len(cells) >= 5 and cells[0].partition("/")[2][:1].isdigit():
+            yield HelpEntry(
+                cells[1],
+                [f"  meaning  {cells[2]}", f"  example  ?- {cells[4]}.", f"  page     docs/{page}"],
+                _stems_of(cells[0].replace("_", " ")),
+                frozenset((stem_word(cells[0].partition("/")[0]),)),
+                _stems_of(cells[2]),
+                _PREDICATE_FACTOR,
+            )
+
+
+def _plain(text: str) -> str:
+    """Return a text without links and code marks."""
+    return _LINK.sub(r"\1", text).replace("`", "").strip()
+
+
+def search(text: str, entries: Iterable[HelpEntry]) -> List[HelpEntry]:
+    """Return the entries that fit a text best, best first."""
+    entries = list(entries)
+    stems = _searched_stems(text)
+    frequencies: Dict[str, int] = Counter(
+        stem for entry in entries for stem in entry.stems().intersection(stems)
+    )
+    rarity = {stem: log(1 + len(entries) / count) for stem, count in frequencies.items()}
+    scores = [(_score(entry, rarity), entry) for entry in entries]
+    best = max((score for score, _ in scores), default=0.0)
+    # `sorted` is stable: situations precede pages with the same score.
+    ranked = sorted((pair for pair in scores if pair[0] > 0), key=lambda pair: -pair[0])
+    return [entry for score, entry in ranked if score >= MIN_RELATIVE_SCORE * best][:MAX_MATCHES]
+
+
+def _searched_stems(text: str) -> FrozenSet[str]:
+    """Return the stems of the words of a search without stop words, or of all words if there are no others."""
+    words = split_words(text)
+    # `and` is an operator as well as a stop word.
+    return frozenset(stem_word(word) for word in words if word not in _STOP_WORDS) or frozenset(
+        map(stem_word, words)
+    )
+
+
+def _score(entry: HelpEntry, rarity: Dict[str, float]) -> float:
+    """Return the score of an entry for the stems of a search with their rarity."""
+    score, match_count = 0.0, 0
+    for stem, weight in rarity.items():
+        for stems, factor in (
+            (entry.title_stems, _TITLE_WEIGHT),
+            (entry.keyword_stems, _KEYWORD_WEIGHT),
+            (entry.text_stems, _TEXT_WEIGHT),
+        ):
+            if stem in stems:
+                score += weight * factor
+                match_count += 1
+                break
+    # An entry with all words precedes one that has a single rare word.
+    return score * entry.factor * match_count / max(1, len(rarity))
+
+
+def suggest_words(text: str) -> List[str]:
+    """Return words of situations that are similar to those of a text."""
+    words = sorted(
+        {
+            word
+            for section in SITUATIONS.values()
+            for situation in section
+            for word in split_words(f"{situation.need} {situation.keywords}")
+        }
+    )
+    suggestions = [
+        match for word in split_words(text) for match in get_close_matches(word, words, n=3, cutoff=0.7)
+    ]
+    return list(dict.fromkeys(suggestions))[:MAX_SUGGESTIONS]
+
+
+def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
+    """Add the parser of command ``help``."""
+    parser = add_command(
+        "help",
+        help="search situations, pages and predicates by words",
+        description="Search the situations, the sections of the documentation and the predicates by words, and print "
+        "the best matches first, each with an example and its page. Exit status 1 if there are none.",
+    )
+    parser.add_argument("words", nargs="*", metavar="WORD", help="words to search, such as missing message")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command; return its exit status."""
+    text = " ".join(options.words)
+    if not text.strip():
+        print(USAGE)
+        return 0
+    matches = search(text, all_entries())
+    if not matches:
+        suggestions = suggest_words(text)
+        hint = (
+            f"did you mean {' or '.join(suggestions)}?" if suggestions else "see docs/reference/situations.md"
+        )
+        raise UsageError(f"help: nothing is found for '{text}': {hint}")
+    for entry in matches:
+        print("\n".join([entry.title, *entry.lines, ""]))
+    return 0

@@ -1,0 +1,110 @@
+"""Command ``help``: the search over situations, pages and predicates."""
+
+import pytest
+
+from retalis.cli import help_search
+from retalis.cli.command_line import main
+from retalis.cli.help_search import all_entries, search, stem_word, suggest_words
+
+
+@pytest.fixture(scope="module")
+def entries():
+    return all_entries()
+
+
+def pages(matches):
+    return [match.lines[-1].rpartition("/")[2] for match in matches]
+
+
+def test_best_match_has_operator_example_and_page(capsys):
+    assert main(["help", "missing", "message"]) == 0
+    first = capsys.readouterr().out.partition("\n\n")[0]
+    assert first.splitlines() == [
+        "know that a message is missing for N seconds",
+        "  take     P seq absent(Q, N)",
+        "  example  lost(R) <- heartbeat(R) seq absent(heartbeat(R), 2).",
+        "  page     docs/how-to/missing-message.md",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("words", "title"),
+    [
+        ("battery low", "warn about a low battery, at most once a minute"),
+        ("low battery", "warn about a low battery, at most once a minute"),
+        ("door open too long", "know that a door is open for too long"),
+        ("count in the last hour", "count events in the last minute"),
+        ("I want to debounce a button", "debounce a button"),
+        ("stuck", "detect that a robot is stuck"),
+        (
+            "nth_integer_root_and_remainder",
+            "nth_integer_root_and_remainder(+Degree, +Integer, ?Root, ?Remainder)",
+        ),
+    ],
+)
+def test_best_match_of_words(entries, words, title):
+    assert search(words, entries)[0].title == title
+
+
+@pytest.mark.parametrize(
+    ("words", "page"),
+    [
+        ("DEBOUNCING", "debounce.md"),
+        ("too many alerts", "limit-alerts.md"),
+        ("averages", "average-over-window.md"),
+        ("interpolation of tf", "transform-at-time.md"),
+        ("last seen object", "last-place.md"),
+        ("retries", "count-attempts.md"),
+        ("test in ci", "test-in-ci.md"),
+        ("memory leak", "limit-memory.md"),
+        ("two robots", "two-robots.md"),
+        ("crashes", "survive-restart.md"),
+        ("cluster", "many-bags.md"),
+        ("ontology", "swi-prolog.md"),
+        ("hysteresis", "noisy-threshold.md"),
+        ("timeout action", "task-timeout.md"),
+        ("forall_seq", "seq.md"),
+        ("state file format", "state-files.md"),
+        ("substring of an atom", "predicates.md"),
+    ],
+)
+def test_words_lead_to_page(entries, words, page):
+    assert page in pages(search(words, entries))
+
+
+def test_number_of_matches_is_limited(entries):
+    assert len(search("event", entries)) == help_search.MAX_MATCHES
+
+
+def test_unknown_words_do_not_hide_matches(entries):
+    assert search("debounce xyzzy", entries)[0].title == "debounce a button"
+
+
+def test_search_without_words_prints_usage(capsys):
+    assert main(["help"]) == 0
+    assert "retalis help missing message" in capsys.readouterr().out
+
+
+def test_search_without_matches_suggests_words(capsys):
+    assert main(["help", "debonce"]) == 1
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("retalis: help: nothing is found for 'debonce': did you mean debounce")
+    assert main(["help", "xyzzy"]) == 1
+    assert capsys.readouterr().err.endswith(": see docs/reference/situations.md\n")
+    assert "hysteresis" in suggest_words("hysterises")
+
+
+def test_stop_words_count_only_alone(entries):
+    assert "(P and Q) within N" in "".join(line for match in search("and", entries) for line in match.lines)
+    assert search("", entries) == search("?", entries) == []
+
+
+def test_without_pages_situations_are_searched(monkeypatch):
+    monkeypatch.setattr(help_search, "docs_folder", lambda: None)
+    assert search("debounce button", all_entries())[0].title == "debounce a button"
+
+
+def test_forms_of_a_word_have_one_stem():
+    assert len({stem_word(word) for word in ("cancel", "cancels", "cancelled", "cancelling")}) == 1
+    assert stem_word("is") == "is" and stem_word("bus") == "bus"
