@@ -233,3 +233,15 @@ def test_flush_ends_windows_after_bag_and_open_states_are_printed(bag, tmp_path,
     assert (output["output"], state["open"]) == ("lost", "seen")
     # The alarm is 100 s after the event with which the state began.
     assert output["time"] == state["start"] + 100 * 10**9
+
+
+def test_goal_output_beside_json_goes_to_stderr(tmp_path, bag, capsys):
+    folder = tmp_path / "program"
+    folder.mkdir()
+    (folder / "pub_sub.xml").write_text("<publish_subscribe/>")
+    (folder / "goalPredicates.txt").write_text("write(loaded), nl\ncompile_event_file('eventRules.txt')\n")
+    (folder / "eventRules.txt").write_text("seen <- tf__0__tfMessage(_) where (write(x), nl).\n")
+    assert main(["bag", str(bag), "--program", str(folder), "--duration", "1", "--json", "--events"]) == 0
+    captured = capsys.readouterr()
+    assert captured.out.splitlines() and all(map(json.loads, captured.out.splitlines()))
+    assert set(captured.err.splitlines()) == {"loaded", "x"}

@@ -591,3 +591,11 @@ def test_open_states_are_printed_at_end(run):
     assert lines[-1] == "% docked(b) is open since 2.0"
     lines = run("--open", "--json", rules=OPEN_RULES, stream=OPEN_STREAM)[1]
     assert lines[-1] == '{"open": "docked(b)", "start": 12000000000}'
+
+
+def test_goal_output_beside_json_goes_to_stderr(run):
+    rules = "a(X) <- b(X) where (write(seen(X)), nl).\n"
+    status, lines, errors = run("--json", rules=rules, stream="event(b(1),[1,1]).\n")
+    assert status == 0
+    assert [json.loads(line)["event"] for line in lines] == ["b(1)", "a(1)"]
+    assert errors == "seen(1)\n"

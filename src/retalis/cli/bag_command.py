@@ -16,7 +16,7 @@ import shutil
 import sys
 import threading
 from collections import deque
-from contextlib import ExitStack, closing, redirect_stderr, redirect_stdout
+from contextlib import ExitStack, closing, nullcontext, redirect_stderr, redirect_stdout
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Callable, Deque, Dict, Generator, List, Mapping, NamedTuple, Optional, Tuple, Union
@@ -66,7 +66,7 @@ from .option_values import (
     positive_integer,
 )
 from .optional_ros_imports import installed_definitions
-from .result_printer import JSON_HELP, Printer, TimeOrigin
+from .result_printer import JSON_HELP, Printer, TimeOrigin, redirect_goal_output
 from .stderr_and_progress import (
     ProgressBar,
     StderrReporter,
@@ -243,7 +243,11 @@ def play(
         # The bags are opened before the program is loaded, because rules may name fields of types that only a bag
         # defines.
         bags = stack.enter_context(open_bags(options))
-        playback = create_playback(options, reporter, bags, state)
+        # Each line of output is JSON, so what goals print, also while the program is loaded, goes to standard error.
+        with redirect_stdout(sys.stderr) if options.json else nullcontext():
+            playback = create_playback(options, reporter, bags, state)
+        if options.json:
+            redirect_goal_output(playback.engine.logic)
         # Recording costs time and memory per event, so it is switched on only for the explanations.
         if options.explain:
             record_origins(playback.engine)

@@ -45,7 +45,7 @@ from ..prolog.terms.types import Frame, Functor, Term, deref
 from .command_options import add_end_of_input, add_folders, add_limits, apply_folders, apply_limits
 from .option_values import RELATIVE_TIMES_OPTION, TIMES_RELATIVE
 from .optional_ros_imports import installed_definitions
-from .result_printer import JSON_HELP, Printer, TimeOrigin
+from .result_printer import JSON_HELP, Printer, TimeOrigin, redirect_goal_output
 from .stderr_and_progress import StderrReporter
 
 
@@ -279,6 +279,8 @@ class Session:
             self.reports,
             installed_definitions(),
         )
+        if options.json:
+            redirect_goal_output(self.engine.logic)
         # Registered before goals are called, because goals may cause events.
         self.engine.on_event(self._print_event)
         self._occurred: Set[Functor] = set()

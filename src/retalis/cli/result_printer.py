@@ -9,6 +9,7 @@ from ..events.knowledge.event_states import DeclaredState
 from ..events.knowledge.knowledge_base import MEMORY_EVENTS
 from ..explanation.event_explanations import Explanation, ExplanationLine
 from ..prolog.syntax.term_writer import add_full_stop, canonical_text
+from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms import timestamps
 from ..prolog.terms.list_terms import make_list
 from ..prolog.terms.types import Term, atom, functor
@@ -24,6 +25,15 @@ JSON_HELP = """\
 with --json each line is one object. Terms are texts that can be parsed as terms; T, T1 and T2 are whole nanoseconds
 since the epoch, or since the start with --times=relative, for every form of stamps in terms:
 """
+
+
+def redirect_goal_output(logic: PrologSystem) -> None:
+    """Print the text that goals write to standard output on standard error, so that each line of output is JSON."""
+
+    def write(text: str) -> None:
+        sys.stderr.write(text)
+
+    logic.print_to(write, write)
 
 
 class TimeOrigin:
