@@ -136,6 +136,13 @@ SITUATIONS: Dict[str, Sequence[Situation]] = {
     ),
     "Intervals": (
         Situation(
+            "get the instant at which a match ends",
+            "P check t2(E) do new_event(Event, [E, E])",
+            "alarm(R) check t2(E) do new_event(alarm_end(R), [E, E]).",
+            "how-to/count-changes.md",
+            "end start time point moment timestamp duration zero",
+        ),
+        Situation(
             "know that two activities overlap in time",
             "P par Q",
             "curve <- driving par turning.",
@@ -165,6 +172,13 @@ SITUATIONS: Dict[str, Sequence[Situation]] = {
         ),
     ),
     "Repetition and counts": (
+        Situation(
+            "count the changes of a value",
+            "P with change(X), aggregate(count, Q, N, last(T))",
+            "recent(R, N) <- aggregate(count, new_mode(R, _), N, last(60)).",
+            "how-to/count-changes.md",
+            "counter number toggles switches transitions often",
+        ),
         Situation(
             "react to the third failure",
             "P ntimes 3",
@@ -531,6 +545,41 @@ SITUATIONS: Dict[str, Sequence[Situation]] = {
             "near(D) <- at(X, Y) where (distance(X, Y, D), D < 1).",
             "how-to/python-predicate.md",
             "python numpy library own predicate foreign",
+        ),
+        Situation(
+            "call a service or an action",
+            "subscribe(Pattern, Conditions, Format, Topic, Id), a node that calls",
+            ":- subscribe(request(Name), [], std_msgs__0__String(Name), reset_request, r1).",
+            "how-to/call-service.md",
+            "ros rospy client actionlib goal request reply trigger",
+        ),
+        Situation(
+            "log or print from a rule",
+            "P do format(Format, Values), print_trigger(P)",
+            'hot(Room, T) do format("~w: ~1f degrees~n", [Room, T]).',
+            "how-to/log-and-parameters.md",
+            "rosout loginfo logwarn warn write output print_message terminal screen",
+        ),
+        Situation(
+            "read a ROS parameter in a rule",
+            "@foreign",
+            "hot(Room, T) <- temperature(Room, T) where (ros_param('/limit', 40.0, Limit), T > Limit).",
+            "how-to/log-and-parameters.md",
+            "rosparam get_param param server configuration setting",
+        ),
+        Situation(
+            "compare a constant of a message",
+            "its number, from retalis msg",
+            "$ retalis msg diagnostic_msgs/DiagnosticStatus",
+            "how-to/message-values.md",
+            "constants enum value name custom own type package",
+        ),
+        Situation(
+            "publish a text with numbers",
+            "format(atom(Text), Format, Values)",
+            "text(Text) <- battery(Name, P) where format(atom(Text), '\"~w: ~1f %\"', [Name, P]).",
+            "how-to/message-values.md",
+            "string std_msgs concatenate quotes format number",
         ),
         Situation(
             "use an existing Prolog knowledge base",
