@@ -16,6 +16,7 @@ DECORATED = {
     ("prolog/builtins/listing_and_messages.py", "_layout_operators"): "one entry",
     ("prolog/system/predicate_resolution.py", "library_index"): "one entry",
     ("prolog/swi/libswipl.py", "find_library"): "one entry",
+    ("messages/idl_definitions.py", "_make_parser"): "one entry",
     ("prolog/swi/swi_session.py", "_start_runtime"): "one entry",
     ("prolog/syntax/event_text.py", "_second_text"): "64 seconds, of the years 1 to 9999",
     ("prolog/syntax/operators.py", "standard_operators"): "one entry",

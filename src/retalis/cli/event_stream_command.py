@@ -147,6 +147,9 @@ def has_unread_input(descriptor: int = 0) -> bool:
     return unread_bytes[0] > 0
 
 
+MAX_USUAL_DELAY_SECONDS = 10
+"""Seconds by which an event may end before an earlier one without a warning: events of sensors arrive so."""
+
 DESCRIPTION = """\
 Call the goals, load the rules, feed the stream, and print each event in the order in which it happened, as
 event(TERM,[T1,T2]). The stream is Prolog terms: event(TERM,[T1,T2])., event(TERM)., or any goal. The clock is the
@@ -376,7 +379,7 @@ class Session:
             return
         # The clock moves first, so that alarms that are due before the event run before it.
         if event.end is not None:
-            if event.end < self._newest_end:
+            if event.end < self._newest_end - MAX_USUAL_DELAY_SECONDS * timestamps.SECOND:
                 self.reports.warning(
                     RuleError(
                         "the stream goes back in time here: rules match events by their stamps, and windows do not "

@@ -25,9 +25,6 @@ _FREE_SEARCHES = 100
 _CALLS_PER_SEARCH = 1000
 """Number of calls of undefined procedures after which one more search is made."""
 
-_MAX_CACHED_HINTS = 1000
-_MAX_CACHED_BYTES = 1 << 20
-
 
 class UndefinedProcedures:
     """Handler of calls of undefined procedures.
@@ -39,9 +36,7 @@ class UndefinedProcedures:
     def __init__(self, logic: PredicateTable):
         self._logic = logic
         self._call_count = self._search_count = 0
-        self._hints: Cache[Tuple[Functor, Optional[Functor], int], str] = Cache(
-            _MAX_CACHED_HINTS, _MAX_CACHED_BYTES
-        )
+        self._hints: Cache[Tuple[Functor, Optional[Functor], int], str] = Cache(1000, 1 << 20)
 
     def handle_call(self, predicate: Predicate, frame: Frame) -> Optional[Frame]:
         """Handle a call of an undefined procedure as the flag ``unknown`` says.
