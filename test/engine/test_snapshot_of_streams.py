@@ -83,3 +83,13 @@ def test_goes_on_as_if_nothing_had_been(name, flags):
     assert any(text.startswith("w(") for text, _, _ in one.said)
     assert other.said == one.said
     assert other.status().rules == one.status().rules
+
+
+def test_no_event_is_late_because_of_a_restoration():
+    engine = Engine()
+    engine.load(rules=PATTERNS["debounce"])
+    feed(engine, [("in(a, 1)", 20, 20), ("in(a, 2)", 10, 10)])
+    assert engine.status().rules[0].late == 1
+    restored = Engine.restore(engine.snapshot())
+    feed(restored, [("in(a, 3)", 21, 21)])
+    assert restored.status().rules[0].late == 1

@@ -203,10 +203,13 @@ def test_terms_are_shown_as_they_were_written():
 
 
 def test_a_head_alone_is_shown_as_what_is_made():
-    rule = read(f"{POINT}{{x: 1}} <- {POINT}{{y: 1}}")
-    assert PROGRAM.show(rule[1], is_constructed=True) == f"{POINT}{{x: 1}}"
-    assert PROGRAM.show(rule[1]) == f"{POINT}(1.0,0.0)"  # as a pattern it would match more
-    assert PROGRAM.show(rule) == f"{POINT}{{x: 1}}<-{POINT}{{y: 1}}"
+    # Messages are shown with the slots that the program has written, so it must be one without other messages.
+    program = PrologSystem()
+    program.operators.message_types = slots()
+    rule = read(f"{POINT}{{x: 1}} <- {POINT}{{y: 1}}", operators=program.operators)
+    assert program.show(rule[1], is_constructed=True) == f"{POINT}{{x: 1}}"
+    assert program.show(rule[1]) == f"{POINT}(1.0,0.0)"  # as a pattern it would match more
+    assert program.show(rule) == f"{POINT}{{x: 1}}<-{POINT}{{y: 1}}"
 
 
 values = st.sampled_from(["X", "Y", "1", "2.5", "'\"t\"'", "[A,B]"])

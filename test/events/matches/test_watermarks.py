@@ -250,6 +250,7 @@ OUT_OF_ORDER_PROGRAMS = {
 @settings(max_examples=60, deadline=None)
 @given(stamped_events)
 @example([(20_000, "in(a, on)", 0), (20_490, "in(a, off)", 15)])
+@example([(30_254, "in(a, on)", 300), (30_549, "in(a, on)", 4)])
 def test_results_with_lags_equal_those_at_stamps(rules, events):
     all_events = with_beacons(events)
     expected = sorted(receive_at_stamps(Run(rules, watermark_delay=0), all_events))
@@ -301,6 +302,26 @@ def test_event_after_deadline_does_not_replace_waiting_one():
     run.receive("in(no)", 10 * SECOND + 600 * MILLISECOND)
     run.advance(END)
     assert [start for _, start, _ in run.derived] == [10 * SECOND, 10 * SECOND + 600 * MILLISECOND]
+
+
+@pytest.mark.parametrize(
+    ("arrivals", "starts"),
+    [
+        # Each event is the stamp in ms, and they come in this order.
+        ([400, 0], [400]),
+        ([0, 400], [400]),
+        ([500, 0], [0, 500]),
+        ([0, 550, 300], [550]),
+        ([550, 0, 300], [550]),
+        ([0, 999, 500], [0, 999]),
+    ],
+)
+def test_later_event_replaces_earlier_one_in_any_order_of_receipt(arrivals, starts):
+    run = Run(ALARM, watermark_delay=2)
+    for stamp in arrivals:
+        run.receive("in(no)", 10 * SECOND + stamp * MILLISECOND, (1000 - stamp) * MILLISECOND)
+    run.advance(END)
+    assert [start for _, start, _ in run.derived] == [10 * SECOND + stamp * MILLISECOND for stamp in starts]
 
 
 def test_explanation_names_waiting_alarm():

@@ -753,6 +753,8 @@ class StreamNode(NetworkNode):
         """Set the state of the node; see `NetworkNode.restore`."""
         operator_state, self.late_count, replay_state = saved
         self.stream.restore(operator_state)
+        # Not all operators have it in their states; a difference would be reported as a late element.
+        self.stream.late_count = self.late_count
         if self.replay is not None and replay_state is not None:
             self.replay.restore(replay_state)
         self._set_alarm()

@@ -28,10 +28,6 @@ _MAX_ALWAYS_COMPACTED = 32
 """Length up to which a list is compacted at every removal."""
 
 
-_COMPLETE = object()
-"""Part of the replacement keys of pending elements that later ones do not replace."""
-
-
 class Correlation(NamedTuple):
     """Correlation of pending and forbidden elements.
 
@@ -40,8 +36,8 @@ class Correlation(NamedTuple):
             channel; None if these contain variables, so that all elements must be compared.
         cancels: returns whether a forbidden match that lies in the span cancels a pending match.
         key_is_sufficient: whether equal keys without variables are sufficient to cancel.
-        replacement_key_of: returns a key under which a new match replaces a pending one; None if no match replaces
-            another.
+        replacement_key_of: returns a key under which a later match replaces an earlier one; None if no match
+            replaces another.
     """
 
     key_of: Callable[[Any, int], Hashable]
@@ -94,11 +90,12 @@ class _ForbiddenElements:
 class AbsenceTimeout(DeadlineOperator):
     """Operator that emits an element ``span`` ns after its end unless a forbidden element lies strictly in between.
 
-    The `StreamElement.key` of a pending element is a pair: its correlation key, and its replacement key or arrival
-    number. For a forbidden element it is the correlation key alone.
+    The `StreamElement.key` of a pending element is a pair: its correlation key, and either its replacement key with
+    the number of its slot of time or its arrival number. For a forbidden element it is the correlation key alone.
 
-    An element does not replace a pending one whose deadline it does not precede: that one is complete, and only waits
-    for forbidden elements that arrive late.
+    Of two elements with one replacement key that end less than ``span`` ns apart, the later one replaces the earlier
+    one, in whichever order they arrive. An element whose deadline the other does not precede is complete, and only
+    waits for forbidden elements that arrive late.
 
     Args:
         span: time in ns without a forbidden element.
@@ -155,8 +152,8 @@ class AbsenceTimeout(DeadlineOperator):
         elif element.end + self.span <= self._latest_now:
             self.late_count += 1
         else:
-            self._set_pending_key(element, key)
-            if not self._is_cancelled(element, key):
+            is_replaced = self._set_pending_key(element, key)
+            if not is_replaced and not self._is_cancelled(element, key):
                 self._add_pending(element)
         self._update_deadline()
         return []
@@ -188,22 +185,32 @@ class AbsenceTimeout(DeadlineOperator):
             self._store_forbidden(element, element.key)
         self._update_deadline()
 
-    def _set_pending_key(self, element: StreamElement, key: Hashable) -> None:
-        """Set the key of an element, and drop the pending element that it replaces, if its deadline comes later."""
+    def _set_pending_key(self, element: StreamElement, key: Hashable) -> bool:
+        """Set the key of an element and drop the pending ones that it replaces.
+
+        Returns:
+            Whether a pending element that ends later replaces it.
+        """
         replacement_key_of = self.correlation.replacement_key_of
-        replacement_key = element.order if replacement_key_of is None else replacement_key_of(element.match)
-        element.key = (key, replacement_key)
+        if replacement_key_of is None:
+            element.key = (key, element.order)
+            return False
+        # Pending elements of one replacement key are at least a span apart, so each has a slot of that length of its
+        # own, and all that replace each other lie in neighbouring slots.
+        replacement_key, slot = replacement_key_of(element.match), element.end // self.span
+        element.key = (key, (replacement_key, slot))
         pending = self._pending.get(key, {})
-        replaced = pending.get(replacement_key)
-        if replaced is None:
-            return
-        if element.end < replaced.end + self.span:
-            self._drop_pending(replaced)
-        else:
-            # Nothing replaces it any more, so it gets a replacement key of its own.
-            del pending[replacement_key]
-            replaced.key = (key, (_COMPLETE, replaced.order))
-            pending[replaced.key[1]] = replaced
+        is_replaced = False
+        for neighbour_slot in (slot - 1, slot, slot + 1):
+            neighbour = pending.get((replacement_key, neighbour_slot))
+            if neighbour is None or abs(neighbour.end - element.end) >= self.span:
+                continue
+            # The order of the ends decides, not that of arrival.
+            if neighbour.end <= element.end:
+                self._drop_pending(neighbour)
+            else:
+                is_replaced = True
+        return is_replaced
 
     def _add_pending(self, element: StreamElement) -> None:
         key: Any = element.key
