@@ -127,10 +127,12 @@ class Streams(IdentifyingRepetitions):
         if p.end + node.seconds <= self.now_at(node):
             return
         if self.policy == "recent":
-            # Policies: under recent an arrival replaces the waiting variant at the same place.
-            for one in taken:
-                if not one.over and one.match.variant() == p.variant():
-                    one.over = True
+            # Absence: of two waiting variants that end less than N seconds apart, the later one replaces the other.
+            waiting = [one for one in taken if not one.over and one.match.variant() == p.variant()]
+            for one in waiting:
+                one.over = one.match.end <= p.end < one.match.end + node.seconds
+            if any(p.end < one.match.end < p.end + node.seconds for one in waiting):
+                return
         taken.append(Taken(p, None, [], self.now))
 
     def _ruled_out(self, node: Awaited, p: Match) -> bool:
