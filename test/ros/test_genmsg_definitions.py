@@ -60,10 +60,6 @@ def test_definitions_that_both_read(text):
         "int32[<=3] x",
         "uint8[-3] x",
         "uint8[0x3] x",
-        "uint8 X=256",
-        "int8 X=-129",
-        "int32 X=1.5",
-        "bool B=maybe",
         "int32 x\nint32 x",
         "int32 _x",
         "@optional\nint32 x",
@@ -74,3 +70,27 @@ def test_definitions_that_both_reject(text):
         read_by_genmsg(text)
     with pytest.raises(MessageError):
         read(text)
+
+
+@pytest.mark.parametrize(
+    ("line", "problem"),
+    [
+        ("uint8 X=256", "2:9: '256' is not a value of type uint8"),
+        ("int8 X=-129", "2:8: '-129' is not a value of type int8"),
+        ("int32 X=1.5", "2:9: '1.5' is not a value of type int32"),
+        ("bool B=maybe", "2:8: 'maybe' is not a value of type bool"),
+    ],
+)
+def test_constant_that_genmsg_rejects_is_ignored_with_warning(caplog, line, problem):
+    text = f"int8 OK=1\n{line}\nint32 x\nstring[] names"
+    with pytest.raises(genmsg.InvalidMsgSpec):
+        read_by_genmsg(text)
+    definition, constants = read(text)
+    specification, _ = read_by_genmsg(text.replace(f"{line}\n", ""))
+    assert [slot.describe() for slot in definition.fields] == specification.types
+    assert [slot.name for slot in definition.fields] == specification.names
+    assert constants == [(constant.name, constant.val) for constant in specification.constants] == [("OK", 1)]
+    (record,) = caplog.records
+    assert record.levelname == "WARNING"
+    assert record.getMessage().startswith(f"pkg/Type:{problem}: ")
+    assert record.getMessage().endswith(": the constant is ignored")
