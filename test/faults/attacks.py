@@ -31,7 +31,7 @@ from retalis import srv  # noqa: E402
 from retalis.ros.connection_limits import HANDSHAKE_TIMEOUT_SECONDS, REPORT_DELAY_SECONDS  # noqa: E402
 
 HOST = "127.0.0.1"
-NODES = {"/retalis": "/retalisOutputEvents", "/retalis_ros_interface": "/rosout"}
+NODES = {"/retalis": "/retalisOutputEvents", "/retalis_ros_interface": "/retalisInputTopics"}
 """The nodes, and a topic that each of them publishes."""
 
 IDLE = 500
