@@ -21,6 +21,13 @@ THREAD_TIMEOUT_SECONDS = 30.0
 VARIABLES_OF_PYTEST = ("PYTEST_CURRENT_TEST",)
 """Environment variables that pytest changes for each phase of a test."""
 
+THREADS_OF_DISTRIBUTED = ("AsyncProcess ", "Dask-Offload_", "IO loop", "QueueFeederThread")
+"""Beginnings of the names of threads that cannot be ended from outside, because distributed does not hand them out.
+
+Those of a worker that a cluster has restarted last as long as the cluster, which may be that of a module. Those for
+long computations and of a client that has not reached its scheduler last as long as the process.
+"""
+
 SIGNALS = [number for number in signal.Signals if number < signal.SIGRTMIN]
 
 MISSING = object()
@@ -255,7 +262,7 @@ def restore_garbage_collector(before: Dict[str, Any], after: Dict[str, Any]) -> 
 
 
 def read_threads() -> "set[threading.Thread]":
-    return set(threading.enumerate())
+    return {thread for thread in threading.enumerate() if not thread.name.startswith(THREADS_OF_DISTRIBUTED)}
 
 
 def describe_threads(before: "set[threading.Thread]", after: "set[threading.Thread]") -> Iterator[str]:
@@ -265,7 +272,7 @@ def describe_threads(before: "set[threading.Thread]", after: "set[threading.Thre
 
 def wait_for_threads(before: "set[threading.Thread]") -> None:
     """Wait until the threads that are not in a set have ended, for at most `THREAD_TIMEOUT_SECONDS`."""
-    started_threads = set(threading.enumerate()) - before
+    started_threads = read_threads() - before
     if not started_threads:
         return
     gc.collect()  # Threads of an executor or of an engine end when their owner is deleted.

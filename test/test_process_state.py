@@ -136,7 +136,9 @@ def output(tmp_path_factory):
     tests = [TEST.format(name=name, statement=statement) for name, (statement, _) in CHANGES.items()]
     (folder / "test_changes.py").write_text("".join([MODULE, *tests, UNCHANGED]))
     root = Path(__file__).resolve().parent.parent
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(root / "src"), str(root / "test")])}
+    # The folders of this process come after, because pytest may be in one of them.
+    folders = [str(root / "src"), str(root / "test"), *sys.path]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(folders)}
     options = ["-p", "process_state", "-p", "no:cacheprovider", "-p", "no:xdist", "-rA"]
     command = [sys.executable, "-m", "pytest", *options, str(folder)]
     return subprocess.run(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True).stdout

@@ -32,7 +32,8 @@ def run(tmp_path):
     root = Path(__file__).resolve().parent
 
     def run(*arguments, seed=None):
-        environment = {**os.environ, "PYTHONPATH": str(root)}
+        # The folders of this process come after, because pytest may be in one of them.
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(root), *sys.path])}
         environment.pop("RETALIS_ORDER_SEED", None)
         if seed is not None:
             environment["RETALIS_ORDER_SEED"] = seed

@@ -70,15 +70,20 @@ def test_parts_go_on_from_one_another(program, tmp_path, capfd):
     ]
 
 
-@pytest.mark.slow
-def test_a_cluster_gives_the_same_results(program, bags, tmp_path, capfd, monkeypatch):
+@pytest.fixture(scope="module")
+def cluster():
+    """Return the address of a scheduler; its start sets environment variables and loggers for good."""
     distributed = pytest.importorskip("distributed")
+    options = {"dashboard_address": None, "processes": True}
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=2, **options) as one:
+        yield one.scheduler_address
+
+
+@pytest.mark.slow
+def test_a_cluster_gives_the_same_results(program, bags, tmp_path, capfd, monkeypatch, cluster):
     monkeypatch.chdir(bags.parent)  # the workers are somewhere else
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=2, processes=True, dashboard_address=None
-    ) as cluster:
-        given = ["bag", "bags", "--program", "program", "--json", "--output", "new"]
-        assert main([*given, "--scheduler", cluster.scheduler_address]) == 1
+    given = ["bag", "bags", "--program", "program", "--json", "--output", "new"]
+    assert main([*given, "--scheduler", cluster]) == 1
     assert f"error: {bags}/r1/aa.bag is not a complete ROS 1 bag" in capfd.readouterr().err
     for name in GOOD:
         assert main(["bag", f"{bags}/{name}.bag", "--program", program, "--json"]) == 0

@@ -506,7 +506,9 @@ def beside(name):
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("swipl") is None, reason="SWI-Prolog is not installed")
 @pytest.mark.parametrize("seed", range(4))
-def test_random_scripts_give_what_swi_prolog_gives(seed):
+def test_random_scripts_give_what_swi_prolog_gives(seed, monkeypatch):
+    # Restores the search path, to which the modules add their folder.
+    monkeypatch.syspath_prepend(Path(__file__).parents[1])
     differential, swipl = beside("differential"), beside("swipl")
     rng = random.Random(seed)
     tables = ", ".join(f"{name}/2" for name in _NAMES)
