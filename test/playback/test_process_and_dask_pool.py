@@ -57,8 +57,13 @@ def test_workers_end_where_nobody_waits_for_them_any_more():
 
 
 @pytest.fixture(scope="module")
-def cluster():
-    distributed = pytest.importorskip("distributed")
+def distributed():
+    """Return the package, whose import sets the levels of loggers."""
+    return pytest.importorskip("distributed")
+
+
+@pytest.fixture(scope="module")
+def cluster(distributed):
     options = {"dashboard_address": None, "scheduler_kwargs": {"allowed_failures": 1}}
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=True, **options) as one:
         yield one.scheduler_address
@@ -76,8 +81,7 @@ def test_a_cluster_does_again_what_a_lost_worker_was_at(cluster, tmp_path):
     assert done[2].reason.startswith("KilledWorker: ")
 
 
-def test_a_scheduler_that_does_not_answer_is_an_error(monkeypatch):
-    pytest.importorskip("distributed")
+def test_a_scheduler_that_does_not_answer_is_an_error(monkeypatch, distributed):
     monkeypatch.setattr("retalis.playback.process_and_dask_pool._CONNECT_TIMEOUT_SECONDS", 0.2)
     with pytest.raises(UsageError, match="--scheduler tcp://127.0.0.1:1: no scheduler answers: "):
         list(run_on_cluster(run_task, ["pid"], "tcp://127.0.0.1:1"))
