@@ -420,6 +420,7 @@ class BagWriter:
         if self.path.exists() and not (overwrite and self.path.is_file()):
             raise BagError(f"{self.path} already exists")
         self._stack = ExitStack()
+        self._is_open = True
         self._writer = writer_class(self._stack.enter_context(replace_file(self.path)))
         with self._discarding_on_error():
             self._writer.open()
@@ -437,9 +438,11 @@ class BagWriter:
 
     def _discard(self, error: BaseException) -> None:
         """Close and remove the file; the target stays as it was."""
+        self._is_open = False
         # Closing writes the buffer, which may fail, and closes the file nevertheless.
-        with suppress(OSError):
-            self._writer.abort()
+        if self._writer.bio is not None:
+            with suppress(OSError):
+                self._writer.bio.close()
         # The context manager of the file raises the exception that it is given.
         with suppress(type(error)):
             self._stack.__exit__(type(error), error, error.__traceback__)
@@ -474,10 +477,11 @@ class BagWriter:
         Raises:
             BagError: if the file cannot be written.
         """
-        if self._writer.bio is not None:
+        if self._is_open:
             with self._discarding_on_error():
                 self._writer.close()
                 self._stack.close()
+            self._is_open = False
 
     def __enter__(self) -> "BagWriter":
         return self
