@@ -223,7 +223,8 @@ class _Types:
         message_type = self._by_definition.get(key)
         if message_type is None:
             text = self._find_definition(connection)
-            is_idl = connection.encoding.endswith("idl")
+            # Writers also store IDL, which begins with its heading, with the encoding of `.msg`.
+            is_idl = connection.encoding.endswith("idl") or text.lstrip("=\n").startswith("IDL:")
             message_type = self._by_definition[key] = parse_ros2_type(
                 connection.type, text, self._find_text, is_idl
             )
