@@ -88,9 +88,9 @@ class McapFile:
         """Number of messages of each channel, by its id."""
         self._chunks: List[_McapChunk] = []
         self._has_loose_messages = False
-        """Whether there are messages outside of chunks."""
+        """True if there are messages outside of chunks."""
         self._is_in_order = True
-        """Whether the messages outside of chunks are in order of time."""
+        """True if the messages outside of chunks are in order of time."""
         self.start = self.end = 0
         with ExitStack() as stack:
             self._file = stack.enter_context(path.open("rb"))

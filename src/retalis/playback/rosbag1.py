@@ -44,6 +44,7 @@ from typing import (
 
 from ..foundation.errors import RetalisError
 from ..foundation.output_files import replace_file
+from ..foundation.ros_names import strip_slashes
 from ..messages.type_definition import Definition
 from .decompression import MAX_CHUNK_MEGABYTES, ChunkLimit, describe_error, unpack
 
@@ -351,8 +352,10 @@ class BagReader:
         """
         connections = list(self._reader.connections)
         if topics is not None:
-            wanted = {name.lstrip("/") for name in topics}
-            connections = [connection for connection in connections if connection.topic.lstrip("/") in wanted]
+            wanted = {strip_slashes(name) for name in topics}
+            connections = [
+                connection for connection in connections if strip_slashes(connection.topic) in wanted
+            ]
         if not connections:
             return
         try:

@@ -23,7 +23,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Callable, Collection, Dict, Iterator, List, NamedTuple, Optional, Tuple, Union
 
 from ..foundation.errors import MessageError, format_count, quote_shortened, shorten
-from ..foundation.ros_names import ros1_type_name, topic_fault
+from ..foundation.ros_names import ros1_type_name, strip_slashes, topic_fault
 from ..messages.ros2_to_ros1 import Ros2Type, parse_ros2_type
 from ..messages.type_definition import Definition
 from ..messages.type_registry import Definitions, InstalledTypes
@@ -105,7 +105,7 @@ class Ros2BagReader:
             BagError: if the bag is malformed.
         """
         dropped: Counter[str] = Counter()
-        wanted = None if topics is None else {name.lstrip("/") for name in topics}
+        wanted = None if topics is None else {strip_slashes(name) for name in topics}
         self._warn_of_unreadable(wanted)
         sources: List[Tuple[int, Callable[[], Iterator[Record]]]] = []
         for file in self._files:
@@ -113,7 +113,7 @@ class Ros2BagReader:
                 connection.id: self._converted_topics[connection.topic, connection.type]
                 for connection in file.connections
                 if (connection.topic, connection.type) in self._converted_topics
-                and (wanted is None or connection.topic.lstrip("/") in wanted)
+                and (wanted is None or strip_slashes(connection.topic) in wanted)
             }
             if connections:
                 sources.append(
@@ -152,7 +152,7 @@ class Ros2BagReader:
         """Log the topics that cannot be read, one line for all topics with the same problem."""
         names: Dict[Tuple[str, str], List[str]] = {}
         for topic in self.unreadable:
-            if wanted is None or topic.name.lstrip("/") in wanted:
+            if wanted is None or strip_slashes(topic.name) in wanted:
                 names.setdefault((topic.type, topic.problem), []).append(_quote_if_invalid(topic.name))
         for (type_name, problem), topics in names.items():
             subject = f"topic{'s' if len(topics) > 1 else ''} {', '.join(sorted(topics))}"

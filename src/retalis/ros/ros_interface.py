@@ -89,7 +89,7 @@ class _CachedHandler(NamedTuple):
 
 
 LOSS_HINT = "have it publish more slowly, with a longer queue, or end later (rosbag play --keep-alive)"
-"""How to lose fewer messages, at the end of a warning."""
+"""Advice for losing fewer messages, at the end of a warning."""
 
 MAX_DELAY_SECONDS = 0.0012
 """Seconds for which a message of a fast topic may wait for the next ones."""

@@ -38,7 +38,7 @@ MAX_TEXTS_PER_WRITE = 64
 """Limit for the texts that one write combines."""
 
 NO_TEXT_HINT = "direct:=auto or embedded:=true passes no text between the nodes, and is faster"
-"""How to avoid delays and losses of messages as text, at the end of a warning."""
+"""Advice for avoiding delays and losses of messages as text, at the end of a warning."""
 
 _UINT32 = Struct("<I")
 _TWO_UINT32 = Struct("<II")
