@@ -28,6 +28,9 @@ Those of a worker that a cluster has restarted last as long as the cluster, whic
 long computations and of a client that has not reached its scheduler last as long as the process.
 """
 
+THREADS_OF_PROCESS = ("retalis guard of SWI-Prolog",)
+"""Names of threads that the first use of a library starts, and that last as long as the process by design."""
+
 SIGNALS = [number for number in signal.Signals if number < signal.SIGRTMIN]
 
 MISSING = object()
@@ -262,7 +265,11 @@ def restore_garbage_collector(before: Dict[str, Any], after: Dict[str, Any]) -> 
 
 
 def read_threads() -> "set[threading.Thread]":
-    return {thread for thread in threading.enumerate() if not thread.name.startswith(THREADS_OF_DISTRIBUTED)}
+    return {
+        thread
+        for thread in threading.enumerate()
+        if not thread.name.startswith(THREADS_OF_DISTRIBUTED + THREADS_OF_PROCESS)
+    }
 
 
 def describe_threads(before: "set[threading.Thread]", after: "set[threading.Thread]") -> Iterator[str]:

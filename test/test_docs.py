@@ -30,6 +30,8 @@ UNTOLD = ("memory_created(", "null_event", "memory_updated(", "synchronized(")
 """Events of which a line below a rule does not tell: they are there with every memory and query."""
 
 LINK = re.compile(r"\]\((?!https?:)([^)#]+)")
+LINK_TO_HEADING = re.compile(r"\]\((?!https?:)([^)#]*)#([^)]+)\)")
+HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
 
 
 def snippets(page):
@@ -140,6 +142,18 @@ def in_seconds(instant):
 def test_links_lead_somewhere(page):
     for target in LINK.findall(page.read_text(encoding="utf-8")):
         assert (page.parent / target).exists(), target
+
+
+def heading_ids(page):
+    """Return the anchors of a page's headings, as the site and repositories in browsers make them."""
+    headings = HEADING.findall(page.read_text(encoding="utf-8"))
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_to_headings_lead_to_one(page):
+    for target, heading in LINK_TO_HEADING.findall(page.read_text(encoding="utf-8")):
+        assert heading in heading_ids(page.parent / target if target else page), f"{target}#{heading}"
 
 
 @pytest.mark.slow

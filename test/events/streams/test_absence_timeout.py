@@ -1,7 +1,7 @@
 """Absence with a deadline, compared with its definition."""
 
 from events.streams.stream_feeder import Came, Fed, entries, item_of, stream
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st
 
@@ -76,30 +76,43 @@ def test_where_some_have_variables(arrivals, cut, span, alike):
     assert sorted(said) == sorted(given_on(arrivals, span, agreement))
 
 
-@some
-@given(ARRIVALS, CUTS, SPANS)
-def test_a_new_one_replaces_the_one_of_its_name(arrivals, cut, span):
-    """Of those of one name the last to come waits, where another was still waiting."""
-    agreement = agreement_of(arrivals, True, named=True)
-    waiting, expected = {}, []
+def latest_waiting(arrivals, span):
+    """Return the outputs if of the waiting elements with one key only the one that ends last is kept."""
+    waiting, outputs = {}, []
     for one in [*arrivals, Came(-1, "", 0, 0, 1, 1, 1 << 40)]:
         for key, other in list(waiting.items()):
             if other.end + span <= one.now:
-                expected.append(((other.at,), other.start, other.end + span))
+                outputs.append(((other.at,), other.start, other.end + span))
                 del waiting[key]
         if one.at < 0:
             break
+        other = waiting.get(one.key)
         if one.channel:
-            other = waiting.get(one.key)
             if other is not None and other.end < one.start and one.end < other.end + span:
                 del waiting[one.key]
-        elif one.end + span > one.now and not any(
-            other.channel and other.key == one.key and one.end < other.start and other.end < one.end + span
-            for other in arrivals[: one.at]
+        elif (
+            one.end + span > one.now
+            and (other is None or other.end <= one.end)
+            and not any(
+                earlier.channel
+                and earlier.key == one.key
+                and one.end < earlier.start
+                and earlier.end < one.end + span
+                for earlier in arrivals[: one.at]
+            )
         ):
             waiting[one.key] = one
-    said = Fed(lambda: AbsenceTimeout(span, agreement), cut).feed(arrivals)
-    assert sorted(said) == sorted(expected)
+    return outputs
+
+
+@some
+@given(ARRIVALS, CUTS, SPANS)
+@example([Came(0, "a", 20, 20, 1, 0, 20), Came(1, "a", 19, 19, 1, 0, 20)], 0, 2)
+def test_a_later_end_replaces_an_earlier_one(arrivals, cut, span):
+    """Whichever of the two arrives first, as long as the earlier one still waits."""
+    agreement = agreement_of(arrivals, True, named=True)
+    outputs = Fed(lambda: AbsenceTimeout(span, agreement), cut).feed(arrivals)
+    assert sorted(outputs) == sorted(latest_waiting(arrivals, span))
 
 
 def taking(span, arrivals):
