@@ -26,11 +26,8 @@ from harness import (  # noqa: E402
 from retalis import srv  # noqa: E402
 
 NODES = ("/retalis", "/retalis_ros_interface")
-WARM_UP_REQUESTS, MAX_GROWTH_KILOBYTES = 1300, 50 << 10
-"""Requests after which the memory of a node should be constant, and kB by which it may still grow.
-
-Accepted requests leave memories and subscriptions of all events, which trigger each other: 120 MB until then.
-"""
+WARM_UP_REQUESTS, MAX_GROWTH_KILOBYTES = 300, 50 << 10
+"""Requests after which the memory of a node should be constant, and kB by which it may still grow."""
 
 INPUTS_PER_CHECK = 50
 """Number of inputs after which a check follows that the node still processes events."""

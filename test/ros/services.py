@@ -156,8 +156,10 @@ class Services(unittest.TestCase):
         self.assert_error(self.add_memory("v(X)", "", "_", "bad", "many"), "size", "many")
         self.assert_error(self.add_memory("v(X)", "", "_", "bad", "-1"), "size: expected", "found -1")
         self.assert_error(
-            self.add_memory("v(X)", "", "_", "bad", "0"), "size: expected", "1 or more, found 0"
+            self.add_memory("v(X)", "", "_", "bad", "0"), "size: expected", "from 1 to 1000000, found 0"
         )
+        for size in ("1000001", "9" * 24):
+            self.assert_error(self.add_memory("v(X)", "", "_", "bad", size), "to 1000000, found " + size)
         self.assert_error(
             self.add_memory("v(X)", "1", "_", "bad", "5"), "conditions: expected goals", "found 1"
         )

@@ -50,6 +50,9 @@ MAX_ANSWER_CHARACTERS = 1000
 MAX_REQUEST_CHARACTERS = 100_000
 """Limit for the fields of a request together. The engine processes no events while they are parsed: 0.5 to 1 s."""
 
+MAX_MEMORY_SIZE = 1_000_000
+"""Limit for the records of a memory that a request adds."""
+
 _SUBSCRIBE = functor("subscribe", 5)
 
 
@@ -260,8 +263,10 @@ class EngineServices:
         except ValueError:
             raise UsageError(f'size: expected a whole number, found "{shorten(text)}"') from None
         # A memory of size 0 would never store a record.
-        if size < 1:
-            raise UsageError(f"size: expected a whole number of 1 or more, found {size}")
+        if not 1 <= size <= MAX_MEMORY_SIZE:
+            raise UsageError(
+                f"size: expected a whole number from 1 to {MAX_MEMORY_SIZE}, found {shorten(text)}"
+            )
         return size
 
 

@@ -148,6 +148,18 @@ def test_an_update_that_is_too_deep_to_be_told_cuts_nothing_off(caplog):
     assert engine.events[-1][0] == "done"
 
 
+@pytest.mark.parametrize("memory", ["m", "n"])
+def test_memories_of_all_events_do_not_record_updates_of_each_other(memory):
+    goals = "memorize(v(_), [], _, v, 9), memorize(_, [], _, m, 100), memorize(_, [], _, n, 100)"
+    engine = RecordingEngine(goals=goals)
+    engine.event("v(1)", 1)
+    # Updates of a memory of some events are recorded.
+    assert records(engine, memory)[:2] == ["v(1)", "memory_updated(v,1)"]
+    assert [record for record in records(engine, memory) if record.startswith("memory_updated")] == [
+        "memory_updated(v,1)"
+    ]
+
+
 def test_an_active_memory_of_everything_leaves_out_its_own_updates():
     engine = RecordingEngine(goals="memorize(E, [], _, m, 100)")
     engine.event("a", 1)

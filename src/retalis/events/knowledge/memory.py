@@ -603,8 +603,12 @@ class Recorder:
         pattern: the event pattern.
         recording: the recording function, and whether it makes a ground record of a ground event.
         on_update: takes instance, end and next frame; returns the frame that processes the update.
+        find: returns the memory with an id, or None.
         key: equal for recorders with the same pattern, conditions and template; None if that is not known.
         unused: variables of the pattern whose values are not used.
+
+    Attributes:
+        records_all_events: whether the pattern is a variable.
     """
 
     def __init__(
@@ -613,6 +617,7 @@ class Recorder:
         pattern: Term,
         recording: Tuple[Recording, bool],
         on_update: UpdateAction,
+        find: Callable[[Term], Optional[MemoryInstance]],
         key: Hashable,
         unused: AbstractSet[Var],
     ):
@@ -621,8 +626,9 @@ class Recorder:
         self._dispatcher = dispatcher
         self._create_record, self._preserves_ground = recording
         self._on_update = on_update
+        self._find = find
         self._updates = dispatcher.event_filter(UPDATED)
-        self._records_all_events = pattern.__class__ is Var
+        self.records_all_events = pattern.__class__ is Var
         self.listener = dispatcher.listen(
             ListenerPhase.MEMORIES, pattern, self._record_event, unread_variables=unused
         )
@@ -648,7 +654,7 @@ class Recorder:
             self._dispatcher.remove(self.listener)
 
     def _record_event(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
-        if self._records_all_events and self._is_own_update(term):
+        if self.records_all_events and self._is_update_of_all_events(term):
             return frame
         dispatcher = self._dispatcher
         ground = dispatcher.current[GROUND]
@@ -692,10 +698,11 @@ class Recorder:
                     return next_frame
         return frame
 
-    def _is_own_update(self, term: Term) -> bool:
-        """Return whether an event reports an update of a memory of this recorder, which records all events."""
-        # A record of such an event would be an update again, and so on without end.
+    def _is_update_of_all_events(self, term: Term) -> bool:
+        """Return whether an event reports an update of a memory that records all events, this one or another."""
+        # A record of such an event would be an update again, and so on without end: of this memory by itself, or of
+        # two memories by each other.
         if term.__class__ is not tuple or term[0] is not UPDATED:
             return False
-        name = deref(term[1])
-        return any(name is instance.id for instance in self.instances)
+        instance = self._find(term[1])
+        return instance is not None and instance.recorder.records_all_events

@@ -255,7 +255,7 @@ class MemoryInstances:
         )
         unused = unused_variables(pattern, conditions, template)
         self._newest_recorder = Recorder(
-            self._dispatcher, pattern, recording, self._process_update, key, unused
+            self._dispatcher, pattern, recording, self._process_update, self.find, key, unused
         )
         return self._newest_recorder
 
