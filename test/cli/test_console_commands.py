@@ -1,6 +1,7 @@
 """What the console has besides goals: files loaded again, make, help, apropos, and its ends."""
 
 import io
+import json
 import os
 
 import pytest
@@ -120,3 +121,35 @@ def test_apropos_finds_names_and_descriptions(ask):
     ]
     many = apropos_lines("a", [])
     assert many[-1].startswith("% and ")
+
+
+def test_json_has_an_object_per_solution(capsys):
+    goals = ['member(X, [1, "text", f(_)]), _Hidden = 1', "event(seen(1))", "format(shown)"]
+    options = [word for goal in goals for word in ("--goal", goal)]
+    assert main(["console", "--json", *options]) == 0
+    shown = capsys.readouterr()
+    assert [json.loads(line) for line in shown.out.splitlines()] == [
+        {"X": 1},
+        {"X": "text"},
+        {"X": {"functor": "f", "args": [{"variable": "_1"}]}},
+        {},
+        {},
+    ]
+    assert shown.err == "shown\n"
+
+
+def test_json_of_a_goal_that_fails_is_empty(capsys):
+    assert main(["console", "--json", "--goal", "fail"]) == 1
+    assert capsys.readouterr() == ("", "")
+
+
+def test_json_solutions_are_limited(capsys):
+    assert main(["console", "--json", "--most", "2", "--goal", "repeat"]) == 0
+    assert capsys.readouterr() == ("{}\n{}\n", "there may be more solutions (see --most)\n")
+    assert main(["console", "--json", "--most", "2", "--goal", "member(X, [1, 2])"]) == 0
+    assert capsys.readouterr() == ('{"X": 1}\n{"X": 2}\n', "")
+
+
+def test_json_needs_a_goal(capsys):
+    assert main(["console", "--json"]) == 1
+    assert capsys.readouterr().err == "retalis: console --json: expected a goal with --goal\n"

@@ -1,5 +1,7 @@
 """``retalis demo``: the NAO example without ROS, and ``retalis docs``: the documentation site in the browser."""
 
+import json
+import math
 import sys
 from pathlib import Path
 
@@ -25,6 +27,18 @@ def test_plays_a_bag_that_is_given(tmp_path, capsys):
     make_bag(bag, 3.0, 2)
     assert main(["demo", "--bag", str(bag)]) == 0
     assert "4x4_1" in capsys.readouterr().out
+
+
+def test_json_of_demo_has_outputs_as_bag_and_a_line_per_marker(tmp_path, capsys):
+    bag = tmp_path / "nao.bag"
+    make_bag(bag, 3.0, 2)
+    assert main(["demo", "--bag", str(bag), "--json"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    markers = [json.loads(line) for line in lines if line.startswith('{"marker"')]
+    assert main(["bag", str(bag), "--program", str(ROOT / "application_source"), "--json"]) == 0
+    assert lines[: -len(markers)] == capsys.readouterr().out.splitlines()
+    (marker,) = (marker for marker in markers if marker["marker"] == "4x4_1")
+    assert math.dist(marker["located"], marker["true"]) == pytest.approx(marker["error"])
 
 
 def test_a_bag_that_is_not_there_is_an_error(tmp_path, capsys):
@@ -77,6 +91,11 @@ def test_the_start_page_is_opened(page, monkeypatch, capsys):
 def test_the_path_is_printed(page, capsys):
     assert main(["docs", "--print-path"]) == 0
     assert capsys.readouterr() == (f"{page}\n", "")
+
+
+def test_json_has_the_path(page, capsys):
+    assert main(["docs", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"path": str(page)}
 
 
 def test_without_a_browser_the_path_is_an_error_message(page, monkeypatch, capsys):

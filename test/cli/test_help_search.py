@@ -1,5 +1,7 @@
 """Command ``help``: the search over situations, pages and predicates."""
 
+import json
+
 import pytest
 
 from retalis.cli import help_search
@@ -13,7 +15,7 @@ def entries():
 
 
 def pages(matches):
-    return [match.lines[-1].rpartition("/")[2] for match in matches]
+    return [match.page.rpartition("/")[2] for match in matches]
 
 
 def test_best_match_has_operator_example_and_page(capsys):
@@ -72,6 +74,33 @@ def test_words_lead_to_page(entries, words, page):
     assert page in pages(search(words, entries))
 
 
+def test_json_has_an_object_per_match_in_the_order_of_the_text(capsys):
+    assert main(["help", "missing", "message"]) == 0
+    titles = [block.partition("\n")[0] for block in capsys.readouterr().out.strip().split("\n\n")]
+    assert main(["help", "missing", "message", "--json"]) == 0
+    records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [record["title"] for record in records] == titles
+    assert records[0] == {
+        "title": "know that a message is missing for N seconds",
+        "kind": "situation",
+        "excerpt": "P seq absent(Q, N)",
+        "example": "lost(R) <- heartbeat(R) seq absent(heartbeat(R), 2).",
+        "page": "docs/how-to/missing-message.md",
+    }
+
+
+def test_text_of_a_section_is_cut_at_80_columns(entries):
+    section = search("state file format", entries)[0]
+    title, excerpt, page = section.lines()
+    assert (title, page) == (section.title, f"  page     {section.page}")
+    assert excerpt.startswith("  text     ") and excerpt.endswith(" ...") and len(excerpt) <= 80
+
+
+def test_json_without_words_is_an_error(capsys):
+    assert main(["help", "--json"]) == 1
+    assert capsys.readouterr() == ("", "retalis: help --json: expected words to search\n")
+
+
 def test_number_of_matches_is_limited(entries):
     assert len(search("event", entries)) == help_search.MAX_MATCHES
 
@@ -96,7 +125,7 @@ def test_search_without_matches_suggests_words(capsys):
 
 
 def test_stop_words_count_only_alone(entries):
-    assert "(P and Q) within N" in "".join(line for match in search("and", entries) for line in match.lines)
+    assert "(P and Q) within N" in [match.excerpt for match in search("and", entries)]
     assert search("", entries) == search("?", entries) == []
 
 

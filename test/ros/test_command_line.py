@@ -57,6 +57,9 @@ def test_goals_are_asked(node_of_space):
     assert said(node_of_space, "explain", "no_such(1)").startswith("no_such(1) did not happen\n")
     answered = said(node_of_space, "console", "--node", "retalis", text="X = 1 ; X = 2.\nfail.\n")
     assert answered == "X = 1 ;\nX = 2.\nfalse.\n"
+    console = ("console", "--node", "retalis", "--json", "--goal")
+    assert said(node_of_space, *console, "member(X, [1, a])") == '{"X": 1}\n{"X": "a"}\n'
+    assert said(node_of_space, *console, "fail", wrong=True) == ""
     listed = json.loads(said(node_of_space, "list", "--json"))
     assert [memory["id"] for memory in listed["memories"]][:2] == ["odom_base", "base_torso"]
     assert listed["memories"][0]["oldest"] is None and listed["inputs"][0]["age"] is None

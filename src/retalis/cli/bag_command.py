@@ -10,7 +10,6 @@ does not depend on the number of workers.
 
 import argparse
 import io
-import json
 import os
 import shutil
 import sys
@@ -27,6 +26,7 @@ from ..events.program.topic_configuration import TopicType, topic_type
 from ..explanation.event_explanations import explain, record_origins
 from ..foundation.cpython_and_pypy import limit_gc_pauses, restore_gc
 from ..foundation.errors import RetalisError, UsageError, quote_shortened
+from ..foundation.output_files import print_json
 from ..playback.bag_locations import (
     BagLocation,
     MergedBag,
@@ -220,7 +220,8 @@ RecordHandler = Callable[[Mapping[str, Any]], None]
 
 def print_record(record: Mapping[str, Any]) -> None:
     """Print a record of a run as JSON."""
-    print(json.dumps(record, ensure_ascii=False))
+    # Not flushed, because a run can have many records.
+    print_json(record, flush=False)
 
 
 def play(

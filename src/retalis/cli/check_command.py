@@ -1,7 +1,6 @@
 """Command ``check``: reports errors and likely mistakes of a program before it runs."""
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from typing import Callable, Dict, List
@@ -11,6 +10,7 @@ from ..engine.program_check import check_program
 from ..events.checks.check_registry import ERROR, INFO, Finding
 from ..events.program.topic_configuration import TopicType
 from ..foundation.errors import MessageError, format_count, printable
+from ..foundation.output_files import print_json
 from ..messages.type_registry import Definitions
 from ..playback.bag_locations import open_bag
 from ..prolog.machine.resource_limits import Limits
@@ -93,7 +93,7 @@ def run(options: argparse.Namespace) -> int:
     if options.format == "json":
         counts = {"errors": errors, "warnings": warnings, "infos": infos}
         content = {"findings": [_finding_to_json(finding) for finding in findings], **counts}
-        print(json.dumps(content, indent=1, ensure_ascii=False))
+        print_json(content)
     else:
         for finding in findings:
             print(f"{paint(finding.severity, finding.severity, sys.stdout)}: {finding.problem}")

@@ -15,6 +15,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Callable, Dict, Iterable, Iterator, List, NamedTuple, Optional, Tuple, Union, cast
 
+from ..engine.client_requests import decode_bindings, read_bindings
 from ..engine.engine import Engine
 from ..engine.engine_settings import Settings
 from ..engine.runtime.clock import Clock
@@ -22,6 +23,7 @@ from ..engine.runtime.problem_reports import Reports
 from ..events.rules.event_input_predicates import event_of
 from ..foundation.cpython_and_pypy import limit_gc_pauses
 from ..foundation.errors import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError, printable
+from ..foundation.output_files import print_json
 from ..prolog.syntax.term_reader import ReadTerm
 from ..prolog.system.prolog_system import Tracer
 from ..prolog.terms.list_terms import list_items
@@ -222,6 +224,11 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         help=f"solutions shown for a goal read from a pipe ({DEFAULT_SHOWN_SOLUTIONS})",
     )
     add(
+        "--json",
+        action="store_true",
+        help="print each solution of --goal as a JSON object of its variables, as query does",
+    )
+    add(
         "--node",
         metavar="/NAME",
         help="ask the node of this name, which runs, instead of an engine of its own",
@@ -232,10 +239,12 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; the status is 1 if there was an error in goals from a pipe, or a goal of ``--goal`` failed."""
+    if options.json and not options.goal:
+        raise UsageError("console --json: expected a goal with --goal")
     if options.node is not None:
         return run_ros_command("node_client_commands", options)
     reporter = StderrReporter().attach(show_events=True)
-    console = Console(reporter, apply_limits(UNRESTRICTED, options), options.max_solutions)
+    console = Console(reporter, apply_limits(UNRESTRICTED, options), options.max_solutions, options.json)
     for path in options.files:
         console.load(path)
     # After the files are loaded: their clauses are exempted from later collections.
@@ -268,6 +277,7 @@ class Console:
         reporter: receives errors.
         settings: settings of the engine; by default `UNRESTRICTED`.
         max_solutions: maximum number of solutions of a goal if the input is not a terminal.
+        as_json: whether to print solutions as JSON objects, and all other text to standard error.
 
     Attributes:
         has_failed_goal: whether a goal had no solution.
@@ -278,7 +288,9 @@ class Console:
         reporter: StderrReporter,
         settings: Optional[Settings] = None,
         max_solutions: int = DEFAULT_SHOWN_SOLUTIONS,
+        as_json: bool = False,
     ):
+        self._as_json = as_json
         self.reports = Reports()
         self.engine = Engine(
             Clock(time.time_ns),
@@ -292,7 +304,7 @@ class Console:
         self._files = LoadedFiles(self.engine)
         self.engine.on_output(self._print_output)
         self.logic = self.engine.logic
-        self.logic.print_to(_write_output, _write_error)
+        self.logic.print_to(_write_error if as_json else _write_output, _write_error)
         self._reporter = reporter
         self._max_solutions = max_solutions
         self._is_tracing = False
@@ -313,7 +325,7 @@ class Console:
         """
         try:
             for line in self._files.load(_resolve_suffix(path)):
-                print(f"% {printable(line)}", flush=True)
+                self._print_text(f"% {printable(line)}")
         except ProgramErrors as errors:
             for error in errors.errors:
                 self._reporter(error)
@@ -377,7 +389,7 @@ class Console:
             return True
         if goal.__class__ is Atom and goal.name in ("trace", "notrace", "nodebug"):
             self._is_tracing = goal.name == "trace"
-            print("true.")
+            self._print_truth(True)
             return True
         files: Optional[List[Term]] = None
         if goal.__class__ is tuple:
@@ -393,7 +405,7 @@ class Console:
             self._read_user_clauses() if name == "user" else self.load(Path(cast(str, name)))
             for name in names
         ]
-        print("true." if all(loaded) else "false.")
+        self._print_truth(all(loaded))
         return True
 
     def _try_console_command(self, goal: Term) -> bool:
@@ -402,7 +414,7 @@ class Console:
             return False
         name = goal.name if goal.__class__ is Atom else ""
         if name == "make":
-            print("true." if self._reload_changed_files() else "false.")
+            self._print_truth(self._reload_changed_files())
             return True
         query = goal if goal.__class__ is tuple and goal[0] in (_HELP_FUNCTOR, _APROPOS_FUNCTOR) else None
         word = None if query is None else _get_text(query[1])
@@ -419,7 +431,7 @@ class Console:
                 # The page of predicates was not copied with the package.
                 self._reporter(error)
                 return True
-        print("\n".join(lines or [f"% nothing is known of {word}"]))
+        self._print_text("\n".join(lines or [f"% nothing is known of {word}"]))
         return True
 
     def _reload_changed_files(self) -> bool:
@@ -440,7 +452,7 @@ class Console:
             if event is None:
                 return False
             self.engine.event(event.term, *event.interval_terms())
-            print("true.")
+            self._print_truth(True)
         except RetalisError as error:
             self._reporter(error)
         return True
@@ -476,7 +488,8 @@ class Console:
         tracer = Tracer(logic, lambda line: print(line, file=sys.stderr))
         try:
             with tracer.on() if is_traced else nullcontext():
-                self._print_solutions(goal, read_goal.names)
+                print_solutions = self._print_json_solutions if self._as_json else self._print_solutions
+                print_solutions(goal, read_goal.names)
         except RetalisError as error:
             self._start_new_line()
             self._reporter(error if error.place else RuleError(error.message))
@@ -518,14 +531,42 @@ class Console:
             self.has_failed_goal = True
         print("false.")
 
+    def _print_json_solutions(self, goal: Term, names: Dict[str, Var]) -> None:
+        """Print each solution as a JSON object of the variables whose names do not begin with ``_``."""
+        shown_names = {name: var for name, var in names.items() if not name.startswith("_")}
+        choices = self.logic.machine.choices
+        # See `_print_solutions`.
+        height = len(choices) + 1
+        shown_count = 0
+        with closing(self.logic.solutions(goal)) as solutions:
+            for _ in solutions:
+                print_json(decode_bindings(read_bindings(self.engine, shown_names)))
+                shown_count += 1
+                if shown_count == self._max_solutions and len(choices) > height:
+                    self._print_text("there may be more solutions (see --most)")
+                    return
+        self.has_failed_goal |= not shown_count
+
     def _start_new_line(self) -> None:
         """Start a new line if the goal has written an incomplete one."""
         if self.logic.column:
-            print()
+            self._print_text("")
             self.logic.column = 0
 
     def _print_output(self, term: Term, topic: str, name: Term) -> None:
-        print(f"% {printable(topic)}: {self.engine.show(term)}", flush=True)
+        self._print_text(f"% {printable(topic)}: {self.engine.show(term)}")
+
+    def _print_text(self, text: str) -> None:
+        """Print a text that is not a solution."""
+        print(text, file=sys.stderr if self._as_json else None, flush=True)
+
+    def _print_truth(self, is_true: bool) -> None:
+        """Print the result of a command or an event, as the solution of a goal without variables."""
+        if not self._as_json:
+            print("true." if is_true else "false.", flush=True)
+        elif is_true:
+            print_json({})
+        self.has_failed_goal |= not is_true
 
 
 def _is_atom(term: Term, name: str) -> bool:

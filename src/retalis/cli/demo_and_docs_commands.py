@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, Optional, Tuple
 
 from ..foundation.errors import UsageError
+from ..foundation.output_files import print_json
 from .option_values import any_integer, positive_seconds
 from .stderr_and_progress import StderrReporter, show_progress
 
@@ -29,6 +30,13 @@ INSTALLED_SITE = Path("share", "retalis", "docs", "html")
 """Folder of the site below the root of an installation."""
 
 
+DEMO_JSON_HELP = """\
+with --json each line is one object, first the outputs as "bag --json" prints them; positions and errors in metres:
+  {"output": TERM, "topic": TOPIC, "id": ID, "time": T}
+  {"marker": NAME, "located": [X, Y, Z] or null, "true": [X, Y, Z], "error": NUMBER or null}
+"""
+
+
 def add_demo_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     """Add the parser of command ``demo``."""
     parser = add_command(
@@ -36,6 +44,8 @@ def add_demo_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None
         help="run the NAO example over a bag, without ROS",
         description="Create a bag of a simulated NAO, run the NAO program over it, and print the last computed "
         "position and the true position of each marker. The exit status is 0 if all markers were located.",
+        epilog=DEMO_JSON_HELP,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
         "--bag", type=Path, metavar="BAG", help="play this bag instead (made by examples/nao/make_bag.py)"
@@ -50,6 +60,11 @@ def add_demo_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None
     parser.add_argument(
         "--seed", type=any_integer, default=1, metavar="N", help="random seed of the simulated bag (1)"
     )
+    parser.add_argument(
+        "--json",
+        action="store_true",
+        help="print one JSON object per output and per marker instead of the table",
+    )
     parser.set_defaults(run=run_demo)
 
 
@@ -63,7 +78,9 @@ def run_demo(options: argparse.Namespace) -> int:
         if bag is None:
             bag = Path(temporary) / "nao.bag"
             print(
-                f"a bag of a simulated NAO, {options.seconds:g} s long, is made, then played ...", flush=True
+                f"a bag of a simulated NAO, {options.seconds:g} s long, is made, then played ...",
+                file=sys.stderr if options.json else None,
+                flush=True,
             )
             importlib.import_module("make_bag").make_bag(bag, options.seconds, options.seed)
         elif not bag.exists():
@@ -74,10 +91,15 @@ def run_demo(options: argparse.Namespace) -> int:
             raise UsageError(
                 f"cannot read {error.filename}, which make_bag.py writes next to a bag"
             ) from error
-        located = locate_markers(bag, folder.parent.parent / "application_source", reporter)
+        program = folder.parent.parent / "application_source"
+        located = locate_markers(bag, program, reporter, options.json)
     comparisons = truth_module.compare(truth, located)
+    if options.json:
+        for comparison in comparisons:
+            print_json(comparison._asdict())
+    else:
+        print(truth_module.table(comparisons))
     # The status is 1 without any comparison, too: nothing has been verified then.
-    print(truth_module.table(comparisons))
     return (
         0 if comparisons and all(comparison.good for comparison in comparisons) and not reporter.errors else 1
     )
@@ -95,12 +117,19 @@ def module_folder(folder: Path) -> Iterator[None]:
 
 
 def locate_markers(
-    bag: Path, program: Path, reporter: StderrReporter
+    bag: Path, program: Path, reporter: StderrReporter, prints_outputs: bool
 ) -> Dict[str, Tuple[float, float, float]]:
-    """Run the NAO program over a bag; return the last position of each marker by its name."""
+    """Run the NAO program over a bag; return the last position of each marker by its name.
+
+    Args:
+        bag: the bag.
+        program: folder of the program.
+        reporter: receives errors.
+        prints_outputs: whether to print each output as JSON.
+    """
     # Imported here, because command `docs` needs no engine.
     from ..playback.bag_locations import MergedBag  # noqa: PLC0415
-    from ..playback.playback import Playback  # noqa: PLC0415
+    from ..playback.playback import Playback, make_output_record  # noqa: PLC0415
     from ..prolog.terms.term_traversal import resolve  # noqa: PLC0415
     from .bag_command import elapsed_fraction  # noqa: PLC0415
 
@@ -108,6 +137,8 @@ def locate_markers(
     playback = Playback(program, reporter)
     with MergedBag([bag]) as bags, show_progress("messages", lambda: elapsed_fraction(playback, bags)) as bar:
         for output in playback.run(bags, bar or _ignore_progress):
+            if prints_outputs:
+                print_json(make_output_record(output))
             if output.topic.startswith("marker"):
                 # A geometry_msgs/PoseStamped.
                 term: Any = resolve(output.term)
@@ -144,13 +175,16 @@ def add_docs_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None
     parser.add_argument(
         "--print-path", action="store_true", help="print the path of the start page instead of opening it"
     )
+    parser.add_argument("--json", action="store_true", help='print it as a JSON object, {"path": PATH}')
     parser.set_defaults(run=open_site)
 
 
 def open_site(options: argparse.Namespace) -> int:
     """Run command ``docs``; return its exit status."""
     page = find_site() / "index.html"
-    if options.print_path:
+    if options.json:
+        print_json({"path": str(page)})
+    elif options.print_path:
         print(page)
     elif not webbrowser.open(page.as_uri()):
         print(f"retalis docs: no browser can be started: open {page}", file=sys.stderr)

@@ -1,7 +1,6 @@
 """Commands ``graph`` and ``plot``, which draw a program as a graph and a run as a timeline."""
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from typing import Callable, Dict, List, Optional, Sequence
@@ -12,7 +11,7 @@ from ..engine.event_input import InputTopics
 from ..events.program.topic_configuration import GOALS, TOPICS, Topics, read_topics
 from ..foundation.cpython_and_pypy import limit_gc_pauses
 from ..foundation.errors import ProgramErrors, UsageError
-from ..foundation.output_files import open_output
+from ..foundation.output_files import open_output, print_json
 from ..messages.type_definition import functor_name
 from ..playback.playback import RunRecorder
 from ..visualization.program_graph import (
@@ -92,7 +91,7 @@ def draw_program(options: argparse.Namespace) -> int:
     graph = program_graph(engine, _collect_topics(folder, input_topics))
     text = dot_text(graph, folder.resolve().name)
     if options.json:
-        print(json.dumps(_graph_to_json(graph), ensure_ascii=False))
+        print_json(_graph_to_json(graph))
     elif options.output is None:
         sys.stdout.write(text)
     elif suffix in TEXT_SUFFIXES:

@@ -7,6 +7,7 @@ Information Retrieval, chapter 6). Words are compared by their stems, so that ot
 
 import argparse
 import re
+import textwrap
 from collections import Counter
 from difflib import get_close_matches
 from math import log
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Callable, Dict, FrozenSet, Iterable, Iterator, List, NamedTuple, Optional, Tuple
 
 from ..foundation.errors import UsageError
+from ..foundation.output_files import print_json
 from .situation_guide import SITUATIONS, Situation
 
 MAX_MATCHES = 10
@@ -32,6 +34,11 @@ The order and the endings of the words do not matter. For example:
 
 All situations are in docs/reference/situations.md. For the options of a command,
 see retalis COMMAND --help; for predicates, the goal help(NAME) of retalis console."""
+
+JSON_HELP = """\
+With --json each match is one line: {"title": TEXT, "kind": "situation", "section" or "predicate", "excerpt": TEXT,
+"example": TEXT or null, "page": PATH}.
+"""
 
 _FOLDERS = ("how-to", "tutorials", "reference", "explanation")
 """Folders of the searched pages, below ``docs``."""
@@ -116,20 +123,36 @@ def stem_word(word: str) -> str:
     return word[:-1] if len(word) > _MIN_STEM_LETTERS and word[-1] == word[-2] else word
 
 
+_SITUATION, _SECTION, _PREDICATE = "situation", "section", "predicate"
+"""Kinds of entries."""
+
+_EXCERPT_LABELS = {_SITUATION: "take", _SECTION: "text", _PREDICATE: "meaning"}
+"""Labels of the printed excerpts by the kind of the entry."""
+
+_EXCERPT_WIDTH = 69
+"""Width of the printed text of a section in characters, so that its line has at most 80."""
+
+
 class HelpEntry(NamedTuple):
     """An entry of the search.
 
     Attributes:
-        title: first printed line.
-        lines: further printed lines.
+        kind: a situation, a section of a page, or a predicate.
+        title: need, heading or call.
+        excerpt: operators that meet the need, first words of the section, or meaning of the predicate.
+        example: an example; None for a section.
+        page: page with the details.
         title_stems: stems of the title.
         keyword_stems: stems of keywords, which users have in mind.
         text_stems: stems of the text.
         factor: factor of the score.
     """
 
+    kind: str
     title: str
-    lines: List[str]
+    excerpt: str
+    example: Optional[str]
+    page: str
     title_stems: FrozenSet[str]
     keyword_stems: FrozenSet[str]
     text_stems: FrozenSet[str]
@@ -139,6 +162,24 @@ class HelpEntry(NamedTuple):
         """Return all stems by which the entry is found."""
         return self.title_stems | self.keyword_stems | self.text_stems
 
+    def lines(self) -> List[str]:
+        """Return the lines that are printed."""
+        excerpt = self.excerpt
+        if self.kind == _SECTION:
+            excerpt = textwrap.shorten(excerpt, _EXCERPT_WIDTH, placeholder=" ...")
+        fields = {_EXCERPT_LABELS[self.kind]: excerpt, "example": self.example, "page": self.page}
+        return [self.title, *(f"  {label:<7}  {text}" for label, text in fields.items() if text)]
+
+    def record(self) -> Dict[str, Optional[str]]:
+        """Return what option ``--json`` prints."""
+        return {
+            "title": self.title,
+            "kind": self.kind,
+            "excerpt": self.excerpt,
+            "example": self.example,
+            "page": self.page,
+        }
+
 
 def _stems_of(text: str) -> FrozenSet[str]:
     return frozenset(map(stem_word, split_words(text)))
@@ -146,12 +187,11 @@ def _stems_of(text: str) -> FrozenSet[str]:
 
 def _situation_entry(situation: Situation) -> HelpEntry:
     return HelpEntry(
+        _SITUATION,
         situation.need,
-        [
-            f"  take     {situation.solution}",
-            f"  example  {situation.example}",
-            f"  page     docs/{situation.page}",
-        ],
+        situation.solution,
+        situation.example,
+        f"docs/{situation.page}",
         _stems_of(situation.need),
         _stems_of(f"{situation.solution} {situation.keywords}"),
         frozenset(),
@@ -191,7 +231,15 @@ def _section_entries(page: str, text: str) -> Iterator[HelpEntry]:
         title = heading if heading == page_title else f"{page_title}: {heading}"
         words = " ".join(_plain(body).split()[:_MAX_SECTION_WORDS])
         yield HelpEntry(
-            title, [f"  page     docs/{page}"], _stems_of(title), frozenset(), _stems_of(words), factor
+            _SECTION,
+            title,
+            words,
+            None,
+            f"docs/{page}",
+            _stems_of(title),
+            frozenset(),
+            _stems_of(words),
+            factor,
         )
 
 
@@ -220,8 +268,11 @@ def _predicate_entries(page: str, text: str) -> Iterator[HelpEntry]:
         cells = [_plain(cell.replace("\0", "|")) for cell in line.replace("\\|", "\0").split("|")[1:-1]]
         if len(cells) >= 5 and cells[0].partition("/")[2][:1].isdigit():
             yield HelpEntry(
+                _PREDICATE,
                 cells[1],
-                [f"  meaning  {cells[2]}", f"  example  ?- {cells[4]}.", f"  page     docs/{page}"],
+                cells[2],
+                f"?- {cells[4]}.",
+                f"docs/{page}",
                 _stems_of(cells[0].replace("_", " ")),
                 frozenset((stem_word(cells[0].partition("/")[0]),)),
                 _stems_of(cells[2]),
@@ -297,9 +348,12 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         "help",
         help="search situations, pages and predicates by words",
         description="Search the situations, the sections of the documentation and the predicates by words, and print "
-        "the best matches first, each with an example and its page. Exit status 1 if there are none.",
+        "the best matches first, each with an example or its first words, and its page. Exit status 1 if there are "
+        "none.",
+        epilog=JSON_HELP,
     )
     parser.add_argument("words", nargs="*", metavar="WORD", help="words to search, such as missing message")
+    parser.add_argument("--json", action="store_true", help="print one JSON object per match")
     parser.set_defaults(run=run)
 
 
@@ -307,6 +361,8 @@ def run(options: argparse.Namespace) -> int:
     """Run the command; return its exit status."""
     text = " ".join(options.words)
     if not text.strip():
+        if options.json:
+            raise UsageError("help --json: expected words to search")
         print(USAGE)
         return 0
     matches = search(text, all_entries())
@@ -317,5 +373,8 @@ def run(options: argparse.Namespace) -> int:
         )
         raise UsageError(f"help: nothing is found for '{text}': {hint}")
     for entry in matches:
-        print("\n".join([entry.title, *entry.lines, ""]))
+        if options.json:
+            print_json(entry.record())
+        else:
+            print("\n".join([*entry.lines(), ""]))
     return 0

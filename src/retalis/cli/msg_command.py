@@ -1,12 +1,12 @@
 """Command ``msg``: prints a message type as a term with the names of its slots, to paste into a program."""
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from typing import Callable, Dict, List, Tuple
 
 from ..foundation.errors import MessageError, UsageError, printable
+from ..foundation.output_files import print_json
 from ..foundation.ros_names import ros1_type_name, type_fault
 from ..messages.message_notation import format_positional, format_with_names, format_with_zeros
 from ..messages.type_definition import Definition
@@ -75,7 +75,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         slots = [{"name": slot.name, "type": slot.describe()} for slot in definition.fields]
         content = {"type": definition.name, "md5sum": definition.md5sum, "slots": slots, "text": text}
-        print(json.dumps(content, ensure_ascii=False))
+        print_json(content)
     else:
         print(text, end="")
     return 0
@@ -101,7 +101,7 @@ def _print_topics(options: argparse.Namespace) -> None:
         for (name, type_name), problem in sorted(problems.items())
     ]
     if options.json:
-        print(json.dumps({"topics": rows, "unreadable": unreadable_rows}, ensure_ascii=False))
+        print_json({"topics": rows, "unreadable": unreadable_rows})
         return
     for line in format_table(rows):
         print(printable(line))

@@ -1,6 +1,5 @@
 """Printing of events, outputs, solutions and explanations as Prolog terms or as JSON."""
 
-import json
 import sys
 from typing import IO, Any, Dict, Iterable, List, Mapping, Optional
 
@@ -8,6 +7,7 @@ from ..engine.run_records import OutputRecord
 from ..events.knowledge.event_states import DeclaredState
 from ..events.knowledge.knowledge_base import MEMORY_EVENTS
 from ..explanation.event_explanations import Explanation, ExplanationLine
+from ..foundation.output_files import print_json
 from ..prolog.syntax.term_writer import add_full_stop, canonical_text
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms import timestamps
@@ -168,7 +168,7 @@ class Printer:
         """Print a line of JSON."""
         if self._origin is not None:
             content = self._origin.relative_record(content)
-        print(json.dumps(content, ensure_ascii=False), file=file or sys.stdout, flush=True)
+        print_json(content, file)
 
 
 def _line_to_json(line: ExplanationLine) -> Dict[str, object]:

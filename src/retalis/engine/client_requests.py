@@ -5,11 +5,12 @@ change flags unless the settings allow it. Answers are converted to text before 
 of a solution are undone by the next one.
 """
 
+import json
 from contextlib import closing
 from itertools import count
 from threading import Event
 from time import monotonic
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, TypeVar
+from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, TypeVar
 
 from ..events.language.rule_head_parser import RULE, is_rule, split_label
 from ..foundation.errors import UsageError
@@ -87,7 +88,7 @@ def ask(
                     try:
                         # Conversion to text counts against the limits of the goal: a small term can have a huge text.
                         with logic.machine.budget.checking_long_steps():
-                            bindings = _read_bindings(engine, names, characters_left)
+                            bindings = read_bindings(engine, names, characters_left)
                     except UsageError:
                         if not solution_bindings:
                             raise
@@ -115,8 +116,19 @@ def run_restricted(engine: Engine, work: Callable[[], Result], work_name: Term =
     return engine.do(restricted_work, work_name)
 
 
-def _read_bindings(engine: Engine, names: Dict[str, Var], characters_left: int) -> List[Binding]:
-    """Return the values of variables in the current solution."""
+def read_bindings(
+    engine: Engine, names: Dict[str, Var], characters_left: int = MAX_ANSWER_CHARACTERS
+) -> List[Binding]:
+    """Return the values of variables in the current solution.
+
+    Args:
+        engine: the engine.
+        names: the variables.
+        characters_left: maximum length of the values together, in characters of JSON.
+
+    Raises:
+        UsageError: if they are longer.
+    """
     logic = engine.logic
     # One dictionary for all variables, so that a variable in two values gets the same name.
     variable_names: Dict[Var, str] = {}
@@ -126,6 +138,11 @@ def _read_bindings(engine: Engine, names: Dict[str, Var], characters_left: int) 
         characters_left -= len(as_json)
         bindings.append(Binding(name, logic.show(var, names=variable_names), as_json))
     return bindings
+
+
+def decode_bindings(bindings: Iterable[Binding]) -> Dict[str, Any]:
+    """Return a solution as a dictionary from variable names to plain values."""
+    return {binding.name: json.loads(binding.json) for binding in bindings}
 
 
 def _combine_limits(first: Limits, second: Limits) -> Limits:

@@ -1,14 +1,15 @@
 """Output files: written beside their target and then renamed, so that a failure never damages an existing file.
 
 `GuardedOutput` wraps standard output and text files, so that an error of the operating system, such as a full disk,
-ends a run also if a callback of the engine has printed the text.
+ends a run also if a callback of the engine has printed the text. `print_json` writes the lines of option ``--json``.
 """
 
+import json
 import os
 import shutil
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any, Iterator, Union, cast
+from typing import IO, Any, Iterator, Optional, Union, cast
 from uuid import uuid4
 
 _INCOMPLETE_MARK = ".incomplete."
@@ -127,3 +128,14 @@ def open_output(target: Union[str, Path], keep_on_interrupt: bool = False) -> It
             yield cast(IO[str], GuardedOutput(file, str(target)))
     except OSError as error:
         raise OutputFailed(str(target), error) from None
+
+
+def print_json(content: object, file: Optional[IO[str]] = None, flush: bool = True) -> None:
+    """Print a value as a line of JSON.
+
+    Args:
+        content: dictionaries, lists and plain values.
+        file: text file; standard output by default.
+        flush: whether a reader gets the line at once.
+    """
+    print(json.dumps(content, ensure_ascii=False), file=file, flush=flush)

@@ -5,7 +5,6 @@ it subscribes to topics or runs until it is interrupted (``status``, ``watch``).
 """
 
 import argparse
-import json
 import os
 import shutil
 import signal
@@ -15,7 +14,20 @@ from contextlib import contextmanager, redirect_stdout
 from io import StringIO
 from queue import Queue
 from time import monotonic, sleep
-from typing import IO, Any, Callable, Container, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple, Union
+from typing import (
+    IO,
+    Any,
+    Callable,
+    Container,
+    Dict,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Set,
+    Tuple,
+    Union,
+)
 
 import genpy
 import rosgraph
@@ -24,7 +36,9 @@ from std_msgs.msg import String
 
 from .. import srv
 from ..cli import node_status_tables, toplevel_io
+from ..engine.client_requests import decode_bindings
 from ..foundation.errors import RetalisError, SyntaxFault, UsageError, printable
+from ..foundation.output_files import print_json
 from ..prolog.syntax.operators import Operators
 from ..prolog.syntax.term_reader import ReadTerm, read_term
 from ..prolog.syntax.term_writer import write_term, writeq
@@ -244,7 +258,13 @@ def run(options: argparse.Namespace) -> int:
 def decode_solutions(response: Any) -> Iterator[Dict[str, Any]]:
     """Yield the solutions of a response as dictionaries from variable names to plain values."""
     for solution in response.solutions:
-        yield {binding.name: json.loads(binding.json) for binding in solution.bindings}
+        yield decode_bindings(solution.bindings)
+
+
+def _print_json_solutions(response: Any) -> None:
+    """Print each solution of a response as a line of JSON."""
+    for solution in decode_solutions(response):
+        print_json(solution)
 
 
 def format_solutions(response: Any) -> Iterator[str]:
@@ -268,7 +288,7 @@ def _query(options: argparse.Namespace) -> int:
         )
     )
     if options.json:
-        _print_all(map(json.dumps, decode_solutions(response)))
+        _print_json_solutions(response)
     else:
         _print_all(map(printable, format_solutions(response)))
         if not response.solutions:
@@ -294,7 +314,7 @@ def _to_ros_time(seconds: float) -> genpy.Time:
 def _explain(options: argparse.Namespace) -> int:
     response = require_ok(NodeClient(options.node).call("explain", srv.Explain, event=options.event))
     if options.json:
-        print(json.dumps({"happened": response.happened, "lines": response.lines}))
+        print_json({"happened": response.happened, "lines": response.lines})
         return 0
     print(f"{printable(options.event)} {'happened' if response.happened else 'did not happen'}")
     _print_all(map(printable, response.lines))
@@ -309,7 +329,7 @@ def _print_all(lines: Iterator[str]) -> None:
 def _reload(options: argparse.Namespace) -> int:
     response = require_ok(NodeClient(options.node).call("reload", srv.Reload))
     if options.json:
-        print(json.dumps(response.changes))
+        print_json(response.changes)
     else:
         _print_all(map(printable, response.changes))
     return 0
@@ -325,11 +345,10 @@ def _node_status(node: NodeClient) -> Dict[str, Any]:
 def _list(options: argparse.Namespace) -> int:
     node = NodeClient(options.node, include_interfaces=True)
     status = _node_status(node)
-    print(
-        json.dumps(status)
-        if options.json
-        else "\n".join(map(printable, node_status_tables.format_list(status, node.has_engine)))
-    )
+    if options.json:
+        print_json(status)
+    else:
+        _print_all(map(printable, node_status_tables.format_list(status, node.has_engine)))
     return 0
 
 
@@ -369,7 +388,7 @@ def _show_status(node: NodeClient, options: argparse.Namespace, output: IO[str])
             continue
         last_error = ""
         if options.json:
-            print(json.dumps(_add_event_rate(previous, status, now - listed_at)), file=output, flush=True)
+            print_json(_add_event_rate(previous, status, now - listed_at), output)
         else:
             height = shutil.get_terminal_size().lines
             lines = list(_format_status(node, previous, status, now - listed_at))[: height - 1]
@@ -480,7 +499,7 @@ def _print_received(
                 continue
         printed_count += 1
         if options.json:
-            print(json.dumps({"kind": source, "topic": topic, "term": text}), file=output, flush=True)
+            print_json({"kind": source, "topic": topic, "term": text}, output)
         else:
             print(f"{source if topic is None else topic}: {printable(text)}", file=output, flush=True)
 
@@ -522,11 +541,11 @@ def _console(options: argparse.Namespace) -> int:
     """Run ``console --node``: goals are parsed here and solved by the node.
 
     Returns:
-        The exit status: 1 after an error, 0 otherwise and always for a terminal.
+        The exit status: 1 after an error or if a goal of ``--goal`` failed, 0 otherwise and always for a terminal.
     """
     if options.files:
         raise UsageError("files are loaded where the console is: leave them out with --node")
-    console = NodeConsole(NodeClient(options.node), options.max_solutions)
+    console = NodeConsole(NodeClient(options.node), options.max_solutions, options.json)
     if options.goal:
         for goal in options.goal:
             console.solve_goals(
@@ -538,7 +557,7 @@ def _console(options: argparse.Namespace) -> int:
         return 0
     else:
         console.solve_goals(toplevel_io.PipedInput(sys.stdin))
-    return 1 if console.errors else 0
+    return 1 if console.errors or (options.goal and console.has_failed_goal) else 0
 
 
 class NodeConsole:
@@ -547,14 +566,18 @@ class NodeConsole:
     Args:
         node: the node.
         max_solutions: limit for the solutions of a goal if the input is not a terminal.
+        as_json: whether to print solutions as JSON objects.
 
     Attributes:
         errors: number of errors.
+        has_failed_goal: whether a goal had no solution.
     """
 
-    def __init__(self, node: NodeClient, max_solutions: int):
+    def __init__(self, node: NodeClient, max_solutions: int, as_json: bool = False):
         self.node = node
         self.errors = 0
+        self.has_failed_goal = False
+        self._as_json = as_json
         self._max_solutions = max_solutions
         self._logic = PrologSystem()
 
@@ -590,6 +613,12 @@ class NodeConsole:
         goal = write_term(parsed.term, self._logic.operators, quoted=True, variable_names=variable_names)
         limit = _MAX_TERMINAL_SOLUTIONS if source.is_terminal else self._max_solutions
         response = require_ok(self.node.call("query", srv.Query, goal=goal, max_solutions=limit))
+        self.has_failed_goal |= not response.solutions
+        if self._as_json:
+            _print_json_solutions(response)
+            if not response.complete:
+                print("there may be more solutions (see --most)", file=sys.stderr, flush=True)
+            return
         texts = list(format_solutions(response))
         if not texts:
             print("false.")
