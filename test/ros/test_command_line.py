@@ -85,6 +85,9 @@ def test_the_interface_is_listed_too(node):
     node.expect(lambda found, services: "/retalis_ros_interface/list" in services)
     listed = json.loads(said(node, "list", "--json", "--node", "/retalis_ros_interface"))
     assert "/retalisOutputEvents" in [topic["topic"] for topic in listed["inputs"]]
+    inputs = json.loads(said(node, "list", "--json"))["inputs"]
+    assert {topic["topic"]: topic.get("node") for topic in inputs}["/tf"] == "/retalis_ros_interface"
+    assert re.search(r"\n  /ar_pose_marker .* /retalis_ros_interface\n", said(node, "list"))
     for command in ("list", "status"):
         told = said(node, command, "--node", "other", wrong=True)
         assert (

@@ -288,7 +288,8 @@ _TABLE_FORMS = {
         ),
     ),
     "inputs": _TableForm(
-        ("topic",),
+        # The ROS interface of a node can subscribe to the same topics.
+        ("node", "topic"),
         (
             _plain_column("topic", can_shrink=True),
             _plain_column("type", can_shrink=True),

@@ -44,7 +44,7 @@ from ..prolog.syntax.term_reader import ReadTerm, read_term
 from ..prolog.syntax.term_writer import write_term, writeq
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.types import Atom, deref
-from .internode_topics import INPUT, OUTPUT, WATCH
+from .internode_topics import INPUT, INPUT_CHANGES_TOPIC, OUTPUT, WATCH
 from .master_watch import MasterWatch
 from .services import NO_DURATION
 
@@ -59,9 +59,10 @@ MASTER_TIMEOUT_SECONDS = 5.0
 
 
 class MasterState(NamedTuple):
-    """The publishers of each topic, and the nodes that offer each service."""
+    """The publishers and subscribers of each topic, and the nodes that offer each service."""
 
     publishers: Dict[str, Set[str]]
+    subscribers: Dict[str, Set[str]]
     services: Dict[str, Set[str]]
 
 
@@ -77,13 +78,13 @@ def get_master_state() -> MasterState:
     default_timeout = socket.getdefaulttimeout()
     socket.setdefaulttimeout(MASTER_TIMEOUT_SECONDS)
     try:
-        published, _, services = master.getSystemState()
+        state = master.getSystemState()
     except (OSError, rosgraph.MasterException) as error:
         uri = rosgraph.get_master_uri()
         raise UsageError(f"no master answers at {uri}: start one (roscore), or set ROS_MASTER_URI") from error
     finally:
         socket.setdefaulttimeout(default_timeout)
-    return MasterState(_nodes_by_name(published), _nodes_by_name(services))
+    return MasterState(*map(_nodes_by_name, state))
 
 
 def _nodes_by_name(pairs: List[Tuple[str, List[str]]]) -> Dict[str, Set[str]]:
@@ -114,6 +115,7 @@ class NodeClient:
     Attributes:
         name: full name of the node.
         has_engine: whether the node has an engine.
+        interfaces: names of the other nodes that are the ROS interface of this one.
         published_topics: topics that the node publishes.
 
     Raises:
@@ -121,7 +123,7 @@ class NodeClient:
     """
 
     def __init__(self, requested_name: Optional[str] = None, include_interfaces: bool = False):
-        publishers, self._services = get_master_state()
+        publishers, subscribers, self._services = get_master_state()
         # A node is identified by its services, not by its name, which launch files may change.
         engine_nodes = find_engine_nodes(self._services)
         if requested_name is None:
@@ -131,7 +133,21 @@ class NodeClient:
                 requested_name, find_engine_nodes(self._services, include_interfaces), self._services
             )
         self.has_engine = self.name in engine_nodes
+        self._reported_errors: Set[str] = set()
+        # They send the subscriptions that their services add.
+        self.interfaces = sorted(
+            interface
+            for topic, nodes in publishers.items()
+            if topic.endswith(f"/{INPUT_CHANGES_TOPIC}") and self.name in subscribers.get(topic, ())
+            for interface in nodes - {self.name}
+        )
         self.published_topics = sorted(topic for topic, nodes in publishers.items() if self.name in nodes)
+
+    def report_once(self, error: UsageError) -> None:
+        """Print an error that does not end the command, unless the same one was printed before."""
+        if str(error) not in self._reported_errors:
+            self._reported_errors.add(str(error))
+            print(f"retalis: {error}", file=sys.stderr, flush=True)
 
     def call(self, service: str, service_class: Any, **fields: Any) -> Any:
         """Call a service of the node; return the response.
@@ -336,9 +352,20 @@ def _reload(options: argparse.Namespace) -> int:
 
 
 def _node_status(node: NodeClient) -> Dict[str, Any]:
-    """Return the answer of a node's service ``~list``, with the name of the node."""
+    """Return the answer of a node's service ``~list``, with the name of the node and the inputs of its interfaces."""
     status: Dict[str, Any] = to_plain(require_ok(node.call("list", srv.List)))
     del status["result"]
+    for name in node.interfaces:
+        try:
+            interface_status = to_plain(
+                require_ok(NodeClient(name, include_interfaces=True).call("list", srv.List))
+            )
+        except UsageError as error:
+            # An interface that has ended without the master's knowledge does not hide the status of the node.
+            node.report_once(error)
+            continue
+        status["inputs"] += [{"node": name, **topic} for topic in interface_status["inputs"]]
+        status["more_inputs"] += interface_status["more_inputs"]
     return {"node": node.name, **status}
 
 
