@@ -144,13 +144,19 @@ rosdep's own data need a network, and catkin_lint accepts any name without them.
 SWI_PACKAGE = "swi-prolog-nox"
 """Package of SWI-Prolog without graphics, installed on request."""
 
+TEST_SHELLS = ("fish", "zsh")
+"""Packages of the shells beside bash whose completion is tested."""
+
 # The tests open pages in a browser.
-DEBIAN_12 = Platform("Debian 12", [*_COMMON.split(), *_DEBIAN.split()], test_packages=["chromium"])
+DEBIAN_12 = Platform(
+    "Debian 12", [*_COMMON.split(), *_DEBIAN.split()], test_packages=["chromium", *TEST_SHELLS]
+)
 
 # No browser: Ubuntu's package chromium-browser installs a snap, which containers cannot run.
 UBUNTU_20_04 = Platform(
     "Ubuntu 20.04",
     [*_COMMON.split(), *("ros-noetic-" + name for name in _NOETIC.split())],
+    test_packages=TEST_SHELLS,
     setup="/opt/ros/noetic/setup.bash",
     source=f"deb [signed-by={KEY_FILE}] http://packages.ros.org/ros/ubuntu focal main",
 )
@@ -443,7 +449,14 @@ def parse_arguments(argv: Sequence[str]) -> argparse.Namespace:
     commands.add_parser("build", help="install what is needed and build (the default)")
     commands.add_parser("demo", help="... and run the NAO example (see demo --help)", add_help=False)
     commands.add_parser("test", help="... and run every test; options go to pytest", add_help=False)
-    commands.add_parser("where", help="print the setup.bash of the workspace that was built")
+    where = commands.add_parser("where", help="print the setup.bash of the workspace that was built")
+    where.add_argument(
+        "shell",
+        nargs="?",
+        choices=("bash", "zsh", "sh"),
+        default="bash",
+        help="print that of this shell (bash)",
+    )
     commands.add_parser("lint", help="... and check the style: ruff, mypy, catkin_lint")
     commands.add_parser("docs", help="build the documentation site, which needs no ROS, and say where it is")
     commands.add_parser("uninstall", help="remove what was built; say what is left")
@@ -692,7 +705,7 @@ def main(argv: Sequence[str]) -> int:
                 f"nothing has been built yet in {options.workspace}; "
                 "run ./install.py, or give the --workspace that it was run with"
             )
-        print(setup)
+        print(setup.with_suffix(f".{options.shell}"))
         return 0
     if options.command == "uninstall":
         uninstall(options.workspace, options.dry_run)

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
-KINDS = ("*.pl", "*.bash", "page/*.*", "py.typed")
+KINDS = ("*.pl", "*.bash", "*.fish", "_retalis", "page/*.*", "py.typed")
 DATA = [path for kind in KINDS for path in sorted(Path("src/retalis").rglob(kind))]
 LAYOUT = {
     "packages": find_packages("src"),
@@ -129,6 +129,8 @@ def described() -> dict:
                 for entry in placed(f"docs/{folder}", f"share/retalis/docs/{folder}", ".md")
             ],
             ("share/bash-completion/completions", ["src/retalis/cli/retalis.bash"]),
+            ("share/zsh/site-functions", ["src/retalis/cli/_retalis"]),
+            ("share/fish/vendor_completions.d", ["src/retalis/cli/retalis.fish"]),
         ],
     }
 

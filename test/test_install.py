@@ -568,13 +568,13 @@ def test_swi_prolog_is_installed_on_request(install, packages):
         assert packages(platform) == platform.packages
 
 
-def test_browser_is_installed_for_tests_on_debian(install, packages):
+def test_shells_and_browser_are_installed_for_tests(install, packages):
     debian, ubuntu = install.DEBIAN_12, install.UBUNTU_20_04
-    assert packages(debian, "test") == [*debian.packages, "chromium"]
-    assert packages(debian, "test", "--with-swi") == [*debian.packages, "chromium", "swi-prolog-nox"]
-    assert packages(ubuntu, "test") == ubuntu.packages
+    assert packages(debian, "test") == [*debian.packages, "chromium", "fish", "zsh"]
+    assert packages(debian, "test", "--with-swi")[-2:] == ["zsh", "swi-prolog-nox"]
+    assert packages(ubuntu, "test") == [*ubuntu.packages, "fish", "zsh"]
     for command in ("demo", "lint", "build"):
-        assert "chromium" not in packages(debian, command)
+        assert packages(debian, command) == debian.packages
 
 
 def test_what_is_not_for_the_installation_goes_on(install):
@@ -691,6 +691,8 @@ def test_where_prints_the_script_to_source_and_nothing_else(install, tmp_path, c
     (tmp_path / "devel" / "setup.bash").touch()
     assert install.main(["--workspace", str(tmp_path), "where"]) == 0
     assert capsys.readouterr().out == f"{tmp_path}/devel/setup.bash\n"
+    assert install.main(["--workspace", str(tmp_path), "where", "zsh"]) == 0
+    assert capsys.readouterr().out == f"{tmp_path}/devel/setup.zsh\n"
 
 
 def test_a_link_to_a_copy_that_is_gone_is_made_anew(install, tmp_path, monkeypatch):

@@ -176,6 +176,9 @@ def test_an_installation_is_a_command_with_the_example_and_completion(installed,
         'COMP_WORDS=(retalis bag --max-s); COMP_CWORD=2; _retalis_complete; echo "${COMPREPLY[@]}";'
         'COMP_WORDS=(retalis bag --program x); COMP_CWORD=3; _retalis_complete; echo "${COMPREPLY[@]}"'
     )
+    assert (installed / "share" / "zsh" / "site-functions" / "_retalis").is_file()
+    assert (installed / "share" / "fish" / "vendor_completions.d" / "retalis.fish").is_file()
+    assert run(command, "complete", "zsh", cwd=tmp_path).startswith("#compdef retalis\n")
     path = f"{command.parent}{os.pathsep}{os.environ['PATH']}"
     said = run("bash", "-c", script, cwd=tmp_path, PATH=path)
     assert said == "events\n--max-skew --max-seconds\n\n"

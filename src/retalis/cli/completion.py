@@ -1,4 +1,6 @@
-"""Command ``complete``: completion of command lines in bash.
+"""Command ``complete``: completion of command lines in bash, zsh and fish.
+
+The script of a shell calls ``retalis complete words`` with the words before the cursor.
 
 The candidates are derived from the parsers of all commands, so that a new command or option is completed without
 further work. Names of nodes and memories are queried from running nodes.
@@ -11,7 +13,11 @@ from typing import Callable, Dict, Iterable, List, Optional, Sequence
 from ..foundation.errors import UsageError
 from .optional_ros_imports import import_ros_module
 
-BASH_SCRIPT = Path(__file__).with_name("retalis.bash")
+SCRIPTS = {"bash": "retalis.bash", "zsh": "_retalis", "fish": "retalis.fish"}
+"""Files of this folder by their shell; zsh loads a completion from a file of this name."""
+
+_WORDS = "words"
+"""Argument with which the scripts ask for candidates."""
 
 NAME_CATEGORIES = {"node": "nodes", "wait_for": "memories"}
 """Category of the names that are values of an option, by the option's destination in the parsed options."""
@@ -21,17 +27,19 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     """Add the parser of command ``complete``."""
     parser = add_command(
         "complete",
-        help="print the completion of this command for bash",
-        description="Print a script with which bash completes commands, options, and names of nodes and memories. "
-        "For this shell: source <(retalis complete bash). For all new shells, add this line to ~/.bashrc.",
+        help="print the completion of this command for a shell",
+        description="Print a script with which a shell completes commands, options, and names of nodes and memories. "
+        "In bash: source <(retalis complete bash). In zsh: source <(retalis complete zsh). In fish: retalis complete "
+        "fish | source. For all new shells, add this line to ~/.bashrc, after compinit to ~/.zshrc, or to "
+        "~/.config/fish/config.fish.",
     )
     parser.add_argument(
         "shell",
         nargs="?",
-        choices=("bash", "words"),
+        choices=(*SCRIPTS, _WORDS),
         default="bash",
-        metavar="bash",
-        help="the shell; only bash is supported",
+        metavar="SHELL",
+        help="bash (the default), zsh or fish",
     )
     parser.add_argument("words", nargs=argparse.REMAINDER, metavar="WORD", help=argparse.SUPPRESS)
     parser.set_defaults(run=run)
@@ -45,8 +53,8 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         UsageError: if the arguments of ``words`` are malformed.
     """
-    if options.shell == "bash":
-        print(BASH_SCRIPT.read_text(encoding="utf-8"), end="")
+    if options.shell in SCRIPTS:
+        print(Path(__file__).with_name(SCRIPTS[options.shell]).read_text(encoding="utf-8"), end="")
         return 0
     number, *words = options.words or ["none"]
     if not number.isdecimal() or not 0 < int(number) <= len(words):
@@ -87,13 +95,19 @@ def list_candidates(
             option_values[open_option.dest] = word
             open_option = None
         elif word.startswith("-"):
-            open_option = _find_option(parser, word)
+            name, _, value = word.partition("=")
+            open_option = _find_option(parser, name)
+            if open_option is not None and value:
+                option_values[open_option.dest], open_option = value, None
         elif _get_subcommands(parser):
             if word not in _get_subcommands(parser):
                 return []
             parser, position = _get_subcommands(parser)[word], 0
         else:
             position += 1
+    name, equals_sign, value = current.partition("=")
+    if open_option is None and equals_sign and _find_option(parser, name) is not None:
+        open_option, current = _find_option(parser, name), value
     if open_option is None and current.startswith("-"):
         completions: Iterable[str] = _list_options(parser)
     else:
@@ -145,8 +159,8 @@ def _list_values(
     list_names: Callable[[str, Optional[str]], Iterable[str]],
 ) -> Iterable[str]:
     if action.choices is not None:
-        # The choice `words` is for the script only, not for users.
-        return [str(choice) for choice in action.choices if choice != "words"]
+        # One choice is for the scripts only, not for users.
+        return [str(choice) for choice in action.choices if choice != _WORDS]
     # Names in running nodes, if ROS is installed and a master answers.
     if action.dest in NAME_CATEGORIES:
         return list_names(NAME_CATEGORIES[action.dest], option_values.get("node"))
