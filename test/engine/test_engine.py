@@ -589,8 +589,9 @@ def test_a_callback_may_ask_the_engine_itself_and_other_threads_may_post():
 def test_names_alike_are_looked_for_a_few_times_only(caplog, monkeypatch):
     engine = Engine()
     looked = []
-    similar = engine.logic.find_similar
-    monkeypatch.setattr(engine.logic, "find_similar", lambda key: looked.append(key) or similar(key))
+    procedures = engine.logic.undefined_procedures
+    suggest = procedures.suggest
+    monkeypatch.setattr(procedures, "suggest", lambda key: looked.append(key) or suggest(key))
     engine.load(rules="".join(f"h <- a(X) where (unknown{at}(X)).\n" for at in range(200)))
     assert len(caplog.records) == 200 and len(looked) < 60
 

@@ -164,7 +164,11 @@ class ListenerIndex:
 
     def listened_names(self) -> List[str]:
         """Return the names of the events that listeners receive."""
-        return list(dict.fromkeys(functor.name for functor in list(self._listeners) if functor is not None))
+        return list(dict.fromkeys(functor.name for functor in self.listened_functors()))
+
+    def listened_functors(self) -> List[Functor]:
+        """Return the functors of the events that listeners receive; patterns for all events have none."""
+        return [functor for functor in list(self._listeners) if functor is not None]
 
     def _invalidate_plans(self, functor: Optional[Functor]) -> None:
         """Drop what depends on the listeners of a functor, or of all functors if it is None."""

@@ -5,15 +5,17 @@
 """
 
 from operator import attrgetter
-from typing import TYPE_CHECKING, Callable, Iterator, Optional, Sequence, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Iterator, Optional, Sequence, Tuple
 
 from ...foundation.errors import UsageError
 from ...prolog.machine.errors import instantiation_error, type_error
 from ...prolog.machine.machine import Machine
 from ...prolog.system.prolog_system import PrologSystem
-from ...prolog.terms.types import Frame, Term, Var, deref, functor
+from ...prolog.terms.term_traversal import variables
+from ...prolog.terms.types import Frame, Functor, Term, Var, deref, functor
 from ..dispatch.dispatcher import Dispatcher
 from ..language.stream_parser import subscription_event
+from ..matches.watermarks import functor_of
 from .event_states import StateRegistry
 from .memory import UPDATED, MemoryInstance, Warn, key_of
 from .memory_gaps_and_pose_chains import MemoryGaps, TransformChains
@@ -77,6 +79,8 @@ class KnowledgeBase:
         buffer: Optional[TransformBuffer] = None,
     ):
         self._logic = logic
+        self._dispatcher = dispatcher
+        self._rules = rules
         self._warn = warn
         self.on_pattern = on_pattern
         self.on_conditions = on_conditions
@@ -94,6 +98,33 @@ class KnowledgeBase:
         # Looked up at each call, because `on_pattern` is assigned later.
         self.states.on_event = lambda event: self.on_pattern(event)
         self._define_predicates()
+        logic.undefined_procedures.describe_other_use = self._describe_other_use
+
+    def _describe_other_use(self, key: Functor) -> str:
+        """Return that a name is a state or an event, and how to ask for it; an empty text for other names."""
+        for declaration in self.states:
+            state = declaration.form.state
+            if functor_of(state) is key:
+                shown_state = self._logic.brief(state, dict.fromkeys(variables(state), "_"))
+                return f"{key} is a state: call holds({shown_state})"
+        heads = (functor_of(rule.definition.head) for rule in self._rules.rules if rule.definition.head)
+        events = dict.fromkeys([*self._dispatcher.listened_functors(), *heads])
+        # Also with another number of arguments: a predicate with a similar name is less probable.
+        event = (
+            key
+            if key in events
+            else next((other for other in events if other and other.name == key.name), None)
+        )
+        if event is None:
+            return ""
+        advice = "record it by memorize/5 and call access_mem/3, or declare a state and call holds/1"
+        for instance in self.memories:
+            definition: Any = instance.definition
+            if functor_of(definition[1]) is event:
+                name = self._logic.brief(instance.id)
+                advice = f"memory {name} records it, so call access_mem({name},Record,[T1,T2])"
+                break
+        return f"{event} is an event, and events are not facts: {advice}"
 
     def clear(self) -> None:
         """Remove records, pending queries and states, because the clock went back; definitions remain."""

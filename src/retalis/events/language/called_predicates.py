@@ -158,9 +158,9 @@ def undefined_call_warnings(
             defined_later.add(key)
             # The search for similar names compares with all predicates, so only the first ones get a hint.
             hints_left -= 1
-            similar = logic.find_similar(key) if hints_left >= 0 and not advice else []
-            hint = f"; did you mean {' or '.join(similar)}?" if similar else ""
-            hint = f"; {advice}" if advice else hint
+            if not advice and hints_left >= 0:
+                advice = logic.undefined_procedures.suggest(key)
+            hint = f"; {advice}" if advice else ""
             prefix = f"{caller}: " if caller else ""
             yield RuleError(f"{prefix}there is no predicate {key} yet{hint}", place)
 

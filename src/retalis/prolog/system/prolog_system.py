@@ -362,6 +362,7 @@ class PrologSystem(PredicateTable):
         swi_files: files that the program has loaded into SWI-Prolog, by name.
         foreign_modules: names or paths of the Python modules that the program has loaded.
         files: opens files for goals; None if goals may open none.
+        undefined_procedures: handles calls of undefined procedures.
         ask: returns the next line that the user types, None at the end of input; None if there is no user.
         environment: environment variables of the process; None if the program may not read them.
         is_serving_client: whether the current work is done for a client and not for the program; see
@@ -373,7 +374,7 @@ class PrologSystem(PredicateTable):
     def __init__(self, operators: Optional[Operators] = None, compile_after: int = COMPILE_AFTER):
         super().__init__(operators, compile_after)
         self.database.call_undefined = self._call_undefined
-        self._undefined_procedures = UndefinedProcedures(self)
+        self.undefined_procedures = UndefinedProcedures(self)
         self.globals: Dict[str, Term] = {}
         self.column = 0
         self.output: Callable[[str], None]
@@ -692,7 +693,7 @@ class PrologSystem(PredicateTable):
         if library_file is not None:
             self._load_library(library_file)
             return self.database.predicate(key).run(frame)
-        return self._undefined_procedures.handle_call(predicate, frame)
+        return self.undefined_procedures.handle_call(predicate, frame)
 
     def find_similar(self, key: Functor) -> List[str]:
         """Return indicators of predicates with a similar name, for "did you mean" hints."""

@@ -5,7 +5,7 @@ procedure at each event: hints are stored, and the number of searches is bounded
 """
 
 from difflib import get_close_matches
-from typing import Dict, List, Optional, Tuple
+from typing import Callable, Dict, List, Optional, Tuple
 
 from ...foundation.bounded_caches import Cache
 from ..database.clause_index import Clause
@@ -31,10 +31,15 @@ class UndefinedProcedures:
 
     Args:
         logic: contains the predicates and the flag ``unknown``.
+
+    Attributes:
+        describe_other_use: returns what a name without a predicate stands for instead, and how to ask for that; an
+            empty text if it stands for nothing.
     """
 
     def __init__(self, logic: PredicateTable):
         self._logic = logic
+        self.describe_other_use: Callable[[Functor], str] = lambda key: ""
         self._call_count = self._search_count = 0
         self._hints: Cache[Tuple[Functor, Optional[Functor], int], str] = Cache(1000, 1 << 20)
 
@@ -78,11 +83,19 @@ class UndefinedProcedures:
         if callers:
             notes.append(f"called from {', '.join(callers)}")
         plain_functor = database.modules.plain_functor(predicate.functor)
-        suggestions = find_similar(self._logic, plain_functor or predicate.functor)
-        if suggestions:
-            notes.append(f"did you mean {' or '.join(suggestions)}?")
+        suggestion = self.suggest(plain_functor or predicate.functor)
+        if suggestion:
+            notes.append(suggestion)
         hints = "; ".join(notes)
         return self._hints.store(key, hints, 2 * len(hints))
+
+    def suggest(self, key: Functor) -> str:
+        """Return what to call instead of an undefined procedure; an empty text if that is unknown."""
+        other_use = self.describe_other_use(key)
+        if other_use:
+            return other_use
+        similar = find_similar(self._logic, key)
+        return f"did you mean {' or '.join(similar)}?" if similar else ""
 
 
 def _possible_callers(logic: PredicateTable, predicate: Predicate, frame: Frame) -> List[str]:
