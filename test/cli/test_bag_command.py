@@ -216,11 +216,11 @@ def test_message_types_of_topic_without_messages_come_from_folder(bag, tmp_path,
     assert "output(silent,alarms)." in capsys.readouterr().out
 
 
-def test_flush_ends_windows_after_bag_and_open_states_are_printed(bag, tmp_path, capsys):
+def test_flush_ends_windows_after_bag_and_what_is_open_is_printed(bag, tmp_path, capsys):
     (tmp_path / "pub_sub.xml").write_text("<publish_subscribe></publish_subscribe>")
     (tmp_path / "eventRules.txt").write_text(
         "first <- ar_pose__0__ARMarkers(_, _) with throttle(1000).\nlost <- first seq absent(beat, 100).\n"
-        ":- state(seen, from(first), until(beat)).\n"
+        ":- state(seen, from(first), until(beat)).\nmany(N) <- aggregate(count, first, N, every(5, events)).\n"
     )
     (tmp_path / "goalPredicates.txt").write_text(
         "compile_event_file('eventRules.txt')\nsubscribe(lost, [], lost, alarms, a)\n"
@@ -229,8 +229,9 @@ def test_flush_ends_windows_after_bag_and_open_states_are_printed(bag, tmp_path,
     assert main(play) == 0
     assert capsys.readouterr().out == ""
     assert main([*play, "--flush", "200", "--open", "--json", "--watermark-delay", "0"]) == 0
-    output, state = map(json.loads, capsys.readouterr().out.splitlines())
+    output, state, window = map(json.loads, capsys.readouterr().out.splitlines())
     assert (output["output"], state["open"]) == ("lost", "seen")
+    assert (window["open_window"], window["rule"], window["elements"]) == ("every(5,events)", "many(N)", 1)
     # The alarm is 100 s after the event with which the state began.
     assert output["time"] == state["start"] + 100 * 10**9
 

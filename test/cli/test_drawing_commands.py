@@ -1,6 +1,7 @@
 """``retalis graph``: a program as a picture, or as text, and ``retalis plot``: a run as a page."""
 
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -78,6 +79,32 @@ def test_a_run_is_the_same_from_the_bag_and_from_a_file(tmp_path, capsys):
     drawn, read = ((tmp_path / name).read_text(encoding="utf-8") for name in ("a.html", "b.html"))
     assert drawn.replace("application_source over nao.bag", "run.jsonl") == read
     assert '"name": "odom_base"' in drawn and '"kind": "wait"' in drawn
+
+
+@pytest.mark.slow
+def test_plot_draws_what_flush_ends_and_what_is_open(tmp_path, capsys):
+    bag, program = tmp_path / "nao.bag", tmp_path / "program"
+    make_bag(bag, 1.0, 1)
+    program.mkdir()
+    (program / "pub_sub.xml").write_text("<publish_subscribe></publish_subscribe>")
+    (program / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')\n")
+    (program / "eventRules.txt").write_text(
+        "first <- tf__0__tfMessage(_) with throttle(1000).\nlost <- first seq absent(beat, 100).\n"
+        ":- state(moving, from(first), until(beat)).\n"
+        "many(N) <- aggregate(count, first, N, every(5, events)).\n"
+    )
+    end = ["--flush", "200", "--open"]
+    assert main(["plot", str(bag), "-p", str(program), *end, "-o", str(tmp_path / "a.html")]) == 0
+    drawn = (tmp_path / "a.html").read_text(encoding="utf-8")
+    lanes = re.findall(r'"kind": "(\w+)", "name": "([^"]*)"', drawn)
+    assert ("event", "lost") in lanes
+    assert lanes[-2:] == [("open", "moving"), ("open", "many every(5,events)")]
+    assert main(["bag", str(bag), "-p", str(program), *end, "--events", "--json"]) == 0
+    (tmp_path / "run.jsonl").write_text(capsys.readouterr().out, encoding="utf-8")
+    assert main(["plot", "--from", str(tmp_path / "run.jsonl"), "-o", str(tmp_path / "b.html")]) == 0
+    assert drawn.replace("program over nao.bag", "run.jsonl") == (tmp_path / "b.html").read_text(
+        encoding="utf-8"
+    )
 
 
 def test_wrong_options_are_refused(tmp_path, capsys):

@@ -600,6 +600,61 @@ def test_open_states_are_printed_at_end(run):
     assert lines[-1] == '{"open": "docked(b)", "start": 12000000000}'
 
 
+OPEN_WINDOW_RULES = """\
+by_time(R, N) <- aggregate(count, task(R), N, every(10)).
+by_first(N) <- aggregate(count, task(_), N, every(30, first)).
+by_count(R, N) <- aggregate(count, task(R), N, every(2, events)).
+sum(N) <- aggregate(count, task(_), N, running(every(10))).
+hopping(N) <- aggregate(count, task(_), N, last(20, every(5))).
+sliding(N) <- aggregate(count, task(_), N, last(20)).
+null do true <- aggregate(count, task(_), _, every(7, events)).
+"""
+OPEN_WINDOW_STREAM = """\
+event(task(a), [datime(2026,1,1,0,0,11,0), datime(2026,1,1,0,0,11,0)]).
+event(task(b), [datime(2026,1,1,0,0,12,0), datime(2026,1,1,0,0,12,0)]).
+event(task(a), [datime(2026,1,1,0,0,14,0), datime(2026,1,1,0,0,14,0)]).
+"""
+
+
+def test_open_windows_are_printed_at_end(run):
+    lines = run("--open", rules=OPEN_WINDOW_RULES, stream=OPEN_WINDOW_STREAM)[1]
+    since = "is open since datime(2026,1,1,0,0"
+    assert [line for line in lines if line.startswith("%")] == [
+        f"% window every(10) of by_time(R,N) for R = a {since},10,0), with 2 elements",
+        f"% window every(10) of by_time(R,N) for R = b {since},10,0), with 1 element",
+        f"% window every(30,first) of by_first(N) {since},11,0), with 3 elements",
+        f"% window every(2,events) of by_count(R,N) for R = b {since},12,0), with 1 element",
+        f"% window running(every(10)) of sum(N) {since},10,0), with 3 elements",
+        "% window last(20,every(5)) of hopping(N) is open since datime(2025,12,31,23,59,55,0), with 3 elements",
+        f"% window every(7,events) of null {since},11,0), with 3 elements",
+    ]
+
+
+def test_windows_that_flush_ends_are_not_open(run):
+    lines = run("--open", "--json", "--flush", "16", rules=OPEN_WINDOW_RULES, stream=OPEN_WINDOW_STREAM)[1]
+    windows = [record for record in map(json.loads, lines) if "open_window" in record]
+    start = 1767225611 * 10**9
+    assert windows[:2] == [
+        {
+            "open_window": "every(30,first)",
+            "rule": "by_first(N)",
+            "key": {},
+            "elements": 3,
+            "start": start,
+            "end": start + 30 * 10**9,
+        },
+        {
+            "open_window": "every(2,events)",
+            "rule": "by_count(R,N)",
+            "key": {"R": "b"},
+            "elements": 1,
+            "start": start + 10**9,
+            "end": None,
+        },
+    ]
+    assert [window["open_window"] for window in windows[2:]] == ["every(7,events)"]
+
+
 def test_goal_output_beside_json_goes_to_stderr(run):
     rules = "a(X) <- b(X) where (write(seen(X)), nl).\n"
     status, lines, errors = run("--json", rules=rules, stream="event(b(1),[1,1]).\n")

@@ -38,6 +38,15 @@ RUN = [
         "start": 6 * SECOND,
         "end": 9 * SECOND,
     },
+    {"open": "lit(a)", "start": 6 * SECOND},
+    {
+        "open_window": "every(10)",
+        "rule": "load(R,N)",
+        "key": {"R": "r1"},
+        "elements": 2,
+        "start": 4 * SECOND,
+        "end": 14 * SECOND,
+    },
     {"memory": "none", "pattern": "q", "size": 9, "records": 0, "taken": 0, "start": None, "end": None},
     {"explain": "x", "happened": True, "because": []},
 ]
@@ -49,13 +58,17 @@ def of(lines):
 
 def test_a_run_has_a_lane_for_each_name():
     run = of(RUN)
-    assert (run.begin, run.length, run.omitted_lane_count) == (5 * SECOND, 4.0, 0)
+    assert (run.begin, run.length, run.omitted_lane_count) == (4 * SECOND, 5.0, 0)
     assert [(lane.kind, lane.name, lane.total) for lane in run.lanes] == [
         *(("event", "Level", 1), ("event", "a (b", 1), ("wait", "seen waits", 1)),
         *(("memory", "odom", 4), ("output", "y", 1), ("output", "z", 1)),
+        *(("open", "lit", 1), ("open", "load every(10)", 1)),
     ]
-    assert run.lanes[1].marks == [(0.0, 2.0, "'a (b'(1)")]
-    assert run.lanes[2].marks == [(1.0, 2.0, "for odom: seen(1)")]
+    assert run.lanes[1].marks == [(1.0, 3.0, "'a (b'(1)")]
+    assert run.lanes[2].marks == [(2.0, 3.0, "for odom: seen(1)")]
+    # What is open ends with the run.
+    assert run.lanes[-2].marks == [(2.0, 5.0, "lit(a) is open")]
+    assert run.lanes[-1].marks == [(0.0, 5.0, "every(10) is open, with 2 elements, R = r1")]
     assert of([]).lanes == []
 
 
@@ -181,11 +194,12 @@ def test_what_matplotlib_is_asked_for(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "matplotlib", types.ModuleType("matplotlib"))
     draw_timeline(of(RUN), "a run of $x_{$", tmp_path / "run.png")
     named = [arguments[0] for name, arguments in calls if name == "set_yticklabels"]
-    assert named == [["Level", "a (b", "seen waits", "odom", "y", "z"], ["1", "1", "1", "4", "1", "1"]]
+    names = ["Level", "a (b", "seen waits", "odom", "y", "z", "lit", "load every(10)"]
+    assert named == [names, ["1", "1", "1", "4", "1", "1", "1", "1"]]
     (title,) = [arguments[0] for name, arguments in calls if name == "set_title"]
     assert title.startswith("a run of \\$x_{\\$\n")
     (drawn,) = [arguments[0] for name, arguments in calls if name == "savefig"]
     assert (drawn.parent, drawn.suffix) == (tmp_path, ".png")
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"run.png": "picture"}
     bars = [arguments[0] for name, arguments in calls if name == "broken_barh"]
-    assert bars == [[(0.0, 2.0)], [(1.0, 1.0)], [(1.0, 3.0)]]
+    assert bars == [[(1.0, 2.0)], [(2.0, 1.0)], [(2.0, 3.0)], [(2.0, 3.0)], [(0.0, 5.0)]]

@@ -17,6 +17,7 @@ RECORDS = [
     {"event": "high(2)", "start": 6 * SECOND, "end": 8 * SECOND},
     {"output": "x", "topic": "alarm", "id": "i", "time": 7 * SECOND},
     {"wait": "seen(1)", "memories": ["odom"], "start": 6 * SECOND, "end": 7 * SECOND},
+    {"open": "lit(a)", "start": 7 * SECOND},
     {
         "memory": "odom",
         "pattern": "p(_)",
@@ -121,7 +122,7 @@ def test_overlapping_marks_have_rows_of_their_own(page, timeline):
     rows = {
         lane.name: [count for _, _, count in areas] for lane, areas in zip(timeline.lanes, read_areas(page))
     }
-    assert rows == {"Level": [1, 1], "high": [2], "seen waits": [1], "odom": [1], "alarm": [1]}
+    assert rows == {"Level": [1, 1], "high": [2], "seen waits": [1], "odom": [1], "alarm": [1], "lit": [1]}
 
 
 def test_details_of_a_mark_are_shown_at_the_pointer(page, timeline):
@@ -136,6 +137,7 @@ def test_details_of_a_mark_are_shown_at_the_pointer(page, timeline):
         "seen waits": "wait seen waits at 1.000000 s to 2.000000 s, 1.000000 s long: for odom: seen(1)",
         "odom": "memory odom at 1.000000 s to 4.000000 s, 3.000000 s long: 3000 of 9000 records, 4000 taken: p(_)",
         "alarm": "output alarm at 2.000000 s: x",
+        "lit": "open lit at 2.000000 s to 4.000000 s, 2.000000 s long: lit(a) is open",
     }
 
 
@@ -189,11 +191,12 @@ def test_kinds_have_distinct_colours_with_a_legend(page, timeline, dark):
         "waits of queries",
         "memories",
         "outputs",
+        "open at the end",
     ]
     samples = "[...document.querySelectorAll('#legend i')]"
     colours = page.ask(f"{samples}.map((sample) => getComputedStyle(sample).backgroundColor)")
     background = page.ask("getComputedStyle(document.body).backgroundColor")
-    assert len({*colours, background}) == 5
+    assert len({*colours, background}) == 6
 
 
 def test_page_of_an_empty_run_opens(browser, tmp_path):

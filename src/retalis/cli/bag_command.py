@@ -21,7 +21,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Callable, Deque, Dict, Generator, List, Mapping, NamedTuple, Optional, Tuple, Union
 
 from ..engine.engine_settings import Settings
-from ..engine.run_records import RunRecord
+from ..engine.run_records import RunRecord, open_records
 from ..events.program.topic_configuration import TopicType, topic_type
 from ..explanation.event_explanations import explain, record_origins
 from ..foundation.cpython_and_pypy import limit_gc_pauses, restore_gc
@@ -47,6 +47,7 @@ from ..prolog.syntax.term_reader import read_term
 from ..prolog.terms import timestamps
 from ..prolog.terms.types import Term, atom, functor
 from .command_options import (
+    PRINT_OPEN,
     add_chunk_limit_option,
     add_direct,
     add_end_of_input,
@@ -89,6 +90,7 @@ JSON_LINES_HELP = """\
   {"wait": TERM, "memories": [ID, ...], "start": T1, "end": T2}    a query that has waited
   {"memory": ID, "pattern": TERM, "size": N, "records": N, "taken": N, "start": T1, "end": T2}    at the end
   {"open": TERM, "start": T}                               with --open, a declared state that is open at the end
+  {"open_window": WINDOW, "rule": HEAD, "key": {VARIABLE: TERM, ...}, "elements": N, "start": T1, "end": T2 or null}
   {"explain": TERM, "happened": true or false, "because": [{"text": LINE, "below": [...]}, ...]}
 """
 
@@ -129,7 +131,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     )
     add("--json", action="store_true", help="print one JSON object per line instead of terms")
     add("-q", "--quiet", action="store_true", help="print no outputs")
-    add_end_of_input(parser)
+    add_end_of_input(parser, PRINT_OPEN)
     add_many_bags_options(parser)
     add_folders(parser)
     add_limits(parser)
@@ -375,9 +377,9 @@ class _RunPrinter:
         """Print the summary and the requested explanations."""
         if self._recorder is not None:
             self._recorder.record_final_state()
-        if self._options.prints_open_states:
+        if self._options.prints_open:
             self._clear_bar()
-            self._printer.print_open_states(self._engine.knowledge.states)
+            self._printer.print_open(open_records(self._engine))
         for query in self._options.explain:
             term = read_term(query, self._engine.operators, "--explain").term
             self._clear_bar()
@@ -705,7 +707,7 @@ def _check_printed_lines(options: argparse.Namespace, result_format: Optional[st
     if result_format in ("bag", "parquet"):
         for name, value, content in (
             ("explain", options.explain, "explanations"),
-            ("open", options.prints_open_states, "open states"),
+            ("open", options.prints_open, "open states and windows"),
         ):
             if value:
                 raise UsageError(

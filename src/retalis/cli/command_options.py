@@ -144,8 +144,13 @@ def _parse_direct(text: str) -> DirectTopics:
         raise argparse.ArgumentTypeError(error.message) from None
 
 
-def add_end_of_input(parser: argparse.ArgumentParser) -> None:
-    """Add the options for windows and states that are open when the input ends."""
+def add_end_of_input(parser: argparse.ArgumentParser, open_effect: str) -> None:
+    """Add the options for windows and states that are open when the input ends.
+
+    Args:
+        parser: parser of the command.
+        open_effect: effect of ``--open``, for its help.
+    """
     add = parser.add_argument_group("end of the input").add_argument
     add(
         "--flush",
@@ -156,10 +161,17 @@ def add_end_of_input(parser: argparse.ArgumentParser) -> None:
     )
     add(
         "--open",
-        dest="prints_open_states",
+        dest="prints_open",
         action="store_true",
-        help="print at the end the declared states that are open, in lines that start with %%",
+        help=open_effect,
     )
+
+
+PRINT_OPEN = (
+    "print at the end, in lines that start with %%, the declared states that are open, and the windows that have "
+    "not ended with the number of their elements"
+)
+"""Help of ``--open`` for commands that print."""
 
 
 def add_message_folders(add: AddArgument) -> None:

@@ -8,12 +8,14 @@ from typing import Callable, Dict, List, Optional, Sequence
 from ..engine.engine import Engine
 from ..engine.engine_settings import Settings
 from ..engine.event_input import InputTopics
+from ..engine.run_records import open_records
 from ..events.program.topic_configuration import GOALS, TOPICS, Topics, read_topics
 from ..foundation.cpython_and_pypy import limit_gc_pauses
 from ..foundation.errors import ProgramErrors, UsageError
 from ..foundation.output_files import open_output, print_json
 from ..messages.type_definition import functor_name
 from ..playback.playback import RunRecorder
+from ..prolog.terms import timestamps
 from ..visualization.program_graph import (
     PICTURE_SUFFIXES,
     Graph,
@@ -31,7 +33,7 @@ from ..visualization.timeline import (
     timeline_page,
 )
 from .bag_command import add_source, create_playback, elapsed_fraction, open_bags
-from .command_options import add_folders, add_limits, apply_limits
+from .command_options import add_end_of_input, add_folders, add_limits, apply_limits
 from .optional_ros_imports import installed_definitions
 from .stderr_and_progress import StderrReporter, show_progress
 
@@ -135,8 +137,9 @@ PAGE_SUFFIXES = ("html", "htm")
 
 _PLOT_DESCRIPTION = """\
 Run a program over bags, or read a run that "bag --events --json" has written, and draw its timeline: a row for each
-event, for the waits of each query, for each memory and for each output. An .html file is a page with zoom, which
-needs neither other files nor a network; .png, .svg and .pdf are drawn by matplotlib.
+event, for the waits of each query, for each memory, for each output, and with --open for what is open at the end. An
+.html file is a page with zoom, which needs neither other files nor a network; .png, .svg and .pdf are drawn by
+matplotlib.
 """
 
 
@@ -159,6 +162,9 @@ def add_plot_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None
         required=True,
         metavar="FILE",
         help="where to draw it, as run.html or run.png",
+    )
+    add_end_of_input(
+        parser, "draw the declared states that are open at the end, and the windows that have not ended"
     )
     add_limits(parser)
     add_folders(parser)
@@ -213,9 +219,12 @@ def _record_timeline(options: argparse.Namespace, reporter: StderrReporter) -> T
 
             # After the program is loaded: only the objects of the run are left to the collector.
             limit_gc_pauses()
-            for output in playback.run(bags, advance):
+            for output in playback.run(bags, advance, flush_time=timestamps.from_seconds(options.flush)):
                 recorder.record_output(output)
         recorder.record_final_state()
+        if options.prints_open:
+            for record in open_records(playback.engine):
+                builder.add_record(record)
     return builder.build()
 
 

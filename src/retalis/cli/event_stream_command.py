@@ -18,6 +18,7 @@ from typing import IO, Callable, Iterable, Iterator, List, NamedTuple, Optional,
 from ..engine.engine import Engine
 from ..engine.engine_settings import Settings
 from ..engine.program_check import find_absent_events
+from ..engine.run_records import open_records
 from ..engine.runtime.clock import StreamClock
 from ..engine.runtime.problem_reports import Reports
 from ..events.program.goal_file import goal_of, read_goals
@@ -42,7 +43,14 @@ from ..prolog.syntax.term_reader import ReadTerm, read_program, read_term
 from ..prolog.terms import timestamps
 from ..prolog.terms.term_traversal import rebuild, variables
 from ..prolog.terms.types import Frame, Functor, Term, deref
-from .command_options import add_end_of_input, add_folders, add_limits, apply_folders, apply_limits
+from .command_options import (
+    PRINT_OPEN,
+    add_end_of_input,
+    add_folders,
+    add_limits,
+    apply_folders,
+    apply_limits,
+)
 from .option_values import RELATIVE_TIMES_OPTION, TIMES_RELATIVE
 from .optional_ros_imports import installed_definitions
 from .result_printer import JSON_HELP, Printer, TimeOrigin, redirect_goal_output
@@ -161,6 +169,8 @@ JSON_LINES_HELP = """\
   {"memory_event": TERM, "start": T1, "end": T2}    with --memory-events
   {"output": TERM, "topic": TOPIC, "id": ID, "time": T}    with --outputs, into that file
   {"query": GOAL, "solutions": [GOAL, ...]}         for each goal of --queries
+  {"open": TERM, "start": T}                        with --open, a declared state that is open at the end
+  {"open_window": WINDOW, "rule": HEAD, "key": {VARIABLE: TERM, ...}, "elements": N, "start": T1, "end": T2 or null}
   {"explain": TERM, "happened": true or false, "because": [{"text": LINE, "below": [...]}, ...]}
 """
 
@@ -219,7 +229,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     )
     add("--clock", metavar="TERM", help="pin the clock to an instant: datime(2001,1,1,0,0,0,0) or seconds")
     add("--json", action="store_true", help="print one JSON object per line instead of terms")
-    add_end_of_input(parser)
+    add_end_of_input(parser, PRINT_OPEN)
     add_folders(parser)
     add_limits(parser)
     parser.set_defaults(run=run, reject_usage=parser.error)
@@ -402,8 +412,8 @@ class Session:
                     self._reporter(goal)
                 else:
                     self._call_reporting_errors(self._print_solutions, goal)
-        if self._options.prints_open_states:
-            self._printer.print_open_states(self.engine.knowledge.states)
+        if self._options.prints_open:
+            self._printer.print_open(open_records(self.engine))
         for term in self._options.explain:
             self._call_reporting_errors(self._print_explanation, term)
 

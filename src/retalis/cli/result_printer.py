@@ -1,12 +1,12 @@
 """Printing of events, outputs, solutions and explanations as Prolog terms or as JSON."""
 
 import sys
-from typing import IO, Any, Dict, Iterable, List, Mapping, Optional
+from typing import IO, Any, Dict, Iterable, List, Mapping, Optional, cast
 
-from ..engine.run_records import OutputRecord
-from ..events.knowledge.event_states import DeclaredState
+from ..engine.run_records import OpenRecord, OpenStateRecord, OutputRecord
 from ..events.knowledge.knowledge_base import MEMORY_EVENTS
 from ..explanation.event_explanations import Explanation, ExplanationLine
+from ..foundation.errors import format_count
 from ..foundation.output_files import print_json
 from ..prolog.syntax.term_writer import add_full_stop, canonical_text
 from ..prolog.system.prolog_system import PrologSystem
@@ -138,18 +138,27 @@ class Printer:
         for solution in goal_instances:
             print(add_full_stop(canonical_text(solution)), flush=True)
 
-    def print_open_states(self, states: Iterable[DeclaredState]) -> None:
-        """Print the declared states that are open."""
-        for declaration in states:
-            for term, start in declaration.open_states(None):
-                if self._as_json:
-                    self.print_json({"open": canonical_text(term), "start": int(start)})
-                    continue
-                # Not converted to an int, which would lose the form in which the event states its time.
-                instant: Term = timestamps.lazy_term(start)
-                if self._origin is not None:
-                    instant = timestamps.to_seconds(self._origin.relative(start))
-                print(f"% {canonical_text(term)} is open since {canonical_text(instant)}", flush=True)
+    def print_open(self, records: Iterable[OpenRecord]) -> None:
+        """Print the states and windows that are open."""
+        for record in records:
+            if self._as_json:
+                self.print_json(record)
+                continue
+            start = record["start"]
+            # Not converted to an int, which would lose the form in which the event states its time.
+            instant: Term = timestamps.lazy_term(start)
+            if self._origin is not None:
+                instant = timestamps.to_seconds(self._origin.relative(start))
+            details = ""
+            # The first field tells the types apart, as in lines of JSON.
+            if "open" in record:
+                subject = cast(OpenStateRecord, record)["open"]
+            else:
+                window = record
+                key = ", ".join(f"{name} = {value}" for name, value in window["key"].items())
+                subject = f"window {window['open_window']} of {window['rule']}{key and f' for {key}'}"
+                details = f", with {format_count(window['elements'], 'element')}"
+            print(f"% {subject} is open since {canonical_text(instant)}{details}", flush=True)
 
     def print_explanation(self, term: Term, answer: Explanation) -> None:
         """Print the explanation of an event that happened or did not happen."""

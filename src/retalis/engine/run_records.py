@@ -4,7 +4,14 @@ The name of the first field is the type of the record. Times are nanoseconds sin
 and readers use these types, so that mypy finds a name that they do not share.
 """
 
-from typing import List, Optional, TypedDict, Union
+from typing import TYPE_CHECKING, Dict, Iterator, List, Optional, TypedDict, Union
+
+from ..events.language.stream_parser import window_term
+from ..prolog.syntax.term_writer import canonical_text
+from ..prolog.terms import timestamps
+
+if TYPE_CHECKING:
+    from .engine import Engine
 
 
 class EventRecord(TypedDict):
@@ -46,6 +53,33 @@ class MemoryStateRecord(TypedDict):
     end: Optional[int]
 
 
+class OpenStateRecord(TypedDict):
+    """A declared state that is open at the end of a run, and its start."""
+
+    open: str
+    start: int
+
+
+class OpenWindowRecord(TypedDict):
+    """A window that has elements and has not ended at the end of a run.
+
+    Attributes:
+        open_window: the window, as ``every(10)``.
+        rule: head of the rule, or its name if it has none.
+        key: values of the key by the variables of the rule.
+        elements: number of elements.
+        start: start of the window, or of its elements.
+        end: end of the window; None if its number of elements ends it.
+    """
+
+    open_window: str
+    rule: str
+    key: Dict[str, str]
+    elements: int
+    start: int
+    end: Optional[int]
+
+
 class OutputRecord(TypedDict):
     """An output, with its topic and the id of its subscription; the id is None if the output has none."""
 
@@ -55,7 +89,35 @@ class OutputRecord(TypedDict):
     time: int
 
 
-RunRecord = Union[EventRecord, WaitRecord, MemoryStateRecord, OutputRecord]
+OpenRecord = Union[OpenStateRecord, OpenWindowRecord]
+RunRecord = Union[EventRecord, WaitRecord, MemoryStateRecord, OpenRecord, OutputRecord]
 
-RECORD_TYPES = {"event": EventRecord, "wait": WaitRecord, "memory": MemoryStateRecord, "output": OutputRecord}
+RECORD_TYPES = {
+    "event": EventRecord,
+    "wait": WaitRecord,
+    "memory": MemoryStateRecord,
+    "open": OpenStateRecord,
+    "open_window": OpenWindowRecord,
+    "output": OutputRecord,
+}
 """Type of a record by the name of its first field."""
+
+
+def open_records(engine: "Engine") -> Iterator[OpenRecord]:
+    """Yield the declared states that are open, and the windows that have elements and have not ended."""
+    for declaration in engine.knowledge.states:
+        for term, start in declaration.open_states(None):
+            yield OpenStateRecord(open=canonical_text(term), start=start)
+    show = engine.logic.show
+    for rule in engine.rules.rules:
+        definition = rule.definition
+        title = rule.name if definition.head is None else show(definition.head, names=definition.names)
+        for pattern, key, window in rule.open_windows():
+            yield OpenWindowRecord(
+                open_window=show(window_term(pattern.window, timestamps.to_shortest_seconds)),
+                rule=title,
+                key={name: canonical_text(value) for name, value in key.items()},
+                elements=window.element_count,
+                start=window.start,
+                end=window.end,
+            )

@@ -1,4 +1,4 @@
-"""Timeline of a playback: events, waits of queries, memories and outputs in lanes over time, and its rendering.
+"""Timeline of a playback: events, waits, memories, outputs and what is open in lanes over time, and its rendering.
 
 `TimelineBuilder` collects the records of `RunRecorder`, or of a file that ``bag --events --json`` has written. The
 number of lanes and of marks per lane is limited: when a lane is full, every second mark is dropped, and from then on
@@ -13,7 +13,15 @@ import re
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple, cast
 
-from ..engine.run_records import RECORD_TYPES, EventRecord, MemoryStateRecord, OutputRecord, WaitRecord
+from ..engine.run_records import (
+    RECORD_TYPES,
+    EventRecord,
+    MemoryStateRecord,
+    OpenStateRecord,
+    OpenWindowRecord,
+    OutputRecord,
+    WaitRecord,
+)
 from ..foundation.errors import UsageError, install_hint, printable, printable_json, shorten
 from ..foundation.output_files import replace_file
 from ..prolog.terms import timestamps
@@ -28,7 +36,10 @@ MAX_MARKS = 20_000
 MAX_MARK_CHARACTERS = 200
 """Maximum length of the text of a mark."""
 
-LANE_KINDS = ("event", "wait", "memory", "output")
+_OPEN = "open"
+"""Kind of the lanes of states and windows that are open at the end: their marks end with the playback."""
+
+LANE_KINDS = ("event", "wait", "memory", "output", _OPEN)
 """Kinds of lanes, from top to bottom of the picture."""
 
 MAX_ROWS_PER_LANE = 3
@@ -120,7 +131,7 @@ class TimelineBuilder:
         # An empty memory has no time range.
         if start is None or end is None or name == _NULL_EVENT:
             return
-        lane = self._get_lane(kind, name)
+        lane = self._get_lane(_OPEN if kind == "open_window" else kind, name)
         if lane is not None:
             lane.add(start, end, text)
             # A memory has one mark for all its records.
@@ -151,7 +162,7 @@ class TimelineBuilder:
                 kind,
                 name,
                 [
-                    ((first - begin) / SECOND, (last - begin) / SECOND, text)
+                    ((first - begin) / SECOND, ((end if kind == _OPEN else last) - begin) / SECOND, text)
                     for first, last, text in lane.marks
                 ],
                 lane.total,
@@ -240,11 +251,26 @@ def _read_output_mark(record: OutputRecord) -> _MarkData:
     return _check_text(record["topic"], "topic"), instant, instant, _check_text(record["output"], "output")
 
 
+def _read_open_state_mark(record: OpenStateRecord) -> _MarkData:
+    start, text = _check_instant(record["start"], "start"), _check_text(record["open"], "open")
+    return _get_functor_name(text), start, start, f"{text} is open"
+
+
+def _read_open_window_mark(record: OpenWindowRecord) -> _MarkData:
+    start, rule = _check_instant(record["start"], "start"), _check_text(record["rule"], "rule")
+    values = record["key"].items() if isinstance(record["key"], dict) else ()
+    key = "".join(f", {name} = {value}" for name, value in values)
+    text = f"{record['open_window']} is open, with {record['elements']} elements{key}"
+    return f"{_get_functor_name(rule)} {record['open_window']}", start, start, text
+
+
 _MARK_READERS: Dict[str, Callable[[Any], _MarkData]] = {
     "event": _read_event_mark,
     "wait": _read_wait_mark,
     "memory": _read_memory_mark,
     "output": _read_output_mark,
+    _OPEN: _read_open_state_mark,
+    "open_window": _read_open_window_mark,
 }
 
 
@@ -278,8 +304,14 @@ _PAGE = Path(__file__).resolve().parent / "page" / "timeline.html"
 _DATA_PLACEHOLDER = ">RUN<"
 """Text in the page that is replaced by the timeline as JSON."""
 
-_COLOURS = {"event": "#1f6f94", "wait": "#b06a00", "memory": "#2d8047", "output": "#7b4fb5"}
-_LEGEND_TEXTS = {"event": "events", "wait": "waits of queries", "memory": "memories", "output": "outputs"}
+_COLOURS = {"event": "#1f6f94", "wait": "#b06a00", "memory": "#2d8047", "output": "#7b4fb5", _OPEN: "#b3261e"}
+_LEGEND_TEXTS = {
+    "event": "events",
+    "wait": "waits of queries",
+    "memory": "memories",
+    "output": "outputs",
+    _OPEN: "open at the end",
+}
 
 _LANE_HEIGHT_INCHES, _PICTURE_WIDTH_INCHES = 0.24, 12.0
 

@@ -366,12 +366,17 @@ def rate_operator_term(rate_pattern: RatePattern) -> Term:
     return functor(rate_pattern.operator, 2)(first, keys)
 
 
-def window_term(window: WindowSpec) -> Term:
-    """Return the term of a window."""
+def window_term(window: WindowSpec, to_seconds: Callable[[int], float] = timestamps.to_seconds) -> Term:
+    """Return the term of a window.
+
+    Args:
+        window: the window.
+        to_seconds: converts nanoseconds to the numbers in the term.
+    """
     if window.kind == "steps":
         return steps_term(window.steps)
     every, every_with_option = functor("every", 1), functor("every", 2)
-    span = timestamps.to_seconds(window.span)
+    span = to_seconds(window.span)
     if window.kind == "last":
         return functor("last", 1)(span)
     if window.kind == "newest":
@@ -383,7 +388,7 @@ def window_term(window: WindowSpec) -> Term:
     elif window.span == window.step:
         term = every(span)
     else:
-        term = functor("last", 2)(span, every(timestamps.to_seconds(window.step)))
+        term = functor("last", 2)(span, every(to_seconds(window.step)))
     return functor("running", 1)(term) if window.running else term
 
 

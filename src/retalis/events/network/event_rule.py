@@ -19,7 +19,19 @@ nor tracking needs the match, its values go directly to generated code (`compile
 """
 
 from collections import deque
-from typing import TYPE_CHECKING, Any, Callable, Deque, Dict, Hashable, List, NamedTuple, Optional, Tuple
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Callable,
+    Deque,
+    Dict,
+    Hashable,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Tuple,
+)
 
 from ...foundation.codegen import MAX_TERM_ARGUMENTS
 from ...foundation.errors import RuleError, UsageError
@@ -29,7 +41,7 @@ from ..dispatch.listeners import Listener, ListenerPhase
 from ..dispatch.matcher_compiler import compile_builder
 from ..fused.fused_join import STALE_ARRIVALS_TOLERANCE
 from ..fused.fused_single_event import Continuation, compile_firing_action
-from ..language.pattern_tree import Pattern, RuleDefinition
+from ..language.pattern_tree import Pattern, RuleDefinition, WindowPattern
 from ..language.rule_head_parser import resolve_alarm
 from ..matches.consumption_policy import Emit
 from ..matches.expiration import (
@@ -42,6 +54,7 @@ from ..matches.expiration import (
 from ..matches.match_buffer import MatchBuffer
 from ..matches.match_types import NetworkOptions, PartialMatch, check_policy
 from ..matches.negation import RuledOutSweep
+from ..streams.windows import OpenWindow, Window
 from .after_match_skip import AfterMatchSkip, select_skip_state
 from .pattern_nodes import EventNode
 from .rule_compiler import RuleCompiler
@@ -263,6 +276,16 @@ class EventRule:
         """Return the node that evaluates an operator on streams; None if there is none for this pattern."""
         nodes = [node for node, _, _ in self.nodes if isinstance(node, StreamNode)]
         return next((node for node in nodes if node.pattern is pattern), None)
+
+    def open_windows(self) -> Iterator[Tuple[WindowPattern, Dict[str, Term], OpenWindow]]:
+        """Yield the windows that have elements and have not ended, with the values of their keys by variable."""
+        for node, _, _ in self.nodes:
+            if isinstance(node, StreamNode) and isinstance(node.stream, Window):
+                assert isinstance(node.pattern, WindowPattern)
+                for window in node.stream.open_windows(node.watermark_time()):
+                    # The variables of a window's matches begin with those of its key.
+                    names = [self.definition.names.get(var, "_") for var in node.vars]
+                    yield node.pattern, dict(zip(names, window.key_values)), window
 
     def _buffers(self) -> List[Any]:
         return [buffer for node, _, _ in self.nodes for buffer in node.buffers()]

@@ -18,7 +18,7 @@ call repairs what was not finished.
 
 import heapq
 from collections import OrderedDict, deque
-from typing import Callable, Deque, Hashable, List, Optional, Sequence, Tuple
+from typing import Callable, Deque, Dict, Hashable, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...foundation.errors import RuleError
 from ...prolog.terms.types import Values
@@ -142,7 +142,7 @@ class KeyedWindow:
             return None
         # Windows between instants state their own interval, also if their elements cover less.
         if start is None or end is None:
-            start, end = self._interval()
+            start, end = self.interval()
         elements = self.elements
         contributors = self._newest_elements() if with_elements else (elements[-1],)
         return StreamOutput(contributors, start, end, results, error)
@@ -168,13 +168,30 @@ class KeyedWindow:
                     break
         return tuple(reversed(newest_elements))
 
-    def _interval(self) -> Tuple[int, int]:
+    def interval(self) -> Tuple[int, int]:
+        """Return the first start and the last end of the elements."""
         if self.starts is None or self.ends is None:
             return self.elements[0].start, self.elements[-1].end
         first_entry, last_entry = self.starts.top(), self.ends.top()
         # The window is not empty.
         assert first_entry is not None and last_entry is not None
         return first_entry[2].start, last_entry[2].end
+
+
+class OpenWindow(NamedTuple):
+    """A window of a key that has elements and has not ended.
+
+    Attributes:
+        key_values: values of the key.
+        element_count: number of its elements.
+        start: start of the window, or of its elements if it has no fixed interval, in ns.
+        end: end of the window in ns; None if its number of elements ends it.
+    """
+
+    key_values: Values
+    element_count: int
+    start: int
+    end: Optional[int]
 
 
 AccumulatorFactory = Callable[[], Sequence[Accumulator]]
@@ -211,6 +228,10 @@ class Window(StreamOperator):
         keyed_window = next(iter(self.states.values()))
         self.remove(next(element for element in keyed_window.elements if not element.is_removed))
         self._compact()
+        return []
+
+    def open_windows(self, now: int) -> List[OpenWindow]:
+        """Return the windows that have elements and end after an instant; sliding windows have no end."""
         return []
 
     def _compact(self) -> None:
@@ -464,6 +485,13 @@ class TumblingCountWindow(Window):
             self._clear_key(keyed_window, element.key)
         return outputs
 
+    def open_windows(self, now: int) -> List[OpenWindow]:
+        """See `Window.open_windows`."""
+        return [
+            OpenWindow(window.elements[0].key_values, window.element_count, window.interval()[0], None)
+            for window in self.states.values()
+        ]
+
 
 def compacted_heap(heap: List[Tuple[int, int, StreamElement]]) -> List[Tuple[int, int, StreamElement]]:
     """Return a heap without the elements that were removed."""
@@ -544,6 +572,18 @@ class AnchoredTumblingWindow(Window):
         """See `StreamOperator.advance_to`."""
         return self._close(instant)
 
+    def open_windows(self, now: int) -> List[OpenWindow]:
+        """See `Window.open_windows`."""
+        return [
+            OpenWindow(
+                window.elements[0].key_values,
+                window.element_count,
+                window.reference_time,
+                window.reference_time + self.span,
+            )
+            for window in self.states.values()
+        ]
+
     def _compact(self) -> None:
         if len(self._open) > 2 * len(self.states) + 64:
             self._open = [entry for entry in self._open if self.states.get(entry[2]) is entry[3]]
@@ -596,6 +636,22 @@ class AlignedTumblingWindow(Window):
 
     def _is_obsolete(self, keyed_window: KeyedWindow, element: StreamElement) -> bool:
         return element.end // self.span > self.clock // self.span
+
+    def open_windows(self, now: int) -> List[OpenWindow]:
+        """See `Window.open_windows`."""
+        start = self.clock // self.span * self.span
+        # The elements are removed by the first element of the next window.
+        if start + self.span <= now:
+            return []
+        return [
+            OpenWindow(window.elements[0].key_values, window.element_count, start, start + self.span)
+            for window in self.states.values()
+        ]
+
+
+def _get_order(entry: Tuple[int, int, StreamElement]) -> int:
+    """Return the order of arrival in an entry of a heap."""
+    return entry[1]
 
 
 class HoppingWindow(Window):
@@ -664,6 +720,24 @@ class HoppingWindow(Window):
         # The first window that contains the element and has not been emitted begins at this instant.
         min_end = (max(element.end, self._latest_now) // self.slide + 1) * self.slide - self.span
         return all(present.end < min_end for present in present_elements(keyed_window.elements))
+
+    def open_windows(self, now: int) -> List[OpenWindow]:
+        """See `Window.open_windows`; of overlapping windows, an element counts in the one that ends first."""
+        windows: Dict[Tuple[int, Hashable], List[StreamElement]] = {}
+        present = [
+            element for window in self.states.values() for element in present_elements(window.elements)
+        ]
+        for element in [
+            *present,
+            *(element for _, _, element in sorted(self._future_elements, key=_get_order)),
+        ]:
+            first_end = (element.end // self.slide + 1) * self.slide
+            window_end = first_end if self.next_deadline is None else max(first_end, self.next_deadline)
+            windows.setdefault((window_end, element.key), []).append(element)
+        return [
+            OpenWindow(elements[0].key_values, len(elements), end - self.span, end)
+            for (end, _), elements in sorted(windows.items(), key=lambda window: window[0][0])
+        ]
 
     def advance_to(self, instant: int) -> List[StreamOutput]:
         """See `StreamOperator.advance_to`."""

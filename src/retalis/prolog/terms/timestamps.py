@@ -99,6 +99,11 @@ def to_seconds(nanoseconds: int) -> float:
     return full_seconds + rest * 1e-9
 
 
+def to_shortest_seconds(nanoseconds: int) -> float:
+    """Return nanoseconds as seconds: an int if they are whole, otherwise a float."""
+    return to_seconds(nanoseconds) if nanoseconds % SECOND else int(nanoseconds) // SECOND
+
+
 @lru_cache(maxsize=64)
 def first_reaching(seconds: float) -> int:
     """Return the first instant (ns) whose `to_seconds` is at least ``seconds``.
