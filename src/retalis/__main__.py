@@ -22,6 +22,7 @@ def main() -> int:
     from .cli.command_line import import_commands  # noqa: PLC0415
     from .cli.command_line import main as command_line  # noqa: PLC0415
     from .foundation.cpython_and_pypy import stop_collecting  # noqa: PLC0415
+    from .foundation.lost_interrupts import repeat_lost_interrupts  # noqa: PLC0415
 
     import_commands(sys.argv[1:])
     stop_collecting()  # modules stay: later collections, and those at the exit, do not visit them
@@ -29,7 +30,8 @@ def main() -> int:
     try:
         if handles_interrupts:
             signal.signal(signal.SIGINT, signal.default_int_handler)
-        return command_line()
+        with repeat_lost_interrupts():
+            return command_line()
     except KeyboardInterrupt:
         return _INTERRUPTED
     finally:

@@ -76,6 +76,30 @@ def test_in_a_goal_without_end(devel, master, node, program, number):
     assert devel.state() == (set(), set())
 
 
+@pytest.mark.parametrize("number", SIGNALS)
+def test_in_a_callback_of_a_weak_reference(devel, master, node, program, tmp_path, number):
+    """Python ignores the exception of a signal handler that runs within such a callback."""
+    module = f"""
+import os
+import weakref
+
+from retalis import foreign
+
+@foreign
+def lose_interrupt() -> None:
+    item = set()
+    reference = weakref.ref(item, lambda reference: os.kill(os.getpid(), {int(number)}))
+    del item
+"""
+    goals = ("use_foreign(losing)", "lose_interrupt, writeln(it-continues), flush_output, repeat, fail")
+    folder = program(*goals)
+    (tmp_path / "program" / "losing.py").write_text(module)
+    process = node("retalis_node", folder, "_allow_foreign:=true", "_max_seconds:=0")
+    devel.expect_printed("it-continues\n")
+    assert process.wait(SECONDS) == 0
+    assert devel.state() == (set(), set())
+
+
 @pytest.mark.parametrize("name", NODES)
 @pytest.mark.parametrize("number", SIGNALS)
 def test_idle(devel, master, node, program, name, number):

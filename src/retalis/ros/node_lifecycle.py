@@ -3,9 +3,11 @@
 rospy's own signal handler calls the master within the handler, and deadlocks if the interrupted code was calling the
 master, too. Here a signal raises KeyboardInterrupt in the main thread, and the node shuts down afterwards. During the
 construction of the node a signal is delayed while the main thread is in a call of the master, because an aborted call
-would leave the node registered (`Interrupts`).
+would leave the node registered (`Interrupts`). An interrupt that comes within a callback, where Python ignores it, is
+repeated (`foundation/lost_interrupts.py`).
 """
 
+import _thread
 import logging
 import os
 import signal
@@ -19,6 +21,7 @@ import rospy
 
 from ..foundation.cpython_and_pypy import collect_when_idle, limit_gc_pauses, stop_collecting
 from ..foundation.errors import RetalisError
+from ..foundation.lost_interrupts import repeat_lost_interrupts
 from .connection_limits import limit_connections
 from .master_watch import MasterWatch, wait_for_master
 from .parameters import Parameters, read_parameters
@@ -46,7 +49,7 @@ class Interrupts:
     """
 
     def __init__(self) -> None:
-        self._is_allowed = self._is_raised = self._is_repeating = False
+        self._is_allowed = self._is_raised = self._is_repeating = self._is_ending = False
         self._first_signal: Optional[float] = None
 
     def install(self) -> None:
@@ -67,7 +70,7 @@ class Interrupts:
 
     def limit_shutdown(self, status: int) -> None:
         """Ignore signals during the shutdown, and start a thread that limits its duration."""
-        self._is_raised = True
+        self._is_raised = self._is_ending = True
         self._set_handlers(signal.SIG_IGN)
         threading.Thread(target=_exit_after_timeout, args=(status,), daemon=True, name="last resort").start()
 
@@ -80,26 +83,28 @@ class Interrupts:
     def _handle_signal(self, number: int, frame: Optional[FrameType]) -> None:
         if self._first_signal is None:
             self._first_signal = time.monotonic()
+        # If an interrupt has been raised, it was lost, or this is another signal.
+        self._is_raised = False
         if self._is_allowed or time.monotonic() - self._first_signal >= _max_delay(frame):
             self._interrupt()
         if not self._is_repeating:
             self._is_repeating = True
-            threading.Thread(
-                target=self._repeat_signal, args=(number,), daemon=True, name="interrupt"
-            ).start()
+            # Not `threading.Thread`, which takes locks that the interrupted code may hold.
+            _thread.start_new_thread(self._repeat_signal, (number,))
 
     def _interrupt(self) -> None:
         self._is_raised = True
         raise KeyboardInterrupt
 
     def _repeat_signal(self, number: int) -> None:
-        """Repeat a delayed signal until it has been raised."""
+        """Repeat a delayed signal until the shutdown begins, unless its interrupt has been raised."""
         main = threading.main_thread().ident
-        while True:
+        while main is not None:
             time.sleep(RETRY_INTERVAL_SECONDS)
-            if self._is_raised or main is None:
+            if self._is_ending:
                 return
-            signal.pthread_kill(main, number)
+            if not self._is_raised:
+                signal.pthread_kill(main, number)
 
 
 def _max_delay(frame: Optional[FrameType]) -> float:
@@ -148,7 +153,8 @@ def run_node(name: str, create_node: Callable[[Parameters], object]) -> int:
     status = 0
     try:
         interrupts.install()
-        status = _run_until_shutdown(name, create_node, interrupts)
+        with repeat_lost_interrupts():
+            status = _run_until_shutdown(name, create_node, interrupts)
     except KeyboardInterrupt:
         pass
     finally:
