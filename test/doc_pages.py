@@ -3,12 +3,13 @@
 import contextlib
 import importlib.util
 import io
-import os
 import re
 import shlex
 import subprocess
 import sys
 from pathlib import Path
+
+from python_path import python_path
 
 from retalis import Engine, PrologError
 from retalis.cli.toplevel_io import format_bindings
@@ -19,9 +20,6 @@ ROOT = Path(__file__).resolve().parent.parent
 FENCE = re.compile(
     r"(?:^<!-- (?P<name>\S+) -->\n)?^```(?P<kind>\w*)\n(?P<text>.*?)^```", re.DOTALL | re.MULTILINE
 )
-SEARCH_PATH = os.pathsep.join([str(ROOT / "src"), *filter(None, sys.path)])
-"""Search path of the commands: packages such as rosbags may be in a folder that only the path of the tests has."""
-
 PROGRAMS = {"retalis": [sys.executable, "-m", "retalis"], "python3": [sys.executable]}
 """The command line of each program that pages call."""
 
@@ -35,7 +33,7 @@ def run_commands(text, folder):
             process = subprocess.run(
                 [*PROGRAMS[program], *arguments],
                 cwd=str(folder),
-                env={"PYTHONPATH": SEARCH_PATH, "PATH": "/usr/bin:/bin", "PYTHONUNBUFFERED": "1"},
+                env={"PYTHONPATH": python_path(), "PATH": "/usr/bin:/bin", "PYTHONUNBUFFERED": "1"},
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
                 text=True,

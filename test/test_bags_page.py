@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from python_path import python_path
 
 from retalis.cli.command_line import main
 
@@ -25,9 +26,7 @@ def test_the_commands_of_the_page_do_what_they_say(tmp_path, monkeypatch, capsys
     shutil.copytree(ROOT / "application_source", "application_source")
     shutil.copytree(ROOT / "examples" / "nao", "examples/nao")
     make_bag = [sys.executable, *shlex.split(MAKE_BAG), "--seconds", "1"]
-    # A workspace has rosbags in a folder of its own, which PYTHONPATH names already.
-    search_path = os.pathsep.join([str(ROOT / "src"), os.environ.get("PYTHONPATH", "")])
-    subprocess.run(make_bag, check=True, env={**os.environ, "PYTHONPATH": search_path})
+    subprocess.run(make_bag, check=True, env={**os.environ, "PYTHONPATH": python_path()})
     assert COMMANDS
     for command in COMMANDS:
         words, _, file = command.partition(" > ")

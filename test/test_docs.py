@@ -8,6 +8,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from python_path import python_path
 
 from retalis import Engine, Operators
 from retalis.events.checks.check_registry import run_checks
@@ -54,7 +55,7 @@ def test_the_example_of_the_readme_prints_what_it_says(tmp_path):
     result = subprocess.run(
         [sys.executable, "fever.py"],
         cwd=tmp_path,
-        env={"PYTHONPATH": str(ROOT / "src"), "PATH": "/usr/bin:/bin"},
+        env={"PYTHONPATH": python_path(), "PATH": "/usr/bin:/bin"},
         capture_output=True,
         text=True,
         timeout=60,
@@ -173,7 +174,7 @@ def test_commands_of_the_readme_are_commands():
             module = subprocess.run(
                 [sys.executable, "-m", "retalis", *words, "--help"],
                 cwd=ROOT,
-                env={"PYTHONPATH": "src"},
+                env={"PYTHONPATH": python_path()},
                 capture_output=True,
                 timeout=60,
             )

@@ -4,9 +4,9 @@ import os
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from python_path import ROOT, python_path
 
 CONFTEST = """
 import process_state
@@ -135,10 +135,7 @@ def output(tmp_path_factory):
     (folder / "conftest.py").write_text(CONFTEST)
     tests = [TEST.format(name=name, statement=statement) for name, (statement, _) in CHANGES.items()]
     (folder / "test_changes.py").write_text("".join([MODULE, *tests, UNCHANGED]))
-    root = Path(__file__).resolve().parent.parent
-    # The folders of this process come after, because pytest may be in one of them.
-    folders = [str(root / "src"), str(root / "test"), *sys.path]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(folders)}
+    environment = {**os.environ, "PYTHONPATH": python_path(ROOT / "test")}
     options = ["-p", "process_state", "-p", "no:cacheprovider", "-p", "no:xdist", "-rA"]
     command = [sys.executable, "-m", "pytest", *options, str(folder)]
     return subprocess.run(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True).stdout

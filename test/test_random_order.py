@@ -4,9 +4,9 @@ import os
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from python_path import ROOT, python_path
 
 pytestmark = pytest.mark.slow
 
@@ -29,11 +29,9 @@ def run(tmp_path):
     """Return a function that runs the modules with a seed; it returns the output and the tests in their order."""
     for name in "ab":
         (tmp_path / f"test_{name}.py").write_text(MODULE)
-    root = Path(__file__).resolve().parent
 
     def run(*arguments, seed=None):
-        # The folders of this process come after, because pytest may be in one of them.
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(root), *sys.path])}
+        environment = {**os.environ, "PYTHONPATH": python_path(ROOT / "test")}
         environment.pop("RETALIS_ORDER_SEED", None)
         if seed is not None:
             environment["RETALIS_ORDER_SEED"] = seed

@@ -5,6 +5,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from python_path import python_path
 
 from retalis.cli import command_line
 from retalis.cli.command_line import COMMANDS, main, make_parser
@@ -36,7 +37,7 @@ print(*(name for name in sys.modules if name.startswith("retalis.")), file=sys.s
 """
     result = subprocess.run(
         [sys.executable, "-c", code, *arguments],
-        env={"PYTHONPATH": str(SOURCES), "PATH": "/usr/bin:/bin"},
+        env={"PYTHONPATH": python_path(), "PATH": "/usr/bin:/bin"},
         capture_output=True,
         text=True,
         timeout=60,

@@ -8,9 +8,9 @@ import shutil
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
+from python_path import python_path
 
 from retalis.cli import completion
 from retalis.cli.command_line import main, make_parser
@@ -182,7 +182,7 @@ def test_shells_complete_commands_options_values_and_files(shell, tmp_path):
     (tmp_path / "rules.txt").touch()
     variables = {
         "PATH": f"{command.parent}:{os.environ['PATH']}",
-        "PYTHONPATH": str(Path(completion.__file__).resolve().parents[2]),
+        "PYTHONPATH": python_path(),
         "HOME": str(tmp_path),
         "ZDOTDIR": str(tmp_path),
         "TERM": "dumb",

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from python_path import python_path
 
 from retalis import Limits, Operators, Settings
 from retalis.cli.command_line import main
@@ -212,7 +213,7 @@ def run(arguments, text=""):
         capture_output=True,
         text=True,
         timeout=60,
-        env={**os.environ, "PYTHONPATH": str(SOURCE)},
+        env={**os.environ, "PYTHONPATH": python_path()},
     )
 
 
@@ -232,7 +233,7 @@ def test_terminal(tmp_path):
     if pid == 0:
         environment = {
             **os.environ,
-            "PYTHONPATH": str(SOURCE),
+            "PYTHONPATH": python_path(),
             "HOME": str(tmp_path),
             "TERM": "dumb",
             "PYTHONUNBUFFERED": "",

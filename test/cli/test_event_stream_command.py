@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from python_path import python_path
 
 from retalis.cli.command_line import main
 from retalis.cli.event_stream_command import has_unread_input
@@ -425,7 +426,7 @@ def test_prints_each_event_as_soon_as_its_line_has_come(tmp_path):
         [sys.executable, "-m", "retalis", "events", "--rules", str(rules), "--stream", "-"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        env={"PYTHONPATH": str(ROOT / "src"), "PATH": "/usr/bin:/bin"},
+        env={"PYTHONPATH": python_path(), "PATH": "/usr/bin:/bin"},
         bufsize=0,
     )
     try:
@@ -448,7 +449,7 @@ def test_ends_without_a_word_when_nobody_reads_on(tmp_path):
         [sys.executable, "-m", "retalis", "events", "--stream", str(stream)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        env={"PYTHONPATH": str(ROOT / "src"), "PATH": "/usr/bin:/bin"},
+        env={"PYTHONPATH": python_path(), "PATH": "/usr/bin:/bin"},
     )
     try:
         assert child.stdout.readline() == b"event(a(0),[0,0]).\n"
@@ -517,7 +518,7 @@ def test_warns_of_events_on_standard_input_that_are_not_read(tmp_path, stream, w
     done = subprocess.run(
         [sys.executable, "-m", "retalis", "events", "--rules", str(rules), *stream],
         input="event(smoke(a),[1,2]).\n",
-        env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
+        env={**os.environ, "PYTHONPATH": python_path()},
         capture_output=True,
         text=True,
         check=True,

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from python_path import python_path
 
 from retalis import BagWriter, Definitions
 
@@ -37,7 +38,7 @@ def folder(tmp_path_factory):
 
 
 def run(folder, arguments, **options):
-    environment = {**os.environ, "PYTHONPATH": f"{SOURCE}:{os.environ.get('PYTHONPATH', '')}"}
+    environment = {**os.environ, "PYTHONPATH": python_path()}
     return subprocess.run(
         [sys.executable, "-m", "retalis", *shlex.split(arguments)],
         cwd=folder,
@@ -122,7 +123,7 @@ def test_interrupt_while_modules_are_imported_is_status_130(folder, module):
     ended = subprocess.run(
         [sys.executable, "-c", program, "bag", "some.bag", "--program", "program"],
         cwd=folder,
-        env={**os.environ, "PYTHONPATH": f"{SOURCE}:{os.environ.get('PYTHONPATH', '')}"},
+        env={**os.environ, "PYTHONPATH": python_path()},
         capture_output=True,
         text=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),

@@ -8,6 +8,7 @@ import threading
 from contextlib import ExitStack
 
 import pytest
+from python_path import python_path
 
 pytest.importorskip("tornado", reason="tornado is not installed")
 
@@ -309,7 +310,7 @@ from retalis.dashboard.page_server import Dashboard
 from retalis.dashboard.view_model import DashboardSource
 Dashboard(DashboardSource(Engine(), "x"), 0)
 """
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    environment = {**os.environ, "PYTHONPATH": python_path()}
     ran = subprocess.run([sys.executable, "-c", code], env=environment, stderr=subprocess.PIPE, text=True)
     assert ran.stderr.splitlines()[-1].startswith("retalis.foundation.errors.UsageError: ")
     assert "python3-tornado" in ran.stderr

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 from zlib import crc32
 
 import pytest
+from python_path import python_path
 
 from retalis import Engine, Reports, Settings, StreamClock, UsageError, explain
 from retalis.engine.checkpoints import (
@@ -353,7 +354,7 @@ def test_killed_at_random(folder):
             [sys.executable, str(VICTIM), str(folder)],
             stdout=subprocess.PIPE,
             text=True,
-            env={**os.environ, "PYTHONPATH": str(VICTIM.parents[2] / "src")},
+            env={**os.environ, "PYTHONPATH": python_path()},
         )
         try:
             if at:
@@ -567,7 +568,7 @@ def test_checkpoint_in_read_only_folder_is_read(folder, is_killed):
             [*prefix, sys.executable, "-c", READ_IN_READ_ONLY_FOLDER, str(target / "state.db")],
             capture_output=True,
             text=True,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+            env={**os.environ, "PYTHONPATH": python_path()},
         )
     finally:
         target.chmod(0o755)

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from python_path import python_path
 
 from retalis import Engine, ProgramErrors, RetalisError, Settings, StreamClock, atom, functor, make_list
 from retalis.prolog.terms.types import CONS, NIL
@@ -545,9 +546,7 @@ def test_goals_of_events_open_nothing_but_files_of_the_programs_folder(place):
     found = subprocess.run(
         [sys.executable, "-c", SCRIPT, str(place)],
         env={
-            "PYTHONPATH": os.pathsep.join(
-                [str(SRC), str(SRC.parent / "test"), os.environ.get("PYTHONPATH", "")]
-            ),
+            "PYTHONPATH": python_path(SRC.parent / "test"),
             "PATH": os.environ["PATH"],
         },
         capture_output=True,

@@ -14,12 +14,12 @@ from pathlib import Path
 from random import Random
 
 import pytest
+from python_path import python_path
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "examples" / "fleet"
 PAGE = FOLDER / "README.md"
 
-ALSO = os.environ.get("PYTHONPATH", "")
 """Where the tests' own packages may be, which the page knows nothing of."""
 
 DYING = """
@@ -82,7 +82,7 @@ def run(folder, *arguments, stdin=os.devnull):
         return subprocess.run(
             [sys.executable, *map(str, arguments)],
             cwd=folder,
-            env={**os.environ, "PYTHONPATH": f"{ROOT / 'src'}:{ALSO}"},
+            env={**os.environ, "PYTHONPATH": python_path()},
             stdin=lines,
             capture_output=True,
             text=True,
@@ -95,9 +95,10 @@ def shell(folder, *commands):
     for name in ("examples", "src"):
         if not (folder / name).exists():
             (folder / name).symlink_to(ROOT / name)
+    search_path = shlex.quote(python_path())
     script = "\n".join(
         [
-            f'python3() {{ PYTHONPATH="$PYTHONPATH:"{shlex.quote(ALSO)} {shlex.quote(sys.executable)} "$@"; }}',
+            f'python3() {{ PYTHONPATH="$PYTHONPATH:"{search_path} {shlex.quote(sys.executable)} "$@"; }}',
             "set -eo pipefail",
             *commands,
         ]

@@ -11,6 +11,8 @@ import threading
 import time
 from pathlib import Path
 
+from python_path import python_path
+
 from .known_findings import reason
 
 HERE = Path(__file__).resolve().parent
@@ -139,9 +141,6 @@ class _Process:
         inputs = self._scratch / "inputs"
         inputs.mkdir()
         self._errors = (self._scratch / "errors").open("w+b")
-        path = os.pathsep.join(
-            [str(HERE.parents[1] / "src"), str(HERE.parent), os.environ.get("PYTHONPATH", "")]
-        )
         command = [sys.executable, "-m", "fuzz.worker", campaign.kind, str(campaign.seed), str(inputs), *what]
         (inputs / "progress").write_bytes(struct.pack("<qq", -1, 0))
         self._progress = inputs / "progress"
@@ -150,7 +149,7 @@ class _Process:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=self._errors,
-            env=dict(os.environ, PYTHONPATH=path, PYTHONHASHSEED="0"),
+            env=dict(os.environ, PYTHONPATH=python_path(HERE.parent), PYTHONHASHSEED="0"),
         )
         self.done = 0
         self._ended = False

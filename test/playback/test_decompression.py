@@ -21,6 +21,7 @@ from malicious_bags import (  # noqa: E402
     sqlite_bag,
     zstd,
 )
+from python_path import python_path
 
 from retalis.playback.decompression import ChunkLimit, copy_up_to, read_up_to, unpack  # noqa: E402
 
@@ -146,7 +147,7 @@ def test_a_bomb_of_each_format_is_one_error_and_takes_no_memory(tmp_path):
     sqlite_bag(fine / "a.db3")
     folder_bag(fine, "a.db3", "sqlite3")
     good = " ".join(map(str, [fine, *sorted(fine.glob("a.*"))]))
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, sys.path))}
+    environment = {**os.environ, "PYTHONPATH": python_path()}
     command = [sys.executable, "-c", READ, str(100 * MEGABYTE), good, *(str(path) for path, _ in found)]
     done = subprocess.run(command, stdout=subprocess.PIPE, env=environment, text=True, check=True)
     said = done.stdout.splitlines()

@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import pytest
+from python_path import python_path
 from source import ROOT
 from worker_tasks import run_task, run_task_in_folder
 
@@ -51,7 +52,7 @@ def test_workers_end_where_nobody_waits_for_them_any_more():
         "    for number, process in run_in_processes(run_task, ['pid'] * 2, 1, '', print):\n"
         "        os.kill(os.getpid(), signal.SIGKILL)\n"
     )
-    environment = {**os.environ, "PYTHONPATH": f"{ROOT / 'src'}{os.pathsep}{ROOT / 'test'}"}
+    environment = {**os.environ, "PYTHONPATH": python_path(ROOT / "test")}
     ran = subprocess.run([sys.executable, "-c", script], env=environment, stdout=subprocess.PIPE, timeout=60)
     assert ran.returncode == -9
 

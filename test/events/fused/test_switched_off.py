@@ -11,11 +11,11 @@ from importlib.util import find_spec
 
 import pytest
 from events.fused.fused_path_plugin import PATHS
+from python_path import python_path
 from source import ROOT
 
 WHOLE = os.environ.get("RETALIS_TEST_FUSED") == "1"
 FOLDERS = ["test/events"] if WHOLE else ["test/events/rules", "test/events/dispatch"]
-PATH = [str(ROOT / "src"), str(ROOT / "test"), *filter(None, [os.environ.get("PYTHONPATH")])]
 SHARED = ["-n", str(os.cpu_count() or 1)] if find_spec("xdist") else []
 
 
@@ -36,7 +36,7 @@ def test_the_tests_of_rules_pass_without(off):
     run = subprocess.run(
         [*command, "-p", "events.fused.fused_path_plugin", *FOLDERS, "--without-fused", *off, *SHARED],
         cwd=str(ROOT),
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(PATH)},
+        env={**os.environ, "PYTHONPATH": python_path(ROOT / "test")},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         check=False,

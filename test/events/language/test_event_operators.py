@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from events import operator_table
 from fuzz.kinds import rules as fuzzed
+from python_path import python_path
 
 import retalis
 from retalis.events.language.event_operators import EVENT_OPERATORS, PAIR_OPERATORS, OperatorKind
@@ -155,7 +156,7 @@ def test_a_two_sided_operator_is_one_entry(tmp_path):
     path.write_text(text.replace(AFTER, ENTRY + AFTER), encoding="utf-8")
     result = subprocess.run(
         [sys.executable, "-c", PROGRAM],
-        env={"PYTHONPATH": str(tmp_path), "PATH": "/usr/bin:/bin"},
+        env={"PYTHONPATH": python_path(tmp_path), "PATH": "/usr/bin:/bin"},
         capture_output=True,
         text=True,
         timeout=60,
@@ -171,7 +172,7 @@ def test_a_reader_without_the_event_language_has_the_operators_of_prolog_only():
         "import retalis\n"
         "print('seq' in retalis.Operators.prolog())\n"
     )
-    env = {"PYTHONPATH": str(SOURCE.parent), "PATH": "/usr/bin:/bin"}
+    env = {"PYTHONPATH": python_path(), "PATH": "/usr/bin:/bin"}
     result = subprocess.run(
         [sys.executable, "-c", program], env=env, capture_output=True, text=True, timeout=60, check=False
     )

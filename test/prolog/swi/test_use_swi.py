@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+from python_path import python_path
 from source import ROOT
 
 from retalis import Engine, ProgramErrors, RetalisError, Settings, UsageError
@@ -74,7 +75,7 @@ def test_it_is_said_where_python_has_no_way_to_it(monkeypatch):
 
 @pytest.mark.slow
 def test_who_does_not_use_it_loads_none_of_it():
-    environment = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
+    environment = {**os.environ, "PYTHONPATH": python_path()}
     script = (
         "import sys, retalis; retalis.Engine(); "
         "print(any(name.startswith('retalis.prolog.swi.s') for name in sys.modules))"
@@ -93,10 +94,7 @@ def test_these_tests_fail_where_they_are_asked_for_and_it_is_missing():
         "libswipl.LIBRARY_NAMES = libswipl.LIBRARY_PATTERNS = (); "
         f"sys.exit(pytest.main([{os.path.dirname(__file__)!r} + '/test_swi_terms.py']))"
     )
-    path = os.pathsep.join(
-        [str(ROOT / "src"), *sys.path]
-    )  # pytest may be in an environment that only PYTHONPATH names
-    environment = {**os.environ, "PYTHONPATH": path, "RETALIS_TEST_SWI": "1"}
+    environment = {**os.environ, "PYTHONPATH": python_path(), "RETALIS_TEST_SWI": "1"}
     ran = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT, env=environment
     )
