@@ -45,8 +45,16 @@ LIMIT = 200_000
 
 
 @pytest.fixture(scope="module")
-def logic():
+def shared_logic():
     return prolog(PROGRAM)
+
+
+@pytest.fixture
+def logic(shared_logic):
+    """A Prolog system with the program, whose limits and output each test may set."""
+    output = shared_logic.output
+    yield shared_logic
+    shared_logic.limits, shared_logic.output = NO_LIMITS, output
 
 
 def fault(logic, goal, **limits):
