@@ -191,3 +191,21 @@ def test_rule_in_goal_file_is_reported(capsys, folder):
     status, printed = checked(capsys, folder)
     assert status == 1
     assert "goalPredicates.txt:2:1: this is a rule, not a goal: write it into a file" in printed
+
+
+def test_spans_are_compared_with_the_rate_of_bags(capsys, folder, tmp_path):
+    heat = Definitions().add("my_robot/Heat", "float64 heat\nfloat64 time")
+    with BagWriter(tmp_path / "hot.bag") as bag:
+        connection = bag.add("/hot", heat)
+        for index in range(11):
+            bag.write(connection, index * 10**8 + 1, bytes(16))
+    rules = (
+        "cold <- my_robot__0__Heat(_, _) seq absent(my_robot__0__Heat(_, _), 250).\nprint_trigger(cold/0).\n"
+    )
+    (folder / "eventRules.txt").write_text(rules)
+    assert "RT1213" not in checked(capsys, folder)[1]
+    printed = checked(capsys, folder, "--bag", tmp_path / "hot.bag")[1]
+    assert (
+        "250 is 4.17 minutes, because spans are in seconds; in the bag, a message of hot comes every 0.1 s"
+        in printed
+    )

@@ -441,9 +441,12 @@ def test_alarms_past_the_bound_are_dropped_and_reported():
         ),
         (
             "memorize_diactive(t(X), [(X > 1, \\+ unsafe(X))], _, m, 5)",
-            "memory m: there is no predicate unsafe/1 yet",
+            "memory m: there is no predicate unsafe/1 yet; define it, or write :- dynamic unsafe/1.",
         ),
-        ("subscribe(t(X), [here], _, out, s)", "subscription s: there is no predicate here/0 yet"),
+        (
+            "subscribe(t(X), [here], _, out, s)",
+            "subscription s: there is no predicate here/0 yet; define it, or write :- dynamic here/0.",
+        ),
         ("memorize(t(X), [hot(X), X > 1], _, m, 5)", None),
     ],
 )
@@ -458,7 +461,7 @@ def test_conditions_in_a_file_may_call_what_the_rest_of_the_file_has(caplog):
     engine = Engine()
     engine.load(rules=":- memorize(t(X), [hot(X), cold(X)], _, m, 5).\nhot(1).")
     assert [record.getMessage() for record in caplog.records] == [
-        "memory m: there is no predicate cold/1 yet"
+        "memory m: there is no predicate cold/1 yet; define it, or write :- dynamic cold/1."
     ]
 
 
@@ -466,10 +469,16 @@ def test_what_the_rules_of_the_same_program_define_is_there_for_its_goals(caplog
     engine = Engine()
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.load(rules="hot(X) :- X > 40.", goals="memorize(t(X), [hot(X), cold(X)], X, m, 5)")
-    assert [one.getMessage() for one in caplog.records] == ["memory m: there is no predicate cold/1 yet"]
+    assert [one.getMessage() for one in caplog.records] == [
+        "memory m: there is no predicate cold/1 yet; define it, or write :- dynamic cold/1."
+    ]
     with caplog.at_level(logging.WARNING, "retalis"), pytest.raises(ProgramErrors):
         engine.load(rules="wet(X) <-", goals="memorize(t(X), [wet(X)], X, n, 5)")
-    assert caplog.records[-1].getMessage().startswith("memory n: there is no predicate wet/1 yet")
+    assert (
+        caplog.records[-1]
+        .getMessage()
+        .startswith("memory n: there is no predicate wet/1 yet; define it, or write :- dynamic wet/1.")
+    )
 
 
 def test_each_refused_event_is_shown_with_what_is_wrong(caplog):

@@ -74,3 +74,31 @@ def test_outputs_that_can_never_be_messages_of_their_topic_are_told(subscription
     goal = read_term(subscription, Operators.prolog()).term
     assert explain_output_mismatch(goal, "out", "std_msgs/Int32", Definitions()) == fault
     assert explain_output_mismatch(goal, "out", "far_msgs/Unknown", Definitions()) == ""
+
+
+def messages_of_refused_program(folder, definitions, topics="", rules="", goals=""):
+    (folder / "pub_sub.xml").write_text(f"<publish_subscribe>{topics}</publish_subscribe>")
+    (folder / "eventRules.txt").write_text(rules)
+    (folder / "goalPredicates.txt").write_text(f"compile_event_file('eventRules.txt')\n{goals}\n")
+    return [finding.problem.message for finding in check_program(folder, definitions)]
+
+
+def test_events_of_refused_topics_are_not_reported(tmp_path, definitions):
+    topics = '<subscribe_to name="said" msg_type="std_msgs/String" event="Said"/>'
+    (message,) = messages_of_refused_program(
+        tmp_path, definitions, topics, "a(T) <- said{data: T}. b(T) <- siad(T)."
+    )
+    assert message.startswith("<subscribe_to>: the name of an event begins with a small letter")
+
+
+def test_predicates_of_refused_rules_are_not_reported(tmp_path, definitions):
+    goals = "subscribe(low(V), [helper(V)], V, warn, w1)\nmemorize(low(m), [], m, lows, 3)"
+    (message,) = messages_of_refused_program(
+        tmp_path, definitions, rules="low(V) <- heat(V) where helper(V.\nhelper(V) :- V < 3.\n", goals=goals
+    )
+    assert message.startswith('expected ")" for the "("')
+
+
+def test_predicates_of_valid_rules_are_reported(tmp_path, definitions):
+    messages = messages_of_refused_program(tmp_path, definitions, rules="low(V) <- heat(V) where helper(V).")
+    assert "there is no predicate helper/1 yet; define it, or write :- dynamic helper/1." in messages

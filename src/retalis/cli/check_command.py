@@ -2,13 +2,14 @@
 
 import argparse
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import Callable, Dict, List
 
 from ..engine.engine_settings import Settings
 from ..engine.program_check import check_program
 from ..events.checks.check_registry import ERROR, INFO, Finding
-from ..events.program.topic_configuration import TopicType
+from ..events.checks.program_model import RecordedTopic
 from ..foundation.errors import MessageError, format_count, printable
 from ..foundation.output_files import print_json
 from ..messages.type_registry import Definitions
@@ -59,7 +60,8 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         action="append",
         default=[],
         metavar="BAG",
-        help="a bag whose message types are added, and whose topics are compared with those of pub_sub.xml",
+        help="a bag whose message types are added, whose topics are compared with those of pub_sub.xml, and whose "
+        "rates with the spans of rules",
     )
     add_message_folders(add)
     add = parser.add_argument_group("limits and permissions").add_argument
@@ -104,7 +106,7 @@ def run(options: argparse.Namespace) -> int:
     return 2 if warnings and options.strict else 0
 
 
-def _add_types_of_bag(definitions: Definitions, path: Path, max_chunk_megabytes: int) -> List[TopicType]:
+def _add_types_of_bag(definitions: Definitions, path: Path, max_chunk_megabytes: int) -> List[RecordedTopic]:
     """Add the message types of a bag, and return its topics; a malformed definition is reported and skipped."""
     with open_bag(path, max_chunk_megabytes) as bag:
         for topic in bag.topics:
@@ -112,7 +114,12 @@ def _add_types_of_bag(definitions: Definitions, path: Path, max_chunk_megabytes:
                 definitions.received(topic.type, topic.type, topic.definition, topic.md5sum)
             except MessageError as error:
                 print(f"warning: {path}: topic {printable(topic.name)}: {error}", file=sys.stderr)
-        return [TopicType(topic.name, topic.type) for topic in bag.topics]
+        counts = Counter({topic.name: 0 for topic in bag.topics})
+        for topic in bag.topics:
+            counts[topic.name] += topic.messages
+        seconds = (bag.end - bag.start) / 10**9
+        periods = {name: seconds / (count - 1) for name, count in counts.items() if count > 1}
+        return [RecordedTopic(topic.name, topic.type, periods.get(topic.name)) for topic in bag.topics]
 
 
 def _format_count(number: int, noun: str) -> str:

@@ -15,7 +15,7 @@ from ..events.checks.check_registry import (
 )
 from ..events.checks.event_flow_checks import EventProducers, explain_missing_producer
 from ..events.checks.message_checks import find_output_fault
-from ..events.checks.program_model import FunctorSuggestions, ProgramModel
+from ..events.checks.program_model import FunctorSuggestions, ProgramModel, RecordedTopic
 from ..events.program.topic_configuration import (
     AUTO,
     TOPICS,
@@ -25,7 +25,16 @@ from ..events.program.topic_configuration import (
     direct_topics,
     read_topics,
 )
-from ..foundation.errors import MessageError, Omission, Place, ProgramErrors, RetalisError, RuleError
+from ..foundation.errors import (
+    MessageError,
+    Omission,
+    Place,
+    ProgramErrors,
+    RetalisError,
+    RuleError,
+    UndefinedPredicate,
+    UnknownMessage,
+)
 from ..foundation.ros_names import strip_slashes
 from ..messages.type_registry import Definitions
 from ..prolog.terms.types import CompoundTerm, Functor, Term
@@ -60,6 +69,16 @@ class FindingCollector(Reports):
         if severity == ERROR or not self._suppressions.suppresses(error):
             self.findings.append(Finding(severity, "load", error))
 
+    def drop_consequences(self, is_loaded: bool, has_topics: bool) -> None:
+        """Drop findings about names that a file with errors may define.
+
+        Args:
+            is_loaded: whether all files were loaded without errors.
+            has_topics: whether ``pub_sub.xml`` was read, which names the events of topics.
+        """
+        dropped = (() if is_loaded else (UndefinedPredicate,)) + (() if has_topics else (UnknownMessage,))
+        self.findings = [finding for finding in self.findings if not isinstance(finding.problem, dropped)]
+
     def add_errors(self, error: RetalisError) -> None:
         """Collect all errors of a program."""
         for single_error in error.errors if isinstance(error, ProgramErrors) else [error]:
@@ -71,7 +90,7 @@ def check_program(
     definitions: Definitions,
     direct: DirectTopics = AUTO,
     settings: Optional[Settings] = None,
-    recorded_topics: Tuple[TopicType, ...] = (),
+    recorded_topics: Tuple[RecordedTopic, ...] = (),
 ) -> List[Finding]:
     """Return the errors and likely mistakes of a program, grouped by file, and in each file by position.
 
@@ -87,10 +106,12 @@ def check_program(
     collector = FindingCollector()
     topics = Topics()
     is_single_file = os.path.isfile(folder)
+    has_topics = True
     try:
         topics = read_topics(folder / TOPICS) if os.path.isdir(folder) else topics
     except RetalisError as error:
         collector.add_errors(error)
+        has_topics = False
     # The computer's clock, as in a node, so that goals which need the time succeed.
     engine = Engine(Clock(time.time_ns), settings, collector, definitions)
     engine.logic.output = engine.logic.error_output = lambda text: None
@@ -113,6 +134,7 @@ def check_program(
     )
     # After an error a part of the program is missing, and checks of the whole program would report its absence.
     is_loaded = not any(finding.severity == ERROR for finding in collector.findings)
+    collector.drop_consequences(is_loaded, has_topics)
     reported = {finding.problem.place for finding in collector.findings if finding.problem.place is not None}
     # A mistake that loading has already reported is not reported again by a check of the same place.
     new_findings = [

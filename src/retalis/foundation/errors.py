@@ -221,6 +221,14 @@ class RuleError(RetalisError):
     """
 
 
+class UnknownMessage(SyntaxFault):
+    """A message with named slots whose name is no message type, and no event of a topic."""
+
+
+class UndefinedPredicate(RuleError):
+    """A warning about a call of a predicate that has no definition yet; another file may define it."""
+
+
 class RecurringWarning(RuleError):
     """A warning about something that recurs, at its 1st, 2nd, 4th, 8th, ... occurrence.
 

@@ -44,6 +44,39 @@ def test_empty_interval_is_reported(condition):
     assert "never holds together with the comparisons of T before it" in message
 
 
+@pytest.mark.parametrize(
+    "pattern",
+    [
+        "(temp(T) where T > 40) where T < 30",
+        "(temp(T) where T > 40) seq (temp(T) where T < 30)",
+        "((temp(T) where T > 40) within 5) where T < 30",
+        "((temp(T) where T > 40) cnot b) where T < 30",
+        "((temp(T) where T > 40) with throttle(3)) where T < 30",
+    ],
+)
+def test_bounds_of_several_conditions_are_intersected(pattern):
+    (message,) = findings_of(f"a <- {pattern}.")
+    assert message.startswith(
+        "T<30 never holds together with the comparisons of T before it; T has one value"
+    )
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    [
+        "(temp(T) where T > 40) or (temp(T) where T < 30)",
+        "(temp(T) where T > 40) seq (temp(U) where U < 30)",
+        "b cnot (temp(T) where T > 40) where T < 30",
+        "(temp(T) where (T > 40 ; T < 10)) where T < 30",
+        "(temp(T) where \\+ T > 40) where T < 30",
+        "b seq aggregate(count, (temp(T) where T > 40), T) where T < 30",
+        "(temp(T) where T > 40) do T < 30",
+    ],
+)
+def test_bounds_of_alternatives_and_absent_events_are_separate(pattern):
+    assert findings_of(f"a <- {pattern}.") == []
+
+
 def test_assignment_is_reported():
     (message,) = findings_of("a(N) <- count(N) where N is N + 1.")
     assert message.startswith("N is N+1 never changes N: a variable keeps its value")

@@ -68,3 +68,13 @@ def test_records_that_may_be_there_are_left_alone(tmp_path, goal, rules):
     engine.load(rules=rules, goals=goal)
     texts = [one.message for one in engine.warnings(tmp_path, Definitions())]
     assert [text for text in texts if "record" in text or " comes " in text] == []
+
+
+@pytest.mark.parametrize(
+    "size, messages", [(0, ["memory m keeps 0 records: write a size of 1 or more"]), (1, [])]
+)
+def test_memory_of_size_zero_is_reported(tmp_path, size, messages):
+    engine = Engine()
+    engine.load(rules=f":- memorize(t(X), [], X, m, {size}).")
+    findings = engine.warnings(tmp_path, Definitions())
+    assert [error.message.partition(": ")[2] for error in findings if "records" in error.message] == messages

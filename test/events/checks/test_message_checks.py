@@ -175,3 +175,53 @@ def test_a_format_that_is_a_variable_of_the_event_may_hold_a_message(definitions
 def test_an_event_that_is_no_message_is_said(definitions, tmp_path, form):
     (found,) = output_warnings(definitions, tmp_path, f"subscribe(seen(H), [], {form}, out, s1)")
     assert "expected my_msgs__0__Warm/2, got seen/1" in found
+
+
+TWO_FLAGS = (
+    '<subscribe_to name="door" msg_type="my_msgs/Flag"/><subscribe_to name="bumper" msg_type="my_msgs/Flag"/>'
+)
+TWO_WARM = (
+    '<subscribe_to name="left" msg_type="my_msgs/Warm"/><subscribe_to name="right" msg_type="my_msgs/Warm"/>'
+)
+
+
+def shared_events(folder, definitions, topics, rules):
+    definitions.add("my_msgs/Flag", "bool on")
+    (folder / "pub_sub.xml").write_text(f"<publish_subscribe>{topics}</publish_subscribe>")
+    (folder / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')\n")
+    (folder / "eventRules.txt").write_text(f"{rules}\n")
+    findings = check_program(folder, definitions)
+    return [finding.problem.message for finding in findings if finding.problem.code == "RT1110"]
+
+
+def test_topics_with_one_event_are_reported(tmp_path, definitions):
+    (message,) = shared_events(tmp_path, definitions, TWO_FLAGS, "opened <- my_msgs__0__Flag(true).")
+    assert message.startswith("my_msgs__0__Flag/1 is the event of both door and bumper")
+    (message,) = shared_events(tmp_path, definitions, TWO_WARM, "warm(W) <- my_msgs__0__Warm(_, W).")
+    assert message.startswith("my_msgs__0__Warm/2 is the event of both left and right")
+
+
+@pytest.mark.parametrize(
+    "topics, rules",
+    [
+        (TWO_FLAGS, "opened <- other(true)."),
+        (TWO_FLAGS.replace('Flag"/><', 'Flag" event="door"/><'), "opened <- my_msgs__0__Flag(true)."),
+        (TWO_WARM, "warm(F, W) <- my_msgs__0__Warm{header: {frame_id: F}, warmth: W}."),
+        (TWO_WARM, "warm(W) <- my_msgs__0__Warm{header: {frame_id: '\"left\"'}, warmth: W}."),
+        (TWO_WARM, "warm(H, W) <- my_msgs__0__Warm(H, W)."),
+        (TWO_FLAGS[: TWO_FLAGS.index("/>") + 2], "opened <- my_msgs__0__Flag(true)."),
+    ],
+    ids=["unused", "event", "frame", "one frame", "header", "one topic"],
+)
+def test_topics_that_are_told_apart_are_not_reported(tmp_path, definitions, topics, rules):
+    assert shared_events(tmp_path, definitions, topics, rules) == []
+
+
+def test_exchanged_topic_and_id_of_subscription_are_named(tmp_path, definitions):
+    (tmp_path / "pub_sub.xml").write_text(
+        '<publish_subscribe><publish_to name="warn" msg_type="my_msgs/Flag"/></publish_subscribe>'
+    )
+    (tmp_path / "goalPredicates.txt").write_text("subscribe(a(X), [], my_msgs__0__Flag(X), w1, warn)\n")
+    findings = check_program(tmp_path, definitions)
+    (message,) = [finding.problem.message for finding in findings if finding.problem.code == "RT1102"]
+    assert message.endswith("warn is the id here: write subscribe(Pattern, Conditions, Template, Topic, Id)")

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from retalis import Definitions, Engine, ProgramErrors
+from retalis.engine.program_check import check_program
 
 
 def unread(engine, folder):
@@ -44,3 +45,104 @@ def test_a_folder_that_may_not_be_entered_is_no_error(tmp_path, monkeypatch):
     )
     monkeypatch.setattr(Path, "stat", lambda path, **options: refuse(path) or real_path_stat(path, **options))
     assert unread(Engine(), tmp_path) == []
+
+
+def write_program(folder, rules):
+    (folder / "pub_sub.xml").write_text("<publish_subscribe/>")
+    (folder / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')\n")
+    (folder / "eventRules.txt").write_text(f"{rules}\n")
+
+
+def findings_of(path, code, definitions):
+    return [
+        finding.problem.message
+        for finding in check_program(path, definitions)
+        if finding.problem.code == code
+    ]
+
+
+def findings_of_rules(folder, rules, code, definitions):
+    path = folder / "rules.txt"
+    path.write_text(f"{rules}\n")
+    return findings_of(path, code, definitions)
+
+
+@pytest.mark.parametrize(
+    "rules, name",
+    [
+        ("hot(m) <- temp(m, T) where T > 40.", "m"),
+        ("hot(m) <- temp(m, T) where T > 40. cold(N) <- temp(N, T) where T < 4.", "m"),
+        ("hot(motor) <- temp(motor, T) where T > 40. cold(Motor) <- temp(Motor, T) where T < 4.", "motor"),
+        ("hot(t) <- temp(left, t).", "t"),
+        ("hot(m) <- temp(m, T) seq door(open) where T > 40.", "m"),
+    ],
+)
+def test_constant_meant_as_variable_is_reported(tmp_path, definitions, rules, name):
+    (message,) = findings_of_rules(tmp_path, rules, "RT1408", definitions)
+    assert message.startswith(f"{name} is a constant")
+    assert message.endswith(f"write the variable {name.capitalize()}")
+
+
+@pytest.mark.parametrize(
+    "rules",
+    [
+        "hot(left) <- temp(left, T) where T > 40.",
+        "hot(M) <- temp(M, T) where T > 40.",
+        "hot <- temp(m, T) where T > 40.",
+        "hot(m) <- temp(_, T) where T > 40.",
+        "hot(a) <- temp(a, T) where T > 40. hot(b) <- temp(b, T) where T > 50.",
+        "hot(m) <- temp(m, T) where T > 40. motor(m).",
+        "hot(m) <- temp(m, T) where T > 40. temp(m, T) <- raw(T).",
+        ":- memorize(temp(m, T), [], T, heat, 5). hot(m) <- temp(m, T) where T > 40.",
+        "alarm(m) <- ok cnot temp(m, _).",
+    ],
+)
+def test_constant_that_is_known_is_not_reported(tmp_path, definitions, rules):
+    assert findings_of_rules(tmp_path, rules, "RT1408", definitions) == []
+
+
+COUNTER = "c(N) do (retract(count(M)), N is M + 1, assertz(count(N))) <- tick."
+
+
+@pytest.mark.parametrize(
+    "rules",
+    [
+        COUNTER,
+        f":- dynamic count/1.\n{COUNTER}",
+        "next(N) :- count(M), N is M + 1, retract(count(M)), assertz(count(N)).\nc(N) <- tick where next(N).",
+    ],
+)
+def test_counter_without_first_fact_is_reported(tmp_path, definitions, rules):
+    write_program(tmp_path, rules)
+    (message,) = findings_of(tmp_path, "RT1404", definitions)
+    assert message == (
+        "count/1 has no clause here, and goals add one only after this one succeeds: "
+        "add a first fact, such as count(0)."
+    )
+
+
+@pytest.mark.parametrize(
+    "rules",
+    [
+        f"count(0).\n{COUNTER}",
+        f"{COUNTER}\nnull do assertz(count(0)) <- start.",
+        f":- assertz(count(0)).\n{COUNTER}",
+        "c(N) do ((retract(count(M)) ; M = 0), N is M + 1, assertz(count(N))) <- tick.",
+        "c(N) do (retract(count(M)) -> N is M + 1, assertz(count(N)) ; N = 0, assertz(count(0))) <- tick.",
+        "c do (retractall(count(_)), assertz(count(1))) <- tick.",
+        f"{COUNTER}\nnull do assertz(F) <- fact(F).",
+    ],
+)
+def test_counter_with_first_fact_is_not_reported(tmp_path, definitions, rules):
+    write_program(tmp_path, rules)
+    assert findings_of(tmp_path, "RT1404", definitions) == []
+
+
+def test_counter_of_single_file_is_not_reported(tmp_path, definitions):
+    assert findings_of_rules(tmp_path, COUNTER, "RT1404", definitions) == []
+
+
+def test_clause_is_not_suggested_for_its_own_call(tmp_path, definitions):
+    rules = "near(X) :- nearr(X).\na <- b(X) where near(X)."
+    (message,) = findings_of_rules(tmp_path, rules, "RT1402", definitions)
+    assert message == "there is no predicate nearr/1: define it, or assert facts of it"

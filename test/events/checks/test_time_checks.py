@@ -3,12 +3,14 @@
 import pytest
 
 from retalis import Definitions, Engine, TopicType
-from retalis.events.checks.program_model import ProgramModel
+from retalis.events.checks.program_model import ProgramModel, RecordedTopic
 from retalis.events.checks.time_checks import (
     find_conditions_after_throttle,
     find_cycles,
     find_impossible_pairs,
+    find_likely_milliseconds,
     find_missed_pairs,
+    find_throttles_without_key,
     find_unbounded_keys,
 )
 from retalis.events.program.topic_configuration import Topics
@@ -148,3 +150,103 @@ def test_condition_after_throttle_is_reported(pattern, count):
     engine.load(rules=f"hot(M) <- {pattern}.")
     program = ProgramModel(engine.rules, engine.knowledge, Definitions(), TOPICS)
     assert len(list(find_conditions_after_throttle(program))) == count
+
+
+def milliseconds(rules, recorded=()):
+    engine = Engine()
+    engine.load(rules=rules)
+    topics = Topics((TopicType("said", "std_msgs/String"),))
+    program = ProgramModel(
+        engine.rules, engine.knowledge, Definitions(), topics, recorded_topics=tuple(recorded)
+    )
+    return [error.message for error in find_likely_milliseconds(program)]
+
+
+@pytest.mark.parametrize(
+    "rule, message",
+    [
+        ("x <- a seq absent(b, 5000).", "5000 is 83.3 minutes"),
+        ("x <- (a seq b) within 500.", "500 is 8.33 minutes"),
+        ("x(N) <- aggregate(count, a, N, last(2500)).", "2500 is 41.7 minutes"),
+        ("x(N) <- aggregate(count, a, N, last(10, every(1000))).", "1000 is 16.7 minutes"),
+        ("x <- a with throttle(10000).", "10000 is 2.8 hours"),
+        ("exceptionAlarm(x, 500) <- a.", "500 is 8.33 minutes"),
+        ("x <- a do timer(t, after(1700)).", "1700 is 28.3 minutes"),
+    ],
+)
+def test_round_span_that_is_no_whole_minute_is_reported(rule, message):
+    (finding,) = milliseconds(rule)
+    assert finding.startswith(f"{message}, because spans are in seconds: for milliseconds write ")
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [
+        "x <- a seq absent(b, 5).",
+        "x <- (a seq b) within 600.",
+        "x(N) <- aggregate(count, a, N, last(3600)).",
+        "x(N) <- aggregate(count, a, N, last(500, events)).",
+        "x <- a with throttle(1800).",
+        "x <- a where value(last(5000)).",
+        "x <- every(1000).",
+        "x <- a seq absent(b, 90000).",
+    ],
+)
+def test_likely_seconds_are_not_reported(rule):
+    assert milliseconds(rule) == []
+
+
+@pytest.mark.parametrize(
+    "span, period, count",
+    [(3000, 0.1, 1), (250, 0.1, 1), (250, 0.5, 0), (600, 0.1, 0), (30, 0.001, 0), (3000, None, 0)],
+)
+def test_span_is_compared_with_the_rate_of_a_bag(span, period, count, definitions):
+    rules = f"heard(T) <- std_msgs__0__String(T). x <- heard(T) seq absent(heard(T), {span})."
+    engine = Engine()
+    engine.load(rules=rules)
+    recorded = (RecordedTopic("/said", "std_msgs/String", period),)
+    program = ProgramModel(engine.rules, engine.knowledge, definitions, TOPICS, recorded_topics=recorded)
+    messages = [error.message for error in find_likely_milliseconds(program)]
+    assert len(messages) == count
+    assert all(f"in the bag, a message of said comes every {period} s" in message for message in messages)
+
+
+def unkeyed(rules):
+    engine = Engine()
+    engine.load(rules=rules)
+    program = ProgramModel(engine.rules, engine.knowledge, Definitions(), TOPICS)
+    return [error.message for error in find_throttles_without_key(program)]
+
+
+@pytest.mark.parametrize(
+    "pattern, advice",
+    [
+        ("temp(R, T) where T > 30 with throttle(10)", "write throttle(10, R)"),
+        ("temp(R, T) with throttle(2.5)", "write throttle(2.5, R)"),
+        ("(temp(R, T) where T > 30) with debounce(2)", "write debounce(2, R)"),
+        ("temp(R, T) with burst(2)", "write burst(2, R)"),
+    ],
+)
+def test_throttle_without_key_is_reported(pattern, advice):
+    (message,) = unkeyed(f"hot(R) <- {pattern}.")
+    assert message.endswith(advice)
+
+
+@pytest.mark.parametrize(
+    "rules",
+    [
+        "hot(R) <- temp(R, T) with throttle(10, R).",
+        "hot(R) <- temp(R, T) with throttle(10, T).",
+        "hot(R, T) <- temp(R, T) with throttle(10).",
+        "hot(T) <- temp(R, T) with throttle(10).",
+        "hot(T) <- temp(T) with throttle(10).",
+        "hot <- temp(R, T) with throttle(10).",
+        "hot(T) <- temp(T, R) where T > 30 with throttle(10).",
+        "hot(T) <- temp(T, R) with throttle(10). temp(3, E) <- b(E).",
+        "hot(R) <- temp(R, T) with change(T).",
+        "hot(R) <- (temp(R, T) seq door(T)) with throttle(10).",
+        "hot(R) <- temp(left, R) with throttle(10).",
+    ],
+)
+def test_throttle_that_needs_no_key_is_not_reported(rules):
+    assert unkeyed(rules) == []

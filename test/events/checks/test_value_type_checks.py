@@ -6,6 +6,7 @@ from retalis import Engine
 from retalis.events.checks.program_model import ProgramModel
 from retalis.events.checks.value_type_checks import (
     _ARRAY_PREDICATES,
+    find_inexact_decimals,
     find_number_type_mismatches,
     find_type_conflicts,
 )
@@ -134,3 +135,43 @@ def test_windows_take_arrays(definitions, pattern, told):
     engine.load(rules=f"a(D) <- {pattern}.")
     program = ProgramModel(engine.rules, engine.knowledge, definitions, TOPICS)
     assert [one.message for one in find_type_conflicts(program)] == told
+
+
+@pytest.mark.parametrize(
+    "rule, message",
+    [
+        (
+            "a <- geometry_msgs__0__Point(X, _, _) where X =:= 11.6.",
+            "X is a float (x of geometry_msgs/Point), which a measured value rarely equals exactly: "
+            "write abs(X - 11.6) < 0.001",
+        ),
+        (
+            "a <- geometry_msgs__0__Point(X, _, _) where X == 0.1.",
+            "X is a float (x of geometry_msgs/Point), which a measured value rarely equals exactly: "
+            "write abs(X - 0.1) < 0.001",
+        ),
+        (
+            "a <- geometry_msgs__0__Point(0.1, _, _).",
+            "x of geometry_msgs/Point is matched only if it is exactly 0.1: for a measured value write a variable V, "
+            "and where abs(V - 0.1) < 0.001",
+        ),
+    ],
+)
+def test_equality_with_inexact_decimal_is_reported(definitions, rule, message):
+    assert said(definitions, rule, check=find_inexact_decimals) == [message]
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [
+        "a <- geometry_msgs__0__Point(0.5, _, _).",
+        "a <- geometry_msgs__0__Point(X, _, _) where X =:= 0.",
+        "a <- geometry_msgs__0__Point(X, _, _) where X > 0.1.",
+        "a <- geometry_msgs__0__Point(X, _, _) where X =:= inf.",
+        "a <- b(X) where X =:= 0.1.",
+        "a <- std_msgs__0__Int32(N) where N =:= 2.",
+        "a <- b(0.1).",
+    ],
+)
+def test_exact_or_unmeasured_numbers_are_not_reported(definitions, rule):
+    assert said(definitions, rule, check=find_inexact_decimals) == []

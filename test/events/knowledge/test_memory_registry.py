@@ -292,3 +292,18 @@ def test_which_memories_are_behind():
         ]
     with pytest.raises(UsageError, match="there is no memory o"):
         knowledge.find_missing_memories([atom("o")], 0)
+
+
+@pytest.mark.parametrize(
+    "goal, advice",
+    [
+        ("memorize(n, v(X), [], X, 3)", "the conditions are a list of goals, as in [V < 11] or []"),
+        ("memorize(v(X), X > 1, X, n, 3)", "the conditions are a list of goals, as in [V < 11] or []"),
+        ("memorize(v(X), [], n, X, 3)", "the id is not a variable"),
+        ("memorize(v(X), [], X, 3, n)", "the size is a number of records"),
+    ],
+)
+def test_error_of_misplaced_argument_shows_the_notation(goal, advice):
+    with pytest.raises(PrologError) as caught:
+        RecordingEngine().call(goal)
+    assert f"{advice}: write memorize(Pattern, Conditions, Template, Id, Size)" in str(caught.value)

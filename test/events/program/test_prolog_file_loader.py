@@ -331,6 +331,6 @@ def test_what_is_called_by_a_module_s_name_is_looked_for_there(program, tmp_path
         "j <- tick where (b:zzyx, b:size(_, 1)).\nn(X) <- tick where b:nope(X).\nm <- tick where zzyx."
     )
     assert [str(one).partition("\n")[0] for one in program.warnings] == [
-        "text:4:22: there is no predicate nope/1 yet",
+        "text:4:22: there is no predicate nope/1 yet; define it in the module",
         "text:5:17: there is no predicate zzyx/0 yet; did you mean b:zzyx/0?",
     ]

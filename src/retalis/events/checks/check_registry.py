@@ -21,16 +21,24 @@ from ...foundation.errors import (
 from ..program.topic_configuration import read_text
 from .condition_checks import find_impossible_conditions
 from .event_flow_checks import find_declaration_violations, find_unconsumed_events, find_unproduced_events
-from .memory_checks import find_record_mismatches, find_stale_tables, find_unknown_memories
+from .memory_checks import (
+    find_empty_memories,
+    find_record_mismatches,
+    find_stale_tables,
+    find_unknown_memories,
+)
 from .message_checks import (
     find_impossible_values,
     find_message_mismatches,
     find_output_mismatches,
+    find_shared_events,
     find_topic_mistakes,
     find_untyped_topics,
 )
 from .predicate_checks import (
+    find_constants_meant_as_variables,
     find_duplicate_labels,
+    find_missing_first_clauses,
     find_never_asserted,
     find_operators_in_clauses,
     find_redefined_builtins,
@@ -45,13 +53,15 @@ from .time_checks import (
     find_cycles,
     find_impossible_pairs,
     find_invalid_timers,
+    find_likely_milliseconds,
     find_missed_pairs,
+    find_throttles_without_key,
     find_unbounded_keys,
     find_unbounded_waits,
     find_unlikely_spans,
 )
 from .value_flow import find_conflicting_flows, find_impossible_flows
-from .value_type_checks import find_number_type_mismatches, find_type_conflicts
+from .value_type_checks import find_inexact_decimals, find_number_type_mismatches, find_type_conflicts
 from .window_checks import find_windows_of_long_events
 
 ERROR, WARNING, INFO = "error", "warning", "info"
@@ -85,16 +95,20 @@ CHECKS: Tuple[Check, ...] = (
     Check("values", "RT1105", find_impossible_flows, requires_valid_program=True),
     Check("kinds", "RT1106", find_conflicting_flows, requires_valid_program=True),
     Check("numerals", "RT1107", find_number_type_mismatches),
+    Check("decimals", "RT1109", find_inexact_decimals, severity=INFO),
+    Check("shared-events", "RT1110", find_shared_events, requires_valid_program=True, severity=INFO),
     Check("outputs", "RT1103", find_output_mismatches),
     Check("unpublished", "RT1102", find_untyped_topics, requires_valid_program=True),
     Check("never-made", "RT1201", find_unproduced_events, requires_valid_program=True),
     Check("never-taken", "RT1202", find_unconsumed_events, requires_valid_program=True),
     Check("memories", "RT1301", find_unknown_memories, requires_valid_program=True),
     Check("records", "RT1302", find_record_mismatches, requires_valid_program=True),
+    Check("records", "RT1302", find_empty_memories, requires_valid_program=True),
     Check("slipped-arrow", "RT1405", find_operators_in_clauses),
     Check("undefined", "RT1402", find_undefined_predicates, requires_valid_program=True),
     Check("redefined", "RT1403", find_redefined_builtins, requires_valid_program=True),
     Check("retracted", "RT1404", find_never_asserted, requires_valid_program=True),
+    Check("retracted", "RT1404", find_missing_first_clauses, requires_valid_program=True),
     Check("stale-tables", "RT1304", find_stale_tables, requires_valid_program=True),
     Check("cycle", "RT1203", find_cycles),
     Check("never-meets", "RT1204", find_impossible_pairs, requires_valid_program=True),
@@ -107,8 +121,13 @@ CHECKS: Tuple[Check, ...] = (
     Check("label", "RT1210", find_duplicate_labels),
     Check("long-elements", "RT1211", find_windows_of_long_events, severity=INFO),
     Check("throttled-first", "RT1212", find_conditions_after_throttle, severity=INFO),
+    Check("milliseconds", "RT1213", find_likely_milliseconds, severity=INFO),
+    Check("unkeyed", "RT1214", find_throttles_without_key, requires_valid_program=True, severity=INFO),
     Check("singleton", "RT1406", find_singletons),
     Check("conditions", "RT1407", find_impossible_conditions),
+    Check(
+        "constants", "RT1408", find_constants_meant_as_variables, requires_valid_program=True, severity=INFO
+    ),
 )
 
 

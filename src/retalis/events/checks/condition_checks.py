@@ -1,10 +1,11 @@
 """Checks of conditions: comparisons that never hold, names in arithmetic, and arithmetic that is not evaluated.
 
 The goals that must hold together are grouped into conjunctions. In each of them, the comparisons of a variable with
-numbers are intersected to one interval; an empty interval means that the conjunction never holds.
+numbers are intersected to one interval; an empty interval means that the conjunction never holds. The conditions of
+the parts of a pattern that each match contains share their intervals, because a variable has one value in a match.
 """
 
-from typing import Any, Dict, Iterator, List, Mapping, NamedTuple, Set, Tuple
+from typing import Any, Dict, Iterator, List, Mapping, NamedTuple, Set, Tuple, Union
 
 from ...foundation.errors import RuleError
 from ...prolog.machine.arithmetic import EVALUABLE
@@ -12,7 +13,19 @@ from ...prolog.terms.term_traversal import term_key, variables
 from ...prolog.terms.types import Atom, CompoundTerm, Functor, Term, Var, deref, functor
 from ..language.called_predicates import conjunctions
 from ..language.pattern_parser import PlaceLookup, no_place
-from ..language.pattern_tree import ActionPattern, ConditionPattern, walk
+from ..language.pattern_tree import (
+    AbsencePattern,
+    ActionPattern,
+    AggregatePattern,
+    ConditionPattern,
+    KleenePattern,
+    NotPattern,
+    PairPattern,
+    Pattern,
+    RatePattern,
+    WithinPattern,
+    children,
+)
 from .program_model import ProgramModel, Subterm, subterms, wrap_term
 
 NUMERIC_COMPARISONS = frozenset(functor(name, 2) for name in ("<", ">", "=<", ">=", "=:=", "=\\="))
@@ -33,7 +46,7 @@ _PAIRS = frozenset(functor(name, 2) for name in ("-", "/"))
 _STEPS = frozenset(functor(name, 2) for name in ("+", "-", "*", "/"))
 
 
-class _Conjunction(NamedTuple):
+class Conjunction(NamedTuple):
     """Goals that must hold together, with the rule or clause that contains them.
 
     Attributes:
@@ -41,18 +54,19 @@ class _Conjunction(NamedTuple):
         source: the rule or clause.
         is_clause: whether the source is a clause; a rule otherwise.
         names: names of variables.
+        bounds: numbers that earlier comparisons of each variable allow; other conditions of a match may share it.
     """
 
     goals: List[Subterm]
     source: Term
     is_clause: bool
     names: Mapping[Var, str]
+    bounds: "Dict[Var, _Interval]"
 
 
 def find_impossible_conditions(program: ProgramModel) -> Iterator[RuleError]:
     """Yield goals of rules and clauses that never hold, or that compare a value with unevaluated arithmetic."""
-    for conjunction in _conjunctions_of(program):
-        bounds: Dict[Var, _Interval] = {}
+    for conjunction in conjunctions_of(program):
         for goal in conjunction.goals:
             if goal.term.__class__ is not tuple or len(goal.term) != 3:
                 continue
@@ -60,7 +74,7 @@ def find_impossible_conditions(program: ProgramModel) -> Iterator[RuleError]:
                 _explain_equal_sides(program, goal, conjunction)
                 or _explain_assignment(program, goal, conjunction)
                 or _explain_unevaluated(program, goal, conjunction)
-                or _explain_empty_interval(program, goal, bounds, conjunction)
+                or _explain_empty_interval(program, goal, conjunction)
             )
             if problem:
                 yield RuleError(problem, goal.place)
@@ -68,16 +82,43 @@ def find_impossible_conditions(program: ProgramModel) -> Iterator[RuleError]:
                 yield from _find_names_in_arithmetic(goal, conjunction)
 
 
-def _conjunctions_of(program: ProgramModel) -> Iterator[_Conjunction]:
+def conjunctions_of(program: ProgramModel) -> Iterator[Conjunction]:
+    """Yield the goals of rules and clauses that must hold together."""
     for rule in program.rules:
         names = {**program.names, **rule.definition.names}
-        for node in walk(rule.definition.pattern, negated=True):
-            if isinstance(node, (ConditionPattern, ActionPattern)):
-                for goals in _place_goals(wrap_term(node.goal), 1, rule.place_of):
-                    yield _Conjunction(goals, rule.definition.term, False, names)
+        for node, bounds in _conditions_with_bounds(rule.definition.pattern):
+            # The first group has the goals that must hold; the others are parts of alternatives and negations.
+            for index, goals in enumerate(_place_goals(wrap_term(node.goal), 1, rule.place_of)):
+                yield Conjunction(goals, rule.definition.term, False, names, {} if index else bounds)
     for clause in program.clauses:
         for goals in _place_goals(clause.parent, clause.position, clause.place_of):
-            yield _Conjunction(goals, clause.parent, True, program.names)
+            yield Conjunction(goals, clause.parent, True, program.names, {})
+
+
+def _conditions_with_bounds(
+    pattern: Pattern,
+) -> "Iterator[Tuple[Union[ConditionPattern, ActionPattern], Dict[Var, _Interval]]]":
+    """Yield the conditions and actions of a pattern in the order of the text, with the bounds that they share."""
+    visited: List[Tuple[Pattern, Dict[Var, _Interval]]] = []
+    stack: List[Tuple[Pattern, Dict[Var, _Interval]]] = [(pattern, {})]
+    while stack:
+        node, bounds = stack.pop()
+        visited.append((node, bounds))
+        for index, child in enumerate(children(node)):
+            # Each match contains these parts, with one value for each variable.
+            is_shared = isinstance(node, _SHARING) or (isinstance(node, _PARTLY_SHARING) and index == 0)
+            stack.append((child, bounds if is_shared else {}))
+    # A part was visited before its operands, and these from right to left.
+    for node, bounds in reversed(visited):
+        if isinstance(node, ConditionPattern):
+            yield node, bounds
+        elif isinstance(node, ActionPattern):
+            yield node, {}
+
+
+_SHARING = (PairPattern, ConditionPattern, WithinPattern, ActionPattern, RatePattern)
+_PARTLY_SHARING = (NotPattern, AbsencePattern, KleenePattern, AggregatePattern)
+"""Nodes whose first operand is part of each match; the second is negated, or need not be there."""
 
 
 def _place_goals(parent: CompoundTerm, position: int, place_of: PlaceLookup) -> Iterator[List[Subterm]]:
@@ -85,11 +126,11 @@ def _place_goals(parent: CompoundTerm, position: int, place_of: PlaceLookup) -> 
         yield [Subterm(goal.term, goal.parent, goal.position, place_of) for goal in group]
 
 
-def _show(program: ProgramModel, term: Term, conjunction: _Conjunction) -> str:
+def _show(program: ProgramModel, term: Term, conjunction: Conjunction) -> str:
     return program.logic.brief(term, conjunction.names)
 
 
-def _explain_equal_sides(program: ProgramModel, goal: Subterm, conjunction: _Conjunction) -> str:
+def _explain_equal_sides(program: ProgramModel, goal: Subterm, conjunction: Conjunction) -> str:
     if goal.key not in _IRREFLEXIVE:
         return ""
     left, right = goal.term[1], goal.term[2]
@@ -99,7 +140,7 @@ def _explain_equal_sides(program: ProgramModel, goal: Subterm, conjunction: _Con
     return f"{_show(program, goal.term, conjunction)} never holds: both sides are the same"
 
 
-def _explain_assignment(program: ProgramModel, goal: Subterm, conjunction: _Conjunction) -> str:
+def _explain_assignment(program: ProgramModel, goal: Subterm, conjunction: Conjunction) -> str:
     """Return the finding for ``N is N + 1``, or ""."""
     variable, expression = deref(goal.term[1]), deref(goal.term[2])
     if goal.key is not IS or variable.__class__ is not Var or expression.__class__ is not tuple:
@@ -114,7 +155,7 @@ def _explain_assignment(program: ProgramModel, goal: Subterm, conjunction: _Conj
     )
 
 
-def _explain_unevaluated(program: ProgramModel, goal: Subterm, conjunction: _Conjunction) -> str:
+def _explain_unevaluated(program: ProgramModel, goal: Subterm, conjunction: Conjunction) -> str:
     """Return the finding for a comparison of terms with an expression, such as ``F = T * 1.8``, or ""."""
     evaluating = _EVALUATING_FORMS.get(goal.key) if goal.key is not None else None
     if evaluating is None:
@@ -165,7 +206,7 @@ def _has_number(expression: Term) -> bool:
     return any(part.term.__class__ in (int, float) for part in subterms(wrap_term(expression), 1, no_place))
 
 
-def _is_used_as_term(variable: Var, goal: Subterm, conjunction: _Conjunction) -> bool:
+def _is_used_as_term(variable: Var, goal: Subterm, conjunction: Conjunction) -> bool:
     """Return whether a variable occurs outside of a goal and of arithmetic."""
     total = _count(variable, conjunction.source) - _count(variable, goal.term)
     evaluated = 0
@@ -182,9 +223,14 @@ def _count(variable: Var, term: Term) -> int:
 
 
 class _Interval:
-    """Numbers that the comparisons of a variable allow."""
+    """Numbers that the comparisons of a variable allow.
 
-    def __init__(self) -> None:
+    Attributes:
+        goals: the conjunction with the first of these comparisons.
+    """
+
+    def __init__(self, goals: List[Subterm]) -> None:
+        self.goals = goals
         self._low: Tuple[float, bool] = (float("-inf"), False)
         self._high: Tuple[float, bool] = (float("inf"), False)
 
@@ -204,9 +250,7 @@ class _Interval:
 _MIRRORED = {"<": ">", ">": "<", "=<": ">=", ">=": "=<", "=:=": "=:="}
 
 
-def _explain_empty_interval(
-    program: ProgramModel, goal: Subterm, bounds: Dict[Var, _Interval], conjunction: _Conjunction
-) -> str:
+def _explain_empty_interval(program: ProgramModel, goal: Subterm, conjunction: Conjunction) -> str:
     """Return the finding for a comparison that excludes all numbers that earlier ones allow, or ""."""
     if goal.key not in NUMERIC_COMPARISONS or goal.key is None or goal.key.name not in _MIRRORED:
         return ""
@@ -216,18 +260,24 @@ def _explain_empty_interval(
         left, right, operator = right, left, _MIRRORED[operator]
     if not isinstance(left, Var) or not isinstance(right, (int, float)):
         return ""
-    interval = bounds.get(left)
+    interval = conjunction.bounds.get(left)
     if interval is None:
-        interval = bounds[left] = _Interval()
+        interval = conjunction.bounds[left] = _Interval(conjunction.goals)
     if interval.restrict(operator, right):
         return ""
+    name = _show(program, left, conjunction)
+    advice = (
+        "alternatives are joined with ;"
+        if interval.goals is conjunction.goals
+        else f"{name} has one value in the whole rule, so give another value another name, such as {name}2"
+    )
     return (
-        f"{_show(program, goal.term, conjunction)} never holds together with the comparisons of "
-        f"{_show(program, left, conjunction)} before it; alternatives are joined with ;"
+        f"{_show(program, goal.term, conjunction)} never holds together with the comparisons of {name} before it; "
+        f"{advice}"
     )
 
 
-def _find_names_in_arithmetic(goal: Subterm, conjunction: _Conjunction) -> Iterator[RuleError]:
+def _find_names_in_arithmetic(goal: Subterm, conjunction: Conjunction) -> Iterator[RuleError]:
     """Yield names in arithmetic that are no numbers: a lower-case variable, or a text that is compared."""
     if goal.key in NUMERIC_COMPARISONS:
         operands = [

@@ -97,6 +97,19 @@ def find_record_mismatches(program: ProgramModel) -> Iterator[RuleError]:
                 yield RuleError(text, subterm.place)
 
 
+def find_empty_memories(program: ProgramModel) -> Iterator[RuleError]:
+    """Yield memories of size 0 that no goal reads; `find_record_mismatches` yields the goals that read one."""
+    read_names = {
+        getattr(deref(subterm.term[1]), "name", None)
+        for subterm in program.all_subterms()
+        if subterm.key in RECORD_READS and subterm.term.__class__ is tuple
+    }
+    for memory in program.memories:
+        if deref(memory.term[5]) == 0 and getattr(deref(memory.term[4]), "name", None) not in read_names:
+            text = f"memory {program.logic.brief(memory.term[4])} keeps 0 records: write a size of 1 or more"
+            yield RuleError(f"{memory.prefix}{text}", memory.place_of(memory.term, 5))
+
+
 def _format_briefly(program: ProgramModel, term: Term) -> str:
     return program.logic.brief(term, {var: program.names.get(var, "_") for var in variables(term)})
 

@@ -262,13 +262,26 @@ def find_untyped_topics(program: ProgramModel) -> Iterator[RuleError]:
         ):
             continue
         reported.add(topic)
-        name = shorten(topic)
-        advice = f'; <publish_to name="{name}" msg_type="package/Type"/> in {TOPICS} would give it one'
         yield RuleError(
-            f"topic {name} has no type: its events are published only as text on retalisOutputEvents"
-            f"{did_you_mean(strip_slashes(topic), published) or advice}",
+            f"topic {shorten(topic)} has no type: its events are published only as text on retalisOutputEvents"
+            f"{_advise_topic(program, subscription, topic, published)}",
             subscription.place_of(subscription.term, 4),
         )
+
+
+def _advise_topic(
+    program: ProgramModel, subscription: EventConsumer, topic: str, published: List[str]
+) -> str:
+    """Return what to write for a topic of a subscription that has no type."""
+    subscription_id = program.logic.show(subscription.term[5], quoted=False)
+    if strip_slashes(subscription_id) in published:
+        return (
+            f"; {shorten(subscription_id)} is the id here: write "
+            "subscribe(Pattern, Conditions, Template, Topic, Id)"
+        )
+    return did_you_mean(strip_slashes(topic), published) or (
+        f'; <publish_to name="{shorten(topic)}" msg_type="package/Type"/> in {TOPICS} would give it one'
+    )
 
 
 def _subscriptions_with_topic(program: ProgramModel) -> Iterator[Tuple[EventConsumer, str]]:
@@ -378,9 +391,9 @@ def _find_unrecorded_topic(
     """Yield a subscribed topic that the bags have with another type, or under a similar name only."""
     name = strip_slashes(topic)
     types = {
-        recorded_type
-        for recorded, recorded_type in program.recorded_topics
-        if _may_be_same_topic(strip_slashes(recorded), name)
+        recorded.type
+        for recorded in program.recorded_topics
+        if _may_be_same_topic(strip_slashes(recorded.topic), name)
     }
     if types:
         if type_name not in types:
@@ -396,6 +409,47 @@ def _find_unrecorded_topic(
     suggestions = [closest] if closest else [other.topic for other in others if other.type == type_name]
     if suggestions:
         yield RuleError(f"the bag has no topic {topic}; did you mean {suggestions[0]}?", place)
+
+
+def find_shared_events(program: ProgramModel) -> Iterator[RuleError]:
+    """Yield topics of one type whose messages are the same event, if a rule does not tell them apart."""
+    if program.folder is None:
+        return
+    first_elements: Dict[str, Element] = {}
+    shared: Dict[str, Element] = {}
+    for element in read_elements(program.folder / TOPICS):
+        type_name = element.attributes.get("msg_type", "").strip()
+        if element.tag == _SUBSCRIBE_TO and not element.attributes.get("event"):
+            first = first_elements.setdefault(type_name, element)
+            if first is not element:
+                shared.setdefault(type_name, element)
+    for type_name, element in shared.items():
+        definition = program.definition(type_name)
+        if definition is None:
+            continue
+        for event, _ in program.patterns():
+            if program.message_of(event.term) is definition and not _tells_source(program, event.term):
+                topics = [one.attributes["name"].strip() for one in (first_elements[type_name], element)]
+                yield RuleError(
+                    f"{event.key} is the event of both {topics[0]} and {topics[1]}, and a rule or memory does not "
+                    f'tell them apart: unless this is intended, add event="..." to each element',
+                    element.place,
+                )
+                break
+
+
+def _tells_source(program: ProgramModel, message: CompoundTerm) -> bool:
+    """Return whether the pattern of a message uses a text or an array, which may name the source of the message."""
+    for subterm in subterms(wrap_term(message), 1, no_place):
+        definition = program.message_of(subterm.term)
+        for position, slot in enumerate(() if definition is None else definition.fields, 1):
+            value = deref(subterm.term[position])
+            is_unused = value.__class__ is Var and program.names.get(value, "_").startswith("_")
+            may_name = slot.type == "string" or slot.length is not None or slot.definition is not None
+            # The fields of a nested message are examined on their own.
+            if may_name and not is_unused and program.message_of(value) is None:
+                return True
+    return False
 
 
 def _find_misspelt_types_in_goals(program: ProgramModel) -> Iterator[RuleError]:

@@ -6,6 +6,7 @@ undefined.
 """
 
 import os
+from collections import Counter
 from typing import Any, Dict, Iterator, List, Optional, Set, Tuple
 
 from ...foundation.errors import RuleError, UsageError
@@ -14,8 +15,12 @@ from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.types import COMMA, CONS, SLASH, Atom, CompoundTerm, Functor, Term, Var, deref, functor
 from ..language.called_predicates import calls
 from ..language.event_operators import OPERATOR_NAMES
+from ..language.pattern_parser import no_place
+from ..language.pattern_tree import EventPattern, walk
+from ..language.rule_head_parser import event_raised_by
 from ..language.state_parser import queried_state
 from ..program.topic_configuration import GOALS, RULES, read_text
+from .condition_checks import conjunctions_of
 from .program_model import (
     NECK,
     FunctorSuggestions,
@@ -168,6 +173,8 @@ def find_undefined_predicates(program: ProgramModel) -> Iterator[RuleError]:
             # Each predicate is reported once, at its first call.
             reported[key] = None
             similar = program.logic.find_similar(key) if len(reported) <= _MAX_HINTS else []
+            # A clause that calls itself was not meant.
+            similar = [name for name in similar if name != str(key_of(clause.head))]
             hint = f"; did you mean {' or '.join(similar)}?" if similar else ""
             hint = hint or ": define it, or assert facts of it"
             if key in events or (
@@ -198,6 +205,54 @@ def find_never_asserted(program: ProgramModel) -> Iterator[RuleError]:
         suggestion = suggestions.suggest(key, definable.keys)
         hint = f"; did you mean {suggestion}?" if suggestion else ""
         yield RuleError(f"nothing asserts {key}, so there is never a clause to retract{hint}", subterm.place)
+
+
+def find_missing_first_clauses(program: ProgramModel) -> Iterator[RuleError]:
+    """Yield goals that need a clause of a predicate, if clauses are added only after such goals have succeeded.
+
+    A counter that is updated by ``retract(count(N)), New is N + 1, assertz(count(New))`` needs a first value. If a
+    single file is checked, goals elsewhere may add it.
+    """
+    if program.folder is None or not os.path.isdir(program.folder):
+        return
+    definable = _DefinablePredicates(program)
+    clause_keys = {key_of(clause.head) for clause in program.clauses}
+    asserted = Counter(
+        key_of_clause(subterm.term[1])
+        for subterm in program.all_subterms()
+        if subterm.key in ASSERTING_PREDICATES and subterm.term.__class__ is tuple
+    )
+    # Goals that are computed at run time, or foreign libraries, may add clauses.
+    if None in asserted or definable.has_unknown_predicates:
+        return
+    guarded: Counter[Functor] = Counter()
+    first_needs: Dict[Functor, Subterm] = {}
+    for conjunction in conjunctions_of(program):
+        needed: Dict[Functor, Subterm] = {}
+        for goal in conjunction.goals:
+            if goal.key in ASSERTING_PREDICATES and goal.term.__class__ is tuple:
+                key = key_of_clause(goal.term[1])
+                if key is not None and key in needed:
+                    guarded[key] += 1
+                    first_needs.setdefault(key, needed[key])
+                continue
+            key = key_of_clause(goal.term[1]) if goal.key is _RETRACT else goal.key
+            if key is not None:
+                needed.setdefault(key, goal)
+    for key, goal in first_needs.items():
+        has_clauses = key in clause_keys or not _is_empty(program, key)
+        if has_clauses or guarded[key] != asserted[key] or program.logic.is_system_predicate(key):
+            continue
+        arguments = ", ".join("0" for _ in range(key.arity))
+        fact = f"{key.name}({arguments})" if arguments else key.name
+        yield RuleError(
+            f"{key} has no clause here, and goals add one only after this one succeeds: add a first fact, such as "
+            f"{fact}.",
+            goal.place,
+        )
+
+
+_RETRACT = functor("retract", 1)
 
 
 def _is_empty(program: ProgramModel, key: Functor) -> bool:
@@ -310,6 +365,82 @@ def _explain_variable_as_constant(program: ProgramModel, name: str, variable: Su
 
 
 _COMPARED = frozenset(functor(name, 2) for name in ("<", ">", "=<", ">=", "=:=", "=\\="))
+
+
+def find_constants_meant_as_variables(program: ProgramModel) -> Iterator[RuleError]:
+    """Yield constants of a pattern that were probably meant as variables, such as m in ``hot(m) <- temp(m, T)``.
+
+    Such a constant has one letter or the name of a variable at the same position of this event in another rule, is
+    passed on to the head, and occurs in no other rule, goal or fact, which could give it to an event.
+    """
+    for rule in program.rules:
+        head = event_raised_by(rule.definition.head)
+        head_names = set() if head is None else {atom.term.name for atom in _constants_in(head)}
+        reported: Set[str] = set()
+        for node in walk(rule.definition.pattern) if head_names else ():
+            if not isinstance(node, EventPattern) or program.message_of(node.term) is not None:
+                continue
+            for constant in _constants_in(node.term):
+                name = constant.term.name
+                if name in head_names and name not in reported and _is_unusual(program, rule, constant):
+                    reported.add(name)
+                    variable = f"{name[:1].upper()}{name[1:]}"
+                    yield RuleError(
+                        f"{name} is a constant, which only this rule has: the rule matches no event with another "
+                        f"value; unless this is intended, write the variable {variable}",
+                        rule.place_of(constant.parent, constant.position),
+                    )
+
+
+def _constants_in(term: Term) -> List[Subterm]:
+    """Return the constants in the arguments of a term that are written like variables with a small letter."""
+    return [
+        subterm
+        for subterm in subterms(wrap_term(term), 1, no_place)
+        if isinstance(subterm.term, Atom)
+        and subterm.term is not deref(term)
+        and subterm.term.name.isidentifier()
+        and subterm.term.name[:1].islower()
+    ]
+
+
+def _is_unusual(program: ProgramModel, rule: SourceRule, constant: Subterm) -> bool:
+    """Return whether a constant of a pattern occurs only in its rule, in a position where others have variables."""
+    name, position = constant.term.name, (constant.parent[0], constant.position)
+    # Other constants at this position show that values are distinguished there.
+    if program.derive(_constants_by_position).get(position, set()) != {name}:
+        return False
+    if program.derive(_rules_by_constant)[name] != {id(rule.definition.term)}:
+        return False
+    variable = f"{name[:1].upper()}{name[1:]}"
+    return len(name) == 1 or variable in program.derive(_variables_by_position).get(position, ())
+
+
+def _rules_by_constant(program: ProgramModel) -> Dict[str, Set[int]]:
+    """Return the identities of the rules, clauses and goals that contain each constant."""
+    sources: Dict[str, Set[int]] = {}
+    roots = [(wrap_term(rule.definition.term), 1, rule.definition.term) for rule in program.rules]
+    roots += [(clause.parent, clause.position, clause.parent) for clause in program.clauses]
+    roots += [(wrap_term(clause.head), 1, clause.parent) for clause in program.clauses if clause.head]
+    roots += [(goal.parent, goal.position, goal.parent) for goal in program.goals]
+    roots += [(consumer.term, 1, consumer.term) for consumer in (*program.memories, *program.subscriptions)]
+    for parent, position, root in roots:
+        for subterm in subterms(parent, position, no_place):
+            if isinstance(subterm.term, Atom):
+                sources.setdefault(subterm.term.name, set()).add(id(root))
+    return sources
+
+
+def _variables_by_position(program: ProgramModel) -> Dict[Tuple[Functor, int], Set[str]]:
+    """Return the names of the variables that rules write as arguments, by functor and position."""
+    names: Dict[Tuple[Functor, int], Set[str]] = {}
+    for rule in program.rules:
+        names_of_rule = {**program.names, **rule.definition.names}
+        for subterm in subterms(wrap_term(rule.definition.term), 1, no_place):
+            if subterm.term.__class__ is Var and subterm.term in names_of_rule:
+                position = (subterm.parent[0], subterm.position)
+                names.setdefault(position, set()).add(names_of_rule[subterm.term])
+    return names
 
 
 def _constants_by_position(program: ProgramModel) -> Dict[Tuple[Functor, int], Set[str]]:

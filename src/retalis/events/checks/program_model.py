@@ -379,6 +379,20 @@ class StateDeclaration(NamedTuple):
     prefix: str
 
 
+class RecordedTopic(NamedTuple):
+    """Topic of a bag.
+
+    Attributes:
+        topic: its name.
+        type: its message type.
+        period: mean time between two of its messages in seconds; None for less than two.
+    """
+
+    topic: str
+    type: str
+    period: Optional[float] = None
+
+
 class ProgramModel:
     """Loaded program with its files.
 
@@ -402,7 +416,7 @@ class ProgramModel:
         directly_subscribed: Tuple[TopicType, ...] = (),
         folder: Optional[Path] = None,
         has_observer: bool = False,
-        recorded_topics: Tuple[TopicType, ...] = (),
+        recorded_topics: Tuple[RecordedTopic, ...] = (),
     ):
         self.rule_base = rules
         self.logic: PrologSystem = rules.logic

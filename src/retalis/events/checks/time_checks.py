@@ -8,11 +8,14 @@
 
 from collections import Counter
 from itertools import combinations_with_replacement
+from operator import attrgetter
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 
 from ...foundation.errors import Place, RuleError
+from ...foundation.ros_names import strip_slashes
+from ...messages.type_definition import functor_name
 from ...prolog.terms.term_traversal import copy, term_key, variables
-from ...prolog.terms.types import Functor, Term, Trail, atom, deref, functor
+from ...prolog.terms.types import Atom, Functor, Term, Trail, Var, atom, deref, functor
 from ...prolog.terms.unification import undo, unify
 from ..language.event_operators import OPERATOR_NAMES, PAIR_OPERATORS
 from ..language.pattern_tree import (
@@ -34,9 +37,13 @@ from ..language.pattern_tree import (
     bound_by,
     children,
     occurrences,
+    walk,
 )
 from ..language.rule_head_parser import ALARMS, TIMER, event_raised_by, schedule_error
-from .program_model import ProgramModel, SourceRule, key_of, subterms, wrap_term
+from .condition_checks import IS, NUMERIC_COMPARISONS
+from .program_model import ProgramModel, SourceRule, Subterm, key_of, subterms, wrap_term
+from .value_flow import ValueFlow
+from .value_kinds import NUMBER
 
 SECONDS_PER_DAY = 86_400
 _UNIT_HINT = "spans are in seconds"
@@ -358,6 +365,191 @@ def _explain_long_span(span: Any) -> str:
     if span.__class__ not in (int, float) or not span > SECONDS_PER_DAY:
         return ""
     return f"{span} is {span / SECONDS_PER_DAY:.3g} days: {_UNIT_HINT}"
+
+
+class _SpanNotation(NamedTuple):
+    """Position of a span in the arguments of a term, and functor names of terms that contain it; () for any."""
+
+    position: int
+    parents: Tuple[str, ...]
+
+
+_SPANS = {
+    **dict.fromkeys(("within", "absent", "exceptionAlarm"), _SpanNotation(2, ())),
+    **dict.fromkeys(("throttle", "debounce", "burst"), _SpanNotation(1, ("with",))),
+    **dict.fromkeys(("last", "every", "first"), _SpanNotation(1, ("aggregate", "last", "running", "timer"))),
+    "after": _SpanNotation(1, ("timer",)),
+}
+"""Names of terms with a span in seconds."""
+
+
+class _RecordedPeriod(NamedTuple):
+    """Topic of a bag with the mean time between two of its messages in seconds."""
+
+    topic: str
+    seconds: float
+
+
+def find_likely_milliseconds(program: ProgramModel) -> Iterator[RuleError]:
+    """Yield spans that were probably written in milliseconds.
+
+    Without a bag, these are numbers of at least 500 that are round in decimal notation but are no whole minutes. With
+    a bag, also smaller and rounder ones, if that many milliseconds are at least the period of a topic of the rule.
+    """
+    periods = _periods_by_rule(program)
+    for rule in program.rules:
+        rule_term = Subterm(None, wrap_term(rule.definition.term), 1, rule.place_of)
+        yield from _find_milliseconds_in(rule_term, periods.get(id(rule.definition)))
+    for goal in program.goals:
+        yield from _find_milliseconds_in(Subterm(None, goal.parent, goal.position, goal.place_of), None)
+
+
+def _find_milliseconds_in(source: Subterm, fastest: Optional[_RecordedPeriod]) -> Iterator[RuleError]:
+    for subterm in subterms(source.parent, source.position, source.place_of):
+        span = _span_of(subterm)
+        if span is None or not 0 < span <= SECONDS_PER_DAY:
+            continue
+        rate = ""
+        if fastest is not None and _may_be_milliseconds_of(span, fastest.seconds):
+            rate = f"; in the bag, a message of {fastest.topic} comes every {fastest.seconds:.2g} s"
+        if rate or _may_be_milliseconds(span):
+            yield RuleError(
+                f"{span} is {_format_minutes(span)}, because {_UNIT_HINT}{rate}: for milliseconds write "
+                f"{span / 1000:g}",
+                subterm.place_of(subterm.term, _SPANS[subterm.term[0].name].position),
+            )
+
+
+def _span_of(subterm: Subterm) -> Any:
+    """Return the number of seconds that a term such as ``within(P, 5)`` or ``last(5)`` has, or None."""
+    term = subterm.term
+    notation = _SPANS.get(term[0].name) if term.__class__ is tuple else None
+    if notation is None or len(term) <= notation.position:
+        return None
+    if notation.parents and subterm.parent[0].name not in notation.parents:
+        return None
+    # ``last(5, events)`` counts events.
+    if any(isinstance(argument, Atom) and argument.name == "events" for argument in map(deref, term[1:])):
+        return None
+    span = deref(term[notation.position])
+    return span if span.__class__ in (int, float) else None
+
+
+def _may_be_milliseconds(span: float) -> bool:
+    return span >= 500 and span % 100 == 0 and span % 60 != 0
+
+
+def _may_be_milliseconds_of(span: float, period: float) -> bool:
+    """Return whether a span may be in milliseconds, given the period of an event in seconds."""
+    is_round = span % 50 == 0 and (span % 60 != 0 or span % 1000 == 0)
+    return span >= 100 and is_round and span / 1000 >= period
+
+
+def _format_minutes(seconds: float) -> str:
+    return f"{seconds / 3600:.2g} hours" if seconds >= 7200 else f"{seconds / 60:.3g} minutes"
+
+
+def _periods_by_rule(program: ProgramModel) -> Dict[int, _RecordedPeriod]:
+    """Return the most frequent topic of a bag whose messages a rule awaits, directly or by events of other rules.
+
+    The keys are identities of rule definitions.
+    """
+    periods = _periods_by_message(program)
+    result: Dict[int, _RecordedPeriod] = {}
+    pending = list(program.rules) if periods else []
+    # Periods are passed from rule to rule until a pass adds none; each rule gets one once.
+    while pending:
+        remaining = []
+        for rule in pending:
+            keys = {
+                key_of(node.term)
+                for node in walk(rule.definition.pattern, negated=True)
+                if isinstance(node, EventPattern)
+            }
+            recorded = [periods[key] for key in keys if key is not None and key in periods]
+            if not recorded:
+                remaining.append(rule)
+                continue
+            fastest = result[id(rule.definition)] = min(recorded, key=attrgetter("seconds"))
+            head = event_raised_by(rule.definition.head)
+            head_key = None if head is None else key_of(head)
+            if head_key is not None:
+                periods.setdefault(head_key, fastest)
+        if len(remaining) == len(pending):
+            break
+        pending = remaining
+    return result
+
+
+def _periods_by_message(program: ProgramModel) -> Dict[Functor, _RecordedPeriod]:
+    """Return the topics of bags by the events of their messages; of several topics with one event, the fastest."""
+    recorded = {strip_slashes(topic.topic): topic.period for topic in program.recorded_topics}
+    periods: Dict[Functor, _RecordedPeriod] = {}
+    for topic, type_name in program.topics.subscribed:
+        definition = program.definition(type_name)
+        seconds = recorded.get(strip_slashes(topic))
+        if definition is not None and seconds is not None:
+            key = functor(program.event_name_of(topic) or functor_name(type_name), len(definition.fields))
+            if key not in periods or seconds < periods[key].seconds:
+                periods[key] = _RecordedPeriod(topic, seconds)
+    return periods
+
+
+def find_throttles_without_key(program: ProgramModel) -> Iterator[RuleError]:
+    """Yield ``throttle`` and similar operators without a key for events that seem to have one.
+
+    A key is the first argument of an event with several ones, is passed on to the head, and is not used as a number.
+    """
+    for rule in program.rules:
+        head = event_raised_by(rule.definition.head)
+        head_vars = set() if head is None else set(variables(head))
+        for node in _walk_nodes(rule.definition.pattern):
+            if isinstance(node, RatePattern) and node.operator in _KEYED_OPERATORS and not node.keys:
+                key_variable = _key_variable(program, rule, node.pattern, head_vars)
+                if key_variable is not None:
+                    name = program.names.get(key_variable, rule.definition.names.get(key_variable, "Key"))
+                    notation = f"{node.operator}({node.span / 10**9:g}"
+                    yield RuleError(
+                        f"{notation}) has one state for all values of {name}, so that an event of one suppresses "
+                        f"those of others; unless this is intended, write {notation}, {name})",
+                        _operator_place(rule, "with"),
+                    )
+
+
+_KEYED_OPERATORS = ("throttle", "debounce", "burst")
+
+
+def _key_variable(
+    program: ProgramModel, rule: SourceRule, pattern: Pattern, head_vars: Set[Var]
+) -> Optional[Var]:
+    """Return the variable that distinguishes the sources of the event of a pattern, or None."""
+    events = [node.term for node in walk(pattern) if isinstance(node, EventPattern)]
+    if len(events) != 1 or events[0].__class__ is not tuple or program.message_of(events[0]) is not None:
+        return None
+    event: Any = events[0]
+    first, others = deref(event[1]), [deref(argument) for argument in event[2:]]
+    if first.__class__ is not Var or first not in head_vars or not others:
+        return None
+    numeric = _variables_used_as_numbers(rule)
+    kinds = program.derive(ValueFlow).kinds_of_event(event[0])
+    first_kinds = kinds[0] if kinds else None
+    if first in numeric or (first_kinds and NUMBER in first_kinds):
+        return None
+    # A measured value beside it, which is compared or left out, tells a key from the only value of an event.
+    is_measured = any(
+        other.__class__ is Var and (other in numeric or other not in head_vars) for other in others
+    )
+    return first if is_measured else None
+
+
+def _variables_used_as_numbers(rule: SourceRule) -> Set[Var]:
+    """Return the variables of comparisons and arithmetic in a rule."""
+    return {
+        var
+        for subterm in subterms(wrap_term(rule.definition.term), 1, rule.place_of)
+        if subterm.term.__class__ is tuple and (subterm.key in NUMERIC_COMPARISONS or subterm.key is IS)
+        for var in variables(subterm.term)
+    }
 
 
 def find_unbounded_waits(program: ProgramModel) -> Iterator[RuleError]:

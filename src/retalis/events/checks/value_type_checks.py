@@ -9,9 +9,10 @@ different, so such a pattern never matches, and ``==`` never holds.
 """
 
 import struct
+from decimal import Decimal
 from typing import Any, Dict, Iterator, List, Mapping, NamedTuple, Optional, Set, Tuple
 
-from ...foundation.errors import RuleError
+from ...foundation.errors import Place, RuleError
 from ...messages.message_notation import SENSOR_PREDICATES
 from ...messages.type_definition import Definition, Field, functor_name
 from ...prolog.terms.types import Atom, CompoundTerm, Functor, String, Term, Var, deref, functor
@@ -399,21 +400,93 @@ def find_number_type_mismatches(program: ProgramModel) -> Iterator[RuleError]:
                         f"write a variable V, and where abs(V - {value}) < 0.001"
                     )
                     yield RuleError(f"{prefix}{fault}", subterm.place_of(subterm.term, position))
+    for comparison in _find_number_comparisons(program, created_keys):
+        fault = _explain_number_comparison(comparison)
+        if fault:
+            yield RuleError(f"{comparison.prefix}{fault}", comparison.place)
+
+
+def find_inexact_decimals(program: ProgramModel) -> Iterator[RuleError]:
+    """Yield decimals that are compared for equality with a float of 64 bits, but have no exact binary value."""
+    created_keys = _functors_of_created_events(program)
+    for event, prefix in program.patterns():
+        for subterm, definition in _find_input_messages(program, event, created_keys):
+            for position, slot in enumerate(definition.fields, 1):
+                value = deref(subterm.term[position])
+                if slot.type == "float64" and slot.length is None and _is_inexact(value):
+                    fault = (
+                        f"{slot.name} of {definition.name} is matched only if it is exactly {value}: for a measured "
+                        f"value write a variable V, and where abs(V - {value}) < 0.001"
+                    )
+                    yield RuleError(f"{prefix}{fault}", subterm.place_of(subterm.term, position))
+    for comparison in _find_number_comparisons(program, created_keys):
+        name, value, numeric_slot = comparison.name, comparison.value, comparison.slot
+        if numeric_slot.number_type is float and not numeric_slot.is_single and _is_inexact(value):
+            fault = (
+                f"{name} is a float ({numeric_slot.slot}), which a measured value rarely equals exactly: "
+                f"write abs({name} - {value}) < 0.001"
+            )
+            yield RuleError(f"{comparison.prefix}{fault}", comparison.place)
+
+
+def _is_inexact(value: Any) -> bool:
+    """Return whether a float differs from the decimal that denotes it, as 0.1 and 11.6 do."""
+    if value.__class__ is not float or value - value != 0:
+        return False
+    return Decimal(repr(value)) != Decimal(value)
+
+
+class _NumberComparison(NamedTuple):
+    """Comparison for equality of a variable that is a slot of a message with a number.
+
+    Attributes:
+        name: name of the variable.
+        slot: the slot.
+        value: the number.
+        numeric: for a comparison of terms, the one that compares numbers; "" otherwise.
+        place: place of the number.
+        prefix: beginning of findings without a place.
+    """
+
+    name: str
+    slot: _NumberSlot
+    value: Any
+    numeric: str
+    place: Optional[Place]
+    prefix: str
+
+
+def _explain_number_comparison(comparison: _NumberComparison) -> str:
+    """Return the reason why a comparison never holds, or ""."""
+    name, value, slot = comparison.name, comparison.value, comparison.slot
+    if slot.is_single and _is_no_single(value):
+        return (
+            f"{name} is a float32 ({slot.slot}), which is never exactly {value}: "
+            f"write abs({name} - {value}) < 0.001"
+        )
+    if comparison.numeric and _has_other_type(value, slot.number_type):
+        return (
+            f"{name} is {_describe_number_type(slot.number_type)} ({slot.slot}), "
+            f"never {_describe_number_type(type(value))}: write {comparison.numeric}"
+        )
+    return ""
+
+
+def _find_number_comparisons(
+    program: ProgramModel, created_keys: Set[Optional[Functor]]
+) -> Iterator[_NumberComparison]:
+    """Yield the comparisons for equality with numbers in rules, memories and subscriptions."""
     for rule in program.rules:
         events = [node.term for node in walk(rule.definition.pattern, True) if isinstance(node, EventPattern)]
         event_subterms = [Subterm(deref(term), wrap_term(term), 1, rule.place_of) for term in events]
         rule_subterm = Subterm(None, wrap_term(rule.definition.term), 1, rule.place_of)
         names = {**program.names, **rule.definition.names}
-        yield from _check_compared_numbers(program, event_subterms, rule_subterm, names, created_keys)
+        yield from _compare_numbers(program, event_subterms, rule_subterm, names, created_keys, "")
     for consumer in (*program.memories, *program.subscriptions):
-        for error in _check_compared_numbers(
-            program,
-            [consumer.event],
-            Subterm(None, consumer.term, 2, consumer.place_of),
-            program.names,
-            created_keys,
-        ):
-            yield RuleError(f"{consumer.prefix}{error.message}", error.place)
+        goal = Subterm(None, consumer.term, 2, consumer.place_of)
+        yield from _compare_numbers(
+            program, [consumer.event], goal, program.names, created_keys, consumer.prefix
+        )
 
 
 def _functors_of_created_events(program: ProgramModel) -> Set[Optional[Functor]]:
@@ -444,40 +517,35 @@ def _find_input_messages(
             yield subterm, definition
 
 
-def _check_compared_numbers(
+def _compare_numbers(
     program: ProgramModel,
     events: List[Subterm],
     source: Subterm,
     names: Mapping[Var, str],
     created_keys: Set[Optional[Functor]],
-) -> Iterator[RuleError]:
-    """Yield comparisons that never hold, given the events that contain their variables."""
+    prefix: str,
+) -> Iterator[_NumberComparison]:
+    """Yield comparisons for equality with numbers, given the events that contain their variables."""
     all_subterms = list(subterms(source.parent, source.position, source.place_of))
     # With alternatives, the variable may be bound in another branch.
     if any(subterm.key in _ALTERNATIVES for subterm in all_subterms):
         return
     slots = _find_numeric_variables(program, events, created_keys)
     for subterm in all_subterms:
-        numeric = _NUMERIC_EQUIVALENTS.get(subterm.key) if subterm.key is not None else None
-        if numeric is None and subterm.key not in _NUMERIC_EQUALITIES:
+        numeric = _NUMERIC_EQUIVALENTS.get(subterm.key, "") if subterm.key is not None else ""
+        if not numeric and subterm.key not in _NUMERIC_EQUALITIES:
             continue
         for position, other_position in ((1, 2), (2, 1)):
             variable: Any = deref(subterm.term[position])
-            value = deref(subterm.term[other_position])
             slot = slots.get(variable) if variable.__class__ is Var else None
-            if slot is not None and slot.is_single and _is_no_single(value):
-                name = names.get(variable, "this variable")
-                yield RuleError(
-                    f"{name} is a float32 ({slot.slot}), which is never exactly {value}: "
-                    f"write abs({name} - {value}) < 0.001",
+            if slot is not None:
+                yield _NumberComparison(
+                    names.get(variable, "this variable"),
+                    slot,
+                    deref(subterm.term[other_position]),
+                    numeric,
                     subterm.place_of(subterm.term, other_position),
-                )
-            elif numeric and slot is not None and _has_other_type(value, slot.number_type):
-                name = names.get(variable, "this variable")
-                yield RuleError(
-                    f"{name} is {_describe_number_type(slot.number_type)} ({slot.slot}), "
-                    f"never {_describe_number_type(type(value))}: write {numeric}",
-                    subterm.place_of(subterm.term, other_position),
+                    prefix,
                 )
 
 

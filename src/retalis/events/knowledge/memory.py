@@ -69,6 +69,25 @@ def key_of(memory_id: Term) -> Hashable:
         raise instantiation_error() from None
 
 
+def check_recording_arguments(conditions: Term, recording_id: Term, notation: str) -> None:
+    """Check two arguments of a memory or subscription that tell whether its arguments are in the right order.
+
+    Args:
+        conditions: the conditions.
+        recording_id: the id.
+        notation: the goal with names for its arguments, for errors.
+
+    Raises:
+        PrologError: if the conditions are no list, or the id has variables.
+    """
+    if list_items(conditions) is None:
+        raise type_error(
+            "list", conditions, f"the conditions are a list of goals, as in [V < 11] or []: write {notation}"
+        )
+    if variables(recording_id):
+        raise instantiation_error(f"the id is not a variable: write {notation}")
+
+
 def is_event_variable(pattern: Term, conditions: Term, template: Term) -> bool:
     """Return whether a template is a variable that occurs nowhere else: it stands for the event."""
     return template.__class__ is Var and template not in variables((COMMA, pattern, conditions))

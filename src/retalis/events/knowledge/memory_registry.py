@@ -30,6 +30,7 @@ from .memory import (
     Recorder,
     UpdateAction,
     Warn,
+    check_recording_arguments,
     compile_recording,
     is_event_variable,
     key_of,
@@ -38,6 +39,7 @@ from .memory import (
 
 CREATED: Functor = functor("memory_created", 5)
 DELETED: Functor = functor("memory_deleted", 1)
+_NOTATION = "memorize(Pattern, Conditions, Template, Id, Size)"
 
 
 class MemoryInstances:
@@ -129,11 +131,12 @@ class MemoryInstances:
         # The definition outlives the goal, whose variables are undone on backtracking.
         copied: Any = copy(definition)
         pattern, conditions, template, name, size = (deref(argument) for argument in copied[1:])
+        check_recording_arguments(conditions, name, _NOTATION)
         key = key_of(name)
         if key in self.instances:
             raise permission_error("create", "memory", name, "one already exists")
         if size.__class__ is not int:
-            raise type_error("integer", size)
+            raise type_error("integer", size, f"the size is a number of records: write {_NOTATION}")
         if size < 0:
             raise domain_error("not_less_than_zero", size)
         instance = MemoryInstance(name, size, active, copied)

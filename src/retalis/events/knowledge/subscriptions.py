@@ -35,11 +35,20 @@ from ..matches.match_types import NetworkOptions
 from ..matches.watermarks import PatternWatermark, functor_of
 from ..network.stream_compiler import compile_rate_spec
 from ..streams.stream_operators import StreamElement, StreamOperator, StreamOutput
-from .memory import Recording, Warn, compile_recording, key_of, record_event, unused_variables
+from .memory import (
+    Recording,
+    Warn,
+    check_recording_arguments,
+    compile_recording,
+    key_of,
+    record_event,
+    unused_variables,
+)
 
 if TYPE_CHECKING:
     from ..rules.rule_base import RuleBase
 
+_NOTATION = "subscribe(Pattern, Conditions, Template, Topic, Id)"
 
 RateLimiterState = Tuple[Any, int, int]
 """State of the operator, number of late events, and number of dropped events."""
@@ -305,6 +314,7 @@ class Subscriptions:
         full_pattern, conditions, template, topic, subscription_id = (
             deref(argument) for argument in copied[1:]
         )
+        check_recording_arguments(conditions, subscription_id, _NOTATION)
         try:
             rate_operator = subscription_rate_operator(full_pattern)
         except UsageError as error:

@@ -6,7 +6,7 @@ Predicates that any goal of the program could define by ``assert`` and the like 
 
 from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Set
 
-from ...foundation.errors import Place, RuleError
+from ...foundation.errors import Place, UndefinedPredicate
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.types import COMMA, CONS, SLASH, Atom, CompoundTerm, Functor, Term, Var, deref, functor
@@ -144,7 +144,7 @@ def calls_in_goals(conditions: Term, caller: str) -> List[PredicateCall]:
 
 def undefined_call_warnings(
     logic: PrologSystem, predicate_calls: List[PredicateCall], terms: Callable[[], List[Term]]
-) -> Iterator[RuleError]:
+) -> Iterator[UndefinedPredicate]:
     """Yield a warning for each called predicate that is undefined and that no goal in ``terms`` can define."""
     missing = [call for call in predicate_calls if call.key is not _CUT and not _is_defined(logic, call)]
     if not missing:
@@ -152,17 +152,18 @@ def undefined_call_warnings(
     # The search through all terms of the program is slow, so it happens only if a predicate is undefined.
     defined_later = _dynamic_predicates(terms())
     hints_left = _MAX_HINTS
-    for key, place, caller, advice, _ in missing:
+    for key, place, caller, advice, module in missing:
         if key not in defined_later and _UNKNOWN_PREDICATE not in defined_later:
             # Each predicate is reported once, at its first call.
             defined_later.add(key)
             # The search for similar names compares with all predicates, so only the first ones get a hint.
             hints_left -= 1
             if not advice and hints_left >= 0:
-                advice = logic.undefined_procedures.suggest(key)
+                definition = "define it in the module" if module else f"define it, or write :- dynamic {key}."
+                advice = logic.undefined_procedures.suggest(key) or definition
             hint = f"; {advice}" if advice else ""
             prefix = f"{caller}: " if caller else ""
-            yield RuleError(f"{prefix}there is no predicate {key} yet{hint}", place)
+            yield UndefinedPredicate(f"{prefix}there is no predicate {key} yet{hint}", place)
 
 
 def _is_defined(logic: PrologSystem, call: PredicateCall) -> bool:

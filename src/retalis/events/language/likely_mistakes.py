@@ -169,14 +169,17 @@ def head_error(head: Any, operator: Optional[str]) -> Optional[str]:
     if operator == "do":
         return "a head has one do: Head do (Goal, Goal)"
     if operator in RESERVED_EVENT_ARITIES and head[0].name.isidentifier():
-        return f"{_SINGLE_HEAD}; {operator} is a pattern operator"
+        return f"{_SINGLE_HEAD}; {operator} is a pattern operator: write a rule for each event"
     return _HEAD_ERRORS.get(head[0])
 
 
 def head_warning(head: Any, operator: Optional[str]) -> Optional[str]:
     """Return the warning for a compound rule head that was probably intended as something else, or None."""
     if operator is not None:
-        return f"no pattern can match this event: in patterns {head[0].name} is an operator"
+        return (
+            f"no pattern can match this event: in patterns {head[0].name} is an operator, "
+            "and is written after the arrow: Head <- Pattern where Goal"
+        )
     if len(head) == 3 and head[0].name in _COMPARISONS:
         return _CONDITION_WARNING
     return arity_warning(head) if head[0].name in _SPECIAL_HEAD_NAMES else _special_head_warning(head)

@@ -430,7 +430,8 @@ class FileChecker:
                 if head.__class__ is tuple and head[0] is _REV
                 else ""
             )
-            self._warn(f"nothing in the pattern can bind {subject}{note}", place)
+            advice = ": use it in the pattern, outside of cnot, fnot and absent, or remove it from the head"
+            self._warn(f"nothing in the pattern can bind {subject}{note or advice}", place)
 
 
 def _variables_bound_by_query(head: Term) -> List[Var]:

@@ -155,9 +155,9 @@ def error(formal: Term, context: Optional[Term] = None) -> PrologError:
     return PrologError((ERROR, formal, Var() if context is None else context))
 
 
-def instantiation_error() -> PrologError:
+def instantiation_error(reason: Optional[str] = None) -> PrologError:
     """Return the error for an unbound argument that must be bound."""
-    return error(_INSTANTIATION_ERROR)
+    return error(_INSTANTIATION_ERROR, _reason_context(reason))
 
 
 def type_error(type_name: str, culprit: Term, reason: Optional[str] = None) -> PrologError:

@@ -11,7 +11,7 @@ place of integers in float slots. `SlotNames` (in `messages.message_notation`) p
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, Dict, List, Optional, Sequence, Tuple
 
-from ...foundation.errors import RetalisError, SyntaxFault
+from ...foundation.errors import RetalisError, SyntaxFault, UnknownMessage
 from ..terms.types import Term, Var, atom, functor
 from . import parser_stack
 from .literals import atom_text
@@ -49,7 +49,8 @@ def misnamed_message_error(parser: ParserState, message_types: "SlotNames") -> O
         return None
     else:
         hint = ""
-    return parser.source.fault(f"no message type or event of a topic is called {name}{hint}", start)
+    fault = parser.source.fault(f"no message type or event of a topic is called {name}{hint}", start)
+    return UnknownMessage(fault.message, fault.place)
 
 
 def _is_message(name: str, message_types: "SlotNames") -> bool:

@@ -278,6 +278,9 @@ def _operator_hint(parser: ParserState, token: AnyToken, bracket_position: Optio
         )
     if parser.position == 1 and previous_token[1] in _FOREIGN_COMMENTS:
         return "a comment begins with %"
+    layout_hint = _rule_layout_hint(parser, previous_token)
+    if layout_hint:
+        return layout_hint
     # Clauses usually begin at the start of a line: a missing full stop or bracket is then more likely than an
     # unknown operator.
     if starts_line(text, start):
@@ -294,6 +297,46 @@ def _operator_hint(parser: ParserState, token: AnyToken, bracket_position: Optio
     return _hint_for_adjacent_tokens(previous_token, token) or (
         _unknown_operator_hint(parser, value) if token_kind in (NAME, QUOTED) else ""
     )
+
+
+def _rule_layout_hint(parser: ParserState, previous_token: AnyToken) -> str:
+    """Return a hint at a rule that begins with a keyword, lacks a term, or labels it with words, or an empty text."""
+    tokens, position = parser.tokens, parser.position
+    label = _label_of_words(tokens, position)
+    if label:
+        return f"a label is one name: write {label}"
+    if previous_token[0] != NAME or not EVENT_SYNTAX.canonical:
+        return ""
+    word = previous_token[1]
+    is_operator = EVENT_SYNTAX.canonical.get(word) is not None
+    if position == 1 and word == "do":
+        return "a rule begins with its head; without an event, write null do Goal <- Pattern"
+    if position == 1 and (is_operator or word in _RULE_WORDS):
+        return "a rule begins with its head: Head <- Pattern where Goal"
+    if position < 2 or tokens[position - 2][0] != NAME:
+        return ""
+    operator = tokens[position - 2][1]
+    # An operator without a right argument was read as a name, and the next operator as another one.
+    if operator in EVENT_SYNTAX.canonical and (is_operator or word in EVENT_SYNTAX.arrows):
+        return f'a term is missing between "{operator}" and "{word}"'
+    return ""
+
+
+_RULE_WORDS = frozenset(("rule", "event", "if", "when", "on"))
+"""Words with which rules of other languages begin."""
+
+
+def _label_of_words(tokens: Sequence[AnyToken], position: int) -> str:
+    """Return one name for the words before a colon if the second word is at a position, or an empty text."""
+    start = position - 1
+    end = start
+    while tokens[end][0] == NAME and tokens[end][1].isidentifier():
+        end += 1
+    follows_label = start == 0 or tokens[start - 1][:2] == (NAME, ":")
+    if end - start < 2 or not follows_label or tokens[end][:2] != (NAME, ":"):
+        return ""
+    words = [token[1] for token in tokens[start:end]]
+    return "_".join(words[1:] if words[0] in ("rule", "label") else words)
 
 
 def _find_unquoted_name(parser: ParserState, token: AnyToken, bracket_position: Optional[int]) -> str:

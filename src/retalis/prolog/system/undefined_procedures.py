@@ -172,9 +172,11 @@ def find_similar(logic: PredicateTable, key: Functor) -> List[str]:
         if candidate is not key and not candidate.name.startswith("$"):
             arities.setdefault(candidate.name, []).append(candidate.arity)
     compared = key.name[:_MAX_COMPARED_CHARACTERS]
-    close_names = [key.name] if key.name in arities else get_close_matches(compared, arities, 1, 0.8)
-    if not close_names:
-        return []
-    name = close_names[0]
-    matches = [key.arity] if key.arity in arities[name] else sorted(set(arities[name]))[:3]
-    return [f"{name}/{arity}" for arity in matches]
+    close_names = [key.name] if key.name in arities else get_close_matches(compared, arities, 3, 0.8)
+    for name in close_names:
+        if key.arity in arities[name]:
+            return [f"{name}/{key.arity}"]
+        # A name that differs more, with other arguments, is another predicate: count/1 is not meant as counter/2.
+        if name == key.name or get_close_matches(compared, [name], 1, 0.85):
+            return [f"{name}/{arity}" for arity in sorted(set(arities[name]))[:3]]
+    return []
