@@ -15,8 +15,8 @@ LAYOUT = {
     "package_data": {"retalis": [str(path.relative_to("src/retalis")) for path in DATA]},
 }
 
-SHARED = ("application_source", "examples/nao")
-"""Folders that the command ``demo`` needs; catkin installs them by itself."""
+SHARED = ("application_source", "examples/nao", "examples/cookbook")
+"""Folders that the commands ``demo`` and ``help`` need; catkin installs them by itself."""
 
 PAGES = ("explanation", "how-to", "reference", "tutorials")
 """Folders of pages that the commands ``help`` and ``console`` search."""
@@ -47,7 +47,8 @@ def placed(source: str, target: str, suffix: str = "") -> list:
         suffix: Suffix of the files; all files by default.
     """
     files = [path for path in sorted(Path(source).rglob(f"*{suffix}")) if path.is_file()]
-    kept = [path for path in files if "__pycache__" not in path.parts]
+    # Bags are made by scripts of the examples.
+    kept = [path for path in files if "__pycache__" not in path.parts and path.suffix != ".bag"]
     return [
         (
             f"{target}/{folder.relative_to(source).as_posix()}",

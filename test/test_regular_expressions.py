@@ -200,6 +200,12 @@ CASES: Dict[str, Case] = {
     ),
     r"\d{1,9}\)": Case("match", "ten characters", ("",), ("1",)),
     # cli
+    r"^\| \[(\w+)\]\((\w+/README\.md)\) \| (.+) \|$": Case(
+        "finditer",
+        "a row that does not end with a bar: each character of the line once, and back to the last bar",
+        ("", "| [a](a/README.md) | ", "| [", "| [a]("),
+        ("a", "| ", " |", "| [a](a/README.md) | ", "\n| ["),
+    ),
     r"\[([^\[\]]*)\]\([^()]*\)": Case(
         "search", "each character once more", ("", "[", "[]("), ("a", "[", "]", "(", "](", "[](")
     ),

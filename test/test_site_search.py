@@ -1,13 +1,13 @@
-"""Search of the documentation site in a browser: the words of a task lead to its guide."""
+"""Search of the documentation site in a browser: the words of a task lead to its guide, and hits have excerpts."""
 
 import re
 from urllib.parse import quote
 
 import pytest
-from source import ROOT
+from built_site import COOKBOOK, DOCS, NEEDS_SITE, SITE
 
-DOCS = ROOT / "docs"
-SITE = DOCS / "_build" / "html"
+pytestmark = NEEDS_SITE
+
 GUIDE_ROW = re.compile(r"^\| ([^|]+) \| \[([^]]+)\]\(([\w-]+)\.md\) \|$", re.MULTILINE)
 MAX_HITS = 3
 """Hits in which a guide must be."""
@@ -21,20 +21,20 @@ FOUND_PAGES = """
 """
 
 
-def site_is_built():
-    """Return whether ``./install.py docs`` has built the site from the present pages."""
-    search = SITE / "searchindex.js"
-    pages = [path for path in DOCS.rglob("*.md") if DOCS / "_build" not in path.parents]
-    return search.exists() and search.stat().st_mtime > max(page.stat().st_mtime for page in pages)
+EXCERPTS = """
+    [...document.querySelectorAll("ul.search > li")].map(hit => ({
+      title: hit.querySelector("a").innerText,
+      excerpt: hit.querySelector("p.context")?.innerText || "",
+      marked: [...hit.querySelectorAll("p.context mark")].map(mark => mark.innerText.toLowerCase()),
+    }))
+"""
+MAX_EXCERPT_LETTERS = 260
 
 
-pytestmark = [
-    pytest.mark.docs,
-    pytest.mark.slow,
-    pytest.mark.skipif(
-        not site_is_built(), reason="the site is not built from the present pages (./install.py docs)"
-    ),
-]
+def search(browser, query):
+    """Open the hits of a query."""
+    browser.open(f"{SITE.as_uri()}/search.html?q={quote(query)}")
+    browser.wait_for(SEARCH_IS_FINISHED.format(query=repr(query)))
 
 
 def queries():
@@ -48,7 +48,37 @@ def queries():
 
 @pytest.mark.parametrize(("query", "guide"), list(queries()))
 def test_a_guide_is_among_the_first_hits(browser, query, guide):
-    browser.open(f"{SITE.as_uri()}/search.html?q={quote(query)}")
-    browser.wait_for(SEARCH_IS_FINISHED.format(query=repr(query)))
+    search(browser, query)
     pages = list(dict.fromkeys(browser.ask(FOUND_PAGES)))
     assert f"how-to/{guide}.html" in pages[:MAX_HITS]
+
+
+def test_programs_of_the_cookbook_are_found(browser):
+    for program in ("debounce", "docking", "slip"):
+        assert (COOKBOOK / program).is_dir()
+        search(browser, program)
+        assert f"cookbook/{program}/README.html" in browser.ask(FOUND_PAGES)
+
+
+def test_hits_have_excerpts_with_the_searched_words(browser):
+    search(browser, "heartbeats of robots")
+    hits = browser.ask(EXCERPTS)
+    assert len(hits) > MAX_HITS
+    for hit in hits:
+        assert 0 < len(hit["excerpt"]) <= MAX_EXCERPT_LETTERS, hit
+        assert all(word.startswith(("heartbeat", "robot")) for word in hit["marked"]), hit
+    # The title alone may have a word, but most hits are found by their text.
+    assert sum(bool(hit["marked"]) for hit in hits) > len(hits) / 2
+    assert {word.rstrip("s") for word in hits[0]["marked"]} == {"heartbeat", "robot"}
+
+
+def test_excerpt_of_a_hit_in_a_section_is_from_this_section(browser):
+    search(browser, "The instant of a match")
+    (hit,) = [hit for hit in browser.ask(EXCERPTS) if "The instant of a match" in hit["title"]]
+    assert "emits another event at the instant of its end" in hit["excerpt"]
+
+
+def test_excerpts_show_markup_as_text(browser):
+    search(browser, "publish_subscribe")
+    excerpts = [hit["excerpt"] for hit in browser.ask(EXCERPTS)]
+    assert any("<publish_subscribe>" in excerpt for excerpt in excerpts)

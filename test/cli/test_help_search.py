@@ -1,8 +1,9 @@
-"""Command ``help``: the search over situations, pages and predicates."""
+"""Command ``help``: the search over situations, pages, programs and predicates."""
 
 import json
 
 import pytest
+from source import ROOT
 
 from retalis.cli import help_search
 from retalis.cli.command_line import main
@@ -99,6 +100,35 @@ def test_text_of_a_section_is_cut_at_80_columns(entries):
 def test_json_without_words_is_an_error(capsys):
     assert main(["help", "--json"]) == 1
     assert capsys.readouterr() == ("", "retalis: help --json: expected words to search\n")
+
+
+@pytest.mark.parametrize(
+    ("words", "program"),
+    [
+        ("debounce", "debounce"),
+        ("door left open", "door"),
+        ("gripper lost", "slip"),
+        ("laser scan near", "obstacle"),
+        ("emergency stop", "emergency_stop"),
+    ],
+)
+def test_words_lead_to_program_of_cookbook(entries, words, program):
+    assert f"examples/cookbook/{program}/README.md" in [match.page for match in search(words, entries)]
+
+
+def test_program_is_printed_with_its_situation(entries):
+    (program,) = [match for match in entries if match.title == "Program door"]
+    assert program.lines() == [
+        "Program door",
+        "  detects  opened, closed, left open, and for how long",
+        "  page     examples/cookbook/door/README.md",
+    ]
+
+
+def test_all_programs_of_cookbook_are_searched(entries):
+    programs = [path.parent.name for path in (ROOT / "examples" / "cookbook").glob("*/eventRules.txt")]
+    names = [match.title[len("Program ") :] for match in entries if match.kind == "program"]
+    assert sorted(names) == sorted(programs)
 
 
 def test_number_of_matches_is_limited(entries):

@@ -1,4 +1,4 @@
-"""Command ``help``: a search by words over situations, the sections of the pages, and the predicates.
+"""Command ``help``: a search by words over situations, the sections of the pages, programs, and the predicates.
 
 An entry scores for each word of the search that it has: more in its title than in its keywords and its text, and more
 the fewer entries have the word (inverse document frequency, see Manning, Raghavan and Schuetze, Introduction to
@@ -25,7 +25,7 @@ MIN_RELATIVE_SCORE = 0.15
 """Minimum score of a printed entry, as a fraction of the best score."""
 
 USAGE = """\
-retalis help WORD ... searches situations, pages and predicates, best matches first.
+retalis help WORD ... searches situations, pages, programs and predicates, best matches first.
 The order and the endings of the words do not matter. For example:
 
   retalis help missing message
@@ -36,12 +36,16 @@ All situations are in docs/reference/situations.md. For the options of a command
 see retalis COMMAND --help; for predicates, the goal help(NAME) of retalis console."""
 
 JSON_HELP = """\
-With --json each match is one line: {"title": TEXT, "kind": "situation", "section" or "predicate", "excerpt": TEXT,
-"example": TEXT or null, "page": PATH}.
+With --json each match is one line:
+{"title": TEXT, "kind": KIND, "excerpt": TEXT, "example": TEXT or null, "page": PATH}.
+KIND is "situation", "section", "program" or "predicate".
 """
 
 _FOLDERS = ("how-to", "tutorials", "reference", "explanation")
 """Folders of the searched pages, below ``docs``."""
+
+_COOKBOOK = "examples/cookbook"
+"""Folder of the searched programs, beside ``docs``."""
 
 _SITUATIONS_PAGE = "reference/situations.md"
 
@@ -50,7 +54,11 @@ _MAX_SECTION_WORDS = 60
 
 _TITLE_WEIGHT, _KEYWORD_WEIGHT, _TEXT_WEIGHT = 3.0, 2.0, 1.0
 _SITUATION_FACTOR, _GUIDE_FACTOR, _PREDICATE_FACTOR = 1.5, 1.2, 0.7
-"""Factors of the scores of situations and how-to guides, which show what to do, and of the many predicates."""
+"""Factors of the scores of situations, of how-to guides and programs, which show what to do, and of the many
+predicates."""
+
+_PROGRAM_ROW = re.compile(r"^\| \[(\w+)\]\((\w+/README\.md)\) \| (.+) \|$", re.MULTILINE)
+"""Row of the cookbook's table: the name of a program, its page, and the situation that it detects."""
 
 _LINK = re.compile(r"\[([^\[\]]*)\]\([^()]*\)")
 
@@ -123,10 +131,10 @@ def stem_word(word: str) -> str:
     return word[:-1] if len(word) > _MIN_STEM_LETTERS and word[-1] == word[-2] else word
 
 
-_SITUATION, _SECTION, _PREDICATE = "situation", "section", "predicate"
+_SITUATION, _SECTION, _PROGRAM, _PREDICATE = "situation", "section", "program", "predicate"
 """Kinds of entries."""
 
-_EXCERPT_LABELS = {_SITUATION: "take", _SECTION: "text", _PREDICATE: "meaning"}
+_EXCERPT_LABELS = {_SITUATION: "take", _SECTION: "text", _PROGRAM: "detects", _PREDICATE: "meaning"}
 """Labels of the printed excerpts by the kind of the entry."""
 
 _EXCERPT_WIDTH = 69
@@ -137,10 +145,11 @@ class HelpEntry(NamedTuple):
     """An entry of the search.
 
     Attributes:
-        kind: a situation, a section of a page, or a predicate.
+        kind: a situation, a section of a page, a program, or a predicate.
         title: need, heading or call.
-        excerpt: operators that meet the need, first words of the section, or meaning of the predicate.
-        example: an example; None for a section.
+        excerpt: operators that meet the need, first words of the section, situation that the program detects,
+            or meaning of the predicate.
+        example: an example; None for a section and a program.
         page: page with the details.
         title_stems: stems of the title.
         keyword_stems: stems of keywords, which users have in mind.
@@ -200,7 +209,7 @@ def _situation_entry(situation: Situation) -> HelpEntry:
 
 
 def all_entries() -> List[HelpEntry]:
-    """Return the entries of all situations, sections and predicates; only situations if there are no pages."""
+    """Return the entries of situations, sections, programs and predicates; only situations if there are no pages."""
     entries = [_situation_entry(situation) for section in SITUATIONS.values() for situation in section]
     folder = docs_folder()
     if folder is not None:
@@ -210,6 +219,7 @@ def all_entries() -> List[HelpEntry]:
                 entries += _predicate_entries(name, page.read_text(encoding="utf-8"))
             elif name != _SITUATIONS_PAGE and page.name != "index.md":
                 entries += _section_entries(name, page.read_text(encoding="utf-8"))
+        entries += _program_entries(folder.parent)
     return entries
 
 
@@ -240,6 +250,29 @@ def _section_entries(page: str, text: str) -> Iterator[HelpEntry]:
             frozenset(),
             _stems_of(words),
             factor,
+        )
+
+
+def _program_entries(root: Path) -> Iterator[HelpEntry]:
+    """Yield an entry for each program of the cookbook, if the cookbook is below a folder."""
+    cookbook = root / _COOKBOOK
+    index = cookbook / "README.md"
+    if not index.is_file():
+        return
+    for name, page, situation in _PROGRAM_ROW.findall(index.read_text(encoding="utf-8")):
+        text = (cookbook / page).read_text(encoding="utf-8")
+        heading = text.partition("\n")[0].lstrip("# ")
+        words = " ".join(body for _, body in _sections(text))
+        yield HelpEntry(
+            _PROGRAM,
+            f"Program {name}",
+            situation,
+            None,
+            f"{_COOKBOOK}/{page}",
+            _stems_of(f"{name} {heading}".replace("_", " ")),
+            _stems_of(situation),
+            _stems_of(" ".join(_plain(words).split()[:_MAX_SECTION_WORDS])),
+            _GUIDE_FACTOR,
         )
 
 
@@ -346,10 +379,10 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     """Add the parser of command ``help``."""
     parser = add_command(
         "help",
-        help="search situations, pages and predicates by words",
-        description="Search the situations, the sections of the documentation and the predicates by words, and print "
-        "the best matches first, each with an example or its first words, and its page. Exit status 1 if there are "
-        "none.",
+        help="search situations, pages, programs and predicates by words",
+        description="Search the situations, the sections of the documentation, the programs of the cookbook and the "
+        "predicates by words, and print the best matches first, each with an example or its first words, and its "
+        "page. Exit status 1 if there are none.",
         epilog=JSON_HELP,
     )
     parser.add_argument("words", nargs="*", metavar="WORD", help="words to search, such as missing message")
