@@ -4,7 +4,7 @@ import pytest
 
 from retalis.cli.command_line import COMMANDS, main
 
-MAX_LINES = 40
+MAX_LINES = 24
 """Lines of a usual terminal window."""
 
 

@@ -76,9 +76,11 @@ from .stderr_and_progress import (
 )
 
 DESCRIPTION = """\
-Run a program over bags and print its outputs, as output(TERM,TOPIC) terms. ROS 1 bags may be compressed. A ROS 2
-bag is a folder with metadata.yaml, or its .db3, .mcap, .db3.zstd or .mcap.zstd file. Several bags are played as one,
-in the order of receipt. ROS 2 messages are read as ROS 1 messages of the same name.
+Run a program over bags and print its outputs, as output(TERM,TOPIC) terms. Several bags are played as one.
+
+The messages of several bags are played in the order of receipt. ROS 1 bags may be compressed. A ROS 2 bag is a folder
+with metadata.yaml, or its .db3, .mcap, .db3.zstd or .mcap.zstd file. ROS 2 messages are read as ROS 1 messages of the
+same name.
 
 With --jobs or --scheduler each bag is a separate run, and several run at the same time. A folder stands for all bags
 below it, sorted by name; URLs such as s3://BUCKET/FOLDER are allowed. The output is the same as that of the bags one
@@ -113,21 +115,21 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         "--times",
         action="store_const",
         const=TIMES_AS_STAMPS,
-        help="print outputs with the bag's time, as output(TERM,TOPIC,datime(...))",
+        help="print the bag's time with each output, as datime(...)",
     )
     add(
         RELATIVE_TIMES_OPTION,
         action="store_const",
         const=TIMES_RELATIVE,
         dest="times",
-        help="print outputs, events and explanations with times in seconds since the start of the run",
+        help="print all times in seconds since the start of the run",
     )
     add(
         "--explain",
         metavar="TERM",
         action="append",
         default=[],
-        help="print at the end why an event like TERM happened or did not happen, in lines that start with %%",
+        help="print why an event happened or not, in lines with %%",
     )
     add("--json", action="store_true", help="print one JSON object per line instead of terms")
     add("-q", "--quiet", action="store_true", help="print no outputs")
@@ -155,7 +157,7 @@ def add_source(parser: argparse.ArgumentParser, bags: str = "+", required: bool 
         type=non_negative(float),
         default=0.0,
         metavar="SECONDS",
-        help="skip messages within this many seconds after the first message (0)",
+        help="skip this many seconds after the first message (0)",
     )
     add(
         "--duration",
@@ -168,7 +170,7 @@ def add_source(parser: argparse.ArgumentParser, bags: str = "+", required: bool 
         action="append",
         default=[],
         metavar="TOPIC=TYPE",
-        help="a topic whose messages become events, in addition to those of pub_sub.xml",
+        help="a further topic whose messages become events",
     )
     group = parser.add_argument_group("messages")
     add = group.add_argument

@@ -21,6 +21,16 @@ def suggest_name(name: str, names: Iterable[str]) -> str:
     return f"; did you mean {matches[0]}?" if matches else ""
 
 
+class _ShortHelpFormatter(argparse.HelpFormatter):
+    """Formatter that prints the value of an option once: ``-o, --output FILE``, which leaves room for the help."""
+
+    def _format_action_invocation(self, action: argparse.Action) -> str:
+        if not action.option_strings or action.nargs == 0:
+            return super()._format_action_invocation(action)
+        value = self._format_args(action, self._get_default_metavar_for_optional(action))
+        return f"{', '.join(action.option_strings)} {value}"
+
+
 class _ShowAllHelp(argparse.Action):
     """Action of ``--help-all``."""
 
@@ -63,7 +73,7 @@ class CommandParser(argparse.ArgumentParser):
     def format_help(self) -> str:
         """Return the short help."""
         # Not the formatter of the full help, which keeps the line breaks of descriptions.
-        formatter = argparse.HelpFormatter(self.prog)
+        formatter = _ShortHelpFormatter(self.prog)
         formatter.add_text((self.description or "").strip().split("\n\n")[0])
         # argparse creates these two groups, for arguments without a group.
         for group in (self._positionals, self._optionals):
@@ -89,6 +99,16 @@ class CommandParser(argparse.ArgumentParser):
         """Parse arguments, and remember them for `error`."""
         self._words = list(sys.argv[1:] if args is None else args)
         return super().parse_known_args(args, namespace)
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Reject a value that is not one of an argument's choices, with a similar one."""
+        if action.choices is not None and value not in action.choices:
+            choices = list(map(str, action.choices))
+            raise argparse.ArgumentError(
+                action,
+                f"expected {' or '.join(choices)}, found {quote_shortened(str(value))}"
+                f"{suggest_name(str(value), choices)}",
+            )
 
     def reject_unknown(self, words: Sequence[str]) -> NoReturn:
         """Report the first argument that the command does not know, with the usage of the command."""

@@ -23,6 +23,13 @@ NAME_CATEGORIES = {"node": "nodes", "wait_for": "memories"}
 """Category of the names that are values of an option, by the option's destination in the parsed options."""
 
 
+class _Shells(List[str]):
+    """Names of shells; what the scripts ask with is accepted, too, but not shown to users."""
+
+    def __contains__(self, name: object) -> bool:
+        return name == _WORDS or super().__contains__(name)
+
+
 def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     """Add the parser of command ``complete``."""
     parser = add_command(
@@ -36,7 +43,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     parser.add_argument(
         "shell",
         nargs="?",
-        choices=(*SCRIPTS, _WORDS),
+        choices=_Shells(SCRIPTS),
         default="bash",
         metavar="SHELL",
         help="bash (the default), zsh or fish",
@@ -159,8 +166,7 @@ def _list_values(
     list_names: Callable[[str, Optional[str]], Iterable[str]],
 ) -> Iterable[str]:
     if action.choices is not None:
-        # One choice is for the scripts only, not for users.
-        return [str(choice) for choice in action.choices if choice != _WORDS]
+        return [str(choice) for choice in action.choices]
     # Names in running nodes, if ROS is installed and a master answers.
     if action.dest in NAME_CATEGORIES:
         return list_names(NAME_CATEGORIES[action.dest], option_values.get("node"))

@@ -159,10 +159,11 @@ MAX_USUAL_DELAY_SECONDS = 10
 """Seconds by which an event may end before an earlier one without a warning: events of sensors arrive so."""
 
 DESCRIPTION = """\
-Call the goals, load the rules, feed the stream, and print each event in the order in which it happened, as
-event(TERM,[T1,T2]). The stream is Prolog terms: event(TERM,[T1,T2])., event(TERM)., or any goal. The clock is the
-stream's: event stamps and the goal sleep(Seconds) move it, and alarms follow it. Errors go to standard
-error with their place; the exit status is 1 if there was one.
+Run rules over a stream, and print each event in the order in which it happened, as event(TERM,[T1,T2]).
+
+The goals are called before the rules are loaded. The stream is Prolog terms: event(TERM,[T1,T2])., event(TERM)., or
+any goal. The clock is the stream's: event stamps and the goal sleep(Seconds) move it, and alarms follow it. Errors go
+to standard error with their place; the exit status is 1 if there was one.
 """
 JSON_LINES_HELP = """\
   {"event": TERM, "start": T1, "end": T2}           an event
@@ -203,12 +204,12 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         metavar="FILE",
         help="goals called first, one per line",
     )
-    add("-s", "--stream", metavar="FILE", help="events and goals; - is standard input, read as it arrives")
+    add("-s", "--stream", metavar="FILE", help="events and goals; - is standard input, read live")
     add(
         "-o",
         "--outputs",
         metavar="FILE",
-        help="write the outputs to subscribers, as output(TERM,TOPIC,ID); - prints them",
+        help="write outputs, as output(TERM,TOPIC,ID); - prints them",
     )
     add("--queries", type=Path, metavar="FILE", help="goals whose solutions are printed at the end")
     add("--memory-events", action="store_true", help="print memory events too, as memory_event(TERM,[T1,T2])")
@@ -217,17 +218,16 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         metavar="TERM",
         action="append",
         default=[],
-        help="print at the end, in lines that start with %%, why an event happened or did not happen; TERM is a term "
-        "with variables, or event(TERM,[T1,T2])",
+        help="print why an event, or event(TERM,[T1,T2]), happened or not, in lines with %%",
     )
     add(
         RELATIVE_TIMES_OPTION,
         action="store_const",
         const=TIMES_RELATIVE,
         dest="times",
-        help="print events and explanations with times in seconds since the first event",
+        help="print all times in seconds since the first event",
     )
-    add("--clock", metavar="TERM", help="pin the clock to an instant: datime(2001,1,1,0,0,0,0) or seconds")
+    add("--clock", metavar="TERM", help="pin the clock: datime(2001,1,1,0,0,0,0) or seconds")
     add("--json", action="store_true", help="print one JSON object per line instead of terms")
     add_end_of_input(parser, PRINT_OPEN)
     add_folders(parser)
