@@ -129,3 +129,29 @@ def test_interrupt_while_modules_are_imported_is_status_130(folder, module):
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
     assert (ended.stdout, ended.stderr, ended.returncode) == ("", "", 130)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("is_piped", [True, False])
+def test_interrupt_of_goal_without_terminal_is_status_130(folder, is_piped):
+    goal = "write(started), nl, repeat, fail."
+    command = subprocess.Popen(
+        [sys.executable, "-m", "retalis", "console", *([] if is_piped else ["--goal", goal])],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": f"{SOURCE}:{os.environ.get('PYTHONPATH', '')}"},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    try:
+        if is_piped:
+            command.stdin.write(f"{goal}\ntrue.\n")
+            command.stdin.flush()
+        assert command.stdout.readline() == "started\n"
+        command.send_signal(signal.SIGINT)
+        shown, errors = command.communicate(timeout=60)
+    finally:
+        command.kill()
+    assert (shown, errors, command.returncode) == ("", "", 130)

@@ -350,6 +350,9 @@ class Console:
                 elif not self._solve_goal(clause):
                     return
             except KeyboardInterrupt:
+                # At a terminal it ends the goal; the goals of a pipe and of --goal have nobody to ask others.
+                if not source.is_terminal:
+                    raise
                 source.unread_text = ""
                 print("\n% interrupted", flush=True)
 

@@ -625,6 +625,9 @@ class NodeConsole:
             except UsageError as error:
                 self._print_error(str(error))
             except KeyboardInterrupt:
+                # At a terminal it ends the goal; the goals of a pipe and of --goal have nobody to ask others.
+                if not source.is_terminal:
+                    raise
                 source.unread_text = ""
                 print("\n% interrupted", flush=True)
 
