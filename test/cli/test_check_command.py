@@ -209,3 +209,11 @@ def test_spans_are_compared_with_the_rate_of_bags(capsys, folder, tmp_path):
         "250 is 4.17 minutes, because spans are in seconds; in the bag, a message of hot comes every 0.1 s"
         in printed
     )
+
+
+def test_missing_topics_are_reported_with_similar_file(capsys, folder):
+    (folder / "pub_sub.xml").rename(folder / "pubsub.xml")
+    assert (
+        "pub_sub.xml: No such file or directory; did you mean pubsub.xml? [RT1000]"
+        in checked(capsys, folder)[1]
+    )

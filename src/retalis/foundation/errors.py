@@ -5,9 +5,11 @@ they can be shown with a caret after the source is gone. Texts from outside are 
 """
 
 import json
+import os
 import re
 import sys
-from typing import Callable, Hashable, Iterable, List, NamedTuple, Optional
+from difflib import get_close_matches
+from typing import Callable, Hashable, Iterable, List, NamedTuple, Optional, Union
 
 MAX_SHOWN_CHARACTERS = 200
 """Maximum number of characters of an external text that are stored and displayed."""
@@ -154,6 +156,27 @@ def describe_decode_error(error: UnicodeDecodeError) -> str:
     return (
         f"not {error.encoding.upper()} text (line {line}: {error.reason} 0x{error.object[error.start]:02x})"
     )
+
+
+_MAX_LISTED_FILES = 2000
+"""Maximum number of files among which a similar name is searched."""
+
+
+def suggest_file(path: "Union[str, os.PathLike[str]]") -> str:
+    """Return "did you mean ...?" with the most similar file name in the folder of a missing file, or ""."""
+    folder, name = os.path.split(os.fspath(path))
+    try:
+        names = os.listdir(folder or os.curdir)[:_MAX_LISTED_FILES]
+    except OSError:
+        return ""
+    # Names that differ in capitals or underscores only are the most similar ones.
+    spellings = {_simplify(other): other for other in sorted(names)}
+    matches = get_close_matches(_simplify(name), spellings, 1, 0.85)
+    return f"did you mean {printable(spellings[matches[0]])}?" if matches else ""
+
+
+def _simplify(file_name: str) -> str:
+    return file_name.lower().replace("_", "").replace("-", "")
 
 
 class RetalisError(Exception):

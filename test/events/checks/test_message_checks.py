@@ -225,3 +225,19 @@ def test_exchanged_topic_and_id_of_subscription_are_named(tmp_path, definitions)
     findings = check_program(tmp_path, definitions)
     (message,) = [finding.problem.message for finding in findings if finding.problem.code == "RT1102"]
     assert message.endswith("warn is the id here: write subscribe(Pattern, Conditions, Template, Topic, Id)")
+
+
+@pytest.mark.parametrize(
+    "rules, message",
+    [
+        (
+            "a <- my_msgs__0__Warm(_, w).",
+            "warmth of my_msgs/Warm is a number in events: write a number, or the variable W",
+        ),
+        ("a <- my_msgs__0__Warm(_, warm).", "warmth of my_msgs/Warm is a number in events"),
+    ],
+)
+def test_letter_in_place_of_a_number_may_be_a_variable(tmp_path, definitions, rules, message):
+    (tmp_path / "rules.txt").write_text(rules)
+    findings = check_program(tmp_path / "rules.txt", definitions)
+    assert [finding.problem.message for finding in findings if finding.problem.code == "RT1105"] == [message]

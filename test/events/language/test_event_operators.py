@@ -139,7 +139,8 @@ unrestricted o(1,3)@1-6 o(2,3)@2-6 o(5,3)@0-6 o(5,6)@0-5
 expected an operator or a full stop before "stradles"; did you mean "straddles"?
 expected an operator or a full stop before "besides"; "besides" is not an operator; two patterns are joined with \
 "or", "par", "and", "straddles", "seq", "forall_seq", "equals", "meets", "during", "starts" or "finishes"
-text:1:1: no pattern can match this event: in patterns straddles is an operator
+text:1:1: no pattern can match this event: in patterns straddles is an operator, and is written after the \
+arrow: Head <- Pattern where Goal
 straddles(X, Y) <- a(X, Y).
 ^
 """

@@ -5,7 +5,7 @@ import os
 import pytest
 from events.stream_programs import Program, show
 
-from retalis import Engine, ProgramErrors, PrologError, Settings, StreamClock, atom
+from retalis import Engine, ProgramErrors, PrologError, RetalisError, Settings, StreamClock, atom
 from retalis.events.program.file_and_library_names import SourceFiles
 
 
@@ -397,3 +397,20 @@ def test_a_second_file_of_a_module_is_said_while_the_first_is_loaded(tmp_path):
     with files.loading_file(two):
         files.record_module("m")
     assert len(said) == 1
+
+
+@pytest.mark.parametrize(
+    "name, hint",
+    [
+        ("eventrules.txt", ": did you mean eventRules.txt?"),
+        ("event_rules.txt", ": did you mean eventRules.txt?"),
+        ("other.pl", ""),
+    ],
+)
+def test_missing_file_is_reported_with_similar_name(tmp_path, name, hint):
+    (tmp_path / "eventRules.txt").write_text("a <- b.")
+    (tmp_path / "goalPredicates.txt").write_text(f"compile_event_file('{name}')")
+    (tmp_path / "pub_sub.xml").write_text("<publish_subscribe/>")
+    with pytest.raises(RetalisError) as caught:
+        Engine().load_program(tmp_path)
+    assert f"cannot read {tmp_path}/{name}: No such file or directory{hint}" in str(caught.value)

@@ -208,7 +208,8 @@ def _find_text_fault(value: Any) -> str:
         content = value.name if isinstance(value, Atom) else value.text
         # Strings of messages are atoms that include the quotes, which distinguishes them from other atoms.
         if not content.startswith('"'):
-            return f"is a string, which keeps its quotes in events: write '\"{content}\"'"
+            text = f"is a string, which keeps its quotes in events: write '\"{content}\"'"
+            return f"{text}{_advise_variable(value)}"
         return ""
     return (
         f"is a string in events: write '\"{value}\"'"
@@ -223,7 +224,16 @@ def _find_number_fault(value: Any) -> str:
     if value.__class__ is tuple and value[0].name == "-":
         return ""
     numeral = getattr(value, "name", getattr(value, "text", "")).strip('"')
-    return f"is a number in events: write {numeral}" if is_numeral(numeral) else "is a number in events"
+    if is_numeral(numeral):
+        return f"is a number in events: write {numeral}"
+    advice = _advise_variable(value)
+    return f"is a number in events: write a number{advice}" if advice else "is a number in events"
+
+
+def _advise_variable(value: Any) -> str:
+    """Return advice on a name of one letter that is written as a constant, or ""."""
+    is_letter = isinstance(value, Atom) and len(value.name) == 1 and value.name.islower()
+    return f", or the variable {value.name.upper()}" if is_letter else ""
 
 
 def _find_message_fault(definition: Definition, value: Any) -> str:

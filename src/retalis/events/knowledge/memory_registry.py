@@ -134,7 +134,7 @@ class MemoryInstances:
         check_recording_arguments(conditions, name, _NOTATION)
         key = key_of(name)
         if key in self.instances:
-            raise permission_error("create", "memory", name, "one already exists")
+            raise permission_error("create", "memory", name, "one already exists: write another id")
         if size.__class__ is not int:
             raise type_error("integer", size, f"the size is a number of records: write {_NOTATION}")
         if size < 0:

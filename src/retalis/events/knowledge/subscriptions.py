@@ -324,7 +324,10 @@ class Subscriptions:
         key = (topic_text, key_of(subscription_id))
         if key in self._all:
             raise permission_error(
-                "create", "subscription", (MINUS, topic, subscription_id), "one already exists"
+                "create",
+                "subscription",
+                (MINUS, topic, subscription_id),
+                "one already exists: write another id",
             )
         title = f"subscription {self._logic.brief(subscription_id)}"
         recording, _ = compile_recording(

@@ -15,7 +15,13 @@ from contextlib import contextmanager
 from typing import Iterable, Iterator, List, Optional, Tuple, Union
 
 from ...foundation.cpython_and_pypy import O_PATH
-from ...foundation.errors import RetalisError, UsageError, describe_decode_error, quote_shortened
+from ...foundation.errors import (
+    RetalisError,
+    UsageError,
+    describe_decode_error,
+    quote_shortened,
+    suggest_file,
+)
 from ...prolog.machine.errors import (
     domain_error,
     existence_error,
@@ -351,5 +357,5 @@ def _convert_os_error(operation: str, error: OSError, path: str, name: str) -> R
     if error.errno in _PERMISSION_ERRNOS:
         return permission_error("open", "source_sink", atom(name), error.strerror)
     if operation == "read" and isinstance(error, (FileNotFoundError, NotADirectoryError)):
-        return existence_error("source_sink", atom(path))
+        return existence_error("source_sink", atom(path), reason=suggest_file(path))
     return UsageError(f"cannot {operation} {path}: {error.strerror}")

@@ -22,6 +22,7 @@ from ...foundation.errors import (
     place_at_column,
     printable,
     shorten,
+    suggest_file,
 )
 from ...foundation.ros_names import ros1_type_name, topic_fault, type_fault
 from ..language.event_declarations import event_name_error
@@ -154,7 +155,8 @@ def read_xml(path: Path) -> str:
         # The declaration is ASCII in each of the encodings.
         declaration = _XML_ENCODING.match(path.read_bytes()[:200].decode("latin-1"))
     except OSError as error:
-        raise UsageError(f"cannot read {path}: {error.strerror}") from error
+        hint = suggest_file(path) if isinstance(error, FileNotFoundError) else ""
+        raise UsageError(f"cannot read {path}: {error.strerror}{'; ' if hint else ''}{hint}") from error
     encoding = "utf-8" if declaration is None else declaration[1].lower()
     if encoding not in _XML_ENCODINGS:
         raise UsageError(

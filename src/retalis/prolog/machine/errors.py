@@ -175,9 +175,12 @@ def _reason_context(reason: Optional[str]) -> Optional[Term]:
     return None if reason is None else (CONTEXT, Var(), atom(reason))
 
 
-def existence_error(object_type: str, culprit: Term, context: Optional[Term] = None) -> PrologError:
-    """Return the error for an object that does not exist."""
-    return error((_EXISTENCE_ERROR, atom(object_type), culprit), context)
+def existence_error(
+    object_type: str, culprit: Term, context: Optional[Term] = None, reason: Optional[str] = None
+) -> PrologError:
+    """Return the error for an object that does not exist; a reason is used instead of a context."""
+    formal = (_EXISTENCE_ERROR, atom(object_type), culprit)
+    return error(formal, _reason_context(reason) if reason else context)
 
 
 def no_argument(number: int, term: Term) -> PrologError:

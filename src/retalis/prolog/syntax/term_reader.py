@@ -503,7 +503,9 @@ def read_term(
     clause = list(tokenize(source_text, lambda: flags))
     for position, token in enumerate(clause):
         if token[0] == END and position + 1 < len(clause):
-            raise source_text.fault("expected nothing after the full stop", clause[position + 1][2])
+            raise source_text.fault(
+                "expected nothing after the full stop: a goal has a line of its own", clause[position + 1][2]
+            )
     if not clause or clause[0][0] == END:
         raise source_text.fault("expected a term", clause[0][2] if clause else 0)
     parser = _parser(clause, source_text, operators, flags, positions)
