@@ -10,8 +10,11 @@ from pathlib import Path
 import pytest
 from python_path import python_path
 
+from retalis import Engine
 from retalis.cli.command_line import main
 from retalis.cli.event_stream_command import has_unread_input
+from retalis.events.rules.event_input_predicates import event_of
+from retalis.prolog.syntax.term_reader import read_term
 
 ROOT = Path(__file__).resolve().parents[2]
 RULES = "alarm(X) <- smoke(X) seq heat(X) where X \\= lab.\n"
@@ -662,3 +665,45 @@ def test_goal_output_beside_json_goes_to_stderr(run):
     assert status == 0
     assert [json.loads(line)["event"] for line in lines] == ["b(1)", "a(1)"]
     assert errors == "seen(1)\n"
+
+
+AHEAD_RULES = """
+last_10(N) <- aggregate(count, tick, N, last(10)).
+pair <- (left seq right) within 3.
+hopping(N) <- aggregate(count, tick, N, every(5)).
+silent <- left seq absent(never, 0.5).
+"""
+
+
+def stream_with_wrong_stamps(wrong):
+    lines = []
+    for second in range(1000, 1200):
+        end = second + dict(wrong).get(second, 0)
+        lines += [f"event(tick,[{end},{end}]).", f"event(left,[{second}.25,{second}.25])."]
+        lines.append(f"event(right,[{second}.5,{second}.5]).")
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize("wrong", [{1050: 60}, {1050: 86_400}, {1050: 3600, 1051: 3600}, {1000: 10**9}])
+def test_single_stamp_ahead_does_not_spoil_the_run(run, wrong):
+    _, expected, _ = run(rules=AHEAD_RULES, stream=stream_with_wrong_stamps({}))
+    _, lines, errors = run(rules=AHEAD_RULES, stream=stream_with_wrong_stamps(wrong))
+    for name in ("last_10", "pair", "silent"):
+        count = sum(line.startswith(f"event({name}") for line in expected)
+        assert count - 4 <= sum(line.startswith(f"event({name}") for line in lines) <= count, name
+    assert "event tick/0: its time was " in errors
+    assert errors.count("goes back in time here") <= 2, "only the first events after the wrong one go back"
+
+
+@pytest.mark.parametrize("wrong", [{}, {1050: 3600}, {1050: 10**9}, {1010: 60, 1100: 3600, 1101: 7200}])
+def test_command_and_engine_derive_the_same_from_wrong_stamps(run, wrong):
+    stream = stream_with_wrong_stamps(wrong)
+    _, lines, _ = run(rules=AHEAD_RULES, goals="timer(beat, every(10)).\n", stream=stream)
+    engine, outputs = Engine(), []
+    engine.on_event(lambda term, start, end: outputs.append(f"{engine.show(term)} {start} {end}"))
+    engine.load(rules=AHEAD_RULES, goals="timer(beat, every(10)).")
+    events = [read_term(line, engine.operators, "line").term for line in stream.splitlines()]
+    for event in map(event_of, events):
+        engine.event(event.term, *event.interval_terms())
+    printed = [event_of(read_term(line, engine.operators, "line").term) for line in lines]
+    assert [f"{engine.show(event.term)} {event.start} {event.end}" for event in printed] == outputs

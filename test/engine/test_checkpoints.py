@@ -260,7 +260,7 @@ def test_a_database_that_is_another_one_is_refused(folder, statements, message):
             "written_at: 'abc': expected a number of seconds",
         ),
         (lambda old: to_bytes({**old, "files": [["x"]]}), "files: .*expected 2 items"),
-        (lambda old: to_bytes({**old, "format": 99}), "format 99: this version reads format 9"),
+        (lambda old: to_bytes({**old, "format": 99}), "format 99: this version reads format 10"),
         (lambda old: to_bytes({**old, "memories": old["memories"] * 2}), "two memories"),
     ],
 )

@@ -142,14 +142,14 @@ def test_a_section_that_no_state_has_is_refused(state):
 
 
 def test_an_older_state_is_refused_by_its_format(state):
-    data = pack_sections(state).replace(b'"format": 9', b'"format": 5')
-    with pytest.raises(UsageError, match="format 5, a pickle .* never read: this version reads format 9"):
+    data = pack_sections(state).replace(b'"format": 10', b'"format":  5')
+    with pytest.raises(UsageError, match="format 5, a pickle .* never read: this version reads format 10"):
         Engine.restore(data)
 
 
 def test_a_state_of_another_layout_of_this_package_is_refused_by_its_format(state):
-    data = pack_sections(state).replace(b'"format": 9', b'"format": 7')
-    with pytest.raises(UsageError, match="the state is of format 7: this version reads format 9"):
+    data = pack_sections(state).replace(b'"format": 10', b'"format":  7')
+    with pytest.raises(UsageError, match="the state is of format 7: this version reads format 10"):
         Engine.restore(data)
 
 

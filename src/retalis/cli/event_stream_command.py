@@ -283,7 +283,7 @@ class Session:
         self._options = options
         self._reporter = reporter
         self._printer = printer
-        self._clock = StreamClock(0)
+        self._clock = StreamClock(0, follows_events=True)
         self.reports = Reports()
         self.engine = Engine(
             self._clock,
@@ -387,7 +387,6 @@ class Session:
             if not self.engine.call(goal):
                 raise RuleError("this goal fails")
             return
-        # The clock moves first, so that alarms that are due before the event run before it.
         if event.end is not None:
             if event.end < self._newest_end - MAX_USUAL_DELAY_SECONDS * timestamps.SECOND:
                 self.reports.warning(
@@ -400,8 +399,11 @@ class Session:
                     once=True,
                 )
             self._newest_end = max(self._newest_end, event.end)
-            self._clock.move_to(event.end)
+        ahead_count = self.engine.event_input.far_ahead_count
         self.engine.event(event.term, *event.interval_terms())
+        # The events that follow a wrong stamp do not go back.
+        if self.engine.event_input.far_ahead_count != ahead_count:
+            self._newest_end = self._clock.reached()
 
     def print_results(self) -> None:
         """Print the solutions of the queries, and the explanations."""

@@ -137,8 +137,8 @@ class Engine:
     alarms alarm(kitchen)
 
     Args:
-        clock: the time of the program; by default a `StreamClock` that follows the timestamps of events, except a
-            single one far ahead, and never goes back.
+        clock: the time of the program; by default a `StreamClock` that follows the timestamps of events, and returns
+            from a wrong one; see docs/explanation/how-it-works.md.
         settings: limits and sizes.
         reports: receives errors and warnings while events are processed; by default they are logged.
         definitions: the message types whose fields a program may name; by default the installed ones.
@@ -160,9 +160,7 @@ class Engine:
         reports: Optional[Reports] = None,
         definitions: Optional[Definitions] = None,
     ):
-        # A clock that the caller provides is moved by the caller only; timestamps of events do not move it.
-        stream_clock = StreamClock() if clock is None else None
-        self.clock: Clock = clock or stream_clock  # type: ignore[assignment]
+        self.clock: Clock = StreamClock(follows_events=True) if clock is None else clock
         self.settings = settings = Settings() if settings is None else settings
         self.logic = PrologSystem()
         self.slots = self.logic.operators.message_types = SlotNames(definitions)
@@ -216,9 +214,9 @@ class Engine:
             self.logic,
             self.dispatcher,
             self.clock,
-            stream_clock,
             self.rules,
             self._clear_state,
+            self._return_to,
             self.knowledge.transforms.store_message,
             self.executor.report_isolated_error,
         )
@@ -248,6 +246,7 @@ class Engine:
                 self.executor,
                 self.watchdog,
                 lambda: self.event_input.event_count,
+                lambda: self.event_input.far_ahead_count,
                 settings.queue,
             )
         )
@@ -853,6 +852,11 @@ class Engine:
         """Clear all memories, transforms, pending queries and partial matches, because time went back."""
         self.knowledge.clear()
         self.rules.clear()
+
+    def _return_to(self, instant: int) -> None:
+        """Set the time of all operators back, because the clock had followed a wrong timestamp."""
+        self.knowledge.return_to(instant)
+        self.rules.return_to(instant)
 
     def _pass_output(self, term: Term, topic: str, name: Term) -> None:
         for callback in self._output_callbacks:

@@ -67,8 +67,10 @@ class EngineSnapshot:
         counters = {
             "clock": engine.clock.snapshot(),
             "clock_follows_events": engine.event_input.stream_clock is not None,
+            "stamp_jumps": engine.event_input.stamp_jumps(),
             "lags": rules.watermarks.snapshot(),
             "event_count": engine.event_input.event_count,
+            "far_ahead_count": engine.event_input.far_ahead_count,
             "dropped_count": engine.executor.dropped,
             "next_token_number": engine.dispatcher.next_token_number,
             "sent_counts": [
@@ -188,7 +190,9 @@ class EngineSnapshot:
         # Last, because adding rules and timers above may read the clock or set alarms.
         engine.clock.restore(counters["clock"])
         rules.watermarks.restore(counters["lags"])
-        engine.event_input.event_count = counters["event_count"]
+        engine.event_input.restore(
+            counters["event_count"], counters["far_ahead_count"], counters["stamp_jumps"]
+        )
         engine.executor.dropped = counters["dropped_count"]
         engine.dispatcher.next_token_number = counters["next_token_number"]
 

@@ -77,6 +77,8 @@ class RuleStatus(NamedTuple):
         bytes: estimated memory of these: numbers of elements and keys times measured constants.
         delay: nanoseconds by which its alarms wait for events that are received late; see `LagStatus`.
         late: number of events that arrived too late for its windows and other stream operators.
+        ahead: number of times that an event was too far ahead of the clock to advance the time of the rule or of one
+            of its operators.
     """
 
     label: str
@@ -91,6 +93,7 @@ class RuleStatus(NamedTuple):
     bytes: int
     delay: int = 0
     late: int = 0
+    ahead: int = 0
 
 
 class MemoryStatus(NamedTuple):
@@ -129,7 +132,7 @@ class SubscriptionStatus(NamedTuple):
     >>> engine.load(goals="subscribe(fire(_), [], _, alarms, a)")
     >>> engine.event("fire(hall)", 1)
     >>> engine.status().subscriptions[0]
-    SubscriptionStatus(topic='alarms', id='a', event='fire(_)', sent=1, late=0, dropped=0)
+    SubscriptionStatus(topic='alarms', id='a', event='fire(_)', sent=1, late=0, dropped=0, ahead=0)
 
     Attributes:
         topic: topic of the outputs.
@@ -138,6 +141,7 @@ class SubscriptionStatus(NamedTuple):
         sent: number of outputs.
         late: number of events that arrived too late for the stream operator of ``P with S``.
         dropped: number of events or keys that the stream operator dropped because of a limit.
+        ahead: number of events that were too far ahead of the clock to advance the time of that operator.
     """
 
     topic: str
@@ -146,6 +150,7 @@ class SubscriptionStatus(NamedTuple):
     sent: int
     late: int
     dropped: int
+    ahead: int = 0
 
 
 class AwaitedMemory(NamedTuple):
@@ -283,6 +288,8 @@ class Status(NamedTuple):
         left_out: numbers of items of these four kinds that are not listed.
         transforms: transforms; None if the program does not read any.
         lags: lags of topics that alarms of the program wait for, by name.
+        ahead: number of events whose timestamps were too far ahead of a clock that follows events: it did not move,
+            or has returned.
     """
 
     now: int
@@ -305,6 +312,7 @@ class Status(NamedTuple):
     left_out: LeftOut
     transforms: Optional[TransformStatus] = None
     lags: Tuple[LagStatus, ...] = ()
+    ahead: int = 0
 
     def json(self) -> Dict[str, Any]:
         """Return the status as dictionaries and lists, for ``json.dumps``.
@@ -339,6 +347,7 @@ class StatusSources(NamedTuple):
 
     Attributes:
         taken: returns the number of events received.
+        ahead: returns the number of events that were too far ahead of a clock that follows events.
         queue: maximum number of queued events.
     """
 
@@ -351,6 +360,7 @@ class StatusSources(NamedTuple):
     executor: SerialExecutor
     watchdog: Watchdog
     taken: Callable[[], int]
+    ahead: Callable[[], int]
     queue: int
 
 
@@ -405,6 +415,7 @@ class StatusReader:
             lags=tuple(
                 [LagStatus(str(functor), lag) for functor, lag in sources.rules.watermarks.lags()][:limit]
             ),
+            ahead=sources.ahead(),
         )
 
     def count_records(self) -> int:
@@ -488,6 +499,7 @@ def _list_rules(
             rule.bytes,
             rule.watermark_delay,
             rule.late_count,
+            rule.ahead_count,
         )
 
     return tuple([read_status(rule) for rule in listed]), len(rules.rules) - len(listed)
@@ -527,8 +539,10 @@ def _list_subscriptions(
         (topic, _), subscription = item
         _, pattern, *_ = subscription.definition
         rate_limiter = subscription.rate_limiter
-        late, dropped = (
-            (0, 0) if rate_limiter is None else (rate_limiter.late_count, rate_limiter.dropped_count)
+        late, dropped, ahead = (
+            (0, 0, 0)
+            if rate_limiter is None
+            else (rate_limiter.late_count, rate_limiter.dropped_count, rate_limiter.ahead_count)
         )
         return SubscriptionStatus(
             shorten(topic),
@@ -537,6 +551,7 @@ def _list_subscriptions(
             subscription.sent_counter.count,
             late,
             dropped,
+            ahead,
         )
 
     return _read_first(knowledge.subscriptions.items(), read_status, limit)

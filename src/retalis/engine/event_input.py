@@ -1,7 +1,7 @@
 """Event input: events of callers, of messages and of texts, and the topics that goals subscribe to.
 
 `EventInput` moves the clock, runs the alarms that are due, and dispatches one event. An event with a timestamp moves
-the clock of an engine that has no clock of its own (stream time); an event without one gets the clock's present time.
+a clock that follows events (stream time); an event without one gets the clock's present time.
 Alarms that are due come first, so that an event never overtakes a timeout that precedes it. If time goes back by more
 than `clock.JUMP`, for example because a bag is played again, the state of the program is cleared first.
 
@@ -15,6 +15,7 @@ from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Se
 from ..events.dispatch.dispatcher import Dispatcher
 from ..events.knowledge.transform_buffer import Transform
 from ..events.language.event_declarations import DeclaredEvents, event_name_error
+from ..events.matches.watermarks import functor_of
 from ..events.program.topic_configuration import TopicEvent, Topics, TopicType
 from ..events.rules.event_input_predicates import InputReader
 from ..events.rules.rule_base import RuleBase
@@ -26,10 +27,11 @@ from ..prolog.machine.errors import Halt, domain_error, instantiation_error, per
 from ..prolog.machine.machine import Machine
 from ..prolog.syntax.operators import Operators
 from ..prolog.system.prolog_system import PrologSystem
-from ..prolog.terms.timestamps import SECOND
+from ..prolog.terms.timestamps import format_distance
 from ..prolog.terms.types import Atom, String, Term, Var, deref
 from .runtime.clock import Clock, StreamClock
 from .runtime.problem_reports import Reports
+from .runtime.stamp_jumps import NO_JUMPS, JumpDecision, JumpState, StampJumps
 
 log = logging.getLogger("retalis")
 
@@ -41,16 +43,17 @@ class EventInput:
         logic: the Prolog system whose machine runs the consequences of an event.
         dispatcher: dispatches the events.
         clock: the clock of the engine.
-        stream_clock: the same clock if timestamps of events move it; None if only its owner moves it.
         rules: the rules, whose watermarks receive the lags of events behind a clock that they do not move.
         clear_state: clears memories, pending queries and partial matches; called if time went back.
+        return_to: sets the time of all operators back; called if the clock has followed a wrong timestamp.
         store_transforms: stores the transforms of a message; the flag is True for static transforms.
         report_alarm_error: reports an error of an alarm; the flag states whether no event is being dispatched and no
             goal runs.
 
     Attributes:
         event_count: number of events received.
-        far_ahead_count: number of events whose times were too far ahead to move the clock.
+        far_ahead_count: number of events whose times were too far ahead of the clock: those that did not move it, and
+            those from which it returned.
         stream_clock: the clock if timestamps of events move it.
     """
 
@@ -59,19 +62,20 @@ class EventInput:
         logic: PrologSystem,
         dispatcher: Dispatcher,
         clock: Clock,
-        stream_clock: Optional[StreamClock],
         rules: RuleBase,
         clear_state: Callable[[], None],
+        return_to: Callable[[int], None],
         store_transforms: Callable[[Sequence[Transform], bool], None],
         report_alarm_error: Callable[[Exception, bool], None],
     ):
         self._logic = logic
         self._store_transforms = store_transforms
         self._clock = clock
-        self.stream_clock = stream_clock
+        self.stream_clock = clock if isinstance(clock, StreamClock) and clock.follows_events else None
         self._rules = rules
         self._watermarks = rules.watermarks
         self._clear_state = clear_state
+        self._return_to = return_to
         self._report_alarm_error = report_alarm_error
         self._dispatcher = dispatcher
         self._dispatch = dispatcher.dispatch_input
@@ -106,7 +110,7 @@ class EventInput:
         else:
             stream_clock = self.stream_clock
             is_quiet = self._clock.is_quiet() if stream_clock is None else stream_clock.follow(end)
-            if not is_quiet and not self._move_clock_to(end):
+            if not is_quiet and not self._move_clock_to(end, term):
                 self._dispatch_far_ahead(term, start, end, ground)
                 return
         self.event_count += 1
@@ -125,7 +129,7 @@ class EventInput:
             stamp = instant if instant.__class__ is int else int(instant)
             stream_clock = self.stream_clock
             is_quiet = self._clock.is_quiet() if stream_clock is None else stream_clock.follow(instant)
-            if not is_quiet and not self._move_clock_to(instant):
+            if not is_quiet and not self._move_clock_to(instant, term):
                 self._dispatch_far_ahead(term, stamp, stamp, True)
                 return
         self.event_count += 1
@@ -158,31 +162,44 @@ class EventInput:
             )
         return clock.stamp(self._read_clock_and_run_alarms())
 
-    def _move_clock_to(self, instant: int) -> bool:
+    def _move_clock_to(self, instant: int, term: Term) -> bool:
         """Move the clock to the time of an event and run the alarms that are due.
 
         Returns:
             False if the event is too far ahead of the clock to move it.
         """
         stream_clock = self.stream_clock
-        is_followed = True
+        decision = JumpDecision.FOLLOWED
         if stream_clock is not None:
             # Reading the clock first detects that its owner has set it back; moving it would hide that.
             stream_clock.now()
-            is_followed = stream_clock.follow_checked(instant)
+            decision = stream_clock.follow_checked(instant, functor_of(term))
+            if decision is JumpDecision.RETURNED:
+                self._return_to(stream_clock.reached())
+                self._report_return(stream_clock.jumps)
         self._read_clock_and_run_alarms()
-        return is_followed
+        return decision is not JumpDecision.HELD
+
+    def _report_return(self, jumps: StampJumps) -> None:
+        """Report that the clock has followed a wrong timestamp, with the names of the events."""
+        self.far_ahead_count += 1
+        names = [str(source or "a variable") for source in jumps.sources]
+        others = f" and {len(names) - 1} more" if len(names) > 1 else ""
+        self._rules.report_far_ahead(
+            f"event {names[0]}{others}: its time was {format_distance(jumps.step)} ahead of the other events, which "
+            f"have been late since then; the clock returns to their time; {self.far_ahead_count} so far"
+        )
 
     def _dispatch_far_ahead(self, term: Term, start: int, end: int, ground: Optional[bool]) -> None:
         """Dispatch an event whose time is too far ahead of the clock to move it, with one report for all rules."""
         self.event_count += 1
         self.far_ahead_count += 1
-        days = (end - self._clock.reached()) / (86_400 * SECOND)
         text = (
-            f"event {self._logic.brief(term)}: its time is {days:.0f} days ahead of the clock, which does not follow "
-            f"it before further events have such times; {self.far_ahead_count} so far"
+            f"event {self._logic.brief(term)}: its time is {format_distance(end - self._clock.reached())} ahead of "
+            "the clock, which does not follow it while other events have the present time; time windows and "
+            f"debounce ignore it; {self.far_ahead_count} so far"
         )
-        self._rules.dispatch_reported_ahead(text, lambda: self._dispatch(term, start, end, ground))
+        self._rules.report_far_ahead(text, lambda: self._dispatch(term, start, end, ground))
 
     def _read_clock_and_run_alarms(self) -> int:
         """Read the clock, clear the state if time went back, run the alarms that are due, and return the time."""
@@ -223,6 +240,16 @@ class EventInput:
                 self._report_alarm_error(error, is_idle)
             finally:
                 clock.ringing = None
+
+    def stamp_jumps(self) -> JumpState:
+        """Return the state of the checks of timestamps ahead; see `StampJumps.snapshot`."""
+        return NO_JUMPS if self.stream_clock is None else self.stream_clock.jumps.snapshot()
+
+    def restore(self, event_count: int, far_ahead_count: int, jumps: JumpState) -> None:
+        """Set the counters and the checks of timestamps ahead to those of another engine."""
+        self.event_count, self.far_ahead_count = event_count, far_ahead_count
+        if self.stream_clock is not None:
+            self.stream_clock.jumps.restore(jumps)
 
     def end_input(self) -> None:
         """Run the alarms that the clock has reached and that only wait for late events: no more events will come."""

@@ -316,7 +316,7 @@ def check_rule_state(graph: GraphReader, rule: EventRule, value: Decoded) -> Rul
     buffer_number = integer(0, len(shapes) - 1)
     state: RuleState = record(
         RuleState,
-        counts=tuple_of(count, optional(instant), count, count, count, count, count),
+        counts=tuple_of(count, optional(instant), count, count, count, count, count, count),
         times=tuple_of(instant, match_order, optional(instant)),
         nodes=lambda _: checked_states,
         arrivals=tuple_of(graph.objects_by_number(*MATCH_KINDS), integers(-1, len(shapes) - 1), match_orders),
@@ -713,7 +713,7 @@ class _CheckedState:
                 subscription.rate_limiter.value_counts,
                 elements_are_terms=True,
             )
-            states.append(optional(tuple_of(stream.check_state, count, count))(rate_state))
+            states.append(optional(tuple_of(stream.check_state, count, count, count))(rate_state))
         return states
 
     def _check_orders(self) -> None:

@@ -60,7 +60,7 @@ _MAX_HEADER_BYTES = 16_000_000
 _MAX_HEADER_DIGITS = 20
 """Maximum number of digits of an integer in the header."""
 
-FORMAT_NUMBER = 9
+FORMAT_NUMBER = 10
 """Format number of state files, incremented when their structure changes."""
 
 
@@ -298,8 +298,30 @@ SECTIONS: Dict[str, ValueCheck] = {
     "run": mapping_with(
         clock=_check_clock,
         clock_follows_events=boolean,
+        stamp_jumps=tuple_of(
+            boolean,
+            optional(_check_clock_instant),
+            sequence_of(
+                tuple_of(
+                    optional(_check_clock_instant),
+                    _check_clock_instant,
+                    count,
+                    _check_clock_instant,
+                    sequence_of(optional(functor)),
+                )
+            ),
+            sequence_of(
+                tuple_of(
+                    optional(functor),
+                    optional(_check_clock_instant),
+                    _check_clock_instant,
+                    _check_clock_instant,
+                )
+            ),
+        ),
         lags=sequence_of(tuple_of(functor, _check_clock_instant, count, count)),
         event_count=count,
+        far_ahead_count=count,
         dropped_count=count,
         next_token_number=count,
         sent_counts=sequence_of(count),

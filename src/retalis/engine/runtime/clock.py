@@ -15,21 +15,12 @@ from itertools import count
 from typing import Callable, List, Optional, Sequence, Tuple
 
 from ...prolog.terms.timestamps import SECOND
+from .stamp_jumps import MAX_STEP, EventName, JumpDecision, StampJumps
 
 Alarm = Callable[[int], None]
 
 JUMP = SECOND
 """Minimum step back in ns that starts a new clock epoch, for example when a bag is played again."""
-
-
-MAX_STEP = 30 * 86_400 * SECOND
-"""Step in ns beyond which the timestamp of a single event does not advance a `StreamClock`: thirty days."""
-
-MAX_OFFSET_CHANGE = 60 * SECOND
-"""Largest change in ns of the distance between two timestamps far ahead and the clock at which they agree."""
-
-MIN_AGREEING_STAMPS = 3
-"""Number of agreeing timestamps far ahead that advance the clock although other events follow the present time."""
 
 
 class Clock:
@@ -284,10 +275,8 @@ class Clock:
 class StreamClock(Clock):
     """A clock that stands still until it is moved: the time of a stream of events or of a bag.
 
-    If the clock follows events (`follow`), a single timestamp far ahead (`MAX_STEP`) does not advance it: it may be
-    an error. Another event near it confirms it, if it is the next one, or if several of them have a constant distance
-    from the clock, as those of a computer with another date. A first timestamp that is far ahead of the second one
-    is given up.
+    If the clock follows events (`follow`), a timestamp ahead of the others may be an error, after which the clock
+    returns; see `stamp_jumps`.
 
     A pinned clock always returns the same time, but its alarms follow the stream's time. A clock without a start that
     was neither moved nor pinned is not set, and has no time for events without timestamps.
@@ -301,20 +290,28 @@ class StreamClock(Clock):
     >>> clock.move_to(10_000_000_000)
     >>> engine.advance()
     late 6000000000
+
+    Args:
+        start: first time in ns; None if the clock is not set.
+        follows_events: whether an engine moves the clock to the timestamps of events; otherwise only its owner moves
+            it.
+
+    Attributes:
+        follows_events: as the argument.
+        jumps: checks of timestamps ahead of the clock.
     """
 
-    def __init__(self, start: Optional[int] = None):
+    def __init__(self, start: Optional[int] = None, follows_events: bool = False):
+        self.follows_events = follows_events
+        self.jumps = StampJumps()
         self.is_set = start is not None
         self._time = start or 0
         self._heading = self._time
         self._pinned: Optional[int] = None
-        # A time that the owner has given is not given up as a first timestamp may be.
-        self._followed_count = 0 if start is None else 2
-        self._far_stamp: Optional[int] = None
-        self._far_offset = 0
-        self._agreeing_count = 0
-        self._fast_limit = -1 if start is None else start + MAX_STEP
-        """Latest timestamp that `follow` accepts; -1 if each one must be checked."""
+        self._fast_limit = -1
+        """Latest timestamp that `follow` accepts without `StampJumps.check`."""
+        self._is_on_trial = True
+        """Whether a step of the clock may be an error, so that `follow` must not accept all times."""
         super().__init__(self._present)
 
     def _present(self) -> int:
@@ -341,8 +338,6 @@ class StreamClock(Clock):
         super().restore(saved)
         if len(saved) > 4:
             self._time, self.is_set = saved[4], True
-            # Several events may have moved the other clock, so its time is not given up.
-            self._followed_count = 2
         if len(saved) > 5:
             self._pinned = saved[5]
 
@@ -360,6 +355,7 @@ class StreamClock(Clock):
         self.is_set = True
         # `_last_stamp` makes the next timestamp one nanosecond later than the pinned time.
         self._pinned = int(instant)
+        self.jumps.forget_time()
         self._last_stamp = max(self._last_stamp, self._pinned)
         self._time = max(self._time, self._pinned)
 
@@ -377,62 +373,75 @@ class StreamClock(Clock):
         self.is_set = True
         if back or instant > self._time:
             self._time = int(instant)
+            self._end_trial()
 
     def follow(self, instant: int) -> bool:
         """Move to the timestamp of an event if no alarm is due and time did not go back; return whether it has moved.
 
-        >>> clock = StreamClock()
-        >>> clock.follow_checked(500_000_000), clock.follow_checked(500_000_000)
-        (True, True)
-        >>> clock.follow(1_000_000_000), clock.now()
-        (True, 1000000000)
+        >>> clock = StreamClock(1)
+        >>> clock.follow(1_000_000_000), clock.follow_checked(1_000_000_000, "a"), clock.follow(1_500_000_000)
+        (False, <JumpDecision.FOLLOWED: 1>, True)
         >>> clock.call_at(2_000_000_000, print)
         >>> clock.follow(3_000_000_000), clock.now()
-        (False, 1000000000)
+        (False, 1500000000)
         """
         # The common case of each event, so the tests of `now`, `move_to` and `due` are combined here.
         time = self._time
-        if time < self._newest or self.behind or self._pinned is not None or instant > self._fast_limit:
+        if time < self._newest or self.behind or self._pinned is not None:
             return False
+        if instant > self._fast_limit:
+            # The limit is a former time of the clock plus the largest step.
+            if self._is_on_trial or instant > time + MAX_STEP:
+                return False
+            self._fast_limit = time + MAX_STEP
         if instant > time:
             time = instant if instant.__class__ is int else int(instant)
+        # It may show that the time that is on trial is wrong.
+        elif self._is_on_trial and instant < time:
+            return False
         if self.alarms and self.alarms[0][0] <= time:
             return False
         self._time = self._newest = time
         self.is_set = True
         return True
 
-    def follow_checked(self, instant: int) -> bool:
-        """Move to the timestamp of an event unless it is far ahead and not confirmed; return whether it is not.
+    def follow_checked(self, instant: int, source: EventName) -> JumpDecision:
+        """Process the timestamp of an event: move the clock to it, leave the clock, or return from an error.
 
-        Time goes back if the first timestamp is given up; see `went_back`.
+        Args:
+            instant: the timestamp in ns.
+            source: name of the event; see `StampJumps.check`.
 
-        >>> clock = StreamClock(0)
-        >>> clock.follow_checked(10**18), clock.now(), clock.follow_checked(10**18), clock.now()
-        (False, 0, True, 1000000000000000000)
+        >>> clock = StreamClock()
+        >>> for second in (1, 4000, 2, 3, 4):
+        ...     decision = clock.follow_checked(second * 10**9, "a")
+        >>> decision, clock.now()
+        (<JumpDecision.RETURNED: 3>, 4000000000)
         """
-        step = instant - self._time
-        if step > MAX_STEP and self._followed_count and not self._confirms(instant, step):
-            # The next event decides whether this one was alone.
-            self._fast_limit = -1
-            return False
-        self._followed_count += 1
-        # The second event shows that the first one, which has set the clock, was far ahead.
-        self.move_to(instant, back=self._followed_count == 2 and step < -MAX_STEP)
-        if step > MAX_STEP:
-            self._agreeing_count = 0
-        self._far_stamp = None
-        if self._followed_count > 1:
-            self._fast_limit = self._time + MAX_STEP
-        return True
+        self.is_set = True
+        decision, time = self.jumps.check(int(instant), self._time, source)
+        if decision is JumpDecision.RETURNED:
+            self._return_to(time)
+        elif time > self._time:
+            self._time = time
+        self._is_on_trial = self.jumps.is_on_trial
+        self._fast_limit = self.jumps.unchecked_limit() if self._is_on_trial else self._time + MAX_STEP
+        return decision
 
-    def _confirms(self, instant: int, step: int) -> bool:
-        """Record a timestamp far ahead; return whether earlier ones confirm it."""
-        is_next = self._far_stamp is not None and abs(instant - self._far_stamp) <= MAX_STEP
-        is_constant = abs(step - self._far_offset) <= MAX_OFFSET_CHANGE
-        self._agreeing_count = self._agreeing_count + 1 if is_constant else 1
-        self._far_stamp, self._far_offset = instant, step
-        return is_next or self._agreeing_count >= MIN_AGREEING_STAMPS
+    def _return_to(self, instant: int) -> None:
+        """Set the clock back after an error, which begins no new epoch; alarms that have been called stay called."""
+        self._time = instant
+        self._heading = min(self._heading, instant)
+        # The time of a pinned clock, and the timestamps that it assigns, do not depend on events.
+        if self._pinned is None:
+            self._newest = instant
+            self._last_stamp = min(self._last_stamp, instant)
+
+    def _end_trial(self) -> None:
+        """Stop checking the last step of a timestamp, because the owner has moved the clock."""
+        if self.jumps.is_on_trial:
+            self.jumps.end_trials()
+            self._is_on_trial = False
 
     def move_by(self, nanoseconds: int) -> None:
         """Advance the stream's time by a duration.
@@ -444,6 +453,7 @@ class StreamClock(Clock):
         """
         self.is_set = True
         self._time += nanoseconds
+        self._end_trial()
 
     def head_for(self, instant: int) -> None:
         """Announce the instant to which the stream's time is being moved, for a move in several steps.

@@ -399,6 +399,12 @@ class DeclaredState:
         """Remove all open and past states, because the clock went back or the declaration was deleted."""
         self.close(True)
 
+    def drop_after(self, instant: int) -> None:
+        """Remove the open states that begin after an instant: no event with the present time could end them."""
+        for state in list(self.open.values()):
+            if state.start is not None and state.start > instant:
+                self._remove_open_state(state)
+
     def close(self, includes_past: bool) -> None:
         """Remove the open states, and with ``includes_past`` also the past ones."""
         self.version = next(_VERSIONS)
@@ -576,6 +582,11 @@ class StateRegistry:
         """Remove all open and past states, because the clock went back; the declarations remain."""
         for declaration in self._declarations.values():
             declaration.clear()
+
+    def drop_after(self, instant: int) -> None:
+        """Remove the open states that begin after an instant."""
+        for declaration in self._declarations.values():
+            declaration.drop_after(instant)
 
     def close(self, includes_past: bool) -> None:
         """Remove the open states, and with ``includes_past`` also the past ones; no events are dispatched."""

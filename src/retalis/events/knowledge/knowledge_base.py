@@ -135,6 +135,13 @@ class KnowledgeBase:
         self.subscriptions.clear()
         self.states.clear()
 
+    def return_to(self, instant: int) -> None:
+        """Remove what is ahead of an instant, because the clock had followed a wrong timestamp."""
+        max_timestamp = self._rules.compute_max_timestamp()
+        self.memories.drop_after(max_timestamp)
+        self.states.drop_after(max_timestamp)
+        self.subscriptions.return_to(instant)
+
     def reset(self, includes_past: bool) -> None:
         """Remove what has begun and not ended, as rules remove partial matches.
 

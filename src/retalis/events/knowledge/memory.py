@@ -322,6 +322,14 @@ class Memory:
         self._epoch = next(_EPOCHS)
         self._replace_records(self._removed_count + len(self.ends), [], [])
 
+    def drop_after(self, instant: int) -> None:
+        """Remove the records that end after an instant; they would be the newest ones until then."""
+        position = bisect_right(self.ends, instant)
+        if position < len(self.ends):
+            self._epoch = next(_EPOCHS)
+            self.first_changed_position = min(self.first_changed_position, self._removed_count + position)
+            self._replace_records(self._removed_count, self.ends[:position], self.records[:position])
+
     def _replace_records(self, removed_count: int, ends: List[int], records: List[MemoryRecord]) -> None:
         # A write-ahead record: after an interrupt between the assignments, `repair` repeats them.
         self._next = removed_count, ends, records

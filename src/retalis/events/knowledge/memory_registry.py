@@ -122,6 +122,11 @@ class MemoryInstances:
         for instance in self.instances.values():
             instance.memory.clear()
 
+    def drop_after(self, instant: int) -> None:
+        """Remove the records that end after an instant."""
+        for instance in self.instances.values():
+            instance.memory.drop_after(instant)
+
     def create(self, definition: Term, active: bool, frame: Frame) -> Frame:
         """Create a memory, and return the frame that reports it; the definition is as in `MemoryInstance`.
 

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
 _NOTATION = "subscribe(Pattern, Conditions, Template, Topic, Id)"
 
-RateLimiterState = Tuple[Any, int, int]
+RateLimiterState = Tuple[Any, int, int, int]
 """State of the operator, number of late events, and number of dropped events."""
 
 
@@ -81,6 +81,7 @@ class OutputRateLimiter:
         watermark: the watermark of the events of the subscription.
         late_count: number of events that arrived too late.
         dropped_count: number of events that were dropped because there were too many.
+        ahead_count: number of events that were too far ahead of the clock to advance the time of the operator.
         value_counts: number of values in its key, and number of other values that it uses.
     """
 
@@ -108,7 +109,7 @@ class OutputRateLimiter:
         self.watermark = (
             rules.watermarks.watch(functors) if self._spec.uses_clock else PatternWatermark(functors)
         )
-        self.late_count = self.dropped_count = self._evicted_count = 0
+        self.late_count = self.dropped_count = self.ahead_count = self._evicted_count = 0
         self._stream = self._create_stream()
 
     def _create_stream(self) -> StreamOperator:
@@ -155,8 +156,10 @@ class OutputRateLimiter:
             self.report_alarm_error(error)
             return
         if stream.ahead_count != previous_ahead_count:
+            self.ahead_count += 1
             self._warn(
-                f"{self._title}: an event is too far ahead of the clock to advance its time",
+                f"{self._title}: {self._rules.describe_ahead(end)}: it does not advance the time of the rate "
+                f"operator, and debounce ignores it; {self.ahead_count} so far",
                 ("ahead", self._title),
             )
         if stream.late_count != previous_late_count:
@@ -222,17 +225,22 @@ class OutputRateLimiter:
         self._stream = self._create_stream()
         self.alarm_instant = None
 
+    def return_to(self, instant: int) -> None:
+        """Set the time of the operator back; see `StreamOperator.return_to`."""
+        self._stream.return_to(instant)
+        self._set_alarm()
+
     def repair(self) -> None:
         """Repair the operator after an interrupt."""
         self.restore(self.snapshot())
 
     def snapshot(self) -> RateLimiterState:
         """Return the state; see `restore`."""
-        return self._stream.snapshot(), self.late_count, self.dropped_count
+        return self._stream.snapshot(), self.late_count, self.dropped_count, self.ahead_count
 
     def restore(self, saved: RateLimiterState) -> None:
         """Set the state of an equal rate limiter."""
-        stream_state, self.late_count, self.dropped_count = saved
+        stream_state, self.late_count, self.dropped_count, self.ahead_count = saved
         self._stream = self._create_stream()
         self._stream.restore(stream_state)
         self.alarm_instant = None
@@ -464,6 +472,11 @@ class Subscriptions:
         """Reset all rate operators, because the clock went back or the program requires it."""
         for rate_limiter in self._rate_limiters():
             rate_limiter.clear()
+
+    def return_to(self, instant: int) -> None:
+        """Set the time of all rate operators back."""
+        for rate_limiter in self._rate_limiters():
+            rate_limiter.return_to(instant)
 
     def snapshot(self) -> List[Optional[RateLimiterState]]:
         """Return the state of each rate limiter, None for subscriptions without one; see `restore_rate_limiters`."""

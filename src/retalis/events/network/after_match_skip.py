@@ -78,6 +78,11 @@ class AfterMatchSkip:
         self._skipped_starts.clear()
         self.clear_entries()
 
+    def return_to(self, instant: int) -> None:
+        """Skip no match that is later than an instant; see `EventRule.return_to`."""
+        self.last_match_end = min(self.last_match_end, instant)
+        self.skipped_until = min(self.skipped_until, instant)
+
     def snapshot(self) -> Tuple[Any, ...]:
         """Return the state besides the stored matches; see `restore`."""
         return self.last_match_end, tuple(sorted(self._skipped_starts))

@@ -298,7 +298,8 @@ class EventRule:
         return RuleState(
             (
                 *(metrics.firing_count, metrics.last_end, metrics.error_count),
-                *(self.dropped_count, self.dropped_alarm_count, self.past_alarm_count, self.late_count),
+                *(self.dropped_count, self.dropped_alarm_count, self.past_alarm_count),
+                *(self.late_count, self.ahead_count),
             ),
             (self.clock, int(self.order), self._last_collection),
             [(type(node).__name__, node.snapshot()) for node, _, _ in self.nodes],
@@ -316,9 +317,8 @@ class EventRule:
         """Set the state that another rule with the same definition returned, after the nodes were connected."""
         metrics = self.metrics
         metrics.firing_count, metrics.last_end, metrics.error_count = state.counts[:3]
-        self.dropped_count, self.dropped_alarm_count, self.past_alarm_count, self.late_count = state.counts[
-            3:
-        ]
+        self.dropped_count, self.dropped_alarm_count, self.past_alarm_count = state.counts[3:6]
+        self.late_count, self.ahead_count = state.counts[6:]
         self.clock, self.order, self._last_collection = state.times
         if self.skip_state is not None and state.skipped is not None:
             self.skip_state.restore(state.skipped)
@@ -461,6 +461,18 @@ class EventRule:
         self.clock = self.max_timestamp = _BEFORE_ALL_INSTANTS
         self._last_collection = None
 
+    def return_to(self, instant: int) -> None:
+        """Set the clock back, because the engine's clock had followed a wrong timestamp; matches remain."""
+        self.clock = min(self.clock, instant)
+        self.max_timestamp = _BEFORE_ALL_INSTANTS
+        if self._last_collection is not None:
+            self._last_collection = min(self._last_collection, instant)
+        if self.skip_state is not None:
+            self.skip_state.return_to(instant)
+        for node, _, _ in self.nodes:
+            if isinstance(node, StreamNode):
+                node.return_to(instant)
+
     def clear_matches(self) -> None:
         """Remove all partial matches, runs and negated matches."""
         self.deferred_matches = []
@@ -505,7 +517,7 @@ class EventRule:
         if end > self.max_timestamp:
             self.max_timestamp = self.network.compute_max_timestamp()
             if end > self.max_timestamp:
-                self.network.report_ahead(self)
+                self.network.report_ahead(self, end)
                 return
         self.clock = end
         self.expiration_queue.expire(end)

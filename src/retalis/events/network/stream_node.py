@@ -535,7 +535,7 @@ class StreamNode(NetworkNode):
             if self.replay is not None:
                 self._record_element(channel, element, now)
             if stream.late_count != self.late_count or stream.ahead_count != ahead_count:
-                self._report_wrong_time(stream.ahead_count != ahead_count)
+                self._report_wrong_time(stream.ahead_count != ahead_count, end)
             if stream.pruned_count != pruned_count or stream.evicted_count != self.evicted_count:
                 self._report_dropped(stream.pruned_count - pruned_count)
             # One element can add several partial matches to a row pattern.
@@ -547,13 +547,13 @@ class StreamNode(NetworkNode):
 
         return process
 
-    def _report_wrong_time(self, is_ahead: bool) -> None:
+    def _report_wrong_time(self, is_ahead: bool, end: int) -> None:
         """Report an element that is too far ahead of the clock, or too late."""
         # An operator that refuses an element ahead of the clock has counted it as late, too.
         self.late_count = self.stream.late_count
         network = self.rule.network
         if is_ahead:
-            network.report_ahead(self.rule)
+            network.report_ahead(self.rule, end)
         else:
             network.report_late(self.rule, self.spec.late_report)
 
@@ -712,6 +712,19 @@ class StreamNode(NetworkNode):
         return frame if is_retracted(match) else self.emit(match, frame)
 
     # ---- state ---------------------------------------------------------------------------------------
+
+    def return_to(self, instant: int) -> None:
+        """Set the time of the operator back; see `StreamOperator.return_to`."""
+        if self._defer_if_running(lambda: self.return_to(instant)):
+            return
+        self.stream.return_to(instant)
+        # Elements that are recorded for a replay would move its time again, so earlier results become final.
+        if self.replay is not None:
+            self.replay = Replay(
+                partial(self._create_operator, self._options or NetworkOptions(), self.rule.meter),
+                self.stream.snapshot(),
+            )
+        self._set_alarm()
 
     def clear(self) -> None:
         """Reset the operator."""

@@ -15,7 +15,7 @@ from ...foundation.errors import Place, RecurringWarning, RetalisError, RuleErro
 from ...prolog.machine.resource_limits import record_caught_error
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.term_traversal import copy, term_key, variables
-from ...prolog.terms.timestamps import SECOND, from_seconds
+from ...prolog.terms.timestamps import SECOND, format_distance, from_seconds
 from ...prolog.terms.types import Functor, Term, Trail, Values, atom, deref
 from ...prolog.terms.unification import unify
 from ..dispatch.dispatcher import Dispatcher
@@ -460,6 +460,12 @@ class RuleBase:
         self.tracker.clear()
         self.timers.restart()
 
+    def return_to(self, instant: int) -> None:
+        """Set the time of all rules and timers back, because the clock had followed a wrong timestamp."""
+        for rule in self.rules:
+            rule.return_to(instant)
+        self.timers.return_to(instant)
+
     def reset(self) -> None:
         """Remove all rules, properties, partial matches, stored events and timers, and reset all flags."""
         for rule in list(self.rules):
@@ -512,21 +518,32 @@ class RuleBase:
         text = f": {reason}; {rule.late_count} so far"
         self._warn_rarely(rule, "late", text, lambda: rule.late_count)
 
-    def report_ahead(self, rule: EventRule) -> None:
-        """Report that a match is too far ahead of the clock to advance the time of a rule or operator."""
+    def report_ahead(self, rule: EventRule, end: int) -> None:
+        """Report that a match is too far ahead of the clock to advance the time of a rule or operator.
+
+        Args:
+            rule: the rule.
+            end: end of the match in ns.
+        """
         # Before its first time, a clock that no event moves is behind all events.
         if not self.clock.is_set:
             return
         rule.ahead_count += 1
         if not self._is_ahead_reported:
             text = (
-                ": an event is too far ahead of the clock to advance the time of the rule, and windows that end by "
-                f"the clock ignore it; {rule.ahead_count} so far"
+                f": {self.describe_ahead(end)}: it does not advance the time of the rule, and time windows and "
+                f"debounce ignore it; {rule.ahead_count} so far"
             )
             self._warn_rarely(rule, "ahead", text, lambda: rule.ahead_count)
 
-    def dispatch_reported_ahead(self, text: str, dispatch: Callable[[], object]) -> None:
-        """Dispatch an event that is far ahead of the clock; one warning covers all rules.
+    def describe_ahead(self, end: int) -> str:
+        """Return a description of the present event, which ends ahead of the clock, for reports."""
+        current = self.dispatcher.current
+        event = "an event" if current is None else f"event {self.logic.brief(current[0])}"
+        return f"{event} is {format_distance(end - self.compute_max_timestamp() + self.future)} ahead of the clock"
+
+    def report_far_ahead(self, text: str, dispatch: Callable[[], object] = lambda: None) -> None:
+        """Report an event that is, or has been, far ahead of the clock; one warning covers all rules.
 
         Args:
             text: text of the warning.

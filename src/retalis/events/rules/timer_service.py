@@ -499,6 +499,14 @@ class Timers:
             else:
                 self._schedule_next(timer, self._rules.clock.reached())
 
+    def return_to(self, instant: int) -> None:
+        """Let periodic timers fire from an instant on again, because the clock had followed a wrong timestamp."""
+        for timer in self:
+            period = timer.schedule.period
+            if timer.schedule.repeats and timer.instant is not None and timer.instant > instant + period:
+                timer.instant -= (timer.instant - instant - 1) // period * period
+                self._set_alarm(timer)
+
     def repair(self) -> None:
         """Make each timer have its alarm again, after an interrupt."""
         # An interrupt may have come between two assignments of `TimerTable.add` or `remove`, so the indexes are

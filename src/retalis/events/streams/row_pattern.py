@@ -433,6 +433,11 @@ class RowPatternWindow(StreamOperator):
         self._store_partition(partition, element.key)
         return self._outputs(decided_matches)
 
+    def return_to(self, instant: int) -> None:
+        """See `StreamOperator.return_to`."""
+        super().return_to(instant)
+        self._limit_reference_times()
+
     def _states_started_since(self, partition: PartitionState, min_start: int) -> List[ComputationState]:
         """Return the states of a partition, without those that started before an instant."""
         if all(state.start_time >= min_start or state.matched is None for state in partition.states):

@@ -181,6 +181,19 @@ class StreamOperator:
         """Drop the oldest element or key, and return the outputs that this causes."""
         raise NotImplementedError
 
+    def return_to(self, instant: int) -> None:
+        """Set the time back to an instant, because the clock had followed a wrong timestamp.
+
+        Elements that the new time may not reach for long are dropped if later results would contain or await them.
+        """
+        self.clock = min(self.clock, instant)
+        self.max_timestamp = self.compute_max_timestamp()
+
+    def _limit_reference_times(self) -> None:
+        """Let no key be used later than now; otherwise it, and the keys after it, would never become idle."""
+        for state in self.states.values():
+            state.reference_time = min(state.reference_time, self.clock)
+
     def snapshot(self) -> OperatorState:
         """Return the state; see `restore`."""
         raise NotImplementedError
@@ -265,6 +278,13 @@ class Throttle(StreamOperator):
             self._store(element)
         return [StreamOutput((element,), element.start, element.end)] if previous is None else []
 
+    def return_to(self, instant: int) -> None:
+        """See `StreamOperator.return_to`."""
+        super().return_to(instant)
+        # An element ahead would block all others of its key until then.
+        for key in [key for key, element in self.states.items() if element.end > self.max_timestamp]:
+            del self.states[key]
+
     def _store(self, element: StreamElement) -> None:
         # Without the match, which would keep its events alive.
         stored = StreamElement(None, element.start, element.end, element.key_values, ())
@@ -343,6 +363,11 @@ class DistinctUntilChanged(StreamOperator):
         )
         return [StreamOutput((element,), element.start, element.end)]
 
+    def return_to(self, instant: int) -> None:
+        """See `StreamOperator.return_to`."""
+        super().return_to(instant)
+        self._limit_reference_times()
+
     def _store(self, value: Hashable, element: StreamElement) -> None:
         self.states[element.key] = _LastValue(value, element, self.clock)
         if len(self.states) > self._max_keys:
@@ -404,6 +429,11 @@ class DeadlineOperator(StreamOperator):
             self._update_deadline()
         return outputs
 
+    def return_to(self, instant: int) -> None:
+        """See `StreamOperator.return_to`."""
+        super().return_to(instant)
+        self._latest_now = min(self._latest_now, instant)
+
     def _drop_pending(self, element: StreamElement) -> None:
         """Drop a pending element; its entry in the heap of deadlines is removed later."""
         raise NotImplementedError
@@ -464,6 +494,15 @@ class Debounce(DeadlineOperator):
             self._add_pending(element)
         self._update_deadline()
         return []
+
+    def return_to(self, instant: int) -> None:
+        """See `StreamOperator.return_to`."""
+        super().return_to(instant)
+        pending = [element for elements in self.pending.values() for element in elements]
+        for element in pending:
+            if element.end > self.max_timestamp:
+                self._drop_pending(element)
+        self._update_deadline()
 
     def _add_pending(self, element: StreamElement) -> None:
         self.pending.setdefault(element.key, []).append(element)

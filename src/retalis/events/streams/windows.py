@@ -26,9 +26,6 @@ from .aggregates import Accumulator, present_elements, value_error
 from .running_statistics import LazyMinHeap
 from .stream_operators import BEFORE_ALL_INSTANTS, OperatorState, StreamElement, StreamOperator, StreamOutput
 
-MAX_AHEAD = 30 * 86_400 * 10**9
-"""Distance in ns from the time of a sliding window beyond which an element in the future is not measured: 30 days."""
-
 MAX_TRACKED_ELEMENTS = 100
 """Maximum number of elements in a tracked output, the newest ones, so that long windows stay cheap."""
 
@@ -394,11 +391,14 @@ class SlidingTimeWindow(Window):
     def process(self, element: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.process`."""
         keyed_window = self._keyed_window_of(element)
-        self._advance(element.end)
-        # Such an element would be in all windows until the clock reaches it. If the window has no time of its own,
-        # all of its elements may be that far ahead, because their clock is wrong.
-        if BEFORE_ALL_INSTANTS < self.clock < element.end - MAX_AHEAD:
-            return []
+        end = element.end
+        if self.clock < end:
+            if end <= self.max_timestamp or not self._is_too_far_ahead(end):
+                self.clock = end
+            # It would be in all windows until the clock reaches it. If the window has no time of its own, all of its
+            # elements may be that far ahead, because their clock is wrong.
+            elif self.clock > BEFORE_ALL_INSTANTS:
+                return []
         min_start = self.clock - self.span
         self._remove_before(min_start)
         if element.start <= min_start:
@@ -408,6 +408,16 @@ class SlidingTimeWindow(Window):
         self._insert(element, keyed_window)
         self._schedule_removal(element)
         return self._emit(keyed_window)
+
+    def return_to(self, instant: int) -> None:
+        """See `StreamOperator.return_to`."""
+        super().return_to(instant)
+        for element in [*self.queue, *(entry[2] for entry in self.out_of_order)]:
+            if not element.is_removed and element.start > self.max_timestamp:
+                self.remove(element)
+        # Removed elements at the end of the queue would send all later ones to the heap.
+        self.queue = deque([element for element in self.queue if not element.is_removed])
+        self.out_of_order = compacted_heap(self.out_of_order)
 
     def _is_obsolete(self, keyed_window: KeyedWindow, element: StreamElement) -> bool:
         min_start = self._clock_after(element.end) - self.span
@@ -445,6 +455,11 @@ class SlidingCountWindow(Window):
         super().__init__(make_accumulators)
         self.size = size
 
+    def return_to(self, instant: int) -> None:
+        """See `StreamOperator.return_to`."""
+        super().return_to(instant)
+        self._limit_reference_times()
+
     def _is_obsolete(self, keyed_window: KeyedWindow, element: StreamElement) -> bool:
         return self._is_idle(keyed_window, element)
 
@@ -466,6 +481,11 @@ class TumblingCountWindow(Window):
         super().__init__(make_accumulators)
         self.size = size
         self.running = running
+
+    def return_to(self, instant: int) -> None:
+        """See `StreamOperator.return_to`."""
+        super().return_to(instant)
+        self._limit_reference_times()
 
     def _is_obsolete(self, keyed_window: KeyedWindow, element: StreamElement) -> bool:
         return self._is_idle(keyed_window, element)
@@ -553,10 +573,24 @@ class AnchoredTumblingWindow(Window):
     def _is_obsolete(self, keyed_window: KeyedWindow, element: StreamElement) -> bool:
         return keyed_window.reference_time + self.span <= self._clock_after(element.end)
 
+    def return_to(self, instant: int) -> None:
+        """See `StreamOperator.return_to`."""
+        super().return_to(instant)
+        self._latest_now = min(self._latest_now, instant)
+        # A window that begins ahead would refuse the elements of its key until then.
+        for key, keyed_window in list(self.states.items()):
+            if keyed_window.reference_time > self.max_timestamp:
+                self._clear_key(keyed_window, key)
+        self._index_open_windows()
+
     def restore(self, saved: OperatorState) -> None:
         """See `StreamOperator.restore`."""
         super().restore(saved)
         (self._latest_now,) = saved[5:]
+        self._index_open_windows()
+
+    def _index_open_windows(self) -> None:
+        """Create the heap of open windows again."""
         self._open = [
             (keyed_window.reference_time, keyed_window.elements[0].order, key, keyed_window)
             for key, keyed_window in self.states.items()
@@ -633,6 +667,15 @@ class AlignedTumblingWindow(Window):
         self._number_element(element)
         self._insert(element, keyed_window)
         return self._emit(keyed_window)
+
+    def return_to(self, instant: int) -> None:
+        """See `StreamOperator.return_to`."""
+        index = self.clock // self.span
+        super().return_to(instant)
+        # All elements are in the window of the time that was wrong.
+        if index > self.clock // self.span:
+            for key, keyed_window in list(self.states.items()):
+                self._clear_key(keyed_window, key)
 
     def _is_obsolete(self, keyed_window: KeyedWindow, element: StreamElement) -> bool:
         return element.end // self.span > self.clock // self.span
@@ -715,6 +758,21 @@ class HoppingWindow(Window):
         if self.next_deadline is None or first_window_end < self.next_deadline:
             self.next_deadline = first_window_end
         return []
+
+    def return_to(self, instant: int) -> None:
+        """See `StreamOperator.return_to`."""
+        super().return_to(instant)
+        self._latest_now = min(self._latest_now, instant)
+        self._future_elements = [entry for entry in self._future_elements if entry[0] <= self.max_timestamp]
+        heapq.heapify(self._future_elements)
+        for end, _, element in self._by_end:
+            if end > self.max_timestamp and not element.is_removed:
+                self.remove(element)
+        self._by_end = compacted_heap(self._by_end)
+        if self.next_deadline is not None:
+            next_end = (instant // self.slide + 1) * self.slide
+            is_empty = not self.states and not self._future_elements
+            self.next_deadline = None if is_empty else min(self.next_deadline, next_end)
 
     def _is_obsolete(self, keyed_window: KeyedWindow, element: StreamElement) -> bool:
         # The first window that contains the element and has not been emitted begins at this instant.

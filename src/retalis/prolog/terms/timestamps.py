@@ -105,6 +105,18 @@ def to_shortest_seconds(nanoseconds: int) -> float:
 
 
 @lru_cache(maxsize=64)
+def format_distance(nanoseconds: int) -> str:
+    """Return a length of time as text for messages: in seconds, or in hours or days if it is long.
+
+    >>> format_distance(12_500_000_000), format_distance(3600 * SECOND), format_distance(365 * 86_400 * SECOND)
+    ('12.5 s', '1.0 hours', '365.0 days')
+    """
+    seconds = nanoseconds / SECOND
+    if seconds < 3600:
+        return f"{seconds:.1f} s"
+    return f"{seconds / 3600:.1f} hours" if seconds < 2 * 86_400 else f"{seconds / 86_400:.1f} days"
+
+
 def first_reaching(seconds: float) -> int:
     """Return the first instant (ns) whose `to_seconds` is at least ``seconds``.
 
