@@ -20,8 +20,6 @@ ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "examples" / "fleet"
 PAGE = FOLDER / "README.md"
 
-"""Where the tests' own packages may be, which the page knows nothing of."""
-
 DYING = """
 import os, runpy, signal
 from bytewax.connectors.files import FileSink

@@ -7,12 +7,17 @@ import sys
 import time
 from typing import Any, Collection, List, Optional, Tuple
 
-from retalis import Engine, RetalisError, StreamClock
+from retalis import Engine, Limits, RetalisError, Settings, StreamClock, UsageError
 from retalis.prolog.terms.timestamps import SECOND
 
 from .clock_programs import ClockProgram, random_clock_program
 from .comparison import add_options, as_text, engine_steps, shrink
 from .strategies import Case, random_case
+
+MAX_EVENTS = 1000
+"""Maximum number of events and outputs of a step of a program; rules that trigger each other may have any number."""
+
+SETTINGS = Settings(limits=Limits(inferences=100 * MAX_EVENTS))
 
 
 def cut_difference(case: Case, places: Collection[int]) -> Optional[Tuple[Any, Any]]:
@@ -49,7 +54,7 @@ def clock_steps(program: ClockProgram, cuts: Collection[int] = ()) -> List[List[
     Before the steps in ``cuts`` another engine is restored from the engine's state, and continues.
 
     Raises:
-        RetalisError: if the program is refused.
+        RetalisError: if the program is refused, or a step has more events than `MAX_EVENTS`.
     """
     steps: List[List[Any]] = []
 
@@ -58,17 +63,19 @@ def clock_steps(program: ClockProgram, cuts: Collection[int] = ()) -> List[List[
         engine.on_output(lambda term, topic, name: steps[-1].append((topic, engine.show(term))))
         return engine
 
-    engine = listen(Engine(StreamClock(10 * SECOND)))
+    engine = listen(Engine(StreamClock(10 * SECOND), SETTINGS))
     steps.append([])  # a program may emit events while it is loaded
     engine.load(goals=program.goals, rules=program.rules)
     for position, (event, instant) in enumerate(program.steps):
         if position in cuts:
-            engine = listen(Engine.restore(engine.snapshot(), clock=StreamClock()))
+            engine = listen(Engine.restore(engine.snapshot(), clock=StreamClock(), settings=SETTINGS))
         steps.append([])
         engine.clock.move_to(int(instant * SECOND))
         engine.advance()
         if event is not None:
             engine.event(event, instant)
+        if len(steps[-1]) > MAX_EVENTS:
+            raise UsageError(f"a step has {len(steps[-1])} events: expected at most {MAX_EVENTS}")
     return steps
 
 
