@@ -1,8 +1,16 @@
-"""Bounded time of the search for similar names."""
+"""Names of variables, and bounded time of the search for similar names."""
 
-from retalis import functor
+import pytest
+
+from retalis import Definitions, Engine, functor
 from retalis.events.checks import program_model
-from retalis.events.checks.program_model import FunctorSuggestions
+from retalis.events.checks.condition_checks import find_impossible_conditions
+from retalis.events.checks.event_flow_checks import find_declaration_violations
+from retalis.events.checks.predicate_checks import find_constants_meant_as_variables
+from retalis.events.checks.program_model import FunctorSuggestions, ProgramModel
+from retalis.events.checks.value_type_checks import find_number_type_mismatches, find_type_conflicts
+from retalis.events.checks.window_checks import find_windows_of_long_events
+from retalis.events.program.topic_configuration import Topics
 
 
 def test_of_the_same_name_is_taken_before_others_that_are_like_it():
@@ -22,3 +30,55 @@ def test_many_unknown_names_among_many_known_ones_are_not_all_compared(monkeypat
         nearby.suggest(functor(f"unknown_{at}", 1), keys)
     assert 0 < sum(compared) <= program_model.MAX_COMPARISONS
     assert nearby.suggest(functor("known_7", 2), keys) == "known_7/1"
+
+
+class CountingNames(dict):
+    """Names of variables that count how often all of them are read."""
+
+    read_count = 0
+
+    def __iter__(self):
+        self.read_count += 1
+        return super().__iter__()
+
+    def keys(self):
+        self.read_count += 1
+        return super().keys()
+
+    def items(self):
+        self.read_count += 1
+        return super().items()
+
+    def values(self):
+        self.read_count += 1
+        return super().values()
+
+
+@pytest.mark.parametrize(
+    "check",
+    [
+        find_constants_meant_as_variables,
+        find_declaration_violations,
+        find_impossible_conditions,
+        find_number_type_mismatches,
+        find_type_conflicts,
+        find_windows_of_long_events,
+    ],
+)
+def test_names_of_program_are_not_read_for_each_rule(tmp_path, check):
+    rules = [
+        "a(T) <- b(T, _) where (T > T, T > t).",
+        "c(T) <- std_msgs__0__String(T) where T > 1.",
+        "d(T) <- std_msgs__0__Int32(T) where T == 1.0.",
+        "e(S) <- aggregate(sum(T), (f(T) seq g(_)), S, last(5)).",
+        "h(T) <- i(T).",
+    ]
+    (tmp_path / "eventRules.txt").write_text("\n".join([":- event(i(n: string)).", *rules * 20]))
+    (tmp_path / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')")
+    engine = Engine()
+    engine.load_program(tmp_path)
+    program = ProgramModel(engine.rules, engine.knowledge, Definitions(), Topics(), folder=tmp_path)
+    program.names = names = CountingNames(program.names)
+    assert names
+    list(check(program))
+    assert names.read_count == 0

@@ -85,7 +85,7 @@ def find_impossible_conditions(program: ProgramModel) -> Iterator[RuleError]:
 def conjunctions_of(program: ProgramModel) -> Iterator[Conjunction]:
     """Yield the goals of rules and clauses that must hold together."""
     for rule in program.rules:
-        names = {**program.names, **rule.definition.names}
+        names = program.names_in(rule)
         for node, bounds in _conditions_with_bounds(rule.definition.pattern):
             # The first group has the goals that must hold; the others are parts of alternatives and negations.
             for index, goals in enumerate(_place_goals(wrap_term(node.goal), 1, rule.place_of)):
@@ -127,7 +127,7 @@ def _place_goals(parent: CompoundTerm, position: int, place_of: PlaceLookup) -> 
 
 
 def _show(program: ProgramModel, term: Term, conjunction: Conjunction) -> str:
-    return program.logic.brief(term, conjunction.names)
+    return program.brief(term, conjunction.names)
 
 
 def _explain_equal_sides(program: ProgramModel, goal: Subterm, conjunction: Conjunction) -> str:
@@ -304,7 +304,7 @@ def _find_names_in_arithmetic(goal: Subterm, conjunction: Conjunction) -> Iterat
         capital = f"{term.name[:1].upper()}{term.name[1:]}"
         hint = (
             f"did you mean the variable {capital}?"
-            if capital in conjunction.names.values()
+            if any(conjunction.names.get(var) == capital for var in variables(conjunction.source))
             else "a variable begins with a capital letter, and names are compared with == or @<"
         )
         yield RuleError(f"{term.name} is not a number: {hint}", operand.place)

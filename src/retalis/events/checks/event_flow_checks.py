@@ -298,9 +298,7 @@ def find_declaration_violations(program: ProgramModel) -> Iterator[RuleError]:
     declarations = program.declarations
     # Without declarations, the rules need not be parsed again.
     for rule in program.rules if declarations else ():
-        variable_types = VariableTypes(
-            {**program.names, **rule.definition.names}, not has_alternatives(rule.definition.term)
-        )
+        variable_types = VariableTypes(program.names_in(rule), not has_alternatives(rule.definition.term))
         yield from declarations.find_errors(events_of_rule(rule), rule.place_of, variable_types)
     for source_term in (*program.clauses, *program.goals) if declarations else ():
         variable_types = VariableTypes(program.names, not has_alternatives(source_term.parent))

@@ -435,7 +435,7 @@ def _variables_by_position(program: ProgramModel) -> Dict[Tuple[Functor, int], S
     """Return the names of the variables that rules write as arguments, by functor and position."""
     names: Dict[Tuple[Functor, int], Set[str]] = {}
     for rule in program.rules:
-        names_of_rule = {**program.names, **rule.definition.names}
+        names_of_rule = program.names_in(rule)
         for subterm in subterms(wrap_term(rule.definition.term), 1, no_place):
             if subterm.term.__class__ is Var and subterm.term in names_of_rule:
                 position = (subterm.parent[0], subterm.position)

@@ -11,6 +11,7 @@ time.
 """
 
 import os
+from collections import ChainMap
 from difflib import get_close_matches
 from pathlib import Path
 from typing import (
@@ -20,6 +21,7 @@ from typing import (
     Iterable,
     Iterator,
     List,
+    Mapping,
     NamedTuple,
     Optional,
     Set,
@@ -33,7 +35,7 @@ from ...messages.type_definition import Definition, type_name
 from ...messages.type_registry import Definitions
 from ...prolog.syntax.term_reader import OF_FILES, ReadTerm, read_program
 from ...prolog.system.prolog_system import PrologSystem
-from ...prolog.terms.term_traversal import term_key
+from ...prolog.terms.term_traversal import term_key, variables
 from ...prolog.terms.types import TRUE, Atom, CompoundTerm, Functor, String, Term, Var, deref, functor
 from ..knowledge.knowledge_base import KnowledgeBase
 from ..knowledge.memory import is_event_variable
@@ -449,6 +451,19 @@ class ProgramModel:
         self._collect_states(knowledge)
         self._definitions_by_type: Dict[str, Optional[Definition]] = {}
         self._analyses: Dict[Callable[[ProgramModel], Any], Any] = {}
+
+    def names_in(self, rule: SourceRule) -> Mapping[Var, str]:
+        """Return the names of the variables of a rule, and of the program."""
+        # Not a merged dictionary: a program has as many names as its rules together.
+        return ChainMap(dict(rule.definition.names), self.names)
+
+    def brief(self, term: Term, names: Optional[Mapping[Var, str]] = None) -> str:
+        """Return the text of a term for reports, with the names of its variables; by default those of the program."""
+        known_names = self.names if names is None else names
+        # Only the names that occur: the text would otherwise take as long as the program has variables.
+        return self.logic.brief(
+            term, {var: known_names[var] for var in variables(term) if var in known_names}
+        )
 
     def derive(self, analyse: Callable[["ProgramModel"], Analysis]) -> Analysis:
         """Return the result of an analysis of this program, which several checks share; it runs once."""

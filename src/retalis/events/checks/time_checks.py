@@ -730,5 +730,5 @@ def find_invalid_timers(program: ProgramModel) -> Iterator[RuleError]:
     for subterm in program.calls():
         problem = schedule_error(subterm.term[2]) if subterm.key is TIMER else None
         if problem is not None:
-            text = f"timer/2: {problem}, found {program.logic.brief(subterm.term[2], program.names)}"
+            text = f"timer/2: {problem}, found {program.brief(subterm.term[2])}"
             yield RuleError(text, subterm.place_of(subterm.term, 2))

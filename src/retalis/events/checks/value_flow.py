@@ -939,7 +939,7 @@ class ValueFlow:
         return describe(kinds or {}, self._show, None if place is None else place.source)
 
     def _show(self, term: Term) -> str:
-        return self._program.logic.brief(term, self._program.names)
+        return self._program.brief(term)
 
 
 TRUE_GOAL = atom("true")

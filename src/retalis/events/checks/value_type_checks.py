@@ -96,7 +96,7 @@ def find_type_conflicts(program: ProgramModel) -> Iterator[RuleError]:
     """Yield uses of values that contradict their types."""
     for rule in program.rules:
         parent = wrap_term(rule.definition.term)
-        names = {**program.names, **rule.definition.names}
+        names = program.names_in(rule)
         events = events_of_rule(rule) if program.declarations else []
         yield from _check_clause(
             program, parent, rule.place_of, names, events, event_raised_by(rule.definition.head)
@@ -480,7 +480,7 @@ def _find_number_comparisons(
         events = [node.term for node in walk(rule.definition.pattern, True) if isinstance(node, EventPattern)]
         event_subterms = [Subterm(deref(term), wrap_term(term), 1, rule.place_of) for term in events]
         rule_subterm = Subterm(None, wrap_term(rule.definition.term), 1, rule.place_of)
-        names = {**program.names, **rule.definition.names}
+        names = program.names_in(rule)
         yield from _compare_numbers(program, event_subterms, rule_subterm, names, created_keys, "")
     for consumer in (*program.memories, *program.subscriptions):
         goal = Subterm(None, consumer.term, 2, consumer.place_of)

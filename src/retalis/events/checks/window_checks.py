@@ -7,7 +7,7 @@ instants.
 """
 
 from collections import deque
-from typing import Any, Deque, Dict, Iterator, List, NamedTuple, Optional, Set
+from typing import Any, Deque, Dict, Iterator, List, Mapping, NamedTuple, Optional, Set
 
 from ...foundation.errors import RuleError
 from ...prolog.terms.types import CompoundTerm, Functor, Var, atom, deref, functor
@@ -65,7 +65,7 @@ def find_windows_of_long_events(program: ProgramModel) -> Iterator[RuleError]:
                 continue
             written = _window_as_written(rule, number)
             window = program.logic.brief(window_term(node.window) if written is None else written)
-            names = {**program.names, **rule.definition.names}
+            names = program.names_in(rule)
             advice = _advise_end(program, node, names)
             yield RuleError(
                 f"{window} selects its elements by their start, and these have a duration ({cause}): one that began "
@@ -75,7 +75,7 @@ def find_windows_of_long_events(program: ProgramModel) -> Iterator[RuleError]:
             )
 
 
-def _advise_end(program: ProgramModel, node: WindowPattern, names: Dict[Var, str]) -> str:
+def _advise_end(program: ProgramModel, node: WindowPattern, names: Mapping[Var, str]) -> str:
     """Return the advice to measure an event that has only the end of an element."""
     if not isinstance(node.collected, EventPattern):
         return "write a rule for the pattern, and another one that emits an instant at its end"
@@ -85,10 +85,10 @@ def _advise_end(program: ProgramModel, node: WindowPattern, names: Dict[Var, str
         return "measure an event that has only the end"
     arguments = event[1:] if event.__class__ is tuple else ()
     end = (functor(f"{key.name}_end", key.arity), *arguments) if arguments else atom(f"{key.name}_end")
-    shown = program.logic.brief(end, names)
+    shown = program.brief(end, names)
     return (
         f"measure {shown} and add the rule null do new_event({shown}, [E, E]) <- "
-        f"{program.logic.brief(event, names)} check t2(E)"
+        f"{program.brief(event, names)} check t2(E)"
     )
 
 
