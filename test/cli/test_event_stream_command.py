@@ -148,8 +148,18 @@ def test_an_error_in_a_query_is_an_error(run):
 def test_the_clock_is_the_streams(run):
     stream = "event(a,[10,10]).\nevent(b).\nsleep(2.5).\nevent(c).\n"
     lines = run(stream=stream)[1]
-    assert lines[1] == "event(b,[datime(1970,1,1,0,0,10,0),datime(1970,1,1,0,0,10,0)])."
-    assert lines[2] == "event(c,[datime(1970,1,1,0,0,12,500000000),datime(1970,1,1,0,0,12,500000000)])."
+    assert lines[1:] == ["event(b,[10,10]).", "event(c,[12.5,12.5])."]
+
+
+@pytest.mark.parametrize(
+    ("start", "end"),
+    [("1", "6"), ("1.5", "6.5"), ("datime(2026,1,1,0,0,1,0)", "datime(2026,1,1,0,0,6,0)")],
+)
+def test_times_of_the_clock_have_the_form_of_the_stream(run, start, end):
+    stream = f"event(beat,[{start},{start}]).\nsleep(9).\n"
+    lines = run("--explain", "lost", rules="lost <- beat seq absent(beat, 5).\n", stream=stream)[1]
+    assert lines[1] == f"event(lost,[{start},{end}])."
+    assert lines[3].startswith(f"%   lost [{start},{end}] by rule")
 
 
 def test_sleep_lets_alarms_fire(run):

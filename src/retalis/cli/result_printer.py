@@ -85,6 +85,7 @@ class Printer:
         self._prints_memory_events = memory_events
         self._output_file = outputs
         self._origin = origin
+        self._clock_form = timestamps.ClockForm()
 
     def print_event(self, term: Term, start: int, end: int) -> None:
         """Print an event."""
@@ -100,7 +101,9 @@ class Printer:
                 }
             )
         else:
-            interval = timestamps.interval_term(start, end)
+            interval = timestamps.interval_term(
+                self._clock_form.convert(start), self._clock_form.convert(end)
+            )
             if self._origin is not None:
                 times = [self._origin.relative(instant) for instant in (start, end)]
                 interval = make_list(list(map(timestamps.to_seconds, times)))
@@ -146,7 +149,7 @@ class Printer:
                 continue
             start = record["start"]
             # Not converted to an int, which would lose the form in which the event states its time.
-            instant: Term = timestamps.lazy_term(start)
+            instant: Term = timestamps.lazy_term(self._clock_form.convert(start))
             if self._origin is not None:
                 instant = timestamps.to_seconds(self._origin.relative(start))
             details = ""

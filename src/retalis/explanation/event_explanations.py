@@ -311,8 +311,8 @@ class _Explainer:
     def __init__(self, engine: Engine, reference_time: Optional[int]):
         self._engine = engine
         self._reference_time = reference_time
-        self._times = TimeFormat(self._show, reference_time)
         self._occurrences = self._engine.rules.tracker.remembered_events()
+        self._times = TimeFormat(self._show, reference_time, self._occurrences)
         self._why_not_sent = WhyNotSent(
             self._engine.logic, self._engine.knowledge.subscriptions.items(), self._show
         )

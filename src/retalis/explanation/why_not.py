@@ -11,11 +11,13 @@ that the rule's own window computed from older matches can differ; the text of t
 
 from contextlib import closing
 from functools import lru_cache
+from itertools import islice
 from typing import (
     Any,
     Callable,
     Collection,
     Dict,
+    Iterable,
     Iterator,
     List,
     Mapping,
@@ -146,6 +148,10 @@ class PartResult(NamedTuple):
         return "+" if self.matches else "-"
 
 
+_MAX_EVENTS_FOR_FORM = 10
+"""Number of events that are searched for a stamp: timers may be the first ones."""
+
+
 class TimeFormat:
     """Text of intervals: ``at T`` for a point in time, ``[T1,T2]`` for others.
 
@@ -153,11 +159,17 @@ class TimeFormat:
         show: returns the text of a term.
         reference_time: nanoseconds since the epoch; times are shown in seconds relative to it. None for absolute
             times.
+        occurrences: the recorded events, whose first stamps determine the form of absolute times of the clock.
     """
 
-    def __init__(self, show: Callable[[Term], str], reference_time: Optional[int] = None):
+    def __init__(
+        self, show: Callable[[Term], str], reference_time: Optional[int], occurrences: Iterable[Occurrence]
+    ):
         self._show = show
         self._reference_time = reference_time
+        self._clock_form = timestamps.ClockForm()
+        for occurrence in islice(occurrences, _MAX_EVENTS_FOR_FORM):
+            self._clock_form.convert(occurrence.start)
 
     def format_interval(self, start: int, end: int) -> str:
         """Return the text of an interval."""
@@ -175,7 +187,7 @@ class TimeFormat:
 
     def _format_number(self, instant: int) -> str:
         if self._reference_time is None:
-            return self._show(timestamps.lazy_term(instant))
+            return self._show(timestamps.lazy_term(self._clock_form.convert(instant)))
         # A stamp before the start of the run counts as the start, as in the output of the commands.
         whole, remainder = divmod(max(0, int(instant) - self._reference_time), 10**9)
         fraction = f".{remainder:09d}".rstrip("0") if remainder else ""
@@ -214,7 +226,7 @@ class WhyNot:
         # After the head was unified, variables of the rule may be bound to variables of the explained event.
         self._names = names_of_bound_variables(rule.definition.names)
         self._field_named_variables = rule.definition.names
-        self._times = TimeFormat(self._show, reference_time)
+        self._times = TimeFormat(self._show, reference_time, occurrences)
         self._methods: Dict[type, Callable[[Any], PartResult]] = {
             EventPattern: self._evaluate_event,
             PairPattern: self._evaluate_pair,

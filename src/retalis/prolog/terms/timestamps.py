@@ -215,6 +215,23 @@ def interval_term(start: int, end: int) -> Term:
     return (CONS, lazy_term(start), (CONS, lazy_term(end), NIL))
 
 
+class ClockForm:
+    """Form in which instants of the clock are shown beside stamps: as seconds, if the first stamp is a number."""
+
+    def __init__(self) -> None:
+        # None before the first stamp.
+        self._shows_seconds: Optional[bool] = None
+
+    def convert(self, instant: int) -> int:
+        """Return an instant of the clock in the form of the first stamp; a stamp keeps its own form."""
+        if isinstance(instant, Stamp):
+            if self._shows_seconds is None:
+                self._shows_seconds = instant.term.__class__ in (int, float)
+        elif self._shows_seconds and instant.__class__ is int:
+            return Stamp.of(instant, to_shortest_seconds(instant))
+        return instant
+
+
 def _require_accepted(instant: int) -> int:
     """Return a timestamp in ns.
 
