@@ -8,7 +8,6 @@ import json
 import os
 import re
 import sys
-from difflib import get_close_matches
 from typing import Callable, Hashable, Iterable, List, NamedTuple, Optional, Union
 
 MAX_SHOWN_CHARACTERS = 200
@@ -158,21 +157,15 @@ def describe_decode_error(error: UnicodeDecodeError) -> str:
     )
 
 
-_MAX_LISTED_FILES = 2000
-"""Maximum number of files among which a similar name is searched."""
-
-
-def suggest_file(path: "Union[str, os.PathLike[str]]") -> str:
-    """Return "did you mean ...?" with the most similar file name in the folder of a missing file, or ""."""
+def suggest_file(path: Union[str, "os.PathLike[str]"]) -> str:
+    """Return "did you mean ...?" with a file whose name differs in capitals or separators only, or ""."""
     folder, name = os.path.split(os.fspath(path))
     try:
-        names = os.listdir(folder or os.curdir)[:_MAX_LISTED_FILES]
+        # No search for the most similar name: a goal may try to open the file again and again.
+        similar = [other for other in os.listdir(folder or os.curdir) if _simplify(other) == _simplify(name)]
     except OSError:
         return ""
-    # Names that differ in capitals or underscores only are the most similar ones.
-    spellings = {_simplify(other): other for other in sorted(names)}
-    matches = get_close_matches(_simplify(name), spellings, 1, 0.85)
-    return f"did you mean {printable(spellings[matches[0]])}?" if matches else ""
+    return f"did you mean {printable(min(similar))}?" if similar else ""
 
 
 def _simplify(file_name: str) -> str:

@@ -107,3 +107,20 @@ def test_pair_in_clause_is_not_reported():
     assert findings_of("pair(X) :- count(N), X = N-1. a <- b where pair(_).") == []
     (message,) = findings_of("twice(X) :- count(N), X = N*2. a <- b where twice(_).")
     assert message.startswith("= does not evaluate")
+
+
+@pytest.mark.parametrize(
+    "rule, count",
+    [
+        ("c(M) do (assertz(seen(M)), fail) <- temp(M).", 1),
+        ("c(M) <- temp(M) do (assertz(seen(M)), false).", 1),
+        ("null do (assertz(seen(M)), fail) <- temp(M).", 0),
+        ("c(M) do (seen(M), fail ; assertz(seen(M))) <- temp(M).", 0),
+        ("c(M) do (seen(M) -> fail ; assertz(seen(M))) <- temp(M).", 0),
+        ("c(M) <- temp(M) where fail.", 0),
+    ],
+)
+def test_goal_of_do_that_always_fails_is_reported(rule, count):
+    messages = findings_of(rule)
+    assert len(messages) == count
+    assert all("so that c/1 never happens" in message for message in messages)

@@ -26,7 +26,8 @@ from ..language.pattern_tree import (
     WithinPattern,
     children,
 )
-from .program_model import ProgramModel, Subterm, subterms, wrap_term
+from ..language.rule_head_parser import event_raised_by
+from .program_model import ProgramModel, SourceRule, Subterm, key_of, subterms, wrap_term
 
 NUMERIC_COMPARISONS = frozenset(functor(name, 2) for name in ("<", ">", "=<", ">=", "=:=", "=\\="))
 IS = functor("is", 2)
@@ -55,6 +56,7 @@ class Conjunction(NamedTuple):
         is_clause: whether the source is a clause; a rule otherwise.
         names: names of variables.
         bounds: numbers that earlier comparisons of each variable allow; other conditions of a match may share it.
+        failure: consequence of a goal that always fails, or "" if it may be intended.
     """
 
     goals: List[Subterm]
@@ -62,12 +64,15 @@ class Conjunction(NamedTuple):
     is_clause: bool
     names: Mapping[Var, str]
     bounds: "Dict[Var, _Interval]"
+    failure: str = ""
 
 
 def find_impossible_conditions(program: ProgramModel) -> Iterator[RuleError]:
     """Yield goals of rules and clauses that never hold, or that compare a value with unevaluated arithmetic."""
     for conjunction in conjunctions_of(program):
         for goal in conjunction.goals:
+            if conjunction.failure and goal.key in _FAILURES:
+                yield RuleError(f"{goal.key.name} {conjunction.failure}", goal.place)
             if goal.term.__class__ is not tuple or len(goal.term) != 3:
                 continue
             problem = (
@@ -89,10 +94,28 @@ def conjunctions_of(program: ProgramModel) -> Iterator[Conjunction]:
         for node, bounds in _conditions_with_bounds(rule.definition.pattern):
             # The first group has the goals that must hold; the others are parts of alternatives and negations.
             for index, goals in enumerate(_place_goals(wrap_term(node.goal), 1, rule.place_of)):
-                yield Conjunction(goals, rule.definition.term, False, names, {} if index else bounds)
+                failure = "" if index else _consequence_of_failure(program, rule, node)
+                yield Conjunction(goals, rule.definition.term, False, names, {} if index else bounds, failure)
     for clause in program.clauses:
         for goals in _place_goals(clause.parent, clause.position, clause.place_of):
             yield Conjunction(goals, clause.parent, True, program.names, {})
+
+
+def _consequence_of_failure(
+    program: ProgramModel, rule: SourceRule, node: Union[ConditionPattern, ActionPattern]
+) -> str:
+    """Return the consequence if the goal of ``do`` always fails, or "" if the rule has no event or is disabled."""
+    head = event_raised_by(rule.definition.head)
+    key = None if head is None else key_of(head)
+    if not isinstance(node, ActionPattern) or key is None or key.name in _NO_EVENTS:
+        return ""
+    return (
+        f"ends the goal, so that {key} never happens: to run the goal without an event, write the head null"
+    )
+
+
+_FAILURES = frozenset((functor("fail", 0), functor("false", 0)))
+_NO_EVENTS = ("null", "null_event")
 
 
 def _conditions_with_bounds(

@@ -8,7 +8,6 @@
 
 from collections import Counter
 from itertools import combinations_with_replacement
-from operator import attrgetter
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 
 from ...foundation.errors import Place, RuleError
@@ -454,30 +453,23 @@ def _periods_by_rule(program: ProgramModel) -> Dict[int, _RecordedPeriod]:
 
     The keys are identities of rule definitions.
     """
-    periods = _periods_by_message(program)
+    rules_by_event: Dict[Functor, List[SourceRule]] = {}
+    for rule in program.rules:
+        for node in walk(rule.definition.pattern, negated=True):
+            key = key_of(node.term) if isinstance(node, EventPattern) else None
+            if key is not None:
+                rules_by_event.setdefault(key, []).append(rule)
     result: Dict[int, _RecordedPeriod] = {}
-    pending = list(program.rules) if periods else []
-    # Periods are passed from rule to rule until a pass adds none; each rule gets one once.
-    while pending:
-        remaining = []
-        for rule in pending:
-            keys = {
-                key_of(node.term)
-                for node in walk(rule.definition.pattern, negated=True)
-                if isinstance(node, EventPattern)
-            }
-            recorded = [periods[key] for key in keys if key is not None and key in periods]
-            if not recorded:
-                remaining.append(rule)
-                continue
-            fastest = result[id(rule.definition)] = min(recorded, key=attrgetter("seconds"))
-            head = event_raised_by(rule.definition.head)
-            head_key = None if head is None else key_of(head)
-            if head_key is not None:
-                periods.setdefault(head_key, fastest)
-        if len(remaining) == len(pending):
-            break
-        pending = remaining
+    # The fastest topic comes first, so the first period that reaches a rule is the one to keep.
+    for message, recorded in sorted(_periods_by_message(program).items(), key=lambda item: item[1].seconds):
+        events = [message]
+        while events:
+            for rule in rules_by_event.get(events.pop(), ()):
+                if id(rule.definition) not in result:
+                    result[id(rule.definition)] = recorded
+                    head = event_raised_by(rule.definition.head)
+                    head_key = None if head is None else key_of(head)
+                    events += [] if head_key is None else [head_key]
     return result
 
 
