@@ -66,8 +66,9 @@ html_show_copyright = False
 # Sphinx reads the page of each hit for its summary, which browsers refuse if the site is opened from files; see
 # `write_search_texts`.
 html_show_search_summary = False
-html_static_path = ["site.css", "search_excerpts.js"]
+html_static_path = ["site.css", "site.js", "search_excerpts.js"]
 html_css_files = ["site.css"]
+html_js_files = ["site.js"]
 
 # Copy the commands of a console block without their prompts and their output.
 copybutton_prompt_text = r"\$ |\?- |>>> |\.\.\. "

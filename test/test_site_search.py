@@ -82,3 +82,14 @@ def test_excerpts_show_markup_as_text(browser):
     search(browser, "publish_subscribe")
     excerpts = [hit["excerpt"] for hit in browser.ask(EXCERPTS)]
     assert any("<publish_subscribe>" in excerpt for excerpt in excerpts)
+
+
+def test_page_marks_the_words_of_the_last_search(browser):
+    # The words are also those of titles of the theme's icons, which a browser cannot mark.
+    search(browser, "light mode")
+    browser.open(f"{SITE.as_uri()}/how-to/count-changes.html")
+    browser.wait_for("document.querySelectorAll('article span.highlighted').length")
+    marked = browser.ask(
+        "[...document.querySelectorAll('article span.highlighted')].map(word => word.innerText)"
+    )
+    assert {word.lower() for word in marked} == {"mode"}
