@@ -375,6 +375,21 @@ def test_memory_and_state_do_not_stay_in_future():
     assert engine.query("prev(place, at(Place), _, _, 1700000005)") == [{"Place": 5}]
 
 
+def test_state_that_begins_ahead_is_removed():
+    engine, states = Engine(), []
+    engine.load(rules=":- state(open, from(opened), until(closed)).")
+    engine.on_event(lambda term, start, end: states.append((engine.show(term), start, end)))
+    for second in range(20):
+        engine.event("tick", START + second)
+    engine.event("opened", START + 3600)
+    for second in range(21, 25):
+        engine.event("tick", START + second)
+    assert not engine.call("holds(open)")
+    engine.event("opened", START + 26)
+    engine.event("closed", START + 28)
+    assert states[-1] == ("open", (START + 26) * SECOND, (START + 28) * SECOND)
+
+
 def random_stream(random):
     """Return events of four names with times in order, some of which are wrong by a minute to a year."""
     time, events = START, []
@@ -400,26 +415,36 @@ changed(N) <- aggregate(count, tick, N, every(3)) with throttle(2).
 """
 
 
+@pytest.mark.parametrize("has_receipt_clock", [False, True])
 @pytest.mark.parametrize("seed", range(20))
-def test_restored_engine_continues_as_if_never_stopped(seed):
+def test_restored_engine_continues_as_if_never_stopped(seed, has_receipt_clock):
     random = Random(seed)
-    events = random_stream(random)
-    engine = Engine()
-    engine.load(rules=TIMED_RULES + OTHER_RULES, goals="timer(beat, every(10)).")
-    outputs = outputs_of(engine)
-    restored = Engine()
-    restored.load(rules=TIMED_RULES + OTHER_RULES, goals="timer(beat, every(10)).")
-    restored_outputs = outputs_of(restored)
-    for name, time in events:
-        engine.event(name, time)
-        restored.event(name, time)
+    clock, restored_clock = (StreamClock(1), StreamClock(1)) if has_receipt_clock else (None, None)
+    engine, restored = Engine(clock), Engine(restored_clock)
+    for program in (engine, restored):
+        program.load(
+            rules=TIMED_RULES + OTHER_RULES,
+            goals="timer(beat, every(10)).\nsubscribe(tick with debounce(2), [], tick, ticks, a).",
+        )
+    outputs, restored_outputs = outputs_of(engine), outputs_of(restored)
+    receipt = 0
+    for name, time in random_stream(random):
+        # The receipt clock has the time of the stream without its errors.
+        receipt = max(receipt, from_seconds(min(time, receipt / SECOND + 3 if receipt else time)))
+        for program in (engine, restored):
+            if has_receipt_clock:
+                program.clock.move_to(receipt)
+            program.event(name, time)
         if random.random() < 0.3:
             restored = Engine.restore(restored.snapshot())
             outputs_before, restored_outputs = restored_outputs, outputs_of(restored)
             restored_outputs += outputs_before
     assert restored_outputs == outputs
     assert restored.clock.now() == engine.clock.now()
-    assert restored.status().ahead == engine.status().ahead
+    status, restored_status = engine.status(), restored.status()
+    assert restored_status.ahead == status.ahead
+    assert [rule.ahead for rule in restored_status.rules] == [rule.ahead for rule in status.rules]
+    assert restored_status.subscriptions[0].ahead == status.subscriptions[0].ahead
 
 
 def test_window_on_receipt_clock_reports_stamp_ahead():

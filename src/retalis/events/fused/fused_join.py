@@ -236,8 +236,9 @@ class _ActionGenerator:
     def _advance_clock(self) -> List[Statement]:
         """Return statements that set the clock to the end of the event, and drop expired matches."""
         return [
-            # `EventRule.advance_clock` rejects timestamps too far in the future; ``max_timestamp`` is its last limit.
-            Block("if event_end > rule.max_timestamp:", ["rule.advance_clock(event_end)"]),
+            # A timestamp too far in the future does not advance the clock; ``max_timestamp`` is the last limit. The
+            # general path reports it.
+            Block("if event_end > rule.max_timestamp and rule.is_ahead(event_end):", [self.general_path]),
             Block(
                 "else:",
                 [

@@ -509,16 +509,19 @@ class EventRule:
                     buffer.add(match, key)
                 self.deferred_matches.remove(entry)
 
+    def is_ahead(self, end: int) -> bool:
+        """Return whether an end is too far ahead of the engine's clock to advance that of the rule."""
+        self.max_timestamp = self.network.compute_max_timestamp()
+        return end > self.max_timestamp
+
     def advance_clock(self, end: int) -> None:
         """Advance the rule's clock and remove the matches that have expired."""
         if end <= self.clock:
             return
         # Reading the clock costs much more than this comparison, and most events lie below the last limit.
-        if end > self.max_timestamp:
-            self.max_timestamp = self.network.compute_max_timestamp()
-            if end > self.max_timestamp:
-                self.network.report_ahead(self, end)
-                return
+        if end > self.max_timestamp and self.is_ahead(end):
+            self.network.report_ahead(self, end)
+            return
         self.clock = end
         self.expiration_queue.expire(end)
         if self._garbage_control is not None:
