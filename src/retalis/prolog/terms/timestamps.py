@@ -104,7 +104,6 @@ def to_shortest_seconds(nanoseconds: int) -> float:
     return to_seconds(nanoseconds) if nanoseconds % SECOND else int(nanoseconds) // SECOND
 
 
-@lru_cache(maxsize=64)
 def format_distance(nanoseconds: int) -> str:
     """Return a length of time as text for messages: in seconds, or in hours or days if it is long.
 
@@ -117,6 +116,7 @@ def format_distance(nanoseconds: int) -> str:
     return f"{seconds / 3600:.1f} hours" if seconds < 2 * 86_400 else f"{seconds / 86_400:.1f} days"
 
 
+@lru_cache(maxsize=64)
 def first_reaching(seconds: float) -> int:
     """Return the first instant (ns) whose `to_seconds` is at least ``seconds``.
 
