@@ -185,21 +185,25 @@ class EventInput:
         self.far_ahead_count += 1
         names = [str(source or "a variable") for source in jumps.sources]
         others = f" and {len(names) - 1} more" if len(names) > 1 else ""
-        self._rules.report_far_ahead(
+        text = (
             f"event {names[0]}{others}: its time was {format_distance(jumps.step)} ahead of the other events, which "
             f"have been late since then; the clock returns to their time; {self.far_ahead_count} so far"
         )
+        self._rules.report_far_ahead(lambda: text)
 
     def _dispatch_far_ahead(self, term: Term, start: int, end: int, ground: Optional[bool]) -> None:
         """Dispatch an event whose time is too far ahead of the clock to move it, with one report for all rules."""
         self.event_count += 1
         self.far_ahead_count += 1
-        text = (
-            f"event {self._logic.brief(term)}: its time is {format_distance(end - self._clock.reached())} ahead of "
-            "the clock, which does not follow it while other events have the present time; time windows and "
-            f"debounce ignore it; {self.far_ahead_count} so far"
-        )
-        self._rules.report_far_ahead(text, lambda: self._dispatch(term, start, end, ground))
+
+        def describe() -> str:
+            return (
+                f"event {self._logic.brief(term)}: its time is {format_distance(end - self._clock.reached())} ahead "
+                "of the clock, which does not follow it while other events have the present time; time windows and "
+                f"debounce ignore it; {self.far_ahead_count} so far"
+            )
+
+        self._rules.report_far_ahead(describe, lambda: self._dispatch(term, start, end, ground))
 
     def _read_clock_and_run_alarms(self) -> int:
         """Read the clock, clear the state if time went back, run the alarms that are due, and return the time."""

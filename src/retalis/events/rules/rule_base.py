@@ -528,8 +528,9 @@ class RuleBase:
         # Before its first time, a clock that no event moves is behind all events.
         if not self.clock.is_set:
             return
-        rule.ahead_count += 1
-        if not self._is_ahead_reported:
+        count = rule.ahead_count = rule.ahead_count + 1
+        # The description takes 50 µs, and most occurrences are not logged.
+        if not self._is_ahead_reported and count & (count - 1) == 0:
             text = (
                 f": {self.describe_ahead(end)}: it does not advance the time of the rule, and time windows and "
                 f"debounce ignore it; {rule.ahead_count} so far"
@@ -542,16 +543,18 @@ class RuleBase:
         event = "an event" if current is None else f"event {self.logic.brief(current[0])}"
         return f"{event} is {format_distance(end - self.compute_max_timestamp() + self.future)} ahead of the clock"
 
-    def report_far_ahead(self, text: str, dispatch: Callable[[], object] = lambda: None) -> None:
+    def report_far_ahead(
+        self, describe: Callable[[], str], dispatch: Callable[[], object] = lambda: None
+    ) -> None:
         """Report an event that is, or has been, far ahead of the clock; one warning covers all rules.
 
         Args:
-            text: text of the warning.
+            describe: returns the text of the warning.
             dispatch: dispatches the event.
         """
         count = self._far_ahead_count = self._far_ahead_count + 1
         if count & (count - 1) == 0:
-            self.on_warning(RecurringWarning(text, None, "far ahead", lambda: self._far_ahead_count))
+            self.on_warning(RecurringWarning(describe(), None, "far ahead", lambda: self._far_ahead_count))
         self._is_ahead_reported = True
         try:
             dispatch()
