@@ -576,7 +576,7 @@ def create_docs_venv(workspace: Path, shell: Shell) -> str:
 
 TEST_DURATION_TEXT = (
     "All tests take up to 25 minutes on two cores that have nothing else to do; "
-    "./install.py test -m 'not slow' --ignore test/ros takes 2."
+    "./install.py test -m 'not slow' --ignore test/ros1 takes 2."
 )
 PARALLEL_OPTIONS = ("-n", "2", "--dist", "loadfile")
 """Two processes, each with whole test files: tests with ROS spend most of their time waiting."""

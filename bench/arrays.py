@@ -32,7 +32,7 @@ from pathlib import Path
 from typing import Any, Callable, Dict, List
 
 HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE), str(HERE.parent / "src"), str(HERE.parent / "test" / "ros")]
+sys.path[:0] = [str(HERE), str(HERE.parent / "src"), str(HERE.parent / "test" / "ros1")]
 
 import numpy as np  # noqa: E402
 from arguments import above_zero, positive  # noqa: E402

@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, List, Optional
 
 HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE), str(HERE.parent / "test" / "ros"), str(HERE.parent / "examples" / "nao")]
+sys.path[:0] = [str(HERE), str(HERE.parent / "test" / "ros1"), str(HERE.parent / "examples" / "nao")]
 
 from arguments import above_zero, positive, target  # noqa: E402
 from player import Player  # noqa: E402

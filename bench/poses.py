@@ -171,7 +171,7 @@ def trees(found: List[Sample], asked: List[int]) -> Iterator[Way]:
     """Yield the engine's implementations that read the tree of transforms."""
     buffers = [("in python", "/tf python", TransformBuffer)]
     if importlib.util.find_spec("tf2_py") is not None:
-        from retalis.ros.tf2_buffer import Tf2Buffer
+        from retalis.ros1.tf2_buffer import Tf2Buffer
 
         buffers.insert(0, ("tf_transform", "/tf", Tf2Buffer))
     messages = [serialized(sample) for sample in found]

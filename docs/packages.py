@@ -161,7 +161,7 @@ TOP_PACKAGES = (
     "dashboard",
     "playback",
     "cli",
-    "ros",
+    "ros1",
 )
 """Packages directly below ``retalis``, from left to right."""
 

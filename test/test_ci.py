@@ -34,7 +34,7 @@ echo bare >> "$RETALIS_CALLS"
 """
 
 SWI = "install.py test --with-swi -n 0 test/prolog/swi"
-OLD_TESTS = "python3.8 -m pytest -n 2 --dist loadfile -m not slow --ignore test/ros"
+OLD_TESTS = "python3.8 -m pytest -n 2 --dist loadfile -m not slow --ignore test/ros1"
 
 
 def write_program(path, text):
@@ -95,14 +95,14 @@ def test_last_line_is_summary_of_failed_run(run, failure):
 
 def test_stages_run_parts(run):
     status, lines, calls = run("fast", "ros", "slow")
-    assert (status, lines[-1]) == (0, "passed: test -m slow --ignore test/ros")
+    assert (status, lines[-1]) == (0, "passed: test -m slow --ignore test/ros1")
     assert sorted(line for line in calls if line.startswith("install.py")) == [
         "install.py docs",
         "install.py lint",
         "install.py test --with-swi -n 0 test/prolog/swi",
-        "install.py test --with-swi test/ros",
-        "install.py test -m not slow --ignore test/ros",
-        "install.py test -m slow --ignore test/ros",
+        "install.py test --with-swi test/ros1",
+        "install.py test -m not slow --ignore test/ros1",
+        "install.py test -m slow --ignore test/ros1",
     ]
 
 

@@ -527,7 +527,7 @@ def test_all_the_tests_say_first_how_long_they_take(ran, capsys):
     assert "minutes" not in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("options", [[], ["test/ros"], ["-m", "not slow", "--ignore", "test/test_api.py"]])
+@pytest.mark.parametrize("options", [[], ["test/ros1"], ["-m", "not slow", "--ignore", "test/test_api.py"]])
 def test_both_cores_run_tests(install, options):
     assert install.choose_parallel_options(options) == ("-n", "2", "--dist", "loadfile")
 

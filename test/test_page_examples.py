@@ -1,6 +1,6 @@
 """Tutorials and pages that explain: their files, commands, goals and rules give what the page shows.
 
-A test with a master runs the tutorial about a live robot: ``test/ros/test_live_robot_tutorial.py``.
+A test with a master runs the tutorial about a live robot: ``test/ros1/test_live_robot_tutorial.py``.
 """
 
 import pytest

@@ -11,7 +11,7 @@ from retalis.cli.command_line import main
 def no_ros(monkeypatch):
     for name in ("rospy", "rosgraph", "genpy"):
         monkeypatch.setitem(sys.modules, name, None)
-    for name in [name for name in sys.modules if name.startswith("retalis.ros.")]:
+    for name in [name for name in sys.modules if name.startswith("retalis.ros1.")]:
         monkeypatch.delitem(sys.modules, name)
 
 

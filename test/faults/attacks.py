@@ -23,12 +23,12 @@ from rosgraph.network import decode_ros_handshake_header, encode_ros_handshake_h
 from rosgraph_msgs.msg import Log
 
 HERE = Path(__file__).resolve().parent
-sys.path += [str(HERE.parent), str(HERE.parent / "ros")]
+sys.path += [str(HERE.parent), str(HERE.parent / "ros1")]
 from fuzz.mutate import mutate_bytes  # noqa: E402
 from harness import Collector, wait_for_message_path, wait_for_service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402
-from retalis.ros.connection_limits import HANDSHAKE_TIMEOUT_SECONDS, REPORT_DELAY_SECONDS  # noqa: E402
+from retalis.ros1.connection_limits import HANDSHAKE_TIMEOUT_SECONDS, REPORT_DELAY_SECONDS  # noqa: E402
 
 HOST = "127.0.0.1"
 NODES = {"/retalis": "/retalisOutputEvents", "/retalis_ros_interface": "/retalisInputTopics"}

@@ -15,7 +15,7 @@ from rosgraph_msgs.msg import Log
 from std_msgs.msg import String
 
 HERE = Path(__file__).resolve().parent
-sys.path.append(str(HERE.parent / "ros"))
+sys.path.append(str(HERE.parent / "ros1"))
 from harness import DEFINITIONS, Collector, RawPublisher, wait_for_message_path, wait_for_service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402

@@ -37,7 +37,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
-sys.path[:0] = [str(HERE), str(HERE.parent / "ros"), str(ROOT / "bench"), str(ROOT / "examples" / "nao")]
+sys.path[:0] = [str(HERE), str(HERE.parent / "ros1"), str(ROOT / "bench"), str(ROOT / "examples" / "nao")]
 
 import rosgraph  # noqa: E402
 import rospy  # noqa: E402
@@ -49,7 +49,7 @@ from soak_evaluation import Restart, verdict  # noqa: E402
 from soak_plot import draw  # noqa: E402
 
 from retalis import srv  # noqa: E402
-from retalis.ros.master_watch import MasterWatch  # noqa: E402
+from retalis.ros1.master_watch import MasterWatch  # noqa: E402
 
 NODES = {"retalis": "retalis_node", "retalis_ros_interface": "retalis_ros_converter.py"}
 IMAGES = '<subscribe_to name="camera" msg_type="sensor_msgs/Image"/>'

@@ -310,7 +310,7 @@ def genpy_references(with_stores=True):
     from genpy.dynamic import generate_dynamic  # noqa: PLC0415 - needs ROS
     from roslib.message import get_message_class  # noqa: PLC0415
 
-    from retalis.ros.installed_message_classes import installed_types  # noqa: PLC0415
+    from retalis.ros1.installed_message_classes import installed_types  # noqa: PLC0415
 
     registry = Definitions(installed_types(include_rosbags=False))
     for name in installed_names():

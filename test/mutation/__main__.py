@@ -173,7 +173,7 @@ class _Copy:
         selection = [] if self._slow else ["-m", "not slow"]
         start = time.monotonic()
         status, output = self._run(
-            [*arguments, *selection, "--ignore", "test/ros", "--ignore", "test/mutation", *self._paths], None
+            [*arguments, *selection, "--ignore", "test/ros1", "--ignore", "test/mutation", *self._paths], None
         )
         if status != ExitCode.OK:
             raise SystemExit(f"the tests fail without a mutant:\n{output[-5000:]}")

@@ -1,6 +1,6 @@
-"""Import of package ``ros`` by commands, and the message types that are installed, with those generated for ROS only.
+"""Import of package ``ros1`` by commands, and the message types that are installed, with those generated for ROS only.
 
-Package `cli` does not depend on package `ros`: the command line works without ROS. Modules of `ros` are therefore
+Package `cli` does not depend on package `ros1`: the command line works without ROS. Modules of `ros1` are therefore
 imported by name, when a command needs them.
 """
 
@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 
 
 def import_ros_module(name: str) -> Any:
-    """Import a module of package ``ros``.
+    """Import a module of package ``ros1``.
 
     Raises:
         UsageError: if ROS is not installed.
     """
     try:
-        return import_module(f"retalis.ros.{name}")
+        return import_module(f"retalis.ros1.{name}")
     except ImportError as error:
         raise UsageError(
             f"this needs ROS ({error}): source its setup.bash, and that of the workspace"
@@ -29,7 +29,7 @@ def import_ros_module(name: str) -> Any:
 
 
 def run_ros_command(module: str, options: argparse.Namespace) -> int:
-    """Run the command of a module in package ``ros``.
+    """Run the command of a module in package ``ros1``.
 
     Raises:
         UsageError: if ROS is not installed.
@@ -51,7 +51,7 @@ def installed_definitions(extra_folders: Sequence[str] = ()) -> "Definitions":
 
 
 def _inspect_class(name: str) -> "Optional[GeneratedClass]":
-    """Inspect a generated class with package ``ros``; return None without ROS.
+    """Inspect a generated class with package ``ros1``; return None without ROS.
 
     ROS is imported when the first module of such a class has been found, so that other commands start fast.
     """

@@ -1,6 +1,6 @@
 """Options of the commands for a running node: ``query``, ``list``, ``status``, ``explain``, ``watch``, ``reload``.
 
-The commands themselves are in package ``ros``, which is imported only when a command is executed: the command line
+The commands themselves are in package ``ros1``, which is imported only when a command is executed: the command line
 works without ROS.
 """
 

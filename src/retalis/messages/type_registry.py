@@ -5,7 +5,7 @@ package ``rosbags``. `Definitions` resolves nested types, compiles decoders and 
 and bounds the memory of types that publishers send.
 
 This package does not depend on ROS. Callers that do pass a function that inspects generated classes (see
-`ros.installed_message_classes`). The definition in such a class is compared with the other attributes of the class,
+`ros1.installed_message_classes`). The definition in such a class is compared with the other attributes of the class,
 so that this package and rospy cannot read the same bytes as different messages.
 """
 

@@ -1,4 +1,4 @@
-"""The transform buffer in Python; its answers are compared with those of tf2 in `test/ros/test_tf2_buffer.py`."""
+"""The transform buffer in Python; its answers are compared with those of tf2 in `test/ros1/test_tf2_buffer.py`."""
 
 import math
 import sys

@@ -4,7 +4,7 @@ from struct import pack
 
 import pytest
 
-from retalis.ros.topic_statistics import (
+from retalis.ros1.topic_statistics import (
     MIN_BEHIND_SECONDS,
     InputCounts,
     InputStatus,

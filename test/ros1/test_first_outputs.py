@@ -9,8 +9,8 @@ from retalis import Reports
 
 pytest.importorskip("rospy")
 
-from retalis.ros import first_outputs  # noqa: E402
-from retalis.ros.first_outputs import OutputRelay, StartupQueue, SubscriberWait  # noqa: E402
+from retalis.ros1 import first_outputs  # noqa: E402
+from retalis.ros1.first_outputs import OutputRelay, StartupQueue, SubscriberWait  # noqa: E402
 
 
 class RecordingWriter:

@@ -15,7 +15,7 @@ sys.path.append(str(Path(__file__).resolve().parent))
 from harness import ENGINE, INTERFACE, Collector, NodeProcesses, wait_for_service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402
-from retalis.ros.late_joiners import has_ended  # noqa: E402
+from retalis.ros1.late_joiners import has_ended  # noqa: E402
 
 PROGRAM = Path(__file__).resolve().parent / "direct"
 

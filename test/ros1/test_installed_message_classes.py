@@ -10,7 +10,7 @@ from roslib.message import get_message_class  # noqa: E402
 
 from retalis import Definitions, MessageError  # noqa: E402
 from retalis.messages.type_registry import InstalledTypes  # noqa: E402
-from retalis.ros.installed_message_classes import inspect_class, installed_types  # noqa: E402
+from retalis.ros1.installed_message_classes import inspect_class, installed_types  # noqa: E402
 
 MODULE = """
 class {name}:

@@ -8,8 +8,8 @@ import pytest
 import rospy
 import yaml
 
-from retalis.ros import diagnostics
-from retalis.ros.diagnostics import Diagnostics, Health, Level, NodeHealth
+from retalis.ros1 import diagnostics
+from retalis.ros1.diagnostics import Diagnostics, Health, Level, NodeHealth
 
 HEALTH = NodeHealth(list, list, lambda: [Health("queue", Level.WARN, "two\nlines", [("a", "\x1b[31m")])])
 

@@ -9,7 +9,7 @@ rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
 from retalis import Engine, Reports, functor  # noqa: E402
 from retalis.prolog.terms.timestamps import SECOND  # noqa: E402
-from retalis.ros import retalis_node, ros_time  # noqa: E402
+from retalis.ros1 import retalis_node, ros_time  # noqa: E402
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from geometry_msgs.msg import TransformStamped
 
 from retalis.events.knowledge import transform_buffer
 from retalis.events.knowledge.transform_buffer import TransformBuffer
-from retalis.ros.tf2_buffer import Tf2Buffer
+from retalis.ros1.tf2_buffer import Tf2Buffer
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "events" / "knowledge"))
 import random_transforms  # noqa: E402

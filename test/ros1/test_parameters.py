@@ -10,7 +10,7 @@ rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 from retalis import Limits, Settings, TopicType, UsageError  # noqa: E402
 from retalis.dashboard.page_server import DASHBOARD_PORT  # noqa: E402
 from retalis.prolog.machine.resource_limits import NO_LIMITS  # noqa: E402
-from retalis.ros.parameters import read_parameters  # noqa: E402
+from retalis.ros1.parameters import read_parameters  # noqa: E402
 
 
 @pytest.fixture

@@ -9,8 +9,8 @@ rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
 from retalis import Definitions, MessageError, Reports  # noqa: E402
 from retalis.engine.runtime.clock_skew import ClockSkewMonitor  # noqa: E402
-from retalis.ros import ros_interface  # noqa: E402
-from retalis.ros.ros_interface import InputTopic  # noqa: E402
+from retalis.ros1 import ros_interface  # noqa: E402
+from retalis.ros1.ros_interface import InputTopic  # noqa: E402
 
 TEXT = "float32 degrees\n"
 WARM = struct.pack("<f", 36.5)

@@ -11,8 +11,8 @@ rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
 from rospy.exceptions import TransportException, TransportTerminated  # noqa: E402
 
-from retalis.ros import connection_reader  # noqa: E402
-from retalis.ros.connection_reader import (  # noqa: E402
+from retalis.ros1 import connection_reader  # noqa: E402
+from retalis.ros1.connection_reader import (  # noqa: E402
     MAX_SINGLE_MESSAGE_WINDOWS,
     MAX_WINDOW_TIMEOUTS,
     WINDOW_WAKE_UPS,

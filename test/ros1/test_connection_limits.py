@@ -17,8 +17,8 @@ import rospy  # noqa: E402
 from rosgraph.network import encode_ros_handshake_header  # noqa: E402
 from rospy.impl import tcpros_base  # noqa: E402
 
-from retalis.ros import connection_limits  # noqa: E402
-from retalis.ros.connection_limits import (  # noqa: E402
+from retalis.ros1 import connection_limits  # noqa: E402
+from retalis.ros1.connection_limits import (  # noqa: E402
     MAX_HEADER_BYTES,
     ClosedConnectionCounter,
     ConnectionTable,

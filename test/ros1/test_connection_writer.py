@@ -14,9 +14,9 @@ from reachability import reachable  # noqa: E402
 from rospy.exceptions import TransportTerminated  # noqa: E402
 
 from retalis import Reports  # noqa: E402
-from retalis.ros import connection_writer, late_joiners, text_topics  # noqa: E402
-from retalis.ros.connection_writer import TopicWriter  # noqa: E402
-from retalis.ros.text_topics import EventTextPublisher, OutputTextPublisher, serialize_string  # noqa: E402
+from retalis.ros1 import connection_writer, late_joiners, text_topics  # noqa: E402
+from retalis.ros1.connection_writer import TopicWriter  # noqa: E402
+from retalis.ros1.text_topics import EventTextPublisher, OutputTextPublisher, serialize_string  # noqa: E402
 
 BODY = b"b" * 20_000
 

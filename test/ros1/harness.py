@@ -12,7 +12,7 @@ import rospy
 from std_msgs.msg import String
 
 from retalis import Definitions
-from retalis.ros.connection_writer import serialized_class
+from retalis.ros1.connection_writer import serialized_class
 from retalis.srv import AddInputSubscription, AddOutputSubscription
 
 TIMEOUT_SECONDS = 60.0

@@ -8,13 +8,13 @@ pytest.importorskip("rospy", reason="ROS is not installed")
 
 from retalis import Reports  # noqa: E402
 from retalis.engine.runtime.clock_epochs import ClockEpochs  # noqa: E402
-from retalis.ros import latched_deduplication  # noqa: E402
-from retalis.ros.latched_deduplication import (  # noqa: E402
+from retalis.ros1 import latched_deduplication  # noqa: E402
+from retalis.ros1.latched_deduplication import (  # noqa: E402
     LatchedConnection,
     LatchedMessageDeduplicator,
     parse_latched_mark,
 )
-from retalis.ros.text_topics import format_epoch_mark, make_text_handler_factory  # noqa: E402
+from retalis.ros1.text_topics import format_epoch_mark, make_text_handler_factory  # noqa: E402
 
 MAP = ("/map", "/map_server", "http://robot:4711/")
 

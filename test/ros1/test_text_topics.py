@@ -8,7 +8,7 @@ pytest.importorskip("rospy", reason="ROS is not installed")
 
 from retalis import Reports  # noqa: E402
 from retalis.engine.runtime.clock_epochs import ClockEpochs  # noqa: E402
-from retalis.ros.text_topics import format_epoch_mark, make_text_handler_factory  # noqa: E402
+from retalis.ros1.text_topics import format_epoch_mark, make_text_handler_factory  # noqa: E402
 
 
 def message(text):

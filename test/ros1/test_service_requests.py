@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("rospy", reason="ROS is not installed")
 
 from retalis import Engine  # noqa: E402
-from retalis.ros import services  # noqa: E402
+from retalis.ros1 import services  # noqa: E402
 
 
 def test_a_long_format_is_walked_through_once_and_not_for_each_of_its_variables(monkeypatch):

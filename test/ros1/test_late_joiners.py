@@ -8,8 +8,8 @@ import pytest
 rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
 from retalis import Reports, RuleError  # noqa: E402
-from retalis.ros import late_joiners  # noqa: E402
-from retalis.ros.late_joiners import ENGINE, INTERFACE, MAX_IDENTIFICATION_ATTEMPTS, LateJoinerBuffer  # noqa: E402
+from retalis.ros1 import late_joiners  # noqa: E402
+from retalis.ros1.late_joiners import ENGINE, INTERFACE, MAX_IDENTIFICATION_ATTEMPTS, LateJoinerBuffer  # noqa: E402
 
 
 class Link:
