@@ -208,7 +208,7 @@ def cpu_of(command: List[str], node: str, seconds: float, data: bytes) -> float:
     """Return the percentage of a core that a node takes while scans are published."""
     import rosnode
     from harness import DEFINITIONS, RawPublisher, wait_until
-    from node import slave
+    from live_node import slave
     from processes import Started, cpu
 
     started = Started()

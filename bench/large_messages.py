@@ -21,7 +21,7 @@ from typing import Any, Dict, List, Optional
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from arguments import above_zero, positive, target  # noqa: E402
-from node import LAUNCH, running, wait_until  # noqa: E402
+from live_node import LAUNCH, running, wait_until  # noqa: E402
 from processes import Started, cpu, machine, own_master  # noqa: E402
 
 TOPICS = ("image", "cloud")

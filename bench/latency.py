@@ -29,7 +29,7 @@ from typing import Any, Dict, List, Optional
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from arguments import above_zero, positive, target  # noqa: E402
-from node import LAUNCH, connected, running, wait_until  # noqa: E402
+from live_node import LAUNCH, connected, running, wait_until  # noqa: E402
 from processes import Started, machine, own_master  # noqa: E402
 
 RELAY = """

@@ -39,7 +39,7 @@ def commands(options: argparse.Namespace) -> Dict[str, List[str]]:
         "curves": [sys.executable, str(HERE / "curves.py")],
     }
     if options.ros:
-        node = ["python3", str(HERE / "node.py"), "--memory", "1000000", "--starts", "5", *runs]
+        node = ["python3", str(HERE / "live_node.py"), "--memory", "1000000", "--starts", "5", *runs]
         found["node"] = ["bash", "-c", 'source "$0" && exec "$@"', str(options.ros), *node]
     return found
 

@@ -161,6 +161,7 @@ TOP_PACKAGES = (
     "dashboard",
     "playback",
     "cli",
+    "node",
     "ros1",
 )
 """Packages directly below ``retalis``, from left to right."""

@@ -18,6 +18,8 @@ import pytest
 THREAD_TIMEOUT_SECONDS = 30.0
 """Time for threads to end after the test that has started them. Only threads that do not end take as long."""
 
+_THREAD_CHECK_SECONDS = 0.1
+
 VARIABLES_OF_PYTEST = ("PYTEST_CURRENT_TEST",)
 """Environment variables that pytest changes for each phase of a test."""
 
@@ -279,13 +281,13 @@ def describe_threads(before: "set[threading.Thread]", after: "set[threading.Thre
 
 def wait_for_threads(before: "set[threading.Thread]") -> None:
     """Wait until the threads that are not in a set have ended, for at most `THREAD_TIMEOUT_SECONDS`."""
-    started_threads = read_threads() - before
-    if not started_threads:
-        return
-    gc.collect()  # Threads of an executor or of an engine end when their owner is deleted.
     end = time.monotonic() + THREAD_TIMEOUT_SECONDS
-    for thread in started_threads:
-        thread.join(max(0.0, end - time.monotonic()))
+    started_threads = read_threads() - before
+    while started_threads and time.monotonic() < end:
+        # Threads of an executor or of an engine end when their owner is deleted, which another thread may still hold.
+        gc.collect()
+        next(iter(started_threads)).join(_THREAD_CHECK_SECONDS)
+        started_threads = read_threads() - before
 
 
 PARTS = (

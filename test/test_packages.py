@@ -38,6 +38,7 @@ ORDER = (
     "dashboard",
     "playback",
     "cli",
+    "node",
     "ros1",
 )
 """The packages from the lowest to the highest: each imports only packages before it."""

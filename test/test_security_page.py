@@ -66,7 +66,7 @@ def test_a_fixed_limit_is_what_the_page_says(what):
 
 def node_limits():
     """Return the node's defaults of the limits, as they stand in the module of its parameters."""
-    (path,) = [path for path in TREES if path.endswith("ros1/parameters.py")]
+    (path,) = [path for path in TREES if path.endswith("node/parameters.py")]
     for statement in TREES[path].body:
         if isinstance(statement, ast.Assign) and statement.targets[0].id == "DEFAULT_LIMITS":
             return {one.arg: one.value.value for one in statement.value.keywords}

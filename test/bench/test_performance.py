@@ -121,7 +121,7 @@ def test_tables_of_every_benchmark(bench):
 
 
 def test_medians_of_the_nodes_runs(bench):
-    node = bench("node")
+    live_node = bench("live_node")
     runs = [
         {
             "way": way,
@@ -144,7 +144,7 @@ def test_medians_of_the_nodes_runs(bench):
             ("direct", "/retalis", 6.0),
         )
     ]
-    rows = node.summary(runs, SimpleNamespace(speed=[1.0], way=["idle", "direct"]))
+    rows = live_node.summary(runs, SimpleNamespace(speed=[1.0], way=["idle", "direct"]))
     assert [row["to_idle"] for row in rows] == [1.0, 2.0]
     assert [row["lost"] for row in rows] == [2, 2]
-    assert "= 2.00 idle" in node.line(rows[1])
+    assert "= 2.00 idle" in live_node.line(rows[1])

@@ -138,7 +138,7 @@ def test_interrupt_of_goal_without_terminal_is_status_130(folder, is_piped):
     command = subprocess.Popen(
         [sys.executable, "-m", "retalis", "console", *([] if is_piped else ["--goal", goal])],
         cwd=folder,
-        env={**os.environ, "PYTHONPATH": f"{SOURCE}:{os.environ.get('PYTHONPATH', '')}"},
+        env={**os.environ, "PYTHONPATH": python_path()},
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

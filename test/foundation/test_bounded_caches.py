@@ -28,9 +28,9 @@ DECORATED = {
 """Functions with a cache of their own, which counts entries and not bytes: why that is a bound of bytes."""
 
 HELD = {
-    ("ros1/ros_interface.py", "self._cached_handlers"): (1000, 16 << 20),
+    ("ros1/rospy_transport.py", "self._receivers"): (1000, 16 << 20),
     ("engine/runtime/clock_skew.py", "frames"): (5000, 4 << 20),  # for each topic
-    ("ros1/ros_interface.py", "self._checked"): (1000, 1 << 20),
+    ("node/published_topics.py", "self._checked"): (1000, 1 << 20),
     ("ros1/text_topics.py", "self._full_names"): (1000, 1 << 20),
     ("events/rules/event_input_predicates.py", "self._seconds"): (64, 64 << 10),
     ("events/dispatch/dispatcher.py", "self._plans"): (10_000, 16 << 20),

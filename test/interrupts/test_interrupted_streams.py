@@ -7,8 +7,8 @@ import pytest
 from events.streams.stream_feeder import Came, item_of, listing
 
 from retalis.events.streams import stream_operators
+from retalis.events.streams.rate_operators import Debounce, DistinctUntilChanged, Throttle
 from retalis.events.streams.row_pattern import RowPatternNFA, RowPatternVariable, RowPatternWindow, StepTest
-from retalis.events.streams.stream_operators import Debounce, DistinctUntilChanged, Throttle
 from retalis.events.streams.windows import (
     AlignedTumblingWindow,
     AnchoredTumblingWindow,

@@ -30,14 +30,9 @@ from retalis.events.rules.rule_base import RuleBase
 from retalis.events.rules.timer_service import NodeTimers
 from retalis.events.streams import row_pattern
 from retalis.events.streams.absence_timeout import AbsenceTimeout
+from retalis.events.streams.rate_operators import Debounce, DistinctUntilChanged, Throttle
 from retalis.events.streams.row_pattern import RowPatternNFA, RowPatternWindow
-from retalis.events.streams.stream_operators import (
-    Debounce,
-    DistinctUntilChanged,
-    StreamElement,
-    StreamOutput,
-    Throttle,
-)
+from retalis.events.streams.stream_operators import StreamElement, StreamOutput
 from retalis.events.streams.windows import (
     AnchoredTumblingWindow,
     HoppingWindow,

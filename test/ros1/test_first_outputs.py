@@ -1,4 +1,4 @@
-"""First outputs: those of the load of a program, and messages before subscribers have connected."""
+"""Messages before subscribers have connected."""
 
 import socket
 from types import SimpleNamespace
@@ -10,7 +10,7 @@ from retalis import Reports
 pytest.importorskip("rospy")
 
 from retalis.ros1 import first_outputs  # noqa: E402
-from retalis.ros1.first_outputs import OutputRelay, StartupQueue, SubscriberWait  # noqa: E402
+from retalis.ros1.first_outputs import StartupQueue, SubscriberWait  # noqa: E402
 
 
 class RecordingWriter:
@@ -44,25 +44,6 @@ def writer():
 @pytest.fixture
 def queue(writer):
     return StartupQueue(writer, 3, Reports())
-
-
-def test_outputs_of_load_are_passed_on_in_order():
-    received = []
-    relay = OutputRelay(10, Reports())
-    relay("a", "topic", "id")
-    relay("b", "topic", "id")
-    relay.start(lambda *output: received.append(output), lambda *output: received.append("second"))
-    relay("c", "topic", "id")
-    assert received == [item for name in "abc" for item in ((name, "topic", "id"), "second")]
-
-
-def test_excess_of_outputs_of_load_is_dropped_and_reported():
-    reports, received = Reports(), []
-    relay = OutputRelay(2, reports)
-    for number in range(5):
-        relay(number, "topic", "id")
-    relay.start(lambda term, topic, name: received.append(term))
-    assert (received, reports.warnings) == ([3, 4], 3)
 
 
 def test_messages_wait_for_release(writer, queue):

@@ -165,6 +165,13 @@ class Subscriptions:
             raise UsageError(f"topic {topic} is already subscribed")
         self.topics[topic] = TopicRequest(topic, message_type, event_name)
 
+    def try_to_subscribe(self, request, requester=""):
+        try:
+            self.subscribe(*request)
+        except UsageError:
+            return False
+        return True
+
     def unsubscribe(self, topic):
         if topic not in self.topics:
             raise UsageError(f"topic {topic} is not subscribed")

@@ -1,8 +1,7 @@
-"""Escaping of foreign text in the log and in printed lines. Needs rospy, no master."""
+"""Escaping of foreign text in the log. Needs rospy, no master."""
 
 import io
 import logging
-import sys
 
 import pytest
 
@@ -10,7 +9,7 @@ pytest.importorskip("rospy", reason="ROS is not installed")
 
 from rosgraph.roslogging import RosStreamHandler  # noqa: E402
 
-from retalis.ros1.ros_log import MAX_PRINTED_LINE_CHARACTERS, PrintedLines, escape_record  # noqa: E402
+from retalis.ros1.ros_log import escape_record  # noqa: E402
 
 FORGED = "[ERROR] [1700000000.000000]: the robot is on fire"
 
@@ -50,24 +49,3 @@ def test_wrong_arguments_of_a_record_raise_nothing_where_it_is_logged(logger, lo
 def test_an_error_with_its_line_stays_readable(logger, log):
     logger.warning("%s", "rules.txt:1:3: wrong\na $ b\n  ^")
     assert log.getvalue().endswith("rules.txt:1:3: wrong\n    a $ b\n      ^\n")
-
-
-def test_lines_of_goals_have_a_mark_and_are_whole(capsys):
-    print_lines = PrintedLines("stdout")
-    print_lines("a")
-    assert capsys.readouterr().out == ""
-    print_lines(f"b\n{FORGED}\nc")
-    assert capsys.readouterr().out == f"| ab\n| {FORGED}\n"
-    print_lines.end()
-    print_lines.end()
-    assert capsys.readouterr().out == "| c\n"
-
-
-def test_a_line_without_an_end_is_not_held_for_ever(capsys):
-    PrintedLines("stderr")("x" * (2 * MAX_PRINTED_LINE_CHARACTERS + 1))
-    assert capsys.readouterr().err == f"| {'x' * MAX_PRINTED_LINE_CHARACTERS}\n" * 2
-
-
-def test_a_node_without_standard_output_goes_on(monkeypatch):
-    monkeypatch.setattr(sys, "stdout", None)
-    PrintedLines("stdout")("a\n")

@@ -1,4 +1,4 @@
-"""Import of package ``ros1`` by commands, and the message types that are installed, with those generated for ROS only.
+"""Import of package ``ros1`` by commands, and the installed message types, with those generated for ROS only.
 
 Package `cli` does not depend on package `ros1`: the command line works without ROS. Modules of `ros1` are therefore
 imported by name, when a command needs them.

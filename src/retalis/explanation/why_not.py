@@ -53,6 +53,7 @@ from ..events.network.stream_compiler import create_rate_operator
 from ..events.network.stream_node import StreamNode
 from ..events.provenance.event_log import Occurrence
 from ..events.streams.aggregates import SequenceAggregate
+from ..events.streams.rate_operators import RATE_OPERATORS
 from ..events.streams.stream_operators import StreamElement, StreamOutput
 from ..foundation import codegen
 from ..foundation.cancellation import check_limits
@@ -90,13 +91,6 @@ _ACTION_NAMES = [
 ]
 _RATE_NAME, *_ = names_of_kind(OperatorKind.RATE)
 _TIMEOUT_NAME, *_ = names_of_kind(OperatorKind.TIMEOUT)
-_REASONS_OF_RATE_OPERATORS = {
-    "throttle": "the last one was let through less than {0:g} seconds before",
-    "burst": "there was another one less than {0:g} seconds before",
-    "debounce": "the {0:g} seconds after the last one are not over",
-    "change": "nothing changed",
-}
-"""Reason why an operator let no match through, with a place for its time in seconds."""
 _T1_FUNCTOR, _T2_FUNCTOR = functor("t1", 1), functor("t2", 1)
 
 
@@ -508,7 +502,7 @@ class WhyNot:
         # Operators with deadlines emit when the watermark reaches them, even without a further event.
         outputs += operator.advance_to(self._current_time if node is None else node.watermark_time())
         matches = [output.elements[-1].match._replace(end=output.end, event=None) for output in outputs]
-        reason = _REASONS_OF_RATE_OPERATORS[pattern.operator].format(timestamps.to_seconds(pattern.span))
+        reason = RATE_OPERATORS[pattern.operator].block_reason.format(timestamps.to_seconds(pattern.span))
         reason = reason if part.matches else "not tested"
         text = (
             f"{_RATE_NAME} {self._show(rate_operator_term(pattern))}: {self._format_result(matches, reason)}"

@@ -23,7 +23,7 @@ from rospy.rostime import wallsleep
 
 from ..engine.runtime.problem_reports import Reports
 from ..messages.type_definition import Definition
-from .topic_statistics import OutputCounts, OutputStatus
+from ..node.topic_statistics import OutputCounts, OutputStatus
 
 
 def serialized_class(definition: Definition) -> Type[rospy.AnyMsg]:

@@ -1,17 +1,16 @@
 """First outputs of a node: none is lost because its subscribers have not connected yet.
 
 A subscriber connects some milliseconds after a topic is advertised. Outputs may exist before: goals of the program
-emit events while it is loaded, and latched inputs arrive at once. `OutputRelay` stores outputs until the topics are
-advertised. `StartupQueue` then stores the messages of a topic until the subscribers that the master knows have
-connected, at most `MAX_SUBSCRIBER_WAIT_SECONDS`; `SubscriberWait` checks this in a thread, so that the engine does
-not wait.
+emit events while it is loaded, and latched inputs arrive at once. `StartupQueue` stores the messages of a topic until
+the subscribers that the master knows have connected, at most `MAX_SUBSCRIBER_WAIT_SECONDS`; `SubscriberWait` checks
+this in a thread, so that the engine does not wait.
 """
 
 import socket
 import threading
 import time
 from collections import deque
-from typing import Any, Callable, Deque, Dict, List, Optional, Set
+from typing import Deque, Dict, Set
 from urllib.parse import urlsplit
 
 import rospy
@@ -20,7 +19,6 @@ from rospy.rostime import wallsleep
 
 from ..engine.runtime.problem_reports import Reports
 from ..foundation.errors import format_count
-from ..prolog.terms.types import Term
 from .connection_writer import TopicWriter
 
 MAX_SUBSCRIBER_WAIT_SECONDS = 5.0
@@ -31,44 +29,6 @@ _CHECK_SECONDS = 0.02
 
 _PROBE_SECONDS = 0.5
 """Maximum time in seconds for finding out whether a registered node is running."""
-
-OutputReceiver = Callable[[Term, str, Term], object]
-"""Publishes an output: term, topic and id of the subscription."""
-
-
-class OutputRelay:
-    """Callback of the engine that passes outputs on, and stores them until there are receivers.
-
-    Args:
-        max_stored: number of outputs to store; beyond it the oldest are dropped.
-        reports: receives a warning for dropped outputs.
-    """
-
-    def __init__(self, max_stored: int, reports: Reports):
-        self._max_stored = max_stored
-        self._reports = reports
-        self._stored: Optional[Deque[Any]] = deque()
-        self._receivers: List[OutputReceiver] = []
-
-    def __call__(self, term: Term, topic: str, name: Term) -> None:
-        """Pass an output on, or store it."""
-        if self._stored is None:
-            for receive in self._receivers:
-                receive(term, topic, name)
-            return
-        if len(self._stored) >= self._max_stored:
-            self._stored.popleft()
-            self._reports.warning(
-                f"an output is dropped: the program emits more than {self._max_stored} while it is loaded"
-            )
-        self._stored.append((term, topic, name))
-
-    def start(self, *receivers: OutputReceiver) -> None:
-        """Pass the stored outputs on, and all later ones at once; called in the engine's turn."""
-        self._receivers.extend(receivers)
-        stored, self._stored = self._stored or (), None
-        for output in stored:
-            self(*output)
 
 
 class StartupQueue:

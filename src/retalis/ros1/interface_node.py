@@ -8,10 +8,8 @@ back as texts on another. Fields that the program does not read are left out of 
 `internode_topics`).
 """
 
-from functools import partial
+import threading
 from typing import Iterable, List
-
-import rospy
 
 from ..engine.runtime.clock_skew import ClockSkewMonitor
 from ..engine.runtime.problem_reports import Reports
@@ -21,27 +19,31 @@ from ..foundation.errors import RetalisError
 from ..messages.decoder import Decoder
 from ..messages.event_text_writer import make_text_writer, write_without_unread
 from ..messages.type_registry import Definitions
-from ..prolog.syntax.event_text import event_text
-from .diagnostics import Diagnostics, InputRole, NodeHealth, evaluate_program
-from .installed_message_classes import installed_types
-from .internode_topics import (
-    INPUT,
-    OUTPUT,
-    InputTopicChanges,
-    ProjectionReceiver,
-    SubscriptionReceiver,
-    announce_direct,
-    subscribe,
+from ..node.diagnostics import Diagnostics, InputRole, NodeHealth, evaluate_program
+from ..node.goal_output import log_error
+from ..node.host_context import HostContext
+from ..node.host_time import Receipts
+from ..node.latched_deduplication import LatchedConnection
+from ..node.parameters import Parameters
+from ..node.published_topics import PublishedTopics, advertise_topics
+from ..node.services import InterfaceServices, ListService
+from ..node.subscribed_topics import (
+    MessageHandler,
+    MessageProcessing,
+    ReadingOptions,
+    SubscribedTopics,
+    consume_and_discard,
+    subscribe_topics,
 )
-from .latched_deduplication import LatchedConnection
+from ..node.text_exchange import INPUT, OUTPUT
+from ..node.topic_statistics import OutputStatus, StartupWarnings
+from ..node.transport import MessageSource
+from ..prolog.syntax.event_text import event_text
+from .internode_topics import InputTopicChanges, ProjectionReceiver, SubscriptionReceiver, announce_direct
 from .node_lifecycle import run_node
-from .parameters import Parameters
-from .ros_interface import MessageHandler, Publisher, RosInterface, connect, consume_and_discard
-from .ros_log import log_error
-from .ros_time import Receipts, SimulatedTime
-from .services import InterfaceServices, ListService
-from .text_topics import NO_TEXT_HINT, EventTextPublisher
-from .topic_statistics import OutputStatus, StartupWarnings
+from .rospy_transport import RospyTransport
+from .text_topics import NO_TEXT_HINT, EventTextPublisher, make_text_handler_factory
+from .topic_names import resolve
 
 MAX_DELAY_SECONDS = 0.0018
 """Seconds for which a message may wait for the next ones, to be converted and sent together.
@@ -60,21 +62,22 @@ class ServiceNode:
 
     def __init__(self, parameters: Parameters):
         reports = Reports()
-        rospy.on_shutdown(reports.sum_up)
+        transport = RospyTransport(reports)
+        transport.on_shutdown(reports.sum_up)
         try:
             topics = read_topics(parameters.program / TOPICS)
         except RetalisError:
             # Node retalis reports it.
             topics = Topics()
-        direct = direct_topics(parameters.direct, topics, rospy.resolve_name)
-        definitions = Definitions(installed_types(), parameters.max_empty_elements)
+        direct = direct_topics(parameters.direct, topics, transport.resolve_topic)
+        definitions = Definitions(transport.installed_types(), parameters.max_empty_elements)
         self._changes = InputTopicChanges(
             parameters.direct, (*topics.subscribed, *direct), definitions, reports
         )
-        InterfaceServices(self._changes)
-        ListService(list, reports=reports)
+        InterfaceServices(transport, self._changes)
+        ListService(transport, list, reports=reports)
         self._diagnostics = Diagnostics(
-            parameters.diagnostics, NodeHealth(list, list, list), parameters.hardware_id
+            transport, parameters.diagnostics, NodeHealth(list, list, list), reports, parameters.hardware_id
         )
 
 
@@ -82,68 +85,73 @@ class TextInterfaceNode:
     """Node ``retalis_ros_interface`` if messages pass through it as text."""
 
     def __init__(self, parameters: Parameters):
-        self._reports = reports = Reports()
-        self._time = SimulatedTime(reports)
+        reports = Reports()
+        transport = RospyTransport(reports)
+        context = HostContext(transport, parameters, reports)
+        time = context.time
         skew = ClockSkewMonitor(
             reports,
-            self._time.now,
+            time.now,
             max_distance_seconds=parameters.max_skew,
-            buffers_early_messages=self._time.buffers_early_messages,
+            buffers_early_messages=time.buffers_early_messages,
         )
-        rospy.on_shutdown(skew.log_counts)
-        rospy.on_shutdown(reports.sum_up)
-        self._receipts = Receipts(self._time.now)
-        self._texts = EventTextPublisher(
-            INPUT, parameters.queue, reports, self._receipts.epoch, self._time.epochs
-        )
+        transport.on_shutdown(skew.log_counts)
+        transport.on_shutdown(reports.sum_up)
+        self._receipts = Receipts(time.now)
+        self._texts = EventTextPublisher(INPUT, parameters.queue, reports, self._receipts.epoch, time.epochs)
         self._unread = ProjectionReceiver(self._texts.connections, reports)
-        self._interface = RosInterface(
-            self._handler_factory,
-            parameters.queue,
+        self._published = PublishedTopics(transport, context.definitions, parameters.queue, reports)
+        lock = threading.Lock()
+        self._subscribed = subscribed = SubscribedTopics(
+            transport,
+            context.definitions,
             reports,
-            Definitions(installed_types(), parameters.max_empty_elements),
-            self._flush_after,
-            max_delay=MAX_DELAY_SECONDS,
-            skew=skew,
-            latched=self._latched_handler_factory,
-            clock_epochs=self._time.epochs,
-            loss_hint=NO_TEXT_HINT,
+            MessageProcessing(self._make_handler, lock, self._flush_after, skew, time.epochs),
+            ReadingOptions(parameters.queue, MAX_DELAY_SECONDS, NO_TEXT_HINT),
+            self._published.advertise_learned_types,
         )
-        self._texts.start_identification(self._interface.processing_lock, self._interface.publishers)
-        self._time.start([self._interface.processing_lock], skew.begin_epoch, self._texts.begin_epoch)
-        errors: List[str] = []
-        try:
-            topics = read_topics(parameters.program / TOPICS)
-        except RetalisError as error:
-            errors = log_error(error)
-            topics = Topics()
-        direct = direct_topics(parameters.direct, topics, rospy.resolve_name)
-        # Before `connect`: node retalis subscribes to these topics itself, and each message must enter the engine
-        # once.
-        self._interface.exclude(direct)
-        connect(self._interface, topics, direct)
-        for topic, message_type in direct:
-            self._interface.learn(topic, message_type)
-        self._subscriptions = SubscriptionReceiver(partial(subscribe, self._interface), reports)
+        self._texts.start_identification(lock, subscribed.publishers)
+        time.start([lock], skew.begin_epoch, self._texts.begin_epoch)
+        topics = context.topics
+        errors = [] if context.topics_error is None else log_error(context.topics_error)
+        self._open_topics(parameters, topics, transport)
+        self._subscriptions = SubscriptionReceiver(subscribed.try_to_subscribe, reports)
         # Node retalis compares it with its own value.
         self._direct = announce_direct(parameters.direct)
-        InterfaceServices(self._interface)
-        ListService(self._interface.input_statuses, reports=reports)
+        InterfaceServices(transport, subscribed)
+        ListService(transport, subscribed.statuses, reports=reports)
         # After the services: they identify this node to node retalis as soon as it connects; see `late_joiners`.
-        self._interface.subscribe_output_texts()
+        subscribed.subscribe_texts(OUTPUT, make_text_handler_factory(self._published.publish_text))
         program_status = evaluate_program(errors, [])
-        StartupWarnings(self._interface.input_statuses, [topic for topic, _ in topics.subscribed])
+        StartupWarnings(transport, subscribed.statuses, [topic for topic, _ in topics.subscribed])
         self._diagnostics = Diagnostics(
+            transport,
             parameters.diagnostics,
-            NodeHealth(self._interface.input_statuses, self._outputs, lambda: [program_status], _input_role),
+            NodeHealth(subscribed.statuses, self._outputs, lambda: [program_status], _input_role),
+            reports,
             parameters.hardware_id,
         )
 
-    def _outputs(self) -> List[OutputStatus]:
-        return [self._texts.status(), *self._interface.outputs.status()]
+    def _open_topics(self, parameters: Parameters, topics: Topics, transport: RospyTransport) -> None:
+        direct = direct_topics(parameters.direct, topics, transport.resolve_topic)
+        # Before topics are subscribed: node retalis subscribes to these itself, and each message must enter the
+        # engine once.
+        self._subscribed.exclude(direct)
+        may_be_learned = any(
+            not self._subscribed.knows_type(message_type) for _, message_type in (*topics.subscribed, *direct)
+        )
+        advertise_topics(self._published, topics, may_be_learned)
+        subscribe_topics(self._subscribed, topics, direct, transport.resolve_topic)
+        for topic, message_type in direct:
+            self._subscribed.learn(topic, message_type)
 
-    def _handler_factory(self, decoder: Decoder) -> MessageHandler:
-        """Return the handler of messages of a type, which adds their texts to the next write."""
+    def _outputs(self) -> List[OutputStatus]:
+        return [self._texts.status(), *self._published.statuses()]
+
+    def _make_handler(self, decoder: Decoder, topic: str, source: MessageSource) -> MessageHandler:
+        """Return the handler of a source's messages, which adds their texts to the next write."""
+        if source.is_latched:
+            return self._make_latched_handler(decoder, topic, source)
         write, stamp, add = make_text_writer(decoder), decoder.stamp, self._texts.add
         receipt_stamp = self._receipts.stamp
 
@@ -160,13 +168,12 @@ class TextInterfaceNode:
         consume_and_discard(sent)
         self._texts.flush()
 
-    def _latched_handler_factory(
-        self, decoder: Decoder, publisher: Publisher, connection: LatchedConnection
-    ) -> MessageHandler:
-        """Return the handler of a latched connection's messages, which stores the last one for later receivers."""
+    def _make_latched_handler(self, decoder: Decoder, topic: str, source: MessageSource) -> MessageHandler:
+        """Return the handler of a latched source's messages, which stores the last one for later receivers."""
         write, stamp, receipts = make_text_writer(decoder), decoder.stamp, self._receipts
         # Without the clock skew check, which is done.
         write_again = make_text_writer(decoder.plain or decoder)
+        connection = LatchedConnection(topic, source.node, source.address)
 
         def handle(data: bytes) -> None:
             text = write(data)
@@ -181,14 +188,16 @@ class TextInterfaceNode:
                 return event_text(write_again(data), instant if is_valid else receipts.stamp())
 
             message = connection.describe_message(data)
-            self._texts.add_latched(event_text(text, instant), message, publisher, current_text, len(data))
+            self._texts.add_latched(
+                event_text(text, instant), message, (topic, source.node), current_text, len(data)
+            )
 
         return handle
 
 
 def _input_role(topic: str) -> InputRole:
     """Return the role of a topic in the program."""
-    return InputRole.LINK if topic == rospy.resolve_name(OUTPUT) else InputRole.NEEDED
+    return InputRole.LINK if topic == resolve(OUTPUT) else InputRole.NEEDED
 
 
 def main() -> int:

@@ -5,7 +5,7 @@ on latched topics, so that an interface node that is restarted receives them:
 
 * the argument positions that no rule, memory or goal reads (projection pushdown): the interface node omits the fields
   of messages that node ``retalis`` does not read (`ProjectionPublisher`, `ProjectionReceiver`);
-* the topics to which goals subscribe with ``subscribe_to`` (`DynamicSubscriptions`, `SubscriptionReceiver`);
+* the topics to which goals subscribe with ``subscribe_to`` (`SubscriptionPublisher`, `SubscriptionReceiver`);
 * the topics that the services of the interface node add and delete, and the value of ``~direct`` there
   (`InputTopicChanges`, `InputTopicChangesReceiver`).
 
@@ -14,8 +14,7 @@ Any node may publish on these topics, so a receiver validates what it reads.
 
 import json
 import threading
-from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any, Callable, Dict, FrozenSet, Iterable, List, NamedTuple, Optional, Set
+from typing import Any, Callable, Dict, FrozenSet, Iterable, List, NamedTuple, Optional, Set
 
 import rospy
 from std_msgs.msg import String
@@ -32,48 +31,11 @@ from ..events.program.topic_configuration import (
     uses_texts,
 )
 from ..foundation.errors import MessageError, RetalisError, UsageError, printable, shorten
-from ..foundation.ros_names import topic_fault
 from ..messages.type_registry import Definitions
+from ..node.subscribed_topics import SubscribedTopics
+from ..node.text_exchange import resolve_subscribable_topic
 from ..prolog.terms.types import Functor
-
-if TYPE_CHECKING:
-    from .ros_interface import RosInterface
-
-INPUT = "retalisInputEvents"
-OUTPUT = "retalisOutputEvents"
-"""Topics of event texts: input from the interface to node retalis, and output in the other direction."""
-
-WATCH = "retalis_watch_"
-"""Beginning of the names of topics whose outputs exist only as text, for ``retalis watch``."""
-
-
-def resolve(topic: str) -> str:
-    """Return the full name of a topic, after remapping and in its namespace.
-
-    Raises:
-        UsageError: if the name is invalid.
-    """
-    # rospy accepts names that the master or other clients reject, so the package's own check comes first.
-    fault = topic_fault(topic.strip())
-    if fault is not None or not topic.strip(" /"):
-        raise UsageError(fault or f'"{topic}" is not a topic name')
-    try:
-        return str(rospy.resolve_name(topic.strip()))
-    except (ValueError, rospy.ROSException) as error:
-        raise UsageError(f'"{topic}" is not a topic name: {error}') from error
-
-
-def resolve_subscribable_topic(topic: str) -> str:
-    """Return the full name of a topic that a goal may subscribe to.
-
-    Raises:
-        UsageError: if the name is invalid, or the topic belongs to the protocol between the nodes.
-    """
-    name = resolve(topic)
-    if name in map(rospy.resolve_name, (INPUT, OUTPUT)):
-        raise UsageError(f"topic {topic} is for events as text, between the nodes")
-    return name
-
+from .topic_names import resolve
 
 MAX_CONTROL_CHARACTERS = 1_000_000
 """Limit for the characters of control data."""
@@ -211,41 +173,6 @@ SUBSCRIPTIONS_TOPIC = "retalisSubscribe"
 """Topic with the list of subscriptions: JSON, a list of [topic, type, event name]."""
 
 
-class DynamicSubscriptions:
-    """Queue of subscriptions that goals request, executed by a thread as soon as there is an interface.
-
-    A thread is necessary because subscribing calls the master, which would block the engine. The length of the queue
-    is bounded by `MAX_INPUT_TOPICS`.
-    """
-
-    def __init__(self) -> None:
-        self._requests: SimpleQueue[TopicRequest] = SimpleQueue()
-        self.request: Callable[[TopicRequest], None] = self._requests.put
-
-    def start(self, *executors: Callable[[TopicRequest], object]) -> None:
-        """Execute the queued requests, and start the thread for later ones.
-
-        Args:
-            executors: functions to call for each request.
-        """
-
-        def execute(request: TopicRequest) -> None:
-            for executor in executors:
-                executor(request)
-
-        def run() -> None:
-            while not rospy.is_shutdown():
-                execute(self._requests.get())
-
-        # Requests of the program's loading are executed before this returns, as for the topics of `pub_sub.xml`.
-        try:
-            while True:
-                execute(self._requests.get_nowait())
-        except Empty:
-            pass
-        threading.Thread(target=run, daemon=True, name="topics of goals").start()
-
-
 class SubscriptionPublisher:
     """Publisher of the list of subscriptions, for the interface node.
 
@@ -308,19 +235,6 @@ def read_subscriptions(text: str) -> List[TopicRequest]:
         if item[2] and event_name_error(item[2]):
             raise malformed
     return [TopicRequest(*item) for item in items]
-
-
-def subscribe(interface: "RosInterface", request: TopicRequest, requester: str = "subscribe_to") -> bool:
-    """Subscribe to a topic; return whether it succeeds. An error is logged, with the name of the requester."""
-    try:
-        interface.subscribe(*request)
-        return True
-    except RetalisError as error:
-        rospy.logerr("%s: %s", requester, error)
-    except rospy.ROSException as error:
-        # The node is being shut down.
-        rospy.logdebug("%s: topic %s: %s", requester, shorten(request.topic), error)
-    return False
 
 
 INPUT_CHANGES_TOPIC = "retalisInputTopics"
@@ -395,7 +309,7 @@ class InputTopicChanges:
             UsageError: if the topic is subscribed already, a name is invalid, or there are too many topics.
         """
         topic, message_type = topic_type(topic, message_type)
-        name = resolve_subscribable_topic(topic)
+        name = resolve_subscribable_topic(topic, resolve)
         with self._lock:
             known_type = self._added.get(name) or (
                 None if name in self._deleted else self._types_by_topic.get(name)
@@ -434,13 +348,14 @@ class InputTopicChangesReceiver:
     """Receiver of the changes in node ``retalis``, which subscribes and unsubscribes accordingly.
 
     Args:
-        interface: the ROS interface of this node; None if it has none, and only the value of ``~direct`` is checked.
+        subscribed: the topics of this node; None if it subscribes none of them, and only the value of ``~direct`` is
+            checked.
         direct: value of ``~direct`` of this node.
         reports: receives a warning for each malformed message.
     """
 
-    def __init__(self, interface: Optional["RosInterface"], direct: DirectTopics, reports: Reports):
-        self._interface = interface
+    def __init__(self, subscribed: Optional[SubscribedTopics], direct: DirectTopics, reports: Reports):
+        self._subscribed = subscribed
         self._direct = direct
         self._reports = reports
         self._lock = threading.Lock()
@@ -463,33 +378,33 @@ class InputTopicChangesReceiver:
                 json.dumps(changes.direct),
                 printable(shorten(header.get("callerid", "unknown"))),
             )
-        if self._interface is not None:
+        if self._subscribed is not None:
             # An interface node that ends and its successor have two connections for a moment.
             with self._lock:
-                self._apply(self._interface, changes)
+                self._apply(self._subscribed, changes)
 
-    def _apply(self, interface: "RosInterface", changes: InputChanges) -> None:
+    def _apply(self, subscribed: SubscribedTopics, changes: InputChanges) -> None:
         for topic, message_type in list(self._added.items()):
             if changes.added.get(topic) != message_type:
                 del self._added[topic]
-                _unsubscribe(interface, topic)
+                _unsubscribe(subscribed, topic)
         for topic in changes.deleted.difference(self._deleted):
-            request = _unsubscribe(interface, topic)
+            request = _unsubscribe(subscribed, topic)
             if request is not None:
                 self._deleted[topic] = request
         for topic in set(self._deleted).difference(changes.deleted):
-            subscribe(interface, self._deleted.pop(topic), INPUT_CHANGES_TOPIC)
+            subscribed.try_to_subscribe(self._deleted.pop(topic), INPUT_CHANGES_TOPIC)
         for topic, message_type in changes.added.items():
-            if topic not in self._added and subscribe(
-                interface, TopicRequest(topic, message_type), "add_input_subscription"
+            if topic not in self._added and subscribed.try_to_subscribe(
+                TopicRequest(topic, message_type), "add_input_subscription"
             ):
                 self._added[topic] = message_type
 
 
-def _unsubscribe(interface: "RosInterface", topic: str) -> Optional[TopicRequest]:
+def _unsubscribe(subscribed: SubscribedTopics, topic: str) -> Optional[TopicRequest]:
     """Unsubscribe from a topic; return its subscription, or None if there is none."""
     try:
-        return interface.unsubscribe(topic)
+        return subscribed.unsubscribe(topic)
     except RetalisError as error:
         rospy.logdebug("%s: %s", INPUT_CHANGES_TOPIC, error)
         return None
@@ -508,7 +423,7 @@ def read_input_changes(text: str) -> InputChanges:
         return InputChanges(
             read_direct(data["direct"]),
             {
-                resolve_subscribable_topic(topic): message_type
+                resolve_subscribable_topic(topic, resolve): message_type
                 for topic, message_type in added[:MAX_INPUT_TOPICS]
             },
             frozenset(map(resolve, data["deleted"])),

@@ -39,14 +39,15 @@ from ..cli import node_status_tables, toplevel_io
 from ..engine.client_requests import decode_bindings
 from ..foundation.errors import RetalisError, SyntaxFault, UsageError, printable
 from ..foundation.output_files import print_json
+from ..node.services import NO_DURATION
+from ..node.text_exchange import INPUT, OUTPUT, WATCH
 from ..prolog.syntax.operators import Operators
 from ..prolog.syntax.term_reader import ReadTerm, read_term
 from ..prolog.syntax.term_writer import write_term, writeq
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.types import Atom, deref
-from .internode_topics import INPUT, INPUT_CHANGES_TOPIC, OUTPUT, WATCH
+from .internode_topics import INPUT_CHANGES_TOPIC
 from .master_watch import MasterWatch
-from .services import NO_DURATION
 
 ENGINE_SERVICE_SUFFIX = "/add_memory"
 """Suffix of a service that identifies nodes with an engine, in all versions."""

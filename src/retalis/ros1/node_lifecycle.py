@@ -22,10 +22,11 @@ import rospy
 from ..foundation.cpython_and_pypy import collect_when_idle, limit_gc_pauses, stop_collecting
 from ..foundation.errors import RetalisError
 from ..foundation.lost_interrupts import repeat_lost_interrupts
+from ..node.parameters import Parameters, read_parameters
 from .connection_limits import limit_connections
 from .master_watch import MasterWatch, wait_for_master
-from .parameters import Parameters, read_parameters
 from .ros_log import forward_log, use_line_buffering
+from .rospy_transport import find_default_program
 
 SIGNAL_DELAY_SECONDS = (("xmlrpc.", 2.0), ("rospy.", 0.2))
 """Longest delay of a signal in seconds, by the module prefix of a function that the main thread is executing.
@@ -178,7 +179,7 @@ def _run_until_shutdown(
     rospy.init_node(name, disable_signals=True)
     forward_log(logging.getLogger("retalis"))
     try:
-        parameters = read_parameters()
+        parameters = read_parameters(rospy.get_param("~", {}), lambda: find_default_program(sys.argv))
         rospy.on_shutdown(interrupts.shut_down)
         MasterWatch().start()
         node = create_node(parameters)

@@ -1,56 +1,24 @@
-"""Log of a node: forwarding of the package's records to ROS, counts of problems, and output of goals.
+"""Log of a node: forwarding of the package's records to ROS.
 
-Records and printed lines contain text from outside, for example from messages. To prevent forged log lines, control
-characters are escaped, further lines of a record are indented, and lines that goals print begin with
-`PRINTED_LINE_PREFIX`.
+Records contain text from outside, for example from messages. To prevent forged log lines, control characters are
+escaped, and further lines of a record are indented.
 """
 
 import io
 import logging
 import sys
-import threading
-from typing import List
 
 import rospy
 
 from ..engine.runtime.problem_reports import COUNTED_ATTRIBUTE
-from ..foundation.errors import ProgramErrors, RetalisError, printable
-from ..prolog.system.prolog_system import PrologSystem
-
-
-class LogCounts(logging.Handler):
-    """Counts warnings and errors in the node's log, except those that `Reports` counts itself.
-
-    Attributes:
-        errors: the number of errors.
-        warnings: the number of warnings.
-    """
-
-    def __init__(self) -> None:
-        super().__init__(logging.WARNING)
-        self.errors = self.warnings = 0
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Count a record."""
-        if getattr(_thread_state, "is_counted", False):
-            return
-        if record.levelno >= logging.ERROR:
-            self.errors += 1
-        else:
-            self.warnings += 1
-
-
-_thread_state = threading.local()
-"""Attribute ``is_counted`` is true while this thread sends a record to ROS that `Reports` has counted."""
+from ..foundation.errors import printable
+from ..node.goal_output import log_counts
 
 
 class _RosHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
-        _thread_state.is_counted = getattr(record, COUNTED_ATTRIBUTE, False)
-        try:
+        with log_counts.skipping(getattr(record, COUNTED_ATTRIBUTE, False)):
             self._send(record)
-        finally:
-            _thread_state.is_counted = False
 
     def _send(self, record: logging.LogRecord) -> None:
         text = self.format(record)
@@ -60,10 +28,6 @@ class _RosHandler(logging.Handler):
             rospy.logwarn("%s", text)
         else:
             rospy.loginfo("%s", text)
-
-
-log_counts = LogCounts()
-"""The counts of this node."""
 
 
 def use_line_buffering() -> None:
@@ -107,58 +71,3 @@ def escape_record(record: logging.LogRecord) -> bool:
         record.msg, record.args = text.replace("\n", "\n    ").replace("${", "\\x24{"), ()
         record.is_escaped = True
     return True
-
-
-PRINTED_LINE_PREFIX = "| "
-"""Prefix of each line that goals print."""
-
-MAX_PRINTED_LINE_CHARACTERS = 4096
-"""Limit for the characters of a printed line; longer ones are wrapped."""
-
-
-class PrintedLines:
-    """Output stream for goals that write to ``user_output`` or ``user_error``, printed in complete lines.
-
-    Args:
-        stream: ``stdout`` or ``stderr``.
-    """
-
-    def __init__(self, stream: str):
-        self._stream = stream
-        self._incomplete_line = ""
-
-    def __call__(self, text: str) -> None:
-        """Append a text, and print the complete lines."""
-        *lines, self._incomplete_line = (self._incomplete_line + text).split("\n")
-        if len(self._incomplete_line) > MAX_PRINTED_LINE_CHARACTERS:
-            size = len(self._incomplete_line) // MAX_PRINTED_LINE_CHARACTERS * MAX_PRINTED_LINE_CHARACTERS
-            lines += [
-                self._incomplete_line[start : start + MAX_PRINTED_LINE_CHARACTERS]
-                for start in range(0, size, MAX_PRINTED_LINE_CHARACTERS)
-            ]
-            self._incomplete_line = self._incomplete_line[size:]
-        stream = getattr(sys, self._stream)
-        if lines and stream is not None:
-            # None if the node was started with it closed.
-            stream.write("".join(f"{PRINTED_LINE_PREFIX}{line}\n" for line in lines))
-
-    def end(self) -> None:
-        """Print the last line if it is incomplete."""
-        if self._incomplete_line:
-            self("\n")
-
-
-def print_goal_output(logic: PrologSystem) -> None:
-    """Redirect the output of goals to `PrintedLines`, so that it cannot be mistaken for log records."""
-    streams = PrintedLines("stdout"), PrintedLines("stderr")
-    logic.print_to(*streams)
-    for stream in streams:
-        rospy.on_shutdown(stream.end)
-
-
-def log_error(error: RetalisError) -> List[str]:
-    """Log an error, or each error of `ProgramErrors`; return their texts."""
-    texts = [str(part) for part in (error.errors if isinstance(error, ProgramErrors) else [error])]
-    for text in texts:
-        rospy.logerr("%s", text)
-    return texts

@@ -5,8 +5,8 @@ deliver through a `LateJoinerBuffer`. Some texts are *marks*, control texts for 
 epoch of the texts after it, another describes the latched message after it. A mark has the syntax of an event, so
 that other subscribers can read the stream.
 
-If node ``retalis`` reads the messages itself, no node needs the texts, and `EventTextMirror` sends them to whoever
-subscribes.
+`RospyTextExchange` combines them in node ``retalis``. If that node reads the messages itself, no other node needs the
+texts of events, and they are sent to whoever subscribes.
 """
 
 import threading
@@ -18,21 +18,36 @@ from std_msgs.msg import String
 
 from ..engine.runtime.clock_epochs import ClockEpochs
 from ..engine.runtime.problem_reports import Reports
+from ..events.program.topic_configuration import Topics
 from ..foundation.bounded_caches import Cache
-from ..foundation.errors import MessageError, RetalisError, UsageError
+from ..foundation.errors import UsageError
 from ..messages.decoder import Decoder
-from ..messages.event_text_writer import make_text_writer
-from ..prolog.syntax.event_text import event_text
-from .connection_writer import TopicWriter
-from .internode_topics import INPUT, resolve
-from .latched_deduplication import (
+from ..messages.type_registry import Definitions
+from ..node.host_context import HostContext
+from ..node.host_time import Receipts
+from ..node.latched_deduplication import (
     LATCHED_MARK_PREFIX,
     LatchedMessage,
     LatchedMessageDeduplicator,
     parse_latched_mark,
 )
+from ..node.subscribed_topics import HandlerFactory
+from ..node.text_exchange import (
+    INPUT,
+    OUTPUT,
+    TEXT_TYPE,
+    EventSender,
+    SubscribeTexts,
+    format_output,
+    make_event_sender,
+    read_text_message,
+    serialize_text,
+)
+from ..node.topic_statistics import OutputStatus, describe_publication
+from ..prolog.terms.types import Term
+from .connection_writer import TopicWriter
 from .late_joiners import ENGINE, INTERFACE, LateJoinerBuffer, Publishers, SubscriberIdentifier
-from .topic_statistics import OutputStatus
+from .topic_names import resolve
 
 MAX_TEXTS_PER_WRITE = 64
 """Limit for the texts that one write combines."""
@@ -41,14 +56,12 @@ NO_TEXT_HINT = "direct:=auto or embedded:=true passes no text between the nodes,
 """Advice for avoiding delays and losses of messages as text, at the end of a warning."""
 
 _UINT32 = Struct("<I")
-_TWO_UINT32 = Struct("<II")
 
 
 def serialize_string(text: str) -> bytes:
     """Return a text as a ``std_msgs/String`` message, framed as on the wire."""
-    data = text.encode("utf-8", "surrogateescape")
-    size = len(data)
-    return _TWO_UINT32.pack(size + 4, size) + data
+    message = serialize_text(text)
+    return _UINT32.pack(len(message)) + message
 
 
 class EventTextPublisher:
@@ -165,48 +178,6 @@ class EventTextPublisher:
             messages.clear()
 
 
-class EventTextMirror:
-    """Publisher of the events of node retalis as text, for other subscribers; used if no interface sends the texts.
-
-    Args:
-        topic: name of the topic.
-        queue_size: number of texts to queue for a slow subscriber.
-        reports: receives a warning for every dropped text.
-        stamp: returns the stamp in ns of an event without one.
-    """
-
-    def __init__(self, topic: str, queue_size: int, reports: Reports, stamp: Callable[[], int]):
-        self._stamp = stamp
-        self._reports = reports
-        self._topic_writer = TopicWriter(topic, String, queue_size, reports)
-
-    def make_sender(self, decoder: Decoder) -> Callable[[bytes, Optional[int]], None]:
-        """Return the function that sends a message of a type as text, with the stamp of its event (ns) or None.
-
-        Without a subscriber it does nothing.
-        """
-        connections, current_stamp = self._topic_writer.connections, self._stamp
-        # Without the clock skew check, which is done.
-        write = make_text_writer(decoder.plain or decoder)
-
-        def send(data: bytes, instant: Optional[int]) -> None:
-            if not connections():
-                return
-            try:
-                text = event_text(write(data), current_stamp() if instant is None else instant)
-            except RetalisError as error:
-                # The event itself is processed.
-                self._reports.error(error, INPUT)
-                return
-            self._topic_writer.send(serialize_string(text))
-
-        return send
-
-    def status(self) -> OutputStatus:
-        """Return the counters of the topic."""
-        return self._topic_writer.status("std_msgs/String")
-
-
 class OutputTextPublisher:
     """Publisher of outputs as text for the interface node and all other subscribers. Thread-safe.
 
@@ -260,6 +231,63 @@ class OutputTextPublisher:
         return self._topic_writer.status("std_msgs/String")
 
 
+class RospyTextExchange:
+    """Exchange of node ``retalis`` with the interface node and all others; see `TextExchange`.
+
+    Args:
+        context: what the parts of the host share.
+    """
+
+    def __init__(self, context: HostContext):
+        topics, parameters, reports = context.topics, context.parameters, context.reports
+        self._time = context.time
+        self._latched = context.latched
+        self._uses_texts = parameters.uses_texts
+        self._reports = reports
+        self._stamp = Receipts(context.time.now).stamp
+        # If this node reads and publishes the messages, no other node requires texts.
+        self._events = None
+        if not self._uses_texts:
+            topics = Topics()
+            self._events = context.transport.advertise(
+                resolve(INPUT), Definitions().find(TEXT_TYPE), parameters.queue
+            )
+        self._outputs = OutputTextPublisher(
+            OUTPUT, parameters.queue, reports, [topic for topic, _ in topics.published], topics.latched
+        )
+
+    def make_event_sender(self, decoder: Decoder) -> Optional[EventSender]:
+        """See `TextExchange`."""
+        if self._events is None:
+            return None
+        return make_event_sender(decoder, self._events, self._stamp, self._reports)
+
+    def send_output(self, term: Term, topic: str, name: Term) -> None:
+        """See `TextExchange`."""
+        self._outputs.send(topic, lambda: format_output(term, topic, name))
+
+    def is_output_received(self) -> bool:
+        """See `TextExchange`."""
+        return not self._uses_texts or bool(self._outputs.connections())
+
+    def receive_outputs(self, subscribe: SubscribeTexts, publish: Callable[[str], object]) -> None:
+        """See `TextExchange`."""
+        subscribe(OUTPUT, make_text_handler_factory(publish))
+
+    def receive_events(
+        self, subscribe: SubscribeTexts, post: Callable[[str], object]
+    ) -> List[ContextManager[object]]:
+        """See `TextExchange`."""
+        return [subscribe(INPUT, make_text_handler_factory(post, self._time.epochs, self._latched))]
+
+    def statuses(self) -> List[OutputStatus]:
+        """See `TextExchange`."""
+        events = (
+            [] if self._events is None else [describe_publication(resolve(INPUT), TEXT_TYPE, self._events)]
+        )
+        return [self._outputs.status(), *events]
+
+
 def _resolve_if_valid(topic: str) -> str:
     """Return the full name of a topic; an invalid name is returned unchanged, as its outputs are only text."""
     try:
@@ -294,7 +322,7 @@ def make_text_handler_factory(
     handler: Callable[[str], object],
     epochs: Optional[ClockEpochs] = None,
     latched: Optional[LatchedMessageDeduplicator] = None,
-) -> Callable[[object], Callable[[bytes], None]]:
+) -> HandlerFactory:
     """Return a factory of message handlers that pass the texts of ``std_msgs/String`` messages to ``handler``.
 
     Args:
@@ -302,7 +330,7 @@ def make_text_handler_factory(
         epochs: clock epochs, which buffer texts of an epoch that has not begun. None if marks are not expected.
         latched: recognizes texts of latched messages that ``handler`` has received already.
     """
-    return lambda decoder: _TextReceiver(handler, epochs, latched).receive
+    return lambda decoder, topic, source: _TextReceiver(handler, epochs, latched).receive
 
 
 class _TextReceiver:
@@ -321,9 +349,7 @@ class _TextReceiver:
         """Latched message that the next text contains."""
 
     def receive(self, data: bytes) -> None:
-        if len(data) < 4 or _UINT32.unpack_from(data)[0] != len(data) - 4:
-            raise MessageError("expected a std_msgs/String, found other bytes")
-        text = str(data[4:], "utf-8", "replace")
+        text = read_text_message(data)
         # The prefix is tested first, because nearly all texts are events.
         if text.startswith(_MARK_PREFIX) and self._apply_mark(text):
             return

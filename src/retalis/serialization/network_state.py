@@ -26,14 +26,9 @@ from ..events.program.event_file_checker import reread_rule
 from ..events.rules.rule_base import RuleBase
 from ..events.rules.timer_service import RuleAlarm
 from ..events.streams.absence_timeout import AbsenceTimeout
+from ..events.streams.rate_operators import Debounce, DistinctUntilChanged, Throttle
 from ..events.streams.row_pattern import SCANNING, RowPatternNFA, RowPatternWindow
-from ..events.streams.stream_operators import (
-    Debounce,
-    DistinctUntilChanged,
-    StreamElement,
-    StreamOperator,
-    Throttle,
-)
+from ..events.streams.stream_operators import StreamElement, StreamOperator
 from ..events.streams.windows import AnchoredTumblingWindow, HoppingWindow
 from ..foundation.errors import UsageError
 from ..prolog.terms.term_traversal import term_key

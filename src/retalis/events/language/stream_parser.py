@@ -21,7 +21,6 @@ from typing import (
     Any,
     Callable,
     Container,
-    Dict,
     Iterator,
     List,
     NamedTuple,
@@ -38,6 +37,7 @@ from ...prolog.terms.term_traversal import variables
 from ...prolog.terms.timestamps import from_seconds
 from ...prolog.terms.types import COMMA, Atom, CompoundTerm, Term, Var, atom, deref, functor, functor_name
 from ..streams.aggregates import AGGREGATES, Setting
+from ..streams.rate_operators import RATE_OPERATORS
 from .event_operators import OPERATOR_NAMES
 from .likely_mistakes import bracket_advice, suggestion
 from .pattern_tree import (
@@ -73,26 +73,6 @@ _STEP_NOTATION = "Name, Name(N), Name(N, M), Name(N, many), with reluctant or un
 CreateError = Callable[..., RuleError]
 """Takes a message, a term, and optionally the position of the argument that is wrong; returns the error."""
 
-
-class RateOperatorNotation(NamedTuple):
-    """Notation of a rate operator.
-
-    Attributes:
-        notation: its notations in words, with and without a key.
-        takes_seconds: whether the first argument is a number of seconds; if not, it is the value that must change.
-    """
-
-    notation: str
-    takes_seconds: bool
-
-
-RATE_OPERATORS: Dict[str, RateOperatorNotation] = {
-    "throttle": RateOperatorNotation("throttle(Seconds) or throttle(Seconds, Key)", True),
-    "burst": RateOperatorNotation("burst(Seconds) or burst(Seconds, Key)", True),
-    "debounce": RateOperatorNotation("debounce(Seconds) or debounce(Seconds, Key)", True),
-    "change": RateOperatorNotation("change(Value) or change(Value, Key)", False),
-}
-"""Rate operators, by name."""
 
 _WINDOW_NOTATIONS = (
     "last(Seconds), last(N, events), last(Seconds, every(Seconds)), every(Seconds), every(Seconds, first), "

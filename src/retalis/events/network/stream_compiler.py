@@ -40,6 +40,7 @@ from ..matches.match_buffer import key_function
 from ..matches.match_types import NetworkOptions, PartialMatch, unify_sides
 from ..streams.absence_timeout import AbsenceTimeout, Correlation
 from ..streams.aggregates import AGGREGATES
+from ..streams.rate_operators import RATE_OPERATORS
 from ..streams.row_pattern import (
     RowPatternNFA,
     RowPatternVariable,
@@ -47,7 +48,7 @@ from ..streams.row_pattern import (
     StepNavigation,
     StepTest,
 )
-from ..streams.stream_operators import Debounce, DistinctUntilChanged, StreamElement, StreamOperator, Throttle
+from ..streams.stream_operators import StreamElement, StreamOperator
 from ..streams.windows import (
     AlignedTumblingWindow,
     AnchoredTumblingWindow,
@@ -148,15 +149,9 @@ _WINDOWS: Dict[str, Callable[[Any, Any], StreamOperator]] = {
         else HoppingWindow(make_accumulators, window.span, window.step)
     ),
 }
-_RATE_OPERATORS: Dict[str, Callable[[int], StreamOperator]] = {
-    "throttle": lambda span: Throttle(span, False),
-    "burst": lambda span: Throttle(span, True),
-    "debounce": lambda span: Debounce(span),
-    "change": lambda span: DistinctUntilChanged(),
-}
 # Reports of events that arrive too late.
 _LATE_FOR_WINDOW = "an event is too late and is not measured: its window has ended"
-_LATE_FOR_DEBOUNCE = (
+_LATE_FOR_DELAYED_MATCH = (
     "an event is too late and is ignored: the time in which a newer one could follow has passed"
 )
 _LATE_FOR_ABSENCE = "an event is too late and is ignored: the time in which nothing may follow it has passed"
@@ -164,7 +159,7 @@ _LATE_FOR_ABSENCE = "an event is too late and is ignored: the time in which noth
 
 def create_rate_operator(rate_pattern: RatePattern) -> StreamOperator:
     """Return the operator of ``P with S``."""
-    return _RATE_OPERATORS[rate_pattern.operator](rate_pattern.span)
+    return RATE_OPERATORS[rate_pattern.operator].create(rate_pattern.span)
 
 
 def compile_rate_spec(rate_pattern: RatePattern, value_vars: Sequence[Var]) -> StreamNodeSpec:
@@ -181,8 +176,8 @@ def compile_rate_spec(rate_pattern: RatePattern, value_vars: Sequence[Var]) -> S
         lambda options: create_rate_operator(rate_pattern),
         key_and_values,
         None,
-        rate_pattern.operator == "debounce",
-        _LATE_FOR_DEBOUNCE,
+        RATE_OPERATORS[rate_pattern.operator].is_delayed,
+        _LATE_FOR_DELAYED_MATCH,
     )
 
 
@@ -485,7 +480,8 @@ class StreamCompiler:
             node = StreamNode(
                 self.rule, [below.node], value_vars, compile_rate_spec(pattern, value_vars), pattern
             )
-            built = below if pattern.operator != "debounce" else BuiltPattern(node, [], below.leaves, [])
+            is_delayed = RATE_OPERATORS[pattern.operator].is_delayed
+            built = BuiltPattern(node, [], below.leaves, []) if is_delayed else below
             return built._replace(node=self._add(node, None, Retention(max_interval, max_interval)))
         if any(
             var in context and var not in value_vars

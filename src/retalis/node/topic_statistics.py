@@ -1,22 +1,23 @@
 """Counters of subscribed and published topics, and warnings about topics without publishers after the start."""
 
+import logging
 import threading
 import time
 from difflib import get_close_matches
-from http.client import HTTPException
 from struct import Struct
-from typing import Callable, Collection, Dict, Iterable, Iterator, List, Mapping, NamedTuple, Optional
-from xmlrpc.client import Error
-
-import rosgraph
-import rospy
+from typing import Callable, Collection, Iterable, Iterator, List, Mapping, NamedTuple, Optional
 
 from ..foundation.errors import MessageError, format_count, printable
-from .ros_time import ros_now
+from .transport import TopicPublication, Transport
+
+log = logging.getLogger("retalis")
 
 
 class InputCounts:
     """Counters of a subscribed topic, updated once for all messages that are read together.
+
+    Args:
+        now: returns the present time in ns; 0 if it is unknown.
 
     Attributes:
         messages: number of received messages.
@@ -29,9 +30,10 @@ class InputCounts:
             per status report is measured.
     """
 
-    __slots__ = ("dropped", "lag", "last", "messages", "missing", "refused", "needs_lag")
+    __slots__ = ("_now", "dropped", "lag", "last", "messages", "missing", "refused", "needs_lag")
 
-    def __init__(self) -> None:
+    def __init__(self, now: Callable[[], int]) -> None:
+        self._now = now
         self.messages = self.dropped = self.refused = self.missing = 0
         self.last: Optional[float] = None
         self.lag: Optional[int] = None
@@ -50,7 +52,7 @@ class InputCounts:
         except MessageError:
             # Reported by the handler of the message.
             return
-        now = ros_now()
+        now = self._now()
         self.lag = None if not instant or not now else now - instant
 
 
@@ -198,6 +200,13 @@ class OutputStatus(NamedTuple):
     dropped: int
 
 
+def describe_publication(topic: str, message_type: str, publication: TopicPublication) -> OutputStatus:
+    """Return the counters of an advertised topic."""
+    return OutputStatus(
+        topic, message_type, publication.subscriber_count(), publication.sent, publication.dropped
+    )
+
+
 PUBLISHER_WAIT_SECONDS = 10.0
 """Seconds after the start until topics without publishers are reported."""
 
@@ -205,8 +214,6 @@ _MIN_NAME_SIMILARITY = 0.7
 
 _SERVICES = ("add_memory", "add_input_subscription")
 """Services that identify the two nodes of a program; each offers one."""
-
-_MASTER_ERRORS = (OSError, Error, HTTPException, rosgraph.MasterException)
 
 
 def unpublished_topic_warnings(
@@ -231,58 +238,43 @@ def unpublished_topic_warnings(
         yield f"nobody publishes topic {name} {PUBLISHER_WAIT_SECONDS:g} s after the start{hint}"
 
 
-def published_types() -> Dict[str, str]:
-    """Return the types of all published topics; none if the master does not answer."""
-    try:
-        return dict(rosgraph.Master(rospy.get_name()).getPublishedTopics(""))
-    except _MASTER_ERRORS:
-        # Reported by `MasterWatch`.
-        return {}
-
-
 class StartupWarnings:
-    """Warnings some seconds after the start: topics without publishers, and missing messages on ``/clock``.
+    """Warnings some seconds after the start: topics without publishers.
 
     The delay is wall time, because simulated time may stand still.
 
     Args:
+        transport: the middleware.
         inputs: returns the counters of each topic.
         topics: topics of the program or its parameters; others are not checked.
-        check_clock: whether to check ``/clock``, too.
     """
 
-    def __init__(
-        self, inputs: Callable[[], List[InputStatus]], topics: Iterable[str], check_clock: bool = False
-    ):
+    def __init__(self, transport: Transport, inputs: Callable[[], List[InputStatus]], topics: Iterable[str]):
+        self._transport = transport
         self._inputs = inputs
-        self._topics = {rospy.resolve_name(topic) for topic in topics}
-        self._check_clock = check_clock
+        self._topics = {transport.resolve_topic(topic) for topic in topics}
         timer = threading.Timer(PUBLISHER_WAIT_SECONDS, self.log_missing)
         timer.daemon = True
         timer.start()
-        rospy.on_shutdown(timer.cancel)
+        transport.on_shutdown(timer.cancel)
 
     def log_missing(self) -> None:
         """Log the warnings."""
-        if rospy.is_shutdown():
+        transport = self._transport
+        if transport.is_shut_down():
             return
-        if self._check_clock:
-            # Logs the warning, once.
-            ros_now()
+        # A transport logs, once, that simulated time is unknown.
+        transport.now()
         unpublished = [
             status for status in self._inputs() if not status.publishers and status.topic in self._topics
         ]
         if not unpublished:
             return
-        try:
-            published, _, services = rosgraph.Master(rospy.get_name()).getSystemState()
-        except _MASTER_ERRORS:
-            # Reported by `MasterWatch`.
+        graph = transport.graph()
+        # Without an answer nothing is known of publishers.
+        if graph is None:
             return
-        servers = {rospy.resolve_name(name) for name in _SERVICES}
-        own_nodes = {
-            rospy.get_name(),
-            *(node for name, nodes in services if name in servers for node in nodes),
-        }
-        for text in unpublished_topic_warnings(unpublished, dict(published), own_nodes):
-            rospy.logwarn("%s", printable(text))
+        servers = {transport.resolve_topic(name) for name in _SERVICES}
+        own_nodes = {transport.node_name}.union(*(graph.servers.get(name, ()) for name in servers))
+        for text in unpublished_topic_warnings(unpublished, graph.publishers, own_nodes):
+            log.warning("%s", printable(text))

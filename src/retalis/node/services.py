@@ -1,4 +1,4 @@
-"""ROS services of the nodes.
+"""Services of a node.
 
 * `EngineServices`: subscriptions and memories; `InterfaceServices`: subscriptions of input topics;
 * `RuleServices`: ``~add_rule`` and ``~delete_rule``;
@@ -6,20 +6,20 @@
 * `QueryServices`: ``~query`` and ``~explain``;
 * `ReloadService`: ``~reload``, which reads the program's folder again.
 
-The first field of each response is ``ok``, or ``error: `` with the reason. A handler runs in a thread of rospy and
-hands its work to the engine, which executes it between two events.
+A handler gets a request with its fields as attributes, and returns the fields of the response. The field ``result``
+of each response is ``ok``, or ``error: `` with the reason. A handler runs in a thread of the transport and hands its
+work to the engine, which executes it between two events.
 """
 
+import logging
 import os
 from pathlib import Path
 from threading import BoundedSemaphore
-from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple, Union
-
-import rospy
+from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Protocol, Sequence, Tuple
 
 from ..engine.client_requests import add_rule, ask, delete_rule, run_restricted, wait_for_memories
 from ..engine.engine import Engine
-from ..engine.engine_status import MemoryStatus, RuleStatus, Status, SubscriptionStatus, WaitingStatus
+from ..engine.engine_status import Status, WaitingStatus
 from ..engine.runtime.problem_reports import Reports
 from ..events.language.stream_parser import subscription_event
 from ..events.program.topic_configuration import TOPICS, Topics, read_topics, topic_type
@@ -35,11 +35,15 @@ from ..prolog.terms.list_terms import conjuncts, make_list
 from ..prolog.terms.term_traversal import variables
 from ..prolog.terms.timestamps import SECOND
 from ..prolog.terms.types import COMMA, TRUE, Atom, CompoundTerm, Term, Var, atom, deref, functor
-from .installed_message_classes import installed_types
-from .internode_topics import InputTopicChanges, resolve
-from .ros_interface import RosInterface, UntypedTopicWarnings
-from .ros_log import log_counts
-from .topic_statistics import InputStatus, published_types
+from .goal_output import log_counts
+from .published_topics import UntypedTopicWarnings
+from .topic_statistics import InputStatus
+from .transport import Transport
+
+log = logging.getLogger("retalis")
+
+Response = Dict[str, Any]
+"""Fields of the response of a service."""
 
 OK = "ok"
 
@@ -61,41 +65,43 @@ def quote_text(text: str) -> str:
     return printable(shorten(text.strip()))
 
 
-def offer_service(name: str, service_class: Any, handler: Callable[[Any], Any]) -> None:
+def offer_service(
+    transport: Transport, name: str, service_type: str, handler: Callable[[Any], Response]
+) -> None:
     """Offer a service whose requests have a limited number of characters.
 
     Args:
+        transport: the middleware.
         name: name of the service.
-        service_class: class of the service; the first field of its response is the result.
+        service_type: type of the service.
         handler: returns the response to a request.
     """
 
-    def handle(request: Any) -> Any:
+    def handle(request: Any) -> Response:
         size = sum(len(value) for value in _iterate_texts(request))
         if size > MAX_REQUEST_CHARACTERS:
             limit = MAX_REQUEST_CHARACTERS
             return {"result": f"error: the request has {size} characters: expected at most {limit}"}
         return handler(request)
 
-    rospy.Service(name, service_class, handle)
+    transport.offer_service(name, service_type, handle)
 
 
 def _iterate_texts(request: Any) -> Iterator[str]:
-    for field in request.__slots__:
-        value = getattr(request, field)
+    for value in vars(request).values():
         if isinstance(value, str):
             yield value
         elif isinstance(value, list):
             yield from value
 
 
-def execute_request(execute: Callable[[], None]) -> str:
-    """Execute a request; return ``ok``, or ``error: `` and the reason in one line with the position in the text."""
+def execute_request(execute: Callable[[], None]) -> Response:
+    """Execute a request; the result is ``ok``, or the reason in one line with the position in the text."""
     try:
         execute()
     except RetalisError as error:
-        return format_error(error)
-    return OK
+        return {"result": format_error(error)}
+    return {"result": OK}
 
 
 def format_error(error: RetalisError) -> str:
@@ -124,6 +130,7 @@ class EngineServices:
     """The services of node retalis: subscriptions and memories.
 
     Args:
+        transport: the middleware.
         engine: engine of the node.
         untyped_topics: warns about subscribed topics without a type.
         explain_missing_source: returns the reason why no events of a pattern are expected; "" if there may be some.
@@ -133,23 +140,24 @@ class EngineServices:
 
     def __init__(
         self,
+        transport: Transport,
         engine: Engine,
         untyped_topics: UntypedTopicWarnings,
         explain_missing_source: Callable[[Term], str],
         explain_type_mismatch: Callable[[CompoundTerm, str], str],
     ):
-        from .. import srv  # noqa: PLC0415 - generated when the package is built
-
         self._engine = engine
         self._untyped_topics = untyped_topics
         self._explain_missing_source = explain_missing_source
         self._explain_type_mismatch = explain_type_mismatch
-        offer_service("add_output_subscription", srv.AddOutputSubscription, self._add_subscription)
-        offer_service("delete_output_subscription", srv.DeleteOutputSubscription, self._delete_subscription)
-        offer_service("add_memory", srv.AddMemory, self._add_memory)
-        offer_service("delete_memory", srv.DeleteMemory, self._delete_memory)
+        offer_service(transport, "add_output_subscription", "AddOutputSubscription", self._add_subscription)
+        offer_service(
+            transport, "delete_output_subscription", "DeleteOutputSubscription", self._delete_subscription
+        )
+        offer_service(transport, "add_memory", "AddMemory", self._add_memory)
+        offer_service(transport, "delete_memory", "DeleteMemory", self._delete_memory)
 
-    def _add_subscription(self, request: Any) -> str:
+    def _add_subscription(self, request: Any) -> Response:
         def execute() -> None:
             topic, key = parse_name(request.topic, "topic"), parse_name(request.id, "id")
             # No event could ever be published on such a topic.
@@ -174,7 +182,7 @@ class EngineServices:
 
         return execute_request(lambda: run_restricted(self._engine, execute))
 
-    def _add_memory(self, request: Any) -> str:
+    def _add_memory(self, request: Any) -> Response:
         def execute() -> None:
             key, size = parse_name(request.id, "id"), self._parse_size(request.size)
             if self._engine.has_memory(key):
@@ -186,7 +194,7 @@ class EngineServices:
 
         return execute_request(lambda: run_restricted(self._engine, execute))
 
-    def _delete_subscription(self, request: Any) -> str:
+    def _delete_subscription(self, request: Any) -> Response:
         def execute() -> None:
             topic, key = parse_name(request.topic, "topic"), parse_name(request.id, "id")
             if not self._engine.delete_subscription(topic, key):
@@ -196,7 +204,7 @@ class EngineServices:
 
         return execute_request(execute)
 
-    def _delete_memory(self, request: Any) -> str:
+    def _delete_memory(self, request: Any) -> Response:
         def execute() -> None:
             if not self._engine.delete_memory(parse_name(request.id, "id")):
                 raise UsageError(f"there is no memory {quote_text(request.id)}")
@@ -220,7 +228,7 @@ class EngineServices:
     def _log_unbound_variables(self, goal: str, text: str, fields: _Fields) -> None:
         """Log the variables of the format that neither the pattern nor the conditions bind."""
         if fields.unbound_names:
-            rospy.logwarn(
+            log.warning(
                 "%s %s: nothing in event or conditions gives %s in the format a value",
                 goal,
                 quote_text(text),
@@ -231,7 +239,7 @@ class EngineServices:
         """Log the reason why no events of the pattern are expected, if there is one."""
         missing_source = self._explain_missing_source(fields.event)
         if missing_source:
-            rospy.logwarn("%s %s: %s", goal, quote_text(text), printable(missing_source))
+            log.warning("%s %s: %s", goal, quote_text(text), printable(missing_source))
 
     def _require_type(self, field: str, expected: str, term: Term, types: Tuple[type, ...]) -> None:
         if not isinstance(deref(term), types):
@@ -270,37 +278,60 @@ class EngineServices:
         return size
 
 
+class TopicSubscriber(Protocol):
+    """Subscriber of input topics: this node, or another one on its behalf."""
+
+    def knows_type(self, message_type: str) -> bool:
+        """Return whether a message type is known."""
+
+    def subscribe(self, topic: str, message_type: str) -> None:
+        """Subscribe to a topic.
+
+        Raises:
+            UsageError: if the topic is subscribed already, or a name is invalid.
+        """
+
+    def unsubscribe(self, topic: str) -> object:
+        """Unsubscribe from a topic.
+
+        Raises:
+            UsageError: if it is not subscribed.
+        """
+
+
 class InterfaceServices:
-    """The services of the ROS interface: subscriptions of input topics.
+    """The services for input topics.
 
     Args:
-        interface: the ROS interface; or the list of changes for node retalis, if that node subscribes itself.
+        transport: the middleware.
+        topics: subscribes to the topics.
     """
 
-    def __init__(self, interface: Union[RosInterface, InputTopicChanges]):
-        from .. import srv  # noqa: PLC0415 - generated when the package is built
+    def __init__(self, transport: Transport, topics: TopicSubscriber):
+        self._transport = transport
+        self._topics = topics
+        offer_service(transport, "add_input_subscription", "AddInputSubscription", self._add)
+        offer_service(transport, "delete_input_subscription", "DeleteInputSubscription", self._delete)
 
-        self._interface = interface
-        offer_service("add_input_subscription", srv.AddInputSubscription, self._add)
-        offer_service("delete_input_subscription", srv.DeleteInputSubscription, self._delete)
-
-    def _add(self, request: Any) -> str:
+    def _add(self, request: Any) -> Response:
         topic, message_type = request.topic.strip(), request.message_type.strip()
 
         def execute() -> None:
             # Rejects invalid names before any lookup.
             topic_type(topic, message_type)
-            is_known = self._interface.knows_type(message_type)
-            suggestion = "" if is_known else Definitions(installed_types()).misspelt(message_type)
+            is_known = self._topics.knows_type(message_type)
+            suggestion = (
+                "" if is_known else Definitions(self._transport.installed_types()).misspelt(message_type)
+            )
             # An unknown type is not an error: a publisher's connection header contains its definition.
-            if suggestion and not _is_published(topic, message_type):
+            if suggestion and not self._is_published(topic, message_type):
                 raise UsageError(
                     f"message_type: there is no type '{quote_text(message_type)}' here; did you mean {suggestion}? "
                     "If a publisher is to bring the type, start the publisher first"
                 )
-            self._interface.subscribe(topic, message_type)
+            self._topics.subscribe(topic, message_type)
             if not is_known:
-                rospy.logwarn(
+                log.warning(
                     "topic %s is subscribed as %s, which is not known here: it is learned from a publisher",
                     quote_text(topic),
                     message_type,
@@ -308,16 +339,16 @@ class InterfaceServices:
 
         return execute_request(execute)
 
-    def _delete(self, request: Any) -> str:
+    def _delete(self, request: Any) -> Response:
         def execute() -> None:
-            self._interface.unsubscribe(request.topic.strip())
+            self._topics.unsubscribe(request.topic.strip())
 
         return execute_request(execute)
 
-
-def _is_published(topic: str, message_type: str) -> bool:
-    """Return whether the master knows a publisher of a topic with this type."""
-    return published_types().get(resolve(topic)) == message_type
+    def _is_published(self, topic: str, message_type: str) -> bool:
+        """Return whether a publisher of a topic with this type is known."""
+        graph = self._transport.graph()
+        return graph is not None and graph.types.get(self._transport.resolve_topic(topic)) == message_type
 
 
 def parse_name(text: str, field: str) -> Term:
@@ -340,27 +371,25 @@ class RuleServices:
     """Services ``~add_rule`` and ``~delete_rule`` of node retalis.
 
     Args:
+        transport: the middleware.
         engine: engine of the node.
     """
 
-    def __init__(self, engine: Engine):
-        from .. import srv  # noqa: PLC0415 - generated when the package is built
-
+    def __init__(self, transport: Transport, engine: Engine):
         self._engine = engine
-        self._response = srv.AddRuleResponse
-        offer_service("~add_rule", srv.AddRule, self._add)
-        offer_service("~delete_rule", srv.DeleteRule, self._delete)
+        offer_service(transport, "~add_rule", "AddRule", self._add)
+        offer_service(transport, "~delete_rule", "DeleteRule", self._delete)
 
-    def _add(self, request: Any) -> Any:
+    def _add(self, request: Any) -> Response:
         try:
-            return self._response(OK, add_rule(self._engine, request.rule, request.label))
+            return {"result": OK, "label": add_rule(self._engine, request.rule, request.label)}
         except (SyntaxFault, ProgramErrors) as error:
             # In several lines: the source lines, with carets below the errors.
-            return self._response(f"error: {shorten(str(error), MAX_ANSWER_CHARACTERS)}", "")
+            return {"result": f"error: {shorten(str(error), MAX_ANSWER_CHARACTERS)}"}
         except RetalisError as error:
-            return self._response(format_error(error), "")
+            return {"result": format_error(error)}
 
-    def _delete(self, request: Any) -> str:
+    def _delete(self, request: Any) -> Response:
         return execute_request(lambda: delete_rule(self._engine, request.label))
 
 
@@ -384,6 +413,7 @@ class ListService:
     """Service ``~list`` of a node.
 
     Args:
+        transport: the middleware.
         inputs: returns the counters of the subscribed topics.
         status: returns the status of the engine with a limited number of items of each kind; None without an engine.
         reports: problem counts of a node without an engine.
@@ -391,90 +421,91 @@ class ListService:
 
     def __init__(
         self,
+        transport: Transport,
         inputs: Callable[[], Sequence[InputStatus]],
         status: Optional[Callable[[int], Status]] = None,
         reports: Optional[Reports] = None,
     ):
-        from .. import msg, srv  # noqa: PLC0415 - generated when the package is built
-
+        self._transport = transport
         self._get_inputs = inputs
         self._get_status = status
         self._reports = reports
-        self._msg = msg
-        self._response = srv.ListResponse
-        rospy.Service("~list", srv.List, self._list)
+        transport.offer_service("~list", "List", self._list)
 
-    def _list(self, request: Any) -> Any:
+    def _list(self, request: Any) -> Response:
         # Each kind is cut separately, and the response has the number of omitted items.
         limit = min(request.most or DEFAULT_LISTED_ITEMS, MAX_LISTED_ITEMS)
-        response = self._response(result=OK)
         inputs = self._get_inputs()
-        response.inputs = [self._to_input_message(status) for status in inputs[:limit]]
-        response.more_inputs = max(0, len(inputs) - limit)
+        response: Response = {
+            "result": OK,
+            "inputs": [_describe_input(status) for status in inputs[:limit]],
+            "more_inputs": max(0, len(inputs) - limit),
+        }
         if self._get_status is None:
-            response.now = rospy.get_rostime()
+            response["now"] = self._transport.now()
             if self._reports is not None:
-                response.errors, response.warnings = self._reports.errors, self._reports.warnings
+                response.update(errors=self._reports.errors, warnings=self._reports.warnings)
         else:
-            self._fill_engine_status(response, self._get_status(limit))
-        # `Reports` counts the problems of events, and `log_counts` all other records of the log; see `ros_log`.
-        response.errors += log_counts.errors
-        response.warnings += log_counts.warnings
+            response.update(_describe_engine(self._get_status(limit)))
+        # `Reports` counts the problems of events, and `log_counts` all other records of the log; see `goal_output`.
+        response["errors"] = response.get("errors", 0) + log_counts.errors
+        response["warnings"] = response.get("warnings", 0) + log_counts.warnings
         return response
 
-    def _fill_engine_status(self, response: Any, status: Status) -> None:
-        response.now = _to_ros_time(status.now)
-        if status.work is not None:
-            response.work, response.work_goal = status.work.what, status.work.goal
-            response.work_place = status.work.place
-            response.work_time = _to_ros_duration(int(status.work.seconds * SECOND))
-        for field in ("taken", "fired", "queued", "dropped", "errors", "warnings", "alarms"):
-            setattr(response, field, getattr(status, field))
-        response.rules = [self._to_rule_message(status) for status in status.rules]
-        response.memories = [self._to_memory_message(status) for status in status.memories]
-        response.subscriptions = [self._to_subscription_message(status) for status in status.subscriptions]
-        response.waiting = [self._to_query_message(status) for status in status.waiting]
-        for field, count in status.left_out._asdict().items():
-            setattr(response, f"more_{field}", count)
 
-    def _to_rule_message(self, rule: RuleStatus) -> Any:
-        return self._msg.RuleStatus(**rule._replace(last_fired=_to_ros_time(rule.last_fired))._asdict())
-
-    def _to_memory_message(self, memory: MemoryStatus) -> Any:
-        return self._msg.MemoryStatus(
-            **memory._replace(
-                oldest=_to_ros_time(memory.oldest), newest=_to_ros_time(memory.newest)
-            )._asdict()
+def _describe_engine(status: Status) -> Response:
+    """Return the fields of a response for an engine."""
+    response: Response = {
+        "now": _limit_time(status.now),
+        "rules": [rule._replace(last_fired=_limit_time(rule.last_fired))._asdict() for rule in status.rules],
+        "memories": [
+            memory._replace(oldest=_limit_time(memory.oldest), newest=_limit_time(memory.newest))._asdict()
+            for memory in status.memories
+        ],
+        "subscriptions": [subscription._asdict() for subscription in status.subscriptions],
+        "waiting": [_describe_query(query) for query in status.waiting],
+    }
+    for field in ("taken", "fired", "queued", "dropped", "errors", "warnings", "alarms"):
+        response[field] = getattr(status, field)
+    for field, count in status.left_out._asdict().items():
+        response[f"more_{field}"] = count
+    if status.work is not None:
+        response.update(
+            work=status.work.what,
+            work_goal=status.work.goal,
+            work_place=status.work.place,
+            work_time=_limit_duration(int(status.work.seconds * SECOND)),
         )
-
-    def _to_subscription_message(self, subscription: SubscriptionStatus) -> Any:
-        return self._msg.SubscriptionStatus(**subscription._asdict())
-
-    def _to_query_message(self, query: WaitingStatus) -> Any:
-        memories = [
-            self._msg.AwaitedMemory(memory.id, _to_ros_time(memory.instant), _to_ros_duration(memory.behind))
-            for memory in query.memories
-        ]
-        return self._msg.WaitingStatus(query.event, _to_ros_time(query.since), memories, query.left_out)
-
-    def _to_input_message(self, status: InputStatus) -> Any:
-        age = None if status.age is None else int(status.age * SECOND)
-        return self._msg.InputStatus(
-            **status._replace(age=_to_ros_duration(age), lag=_to_ros_duration(status.lag or 0))._asdict()
-        )
+    return response
 
 
-def _to_ros_time(instant: Optional[int]) -> Any:
-    """Return an instant as ROS time: zero for None, and the nearest representable one if it is out of range."""
-    return rospy.Time(0, min(max(instant or 0, 0), _TIME_LIMIT_SECONDS * SECOND - 1))
+def _describe_query(query: WaitingStatus) -> Response:
+    memories = [
+        {"id": memory.id, "instant": _limit_time(memory.instant), "behind": _limit_duration(memory.behind)}
+        for memory in query.memories
+    ]
+    return {
+        "event": query.event,
+        "since": _limit_time(query.since),
+        "memories": memories,
+        "left_out": query.left_out,
+    }
 
 
-def _to_ros_duration(nanoseconds: Optional[int]) -> Any:
-    """Return a time span as ROS duration: -1 ns for None, and the nearest representable one if it is out of range."""
+def _describe_input(status: InputStatus) -> Response:
+    age = None if status.age is None else int(status.age * SECOND)
+    return status._replace(age=_limit_duration(age), lag=_limit_duration(status.lag or 0))._asdict()
+
+
+def _limit_time(instant: Optional[int]) -> int:
+    """Return an instant in ns: zero for None, and the nearest one of a message's range if it is out of range."""
+    return min(max(instant or 0, 0), _TIME_LIMIT_SECONDS * SECOND - 1)
+
+
+def _limit_duration(nanoseconds: Optional[int]) -> int:
+    """Return a time span in ns: -1 for None, and the nearest one of a message's range if it is out of range."""
     span = NO_DURATION if nanoseconds is None else nanoseconds
-    return rospy.Duration(
-        0, min(max(span, -_DURATION_LIMIT_SECONDS * SECOND), _DURATION_LIMIT_SECONDS * SECOND - 1)
-    )
+    return min(max(span, -_DURATION_LIMIT_SECONDS * SECOND), _DURATION_LIMIT_SECONDS * SECOND - 1)
 
 
 DEFAULT_MAX_SOLUTIONS = 100
@@ -508,20 +539,17 @@ class QueryServices:
     """Services ``~query`` and ``~explain`` of node retalis.
 
     Args:
+        transport: the middleware.
         engine: engine of the node.
     """
 
-    def __init__(self, engine: Engine):
-        from .. import msg, srv  # noqa: PLC0415 - generated when the package is built
-
+    def __init__(self, transport: Transport, engine: Engine):
         self._engine = engine
-        self._msg, self._srv = msg, srv
         self._waiting_slots = BoundedSemaphore(MAX_WAITING_QUERIES)
-        offer_service("~query", srv.Query, self._query)
-        offer_service("~explain", srv.Explain, self._explain)
+        offer_service(transport, "~query", "Query", self._query)
+        offer_service(transport, "~explain", "Explain", self._explain)
 
-    def _query(self, request: Any) -> Any:
-        response = self._srv.QueryResponse
+    def _query(self, request: Any) -> Response:
         try:
             seconds = validate_limit("seconds", request.seconds, float)
             # Zero represents an absent value in a ROS message. The output limit is the engine's.
@@ -531,14 +559,13 @@ class QueryServices:
                 self._wait_for_memories(request)
             answers = ask(self._engine, request.goal, solution_limit, limits)
         except SyntaxFault as fault:
-            return response(f"error: goal: {fault.brief()}", False, [])
+            return {"result": f"error: goal: {fault.brief()}"}
         except RetalisError as error:
-            return response(format_error(error), False, [])
+            return {"result": format_error(error)}
         solutions = [
-            self._msg.Solution([self._msg.Binding(*binding) for binding in solution])
-            for solution in answers.solutions
+            {"bindings": [binding._asdict() for binding in solution]} for solution in answers.solutions
         ]
-        return response(OK, answers.complete, solutions)
+        return {"result": OK, "complete": answers.complete, "solutions": solutions}
 
     def _wait_for_memories(self, request: Any) -> None:
         names = [parse_name(text, "wait_for") for text in request.wait_for]
@@ -547,25 +574,28 @@ class QueryServices:
         if not self._waiting_slots.acquire(blocking=False):
             raise UsageError(f"{MAX_WAITING_QUERIES} queries wait already")
         try:
-            wait_for_memories(self._engine, names, request.stamp.to_nsec(), seconds)
+            wait_for_memories(self._engine, names, request.stamp, seconds)
         finally:
             self._waiting_slots.release()
 
-    def _explain(self, request: Any) -> Any:
-        response = self._srv.ExplainResponse
+    def _explain(self, request: Any) -> Response:
         if not records_origins(self._engine):
-            return response(f"error: {ORIGINS_NOT_RECORDED}", False, [])
+            return {"result": f"error: {ORIGINS_NOT_RECORDED}"}
         try:
             explanation = explain(self._engine, request.event, MAX_EXPLANATION_SECONDS)
         except RetalisError as error:
-            return response(format_error(error), False, [])
+            return {"result": format_error(error)}
         lines: List[str] = []
         for tree in explanation.lines:
             lines += tree.indented()
             if len(lines) > MAX_EXPLANATION_LINES:
                 lines = [*lines[:MAX_EXPLANATION_LINES], "..."]
                 break
-        return response(OK, explanation.happened, [line[:MAX_EXPLANATION_LINE_CHARACTERS] for line in lines])
+        return {
+            "result": OK,
+            "happened": explanation.happened,
+            "lines": [line[:MAX_EXPLANATION_LINE_CHARACTERS] for line in lines],
+        }
 
 
 MAX_RELOAD_ERROR_CHARACTERS = 10_000
@@ -578,6 +608,7 @@ class ReloadService:
     """Service ``~reload`` of node retalis.
 
     Args:
+        transport: the middleware.
         engine: engine of the node.
         folder: folder of the program.
         writable: folders in which goals may write files; None means anywhere.
@@ -587,23 +618,21 @@ class ReloadService:
 
     def __init__(
         self,
+        transport: Transport,
         engine: Engine,
         folder: Path,
         writable: Optional[Tuple[str, ...]],
         topics: Topics,
         after_reload: Callable[[Topics], None],
     ):
-        from .. import srv  # noqa: PLC0415 - generated when the package is built
-
         self._engine = engine
         self._folder = folder
         self._writable = writable
         self._topics = topics
         self._after_reload = after_reload
-        self._response = srv.ReloadResponse
-        rospy.Service("~reload", srv.Reload, self._reload)
+        transport.offer_service("~reload", "Reload", self._reload)
 
-    def _reload(self, request: Any) -> Any:
+    def _reload(self, request: Any) -> Response:
         try:
             check_not_writable(self._folder, self._writable)
             topics = read_current_topics(self._folder)
@@ -611,12 +640,12 @@ class ReloadService:
             changes = self._engine.reload(self._folder)
         except RetalisError as error:
             # In several lines: the source lines, with carets below the errors.
-            return self._response(f"error: {shorten(str(error), MAX_RELOAD_ERROR_CHARACTERS)}", [])
+            return {"result": f"error: {shorten(str(error), MAX_RELOAD_ERROR_CHARACTERS)}"}
         if topics != self._topics:
             changes.append(TOPICS_CHANGED)
         self._after_reload(topics)
-        rospy.loginfo("%s was read again: %s", self._folder, self._engine.summary())
-        return self._response(OK, changes)
+        log.info("%s was read again: %s", self._folder, self._engine.summary())
+        return {"result": OK, "changes": changes}
 
 
 def check_not_writable(folder: Path, writable: Optional[Tuple[str, ...]]) -> None:

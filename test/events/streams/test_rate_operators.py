@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st
 
-from retalis.events.streams.stream_operators import Debounce, DistinctUntilChanged, Throttle
+from retalis.events.streams.rate_operators import Debounce, DistinctUntilChanged, Throttle
 from retalis.prolog.terms.term_traversal import term_key
 
 ARRIVALS = stream(st.sampled_from([1, 1.0, 2]))

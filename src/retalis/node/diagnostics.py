@@ -5,17 +5,23 @@ Each status has a level. Levels are derived from counters that only grow: a loss
 several times its usual interval, so that slow topics need no configuration.
 """
 
+import logging
 import threading
 import time
 from enum import Enum, IntEnum
 from typing import Any, Callable, Collection, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
-import rospy
-
 from ..engine.engine_status import RuleStatus, Status
-from ..foundation.errors import format_count, printable, shorten
+from ..engine.runtime.problem_reports import Reports
+from ..foundation.errors import MessageError, RetalisError, format_count, printable, shorten
+from ..messages.encoder import Encoder
+from ..messages.message_values import make_message_term
+from ..messages.type_registry import Definitions
 from ..prolog.machine.resource_limits import resident_bytes
 from .topic_statistics import InputStatus, OutputStatus
+from .transport import TopicPublication, Transport
+
+log = logging.getLogger("retalis")
 
 MAX_STATUS_VALUES = 20
 """Maximum number of rules, queries and warnings that a status names."""
@@ -477,67 +483,85 @@ def _select_most_severe(healths: List[Health], direction: str) -> List[Health]:
 
 DIAGNOSTICS_TOPIC = "/diagnostics"
 
+DIAGNOSTICS_TYPE = "diagnostic_msgs/DiagnosticArray"
+
 DEFAULT_HARDWARE_ID = "retalis"
 """Default of parameter ``~hardware_id``; ``diagnostic_aggregator`` may group by it."""
+
+_QUEUE_SIZE = 2
 
 
 class Diagnostics:
     """Periodic publisher of the health of a node, in a thread and by wall time: simulated time may stand still.
 
     Args:
+        transport: the middleware.
         period: seconds between two messages; None disables publishing.
         health: status of the node.
+        reports: receives the errors of single messages.
         hardware_id: hardware id of each status.
     """
 
-    def __init__(self, period: Optional[float], health: NodeHealth, hardware_id: str = DEFAULT_HARDWARE_ID):
+    def __init__(
+        self,
+        transport: Transport,
+        period: Optional[float],
+        health: NodeHealth,
+        reports: Reports,
+        hardware_id: str = DEFAULT_HARDWARE_ID,
+    ):
+        self._transport = transport
         self._health = health
+        self._reports = reports
         self._hardware_id = hardware_id
         self._is_shut_down = threading.Event()
         if period is None:
             return
+        definitions = Definitions(transport.installed_types(include_rosbags=False))
         try:
-            from diagnostic_msgs import msg  # noqa: PLC0415 - an optional package
-        except ImportError:
-            rospy.logwarn(
+            definition = definitions.find(DIAGNOSTICS_TYPE)
+        except MessageError:
+            log.warning(
                 "%s is not published: the package diagnostic_msgs is not installed", DIAGNOSTICS_TOPIC
             )
             return
-        self._msg = msg
-        self._publisher = rospy.Publisher(DIAGNOSTICS_TOPIC, msg.DiagnosticArray, queue_size=2)
-        rospy.on_shutdown(self._is_shut_down.set)
-        threading.Thread(target=self._run, args=(period,), name="retalis diagnostics", daemon=True).start()
+        publication = transport.advertise(DIAGNOSTICS_TOPIC, definition, _QUEUE_SIZE)
+        transport.on_shutdown(self._is_shut_down.set)
+        threading.Thread(
+            target=self._run,
+            args=(period, publication, definitions.encoder(definition)),
+            name="retalis diagnostics",
+            daemon=True,
+        ).start()
 
-    def _run(self, period: float) -> None:
+    def _run(self, period: float, publication: TopicPublication, encoder: Encoder) -> None:
         while not self._is_shut_down.wait(period):
             try:
-                self._publisher.publish(self._make_message(self._health.evaluate()))
-            except rospy.ROSException:
-                # The node is being shut down.
-                if not rospy.is_shutdown():
-                    raise
+                values = self._make_message(self._health.evaluate())
+                publication.send(encoder.encode(make_message_term(encoder.definition, values)))
             # Counters are read without locks while other threads change them: a rare error affects one message only.
             except Exception as error:
-                rospy.logerr_throttle(60, f"{DIAGNOSTICS_TOPIC}: {error!r}")
+                self._reports.error(RetalisError(f"{DIAGNOSTICS_TOPIC}: {error!r}"), DIAGNOSTICS_TOPIC)
 
-    def _make_message(self, healths: List[Health]) -> Any:
-        message = self._msg.DiagnosticArray()
-        message.header.stamp = rospy.get_rostime()
-        node = rospy.get_name().strip("/")
-        message.status = [
-            self._msg.DiagnosticStatus(
-                level=int(health.level),
-                name=f"{node}: {health.name}",
-                message=_to_single_line(health.message),
-                hardware_id=self._hardware_id,
-                values=[
-                    self._msg.KeyValue(key=_to_single_line(key), value=_to_single_line(value))
-                    for key, value in health.values
-                ],
-            )
-            for health in healths
-        ]
-        return message
+    def _make_message(self, healths: List[Health]) -> Dict[str, Any]:
+        """Return the values of a message."""
+        node = self._transport.node_name.strip("/")
+        return {
+            "header": {"stamp": self._transport.now()},
+            "status": [
+                {
+                    "level": int(health.level),
+                    "name": f"{node}: {health.name}",
+                    "message": _to_single_line(health.message),
+                    "hardware_id": self._hardware_id,
+                    "values": [
+                        {"key": _to_single_line(key), "value": _to_single_line(value)}
+                        for key, value in health.values
+                    ],
+                }
+                for health in healths
+            ],
+        }
 
 
 def _to_single_line(text: str) -> str:

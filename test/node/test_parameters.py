@@ -1,25 +1,21 @@
-"""Parameters of the nodes: defaults, conversions and errors. Needs rospy, no master."""
+"""Parameters of a node: defaults, conversions and errors."""
 
 from pathlib import Path
 
 import pytest
-import rospkg
 
-rospy = pytest.importorskip("rospy", reason="ROS is not installed")
-
-from retalis import Limits, Settings, TopicType, UsageError  # noqa: E402
-from retalis.dashboard.page_server import DASHBOARD_PORT  # noqa: E402
-from retalis.prolog.machine.resource_limits import NO_LIMITS  # noqa: E402
-from retalis.ros1.parameters import read_parameters  # noqa: E402
+from retalis import Limits, Settings, TopicType, UsageError
+from retalis.dashboard.page_server import DASHBOARD_PORT
+from retalis.node.parameters import read_parameters
+from retalis.prolog.machine.resource_limits import NO_LIMITS
 
 
 @pytest.fixture
 def read(monkeypatch):
     monkeypatch.setattr(Path, "is_dir", lambda path: path.parts[1:2] != ("nowhere",))
 
-    def read(*arguments, **values):
-        monkeypatch.setattr(rospy, "get_param", lambda name, default: values.get(name.lstrip("~"), default))
-        return read_parameters(["node", *(arguments or ("/some/package",)), "__name:=x"])
+    def read(folder="/some/package", **values):
+        return read_parameters(values, lambda: Path(folder) / "application_source")
 
     return read
 
@@ -84,7 +80,7 @@ def test_watermark_delay_is_auto_or_number(read):
             read(**{parameter: "much"})
 
 
-def test_the_first_argument_is_the_package_and_a_program_wins(read):
+def test_program_replaces_the_default_folder(read):
     assert read("/here").program == Path("/here/application_source")
     assert read("/here", program="/there").program == Path("/there")
 
@@ -101,24 +97,11 @@ def test_a_program_that_is_not_there_is_an_error_with_a_way_out(read, package, p
         read(package, program=program)
 
 
-def test_a_program_that_is_a_file_is_an_error(monkeypatch, tmp_path):
+def test_a_program_that_is_a_file_is_an_error(tmp_path):
     path = tmp_path / "rules.txt"
     path.write_text("")
-    monkeypatch.setattr(
-        rospy, "get_param", lambda name, default: str(path) if name == "~program" else default
-    )
     with pytest.raises(UsageError, match=r"rules.txt is not a folder: give"):
-        read_parameters(["node"])
-
-
-def test_a_package_that_is_not_found_is_an_error_with_a_way_out(monkeypatch):
-    def get_path(self, name):
-        raise rospkg.ResourceNotFound(name)
-
-    monkeypatch.setattr(rospkg.RosPack, "get_path", get_path)
-    monkeypatch.setattr(rospy, "get_param", lambda name, default: default)
-    with pytest.raises(UsageError, match="ROS_PACKAGE_PATH"):
-        read_parameters(["node"])
+        read_parameters({"program": str(path)}, Path)
 
 
 def test_numbers_and_flags(read):
@@ -184,16 +167,12 @@ def test_a_list_of_topics_and_types(read, value):
     assert read(direct=value).direct == (TopicType("scan", "sensor_msgs/LaserScan"),)
 
 
-def test_an_unknown_parameter_is_warned_of(monkeypatch):
-    given = {"~": {"max_second": 1, "queue": 5, "quick": True}}
-    warned = []
-    monkeypatch.setattr(rospy, "get_param", lambda name, default: given.get(name, default))
-    monkeypatch.setattr(rospy, "logwarn", lambda text, *values: warned.append(text % values))
-    monkeypatch.setattr(Path, "is_dir", lambda path: True)
-    read_parameters(["node", "/some/package"])
-    assert warned[0] == "there is no parameter ~max_second; did you mean ~max_seconds?"
-    assert warned[1].startswith("there is no parameter ~quick; the parameters are ~program, ~direct, ")
-    assert len(warned) == 2
+def test_an_unknown_parameter_is_warned_of(read, caplog):
+    read(max_second=1, queue=5, quick=True)
+    warnings = [record.getMessage() for record in caplog.records]
+    assert warnings[0] == "there is no parameter ~max_second; did you mean ~max_seconds?"
+    assert warnings[1].startswith("there is no parameter ~quick; the parameters are ~program, ~direct, ")
+    assert len(warnings) == 2
 
 
 def test_the_page_is_off_by_default_and_has_a_port(read):

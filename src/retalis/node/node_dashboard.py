@@ -3,19 +3,28 @@
 The counters of topics that other nodes subscribe are read from ``/diagnostics``.
 """
 
-from typing import Any, Callable, Dict, Iterable, List, Optional, Sequence
-
-import rospy
+import logging
+import threading
+from typing import Any, Callable, Dict, Iterable, List, Mapping, Optional, Sequence
 
 from ..dashboard.page_server import Dashboard
 from ..dashboard.view_model import DashboardSource, TopicRow
 from ..engine.engine import Engine
+from ..engine.event_input import TopicRequest
+from ..engine.runtime.problem_reports import Reports
 from ..events.program.topic_configuration import TopicEvent, TopicType
 from ..foundation.errors import UsageError
+from ..messages.decoder import Decoder
+from ..messages.message_values import read_message_term
+from ..messages.type_registry import Definitions
 from ..prolog.terms.timestamps import SECOND
-from .diagnostics import DIAGNOSTICS_TOPIC
-from .internode_topics import INPUT, OUTPUT
+from .diagnostics import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE
+from .subscribed_topics import MessageHandler, MessageProcessing, ReadingOptions, SubscribedTopic
+from .text_exchange import INPUT, OUTPUT
 from .topic_statistics import InputStatus
+from .transport import MessageSource, Transport
+
+log = logging.getLogger("retalis")
 
 _SEPARATOR = ": input "
 """Separator between the names of node and topic in a status on ``/diagnostics``; see `InputHealth`."""
@@ -25,6 +34,8 @@ _TOPIC_KEYS = {"type", "publishers", "messages", "lag (s)"}
 
 MAX_PORTS_TRIED = 100
 """Number of ports to try, from the requested one on."""
+
+_QUEUE_SIZE = 10
 
 MAX_REMOTE_TOPICS = 200
 """Limit for the topics of other nodes."""
@@ -37,6 +48,8 @@ class NodeDashboard:
     reason, and the node continues without it.
 
     Args:
+        transport: the middleware.
+        reports: receives errors.
         port: port on the loopback address; None for no page.
         allow_queries: whether users of the page may ask goals.
         engine: the engine to show.
@@ -50,6 +63,8 @@ class NodeDashboard:
 
     def __init__(
         self,
+        transport: Transport,
+        reports: Reports,
         port: Optional[int],
         allow_queries: bool,
         engine: Engine,
@@ -57,28 +72,31 @@ class NodeDashboard:
         program_topics: Sequence[TopicType],
         event_names: Callable[[], Iterable[TopicEvent]] = tuple,
     ):
+        self._transport = transport
+        self._reports = reports
         self._inputs = inputs
         self._program_topics = [
-            TopicRow(rospy.resolve_name(topic_type.topic), topic_type.type) for topic_type in program_topics
+            TopicRow(transport.resolve_topic(topic_type.topic), topic_type.type)
+            for topic_type in program_topics
         ]
         self._event_names = event_names
         self._remote_topics: Dict[str, TopicRow] = {}
         self.url = ""
         if port is None:
             return
-        source = DashboardSource(engine, rospy.get_name(), self.topics, allow_queries)
+        source = DashboardSource(engine, transport.node_name, self.topics, allow_queries)
         try:
             page = Dashboard(source, port, port_count=MAX_PORTS_TRIED)
         except UsageError as error:
-            rospy.logwarn("%s; the node goes on without it", error)
+            log.warning("%s; the node goes on without it", error)
             return
         self._subscribe_diagnostics()
-        rospy.on_shutdown(page.close)
+        transport.on_shutdown(page.close)
         self.url = page.url
         if page.port != port:
-            rospy.logwarn("port %d is taken: the dashboard is at %s", port, page.url)
+            log.warning("port %d is taken: the dashboard is at %s", port, page.url)
         else:
-            rospy.loginfo("the dashboard is at %s", page.url)
+            log.info("the dashboard is at %s", page.url)
 
     def topics(self) -> List[TopicRow]:
         """Return all input topics with the known counters of each."""
@@ -86,8 +104,8 @@ class NodeDashboard:
         # In increasing precedence: names only, statuses of other nodes, the node's own counters.
         by_name.update(self._remote_topics)
         by_name.update({row.topic: _topic_row(row) for row in self._inputs()})
-        event_names = {rospy.resolve_name(topic): event for topic, event in self._event_names()}
-        internal_topics = {rospy.resolve_name(name) for name in (INPUT, OUTPUT)}
+        event_names = {self._transport.resolve_topic(topic): event for topic, event in self._event_names()}
+        internal_topics = {self._transport.resolve_topic(name) for name in (INPUT, OUTPUT)}
         return [
             row._replace(event=event_names.get(name, ""))
             for name, row in by_name.items()
@@ -96,21 +114,29 @@ class NodeDashboard:
 
     def _subscribe_diagnostics(self) -> None:
         """Subscribe ``/diagnostics``, on which the interface node reports its topics."""
-        try:
-            from diagnostic_msgs import msg  # noqa: PLC0415 - an optional package
-        except ImportError:
+        definitions = Definitions(self._transport.installed_types(include_rosbags=False))
+        if DIAGNOSTICS_TYPE not in definitions:
             return
-        self._subscriber = rospy.Subscriber(
-            DIAGNOSTICS_TOPIC, msg.DiagnosticArray, self._receive, queue_size=10
+
+        def make_handler(decoder: Decoder, topic: str, source: MessageSource) -> MessageHandler:
+            return lambda data: self._receive(read_message_term(decoder.definition, decoder.decode(data)))
+
+        self._diagnostics = SubscribedTopic(
+            self._transport,
+            definitions,
+            self._reports,
+            TopicRequest(DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE),
+            MessageProcessing(make_handler, threading.Lock()),
+            ReadingOptions(_QUEUE_SIZE),
         )
 
-    def _receive(self, message: Any) -> None:
+    def _receive(self, message: Mapping[str, Any]) -> None:
         """Store the topics that nodes of this package report in the same namespace."""
-        own_name = rospy.get_name().strip("/")
+        own_name = self._transport.node_name.strip("/")
         namespace = own_name.rpartition("/")[0]
-        for status in message.status:
-            node, separator, topic = status.name.partition(_SEPARATOR)
-            values = {value.key: value.value for value in status.values}
+        for status in message["status"]:
+            node, separator, topic = status["name"].partition(_SEPARATOR)
+            values = {value["key"]: value["value"] for value in status["values"]}
             if (
                 not separator
                 or not values.keys() >= _TOPIC_KEYS

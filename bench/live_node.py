@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Cost of the nodes with the NAO's messages on a real master: CPU, delay, losses, memory, start time.
 
-    bench/node.py [--seconds N] [--speed 1 5 10 20] [--way idle roscpp direct kept embedded converter] [--runs N]
+    bench/live_node.py [--seconds N] [--speed 1 5 10 20] [--way idle roscpp direct kept embedded converter] [--runs N]
                   [--memory MESSAGES] [--starts N] [--json FILE] [--plot FILE]
 
 Needs ROS and the built package on the path (``source devel/setup.bash``). Starts its own master on a free port.

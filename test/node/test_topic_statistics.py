@@ -4,7 +4,7 @@ from struct import pack
 
 import pytest
 
-from retalis.ros1.topic_statistics import (
+from retalis.node.topic_statistics import (
     MIN_BEHIND_SECONDS,
     InputCounts,
     InputStatus,
@@ -50,7 +50,7 @@ class Connection:
 
     def __init__(self, has_header=True):
         self.now = 0.0
-        self.counts, self.reports = InputCounts(), []
+        self.counts, self.reports = InputCounts(lambda: 0), []
         self.monitor = LossMonitor(self.counts, has_header, self.reports.append, lambda: self.now)
 
     def read(self, *numbers, waited=0.0, busy=1.0):

@@ -1,0 +1,1 @@
+"""A running program as a node, independent of any middleware."""

@@ -1,0 +1,278 @@
+"""Parameters of a node: defaults, validation and conversion."""
+
+import logging
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Callable, Mapping, NamedTuple, Optional, Tuple, Type
+
+from ..dashboard.page_server import DASHBOARD_PORT
+from ..engine.engine_settings import Settings
+from ..events.knowledge.transform_buffer import DEFAULT_CACHE_SECONDS
+from ..events.program.topic_configuration import AUTO, DirectTopics, read_direct, uses_texts
+from ..foundation.errors import UsageError, printable, shorten
+from ..messages.type_definition import MAX_EMPTY_ELEMENTS
+from ..prolog.machine.resource_limits import Limits, Number, validate_limit
+from .diagnostics import DEFAULT_HARDWARE_ID
+
+log = logging.getLogger("retalis")
+
+DEFAULT_LIMITS = Limits(seconds=10.0, megabytes=500)
+"""Default limits for an event, a service call or a query, including everything that it triggers."""
+
+DEFAULT_WATCHDOG_SECONDS = 1.0
+"""Default of ``~watchdog``: seconds after which work in progress is logged."""
+
+
+PARAMETER_NAMES = (
+    "program",
+    "direct",
+    "embedded",
+    "queue",
+    "allow_goals",
+    "allow_flags",
+    "allow_foreign",
+    "allow_swi",
+    "folders",
+    "write_folders",
+    "max_file_megabytes",
+    "max_depth",
+    "max_elements",
+    "max_seconds",
+    "max_inferences",
+    "max_megabytes",
+    "max_output_megabytes",
+    "max_skew",
+    "max_gap",
+    "watermark_delay",
+    "max_watermark_delay",
+    "tf_cache",
+    "watchdog",
+    "diagnostics",
+    "hardware_id",
+    "dashboard",
+    "dashboard_queries",
+    "explain",
+    "checkpoint",
+)
+
+
+class Parameters(NamedTuple):
+    """The parameters of a node.
+
+    Attributes:
+        program: folder with pub_sub.xml and goalPredicates.txt.
+        direct: ``auto``, True, False, or the topics that node retalis subscribes to itself; see
+            `uses_texts`.
+        embedded: whether the ROS interface runs inside node retalis.
+        queue: maximum length of each queue, in events or messages.
+        settings: settings of the engine.
+        max_empty_elements: limit for the elements of a message that occupy no bytes.
+        explain: whether the causes of events are recorded.
+        max_skew: largest difference in seconds between a stamp and the expected time of its topic and frame; None
+            for no limit.
+        diagnostics: seconds between two messages on ``/diagnostics``; None disables them.
+        hardware_id: hardware id of the node's statuses on ``/diagnostics``.
+        dashboard: port of the dashboard; None for no dashboard.
+        dashboard_queries: whether users of the dashboard may ask goals.
+        checkpoint: file for the engine's state; None if the state is not saved.
+    """
+
+    program: Path
+    direct: DirectTopics
+    embedded: bool
+    queue: int
+    settings: Settings
+    max_empty_elements: int = MAX_EMPTY_ELEMENTS
+    explain: bool = False
+    max_skew: Optional[float] = None
+    diagnostics: Optional[float] = 1.0
+    hardware_id: str = DEFAULT_HARDWARE_ID
+    dashboard: Optional[int] = None
+    dashboard_queries: bool = False
+    checkpoint: Optional[Path] = None
+
+    @property
+    def uses_texts(self) -> bool:
+        """True if messages pass as text through the interface node.
+
+        Otherwise node retalis itself subscribes to and publishes the topics of ``pub_sub.xml``.
+        """
+        return not self.embedded and uses_texts(self.direct)
+
+
+def read_parameters(values: Mapping[str, Any], find_program: Callable[[], Path]) -> Parameters:
+    """Return the parameters of a node.
+
+    Args:
+        values: the given parameters by name.
+        find_program: returns the folder of the program if parameter ``~program`` is not given.
+
+    Raises:
+        UsageError: if a value is invalid; the message names the parameter.
+    """
+    _warn_about_unknown_parameters(values)
+    given = _GivenParameters(values)
+    limits = Limits(
+        given.limit("max_seconds", float, DEFAULT_LIMITS.seconds),
+        given.limit("max_inferences", int, DEFAULT_LIMITS.inferences),
+        given.limit("max_megabytes", float, DEFAULT_LIMITS.megabytes),
+        given.limit("max_output_megabytes", float, DEFAULT_LIMITS.output_megabytes),
+    )
+    depth = given.positive_number("max_depth", int)
+    queue = given.positive_number("queue", int)
+    settings = Settings(
+        limits=limits,
+        # The limits of an event do not apply to the goals of goalPredicates.txt.
+        limit_start=False,
+        watchdog=given.limit("watchdog", float, DEFAULT_WATCHDOG_SECONDS),
+        allow_goals=given.flag("allow_goals"),
+        allow_flags=given.flag("allow_flags"),
+        allow_foreign=given.flag("allow_foreign"),
+        allow_swi=given.flag("allow_swi"),
+        folders=given.folders("folders"),
+        write_folders=given.folders("write_folders"),
+        max_gap=given.limit("max_gap", float, None),
+        watermark_delay=given.delay("watermark_delay"),
+        max_watermark_delay=validate_limit(
+            "parameter ~max_watermark_delay", values.get("max_watermark_delay", 1.0), float
+        ),
+        tf_cache=given.positive_number("tf_cache", float) or DEFAULT_CACHE_SECONDS,
+    )
+    max_file_megabytes = given.positive_number("max_file_megabytes", int)
+    if max_file_megabytes is not None:
+        settings = settings._replace(max_file_megabytes=max_file_megabytes)
+    if depth is not None:
+        settings = settings._replace(max_depth=depth)
+    if queue is not None:
+        settings = settings._replace(queue=queue)
+    return Parameters(
+        max_empty_elements=given.positive_number("max_elements", int) or MAX_EMPTY_ELEMENTS,
+        program=_read_program_folder(given, find_program),
+        direct=_read_direct_topics(values),
+        embedded=given.flag("embedded"),
+        queue=settings.queue,
+        settings=settings,
+        explain=given.flag("explain"),
+        max_skew=given.limit("max_skew", float, None),
+        diagnostics=given.limit("diagnostics", float, 1.0),
+        hardware_id=given.text("hardware_id", DEFAULT_HARDWARE_ID),
+        dashboard=given.port("dashboard"),
+        dashboard_queries=given.flag("dashboard_queries"),
+        checkpoint=given.path("checkpoint"),
+    )
+
+
+def _warn_about_unknown_parameters(values: Mapping[str, Any]) -> None:
+    for name in values:
+        # A misspelt parameter would otherwise be ignored without notice.
+        if name not in PARAMETER_NAMES:
+            matches = get_close_matches(name, PARAMETER_NAMES, 1)
+            hint = (
+                f"did you mean ~{matches[0]}?"
+                if matches
+                else f"the parameters are ~{', ~'.join(PARAMETER_NAMES)}"
+            )
+            log.warning("there is no parameter ~%s; %s", printable(shorten(name)), hint)
+
+
+def _read_program_folder(given: "_GivenParameters", find_program: Callable[[], Path]) -> Path:
+    folder = given.get("program", "")
+    if not isinstance(folder, str):
+        raise UsageError(f"parameter ~program: expected the path of a folder, found {folder!r}")
+    if folder:
+        return _check_folder(Path(folder), "parameter ~program")
+    return _check_folder(find_program(), "the program's folder")
+
+
+def _check_folder(folder: Path, description: str) -> Path:
+    if folder.is_dir():
+        return folder
+    problem = "is not a folder" if folder.exists() else "does not exist"
+    folder_text = printable(shorten(str(folder)))
+    raise UsageError(
+        f"{description}: {folder_text} {problem}: give the absolute path of the folder with goalPredicates.txt "
+        "and pub_sub.xml, as program:=/path of retalis.launch or as parameter ~program"
+    )
+
+
+def _read_direct_topics(values: Mapping[str, Any]) -> DirectTopics:
+    try:
+        return read_direct(values.get("direct", AUTO))
+    except UsageError as error:
+        raise UsageError(f"parameter ~direct: {error.message}") from None
+
+
+class _GivenParameters:
+    """Parameters by name, with a method for each kind of value.
+
+    Args:
+        values: the given parameters.
+    """
+
+    def __init__(self, values: Mapping[str, Any]):
+        self._values = values
+
+    def get(self, name: str, default: Any) -> Any:
+        """Return the value of a parameter."""
+        return self._values.get(name, default)
+
+    def folders(self, name: str) -> Tuple[str, ...]:
+        """Return the folders that a parameter lists."""
+        value = self.get(name, [])
+        if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
+            raise UsageError(f"parameter ~{name}: expected a list of folders, found {value!r}")
+        return tuple(value)
+
+    def path(self, name: str) -> Optional[Path]:
+        """Return the absolute path in a parameter; None if it is empty."""
+        value = self.get(name, "")
+        if not isinstance(value, str) or "\0" in value:
+            raise UsageError(f"parameter ~{name}: expected the path of a file, found {value!r}")
+        return Path(value).expanduser().absolute() if value else None
+
+    def text(self, name: str, default: str) -> str:
+        """Return the text of a parameter; ``default`` if it is empty."""
+        value = self.get(name, default)
+        if not isinstance(value, str):
+            raise UsageError(f"parameter ~{name}: expected a text, found {value!r}")
+        return value or default
+
+    def flag(self, name: str) -> bool:
+        """Return whether a parameter is true; false by default."""
+        value = self.get(name, False)
+        if not isinstance(value, bool):
+            raise UsageError(f"parameter ~{name}: expected true or false, found {value!r}")
+        return value
+
+    def port(self, name: str) -> Optional[int]:
+        """Return the port in a parameter: the default port for true, None for false."""
+        value = self.get(name, False)
+        if isinstance(value, bool):
+            return DASHBOARD_PORT if value else None
+        if not isinstance(value, int) or not 0 < value < 1 << 16:
+            raise UsageError(
+                f"parameter ~{name}: expected true, false or the number of a port, found {value!r}"
+            )
+        return value
+
+    def limit(self, name: str, number_type: Type[Number], default: Optional[Number]) -> Optional[Number]:
+        """Return the limit in a parameter; None for 0, which means no limit."""
+        value = self.get(name, default or 0)
+        return validate_limit(f"parameter ~{name} (0 means no limit)", value, number_type) or None
+
+    def delay(self, name: str) -> Optional[float]:
+        """Return the seconds in a parameter; None for ``auto``, the default."""
+        value = self.get(name, "auto")
+        if value == "auto":
+            return None
+        return validate_limit(f"parameter ~{name} (auto or a number of seconds)", value, float)
+
+    def positive_number(self, name: str, number_type: Type[Number]) -> Optional[Number]:
+        """Return the number in a parameter; None by default."""
+        value = self.get(name, None)
+        if value is None:
+            return None
+        number = validate_limit(f"parameter ~{name}", value, number_type)
+        if number == 0:
+            raise UsageError(f"parameter ~{name}: expected a positive number, found {value!r}")
+        return number

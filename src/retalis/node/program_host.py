@@ -1,0 +1,452 @@
+"""A running program on a transport: its engine with topics, services, diagnostics and dashboard.
+
+`ProgramHost` is constructed in this order: the engine, restored from a checkpoint if there is one; the program, so
+that the subscriptions of its goals are known; the topics; the services, for which other nodes may look before they
+send texts; the texts; time; reports on the state.
+"""
+
+import logging
+import threading
+import time
+from typing import Any, Callable, ContextManager, Dict, List, Mapping, Optional, Protocol, Sequence, Tuple
+
+from ..engine.engine import Engine
+from ..engine.event_input import TopicRequest
+from ..engine.program_check import explain_missing_events, explain_output_mismatch
+from ..engine.runtime.clock_skew import ClockSkewMonitor
+from ..events.program.topic_configuration import Topics, TopicType, direct_topics
+from ..explanation.event_explanations import record_origins
+from ..foundation.errors import RetalisError, UsageError
+from ..messages.decoder import Decoder
+from ..messages.transform_messages import TRANSFORM_TOPICS
+from ..messages.type_definition import functor_name
+from ..messages.type_registry import Definitions
+from ..prolog.terms.types import CompoundTerm, Term
+from .checkpoint_file import CheckpointFile
+from .diagnostics import (
+    DEFAULT_LATE_SECONDS,
+    Diagnostics,
+    EngineHealth,
+    Health,
+    InputRole,
+    NodeHealth,
+    evaluate_program,
+)
+from .goal_output import log_counts, log_error, print_goal_output
+from .host_context import HostContext
+from .host_time import HostClock
+from .latched_deduplication import LatchedConnection
+from .node_dashboard import NodeDashboard
+from .parameters import DEFAULT_WATCHDOG_SECONDS
+from .published_topics import OutputRelay, PublishedTopics, UntypedTopicWarnings, advertise_topics
+from .services import (
+    EngineServices,
+    InterfaceServices,
+    ListService,
+    QueryServices,
+    ReloadService,
+    RuleServices,
+)
+from .subscribed_topics import (
+    MessageHandler,
+    MessageProcessing,
+    ReadingOptions,
+    RequestQueue,
+    SubscribedTopics,
+    subscribe_topics,
+)
+from .text_exchange import INPUT, OUTPUT, TextExchange, resolve_subscribable_topic
+from .topic_statistics import OutputStatus, StartupWarnings
+from .transport import MessageSource
+
+log = logging.getLogger("retalis")
+
+MAX_INTERFACE_WAIT_SECONDS = 5.0
+"""Longest wait in seconds for the interface before alarms run that became due while the node was not running."""
+
+_INTERFACE_CHECK_SECONDS = 0.05
+
+
+class InterfaceNode(Protocol):
+    """Another node that offers the services for input topics, in place of the host."""
+
+    def connect(
+        self, engine: Engine, subscribed: SubscribedTopics
+    ) -> Sequence[Callable[[TopicRequest], object]]:
+        """Start the exchange with it; return the functions to call for each topic that a goal requests."""
+
+
+class ProgramHost:
+    """A running program.
+
+    Args:
+        context: transport, parameters and what the parts share.
+        texts: exchange of events and outputs as text.
+        interface: the node that offers the services for input topics; None if the host does.
+
+    Attributes:
+        engine: the engine.
+    """
+
+    def __init__(self, context: HostContext, texts: TextExchange, interface: Optional[InterfaceNode] = None):
+        transport, parameters = context.transport, context.parameters
+        self._context = context
+        self._transport = transport
+        self._parameters = parameters
+        self._reports = context.reports
+        self._texts = texts
+        self._errors: List[str] = []
+        self._program_warnings: List[str] = []
+
+        checkpoint = CheckpointFile(parameters.checkpoint, parameters.program, self._reports)
+        self.engine = checkpoint.create_engine(
+            lambda: HostClock(transport, context.time.epochs),
+            parameters.settings._replace(transform_buffer=transport.create_transform_buffer),
+            context.definitions,
+        )
+        self._clock = self._start_clock(checkpoint.is_resumed)
+        print_goal_output(self.engine.logic, transport.on_shutdown)
+        if parameters.explain:
+            record_origins(self.engine)
+
+        self._topics = context.topics
+        # If messages pass as text, the interface node reports it.
+        if context.topics_error is not None and not parameters.uses_texts:
+            self._errors += log_error(context.topics_error)
+        self._direct = direct_topics(parameters.direct, self._topics, transport.resolve_topic)
+        outputs, requests = self._prepare_loading()
+        if not checkpoint.is_resumed:
+            self._load()
+
+        skew = self._make_skew_monitor()
+        self._published = PublishedTopics(transport, context.definitions, parameters.queue, self._reports)
+        self._processing = MessageProcessing(
+            self._make_handler, threading.Lock(), self.engine.post_each, skew, context.time.epochs
+        )
+        self._subscribed = SubscribedTopics(
+            transport,
+            context.definitions,
+            self._reports,
+            self._processing,
+            ReadingOptions(parameters.queue),
+            self._published.advertise_learned_types,
+        )
+        self._untyped_topics = UntypedTopicWarnings(
+            transport, (topic for topic, _ in self._topics.published), self._reports
+        )
+        self._log_mistakes(self._topics)
+        self._open_topics(outputs, requests, interface)
+        self._offer_services(interface is None)
+        locks = texts.receive_events(self._subscribed.subscribe_texts, self.engine.post_text)
+        self._follow_time(skew, locks)
+        log.info("%s: %s", parameters.program, self.engine.summary())
+        self._report_state()
+        checkpoint.start_writing(self.engine, transport.on_shutdown)
+        if checkpoint.is_resumed:
+            threading.Thread(target=self._run_missed_alarms, daemon=True).start()
+
+    def _start_clock(self, is_resumed: bool) -> HostClock:
+        """Start to wake the engine, which exists from here on."""
+        clock = self.engine.clock
+        assert isinstance(clock, HostClock)
+        clock.start(self.engine.advance, is_resumed)
+        return clock
+
+    def _make_skew_monitor(self) -> ClockSkewMonitor:
+        skew = ClockSkewMonitor(
+            self._reports,
+            self._context.time.now,
+            max_distance_seconds=self._parameters.max_skew,
+            buffers_early_messages=self._context.time.buffers_early_messages,
+        )
+        self._transport.on_shutdown(skew.log_counts)
+        self._transport.on_shutdown(self._reports.sum_up)
+        return skew
+
+    # ---- the program
+
+    def _prepare_loading(self) -> Tuple[OutputRelay, RequestQueue]:
+        """Return what stores the outputs and requested topics of goals until topics can be opened."""
+        outputs = OutputRelay(self._parameters.queue, self._reports)
+        self.engine.on_output(outputs)
+        requests = RequestQueue(self._transport.on_shutdown)
+        self.engine.input_topics.set_subscriber(
+            requests.put,
+            self._topics,
+            self._direct,
+            lambda topic: resolve_subscribable_topic(topic, self._transport.resolve_topic),
+        )
+        return outputs, requests
+
+    def _load(self) -> None:
+        try:
+            self.engine.load_program(self._parameters.program)
+        except RetalisError as error:
+            self._errors += log_error(error)
+
+    def _log_mistakes(self, topics: Topics) -> None:
+        """Log probable mistakes in the loaded program."""
+        self._untyped_topics.mark_reported(self.engine.output_topics())
+        direct = direct_topics(self._parameters.direct, topics, self._transport.resolve_topic)
+        for warning in self.engine.warnings(
+            self._parameters.program, self._make_short_lived_definitions(), topics, direct
+        ):
+            self._program_warnings.append(warning.brief())
+            log.warning("%s", warning)
+
+    def _make_short_lived_definitions(self) -> Definitions:
+        """Return definitions that are freed after use: checks load types that the node does not need."""
+        return Definitions(self._transport.installed_types(include_rosbags=False))
+
+    def _on_reload(self, topics: Topics) -> None:
+        self._errors.clear()
+        self._program_warnings.clear()
+        engine = self.engine
+        engine.do(lambda: engine.knowledge.transforms.require_if_mentioned(engine.rules.terms()))
+        self._log_mistakes(topics)
+
+    # ---- topics
+
+    def _open_topics(
+        self, outputs: OutputRelay, requests: RequestQueue, interface: Optional[InterfaceNode]
+    ) -> None:
+        """Publish and subscribe the topics of the program; messages arrive from here on."""
+        receivers = [self._send_text]
+        if not self._parameters.uses_texts:
+            may_be_learned = any(
+                not self._subscribed.knows_type(message_type)
+                for _, message_type in (*self._topics.subscribed, *self._direct)
+            )
+            advertise_topics(self._published, self._topics, may_be_learned)
+            subscribe_topics(self._subscribed, self._topics, self._direct, self._transport.resolve_topic)
+            self._texts.receive_outputs(self._subscribed.subscribe_texts, self._published.publish_text)
+            receivers.append(lambda term, topic, name: self._published.publish(term, topic))
+        self.engine.do(lambda: outputs.start(*receivers))
+        transforms = self.engine.knowledge.transforms
+        transforms.require_if_mentioned(self.engine.rules.terms())
+        transforms.set_feed(self._start_transform_feed)
+        for topic, message_type in self._direct:
+            event = self._topics.event_name_of(topic, self._transport.resolve_topic)
+            self._subscribed.try_to_subscribe(TopicRequest(topic, message_type, event), "parameter ~direct")
+        requests.start(
+            *(
+                (self._subscribed.try_to_subscribe,)
+                if interface is None
+                else interface.connect(self.engine, self._subscribed)
+            )
+        )
+
+    def _send_text(self, term: Term, topic: str, name: Term) -> None:
+        # A rule may have added a subscription to a new topic.
+        self._untyped_topics.check(topic)
+        self._texts.send_output(term, topic, name)
+
+    def _start_transform_feed(self) -> None:
+        """Subscribe to the topics of transforms, because the program reads transforms.
+
+        A goal may be the first that does, and must not wait for the middleware.
+        """
+        threading.Thread(target=self._subscribe_transforms, daemon=True).start()
+
+    def _subscribe_transforms(self) -> None:
+        engine = self.engine
+        process_input, post_each = engine.event_input.process_input, engine.executor.post_each
+        log.info(
+            "the program reads transforms: %s are subscribed, with a history of %g s",
+            " and ".join(map(self._transport.resolve_topic, TRANSFORM_TOPICS)),
+            engine.settings.tf_cache,
+        )
+        self._subscribed.subscribe_transforms(lambda messages: post_each(process_input, messages))
+
+    def _make_handler(self, decoder: Decoder, topic: str, source: MessageSource) -> MessageHandler:
+        """Return the handler of a source's messages, which returns the event and its instant.
+
+        Of a latched source it skips messages that the engine has processed already.
+        """
+        decode, stamp = decoder.decode, decoder.stamp
+        send_text = self._texts.make_event_sender(decoder)
+        if source.is_latched:
+            return self._make_latched_handler(decoder, LatchedConnection(topic, source.node, source.address))
+        if send_text is None:
+            return lambda data: (decode(data), stamp(data))
+
+        def handle(data: bytes) -> Tuple[Term, Optional[int]]:
+            event, instant = decode(data), stamp(data)
+            send_text(data, instant)
+            return event, instant
+
+        return handle
+
+    def _make_latched_handler(self, decoder: Decoder, connection: LatchedConnection) -> MessageHandler:
+        decode, stamp, deduplicator = decoder.decode, decoder.stamp, self._context.latched
+        send_text = self._texts.make_event_sender(decoder)
+
+        def handle(data: bytes) -> Any:
+            # Before `record_message`, which records the message as processed: decoding may fail, or the message may
+            # belong to the next clock epoch.
+            event, instant = decode(data), stamp(data)
+            if deduplicator.record_message(connection.describe_message(data)):
+                return None
+            if send_text is not None:
+                send_text(data, instant)
+            return event, instant
+
+        return handle
+
+    # ---- services
+
+    def _offer_services(self, offers_interface: bool) -> None:
+        transport, engine, parameters = self._transport, self.engine, self._parameters
+        if offers_interface:
+            InterfaceServices(transport, self._subscribed)
+        types = {
+            transport.resolve_topic(topic): message_type for topic, message_type in self._topics.published
+        }
+        EngineServices(
+            transport,
+            engine,
+            self._untyped_topics,
+            self._explain_missing_source,
+            lambda goal, topic: self._explain_type_mismatch(goal, topic, types),
+        )
+        QueryServices(transport, engine)
+        RuleServices(transport, engine)
+        ReloadService(
+            transport,
+            engine,
+            parameters.program,
+            parameters.settings.write_folders,
+            self._topics,
+            self._on_reload,
+        )
+        ListService(transport, self._subscribed.statuses, engine.status)
+
+    def _explain_missing_source(self, pattern: Term) -> str:
+        """Return the reason why no events of a pattern are expected; "" if there may be some."""
+        return explain_missing_events(
+            self.engine, pattern, self._make_short_lived_definitions(), self._topics, self._direct
+        )
+
+    def _explain_type_mismatch(self, goal: CompoundTerm, topic: str, types: Mapping[str, str]) -> str:
+        """Return the reason why no output of a subscription fits its topic's type; "" if some may."""
+        try:
+            message_type = types.get(self._transport.resolve_topic(topic))
+        except UsageError:
+            # A name for other nodes only.
+            message_type = None
+        if message_type is None:
+            return ""
+        # Types that publishers define are in the node's definitions; `find` there would load the types of rosbags.
+        definitions = self._context.definitions
+        if not definitions.known(message_type):
+            definitions = self._make_short_lived_definitions()
+        return explain_output_mismatch(goal, topic, message_type, definitions)
+
+    # ---- time
+
+    def _follow_time(self, skew: ClockSkewMonitor, text_locks: List[ContextManager[object]]) -> None:
+        self._context.time.start(
+            [self._processing.lock, *text_locks], skew.begin_epoch, lambda end: self._schedule_epoch()
+        )
+
+    def _schedule_epoch(self) -> None:
+        """Enter a new clock epoch after the engine has processed its queue, which belongs to the former one."""
+        epoch = self._context.time.epoch()
+        self.engine.advance(lambda: self._clock.begin_epoch(epoch))
+
+    def _run_missed_alarms(self) -> None:
+        """Run the alarms that became due while the node was not running, after the interface has connected."""
+        end = time.monotonic() + MAX_INTERFACE_WAIT_SECONDS
+        while not self._texts.is_output_received() and time.monotonic() < end:
+            time.sleep(_INTERFACE_CHECK_SECONDS)
+        self.engine.advance()
+
+    # ---- reports on the state
+
+    def _report_state(self) -> None:
+        """Start the warnings after the start, the diagnostics and the dashboard."""
+        transport, parameters, input_topics = self._transport, self._parameters, self.engine.input_topics
+        StartupWarnings(
+            transport,
+            self._subscribed.statuses,
+            self._named_topics(input_topics.merge_with(self._topics)),
+        )
+        self._diagnostics = Diagnostics(
+            transport,
+            parameters.diagnostics,
+            NodeHealth(
+                self._subscribed.statuses,
+                self._output_statuses,
+                self._make_engine_health(),
+                self._make_role_lookup(),
+            ),
+            self._reports,
+            parameters.hardware_id,
+        )
+        self._dashboard = NodeDashboard(
+            transport,
+            self._reports,
+            parameters.dashboard,
+            parameters.dashboard_queries,
+            self.engine,
+            self._subscribed.statuses,
+            [*self._topics.subscribed, *self._direct],
+            lambda: input_topics.merge_with(self._topics).events,
+        )
+
+    def _make_engine_health(self) -> Callable[[], List[Health]]:
+        settings = self._parameters.settings
+        engine_health = EngineHealth(
+            settings.watchdog or DEFAULT_WATCHDOG_SECONDS, settings.limits.seconds or DEFAULT_LATE_SECONDS
+        )
+
+        def evaluate() -> List[Health]:
+            status = self.engine.status()
+            status = status._replace(
+                errors=status.errors + log_counts.errors, warnings=status.warnings + log_counts.warnings
+            )
+            return [
+                *engine_health.evaluate(time.monotonic(), status),
+                evaluate_program(list(self._errors), list(self._program_warnings)),
+            ]
+
+        return evaluate
+
+    def _make_role_lookup(self) -> Callable[[str], InputRole]:
+        """Return a function from a topic to its present role in the program, whose rules may change."""
+        uses_texts, is_read = self._parameters.uses_texts, self.engine.dispatcher.has_listener_for_name
+        resolve_topic = self._transport.resolve_topic
+        named_topics = set(map(resolve_topic, self._named_topics(self._topics)))
+        # Topics that the node subscribes to by default, with the names of their events.
+        default_events = {
+            resolve_topic(topic): self._topics.event_name_of(topic, resolve_topic)
+            or functor_name(message_type)
+            for topic, message_type in self._direct
+            if resolve_topic(topic) not in named_topics
+        }
+        text_topics = {resolve_topic(INPUT), resolve_topic(OUTPUT)}
+        transforms = self.engine.knowledge.transforms
+        # A robot need not have static transforms.
+        transform_roles: Dict[str, InputRole] = dict(
+            zip(map(resolve_topic, TRANSFORM_TOPICS), (InputRole.NEEDED, InputRole.OPTIONAL))
+        )
+
+        def get_role(topic: str) -> InputRole:
+            if topic in text_topics:
+                return InputRole.LINK if uses_texts else InputRole.OPTIONAL
+            if transforms.is_required and topic in transform_roles:
+                return transform_roles[topic]
+            event = default_events.get(topic)
+            return InputRole.NEEDED if event is None or is_read(event) else InputRole.UNREAD
+
+        return get_role
+
+    def _output_statuses(self) -> List[OutputStatus]:
+        return [*self._texts.statuses(), *self._published.statuses()]
+
+    def _named_topics(self, topics: Topics) -> List[str]:
+        """Return the topics of this node that its program or parameters name, without those subscribed by default."""
+        direct = self._parameters.direct
+        topic_types: List[TopicType] = [*(() if self._parameters.uses_texts else topics.subscribed)]
+        topic_types += direct if isinstance(direct, tuple) else ()
+        return [topic for topic, _ in topic_types]

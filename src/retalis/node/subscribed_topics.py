@@ -1,0 +1,559 @@
+"""Subscribed topics of a program, and the conversion of their messages to events.
+
+A message passes through these steps:
+
+1. The transport reads serialized messages of one source; see `MessageSource`.
+2. The handler that was created for the source (`HandlerFactory`) converts each message. The types of source and
+   subscription are compared once per source; an unknown type is learned from the source.
+3. The results of messages that were read together are passed on together (`ResultConsumer`), under the lock
+   `MessageProcessing.lock`.
+
+A message that cannot be converted is dropped, counted and reported; the source stays connected.
+"""
+
+import logging
+import threading
+import time
+from collections import deque
+from contextlib import suppress
+from queue import Empty, SimpleQueue
+from typing import (
+    Any,
+    Callable,
+    ContextManager,
+    Dict,
+    Iterable,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Set,
+    Tuple,
+)
+
+from ..engine.event_input import TopicRequest
+from ..engine.runtime.clock_epochs import ClockEpochs
+from ..engine.runtime.clock_skew import ClockSkewMonitor, EarlyMessage, RefusedMessage
+from ..engine.runtime.problem_reports import Reports
+from ..events.program.topic_configuration import TOPICS, Topics, TopicType, topic_type
+from ..foundation.errors import MessageError, RetalisError, UsageError, printable, shorten
+from ..messages.decoder import Decoder, has_header
+from ..messages.transform_messages import (
+    STATIC_TRANSFORM_TOPIC,
+    TRANSFORM_TOPICS,
+    TRANSFORM_TYPES,
+    TransformReader,
+)
+from ..messages.type_registry import Definitions
+from .text_exchange import INPUT, OUTPUT
+from .topic_statistics import InputCounts, InputStatus, LossMonitor
+from .transport import MessageSource, Transport
+
+log = logging.getLogger("retalis")
+
+MessageHandler = Callable[[bytes], Any]
+"""Handler of a message; returns the result to pass on, or None if the handler has passed it on itself."""
+
+HandlerFactory = Callable[[Decoder, str, MessageSource], MessageHandler]
+"""Returns the handler of messages that a decoder reads, by the full name of their topic and their source."""
+
+ResultConsumer = Callable[[Iterable[Any]], object]
+"""Receives the results of messages that were read together, as a lazy iterable."""
+
+BatchHandler = Callable[[List[bytes]], None]
+"""Handler of messages that were read together."""
+
+consume_and_discard: ResultConsumer = deque(maxlen=0).extend
+"""Processes all messages of a batch and discards the results."""
+
+LOSS_HINT = "have it publish more slowly, with a longer queue, or end later (rosbag play --keep-alive)"
+"""Advice for losing fewer messages, at the end of a warning."""
+
+MAX_DELAY_SECONDS = 0.0012
+"""Seconds for which a message of a fast topic may wait for the next ones."""
+
+
+class MessageProcessing(NamedTuple):
+    """Processing of the messages of topics.
+
+    Attributes:
+        make_handler: returns the handler of a source's messages.
+        lock: lock under which messages are processed. A transport may have a thread for each source. The lock lets
+            one thread at a time pass on its messages. The others wait, and slow down their publishers
+            (backpressure), instead of a queue growing before the engine.
+        consume_results: receives the results of messages that were read together.
+        skew: checks the stamps of messages.
+        clock_epochs: clock epochs; messages of an epoch that has not begun are queued there.
+    """
+
+    make_handler: HandlerFactory
+    lock: ContextManager[object]
+    consume_results: ResultConsumer = consume_and_discard
+    skew: Optional[ClockSkewMonitor] = None
+    clock_epochs: Optional[ClockEpochs] = None
+
+
+class ReadingOptions(NamedTuple):
+    """Options for reading a topic.
+
+    Attributes:
+        queue_size: number of messages to queue.
+        max_delay: seconds for which a message of a fast topic may wait for the next ones.
+        loss_hint: how to lose fewer messages, for warnings about losses.
+        ignores_own: whether messages of this node are not received.
+    """
+
+    queue_size: int
+    max_delay: float = MAX_DELAY_SECONDS
+    loss_hint: str = LOSS_HINT
+    ignores_own: bool = False
+
+
+class SubscribedTopics:
+    """The subscribed topics of a node.
+
+    Args:
+        transport: the middleware.
+        definitions: known message types.
+        reports: receives the errors of single messages.
+        processing: how messages become events.
+        options: how topics are read.
+        on_type_learned: called when a source may have defined a type that was unknown.
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        definitions: Definitions,
+        reports: Reports,
+        processing: MessageProcessing,
+        options: ReadingOptions,
+        on_type_learned: Callable[[], object],
+    ):
+        self._transport = transport
+        self._definitions = definitions
+        self._reports = reports
+        self._processing = processing._replace(make_handler=self._make_handler)
+        self._factory = processing.make_handler
+        self._options = options
+        self._on_type_learned = on_type_learned
+        self._topics: Dict[str, SubscribedTopic] = {}
+        self._transform_topics: Dict[str, SubscribedTopic] = {}
+        self._text_topics: List[SubscribedTopic] = []
+        self._reserved = {transport.resolve_topic(topic) for topic in (INPUT, OUTPUT)}
+        self._excluded: Set[str] = set()
+        self._lock = threading.Lock()
+
+    def subscribe(self, topic: str, message_type: str, event_name: str = "") -> None:
+        """Subscribe to a topic; each message becomes an event.
+
+        Args:
+            topic: name of the topic.
+            message_type: message type.
+            event_name: name of the events; by default it is derived from the type.
+
+        Raises:
+            UsageError: if the topic is subscribed already, or a name is invalid.
+        """
+        topic, message_type = topic_type(topic, message_type)
+        name = self._transport.resolve_topic(topic)
+        if name in self._reserved:
+            raise UsageError(f"topic {topic} is for events as text, between the nodes")
+        if name in self._excluded:
+            raise UsageError(f"topic {topic} is subscribed by node retalis itself (its parameter ~direct)")
+        with self._lock:
+            if name in self._topics:
+                raise UsageError(
+                    f"topic {topic} is already subscribed (as {self._topics[name].request.message_type})"
+                )
+            self._topics[name] = self._open(TopicRequest(name, message_type, event_name), self._processing)
+
+    def try_to_subscribe(self, request: TopicRequest, requester: str = "subscribe_to") -> bool:
+        """Subscribe to a topic; return whether it succeeds. An error is logged, with the name of the requester."""
+        try:
+            self.subscribe(*request)
+        except RetalisError as error:
+            # A node that is being shut down can subscribe no more.
+            log.log(
+                logging.DEBUG if self._transport.is_shut_down() else logging.ERROR, "%s: %s", requester, error
+            )
+            return False
+        return True
+
+    def unsubscribe(self, topic: str) -> TopicRequest:
+        """Unsubscribe from a topic; return its subscription.
+
+        Raises:
+            UsageError: if it is not subscribed.
+        """
+        name = self._transport.resolve_topic(topic)
+        with self._lock:
+            subscribed_topic = self._topics.pop(name, None)
+        if subscribed_topic is None:
+            raise UsageError(f"topic {topic} is not subscribed")
+        subscribed_topic.close()
+        return subscribed_topic.request
+
+    def subscribe_texts(self, topic: str, make_handler: HandlerFactory) -> ContextManager[object]:
+        """Subscribe to a topic of texts between nodes, without the texts of this node.
+
+        Args:
+            topic: name of the topic.
+            make_handler: returns the handler of the ``std_msgs/String`` messages of a source.
+
+        Returns:
+            The lock under which the texts are processed.
+        """
+        lock = threading.Lock()
+        request = TopicRequest(self._transport.resolve_topic(topic), "std_msgs/String")
+        processing = MessageProcessing(make_handler, lock)
+        options = ReadingOptions(self._options.queue_size, ignores_own=True)
+        self._text_topics.append(self._open(request, processing, options))
+        return lock
+
+    def subscribe_transforms(self, consume_results: ResultConsumer) -> None:
+        """Subscribe to the topics of transforms; their messages become no events, unless a program names the topics.
+
+        Args:
+            consume_results: receives the messages that were read together, as pairs of a `TransformMessage` and None.
+        """
+        for topic in TRANSFORM_TOPICS:
+            name = self._transport.resolve_topic(topic)
+            reader = TransformReader(topic == STATIC_TRANSFORM_TOPIC)
+            processing = self._processing._replace(
+                make_handler=lambda decoder, topic, source, read=reader.read: lambda data: (read(data), None),  # type: ignore[misc]
+                consume_results=consume_results,
+                skew=None,
+            )
+            self._transform_topics[name] = self._open(TopicRequest(name, TRANSFORM_TYPES[0]), processing)
+
+    def exclude(self, topics: Iterable[TopicType]) -> None:
+        """Reject topics that another node subscribes to, so that no message is processed twice."""
+        self._excluded = {self._transport.resolve_topic(topic) for topic, _ in topics}
+
+    def learn(self, topic: str, message_type: str) -> None:
+        """Learn an unknown type from a publisher of a topic that another node subscribes to; process no messages."""
+        if self.knows_type(message_type):
+            return
+        is_learned = threading.Event()
+
+        def make_handler(decoder: Decoder, topic: str, source: MessageSource) -> MessageHandler:
+            self._on_type_learned()
+            is_learned.set()
+            return lambda data: None
+
+        request = TopicRequest(self._transport.resolve_topic(topic), message_type)
+        subscribed_topic = self._open(request, MessageProcessing(make_handler, self._processing.lock))
+
+        # Not closed by `make_handler`, which a transport may call in a thread that closing would end.
+        def close() -> None:
+            is_learned.wait()
+            subscribed_topic.close()
+
+        threading.Thread(target=close, daemon=True, name=f"learning {message_type}").start()
+
+    def publishers(self) -> Set[Tuple[str, str]]:
+        """Return the topic and node of each connected publisher."""
+        with self._lock:
+            topics = list(self._topics.items())
+        return {(name, node) for name, topic in topics for node in topic.publishers()}
+
+    def statuses(self) -> List[InputStatus]:
+        """Return the counters of each subscribed topic."""
+        topics = {**self._transform_topics, **self._topics}
+        return [topic.status() for topic in [*topics.values(), *self._text_topics]]
+
+    def knows_type(self, message_type: str) -> bool:
+        """Return whether a message type is known."""
+        return message_type in self._definitions
+
+    def _open(
+        self, request: TopicRequest, processing: MessageProcessing, options: Optional[ReadingOptions] = None
+    ) -> "SubscribedTopic":
+        return SubscribedTopic(
+            self._transport, self._definitions, self._reports, request, processing, options or self._options
+        )
+
+    def _make_handler(self, decoder: Decoder, topic: str, source: MessageSource) -> MessageHandler:
+        """Return the handler of a new source's messages, after others have used a type that it defines."""
+        self._on_type_learned()
+        return self._factory(decoder, topic, source)
+
+
+class SubscribedTopic:
+    """A subscribed topic. A type that is not installed is learned from a source.
+
+    Args:
+        transport: the middleware.
+        definitions: known message types.
+        reports: receives the errors of single messages.
+        request: full name of the topic, its type, and the name of its events.
+        processing: how messages become events.
+        options: how the topic is read.
+
+    Attributes:
+        request: see above.
+        counts: counters of the messages.
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        definitions: Definitions,
+        reports: Reports,
+        request: TopicRequest,
+        processing: MessageProcessing,
+        options: ReadingOptions,
+    ):
+        self.request = request
+        self._definitions = definitions
+        self._reports = reports
+        self._processing = processing
+        self._loss_hint = options.loss_hint
+        self.counts = InputCounts(transport.now)
+        self._subscription = transport.subscribe(
+            request.topic,
+            request.message_type,
+            self._connect,
+            options.queue_size,
+            options.max_delay,
+            options.ignores_own,
+        )
+
+    def status(self) -> InputStatus:
+        """Return the counters, and request that the lag of the next message is measured."""
+        counts = self.counts
+        counts.needs_lag = True
+        age = None if counts.last is None else time.monotonic() - counts.last
+        return InputStatus(
+            self.request.topic,
+            self.request.message_type,
+            self._subscription.publisher_count(),
+            counts.messages,
+            counts.dropped,
+            counts.refused,
+            counts.missing,
+            age,
+            counts.lag,
+        )
+
+    def publishers(self) -> List[str]:
+        """Return the connected publishers."""
+        return self._subscription.publishers()
+
+    def close(self) -> None:
+        """Stop receiving."""
+        self._subscription.close()
+
+    def _connect(self, source: MessageSource) -> "SourceReader":
+        """Return the receiver of a new source's messages. A source of the wrong type gets one that drops them."""
+        topic = self.request.topic
+        monitor = self._make_loss_monitor(source, False)
+        try:
+            decoder = self._find_decoder(source)
+            stamp = decoder.stamp
+            monitor = self._make_loss_monitor(source, has_header(decoder.definition))
+            if self._processing.skew is not None:
+                decoder = self._processing.skew.watch(decoder, topic, source.node)
+            handler = self._processing.make_handler(decoder, topic, source)
+        # Without a receiver, a transport might connect again at once, forever.
+        except Exception as error:
+            if not isinstance(error, MessageError):
+                self._reports.error(error)
+            reason = getattr(error, "message", "internal error")
+            return SourceReader(
+                self._make_dropping_handler(
+                    f"topic {topic}: {reason}: a message of {source.node or 'somebody'} is dropped"
+                ),
+                monitor,
+            )
+        return SourceReader(self._make_batch_handler(handler, stamp, source, monitor), monitor)
+
+    def _find_decoder(self, source: MessageSource) -> Decoder:
+        """Return the decoder for a source's messages.
+
+        Raises:
+            MessageError: if their type differs from the subscription's.
+        """
+        request = self.request
+        if not (source.definition or source.md5sum):
+            # The middleware does not say: the messages have the type as it is known here.
+            is_named = source.message_type != "*"
+            known = self._definitions.find(source.message_type if is_named else request.message_type)
+            source = source._replace(message_type=known.name, definition=known.full_text, md5sum=known.md5sum)
+        learned = self._definitions.learn(
+            request.message_type, source.message_type, source.definition, source.md5sum, request.event
+        )
+        if learned.is_replacement:
+            log.warning(
+                "topic %s is subscribed as %s, which is unknown here; %s publishes %s, which is used instead",
+                request.topic,
+                request.message_type,
+                printable(shorten(source.node or "somebody")),
+                printable(shorten(source.message_type)),
+            )
+        return learned.decoder
+
+    def _make_loss_monitor(self, source: MessageSource, has_header: bool) -> LossMonitor:
+        """Return the monitor of a source, which reports losses as warnings."""
+
+        def report(loss: str) -> None:
+            self._reports.warning(
+                f"topic {self.request.topic}: {source.node} sends faster than this node reads: {loss}; "
+                f"{self._loss_hint}",
+                ("loss", self.request.topic),
+            )
+
+        return LossMonitor(self.counts, has_header, report)
+
+    def _make_batch_handler(
+        self,
+        handler: MessageHandler,
+        stamp: Callable[[bytes], Optional[int]],
+        source: MessageSource,
+        monitor: LossMonitor,
+    ) -> BatchHandler:
+        """Return the handler of messages that were read together, which queues those of a coming epoch."""
+        lock, counts, clock_epochs = self._processing.lock, self.counts, self._processing.clock_epochs
+        handle_batch = self._make_reporting_handler(handler, source)
+
+        def handle_messages(messages: List[bytes]) -> None:
+            counts.count(len(messages))
+            monitor.begin(messages)
+            if counts.needs_lag:
+                counts.measure_lag(stamp, messages[-1])
+            with lock:
+                if (
+                    clock_epochs is not None
+                    and clock_epochs.is_buffering
+                    and clock_epochs.must_buffer(source.node)
+                ):
+                    clock_epochs.buffer(handle_batch, messages)
+                else:
+                    handle_batch(messages)
+            monitor.end()
+
+        return handle_messages
+
+    def _make_reporting_handler(self, handler: MessageHandler, source: MessageSource) -> BatchHandler:
+        """Return a handler that converts messages, passes on the results, and reports failures."""
+        consume_results, counts = self._processing.consume_results, self.counts
+        clock_epochs = self._processing.clock_epochs
+
+        def convert(messages: List[bytes]) -> Iterator[Any]:
+            for position, data in enumerate(messages):
+                try:
+                    result = handler(data)
+                except RefusedMessage:
+                    # Reported by the clock skew monitor.
+                    counts.refused += 1
+                # The message belongs to the next epoch. It and all later ones of its source wait for the epoch's
+                # begin, so that the order within the source is preserved.
+                except EarlyMessage:
+                    if clock_epochs is not None:
+                        clock_epochs.buffer_early(source.node, handle_batch, messages[position:])
+                        return
+                except Exception as error:
+                    # The transport would close the connection.
+                    self._report_failure(error)
+                else:
+                    if result is not None:
+                        yield result
+
+        def handle_batch(messages: List[bytes]) -> None:
+            consume_results(convert(messages))
+
+        return handle_batch
+
+    def _report_failure(self, error: Exception) -> None:
+        """Count and report a message that cannot be converted."""
+        self.counts.dropped += 1
+        if isinstance(error, MessageError):
+            text = f"a message on {self.request.topic} is dropped: {error}"
+            self._reports.error(RetalisError(text), ("in", self.request.topic))
+        else:
+            self._reports.error(error)
+
+    def _make_dropping_handler(self, reason: str) -> BatchHandler:
+        """Return a handler that drops, counts and reports messages."""
+
+        def reject(messages: List[bytes]) -> None:
+            self.counts.count(len(messages))
+            self.counts.refused += len(messages)
+            for _ in messages:
+                self._reports.warning(reason)
+
+        return reject
+
+
+class SourceReader:
+    """Receiver of the messages of one source.
+
+    Attributes:
+        receive: processes messages that were read together.
+        close: records the end of the connection, and whether its last message is incomplete.
+    """
+
+    def __init__(self, receive: BatchHandler, monitor: LossMonitor):
+        self.receive = receive
+        self.close = monitor.close
+
+
+class RequestQueue:
+    """Queue of topics that goals request, executed by a thread as soon as topics can be subscribed.
+
+    A thread is necessary because subscribing may wait for the middleware, which would block the engine. The length of
+    the queue is bounded by `MAX_INPUT_TOPICS`.
+
+    Args:
+        on_shutdown: registers a function to call when the node ends.
+    """
+
+    def __init__(self, on_shutdown: Callable[[Callable[[], object]], object]) -> None:
+        # None ends the thread.
+        self._requests: SimpleQueue[Optional[TopicRequest]] = SimpleQueue()
+        on_shutdown(lambda: self._requests.put(None))
+
+    def put(self, request: TopicRequest) -> None:
+        """Queue a request."""
+        self._requests.put(request)
+
+    def start(self, *executors: Callable[[TopicRequest], object]) -> None:
+        """Execute the queued requests, and start the thread for later ones.
+
+        Args:
+            executors: functions to call for each request.
+        """
+
+        def execute_next(request: Optional[TopicRequest]) -> bool:
+            if request is None:
+                return False
+            for executor in executors:
+                executor(request)
+            return True
+
+        def run() -> None:
+            while execute_next(self._requests.get()):
+                pass
+
+        # Requests of the program's loading are executed before this returns, as for the topics of `pub_sub.xml`.
+        with suppress(Empty):
+            while execute_next(self._requests.get_nowait()):
+                pass
+        threading.Thread(target=run, daemon=True, name="topics of goals").start()
+
+
+def subscribe_topics(
+    subscribed: SubscribedTopics,
+    topics: Topics,
+    direct: Iterable[TopicType],
+    resolve_topic: Callable[[str], str],
+) -> None:
+    """Subscribe to the topics of ``pub_sub.xml``, except those of ``direct``. Errors are logged."""
+    direct_names = {resolve_topic(topic) for topic, _ in direct}
+    for topic, message_type in topics.subscribed:
+        if resolve_topic(topic) not in direct_names:
+            try:
+                subscribed.subscribe(topic, message_type, topics.event_name_of(topic))
+            except RetalisError as error:
+                log.error("%s: topic %s: %s", TOPICS, topic, error)

@@ -1,0 +1,171 @@
+"""Events and outputs as text, on two topics that every node can read and write.
+
+``retalisInputEvents`` carries events to the program, ``retalisOutputEvents`` its outputs. They are part of the
+interface of the original package, in which all messages passed between two nodes in this form.
+"""
+
+from struct import Struct
+from typing import Any, Callable, ContextManager, List, Optional, Protocol
+
+from ..engine.runtime.problem_reports import Reports
+from ..foundation.errors import MessageError, RetalisError, UsageError
+from ..messages.decoder import Decoder
+from ..messages.event_text_writer import make_text_writer
+from ..prolog.syntax.event_text import event_text, to_text
+from ..prolog.terms.types import Term, atom, functor
+from .host_context import HostContext
+from .host_time import Receipts
+from .topic_statistics import OutputStatus, describe_publication
+from .transport import MessageSource, TopicPublication
+
+INPUT = "retalisInputEvents"
+OUTPUT = "retalisOutputEvents"
+"""Topics of texts: events for the program, and its outputs."""
+
+WATCH = "retalis_watch_"
+"""Beginning of the names of topics whose outputs exist only as text, for ``retalis watch``."""
+
+OUTPUT_EVENT = functor("event", 3)
+"""Functor of an output as text: term, topic, and id of the subscription."""
+
+TEXT_TYPE = "std_msgs/String"
+
+EventSender = Callable[[bytes, Optional[int]], None]
+"""Sends a serialized message as text, with the stamp of its event in ns, or None."""
+
+SubscribeTexts = Callable[
+    [str, Callable[[Decoder, str, MessageSource], Callable[[bytes], Any]]], ContextManager[object]
+]
+"""Subscribes to a topic of texts with the handler of each source; see `SubscribedTopics.subscribe_texts`."""
+
+_UINT32 = Struct("<I")
+
+
+class TextExchange(Protocol):
+    """Exchange of events and outputs as text with other nodes."""
+
+    def make_event_sender(self, decoder: Decoder) -> Optional[EventSender]:
+        """Return the function that sends messages of a type as text to others; None if it is never needed."""
+
+    def send_output(self, term: Term, topic: str, name: Term) -> None:
+        """Send an output with the id of its subscription, if anybody needs the text."""
+
+    def is_output_received(self) -> bool:
+        """Return whether the node that publishes the outputs, if it is another one, is connected."""
+
+    def receive_outputs(self, subscribe: SubscribeTexts, publish: Callable[[str], object]) -> None:
+        """Start to pass on the outputs that other nodes send."""
+
+    def receive_events(
+        self, subscribe: SubscribeTexts, post: Callable[[str], object]
+    ) -> List[ContextManager[object]]:
+        """Start to pass on the events that other nodes send; return the locks under which this happens."""
+
+    def statuses(self) -> List[OutputStatus]:
+        """Return the counters of the published topics."""
+
+
+class PlainTextExchange:
+    """Exchange with the means that every transport has: texts reach the nodes that are connected.
+
+    Args:
+        context: what the parts of the host share.
+    """
+
+    def __init__(self, context: HostContext):
+        transport = context.transport
+        definition = context.definitions.find(TEXT_TYPE)
+        self._reports = context.reports
+        self._stamp = Receipts(context.time.now).stamp
+        self._topics = {
+            name: transport.advertise(transport.resolve_topic(name), definition, context.parameters.queue)
+            for name in (INPUT, OUTPUT)
+        }
+        self._names = {name: transport.resolve_topic(name) for name in self._topics}
+
+    def make_event_sender(self, decoder: Decoder) -> Optional[EventSender]:
+        """See `TextExchange`."""
+        return make_event_sender(decoder, self._topics[INPUT], self._stamp, self._reports)
+
+    def send_output(self, term: Term, topic: str, name: Term) -> None:
+        """See `TextExchange`."""
+        publication = self._topics[OUTPUT]
+        if publication.subscriber_count():
+            publication.send(serialize_text(format_output(term, topic, name)))
+
+    def is_output_received(self) -> bool:
+        """See `TextExchange`: outputs are published by this node."""
+        return True
+
+    def receive_outputs(self, subscribe: SubscribeTexts, publish: Callable[[str], object]) -> None:
+        """See `TextExchange`."""
+        subscribe(OUTPUT, lambda decoder, topic, source: lambda data: publish(read_text_message(data)))
+
+    def receive_events(
+        self, subscribe: SubscribeTexts, post: Callable[[str], object]
+    ) -> List[ContextManager[object]]:
+        """See `TextExchange`."""
+        return [subscribe(INPUT, lambda decoder, topic, source: lambda data: post(read_text_message(data)))]
+
+    def statuses(self) -> List[OutputStatus]:
+        """See `TextExchange`."""
+        return [
+            describe_publication(self._names[name], TEXT_TYPE, publication)
+            for name, publication in self._topics.items()
+        ]
+
+
+def resolve_subscribable_topic(topic: str, resolve_topic: Callable[[str], str]) -> str:
+    """Return the full name of a topic that a program may subscribe to.
+
+    Raises:
+        UsageError: if the name is invalid, or the topic belongs to the exchange of texts.
+    """
+    name = resolve_topic(topic)
+    if name in map(resolve_topic, (INPUT, OUTPUT)):
+        raise UsageError(f"topic {topic} is for events as text, between the nodes")
+    return name
+
+
+def make_event_sender(
+    decoder: Decoder, publication: TopicPublication, stamp: Callable[[], int], reports: Reports
+) -> EventSender:
+    """Return the function that sends messages of a type as text. Without a subscriber it does nothing."""
+    # Without the clock skew check, which is done.
+    write = make_text_writer(decoder.plain or decoder)
+    count_subscribers = publication.subscriber_count
+
+    def send(data: bytes, instant: Optional[int]) -> None:
+        if not count_subscribers():
+            return
+        try:
+            text = event_text(write(data), stamp() if instant is None else instant)
+        except RetalisError as error:
+            # The event itself is processed.
+            reports.error(error, INPUT)
+            return
+        publication.send(serialize_text(text))
+
+    return send
+
+
+def format_output(term: Term, topic: str, name: Term) -> str:
+    """Return an output with the id of its subscription as text."""
+    return to_text((OUTPUT_EVENT, term, atom(topic), name))
+
+
+def serialize_text(text: str) -> bytes:
+    """Return a text as a serialized ``std_msgs/String``."""
+    data = text.encode("utf-8", "surrogateescape")
+    return _UINT32.pack(len(data)) + data
+
+
+def read_text_message(data: bytes) -> str:
+    """Return the text of a serialized ``std_msgs/String``.
+
+    Raises:
+        MessageError: if the bytes are another message.
+    """
+    if len(data) < 4 or _UINT32.unpack_from(data)[0] != len(data) - 4:
+        raise MessageError("expected a std_msgs/String, found other bytes")
+    return str(data[4:], "utf-8", "replace")

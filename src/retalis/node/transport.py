@@ -1,0 +1,208 @@
+"""The interface between a running program and a middleware.
+
+A `ProgramHost` runs a program on any object that implements `Transport`: rospy, rclpy, or the memory of a test. The
+interface consists of what these have in common: serialized messages with the type of their publisher, names, time,
+parameters, services, discovery and shutdown. The page ``docs/explanation/transports.md`` describes what rospy and
+rclpy offer for each method.
+
+All methods may be called from any thread. A transport calls back in threads of its own, also before the method that
+registers the function has returned. Calls for different sources, timers and requests may overlap; the calls for one
+source may not. Topics are named by their full names, as `Transport.resolve_topic` returns them.
+"""
+
+from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Protocol, Set
+
+from ..events.knowledge.transform_buffer import TransformBuffer
+from ..messages.type_definition import Definition
+from ..messages.type_registry import InstalledTypes
+
+
+class MessageSource(NamedTuple):
+    """A publisher of a subscribed topic, or all of them if the middleware does not tell them apart.
+
+    Attributes:
+        node: full name of the publishing node; "" if unknown.
+        message_type: type of its messages, ``package/Type``; ``*`` if unknown.
+        definition: text of the definition with its nested types; "" if unknown.
+        md5sum: checksum of the type in ROS 1; "" if unknown. Without text and checksum, the type is taken as it is
+            known on this machine.
+        is_latched: whether it sends its last message to each new subscriber.
+        address: identifies the process of the node; "" if unknown.
+    """
+
+    node: str
+    message_type: str = "*"
+    definition: str = ""
+    md5sum: str = ""
+    is_latched: bool = False
+    address: str = ""
+
+
+class MessageReceiver(Protocol):
+    """Receiver of the messages of one source."""
+
+    def receive(self, messages: List[bytes]) -> None:
+        """Process serialized messages that were read together. Errors are reported here and not raised."""
+
+    def close(self, is_incomplete: bool) -> None:
+        """Record that the source has ended its connection, within a message if it is incomplete."""
+
+
+Connect = Callable[[MessageSource], MessageReceiver]
+"""Called for each new source of a topic; returns the receiver of its messages.
+
+It raises no errors. The receiver of a source that is refused drops, counts and reports its messages.
+"""
+
+
+class TopicSubscription(Protocol):
+    """A subscribed topic."""
+
+    def publisher_count(self) -> int:
+        """Return the number of connected publishers."""
+
+    def publishers(self) -> List[str]:
+        """Return the names of the connected publishers, as far as they are known."""
+
+    def close(self) -> None:
+        """End the subscription. A message that is being processed may still arrive; the receivers are not closed."""
+
+
+class TopicPublication(Protocol):
+    """An advertised topic."""
+
+    @property
+    def sent(self) -> int:
+        """Number of published messages, with or without subscribers."""
+
+    @property
+    def dropped(self) -> int:
+        """Number of messages that were dropped for a slow subscriber, counted for each subscriber."""
+
+    def subscriber_count(self) -> int:
+        """Return the number of connected subscribers, or 1 if it is unknown: with 0 no texts are written for them."""
+
+    def send(self, message: bytes) -> None:
+        """Publish a serialized message, without waiting for subscribers."""
+
+
+class Timer(Protocol):
+    """A function that will be called once."""
+
+    def cancel(self) -> None:
+        """Do not call it, if it has not been called."""
+
+
+class NodeGraph(NamedTuple):
+    """Topics and services of all nodes.
+
+    Attributes:
+        types: message type of each published topic, ``package/Type``.
+        publishers: names of the nodes that publish each topic, this node included.
+        servers: names of the nodes that offer each service, this node included.
+    """
+
+    types: Mapping[str, str]
+    publishers: Mapping[str, Set[str]]
+    servers: Mapping[str, Set[str]]
+
+
+class Transport(Protocol):
+    """A middleware as a running program sees it.
+
+    Attributes:
+        node_name: full name of this node.
+        is_time_simulated: whether time comes from messages, and may stand still or go back; read at the start.
+        create_transform_buffer: creates the buffer of transforms, given the length of its history in seconds;
+            `TransformBuffer` itself needs no other package.
+    """
+
+    node_name: str
+    is_time_simulated: bool
+    create_transform_buffer: Callable[[float], TransformBuffer]
+
+    def now(self) -> int:
+        """Return the time in nanoseconds since the epoch; 0 while simulated time is unknown."""
+
+    def on_clock(self, callback: Callable[[int], object]) -> None:
+        """Call a function with each new instant of simulated time in ns, after `now` returns it.
+
+        Nothing is to be done for time that is not simulated.
+        """
+
+    def call_later(self, delay: int, callback: Callable[[], object]) -> Timer:
+        """Call a function once, after ``delay`` nanoseconds of the transport's time."""
+
+    def parameters(self) -> Dict[str, Any]:
+        """Return the node's own parameters by name, without ``~``, as plain values, lists and dictionaries."""
+
+    def resolve_topic(self, topic: str) -> str:
+        """Return the full name of a topic, after remapping and in the node's namespace.
+
+        Raises:
+            UsageError: if the name is invalid.
+        """
+
+    def installed_types(self, include_rosbags: bool = True) -> InstalledTypes:
+        """Return the message types of this machine: ``InstalledTypes(include_rosbags=include_rosbags)`` in general.
+
+        Args:
+            include_rosbags: whether types that only the package ``rosbags`` has are included.
+        """
+
+    def subscribe(
+        self,
+        topic: str,
+        message_type: str,
+        connect: Connect,
+        queue_size: int,
+        max_delay: float = 0.0,
+        ignores_own: bool = False,
+    ) -> TopicSubscription:
+        """Subscribe to a topic.
+
+        Args:
+            topic: full name of the topic.
+            message_type: expected type. Sources with other types are connected too, and it is ``connect`` that
+                accepts or refuses them.
+            connect: returns the receiver of each source's messages.
+            queue_size: number of messages to queue, if the transport has a queue.
+            max_delay: seconds for which a message of a fast topic may wait for the next ones; may be ignored.
+            ignores_own: whether messages of this node are not received.
+        """
+
+    def advertise(
+        self, topic: str, definition: Definition, queue_size: int, is_latched: bool = False
+    ) -> TopicPublication:
+        """Publish a topic.
+
+        If subscribers connect late, the first messages wait some seconds for those that exist already.
+
+        Args:
+            topic: full name of the topic.
+            definition: type of its messages.
+            queue_size: number of messages to queue for one subscriber.
+            is_latched: whether each new subscriber receives the last message.
+        """
+
+    def offer_service(
+        self, name: str, service_type: str, handler: Callable[[Any], Mapping[str, Any]]
+    ) -> None:
+        """Offer a service of package ``retalis``.
+
+        Args:
+            name: name of the service, to be resolved; ``~name`` is in the namespace of the node.
+            service_type: name of its type, such as ``List`` for ``srv/List.srv``.
+            handler: returns the fields of the response to a request, and may wait for seconds. A request is an object
+                with all fields of its type in ``__dict__``. In the response, missing fields are zero or empty, and
+                nested messages are dictionaries. Times and durations are integers in nanoseconds in both.
+        """
+
+    def graph(self) -> Optional[NodeGraph]:
+        """Return the topics and services of all nodes; None if they cannot be found out now."""
+
+    def on_shutdown(self, callback: Callable[[], object]) -> None:
+        """Call a function when the node ends, after `is_shut_down` is true; timers may no longer fire then."""
+
+    def is_shut_down(self) -> bool:
+        """Return whether the node has ended or is ending."""

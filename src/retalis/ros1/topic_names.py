@@ -1,0 +1,22 @@
+"""Full names of topics in ROS 1."""
+
+import rospy
+
+from ..foundation.errors import UsageError
+from ..foundation.ros_names import topic_fault
+
+
+def resolve(topic: str) -> str:
+    """Return the full name of a topic, after remapping and in its namespace.
+
+    Raises:
+        UsageError: if the name is invalid.
+    """
+    # rospy accepts names that the master or other clients reject, so the package's own check comes first.
+    fault = topic_fault(topic.strip())
+    if fault is not None or not topic.strip(" /"):
+        raise UsageError(fault or f'"{topic}" is not a topic name')
+    try:
+        return str(rospy.resolve_name(topic.strip()))
+    except (ValueError, rospy.ROSException) as error:
+        raise UsageError(f'"{topic}" is not a topic name: {error}') from error

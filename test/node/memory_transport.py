@@ -1,0 +1,210 @@
+"""A transport in memory: a middleware without processes, whose time is moved by the test.
+
+Publishers and subscribers of one `MemoryNetwork` exchange messages at once, in the thread of the publisher.
+"""
+
+from types import SimpleNamespace
+
+from retalis import UsageError
+from retalis.events.knowledge.transform_buffer import TransformBuffer
+from retalis.foundation.ros_names import topic_fault
+from retalis.messages.type_registry import InstalledTypes
+from retalis.node.transport import MessageSource, NodeGraph
+
+
+class MemoryNetwork:
+    """Topics, services and time that several `MemoryTransport` share.
+
+    Attributes:
+        now: the time in ns.
+        subscriptions: subscriptions by topic.
+        publications: publications by topic.
+        services: node and handler by the full name of a service.
+    """
+
+    def __init__(self, now=1_000 * 10**9):
+        self.now = now
+        self.subscriptions = {}
+        self.publications = {}
+        self.services = {}
+        self.timers = []
+
+    def move_time(self, seconds):
+        """Move the time on, and call the timers that are due in between at their times."""
+        end = self.now + int(seconds * 10**9)
+        while True:
+            due = min(
+                (timer for timer in self.timers if timer.instant <= end),
+                key=lambda t: t.instant,
+                default=None,
+            )
+            if due is None:
+                break
+            self.timers.remove(due)
+            self.now = max(self.now, due.instant)
+            due.callback()
+        self.now = end
+
+    def connect(self, publication, subscription):
+        """Connect a publisher and a subscriber of one topic, unless they do not want to be."""
+        if subscription.ignores_own and publication.source.node == subscription.node:
+            return
+        subscription.receivers[publication] = subscription.connect(publication.source)
+        if publication.source.is_latched and publication.last is not None:
+            subscription.receivers[publication].receive([publication.last])
+
+    def call(self, service, **fields):
+        """Call a service and return the fields of its response."""
+        return self.services[service][1](SimpleNamespace(**fields))
+
+
+class MemorySubscription:
+    """A subscription; see `retalis.node.transport.TopicSubscription`."""
+
+    def __init__(self, network, node, topic, connect, ignores_own):
+        self.network, self.node, self.topic, self.connect = network, node, topic, connect
+        self.ignores_own = ignores_own
+        self.receivers = {}
+
+    def publisher_count(self):
+        return len(self.receivers)
+
+    def publishers(self):
+        return [publication.source.node for publication in self.receivers]
+
+    def close(self):
+        self.network.subscriptions[self.topic].remove(self)
+
+
+class MemoryPublication:
+    """A publication; see `retalis.node.transport.TopicPublication`.
+
+    Attributes:
+        messages: the published messages.
+    """
+
+    def __init__(self, network, topic, source):
+        self.network, self.topic, self.source = network, topic, source
+        self.messages = []
+        self.dropped = 0
+
+    @property
+    def sent(self):
+        return len(self.messages)
+
+    @property
+    def last(self):
+        return self.messages[-1] if self.messages else None
+
+    def subscriber_count(self):
+        return sum(self in subscription.receivers for subscription in self._subscriptions())
+
+    def send(self, *messages):
+        """Publish messages together."""
+        self.messages += messages
+        for subscription in self._subscriptions():
+            if self in subscription.receivers:
+                subscription.receivers[self].receive(list(messages))
+
+    def close(self, is_incomplete=False):
+        """End the connections."""
+        self.network.publications[self.topic].remove(self)
+        for subscription in self._subscriptions():
+            receiver = subscription.receivers.pop(self, None)
+            if receiver is not None:
+                receiver.close(is_incomplete)
+
+    def _subscriptions(self):
+        return list(self.network.subscriptions.get(self.topic, ()))
+
+
+class MemoryTimer:
+    """A timer; see `retalis.node.transport.Timer`."""
+
+    def __init__(self, network, instant, callback):
+        self.network, self.instant, self.callback = network, instant, callback
+        network.timers.append(self)
+
+    def cancel(self):
+        if self in self.network.timers:
+            self.network.timers.remove(self)
+
+
+class MemoryTransport:
+    """A node of a network; see `retalis.node.transport.Transport`."""
+
+    def __init__(self, network, node_name="/retalis", parameters=None, is_time_simulated=False):
+        self.network = network
+        self.node_name = node_name
+        self.is_time_simulated = is_time_simulated
+        self.create_transform_buffer = TransformBuffer
+        self.clock_callbacks, self.shutdown_callbacks = [], []
+        self.is_ended = False
+        self._parameters = parameters or {}
+
+    def now(self):
+        return self.network.now
+
+    def on_clock(self, callback):
+        self.clock_callbacks.append(callback)
+
+    def call_later(self, delay, callback):
+        return MemoryTimer(self.network, self.network.now + delay, callback)
+
+    def parameters(self):
+        return dict(self._parameters)
+
+    def resolve_topic(self, topic):
+        fault = topic_fault(topic)
+        if fault is not None:
+            raise UsageError(fault)
+        return topic if topic.startswith("/") else f"/{topic}"
+
+    def installed_types(self, include_rosbags=True):
+        return InstalledTypes(include_rosbags=include_rosbags)
+
+    def subscribe(self, topic, message_type, connect, queue_size, max_delay=0.0, ignores_own=False):
+        subscription = MemorySubscription(self.network, self.node_name, topic, connect, ignores_own)
+        self.network.subscriptions.setdefault(topic, []).append(subscription)
+        for publication in self.network.publications.get(topic, ()):
+            self.network.connect(publication, subscription)
+        return subscription
+
+    def advertise(self, topic, definition, queue_size, is_latched=False):
+        source = MessageSource(
+            self.node_name,
+            definition.name,
+            definition.full_text,
+            definition.md5sum,
+            is_latched,
+            f"memory:{self.node_name}",
+        )
+        publication = MemoryPublication(self.network, topic, source)
+        self.network.publications.setdefault(topic, []).append(publication)
+        for subscription in self.network.subscriptions.get(topic, ()):
+            self.network.connect(publication, subscription)
+        return publication
+
+    def offer_service(self, name, service_type, handler):
+        name = f"{self.node_name}/{name[1:]}" if name.startswith("~") else self.resolve_topic(name)
+        self.network.services[name] = (self.node_name, handler)
+
+    def graph(self):
+        publications = self.network.publications
+        return NodeGraph(
+            {topic: found[0].source.message_type for topic, found in publications.items() if found},
+            {topic: {each.source.node for each in found} for topic, found in publications.items() if found},
+            {name: {node} for name, (node, _) in self.network.services.items()},
+        )
+
+    def on_shutdown(self, callback):
+        self.shutdown_callbacks.append(callback)
+
+    def is_shut_down(self):
+        return self.is_ended
+
+    def shut_down(self):
+        """End the node."""
+        self.is_ended = True
+        for callback in self.shutdown_callbacks:
+            callback()

@@ -1,0 +1,146 @@
+"""Time of a host: epochs, alarms and receipt stamps."""
+
+import threading
+
+import pytest
+from node.memory_transport import MemoryNetwork, MemoryTransport
+
+from retalis import Engine, Reports, functor
+from retalis.node import host_time
+from retalis.node.host_time import HostClock, Receipts, SimulatedTime
+from retalis.prolog.terms.timestamps import SECOND
+
+
+def test_receipts_differ_and_start_again_when_time_goes_back():
+    times = [5, 5, 5, 4.5, 5.5, 2, 2, 9]
+    receipts = Receipts(lambda: int(times[0] * SECOND))
+    stamps = []
+    while times:
+        stamps.append(receipts.stamp())
+        times.pop(0)
+    assert stamps == [
+        *(5 * SECOND + offset for offset in range(4)),
+        5 * SECOND + SECOND // 2,
+        2 * SECOND,
+        2 * SECOND + 1,
+        9 * SECOND,
+    ]
+
+
+def test_wall_time_has_no_epochs():
+    network = MemoryNetwork()
+    time = SimulatedTime(MemoryTransport(network), Reports())
+    time.start([], lambda end: None)
+    assert (time.epochs, time.epoch(), time.buffers_early_messages()) == (None, 0, False)
+    assert time.now() == network.now
+
+
+class SimulatedClock:
+    """Simulated time of a host, whose epochs begin at once.
+
+    Attributes:
+        ends: ends of the epochs in ns.
+    """
+
+    def __init__(self):
+        self._network = MemoryNetwork(now=0)
+        self.transport = MemoryTransport(self._network, is_time_simulated=True)
+        self.ends, self._begun = [], threading.Semaphore(0)
+        self.time = SimulatedTime(self.transport, Reports())
+        self.time.start([threading.Lock()], self._record)
+
+    def _record(self, end):
+        self.ends.append(end)
+        self._begun.release()
+
+    def move(self, seconds, back=False):
+        self._network.now = seconds * SECOND
+        for callback in self.transport.clock_callbacks:
+            callback(self._network.now)
+        assert not back or self._begun.acquire(timeout=60)
+
+
+@pytest.fixture
+def clock():
+    clock = SimulatedClock()
+    yield clock
+    clock.transport.shut_down()
+    # A clock that goes back wakes the thread, which ends.
+    for seconds in (1000, 0):
+        clock.move(seconds)
+    for thread in threading.enumerate():
+        if thread.name == "epochs of the clock":
+            thread.join(60)
+
+
+def test_epoch_begins_when_the_clock_goes_back(clock):
+    for seconds in (8, 9):
+        clock.move(seconds)
+    clock.move(2, back=True)
+    assert clock.ends == [9 * SECOND]
+    assert clock.time.now() == 2 * SECOND
+
+
+def test_time_of_the_engine_goes_back_when_it_is_told(clock, monkeypatch):
+    host_clock = HostClock(clock.transport, clock.time.epochs)
+    clock.move(9)
+    clock.move(2, back=True)
+    assert host_clock.now() == 9 * SECOND
+    host_clock.begin_epoch(clock.time.epoch())
+    assert (host_clock.now(), host_clock.went_back()) == (2 * SECOND, True)
+    clock.move(0, back=True)
+    assert host_clock.now() == 2 * SECOND
+    # Nobody tells it.
+    monkeypatch.setattr(host_time, "MAX_EPOCH_WAIT_SECONDS", -1.0)
+    assert host_clock.now() == 0
+
+
+def test_resumed_clock_waits_for_the_first_time(clock):
+    host_clock = HostClock(clock.transport, clock.time.epochs)
+    host_clock.restore([-1, 5 * SECOND, 0, 0])
+    host_clock.start(lambda: None, is_resumed=True)
+    assert (host_clock.now(), host_clock.went_back()) == (5 * SECOND, False)
+    clock.move(9)
+    assert (host_clock.now(), host_clock.went_back()) == (9 * SECOND, False)
+
+
+@pytest.fixture
+def network():
+    return MemoryNetwork()
+
+
+def make_engine(network):
+    clock = HostClock(MemoryTransport(network))
+    engine = Engine(clock)
+    clock.start(engine.advance)
+    return engine
+
+
+def test_restored_engine_sets_its_timer_when_it_is_started(network):
+    engine = make_engine(network)
+    engine.load(rules="exceptionAlarm(late(X), 5) <- a(X).")
+    engine.post(functor("a", 1)(1))
+    state = engine.snapshot()
+    network.timers.clear()
+    start, network.now = network.now, 0
+    clock = HostClock(MemoryTransport(network))
+    restored = Engine.restore(state, clock)
+    assert network.timers == []
+    clock.start(restored.advance)
+    network.now = start + SECOND
+    restored.advance()
+    (timer,) = network.timers
+    assert timer.instant - network.now == 4 * SECOND
+
+
+@pytest.mark.parametrize("is_stamped", [True, False])
+def test_absence_is_detected_by_a_timer(network, is_stamped):
+    engine = make_engine(network)
+    engine.load(rules="gone(K) <- a(K) seq absent(b(K), 5).")
+    events = []
+    engine.on_event(lambda term, start, end: events.append((engine.show(term), end // SECOND)))
+    engine.post(functor("a", 1)(1), network.now if is_stamped else None)
+    (timer,) = network.timers
+    assert timer.instant - network.now == 5 * SECOND
+    network.move_time(20)
+    assert events == [("a(1)", 1000), ("gone(1)", 1005)]

@@ -1,0 +1,214 @@
+"""A running program on a transport in memory."""
+
+import pytest
+from node.memory_transport import MemoryNetwork, MemoryTransport
+
+from retalis import Definitions, Reports
+from retalis.messages.message_values import make_message_term, read_message_term
+from retalis.node.host_context import HostContext
+from retalis.node.parameters import read_parameters
+from retalis.node.program_host import ProgramHost
+from retalis.node.text_exchange import PlainTextExchange, read_text_message, serialize_text
+
+DEFINITIONS = Definitions()
+STRING = DEFINITIONS.find("std_msgs/String")
+TOPICS = """
+<publish_subscribe>
+  <subscribe_to name="scan" msg_type="std_msgs/String" event="scan"/>
+  <publish_to name="alarm" msg_type="std_msgs/String"/>
+</publish_subscribe>
+"""
+GOALS = """
+compile_event_file('rules.txt')
+subscribe(std_msgs__0__String(_), [], _, alarm, s1)
+"""
+
+
+def encode(text):
+    return DEFINITIONS.encoder(STRING).encode(make_message_term(STRING, {"data": text}))
+
+
+def decode(data):
+    return read_message_term(STRING, DEFINITIONS.decoder(STRING).decode(data))["data"]
+
+
+class Robot:
+    """Another node of the network.
+
+    Attributes:
+        received: texts that were received, by topic.
+    """
+
+    def __init__(self, network):
+        self.transport = MemoryTransport(network, "/robot")
+        self.received = {}
+
+    def publish(self, topic, is_latched=False):
+        """Return a publisher of texts."""
+        return self.transport.advertise(topic, STRING, 10, is_latched)
+
+    def subscribe(self, topic):
+        """Receive the texts of a topic."""
+        texts = self.received[topic] = []
+
+        class Receiver:
+            def receive(self, messages):
+                texts.extend(map(decode, messages))
+
+            def close(self, is_incomplete):
+                pass
+
+        self.transport.subscribe(topic, STRING.name, lambda source: Receiver(), 10)
+
+
+@pytest.fixture
+def network():
+    return MemoryNetwork()
+
+
+@pytest.fixture
+def start(network, tmp_path):
+    """Return a function that starts a host with rules and parameters."""
+    transports = []
+
+    def start(rules, goals=GOALS, topics=TOPICS, **values):
+        (tmp_path / "pub_sub.xml").write_text(topics)
+        (tmp_path / "goalPredicates.txt").write_text(goals)
+        (tmp_path / "rules.txt").write_text(rules)
+        values = {"program": str(tmp_path), "diagnostics": 0, **values}
+        transport = MemoryTransport(network, parameters=values)
+        transports.append(transport)
+        reports = Reports()
+        context = HostContext(transport, read_parameters(transport.parameters(), lambda: tmp_path), reports)
+        host = ProgramHost(context, PlainTextExchange(context))
+        host.transport, host.reports = transport, reports
+        return host
+
+    yield start
+    for transport in transports:
+        transport.shut_down()
+
+
+ECHO = "std_msgs__0__String(X) <- scan(X).\n"
+
+
+def test_output_of_rule_is_published(network, start):
+    robot = Robot(network)
+    robot.subscribe("/alarm")
+    start(ECHO)
+    robot.publish("/scan").send(encode("fire"))
+    assert robot.received["/alarm"] == ["fire"]
+
+
+def test_alarm_fires_by_the_time_of_the_transport(network, start):
+    robot = Robot(network)
+    robot.subscribe("/alarm")
+    start("std_msgs__0__String(silence) <- scan(X) seq absent(scan(_), 5).\n")
+    robot.publish("/scan").send(encode("a"))
+    network.move_time(4.9)
+    assert robot.received["/alarm"] == []
+    network.move_time(1.3)
+    assert robot.received["/alarm"] == ["silence"]
+
+
+def test_message_of_wrong_type_is_refused_and_counted(network, start):
+    start(ECHO)
+    number = DEFINITIONS.find("std_msgs/Int32")
+    Robot(network).transport.advertise("/scan", number, 10).send(b"\0\0\0\0")
+    (scan,) = (
+        status for status in network.call("/retalis/list", most=0)["inputs"] if status["topic"] == "/scan"
+    )
+    assert (scan["messages"], scan["refused"]) == (1, 1)
+
+
+def test_damaged_message_is_dropped_and_the_next_one_processed(network, start):
+    robot = Robot(network)
+    robot.subscribe("/alarm")
+    host = start(ECHO)
+    robot.publish("/scan").send(b"\x09", encode("b"))
+    assert robot.received["/alarm"] == ["b"]
+    assert host.reports.errors == 1
+
+
+def test_latched_message_is_processed_once(network, start):
+    robot = Robot(network)
+    robot.subscribe("/alarm")
+    start(ECHO)
+    publication = robot.publish("/scan", is_latched=True)
+    publication.send(encode("map"))
+    (subscription,) = network.subscriptions["/scan"]
+    network.connect(publication, subscription)
+    assert robot.received["/alarm"] == ["map"]
+
+
+def test_services_change_the_program(network, start):
+    robot = Robot(network)
+    robot.subscribe("/alarm")
+    start("", topics=TOPICS.replace('name="scan"', 'name="other"'))
+    assert network.call("/add_input_subscription", topic="scan", message_type="std_msgs/String") == {
+        "result": "ok"
+    }
+    added = network.call(
+        "/retalis/add_rule", rule="std_msgs__0__String(louder) <- std_msgs__0__String('\"soft\"')", label=""
+    )
+    assert added["result"] == "ok"
+    robot.publish("/scan").send(encode("soft"))
+    assert "louder" in robot.received["/alarm"]
+    assert network.call("/retalis/delete_rule", label=added["label"]) == {"result": "ok"}
+
+
+def test_query_answers_with_bindings(network, start):
+    start("", goals="assert(door(open))\n")
+    answer = network.call(
+        "/retalis/query",
+        goal="door(X)",
+        max_solutions=0,
+        seconds=0.0,
+        inferences=0,
+        wait_for=[],
+        stamp=0,
+        timeout=0.0,
+    )
+    assert answer["solutions"] == [{"bindings": [{"name": "X", "text": "open", "json": '"open"'}]}]
+
+
+def test_topic_of_goal_is_subscribed(network, start):
+    robot = Robot(network)
+    robot.subscribe("/alarm")
+    start("std_msgs__0__String(X) <- said(X).\n", GOALS + "subscribe_to(speech, 'std_msgs/String', said)\n")
+    robot.publish("/speech").send(encode("hello"))
+    assert robot.received["/alarm"] == ["hello"]
+
+
+def test_events_and_outputs_are_exchanged_as_text(network, start):
+    robot = Robot(network)
+    robot.subscribe("/retalisInputEvents")
+    robot.subscribe("/retalisOutputEvents")
+    robot.subscribe("/alarm")
+    start(ECHO)
+    robot.publish("/scan").send(encode("a"))
+    assert robot.received["/retalisInputEvents"] == [
+        "event(scan('\"a\"'),[datime(1970,1,1,0,16,40,0),datime(1970,1,1,0,16,40,0)])"
+    ]
+    assert robot.received["/retalisOutputEvents"] == ["event(std_msgs__0__String('\"a\"'),alarm,s1)"]
+    robot.publish("/retalisInputEvents").send(serialize_text("event(scan(b))"))
+    robot.publish("/retalisOutputEvents").send(serialize_text("event(std_msgs__0__String(c),alarm,x)"))
+    assert robot.received["/alarm"] == ["a", "b", "c"]
+    assert read_text_message(serialize_text("ä")) == "ä"
+
+
+def test_state_is_restored_from_checkpoint(network, start, tmp_path):
+    robot = Robot(network)
+    robot.subscribe("/alarm")
+    rules = "std_msgs__0__String(pair) <- scan(_) seq scan(_).\n"
+    checkpoint = str(tmp_path / "state.db")
+    host = start(rules, checkpoint=checkpoint)
+    publication = robot.publish("/scan")
+    publication.send(encode("a"))
+    host.transport.shut_down()
+    network.subscriptions["/scan"].clear()
+    publication.close()
+    start(rules, checkpoint=checkpoint)
+    network.move_time(1)
+    robot.publish("/scan").send(encode("b"))
+    assert robot.received["/alarm"] == ["pair"]

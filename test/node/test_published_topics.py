@@ -1,0 +1,87 @@
+"""Outputs as messages."""
+
+import pytest
+from node.memory_transport import MemoryNetwork, MemoryTransport
+
+from retalis import Definitions, MessageError, Reports, UsageError, atom, functor
+from retalis.node.published_topics import OutputRelay, PublishedTopics, UntypedTopicWarnings
+from retalis.node.text_exchange import WATCH
+
+TEXT = functor("std_msgs__0__String", 1)(atom('"a"'))
+
+
+def test_outputs_of_load_are_passed_on_in_order():
+    received = []
+    relay = OutputRelay(10, Reports())
+    relay("a", "topic", "id")
+    relay("b", "topic", "id")
+    relay.start(lambda *output: received.append(output), lambda *output: received.append("second"))
+    relay("c", "topic", "id")
+    assert received == [item for name in "abc" for item in ((name, "topic", "id"), "second")]
+
+
+def test_excess_of_outputs_of_load_is_dropped_and_reported():
+    reports, received = Reports(), []
+    relay = OutputRelay(2, reports)
+    for number in range(5):
+        relay(number, "topic", "id")
+    relay.start(lambda term, topic, name: received.append(term))
+    assert (received, reports.warnings) == ([3, 4], 3)
+
+
+@pytest.fixture
+def network():
+    return MemoryNetwork()
+
+
+@pytest.fixture
+def topics(network):
+    """Return published topics, with their definitions and reports as attributes."""
+    definitions, reports = Definitions(), Reports()
+    topics = PublishedTopics(MemoryTransport(network), definitions, 5, reports)
+    topics.definitions, topics.reports = definitions, reports
+    return topics
+
+
+def test_output_is_published_as_message(network, topics):
+    topics.advertise("said", "std_msgs/String")
+    topics.publish(TEXT, "said")
+    (publication,) = network.publications["/said"]
+    assert publication.messages == [b"\x01\0\0\0a"]
+    (status,) = topics.statuses()
+    assert (status.topic, status.type, status.sent) == ("/said", "std_msgs/String", 1)
+
+
+def test_term_of_another_type_is_reported(network, topics):
+    topics.advertise("said", "std_msgs/String")
+    topics.publish(atom("a"), "said")
+    assert (network.publications["/said"][0].messages, topics.reports.errors) == ([], 1)
+
+
+def test_topic_has_one_type(topics):
+    topics.advertise("said", "std_msgs/String")
+    topics.advertise("said", "std_msgs/String")
+    with pytest.raises(UsageError, match="topic said already has the type std_msgs/String"):
+        topics.advertise("said", "std_msgs/Int8")
+
+
+def test_topic_of_unknown_type_is_advertised_when_the_type_is_learned(network, topics):
+    with pytest.raises(MessageError):
+        topics.advertise("door", "lab/Door")
+    topics.publish(TEXT, "door")
+    assert ("/door" in network.publications, topics.reports.warnings) == (False, 1)
+    topics.definitions.add("lab/Door", "bool open")
+    topics.advertise_learned_types()
+    topics.publish(functor("lab__0__Door", 1)(atom("true")), "door")
+    assert network.publications["/door"][0].messages == [b"\1"]
+
+
+@pytest.mark.parametrize(
+    ("topic", "warnings"), [("said", 0), ("/said", 0), ("other", 1), (f"{WATCH}1", 0), ("no name!", 1)]
+)
+def test_topic_without_type_is_warned_of_once(network, topic, warnings):
+    reports = Reports()
+    checker = UntypedTopicWarnings(MemoryTransport(network), ["said"], reports)
+    checker.check(topic)
+    checker.check(topic)
+    assert reports.warnings == warnings

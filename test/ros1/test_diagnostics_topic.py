@@ -1,0 +1,41 @@
+"""``/diagnostics`` of running nodes."""
+
+import re
+
+import pytest
+import yaml
+
+
+def statuses(space, arrays=6):
+    """Return the newest level of each status, and the hardware ids, of some messages."""
+    found = list(yaml.safe_load_all(space.run("rostopic", "echo", "-n", str(arrays), "/diagnostics")))
+    told = [one for array in found if array for one in array["status"]]
+    return {one["name"]: one["level"] for one in told}, {one["hardware_id"] for one in told}
+
+
+@pytest.mark.parametrize("embedded", ["false", "true"])
+def test_a_node_is_green_by_default_and_yellow_if_the_program_misses_something(devel, tmp_path, embedded):
+    program = tmp_path / "program"
+    program.mkdir()
+    (program / "pub_sub.xml").write_text("<publish_subscribe/>")
+    (program / "goalPredicates.txt").write_text("true\n")
+    devel.start_master()
+    options = (f"program:={program}", f"embedded:={embedded}", "use_sim_time:=false", "diagnostics:=0.2")
+    devel.start(
+        "roslaunch", "-p", str(devel.port), "retalis", "retalis.launch", *options, "hardware_id:=robot7"
+    )
+    nodes = {"/retalis"} if embedded == "true" else {"/retalis", "/retalis_ros_interface"}
+    devel.expect(lambda found, services: nodes <= found and "/retalis/list" in services)
+    levels, hardware = statuses(devel)
+    assert {"retalis: input /tf", "retalis: input /retalisInputEvents"} <= levels.keys()
+    assert {name: level for name, level in levels.items() if level} == {}
+    assert hardware == {"robot7"}
+
+    # From now on the program reads tf, and has a rule whose events nothing makes, which is a warning in the log.
+    devel.run("rosservice", "call", "/retalis/add_rule", "{rule: 'moved <- tf__0__tfMessage(_)', label: ''}")
+    devel.run("rosservice", "call", "/add_memory", "{event: lost(X), format: _, id: lost, size: '5'}")
+    levels, _ = statuses(devel)
+    assert levels["retalis: input /tf"] == 1
+    assert levels["retalis: input /ar_pose_marker"] == 0
+    (warnings,) = re.findall(r"(?m)^warnings: (\d+)$", devel.run("rosservice", "call", "/retalis/list", "0"))
+    assert int(warnings) == devel.printed().count("[WARN]") > 0

@@ -1,0 +1,142 @@
+"""The transport of ROS 1: time, sources of messages, requests and responses. Needs rospy, no master."""
+
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import rospkg
+
+rospy = pytest.importorskip("rospy", reason="ROS is not installed")
+
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+
+from retalis import UsageError  # noqa: E402
+from retalis.ros1 import rospy_transport  # noqa: E402
+from retalis.ros1.rospy_transport import (  # noqa: E402
+    UNSET_CLOCK_WARNING_SECONDS,
+    RospySubscription,
+    fill_message,
+    find_default_program,
+    read_request,
+    ros_now,
+)
+
+
+@pytest.fixture
+def warnings(monkeypatch):
+    warnings = []
+    monkeypatch.setattr(rospy, "logwarn_once", warnings.append)
+    monkeypatch.setattr(rospy_transport, "is_wallclock", lambda: False)
+    return warnings
+
+
+def test_clock_without_messages_is_warned_of_after_a_while(warnings, monkeypatch):
+    monkeypatch.setattr(rospy, "get_rostime", rospy.Time)
+    monkeypatch.setattr(rospy_transport, "_began", time.monotonic())
+    assert (ros_now(), warnings) == (0, [])
+    monkeypatch.setattr(rospy_transport, "_began", time.monotonic() - 2 * UNSET_CLOCK_WARNING_SECONDS)
+    assert ros_now() == 0
+    assert len(warnings) == 1
+    assert "nothing publishes /clock" in warnings[0]
+
+
+def test_running_clock_is_not_warned_of(warnings, monkeypatch):
+    monkeypatch.setattr(rospy, "get_rostime", lambda: rospy.Time(3, 4))
+    monkeypatch.setattr(rospy_transport, "_began", time.monotonic() - 2 * UNSET_CLOCK_WARNING_SECONDS)
+    assert (ros_now(), warnings) == (3_000_000_004, [])
+
+
+class RecordingReceiver:
+    def __init__(self, source):
+        self.source, self.messages, self.ends = source, [], []
+
+    def receive(self, messages):
+        self.messages += messages
+
+    def close(self, is_incomplete):
+        self.ends.append(is_incomplete)
+
+
+@pytest.fixture
+def connections(monkeypatch):
+    """Return the connections of a subscription, its receivers, and what reads its messages and its end."""
+    opened = SimpleNamespace(connections=[], receivers=[], find_handler=None, record_end=None)
+
+    def connect(source):
+        opened.receivers.append(RecordingReceiver(source))
+        return opened.receivers[-1]
+
+    def read_in_batches(subscriber, find_handler, max_delay, record_end):
+        opened.find_handler, opened.record_end = find_handler, record_end
+
+    monkeypatch.setattr(rospy, "Subscriber", lambda *arguments, **options: SimpleNamespace(impl=opened))
+    monkeypatch.setattr(rospy_transport, "read_in_batches", read_in_batches)
+    opened.subscription = RospySubscription("/heat", connect, 5, 0.0, False)
+    return opened
+
+
+HEADER = {
+    "callerid": "/thermometer",
+    "type": "lab/Temperature",
+    "message_definition": "float32 degrees",
+    "md5sum": "1234",
+}
+
+
+def test_connection_is_a_source_with_one_receiver(connections):
+    header = dict(HEADER)
+    for data in (b"1", b"2"):
+        connections.find_handler(header)([data])
+    connections.record_end(header, True)
+    (receiver,) = connections.receivers
+    assert receiver.source == ("/thermometer", "lab/Temperature", "float32 degrees", "1234", False, "")
+    assert (receiver.messages, receiver.ends) == ([b"1", b"2"], [True])
+
+
+def test_latched_connection_has_an_address(connections):
+    header = {**HEADER, "latching": "1"}
+    connections.connections.append(
+        SimpleNamespace(header=header, socket=object(), endpoint_id="http://robot:1/")
+    )
+    connections.find_handler(header)([b"1"])
+    source = connections.receivers[0].source
+    assert (source.is_latched, source.address) == (True, "http://robot:1/")
+    assert connections.subscription.publishers() == ["/thermometer"]
+
+
+def test_equal_headers_of_two_connections_are_two_sources(connections):
+    for _ in range(2):
+        connections.find_handler(dict(HEADER))([b"1"])
+    assert len(connections.receivers) == 2
+
+
+def test_request_has_times_in_nanoseconds():
+    request = SimpleNamespace(__slots__=["goal", "stamp"], goal="a", stamp=rospy.Time(1, 2))
+    assert vars(read_request(request)) == {"goal": "a", "stamp": 1_000_000_002}
+
+
+def test_message_is_filled_from_values():
+    values = {
+        "header": {"stamp": 3 * 10**9 + 4},
+        "status": [{"name": "a", "values": [{"key": "k", "value": "v"}]}],
+    }
+    message = fill_message(DiagnosticArray(), values)
+    assert message.header.stamp == rospy.Time(3, 4)
+    assert (message.status[0].name, message.status[0].values[0].value) == ("a", "v")
+
+
+def test_default_program_is_that_of_the_package(monkeypatch):
+    assert find_default_program(["node", "/here", "__name:=x"]) == Path("/here/application_source")
+    monkeypatch.setattr(rospkg.RosPack, "get_path", lambda self, name: f"/packages/{name}")
+    assert find_default_program(["node"]) == Path("/packages/retalis/application_source")
+
+
+def test_unknown_package_is_an_error_with_a_remedy(monkeypatch):
+    def get_path(self, name):
+        raise rospkg.ResourceNotFound(name)
+
+    monkeypatch.setattr(rospkg.RosPack, "get_path", get_path)
+    with pytest.raises(UsageError, match="ROS_PACKAGE_PATH"):
+        find_default_program(sys.argv[:1])
