@@ -113,6 +113,14 @@ def test_a_status_has_no_value_that_says_nothing_and_names_what_somebody_has_to_
     ]
 
 
+def test_status_counts_late_and_ahead_events_in_one_column_each():
+    subscription = {"topic": "alarms", "id": "a", "event": "fire", "sent": 0}
+    counts = {"late": 3, "ahead": 2}
+    after = {**NODE, "rules": [{**RULE, **counts}], "subscriptions": [{**subscription, **counts}]}
+    headings = [line.split() for line in format_status(NODE, after, 1.0, 100) if "late" in line]
+    assert [(heading.count("late"), heading.count("ahead")) for heading in headings] == [(1, 1), (1, 1)]
+
+
 def test_a_status_before_the_clock_has_begun_has_no_ages():
     lines = format_status(NODE, {**NODE, "now": None, "rules": [RULE]}, 1.0, 80)
     assert lines[-1].split()[-1] == "-"
