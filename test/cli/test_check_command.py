@@ -206,7 +206,7 @@ def test_spans_are_compared_with_the_rate_of_bags(capsys, folder, tmp_path):
     assert "RT1213" not in checked(capsys, folder)[1]
     printed = checked(capsys, folder, "--bag", tmp_path / "hot.bag")[1]
     assert (
-        "250 is 4.17 minutes, because spans are in seconds; in the bag, a message of hot comes every 0.1 s"
+        "250 is 4.17 minutes, because spans are in seconds; in the bag, a message of hot arrives every 0.1 s"
         in printed
     )
 

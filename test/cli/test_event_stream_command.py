@@ -586,7 +586,7 @@ def test_relative_times_are_those_of_all_output(run):
 
 def test_absent_event_with_similar_name_is_reported(run):
     *_, errors = run(rules="hot(M) <- tmep(M, _).", stream="event(temp(a, 40), [1, 1]).")
-    assert "no event tmep/2 came; did you mean temp/2? [RT1201]" in errors
+    assert "no event tmep/2 occurred; did you mean temp/2? [RT1201]" in errors
 
 
 def test_absent_event_is_not_reported_if_streams_are_complete(run):

@@ -165,14 +165,14 @@ def find_absent_events(engine: Engine, occurred: Collection[Functor]) -> Iterato
     program = ProgramModel(engine.rules, engine.knowledge, Definitions(), Topics())
     producers = EventProducers(program)
     awaited = {subterm.key: subterm for subterm, _ in program.patterns() if subterm.key is not None}
-    # Events that the program awaits as well are no misspelt ones.
+    # An event that the program awaits or emits is not a misspelt one.
     others = [key for key in occurred if key not in awaited and key not in producers.places_by_functor]
     suggestions = FunctorSuggestions()
     suppressions = Suppressions()
     for key, subterm in awaited.items():
         suggestion = "" if key in occurred or key in producers else suggestions.suggest(key, others)
         if suggestion:
-            error = RuleError(f"no event {key} came; did you mean {suggestion}?", subterm.place)
+            error = RuleError(f"no event {key} occurred; did you mean {suggestion}?", subterm.place)
             error.code = "RT1201"
             if not suppressions.suppresses(error):
                 yield error

@@ -208,7 +208,7 @@ def test_span_is_compared_with_the_rate_of_a_bag(span, period, count, definition
     program = ProgramModel(engine.rules, engine.knowledge, definitions, TOPICS, recorded_topics=recorded)
     messages = [error.message for error in find_likely_milliseconds(program)]
     assert len(messages) == count
-    assert all(f"in the bag, a message of said comes every {period} s" in message for message in messages)
+    assert all(f"in the bag, a message of said arrives every {period} s" in message for message in messages)
 
 
 def unkeyed(rules):

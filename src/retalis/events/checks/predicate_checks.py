@@ -20,7 +20,7 @@ from ..language.pattern_tree import EventPattern, walk
 from ..language.rule_head_parser import event_raised_by
 from ..language.state_parser import queried_state
 from ..program.topic_configuration import GOALS, RULES, read_text
-from .condition_checks import conjunctions_of
+from .condition_checks import NUMERIC_COMPARISONS, conjunctions_of
 from .program_model import (
     NECK,
     FunctorSuggestions,
@@ -343,7 +343,7 @@ def find_singletons(program: ProgramModel) -> Iterator[RuleError]:
 
 def _explain_variable_as_constant(program: ProgramModel, name: str, variable: Subterm) -> str:
     """Return the finding for a variable that was probably meant as a constant or as a bound value, or ""."""
-    if variable.parent[0] in _COMPARED or variable.parent[0] in EVALUABLE:
+    if variable.parent[0] in NUMERIC_COMPARISONS or variable.parent[0] in EVALUABLE:
         return (
             f"nothing binds {name}: a misspelt name? The start and the end of a match are S and E in "
             f"check (t1(S), t2(E), E - S > 1)"
@@ -362,9 +362,6 @@ def _explain_variable_as_constant(program: ProgramModel, name: str, variable: Su
     if len(name) > 1 and word in constants.get((variable.parent[0], variable.position), ()):
         return f"{matches}: for the constant write {word}; otherwise write _{name} or _"
     return ""
-
-
-_COMPARED = frozenset(functor(name, 2) for name in ("<", ">", "=<", ">=", "=:=", "=\\="))
 
 
 def find_constants_meant_as_variables(program: ProgramModel) -> Iterator[RuleError]:

@@ -410,7 +410,7 @@ def _find_milliseconds_in(source: Subterm, fastest: Optional[_RecordedPeriod]) -
             continue
         rate = ""
         if fastest is not None and _may_be_milliseconds_of(span, fastest.seconds):
-            rate = f"; in the bag, a message of {fastest.topic} comes every {fastest.seconds:.2g} s"
+            rate = f"; in the bag, a message of {fastest.topic} arrives every {fastest.seconds:.2g} s"
         if rate or _may_be_milliseconds(span):
             yield RuleError(
                 f"{span} is {_format_minutes(span)}, because {_UNIT_HINT}{rate}: for milliseconds write "
@@ -460,7 +460,7 @@ def _periods_by_rule(program: ProgramModel) -> Dict[int, _RecordedPeriod]:
             if key is not None:
                 rules_by_event.setdefault(key, []).append(rule)
     result: Dict[int, _RecordedPeriod] = {}
-    # The fastest topic comes first, so the first period that reaches a rule is the one to keep.
+    # The fastest topic is first, so the first period that reaches a rule is the shortest one.
     for message, recorded in sorted(_periods_by_message(program).items(), key=lambda item: item[1].seconds):
         events = [message]
         while events:
@@ -499,7 +499,7 @@ def find_throttles_without_key(program: ProgramModel) -> Iterator[RuleError]:
             if isinstance(node, RatePattern) and node.operator in _KEYED_OPERATORS and not node.keys:
                 key_variable = _key_variable(program, rule, node.pattern, head_vars)
                 if key_variable is not None:
-                    name = program.names.get(key_variable, rule.definition.names.get(key_variable, "Key"))
+                    name = program.names_in(rule).get(key_variable, "Key")
                     notation = f"{node.operator}({node.span / 10**9:g}"
                     yield RuleError(
                         f"{notation}) has one state for all values of {name}, so that an event of one suppresses "

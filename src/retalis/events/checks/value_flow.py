@@ -35,7 +35,7 @@ from ...foundation.errors import Place, RuleError
 from ...messages.type_definition import Definition
 from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.term_traversal import variables
-from ...prolog.terms.types import COMMA, Atom, CompoundTerm, Functor, Term, Var, atom, deref, functor
+from ...prolog.terms.types import COMMA, TRUE, Atom, CompoundTerm, Functor, Term, Var, deref, functor
 from ..knowledge.knowledge_base import OWN_EVENTS
 from ..language.event_declarations import Declaration
 from ..language.pattern_parser import PlaceLookup
@@ -55,6 +55,7 @@ from ..language.pattern_tree import (
 from ..language.rule_head_parser import ALARMS, SYNCHRONIZED, event_raised_by, makes_event
 from ..language.state_parser import HOLDS
 from ..streams.aggregates import AGGREGATES
+from .condition_checks import IS, NUMERIC_COMPARISONS
 from .event_flow_checks import SUBSCRIBE_TO, functors_in_fact
 from .memory_checks import RECORD_READS
 from .predicate_checks import ASSERTING_PREDICATES
@@ -101,8 +102,7 @@ MAX_NESTING = 100
 _INPUT_EVENT, _REV, _EVENT2 = functor("input_event", 1), functor("rev", 1), functor("event", 2)
 _UNIFICATIONS = frozenset((functor("=", 2), functor("==", 2)))
 _INEQUALITIES = frozenset((functor("\\=", 2), functor("\\==", 2)))
-_COMPARISONS = frozenset(functor(name, 2) for name in ("<", ">", "=<", ">=", "=:=", "=\\="))
-_IS, _OR, _NOT = functor("is", 2), functor(";", 2), functor("\\+", 1)
+_OR, _NOT = functor(";", 2), functor("\\+", 1)
 _CONDITIONALS = frozenset((functor("->", 2), functor("*->", 2)))
 _TRANSPARENT = frozenset((functor("call", 1), functor("once", 1)))
 _LOCAL_GOALS = {
@@ -219,8 +219,8 @@ class ValueFlow:
         self._part: Any = None
         self._calls: Dict[Functor, Callable[[CompoundTerm, Bindings], None]] = {
             **dict.fromkeys((*_UNIFICATIONS, *_INEQUALITIES), self._compare),
-            **dict.fromkeys(_COMPARISONS, self._compare_numbers),
-            _IS: self._evaluate_number,
+            **dict.fromkeys(NUMERIC_COMPARISONS, self._compare_numbers),
+            IS: self._evaluate_number,
             **dict.fromkeys(RECORD_READS, self._read_record),
             **dict.fromkeys(HOLDS, self._query_state),
             **dict.fromkeys(ASSERTING_PREDICATES, self._assert_clause),
@@ -315,7 +315,7 @@ class ValueFlow:
                 continue
             if not has_body and key in self._predicates:
                 self._add_fact(key, head, clause.place_of)
-            if has_body or variables(head or TRUE_GOAL):
+            if has_body or variables(head or TRUE):
                 self._parts.append(
                     _Part(
                         _ClauseTerm(head, clause.parent, clause.position),
@@ -818,7 +818,7 @@ class ValueFlow:
             kinds = self._kinds_of(goal, other_position, bindings)
             if known is not None and known.kinds and kinds and are_disjoint(known.kinds, kinds):
                 other_known = bindings.get(other) if other.__class__ is Var else None
-                # The existing check reports the slots of the same rule.
+                # `find_type_conflicts` reports slots of messages in one rule.
                 is_direct = known.is_direct and (
                     other.__class__ is not Var or (other_known or known).is_direct
                 )
@@ -940,9 +940,6 @@ class ValueFlow:
 
     def _show(self, term: Term) -> str:
         return self._program.brief(term)
-
-
-TRUE_GOAL = atom("true")
 
 
 def _raised_event(goal: CompoundTerm) -> Term:

@@ -22,10 +22,10 @@ from ..language.pattern_parser import EventTerm, PlaceLookup, no_place
 from ..language.pattern_tree import EventPattern, walk
 from ..language.rule_head_parser import NEW_EVENT, event_raised_by, makes_event
 from ..streams.aggregates import AGGREGATES
+from .condition_checks import NUMERIC_COMPARISONS
 from .event_flow_checks import event_of_consumer, events_of_goals, events_of_rule
 from .program_model import NECK, ProgramModel, Subterm, key_of, subterms, wrap_term
 
-_NUMERIC_COMPARISONS = frozenset(functor(name, 2) for name in ("<", ">", "=<", ">=", "=:=", "=\\="))
 _IS = functor("is", 2)
 _EQUALITIES = frozenset(functor(name, 2) for name in ("==", "\\==", "=", "\\="))
 _BINARY_FUNCTIONS = frozenset(
@@ -200,7 +200,7 @@ def _check_goals(
     reported: Set[Var] = set()
     for subterm in all_subterms:
         key = subterm.key
-        if key in _NUMERIC_COMPARISONS:
+        if key in NUMERIC_COMPARISONS:
             operands = [(subterm.term, 1), (subterm.term, 2)]
         elif key is _IS:
             operands = [(subterm.term, 2)]
