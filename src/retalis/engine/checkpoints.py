@@ -260,7 +260,8 @@ def _open_for_reading(path: Path) -> sqlite3.Connection:
         _query_value(database, "PRAGMA schema_version")
     except sqlite3.OperationalError:
         database.close()
-        if os.access(path.parent, os.W_OK):
+        # SQLite creates its files beside the file itself, not beside a symbolic link to it.
+        if os.access(path.resolve().parent, os.W_OK):
             raise
         # Readers of a write-ahead log create an index and locks beside it, which this folder does not permit.
         return _open_without_locks(path)

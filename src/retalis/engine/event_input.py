@@ -183,10 +183,11 @@ class EventInput:
     def _report_return(self, jumps: StampJumps) -> None:
         """Report that the clock has followed a wrong timestamp, with the names of the events."""
         self.far_ahead_count += 1
-        names = [str(source or "a variable") for source in jumps.sources]
-        others = f" and {len(names) - 1} more" if len(names) > 1 else ""
+        name = jumps.sources[0] or "a variable"
+        other_count = len(jumps.sources) - 1
+        others = f" and {other_count} more" if other_count else ""
         text = (
-            f"event {names[0]}{others}: its time was {format_distance(jumps.step)} ahead of the other events, which "
+            f"event {name}{others}: its time was {format_distance(jumps.step)} ahead of the other events, which "
             f"have been late since then; the clock returns to their time; {self.far_ahead_count} so far"
         )
         self._rules.report_far_ahead(lambda: text)

@@ -34,7 +34,7 @@ from typing import (
     Union,
 )
 
-from ..foundation.errors import MessageError, Place, place_at_offset, quote_shortened, shorten
+from ..foundation.errors import MessageError, Place, install_hint, place_at_offset, quote_shortened, shorten
 from ..foundation.ros_names import ros1_type_name
 
 _GRAMMAR = r"""
@@ -224,7 +224,7 @@ def _parse(source: _IdlText) -> Any:
         parser = _make_parser()
     except ImportError:
         raise MessageError(
-            "its definition is in IDL, which needs the Python package lark (pip install lark)"
+            f"its definition is in IDL, which needs the Python package lark ({install_hint('lark', 'python3-lark')})"
         ) from None
     from lark.exceptions import UnexpectedInput  # noqa: PLC0415 - see above
 

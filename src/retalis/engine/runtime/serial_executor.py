@@ -4,7 +4,7 @@ Callers append work to a bounded queue. The caller that acquires the lock withou
 others return at once, or wait for the result of a call. Passing each event to a worker thread would double its cost
 (the technique is called flat combining).
 
-While one thread posts in a loop, the queue may never be empty, and the thread that works it off could never return.
+While one thread posts in a loop, the queue may never be empty, and the thread that processes it could never return.
 It therefore releases the lock after `MAX_ENTRIES_PER_TURN` entries and lets other threads run: a thread that posts or
 waits for a call then takes over.
 

@@ -42,7 +42,8 @@ SUSPICION_SPAN = 600 * SECOND
 MAX_SUSPECTS = 1000
 """Maximum number of suspects; the oldest is dropped."""
 
-BEFORE_ALL_INSTANTS = -(1 << 63)
+_BEFORE_ALL_INSTANTS = -(1 << 63)
+"""Instant before all timestamps, in ns."""
 
 EventName = Hashable
 """Name and arity of events; None for an event that is a variable."""
@@ -182,7 +183,7 @@ class StampJumps:
 
     def _begin_trial(self, base: Optional[int], stamp: int, source: EventName) -> None:
         trials = self._trials
-        trials.append(_Trial(base, stamp, 0, BEFORE_ALL_INSTANTS if base is None else base, (source,)))
+        trials.append(_Trial(base, stamp, 0, _BEFORE_ALL_INSTANTS if base is None else base, (source,)))
         if len(trials) > MAX_TRIALS:
             del trials[0]
         self._steady_since = stamp

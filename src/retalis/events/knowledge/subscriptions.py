@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 _NOTATION = "subscribe(Pattern, Conditions, Template, Topic, Id)"
 
 RateLimiterState = Tuple[Any, int, int, int]
-"""State of the operator, number of late events, and number of dropped events."""
+"""State of the operator, and numbers of late events, of dropped events, and of events ahead of the clock."""
 
 
 def terms_of_rate_operator(rate_pattern: RatePattern) -> Tuple[Term, ...]:
