@@ -13,7 +13,7 @@ def main() -> int:
     """Run a command; return its exit status."""
     _open_closed_streams()
     # Before and after the command there is nothing to clean up after ctrl-C. A process that ignores it, as one in the
-    # background of a script, goes on ignoring it.
+    # background of a script, continues to ignore it.
     handles_interrupts = signal.getsignal(signal.SIGINT) is not signal.SIG_IGN
     if handles_interrupts:
         signal.signal(signal.SIGINT, _exit_at_once)

@@ -24,7 +24,7 @@ NAME_CATEGORIES = {"node": "nodes", "wait_for": "memories"}
 
 
 class _Shells(List[str]):
-    """Names of shells; what the scripts ask with is accepted, too, but not shown to users."""
+    """Names of shells. The argument of the scripts is accepted, too, but not shown to users."""
 
     def __contains__(self, name: object) -> bool:
         return name == _WORDS or super().__contains__(name)

@@ -156,7 +156,7 @@ def has_unread_input(descriptor: int = 0) -> bool:
 
 
 MAX_USUAL_DELAY_SECONDS = 10
-"""Seconds by which an event may end before an earlier one without a warning: events of sensors arrive so."""
+"""Seconds by which an event may end before an earlier one without a warning, as events of sensors often do."""
 
 DESCRIPTION = """\
 Run rules over a stream, and print each event in the order in which it happened, as event(TERM,[T1,T2]).

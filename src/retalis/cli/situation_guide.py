@@ -1,4 +1,4 @@
-"""Situations on robots with what solves them, for command ``help`` and ``docs/reference/situations.md``."""
+"""Situations on robots with their operators, for command ``help`` and ``docs/reference/situations.md``."""
 
 from typing import Dict, NamedTuple, Sequence
 

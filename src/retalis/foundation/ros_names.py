@@ -56,7 +56,7 @@ def topic_fault(text: str) -> Optional[str]:
 def strip_slashes(topic: str) -> str:
     """Return the name of a topic without leading and trailing slashes: ROS resolves ``/scan/`` and ``scan`` alike.
 
-    Names are compared so where no node resolves them: in bags, and in checks.
+    Bags and checks compare names in this form, because no node resolves them.
     """
     return topic.strip("/")
 

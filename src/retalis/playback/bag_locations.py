@@ -159,7 +159,7 @@ def _reject_duplicates(paths: Sequence[PathLike]) -> None:
 
 
 _BAG_SUFFIXES = (".bag", *SUFFIXES)
-"""Suffix of an incomplete result, whose name also begins with a dot."""
+"""Suffixes of the files of bags."""
 
 
 class BagLocation(NamedTuple):
