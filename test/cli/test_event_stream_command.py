@@ -540,6 +540,15 @@ def test_warns_of_events_on_standard_input_that_are_not_read(tmp_path, stream, w
     assert done.stdout == ("" if warned else "event(smoke(a),[1,2]).\n")
 
 
+def test_error_while_stream_is_read_names_stream(tmp_path, capsys):
+    outputs = tmp_path / "outputs.txt"
+    outputs.write_text("former outputs\n")
+    # The first page of a process is not mapped, so reading it is an error.
+    assert main(["events", "-s", "/proc/self/mem", "-o", str(outputs)]) == 1
+    assert capsys.readouterr().err == "retalis: cannot read /proc/self/mem: Input/output error\n"
+    assert outputs.read_text() == "former outputs\n"
+
+
 def test_missing_rule_file_ends_the_command(tmp_path, capsys):
     stream = tmp_path / "stream.txt"
     stream.write_text("event(smoke(a),[1,1]).\n")

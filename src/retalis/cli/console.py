@@ -350,7 +350,7 @@ class Console:
                 elif not self._solve_goal(clause):
                     return
             except KeyboardInterrupt:
-                # At a terminal it ends the goal; the goals of a pipe and of --goal have nobody to ask others.
+                # At a terminal it ends the goal. With goals of a pipe or of --goal, it ends the command.
                 if not source.is_terminal:
                     raise
                 source.unread_text = ""

@@ -71,11 +71,15 @@ _AMBIGUOUS_TEXT = re.compile(r"[\"`]|\b(?:inf|nan|True|False)\b")
 
 
 def read_stream(file: IO[str], operators: Operators, source: str) -> Iterator[StreamItem]:
-    """Yield each term of a stream when its last line has been read, and a `SyntaxFault` for each error."""
+    """Yield each term of a stream when its last line has been read, and a `SyntaxFault` for each error.
+
+    Raises:
+        UsageError: if a line cannot be read.
+    """
     unparsed_text = ""
     start_line = 1
     reader = EventReader(operators)
-    for line_number, text in enumerate(file, 1):
+    for line_number, text in enumerate(_read_lines(file, source), 1):
         if not unparsed_text and text.startswith("event("):
             place = place_at_column(source, line_number, 1, text.rstrip("\n"))
             event = _parse_event_line(reader, text.rstrip(), place)
@@ -94,6 +98,14 @@ def read_stream(file: IO[str], operators: Operators, source: str) -> Iterator[St
             yield from terms
             unparsed_text, start_line = "", line_number + 1
     yield from read_program(unparsed_text, operators, source, first_line=start_line)
+
+
+def _read_lines(file: IO[str], source: str) -> Iterator[str]:
+    """Yield the lines of a file; an error of the operating system names the file."""
+    try:
+        yield from file
+    except OSError as error:
+        raise UsageError(f"cannot read {source}: {error.strerror}") from error
 
 
 def _parse_event_line(reader: EventReader, text: str, place: Place) -> Optional[EventLine]:
@@ -348,14 +360,13 @@ class Session:
         operators = self.engine.operators
         if name == "-":
             self._process_terms(read_stream(sys.stdin, operators, "standard input"))
-            self._end_stream()
-            return
-        with ExitStack() as stack:
+        else:
             try:
-                file = stack.enter_context(open(name, encoding="utf-8"))
+                file = open(name, encoding="utf-8")  # noqa: SIM115 - closed below
             except OSError as error:
                 raise UsageError(f"cannot read {name}: {error.strerror}") from error
-            self._process_terms(read_stream(file, operators, name))
+            with file:
+                self._process_terms(read_stream(file, operators, name))
         self._end_stream()
 
     def _end_stream(self) -> None:

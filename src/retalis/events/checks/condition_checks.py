@@ -258,9 +258,9 @@ class _Interval:
         self._high: Tuple[float, bool] = (float("inf"), False)
 
     def restrict(self, operator: str, number: float) -> bool:
-        """Intersect with ``X operator number``; return whether a number is left."""
-        # The second element tells whether the bound itself is excluded, so that the stricter bound is the greater
-        # one among lower bounds.
+        """Intersect with ``X operator number``; return whether the interval is not empty."""
+        # The second element states whether a lower bound is excluded, or an upper one included, so that the stricter
+        # one of two lower bounds is the greater tuple, and of two upper bounds the smaller one.
         if operator in (">", ">=", "=:="):
             self._low = max(self._low, (number, operator == ">"))
         if operator in ("<", "=<", "=:="):

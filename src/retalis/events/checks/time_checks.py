@@ -527,7 +527,7 @@ def _key_variable(
     first_kinds = kinds[0] if kinds else None
     if first in numeric or (first_kinds and NUMBER in first_kinds):
         return None
-    # A measured value beside it, which is compared or left out, tells a key from the only value of an event.
+    # A key has a measured value beside it, which is compared or not passed on to the head.
     is_measured = any(
         other.__class__ is Var and (other in numeric or other not in head_vars) for other in others
     )

@@ -2,7 +2,7 @@
 
 A message is received later than its stamp says: the driver, the network and the queue take time. An alarm that ends a
 pattern (``absent``, a window, ``debounce``, a state, a timeout) would run too early by that lag if it used the
-receipt clock: an event with an earlier stamp may still be on its way. As in stream processors with bounded
+receipt clock: an event with an earlier stamp may arrive later. As in stream processors with bounded
 out-of-orderness, the *watermark* of a pattern is therefore the receipt clock minus a *delay*, and an alarm for an
 instant runs when the watermark reaches it.
 
@@ -199,7 +199,7 @@ class Watermarks:
                     callback()
 
     def _event_sources(self) -> Dict[Functor, Set[Optional[Functor]]]:
-        """Return the functors of the events from which rules make the events of each functor."""
+        """Return the functors of the events from which rules derive the events of each functor."""
         sources: Dict[Functor, Set[Optional[Functor]]] = {}
         if self._lags:
             for definition in self._definitions():
@@ -236,7 +236,7 @@ class Watermarks:
                 is_known = True
                 remaining += sources[functor] - visited
                 visited |= sources[functor]
-            # A goal may make the event, or its topic has sent nothing yet: any topic may be behind it.
+            # A goal may emit the event, or its topic has sent nothing yet: any topic may be its source.
             if not is_known:
                 return self._lags.values()
         return topics.values()

@@ -188,7 +188,7 @@ class StreamOperator:
         self.max_timestamp = self.compute_max_timestamp()
 
     def _limit_reference_times(self) -> None:
-        """Let no key be used later than now; otherwise it, and the keys after it, would never become idle."""
+        """Limit the last uses of keys to the clock; otherwise keys with later ones would never become idle."""
         for state in self.states.values():
             state.reference_time = min(state.reference_time, self.clock)
 
