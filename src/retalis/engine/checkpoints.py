@@ -272,7 +272,7 @@ def _open_for_reading(path: Path) -> sqlite3.Connection:
 
 
 def _open_without_locks(path: Path) -> sqlite3.Connection:
-    """Return a connection that reads a database, which nothing else may write, and creates no files beside it."""
+    """Return a connection that reads a database without a writer, and creates no files beside it."""
     # SQLite searches the write-ahead log beside the file itself, not beside a symbolic link to it.
     path = path.resolve()
     log = Path(f"{path}-wal")

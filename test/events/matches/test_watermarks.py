@@ -5,7 +5,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from retalis import Engine, Settings, StreamClock, explain, record_origins
-from retalis.events.matches.watermarks import LAG_WINDOW, TopicLag
+from retalis.events.matches.watermarks import LAG_WINDOW, MAX_TOPICS, TopicLag
 from retalis.prolog.terms.timestamps import SECOND
 
 MILLISECOND = SECOND // 1000
@@ -332,3 +332,14 @@ def test_explanation_names_waiting_alarm():
     run.advance(11 * SECOND)
     text = str(explain(run.engine, "alarm"))
     assert "the time after it is over, and the alarm waits 1 s for late events" in text
+
+
+def test_lags_of_oldest_names_are_dropped():
+    run = Run("lost <- beat seq absent(beat, 2).")
+    run.receive("beat", SECOND, MAX_LAG)
+    for number in range(MAX_TOPICS):
+        run.engine.event(f"name{number}(1)")
+    names = {lag.event for lag in run.engine.status(2 * MAX_TOPICS).lags}
+    assert len(names) == MAX_TOPICS and "beat/0" not in names
+    run.receive("beat", 2 * SECOND, MAX_LAG)
+    assert run.engine.status().rules[0].delay == MAX_LAG

@@ -24,6 +24,9 @@ from ..language.rule_head_parser import event_raised_by
 LAG_WINDOW = 10 * SECOND
 """Time in ns after which a maximum of lags begins to be forgotten; after twice that time it is forgotten."""
 
+MAX_TOPICS = 1000
+"""Maximum number of functors of input events whose lags are stored; the oldest is dropped."""
+
 DelaySetting = Optional[int]
 """A fixed delay in ns, or None for a delay that follows the lags of the topics."""
 
@@ -173,6 +176,9 @@ class Watermarks:
         if topic is None:
             topic = self._lags[functor] = TopicLag()
             self._is_outdated = True
+            # Names of events come from other nodes, which may invent any number of them.
+            if len(self._lags) > MAX_TOPICS:
+                del self._lags[next(iter(self._lags))]
         lag = 0 if stamp is None or stamp >= now else int(now - stamp)
         # The bound also applies to old messages of latched topics and to publishers with another clock.
         if topic.observe(min(lag, self.max_delay), now):
