@@ -730,7 +730,10 @@ def run_command(options: argparse.Namespace, installation: Installation) -> int:
     installation.install_python_packages(["requirements.txt", *development_requirements])
     installation.build(install=options.install or options.command == "test")
     if options.command == "demo":
-        return installation.run([SYSTEM_PYTHON, DEMO_SCRIPT, *options.passed_arguments], cwd=None)
+        status = installation.run([SYSTEM_PYTHON, DEMO_SCRIPT, *options.passed_arguments], cwd=None)
+        if status == 0:
+            print('To use retalis in this shell:  source "$(./install.py where)"', file=sys.stderr)
+        return status
     if options.command == "test":
         os.environ["RETALIS_WORKSPACE"] = str(options.workspace)
         return installation.run(

@@ -15,7 +15,7 @@ from retalis.cli.command_line import main
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "reference" / "bags.md").read_text(encoding="utf-8")
-COMMANDS = re.findall(r"^    python3 -m retalis (.*)$", PAGE, re.MULTILINE)
+COMMANDS = re.findall(r"^    retalis (.*)$", PAGE, re.MULTILINE)
 (MAKE_BAG,) = re.findall(r"^    python3 (\S*make_bag.py .*)$", PAGE, re.MULTILINE)
 
 

@@ -123,6 +123,14 @@ def test_apropos_finds_names_and_descriptions(ask):
     assert many[-1].startswith("% and ")
 
 
+@pytest.mark.parametrize(
+    ("name", "page"),
+    [("memorize", "docs/reference/memories.md"), ("absent", "docs/how-to/missing-message.md")],
+)
+def test_help_of_own_predicates_and_operators_names_their_pages(name, page):
+    assert any(line.endswith(page) for line in "\n".join(help_lines(name, ["memorize/5"])).split("\n"))
+
+
 def test_json_has_an_object_per_solution(capsys):
     goals = ['member(X, [1, "text", f(_)]), _Hidden = 1', "event(seen(1))", "format(shown)"]
     options = [word for goal in goals for word in ("--goal", goal)]

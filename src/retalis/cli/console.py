@@ -29,6 +29,7 @@ from ..prolog.system.prolog_system import Tracer
 from ..prolog.terms.list_terms import list_items
 from ..prolog.terms.types import COMMA, Atom, String, Term, Var, deref, functor
 from .command_options import add_limits, apply_limits
+from .help_search import all_entries, search
 from .option_values import non_negative
 from .optional_ros_imports import installed_definitions, run_ros_command
 from .stderr_and_progress import StderrReporter
@@ -37,6 +38,8 @@ from .toplevel_io import QUIT_GOALS, PipedInput, TerminalInput, format_bindings,
 PREDICATES_PAGE = "docs/reference/predicates.md"
 MAX_HELP_LINES = 50
 """Limit for the lines of an answer."""
+MAX_PAGE_ENTRIES = 3
+"""Number of entries of other pages that describe a name, at most."""
 
 CONSOLE_HELP = """\
 GOAL.                 ask a goal; ";" asks for another solution, return for none
@@ -69,9 +72,13 @@ def help_lines(name: str, defined: Iterable[str]) -> List[str]:
     rows = [row for row in _read_rows() if any(_matches_name(name, key) for key in row.keys)]
     lines = [f"{row.call}\n    {row.description}" for row in rows]
     documented = {key for row in rows for key in row.keys}
-    return [*lines, *(key for key in sorted(defined) if _matches_name(name, key) and key not in documented)][
-        :MAX_HELP_LINES
-    ]
+    lines += [key for key in sorted(defined) if _matches_name(name, key) and key not in documented]
+    if not rows:
+        # Predicates and operators of retalis itself are described in other pages.
+        word = name.partition("/")[0]
+        entries = [entry for entry in search(word, all_entries()) if word in " ".join(entry.lines())]
+        lines += ["\n".join(entry.lines()) for entry in entries[:MAX_PAGE_ENTRIES]]
+    return lines[:MAX_HELP_LINES]
 
 
 def apropos_lines(word: str, defined: Iterable[str]) -> List[str]:

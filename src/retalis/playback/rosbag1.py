@@ -501,13 +501,18 @@ class BagWriter:
             self._discard(error)
 
 
+ROSBAGS_HINT = (
+    "pip install rosbags in a virtual environment, or, in a clone after ./install.py build: "
+    'source "$(./install.py where)"'
+)
+"""Ways to install rosbags, for an error. No distribution packages it."""
+
+
 def _import_rosbag1() -> Any:
     try:
         from rosbags import rosbag1  # noqa: PLC0415 - an optional package
     except ImportError:
-        raise BagError(
-            "reading and writing bags needs the Python package rosbags (pip install rosbags)"
-        ) from None
+        raise BagError(f"reading and writing bags needs the Python package rosbags: {ROSBAGS_HINT}") from None
     return rosbag1
 
 

@@ -30,7 +30,7 @@ from ..messages.type_registry import Definitions, InstalledTypes
 from .decompression import MAX_CHUNK_MEGABYTES, ChunkLimit, copy_up_to, describe_error, zstd_reader
 from .mcap_file import McapFile
 from .ros2_storage import Connection, merge_by_time
-from .rosbag1 import BagError, PathLike, Record, Topic, UnreadableTopic
+from .rosbag1 import ROSBAGS_HINT, BagError, PathLike, Record, Topic, UnreadableTopic
 from .sqlite_file import SqliteFile
 
 Storage = Union[SqliteFile, McapFile]
@@ -270,7 +270,7 @@ def _open_files(path: Path, limit: ChunkLimit, stack: ExitStack) -> Tuple[List[S
     try:
         import rosbags.typesys  # noqa: F401, PLC0415 - an optional package, which brings those that decompress
     except ImportError:
-        raise BagError("reading bags needs the Python package rosbags (pip install rosbags)") from None
+        raise BagError(f"reading bags needs the Python package rosbags: {ROSBAGS_HINT}") from None
     with ExitStack() as open_files:
         try:
             paths, has_packed_messages = _read_metadata(path / METADATA) if path.is_dir() else ([path], False)
