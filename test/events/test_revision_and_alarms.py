@@ -294,6 +294,17 @@ def test_what_is_too_old_to_be_taken_back_does_not_gather_what_follows_from_it(m
     assert program.feed("rev(a)@50") == ""
 
 
+def test_forgotten_events_do_not_keep_events_they_were_derived_from(monkeypatch):
+    monkeypatch.setattr(lineage, "MAX_REMEMBERED_EVENTS", 20)
+    program = Program("n(M) <- n(N) seq tick where M is N + 1.", ["etalis_justification"], "recent")
+    program.feed("n(0)@0 tick@1")
+    derived = program.engine.rules.tracker.remembered_events()[-1]
+    assert [show([(source.term, 0, 0)]) for source in derived.sources()] == ["n(0)@0-0", "tick@0-0"]
+    program.feed(" ".join(f"tick@{instant}" for instant in range(2, 30)))
+    assert derived.forgotten
+    assert derived.sources() == []
+
+
 @pytest.mark.parametrize("pattern", ["s seq aggregate(count, a(_), N)", "(s seq a(_) star_times) and b(N)"])
 def test_what_many_repetitions_have_made_is_kept_once_for_each(pattern):
     program = Program(f"c(N) <- {pattern}.", ["etalis_justification"], "unrestricted")

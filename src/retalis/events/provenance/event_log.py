@@ -61,9 +61,9 @@ class Occurrence:
     Attributes:
         term, start, end: the event.
         rule: the rule that raised it, or None.
-        match: match of the rule, or of the goal that created it; None for an input event.
+        match: match of the rule, or of the goal that created it; None for an input event, and if it is forgotten.
         derived: occurrences and repetitions derived from it, as long as it is remembered.
-        forgotten: whether it is too old to be remembered; partial matches may still use it.
+        forgotten: whether it is too old to be remembered; partial matches may still use it, but it has no links.
         dependents: partial matches that use it, and repetitions in runs and stream operators; see `Dependent`.
         retracted: whether it was retracted.
         reported: whether the retraction was reported, by the ``rev`` event that named it or by a derived one.

@@ -183,6 +183,10 @@ class LineageTracker:
             oldest.derived = []
             oldest.forgotten = True
             _unlink(oldest)
+            # Partial matches may still use it. Through its match they would keep the events that it was derived from,
+            # and these the events that they were derived from, and so on.
+            oldest.match = None
+            oldest.dependents, oldest.suppressed = [], []
             key = term_key(oldest.term)
             occurrences = self._occurrences_by_term[key]
             occurrences.remove(oldest)
@@ -202,6 +206,8 @@ class LineageTracker:
             if occurrence.retracted:
                 match.discard()
                 return
+            if occurrence.forgotten:
+                continue
             dependents = occurrence.dependents
             dependents.append(match)
             # Matches that have left their buffer are swept at each doubling, so the cost per match is constant.
@@ -215,7 +221,8 @@ class LineageTracker:
     def register_repetition(self, run: Run, match: PartialMatch, node: "KleeneNode") -> None:
         """Record that a run was extended by a match."""
         for occurrence in lineage_nodes_of(match):
-            occurrence.dependents.append((node, run, match))
+            if not occurrence.forgotten:
+                occurrence.dependents.append((node, run, match))
 
     def record_suppressed(self, node: "SuppressingNode", match_or_pair: MatchOrPair) -> None:
         """Record a match that was not emitted, if `blocking_match` has suppressed it.
@@ -227,7 +234,8 @@ class LineageTracker:
         if self.blocking_match is not None:
             entry = Suppressed(node, match_or_pair, next(self._next_suppressed_number))
             for occurrence in lineage_nodes_of(self.blocking_match):
-                occurrence.suppressed.append(entry)
+                if not occurrence.forgotten:
+                    occurrence.suppressed.append(entry)
 
     def _retract(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
         """Retract the events of ``rev(E)``: all occurrences of E.
