@@ -265,6 +265,22 @@ def test_what_never_began_does_not_hold():
     assert engine.take(("bump(a)", 6), ("undock(a)", 7)) == [("alarm(a)", 6, 6), ("docked(a)", 5, 7)]
 
 
+@pytest.mark.parametrize("is_restored", [False, True])
+def test_retracted_states_do_not_count_as_open(is_restored, caplog):
+    rules = REVISION.replace("undock(R)))", "undock(R)), [open(2)])", 1)
+    engine = run(rules)
+    engine.take(("dock(a)", 1), ("dock(b)", 2), ("rev(dock(b))", 3))
+    if is_restored:
+        engine = Watching.restore(engine.snapshot())
+    engine.take(("dock(c)", 4))
+    assert engine.all("holds(docked(X))") == ["a", "c"]
+    assert caplog.text == ""
+    engine.take(("rev(dock(a))", 5), ("dock(d)", 6), ("dock(e)", 7))
+    assert engine.all("holds(docked(X))") == ["d", "e"]
+    assert "more than 2 are open; 1 of the oldest" in caplog.text
+    assert engine.take(("undock(c)", 8), ("undock(d)", 8)) == [("docked(d)", 6, 8)]
+
+
 def test_the_next_that_might_have_begun_it_does_so_in_place_of_one_that_was_taken_back():
     engine = run(REVISION.replace("dock(R)", "dock(R, _)", 1))
     engine.take(("dock(a, 1)", 1), ("dock(a, 2)", 2), ("rev(dock(a, 1))", 3))

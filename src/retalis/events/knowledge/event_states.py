@@ -180,6 +180,8 @@ class DeclaredState:
         self._next_order = count()
         self.past: Deque[PastState] = deque(maxlen=form.max_past)
         self.dropped_count = 0
+        self._searched_retractions = dispatcher.retractions
+        """Number of retractions up to which the open states were searched for retracted ones."""
         self.version = next(_VERSIONS)
         self._clock = clock
         self.timeouts = Timeouts(
@@ -250,6 +252,8 @@ class DeclaredState:
         # Open states that never end would accumulate, so their number is bounded, and the oldest is dropped with a
         # warning.
         if len(self.open) >= self.form.max_open:
+            self._remove_retracted_states()
+        if len(self.open) >= self.form.max_open:
             self._drop_oldest(next(iter(self.open.values())))
         self._index_open_state(state)
         start = state.start
@@ -260,6 +264,19 @@ class DeclaredState:
         self.open[state.key] = state
         self._open_by_shared_key.setdefault(state.shared_key, {})[state.key] = state
         self._open_by_order[state.order] = state
+
+    def _remove_retracted_states(self) -> None:
+        """Remove the open states that do not hold, because all events with which they may have begun were retracted.
+
+        Each would take the place of a state that holds, which would be dropped instead.
+        """
+        retractions = self._dispatcher.retractions
+        # The search visits all open states, so it is repeated only after a retraction.
+        if retractions != self._searched_retractions:
+            for state in list(self.open.values()):
+                if state.start is None:
+                    self._remove_open_state(state)
+            self._searched_retractions = retractions
 
     def _drop_oldest(self, oldest: OpenState) -> None:
         self._remove_open_state(oldest)
