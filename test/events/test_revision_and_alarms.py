@@ -1,12 +1,16 @@
 """Revision, justification, alarms."""
 
+import gc
+
 import pytest
 from events.stream_programs import Program, fired, show
 
 from retalis import StreamClock
 from retalis.events.matches import consumption_policy
 from retalis.events.matches.match_types import RepetitionChain
+from retalis.events.network import event_rule
 from retalis.events.provenance import lineage
+from retalis.events.provenance.event_log import Occurrence
 from retalis.prolog.terms.timestamps import SECOND
 
 
@@ -303,6 +307,42 @@ def test_forgotten_events_do_not_keep_events_they_were_derived_from(monkeypatch)
     program.feed(" ".join(f"tick@{instant}" for instant in range(2, 30)))
     assert derived.forgotten
     assert derived.sources() == []
+
+
+def count_occurrences():
+    gc.collect()
+    return sum(type(item) is Occurrence for item in gc.get_objects())
+
+
+def test_forgotten_events_of_a_chain_are_freed(monkeypatch):
+    monkeypatch.setattr(lineage, "MAX_REMEMBERED_EVENTS", 20)
+    # Matches that have left their buffers remain in the list of arrivals up to this number, with their events.
+    monkeypatch.setattr(event_rule, "STALE_ARRIVALS_TOLERANCE", 0)
+    program = Program("n(M) <- n(N) seq tick where M is N + 1.", ["etalis_justification"], "recent")
+    program.feed("n(0)@0 " + " ".join(f"tick@{instant}" for instant in range(1, 50)))
+    occurrence_count = count_occurrences()
+    program.feed(" ".join(f"tick@{instant}" for instant in range(50, 300)))
+    assert count_occurrences() == occurrence_count
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [
+        "c <- (a seq b(_)) and d.",
+        "c <- e seq (a seq b(_)) star_times.",
+        "c(N) <- aggregate(count, a seq b(_), N, last(3, events)).",
+        "c <- e fnot (a seq b(_)).",
+    ],
+)
+def test_forgotten_event_does_not_gather_its_dependents(rule, monkeypatch):
+    monkeypatch.setattr(lineage, "MAX_REMEMBERED_EVENTS", 20)
+    program = Program(rule, ["revision_flag"], "unrestricted")
+    program.feed("e@0 a@1")
+    event = program.engine.rules.tracker.remembered_events()[-1]
+    program.feed("b(2)@2 " + " ".join(f"x@{instant}" for instant in range(3, 50)))
+    assert event.forgotten
+    program.feed(" ".join(f"b({instant})@{instant} e@{instant}.5" for instant in range(50, 60)))
+    assert (event.dependents, event.derived, event.suppressed) == ([], [], [])
 
 
 @pytest.mark.parametrize("pattern", ["s seq aggregate(count, a(_), N)", "(s seq a(_) star_times) and b(N)"])

@@ -681,7 +681,8 @@ class StreamNode(NetworkNode):
         assert self.replay is not None
         self.replay.record_element(channel, element, now)
         for occurrence in lineage_nodes_of(element.match):
-            occurrence.dependents.append((self, self, element.match))
+            if not occurrence.forgotten:
+                occurrence.dependents.append((self, self, element.match))
 
     def remove_retracted(self, node: "StreamNode", match: PartialMatch) -> bool:
         """Exclude a match whose events were retracted; return whether the outputs may change."""
