@@ -4,7 +4,7 @@ import contextlib
 from pathlib import Path
 
 import pytest
-from events.streams.stream_feeder import Came, item_of, listing
+from events.streams.operator_driver import Arrival, element_of, list_accumulators
 
 from retalis.events.streams import stream_operators
 from retalis.events.streams.rate_operators import Debounce, DistinctUntilChanged, Throttle
@@ -48,16 +48,16 @@ def stepped():
     """Return a window of steps in which matches wait for one that is preferred."""
     optional = RowPatternVariable(0, 1, False, True, at_instant(15), at_instant(19))
     plan = RowPatternNFA([RowPatternVariable(1, 1, False, False, (), ()), optional], [])
-    return RowPatternWindow(listing, [None], plan)
+    return RowPatternWindow(list_accumulators, [None], plan)
 
 
 OPERATORS = {
     "steps": stepped,
-    "last seconds": lambda: SlidingTimeWindow(listing, 5),
-    "last items": lambda: SlidingCountWindow(listing, 2),
-    "batches": lambda: TumblingCountWindow(listing, 3, False),
-    "from the first": lambda: AnchoredTumblingWindow(listing, 4, False),
-    "present": lambda: AlignedTumblingWindow(listing, 6),
+    "last seconds": lambda: SlidingTimeWindow(list_accumulators, 5),
+    "last items": lambda: SlidingCountWindow(list_accumulators, 2),
+    "batches": lambda: TumblingCountWindow(list_accumulators, 3, False),
+    "from the first": lambda: AnchoredTumblingWindow(list_accumulators, 4, False),
+    "present": lambda: AlignedTumblingWindow(list_accumulators, 6),
     "throttle": lambda: Throttle(4, False),
     "burst": lambda: Throttle(2, True),
     "debounce": lambda: Debounce(4),
@@ -71,7 +71,9 @@ def taken(stream, rows):
     """Return what is given on at each of these instants, and of which items."""
     found = []
     for at, key in rows:
-        outputs = stream.advance_to(at) + stream.process(item_of(Came(at, key, at, at, at, 0, at)), at, 0)
+        outputs = stream.advance_to(at) + stream.process(
+            element_of(Arrival(at, key, at, at, at, 0, at)), at, 0
+        )
         found += [(one.start, one.end, repr(one.results)) for one in outputs]
     return found
 
@@ -84,7 +86,7 @@ def one_more(make, ring, take):
     def work():
         stream.advance_to(ring)
         if take:
-            stream.process(item_of(Came(15, "a", 15, 15, 15, 0, 15)), 15, 0)
+            stream.process(element_of(Arrival(15, "a", 15, 15, 15, 0, 15)), 15, 0)
 
     return stream, work
 

@@ -20,7 +20,7 @@ from events.knowledge.test_event_states import ALARM, Definition
 from events.knowledge.test_event_states import run as watching
 from events.network.test_stream_revision import RULES, standing
 from events.network.test_stream_revision import stream as events_to_take_back
-from events.streams.test_row_pattern import VALUE, expected, fired, rule_of
+from events.streams.test_row_pattern import VALUE, expected_outputs, outputs_of_rule, rule_of
 
 from retalis import Clock, Engine, list_items, make_list
 from retalis.events.knowledge.event_states import DeclaredState
@@ -200,7 +200,7 @@ def steps(seed: int) -> bool:
     chance = Random(seed)
     drawn = make_list(Generator(chance.choice).steps([VALUE]))
     readings = [(chance.choice("aab"), chance.randrange(4)) for _ in range(14)]
-    return bool(fired(rule_of(drawn), readings) != expected(drawn, readings))
+    return bool(outputs_of_rule(rule_of(drawn), readings) != expected_outputs(drawn, readings))
 
 
 # ---- what is switched off ----------------------------------------------------------------------------

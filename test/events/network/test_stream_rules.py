@@ -4,7 +4,7 @@ from fractions import Fraction
 
 import pytest
 from events.stream_programs import fired
-from events.streams.stream_feeder import entries
+from events.streams.operator_driver import entry_count
 
 from retalis import Clock, Engine, StreamClock
 from retalis.prolog.terms.timestamps import SECOND
@@ -146,7 +146,7 @@ def test_no_more_is_held_than_may_be_and_the_oldest_goes(name, flags):
         engine.event(f"in({number})", number / 10)
         assert engine.event_rules[0].match_count <= 5
     (stream,) = engine.streams()
-    assert entries(stream) <= 100
+    assert entry_count(stream) <= 100
     assert engine.event_rules[0].dropped_count == 145
     assert len(engine.reports) == 8
     assert engine.reports[0].endswith("more than 5 partial matches; 1 of the oldest have been dropped so far")

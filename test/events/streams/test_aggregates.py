@@ -1,11 +1,11 @@
-"""Measures of windows, compared with direct computation."""
+"""Aggregates of windows, compared with direct computation."""
 
 import math
 import statistics
 from fractions import Fraction
 
 import pytest
-from events.streams.stream_feeder import Came, entries, item_of, stream
+from events.streams.operator_driver import Arrival, arrival_lists, element_of, entry_count
 from hypothesis import example, given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st
@@ -17,7 +17,7 @@ from retalis.events.streams.windows import SlidingTimeWindow
 from retalis.prolog.terms.term_traversal import term_key
 
 SPAN = 6
-PARTS = (0, 0.1, 0.25, 0.5, 0.9, 1)
+FRACTIONS = (0, 0.1, 0.25, 0.5, 0.9, 1)
 NUMBERS = st.one_of(
     st.integers(-5, 5),
     st.sampled_from([0.1, 1.0, 2.0, -0.0, 1e16, -1e16, 5e-324, 10**25]),
@@ -25,19 +25,19 @@ NUMBERS = st.one_of(
 )
 
 
-def quotient(total, number, values):
-    """Return a fraction as a number: exact where there are integers only, else rounded once."""
-    found = Fraction(total) / number
-    whole = all(isinstance(value, int) for value in values) and found.denominator == 1
-    return int(found) if whole else float(found)
+def quotient(total, divisor, values):
+    """Return a fraction as a number: an exact integer if all values are integers, else a float rounded once."""
+    fraction = Fraction(total) / divisor
+    is_whole = all(isinstance(value, int) for value in values) and fraction.denominator == 1
+    return int(fraction) if is_whole else float(fraction)
 
 
-def quantile(part, values):
+def quantile(fraction, values):
     ordered = sorted(values)
-    place = part * (len(ordered) - 1)
-    low = ordered[math.floor(place)]
-    rest = place - math.floor(place)
-    return low if rest == 0 else low + (ordered[math.floor(place) + 1] - low) * rest
+    position = fraction * (len(ordered) - 1)
+    low = ordered[math.floor(position)]
+    rest = position - math.floor(position)
+    return low if rest == 0 else low + (ordered[math.floor(position) + 1] - low) * rest
 
 
 def deviation(values):
@@ -45,65 +45,75 @@ def deviation(values):
     return math.sqrt(sum((Fraction(value) - mean) ** 2 for value in values) / (len(values) - 1))
 
 
-def of(name, setting=None, at=0):
-    return AGGREGATES[name].make_accumulator(at, setting)
+def accumulator(name, setting=None, position=0):
+    return AGGREGATES[name].make_accumulator(position, setting)
 
 
-def measured(arrivals, makers, span=SPAN):
-    """Yield what is in a sliding window, in the order in which it came, and what is measured of it."""
+def window_results(arrivals, makers, span=SPAN):
+    """Yield the elements of a sliding window in order of arrival, and the results of its accumulators."""
     window = SlidingTimeWindow(lambda: [make() for make in makers], span)
     window.tracks_elements = True
-    for came in arrivals:
+    for arrival in arrivals:
         for output in window.process(
-            StreamElement(came, came.start, came.end, (came.key,), (came.value,)), 0, 0
+            StreamElement(arrival, arrival.start, arrival.end, (arrival.key,), (arrival.value,)), 0, 0
         ):
-            yield [item.match for item in output.elements], output.results
+            yield [element.match for element in output.elements], output.results
 
 
 @example_settings(max_examples=50)
-@given(stream(NUMBERS))
+@given(arrival_lists(NUMBERS))
 @example(
-    [Came(at, "a", at, at, value, 0, at) for at, value in enumerate([1e16, 1.0, -1e16, 1.0, 0.1, 3, 2, 1])]
+    [
+        Arrival(position, "a", position, position, value, 0, position)
+        for position, value in enumerate([1e16, 1.0, -1e16, 1.0, 0.1, 3, 2, 1])
+    ]
 )
-def test_of_numbers(arrivals):
+def test_numeric_aggregates(arrivals):
     names = ("count", "sum", "avg", "min", "max", "median", "rate")
-    makers = [lambda name=name: of(name, SPAN if name == "rate" else None) for name in names]
-    makers += [lambda part=part: of("quantile", part) for part in PARTS]
-    for inside, found in measured(arrivals, makers):
-        values = [one.value for one in inside]
+    makers = [lambda name=name: accumulator(name, SPAN if name == "rate" else None) for name in names]
+    makers += [lambda fraction=fraction: accumulator("quantile", fraction) for fraction in FRACTIONS]
+    for window, results in window_results(arrivals, makers):
+        values = [arrival.value for arrival in window]
         total = sum(map(Fraction, values))
         expected = [len(values), quotient(total, 1, values), quotient(total, len(values), values)]
         expected += [min(values), max(values), quantile(0.5, values), len(values) / SPAN]
-        expected += [quantile(part, values) for part in PARTS]
-        assert list(found) == expected
-        kinds = [type(one) for one in expected[:5]]
-        assert [type(one) for one in found[:5]] == kinds
+        expected += [quantile(fraction, values) for fraction in FRACTIONS]
+        assert list(results) == expected
+        types = [type(result) for result in expected[:5]]
+        assert [type(result) for result in results[:5]] == types
 
 
 @example_settings(max_examples=30)
-@given(stream(st.one_of(st.integers(-5, 5), st.integers(-(10**9), 10**9).map(lambda one: one / 1024))))
-def test_deviation(arrivals):
-    """That of a sample: exact up to the root; there is none of one number."""
-    for inside, found in measured(arrivals, [lambda: of("stddev")]):
-        values = [one.value for one in inside]
-        assert found == (deviation(values),)
-        assert found == (pytest.approx(statistics.stdev(map(Fraction, values)), rel=1e-12),)
+@given(
+    arrival_lists(
+        st.one_of(st.integers(-5, 5), st.integers(-(10**9), 10**9).map(lambda number: number / 1024))
+    )
+)
+def test_sample_deviation(arrivals):
+    """The sample deviation is exact up to the root; one number has no deviation."""
+    for window, results in window_results(arrivals, [lambda: accumulator("stddev")]):
+        values = [arrival.value for arrival in window]
+        assert results == (deviation(values),)
+        assert results == (pytest.approx(statistics.stdev(map(Fraction, values)), rel=1e-12),)
 
 
 TERMS = st.sampled_from([1, 1.0, 2, atom("a"), (atom("f"), 1), (atom("f"), 1.0)])
 
 
 @example_settings(max_examples=30)
-@given(stream(TERMS))
-def test_of_terms(arrivals):
-    """In the order in which they came; two terms are different where they do not unify."""
+@given(arrival_lists(TERMS))
+def test_term_aggregates(arrivals):
+    """Results are in order of arrival; two terms differ if they do not unify."""
     names = ("first", "last", "list", "distinct", "count_distinct")
-    for inside, found in measured(arrivals, [lambda name=name: of(name) for name in names]):
-        values = [one.value for one in inside]
+    for window, results in window_results(arrivals, [lambda name=name: accumulator(name) for name in names]):
+        values = [arrival.value for arrival in window]
         different = list({term_key(value): value for value in reversed(values)}.values())[::-1]
-        shown = [list_items(one) if name in ("list", "distinct") else one for name, one in zip(names, found)]
+        shown = [
+            list_items(result) if name in ("list", "distinct") else result
+            for name, result in zip(names, results)
+        ]
         expected = [values[0], values[-1], values, sorted_by_first(different, values), len(different)]
-        assert [repr(one) for one in shown] == [repr(one) for one in expected]
+        assert [repr(result) for result in shown] == [repr(result) for result in expected]
 
 
 def sorted_by_first(different, values):
@@ -112,77 +122,97 @@ def sorted_by_first(different, values):
 
 
 @example_settings(max_examples=20)
-@given(stream(NUMBERS))
-def test_rate_without_a_span_is_that_between_the_ends(arrivals):
-    known = list(measured(arrivals, [lambda: of("rate")]))
-    for inside, found in known:
-        ends = [one.end for one in inside]
-        assert found == (float(Fraction((len(ends) - 1) * 10**9, max(ends) - min(ends))),)
+@given(arrival_lists(NUMBERS))
+def test_rate_without_span_uses_first_and_last_end(arrivals):
+    measured = list(window_results(arrivals, [lambda: accumulator("rate")]))
+    for window, results in measured:
+        ends = [arrival.end for arrival in window]
+        assert results == (float(Fraction((len(ends) - 1) * 10**9, max(ends) - min(ends))),)
 
 
 @example_settings(max_examples=100)
 @given(st.integers(1, 10**6), st.integers(1, 10**15))
-def test_rate_by_the_seconds_of_the_window_is_rounded_once(number, span):
-    assert of("rate", Fraction(span, 10**9)).result(None, number) == float(Fraction(number * 10**9, span))
+def test_rate_of_window_is_rounded_once(number, span):
+    assert accumulator("rate", Fraction(span, 10**9)).result(None, number) == float(
+        Fraction(number * 10**9, span)
+    )
 
 
 @pytest.mark.parametrize("name", ["median", "quantile"])
-def test_a_quantile_between_two_numbers_of_which_the_difference_is_no_float(name):
-    arrivals = [Came(at, "a", at, at, value, 0, at) for at, value in enumerate([-1.5e308, 1.5e308])]
-    assert [found for _, found in measured(arrivals, [lambda: of(name, 0.5)])][-1] == (0.0,)
+def test_quantile_of_overflowing_difference(name):
+    arrivals = [
+        Arrival(position, "a", position, position, value, 0, position)
+        for position, value in enumerate([-1.5e308, 1.5e308])
+    ]
+    assert [results for _, results in window_results(arrivals, [lambda: accumulator(name, 0.5)])][-1] == (
+        0.0,
+    )
 
 
-def test_a_program_s_own_measure_takes_the_values_oldest_first():
-    arrivals = [Came(at, "a", at, at, value, 0, at) for at, value in enumerate([3, 1, 2])]
-    found = [one for _, one in measured(arrivals, [lambda: of("fold", lambda values: sum(values) * 10)])]
-    assert found == [(30,), (40,), (60,)]
+def test_fold_receives_values_oldest_first():
+    arrivals = [
+        Arrival(position, "a", position, position, value, 0, position)
+        for position, value in enumerate([3, 1, 2])
+    ]
+    results = [
+        result
+        for _, result in window_results(
+            arrivals, [lambda: accumulator("fold", lambda values: sum(values) * 10)]
+        )
+    ]
+    assert results == [(30,), (40,), (60,)]
 
 
-def test_where_one_has_no_result_nothing_is_given_on():
-    arrivals = [Came(at, "a", at, at, at, 0, at) for at in range(3)]
-    makers = [lambda: of("count"), lambda: of("fold", lambda values: 1 if len(values) > 2 else None)]
-    assert [found for _, found in measured(arrivals, makers)] == [(3, 1)]
+def test_missing_result_suppresses_output():
+    arrivals = [Arrival(position, "a", position, position, position, 0, position) for position in range(3)]
+    makers = [
+        lambda: accumulator("count"),
+        lambda: accumulator("fold", lambda values: 1 if len(values) > 2 else None),
+    ]
+    assert [results for _, results in window_results(arrivals, makers)] == [(3, 1)]
 
 
 @pytest.mark.parametrize("name", ["sum", "avg", "stddev", "median", "quantile"])
 @pytest.mark.parametrize("value", [float("inf"), float("-inf"), float("nan")])
-def test_no_sum_of_what_is_not_finite(name, value):
+def test_infinite_value_is_refused_by_sum(name, value):
     with pytest.raises(RuleError, match=f"aggregate {name}: the value is '.*': expected a finite number"):
-        of(name, 0.5).check(item_of(Came(0, "a", 1, 1, value, 0, 1)))
+        accumulator(name, 0.5).check(element_of(Arrival(0, "a", 1, 1, value, 0, 1)))
 
 
 @pytest.mark.parametrize("name", ["min", "max"])
-def test_the_infinities_have_an_order(name):
-    of(name).check(item_of(Came(0, "a", 1, 1, float("inf"), 0, 1)))
+def test_extremes_accept_infinity_but_not_nan(name):
+    accumulator(name).check(element_of(Arrival(0, "a", 1, 1, float("inf"), 0, 1)))
     with pytest.raises(RuleError, match=f"aggregate {name}: the value is '1.5NaN': expected a number"):
-        of(name).check(item_of(Came(0, "a", 1, 1, float("nan"), 0, 1)))
+        accumulator(name).check(element_of(Arrival(0, "a", 1, 1, float("nan"), 0, 1)))
 
 
-def test_several_measures_have_their_own_values():
-    window = SlidingTimeWindow(lambda: [of("sum"), of("max", None, 1), of("count", None, 2)], 10)
-    for at in range(3):
-        outputs = window.process(StreamElement(None, at, at, (), (at, -at)), 0, 0)
+def test_accumulators_read_their_own_value():
+    window = SlidingTimeWindow(
+        lambda: [accumulator("sum"), accumulator("max", None, 1), accumulator("count", None, 2)], 10
+    )
+    for position in range(3):
+        outputs = window.process(StreamElement(None, position, position, (), (position, -position)), 0, 0)
     assert outputs[0].results == (3, 0, 3)
 
 
 @pytest.mark.parametrize(
     "name", ["count", "sum", "avg", "stddev", "min", "max", "median", "count_distinct", "distinct", "rate"]
 )
-def test_what_is_in_is_not_looked_through_for_a_result(name):
-    """A result does not cost more where more is in the window; what has left is not held."""
-    measure, inside = of(name, 0.5 if name == "median" else None), []
-    for at in range(500):
-        item = item_of(Came(at, "a", at, at, at % 3, 0, at))
-        item.order = at
-        inside.append(item)
-        measure.add(item)
-        if len(inside) > 30:
-            inside[0].is_removed = True
-            measure.remove(inside.pop(0))
-        if len(inside) > 1:
-            assert measure.result(NOTHING, len(inside)) is not None
-    assert sum(entries(one) for one in getattr(measure, "alike", {}).values()) <= 3 * 36
+def test_result_does_not_read_window(name):
+    """The cost of a result does not depend on the size of the window; removed elements are not stored."""
+    aggregate, window = accumulator(name, 0.5 if name == "median" else None), []
+    for position in range(500):
+        element = element_of(Arrival(position, "a", position, position, position % 3, 0, position))
+        element.order = position
+        window.append(element)
+        aggregate.add(element)
+        if len(window) > 30:
+            window[0].is_removed = True
+            aggregate.remove(window.pop(0))
+        if len(window) > 1:
+            assert aggregate.result(NO_ELEMENTS, len(window)) is not None
+    assert sum(entry_count(group) for group in getattr(aggregate, "alike", {}).values()) <= 3 * 36
 
 
-NOTHING = None
-"""In the place of the members, which are not looked at."""
+NO_ELEMENTS = None
+"""In place of the elements of the window, which are not read."""

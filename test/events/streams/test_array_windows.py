@@ -10,7 +10,7 @@ from retalis.prolog.builtins.argument_checks import array_of
 from retalis.prolog.terms.array_terms import array_term
 from retalis.prolog.terms.timestamps import SECOND
 
-KINDS = {
+NUMPY_FUNCTIONS = {
     "sum(X)": np.sum,
     "avg(X)": np.mean,
     "min(X)": np.nanmin,
@@ -24,19 +24,19 @@ SCAN = functor("scan", 2)
 ROWS = st.lists(st.lists(st.floats(-100, 100, width=32), min_size=6, max_size=6), min_size=1, max_size=9)
 
 
-class Told:
-    """Observer of an engine that notes all reports."""
+class ReportRecorder:
+    """Observer of an engine that records all reports."""
 
     def __init__(self):
         self.reports = []
 
     def __getattr__(self, name):
-        return lambda *told: self.reports.append(" ".join(map(str, told)))
+        return lambda *arguments: self.reports.append(" ".join(map(str, arguments)))
 
 
-def engine_of(rules, told=None):
+def engine_of(rules, observer=None):
     """Return an engine, and the list that receives the arrays of its events."""
-    engine, results = Engine(None, Settings(), told or Told()), []
+    engine, results = Engine(None, Settings(), observer or ReportRecorder()), []
     engine.on_event(
         lambda term, start, end: results.append(array_of(term[2])) if term[0].name == "out" else None
     )
@@ -51,23 +51,23 @@ def send(engine, values, second, key=1):
 @pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(ROWS, st.sampled_from(["<f4", "<f8", "<i4"]), st.booleans())
-@pytest.mark.parametrize("kind", KINDS)
-def test_results_are_numpys(kind, rows, dtype, as_lists):
-    engine, results = engine_of(f"out(K, R) <- aggregate({kind}, scan(K, X), R, last(3, events)).")
+@pytest.mark.parametrize("aggregate", NUMPY_FUNCTIONS)
+def test_array_results_equal_numpy(aggregate, rows, dtype, as_lists):
+    engine, results = engine_of(f"out(K, R) <- aggregate({aggregate}, scan(K, X), R, last(3, events)).")
     arrays = [np.array(row).astype(dtype) for row in rows]
     for second, array in enumerate(arrays):
         send(engine, make_list(array.tolist()) if as_lists else array_term(array), second)
     # A deviation needs two elements.
-    first = 1 if kind == "stddev(X)" else 0
+    first = 1 if aggregate == "stddev(X)" else 0
     assert len(results) == len(arrays) - first
     for position, result in enumerate(results, first):
         stack = np.array(arrays[max(0, position - 2) : position + 1], "f8" if dtype[1] == "f" else "i8")
-        np.testing.assert_allclose(result, KINDS[kind](stack, axis=0), rtol=1e-12, atol=1e-9)
-        assert kind[:3] not in ("sum", "min", "max") or (result.dtype.kind == "f") == (dtype[1] == "f")
+        np.testing.assert_allclose(result, NUMPY_FUNCTIONS[aggregate](stack, axis=0), rtol=1e-12, atol=1e-9)
+        assert aggregate[:3] not in ("sum", "min", "max") or (result.dtype.kind == "f") == (dtype[1] == "f")
 
 
 @pytest.mark.parametrize("window", WINDOWS)
-def test_every_window_takes_arrays(window):
+def test_windows_aggregate_arrays(window):
     engine, results = engine_of(f"out(K, R) <- aggregate(avg(X), scan(K, X), R, {window}).")
     for second in range(1, 13):
         send(engine, array_term(np.full(6, float(second))), second)
@@ -75,7 +75,7 @@ def test_every_window_takes_arrays(window):
     assert all(len(set(result.tolist())) == 1 for result in results)
 
 
-def test_nan_and_infinity_stay_in_sums_and_not_in_extremes():
+def test_nan_stays_in_sums_but_not_in_extremes():
     text = "out(K, R) <- aggregate({}(X), scan(K, X), R, last(5)).\n"
     engine, results = engine_of("".join(map(text.format, ("sum", "avg", "min", "max", "median", "stddev"))))
     send(engine, array_term(np.array([np.nan, np.inf, 1, 2, 3.0])), 1)
@@ -90,55 +90,55 @@ def test_nan_and_infinity_stay_in_sums_and_not_in_extremes():
     assert np.isnan(deviation[:2]).all() and deviation[2:] == [0, 0.5**0.5, 2**0.5]
 
 
-def test_a_median_of_infinite_elements_is_infinite():
+def test_median_of_infinite_elements():
     engine, results = engine_of("out(K, R) <- aggregate(median(X), scan(K, X), R, last(5)).")
     for second, value in enumerate([np.inf, np.inf, 1.0]):
         send(engine, array_term(np.array([value, 2.0, -np.inf])), second)
     assert [result.tolist() for result in results] == [[np.inf, 2.0, -np.inf]] * 3
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_other_values_are_refused_while_arrays_are_in_the_window(kind):
-    told = Told()
-    engine, results = engine_of(f"out(K, R) <- aggregate({kind}, scan(K, X), R, last(10)).", told)
+@pytest.mark.parametrize("aggregate", NUMPY_FUNCTIONS)
+def test_other_values_are_refused_beside_arrays(aggregate):
+    observer = ReportRecorder()
+    engine, results = engine_of(f"out(K, R) <- aggregate({aggregate}, scan(K, X), R, last(10)).", observer)
     send(engine, array_term(np.arange(6)), 0)
     send(engine, array_term(np.arange(6)), 1)
     count = len(results)
     for second, value in enumerate([7, make_list([1, 2, 3]), array_term(np.arange(7))], 2):
         send(engine, value, second)
     assert len(results) == count
-    assert sum("expected an array of 6 elements" in report for report in told.reports) == 3
+    assert sum("expected an array of 6 elements" in report for report in observer.reports) == 3
     send(engine, array_term(np.arange(6)), 5)
     assert len(results) == count + 1
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_arrays_are_refused_while_numbers_are_in_the_window(kind):
-    told = Told()
-    engine, results = engine_of(f"out(K, R) <- aggregate({kind}, scan(K, X), R, last(10)).", told)
+@pytest.mark.parametrize("aggregate", NUMPY_FUNCTIONS)
+def test_arrays_are_refused_beside_numbers(aggregate):
+    observer = ReportRecorder()
+    engine, results = engine_of(f"out(K, R) <- aggregate({aggregate}, scan(K, X), R, last(10)).", observer)
     send(engine, array_term(np.arange(6)), 1, key=2)
     engine.event_at(SCAN(1, 5), 2 * SECOND, 2 * SECOND)
     send(engine, array_term(np.arange(6)), 3)
-    assert any("expected a number" in report for report in told.reports)
+    assert any("expected a number" in report for report in observer.reports)
     send(engine, array_term(np.arange(6)), 4, key=2)
-    np.testing.assert_allclose(results[-1], KINDS[kind](np.stack([np.arange(6)] * 2), axis=0))
+    np.testing.assert_allclose(results[-1], NUMPY_FUNCTIONS[aggregate](np.stack([np.arange(6)] * 2), axis=0))
 
 
 def test_timestamps_count_as_numbers():
     engine = Engine()
-    seen = []
-    engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
+    outputs = []
+    engine.on_event(lambda term, start, end: outputs.append(engine.show(term)))
     engine.load(rules="out(R) <- aggregate(max(X), scan(_, X), R, last(10)).")
     send(engine, make_list([3, 500_000_000]), 1)
-    assert "out(3.5)" in seen
+    assert "out(3.5)" in outputs
 
 
-def test_a_restored_window_goes_on():
+def test_array_window_is_restored():
     engine, _ = engine_of("out(K, R) <- aggregate([sum(X), median(X)], scan(K, X), [R, _], last(3, events)).")
     for number in range(2):
         send(engine, array_term(np.arange(6.0) * number), number)
     restored = Engine.restore(Engine.restore(engine.snapshot()).snapshot())
-    seen = []
-    restored.on_event(lambda term, start, end: seen.append(restored.show(term)))
+    outputs = []
+    restored.on_event(lambda term, start, end: outputs.append(restored.show(term)))
     send(restored, array_term(np.arange(6.0)), 5)
-    assert "out(1,[0.0,2.0,4.0,6.0,8.0,10.0])" in seen
+    assert "out(1,[0.0,2.0,4.0,6.0,8.0,10.0])" in outputs

@@ -1,4 +1,4 @@
-"""Eviction of key states: idle keys, too many keys, row pattern matches that take too long."""
+"""Eviction of key states: idle keys, excess keys, row pattern matches over their time bound."""
 
 import pytest
 
@@ -23,60 +23,60 @@ TIMED = {
 }
 
 
-class Run:
-    """An engine with one rule, and what the rule gave."""
+class RuleRunner:
+    """An engine with one rule, and the outputs of the rule."""
 
     def __init__(self, pattern, *flags, label="r"):
         self.engine = Engine()
-        self.seen, self.warnings = [], []
+        self.outputs, self.warnings = [], []
         self.engine.rules.on_warning = lambda error: self.warnings.append(error.message)
         for name, value in flags:
             assert self.engine.call(f"set_etalis_flag({name}, {value})")
         self.engine.load(rules=f"{label} : found(K, L) <- {pattern}.")
-        self._listen()
+        self._record_outputs()
 
-    def _listen(self):
-        def note(term, start, end):
+    def _record_outputs(self):
+        def record(term, start, end):
             if self.engine.show(term).startswith("found"):
-                self.seen.append(self.engine.show(term)[len("found(") : -1])
+                self.outputs.append(self.engine.show(term)[len("found(") : -1])
 
-        self.engine.on_event(note)
+        self.engine.on_event(record)
 
     def feed(self, text):
-        """Give events, each as ``key-value@end``; return what was found."""
-        del self.seen[:]
-        for one in text.split():
-            event, end = one.split("@")
+        """Process events, each as ``key-value@end``; return the outputs."""
+        del self.outputs[:]
+        for item in text.split():
+            event, end = item.split("@")
             self.engine.event(f"q({event.replace('-', ',')})", float(end), float(end))
-        return " ".join(self.seen)
+        return " ".join(self.outputs)
 
-    def go_on(self):
-        """Go on with another engine that is restored from a snapshot of this one."""
+    def restore(self):
+        """Replace the engine by one that is restored from its snapshot."""
         self.engine = Engine.restore(self.engine.snapshot())
-        self._listen()
+        self._record_outputs()
 
     @property
     def rule(self):
         return self.engine.status().rules[0]
 
 
-def test_within_ends_steps_that_began_too_long_ago():
-    run = Run(f"{STEPS} within 5")
-    assert run.feed("a-up@1 a-down@2") == "a,[up,down]"
-    assert run.feed("a-up@3 b-up@10 a-down@11") == ""
-    assert run.feed("b-down@12") == "b,[up,down]"
+def test_within_ends_old_row_pattern_matches():
+    runner = RuleRunner(f"{STEPS} within 5")
+    assert runner.feed("a-up@1 a-down@2") == "a,[up,down]"
+    assert runner.feed("a-up@3 b-up@10 a-down@11") == ""
+    assert runner.feed("b-down@12") == "b,[up,down]"
 
 
-def test_after_a_start_that_is_too_old_the_next_item_begins_a_match():
+def test_element_after_expired_start_begins_match():
     later = STEPS.replace("down where", "later(down) where")
-    assert Run(f"{later} within 5").feed("a-up@1 a-up@10 a-down@11") == "a,[up,down]"
-    assert Run(later).feed("a-up@1 a-up@10 a-down@11") == "a,[up,down]"
+    assert RuleRunner(f"{later} within 5").feed("a-up@1 a-up@10 a-down@11") == "a,[up,down]"
+    assert RuleRunner(later).feed("a-up@1 a-up@10 a-down@11") == "a,[up,down]"
 
 
 @pytest.mark.parametrize("bound", ["within", "window", "ttl", "flag", "garbage"])
-@pytest.mark.parametrize("kind", UNTIMED)
-def test_each_bound_ends_the_state_of_idle_keys(kind, bound):
-    pattern, flags, label = UNTIMED[kind], [], "r"
+@pytest.mark.parametrize("operator", UNTIMED)
+def test_bound_evicts_idle_keys(operator, bound):
+    pattern, flags, label = UNTIMED[operator], [], "r"
     if bound == "within":
         pattern = f"{pattern} within 5"
     elif bound == "flag":
@@ -85,31 +85,31 @@ def test_each_bound_ends_the_state_of_idle_keys(kind, bound):
         flags = [("garbage_window", 5), ("garbage_control", "general")]
     else:
         label = f"r([property({bound}, 5)])"
-    run = Run(pattern, *flags, label=label)
-    for at in range(1000):
-        run.feed(f"{at}-up@{at}")
-    assert 4 <= run.rule.keys <= 6, run.rule
+    runner = RuleRunner(pattern, *flags, label=label)
+    for second in range(1000):
+        runner.feed(f"{second}-up@{second}")
+    assert 4 <= runner.rule.keys <= 6, runner.rule
 
 
-@pytest.mark.parametrize("kind", UNTIMED)
-def test_without_a_bound_keys_are_kept(kind):
-    run = Run(UNTIMED[kind])
-    for at in range(100):
-        run.feed(f"{at}-up@{at}")
-    assert run.rule.keys == 100
+@pytest.mark.parametrize("operator", UNTIMED)
+def test_keys_without_bound_are_kept(operator):
+    runner = RuleRunner(UNTIMED[operator])
+    for second in range(100):
+        runner.feed(f"{second}-up@{second}")
+    assert runner.rule.keys == 100
 
 
-@pytest.mark.parametrize("kind", TIMED)
-def test_times_of_windows_and_rates_end_the_state_of_keys(kind):
-    run = Run(TIMED[kind], ("max_keys", 50))
-    for at in range(300):
-        run.feed(f"{at}-up@{at}")
-    assert run.rule.keys <= 16
-    assert run.rule.dropped == 0
+@pytest.mark.parametrize("operator", TIMED)
+def test_times_of_windows_and_rates_evict_keys(operator):
+    runner = RuleRunner(TIMED[operator], ("max_keys", 50))
+    for second in range(300):
+        runner.feed(f"{second}-up@{second}")
+    assert runner.rule.keys <= 16
+    assert runner.rule.dropped == 0
 
 
 @pytest.mark.parametrize(
-    "kind, fed, kept, anew",
+    "operator, events, outputs_if_kept, outputs_if_evicted",
     [
         ("steps", "a-up@1 b-x@{0} a-down@{0}", "a,[up,down]", ""),
         ("last", "a-1@1 a-2@{0}", "a,[1] a,[1,2]", "a,[1] a,[2]"),
@@ -119,100 +119,106 @@ def test_times_of_windows_and_rates_end_the_state_of_keys(kind):
     ],
 )
 @pytest.mark.parametrize("restored", [False, True])
-def test_a_key_that_was_idle_for_longer_than_its_time_to_live_begins_anew(kind, fed, kept, anew, restored):
-    for last, expected in ((6, kept), (8, anew)):
-        run = Run(UNTIMED[kind], label="r([property(ttl, 5)])")
-        first, rest = fed.format(last).split(" ", 1)
-        found = run.feed(first)
+def test_key_idle_beyond_time_to_live_restarts(
+    operator, events, outputs_if_kept, outputs_if_evicted, restored
+):
+    for last, expected in ((6, outputs_if_kept), (8, outputs_if_evicted)):
+        runner = RuleRunner(UNTIMED[operator], label="r([property(ttl, 5)])")
+        first, rest = events.format(last).split(" ", 1)
+        outputs = runner.feed(first)
         if restored:
-            run.go_on()
-        assert " ".join(one for one in (found, run.feed(rest)) if one) == expected
+            runner.restore()
+        assert " ".join(text for text in (outputs, runner.feed(rest)) if text) == expected
 
 
-@pytest.mark.parametrize("kind", UNTIMED)
-def test_a_key_that_is_used_again_and_again_is_kept(kind):
-    run = Run(UNTIMED[kind], label="r([property(ttl, 5)])")
-    run.feed(" ".join(f"a-up@{4 * at} {at}-up@{4 * at}" for at in range(20)))
-    assert 1 <= run.rule.keys <= 4
+@pytest.mark.parametrize("operator", UNTIMED)
+def test_key_in_use_is_kept(operator):
+    runner = RuleRunner(UNTIMED[operator], label="r([property(ttl, 5)])")
+    runner.feed(" ".join(f"a-up@{4 * step} {step}-up@{4 * step}" for step in range(20)))
+    assert 1 <= runner.rule.keys <= 4
 
 
-def test_a_time_to_live_ends_partial_matches_and_runs():
+def test_time_to_live_ends_partial_matches():
     for pattern in ("(q(K, up) seq q(K, L))", "(q(K, up) seq aggregate(list(V), q(K, V), L))"):
-        run = Run(pattern, ("state_ttl", 5))
-        run.feed(" ".join(f"{at}-up@{at}" for at in range(100)))
-        assert run.rule.keys <= 7
-        assert run.rule.waiting <= 14
+        runner = RuleRunner(pattern, ("state_ttl", 5))
+        runner.feed(" ".join(f"{second}-up@{second}" for second in range(100)))
+        assert runner.rule.keys <= 7
+        assert runner.rule.waiting <= 14
 
 
-def test_a_label_has_its_own_time_to_live_beside_the_flag():
-    run = Run(LAST, ("state_ttl", 5), label="r([property(ttl, 100)])")
-    run.feed(" ".join(f"{at}-up@{at}" for at in range(50)))
-    assert run.rule.keys == 50
+def test_time_to_live_of_label_overrides_flag():
+    runner = RuleRunner(LAST, ("state_ttl", 5), label="r([property(ttl, 100)])")
+    runner.feed(" ".join(f"{second}-up@{second}" for second in range(50)))
+    assert runner.rule.keys == 50
 
 
 @pytest.mark.parametrize(
-    "kind", [*UNTIMED, "sliding", "tumbling", "first", "hopping", "present", "throttle", "burst"]
+    "operator", [*UNTIMED, "sliding", "tumbling", "first", "hopping", "present", "throttle", "burst"]
 )
-def test_of_too_many_keys_the_least_recently_used_go(kind):
-    run = Run({**UNTIMED, **TIMED}[kind].replace("5", "1000").replace("10,", "1000,"), ("max_keys", 10))
-    run.feed(" ".join(f"{at}-up@{at / 100}" for at in range(30)) + " z-up@2000")
-    assert run.rule.keys <= 10
-    assert run.rule.dropped in (20, 21)
-    assert "has more than 10 keys; 1 of the least recently used have been dropped so far" in run.warnings[0]
-    assert "max_keys" in run.warnings[0]
-    assert len(run.warnings) == 5  # at 1, 2, 4, 8, 16
+def test_least_recently_used_keys_are_evicted(operator):
+    runner = RuleRunner(
+        {**UNTIMED, **TIMED}[operator].replace("5", "1000").replace("10,", "1000,"), ("max_keys", 10)
+    )
+    runner.feed(" ".join(f"{number}-up@{number / 100}" for number in range(30)) + " z-up@2000")
+    assert runner.rule.keys <= 10
+    assert runner.rule.dropped in (20, 21)
+    assert (
+        "has more than 10 keys; 1 of the least recently used have been dropped so far" in runner.warnings[0]
+    )
+    assert "max_keys" in runner.warnings[0]
+    assert len(runner.warnings) == 5  # at 1, 2, 4, 8, 16
 
 
-def test_a_key_in_use_outlives_others_that_are_newer():
-    run = Run(LAST, ("max_keys", 3))
-    assert run.feed("a-1@1 b-1@1 c-1@1 a-2@1 d-1@1 e-1@1 a-3@1").endswith("a,[1,2,3]")
+def test_key_in_use_outlives_newer_keys():
+    runner = RuleRunner(LAST, ("max_keys", 3))
+    assert runner.feed("a-1@1 b-1@1 c-1@1 a-2@1 d-1@1 e-1@1 a-3@1").endswith("a,[1,2,3]")
 
 
-def test_the_state_of_a_key_goes_with_what_waits_in_it():
-    run = Run(STEPS, ("max_keys", 2))
-    assert run.feed("a-up@1 b-up@2 c-up@3 a-down@4 c-down@5") == "c,[up,down]"
-    assert (run.rule.keys, run.rule.waiting) == (1, 1)
+def test_evicted_key_drops_partial_matches():
+    runner = RuleRunner(STEPS, ("max_keys", 2))
+    assert runner.feed("a-up@1 b-up@2 c-up@3 a-down@4 c-down@5") == "c,[up,down]"
+    assert (runner.rule.keys, runner.rule.waiting) == (1, 1)
 
 
-def test_flags_hold_at_once():
-    run = Run(CHANGE)
-    run.feed(" ".join(f"{at}-up@{at}" for at in range(50)))
-    assert run.engine.call("set_etalis_flag(state_ttl, 5)")
-    run.feed("a-up@50")
-    assert run.rule.keys == 6
+def test_flag_applies_immediately():
+    runner = RuleRunner(CHANGE)
+    runner.feed(" ".join(f"{second}-up@{second}" for second in range(50)))
+    assert runner.engine.call("set_etalis_flag(state_ttl, 5)")
+    runner.feed("a-up@50")
+    assert runner.rule.keys == 6
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("value", ["0", "-1", "2.5", "many"])
-def test_the_largest_number_of_keys_is_a_whole_number_from_1(value):
+def test_invalid_max_keys_is_refused(value):
     with pytest.raises(Exception, match="max_keys takes a number of keys from 1"):
         Engine().call(f"set_etalis_flag(max_keys, {value})")
 
 
-def test_a_time_to_live_of_0_is_none_whatever_the_flag_says():
-    run = Run(LAST, ("state_ttl", 5), label="r([property(ttl, 0)])")
-    run.feed(" ".join(f"{at}-up@{at}" for at in range(50)))
-    assert run.rule.keys == 50
+def test_time_to_live_of_zero_overrides_flag():
+    runner = RuleRunner(LAST, ("state_ttl", 5), label="r([property(ttl, 0)])")
+    runner.feed(" ".join(f"{second}-up@{second}" for second in range(50)))
+    assert runner.rule.keys == 50
     with pytest.raises(Exception, match="property ttl needs a number of seconds"):
-        Run(LAST, label="r([property(ttl, -1)])")
+        RuleRunner(LAST, label="r([property(ttl, -1)])")
 
 
-def test_what_is_held_is_estimated_in_bytes():
-    few, many = Run(LAST), Run(LAST)
-    few.feed("a-1@1")
-    many.feed(" ".join(f"{at}-up@{at}" for at in range(100)))
-    assert many.rule.bytes == 100 * few.rule.bytes > 0
+def test_size_of_state_is_estimated():
+    small, large = RuleRunner(LAST), RuleRunner(LAST)
+    small.feed("a-1@1")
+    large.feed(" ".join(f"{second}-up@{second}" for second in range(100)))
+    assert large.rule.bytes == 100 * small.rule.bytes > 0
 
 
-def test_shapes_of_subscriptions_have_the_bounds_of_flags():
+def test_flags_bound_rates_of_subscriptions():
     engine = Engine()
     engine.load(goals="set_etalis_flag(state_ttl, 5), subscribe(q(K, V) with change(V, K), [], _, out, s)")
-    for at in range(100):
-        engine.event(f"q({at}, 1)", at, at)
-    (one,) = engine.knowledge.subscriptions.items()
-    assert len(one[1].rate_limiter) <= 6
+    for number in range(100):
+        engine.event(f"q({number}, 1)", number, number)
+    ((_, subscription),) = engine.knowledge.subscriptions.items()
+    assert len(subscription.rate_limiter) <= 6
     assert engine.call("set_etalis_flag(state_ttl, -1)")
     assert engine.call("set_etalis_flag(max_keys, 3)")
-    for at in range(100):
-        engine.event(f"q({at}, 1)", 100, 100)
-    assert len(one[1].rate_limiter) == 3
+    for number in range(100):
+        engine.event(f"q({number}, 1)", 100, 100)
+    assert len(subscription.rate_limiter) == 3

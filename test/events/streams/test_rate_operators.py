@@ -1,6 +1,6 @@
 """Throttle, burst, debounce and change, compared with their definitions."""
 
-from events.streams.stream_feeder import Came, Fed, entries, item_of, stream
+from events.streams.operator_driver import Arrival, OperatorDriver, arrival_lists, element_of, entry_count
 from hypothesis import given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st
@@ -8,144 +8,160 @@ from hypothesis import strategies as st
 from retalis.events.streams.rate_operators import Debounce, DistinctUntilChanged, Throttle
 from retalis.prolog.terms.term_traversal import term_key
 
-ARRIVALS = stream(st.sampled_from([1, 1.0, 2]))
-PUNCTUAL = stream(st.just(1), late=0)
-CUTS = st.integers(0, 20)
+ARRIVAL_LISTS = arrival_lists(st.sampled_from([1, 1.0, 2]))
+PUNCTUAL_ARRIVAL_LISTS = arrival_lists(st.just(1), max_delay=0)
+RESTORE_POSITIONS = st.integers(0, 20)
 SPANS = st.integers(1, 8)
-some = example_settings(max_examples=30)
+few_examples = example_settings(max_examples=30)
 
 
-def as_they_came(found):
-    return [((one.at,), one.start, one.end) for one in found]
+def outputs_of(arrivals):
+    return [((arrival.number,), arrival.start, arrival.end) for arrival in arrivals]
 
 
-@some
-@given(ARRIVALS, CUTS, SPANS)
-def test_throttle(arrivals, cut, span):
-    """None of the key that was let through ends less than the span before the newest end."""
-    through = []
-    for number, one in enumerate(arrivals):
+@few_examples
+@given(ARRIVAL_LISTS, RESTORE_POSITIONS, SPANS)
+def test_throttle_passes_first_of_span(arrivals, restore_before, span):
+    """No passed element of the key ends less than the span before the newest end."""
+    passed = []
+    for number, arrival in enumerate(arrivals):
         newest = max(other.end for other in arrivals[: number + 1])
-        if not any(other.key == one.key and other.end > newest - span for other in through):
-            through.append(one)
-    assert Fed(lambda: Throttle(span, False), cut).feed(arrivals) == as_they_came(through)
+        if not any(other.key == arrival.key and other.end > newest - span for other in passed):
+            passed.append(arrival)
+    assert OperatorDriver(lambda: Throttle(span, False), restore_before).feed(arrivals) == outputs_of(passed)
 
 
-@some
-@given(ARRIVALS, CUTS, SPANS)
-def test_burst(arrivals, cut, span):
-    """None at all of the key ends less than the span before the newest end."""
-    through = []
-    for number, one in enumerate(arrivals):
+@few_examples
+@given(ARRIVAL_LISTS, RESTORE_POSITIONS, SPANS)
+def test_burst_passes_after_silence(arrivals, restore_before, span):
+    """No element of the key ends less than the span before the newest end."""
+    passed = []
+    for number, arrival in enumerate(arrivals):
         newest = max(other.end for other in arrivals[: number + 1])
-        if not any(other.key == one.key and other.end > newest - span for other in arrivals[:number]):
-            through.append(one)
-    assert Fed(lambda: Throttle(span, True), cut).feed(arrivals) == as_they_came(through)
+        if not any(other.key == arrival.key and other.end > newest - span for other in arrivals[:number]):
+            passed.append(arrival)
+    assert OperatorDriver(lambda: Throttle(span, True), restore_before).feed(arrivals) == outputs_of(passed)
 
 
-@some
-@given(ARRIVALS, CUTS)
-def test_change(arrivals, cut):
-    """Another term than in the last one of the key that came, or the first."""
-    through = []
-    for number, one in enumerate(arrivals):
-        before = [other for other in arrivals[:number] if other.key == one.key]
-        if not before or term_key(before[-1].value) != term_key(one.value):
-            through.append(one)
-    assert Fed(DistinctUntilChanged, cut).feed(arrivals) == as_they_came(through)
+@few_examples
+@given(ARRIVAL_LISTS, RESTORE_POSITIONS)
+def test_change_passes_different_terms(arrivals, restore_before):
+    """An element passes if its term differs from the one of the previous element of its key."""
+    passed = []
+    for number, arrival in enumerate(arrivals):
+        before = [other for other in arrivals[:number] if other.key == arrival.key]
+        if not before or term_key(before[-1].value) != term_key(arrival.value):
+            passed.append(arrival)
+    assert OperatorDriver(DistinctUntilChanged, restore_before).feed(arrivals) == outputs_of(passed)
 
 
-def overtakes(other, one, span):
-    """Tell whether another came in the span after one and ends no earlier."""
-    return other.at > one.at and other.key == one.key and other.end >= one.end and other.now < one.end + span
+def supersedes(other, earlier, span):
+    """Return whether another element of the key arrived in the span after an element and ends no earlier."""
+    return (
+        other.number > earlier.number
+        and other.key == earlier.key
+        and other.end >= earlier.end
+        and other.clock_time < earlier.end + span
+    )
 
 
-@some
-@given(stream(st.just(1), late=3), CUTS, st.integers(7, 12))
-def test_debounce(arrivals, cut, span):
-    """Given on a span after its end, if none with an end at least as large came meanwhile: none comes later here."""
+@few_examples
+@given(arrival_lists(st.just(1), max_delay=3), RESTORE_POSITIONS, st.integers(7, 12))
+def test_debounce_emits_after_span(arrivals, restore_before, span):
+    """An element is emitted a span after its end if no element with the same or a later end arrives meanwhile."""
     settled = []
-    for one in arrivals:
-        newer = any(overtakes(other, one, span) for other in arrivals)
-        older = any(other.at < one.at and other.key == one.key and other.end > one.end for other in arrivals)
+    for arrival in arrivals:
+        newer = any(supersedes(other, arrival, span) for other in arrivals)
+        older = any(
+            other.number < arrival.number and other.key == arrival.key and other.end > arrival.end
+            for other in arrivals
+        )
         if not newer and not older:
-            settled.append(((one.at,), one.start, one.end + span))
-    assert sorted(Fed(lambda: Debounce(span), cut).feed(arrivals)) == sorted(settled)
+            settled.append(((arrival.number,), arrival.start, arrival.end + span))
+    assert sorted(OperatorDriver(lambda: Debounce(span), restore_before).feed(arrivals)) == sorted(settled)
 
 
-@some
-@given(PUNCTUAL, SPANS)
-def test_debounce_of_what_comes_in_time(arrivals, span):
+@few_examples
+@given(PUNCTUAL_ARRIVAL_LISTS, SPANS)
+def test_debounce_of_elements_in_order(arrivals, span):
     settled = [
-        ((one.at,), one.start, one.end + span)
-        for one in arrivals
-        if not any(overtakes(other, one, span) for other in arrivals)
+        ((arrival.number,), arrival.start, arrival.end + span)
+        for arrival in arrivals
+        if not any(supersedes(other, arrival, span) for other in arrivals)
     ]
-    said = Fed(lambda: Debounce(span)).feed(arrivals)
-    assert sorted(said) == sorted(settled)
-    assert [end for _, _, end in said] == sorted(end for _, _, end in said)
+    outputs = OperatorDriver(lambda: Debounce(span)).feed(arrivals)
+    assert sorted(outputs) == sorted(settled)
+    assert [end for _, _, end in outputs] == sorted(end for _, _, end in outputs)
 
 
-AHEAD = st.lists(st.tuples(st.sampled_from("ab"), st.integers(0, 3), st.integers(-6, 12)), max_size=20)
+ROWS_WITH_ENDS_AHEAD = st.lists(
+    st.tuples(st.sampled_from("ab"), st.integers(0, 3), st.integers(-6, 12)), max_size=20
+)
 
 
-@some
-@given(AHEAD, CUTS, SPANS)
-def test_debounce_of_ends_ahead_of_the_clock(rows, cut, span):
-    """One waits a span from its end; another of the key with an end within that, as late or later, rules it out."""
-    now, arrivals, waiting, settled = 20, [], [], []
-    for at, (key, step, ahead) in enumerate(rows):
-        now += step
-        arrivals.append(Came(at, key, now + ahead, now + ahead, 1, 0, now))
-    for one in arrivals:
-        settled += [other for other in waiting if other.end + span <= one.now]
-        waiting = [other for other in waiting if other.end + span > one.now]
-        same = [other for other in waiting if other.key == one.key]
-        gone = [other for other in same if other.end <= one.end < other.end + span]
-        waiting = [other for other in waiting if other not in gone]
-        if one.end + span > one.now and not any(one.end < other.end < one.end + span for other in same):
-            waiting.append(one)
-    expected = [((one.at,), one.start, one.end + span) for one in settled + waiting]
-    assert sorted(Fed(lambda: Debounce(span), cut).feed(arrivals)) == sorted(expected)
+@few_examples
+@given(ROWS_WITH_ENDS_AHEAD, RESTORE_POSITIONS, SPANS)
+def test_debounce_of_ends_ahead_of_clock(rows, restore_before, span):
+    """An element waits a span from its end; an element of its key that ends in this span cancels it."""
+    clock_time, arrivals, waiting, settled = 20, [], [], []
+    for number, (key, step, ahead) in enumerate(rows):
+        clock_time += step
+        arrivals.append(Arrival(number, key, clock_time + ahead, clock_time + ahead, 1, 0, clock_time))
+    for arrival in arrivals:
+        settled += [other for other in waiting if other.end + span <= arrival.clock_time]
+        waiting = [other for other in waiting if other.end + span > arrival.clock_time]
+        same = [other for other in waiting if other.key == arrival.key]
+        cancelled = [other for other in same if other.end <= arrival.end < other.end + span]
+        waiting = [other for other in waiting if other not in cancelled]
+        if arrival.end + span > arrival.clock_time and not any(
+            arrival.end < other.end < arrival.end + span for other in same
+        ):
+            waiting.append(arrival)
+    expected = [((arrival.number,), arrival.start, arrival.end + span) for arrival in settled + waiting]
+    assert sorted(OperatorDriver(lambda: Debounce(span), restore_before).feed(arrivals)) == sorted(expected)
 
 
-def test_what_is_forgotten_is_the_oldest():
-    for shape in (Throttle(100, False), Throttle(100, True), DistinctUntilChanged(), Debounce(100)):
-        for at in range(5):
-            shape.process(item_of(Came(at, f"k{at}", at, at, 1, 0, at)), at, 0)
-        for left in (4, 3, 2):
-            shape.drop_oldest()
-            assert len(shape) == left
-        assert [item.key_values for item in shape.snapshot()[-1]] == [("k3",), ("k4",)]
+def test_oldest_key_is_dropped_first():
+    for operator in (Throttle(100, False), Throttle(100, True), DistinctUntilChanged(), Debounce(100)):
+        for number in range(5):
+            operator.process(
+                element_of(Arrival(number, f"k{number}", number, number, 1, 0, number)), number, 0
+            )
+        for remaining in (4, 3, 2):
+            operator.drop_oldest()
+            assert len(operator) == remaining
+        assert [item.key_values for item in operator.snapshot()[-1]] == [("k3",), ("k4",)]
 
 
-def test_the_oldest_goes_of_what_was_overtaken_too():
-    """Of a key that came again and again: what it was before is in no heap's way."""
-    for shape in (Throttle(1000, True), Debounce(1000)):
-        for at in range(20):
-            shape.process(item_of(Came(at, "ab"[at % 2], at, at, 1, 0, at)), at, 0)
-        shape.drop_oldest()
-        assert [item.key_values for item in shape.snapshot()[-1]] == [("b",)]
-        shape.drop_oldest()
-        assert len(shape) == 0
-        assert shape.next_deadline is None
+def test_oldest_key_is_dropped_after_updates():
+    """Entries of a key that were replaced do not delay the eviction."""
+    for operator in (Throttle(1000, True), Debounce(1000)):
+        for number in range(20):
+            operator.process(
+                element_of(Arrival(number, "ab"[number % 2], number, number, 1, 0, number)), number, 0
+            )
+        operator.drop_oldest()
+        assert [item.key_values for item in operator.snapshot()[-1]] == [("b",)]
+        operator.drop_oldest()
+        assert len(operator) == 0
+        assert operator.next_deadline is None
 
 
-def test_nothing_grows_with_what_came():
-    """A thousand keys one after the other, or one key a thousand times."""
+def test_operator_state_stays_small():
+    """The state stays small for a thousand keys one after the other, and for one key a thousand times."""
     for span in (3, 10_000):
-        for shape in (Throttle(span, False), Throttle(span, True), Debounce(span)):
-            for at in range(1000):
-                key = f"k{at}" if span == 3 else "k"
-                shape.advance_to(at)
-                shape.process(item_of(Came(at, key, at, at, 1, 0, at)), at, 0)
-            assert len(shape) <= 3
-            assert entries(shape) <= 80
+        for operator in (Throttle(span, False), Throttle(span, True), Debounce(span)):
+            for number in range(1000):
+                key = f"k{number}" if span == 3 else "k"
+                operator.advance_to(number)
+                operator.process(element_of(Arrival(number, key, number, number, 1, 0, number)), number, 0)
+            assert len(operator) <= 3
+            assert entry_count(operator) <= 80
 
 
-def test_a_stamp_of_a_wrong_clock_forgets_nobody():
-    shape = Throttle(5, False)
-    shape.compute_max_timestamp = lambda: 100
-    assert shape.process(item_of(Came(0, "a", 50, 50, 1, 0, 50)), 50, 0)
-    assert shape.process(item_of(Came(1, "b", 9000, 9000, 1, 0, 51)), 51, 0)
-    assert not shape.process(item_of(Came(2, "a", 52, 52, 1, 0, 52)), 52, 0)
+def test_timestamp_far_ahead_expires_no_key():
+    operator = Throttle(5, False)
+    operator.compute_max_timestamp = lambda: 100
+    assert operator.process(element_of(Arrival(0, "a", 50, 50, 1, 0, 50)), 50, 0)
+    assert operator.process(element_of(Arrival(1, "b", 9000, 9000, 1, 0, 51)), 51, 0)
+    assert not operator.process(element_of(Arrival(2, "a", 52, 52, 1, 0, 52)), 52, 0)

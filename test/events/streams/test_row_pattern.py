@@ -14,45 +14,45 @@ from oracle.strategies import Generator
 from retalis import Engine, Var, functor, make_list
 
 KEY, VALUE, RESULT = Var(), Var(), Var()
-READING, FOUND = functor("reading", 2), functor("found", 2)
+READING, OUTPUT_EVENT = functor("reading", 2), functor("found", 2)
 
 
 def rule_of(steps):
-    """Return the rule that gives the values of each match with their key."""
+    """Return the rule that emits the values of each match with their key."""
     window = Windowed(
         "list", Leaf(READING(KEY, VALUE)), make_list([VALUE]), make_list([RESULT]), "steps", 0, 0, steps
     )
-    return write_rule(Rule(FOUND(KEY, RESULT), window))
+    return write_rule(Rule(OUTPUT_EVENT(KEY, RESULT), window))
 
 
-def expected(steps, readings):
-    """Return what is found at each reading, by the oracle."""
-    found = []
+def expected_outputs(steps, readings):
+    """Return the outputs at each reading by the oracle."""
+    outputs = []
     for end in range(1, len(readings) + 1):
         key = readings[end - 1][0]
         values = [value for other, value in readings[:end] if other == key]
         items = [{VALUE: value} for value in values]
-        told = len(whole_matches(steps_of(steps), items[:-1]))
-        for match in whole_matches(steps_of(steps), items)[told:]:
-            found.append(f"found({key},[{','.join(str(values[place]) for place, _ in match)}])")
-    return found
+        earlier_count = len(whole_matches(steps_of(steps), items[:-1]))
+        for match in whole_matches(steps_of(steps), items)[earlier_count:]:
+            outputs.append(f"found({key},[{','.join(str(values[position]) for position, _ in match)}])")
+    return outputs
 
 
-def fired(rule, readings, cut=None):
-    """Return what a rule finds; with ``cut`` another engine goes on after so many readings."""
-    seen = []
+def outputs_of_rule(rule, readings, restore_before=None):
+    """Return the outputs of a rule; the engine is restored before the reading at position ``restore_before``."""
+    events = []
 
-    def listening(engine):
-        engine.on_event(lambda term, *interval: seen.append(engine.show(term)))
+    def record_events(engine):
+        engine.on_event(lambda term, *interval: events.append(engine.show(term)))
         return engine
 
-    engine = listening(Engine())
+    engine = record_events(Engine())
     engine.load(rules=rule)
-    for at, (key, value) in enumerate(readings):
-        if at == cut:
-            engine = listening(Engine.restore(engine.snapshot()))
-        engine.event(f"reading({key},{value})", at, at)
-    return [one for one in seen if one.startswith("found")]
+    for position, (key, value) in enumerate(readings):
+        if position == restore_before:
+            engine = record_events(Engine.restore(engine.snapshot()))
+        engine.event(f"reading({key},{value})", position, position)
+    return [event for event in events if event.startswith("found")]
 
 
 READINGS = st.lists(st.tuples(st.sampled_from("aab"), st.integers(0, 3)), max_size=14)
@@ -64,18 +64,22 @@ STEPS = st.integers(0, 10**6).map(
 @pytest.mark.slow
 @example_settings(max_examples=40)
 @given(STEPS, READINGS, st.integers(0, 14))
-def test_as_all_ways_tried_in_their_order(steps, readings, cut):
+def test_outputs_equal_those_of_exhaustive_search(steps, readings, restore_before):
     rule = rule_of(steps)
-    assert fired(rule, readings) == expected(steps, readings), rule
-    assert fired(rule, readings, cut) == expected(steps, readings), rule
+    assert outputs_of_rule(rule, readings) == expected_outputs(steps, readings), rule
+    assert outputs_of_rule(rule, readings, restore_before) == expected_outputs(steps, readings), rule
 
 
-def test_matches_that_wait_for_one_that_is_preferred_go_on_waiting_in_another_engine():
-    """Several ways hold the first of them, and are told apart by what comes."""
+def test_matches_waiting_for_preferred_one_are_restored():
+    """Several partial matches begin at the same reading; later readings decide between them."""
     steps = "p where V == 0, later(y(0, 1, until(V == 8))) where V == 9, later(z(0, 1, until(V == 7))) where V == 6"
     rule = f"found(K, L) <- aggregate(list(V), reading(K, V), L, steps([{steps}]))."
     readings = [("a", value) for value in [0, 0, 0, 9, 1, 8, 8, 2, 0, 1, 7, 7]]
-    assert fired(rule, readings, cut=9) == fired(rule, readings) == ["found(a,[0,9])"]
+    assert (
+        outputs_of_rule(rule, readings, restore_before=9)
+        == outputs_of_rule(rule, readings)
+        == ["found(a,[0,9])"]
+    )
 
 
 WAITING = (
@@ -83,61 +87,64 @@ WAITING = (
 )
 
 
-def stepped(engine):
+def pattern_operator(engine):
     """Return the operator of the only rule of an engine."""
     (rule,) = engine.rules.rules
     return next(node.stream for node, _, _ in rule.nodes if hasattr(node, "stream"))
 
 
-def test_an_item_takes_as_much_memory_however_many_matches_wait():
-    """Each way knew all matches that wait before it, and copied them for each that came."""
+def test_memory_for_element_is_independent_of_matches():
+    """A partial match that lists all earlier ones, and copies the list for each element, fails here."""
     tracemalloc = pytest.importorskip("tracemalloc")
-    taken = []
-    for number in (10, 800):
+    peaks = []
+    for waiting_count in (10, 800):
         engine = Engine()
         engine.load(rules=f"found(L) <- aggregate(list(V), reading(V), L, steps([{WAITING}])).")
-        for at in range(number):
-            engine.event("reading(0)", at)
+        for position in range(waiting_count):
+            engine.event("reading(0)", position)
         tracemalloc.start()
-        engine.event("reading(0)", number)
-        taken.append(tracemalloc.get_traced_memory()[1])
+        engine.event("reading(0)", waiting_count)
+        peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
-        assert len(stepped(engine)) == number + 1
-    assert taken[1] < 2 * taken[0]
+        assert len(pattern_operator(engine)) == waiting_count + 1
+    assert peaks[1] < 2 * peaks[0]
 
 
-def test_what_an_interrupt_leaves_between_ways_and_what_waits_is_found_anew():
-    engine, whole = [Engine(), Engine()]
-    seen = {}
-    for one in (engine, whole):
-        one.load(rules=f"found(L) <- aggregate(list(V), reading(V), L, steps([{WAITING}])).")
-        seen[one] = found = []
-        one.on_event(lambda term, *_, one=one, found=found: found.append(one.show(term)))
-        for at in range(5):
-            one.event("reading(0)", at)
-    (group,) = stepped(engine).states.values()
+def test_interrupted_move_of_match_is_repaired():
+    """A match that an interrupt lost between the partial matches and the queue of completed ones is found again."""
+    interrupted, uninterrupted = [Engine(), Engine()]
+    outputs = {}
+    for engine in (interrupted, uninterrupted):
+        engine.load(rules=f"found(L) <- aggregate(list(V), reading(V), L, steps([{WAITING}])).")
+        outputs[engine] = terms = []
+        engine.on_event(lambda term, *_, engine=engine, terms=terms: terms.append(engine.show(term)))
+        for second in range(5):
+            engine.event("reading(0)", second)
+    (group,) = pattern_operator(interrupted).states.values()
     group.completed.popleft()
-    engine.rules.repair()
-    for one in (engine, whole):
-        for at, value in enumerate([8, 7, 7], 5):
-            one.event(f"reading({value})", at)
-    assert seen[engine] == seen[whole]
-    assert seen[whole].count("found([0])") == 5
+    interrupted.rules.repair()
+    for engine in (interrupted, uninterrupted):
+        for second, value in enumerate([8, 7, 7], 5):
+            engine.event(f"reading({value})", second)
+    assert outputs[interrupted] == outputs[uninterrupted]
+    assert outputs[uninterrupted].count("found([0])") == 5
 
 
 @pytest.mark.parametrize(
-    ("kind", "result"), [("avg(V)", "2"), ("max(V)", "2"), ("median(V)", "2.0"), ("sum(V * 1)", "4")]
+    ("aggregate", "result"), [("avg(V)", "2"), ("max(V)", "2"), ("median(V)", "2.0"), ("sum(V * 1)", "4")]
 )
-def test_a_measure_of_one_step_asks_that_step_alone_for_numbers(kind, result):
-    """What another step takes may be anything; what the step itself would take is left out and reported."""
-    engine, seen, reports = Engine(), [], []
+def test_aggregate_of_variable_checks_its_values_only(aggregate, result):
+    """Values of other variables are not checked; a wrong value of the variable is not matched, and reported."""
+    engine, events, reports = Engine(), [], []
     engine.rules.on_error = lambda error: reports.append(error.message)
-    engine.load(rules=f"found(A) <- aggregate(of(b, {kind}), reading(V), A, steps([a where V == go, b(2)])).")
-    engine.on_event(lambda term, *interval: seen.append(engine.show(term)))
-    for at, value in enumerate(["go", "2", "off", "2"]):
-        engine.event(f"reading({value})", at)
-    assert seen[-1] == f"found({result})"
-    name, value = kind.partition("(")[0], "off*1" if "*" in kind else "off"
-    assert [one.partition(": ")[2] for one in reports] == [
+    engine.load(
+        rules=f"found(A) <- aggregate(of(b, {aggregate}), reading(V), A, steps([a where V == go, b(2)]))."
+    )
+    engine.on_event(lambda term, *interval: events.append(engine.show(term)))
+    for second, value in enumerate(["go", "2", "off", "2"]):
+        engine.event(f"reading({value})", second)
+    assert events[-1] == f"found({result})"
+    name, value = aggregate.partition("(")[0], "off*1" if "*" in aggregate else "off"
+    assert [report.partition(": ")[2] for report in reports] == [
         f"aggregate {name}: the value is '{value}': expected a number"
     ]

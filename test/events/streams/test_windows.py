@@ -1,7 +1,15 @@
 """Windows, compared with their definitions over plain lists."""
 
 import pytest
-from events.streams.stream_feeder import Came, Fed, entries, item_of, listing, spanning, stream
+from events.streams.operator_driver import (
+    Arrival,
+    OperatorDriver,
+    arrival_lists,
+    element_of,
+    entry_count,
+    expected_output,
+    list_accumulators,
+)
 from hypothesis import given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st
@@ -17,214 +25,248 @@ from retalis.events.streams.windows import (
     TumblingCountWindow,
 )
 
-ARRIVALS = stream(st.sampled_from([1, 2.5]))
-CUTS = st.integers(0, 20)
-some = example_settings(max_examples=30)
+ARRIVAL_LISTS = arrival_lists(st.sampled_from([1, 2.5]))
+RESTORE_POSITIONS = st.integers(0, 20)
+few_examples = example_settings(max_examples=30)
 
 
-def newest(arrivals):
-    return max(one.end for one in arrivals)
+def newest_end(arrivals):
+    return max(arrival.end for arrival in arrivals)
 
 
-def same_group(arrivals):
-    return [one for one in arrivals if one.key == arrivals[-1].key]
+def last_group(arrivals):
+    return [arrival for arrival in arrivals if arrival.key == arrivals[-1].key]
 
 
 def prefixes(arrivals):
     return [arrivals[: number + 1] for number in range(len(arrivals))]
 
 
-@some
-@given(ARRIVALS, CUTS, st.integers(1, 8))
-def test_of_the_last_seconds(arrivals, cut, span):
-    """Those taken that began less than the span before the newest end; what is late is not taken."""
+@few_examples
+@given(ARRIVAL_LISTS, RESTORE_POSITIONS, st.integers(1, 8))
+def test_sliding_time_window(arrivals, restore_before, span):
+    """The window contains the elements that began less than the span before the newest end."""
     expected = []
-    for came in prefixes(arrivals):
-        before = newest(came) - span
-        if came[-1].start > before:
-            expected.append(spanning([one for one in same_group(came) if one.start > before]))
-    fed = Fed(lambda: SlidingTimeWindow(listing, span), cut)
-    assert fed.feed(arrivals) == expected
+    for prefix in prefixes(arrivals):
+        lower_bound = newest_end(prefix) - span
+        if prefix[-1].start > lower_bound:
+            expected.append(
+                expected_output([arrival for arrival in last_group(prefix) if arrival.start > lower_bound])
+            )
+    driver = OperatorDriver(lambda: SlidingTimeWindow(list_accumulators, span), restore_before)
+    assert driver.feed(arrivals) == expected
     if arrivals:
-        inside = [one for one in arrivals if one.start > newest(arrivals) - span]
-        assert len(fed.stream) == len(inside)
+        inside = [arrival for arrival in arrivals if arrival.start > newest_end(arrivals) - span]
+        assert len(driver.operator) == len(inside)
 
 
-@some
-@given(ARRIVALS, CUTS, st.integers(1, 5))
-def test_of_the_last_items(arrivals, cut, most):
-    fed = Fed(lambda: SlidingCountWindow(listing, most), cut)
-    assert fed.feed(arrivals) == [spanning(same_group(came)[-most:]) for came in prefixes(arrivals)]
-    assert len(fed.stream) == sum(min(most, sum(one.key == key for one in arrivals)) for key in "ab")
-
-
-@some
-@given(ARRIVALS, CUTS, st.integers(1, 5), st.booleans())
-def test_so_many_at_a_time(arrivals, cut, most, running):
-    expected = []
-    for came in prefixes(arrivals):
-        here = same_group(came)
-        size = (len(here) - 1) % most + 1
-        if running or size == most:
-            expected.append(spanning(here[-size:]))
-    assert Fed(lambda: TumblingCountWindow(listing, most, running), cut).feed(arrivals) == expected
-
-
-@some
-@given(ARRIVALS, CUTS, st.integers(1, 6), st.integers(1, 6))
-def test_at_instants(arrivals, cut, span, every):
-    """At each multiple of a step those that had come and ended in the span before it; one group each."""
-    expected = []
-    last = newest(arrivals) + span + every if arrivals else 0
-    for instant in range(0, last + 1, every):
-        inside = [one for one in arrivals if one.now < instant and instant - span <= one.end < instant]
-        groups = [[one for one in inside if one.key == key] for key in "ab"]
-        interval = (instant - span, instant)
-        expected.append([({one.at for one in group}, *interval) for group in groups if group])
-    fed = Fed(lambda: HoppingWindow(listing, span, every), cut)
-    said = [(set(items), start, end) for items, start, end in fed.feed(arrivals)]
-    assert sorted(said, key=str) == sorted((one for found in expected for one in found), key=str)
-    assert [end for _, _, end in said] == sorted(end for _, _, end in said)
-    assert len(fed.stream) == 0
-    # What ends between two windows is in none of them, and never late.
-    late = [
-        one
-        for one in arrivals
-        if (one.end // every + 1) * every - span <= one.end
-        and (one.end + span) // every * every <= one.now // every * every
+@few_examples
+@given(ARRIVAL_LISTS, RESTORE_POSITIONS, st.integers(1, 5))
+def test_sliding_count_window(arrivals, restore_before, size):
+    driver = OperatorDriver(lambda: SlidingCountWindow(list_accumulators, size), restore_before)
+    assert driver.feed(arrivals) == [
+        expected_output(last_group(prefix)[-size:]) for prefix in prefixes(arrivals)
     ]
-    assert cut < len(arrivals) or fed.stream.late_count == len(late)
+    assert len(driver.operator) == sum(
+        min(size, sum(arrival.key == key for arrival in arrivals)) for key in "ab"
+    )
 
 
-@some
-@given(ARRIVALS, CUTS, st.integers(1, 6), st.booleans())
-def test_from_the_first_of_a_group(arrivals, cut, span, running):
-    """A window begins with the end of its first, and is over when the clock comes to so much later."""
-    expected, opened = [], {}
+@few_examples
+@given(ARRIVAL_LISTS, RESTORE_POSITIONS, st.integers(1, 5), st.booleans())
+def test_tumbling_count_window(arrivals, restore_before, batch_size, running):
+    expected = []
+    for prefix in prefixes(arrivals):
+        group = last_group(prefix)
+        size = (len(group) - 1) % batch_size + 1
+        if running or size == batch_size:
+            expected.append(expected_output(group[-size:]))
+    assert (
+        OperatorDriver(
+            lambda: TumblingCountWindow(list_accumulators, batch_size, running), restore_before
+        ).feed(arrivals)
+        == expected
+    )
+
+
+@few_examples
+@given(ARRIVAL_LISTS, RESTORE_POSITIONS, st.integers(1, 6), st.integers(1, 6))
+def test_hopping_window(arrivals, restore_before, span, every):
+    """At each multiple of a step, a group contains its elements that ended in the span before it."""
+    expected = []
+    last_instant = newest_end(arrivals) + span + every if arrivals else 0
+    for instant in range(0, last_instant + 1, every):
+        inside = [
+            arrival
+            for arrival in arrivals
+            if arrival.clock_time < instant and instant - span <= arrival.end < instant
+        ]
+        groups = [[arrival for arrival in inside if arrival.key == key] for key in "ab"]
+        interval = (instant - span, instant)
+        expected.append([({arrival.number for arrival in group}, *interval) for group in groups if group])
+    driver = OperatorDriver(lambda: HoppingWindow(list_accumulators, span, every), restore_before)
+    outputs = [(set(items), start, end) for items, start, end in driver.feed(arrivals)]
+    assert sorted(outputs, key=str) == sorted(
+        (output for outputs_at_instant in expected for output in outputs_at_instant), key=str
+    )
+    assert [end for _, _, end in outputs] == sorted(end for _, _, end in outputs)
+    assert len(driver.operator) == 0
+    # An element that ends between two windows is in none of them, and never late.
+    late = [
+        arrival
+        for arrival in arrivals
+        if (arrival.end // every + 1) * every - span <= arrival.end
+        and (arrival.end + span) // every * every <= arrival.clock_time // every * every
+    ]
+    assert restore_before < len(arrivals) or driver.operator.late_count == len(late)
+
+
+@few_examples
+@given(ARRIVAL_LISTS, RESTORE_POSITIONS, st.integers(1, 6), st.booleans())
+def test_anchored_tumbling_window(arrivals, restore_before, span, running):
+    """A window begins at the end of its first element, and ends when the clock is a span later."""
+    expected, open_windows = [], {}
 
     def close(now):
-        over = sorted((found[0].end, key) for key, found in opened.items() if found[0].end + span <= now)
-        for begin, key in over:
-            found = opened.pop(key)
+        closing = sorted(
+            (window[0].end, key) for key, window in open_windows.items() if window[0].end + span <= now
+        )
+        for start, key in closing:
+            window = open_windows.pop(key)
             if not running:
-                expected.append((tuple([one.at for one in found]), begin, begin + span))
+                expected.append((tuple([arrival.number for arrival in window]), start, start + span))
 
-    for one in arrivals:
-        close(one.now)
-        found = opened.setdefault(one.key, [])
-        if found and not found[0].end <= one.end < found[0].end + span:
+    for arrival in arrivals:
+        close(arrival.clock_time)
+        window = open_windows.setdefault(arrival.key, [])
+        if window and not window[0].end <= arrival.end < window[0].end + span:
             continue
-        if not found and one.end + span <= one.now:
-            del opened[one.key]  # its window is over
+        if not window and arrival.end + span <= arrival.clock_time:
+            del open_windows[arrival.key]  # its window has ended
             continue
-        found.append(one)
+        window.append(arrival)
         if running:
-            expected.append(spanning(found))
+            expected.append(expected_output(window))
     close(1 << 40)
-    said = Fed(lambda: AnchoredTumblingWindow(listing, span, running), cut).feed(arrivals)
-    assert sorted(said) == sorted(expected) if not running else said == expected
+    outputs = OperatorDriver(
+        lambda: AnchoredTumblingWindow(list_accumulators, span, running), restore_before
+    ).feed(arrivals)
+    assert sorted(outputs) == sorted(expected) if not running else outputs == expected
 
 
-@some
-@given(ARRIVALS, CUTS, st.integers(1, 8))
-def test_of_the_present_window(arrivals, cut, span):
-    """Those that end in the window in which the newest end is; one of an earlier window is late."""
+@few_examples
+@given(ARRIVAL_LISTS, RESTORE_POSITIONS, st.integers(1, 8))
+def test_aligned_tumbling_window(arrivals, restore_before, span):
+    """The elements in the window of the newest end; elements of an earlier window are late."""
     expected = []
-    for came in prefixes(arrivals):
-        here = [one for one in same_group(came) if one.end // span == newest(came) // span]
-        if came[-1] in here:
-            expected.append(spanning(here))
-    assert Fed(lambda: AlignedTumblingWindow(listing, span), cut).feed(arrivals) == expected
+    for prefix in prefixes(arrivals):
+        window = [
+            arrival for arrival in last_group(prefix) if arrival.end // span == newest_end(prefix) // span
+        ]
+        if prefix[-1] in window:
+            expected.append(expected_output(window))
+    assert (
+        OperatorDriver(lambda: AlignedTumblingWindow(list_accumulators, span), restore_before).feed(arrivals)
+        == expected
+    )
 
 
 WINDOWS = {
-    "last seconds": lambda: SlidingTimeWindow(listing, 100),
-    "last items": lambda: SlidingCountWindow(listing, 100),
-    "batches": lambda: TumblingCountWindow(listing, 100, False),
-    "from the first": lambda: AnchoredTumblingWindow(listing, 100, False),
-    "present": lambda: AlignedTumblingWindow(listing, 1000),
-    "instants": lambda: HoppingWindow(listing, 100, 50),
+    "last seconds": lambda: SlidingTimeWindow(list_accumulators, 100),
+    "last items": lambda: SlidingCountWindow(list_accumulators, 100),
+    "batches": lambda: TumblingCountWindow(list_accumulators, 100, False),
+    "from the first": lambda: AnchoredTumblingWindow(list_accumulators, 100, False),
+    "present": lambda: AlignedTumblingWindow(list_accumulators, 1000),
+    "instants": lambda: HoppingWindow(list_accumulators, 100, 50),
 }
 
 
-@pytest.mark.parametrize("kind", WINDOWS)
-def test_the_oldest_can_be_dropped(kind):
-    fed = Fed(WINDOWS[kind])
-    arrivals = [Came(at, "ab"[at % 2], 10 + at, 10 + at, at, 0, 10 + at) for at in range(10)]
-    for number, came in enumerate(arrivals[:6], 1):
-        fed.stream.process(item_of(came), came.now, 0)
-        assert len(fed.stream) == number
-    for left in range(5, -1, -1):
-        fed.stream.drop_oldest()
-        assert len(fed.stream) == left
-    said = fed.feed(arrivals[6:])
-    assert all(set(items) <= {6, 7, 8, 9} for items, _, _ in said)
+@pytest.mark.parametrize("window_type", WINDOWS)
+def test_oldest_element_is_dropped(window_type):
+    driver = OperatorDriver(WINDOWS[window_type])
+    arrivals = [
+        Arrival(number, "ab"[number % 2], 10 + number, 10 + number, number, 0, 10 + number)
+        for number in range(10)
+    ]
+    for number, arrival in enumerate(arrivals[:6], 1):
+        driver.operator.process(element_of(arrival), arrival.clock_time, 0)
+        assert len(driver.operator) == number
+    for remaining in range(5, -1, -1):
+        driver.operator.drop_oldest()
+        assert len(driver.operator) == remaining
+    outputs = driver.feed(arrivals[6:])
+    assert all(set(items) <= {6, 7, 8, 9} for items, _, _ in outputs)
 
 
-@pytest.mark.parametrize("kind", WINDOWS)
-def test_what_was_dropped_is_held_nowhere(kind):
-    """Where a window takes more than may be held, for as long as it takes."""
-    window = WINDOWS[kind]()
-    for at in range(1500):
-        window.process(item_of(Came(at, f"k{at // 3}", 10, 10, at, 0, 10)), 10, 0)
+@pytest.mark.parametrize("window_type", WINDOWS)
+def test_dropped_elements_are_not_stored(window_type):
+    """The state of a window stays small however many elements are dropped."""
+    window = WINDOWS[window_type]()
+    for number in range(1500):
+        window.process(element_of(Arrival(number, f"k{number // 3}", 10, 10, number, 0, 10)), 10, 0)
         if len(window) > 5:
             window.drop_oldest()
     assert len(window) == 5
-    assert entries(window) <= 90
+    assert entry_count(window) <= 90
 
 
-@pytest.mark.parametrize("kind", WINDOWS)
-def test_ends_that_are_too_far_ahead_do_not_move_the_time_on(kind):
-    """One stamp of a wrong clock neither empties a window nor makes what comes after it late."""
-    window = WINDOWS[kind]()
+@pytest.mark.parametrize("window_type", WINDOWS)
+def test_end_too_far_ahead_does_not_advance_window(window_type):
+    """A timestamp of a wrong clock neither empties a window nor makes later elements late."""
+    window = WINDOWS[window_type]()
     window.tracks_elements, window.compute_max_timestamp = True, lambda: 1000
-    for at in range(3):
-        window.process(item_of(Came(at, "a", 900 + at, 900 + at, at, 0, 900)), 900, 0)
-    window.process(item_of(Came(3, "b", 9000, 9000, 3, 0, 903)), 903, 0)
-    late = window.late_count
-    said = window.process(item_of(Came(4, "a", 904, 904, 4, 0, 904)), 904, 0)
-    assert window.late_count == late
-    said = said or window.advance_to(1010)
-    if kind != "batches":
-        assert [tuple([one.match for one in output.elements]) for output in said][-1] == (0, 1, 2, 4)
+    for number in range(3):
+        window.process(element_of(Arrival(number, "a", 900 + number, 900 + number, number, 0, 900)), 900, 0)
+    window.process(element_of(Arrival(3, "b", 9000, 9000, 3, 0, 903)), 903, 0)
+    late_count = window.late_count
+    outputs = window.process(element_of(Arrival(4, "a", 904, 904, 4, 0, 904)), 904, 0)
+    assert window.late_count == late_count
+    outputs = outputs or window.advance_to(1010)
+    if window_type != "batches":
+        assert [tuple([one.match for one in output.elements]) for output in outputs][-1] == (0, 1, 2, 4)
 
 
-def test_a_refused_value_leaves_no_group():
+def test_refused_value_leaves_no_group():
     window = SlidingTimeWindow(lambda: [AGGREGATES["sum"].make_accumulator(0, None)], 10)
     with pytest.raises(RuleError, match="finite"):
-        window.process(item_of(Came(0, "a", 1, 1, float("inf"), 0, 1)), 1, 0)
+        window.process(element_of(Arrival(0, "a", 1, 1, float("inf"), 0, 1)), 1, 0)
     assert (len(window), window.states) == (0, {})
 
 
-def test_what_cannot_be_measured_is_said_and_the_next_is_measured():
-    """Of numbers that are too large together: the window is over all the same."""
-    make = [lambda: TumblingCountWindow(of_sum, 2, False), lambda: HoppingWindow(of_sum, 10, 10)]
+def test_window_after_failed_sum_has_result():
+    """The sum of a window overflows; the window ends nevertheless."""
+    factories = [
+        lambda: TumblingCountWindow(sum_accumulators, 2, False),
+        lambda: HoppingWindow(sum_accumulators, 10, 10),
+    ]
     numbers = [1e308, 1e308, 1.0, 2.0]
 
-    def of_sum():
+    def sum_accumulators():
         return [AGGREGATES["sum"].make_accumulator(0, None)]
 
-    for one in make:
-        window = one()
+    for make_window in factories:
+        window = make_window()
         outputs = []
-        for at, number in enumerate(numbers):
-            came = Came(at, "a", 5 * at, 5 * at, number, 0, 5 * at)
-            outputs += window.advance_to(came.now) + window.process(item_of(came), came.now, 0)
+        for position, number in enumerate(numbers):
+            arrival = Arrival(position, "a", 5 * position, 5 * position, number, 0, 5 * position)
+            outputs += window.advance_to(arrival.clock_time) + window.process(
+                element_of(arrival), arrival.clock_time, 0
+            )
         outputs += window.advance_to(100)
         assert [output.results for output in outputs] == [(), (3.0,)]
         assert "too large" in outputs[0].error.message
         assert outputs[1].error is None
 
 
-def test_what_has_left_costs_nothing():
-    """However many items have gone through a window, only those that are in it are held, in all of its queues."""
-    sliding, hopping = SlidingTimeWindow(listing, 10), HoppingWindow(listing, 10, 5)
-    for at in range(2000):
-        end = 5 * at - (7 if at % 3 == 0 else 0)
+def test_removed_elements_are_not_stored():
+    """All queues of a window store only the elements inside it, however many passed through."""
+    sliding, hopping = SlidingTimeWindow(list_accumulators, 10), HoppingWindow(list_accumulators, 10, 5)
+    for number in range(2000):
+        end = 5 * number - (7 if number % 3 == 0 else 0)
         for window in (sliding, hopping):
-            window.advance_to(5 * at)
-            window.process(item_of(Came(at, "a", end, end, at, 0, 5 * at)), 5 * at, 0)
+            window.advance_to(5 * number)
+            window.process(element_of(Arrival(number, "a", end, end, number, 0, 5 * number)), 5 * number, 0)
     for window in (sliding, hopping):
         assert len(window) <= 5
-        assert entries(window) <= 80
+        assert entry_count(window) <= 80
         assert all(len(group.elements) <= 80 for group in window.states.values())
