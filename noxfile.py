@@ -1,7 +1,7 @@
-"""The usual runs, for ``nox`` (https://nox.thea.codes): ``nox -l`` lists them, ``nox -s fast`` runs one.
+"""Sessions of ``nox`` (https://nox.thea.codes): ``nox -l`` lists them, ``nox -s fast`` runs one.
 
-Only ``all``, ``ros`` and ``lint`` need Debian 12 or Ubuntu 20.04; the others need Python alone. What a run needs is
-installed into an environment of its own below ``.nox``.
+Only ``all``, ``ros`` and ``lint`` need Debian 12 or Ubuntu 20.04; the others need Python alone. Each session installs
+its requirements into a virtual environment below ``.nox``.
 """
 
 import sys
@@ -15,11 +15,11 @@ nox.options.reuse_existing_virtualenvs = True
 WITHOUT_ROS = ("--ignore", "test/ros1")
 
 LENIENT = ("--no-warn-unused-ignores", "--no-warn-return-any")
-"""What the last mypy for Python 3.8 needs, see `MYPY_38_OPTIONS` in ``install.py``."""
+"""Options of the last mypy for Python 3.8, see `MYPY_38_OPTIONS` in ``install.py``."""
 
 
 def _install(session: nox.Session) -> None:
-    """Install what the tests need; on Python 3.8 the oldest versions that are promised."""
+    """Install the requirements of the tests; on Python 3.8 the oldest supported versions."""
     oldest = session.python == "3.8"
     session.install(
         "-r",
@@ -32,32 +32,32 @@ def _install(session: nox.Session) -> None:
         "setuptools",
         "wheel",
     )
-    session.env["PYTHONPATH"] = ""  # the packages of a sourced ROS are for another Python
+    session.env["PYTHONPATH"] = ""  # packages of a sourced ROS are for another Python
 
 
 @nox.session
 def fast(session: nox.Session) -> None:
-    """The tests that end within a minute on two cores."""
+    """Fast tests without ROS."""
     _install(session)
     session.run("python", "-m", "pytest", *WITHOUT_ROS, "-m", "not slow", *session.posargs)
 
 
 @nox.session(python=["3.8", "3.11", "3.12", "3.13"])
 def tests(session: nox.Session) -> None:
-    """All tests that need no ROS (one Python: ``nox -s tests-3.8``)."""
+    """All tests without ROS, on each Python (on one: ``nox -s tests-3.8``)."""
     _install(session)
     session.run("python", "-m", "pytest", *WITHOUT_ROS, *session.posargs)
 
 
 @nox.session(python=False)
 def ros(session: nox.Session) -> None:
-    """The tests on a real master, in a workspace that is built where there is none."""
+    """Tests on a ROS master, in a workspace that is built if it does not exist."""
     session.run("./install.py", "test", "test/ros1", *session.posargs, external=True)
 
 
 @nox.session(name="all", python=False)
 def everything(session: nox.Session) -> None:
-    """All of ``.ci/run``; ``nox -s all -- fast`` runs one of its stages."""
+    """All stages of ``.ci/run``; ``nox -s all -- fast`` runs one of them."""
     session.run(".ci/run", *session.posargs, external=True)
 
 
@@ -72,13 +72,13 @@ def style(session: nox.Session) -> None:
 
 @nox.session(python=False)
 def lint(session: nox.Session) -> None:
-    """Ruff, mypy and catkin_lint, as ``.ci/run`` does."""
+    """Ruff, mypy and catkin_lint, as in ``.ci/run``."""
     session.run("./install.py", "lint", external=True)
 
 
 @nox.session
 def docs(session: nox.Session) -> None:
-    """The snippets, links and tables of the pages, and the documentation site."""
+    """Documentation site, and tests of the snippets, links and tables of its pages."""
     _install(session)
     session.run("python", "install.py", "docs")
     session.run("python", "-m", "pytest", "-m", "docs", *session.posargs)
@@ -86,6 +86,6 @@ def docs(session: nox.Session) -> None:
 
 @nox.session
 def bench(session: nox.Session) -> None:
-    """The engine's benchmarks; ``nox -s bench -- --help`` for more."""
+    """Benchmarks of the engine; ``nox -s bench -- --help`` prints their options."""
     _install(session)
     session.run("python", "bench/engine.py", *session.posargs)

@@ -1,4 +1,4 @@
-"""Tell catkin, or pip, what to install; name, version and authors stand in package.xml."""
+"""Package metadata for catkin and pip; name, version and authors are read from package.xml."""
 
 import os
 import re
@@ -16,13 +16,13 @@ LAYOUT = {
 }
 
 SHARED = ("application_source", "examples/nao", "examples/cookbook")
-"""Folders that the commands ``demo`` and ``help`` need; catkin installs them by itself."""
+"""Folders that the commands ``demo`` and ``help`` read; `CMakeLists.txt` installs them for catkin."""
 
 PAGES = ("explanation", "how-to", "reference", "tutorials")
 """Folders of pages that the commands ``help`` and ``console`` search."""
 
 SITE = "docs/_build/html"
-"""The documentation site, which ``./install.py docs`` builds; a wheel that is built without it has none."""
+"""Documentation site, which ``./install.py docs`` builds; a wheel contains it if it exists."""
 
 EXTRAS = {
     "dashboard": ["tornado>=6"],
@@ -34,20 +34,20 @@ EXTRAS = {
 
 
 def shared() -> list:
-    """Return the files of the example and where an installation has them."""
+    """Return the files of the examples and their folders in an installation."""
     return [entry for folder in SHARED for entry in placed(folder, f"share/retalis/{folder}")]
 
 
 def placed(source: str, target: str, suffix: str = "") -> list:
-    """Return the files of a folder and its subfolders, and where an installation has them.
+    """Return the files of a folder and its subfolders, and their folders in an installation.
 
     Args:
-        source: Folder, which may be missing.
-        target: Its place in an installation.
-        suffix: Suffix of the files; all files by default.
+        source: folder; it may be missing.
+        target: folder in an installation.
+        suffix: suffix of the files; all files by default.
     """
     files = [path for path in sorted(Path(source).rglob(f"*{suffix}")) if path.is_file()]
-    # Bags are made by scripts of the examples.
+    # Bags are excluded: scripts of the examples write them.
     kept = [path for path in files if "__pycache__" not in path.parts and path.suffix != ".bag"]
     return [
         (
@@ -92,16 +92,16 @@ _LINK = re.compile(r"\[([^\]]*)\]\((?!https?://|#)[^)]*\)")
 
 
 def long_description() -> str:
-    """Return the README without its links to files, which lead nowhere on the page of a package index.
+    """Return the README without links to files, which are broken on the page of a package index.
 
-    Of an image its text stays, of a link what it is written on.
+    Images are replaced by their alternative text, links by their link text.
     """
     text = Path("README.md").read_text(encoding="utf-8")
     return _LINK.sub(r"\1", _IMAGE.sub(r"*(Image: \1)*", text))
 
 
 def described() -> dict:
-    """Return what pip wants to know."""
+    """Return the metadata for pip."""
     manifest = ElementTree.parse("package.xml").getroot()
     urls = {str(url.get("type")).capitalize(): str(url.text) for url in manifest.findall("url")}
     return {
@@ -137,9 +137,9 @@ def described() -> dict:
 
 
 def is_for_catkin() -> bool:
-    """Tell whether catkin asks: it has a ``setup`` of its own while it configures, and says so while it installs.
+    """Return whether catkin runs this file: it replaces ``setup`` to configure, and sets a variable to install.
 
-    Its Python package may be there without it asking: pip can build on a machine that has ROS.
+    The import of its Python package is no evidence: pip can build on a machine that has ROS.
     """
     return setup.__module__ != "setuptools" or "CATKIN_BINARY_DIR" in os.environ
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Make the bag of a recipe from the messages that its ``messages.py`` describes.
+"""Write the bag of a recipe from the messages that its ``messages.py`` describes.
 
     examples/cookbook/make_bag.py examples/cookbook/debounce    # writes debounce.bag into that folder
 
@@ -21,7 +21,7 @@ if _SOURCE.is_dir() and str(_SOURCE) not in sys.path:
 from retalis import BagWriter, Definition, Definitions, RetalisError, Term, atom, functor, make_list  # noqa: E402
 
 START = 1_700_000_000
-"""When the bags begin, in seconds since the epoch."""
+"""Start of the bags in seconds since the epoch."""
 
 SECOND = 10**9
 

@@ -1,4 +1,4 @@
-"""A fleet as a dataflow of Bytewax: an engine for each robot, which goes on where it was when all was killed."""
+"""A fleet as a dataflow of Bytewax: an engine per robot, which resumes from its snapshot after a crash."""
 
 import json
 
@@ -9,28 +9,30 @@ from robot import Robot
 
 
 class RobotLogic(op.StatefulBatchLogic):
-    """What Bytewax has for each key: it is made with the last snapshot, if there is one, and asked for the next."""
+    """State of a key in Bytewax: created from the last snapshot, if there is one."""
 
     def __init__(self, state):
         self._robot = Robot(state)
 
     def on_batch(self, values):
-        """Take events of this robot; return the outputs, and that the robot stays."""
-        made = [one for event in values for one in self._robot.take(event["time"], event.get("event"))]
-        return made, self.RETAIN
+        """Process events of this robot; return the outputs, and the request to retain the state."""
+        outputs = [
+            output for event in values for output in self._robot.take(event["time"], event.get("event"))
+        ]
+        return outputs, self.RETAIN
 
     def snapshot(self):
-        """Return the state, which Bytewax keeps with the place in the stream."""
+        """Return the state, which Bytewax stores with the position in the stream."""
         return self._robot.snapshot()
 
 
 def flow(events, outputs, batch=1000):
-    """Return the dataflow from one file to the other, both of them JSON lines."""
+    """Return the dataflow from a file of events to a file of outputs, both JSON lines."""
     fleet = Dataflow("fleet")
-    # By default the file is known by its disk's number, which is another one on the next machine.
+    # By default the number of the disk identifies the file, and differs on another machine.
     lines = op.input("read", fleet, FileSource(events, batch, get_fs_id=lambda folder: "any"))
     by_robot = op.key_on("by_robot", op.map("parse", lines, json.loads), lambda event: event["robot"])
-    made = op.stateful_batch("engines", by_robot, RobotLogic)
-    texts = op.map("write", made, lambda pair: (pair[0], json.dumps({"robot": pair[0], **pair[1]})))
+    by_output = op.stateful_batch("engines", by_robot, RobotLogic)
+    texts = op.map("write", by_output, lambda pair: (pair[0], json.dumps({"robot": pair[0], **pair[1]})))
     op.output("save", texts, FileSink(outputs))
     return fleet

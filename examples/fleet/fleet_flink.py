@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""The same fleet as a job of Apache Flink, on this machine: for those who have Flink, as it needs Java and much room.
+"""The same fleet as a job of Apache Flink on this machine. Flink requires Java and much disk space.
 
-fleet_flink.py EVENTS OUTPUTS CHECKPOINTS [CHECKPOINT]    the last one is that to go on from: CHECKPOINTS/*/chk-*
+fleet_flink.py EVENTS OUTPUTS CHECKPOINTS [CHECKPOINT]    resumes from CHECKPOINT, one of CHECKPOINTS/*/chk-*
 """
 
 import json
@@ -15,24 +15,24 @@ from pyflink.datastream.connectors.file_system import FileSink, FileSource, Stre
 from pyflink.datastream.state import ListStateDescriptor, ValueStateDescriptor
 
 EVERY = 100
-"""Events of a robot from one snapshot of it to the next."""
+"""Number of events of a robot between two snapshots."""
 
 
 class Robots(KeyedProcessFunction):
     """The robots of one worker.
 
-    Flink tells a function in Python nothing of its checkpoints. So what it keeps is whole after each event: a
-    robot's last snapshot, and the events since.
+    Flink does not notify functions in Python of checkpoints. Therefore the state of a robot is complete after each
+    event: its last snapshot and the events since then.
     """
 
     def open(self, context):
-        """Name what Flink keeps for each robot."""
+        """Declare the state that Flink stores for each robot."""
         self._robots = {}
         self._snapshot = context.get_state(ValueStateDescriptor("snapshot", Types.PICKLED_BYTE_ARRAY()))
         self._since = context.get_list_state(ListStateDescriptor("since", Types.STRING()))
 
     def process_element(self, line, context):
-        """Take a line, and yield lines."""
+        """Process a line with an event; yield lines with outputs."""
         name = json.loads(line)["robot"]
         if name not in self._robots:
             self._robots[name] = self._restored()
@@ -49,12 +49,12 @@ class Robots(KeyedProcessFunction):
             yield json.dumps({"robot": name, **output})
 
     def _restored(self):
-        """Return a robot that is new in this process, and how many events it has taken since its snapshot."""
-        from robot import Robot  # noqa: PLC0415 - where Flink runs it, not where the job is made
+        """Return a robot restored in this process, and its number of events since the snapshot."""
+        from robot import Robot  # noqa: PLC0415 - imported in the worker of Flink, not in the process that submits the job
 
         robot, lines = Robot(self._snapshot.value()), list(self._since.get())
         for line in lines:
-            take(robot, line)  # what it makes of them has been sent
+            take(robot, line)  # its outputs have been sent before
         return robot, len(lines)
 
 
@@ -64,7 +64,7 @@ def take(robot, line):
 
 
 def main(events, outputs, checkpoints, resumed=None):
-    """Run the job until the events end."""
+    """Run the job to the end of the events."""
     configuration = Configuration()
     for key, value in {
         "python.executable": sys.executable,

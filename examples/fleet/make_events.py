@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Make the events of a day in a warehouse: robots that carry parcels from shelf to shelf, sometimes with a bump."""
+"""Write the events of robots in a warehouse, which carry parcels between shelves, sometimes with a bump."""
 
 import argparse
 import json
@@ -9,7 +9,7 @@ SHELVES = [(3.0 * column, 4.0 * row) for row in range(4) for column in range(6)]
 
 
 class Carrier:
-    """A robot that drives from one shelf to the next, a metre a second."""
+    """A robot that drives from one shelf to the next at 1 m/s."""
 
     def __init__(self, name, random):
         self._name = name
@@ -20,7 +20,7 @@ class Carrier:
         self._carries = None
 
     def second(self, time):
-        """Yield what happens in a second: when it comes in, and the event."""
+        """Yield the time of receipt and the text of each event in a second."""
         yield time, f"at({self._x:.2f},{self._y:.2f})"
         if self._random.random() < 0.01:
             yield time + 0.5, "bump"
@@ -34,7 +34,7 @@ class Carrier:
             yield from self._at_shelf(time)
 
     def _at_shelf(self, time):
-        """Yield what happens at a shelf; the camera looks back at it, and tells a while later what it saw."""
+        """Yield the events at a shelf; the camera sees it later, and its event is received with a delay."""
         yield time + self._random.uniform(1.5, 3.5), f"shelf(s{self._to},{time + 1.4:.3f})"
         if self._carries is None:
             self._parcels += 1
@@ -47,12 +47,12 @@ class Carrier:
 
 
 def events(robots, seconds, seed=1):
-    """Return all events in the order in which they come in."""
+    """Return all events in the order of their receipt."""
     made = []
     for number in range(robots):
         name = f"r{number:02}"
         carrier = Carrier(name, Random(f"{seed} {name}"))
-        late = Random(f"late {seed} {name}").random()  # the robots do not speak in chorus
+        late = Random(f"late {seed} {name}").random()  # the robots send at different times
         for second in range(seconds):
             for time, event in carrier.second(second + late):
                 made.append({"robot": name, "time": round(time, 3), "event": event})
@@ -61,12 +61,10 @@ def events(robots, seconds, seed=1):
 
 def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("file", help="where to write them, one JSON object a line")
-    parser.add_argument("--robots", type=int, default=20, help="how many (default: 20)")
-    parser.add_argument("--seconds", type=int, default=600, help="how long (default: 600)")
-    parser.add_argument(
-        "--seed", type=int, default=1, help="the same seed makes the same events (default: 1)"
-    )
+    parser.add_argument("file", help="output file, one JSON object per line")
+    parser.add_argument("--robots", type=int, default=20, help="number of robots (default: 20)")
+    parser.add_argument("--seconds", type=int, default=600, help="duration (default: 600)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the random events (default: 1)")
     options = parser.parse_args(arguments)
     with open(options.file, "w", encoding="utf-8") as file:
         for event in events(options.robots, options.seconds, options.seed):

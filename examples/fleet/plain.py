@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The same without a stream engine, to compare with: a dictionary of robots, and a loop from input to output."""
+"""The same fleet without a stream engine, for comparison: a dictionary of robots, and a loop over the input."""
 
 import json
 import sys

@@ -1,4 +1,4 @@
-"""One robot's engine as a stream engine wants it: events go in, outputs come out, and its state is bytes."""
+"""Engine of one robot for a stream processor: events in, outputs out, and a state that can be stored."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ class Robot:
     """The engine of one robot.
 
     Args:
-        state: what `snapshot` has returned, to go on from there; a robot that is new has none.
+        state: result of `snapshot`, to resume from; None for a new robot.
     """
 
     def __init__(self, state=None):
@@ -25,22 +25,22 @@ class Robot:
         self._engine.on_output(lambda term, topic, name: self._make(topic, self._engine.show(term)))
 
     def snapshot(self):
-        """Return all that it is, for another process to go on from."""
+        """Return the state, from which another process can resume."""
         return {"engine": self._engine.snapshot(), "made": self._made}
 
     def take(self, time, event=None):
-        """Let time pass, and take an event if there is one; return what has come out."""
+        """Advance the time to `time` seconds, process an event if there is one, and return the outputs."""
         self._clock.move_to(round(time * 1e9))
         self._engine.advance()
         if event is not None:
             try:
                 self._engine.event(event, time)
-            except RetalisError as error:  # raised, it would end the dataflow, and again after each restart
+            except RetalisError as error:  # raised, the error would end the dataflow, also after each restart
                 self._make("errors", str(error))
         outputs, self._outputs = self._outputs, []
         return outputs
 
     def _make(self, topic, text):
-        """Keep an output, with its number: who gets it twice, on a way that repeats, knows it by that."""
+        """Store an output with its number, by which receivers recognize repetitions."""
         self._made += 1
         self._outputs.append({"number": self._made, "topic": topic, "output": text})

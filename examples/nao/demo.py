@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Run the NAO example on a ROS master of its own: make a bag, play it, and say where the markers are.
+"""Run the NAO example on a separate ROS master: write a bag, play it, and print the positions of the markers.
 
-Needs a shell in which the package's setup.bash is sourced; ``./install.py demo`` sees to that.
+Requires a shell in which the package's setup.bash is sourced, as ``./install.py demo`` does.
 """
 
 import argparse
@@ -25,17 +25,17 @@ INPUTS = {
     "embedded": ("direct:=false", "embedded:=true"),
 }
 TOPICS = tuple(f"marker{number}" for number in range(1, 9))
-START_SECONDS = 60.0  # for a machine that has just been installed
-QUIET_SECONDS = 2.0  # how long nothing has to come before all poses are taken to be there
+START_SECONDS = 60.0  # maximum; the first start after an installation is slow
+QUIET_SECONDS = 2.0  # time without a pose after which all poses have been received
 CONNECT_SECONDS = 1.5  # for the bag's subscribers to connect before its first message
 
 
 class DemoError(Exception):
-    """What ended the demonstration; its text is one line for the user."""
+    """Error that ends the demonstration; its text is one line for the user."""
 
 
 class Processes:
-    """The processes that were started here, each with its output in a log; ended by id, last first."""
+    """Child processes, each with its output in a log; terminated in reverse order."""
 
     def __init__(self, logs: Path, environment: Dict[str, str]) -> None:
         self._logs = logs
@@ -43,7 +43,7 @@ class Processes:
         self._started: List[subprocess.Popen[bytes]] = []
 
     def start(self, name: str, *command: str) -> "subprocess.Popen[bytes]":
-        """Start a command apart from the terminal, so that ctrl-C reaches it through `close` alone."""
+        """Start a command in a separate session, so that ctrl-C reaches it only through `close`."""
         with (self._logs / f"{name}.log").open("wb") as log:
             process = subprocess.Popen(
                 command,
@@ -57,7 +57,7 @@ class Processes:
         return process
 
     def close(self) -> None:
-        """End them, first asking, then telling."""
+        """Terminate the processes with increasingly strong signals."""
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         for process in reversed(self._started):
             for number, patience in ((signal.SIGINT, 15), (signal.SIGTERM, 5), (signal.SIGKILL, 5)):
@@ -71,7 +71,7 @@ class Processes:
 
 
 class Progress:
-    """A bar on a terminal, a line at each quarter elsewhere."""
+    """Progress: a bar on a terminal, otherwise a line at each quarter."""
 
     def __init__(self, stream: TextIO = sys.stderr) -> None:
         self._stream = stream
@@ -79,7 +79,7 @@ class Progress:
         self._quarter = 0
 
     def show(self, share: float, text: str) -> None:
-        """Show how much of the bag has been played."""
+        """Show the fraction of the bag that has been played."""
         share = min(1.0, max(0.0, share))
         if self._drawn:
             width = max(10, min(40, shutil.get_terminal_size().columns - 40))
@@ -92,13 +92,13 @@ class Progress:
         self._stream.flush()
 
     def close(self) -> None:
-        """End the bar's line."""
+        """End the line of the bar."""
         if self._drawn:
             self._stream.write("\n")
 
 
 class Content(NamedTuple):
-    """What is in a bag: when it starts and ends, in seconds, and which markers the robot saw."""
+    """Content of a bag: start and end in seconds, and the names of the markers that the robot saw."""
 
     start: float
     end: float
@@ -106,7 +106,7 @@ class Content(NamedTuple):
 
 
 class Poses:
-    """Where each marker was last seen, and how many poses came, from the topics that the nodes publish."""
+    """Last position of each marker and the number of poses, from the topics that the nodes publish."""
 
     def __init__(self) -> None:
         self.located: Dict[str, Sequence[float]] = {}
@@ -114,7 +114,7 @@ class Poses:
         self.latest = time.monotonic()
 
     def add(self, message: Any) -> None:
-        """Take a pose; it comes from a thread of rospy's."""
+        """Store a pose; called by threads of rospy."""
         place = message.pose.position
         self.located[message.header.frame_id.strip('"')] = (place.x, place.y, place.z)
         self.count += 1
@@ -122,10 +122,10 @@ class Poses:
 
 
 def look_into(bag: Path) -> Content:
-    """Return what is in a bag.
+    """Return the content of a bag.
 
     Raises:
-        DemoError: It cannot be read, or no marker was seen.
+        DemoError: if the bag cannot be read, or has no marker.
     """
     import rosbag  # noqa: PLC0415 - needs ROS
 
@@ -144,7 +144,7 @@ def look_into(bag: Path) -> Content:
 
 
 def free_port() -> int:
-    """Return a port that nobody listens to."""
+    """Return a free port."""
     with socket.socket() as probe:
         probe.bind(("localhost", 0))
         return int(probe.getsockname()[1])
@@ -154,7 +154,7 @@ def wait_until(condition: Callable[[], bool], what: str, alive: Sequence["subpro
     """Wait for a condition.
 
     Raises:
-        DemoError: It did not come, or one of the processes ended meanwhile.
+        DemoError: if it does not become true in time, or one of the processes ends.
     """
     end = time.monotonic() + START_SECONDS
     while not condition():
@@ -164,13 +164,13 @@ def wait_until(condition: Callable[[], bool], what: str, alive: Sequence["subpro
 
 
 class Master:
-    """What the demonstration asks of the master."""
+    """Queries to the ROS master."""
 
     def __init__(self, uri: str) -> None:
         self._proxy = xmlrpc.client.ServerProxy(uri)
 
     def answers(self) -> bool:
-        """Is it there."""
+        """Return whether the master answers."""
         try:
             self._proxy.getUri("/nao_demo")
         except OSError:
@@ -178,7 +178,7 @@ class Master:
         return True
 
     def ready(self) -> bool:
-        """Do the nodes listen to the robot and publish all markers."""
+        """Return whether the nodes subscribe to the robot's topics and publish all markers."""
         publications, subscriptions, _ = self._proxy.getSystemState("/nao_demo")[2]  # type: ignore[index, misc]
         published, subscribed = ({name for name, _ in found} for found in (publications, subscriptions))
         return {"/tf", "/ar_pose_marker"} <= subscribed and {"/" + name for name in TOPICS} <= published
@@ -213,7 +213,7 @@ def play(
     poses = Poses()
     for topic in TOPICS:
         rospy.Subscriber(topic, PoseStamped, poses.add)
-    # rosbag's own queue of 100 messages drops /tf where the machine is busy
+    # The default queue of 100 messages drops /tf on a busy machine.
     options = ("--clock", "--quiet", "--queue=100000", f"--delay={CONNECT_SECONDS}", f"--rate={rate}")
     player = processes.start("rosbag", "rosbag", "play", *options, str(bag))
     progress = Progress()
@@ -234,7 +234,7 @@ def play(
 
 
 def report(poses: Poses, bag: Path, seen: Collection[str]) -> bool:
-    """Print where each marker is, beside the truth where it is known; return whether all were located."""
+    """Print the position of each marker, with the truth if it is known; return whether all were located."""
     try:
         truth = nao_truth.load(bag)
     except FileNotFoundError:
@@ -258,7 +258,7 @@ def report(poses: Poses, bag: Path, seen: Collection[str]) -> bool:
 
 
 def arguments(argv: Optional[Sequence[str]]) -> argparse.Namespace:
-    """Read the command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(prog="demo", description=__doc__.split("\n\n")[0])
     parser.add_argument("--bag", type=Path, metavar="FILE", help="play this bag instead of a simulated one")
     parser.add_argument(
@@ -279,13 +279,13 @@ def arguments(argv: Optional[Sequence[str]]) -> argparse.Namespace:
 
 
 def main(argv: Optional[Sequence[str]] = None) -> int:
-    """Run the demonstration; return 0 when all markers were located."""
+    """Run the demonstration; return 0 if all markers were located."""
     options = arguments(argv)
     logs = Path(tempfile.mkdtemp(prefix="retalis-demo-"))
     uri = f"http://localhost:{free_port()}"
     os.environ.update(ROS_MASTER_URI=uri, ROS_HOSTNAME="localhost", ROS_LOG_DIR=str(logs))
     processes = Processes(logs, dict(os.environ))
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a script may have said to ignore it
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a calling script may ignore the signal
     bag = options.bag
     try:
         if not bag:

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Make a ROS 1 bag of a simulated NAO, and beside it a file with the true positions of the markers.
+"""Write a ROS 1 bag of a simulated NAO, and next to it a file with the true positions of the markers.
 
 The bag has the topics of the original example: ``/tf``, ``/ar_pose_marker`` and
 ``/face_recognition/feedback``. The same seconds and seed give the same bag.
@@ -25,7 +25,7 @@ from nao_truth import Observation, Truth  # noqa: E402
 from retalis import BagWriter, RetalisError, Term  # noqa: E402
 
 START = 1413748205
-"""When the bag starts, in seconds since the epoch."""
+"""Start of the bag in seconds since the epoch."""
 
 MARKER_RATE = 7.0
 FACE_RATE = 3.0
@@ -51,7 +51,7 @@ class _Event(NamedTuple):
 
 
 def make_bag(path: nao_truth.PathLike, seconds: float = 10.0, seed: int = 1) -> Truth:
-    """Write a bag and the truth beside it; return the truth.
+    """Write a bag and a file with the truth; return the truth.
 
     Raises:
         RetalisError: where the bag exists already or cannot be written.
@@ -73,7 +73,7 @@ def make_bag(path: nao_truth.PathLike, seconds: float = 10.0, seed: int = 1) -> 
 
 
 def _events(robot: Robot, seconds: float, seed: int, observations: List[Observation]) -> Iterator[_Event]:
-    """Yield all messages in the order of their receipt; note the observations of markers."""
+    """Yield all messages in the order of their receipt; record the observations of markers."""
     streams = [
         _link(link, seconds, Random(f"chain {seed} {index}"), 0.0) for index, link in enumerate(robot.chain)
     ]
@@ -99,7 +99,7 @@ def _nanoseconds(time: float) -> int:
 
 
 def _times(link: Link, seconds: float) -> Iterator[float]:
-    """Yield the times of a link's transforms; links start at different times of their period."""
+    """Yield the times of a link's transforms; each link has another phase."""
     shift = (sum(map(ord, link.child)) % 97) / 97 / link.rate
     number = 0
     while True:
@@ -111,7 +111,7 @@ def _times(link: Link, seconds: float) -> Iterator[float]:
 
 
 def _span(robot: Robot, seconds: float) -> Tuple[int, int]:
-    """Return the time for which there is data of all links of the chain."""
+    """Return the interval in which all links of the chain have data."""
     times = [[_nanoseconds(time) for time in _times(link, seconds)] for link in robot.chain]
     if not all(times):
         return 1, 0
@@ -130,7 +130,7 @@ def _link(link: Link, seconds: float, random: Random, late: float) -> Iterator[_
 
 
 def _frames(rate: float, seconds: float, random: Random) -> Iterator[float]:
-    """Yield the times of pictures in which something was recognized: evenly, as jittered as a camera's."""
+    """Yield the times of pictures with a recognition: a constant rate with the jitter of a camera."""
     number = 0
     while number < round(seconds * rate):
         jitter = min(0.025, max(-0.025, random.gauss(0.0, 0.008)))
@@ -139,7 +139,7 @@ def _frames(rate: float, seconds: float, random: Random) -> Iterator[float]:
 
 
 def _seen(seconds: float, seed: int) -> Iterator[Tuple[int, int, str]]:
-    """Yield stamp, receipt and name of each marker seen; all eight come in turn, in changing order."""
+    """Yield stamp, receipt and name of each visible marker; all eight are seen in changing order."""
     random = Random(f"markers {seed}")
     turn: List[str] = []
     for time in _frames(MARKER_RATE, seconds, random):

@@ -1,4 +1,4 @@
-"""The messages of the NAO example: their definitions and their terms.
+"""Messages of the NAO example: definitions and terms.
 
 ``ar_pose`` and ``face_recognition`` are installed nowhere any more, so their definitions are here and travel
 in the bag. The others are the common ones, repeated so that the bag can be made where ROS is not installed.
@@ -61,7 +61,7 @@ TYPES: Dict[str, Tuple[str, Dict[str, str]]] = {
         {"std_msgs/Header": HEADER, **_FACES},
     ),
 }
-"""The types on the bag's topics, with their own text and those of the types they are made of."""
+"""Types of the bag's topics, with their definitions and those of the types that they contain."""
 
 _ACTIVE = 1
 _RECOGNIZE_CONTINUOUS = 1

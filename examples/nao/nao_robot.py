@@ -1,4 +1,4 @@
-"""A simulated NAO: where its links are at any time, and which markers stand around it.
+"""A simulated NAO: poses of its links at any time, and markers around it.
 
 Poses are pairs of a position (x, y, z) in metres and a quaternion (x, y, z, w); times are seconds since the
 start.
@@ -16,7 +16,7 @@ IDENTITY: Pose = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
 
 class Link(NamedTuple):
-    """A joint as ``tf`` publishes it: two frames, the rate in Hz, and the pose of the child at a time."""
+    """A transform of ``tf``: two frames, the rate in Hz, and a function from the time to the pose of the child."""
 
     parent: str
     child: str
@@ -31,7 +31,7 @@ CHAIN = (
     ("Neck", "Head", 10.0),
     ("Head", "CameraTop_frame", 50.0),
 )
-"""The links from the world to the camera, named as on the robot: only the first has leading slashes."""
+"""Links from the world to the camera, with the names of the robot: only the first has leading slashes."""
 
 MARKERS = tuple(f"4x4_{number}" for number in range(1, 9))
 
@@ -82,7 +82,7 @@ def compose(left: Pose, right: Pose) -> Pose:
 
 
 def inverse(pose: Pose) -> Pose:
-    """Return the pose of the outer frame in the inner one."""
+    """Return the inverse of a pose."""
     (px, py, pz), (x, y, z, w) = pose
     back = (-x, -y, -z, w)
     return rotate(back, (-px, -py, -pz)), back
@@ -98,7 +98,7 @@ def from_angles(roll: float, pitch: float, yaw: float) -> Quaternion:
 
 
 class Robot:
-    """A NAO that walks in a circle, swaying with its steps and looking about, and the markers around it.
+    """A NAO that walks in a circle, sways with its steps and turns its head, and the markers around it.
 
     Attributes:
         chain: the five links from ``/odom`` to ``CameraTop_frame``.
@@ -186,7 +186,7 @@ def _joint(random: Random) -> Callable[[float], Pose]:
 
 
 def _markers(random: Random) -> Dict[str, Pose]:
-    """Return markers on a ring around the robot's way, each facing the middle more or less."""
+    """Return markers on a ring around the robot's path, each approximately facing the centre."""
     markers = {}
     for index, name in enumerate(MARKERS):
         angle = 2 * pi * (index + random.uniform(-0.3, 0.3)) / len(MARKERS)

@@ -1,4 +1,4 @@
-"""What is true in a simulated NAO bag, and how far located markers are from it.
+"""True positions of the markers in a simulated NAO bag, and errors of located positions.
 
 The file beside the bag (``FILE.truth.json`` for ``FILE.bag``) is JSON:
 
@@ -18,11 +18,11 @@ from nao_robot import Pose, Vector, distance
 PathLike = Union[str, Path]
 
 TOLERANCE = 0.02
-"""How far a located marker may be from its true position, in metres."""
+"""Maximum distance of a located marker from its true position, in metres."""
 
 
 class Observation(NamedTuple):
-    """A marker that was seen: when (nanoseconds), when the message came, whether its pose can be computed."""
+    """Observation of a marker: stamp and receipt in nanoseconds, and whether its pose can be computed."""
 
     marker: str
     stamp: int
@@ -31,7 +31,7 @@ class Observation(NamedTuple):
 
 
 class Truth(NamedTuple):
-    """What is true in a bag."""
+    """True positions of the markers of a bag, and their observations."""
 
     seconds: float
     seed: int
@@ -46,7 +46,7 @@ class Truth(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """A marker's located and true position and their distance in metres; None where it was not located."""
+    """Located and true position of a marker and their distance in metres; None if it was not located."""
 
     marker: str
     located: Optional[Vector]
@@ -60,12 +60,12 @@ class Comparison(NamedTuple):
 
 
 def truth_path(bag: PathLike) -> Path:
-    """Return the file that holds the truth of a bag."""
+    """Return the file with the truth of a bag."""
     return Path(bag).with_suffix(".truth.json")
 
 
 def save(truth: Truth, bag: PathLike) -> Path:
-    """Write the truth of a bag beside it; return the file."""
+    """Write the truth of a bag to a file next to it; return the file."""
     path = truth_path(bag)
     content = {
         "seconds": truth.seconds,

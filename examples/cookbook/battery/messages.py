@@ -1,4 +1,4 @@
-"""A battery that is used up, with a dip under load, is charged, and is used up again, faster."""
+"""A battery discharges, with a dip under load, is charged, and discharges again, faster."""
 
 TOPICS = {"/battery": "sensor_msgs/BatteryState"}
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The recipe as a rospy node: the levels of the last minutes, and whether it was said."""
+"""The recipe as a rospy node: the levels of the last minutes, and whether the warning was published."""
 
 from collections import deque
 

@@ -1,4 +1,4 @@
-"""Somebody walks through the door and stops at the shelf. Some points are nan: the sensor measured nothing."""
+"""A person walks through the door and stops at the shelf. Some points are nan: the sensor measured nothing."""
 
 import math
 import random

@@ -10,7 +10,7 @@ ZONES = {"door": ((1.5, -0.5, 0.25), (2.5, 0.5, 2.0)), "shelf": ((-0.5, 1.0, 0.2
 
 
 class CloudZone:
-    """Says when a zone is taken, and free again. It reads only clouds of little-endian float32 in one row."""
+    """Reports when a zone is occupied, and free again. It reads clouds of little-endian float32 in one row."""
 
     def __init__(self):
         self._states = {}

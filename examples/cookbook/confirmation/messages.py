@@ -1,4 +1,4 @@
-"""An operator confirms, hesitates, says no, says yes to nothing, and changes his mind."""
+"""An operator confirms, answers late, declines, confirms without a question, and changes the answer."""
 
 TOPICS = {"/operator": "std_msgs/String"}
 

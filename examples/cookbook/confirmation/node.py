@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The recipe as a rospy node: the command that waits for a yes, and since when."""
+"""The recipe as a rospy node: the command that waits for a confirmation, and its time."""
 
 import rospy
 from std_msgs.msg import String

@@ -1,4 +1,4 @@
-"""A camera looks at a room whose light goes out, flickers, and goes on again. Its rows end with two unused bytes."""
+"""A room whose light is switched off, flickers, and is switched on. Image rows end with two unused bytes."""
 
 TOPICS = {"/camera/image_raw": "sensor_msgs/Image"}
 

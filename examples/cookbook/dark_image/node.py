@@ -8,7 +8,7 @@ from std_msgs.msg import String
 
 
 class DarkImage:
-    """Says when the image has become dark, and bright."""
+    """Reports when the image has become dark, and bright."""
 
     def __init__(self):
         self._light = None

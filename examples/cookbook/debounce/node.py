@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The recipe as a rospy node: a timer that each change of the contact stops or starts anew."""
+"""The recipe as a rospy node: a timer that each change of the contact stops or restarts."""
 
 import threading
 

@@ -1,4 +1,4 @@
-"""Two thermometers: one is off for a single reading, later for many; in between the other one is silent."""
+"""Two thermometers: one is wrong for a single reading, later for many; in between the other one sends nothing."""
 
 TOPICS = {"/temperature": "sensor_msgs/Temperature"}
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The recipe as a rospy node: the newest reading of each side, and when they differed."""
+"""The recipe as a rospy node: the newest reading of each side, and the times of differences."""
 
 from collections import deque
 
@@ -9,7 +9,7 @@ from std_msgs.msg import Float32
 
 
 class Disagreement:
-    """Says when two thermometers have differed three times in five seconds."""
+    """Reports when two thermometers have differed three times in five seconds."""
 
     def __init__(self):
         self._newest = {}

@@ -1,4 +1,4 @@
-"""Docking works at the third try, later not at all, and then at once."""
+"""Docking succeeds at the third attempt, later fails, and then succeeds at the first."""
 
 TOPICS = {"/dock_result": "std_msgs/String"}
 

@@ -8,7 +8,7 @@ from std_msgs.msg import String
 
 
 class Docking:
-    """Has a failed docking tried again, twice, and then calls somebody."""
+    """Retries a failed docking twice, and then reports the failure."""
 
     def __init__(self):
         self._lock = threading.Lock()

@@ -1,4 +1,4 @@
-"""A contact that tells once a second whether the door is open: for 3 seconds, then for 14."""
+"""A contact sends once per second whether the door is open: for 3 s, then for 14 s."""
 
 TOPICS = {"/door_open": "std_msgs/Bool"}
 

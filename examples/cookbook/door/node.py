@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The recipe as a rospy node: since when the door is open, and a timer."""
+"""The recipe as a rospy node: the time of the opening, and a timer."""
 
 import threading
 
@@ -8,7 +8,7 @@ from std_msgs.msg import Bool, String
 
 
 class Door:
-    """Says when the door has been open for ten seconds, and for how long it was open."""
+    """Reports when the door has been open for ten seconds, and for how long it was open."""
 
     def __init__(self):
         self._lock = threading.Lock()

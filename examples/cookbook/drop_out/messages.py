@@ -1,4 +1,4 @@
-"""A range finder that looks at glass now and then: single bad readings, five in a row, and a flickering return."""
+"""A range finder in front of glass: single bad readings, five in a row, and an unsteady recovery."""
 
 TOPICS = {"/distance": "sensor_msgs/Range"}
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The recipe as a rospy node: how many readings in a row were good, or bad."""
+"""The recipe as a rospy node: the number of consecutive good or bad readings."""
 
 import rospy
 from sensor_msgs.msg import Range
@@ -7,7 +7,7 @@ from std_msgs.msg import Bool
 
 
 class DropOut:
-    """Says when three readings in a row are bad, and when three are good again."""
+    """Reports when three readings in a row are bad, and when three are good again."""
 
     def __init__(self):
         self._healthy = True

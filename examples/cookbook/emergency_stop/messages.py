@@ -1,4 +1,4 @@
-"""The button is pressed, and somebody tries to reset while it is still down; a reset for no reason."""
+"""The button is pressed, and reset while it is still pressed; later a reset without an emergency stop."""
 
 TOPICS = {"/emergency_stop": "std_msgs/Bool", "/reset": "std_msgs/Empty"}
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The recipe as a rospy node: whether the button is pressed, and whether all is stopped."""
+"""The recipe as a rospy node: whether the button is pressed, and whether the motors are stopped."""
 
 import threading
 
@@ -8,7 +8,7 @@ from std_msgs.msg import Bool, Empty
 
 
 class EmergencyStop:
-    """Stops the motors when the button is pressed, until somebody resets it."""
+    """Stops the motors when the button is pressed, until a reset."""
 
     def __init__(self):
         self._lock = threading.Lock()

@@ -1,4 +1,4 @@
-"""A base that beats twice a second, is silent for three seconds, comes back, and stops."""
+"""A base sends two heartbeats per second, none for three seconds, sends again, and stops."""
 
 TOPICS = {"/heartbeat": "std_msgs/Empty"}
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The recipe as a rospy node: a timer that each beat starts anew, and whether the base is there."""
+"""The recipe as a rospy node: a timer that each heartbeat restarts, and whether the base is alive."""
 
 import threading
 
@@ -8,7 +8,7 @@ from std_msgs.msg import Bool, Empty
 
 
 class Heartbeat:
-    """Says when the base has been silent for a second, and when it is back."""
+    """Reports when the base has been silent for a second, and when it is back."""
 
     def __init__(self):
         self._lock = threading.Lock()

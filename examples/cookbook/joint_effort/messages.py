@@ -1,4 +1,4 @@
-"""An arm lifts a load that is too heavy for its elbow, then its wrist is blocked. Short peaks are harmless."""
+"""An arm lifts a load that is too heavy for its elbow, then its wrist is blocked. Short peaks are normal."""
 
 TOPICS = {"/joint_states": "sensor_msgs/JointState"}
 

@@ -10,7 +10,7 @@ from std_msgs.msg import String
 
 
 class JointEffort:
-    """Says when a joint becomes strained or relaxed, by the mean over two seconds."""
+    """Reports when a joint becomes strained or relaxed, by the mean over two seconds."""
 
     def __init__(self):
         self._window = deque()

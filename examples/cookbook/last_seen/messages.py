@@ -1,4 +1,4 @@
-"""A cup is carried about and a pen lies still; somebody asks for them, and for a plate that was never seen."""
+"""A cup is moved and a pen is not; a user asks for both, and for a plate that was never seen."""
 
 TOPICS = {"/objects": "geometry_msgs/TransformStamped", "/where_is": "std_msgs/String"}
 

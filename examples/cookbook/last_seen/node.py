@@ -9,7 +9,7 @@ from std_msgs.msg import String
 
 
 class LastSeen:
-    """Answers where a thing was seen last."""
+    """Answers with the place where a thing was last seen."""
 
     def __init__(self):
         self._lock = threading.Lock()

@@ -1,4 +1,4 @@
-"""A small map, turned by a quarter, goals on it and beside it, and a second map on which a wall is gone."""
+"""A small map, rotated by 90 degrees, with goals inside and outside, and a second map without one of the walls."""
 
 TOPICS = {"/map": "nav_msgs/OccupancyGrid", "/goal": "geometry_msgs/PoseStamped"}
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The recipe as a rospy node: the last place of each robot, and who is together."""
+"""The recipe as a rospy node: the last place of each robot, and the pairs that are together."""
 
 from math import hypot
 
@@ -11,7 +11,7 @@ SAME_TIME = rospy.Duration(0.19)
 
 
 class Meeting:
-    """Says when two robots meet, and when they leave each other."""
+    """Reports when two robots meet, and when they leave each other."""
 
     def __init__(self):
         self._places = {}

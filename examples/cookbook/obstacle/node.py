@@ -8,7 +8,7 @@ from std_msgs.msg import Bool
 
 
 class Obstacle:
-    """Says when something is near ahead, and when it is not any more."""
+    """Reports when an obstacle is near ahead, and when it is far again."""
 
     def __init__(self):
         self._near = None

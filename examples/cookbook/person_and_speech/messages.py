@@ -1,4 +1,4 @@
-"""Ann comes near and speaks; the radio speaks when nobody is there; Bob speaks from afar, then comes near."""
+"""Ann approaches and speaks; a radio speaks while nobody is near; Bob speaks from a distance, then approaches."""
 
 TOPICS = {"/people": "geometry_msgs/TransformStamped", "/speech": "std_msgs/String"}
 

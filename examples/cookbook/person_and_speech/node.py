@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The recipe as a rospy node: the last person who was near, and the last words that nobody has said yet."""
+"""The recipe as a rospy node: the last person nearby, and the last words without a speaker."""
 
 import threading
 

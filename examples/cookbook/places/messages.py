@@ -1,4 +1,4 @@
-"""A robot turns and drives while it sees a cup and a book; the transforms come later than the pictures."""
+"""A robot turns and drives while it sees a cup and a book; transforms are received after the pictures."""
 
 from math import cos, sin
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The recipe as a rospy node: tf2's buffer, asked again and again for each sighting that waits."""
+"""The recipe as a rospy node: the buffer of tf2, which is polled for each pending sighting."""
 
 import threading
 from collections import deque
@@ -15,7 +15,7 @@ PLACES = {"table": (2, 1), "shelf": (-1, 3)}
 
 
 class Places:
-    """Says at which place a thing was seen."""
+    """Reports the place of each sighting."""
 
     def __init__(self):
         self._lock = threading.Lock()

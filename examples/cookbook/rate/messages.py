@@ -1,4 +1,4 @@
-"""A camera of ten pictures a second that becomes slower for a while."""
+"""A camera with ten pictures per second that is slower for some time."""
 
 TOPICS = {"/camera": "sensor_msgs/Image"}
 

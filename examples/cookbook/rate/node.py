@@ -9,7 +9,7 @@ from std_msgs.msg import String
 
 
 class Rate:
-    """Says when the camera has become slower than 8 Hz, and when it is above 9 Hz again."""
+    """Reports when the camera has become slower than 8 Hz, and when it is above 9 Hz again."""
 
     def __init__(self):
         self._stamps = deque(maxlen=11)

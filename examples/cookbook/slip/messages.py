@@ -1,4 +1,4 @@
-"""A gripper puts a cup down, takes it again, and loses it."""
+"""A gripper puts a cup down, grasps it again, and loses it."""
 
 TOPICS = {"/joint_states": "sensor_msgs/JointState", "/gripper_command": "std_msgs/Float32"}
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The recipe as a rospy node: when something was held, and the last command."""
+"""The recipe as a rospy node: the time of the last grip, and the last command."""
 
 import threading
 
@@ -9,7 +9,7 @@ from std_msgs.msg import Empty, Float32
 
 
 class Slip:
-    """Says when something has slipped out of the gripper."""
+    """Reports when something has slipped out of the gripper."""
 
     def __init__(self):
         self._lock = threading.Lock()

@@ -1,4 +1,4 @@
-"""A robot drives, runs against a step for seven seconds while it is told to drive on, and is halted."""
+"""A robot drives, is blocked by a step for seven seconds while it is commanded to drive, and is stopped."""
 
 TOPICS = {"/cmd_vel": "geometry_msgs/Twist", "/odom": "nav_msgs/Odometry"}
 

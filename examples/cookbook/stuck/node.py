@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The recipe as a rospy node: since when it drives, and where it was."""
+"""The recipe as a rospy node: the begin of the drive, and the last position."""
 
 import threading
 from collections import deque

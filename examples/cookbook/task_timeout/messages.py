@@ -1,4 +1,4 @@
-"""Four tasks: one is done in time, one hangs, one is aborted and one is done at the last moment."""
+"""Four tasks: one ends in time, one hangs, one is aborted, and one ends just in time."""
 
 TOPICS = {"/task": "actionlib_msgs/GoalStatus"}
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The recipe as a rospy node: the tasks at work, with a timer for each."""
+"""The recipe as a rospy node: the active tasks, with a timer for each."""
 
 import threading
 

@@ -1,4 +1,4 @@
-"""Somebody comes near and speaks; a noise without anybody; somebody silent; a noise three seconds later."""
+"""A person approaches and speaks; a noise without a person; a silent person; a noise three seconds later."""
 
 TOPICS = {"/sonar": "sensor_msgs/Range", "/loudness": "std_msgs/Float32"}
 

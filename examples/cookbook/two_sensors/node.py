@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The recipe as a rospy node: what each sensor has seen and the other has not answered yet."""
+"""The recipe as a rospy node: the detections of each sensor without a counterpart of the other."""
 
 import threading
 

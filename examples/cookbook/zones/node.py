@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The recipe as a rospy node: the zone of the last pose, and a message when it is another."""
+"""The recipe as a rospy node: the zone of the last pose, and a message at each change."""
 
 import rospy
 from geometry_msgs.msg import PoseStamped
@@ -9,7 +9,7 @@ ZONES = {"hall": (-1, 4, 0, 5), "kitchen": (4, 8, 0, 5)}
 
 
 class Zones:
-    """Says when the robot has moved from one zone into another."""
+    """Reports when the robot has moved from one zone into another."""
 
     def __init__(self):
         self._inside = "nowhere"
