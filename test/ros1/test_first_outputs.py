@@ -1,7 +1,10 @@
 """Messages before subscribers have connected."""
 
 import socket
+import threading
+from http.client import HTTPException
 from types import SimpleNamespace
+from xmlrpc.client import Fault
 
 import pytest
 
@@ -86,11 +89,12 @@ def start_wait(monkeypatch):
         monkeypatch.setattr(first_outputs, "wallsleep", check)
         reports = Reports()
         wait = SubscriberWait(reports)
-        # The thread of the first topic runs at once in this test.
+        # The body of the thread runs below.
+        thread = SimpleNamespace(start=lambda: None)
         monkeypatch.setattr(
-            first_outputs.threading,
-            "Thread",
-            lambda target, **options: SimpleNamespace(start=lambda: None, run=target),
+            first_outputs,
+            "threading",
+            SimpleNamespace(Lock=threading.Lock, Thread=lambda target, **options: thread),
         )
         for topic, queue in queues.items():
             wait.add(topic, queue)
@@ -131,4 +135,29 @@ def test_subscriber_that_does_not_connect_is_reported(monkeypatch, writer, queue
     queue.send(b"1")
     master = make_master({"/topic": ["/listener"]}, {"/listener": listening_uri})
     assert start_wait({"/topic": queue}, master) == 1
+    assert writer.written == [b"1"]
+
+
+def test_topic_without_subscribers_waits_for_no_deadline(monkeypatch, writer, queue, start_wait):
+    monkeypatch.setattr(first_outputs, "MAX_SUBSCRIBER_WAIT_SECONDS", 0.0)
+    queue.send(b"1")
+    assert start_wait({"/topic": queue}, make_master({}, {})) == 0
+    assert writer.written == [b"1"]
+
+
+@pytest.mark.parametrize("uri", ["http://127.0.0.1:port/", "nonsense", "http://[::1"])
+def test_subscriber_with_invalid_address_is_not_awaited(writer, queue, start_wait, uri):
+    queue.send(b"1")
+    master = make_master({"/topic": ["/listener"]}, {"/listener": uri})
+    assert start_wait({"/topic": queue}, master) == 0
+    assert writer.written == [b"1"]
+
+
+@pytest.mark.parametrize("error", [HTTPException("cut off"), Fault(1, "no"), ConnectionRefusedError()])
+def test_error_of_master_releases_the_queue(writer, queue, start_wait, error):
+    def raise_error():
+        raise error
+
+    queue.send(b"1")
+    assert start_wait({"/topic": queue}, SimpleNamespace(getSystemState=raise_error)) == 0
     assert writer.written == [b"1"]

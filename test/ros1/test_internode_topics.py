@@ -216,6 +216,12 @@ def test_deleted_topic_is_restored_with_its_event_name(receiver):
     assert apply_changes(receiver, {}, []) == {"/a": A, "/b": B}
 
 
+def test_topic_that_is_deleted_and_added_stays_added(receiver):
+    expected = {"/a": A, "/b": B, "/c": ("std_msgs/Empty", "")}
+    for _ in range(3):
+        assert apply_changes(receiver, {"/c": "std_msgs/Empty"}, ["/c"]) == expected
+
+
 def test_added_topic_that_is_subscribed_already_keeps_its_subscription(receiver):
     assert apply_changes(receiver, {"/a": "std_msgs/Int16"}, []) == {"/a": A, "/b": B}
     assert apply_changes(receiver, {}, []) == {"/a": A, "/b": B}

@@ -10,16 +10,17 @@ import socket
 import threading
 import time
 from collections import deque
-from typing import Deque, Dict, Set
+from concurrent.futures import ThreadPoolExecutor
+from typing import Deque, Dict, Iterable, Set
 from urllib.parse import urlsplit
 
 import rospy
-from rosgraph import MasterError
 from rospy.rostime import wallsleep
 
 from ..engine.runtime.problem_reports import Reports
 from ..foundation.errors import format_count
 from .connection_writer import TopicWriter
+from .topic_names import MASTER_ERRORS
 
 MAX_SUBSCRIBER_WAIT_SECONDS = 5.0
 """Maximum time in seconds for which messages wait for the subscribers that the master knows."""
@@ -29,6 +30,9 @@ _CHECK_SECONDS = 0.02
 
 _PROBE_SECONDS = 0.5
 """Maximum time in seconds for finding out whether a registered node is running."""
+
+_MAX_PROBES = 32
+"""Number of nodes that are probed at the same time."""
 
 
 class StartupQueue:
@@ -113,17 +117,15 @@ class SubscriberWait:
             self._release_connected(queues)
 
     def _release_connected(self, queues: Dict[str, StartupQueue]) -> None:
-        """Release queues as their subscribers connect; all of them at the deadline."""
-        deadline = time.monotonic() + MAX_SUBSCRIBER_WAIT_SECONDS
-        awaited = _known_subscribers(queues)
+        """Release queues as their subscribers connect; all of them at the deadline, or if this fails."""
         try:
+            awaited = _known_subscribers(queues)
+            deadline = time.monotonic() + MAX_SUBSCRIBER_WAIT_SECONDS
+            _release_complete(queues, awaited)
             while queues and time.monotonic() < deadline and not rospy.is_shutdown():
-                for topic, queue in list(queues.items()):
-                    if awaited.get(topic, set()) <= queue.subscribers():
-                        queue.release()
-                        del queues[topic]
                 # Wall time: simulated time may stand still.
-                wallsleep(_CHECK_SECONDS if queues else 0)
+                wallsleep(_CHECK_SECONDS)
+                _release_complete(queues, awaited)
             # The end of the node closes the connections.
             for topic, queue in () if rospy.is_shutdown() else queues.items():
                 missing = sorted(awaited[topic] - queue.subscribers())
@@ -131,29 +133,44 @@ class SubscriberWait:
                     f"topic {topic}: {format_count(len(missing), 'registered subscriber')} has not connected within "
                     f"{MAX_SUBSCRIBER_WAIT_SECONDS:g} s: {', '.join(missing)}: its first messages are not sent to it"
                 )
+        # Any other error would end the thread, and the messages of later topics would wait forever.
+        except Exception as error:
+            self._reports.error(error)
         finally:
             for queue in queues.values():
                 queue.release()
 
 
-def _known_subscribers(topics: Dict[str, StartupQueue]) -> Dict[str, Set[str]]:
+def _release_complete(queues: Dict[str, StartupQueue], awaited: Dict[str, Set[str]]) -> None:
+    """Release and remove the queues whose subscribers have connected."""
+    for topic, queue in list(queues.items()):
+        if awaited[topic] <= queue.subscribers():
+            queue.release()
+            del queues[topic]
+
+
+def _known_subscribers(topics: Iterable[str]) -> Dict[str, Set[str]]:
     """Return the running nodes that the master knows as subscribers, by topic."""
+    known: Dict[str, Set[str]] = {topic: set() for topic in topics}
     try:
         subscriptions = rospy.get_master().getSystemState()[2][1]
-        known = {topic: set(nodes) for topic, nodes in subscriptions if topic in topics}
-        running = {node: _is_running(node) for nodes in known.values() for node in nodes}
-    except (MasterError, OSError):
-        # Without the master no subscriber can find the topic either.
-        return {}
-    return {topic: {node for node in nodes if running[node]} for topic, nodes in known.items()}
+        known.update((topic, set(nodes)) for topic, nodes in subscriptions if topic in known)
+        uris = {node: rospy.get_master().lookupNode(node) for nodes in known.values() for node in nodes}
+    except MASTER_ERRORS:
+        # Without the master no subscriber can find the topics either.
+        return {topic: set() for topic in known}
+    # In parallel: many nodes that have crashed may still be registered, and each takes the whole time of a probe.
+    with ThreadPoolExecutor(_MAX_PROBES) as pool:
+        probes = pool.map(_accepts_connections, (uri if code == 1 else "" for code, _, uri in uris.values()))
+        running = {node for node, is_running in zip(uris, probes) if is_running}
+    return {topic: nodes & running for topic, nodes in known.items()}
 
 
-def _is_running(node: str) -> bool:
-    """Return whether a registered node accepts connections; one that has crashed stays registered."""
-    code, _, uri = rospy.get_master().lookupNode(node)
-    address = urlsplit(uri if code == 1 else "")
+def _accepts_connections(uri: str) -> bool:
+    """Return whether a node accepts connections at its address; one that has crashed stays registered."""
     try:
+        address = urlsplit(uri)
         with socket.create_connection((address.hostname or "", address.port or 0), _PROBE_SECONDS):
             return True
-    except OSError:
+    except (OSError, ValueError):
         return False

@@ -388,7 +388,8 @@ class InputTopicChangesReceiver:
             if changes.added.get(topic) != message_type:
                 del self._added[topic]
                 _unsubscribe(subscribed, topic)
-        for topic in changes.deleted.difference(self._deleted):
+        # A topic that was deleted and added again is not the one that was deleted.
+        for topic in changes.deleted.difference(self._deleted, self._added):
             request = _unsubscribe(subscribed, topic)
             if request is not None:
                 self._deleted[topic] = request

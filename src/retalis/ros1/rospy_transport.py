@@ -1,12 +1,10 @@
 """The transport of ROS 1: rospy, with its own reading and writing of connections."""
 
 import time
-from http.client import HTTPException
 from pathlib import Path
 from struct import Struct
 from types import SimpleNamespace
 from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional
-from xmlrpc.client import Error
 
 import genpy
 import rosgraph
@@ -28,15 +26,13 @@ from .connection_writer import TopicWriter, serialized_bytes, serialized_class
 from .first_outputs import StartupQueue, SubscriberWait
 from .installed_message_classes import installed_types
 from .tf2_buffer import choose_buffer
-from .topic_names import resolve
+from .topic_names import MASTER_ERRORS, resolve
 
 UNSET_CLOCK_WARNING_SECONDS = 5.0
 """Seconds without a message on ``/clock`` after which a warning is logged."""
 
 MAX_CACHED_CONNECTIONS = 1000
 """Maximum number of connections of a topic whose receivers are cached."""
-
-MASTER_ERRORS = (OSError, Error, HTTPException, rosgraph.MasterException)
 
 _LENGTH = Struct("<I")
 """Length of a message, which precedes it on a connection."""

@@ -1,9 +1,16 @@
-"""Full names of topics in ROS 1."""
+"""Full names of topics in ROS 1, and the errors of the master that knows them."""
 
+from http.client import HTTPException
+from xmlrpc.client import Error
+
+import rosgraph
 import rospy
 
 from ..foundation.errors import UsageError
 from ..foundation.ros_names import topic_fault
+
+MASTER_ERRORS = (OSError, Error, HTTPException, rosgraph.MasterException, rosgraph.MasterError)
+"""Errors of a call of the master that does not answer, or not as expected."""
 
 
 def resolve(topic: str) -> str:
