@@ -15,7 +15,8 @@ from xml.etree import ElementTree
 from ..foundation.cpython_and_pypy import stop_limiting_gc_pauses
 from ..foundation.errors import RetalisError, quote_shortened
 from ..foundation.output_files import GuardedOutput, OutputFailed
-from .command_parser import CommandParser, suggest_name
+from ..foundation.similar_names import did_you_mean
+from .command_parser import CommandParser
 from .option_values import join_times_option
 from .stderr_and_progress import detach_reporters
 
@@ -144,7 +145,7 @@ def _run_command(words: List[str]) -> int:
             return 2
         name = words[0]
         if not name.startswith("-") and name not in COMMANDS:
-            parser.error(f"there is no command {quote_shortened(name)}{suggest_name(name, COMMANDS)}")
+            parser.error(f"there is no command {quote_shortened(name)}{did_you_mean(name, COMMANDS)}")
         options, unknown_words = parser.parse_known_args(join_times_option(words))
         if unknown_words:
             command_parsers[options.command].reject_unknown(unknown_words)

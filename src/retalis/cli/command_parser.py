@@ -6,19 +6,12 @@ shows the groups, too.
 
 import argparse
 import sys
-from difflib import get_close_matches
-from typing import IO, Any, Iterable, List, NoReturn, Optional, Sequence
+from typing import IO, Any, List, NoReturn, Optional, Sequence
 
 from ..foundation.errors import quote_shortened
+from ..foundation.similar_names import did_you_mean
 
 _HELP_ALL = "--help-all"
-_MIN_SIMILARITY = 0.6
-
-
-def suggest_name(name: str, names: Iterable[str]) -> str:
-    """Return ``; did you mean NAME?`` for the most similar name, or an empty text."""
-    matches = get_close_matches(name, list(names), 1, _MIN_SIMILARITY)
-    return f"; did you mean {matches[0]}?" if matches else ""
 
 
 class _ShortHelpFormatter(argparse.HelpFormatter):
@@ -107,7 +100,7 @@ class CommandParser(argparse.ArgumentParser):
             raise argparse.ArgumentError(
                 action,
                 f"expected {' or '.join(choices)}, found {quote_shortened(str(value))}"
-                f"{suggest_name(str(value), choices)}",
+                f"{did_you_mean(str(value), choices)}",
             )
 
     def reject_unknown(self, words: Sequence[str]) -> NoReturn:
@@ -128,5 +121,5 @@ class CommandParser(argparse.ArgumentParser):
             if option == "--":
                 return None
             if option.startswith("--") and not any(name.startswith(option) for name in names):
-                return f"unknown option {quote_shortened(option)}{suggest_name(option, names)}"
+                return f"unknown option {quote_shortened(option)}{did_you_mean(option, names)}"
         return None

@@ -13,7 +13,7 @@ from time import monotonic
 from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple, Union
 
 from ..engine.engine import Engine
-from ..events.checks.program_model import did_you_mean
+from ..events.checks.program_model import MIN_SIMILARITY
 from ..events.knowledge.event_states import DeclaredState, OpenState
 from ..events.knowledge.subscriptions import Subscription, SubscriptionKey
 from ..events.language.pattern_tree import AggregatePattern, RatePattern, WindowPattern, walk
@@ -23,6 +23,7 @@ from ..events.network.event_rule import EventRule
 from ..events.provenance.event_log import Occurrence
 from ..foundation.cancellation import check_limits, set_limit_check
 from ..foundation.errors import RetalisError, UsageError, format_count
+from ..foundation.similar_names import did_you_mean
 from ..prolog.syntax.term_reader import read_term
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms import timestamps
@@ -431,7 +432,7 @@ class _Explainer:
         if not above:
             lines += self._explain_missing_messages(term)
             if not lines:
-                hint = did_you_mean(functor_name(deref(term)), self._collect_event_names())
+                hint = did_you_mean(functor_name(deref(term)), self._collect_event_names(), MIN_SIMILARITY)
                 lines.append(
                     ExplanationLine(f"no rule has such a head, and no such event came from outside{hint}", [])
                 )

@@ -1,7 +1,6 @@
 """Parameters of a node: defaults, validation and conversion."""
 
 import logging
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Callable, Mapping, NamedTuple, Optional, Tuple, Type
 
@@ -10,6 +9,7 @@ from ..engine.engine_settings import Settings
 from ..events.knowledge.transform_buffer import DEFAULT_CACHE_SECONDS
 from ..events.program.topic_configuration import AUTO, DirectTopics, read_direct, uses_texts
 from ..foundation.errors import UsageError, printable, shorten
+from ..foundation.similar_names import closest_name
 from ..messages.type_definition import MAX_EMPTY_ELEMENTS
 from ..prolog.machine.resource_limits import Limits, Number, validate_limit
 from .diagnostics import DEFAULT_HARDWARE_ID
@@ -166,10 +166,10 @@ def _warn_about_unknown_parameters(values: Mapping[str, Any]) -> None:
     for name in values:
         # A misspelt parameter would otherwise be ignored without notice.
         if name not in PARAMETER_NAMES:
-            matches = get_close_matches(name, PARAMETER_NAMES, 1)
+            closest = closest_name(name, PARAMETER_NAMES)
             hint = (
-                f"did you mean ~{matches[0]}?"
-                if matches
+                f"did you mean ~{closest}?"
+                if closest
                 else f"the parameters are ~{', ~'.join(PARAMETER_NAMES)}"
             )
             log.warning("there is no parameter ~%s; %s", printable(shorten(name)), hint)

@@ -3,11 +3,11 @@
 import logging
 import threading
 import time
-from difflib import get_close_matches
 from struct import Struct
 from typing import Callable, Collection, Iterable, Iterator, List, Mapping, NamedTuple, Optional
 
 from ..foundation.errors import MessageError, format_count, printable
+from ..foundation.similar_names import did_you_mean
 from .transport import TopicPublication, Transport
 
 log = logging.getLogger("retalis")
@@ -232,8 +232,7 @@ def unpublished_topic_warnings(
     for status in inputs:
         if status.publishers or status.messages or publishers.get(status.topic):
             continue
-        matches = get_close_matches(status.topic, foreign_topics, 1, _MIN_NAME_SIMILARITY)
-        hint = f"; did you mean {matches[0]}?" if matches else ""
+        hint = did_you_mean(status.topic, foreign_topics, _MIN_NAME_SIMILARITY)
         name = f"{status.topic} ({status.type})"
         yield f"nobody publishes topic {name} {PUBLISHER_WAIT_SECONDS:g} s after the start{hint}"
 

@@ -11,6 +11,7 @@ from collections import deque
 from typing import Any, Dict, FrozenSet, Iterable, Iterator, List, NamedTuple, Optional, Set, Tuple
 
 from ...foundation.errors import Place, RuleError
+from ...foundation.similar_names import did_you_mean
 from ...prolog.terms.list_terms import conjuncts, list_items, list_parts
 from ...prolog.terms.term_traversal import variables
 from ...prolog.terms.types import COMMA, CONS, SLASH, Atom, Functor, Term, Var, deref, functor
@@ -20,7 +21,7 @@ from ..language.called_predicates import calls
 from ..language.rule_head_parser import SYNCHRONIZED
 from ..language.state_parser import HOLDS, queried_state
 from .predicate_checks import ASSERTING_PREDICATES, RETRACTING_PREDICATES, key_of_clause
-from .program_model import ProgramModel, Subterm, did_you_mean, key_of, subterms, wrap_term
+from .program_model import ProgramModel, Subterm, key_of, subterms, wrap_term
 
 MEMORY_READS = frozenset(
     functor(name, arity)

@@ -18,6 +18,7 @@ from ...foundation.errors import (
     shorten,
 )
 from ...foundation.ros_names import strip_slashes
+from ...foundation.similar_names import closest_name, did_you_mean
 from ...messages.type_definition import Definition, Field, type_name
 from ...messages.validating_encoder import find_fault
 from ...prolog.terms.list_terms import list_items
@@ -39,12 +40,11 @@ from ..language.rule_head_parser import NEW_EVENT, event_raised_by
 from ..program.topic_configuration import ATTRIBUTES, TOPICS, read_xml
 from .event_flow_checks import SUBSCRIBE_TO
 from .program_model import (
+    MIN_SIMILARITY,
     EventConsumer,
     ProgramModel,
     Subterm,
-    closest_name,
     constant_place_lookup,
-    did_you_mean,
     is_variable,
     subterms,
     wrap_term,
@@ -289,7 +289,7 @@ def _advise_topic(
             f"; {shorten(subscription_id)} is the id here: write "
             "subscribe(Pattern, Conditions, Template, Topic, Id)"
         )
-    return did_you_mean(strip_slashes(topic), published) or (
+    return did_you_mean(strip_slashes(topic), published, MIN_SIMILARITY) or (
         f'; <publish_to name="{shorten(topic)}" msg_type="package/Type"/> in {TOPICS} would give it one'
     )
 
@@ -380,7 +380,7 @@ def find_topic_mistakes(program: ProgramModel) -> Iterator[RuleError]:
         for name in element.attributes:
             if name not in attributes:
                 attribute = printable(shorten(name))
-                hint = did_you_mean(name, attributes) or f"; it has {', '.join(attributes)}"
+                hint = did_you_mean(name, attributes, MIN_SIMILARITY) or f"; it has {', '.join(attributes)}"
                 yield RuleError(f"<{element.tag}> has no attribute {attribute}{hint}", element.place)
         topic, type_name = (element.attributes.get(name, "").strip() for name in ("name", "msg_type"))
         # Names with and without a leading slash denote the same topic at the top level.
@@ -415,7 +415,7 @@ def _find_unrecorded_topic(
     others = [
         recorded for recorded in program.recorded_topics if strip_slashes(recorded.topic) not in subscribed
     ]
-    closest = closest_name(name, [strip_slashes(other.topic) for other in others])
+    closest = closest_name(name, [strip_slashes(other.topic) for other in others], MIN_SIMILARITY)
     suggestions = [closest] if closest else [other.topic for other in others if other.type == type_name]
     if suggestions:
         yield RuleError(f"the bag has no topic {topic}; did you mean {suggestions[0]}?", place)

@@ -6,13 +6,11 @@ the program a second time and keeps rules, clauses and goals together with funct
 loaded program; of these, only the place of the start is known, if any. As in the rest of the package, the *key* of a
 term, event or predicate is its functor.
 
-`closest_name`, `did_you_mean` and `FunctorSuggestions` find similar names for "did you mean" hints within a bounded
-time.
+`FunctorSuggestions` finds similar names for "did you mean" hints within a bounded time.
 """
 
 import os
 from collections import ChainMap
-from difflib import get_close_matches
 from pathlib import Path
 from typing import (
     Any,
@@ -31,6 +29,7 @@ from typing import (
 )
 
 from ...foundation.errors import MessageError, Place, SyntaxFault, UsageError
+from ...foundation.similar_names import MAX_CANDIDATES, closest_name
 from ...messages.type_definition import Definition, type_name
 from ...messages.type_registry import Definitions
 from ...prolog.syntax.term_reader import OF_FILES, ReadTerm, read_program
@@ -52,23 +51,11 @@ from ..rules.rule_base import RuleBase
 
 Analysis = TypeVar("Analysis")
 
-_MAX_CANDIDATES = 2000
-"""Maximum number of names among which a similar one is searched."""
+MIN_SIMILARITY = 0.66
+"""Minimum similarity of a name of a program or topic that is suggested."""
 
 MAX_COMPARISONS = 40_000
 """Maximum number of comparisons of names per check; takes about a second."""
-
-
-def closest_name(name: str, names: Iterable[str], cutoff: float = 0.66) -> str:
-    """Return the most similar name, or ""."""
-    matches = get_close_matches(name, list(dict.fromkeys(names))[:_MAX_CANDIDATES], 1, cutoff)
-    return matches[0] if matches else ""
-
-
-def did_you_mean(name: str, names: Iterable[str], cutoff: float = 0.66) -> str:
-    """Return "; did you mean ...?" with the most similar name, or ""."""
-    closest = closest_name(name, names, cutoff)
-    return f"; did you mean {closest}?" if closest else ""
 
 
 class FunctorSuggestions:
@@ -84,10 +71,9 @@ class FunctorSuggestions:
             candidate for candidate in candidates if candidate.name == key.name and candidate is not key
         ]
         if not same_name:
-            names = list(dict.fromkeys(candidate.name for candidate in candidates))[:_MAX_CANDIDATES]
-            # `get_close_matches` is linear in the number of candidates and takes about 25 us for each.
+            names = list(dict.fromkeys(candidate.name for candidate in candidates))[:MAX_CANDIDATES]
             self._comparisons_left -= len(names)
-            name = closest_name(key.name, names) if self._comparisons_left >= 0 else ""
+            name = closest_name(key.name, names, MIN_SIMILARITY) if self._comparisons_left >= 0 else ""
             same_name = [candidate for candidate in candidates if candidate.name == name]
         return (
             str(min(same_name, key=lambda candidate: abs(candidate.arity - key.arity))) if same_name else ""

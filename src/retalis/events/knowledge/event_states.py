@@ -14,7 +14,6 @@ is retracted, the state holds since the next one.
 """
 
 from collections import OrderedDict, deque
-from difflib import get_close_matches
 from itertools import count
 from typing import (
     TYPE_CHECKING,
@@ -35,6 +34,7 @@ from typing import (
 )
 
 from ...foundation.errors import UsageError
+from ...foundation.similar_names import closest_name
 from ...prolog.builtins.argument_checks import callable_of
 from ...prolog.builtins.tabling import tables_of
 from ...prolog.builtins.time_predicates import instant_of
@@ -578,8 +578,8 @@ class StateRegistry:
         declarations = self.declarations_with_functor_of(state)
         if not declarations:
             names = {functor.name: functor for functor in self._declarations_by_functor}
-            similar = get_close_matches(key.name, names, 1, 0.66)
-            hint = (CONTEXT, Var(), atom(f"did you mean {names[similar[0]]}?")) if similar else None
+            closest = closest_name(key.name, names, 0.66)
+            hint = (CONTEXT, Var(), atom(f"did you mean {names[closest]}?")) if closest else None
             raise existence_error("state", indicator(key), hint)
         try:
             return declarations, freeze(state)

@@ -14,10 +14,10 @@ The engine does not know topics. The node or the bag player passes a function th
 to `set_feed`. It is called when the program first uses transforms; other programs do not receive these topics.
 """
 
-from difflib import get_close_matches
 from typing import Any, Callable, Dict, Hashable, Iterable, List, Optional, Sequence, Set, Tuple
 
 from ...foundation.errors import UsageError
+from ...foundation.similar_names import closest_name
 from ...prolog.builtins.pose_predicates import compose, lazy_pose_term, parse_pose
 from ...prolog.builtins.tabling import tables_of
 from ...prolog.builtins.time_predicates import instant_of
@@ -44,8 +44,6 @@ TRANSFORM_PREDICATES = frozenset(
 
 _MAX_CACHED_NAMES = 10_000
 _MAX_REPORTED_FRAMES = 100
-_MAX_SUGGESTION_CANDIDATES = 2000
-
 _UNKNOWN, _INVALID, _LOOP = functor("unknown", 1), functor("invalid", 1), functor("loop", 1)
 _UNCONNECTED, _BEFORE, _AFTER, _GAP = (functor(name, 2) for name in ("unconnected", "before", "after", "gap"))
 _REASON_FUNCTORS = {
@@ -438,10 +436,8 @@ class Transforms:
                 continue
             if len(self._reported_frames) < _MAX_REPORTED_FRAMES:
                 self._reported_frames.add(name)
-                similar_names = get_close_matches(
-                    name, self.buffer.names()[:_MAX_SUGGESTION_CANDIDATES], 1, 0.66
-                )
-                hint = f"; did you mean '{similar_names[0]}'?" if similar_names else ""
+                closest = closest_name(name, self.buffer.names(), 0.66)
+                hint = f"; did you mean '{closest}'?" if closest else ""
                 self._warn(
                     f"tf_lookup: there is no frame '{name[:80]}' yet{hint}", ("frame", name), once=True
                 )

@@ -11,7 +11,6 @@ variable of a rule has the narrowest type of all its occurrences (see `VariableT
 that exclude each other are reported, because no event can satisfy both.
 """
 
-from difflib import get_close_matches
 from typing import (
     TYPE_CHECKING,
     Any,
@@ -30,6 +29,7 @@ from typing import (
 
 from ...foundation.errors import Place, RuleError, UsageError, format_count
 from ...foundation.ros_names import name_fault
+from ...foundation.similar_names import closest_name, did_you_mean
 from ...messages.type_definition import Field, type_name
 from ...prolog.database.clause_index import Clause
 from ...prolog.machine.errors import domain_error
@@ -240,8 +240,7 @@ def _parse_simple_type(term: Term) -> ValueType:
         return value_type
     if type_name(term.name) is not None:
         return ValueType(term, f"a message {term.name}", frozenset(("compound", "atom")), None, term.name)
-    suggestion = get_close_matches(term.name, VALUE_TYPES, 1)
-    hint = f"; did you mean {suggestion[0]}?" if suggestion else ""
+    hint = did_you_mean(term.name, VALUE_TYPES)
     raise UsageError(f"there is no type {term.name}{hint or f': a type is {_list_type_notations()}'}")
 
 
@@ -431,10 +430,10 @@ class Declarations:
         if not self.strict or self._is_exempt(key):
             return ""
         # In strict mode, a misspelt name is more likely than a forgotten declaration.
-        similar = get_close_matches(key.name, self._declarations, 1)
+        closest = closest_name(key.name, self._declarations)
         advice = (
-            f"did you mean {self._term_text(self._declarations[similar[0]].term)}?"
-            if similar
+            f"did you mean {self._term_text(self._declarations[closest].term)}?"
+            if closest
             else f"write :- event {_declaration_template(key)}."
         )
         return f"{key} is not declared; {advice}"

@@ -8,8 +8,8 @@ functor (`_EVENT_WARNINGS`), by number of arguments and by similarity of names.
 and constructs the rule that covers all gaps.
 """
 
-from difflib import SequenceMatcher, get_close_matches
-from typing import Any, Callable, Dict, Iterable, List, Mapping, Optional, Tuple
+from difflib import SequenceMatcher
+from typing import Any, Callable, Dict, List, Mapping, Optional, Tuple
 
 from ...foundation.errors import shorten
 from ...prolog.syntax.term_writer import write_term
@@ -145,12 +145,6 @@ def arity_warning(term: Any) -> Optional[str]:
         return None
     notation = NOTATIONS.get(name, f"takes {expected} argument{'s' * (expected != 1)}")
     return f"{_ORDINARY_EVENT}; {name} {notation}"
-
-
-def suggestion(word: str, candidates: Iterable[str]) -> str:
-    """Return "; did you mean ...?" with the most similar word, or ""."""
-    matches = get_close_matches(word, list(candidates), 1)
-    return f"; did you mean {matches[0]}?" if matches else ""
 
 
 def bracket_advice(name: str, number: Any) -> str:

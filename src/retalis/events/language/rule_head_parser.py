@@ -14,13 +14,14 @@ from math import isfinite
 from typing import Any, Callable, Dict, NamedTuple, Optional, Tuple
 
 from ...foundation.errors import Place, RuleError, UsageError
+from ...foundation.similar_names import did_you_mean
 from ...prolog.terms.list_terms import list_items, list_parts, make_list
 from ...prolog.terms.term_traversal import is_ground
 from ...prolog.terms.timestamps import DATIME6, DATIME7, SECOND, from_any, from_seconds
 from ...prolog.terms.types import COLON, CONS, NIL, Atom, CompoundTerm, Term, Var, atom, deref, functor
 from .called_predicates import calls
 from .event_operators import ARROWS, OPERATOR_NAMES
-from .likely_mistakes import head_error, head_warning, suggestion
+from .likely_mistakes import head_error, head_warning
 from .pattern_parser import PlaceLookup
 
 RULE = functor("rule:", 2)
@@ -68,7 +69,7 @@ class Property(NamedTuple):
         """Error in the property, or None."""
         if not self.is_known:
             names = ", ".join(KNOWN_PROPERTIES)
-            hint = suggestion(self.name, KNOWN_PROPERTIES)
+            hint = did_you_mean(self.name, KNOWN_PROPERTIES)
             return f"there is no property {self.name}; the properties are {names}{hint}"
         words = WORD_PROPERTIES.get(self.name)
         if words is not None:
@@ -76,7 +77,7 @@ class Property(NamedTuple):
             return (
                 None
                 if value in words
-                else f"property {self.name} is {_join_alternatives(words)}{suggestion(value, words)}"
+                else f"property {self.name} is {_join_alternatives(words)}{did_you_mean(value, words)}"
             )
         if self.name == WATERMARK_DELAY and isinstance(self.value, Atom):
             is_auto = self.value.name == "auto"

@@ -31,6 +31,7 @@ from typing import (
 )
 
 from ...foundation.errors import RuleError, UsageError
+from ...foundation.similar_names import did_you_mean
 from ...prolog.terms import timestamps
 from ...prolog.terms.list_terms import list_items, make_list
 from ...prolog.terms.term_traversal import variables
@@ -39,7 +40,7 @@ from ...prolog.terms.types import COMMA, Atom, CompoundTerm, Term, Var, atom, de
 from ..streams.aggregates import AGGREGATES, Setting
 from ..streams.rate_operators import RATE_OPERATORS
 from .event_operators import OPERATOR_NAMES
-from .likely_mistakes import bracket_advice, suggestion
+from .likely_mistakes import bracket_advice
 from .pattern_tree import (
     EventPattern,
     Pattern,
@@ -137,7 +138,7 @@ def parse_rate_operator(term: CompoundTerm, pattern: Pattern, create_error: Crea
         notations = "; ".join(rate_operator.notation for rate_operator in RATE_OPERATORS.values())
         error_position = (operator,) if operator.__class__ is tuple else (term, 2)
         raise create_error(
-            f"with needs one of {notations}{suggestion(name, RATE_OPERATORS)}", *error_position
+            f"with needs one of {notations}{did_you_mean(name, RATE_OPERATORS)}", *error_position
         )
     span, value = 0, None
     if RATE_OPERATORS[name].takes_seconds:
@@ -235,7 +236,7 @@ def _parse_measure(reader: "PatternReader", measure_term: Any, term: CompoundTer
     if aggregate is None or len(arguments) != aggregate.arity:
         notations = ", ".join(aggregate.notation for aggregate in AGGREGATES.values())
         raise reader.create_error(
-            f"there is no such aggregate; the aggregates are {notations}{suggestion(name, AGGREGATES)}",
+            f"there is no such aggregate; the aggregates are {notations}{did_you_mean(name, AGGREGATES)}",
             *error_position,
         )
     settings = [deref(argument) for argument in arguments[: aggregate.setting_count]]

@@ -1,10 +1,10 @@
 """Flags of the event language: values, defaults, and the network options that they determine."""
 
-from difflib import get_close_matches
 from math import inf
 from typing import Callable, Dict, List, NamedTuple, Optional, Tuple
 
 from ...foundation.errors import UsageError
+from ...foundation.similar_names import did_you_mean
 from ...prolog.terms.timestamps import from_seconds
 from ...prolog.terms.types import Atom, Term, atom
 from ..language.event_declarations import STRICTLY, UNDECLARED
@@ -102,8 +102,7 @@ class Flags:
         """
         flag = FLAGS.get(name)
         if flag is None:
-            matches = get_close_matches(name, FLAGS, 1)
-            raise UsageError(f"there is no flag {name}{f'; did you mean {matches[0]}?' if matches else ''}")
+            raise UsageError(f"there is no flag {name}{did_you_mean(name, FLAGS)}")
         if value.__class__ is Atom and value.name in flag.values:
             pass
         elif not flag.description:

@@ -8,10 +8,10 @@ place of integers in float slots. `SlotNames` (in `messages.message_notation`) p
 (``Temperature``, ``sensor_msgs/Temperature``), a misspelt name, or a space before the bracket.
 """
 
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, Dict, List, Optional, Sequence, Tuple
 
 from ...foundation.errors import RetalisError, SyntaxFault, UnknownMessage
+from ...foundation.similar_names import did_you_mean
 from ..terms.types import Term, Var, atom, functor
 from . import parser_stack
 from .literals import atom_text
@@ -282,7 +282,5 @@ class NamedSlotParser(ParserStack):
 def _unknown_slot_message(term: str, name: str, slots: Sequence[MessageSlot]) -> str:
     """Return the error message for the name of a slot that does not exist."""
     names = [slot.name for slot in slots]
-    similar_names = get_close_matches(name, names, 1)
-    if similar_names:
-        return f"{term} has no slot {name}; did you mean {similar_names[0]}?"
-    return f"{term} has no slot {name}; it has {', '.join(names) or 'none'}"
+    hint = did_you_mean(name, names) or f"; it has {', '.join(names) or 'none'}"
+    return f"{term} has no slot {name}{hint}"

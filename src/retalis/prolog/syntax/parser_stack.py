@@ -14,10 +14,10 @@ operators than in a goal, so the table changes within a clause (see `rule_detect
 """
 
 import re
-from difflib import get_close_matches
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 from ...foundation.errors import SyntaxFault
+from ...foundation.similar_names import closest_name
 from ..terms.types import COMMA, CONS, NIL, Term, Var, functor
 from .operators import EVENT_SYNTAX, Operator, Operators
 from .rule_detection import ARROW, NO_RULES, RuleLayout
@@ -378,9 +378,9 @@ def _unknown_operator_hint(parser: ParserState, name: str) -> str:
     if name in _FOREIGN_OPERATORS:
         return _FOREIGN_OPERATORS[name]
     words = [word for word in {**parser.operators.infix, **parser.operators.postfix} if word[0].isalpha()]
-    similar_words = get_close_matches(name, words, 1, 0.75)
-    if similar_words:
-        return f'did you mean "{similar_words[0]}"?'
+    closest = closest_name(name, words, 0.75)
+    if closest:
+        return f'did you mean "{closest}"?'
     if parser.table is not parser.patterns:
         return f'"{name}" is not an operator here; is a comma missing?'
     if name in EVENT_SYNTAX.advice:
