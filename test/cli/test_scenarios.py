@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from events.stream_programs import text_of
+from events.stream_programs import term_text
 from events.test_scenarios import BASE, SCENARIOS, short, wanted_of
 
 from retalis import Operators, SyntaxFault, deref, list_items
@@ -49,16 +49,16 @@ class Run:
         for term in terms(shown.out):
             self._sort(term)
         with open("outputs.out", encoding="utf-8") as file:
-            self.outputs = [text_of(term) for term in terms(file.read())]
+            self.outputs = [term_text(term) for term in terms(file.read())]
 
     def _sort(self, term):
         kind = term[0].name if term.__class__ is tuple else ""
         if kind not in ("event", "memory_event"):
-            self.printed.append(text_of(term))
+            self.printed.append(term_text(term))
             return
         start, end = (from_term(stamp) for stamp in list_items(term[2]))
         into = self.events if kind == "event" else self.memory_events
-        into.append((text_of(deref(term[1])), start, end))
+        into.append((term_text(deref(term[1])), start, end))
 
 
 def written(name, lines):

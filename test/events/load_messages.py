@@ -1,14 +1,14 @@
 """Errors and warnings of loaded rules, each as line, column and message."""
 
 import pytest
-from events.stream_programs import Program
+from events.stream_programs import ProgramRunner
 
 from retalis import ProgramErrors
 
 
 def errors_of(rules):
-    """Return the errors for which a text is refused; nothing of it is active then."""
-    program = Program()
+    """Return the errors for which a text is refused; none of its rules is active."""
+    program = ProgramRunner()
     with pytest.raises(ProgramErrors) as caught:
         program.engine.load(rules=rules)
     assert program.engine.rules.rules == []
@@ -17,15 +17,15 @@ def errors_of(rules):
 
 def assert_refused(rule, column, part):
     """Check that a rule in the second line is refused for one error, at this column and with this text."""
-    ((line, at, message),) = errors_of(f"% first\n{rule}")
+    ((line, actual_column, message),) = errors_of(f"% first\n{rule}")
     assert line == 2
     assert part.lower() in message.lower()
-    assert at == column
+    assert actual_column == column
 
 
 def warnings_of(rules):
     """Return the warnings for a text that is accepted."""
-    return [_shown(warning) for warning in Program(rules).warnings]
+    return [_shown(warning) for warning in ProgramRunner(rules).warnings]
 
 
 def _shown(problem):

@@ -1,4 +1,4 @@
-"""Helper that runs programs over short streams; ``a@1 b(2)@3-5`` denotes a stream, and the derived events."""
+"""Runner of programs over short streams; ``a@1 b(2)@3-5`` denotes a stream, and the derived events."""
 
 from retalis import Engine, Settings, StreamClock, functor
 from retalis.prolog.syntax.term_writer import write_term
@@ -8,7 +8,7 @@ from retalis.prolog.terms.timestamps import SECOND
 FUTURE = 1_000_000 * SECOND
 
 
-def text_of(term):
+def term_text(term):
     term = copy(term)
     for number, var in enumerate(variables(term)):
         var.ref = (functor("$VAR", 1), number)
@@ -19,16 +19,16 @@ def seconds(text):
     return float(text) if "." in text else int(text)
 
 
-class Program:
-    """A program; ``feed`` gives what followed from a stream, without the stream itself."""
+class ProgramRunner:
+    """An engine with a program; ``feed`` returns the events derived from a stream, without the stream itself."""
 
     def __init__(self, rules="", flags=(), policy=None, clock=None, folder=None):
         settings = Settings() if folder is None else Settings(folders=[folder])
         self.engine = Engine(clock or StreamClock(FUTURE), settings)
-        self.errors, self.warnings, self.seen = [], [], []
+        self.errors, self.warnings, self.events = [], [], []
         self.engine.rules.on_error = lambda error: self.errors.append(error)
         self.engine.rules.on_warning = lambda error: self.warnings.append(error)
-        self.engine.on_event(lambda *event: self.seen.append(event))
+        self.engine.on_event(lambda *event: self.events.append(event))
         if policy:
             self.set("event_consumption_policy", policy)
         for flag in flags:
@@ -40,22 +40,22 @@ class Program:
         assert self.engine.call(f"set_etalis_flag({flag},{value})")
 
     def feed(self, stream):
-        found = []
+        derived = []
         for item in stream.split():
             term, stamp = item.rsplit("@", 1)
             start, _, end = stamp.partition("-")
-            del self.seen[:]
+            del self.events[:]
             self.engine.event(term, seconds(start), seconds(end or start))
-            found += self.seen[1:]
-        return show(found)
+            derived += self.events[1:]
+        return format_events(derived)
 
 
-def show(events):
+def format_events(events):
     return " ".join(
-        f"{text_of(term)}@{start / SECOND:.12g}-{end / SECOND:.12g}" for term, start, end in events
+        f"{term_text(term)}@{start / SECOND:.12g}-{end / SECOND:.12g}" for term, start, end in events
     )
 
 
-def fired(rules, stream, policy=None, flags=()):
-    """Return what a program fires over a stream."""
-    return Program(rules, flags, policy).feed(stream)
+def outputs_of(rules, stream, policy=None, flags=()):
+    """Return the events that a program derives from a stream."""
+    return ProgramRunner(rules, flags, policy).feed(stream)

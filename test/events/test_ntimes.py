@@ -3,7 +3,7 @@
 import random
 
 import pytest
-from events.stream_programs import Program, fired, text_of
+from events.stream_programs import ProgramRunner, outputs_of, term_text
 
 from retalis import Engine
 from retalis.events.network.repeat_node import RepeatNode
@@ -41,14 +41,14 @@ def test_it_is_the_sequence_written_out(short, long, policy, flags):
             stamp = f"{start}-{start + rng.randrange(1, 4)}" if rng.random() < 0.3 else str(start)
             stream.append(f"{rng.choice('aab')}({rng.randrange(1, 3)},{rng.randrange(1, 4)})@{stamp}")
         text = " ".join(stream)
-        assert fired(f"c(X) <- {short}.", text, policy, flags) == fired(
+        assert outputs_of(f"c(X) <- {short}.", text, policy, flags) == outputs_of(
             f"c(X) <- {long}.", text, policy, flags
         )
 
 
 def test_a_named_variable_has_one_value_though_it_stands_once():
-    assert fired("c <- a(X) ntimes 2.", "a(1)@1 a(2)@2 a(1)@3") == "c@1-3"
-    assert fired("c <- a(_) ntimes 2.", "a(1)@1 a(2)@2 a(1)@3") == "c@1-2 c@2-3"
+    assert outputs_of("c <- a(X) ntimes 2.", "a(1)@1 a(2)@2 a(1)@3") == "c@1-3"
+    assert outputs_of("c <- a(_) ntimes 2.", "a(1)@1 a(2)@2 a(1)@3") == "c@1-2 c@2-3"
 
 
 REPEATED = [
@@ -114,7 +114,7 @@ def drawn_flags(rng, late, revised):
 
 def answer(rule, policy, flags, stream, changes):
     """Return what follows from each event, and how many partial matches wait in the end."""
-    program = Program(rule, flags, policy)
+    program = ProgramRunner(rule, flags, policy)
     found = []
     for at, event in enumerate(stream):
         for flag, value in changes.get(at, ()):
@@ -156,7 +156,7 @@ def test_by_chance_it_is_the_sequence_written_out(group):
 
 
 def test_what_waits_goes_on_when_the_policy_changes():
-    program = Program("c <- a(_) ntimes 5.")
+    program = ProgramRunner("c <- a(_) ntimes 5.")
     assert program.feed("a(1)@1 a(2)@2 a(3)@3") == ""
     program.set("event_consumption_policy", "unrestricted")
     assert program.feed("a(4)@4") == ""
@@ -168,7 +168,7 @@ def test_events_of_the_rule_itself_count_where_they_come():
     rules = "a(X,3) <- c(X). c(X) <- {}."
     stream = "a(1,1)@1 a(1,1)@2 a(1,2)@3 a(1,2)@4 a(1,1)@5 a(1,1)@6 a(1,1)@7"
     long = " seq ".join(["a(X,_)"] * 4)
-    assert fired(rules.format("a(X,_) ntimes 4"), stream) == fired(rules.format(long), stream)
+    assert outputs_of(rules.format("a(X,_) ntimes 4"), stream) == outputs_of(rules.format(long), stream)
 
 
 @pytest.mark.parametrize("policy", POLICIES)
@@ -176,10 +176,10 @@ def test_an_explanation_is_that_of_the_sequence_written_out(policy):
     stream = "a(1,1)@1 a(1,1)@2-3 a(1,2)@3 a(1,2)@4 a(1,1)@5 a(1,1)@6 a(1,1)@7"
     found = []
     for pattern in ("a(X,_) ntimes 4", "a(X,_) seq a(X,_) seq a(X,_) seq a(X,_)"):
-        program = Program(f"c(X) <- {pattern}.", ["etalis_justification"], policy)
+        program = ProgramRunner(f"c(X) <- {pattern}.", ["etalis_justification"], policy)
         program.feed(stream)
         ask = "findall(E-J, (E = c(_), justify_event(E,_,J)), L)"
-        found.append([text_of(solution["L"]) for solution in program.engine.query(ask)])
+        found.append([term_text(solution["L"]) for solution in program.engine.query(ask)])
     assert found[0] == found[1]
     assert "seqf(seqf(seqf(" in found[0][0]
 
@@ -188,7 +188,7 @@ def test_an_explanation_is_that_of_the_sequence_written_out(policy):
 @pytest.mark.parametrize("times", [1000, 10_000])
 @pytest.mark.parametrize("policy", POLICIES[:-1])
 def test_as_many_events_as_repetitions_cost_so_many_steps(policy, times):
-    program = Program(f"c(X) <- a(X,_) ntimes {times}.", policy=policy)
+    program = ProgramRunner(f"c(X) <- a(X,_) ntimes {times}.", policy=policy)
     assert program.errors == []
     rule = program.engine.rules.rules[0]
     assert len(rule.nodes) < 10
@@ -202,7 +202,7 @@ def test_as_many_events_as_repetitions_cost_so_many_steps(policy, times):
 
 
 def test_a_window_removes_what_is_too_old_from_the_longest_on():
-    program = Program("c <- (a(_) ntimes 1000) within 10.", policy="chronological")
+    program = ProgramRunner("c <- (a(_) ntimes 1000) within 10.", policy="chronological")
     for at in range(100):
         program.engine.event(f"a({at})", at, at)
     rule = program.engine.rules.rules[0]
@@ -213,7 +213,7 @@ def test_a_window_removes_what_is_too_old_from_the_longest_on():
 
 
 def test_of_values_that_do_not_wait_nothing_is_kept():
-    program = Program("c(X) <- (a(X) ntimes 10) within 10.")
+    program = ProgramRunner("c(X) <- (a(X) ntimes 10) within 10.")
     for at in range(5000):
         program.engine.event(f"a({at})", at, at)
     (node,) = [node for node, _, _ in program.engine.rules.rules[0].nodes if isinstance(node, RepeatNode)]

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-from events.stream_programs import FUTURE, show, text_of
+from events.stream_programs import FUTURE, format_events, term_text
 
 from retalis import Engine, StreamClock
 from retalis.prolog.terms.timestamps import SECOND, to_term
@@ -37,7 +37,7 @@ def test_program(parts):
         lambda term, start, end: seen.append((term, start - START * SECOND, end - START * SECOND))
     )
     engine.on_output(
-        lambda term, topic, name: outputs.append(f"output({text_of(term)},{topic},{text_of(name)})")
+        lambda term, topic, name: outputs.append(f"output({term_text(term)},{topic},{term_text(name)})")
     )
     engine.load(goals="\n".join(parts["goal"]))
     engine.load(rules="\n".join(parts["rule"]))
@@ -48,6 +48,6 @@ def test_program(parts):
         term, _, interval = item.rpartition("@")
         first, _, last = interval.partition("-")
         engine.event(term, stamp(first), stamp(last or first))
-    found = [event for event in seen if not text_of(event[0]).startswith(KEPT)]
-    assert show(found) == " ".join(parts["events"])
+    found = [event for event in seen if not term_text(event[0]).startswith(KEPT)]
+    assert format_events(found) == " ".join(parts["events"])
     assert outputs == parts["output"]

@@ -3,7 +3,7 @@
 import gc
 
 import pytest
-from events.stream_programs import Program, fired, show
+from events.stream_programs import ProgramRunner, format_events, outputs_of
 
 from retalis import StreamClock
 from retalis.events.matches import consumption_policy
@@ -15,7 +15,7 @@ from retalis.prolog.terms.timestamps import SECOND
 
 
 def revised(rules, stream, policy=None):
-    return fired(rules, stream, policy, ["revision_flag"])
+    return outputs_of(rules, stream, policy, ["revision_flag"])
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_revision(rules, stream, wanted):
 @pytest.mark.parametrize("goal", ["memorize(c, [{}], _, m, 5)", "subscribe(c, [{}], _, out, s)"])
 def test_what_a_memory_or_subscription_makes_of_an_event_of_a_rule_with_a_goal_stays(goal):
     """The rule's goal is over by then."""
-    program = Program("c do new_event(m,[5,5]) <- a.", ["revision_flag"])
+    program = ProgramRunner("c do new_event(m,[5,5]) <- a.", ["revision_flag"])
     program.engine.load(goals=goal.format("new_event(x,[6,6])"))
     program.feed("a@1")
     assert program.feed("rev(a)@2") == "rev(m)@2-2 rev(c)@2-2"
@@ -77,7 +77,7 @@ def test_what_a_memory_or_subscription_makes_of_an_event_of_a_rule_with_a_goal_s
 
 @pytest.mark.parametrize("last", ["fail", "X is foo"])
 def test_an_event_after_a_goal_without_a_solution_does_not_follow_from_its_match(last):
-    program = Program(f"c do (new_event(m,[5,5]), {last}) <- a. d <- b.", ["revision_flag"])
+    program = ProgramRunner(f"c do (new_event(m,[5,5]), {last}) <- a. d <- b.", ["revision_flag"])
     assert program.feed("a@1 b@2") == "m@5-5 d@2-2"
     assert program.feed("rev(a)@3") == "rev(m)@3-3"
 
@@ -85,15 +85,15 @@ def test_an_event_after_a_goal_without_a_solution_does_not_follow_from_its_match
 @pytest.mark.parametrize("flags", [(), ("revision_flag",)])
 def test_what_a_first_side_leads_to_before_it_waits_is_no_partner_of_it(flags):
     rules = "null_event do new_event(y,[9,9]) <- x. c <- (x cnot z) seq y."
-    assert fired(rules, "x@2 y@12", flags=flags) == "y@9-9 null_event@2-2 c@2-12"
+    assert outputs_of(rules, "x@2 y@12", flags=flags) == "y@9-9 null_event@2-2 c@2-12"
 
 
 def test_rev_is_an_event_like_others_without_the_flag():
-    assert fired("c <- a. d <- rev(a).", "a@1 rev(a)@2") == "c@1-1 d@2-2"
+    assert outputs_of("c <- a. d <- rev(a).", "a@1 rev(a)@2") == "c@1-1 d@2-2"
 
 
 def test_justification_alone_takes_nothing_back():
-    assert fired("c <- a.", "a@1 rev(a)@2", flags=["etalis_justification"]) == "c@1-1"
+    assert outputs_of("c <- a.", "a@1 rev(a)@2", flags=["etalis_justification"]) == "c@1-1"
 
 
 @pytest.mark.parametrize("policy", ["recent", "chronological", "unrestricted"])
@@ -103,7 +103,7 @@ def test_keeping_where_events_came_from_changes_nothing(policy, flag):
         "c(X) <- (a(X) and b) seq d. n(N) <- c(_) seq aggregate(count, a(_), N). x <- (a(1) seq d) cnot b."
     )
     stream = "a(1)@1 b@2 a(2)@3 d@4 b@5 a(1)@6 d@7 d@8"
-    assert fired(rules, stream, policy, [flag]) == fired(rules, stream, policy)
+    assert outputs_of(rules, stream, policy, [flag]) == outputs_of(rules, stream, policy)
 
 
 def explained(program, event):
@@ -112,7 +112,7 @@ def explained(program, event):
 
 
 def test_why():
-    program = Program("m <- a seq b. r : c <- m.", ["etalis_justification"])
+    program = ProgramRunner("m <- a seq b. r : c <- m.", ["etalis_justification"])
     program.feed("a@1 b@2")
     (why,) = explained(program, "c")
     assert why == (
@@ -122,7 +122,7 @@ def test_why():
 
 
 def test_why_not():
-    program = Program("c <- a seq b where (1 < 2).", ["etalis_justification"])
+    program = ProgramRunner("c <- a seq b where (1 < 2).", ["etalis_justification"])
     program.feed("a@1")
     (why,) = explained(program, "c")
     assert "wheref" in why
@@ -132,7 +132,7 @@ def test_why_not():
 
 
 def test_why_of_what_no_rule_fires():
-    program = Program("c <- c seq c.", ["etalis_justification"])
+    program = ProgramRunner("c <- c seq c.", ["etalis_justification"])
     (why,) = explained(program, "zzz")
     assert why.startswith("[justification(unlabeled,head(zzz,")
     assert why.endswith("),failed)]")
@@ -140,7 +140,7 @@ def test_why_of_what_no_rule_fires():
 
 
 def test_justification_can_be_switched_on_later():
-    program = Program("c <- a seq b.")
+    program = ProgramRunner("c <- a seq b.")
     program.feed("a@1")
     program.set("etalis_justification", "on")
     assert program.feed("b@2 a@3 b@4") == "c@1-2 c@3-4"
@@ -212,20 +212,20 @@ def test_second_sides_are_kept_for_revision_only_where_one_may_need_them(monkeyp
         ("o <- (a fnot c) seq (d star_times).", 20),
         ("o <- ((a fnot c) seq d) within 5.", 6),
     ]:
-        program = Program(rules, ["revision_flag"])
+        program = ProgramRunner(rules, ["revision_flag"])
         program.feed(" ".join(f"d@{number}" for number in range(100)))
         assert program.engine.rules.match_count <= most
-        assert Program(rules, ["etalis_justification"]).feed("d@1 d@2") == ""
+        assert ProgramRunner(rules, ["etalis_justification"]).feed("d@1 d@2") == ""
 
 
 def alarming(rules, stream, until):
     clock = StreamClock(0)
-    program = Program(rules, clock=clock)
+    program = ProgramRunner(rules, clock=clock)
     program.feed(stream)
-    del program.seen[:]
+    del program.events[:]
     clock.move_to(until * SECOND)
     program.engine.advance()
-    return show(program.seen), program
+    return format_events(program.events), program
 
 
 def test_alarm():
@@ -254,17 +254,17 @@ def test_an_alarm_that_is_set_rings_after_its_rule_was_deleted():
 )
 def test_what_has_not_happened_yet_is_cancelled_without_a_word(rules):
     clock = StreamClock(0)
-    program = Program(rules, ["revision_flag"], clock=clock)
+    program = ProgramRunner(rules, ["revision_flag"], clock=clock)
     assert program.feed("a@1 b@2 rev(a)@3") == ""
-    del program.seen[:]
+    del program.events[:]
     clock.move_to(20 * SECOND)
     program.engine.advance()
-    assert show(program.seen) == ""
+    assert format_events(program.events) == ""
 
 
 def test_an_alarm_that_has_rung_is_taken_back():
     clock = StreamClock(0)
-    program = Program("exceptionAlarm(ding, 5) <- a. c <- ding.", ["revision_flag"], clock=clock)
+    program = ProgramRunner("exceptionAlarm(ding, 5) <- a. c <- ding.", ["revision_flag"], clock=clock)
     program.feed("a@1")
     clock.move_to(6 * SECOND)
     assert program.feed("rev(a)@7").endswith("rev(ding)@7-7 rev(c)@7-7")
@@ -272,23 +272,23 @@ def test_an_alarm_that_has_rung_is_taken_back():
 
 def test_an_alarm_due_exactly_at_the_stamp_of_an_event_rings_before_it():
     clock = StreamClock(0)
-    program = Program("exceptionAlarm(ding, 5) <- a. c <- b fnot ding.", clock=clock)
+    program = ProgramRunner("exceptionAlarm(ding, 5) <- a. c <- b fnot ding.", clock=clock)
     program.feed("a@1")
     clock.move_to(6 * SECOND)
-    del program.seen[:]
+    del program.events[:]
     program.engine.event("b", 6, 6)
-    assert show(program.seen) == "ding@1-6 b@6-6 c@6-6"
+    assert format_events(program.events) == "ding@1-6 b@6-6 c@6-6"
 
 
 def test_alarm_in_no_time_is_reported():
-    program = Program("exceptionAlarm(ding,N) <- a(N).")
+    program = ProgramRunner("exceptionAlarm(ding,N) <- a(N).")
     assert program.feed("a(0)@1") == ""
     assert "positive number" in str(program.errors[0])
 
 
 def test_what_is_too_old_to_be_taken_back_does_not_gather_what_follows_from_it(monkeypatch):
     monkeypatch.setattr(lineage, "MAX_REMEMBERED_EVENTS", 20)
-    program = Program("c <- a seq b.", ["revision_flag"], "unrestricted")
+    program = ProgramRunner("c <- a seq b.", ["revision_flag"], "unrestricted")
     program.feed("a@1")
     (oldest,) = program.engine.rules.tracker.remembered_events()
     program.feed("b@2")
@@ -300,10 +300,10 @@ def test_what_is_too_old_to_be_taken_back_does_not_gather_what_follows_from_it(m
 
 def test_forgotten_events_do_not_keep_events_they_were_derived_from(monkeypatch):
     monkeypatch.setattr(lineage, "MAX_REMEMBERED_EVENTS", 20)
-    program = Program("n(M) <- n(N) seq tick where M is N + 1.", ["etalis_justification"], "recent")
+    program = ProgramRunner("n(M) <- n(N) seq tick where M is N + 1.", ["etalis_justification"], "recent")
     program.feed("n(0)@0 tick@1")
     derived = program.engine.rules.tracker.remembered_events()[-1]
-    assert [show([(source.term, 0, 0)]) for source in derived.sources()] == ["n(0)@0-0", "tick@0-0"]
+    assert [format_events([(source.term, 0, 0)]) for source in derived.sources()] == ["n(0)@0-0", "tick@0-0"]
     program.feed(" ".join(f"tick@{instant}" for instant in range(2, 30)))
     assert derived.forgotten
     assert derived.sources() == []
@@ -318,7 +318,7 @@ def test_forgotten_events_of_a_chain_are_freed(monkeypatch):
     monkeypatch.setattr(lineage, "MAX_REMEMBERED_EVENTS", 20)
     # Matches that have left their buffers remain in the list of arrivals up to this number, with their events.
     monkeypatch.setattr(event_rule, "STALE_ARRIVALS_TOLERANCE", 0)
-    program = Program("n(M) <- n(N) seq tick where M is N + 1.", ["etalis_justification"], "recent")
+    program = ProgramRunner("n(M) <- n(N) seq tick where M is N + 1.", ["etalis_justification"], "recent")
     program.feed("n(0)@0 " + " ".join(f"tick@{instant}" for instant in range(1, 50)))
     occurrence_count = count_occurrences()
     program.feed(" ".join(f"tick@{instant}" for instant in range(50, 300)))
@@ -336,7 +336,7 @@ def test_forgotten_events_of_a_chain_are_freed(monkeypatch):
 )
 def test_forgotten_event_does_not_gather_its_dependents(rule, monkeypatch):
     monkeypatch.setattr(lineage, "MAX_REMEMBERED_EVENTS", 20)
-    program = Program(rule, ["revision_flag"], "unrestricted")
+    program = ProgramRunner(rule, ["revision_flag"], "unrestricted")
     program.feed("e@0 a@1")
     event = program.engine.rules.tracker.remembered_events()[-1]
     program.feed("b(2)@2 " + " ".join(f"x@{instant}" for instant in range(3, 50)))
@@ -347,7 +347,7 @@ def test_forgotten_event_does_not_gather_its_dependents(rule, monkeypatch):
 
 @pytest.mark.parametrize("pattern", ["s seq aggregate(count, a(_), N)", "(s seq a(_) star_times) and b(N)"])
 def test_what_many_repetitions_have_made_is_kept_once_for_each(pattern):
-    program = Program(f"c(N) <- {pattern}.", ["etalis_justification"], "unrestricted")
+    program = ProgramRunner(f"c(N) <- {pattern}.", ["etalis_justification"], "unrestricted")
     program.feed("s@0 b(7)@0 " + " ".join(f"a({at})@{at}" for at in range(1, 301)))
     kept = program.engine.rules.tracker.remembered_events()
     links = [*kept, *(one for event in kept for one in event.derived if isinstance(one, RepetitionChain))]

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import pytest
 from events.contradictions import CONTRADICTED, Contradiction
-from events.stream_programs import text_of
+from events.stream_programs import term_text
 from parsing import parse_term
 
 from retalis import Engine, Operators, RetalisError, Settings, StreamClock, atom, deref, functor
@@ -35,7 +35,7 @@ class Run:
         self.events, self.memory_events, self.outputs, self.errors = [], [], [], []
         self.engine.on_event(self._event)
         self.engine.on_output(
-            lambda term, topic, name: self.outputs.append(text_of((OUTPUT, term, atom(topic), name)))
+            lambda term, topic, name: self.outputs.append(term_text((OUTPUT, term, atom(topic), name)))
         )
         self.engine.rules.on_error = lambda error: self.errors.append(str(error))
         self.engine.logic.define("sleep", 1, self._sleep)
@@ -49,7 +49,7 @@ class Run:
     def _event(self, term, start, end):
         name = term[0].name if term.__class__ is tuple else term.name
         into = self.memory_events if name in MEMORY_EVENTS else self.events
-        into.append((text_of(term), start, end))
+        into.append((term_text(term), start, end))
 
     def _run(self, data, folder):
         for goal in data["goals"]:
@@ -75,7 +75,7 @@ class Run:
     def _solutions(self, goal):
         try:
             term = read_term(goal, self.engine.operators).term
-            return [text_of(term) for _ in self.engine.logic.solutions(term)]
+            return [term_text(term) for _ in self.engine.logic.solutions(term)]
         except RetalisError as error:
             return f"error: {error}"
 
@@ -90,7 +90,7 @@ class Run:
 def wanted_events(data, name):
     found = data.get(name + "_sane", data[name])
     return [
-        (text_of(parse_term(term)), from_term(parse_term(start)), from_term(parse_term(end)))
+        (term_text(parse_term(term)), from_term(parse_term(start)), from_term(parse_term(end)))
         for term, start, end in found
     ]
 
@@ -155,12 +155,12 @@ def wanted_of(name, data):
     for at, result in enumerate(data.get("query_results") or ()):
         found = other.answers.get(at, result["solutions"] if sane is None else sane[at])
         failed = found and found[0].startswith("error: ")
-        answers.append("an error" if failed else [text_of(parse_term(text)) for text in found])
+        answers.append("an error" if failed else [term_text(parse_term(text)) for text in found])
     return Wanted(
         other.events,
         wanted_events(data, "expected"),
         wanted_events(data, "memory_events"),
-        [text_of(parse_term(text)) for text in (outputs if other.outputs is None else other.outputs)],
+        [term_text(parse_term(text)) for text in (outputs if other.outputs is None else other.outputs)],
         answers,
         bool(data.get("errors")) if other.errors is None else other.errors,
     )

@@ -6,7 +6,7 @@ to be answered the same whatever an interrupt has left undone of the actions bef
 
 from functools import lru_cache
 
-from events.stream_programs import text_of
+from events.stream_programs import term_text
 
 from retalis import Engine, Limits, Operators, PrologError, Settings, StreamClock, atom
 from retalis.prolog.syntax.term_reader import read_term
@@ -165,7 +165,8 @@ class Subject:
         engine = self.engine
         try:
             return [
-                {name: text_of(value) for name, value in found.items()} for found in engine.query(goal, most)
+                {name: term_text(value) for name, value in found.items()}
+                for found in engine.query(goal, most)
             ]
         except PrologError as error:
             return error.message
@@ -194,6 +195,6 @@ class Subject:
         for at, text in enumerate(PROBE):
             self.event(filled(text, k, instant + at, instant + 2), instant + at)
         self.event("end", instant + 30)  # all alarms ring
-        seen = [(text_of(term), *rest) for term, *rest in self.seen]
+        seen = [(term_text(term), *rest) for term, *rest in self.seen]
         mine = [one for one in seen if f"({k}" in one[0] and not one[0].startswith("extra")]
         return mine + [self.answers(filled(goal, k, instant + 20, 0)) for goal in ANSWERS]

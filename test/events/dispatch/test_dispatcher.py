@@ -1,7 +1,7 @@
 """Dispatch: order, constants, depth, errors that stop one firing only."""
 
 import pytest
-from events.stream_programs import Program, fired, text_of
+from events.stream_programs import ProgramRunner, outputs_of, term_text
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reachability import count_entries, reachable
@@ -121,11 +121,11 @@ def test_an_event_does_not_end_before_it_starts():
 
 def test_depth_first():
     rules = "b <- a. c <- b. d <- a."
-    assert fired(rules, "a@1") == "b@1-1 c@1-1 d@1-1"
+    assert outputs_of(rules, "a@1") == "b@1-1 c@1-1 d@1-1"
 
 
 def test_a_goal_that_raises_stops_one_firing():
-    program = Program("b <- a where no_such_goal. c do no_such_goal <- a. d <- a.")
+    program = ProgramRunner("b <- a where no_such_goal. c do no_such_goal <- a. d <- a.")
     assert program.feed("a@1") == "d@1-1"
     assert len(program.errors) == 2
     assert "no_such_goal" in str(program.errors[0])
@@ -137,7 +137,7 @@ def test_a_goal_that_raises_stops_one_firing():
     "rule", ["a <- a.", "null do new_event(a,[1,1]) <- a.", "n <- a where new_event(a,[1,1])."]
 )
 def test_a_chain_without_end_is_an_error_of_its_rule(rule):
-    program = Program(f"{rule} b <- c.")
+    program = ProgramRunner(f"{rule} b <- c.")
     program.feed("a@1")
     assert program.errors
     assert program.feed("c@1") == "b@1-1"
@@ -145,7 +145,7 @@ def test_a_chain_without_end_is_an_error_of_its_rule(rule):
 
 def test_an_alarm_in_the_past_is_an_event_like_others_in_a_chain_without_end():
     head = "exceptionAlarmAbsoluteDatime(b,datime(1970,1,1,0,0,0,0))"
-    program = Program(f"{head} <- {head}. c <- {head}.")
+    program = ProgramRunner(f"{head} <- {head}. c <- {head}.")
     assert program.feed(f"{head}@1").endswith("c@1-1")
     assert "1000 events" in str(program.errors[0])
 
@@ -159,20 +159,20 @@ def test_events_of_ever_new_kinds_leave_nothing_behind():
 
 
 def test_events_with_variables_match_what_they_unify_with():
-    assert fired("c(X,Y) <- a(f(X), Y).", "a(Z,Z)@1") == "c(A,f(A))@1-1"
-    assert fired("c(X) <- a(X) where X = 3.", "a(Z)@1 a(4)@2") == "c(3)@1-1"
-    assert fired("c(X) do X = 3 <- a(X).", "a(Z)@1 a(4)@2") == "c(3)@1-1"
+    assert outputs_of("c(X,Y) <- a(f(X), Y).", "a(Z,Z)@1") == "c(A,f(A))@1-1"
+    assert outputs_of("c(X) <- a(X) where X = 3.", "a(Z)@1 a(4)@2") == "c(3)@1-1"
+    assert outputs_of("c(X) do X = 3 <- a(X).", "a(Z)@1 a(4)@2") == "c(3)@1-1"
 
 
 def test_a_rule_that_is_deleted_meanwhile_gets_the_event_that_is_served_and_no_more():
-    program = Program("one do del_event_rule(two) <- a. two : b <- a.")
+    program = ProgramRunner("one do del_event_rule(two) <- a. two : b <- a.")
     assert program.feed("a@1 a@2") == "one@1-1 b@1-1 one@2-2"
-    program = Program("one do (ins_event_rule(c <- a), del_event_rule(c <- a)) <- a.")
+    program = ProgramRunner("one do (ins_event_rule(c <- a), del_event_rule(c <- a)) <- a.")
     assert program.feed("a@1") == "one@1-1"
 
 
 def test_a_subscription_that_is_deleted_meanwhile_gets_the_event_that_is_served_and_no_more():
-    program = Program()
+    program = ProgramRunner()
     got = []
     program.engine.on_output(lambda term, topic, name: got.append(name))
     program.engine.call("subscribe(a, [delete_subscription(t, 2)], _, t, 1)")
@@ -182,7 +182,7 @@ def test_a_subscription_that_is_deleted_meanwhile_gets_the_event_that_is_served_
 
 
 def test_a_memory_that_is_deleted_meanwhile_is_gone_for_good():
-    program = Program()
+    program = ProgramRunner()
     program.engine.call("memorize(a, [delete_memory(2)], _, 1, 5)")
     program.engine.call("memorize(a, [], _, 2, 5)")
     assert "memory_updated(2" not in program.feed("a@1 a@2")
@@ -191,7 +191,7 @@ def test_a_memory_that_is_deleted_meanwhile_is_gone_for_good():
 
 
 def test_a_memory_that_is_added_meanwhile_gets_later_events_only():
-    program = Program()
+    program = ProgramRunner()
     program.engine.call("subscribe(a(1), [memorize(a(X), [], _, m, 5)], _, t, 1)")
     program.feed("a(1)@1")
     assert not program.engine.call("access_mem(m, _, _)")
@@ -262,7 +262,7 @@ def matched(pattern, term):
     if not unify(copy(pattern, fresh), term, trail):
         undo(trail, 0)
         return None
-    text = text_of((functor("values", len(order)), *[fresh[var] for var in order])) if order else "values"
+    text = term_text((functor("values", len(order)), *[fresh[var] for var in order])) if order else "values"
     undo(trail, 0)
     return text
 
@@ -275,7 +275,7 @@ def test_an_event_is_served_to_all_that_unify_with_it_in_order(listeners, events
 
     def listen(number, pattern, stage):
         def action(term, values, start, end, after):
-            text = text_of((functor("values", len(values)), *values)) if values else "values"
+            text = term_text((functor("values", len(values)), *values)) if values else "values"
             got.append((number, text, start, end))
             assert dispatcher.current[TERM] is term
             return after

@@ -1,7 +1,7 @@
 """Compiled construction of terms, compared with copying; large terms are not compiled."""
 
 import pytest
-from events.stream_programs import text_of
+from events.stream_programs import term_text
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -28,7 +28,7 @@ def test_a_term_is_made_as_by_copying(term, values):
     values = tuple(copy(value) for value in values)
     make = compile_builder(term, order, "term")
     first, second = make(values), make(values)
-    assert text_of((G, first, make_list(values))) == text_of(
+    assert term_text((G, first, make_list(values))) == term_text(
         (G, copy(term, dict(zip(order, values))), make_list(values))
     )
     new = set(variables(first)) - set(variables(make_list(values)))
@@ -40,4 +40,4 @@ def test_large_terms_are_not_compiled(monkeypatch, number):
     term = make_list([*VARS, *[(F, 1)] * MAX_TERM_ARGUMENTS])
     monkeypatch.setattr(matcher_compiler, "shared_function", lambda *_: pytest.fail("compiled"))
     made = compile_builder(term, VARS[:number], "term")((1,) * number)
-    assert text_of(made) == text_of(copy(term, dict(zip(VARS, (1,) * number))))
+    assert term_text(made) == term_text(copy(term, dict(zip(VARS, (1,) * number))))

@@ -4,7 +4,7 @@ from itertools import combinations, product
 
 import pytest
 from events.load_messages import errors_of, warnings_of
-from events.stream_programs import Program
+from events.stream_programs import ProgramRunner
 
 COMPARISONS = ["X > 1", "X =< 1", "X == 1", "X = 1", "X \\== 1", "Y is X + 1", "X @< 1", "X =:= 1"]
 
@@ -82,7 +82,7 @@ def test_what_may_be_meant_is_not_warned_of(rules):
 
 
 def test_rules_that_come_at_run_time_are_warned_of_by_what_they_are():
-    program = Program(
+    program = ProgramRunner(
         "g do ins_event_rule((c <- a, b)) <- a. h do compile_event_rules([(d <- e), (d <- (e ; f))]) <- b."
     )
     program.feed("a@1 b@2")
@@ -94,7 +94,7 @@ def test_rules_that_come_at_run_time_are_warned_of_by_what_they_are():
 
 
 def test_errors_of_rules_that_come_at_run_time_name_the_rule():
-    program = Program("g do compile_event_rules([(d <- e), (3 : d <- e), (d seq e <- f)]) <- a.")
+    program = ProgramRunner("g do compile_event_rules([(d <- e), (3 : d <- e), (d seq e <- f)]) <- a.")
     program.feed("a@1")
     (error,) = program.errors
     assert "3 'rule:' d<-e: a label is an atom" in str(error)
@@ -128,7 +128,7 @@ def test_the_interval_is_known_in_check_only(rule, columns):
     ],
 )
 def test_where_the_interval_may_be_asked_for_it_may(rules):
-    program = Program(rules)
+    program = ProgramRunner(rules)
     assert program.warnings == []
     assert "c@1" in program.feed("a@1-2")
 
@@ -229,7 +229,7 @@ def test_the_pattern_that_is_shown_fires_exactly_when_nothing_lies_in_any_gap(pa
     ((_, _, message),) = warnings_of(f"o <- ({pattern}) cnot d.")
     shown = message.split("for none in any gap write ")[1].split(";")[0]
     written, given = (
-        Program(f"o <- {text}.", policy="unrestricted") for text in (shown, f"({pattern}) cnot d")
+        ProgramRunner(f"o <- {text}.", policy="unrestricted") for text in (shown, f"({pattern}) cnot d")
     )
     wrong = 0
     for events in product("fd", repeat=6):

@@ -1,7 +1,7 @@
 """Syntax and errors of row patterns."""
 
 import pytest
-from events.stream_programs import Program, fired
+from events.stream_programs import ProgramRunner, outputs_of
 
 from retalis import ProgramErrors
 
@@ -26,35 +26,35 @@ STARS = "s(L) <- aggregate(list(X), e(X), L, steps([{}]))."
 )
 def test_of_one_stream(steps, found):
     stream = [1, 2, 3, 4, 9, 1, 2, 0]
-    assert fired(STARS.format(steps), " ".join(f"e({x})@{at}" for at, x in enumerate(stream))) == found
+    assert outputs_of(STARS.format(steps), " ".join(f"e({x})@{at}" for at, x in enumerate(stream))) == found
 
 
 def test_each_value_that_stands_elsewhere_has_steps_of_its_own():
-    assert fired(RISING, "r(a,1)@1 r(b,5)@2 r(a,4)@3 r(b,1)@4 r(b,3)@5") == "up(a)@1-3 up(b)@4-5"
+    assert outputs_of(RISING, "r(a,1)@1 r(b,5)@2 r(a,4)@3 r(b,1)@4 r(b,3)@5") == "up(a)@1-3 up(b)@4-5"
 
 
 def test_inside_other_patterns():
     rule = "both(M) <- aggregate(count, r(M,V), _, steps([low where V < 3, high where V >= 3])) seq ok(M)."
-    assert fired(rule, "r(a,1)@1 ok(a)@2 r(a,4)@3 ok(b)@4 ok(a)@5") == "both(a)@1-5"
+    assert outputs_of(rule, "r(a,1)@1 ok(a)@2 r(a,4)@3 ok(b)@4 ok(a)@5") == "both(a)@1-5"
     rule = "two(L) <- aggregate(list(A+B), (p(A) seq q(B)), L, steps([one(2)]))."
-    assert fired(rule, "p(1)@1 q(2)@2 p(3)@3 q(4)@4") == "two([+(1,2),+(3,4)])@1-4"
+    assert outputs_of(rule, "p(1)@1 q(2)@2 p(3)@3 q(4)@4") == "two([+(1,2),+(3,4)])@1-4"
 
 
 @pytest.mark.parametrize("flag", ["revision_flag", "etalis_justification"])
 @pytest.mark.parametrize("policy", ["recent", "chronological", "unrestricted"])
 def test_the_same_under_every_flag_and_policy(flag, policy):
-    assert fired(RISING, "r(a,1)@1 r(a,4)@3", policy, [flag]) == "up(a)@1-3"
+    assert outputs_of(RISING, "r(a,1)@1 r(a,4)@3", policy, [flag]) == "up(a)@1-3"
 
 
 def test_a_match_is_taken_back_with_what_decided_it():
-    program = Program(STARS.format("a(1, many) where X < 3"), ["revision_flag"])
+    program = ProgramRunner(STARS.format("a(1, many) where X < 3"), ["revision_flag"])
     assert program.feed("e(1)@1 e(2)@2 e(7)@3") == "s([1,2])@1-3"
     assert program.feed("rev(e(7))@3") == "rev(s([1,2]))@3-3"
     assert program.feed("e(8)@4") == "s([1,2])@1-4"
 
 
 def test_what_is_passed_over_is_not_held():
-    program = Program(STARS.format("a, later(b) where X > 5"))
+    program = ProgramRunner(STARS.format("a, later(b) where X > 5"))
     program.feed(" ".join(f"e(1)@{at}" for at in range(50)))
     (rule,) = program.engine.rules.rules
     assert rule.match_count == 1
@@ -63,7 +63,7 @@ def test_what_is_passed_over_is_not_held():
 
 def test_any_number_of_starts_may_wait():
     """Starts counted as ways of each other, so that the hundred and first was lost."""
-    program = Program("o(N) <- aggregate(count, a(T), N, steps([p(101) where T > 0, n where T < 0])).")
+    program = ProgramRunner("o(N) <- aggregate(count, a(T), N, steps([p(101) where T > 0, n where T < 0])).")
     program.feed(" ".join(f"a(1)@{at}" for at in range(201)))
     assert program.feed("a(-1)@201") == "o(102)@100-201"
     assert program.warnings == []
@@ -71,7 +71,7 @@ def test_any_number_of_starts_may_wait():
 
 def test_any_number_of_starts_may_wait_that_later_conditions_look_back_at():
     steps = "a(1, many) where (X >= first(X), X < 1000), b where X =:= first(a, X) + 1000"
-    program = Program(STARS.format(steps))
+    program = ProgramRunner(STARS.format(steps))
     program.feed(" ".join(f"e({x})@{x}" for x in range(150)))
     assert program.feed("e(1147)@150") == "s([147,148,149,1147])@147-150"
     assert program.warnings == []
@@ -84,7 +84,7 @@ CROWDED = (
 
 
 def test_the_preferred_ways_of_one_start_are_followed_and_others_counted():
-    program = Program(STARS.format(CROWDED))
+    program = ProgramRunner(STARS.format(CROWDED))
     program.feed(" ".join(f"e({at})@{at}" for at in range(100)))
     assert program.warnings == []
     program.feed(" ".join(f"e({at})@{at}" for at in range(100, 150)))
@@ -99,7 +99,7 @@ def test_the_preferred_ways_of_one_start_are_followed_and_others_counted():
 
 def test_partial_matches_of_steps_are_bounded_and_those_that_are_dropped_counted():
     """Each start holds one item and many ways; both count."""
-    program = Program(STARS.format(CROWDED))
+    program = ProgramRunner(STARS.format(CROWDED))
     program.engine.rules.max_stored = 50
     (rule,) = program.engine.rules.rules
     for at in range(120):
@@ -123,24 +123,24 @@ def test_partial_matches_of_steps_are_bounded_and_those_that_are_dropped_counted
     ],
 )
 def test_a_trailing_reluctant_step_may_come_next(steps, found):
-    assert fired(STARS.format(steps), "e(1)@0 e(-2)@1 e(3)@2") == found
+    assert outputs_of(STARS.format(steps), "e(1)@0 e(-2)@1 e(3)@2") == found
 
 
 def test_after_an_item_was_passed_over_a_step_without_later_cannot_come_next():
     steps = "later(x(1, 2, until(X =:= 9))) where X > 0, {} where X < 0"
     stream = "e(1)@0 e(0)@1 e(-2)@2 e(3)@3"
-    assert fired(STARS.format(steps.format("y(0, 1, reluctant)")), stream) == "s([1,3])@0-3"
-    assert fired(STARS.format(steps.format("later(y(0, 1, reluctant))")), stream) == "s([1])@0-2"
+    assert outputs_of(STARS.format(steps.format("y(0, 1, reluctant)")), stream) == "s([1,3])@0-3"
+    assert outputs_of(STARS.format(steps.format("later(y(0, 1, reluctant))")), stream) == "s([1])@0-2"
 
 
 def test_a_condition_that_raises_refuses_that_event_alone():
-    program = Program("s(L) <- aggregate(list(X), e(X), L, steps([a, b where X > prev(X)])).")
+    program = ProgramRunner("s(L) <- aggregate(list(X), e(X), L, steps([a, b where X > prev(X)])).")
     assert program.feed("e(1)@1 e(x)@2 e(2)@3") == "s([1,2])@1-3"
     assert ["the condition of the step b: " in str(error) for error in program.errors] == [True]
 
 
 def test_an_error_in_until_says_so():
-    program = Program("s(L) <- aggregate(list(X), e(X), L, steps([a(1, many, until(X > nine))])).")
+    program = ProgramRunner("s(L) <- aggregate(list(X), e(X), L, steps([a(1, many, until(X > nine))])).")
     assert program.feed("e(1)@1") == ""
     assert ["until of the step a: " in str(error) for error in program.errors] == [True]
 
@@ -148,12 +148,12 @@ def test_an_error_in_until_says_so():
 def test_parts_of_a_condition_share_the_variables_that_are_its_own():
     steps = "a(2, many) where (X > 1, span(N), X < 9, X - first(X) < N)"
     stream = "e(1)@1 e(2)@2 e(5)@3 e(6)@4 e(9)@5"
-    assert fired("span(4).\n" + STARS.format(steps), stream) == "s([2,5])@2-4"
+    assert outputs_of("span(4).\n" + STARS.format(steps), stream) == "s([2,5])@2-4"
 
 
 def test_a_condition_does_not_look_at_patterns_to_the_left():
     with pytest.raises(ProgramErrors, match="a condition of a step uses a pattern to the left"):
-        Program("s(L) <- x(Y) seq aggregate(list(X), e(X), L, steps([a where X > Y])).")
+        ProgramRunner("s(L) <- x(Y) seq aggregate(list(X), e(X), L, steps([a where X > Y])).")
 
 
 @pytest.mark.parametrize(
@@ -161,11 +161,11 @@ def test_a_condition_does_not_look_at_patterns_to_the_left():
 )
 def test_a_step_that_takes_all_and_never_ends_is_refused(steps):
     with pytest.raises(ProgramErrors, match="nothing ends the step"):
-        Program(STARS.format(steps))
+        ProgramRunner(STARS.format(steps))
 
 
 def test_a_match_that_cannot_fail_is_given_up_where_there_are_too_many_ways_before_it():
-    program = Program(STARS.format(CROWDED))
+    program = ProgramRunner(STARS.format(CROWDED))
     program.feed(" ".join(f"e({x})@{x}" for x in range(101)) + " e(1)@200 e(-1)@300")
     assert program.warnings
     assert program.feed("e(5)@301 e(6)@302 e(6)@303 e(500)@304 e(-2)@305") == "s([5,6,6,500])@301-305"

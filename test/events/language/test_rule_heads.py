@@ -2,7 +2,7 @@
 
 import pytest
 from events.load_messages import assert_refused, warnings_of
-from events.stream_programs import Program
+from events.stream_programs import ProgramRunner
 
 from retalis import StreamClock
 
@@ -73,7 +73,7 @@ def test_what_may_be_meant_is_not_warned_of(rules):
 
 
 def test_an_alarm_in_the_past_is_warned_of_now_and_then():
-    program = Program("exceptionAlarmAbsoluteDatime(e, 3) <- a.")
+    program = ProgramRunner("exceptionAlarmAbsoluteDatime(e, 3) <- a.")
     program.feed(" ".join(f"a@{at}" for at in range(1, 11)))
     found = [str(warning).split("\n")[0] for warning in program.warnings]
     assert [text.rsplit(" ", 3)[1] for text in found] == ["1", "2", "4", "8"]
@@ -84,7 +84,7 @@ def test_an_alarm_in_the_past_is_warned_of_now_and_then():
 
 
 def test_an_alarm_to_come_is_not_warned_of():
-    program = Program(
+    program = ProgramRunner(
         "exceptionAlarmAbsoluteDatime(e, 3) <- a. exceptionAlarm(f, 1) <- a.", clock=StreamClock(0)
     )
     assert program.feed("a@1 b@4") is not None
@@ -92,7 +92,7 @@ def test_an_alarm_to_come_is_not_warned_of():
 
 
 def test_what_is_taken_back_and_was_not_there_is_warned_of_now_and_then():
-    program = Program("rev(a(X)) <- b(X). c(X) <- a(X).", ["revision_flag"])
+    program = ProgramRunner("rev(a(X)) <- b(X). c(X) <- a(X).", ["revision_flag"])
     program.feed("a(1)@1 b(1)@2")
     assert program.warnings == []
     program.feed(" ".join(f"b(1)@{at}" for at in range(3, 12)) + " rev(z)@20")
@@ -104,6 +104,6 @@ def test_what_is_taken_back_and_was_not_there_is_warned_of_now_and_then():
 
 
 def test_without_revision_rev_is_an_event_like_others():
-    program = Program("rev(a) <- b.")
+    program = ProgramRunner("rev(a) <- b.")
     assert program.feed("b@1") == "rev(a)@1-1"
     assert program.warnings == []

@@ -1,4 +1,4 @@
-"""Expiration of partial matches: in time, for any order of arrival, in bounded memory."""
+"""Expiration of partial matches: at their instants, for any order of arrival, in bounded memory."""
 
 import random
 from collections import deque
@@ -14,120 +14,124 @@ from retalis.events.matches.expiration import (
 )
 
 
-class Waiting:
-    """What a match is to the expiries."""
+class StoredMatch:
+    """The attributes of a match that an expiration queue reads."""
 
     def __init__(self, order):
         self.order = order
         self.buffer = self
 
     def discard(self):
-        """Leave."""
+        """Remove the match from its buffer."""
         self.buffer = None
 
 
-@pytest.mark.parametrize("late", [0, 3, 100])
-def test_all_go_after_their_instant_and_none_before(late):
-    source = random.Random(late)
-    expiries = ExpirationQueue()
+@pytest.mark.parametrize("max_delay", [0, 3, 100])
+def test_matches_expire_after_their_instant(max_delay):
+    generator = random.Random(max_delay)
+    queue = ExpirationQueue()
     matches = []
     for order in range(500):
-        instant = order + source.randint(0, late)
-        matches.append((instant, Waiting(order)))
-        expiries.add(*matches[-1], stored_count=500)
-        expiries.expire(order - 50)
+        instant = order + generator.randint(0, max_delay)
+        matches.append((instant, StoredMatch(order)))
+        queue.add(*matches[-1], stored_count=500)
+        queue.expire(order - 50)
         assert all((match.buffer is None) == (instant < order - 50) for instant, match in matches)
-    assert len(expiries) == sum(match.buffer is not None for _, match in matches)
+    assert len(queue) == sum(match.buffer is not None for _, match in matches)
 
 
-class Counted(Waiting):
-    """Counts how often any of them is asked whether it waits."""
+class CountingMatch(StoredMatch):
+    """Counts the reads of the buffers of all matches."""
 
-    asked = 0
+    read_count = 0
 
     @property
     def buffer(self):
-        Counted.asked += 1
-        return self.waits
+        CountingMatch.read_count += 1
+        return self.current_buffer
 
     @buffer.setter
     def buffer(self, buffer):
-        self.waits = buffer
+        self.current_buffer = buffer
 
 
-def add_to_expiries(expiries, match, waiting):
-    expiries.add(match.order, match, waiting)
+def add_by_instant(queue, match, waiting):
+    queue.add(match.order, match, waiting)
 
 
-def add_by_start(expiries, match, waiting):
+def add_by_start(queue, match, waiting):
     match.start = match.order
-    expiries.add(10, match, waiting)
+    queue.add(10, match, waiting)
 
 
-def fill(expiries, add, number):
-    """Add so many matches, of which a quarter stays, and return them all."""
-    matches = [Counted(order) for order in range(number)]
+def fill(queue, add, match_count):
+    """Add matches, remove three quarters of them, and return all."""
+    matches = [CountingMatch(order) for order in range(match_count)]
     for match in matches:
-        add(expiries, match, number)
-    for match in matches[::2] + matches[1::4]:  # those that stay lie among them
+        add(queue, match, match_count)
+    for match in matches[::2] + matches[1::4]:  # the stored matches lie among the removed ones
         match.discard()
     return matches
 
 
 @pytest.mark.parametrize(
-    ("expiries", "add"), [(ExpirationQueue(), add_to_expiries), (StartExpirationQueue(10), add_by_start)]
+    ("queue", "add"), [(ExpirationQueue(), add_by_instant), (StartExpirationQueue(10), add_by_start)]
 )
-def test_those_that_left_are_dropped_a_part_at_a_time(expiries, add):
-    number = 20 * SLICE_ENTRIES
-    matches = fill(expiries, add, number)
+def test_removed_matches_are_dropped_in_slices(queue, add):
+    match_count = 20 * SLICE_ENTRIES
+    matches = fill(queue, add, match_count)
     waiting = len(matches) // 4
-    Counted.asked = 0
-    for order in range(number, number + 100):
-        before = Counted.asked
+    CountingMatch.read_count = 0
+    for order in range(match_count, match_count + 100):
+        before = CountingMatch.read_count
         waiting += 1
-        add(expiries, Counted(order), waiting)
-        assert Counted.asked - before <= SLICE_ENTRIES
-    assert len(expiries) <= 2 * waiting + 1000
-    expiries.expire(number // 2 + 11)
-    assert [match.order for match in matches if match.waits][0] == pytest.approx(number // 2, abs=12)
-    expiries.expire(number * 2)
-    assert len(expiries) == 0
-    assert not any(match.waits for match in matches)
+        add(queue, CountingMatch(order), waiting)
+        assert CountingMatch.read_count - before <= SLICE_ENTRIES
+    assert len(queue) <= 2 * waiting + 1000
+    queue.expire(match_count // 2 + 11)
+    assert [match.order for match in matches if match.current_buffer][0] == pytest.approx(
+        match_count // 2, abs=12
+    )
+    queue.expire(match_count * 2)
+    assert len(queue) == 0
+    assert not any(match.current_buffer for match in matches)
 
 
-def add_to_expiries_late(expiries, match, waiting):
-    expiries.add(-match.order, match, waiting)
+def add_by_instant_out_of_order(queue, match, waiting):
+    queue.add(-match.order, match, waiting)
 
 
-def add_by_start_late(expiries, match, waiting):
+def add_by_start_out_of_order(queue, match, waiting):
     match.start = -match.order
-    expiries.add(10, match, waiting)
+    queue.add(10, match, waiting)
 
 
 @pytest.mark.parametrize(
-    "expiries, add",
-    [(ExpirationQueue(), add_to_expiries_late), (StartExpirationQueue(10), add_by_start_late)],
+    "queue, add",
+    [(ExpirationQueue(), add_by_instant_out_of_order), (StartExpirationQueue(10), add_by_start_out_of_order)],
 )
-def test_those_that_came_out_of_order_and_left_are_dropped_a_part_at_a_time(expiries, add):
-    number = 40 * HEAP_SLICE_ENTRIES
-    matches = fill(expiries, add, number)
-    waiting = number // 4
-    for order in range(number, number + 60):
-        before = Counted.asked
+def test_unordered_removed_matches_are_dropped_in_slices(queue, add):
+    match_count = 40 * HEAP_SLICE_ENTRIES
+    matches = fill(queue, add, match_count)
+    waiting = match_count // 4
+    for order in range(match_count, match_count + 60):
+        before = CountingMatch.read_count
         waiting += 1
-        matches.append(Counted(order))
-        add(expiries, matches[-1], waiting)
-        assert Counted.asked - before <= HEAP_SLICE_ENTRIES + 1
-    assert len(expiries) <= 2 * waiting + 1000
-    expiries.expire(-number // 2 + 11)
-    assert [match.order for match in matches if match.waits][-1] == pytest.approx(number // 2, abs=15)
-    expiries.expire(100)
-    assert len(expiries) == 0
-    assert not any(match.waits for match in matches)
+        matches.append(CountingMatch(order))
+        add(queue, matches[-1], waiting)
+        assert CountingMatch.read_count - before <= HEAP_SLICE_ENTRIES + 1
+    assert len(queue) <= 2 * waiting + 1000
+    queue.expire(-match_count // 2 + 11)
+    assert [match.order for match in matches if match.current_buffer][-1] == pytest.approx(
+        match_count // 2, abs=15
+    )
+    queue.expire(100)
+    assert len(queue) == 0
+    assert not any(match.current_buffer for match in matches)
 
 
-def test_the_next_slice_begins_at_the_start_after_a_slice_with_nothing_left():
-    matches = deque(Waiting(order) for order in range(2 * SLICE_ENTRIES))
+def test_slices_restart_after_last_entry():
+    matches = deque(StoredMatch(order) for order in range(2 * SLICE_ENTRIES))
     for match in list(matches)[:SLICE_ENTRIES]:
         match.discard()
     assert remove_stale_entries(matches, 0) == 0
@@ -135,56 +139,56 @@ def test_the_next_slice_begins_at_the_start_after_a_slice_with_nothing_left():
 
 
 @pytest.mark.parametrize(
-    "number", [0, 1, SLICE_ENTRIES - 1, SLICE_ENTRIES, SLICE_ENTRIES + 1, 3 * SLICE_ENTRIES + 7]
+    "match_count", [0, 1, SLICE_ENTRIES - 1, SLICE_ENTRIES, SLICE_ENTRIES + 1, 3 * SLICE_ENTRIES + 7]
 )
-def test_slices_keep_the_order_and_reach_all(number):
-    matches = deque(Waiting(order) for order in range(number))
+def test_slices_keep_order_and_reach_all_entries(match_count):
+    matches = deque(StoredMatch(order) for order in range(match_count))
     for match in list(matches)[::3]:
         match.discard()
     start = 0
-    for _ in range(number // SLICE_ENTRIES + 1):
+    for _ in range(match_count // SLICE_ENTRIES + 1):
         start = remove_stale_entries(matches, start) or 0
-    assert [match.order for match in matches] == [order for order in range(number) if order % 3]
+    assert [match.order for match in matches] == [order for order in range(match_count) if order % 3]
 
 
 @pytest.mark.parametrize("step", [1, -1])
-def test_what_has_left_is_dropped(step):
-    expiries = ExpirationQueue()
+def test_removed_matches_are_dropped(step):
+    queue = ExpirationQueue()
     for order in range(20_000):
-        match = Waiting(order)
-        expiries.add(order * step, match, stored_count=1)
+        match = StoredMatch(order)
+        queue.add(order * step, match, stored_count=1)
         if order:
             match.discard()
-    assert len(expiries) < 2000
-    expiries.expire(20_000)
-    assert len(expiries) == 0
+    assert len(queue) < 2000
+    queue.expire(20_000)
+    assert len(queue) == 0
 
 
 @pytest.mark.parametrize(
-    "expiries, add", [(ExpirationQueue(), add_to_expiries), (StartExpirationQueue(10), add_by_start)]
+    "queue, add", [(ExpirationQueue(), add_by_instant), (StartExpirationQueue(10), add_by_start)]
 )
-def test_matches_that_leave_after_their_visit_are_dropped(expiries, add):
-    waiting = deque()
+def test_matches_removed_after_visit_are_dropped(queue, add):
+    stored = deque()
     for order in range(20_000):
-        waiting.append(Waiting(order))
-        add(expiries, waiting[-1], len(waiting))
-        if len(waiting) > 100:
-            waiting.popleft().discard()
-    assert len(expiries) < 2000
+        stored.append(StoredMatch(order))
+        add(queue, stored[-1], len(stored))
+        if len(stored) > 100:
+            stored.popleft().discard()
+    assert len(queue) < 2000
 
 
-def test_matches_go_after_their_span_whatever_the_order_of_their_starts():
-    source = random.Random(1)
-    waiting = StartExpirationQueue(10)
+def test_matches_expire_by_start_in_any_order():
+    generator = random.Random(1)
+    start_queue = StartExpirationQueue(10)
     matches = []
     for order in range(300):
-        span = source.choice((10, 10, 25))
-        matches.append((order + source.randint(-20, 0), span, Waiting(order)))
+        span = generator.choice((10, 10, 25))
+        matches.append((order + generator.randint(-20, 0), span, StoredMatch(order)))
         start, _, match = matches[-1]
         match.start = start
-        waiting.add(span, match, stored_count=300)
-        waiting.expire(order)
-        # A match that comes out of order may be late already; it goes at the next look.
+        start_queue.add(span, match, stored_count=300)
+        start_queue.expire(order)
+        # A match that comes out of order may be late already; it expires at the next call.
         assert [match.buffer is None for _, _, match in matches] == [
             start + span < order for start, span, _ in matches
         ]

@@ -15,50 +15,50 @@ from retalis.events.matches.match_types import PartialMatch
 
 
 class Rule:
-    """What a place wants of its rule."""
+    """The attributes of a rule that a buffer reads."""
 
     order = 0
     stored_match_count = 0
 
     def count_stored(self, match, span):
-        """Count it."""
+        """Count a stored match."""
         self.stored_match_count += 1
 
 
 @pytest.fixture
 def buffer():
-    """Return a place of the left side of ``meets``, with one shared variable."""
+    """Return a buffer of the left side of ``meets``, with one shared variable."""
     buffer = MatchBuffer(Rule(), (0,))
     buffer.partner_bounds = interval_bounds("meets", None, False)
     return buffer
 
 
-def wait(buffer, value, start, end):
-    """Let a match wait."""
+def store_match(buffer, value, start, end):
+    """Store a match with a value in the buffer, and return it."""
     match = PartialMatch((value,), start, end, None, atom("p"), None)
     buffer.add(match, buffer.key_of(match))
     return match
 
 
-def ends(found):
+def ends(matches):
     """Return the ends of matches."""
-    return [match.end for match in found]
+    return [match.end for match in matches]
 
 
-@pytest.mark.parametrize("number", [10, 500])
-def test_partners_are_those_of_the_key_at_the_right_time(buffer, number):
-    for at in range(number):
-        wait(buffer, at % 2, at, at + 2)
-    wanted = wait(buffer, 1, 4, 7)
+@pytest.mark.parametrize("match_count", [10, 500])
+def test_partners_have_key_and_time(buffer, match_count):
+    for position in range(match_count):
+        store_match(buffer, position % 2, position, position + 2)
+    expected = store_match(buffer, 1, 4, 7)
     assert [match.start for match in buffer.partners(1, 7, 9, False)] == [5, 4]
-    assert next(buffer.partners(1, 7, 9, True)) is wanted
+    assert next(buffer.partners(1, 7, 9, True)) is expected
     assert ends(buffer.partners(1, 8, 9, True)) == []
     assert ends(buffer.partners(2, 7, 9, True)) == []
 
 
-def test_far_matches_are_found_by_time_once_many_are_not_in_time(buffer):
-    for at in range(1000):
-        wait(buffer, 0, at, at)
+def test_index_is_created_after_many_misses(buffer):
+    for position in range(1000):
+        store_match(buffer, 0, position, position)
     assert ends(buffer.partners(0, 999, 999, True)) == [999] and reachable(buffer, IntervalIndex)
     assert ends(buffer.partners(0, 500, 500, False)) == [500]
     for match in buffer.stored_matches()[:999]:
@@ -67,82 +67,82 @@ def test_far_matches_are_found_by_time_once_many_are_not_in_time(buffer):
     assert buffer.rule.stored_match_count == 1
 
 
-def test_an_index_goes_when_it_is_not_used(buffer):
-    for at in range(100):
-        wait(buffer, 0, at, at)
+def test_unused_index_is_removed(buffer):
+    for position in range(100):
+        store_match(buffer, 0, position, position)
     assert ends(buffer.partners(0, 3, 3, True)) == [3]
     assert reachable(buffer, IntervalIndex)
-    for at in range(200):
-        wait(buffer, 0, at, at)
+    for position in range(200):
+        store_match(buffer, 0, position, position)
     assert not reachable(buffer, IntervalIndex)
     assert ends(buffer.partners(0, 3, 3, True)) == [3, 3]
 
 
-def test_a_place_forgets_a_key_without_matches(buffer):
-    matches = [wait(buffer, 0, at, at) for at in range(3)]
+def test_key_without_matches_is_removed(buffer):
+    matches = [store_match(buffer, 0, position, position) for position in range(3)]
     for match in (matches[1], matches[0], matches[2]):
         match.discard()
     assert buffer.newest == {} and buffer.stored_matches() == []
 
 
-@pytest.mark.parametrize("few", [0, 32])
+@pytest.mark.parametrize("max_misses", [0, 32])
 @pytest.mark.parametrize("newest", [False, True])
-def test_matches_may_come_and_go_while_partners_are_looked_at(buffer, monkeypatch, few, newest):
-    monkeypatch.setattr(match_buffer, "MAX_MISSES_BEFORE_INDEX", few)
-    matches = [wait(buffer, 0, at, 50 if at % 3 else at) for at in range(30)]
-    expected = [at for at in range(30) if at % 3]
+def test_buffer_may_change_during_iteration(buffer, monkeypatch, max_misses, newest):
+    monkeypatch.setattr(match_buffer, "MAX_MISSES_BEFORE_INDEX", max_misses)
+    matches = [store_match(buffer, 0, position, 50 if position % 3 else position) for position in range(30)]
+    expected = [position for position in range(30) if position % 3]
     if newest:
         expected.reverse()
-    found = []
+    starts = []
     for match in buffer.partners(0, 50, 60, newest):
-        found.append(match.start)
-        if len(found) == 3:
-            for gone in (found[2], expected[3], expected[5]):
-                matches[gone].discard()
-            wait(buffer, 0, 99, 50)
-    assert found == [*expected[:3], expected[4], *expected[6:]]
+        starts.append(match.start)
+        if len(starts) == 3:
+            for removed in (starts[2], expected[3], expected[5]):
+                matches[removed].discard()
+            store_match(buffer, 0, 99, 50)
+    assert starts == [*expected[:3], expected[4], *expected[6:]]
 
 
-def test_matches_with_variables_are_partners_of_every_key(buffer):
-    wait(buffer, 1, 1, 5)
-    wait(buffer, Var(), 2, 5)
-    wait(buffer, 1, 3, 5)
+def test_matches_with_variables_have_every_key(buffer):
+    store_match(buffer, 1, 1, 5)
+    store_match(buffer, Var(), 2, 5)
+    store_match(buffer, 1, 3, 5)
     assert [match.start for match in buffer.partners(1, 5, 5, False)] == [1, 2, 3]
     assert [match.start for match in buffer.partners(1, 5, 5, True)] == [3, 2, 1]
     assert [match.start for match in buffer.partners(7, 5, 5, True)] == [2]
     assert [match.start for match in buffer.partners(None, 5, 5, True)] == [3, 2, 1]
 
 
-def test_the_newest_of_a_name_replaces_the_older(buffer):
+def test_newest_match_of_identity_replaces_older(buffer):
     buffer.set_identity_function(lambda match: match.term)
-    wait(buffer, 2, 1, 5)
-    wait(buffer, 2, 2, 5)
+    store_match(buffer, 2, 1, 5)
+    store_match(buffer, 2, 2, 5)
     assert [match.start for match in buffer.stored_matches()] == [2]
     assert list(buffer.newest) == [2]
 
 
-@pytest.mark.parametrize("number", [2, 50])
-def test_among_many_of_a_key_the_one_of_the_same_name_is_replaced(buffer, number):
-    buffer.set_identity_function(lambda match: match.start % number)
-    for at in range(number * 3):
-        wait(buffer, 0, at, 5)
-        assert len(buffer.stored_matches()) == min(at + 1, number)
-    assert [match.start for match in buffer.stored_matches()] == list(range(number * 2, number * 3))
+@pytest.mark.parametrize("match_count", [2, 50])
+def test_match_of_same_identity_is_replaced(buffer, match_count):
+    buffer.set_identity_function(lambda match: match.start % match_count)
+    for position in range(match_count * 3):
+        store_match(buffer, 0, position, 5)
+        assert len(buffer.stored_matches()) == min(position + 1, match_count)
+    assert [match.start for match in buffer.stored_matches()] == list(range(match_count * 2, match_count * 3))
     buffer.set_identity_function(None)
-    wait(buffer, 0, 0, 5)
-    assert len(buffer.stored_matches()) == number + 1
+    store_match(buffer, 0, 0, 5)
+    assert len(buffer.stored_matches()) == match_count + 1
 
 
 @pytest.mark.parametrize("newest", [False, True])
-def test_a_partner_that_goes_while_the_one_before_it_is_looked_at_is_passed_over(buffer, newest):
-    matches = [wait(buffer, 0, at, 50) for at in range(4)]
+def test_partner_removed_during_iteration_is_skipped(buffer, newest):
+    matches = [store_match(buffer, 0, position, 50) for position in range(4)]
     expected = [3, 1, 0] if newest else [0, 2, 3]
-    found = []
+    starts = []
     for match in buffer.partners(0, 50, 60, newest):
-        found.append(match.start)
-        if len(found) == 1:
+        starts.append(match.start)
+        if len(starts) == 1:
             matches[2 if newest else 1].discard()
-    assert found == expected
+    assert starts == expected
 
 
 KEYS = st.sampled_from([0, 0, 0, 1, None])
@@ -154,42 +154,48 @@ CHANGES = st.one_of(
 )
 
 
-@pytest.mark.parametrize("names", [None, 3])
+@pytest.mark.parametrize("identity_count", [None, 3])
 @pytest.mark.parametrize("operator", [None, "meets", "seq", "during"])
-def test_a_buffer_finds_what_a_plain_search_finds(operator, names):
-    """Few matches are passed over here before an index by time or by name is made."""
-    reach = None if operator is None else interval_bounds(operator, None, True)
-    few = patch.multiple(match_buffer, MAX_MISSES_BEFORE_INDEX=3, MAX_MISSES_WITH_INDEX=1)
+def test_buffer_equals_linear_search(operator, identity_count):
+    """The thresholds are small here, so that indexes by time and by identity are created."""
+    bounds = None if operator is None else interval_bounds(operator, None, True)
+    max_misses = patch.multiple(match_buffer, MAX_MISSES_BEFORE_INDEX=3, MAX_MISSES_WITH_INDEX=1)
 
     @settings(deadline=None, derandomize=True, max_examples=60)
     @given(st.lists(CHANGES, min_size=10, max_size=50))
-    def changes(steps):
+    def check(steps):
         buffer = MatchBuffer(Rule(), (0,))
-        buffer.partner_bounds = reach
-        if names is not None:
-            buffer.set_identity_function(lambda match: (match.key, match.start % names))
-        waiting = []
+        buffer.partner_bounds = bounds
+        if identity_count is not None:
+            buffer.set_identity_function(lambda match: (match.key, match.start % identity_count))
+        matches = []
         for step, *values in steps:
             if step == "add":
                 key, start, length = values
-                if names is not None:
-                    waiting = [one for one in waiting if (one.key, one.start % names) != (key, start % names)]
-                waiting.append(wait(buffer, Var() if key is None else key, start, start + length))
+                if identity_count is not None:
+                    matches = [
+                        match
+                        for match in matches
+                        if (match.key, match.start % identity_count) != (key, start % identity_count)
+                    ]
+                matches.append(store_match(buffer, Var() if key is None else key, start, start + length))
             elif step == "leave":
-                for match in waiting[values[0] : values[0] + 1]:
+                for match in matches[values[0] : values[0] + 1]:
                     match.discard()
-                    waiting.remove(match)
+                    matches.remove(match)
             else:
                 key, start, newest = values
-                limits = None if reach is None or key is None else reach.limits(start, start + 2)
-                found = [one for one in waiting if fits(one, key, limits)]
-                assert list(buffer.partners(key, start, start + 2, newest)) == found[:: -1 if newest else 1]
-                assert [one for one in waiting if one.key == key] == buffer.matches_of_key(key)
-            assert buffer.rule.stored_match_count == len(waiting)
-        assert buffer.stored_matches() == waiting
+                limits = None if bounds is None or key is None else bounds.limits(start, start + 2)
+                expected = [match for match in matches if fits(match, key, limits)]
+                assert (
+                    list(buffer.partners(key, start, start + 2, newest)) == expected[:: -1 if newest else 1]
+                )
+                assert [match for match in matches if match.key == key] == buffer.matches_of_key(key)
+            assert buffer.rule.stored_match_count == len(matches)
+        assert buffer.stored_matches() == matches
 
-    with few:
-        changes()
+    with max_misses:
+        check()
 
 
 def fits(match, key, limits):

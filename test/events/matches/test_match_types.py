@@ -25,42 +25,44 @@ from retalis.events.matches.match_types import (
         1,
     ],
 )
-def test_identities_of_other_parts_differ(other):
+def test_identities_of_different_parts_differ(other):
     nested = Identity((1, Identity((2, "a"))))
     assert nested != other
     assert Identity((other, 1)) != Identity((nested, 1))
 
 
-def test_identities_of_the_same_parts_are_equal():
+def test_identities_of_equal_parts_are_equal():
     first, second = (Identity((1, Identity((2, "a")))) for _ in range(2))
     assert first == second
     assert hash(first) == hash(second)
 
 
-def nested(depth, name):
+def nested_match(depth, name):
     """Return a match whose first part has a first part, and so on, ``depth`` levels deep."""
     match = PartialMatch((), 0, 0, 1, atom(name), None)
-    for at in range(1, depth):
-        match = PartialMatch((), 0, at, None, None, (match, PartialMatch((), at, at, 1, atom("b"), None)))
+    for level in range(1, depth):
+        match = PartialMatch(
+            (), 0, level, None, None, (match, PartialMatch((), level, level, 1, atom("b"), None))
+        )
     return match
 
 
-def test_the_identity_of_a_deeply_nested_match_is_computed_without_recursion():
+def test_identity_of_deep_match_needs_no_recursion():
     depth = 2 * sys.getrecursionlimit()
-    assert identity(nested(depth, "a")) == identity(nested(depth, "a"))
-    assert identity(nested(depth, "a")) != identity(nested(depth, "c"))
+    assert identity(nested_match(depth, "a")) == identity(nested_match(depth, "a"))
+    assert identity(nested_match(depth, "a")) != identity(nested_match(depth, "c"))
 
 
-def test_a_match_without_parts_has_an_identity():
+def test_match_without_parts_has_identity():
     assert identity(PartialMatch((), 0, 0, None, None, ())) == Identity(())
 
 
-def test_a_match_of_events_that_are_not_tracked_has_the_arrival_number_0():
-    assert arrival_number_of(nested(3, "a")) == 0
+def test_untracked_match_has_arrival_number_zero():
+    assert arrival_number_of(nested_match(3, "a")) == 0
 
 
 @pytest.mark.parametrize("short_class, saved_slots", ((EventMatch, 7), (OrderedEventMatch, 5)))
-def test_a_match_of_an_event_is_a_match_that_takes_less_memory(short_class, saved_slots):
+def test_match_of_event_takes_less_memory(short_class, saved_slots):
     event, full = short_class(), PartialMatch((1,), 5, 5, None, ("a", 1), None)
     event.start = event.end = event.order = 5
     event.term = ("a", 1)
@@ -69,7 +71,7 @@ def test_a_match_of_an_event_is_a_match_that_takes_less_memory(short_class, save
     assert sys.getsizeof(full) - sys.getsizeof(event) == 8 * saved_slots
 
 
-def test_matches_that_wait_can_be_tracked_from_then_on():
+def test_tracking_starts_with_stored_matches():
     engine = Engine()
     engine.load(
         goals="set_etalis_flag(event_consumption_policy, chronological)", rules="c(X, Y) <- a(X, Y) seq b(X)."
@@ -92,7 +94,7 @@ def test_matches_that_wait_can_be_tracked_from_then_on():
     assert not rule.stored_match_count
 
 
-def test_the_match_of_an_event_at_one_instant_in_nanoseconds_is_short():
+def test_match_of_instant_is_short():
     engine = Engine()
     engine.load(rules="c(X, Y) <- a(X, Y) seq b(X).")
     instant = 2 * 10**9

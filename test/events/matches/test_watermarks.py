@@ -13,7 +13,7 @@ MAX_LAG = 300 * MILLISECOND
 END = 100 * SECOND
 
 
-class Run:
+class EngineDriver:
     """An engine with a receipt clock; its alarms run at their own instants, as on a robot and in a bag."""
 
     def __init__(self, rules, goals="", **engine_settings):
@@ -51,47 +51,47 @@ class Run:
 ALARM = "alarm <- in(no) seq absent(in(yes), 0.5)."
 
 
-def test_event_within_its_time_cancels_alarm_though_received_later():
-    run = Run(ALARM)
-    run.clock.move_to(1000 * SECOND)
-    run.engine.event("in(no)", 1000)
+def test_event_received_after_deadline_cancels_alarm():
+    driver = EngineDriver(ALARM)
+    driver.clock.move_to(1000 * SECOND)
+    driver.engine.event("in(no)", 1000)
     # The message is received after the deadline, before the alarm has run.
-    run.clock.move_to(1000 * SECOND + 505 * MILLISECOND)
-    run.engine.event("in(yes)", 1000.49)
-    run.advance(1010 * SECOND)
-    assert run.derived == []
+    driver.clock.move_to(1000 * SECOND + 505 * MILLISECOND)
+    driver.engine.event("in(yes)", 1000.49)
+    driver.advance(1010 * SECOND)
+    assert driver.derived == []
 
 
 def test_known_lag_delays_alarm_but_not_its_interval():
-    run = Run(ALARM)
-    run.receive("in(no)", 10 * SECOND, 30 * MILLISECOND)
-    run.advance(10 * SECOND + 529 * MILLISECOND)
-    assert run.derived == []
-    run.advance(10 * SECOND + 530 * MILLISECOND)
-    assert run.derived == [("alarm", 10 * SECOND, 10 * SECOND + 500 * MILLISECOND)]
+    driver = EngineDriver(ALARM)
+    driver.receive("in(no)", 10 * SECOND, 30 * MILLISECOND)
+    driver.advance(10 * SECOND + 529 * MILLISECOND)
+    assert driver.derived == []
+    driver.advance(10 * SECOND + 530 * MILLISECOND)
+    assert driver.derived == [("alarm", 10 * SECOND, 10 * SECOND + 500 * MILLISECOND)]
 
 
 def test_delay_of_zero_ignores_lag():
-    run = Run(ALARM, watermark_delay=0)
-    run.receive("in(no)", 10 * SECOND, 30 * MILLISECOND)
-    run.advance(10 * SECOND + 500 * MILLISECOND)
-    assert len(run.derived) == 1
+    driver = EngineDriver(ALARM, watermark_delay=0)
+    driver.receive("in(no)", 10 * SECOND, 30 * MILLISECOND)
+    driver.advance(10 * SECOND + 500 * MILLISECOND)
+    assert len(driver.derived) == 1
 
 
 def test_property_of_label_replaces_flag():
-    run = Run(f"slow([property(watermark_delay, 2)]) : {ALARM}", watermark_delay=0)
-    run.receive("in(no)", 10 * SECOND)
-    run.advance(12 * SECOND)
-    assert run.derived == []
-    run.advance(12 * SECOND + 500 * MILLISECOND)
-    assert len(run.derived) == 1
+    driver = EngineDriver(f"slow([property(watermark_delay, 2)]) : {ALARM}", watermark_delay=0)
+    driver.receive("in(no)", 10 * SECOND)
+    driver.advance(12 * SECOND)
+    assert driver.derived == []
+    driver.advance(12 * SECOND + 500 * MILLISECOND)
+    assert len(driver.derived) == 1
 
 
 def test_delay_is_bounded():
-    run = Run(ALARM, max_watermark_delay=0.2)
-    run.receive("in(no)", 10 * SECOND, 400 * MILLISECOND)
-    run.advance(10 * SECOND + 700 * MILLISECOND)
-    assert len(run.derived) == 1
+    driver = EngineDriver(ALARM, max_watermark_delay=0.2)
+    driver.receive("in(no)", 10 * SECOND, 400 * MILLISECOND)
+    driver.advance(10 * SECOND + 700 * MILLISECOND)
+    assert len(driver.derived) == 1
 
 
 @pytest.mark.parametrize(
@@ -103,19 +103,21 @@ def test_delay_is_bounded():
     ids=["by a rule", "by a goal"],
 )
 def test_lag_of_topic_delays_patterns_of_derived_events(rules):
-    run = Run(rules)
-    run.receive("in(no)", 10 * SECOND, 30 * MILLISECOND)
-    run.receive("in(yes)", 10 * SECOND + 490 * MILLISECOND, 25 * MILLISECOND)
-    run.advance(END)
-    assert [event for event in run.derived if event[0] == "alarm"] == []
+    driver = EngineDriver(rules)
+    driver.receive("in(no)", 10 * SECOND, 30 * MILLISECOND)
+    driver.receive("in(yes)", 10 * SECOND + 490 * MILLISECOND, 25 * MILLISECOND)
+    driver.advance(END)
+    assert [event for event in driver.derived if event[0] == "alarm"] == []
 
 
 def test_lag_of_another_topic_does_not_delay_pattern():
-    run = Run("alarm <- in(no) seq absent(in(yes), 0.5). other <- in_camera(1) seq absent(in_camera(2), 5).")
-    run.receive("in_camera(0)", 9 * SECOND, 300 * MILLISECOND)
-    run.receive("in(no)", 10 * SECOND)
-    run.advance(10 * SECOND + 500 * MILLISECOND)
-    assert len(run.derived) == 1
+    driver = EngineDriver(
+        "alarm <- in(no) seq absent(in(yes), 0.5). other <- in_camera(1) seq absent(in_camera(2), 5)."
+    )
+    driver.receive("in_camera(0)", 9 * SECOND, 300 * MILLISECOND)
+    driver.receive("in(no)", 10 * SECOND)
+    driver.advance(10 * SECOND + 500 * MILLISECOND)
+    assert len(driver.derived) == 1
 
 
 def test_clock_that_follows_events_measures_no_lag():
@@ -129,41 +131,41 @@ def test_clock_that_follows_events_measures_no_lag():
 
 
 def test_restored_engine_continues_with_lags_and_waiting_alarm():
-    run = Run(ALARM)
-    run.receive("in(no)", 10 * SECOND, 30 * MILLISECOND)
-    run.advance(10 * SECOND + 510 * MILLISECOND)
-    data = run.engine.snapshot()
-    other = Run("")
+    driver = EngineDriver(ALARM)
+    driver.receive("in(no)", 10 * SECOND, 30 * MILLISECOND)
+    driver.advance(10 * SECOND + 510 * MILLISECOND)
+    data = driver.engine.snapshot()
+    other = EngineDriver("")
     other.engine = Engine.restore(data, other.clock)
     other.engine.on_event(other.record)
-    for each in (run, other):
-        each.advance(10 * SECOND + 529 * MILLISECOND)
-        assert each.derived == []
-        each.advance(10 * SECOND + 530 * MILLISECOND)
-        assert each.derived == [("alarm", 10 * SECOND, 10 * SECOND + 500 * MILLISECOND)]
-    assert other.engine.snapshot() == run.engine.snapshot()
+    for current in (driver, other):
+        current.advance(10 * SECOND + 529 * MILLISECOND)
+        assert current.derived == []
+        current.advance(10 * SECOND + 530 * MILLISECOND)
+        assert current.derived == [("alarm", 10 * SECOND, 10 * SECOND + 500 * MILLISECOND)]
+    assert other.engine.snapshot() == driver.engine.snapshot()
 
 
 def test_query_timeout_waits_for_late_records():
-    run = Run(
+    driver = EngineDriver(
         "synchronized(answer, true, [[records, 10]], [timeout(0.2)]) <- in_go.",
         "memorize(in(X), [], X, records, 9).",
     )
-    run.receive("in(1)", 9 * SECOND, 300 * MILLISECOND)
-    run.receive("in_go", 10 * SECOND)
-    run.receive("in(2)", 10 * SECOND + MILLISECOND, 299 * MILLISECOND)
-    run.advance(END)
-    assert ("answer", 10 * SECOND, 10 * SECOND) in run.derived
+    driver.receive("in(1)", 9 * SECOND, 300 * MILLISECOND)
+    driver.receive("in_go", 10 * SECOND)
+    driver.receive("in(2)", 10 * SECOND + MILLISECOND, 299 * MILLISECOND)
+    driver.advance(END)
+    assert ("answer", 10 * SECOND, 10 * SECOND) in driver.derived
 
 
 def test_timeout_without_lag_is_as_written():
-    run = Run(
+    driver = EngineDriver(
         "synchronized(answer, true, [[records, 10]], [timeout(0.2)]) <- in_go.",
         "memorize(in(X), [], X, records, 9).",
     )
-    run.receive("in_go", 10 * SECOND)
-    run.advance(10 * SECOND + 200 * MILLISECOND)
-    assert [(text[:14], end) for text, _, end in run.derived if text.startswith("query")] == [
+    driver.receive("in_go", 10 * SECOND)
+    driver.advance(10 * SECOND + 200 * MILLISECOND)
+    assert [(text[:14], end) for text, _, end in driver.derived if text.startswith("query")] == [
         ("query_given_up", 10 * SECOND + 200 * MILLISECOND)
     ]
 
@@ -172,20 +174,20 @@ STATE = "state(open(X), from(in(X, on)), until(in(X, off)), [within(1)])."
 
 
 def test_event_after_end_of_state_by_itself_does_not_extend_it():
-    run = Run("closed(X) <- open(X).", STATE)
-    run.receive("in(a, on)", 10 * SECOND, 300 * MILLISECOND)
+    driver = EngineDriver("closed(X) <- open(X).", STATE)
+    driver.receive("in(a, on)", 10 * SECOND, 300 * MILLISECOND)
     # Received while the end of the state waits for late events.
-    run.receive("in(a, off)", 11 * SECOND + 50 * MILLISECOND, 10 * MILLISECOND)
-    assert ("open(a)", 10 * SECOND, 11 * SECOND) in run.derived
+    driver.receive("in(a, off)", 11 * SECOND + 50 * MILLISECOND, 10 * MILLISECOND)
+    assert ("open(a)", 10 * SECOND, 11 * SECOND) in driver.derived
 
 
 def test_state_begins_again_while_its_end_waits():
-    run = Run("closed(X) <- open(X).", STATE)
-    run.receive("in(a, on)", 10 * SECOND, 300 * MILLISECOND)
-    run.receive("in(a, on)", 11 * SECOND + 50 * MILLISECOND, 10 * MILLISECOND)
-    assert not run.engine.call("holds_at(open(a), 11.02)")
-    run.advance(END)
-    intervals = [(start, end) for text, start, end in run.derived if text == "open(a)"]
+    driver = EngineDriver("closed(X) <- open(X).", STATE)
+    driver.receive("in(a, on)", 10 * SECOND, 300 * MILLISECOND)
+    driver.receive("in(a, on)", 11 * SECOND + 50 * MILLISECOND, 10 * MILLISECOND)
+    assert not driver.engine.call("holds_at(open(a), 11.02)")
+    driver.advance(END)
+    intervals = [(start, end) for text, start, end in driver.derived if text == "open(a)"]
     assert intervals == [
         (10 * SECOND, 11 * SECOND),
         (11 * SECOND + 50 * MILLISECOND, 12 * SECOND + 50 * MILLISECOND),
@@ -223,17 +225,17 @@ def with_beacons(events):
     ]
 
 
-def receive_at_stamps(run, events):
-    return run.receive_all([(stamp, text, stamp) for stamp, text, _ in events])
+def receive_at_stamps(driver, events):
+    return driver.receive_all([(stamp, text, stamp) for stamp, text, _ in events])
 
 
-def receive_with_lags(run, events, in_order):
+def receive_with_lags(driver, events, in_order):
     arrivals = []
     receipt = 0
     for stamp, text, lag in events:
         receipt = max(receipt, stamp + lag) if in_order else stamp + lag
         arrivals.append((receipt, text, stamp))
-    return run.receive_all(sorted(arrivals, key=lambda arrival: arrival[0]))
+    return driver.receive_all(sorted(arrivals, key=lambda arrival: arrival[0]))
 
 
 OUT_OF_ORDER_PROGRAMS = {
@@ -253,9 +255,9 @@ OUT_OF_ORDER_PROGRAMS = {
 @example([(30_254, "in(a, on)", 300), (30_549, "in(a, on)", 4)])
 def test_results_with_lags_equal_those_at_stamps(rules, events):
     all_events = with_beacons(events)
-    expected = sorted(receive_at_stamps(Run(rules, watermark_delay=0), all_events))
+    expected = sorted(receive_at_stamps(EngineDriver(rules, watermark_delay=0), all_events))
     for delay in (None, 0.3):
-        outputs = receive_with_lags(Run(rules, watermark_delay=delay), all_events, in_order=False)
+        outputs = receive_with_lags(EngineDriver(rules, watermark_delay=delay), all_events, in_order=False)
         assert sorted(outputs) == expected
 
 
@@ -271,8 +273,8 @@ IN_ORDER_PROGRAMS = {
 @given(stamped_events)
 def test_results_in_order_with_lags_equal_those_at_stamps(program, events):
     all_events = with_beacons(events)
-    expected = sorted(receive_at_stamps(Run(*program, watermark_delay=0), all_events))
-    outputs = receive_with_lags(Run(*program), all_events, in_order=True)
+    expected = sorted(receive_at_stamps(EngineDriver(*program, watermark_delay=0), all_events))
+    outputs = receive_with_lags(EngineDriver(*program), all_events, in_order=True)
     assert sorted(outputs) == expected
 
 
@@ -282,7 +284,7 @@ def test_results_in_order_with_lags_equal_those_at_stamps(program, events):
 def test_restored_run_equals_continued_run(events, instant):
     rules = "\n".join(OUT_OF_ORDER_PROGRAMS[name] for name in ("absent", "debounce", "every"))
     arrivals = sorted((stamp + lag, text, stamp) for stamp, text, lag in with_beacons(events))
-    restored = Run(rules, STATE)
+    restored = EngineDriver(rules, STATE)
     earlier = [arrival for arrival in arrivals if arrival[0] < instant * MILLISECOND]
     for receipt, text, stamp in earlier:
         restored.receive(text, stamp, receipt - stamp)
@@ -292,22 +294,22 @@ def test_restored_run_equals_continued_run(events, instant):
     restored.engine = Engine.restore(data, restored.clock)
     restored.engine.on_event(restored.record)
     restored.receive_all(arrivals[len(earlier) :])
-    continued = Run(rules, STATE)
+    continued = EngineDriver(rules, STATE)
     assert restored.derived == continued.receive_all(arrivals)
 
 
 def test_event_after_deadline_does_not_replace_waiting_one():
-    run = Run(ALARM, watermark_delay=1)
-    run.receive("in(no)", 10 * SECOND)
-    run.receive("in(no)", 10 * SECOND + 600 * MILLISECOND)
-    run.advance(END)
-    assert [start for _, start, _ in run.derived] == [10 * SECOND, 10 * SECOND + 600 * MILLISECOND]
+    driver = EngineDriver(ALARM, watermark_delay=1)
+    driver.receive("in(no)", 10 * SECOND)
+    driver.receive("in(no)", 10 * SECOND + 600 * MILLISECOND)
+    driver.advance(END)
+    assert [start for _, start, _ in driver.derived] == [10 * SECOND, 10 * SECOND + 600 * MILLISECOND]
 
 
 @pytest.mark.parametrize(
     ("arrivals", "starts"),
     [
-        # Each event is the stamp in ms, and they come in this order.
+        # Timestamps in ms, in order of receipt.
         ([400, 0], [400]),
         ([0, 400], [400]),
         ([500, 0], [0, 500]),
@@ -317,29 +319,31 @@ def test_event_after_deadline_does_not_replace_waiting_one():
     ],
 )
 def test_later_event_replaces_earlier_one_in_any_order_of_receipt(arrivals, starts):
-    run = Run(ALARM, watermark_delay=2)
+    driver = EngineDriver(ALARM, watermark_delay=2)
     for stamp in arrivals:
-        run.receive("in(no)", 10 * SECOND + stamp * MILLISECOND, (1000 - stamp) * MILLISECOND)
-    run.advance(END)
-    assert [start for _, start, _ in run.derived] == [10 * SECOND + stamp * MILLISECOND for stamp in starts]
+        driver.receive("in(no)", 10 * SECOND + stamp * MILLISECOND, (1000 - stamp) * MILLISECOND)
+    driver.advance(END)
+    assert [start for _, start, _ in driver.derived] == [
+        10 * SECOND + stamp * MILLISECOND for stamp in starts
+    ]
 
 
 def test_explanation_names_waiting_alarm():
-    run = Run("", watermark_delay=1)
-    record_origins(run.engine)
-    run.engine.load(rules=ALARM)
-    run.receive("in(no)", 10 * SECOND)
-    run.advance(11 * SECOND)
-    text = str(explain(run.engine, "alarm"))
+    driver = EngineDriver("", watermark_delay=1)
+    record_origins(driver.engine)
+    driver.engine.load(rules=ALARM)
+    driver.receive("in(no)", 10 * SECOND)
+    driver.advance(11 * SECOND)
+    text = str(explain(driver.engine, "alarm"))
     assert "the time after it is over, and the alarm waits 1 s for late events" in text
 
 
 def test_lags_of_oldest_names_are_dropped():
-    run = Run("lost <- beat seq absent(beat, 2).")
-    run.receive("beat", SECOND, MAX_LAG)
+    driver = EngineDriver("lost <- beat seq absent(beat, 2).")
+    driver.receive("beat", SECOND, MAX_LAG)
     for number in range(MAX_TOPICS):
-        run.engine.event(f"name{number}(1)")
-    names = {lag.event for lag in run.engine.status(2 * MAX_TOPICS).lags}
+        driver.engine.event(f"name{number}(1)")
+    names = {lag.event for lag in driver.engine.status(2 * MAX_TOPICS).lags}
     assert len(names) == MAX_TOPICS and "beat/0" not in names
-    run.receive("beat", 2 * SECOND, MAX_LAG)
-    assert run.engine.status().rules[0].delay == MAX_LAG
+    driver.receive("beat", 2 * SECOND, MAX_LAG)
+    assert driver.engine.status().rules[0].delay == MAX_LAG

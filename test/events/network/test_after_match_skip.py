@@ -1,7 +1,7 @@
 """After-match skip strategies of rules."""
 
 import pytest
-from events.stream_programs import Program, fired, show
+from events.stream_programs import ProgramRunner, format_events, outputs_of
 
 from retalis import Engine
 
@@ -13,84 +13,84 @@ def rule(after_match, text, policy="recent"):
 
 
 @pytest.mark.parametrize(
-    ("kind", "repeated", "pairs", "runs"),
+    ("strategy", "repeated", "pairs", "runs"),
     [
         (KEEP, "c@1-2 c@2-3 c@3-4", "c(1)@1-3 c(2)@2-3 c(1)@1-4 c(2)@2-4", "c@1-1 c@1-2 c@3-3"),
         (PAST, "c@1-2 c@3-4", "c(1)@1-3", "c@1-1 c@3-3"),
         (NEXT, "c@1-2 c@2-3 c@3-4", "c(1)@1-3 c(2)@2-3", "c@1-1 c@3-3"),
     ],
 )
-def test_kinds(kind, repeated, pairs, runs):
-    assert fired(rule(kind, "c <- a ntimes 2."), "a@1 a@2 a@3 a@4") == repeated
-    assert fired(rule(kind, "c(X) <- a(X) seq b.", "unrestricted"), "a(1)@1 a(2)@2 b@3 b@4") == pairs
-    assert fired(rule(kind, "c <- a seq b star_times."), "a@1 b@2 a@3") == runs
+def test_strategies_skip_starts(strategy, repeated, pairs, runs):
+    assert outputs_of(rule(strategy, "c <- a ntimes 2."), "a@1 a@2 a@3 a@4") == repeated
+    assert outputs_of(rule(strategy, "c(X) <- a(X) seq b.", "unrestricted"), "a(1)@1 a(2)@2 b@3 b@4") == pairs
+    assert outputs_of(rule(strategy, "c <- a seq b star_times."), "a@1 b@2 a@3") == runs
 
 
-def test_a_late_event_that_starts_before_the_end_of_a_match_takes_no_part():
+def test_late_event_before_end_of_match_is_skipped():
     rules = rule(PAST, "c(X) <- a(X) and b.")
-    assert fired(rules, "a(1)@1 b@5 a(2)@3 a(3)@6 b@4 b@5.5") == "c(1)@1-5 c(3)@5.5-6"
+    assert outputs_of(rules, "a(1)@1 b@5 a(2)@3 a(3)@6 b@4 b@5.5") == "c(1)@1-5 c(3)@5.5-6"
 
 
-def test_of_several_with_one_start_the_first_fires_and_what_comes_later_may_start_there_again():
+def test_first_match_of_start_is_emitted():
     rules = rule(NEXT, "c(X) <- a(X) seq b.", "unrestricted")
-    assert fired(rules, "a(1)@1 a(2)@1 b@2 b@3 a(3)@1 b@4") == "c(1)@1-2 c(3)@1-4"
+    assert outputs_of(rules, "a(1)@1 a(2)@1 b@2 b@3 a(3)@1 b@4") == "c(1)@1-2 c(3)@1-4"
 
 
-def test_two_starts_at_one_instant_are_one():
-    assert fired(rule(NEXT, "c(X) <- a(X) seq b(X)."), "a(1)@1 a(2)@1 b(1)@2 b(2)@3") == "c(1)@1-2"
+def test_starts_at_same_instant_are_one_start():
+    assert outputs_of(rule(NEXT, "c(X) <- a(X) seq b(X)."), "a(1)@1 a(2)@1 b(1)@2 b(2)@3") == "c(1)@1-2"
 
 
-def test_partners_of_what_does_not_fire_are_used_up():
+def test_partners_of_skipped_match_are_consumed():
     rules = rule(PAST, "c(X,Y) <- (a(X) seq b event_multiply member(Y, [1, 2])) and d(Y).")
-    assert fired(rules, "d(2)@1 d(1)@1 a(0)@2 b@3") == "c(0,1)@1-3"
+    assert outputs_of(rules, "d(2)@1 d(1)@1 a(0)@2 b@3") == "c(0,1)@1-3"
 
 
-def test_goals_around_the_pattern_are_called_for_what_fires_only():
+def test_goals_are_called_for_emitted_matches_only():
     rules = rule(PAST, "c(X) do assertz(called(X)) <- a(X) seq b.", "unrestricted") + " :- dynamic called/1."
-    program = Program(rules)
+    program = ProgramRunner(rules)
     assert program.feed("a(1)@1 a(2)@2 b@3") == "c(1)@1-3"
-    assert [one["X"] for one in program.engine.query("called(X)")] == [1]
+    assert [answer["X"] for answer in program.engine.query("called(X)")] == [1]
 
 
-def test_a_goal_that_fails_has_not_fired():
+def test_match_with_failed_goal_skips_nothing():
     rules = rule(PAST, "c(X) do X > 1 <- a(X) seq b.", "unrestricted")
-    assert fired(rules, "a(1)@1 a(2)@2 a(3)@2 b@3") == "c(2)@2-3"
+    assert outputs_of(rules, "a(1)@1 a(2)@2 a(3)@2 b@3") == "c(2)@2-3"
 
 
-def test_all_that_event_multiply_makes_of_a_match_fires():
+def test_all_results_of_event_multiply_are_emitted():
     rules = rule(PAST, "c(X,Y) do Y < 3 <- a(X) seq b event_multiply member(Y, [1, 2, 3]).", "unrestricted")
-    assert fired(rules, "a(1)@1 a(2)@2 b@3") == "c(1,1)@1-3 c(1,2)@1-3"
+    assert outputs_of(rules, "a(1)@1 a(2)@2 b@3") == "c(1,1)@1-3 c(1,2)@1-3"
 
 
-def test_what_takes_longer_than_the_window_skips_nothing():
+def test_match_beyond_window_skips_nothing():
     rules = "r([property(after_match,skip_past_last),property(window,2)]) : c <- a. "
-    assert fired(rules, "a@1-9 a@2-4 a@3-4 a@5") == "c@2-4 c@5-5"
+    assert outputs_of(rules, "a@1-9 a@2-4 a@3-4 a@5") == "c@2-4 c@5-5"
 
 
-def test_what_must_not_happen_is_not_skipped():
+def test_negated_pattern_is_not_skipped():
     rules = rule(PAST, "c(X) <- (a(X) seq b(X)) cnot (d seq e).")
-    assert fired(rules, "a(1)@1 b(1)@9 d@2 e@3 a(2)@1 a(3)@10 d@11 e@12 b(3)@13 a(4)@14 b(4)@15") == (
+    assert outputs_of(rules, "a(1)@1 b(1)@9 d@2 e@3 a(2)@1 a(3)@10 d@11 e@12 b(3)@13 a(4)@14 b(4)@15") == (
         "c(1)@1-9 c(4)@14-15"
     )
     rules = rule(PAST, "c(X) <- a(X) fnot (d ntimes 3).")
-    assert fired(rules, "d@1 d@2 a(1)@3-5 d@4 a(2)@6") == "c(1)@3-5"
+    assert outputs_of(rules, "d@1 d@2 a(1)@3-5 d@4 a(2)@6") == "c(1)@3-5"
 
 
-def test_an_event_at_both_sides_waits_no_longer_than_it_may():
+def test_event_on_both_sides_is_skipped():
     assert (
-        fired(rule(PAST, "c(X,Y) <- a(X) and a(Y)."), "a(1)@1 a(2)@2 a(3)@3 a(4)@4")
+        outputs_of(rule(PAST, "c(X,Y) <- a(X) and a(Y)."), "a(1)@1 a(2)@2 a(3)@3 a(4)@4")
         == "c(1,2)@1-2 c(3,4)@3-4"
     )
 
 
 @pytest.mark.parametrize("flags", [(), ("revision_flag",), ("etalis_justification",)])
-def test_a_rule_that_fires_itself_skips_as_any(flags):
+def test_recursive_rule_skips_starts(flags):
     rules = rule(NEXT, "a(Y) <- a(X) seq b where (X < 3, Y is X + 1).", "unrestricted")
-    assert fired(rules, "a(1)@1 a(2)@1 b@2 b@3", flags=flags) == "a(2)@1-2 a(3)@1-3"
+    assert outputs_of(rules, "a(1)@1 a(2)@1 b@2 b@3", flags=flags) == "a(2)@1-2 a(3)@1-3"
 
 
-def test_it_holds_at_once_and_can_be_turned_off():
-    program = Program("r : c(X) do true <- a(X) seq b.", policy="unrestricted")
+def test_strategy_applies_immediately():
+    program = ProgramRunner("r : c(X) do true <- a(X) seq b.", policy="unrestricted")
     assert program.feed("a(1)@1 a(2)@2 b@3") == "c(1)@1-3 c(2)@2-3"
     program.engine.load(rules="event_rule_property(r, after_match, skip_to_next).")
     assert program.feed("b@4 b@5") == "c(1)@1-4 c(2)@2-4"
@@ -102,50 +102,50 @@ def test_it_holds_at_once_and_can_be_turned_off():
     assert program.feed("b@12 a(8)@8 b@13") == "c(10)@10-12 c(11)@11-12 c(10)@10-13 c(11)@11-13 c(8)@8-13"
 
 
-@pytest.mark.parametrize("kind", [PAST, NEXT])
-def test_what_has_been_skipped_is_kept(kind):
-    program = Program(rule(kind, "c(X) <- a(X) seq b.", "unrestricted"))
+@pytest.mark.parametrize("strategy", [PAST, NEXT])
+def test_skipped_starts_are_restored(strategy):
+    program = ProgramRunner(rule(strategy, "c(X) <- a(X) seq b.", "unrestricted"))
     program.feed("a(1)@1 a(2)@4 b@3")
     engine = Engine.restore(program.engine.snapshot())
-    seen = []
-    engine.on_event(lambda *event: seen.append(event))
-    for term, stamp in (("a(3)", 2), ("b", 5), ("b", 6)):
-        engine.event(term, stamp, stamp)
-    assert show(one for one in seen if one[0].__class__ is tuple and one[0][0].name == "c") == (
-        "c(2)@4-5" if kind == PAST else "c(2)@4-5 c(3)@2-5"
-    )
+    events = []
+    engine.on_event(lambda *event: events.append(event))
+    for term, second in (("a(3)", 2), ("b", 5), ("b", 6)):
+        engine.event(term, second, second)
+    assert format_events(
+        event for event in events if event[0].__class__ is tuple and event[0][0].name == "c"
+    ) == ("c(2)@4-5" if strategy == PAST else "c(2)@4-5 c(3)@2-5")
 
 
-def test_a_stamp_far_ahead_does_not_end_a_rule():
-    program = Program(rule(PAST, "c <- a seq b."), clock=None)
+def test_timestamp_far_ahead_does_not_stop_rule():
+    program = ProgramRunner(rule(PAST, "c <- a seq b."), clock=None)
     far = 10_000_000
     assert program.feed(f"a@1 b@{far} a@1000011 b@1000012") == f"c@1-{far} c@1000011-1000012"
 
 
-def test_what_waits_and_is_noted_stays_in_bounds():
-    for kind in (PAST, NEXT):
-        program = Program(rule(kind, "c <- a(X) seq b(X)."))
-        (one,) = program.engine.rules.rules
+def test_skip_state_stays_small():
+    for strategy in (PAST, NEXT):
+        program = ProgramRunner(rule(strategy, "c <- a(X) seq b(X)."))
+        (event_rule,) = program.engine.rules.rules
         for number in range(3000):
             program.engine.event(f"a({number})", 5000 - number, 5000 - number)
             program.engine.event(f"b({number})", 5000 + number, 5000 + number)
-        assert one.skip_state.entry_count <= 2 * one.stored_match_count + 1002
+        assert event_rule.skip_state.entry_count <= 2 * event_rule.stored_match_count + 1002
 
 
-def test_time_that_goes_back_begins_anew():
-    program = Program(rule(PAST, "c <- a seq b."))
+def test_clear_forgets_skipped_starts():
+    program = ProgramRunner(rule(PAST, "c <- a seq b."))
     assert program.feed("a@1 b@9") == "c@1-9"
     program.engine.rules.clear()
     assert program.feed("a@2 b@3") == "c@2-3"
 
 
-def test_what_was_suppressed_and_has_been_skipped_does_not_come_back():
+def test_skipped_match_is_not_emitted_by_retraction():
     rules = rule(PAST, "c(X) <- (a(X) fnot d(X)) and b.")
     stream = "d(1)@0 a(1)@1 a(2)@2 b@3 b@9 rev(d(1))@10 a(3)@11"
-    assert fired(rules, stream, flags=["revision_flag"]) == "c(2)@2-3 c(3)@9-11"
+    assert outputs_of(rules, stream, flags=["revision_flag"]) == "c(2)@2-3 c(3)@9-11"
 
 
-def test_results_without_what_is_taken_back_do_not_come_back_where_they_have_been_skipped():
+def test_skipped_result_is_not_emitted_again():
     rules = rule(PAST, "c(N) <- (a seq aggregate(count, e(_), N) where N > 0) and b.")
     stream = "a@1 e(1)@2 e(2)@3 b@4 b@9 rev(e(1))@10 a@11 e(3)@12"
-    assert fired(rules, stream, flags=["revision_flag"]) == "c(2)@1-4 rev(c(2))@10-10 c(1)@9-12"
+    assert outputs_of(rules, stream, flags=["revision_flag"]) == "c(2)@1-4 rev(c(2))@10-10 c(1)@9-12"

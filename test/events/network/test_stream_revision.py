@@ -1,4 +1,4 @@
-"""Revision of stream operators: after a retraction, results are as without the event."""
+"""Revision of stream operators: after a retraction, results equal those without the event."""
 
 import random
 from collections import Counter
@@ -25,69 +25,79 @@ RULES = {
     "absent": "out(M, T) <- t(M, T) seq absent(t(M, _), 3).",
     "joined": "out(M, N) <- (t(M, T) with throttle(3)) and (aggregate(count, t(M, _), N, last(3))).",
 }
-CASES = 8
+SEED_COUNT = 8
 
 
-def stream(chance, few):
-    """Return events with their instants; with ``few`` values, so that some are the same."""
-    now, found = 10, []
+def random_events(generator, few_values):
+    """Return events with their instants; with ``few_values``, so that some values are equal."""
+    now, events = 10, []
     for number in range(12):
-        now += chance.choice([0, 1, 1, 2, 3])
-        found.append((f"t({chance.choice('ab')},{chance.choice([1, 2]) if few else number})", now))
-    return found
+        now += generator.choice([0, 1, 1, 2, 3])
+        events.append(
+            (f"t({generator.choice('ab')},{generator.choice([1, 2]) if few_values else number})", now)
+        )
+    return events
 
 
-def standing(rule, events):
-    """Return how often each result happened and was not taken back, when all time is over."""
+def remaining_outputs(rule, events):
+    """Return the count of each output that is not retracted, after all deadlines."""
     engine = Engine()
-    found = Counter()
+    counts = Counter()
 
-    def note(term, start, end):
+    def record(term, start, end):
         text = engine.show(term)
         if text.startswith("out"):
-            found[text] += 1
+            counts[text] += 1
         elif text.startswith("rev(out"):
-            found[text[4:-1]] -= 1
+            counts[text[4:-1]] -= 1
 
-    engine.on_event(note)
+    engine.on_event(record)
     engine.load(goals="set_etalis_flag(revision_flag,on).", rules=rule)
     for term, instant in events:
         engine.event(term, instant)
     engine.event("end", events[-1][1] + 100)
-    assert min(found.values(), default=0) >= 0
-    return +found
+    assert min(counts.values(), default=0) >= 0
+    return +counts
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in RULES if name != "joined"])
-def test_what_stands_is_what_would_be_there_without_the_event(name):
-    for seed in range(CASES):
-        chance = random.Random(seed)
-        events = stream(chance, name == "change")
-        gone = chance.choice(events)[0]
-        last = max(at for at, (term, _) in enumerate(events) if term == gone)
-        at = chance.randint(last + 1, len(events))
-        taken_back = [*events[:at], (f"rev({gone})", events[at - 1][1]), *events[at:]]
-        left = [event for event in events if event[0] != gone]
-        assert standing(RULES[name], taken_back) == standing(RULES[name], left), (seed, taken_back)
+def test_retraction_equals_missing_event(name):
+    for seed in range(SEED_COUNT):
+        generator = random.Random(seed)
+        events = random_events(generator, name == "change")
+        retracted = generator.choice(events)[0]
+        last = max(number for number, (term, _) in enumerate(events) if term == retracted)
+        position = generator.randint(last + 1, len(events))
+        with_retraction = [
+            *events[:position],
+            (f"rev({retracted})", events[position - 1][1]),
+            *events[position:],
+        ]
+        without_event = [event for event in events if event[0] != retracted]
+        assert remaining_outputs(RULES[name], with_retraction) == remaining_outputs(
+            RULES[name], without_event
+        ), (seed, with_retraction)
 
 
-def test_what_is_joined_further_up_goes_with_it():
-    found = standing(RULES["joined"], [("t(a,1)", 10), ("t(a,2)", 11)])
-    assert found == {"out(a,1)": 1}
-    assert not standing(RULES["joined"], [("t(a,1)", 10), ("rev(t(a,1))", 10)])
+def test_retraction_removes_joined_output():
+    outputs = remaining_outputs(RULES["joined"], [("t(a,1)", 10), ("t(a,2)", 11)])
+    assert outputs == {"out(a,1)": 1}
+    assert not remaining_outputs(RULES["joined"], [("t(a,1)", 10), ("rev(t(a,1))", 10)])
 
 
-def test_long_streams_are_settled_and_go_on(monkeypatch):
+def test_retraction_in_long_stream(monkeypatch):
     monkeypatch.setattr(stream_node, "MAX_REPLAYED_ELEMENTS", 5)
     events = [(f"t(a,{number})", 10 + number) for number in range(30)]
     for name in ("last", "newest", "batch", "every", "hopping", "running"):
-        taken_back = [*events, ("rev(t(a,28))", 40)]
-        left = [event for event in events if event[0] != "t(a,28)"]
-        assert standing(RULES[name], taken_back) == standing(RULES[name], left), name
+        with_retraction = [*events, ("rev(t(a,28))", 40)]
+        without_event = [event for event in events if event[0] != "t(a,28)"]
+        assert remaining_outputs(RULES[name], with_retraction) == remaining_outputs(
+            RULES[name], without_event
+        ), name
 
 
-def test_results_of_long_windows_name_no_more_than_a_hundred():
+def test_output_of_long_window_has_limited_sources():
     engine = Engine()
     engine.load(
         goals="set_etalis_flag(etalis_justification,on).",
@@ -95,7 +105,9 @@ def test_results_of_long_windows_name_no_more_than_a_hundred():
     )
     for number in range(300):
         engine.event("t", number + 1)
-    known = [
-        one for one in engine.rules.tracker.remembered_events() if engine.show(one.term).startswith("out")
+    outputs = [
+        event
+        for event in engine.rules.tracker.remembered_events()
+        if engine.show(event.term).startswith("out")
     ]
-    assert len(known) == 300 and max(len(one.sources()) for one in known) == 100
+    assert len(outputs) == 300 and max(len(event.sources()) for event in outputs) == 100

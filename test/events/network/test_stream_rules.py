@@ -3,38 +3,40 @@
 from fractions import Fraction
 
 import pytest
-from events.stream_programs import fired
+from events.stream_programs import outputs_of
 from events.streams.operator_driver import entry_count
 
 from retalis import Clock, Engine, StreamClock
 from retalis.prolog.terms.timestamps import SECOND
 
 
-class Run(Engine):
-    """An engine that notes the events of rules, and what is reported."""
+class EngineDriver(Engine):
+    """An engine that records the events of rules, and the reports."""
 
-    def __init__(self, rules, cap=None, clock=None):
+    def __init__(self, rules, max_stored=None, clock=None):
         super().__init__(clock)
-        own = self.rules
-        own.max_stored = own.max_stored if cap is None else cap
-        self.seen, self.reports = [], []
-        own.on_error = own.on_warning = lambda error: self.reports.append(error.message)
+        rules_of_engine = self.rules
+        rules_of_engine.max_stored = rules_of_engine.max_stored if max_stored is None else max_stored
+        self.outputs, self.reports = [], []
+        rules_of_engine.on_error = rules_of_engine.on_warning = lambda error: self.reports.append(
+            error.message
+        )
         self.load(rules=rules)
-        self.on_event(self._note)
+        self.on_event(self._record)
 
-    def _note(self, term, start, end):
-        shown = self.show(term)
-        if not shown.startswith(("in", "no", "tick")):
-            self.seen.append(f"{shown}@{start / SECOND:g}-{end / SECOND:g}")
+    def _record(self, term, start, end):
+        text = self.show(term)
+        if not text.startswith(("in", "no", "tick")):
+            self.outputs.append(f"{text}@{start / SECOND:g}-{end / SECOND:g}")
 
     def feed(self, text):
-        """Give events, each as ``event@end`` or ``event@start-end``; return what rules said."""
-        del self.seen[:]
-        for one in text.split():
-            event, stamp = one.rsplit("@", 1)
-            start, _, end = stamp.partition("-")
+        """Process events, each as ``event@end`` or ``event@start-end``; return the outputs of rules."""
+        del self.outputs[:]
+        for item in text.split():
+            event, timestamp = item.rsplit("@", 1)
+            start, _, end = timestamp.partition("-")
             self.event(event, float(start), float(end or start))
-        return " ".join(self.seen)
+        return " ".join(self.outputs)
 
     @property
     def event_rules(self):
@@ -50,19 +52,19 @@ class Run(Engine):
 EVERY = "{0}(N) <- aggregate(count, in(_), N, every({1})).\n"
 
 
-def test_what_is_due_comes_in_the_order_of_instants_before_the_event_of_the_same():
+def test_due_outputs_precede_event_of_same_instant():
     rules = EVERY.format("b", 3) + EVERY.format("a", 2) + "c(X) <- in(X) seq absent(in(_), 4). d <- tick."
-    engine = Run(rules)
+    engine = EngineDriver(rules)
     assert engine.feed("in(1)@1 tick@6") == "a(1)@0-2 b(1)@0-3 c(1)@1-5 d@6-6"
     assert engine.feed("in(1)@7 tick@12") == "a(1)@6-8 b(1)@6-9 c(1)@7-11 d@12-12"
 
 
-def test_at_one_instant_the_older_rule_comes_first_and_in_a_rule_what_is_below():
+def test_deadlines_of_one_instant_are_ordered():
     rules = EVERY.format("b", 2) + EVERY.format("a", 2)
-    assert Run(rules).feed("in(1)@1 tick@2") == "b(1)@0-2 a(1)@0-2"
+    assert EngineDriver(rules).feed("in(1)@1 tick@2") == "b(1)@0-2 a(1)@0-2"
     inner = "w(N) <- aggregate(count, (in(X) with debounce(1)), N, every(2))."
-    assert Run(inner).feed("in(1)@0.5 tick@9") == "w(1)@0-2"
-    assert Run(inner).feed("in(1)@1 tick@9") == "w(1)@2-4"
+    assert EngineDriver(inner).feed("in(1)@0.5 tick@9") == "w(1)@0-2"
+    assert EngineDriver(inner).feed("in(1)@1 tick@9") == "w(1)@2-4"
 
 
 @pytest.mark.parametrize(
@@ -73,8 +75,8 @@ def test_at_one_instant_the_older_rule_comes_first_and_in_a_rule_what_is_below()
         "bad <- aggregate(count, in(_), N, every(2)) where N > x.",
     ],
 )
-def test_an_error_in_one_rule_does_not_keep_others_from_ringing(rule):
-    engine = Run(EVERY.format("a", 2) + rule + "\n" + EVERY.format("z", 2))
+def test_error_of_rule_leaves_other_deadlines(rule):
+    engine = EngineDriver(EVERY.format("a", 2) + rule + "\n" + EVERY.format("z", 2))
     assert engine.feed("in(1)@1 in(2)@1.5 in(3)@3 tick@9") == "a(2)@0-2 z(2)@0-2 a(1)@2-4 z(1)@2-4"
     assert engine.reports
 
@@ -89,26 +91,26 @@ def test_an_error_in_one_rule_does_not_keep_others_from_ringing(rule):
         ("b(_,1)@2 a(2,1)@1", False),
     ],
 )
-def test_absent_event_with_variables_cancels_only_what_it_unifies_with(stream, is_emitted):
-    engine = Run("o(Y) <- a(X, Y) seq absent(b(X, Y), 3).")
+def test_absent_event_cancels_unifying_events(stream, is_emitted):
+    engine = EngineDriver("o(Y) <- a(X, Y) seq absent(b(X, Y), 3).")
     assert engine.feed(f"{stream} tick@9").endswith(" o(1)@1-4") == is_emitted
 
 
-def test_a_rule_that_is_deleted_rings_no_more():
-    engine = Run(EVERY.format("a", 2) + EVERY.format("z", 2))
+def test_deleted_rule_has_no_deadlines():
+    engine = EngineDriver(EVERY.format("a", 2) + EVERY.format("z", 2))
     engine.feed("in(1)@1")
-    own = engine.rules
-    own.remove(own.rules[0])
+    event_rules = engine.rules
+    event_rules.remove(event_rules.rules[0])
     assert engine.feed("tick@9") == "z(1)@0-2"
 
 
-def test_a_clock_that_goes_back_clears_all():
+def test_clock_that_goes_back_clears_state():
     rules = (
         EVERY.format("a", 2)
         + "w(X) <- aggregate(list(Y), in(Y), X, last(100)). t(X) <- in(X) with throttle(100). "
         + "c(X) <- in(X) seq absent(no, 5). d(X) <- in(X) with debounce(1)."
     )
-    engine = Run(rules)
+    engine = EngineDriver(rules)
     engine.feed("in(1)@50")
     assert sum(len(stream) for stream in engine.streams()) == 5
     engine.clock.move_to(0, back=True)
@@ -119,7 +121,7 @@ def test_a_clock_that_goes_back_clears_all():
     assert engine.feed("tick@20") == "a(1)@0-2 d(2)@1-2 c(2)@1-6"
 
 
-HOLDING = {
+RULES_WITH_STATE = {
     "last": "w(N) <- aggregate(list(X), in(X), N, last(1000)).",
     "last events": "w(N) <- aggregate(list(X), in(X), N, last(100, events)).",
     "every": "w(N) <- aggregate(list(X), in(X), N, every(1000)).",
@@ -137,11 +139,11 @@ HOLDING = {
 }
 
 
-@pytest.mark.parametrize("name", HOLDING)
+@pytest.mark.parametrize("name", RULES_WITH_STATE)
 @pytest.mark.parametrize("flags", ["", ":- set_etalis_flag(revision_flag, on).\n"])
-def test_no_more_is_held_than_may_be_and_the_oldest_goes(name, flags):
-    """What was dropped is counted, said seldom, and held nowhere."""
-    engine = Run(flags + HOLDING[name], cap=5)
+def test_oldest_element_is_dropped_at_limit(name, flags):
+    """Dropped elements are counted, reported seldom, and not stored."""
+    engine = EngineDriver(flags + RULES_WITH_STATE[name], max_stored=5)
     for number in range(150):
         engine.event(f"in({number})", number / 10)
         assert engine.event_rules[0].match_count <= 5
@@ -151,31 +153,31 @@ def test_no_more_is_held_than_may_be_and_the_oldest_goes(name, flags):
     assert len(engine.reports) == 8
     assert engine.reports[0].endswith("more than 5 partial matches; 1 of the oldest have been dropped so far")
     if name in ("last", "running"):
-        assert engine.seen[-1] == "w([144,145,146,147,148,149])@14.4-14.9"
+        assert engine.outputs[-1] == "w([144,145,146,147,148,149])@14.4-14.9"
     if name in ("debounce", "awaited"):
         assert engine.feed("tick@2000") == " ".join(
             f"w({n})@{n / 10:g}-{n / 10 + 1000:g}" for n in range(145, 150)
         )
 
 
-def test_alarms_and_wishes_are_as_many_as_nodes_wait():
-    """However many matches wait: the clock holds an alarm or two, and each node asks once."""
-    engine = Run(
+def test_node_has_one_timer():
+    """The clock stores few alarms and each node one timer, however many matches wait."""
+    engine = EngineDriver(
         "w(X) <- in(X) seq absent(no, 10).\nv(X) <- in(X) with debounce(5, X).\n" + EVERY.format("a", 1)
     )
-    own, clock = engine.rules, engine.clock
+    rules, clock = engine.rules, engine.clock
     for number in range(400):
         engine.event(f"in({number})", number / 50)
         assert len(clock.alarms) <= 3
-        assert len(own.node_timers) <= 2 * 3 + 64
+        assert len(rules.node_timers) <= 2 * 3 + 64
     assert sum(rule.match_count for rule in engine.event_rules) >= 650
 
 
-def test_what_comes_too_late_is_counted_and_said_seldom():
-    engine = Run("w(N) <- aggregate(count, in(_), N, last(2)).")
+def test_late_elements_are_counted_and_reported_seldom():
+    engine = EngineDriver("w(N) <- aggregate(count, in(_), N, last(2)).")
     engine.feed("in(1)@10 " + "in(1)@5 " * 9)
     assert engine.event_rules[0].late_count == 9
-    assert [one.rpartition("; ")[2] for one in engine.reports] == [
+    assert [report.rpartition("; ")[2] for report in engine.reports] == [
         "1 so far",
         "2 so far",
         "4 so far",
@@ -184,17 +186,17 @@ def test_what_comes_too_late_is_counted_and_said_seldom():
     assert "its window has ended" in engine.reports[0]
 
 
-def test_a_value_that_cannot_be_measured_is_reported_and_the_rest_is_measured():
-    engine = Run("w(S) <- aggregate(sum(X), in(X), S, last(100)).")
+def test_refused_value_is_reported_and_skipped():
+    engine = EngineDriver("w(S) <- aggregate(sum(X), in(X), S, last(100)).")
     assert engine.feed("in(1)@1 in(a)@2 in(inf)@2.5 in(1+1)@3") == "w(1)@1-1 w(3)@1-3"
     assert engine.event_rules[0].metrics.error_count == 2
-    assert [one.rpartition(", ")[2] for one in engine.reports] == [
+    assert [report.rpartition(", ")[2] for report in engine.reports] == [
         "at event in(a): aggregate sum: the value is 'a': expected a number",
         "at event in(inf): aggregate sum: the value is 'inf': expected a number",
     ]
 
 
-PLAIN = "s seq aggregate({}, a(X), R)"
+WITHOUT_WINDOW = "s seq aggregate({}, a(X), R)"
 WINDOWS = [
     "aggregate({}, a(X), R, last(100))",
     "aggregate([{}, count], a(X), [R, _], last(100, events))",
@@ -202,55 +204,57 @@ WINDOWS = [
     "aggregate({}, a(X), R, running(every(100)))",
     "aggregate(of(p, {}), a(X), R, steps([p(2)]))",
 ]
-ADDING = ("sum", "avg", "stddev")
-COMPARING = ("min", "max", "median", "quantile")
+ADDITIVE = ("sum", "avg", "stddev")
+COMPARATIVE = ("min", "max", "median", "quantile")
 
 
-def patterns_of(measure):
-    return [*WINDOWS, *([PLAIN] if measure in ("sum", "avg", "min", "max") else [])]
+def patterns_of(aggregate):
+    return [*WINDOWS, *([WITHOUT_WINDOW] if aggregate in ("sum", "avg", "min", "max") else [])]
 
 
-def measured(measure, value, times=""):
-    """Return for each pattern the last result for two values, and its errors, by one program with all patterns.
+def results_of_patterns(aggregate, value, factor=""):
+    """Yield the last result for two values, and the errors, of each pattern in one program.
 
-    `times` stands behind the variable.
+    `factor` follows the variable.
     """
-    kind = f"{measure}({'0.5, ' if measure == 'quantile' else ''}X{times})"
-    patterns = patterns_of(measure)
-    engine = Run("".join(f"r{at}(R) <- {each.format(kind)}.\n" for at, each in enumerate(patterns)))
+    call = f"{aggregate}({'0.5, ' if aggregate == 'quantile' else ''}X{factor})"
+    patterns = patterns_of(aggregate)
+    engine = EngineDriver(
+        "".join(f"r{number}(R) <- {pattern.format(call)}.\n" for number, pattern in enumerate(patterns))
+    )
     engine.feed(f"s@0 a(1)@1 a({value})@2")
-    for at, _ in enumerate(patterns):
-        results = [one.partition("@")[0] for one in engine.seen if one.startswith(f"r{at}(")]
-        reports = [one for one in engine.reports if one.startswith(f"rule r{at}(R), ")]
-        yield results[-1].replace(f"r{at}(", "r(") if results else "", reports
+    for number, _ in enumerate(patterns):
+        results = [output.partition("@")[0] for output in engine.outputs if output.startswith(f"r{number}(")]
+        reports = [report for report in engine.reports if report.startswith(f"rule r{number}(R), ")]
+        yield results[-1].replace(f"r{number}(", "r(") if results else "", reports
 
 
-@pytest.mark.parametrize("times", ["", "*1"])
+@pytest.mark.parametrize("factor", ["", "*1"])
 @pytest.mark.parametrize("value", ["e", "pi", "inf", '"b"', "[98]", "'b'", "1+e", "f(2)", "[]", "Y"])
-@pytest.mark.parametrize("measure", [*ADDING, *COMPARING])
-def test_a_value_that_is_no_number_is_reported_by_every_measure(measure, value, times):
-    """`is` evaluates constants such as e and pi, and texts and lists of one character."""
-    for result, (report,) in measured(measure, value, times):
+@pytest.mark.parametrize("aggregate", [*ADDITIVE, *COMPARATIVE])
+def test_value_that_is_no_number_is_reported(aggregate, value, factor):
+    """`is` would evaluate constants such as e and pi, and texts and lists of one character."""
+    for result, (report,) in results_of_patterns(aggregate, value, factor):
         assert result in ("", "r(0)", "r(1)", "r(1.0)")
         assert "(R), at event a(" in report
-        assert f": aggregate {measure}: the value is '" in report
+        assert f": aggregate {aggregate}: the value is '" in report
         assert report.endswith(": expected a number")
 
 
-@pytest.mark.parametrize("measure", [*ADDING, *COMPARING])
-def test_measures_that_add_take_expressions_of_numbers_and_those_that_compare_do_not(measure):
-    for result, reports in measured(measure, "1+2"):
-        if measure in ADDING:
-            assert result == {"sum": "r(4)", "avg": "r(2)", "stddev": "r(1.4142135623730951)"}[measure]
+@pytest.mark.parametrize("aggregate", [*ADDITIVE, *COMPARATIVE])
+def test_only_additive_aggregates_accept_expressions(aggregate):
+    for result, reports in results_of_patterns(aggregate, "1+2"):
+        if aggregate in ADDITIVE:
+            assert result == {"sum": "r(4)", "avg": "r(2)", "stddev": "r(1.4142135623730951)"}[aggregate]
             assert reports == []
         else:
-            assert [one.rpartition(": aggregate ")[2] for one in reports] == [
-                f"{measure}: the value is '1+2': expected a number"
+            assert [report.rpartition(": aggregate ")[2] for report in reports] == [
+                f"{aggregate}: the value is '1+2': expected a number"
             ]
 
 
 @pytest.mark.parametrize(
-    ("measure", "times", "result"),
+    ("aggregate", "factor", "result"),
     [
         ("sum", " * 2", "r(8)"),
         ("max", " - 10", "r(-7)"),
@@ -259,56 +263,60 @@ def test_measures_that_add_take_expressions_of_numbers_and_those_that_compare_do
         ("avg", " ** 2", "r(5)"),
     ],
 )
-def test_an_expression_of_the_rule_is_evaluated(measure, times, result):
-    for found in measured(measure, "3", times):
-        assert found == (result, [])
+def test_expression_of_rule_is_evaluated(aggregate, factor, result):
+    for result_and_reports in results_of_patterns(aggregate, "3", factor):
+        assert result_and_reports == (result, [])
 
 
-@pytest.mark.parametrize("stamp", ["[2,500000000]", "datime(1970,1,1,0,0,2.5,0)"])
-def test_a_stamp_is_a_number(stamp):
-    for found in measured("max", stamp):
-        assert found == ("r(2.5)", [])
+@pytest.mark.parametrize("timestamp", ["[2,500000000]", "datime(1970,1,1,0,0,2.5,0)"])
+def test_timestamp_is_a_number(timestamp):
+    for result_and_reports in results_of_patterns("max", timestamp):
+        assert result_and_reports == ("r(2.5)", [])
 
 
 @pytest.mark.parametrize("value", ["1.0Inf", "-1.0Inf", "1.5NaN"])
-@pytest.mark.parametrize("measure", [*ADDING, "median"])
-def test_what_is_not_finite_is_not_added(measure, value):
-    """A sum that took it would never be a number again."""
-    for _, (report,) in measured(measure, value):
+@pytest.mark.parametrize("aggregate", [*ADDITIVE, "median"])
+def test_infinite_value_is_not_added(aggregate, value):
+    """A sum with such a value would never be a number again."""
+    for _, (report,) in results_of_patterns(aggregate, value):
         assert report.endswith(f"the value is '{value}': expected a finite number")
 
 
-@pytest.mark.parametrize("measure", ["min", "max"])
-def test_what_has_no_order_is_not_compared(measure):
-    for _, (report,) in measured(measure, "1.5NaN"):
+@pytest.mark.parametrize("aggregate", ["min", "max"])
+def test_nan_is_not_compared(aggregate):
+    for _, (report,) in results_of_patterns(aggregate, "1.5NaN"):
         assert report.endswith("the value is '1.5NaN': expected a number")
 
 
-@pytest.mark.parametrize("measure", ["sum", "avg"])
-def test_a_running_sum_that_is_too_large_is_reported(measure):
-    engine = Run(f"r(R) <- s seq aggregate({measure}(X), a(X), R).")
+@pytest.mark.parametrize("aggregate", ["sum", "avg"])
+def test_overflow_of_running_sum_is_reported(aggregate):
+    engine = EngineDriver(f"r(R) <- s seq aggregate({aggregate}(X), a(X), R).")
     engine.feed("s@0 a(1.5e308)@1 a(1.5e308)@2 a(-1.5e308)@3")
-    assert [one.rpartition(": ")[2] for one in engine.reports] == ["a number is too large"]
-    assert [one for one in engine.seen if one.startswith("r(")][-1] == "r(0.0)@0-3"
+    assert [report.rpartition(": ")[2] for report in engine.reports] == ["a number is too large"]
+    assert [output for output in engine.outputs if output.startswith("r(")][-1] == "r(0.0)@0-3"
 
 
 def test_rates_are_rounded_once():
-    """Divided by seconds that were rounded themselves, some were off by one bit."""
+    """A division by rounded seconds would be off by one bit for some spans."""
     spans = range(1, 400)
-    engine = Run("".join(f"r({span}, R) <- aggregate(rate, a, R, last(0.{span:03})).\n" for span in spans))
+    engine = EngineDriver(
+        "".join(f"r({span}, R) <- aggregate(rate, a, R, last(0.{span:03})).\n" for span in spans)
+    )
     engine.feed("a@0")
-    assert engine.seen[1:] == [f"r({span},{float(Fraction(1000, span))!r})@0-0" for span in spans]
+    assert engine.outputs[1:] == [f"r({span},{float(Fraction(1000, span))!r})@0-0" for span in spans]
 
 
-def test_a_sum_that_is_too_large_is_reported_once_and_does_not_stand_in_the_way():
-    engine = Run("w(S) <- aggregate(sum(X), in(X), S, every(2, events)).")
+def test_overflow_of_window_is_reported_once():
+    engine = EngineDriver("w(S) <- aggregate(sum(X), in(X), S, every(2, events)).")
     assert engine.feed("in(1.0e308)@1 in(1.0e308)@2 in(1)@3 in(2)@4") == "w(3)@3-4"
-    assert [one.rpartition(": ")[2] for one in engine.reports] == ["the result is too large for a float"]
+    assert [report.rpartition(": ")[2] for report in engine.reports] == [
+        "the result is too large for a float"
+    ]
 
 
 FLAGS = ("revision_flag", "out_of_order", "garbage_control")
 POLICIES = ("recent", "chronological", "unrestricted")
-ABOVE = {
+OUTER_PATTERNS = {
     "where": "({0}) where X > 0",
     "do": "({0}) do true",
     "within": "({0}) within 100",
@@ -318,44 +326,52 @@ ABOVE = {
     "and": "({0}) and begin",
     "or": "({0}) or never(X)",
 }
-RUNG = ("in(X) with debounce(1)", "in(X) seq absent(no, 1)", "aggregate(max(Y), in(Y), X, every(2))")
+INNER_PATTERNS = (
+    "in(X) with debounce(1)",
+    "in(X) seq absent(no, 1)",
+    "aggregate(max(Y), in(Y), X, every(2))",
+)
 
 
 @pytest.mark.parametrize("flag", FLAGS)
 @pytest.mark.parametrize("policy", POLICIES)
-def test_what_rings_is_taken_by_all_that_may_stand_above(policy, flag):
-    """It is there at an instant of the clock, with no event that is served."""
+def test_timed_output_matches_outer_pattern(policy, flag):
+    """The output occurs at an instant of the clock, without an input event."""
     value = "general" if flag == "garbage_control" else "on"
     rules = [f":- set_etalis_flag({flag}, {value}), set_etalis_flag(event_consumption_policy, {policy})."]
-    heads = [f"{name}{at}(3)" for name in ABOVE for at in range(3)]
-    for name, pattern in ABOVE.items():
-        rules += [f"{name}{at}(X) <- {pattern.format(below)}." for at, below in enumerate(RUNG)]
-    engine = Run("\n".join(rules))
+    heads = [f"{name}{number}(3)" for name in OUTER_PATTERNS for number in range(3)]
+    for name, pattern in OUTER_PATTERNS.items():
+        rules += [
+            f"{name}{number}(X) <- {pattern.format(inner)}." for number, inner in enumerate(INNER_PATTERNS)
+        ]
+    engine = EngineDriver("\n".join(rules))
     engine.feed("begin@0.5 in(3)@3")
-    said = engine.feed("tick@6 end@7 tick@20")
+    outputs = engine.feed("tick@6 end@7 tick@20")
     assert engine.reports == []
-    assert sorted(one.partition("@")[0] for one in said.split() if one[:3] != "end") == sorted(heads)
+    assert sorted(output.partition("@")[0] for output in outputs.split() if output[:3] != "end") == sorted(
+        heads
+    )
 
 
-def test_the_clock_of_a_robot_rings_without_an_event():
+def test_clock_emits_output_without_event():
     clock = StreamClock()
-    engine = Run(EVERY.format("a", 2), clock=clock)
+    engine = EngineDriver(EVERY.format("a", 2), clock=clock)
     engine.event("in(1)", 1, 1)
     clock.move_to(2 * SECOND)
     engine.advance()
-    assert engine.seen == ["a(1)@0-2"]
+    assert engine.outputs == ["a(1)@0-2"]
 
 
-def seen_of(engine):
-    found = []
-    engine.on_event(lambda term, start, end: found.append(engine.show(term)))
-    return found
+def recorded_events(engine):
+    events = []
+    engine.on_event(lambda term, start, end: events.append(engine.show(term)))
+    return events
 
 
-def test_what_was_held_is_there_after_a_change_of_flags():
+def test_window_survives_change_of_flags():
     engine = Engine()
     engine.load(rules="w(S) <- aggregate(list(X), a(X), S, last(10, events)).")
-    seen = seen_of(engine)
+    events = recorded_events(engine)
     for number in (1, 2, 3):
         engine.event(f"a({number})", number)
     engine.call("set_etalis_flag(revision_flag, on)")
@@ -363,10 +379,10 @@ def test_what_was_held_is_there_after_a_change_of_flags():
         engine.event(term, 4)
     engine.call("set_etalis_flag(event_consumption_policy, chronological)")
     engine.event("a(5)", 5)
-    assert seen[-1] == "w([1,2,3,5])"
+    assert events[-1] == "w([1,2,3,5])"
 
 
-def test_what_came_before_it_was_tracked_is_no_part_of_a_reason():
+def test_untracked_event_is_not_in_justification():
     engine = Engine()
     engine.load(rules="w(S) <- aggregate(list(X), a(X), S, last(4, events)).")
     engine.event("a(1)", 1)
@@ -375,7 +391,7 @@ def test_what_came_before_it_was_tracked_is_no_part_of_a_reason():
     assert engine.query("justify_event(w([1,2]), T, J)")
 
 
-def test_the_clock_goes_on_for_rules_that_are_read_again(tmp_path):
+def test_reloaded_rules_keep_deadlines(tmp_path):
     (tmp_path / "eventRules.txt").write_text(
         "d(X) <- a(X) with debounce(3). l(X) <- a(X) seq absent(b, 4).\n"
     )
@@ -383,98 +399,102 @@ def test_the_clock_goes_on_for_rules_that_are_read_again(tmp_path):
     (tmp_path / "pub_sub.xml").write_text("<publish_subscribe></publish_subscribe>\n")
     engine = Engine()
     engine.load_program(tmp_path)
-    seen = seen_of(engine)
+    events = recorded_events(engine)
     engine.event("a(1)", 1)
     engine.event("a(2)", 2)
     engine.reload(tmp_path)
     engine.event("a(3)", 3)
     engine.event("tick", 20)
-    assert seen == ["a(1)", "a(2)", "a(3)", "l(1)", "d(3)", "l(2)", "l(3)", "tick"]
+    assert events == ["a(1)", "a(2)", "a(3)", "l(1)", "d(3)", "l(2)", "l(3)", "tick"]
 
 
 @pytest.mark.parametrize(
-    ("window", "said"), [("every(3, first)", "w(1)@1-4"), ("running(every(3, first))", "w(1)@1-1")]
+    ("window", "output"), [("every(3, first)", "w(1)@1-4"), ("running(every(3, first))", "w(1)@1-1")]
 )
-def test_a_window_that_would_be_over_by_the_clock_does_not_begin(window, said):
-    engine = Run(f"w(N) <- aggregate(count, in(_), N, {window}).")
-    assert engine.feed("in(1)@1 tick@10 in(2)@6 in(3)@7 tick@10.5") == said
+def test_window_in_the_past_does_not_begin(window, output):
+    engine = EngineDriver(f"w(N) <- aggregate(count, in(_), N, {window}).")
+    assert engine.feed("in(1)@1 tick@10 in(2)@6 in(3)@7 tick@10.5") == output
     assert [rule.late_count for rule in engine.event_rules] == [2]
     assert "its window has ended" in engine.reports[0]
     assert engine.feed("in(4)@8 tick@20").startswith("w(1)@8-")
 
 
 @pytest.mark.parametrize("order", [(1, 6), (6, 1), (1, 6, 0), (6, 0, 1)])
-def test_bursts_further_apart_than_a_debounce_are_two_in_whatever_order_they_come(order):
+def test_debounce_separates_bursts_in_any_order(order):
     now = [1000 * SECOND]
     engine = Engine(Clock(lambda: now[0]))
     engine.load(rules="d(X) <- a(X) with debounce(2).")
-    seen = seen_of(engine)
+    events = recorded_events(engine)
     for ahead in order:
         engine.event(f"a({ahead})", 1000 + ahead)
     for _ in range(10):
         now[0] += SECOND
         engine.advance()
-    assert [one for one in seen if one.startswith("d")] == ["d(1)", "d(6)"]
+    assert [event for event in events if event.startswith("d")] == ["d(1)", "d(6)"]
 
 
-@pytest.mark.parametrize("shape", ["throttle(5)", "burst(2)", "debounce(2)"])
-def test_a_stamp_far_ahead_holds_nothing_up(shape):
+@pytest.mark.parametrize("rate", ["throttle(5)", "burst(2)", "debounce(2)"])
+def test_timestamp_far_ahead_delays_no_output(rate):
     now = [1000 * 10**9]
     engine = Engine(Clock(lambda: now[0]))
-    engine.load(rules=f"d(X) <- a(X) with {shape}.")
+    engine.load(rules=f"d(X) <- a(X) with {rate}.")
     engine.event("a(0)", 10**6)
-    seen = seen_of(engine)
+    events = recorded_events(engine)
     for number in (1, 2):
         engine.event(f"a({number})", now[0] // 10**9)
         now[0] += 7 * 10**9
         engine.advance()
-    assert [one for one in seen if one.startswith("d")] == ["d(1)", "d(2)"]
+    assert [event for event in events if event.startswith("d")] == ["d(1)", "d(2)"]
 
 
 @pytest.mark.parametrize(
     "window", ["last(2, events)", "last(5)", "every(2, events)", "every(3, first)", "every(2)"]
 )
-def test_what_an_interrupt_left_half_done_is_put_right(window):
+def test_repair_restores_counters(window):
     engine = Engine()
     engine.load(rules=f"w(S, N, M) <- aggregate([sum(X), count, median(X)], a(X), [S, N, M], {window}).")
-    whole = Engine()
-    whole.load(rules=f"w(S, N, M) <- aggregate([sum(X), count, median(X)], a(X), [S, N, M], {window}).")
+    uninterrupted = Engine()
+    uninterrupted.load(
+        rules=f"w(S, N, M) <- aggregate([sum(X), count, median(X)], a(X), [S, N, M], {window})."
+    )
     for number in range(1, 9):
-        for one in (engine, whole):
-            one.event(f"a({number})", number)
-        engine.rules.repair()  # nothing was half done: it changes nothing
-    after, expected = seen_of(engine), seen_of(whole)
+        for current in (engine, uninterrupted):
+            current.event(f"a({number})", number)
+        engine.rules.repair()  # no operation is incomplete, so the state stays the same
+    outputs, expected = recorded_events(engine), recorded_events(uninterrupted)
     for number in range(9, 20):
-        for one in (engine, whole):
-            one.event(f"a({number})", number)
-    assert after == expected
-    for rule in engine.rules.rules:  # counters that are wrong are counted anew
+        for current in (engine, uninterrupted):
+            current.event(f"a({number})", number)
+    assert outputs == expected
+    for rule in engine.rules.rules:  # wrong counters are computed again
         for node, _, _ in rule.nodes:
             if hasattr(node, "stream"):
                 node.stream.element_count += 7
     engine.rules.repair()
-    assert engine.rules.match_count == whole.rules.match_count
+    assert engine.rules.match_count == uninterrupted.rules.match_count
 
 
 @pytest.mark.parametrize("flags", [(), ("revision_flag",), ("etalis_justification",)])
 @pytest.mark.parametrize("steps", ["high(1, many) where X > 0", "one, two(1, many) where X > 0"])
-def test_what_a_condition_decides_has_come_with_the_event_that_decides_it(steps, flags):
-    """Not with its last event: what has come in between came before it, also where events may be taken back."""
+def test_row_pattern_completes_at_deciding_event(steps, flags):
+    """The match is complete at the event that decides, not at its last event, also if events may be retracted."""
     rules = f"out(L) <- aggregate(list(X), in(X), L, steps([{steps}])) seq end."
-    assert fired(rules, "in(1)@1 in(2)@2 end@7 in(-1)@3", flags=flags) == ""
-    assert fired(rules, "in(1)@1 in(2)@2 end@7 in(-1)@3 end@8", flags=flags) == "out([1,2])@1-8"
+    assert outputs_of(rules, "in(1)@1 in(2)@2 end@7 in(-1)@3", flags=flags) == ""
+    assert outputs_of(rules, "in(1)@1 in(2)@2 end@7 in(-1)@3 end@8", flags=flags) == "out([1,2])@1-8"
 
 
 @pytest.mark.parametrize("flags", ["", ":- set_etalis_flag(revision_flag, on).\n"])
-def test_matches_of_steps_that_wait_are_given_on_where_what_they_wait_for_is_one_too_many(flags):
-    """The longer one that may come of the oldest is dropped and counted, not those that are whole."""
+def test_complete_matches_are_emitted_at_limit(flags):
+    """The longer match that the oldest may become is dropped and counted, not the complete matches."""
     steps = "p where X < 50, later(y(0, 1, until(X == 80))) where X == 90"
-    engine = Run(f"{flags}w(L) <- aggregate(list(X), in(X), L, steps([{steps}])).", cap=5)
+    engine = EngineDriver(f"{flags}w(L) <- aggregate(list(X), in(X), L, steps([{steps}])).", max_stored=5)
     for number in range(20):
         engine.event(f"in({number})", number)
         assert engine.event_rules[0].match_count <= 5
     engine.event("in(80)", 20)
-    assert [one.partition("@")[0] for one in engine.seen] == [f"w([{number}])" for number in range(20)]
+    assert [output.partition("@")[0] for output in engine.outputs] == [
+        f"w([{number}])" for number in range(20)
+    ]
     assert engine.event_rules[0].dropped_count == 3
     assert engine.reports
 
@@ -491,7 +511,7 @@ def test_array_of_another_length_costs_only_its_event():
         "last(9,events)",
         "running(every(1))",
     ):
-        plain, mixed = Run(rules.format(window)), Run(rules.format(window))
+        plain, mixed = EngineDriver(rules.format(window)), EngineDriver(rules.format(window))
         expected = plain.feed(" ".join([*samples, odd[2], "tick@2 tick@3"]))
         assert mixed.feed(" ".join([*samples, *odd, "tick@2 tick@3"])) == expected
         assert "r(c,5,[5,1,2])" in expected
@@ -502,8 +522,8 @@ def test_array_of_another_length_costs_only_its_event():
         }
 
 
-def test_report_of_value_refused_at_end_of_window_names_key():
-    engine = Run("r(K,M) <- aggregate(max(V), in(K,V), M, every(1)).")
+def test_report_of_value_refused_at_window_end_names_key():
+    engine = EngineDriver("r(K,M) <- aggregate(max(V), in(K,V), M, every(1)).")
     assert engine.feed("in(a,[1,2,3])@1.1 in(a,[1,2,3,4])@1.2 tick@3") == "r(a,[1,2,3])@1-2"
     assert engine.reports == [
         "rule r(K,M), at key a: aggregate max: the value is '[1,2,3,4]': expected an array of 3 elements"
@@ -513,8 +533,8 @@ def test_report_of_value_refused_at_end_of_window_names_key():
 @pytest.mark.parametrize(
     "window", ["last(1)", "every(1)", "running(every(1))", "last(2,every(1))", "running(every(1,first))"]
 )
-def test_length_of_arrays_may_change_when_the_earlier_ones_are_out(window):
-    engine = Run(f"r(M) <- aggregate(max(V), in(V), M, {window}).")
+def test_length_of_arrays_may_change_in_empty_window(window):
+    engine = EngineDriver(f"r(M) <- aggregate(max(V), in(V), M, {window}).")
     assert "[1,2,3]" in engine.feed("in([1,2,3])@1.1 tick@2")
     assert "[1,2,3,4]" in engine.feed("in([1,2,3,4])@9.1 tick@10")
     assert engine.reports == []
@@ -522,13 +542,13 @@ def test_length_of_arrays_may_change_when_the_earlier_ones_are_out(window):
 
 def test_length_of_arrays_may_change_after_key_is_idle():
     rules = "q([property(ttl, 5)]) : r(M) <- aggregate(max(V), in(V), M, last(3,events))."
-    engine = Run(rules)
+    engine = EngineDriver(rules)
     assert engine.feed("in([1,2,3])@1 in([1,2,3,4])@9") == "r([1,2,3])@1-1 r([1,2,3,4])@9-9"
     assert engine.reports == []
 
 
 def test_array_after_numbers_is_refused_by_each_measure():
-    engine = Run("r(A,B) <- aggregate([max(V),max(W)], in(V,W), [A,B], last(9)).")
+    engine = EngineDriver("r(A,B) <- aggregate([max(V),max(W)], in(V,W), [A,B], last(9)).")
     assert (
         engine.feed("in([1,2,3],5)@1 in([1,2,4],[1])@2 in([1,2,5],6)@3")
         == "r([1,2,3],5)@1-1 r([1,2,5],6)@1-3"
@@ -538,7 +558,7 @@ def test_array_after_numbers_is_refused_by_each_measure():
 
 def test_average_beyond_floats_is_reported_and_later_rules_match():
     huge = 10**400 + 1
-    engine = Run("r(M) <- p seq aggregate(avg(V), in(V), M). later <- in(_).")
+    engine = EngineDriver("r(M) <- p seq aggregate(avg(V), in(V), M). later <- in(_).")
     assert (
         engine.feed(f"p@1 in({huge})@2 in(0)@3 in({-huge + 3})@4")
         == f"p@1-1 r({huge})@1-2 later@2-2 later@3-3 r(1)@1-4 later@4-4"
@@ -554,7 +574,7 @@ def test_error_of_alarm_affects_no_other_alarm_and_no_event(caplog):
     rules = (
         "r(K) <- (in(K) seq absent(no, 1)) where broken. other(K) <- in(K) seq absent(no, 1). last <- tick."
     )
-    engine = Run(rules)
+    engine = EngineDriver(rules)
     engine.logic.define("broken", 0, fail)
     assert engine.feed("in(a)@1 in(b)@2 tick@9") == "other(a)@1-2 other(b)@2-3 last@9-9"
     assert caplog.text.count("internal error") == 2
@@ -564,7 +584,7 @@ def test_error_of_alarm_affects_no_other_alarm_and_no_event(caplog):
 
 
 def test_event_between_hopping_windows_is_in_none_and_not_late():
-    engine = Run("n(N) <- aggregate(count, in(_), N, last(1,every(10))).")
+    engine = EngineDriver("n(N) <- aggregate(count, in(_), N, last(1,every(10))).")
     assert engine.feed("in(1)@3 in(2)@9.5 in(3)@14 in(4)@12 tick@30") == "n(1)@9-10"
     assert engine.event_rules[0].late_count == 0 and engine.reports == []
     # An event of a window that has ended is late.

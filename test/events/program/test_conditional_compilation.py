@@ -1,7 +1,7 @@
 """Conditional compilation."""
 
 import pytest
-from events.stream_programs import Program
+from events.stream_programs import ProgramRunner
 
 CASES = [
     (":- if(true). a. :- else. b. :- endif.", "a"),
@@ -23,13 +23,13 @@ def there(program):
 @pytest.mark.parametrize("rule", ["", " out <- in."], ids=["prolog", "rules"])
 @pytest.mark.parametrize(("text", "expected"), CASES)
 def test_branches(text, expected, rule):
-    program = Program(text + rule)
+    program = ProgramRunner(text + rule)
     assert there(program) == expected
     assert program.warnings == []
 
 
 def test_rules_in_a_branch_that_does_not_count_are_none():
-    program = Program(":- if(fail). c <- a. :- else. d <- a. :- endif.")
+    program = ProgramRunner(":- if(fail). c <- a. :- else. d <- a. :- endif.")
     assert program.feed("a@1") == "d@1-1"
 
 
@@ -46,6 +46,6 @@ def test_rules_in_a_branch_that_does_not_count_are_none():
     ],
 )
 def test_what_is_wrong_is_told_at_its_place(text, part):
-    program = Program(text)
+    program = ProgramRunner(text)
     assert [part in one.message and one.place.line == 1 for one in program.warnings] == [True]
     assert there(program) == "a"

@@ -2,7 +2,7 @@
 
 import pytest
 from events.load_messages import errors_of, warnings_of
-from events.stream_programs import Program
+from events.stream_programs import ProgramRunner
 
 
 @pytest.mark.parametrize(
@@ -39,14 +39,14 @@ def test_a_failure_is_at_the_goal_that_was_reached_last(directive, column):
 
 
 def test_a_cut_is_that_of_the_directive():
-    program = Program(":- assertz(f(1)), assertz(f(2)), f(X), !, assertz(g(X)).")
+    program = ProgramRunner(":- assertz(f(1)), assertz(f(2)), f(X), !, assertz(g(X)).")
     assert [one["X"] for one in program.engine.query("g(X)")] == [1]
     assert warnings_of(":- member(X, [1, 2]), !, X > 1.") == [(1, 26, "this directive fails")]
 
 
 def test_a_directive_that_runs_others_knows_where_it_is():
     inner = "compile_event_rules([(:- (true, true, true)), (:- (true, fail))])"
-    found = Program(f":- true, {inner}, fail.").warnings
+    found = ProgramRunner(f":- true, {inner}, fail.").warnings
     assert [warning.place.column if warning.place else None for warning in found] == [
         None,
         10 + len(inner) + 2,
@@ -56,4 +56,4 @@ def test_a_directive_that_runs_others_knows_where_it_is():
 @pytest.mark.parametrize("goal", ["'$goal'(b)", "'$goal'(_)", "'$goal'(99)", "'$goal'(-1)"])
 def test_what_notes_the_goals_of_a_directive_takes_no_other_numbers(goal):
     assert warnings_of(f":- true, {goal}.") == [(1, 10, "this directive fails")]
-    assert list(Program("").engine.query(goal)) == []
+    assert list(ProgramRunner("").engine.query(goal)) == []

@@ -4,7 +4,7 @@ import linecache
 
 import pytest
 from events.load_messages import assert_refused, errors_of
-from events.stream_programs import Program, fired
+from events.stream_programs import ProgramRunner, outputs_of
 
 from retalis import Engine, ProgramErrors, atom, functor
 from retalis.prolog.database.predicate import Predicate
@@ -53,7 +53,7 @@ def test_refused(rule, column, part):
 
 @pytest.mark.parametrize("pattern", ["a seq (" * 1500 + "a" + ")" * 1500, " and ".join(["a"] * 3000)])
 def test_a_pattern_that_is_too_deep_is_refused_at_its_place(pattern):
-    program = Program("d <- a.")
+    program = ProgramRunner("d <- a.")
     with pytest.raises(ProgramErrors) as caught:
         program.engine.load(rules=f"b <- a.\nc <- {pattern}.")
     (error,) = caught.value.errors
@@ -91,7 +91,7 @@ def test_all_errors_at_once():
     ],
 )
 def test_warned_of(rule, part):
-    program = Program(rule)
+    program = ProgramRunner(rule)
     assert any(part in str(warning) for warning in program.warnings)
 
 
@@ -109,16 +109,16 @@ def test_warned_of(rule, part):
     ],
 )
 def test_what_may_be_called_is_not_warned_of(rules):
-    assert Program(rules).warnings == []
+    assert ProgramRunner(rules).warnings == []
 
 
 def test_a_long_list_of_predicates_that_a_goal_adds_is_read():
     added = ",".join(f"seen{number}/1" for number in range(3000))
-    assert Program(f"c <- a where seen2999(1). null do dynamic([{added}]) <- b.").warnings == []
+    assert ProgramRunner(f"c <- a where seen2999(1). null do dynamic([{added}]) <- b.").warnings == []
 
 
 def test_a_predicate_that_is_missing_is_warned_of_at_its_place_once():
-    program = Program("c <- a.\nd <- a where\n   no_such(1) .\nd <- a where no_such(2).")
+    program = ProgramRunner("c <- a.\nd <- a where\n   no_such(1) .\nd <- a where no_such(2).")
     ((warning),) = program.warnings
     assert (warning.place.line, warning.place.column) == (3, 4)
 
@@ -131,7 +131,7 @@ def test_forms():
         :- assertz(f(4)).
         ?- assertz(f(5)).
     """
-    program = Program(rules)
+    program = ProgramRunner(rules)
     assert program.feed("a@1") == "c1@1-1 c2@1-1 c3@1-1 c4@1-1 c5@1-1 c6@1-1"
     assert program.engine.call("called")
     assert [one["X"] for one in program.engine.query("g(X)")] == [1, 2, 3, 4, 5]
@@ -139,7 +139,7 @@ def test_forms():
 
 
 def test_a_directive_that_raises_undoes_the_file():
-    program = Program()
+    program = ProgramRunner()
     with pytest.raises(ProgramErrors):
         program.engine.load(rules="f(1). :- assertz(g(2)). c <- a. :- no_such_goal.")
     assert program.feed("a@1") == ""
@@ -148,7 +148,7 @@ def test_a_directive_that_raises_undoes_the_file():
 
 
 def test_a_refused_file_leaves_the_windows_of_other_rules():
-    program = Program("l : c <- a seq b. m([property(window,5)]) : d <- a seq b.")
+    program = ProgramRunner("l : c <- a seq b. m([property(window,5)]) : d <- a seq b.")
     with pytest.raises(ProgramErrors):
         program.engine.load(
             rules="event_rule_property(l,window,1). event_rule_property(m,window,1). :- throw(x)."
@@ -157,7 +157,7 @@ def test_a_refused_file_leaves_the_windows_of_other_rules():
 
 
 def test_rules_come_and_go():
-    program = Program("c1(X) <- a(X). l : c2 <- a(_). c3 <- a(1) seq b.")
+    program = ProgramRunner("c1(X) <- a(X). l : c2 <- a(_). c3 <- a(1) seq b.")
     call = program.engine.call
     assert call("ins_event_rule(c4 <- a(_))")
     assert not call("ins_event_rule(some_fact)")
@@ -173,18 +173,18 @@ def test_rules_come_and_go():
 
 def test_a_rule_that_was_added_sees_later_events_only():
     rules = "null do ins_event_rule(late(X) <- a(X)) <- a(1). c(X) <- a(X)."
-    assert fired(rules, "a(1)@1 a(2)@2") == "null@1-1 c(1)@1-1 c(2)@2-2 late(2)@2-2"
+    assert outputs_of(rules, "a(1)@1 a(2)@2") == "null@1-1 c(1)@1-1 c(2)@2-2 late(2)@2-2"
 
 
 def test_compile_event_rules():
-    program = Program()
+    program = ProgramRunner()
     assert program.engine.call("compile_event_rules([(c <- a), (f(X) :- X = 1), g(2)])")
     assert program.feed("a@1") == "c@1-1"
     assert program.engine.call("f(1), g(2)")
 
 
 def test_reset():
-    program = Program("c <- a seq b.", policy="chronological")
+    program = ProgramRunner("c <- a seq b.", policy="chronological")
     program.feed("a@1")
     program.engine.call("reset_etalis_state")
     assert program.feed("b@2") == ""
@@ -207,7 +207,7 @@ def test_reset():
     ],
 )
 def test_all_partial_matches_are_dropped(goal, rule, stream, more):
-    program = Program(rule)
+    program = ProgramRunner(rule)
     program.feed(stream)
     assert program.engine.rules.match_count > 0
     assert program.engine.call(goal)
@@ -217,33 +217,33 @@ def test_all_partial_matches_are_dropped(goal, rule, stream, more):
 
 
 def test_what_rules_out_is_dropped_with_the_partial_matches():
-    program = Program("c <- a fnot b.")
+    program = ProgramRunner("c <- a fnot b.")
     assert program.feed("b@1 a@2") == ""
     assert program.engine.call("reset_db")
     assert program.feed("a@3") == "c@3-3"
 
 
 def test_streams(tmp_path):
-    program = Program()
+    program = ProgramRunner()
     program.engine.load(rules="c <- a.", folder=tmp_path)
     (tmp_path / "s.txt").write_text("event(a,[1,1]). fail. no_such_goal. event(a,[2,2]).")
     assert program.engine.call("execute_event_stream_file('s.txt')")
     assert len(program.errors) == 2
-    assert len(program.seen) == 4
+    assert len(program.events) == 4
     assert program.engine.call("fire_event_list([event(a,[3,3]), event(a)])")
     assert program.engine.call("fire_event_list(event(a,[3,3]))")
-    assert len(program.seen) == 10
+    assert len(program.events) == 10
 
 
 def test_stored_events():
-    program = Program("c <- a.", ["store_fired_events"])
+    program = ProgramRunner("c <- a.", ["store_fired_events"])
     program.feed("a@1")
     assert len(program.engine.query("fired_event(E,I)")) == 2
     assert program.engine.call("stored_event(event(c,[1,1]))")
 
 
 def test_rules_that_come_and_go_at_run_time_do_not_cost_more_with_what_there_is(monkeypatch):
-    program = Program("\n".join(f"f({at}). c <- a({at}) and b." for at in range(50)))
+    program = ProgramRunner("\n".join(f"f({at}). c <- a({at}) and b." for at in range(50)))
     engine = program.engine
     looked = []
     active_clauses = Predicate.active_clauses
@@ -260,7 +260,7 @@ def test_rules_that_come_and_go_at_run_time_do_not_cost_more_with_what_there_is(
 
 @pytest.mark.slow
 def test_rules_of_one_form_that_come_and_go_at_run_time_keep_no_code():
-    program = Program("k(_).")
+    program = ProgramRunner("k(_).")
     kept = []
     for second in range(1, 6):
         assert program.engine.call("ins_event_rule(b(X) do k(X) <- a(X))")

@@ -3,7 +3,7 @@
 import os
 
 import pytest
-from events.stream_programs import Program, show
+from events.stream_programs import ProgramRunner, format_events
 
 from retalis import Engine, ProgramErrors, PrologError, RetalisError, Settings, StreamClock, atom
 from retalis.events.program.file_and_library_names import SourceFiles
@@ -253,7 +253,7 @@ def test_persistent_events_are_written_to_allowed_folders_only(tmp_path, monkeyp
 @pytest.mark.parametrize("fact", ["print_trigger", "external_trigger", "spy_event", "persistent_event"])
 def test_events_that_facts_name_are_logged_or_written(tmp_path, caplog, fact):
     caplog.set_level("INFO", "retalis")
-    program = Program()
+    program = ProgramRunner()
     program.engine.rules.files.sandbox.allow([tmp_path], [tmp_path])
     program.engine.load(rules=f"{fact}(b(1)). b(X) <- a(X).")
     assert program.engine.call(f"assertz({fact}(c/0))")
@@ -282,7 +282,7 @@ def test_a_refused_file_leaves_the_librarys_predicates(program):
         assert program.engine.call("memberchk(1, [1]), min(1, 2, 1)")
     program.engine.load(rules="memberchk(zz, _) :- true.")
     assert not program.engine.call("memberchk(1, [1])")
-    assert show(program.seen) == ""
+    assert format_events(program.events) == ""
 
 
 @pytest.mark.parametrize(

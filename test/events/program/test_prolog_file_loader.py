@@ -1,7 +1,7 @@
 """Prolog files: loading clause by clause; an error affects its clause only."""
 
 import pytest
-from events.stream_programs import Program
+from events.stream_programs import ProgramRunner
 
 from retalis import Definitions, Engine, Limits, Omission, ProgramErrors, PrologError, Settings
 from retalis.engine.program_check import check_program
@@ -185,7 +185,7 @@ def test_check_reports_what_is_left_out_as_errors(tmp_path):
 
 def test_a_file_that_is_loaded_again_may_lack_what_it_lacked(tmp_path):
     path = tmp_path / "kb.pl"
-    program = Program(folder=tmp_path)
+    program = ProgramRunner(folder=tmp_path)
     path.write_text("p(1).\np(.\n")
     program.engine.load_program(path)
     path.write_text("p(2).\np(.\n")

@@ -1,11 +1,11 @@
 """Expansion of terms and goals while a program is read."""
 
 import pytest
-from events.stream_programs import Program
+from events.stream_programs import ProgramRunner
 
 
 def test_terms_are_replaced():
-    program = Program(
+    program = ProgramRunner(
         """
 term_expansion(twice(X), [one(X), two(X)]).
 term_expansion(gone, []).
@@ -19,7 +19,7 @@ twice(1). gone. rule(p(X), one(X)). :- my_directive(3). kept.
 
 
 def test_goals_are_replaced():
-    program = Program(
+    program = ProgramRunner(
         """
 goal_expansion(old(X), new(X)).
 goal_expansion(older(X), old(X)).
@@ -34,27 +34,27 @@ q(L) :- ( true -> findall(X, old(X), L) ; fail ).
 
 
 def test_a_goal_that_is_replaced_by_itself_costs_its_clause():
-    program = Program("goal_expansion(a, a). p(1). q :- a.")
+    program = ProgramRunner("goal_expansion(a, a). p(1). q :- a.")
     (warning,) = program.warnings
     assert "goal_expansion/2 does not end" in warning.message
     assert program.engine.call("p(1)")
 
 
 def test_an_expansion_that_raises_costs_its_term():
-    program = Program("term_expansion(p(X), _) :- X > 1. q(1). p(a). q(2).")
+    program = ProgramRunner("term_expansion(p(X), _) :- X > 1. q(1). p(a). q(2).")
     (warning,) = program.warnings
     assert warning.place.column == 41
     assert program.engine.call("q(2)")
 
 
 def test_an_expansion_may_make_event_rules(tmp_path):
-    program = Program(folder=tmp_path)
+    program = ProgramRunner(folder=tmp_path)
     program.engine.load(rules="term_expansion(on(E, H), (H <- E)). on(a, c).")
     assert program.feed("a@1") == "c@1-1"
 
 
 def test_expansions_of_a_file_before_hold_in_files_of_rules():
-    program = Program("term_expansion(on(E, H), (H <- E)). goal_expansion(old(X), X = 1). p.")
+    program = ProgramRunner("term_expansion(on(E, H), (H <- E)). goal_expansion(old(X), X = 1). p.")
     program.engine.load(rules="on(a, c). d <- a. f(X) :- old(X).")
     assert program.feed("a@1") == "c@1-1 d@1-1"
     assert program.engine.call("f(1)")
@@ -62,5 +62,5 @@ def test_expansions_of_a_file_before_hold_in_files_of_rules():
 
 @pytest.mark.parametrize("dynamic", [":- dynamic term_expansion/2. ", ":- multifile term_expansion/2. "])
 def test_a_declaration_alone_replaces_nothing(dynamic):
-    program = Program(f"{dynamic}p(1).")
+    program = ProgramRunner(f"{dynamic}p(1).")
     assert program.warnings == [] and program.engine.call("p(1)")

@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 import pytest
-from events.stream_programs import Program, show
+from events.stream_programs import ProgramRunner, format_events
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -178,7 +178,7 @@ def test_each_rings_at_the_earliest_instant_that_it_asked_for(wishes):
 
 
 def test_a_rule_that_was_taken_out_is_not_woken_any_more():
-    program = Program("l : o(N) <- aggregate(count, in(_), N, every(2)).", clock=StreamClock())
+    program = ProgramRunner("l : o(N) <- aggregate(count, in(_), N, every(2)).", clock=StreamClock())
     rules = program.engine.rules
     (rule,) = rules.rules
     program.feed("in(1)@1")
@@ -186,4 +186,4 @@ def test_a_rule_that_was_taken_out_is_not_woken_any_more():
     assert program.engine.call("del_event_rule(l)")
     assert not rule.active and not rules.rules
     program.feed("other@9")
-    assert show(program.seen) == "other@9-9"
+    assert format_events(program.events) == "other@9-9"
