@@ -1,4 +1,4 @@
-"""Event rules that are added and deleted from outside."""
+"""Event rules that clients add and delete."""
 
 import pytest
 
@@ -8,13 +8,13 @@ from retalis.engine.client_requests import add_rule, delete_rule
 
 @pytest.fixture
 def engine():
-    found = Engine()
-    found.seen = []
-    found.on_event(lambda term, start, end: found.seen.append(found.show(term)))
-    return found
+    engine = Engine()
+    engine.seen = []
+    engine.on_event(lambda term, start, end: engine.seen.append(engine.show(term)))
+    return engine
 
 
-def test_a_rule_is_added_fires_and_is_deleted(engine):
+def test_added_rule_fires_until_deleted(engine):
     assert add_rule(engine, "b(X) <- a(X).", "mine") == "mine"
     engine.event("a(1)", 1)
     delete_rule(engine, "mine")
@@ -33,7 +33,7 @@ def test_a_rule_is_added_fires_and_is_deleted(engine):
         ("b <- a", "'two words'", "'two words'"),
     ],
 )
-def test_labels(engine, rule, given, label):
+def test_rule_is_added_under_its_label(engine, rule, given, label):
     assert add_rule(engine, rule, given) == label
     engine.event("a", 1)
     assert engine.seen == ["a", "b"]
@@ -42,7 +42,7 @@ def test_labels(engine, rule, given, label):
     assert engine.seen == ["a", "b", "a"]
 
 
-def test_new_labels_differ(engine):
+def test_new_labels_are_unique(engine):
     assert [add_rule(engine, "b <- a") for _ in range(3)] == ["added_1", "added_2", "added_3"]
     delete_rule(engine, "added_2")
     assert add_rule(engine, "b <- a") == "added_2"
@@ -59,7 +59,7 @@ def test_new_labels_differ(engine):
         ("b <- c", "f(x)", "label: expected an atom"),
     ],
 )
-def test_what_is_refused(engine, rule, label, message):
+def test_invalid_rule_or_label_is_refused(engine, rule, label, message):
     engine.load(rules="there : b <- a.")
     with pytest.raises(UsageError, match=message):
         add_rule(engine, rule, label)
@@ -78,13 +78,13 @@ def test_errors_have_line_and_caret(engine):
     assert engine.seen == ["a"]
 
 
-def test_deleting_what_is_not_there(engine):
+def test_deleting_unknown_label_is_an_error(engine):
     for label in ("none", "", "f(x)", "a b"):
         with pytest.raises(RetalisError):
             delete_rule(engine, label)
 
 
-def test_it_has_no_rights_of_the_programs_files(engine, tmp_path):
+def test_added_rule_cannot_load_files(engine, tmp_path):
     (tmp_path / "secret.txt").write_text("secret.")
     add_rule(engine, f"b do (catch(compile_event_file('{tmp_path}/secret.txt'), E, assertz(kept(E)))) <- a")
     engine.event("a", 1)

@@ -1,4 +1,4 @@
-"""An engine whose state is taken, and one that takes it up: both go on alike."""
+"""A restored engine continues like the one whose snapshot it has."""
 
 import random
 
@@ -91,7 +91,7 @@ PROGRAMS = {
     ),
 }
 
-ASKED = {
+QUERIES = {
     "clauses": (":- dynamic p/1.\np(1).\np(X) :- q(X).\nq(2).", "assertz(p(9)), retract(q(2))", "p(X)"),
     "operators": (":- op(700, xfx, near).\nx(a near b).", "true", "x(X)"),
     "global variables": ("", 'nb_setval(v, f(Y, Y, [1, 2.5, "s"]))', "nb_getval(v, X)"),
@@ -121,126 +121,129 @@ ASKED = {
 }
 
 
-def shown(engine, term):
-    """Return a term as text in which variables have no numbers, which differ."""
-    names = {var: f"V{at}" for at, var in enumerate(variables(term))}
+def show(engine, term):
+    """Return the text of a term, with names for variables, whose numbers differ between engines."""
+    names = {var: f"V{number}" for number, var in enumerate(variables(term))}
     return engine.logic.show(term, names=names)
 
 
-def listened(engine):
-    said = engine.said = []
-    engine.on_event(lambda term, start, end: said.append((shown(engine, term), int(start), int(end))))
+def record_emitted(engine):
+    emitted = engine.emitted = []
+    engine.on_event(lambda term, start, end: emitted.append((show(engine, term), int(start), int(end))))
     engine.on_output(
-        lambda term, topic, name: said.append(("out", shown(engine, term), topic, shown(engine, name)))
+        lambda term, topic, name: emitted.append(("out", show(engine, term), topic, show(engine, name)))
     )
     return engine
 
 
 def feed(engine, events, first):
-    for at, event in enumerate(events, first):
-        term, when = event if isinstance(event, tuple) else (event, at)
+    for second, event in enumerate(events, first):
+        term, when = event if isinstance(event, tuple) else (event, second)
         engine.event(term, when)
 
 
 @pytest.mark.parametrize("name", PROGRAMS)
-def test_goes_on_as_if_nothing_had_been(name):
+def test_restored_engine_emits_same_events(name):
     rules, goals, before, after = PROGRAMS[name]
-    one = Engine()
-    one.load(rules=rules, goals=goals)
-    feed(one, before, 1)
-    first = Engine.restore(one.snapshot())
+    original = Engine()
+    original.load(rules=rules, goals=goals)
+    feed(original, before, 1)
+    first = Engine.restore(original.snapshot())
     second = Engine.restore(Engine.restore(first.snapshot()).snapshot())
-    for engine in (one, first, second):
-        feed(listened(engine), after, len(before) + 1)
-    assert one.said
-    assert first.said == one.said
-    assert second.said == one.said
+    for engine in (original, first, second):
+        feed(record_emitted(engine), after, len(before) + 1)
+    assert original.emitted
+    assert first.emitted == original.emitted
+    assert second.emitted == original.emitted
 
 
-@pytest.mark.parametrize("name", ASKED)
-def test_knows_what_the_other_knew(name):
-    rules, goal, query = ASKED[name]
-    one = Engine()
-    one.load(rules=rules)
-    assert one.call(goal)
-    other = Engine.restore(one.snapshot())
-    expected = [{key: shown(one, value) for key, value in found.items()} for found in one.query(query)]
+@pytest.mark.parametrize("name", QUERIES)
+def test_restored_engine_has_same_solutions(name):
+    rules, goal, query = QUERIES[name]
+    original = Engine()
+    original.load(rules=rules)
+    assert original.call(goal)
+    restored = Engine.restore(original.snapshot())
+    expected = [
+        {key: show(original, value) for key, value in solution.items()} for solution in original.query(query)
+    ]
     assert expected
     assert [
-        {key: shown(other, value) for key, value in found.items()} for found in other.query(query)
+        {key: show(restored, value) for key, value in solution.items()} for solution in restored.query(query)
     ] == expected
 
 
-def test_status_counts_on():
-    one = Engine()
-    one.load(rules="b <- a.", goals="memorize(a, [], _, m, 2)\nsubscribe(b, [], _, t, i)")
-    feed(one, ["a", "a", "a"], 1)
-    other = Engine.restore(one.snapshot())
-    assert (
-        other.status()._replace(seconds=0) == one.status()._replace(seconds=0)
-        if hasattr(one.status(), "seconds")
-        else True
-    )
-    assert other.status().taken == 3
-    assert other.status().rules == one.status().rules
-    assert other.status().memories == one.status().memories
-    assert other.status().subscriptions == one.status().subscriptions
+def test_restored_status_has_same_counts():
+    original = Engine()
+    original.load(rules="b <- a.", goals="memorize(a, [], _, m, 2)\nsubscribe(b, [], _, t, i)")
+    feed(original, ["a", "a", "a"], 1)
+    restored = Engine.restore(original.snapshot())
+    assert restored.status()._replace(now=0) == original.status()._replace(now=0)
+    assert restored.status().taken == 3
+    assert restored.status().rules == original.status().rules
+    assert restored.status().memories == original.status().memories
+    assert restored.status().subscriptions == original.status().subscriptions
 
 
-def test_what_a_memory_holds_is_the_same():
-    one = Engine()
-    one.load(goals="memorize(a(_), [], _, m, 100)")
+def test_restored_memory_has_same_records():
+    original = Engine()
+    original.load(goals="memorize(a(_), [], _, m, 100)")
     values = [1, -2.5, "'A b'", '"text"', "[1,2,[3]]", "f(X,Y,X)", f"{1 << 80}", "1.0e300", "{a}", "[]"]
-    for at, value in enumerate(values):
-        one.event(f"a({value})", at / 3, at)
-    one.post_text("event(a(text), [datime(2020,1,2,3,4,5,6), datime(2020,1,2,3,4,5,6)])")
-    one.post(functor("a", 1)(2), 5)
-    wanted = [shown(one, found["R"]) + shown(one, found["I"]) for found in one.query("access_mem(m, R, I)")]
-    other = Engine.restore(one.snapshot())
+    for number, value in enumerate(values):
+        original.event(f"a({value})", number / 3, number)
+    original.post_text("event(a(text), [datime(2020,1,2,3,4,5,6), datime(2020,1,2,3,4,5,6)])")
+    original.post(functor("a", 1)(2), 5)
+    expected = [
+        show(original, solution["R"]) + show(original, solution["I"])
+        for solution in original.query("access_mem(m, R, I)")
+    ]
+    restored = Engine.restore(original.snapshot())
     assert [
-        shown(other, found["R"]) + shown(other, found["I"]) for found in other.query("access_mem(m, R, I)")
-    ] == wanted
+        show(restored, solution["R"]) + show(restored, solution["I"])
+        for solution in restored.query("access_mem(m, R, I)")
+    ] == expected
 
 
 @pytest.mark.slow
-def test_a_long_list_is_kept():
-    one = Engine()
-    one.load(goals="memorize(a(_), [], _, m, 10)", rules="p(X) <- a(X) seq b.")
-    one.event(functor("a", 1)(make_list(list(range(10_000)))), 1)
-    other = Engine.restore(one.snapshot())
-    assert other.query("access_mem(m, a(L), _), length(L, N), last(L, X)")[0]["N"] == 10_000
-    found = []
-    other.on_event(lambda term, start, end: found.append(term))
-    other.event("b", 2)
-    assert len(found) == 2
+def test_long_list_is_restored():
+    original = Engine()
+    original.load(goals="memorize(a(_), [], _, m, 10)", rules="p(X) <- a(X) seq b.")
+    original.event(functor("a", 1)(make_list(list(range(10_000)))), 1)
+    restored = Engine.restore(original.snapshot())
+    assert restored.query("access_mem(m, a(L), _), length(L, N), last(L, X)")[0]["N"] == 10_000
+    events = []
+    restored.on_event(lambda term, start, end: events.append(term))
+    restored.event("b", 2)
+    assert len(events) == 2
 
 
-def test_rules_of_services_and_what_was_deleted(tmp_path):
+def test_rules_of_services_are_restored_before_reload(tmp_path):
     (tmp_path / "goalPredicates.txt").write_text("compile_event_file('r.txt')\nmemorize(a(_), [], _, m, 5)\n")
     (tmp_path / "r.txt").write_text("one : p(X) <- a(X) seq b.\nfact(1).\n:- dynamic seen/1.\nseen(0).\n")
-    one = Engine()
-    one.load_program(tmp_path)
-    one.load_rules("two : q(X) <- a(X) seq c.")
-    one.event("a(1)", 1)
-    other = Engine.restore(one.snapshot())
+    original = Engine()
+    original.load_program(tmp_path)
+    original.load_rules("two : q(X) <- a(X) seq c.")
+    original.event("a(1)", 1)
+    restored = Engine.restore(original.snapshot())
     (tmp_path / "r.txt").write_text("three : p(X) <- a(X) seq d.\nfact(2).\n")
-    assert other.reload(tmp_path) == one.reload(tmp_path)
-    for engine in (one, other):
-        feed(listened(engine), ["b", "c", "d", "a(2)", "d"], 2)
+    assert restored.reload(tmp_path) == original.reload(tmp_path)
+    for engine in (original, restored):
+        feed(record_emitted(engine), ["b", "c", "d", "a(2)", "d"], 2)
         assert engine.query("fact(X)") == [{"X": 2}]
-    assert other.said == one.said
+    assert original.emitted
+    assert restored.emitted == original.emitted
 
 
-def test_an_alarm_of_a_rule_that_was_deleted_rings():
-    one = Engine()
-    one.load_rules("l : exceptionAlarm(late(X), 5) <- start(X).")
-    one.event("start(1)", 1)
-    assert one.call("del_event_rule(l)")
-    other = Engine.restore(one.snapshot())
-    for engine in (one, other):
-        feed(listened(engine), ["x"], 20)
-    assert other.said == one.said
-    assert len(one.said) == 2
+def test_alarm_of_deleted_rule_is_restored():
+    original = Engine()
+    original.load_rules("l : exceptionAlarm(late(X), 5) <- start(X).")
+    original.event("start(1)", 1)
+    assert original.call("del_event_rule(l)")
+    restored = Engine.restore(original.snapshot())
+    for engine in (original, restored):
+        feed(record_emitted(engine), ["x"], 20)
+    assert restored.emitted == original.emitted
+    assert len(original.emitted) == 2
 
 
 DUE_AT_ONE_INSTANT = {
@@ -266,9 +269,9 @@ def test_restore_keeps_order_of_alarms_at_one_instant(name):
     feed(engine, events, 1)
     restored = Engine.restore(Engine.restore(engine.snapshot()).snapshot())
     for either in (engine, restored):
-        feed(listened(either), ["tick"], 9)
-    assert {end for _, _, end in engine.said[:2]} == {engine.said[0][-1]}
-    assert restored.said == engine.said
+        feed(record_emitted(either), ["tick"], 9)
+    assert {end for _, _, end in engine.emitted[:2]} == {engine.emitted[0][-1]}
+    assert restored.emitted == engine.emitted
 
 
 def test_restore_omits_state_whose_beginning_was_retracted():
@@ -280,18 +283,18 @@ def test_restore_omits_state_whose_beginning_was_retracted():
     feed(engine, ["a(1)", "a(2)", "rev(a(1))", "c"], 1)
     restored = Engine.restore(engine.snapshot())
     for either in (engine, restored):
-        feed(listened(either), ["c", "a(1)", "c", "c", "c", "c", "c"], 5)
-    assert ("open([2,1])", 7 * SECOND, 7 * SECOND) in engine.said
-    assert restored.said == engine.said
+        feed(record_emitted(either), ["c", "a(1)", "c", "c", "c", "c", "c"], 5)
+    assert ("open([2,1])", 7 * SECOND, 7 * SECOND) in engine.emitted
+    assert restored.emitted == engine.emitted
 
 
-def test_a_clock_of_ones_own_is_not_moved_by_events():
-    one = Engine(clock=StreamClock(50))
-    one.load(rules="p <- a.")
-    other = Engine.restore(one.snapshot())
-    for engine in (one, other):
+def test_own_clock_is_not_moved_by_events():
+    original = Engine(clock=StreamClock(50))
+    original.load(rules="p <- a.")
+    restored = Engine.restore(original.snapshot())
+    for engine in (original, restored):
         engine.event("a", 1_000_000)
-    assert other.clock.now() == one.clock.now()
+    assert restored.clock.now() == original.clock.now() == 50
 
 
 @foreign
@@ -299,24 +302,24 @@ def half(number: int) -> float:
     return number / 2
 
 
-def test_foreign_predicates_are_given_again():
-    one = Engine()
-    one.add_foreign(half)
-    one.load(rules="p(Y) <- a(X) where half(X, Y).")
-    other = listened(Engine.restore(one.snapshot(), foreign=(half,)))
-    other.event("a(3)", 1)
-    assert other.said[-1][0] == "p(1.5)"
+def test_restored_rules_call_given_foreign_predicates():
+    original = Engine()
+    original.add_foreign(half)
+    original.load(rules="p(Y) <- a(X) where half(X, Y).")
+    restored = record_emitted(Engine.restore(original.snapshot(), foreign=(half,)))
+    restored.event("a(3)", 1)
+    assert restored.emitted[-1][0] == "p(1.5)"
 
 
-def test_python_of_a_program_is_loaded_from_its_folder_only(tmp_path):
+def test_python_modules_are_loaded_from_program_folder_only(tmp_path):
     (tmp_path / "mine.py").write_text(
         "from retalis import foreign\n@foreign\ndef third(x: int) -> float:\n    return x / 3\n"
     )
     (tmp_path / "goalPredicates.txt").write_text("use_foreign(mine)\n")
     allowed = Settings(allow_foreign=True)
-    one = Engine(settings=allowed)
-    one.load_program(tmp_path)
-    data = one.snapshot()
+    original = Engine(settings=allowed)
+    original.load_program(tmp_path)
+    data = original.snapshot()
     assert Engine.restore(data, settings=allowed, folder=tmp_path).query("third(6, X)") == [{"X": 2.0}]
     with pytest.raises(UsageError, match="not in a folder of its own"):
         Engine.restore(data, settings=allowed)
@@ -326,29 +329,29 @@ def test_python_of_a_program_is_loaded_from_its_folder_only(tmp_path):
         Engine.restore(data, folder=tmp_path)
 
 
-def test_not_in_the_midst_of_an_event():
-    one = Engine()
-    found = []
+def test_snapshot_in_callback_is_refused():
+    engine = Engine()
+    events = []
 
     def ask(term, start, end):
         with pytest.raises(UsageError, match="a goal or callback"):
-            one.snapshot()
-        found.append(term)
+            engine.snapshot()
+        events.append(term)
 
-    one.on_event(ask)
-    one.event("a", 1)
-    assert found
+    engine.on_event(ask)
+    engine.event("a", 1)
+    assert events
 
 
-def test_what_is_damaged_is_refused_and_nothing_else_happens():
-    one = Engine()
-    one.load(rules=ALARM, goals="memorize(start(_), [], _, m, 9)")
-    feed(one, ["start(1)", "start(2)"], 1)
-    data = one.snapshot()
-    chance = random.Random(1)
-    for at in [*range(60), *(chance.randrange(len(data)) for _ in range(150))]:
+def test_damaged_state_is_refused():
+    engine = Engine()
+    engine.load(rules=ALARM, goals="memorize(start(_), [], _, m, 9)")
+    feed(engine, ["start(1)", "start(2)"], 1)
+    data = engine.snapshot()
+    generator = random.Random(1)
+    for position in [*range(60), *(generator.randrange(len(data)) for _ in range(150))]:
         broken = bytearray(data)
-        broken[at] ^= 1 << chance.randrange(8)
+        broken[position] ^= 1 << generator.randrange(8)
         with pytest.raises(UsageError):
             Engine.restore(bytes(broken))
     for end in range(0, len(data), 97):
@@ -359,62 +362,65 @@ def test_what_is_damaged_is_refused_and_nothing_else_happens():
     assert isinstance(Engine.restore(data), Whole)
 
 
-def test_a_memory_of_no_records_knows_how_far_it_is():
-    one = Engine()
-    one.load(rules="synchronized(got(X), true, [[m, 2]]) <- ask(X).", goals="memorize(a, [], _, m, 0)")
-    one.event("a", 3)
-    other = listened(Engine.restore(one.snapshot()))
-    other.event("ask(1)", 4)
-    assert "got(1)" in [said[0] for said in other.said]
+def test_memory_of_size_zero_keeps_its_progress():
+    original = Engine()
+    original.load(rules="synchronized(got(X), true, [[m, 2]]) <- ask(X).", goals="memorize(a, [], _, m, 0)")
+    original.event("a", 3)
+    restored = record_emitted(Engine.restore(original.snapshot()))
+    restored.event("ask(1)", 4)
+    assert "got(1)" in [emitted[0] for emitted in restored.emitted]
 
 
-def test_a_query_whose_other_memory_was_deleted():
-    one = Engine()
-    one.load(
+def test_query_continues_without_deleted_memory():
+    original = Engine()
+    original.load(
         rules="synchronized(got(X), true, [[m, 5], [n, 5]]) <- ask(X).",
         goals="memorize(a, [], _, m, 9)\nmemorize(b, [], _, n, 9)",
     )
-    feed(one, ["ask(1)"], 1)
-    feed(one, ["b"], 6)
-    assert one.call("delete_memory(n)")
-    other = Engine.restore(one.snapshot())
-    for engine in (one, other):
-        feed(listened(engine), ["a"], 7)
-    assert other.said == one.said
-    assert other.said
+    feed(original, ["ask(1)"], 1)
+    feed(original, ["b"], 6)
+    assert original.call("delete_memory(n)")
+    restored = Engine.restore(original.snapshot())
+    for engine in (original, restored):
+        feed(record_emitted(engine), ["a"], 7)
+    assert restored.emitted == original.emitted
+    assert restored.emitted
 
 
 @pytest.mark.parametrize(
     "rules",
     [":- dynamic p/1.", ":- discontiguous p/1.", ":- multifile p/1.", ":- dynamic p/1.\np(1).", "p(1)."],
 )
-def test_predicates_are_as_defined_as_they_were(rules):
+def test_restored_predicates_are_defined_as_before(rules):
     def outcome(engine):
         try:
             return engine.call("p(1)")
         except PrologError as error:
             return error.message
 
-    one = Engine()
-    one.load_rules(rules)
-    assert outcome(Engine.restore(one.snapshot())) == outcome(one)
+    original = Engine()
+    original.load_rules(rules)
+    assert outcome(Engine.restore(original.snapshot())) == outcome(original)
 
 
-def test_flags_that_settings_give_are_those_of_the_new_engine():
-    one = Engine(settings=Settings(max_gap=5.0))
-    assert Engine.restore(one.snapshot()).query("get_etalis_flag(max_gap, X)") == [{"X": -1}]
-    record_origins(one)
-    one.event("a", 1)
-    assert not Engine.restore(one.snapshot()).rules.options.tracks_events
+def test_flags_of_settings_are_those_of_new_engine():
+    original = Engine(settings=Settings(max_gap=5.0))
+    assert Engine.restore(original.snapshot()).query("get_etalis_flag(max_gap, X)") == [{"X": -1}]
+    record_origins(original)
+    original.event("a", 1)
+    assert not Engine.restore(original.snapshot()).rules.options.tracks_events
 
 
-def test_topics_are_subscribed_once():
-    one = Engine()
-    asked = []
-    one.input_topics.set_subscriber(asked.append, resolve_name=lambda topic: "/" + topic.lstrip("/"))
-    one.call("subscribe_to('/scan', 'std_msgs/String')")
-    other = Engine.restore(one.snapshot())
-    again = []
-    other.input_topics.set_subscriber(again.append, resolve_name=lambda topic: "/" + topic.lstrip("/"))
-    other.call("subscribe_to('/scan', 'std_msgs/String')")
-    assert again == asked
+def test_restored_engine_subscribes_to_same_topics():
+    original = Engine()
+    topics = []
+    original.input_topics.set_subscriber(topics.append, resolve_name=lambda topic: "/" + topic.lstrip("/"))
+    original.call("subscribe_to('/scan', 'std_msgs/String')")
+    restored = Engine.restore(original.snapshot())
+    restored_topics = []
+    restored.input_topics.set_subscriber(
+        restored_topics.append, resolve_name=lambda topic: "/" + topic.lstrip("/")
+    )
+    restored.call("subscribe_to('/scan', 'std_msgs/String')")
+    assert len(topics) == 1
+    assert restored_topics == topics

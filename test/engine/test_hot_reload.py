@@ -1,4 +1,4 @@
-"""A program's folder that is read again while the program runs."""
+"""Reload of a program in a running engine."""
 
 import threading
 
@@ -59,7 +59,7 @@ class Program:
         return self.engine.reload(self.folder)
 
     def events(self, *texts):
-        """Have events happen; return all that did."""
+        """Process events; return them and the events that they trigger."""
         self.seen.clear()
         for text in texts:
             self.now += 1
@@ -67,24 +67,34 @@ class Program:
         return [text for text in self.seen if not text.startswith("memory_updated")]
 
     def records(self, name="fires"):
-        return [self.engine.show(found["R"]) for found in self.engine.query(f"access_mem({name}, R, _)")]
+        return [
+            self.engine.show(solution["R"]) for solution in self.engine.query(f"access_mem({name}, R, _)")
+        ]
 
     def all(self, goal):
-        return [self.engine.show(found["X"]) for found in self.engine.query(goal)]
+        return [self.engine.show(solution["X"]) for solution in self.engine.query(goal)]
 
     def state(self):
-        """Return all that a refused reload has to leave as it is."""
+        """Return the state that a refused reload must not change."""
         engine = self.engine
-        predicates = [one for one in engine.logic.database.predicates.values() if one.kind == "user"]
+        predicates = [
+            predicate for predicate in engine.logic.database.predicates.values() if predicate.kind == "user"
+        ]
         return (
             [(rule.name, rule.stored_match_count, rule.active) for rule in engine.rules.rules],
             {
-                str(one): [engine.show(clause.head) for clause in one.active_clauses()]
-                for one in predicates
-                if not one.is_library_predicate
+                str(predicate): [engine.show(clause.head) for clause in predicate.active_clauses()]
+                for predicate in predicates
+                if not predicate.is_library_predicate
             },
-            {key: list(one.memory.records) for key, one in engine.knowledge.memories.instances.items()},
-            [(key, one.sent_counter.count) for key, one in engine.knowledge.subscriptions.items()],
+            {
+                key: list(predicate.memory.records)
+                for key, predicate in engine.knowledge.memories.instances.items()
+            },
+            [
+                (key, predicate.sent_counter.count)
+                for key, predicate in engine.knowledge.subscriptions.items()
+            ],
             engine.rules.all_properties(),
         )
 
@@ -94,7 +104,7 @@ def program(tmp_path):
     return Program(tmp_path)
 
 
-def test_nothing_changed(program):
+def test_reload_of_unchanged_program_changes_nothing(program):
     program.events("fire(hall)", "smoke(1)")
     before = program.state()
     assert program.reload() == [
@@ -110,7 +120,7 @@ def test_nothing_changed(program):
 
 
 @pytest.mark.slow
-def test_again_and_again(program):
+def test_repeated_reloads_keep_partial_matches(program):
     program.events("smoke(0)")
     for number in range(1, 30):
         program.reload(rules=RULES + f"extra({number}) <- tick.\nnumbered({number}).\n")
@@ -121,16 +131,16 @@ def test_again_and_again(program):
     assert len(program.engine.deployments) == 1
 
 
-def test_a_rule_changes_and_one_is_kept_with_what_waits_in_it(program):
+def test_unchanged_rule_keeps_partial_matches(program):
     program.events("smoke(1)")
-    told = program.reload(
+    changes = program.reload(
         rules=RULES.replace("fire(X) where room(X)", "fire(X)")
         .replace("both(X,Y)", "both(A,B)")
         .replace("smoke(X) seq heat(Y)", "smoke(A)  seq\n heat(B)")
     )
-    assert told[0] == "rules: 1 new, 1 gone, 1 kept, with 1 partial match"
-    assert told[1].startswith("  new: rule alarm(X) (") and told[1].endswith("rules.txt:6)")
-    assert told[2] == "  gone: rule alarm(X)"
+    assert changes[0] == "rules: 1 new, 1 gone, 1 kept, with 1 partial match"
+    assert changes[1].startswith("  new: rule alarm(X) (") and changes[1].endswith("rules.txt:6)")
+    assert changes[2] == "  gone: rule alarm(X)"
     assert program.events("fire(cellar)", "heat(2)") == [
         "fire(cellar)",
         "alarm(cellar)",
@@ -139,18 +149,18 @@ def test_a_rule_changes_and_one_is_kept_with_what_waits_in_it(program):
     ]
 
 
-def test_what_waits_in_a_rule_that_goes_is_gone_and_said(program):
+def test_removed_rule_loses_partial_matches(program):
     program.events("smoke(1)", "smoke(2)")
-    told = program.reload(rules=RULES.replace("both(X,Y)", "pair(X,Y)"))
+    changes = program.reload(rules=RULES.replace("both(X,Y)", "pair(X,Y)"))
     assert (
-        "  gone: rule both(X,Y), with 1 partial match" in told
-        or "  gone: rule both(X,Y), with 2 partial matches" in told
+        "  gone: rule both(X,Y), with 1 partial match" in changes
+        or "  gone: rule both(X,Y), with 2 partial matches" in changes
     )
     assert program.events("heat(2)") == ["heat(2)"]
     assert program.events("smoke(3)", "heat(4)") == ["smoke(3)", "heat(4)", "pair(3,4)"]
 
 
-def test_kept_rules_take_the_order_of_the_file(program):
+def test_kept_rules_have_order_of_file(program):
     rules = "one <- a.\ntwo <- a.\nthree <- a.\n"
     program.reload(rules=rules)
     assert program.events("a") == ["a", "one", "two", "three"]
@@ -158,30 +168,30 @@ def test_kept_rules_take_the_order_of_the_file(program):
     assert program.events("a") == ["a", "three", "two", "one"]
 
 
-def test_rules_that_are_the_same_are_paired_one_by_one(program):
-    told = program.reload(rules="b <- a.\nb <- a.\n")
+def test_equal_rules_are_paired_individually(program):
+    changes = program.reload(rules="b <- a.\nb <- a.\n")
     assert program.events("a") == ["a", "b", "b"]
-    told = program.reload(rules="b <- a.\n")
-    assert told[:2] == ["rules: 0 new, 1 gone, 1 kept", "  gone: rule b"]
+    changes = program.reload(rules="b <- a.\n")
+    assert changes[:2] == ["rules: 0 new, 1 gone, 1 kept", "  gone: rule b"]
     assert program.events("a") == ["a", "b"]
 
 
-def test_labels_tell_rules_apart_and_their_properties_change(program):
+def test_rules_are_identified_by_label(program):
     program.reload(rules="w([property(window, 1)]) : c <- a seq b.\n")
     assert program.events("a", "x", "b") == ["a", "x", "b"]
-    told = program.reload(rules="w([property(window, 5)]) : c <- a seq b.\n")
-    assert told[0].startswith("rules: 0 new, 0 gone, 1 kept")
+    changes = program.reload(rules="w([property(window, 5)]) : c <- a seq b.\n")
+    assert changes[0].startswith("rules: 0 new, 0 gone, 1 kept")
     assert program.events("a", "x", "b") == ["a", "x", "b", "c"]
     assert program.reload(rules="v : c <- a seq b.\n")[0] == "rules: 1 new, 1 gone, 0 kept"
     assert program.events("a", "x", "x", "x", "x", "x", "x", "b")[-1] == "c"
 
 
-def test_kept_rules_see_clauses_that_changed(program):
-    for _ in range(50):  # compiled by now
+def test_kept_rules_call_changed_clauses(program):
+    for _ in range(50):  # until the rules are compiled
         program.events("fire(hall)")
-    told = program.reload(rules=RULES.replace("room(attic)", "room(X) :- cellar(X)") + "cellar(cellar).\n")
-    assert "  changed: predicate room/1" in told
-    assert "  new: predicate cellar/1" in told
+    changes = program.reload(rules=RULES.replace("room(attic)", "room(X) :- cellar(X)") + "cellar(cellar).\n")
+    assert "  changed: predicate room/1" in changes
+    assert "  new: predicate cellar/1" in changes
     assert program.events("fire(attic)", "fire(cellar)") == ["fire(attic)", "fire(cellar)", "alarm(cellar)"]
     program.reload(rules=RULES)
     assert program.events("fire(attic)", "fire(cellar)") == ["fire(attic)", "alarm(attic)", "fire(cellar)"]
@@ -190,7 +200,7 @@ def test_kept_rules_see_clauses_that_changed(program):
         program.engine.call("cellar(_)")
 
 
-def test_a_predicate_of_the_library_is_replaced_and_given_back(program):
+def test_library_predicate_is_replaced_and_restored(program):
     rules = "c <- a where last([1, 2], 2).\n"
     program.reload(rules=rules)
     assert program.events("a") == ["a", "c"]
@@ -203,14 +213,14 @@ def test_a_predicate_of_the_library_is_replaced_and_given_back(program):
     assert program.events("a") == ["a", "c"]
 
 
-def test_tables_are_made_anew(program):
+def test_tables_are_evaluated_again(program):
     rules = (
         ":- table path/2.\nedge(1, 2).\npath(X, Y) :- edge(X, Y).\npath(X, Z) :- path(X, Y), edge(Y, Z).\n"
     )
     program.reload(rules=rules)
     assert program.all("path(1, X)") == ["2"]
-    told = program.reload(rules=rules + "edge(2, 3).\n")
-    assert "predicates: 0 new, 1 changed, 0 gone, 1 kept" in told
+    changes = program.reload(rules=rules + "edge(2, 3).\n")
+    assert "predicates: 0 new, 1 changed, 0 gone, 1 kept" in changes
     assert sorted(program.all("path(1, X)")) == ["2", "3"]
     program.engine.call("assertz(here)")
     with pytest.raises(ProgramErrors, match="this goal fails"):
@@ -218,41 +228,41 @@ def test_tables_are_made_anew(program):
     assert sorted(program.all("path(1, X)")) == ["2", "3"]
 
 
-def test_a_memory_whose_definition_changes_begins_empty(program):
+def test_memory_with_changed_definition_starts_empty(program):
     program.events("fire(hall)")
-    told = program.reload(goals=GOALS.replace("fires, 5", "fires, 6"))
-    assert "  changed: memory fires: it is defined otherwise, and begins empty" in told
+    changes = program.reload(goals=GOALS.replace("fires, 5", "fires, 6"))
+    assert "  changed: memory fires: it is defined otherwise, and begins empty" in changes
     assert program.records() == []
     program.events("fire(1)")
     assert program.records() == ["fire(1)"]
 
 
-def test_a_memory_is_defined_in_other_words(program):
+def test_renamed_variables_keep_memory(program):
     program.events("fire(hall)")
     program.reload(goals=GOALS.replace("fire(_), [], _, fires", "fire(Where), [], _What, fires"))
     assert program.records() == ["fire(hall)"]
 
 
-def test_memories_that_are_new_and_gone(program):
-    told_of = []
-    program.engine.on_event(lambda term, start, end: told_of.append(program.engine.show(term).split("(")[0]))
-    told = program.reload(goals=GOALS.replace("fires, 5", "blazes, 5"))
-    assert told[3:6] == [
+def test_new_and_removed_memories_are_reported(program):
+    events = []
+    program.engine.on_event(lambda term, start, end: events.append(program.engine.show(term).split("(")[0]))
+    changes = program.reload(goals=GOALS.replace("fires, 5", "blazes, 5"))
+    assert changes[3:6] == [
         "memories: 1 new, 1 gone, 0 kept, with 0 records",
         "  new: memory blazes",
         "  gone: memory fires",
-    ] or told[1:4] == [
+    ] or changes[1:4] == [
         "memories: 1 new, 1 gone, 0 kept, with 0 records",
         "  new: memory blazes",
         "  gone: memory fires",
     ]
-    assert told_of == ["memory_created", "memory_deleted"]
+    assert events == ["memory_created", "memory_deleted"]
     assert not program.engine.has_memory(atom("fires"))
     program.events("fire(1)")
     assert program.records("blazes") == ["fire(1)"]
 
 
-def test_queries_that_wait_for_a_kept_memory_go_on(program):
+def test_queries_of_kept_memory_stay_pending(program):
     program.reload(rules=RULES + "synchronized(done, true, [[fires, 50]]) <- go.\n")
     program.events("go")
     program.reload(rules=RULES)
@@ -262,7 +272,7 @@ def test_queries_that_wait_for_a_kept_memory_go_on(program):
     assert program.seen.count("done") == 1
 
 
-def test_queries_that_wait_for_a_memory_that_goes_are_given_up(program):
+def test_queries_of_changed_memory_are_cancelled(program):
     program.reload(rules=RULES + "synchronized(done, true, [[fires, 50]]) <- go.\n")
     program.events("go")
     waiting = program.engine.knowledge.pending_queries
@@ -271,17 +281,17 @@ def test_queries_that_wait_for_a_memory_that_goes_are_given_up(program):
     assert len(waiting) == 0
 
 
-def test_subscriptions_change(program):
-    told = program.reload(
+def test_changed_subscription_uses_new_format(program):
+    changes = program.reload(
         goals=GOALS.replace("alarm(_), [], _, alarms, a", "alarm(X), [], X, alarms, a")
         + "subscribe(both(_,_), [], _, pairs, b)\n"
     )
-    assert "subscriptions: 1 new, 1 changed, 0 gone, 0 kept" in told
+    assert "subscriptions: 1 new, 1 changed, 0 gone, 0 kept" in changes
     program.events("fire(hall)")
     assert program.sent == [("alarms", "hall")]
 
 
-def test_flags_that_the_program_no_longer_sets_are_what_they_were(program):
+def test_flags_without_goal_get_default(program):
     flags = program.engine.rules.flags
     program.reload(goals=GOALS + "set_etalis_flag(event_consumption_policy, unrestricted)\n")
     assert flags.get("event_consumption_policy") is atom("unrestricted")
@@ -289,10 +299,10 @@ def test_flags_that_the_program_no_longer_sets_are_what_they_were(program):
     assert flags.get("event_consumption_policy") is atom("recent")
 
 
-# ---- what others have added ----------------------------------------------------------------------------
+# ---- additions by others -------------------------------------------------------------------------------
 
 
-def test_what_services_have_added_stays(program):
+def test_additions_of_services_stay(program):
     engine = program.engine
     engine.add_memory(atom("glow"), [], Var(), atom("glows"), 3)
     engine.add_subscription(atom("glow"), [], Var(), atom("lights"), atom("x"))
@@ -307,11 +317,11 @@ def test_what_services_have_added_stays(program):
     assert program.events("glow", "shine") == ["glow", "new", "shine"]
 
 
-def test_what_services_have_deleted_comes_back_as_the_program_says(program):
+def test_deletions_of_services_are_reverted(program):
     program.engine.delete_memory(atom("fires"))
     program.engine.delete_subscription(atom("alarms"), atom("a"))
-    told = program.reload()
-    assert "memories: 1 new, 0 gone, 0 kept, with 0 records" in told
+    changes = program.reload()
+    assert "memories: 1 new, 0 gone, 0 kept, with 0 records" in changes
     program.events("fire(hall)")
     assert program.records() == ["fire(hall)"]
     assert program.sent == [("alarms", "alarm(hall)")]
@@ -324,7 +334,7 @@ def test_what_services_have_deleted_comes_back_as_the_program_says(program):
         ("subscribe(glow, [], _, lights, x)", "subscription x of topic lights of the program exists already"),
     ],
 )
-def test_a_name_that_services_have_taken_is_refused(program, goal, part):
+def test_id_used_by_service_is_refused(program, goal, part):
     program.engine.call(goal)
     before = program.state()
     with pytest.raises(ProgramErrors, match=part):
@@ -332,13 +342,13 @@ def test_a_name_that_services_have_taken_is_refused(program, goal, part):
     assert program.state() == before
 
 
-def test_facts_asserted_at_run_time_stay(program):
+def test_facts_asserted_at_run_time_are_kept(program):
     program.engine.call("assertz(seen(hall))")
     program.reload(rules=RULES + "note(1).\n")
     assert program.all("seen(X)") == ["hall"]
 
 
-def test_what_the_run_has_retracted_stays_so(program):
+def test_facts_retracted_at_run_time_stay_retracted(program):
     program.engine.call("retract(count(0)), assertz(count(7))")
     for _ in range(3):
         program.reload()
@@ -348,7 +358,7 @@ def test_what_the_run_has_retracted_stays_so(program):
 
 
 @pytest.mark.slow
-def test_a_program_that_begins_anew_by_itself_does(program):
+def test_loading_goals_reset_dynamic_facts(program):
     goals = GOALS + "retractall(count(_)), assertz(count(0))\n"
     program.reload(goals=goals, rules=RULES.replace("count(0).\n", ""))
     program.engine.call("retract(count(0)), assertz(count(7))")
@@ -356,7 +366,7 @@ def test_a_program_that_begins_anew_by_itself_does(program):
     assert program.all("count(X)") == ["0"]
 
 
-# ---- what is wrong -------------------------------------------------------------------------------------
+# ---- wrong programs ------------------------------------------------------------------------------------
 
 WRONG = [
     (None, RULES + "b <- a seq.\n", "rules.txt:8:"),
@@ -372,7 +382,7 @@ WRONG = [
 
 
 @pytest.mark.parametrize("goals, rules, part", WRONG)
-def test_a_wrong_program_leaves_the_old_one_at_work(tmp_path, goals, rules, part):
+def test_wrong_program_leaves_previous_one_running(tmp_path, goals, rules, part):
     program = Program(tmp_path, Settings(limits=Limits(inferences=100_000)))
     program.events("fire(hall)", "smoke(1)")
     before = program.state()
@@ -385,7 +395,7 @@ def test_a_wrong_program_leaves_the_old_one_at_work(tmp_path, goals, rules, part
     assert program.reload(GOALS, RULES)[0] == "rules: 0 new, 0 gone, 2 kept"
 
 
-def test_errors_show_line_and_caret(program):
+def test_errors_have_line_and_caret(program):
     with pytest.raises(ProgramErrors) as caught:
         program.reload(rules="a <- b.\nc <- d e.\n")
     text = str(caught.value)
@@ -394,7 +404,7 @@ def test_errors_show_line_and_caret(program):
     assert "^" in text
 
 
-def test_a_folder_that_is_gone_leaves_the_old_program_at_work(program):
+def test_missing_file_leaves_previous_program_running(program):
     (program.folder / "goalPredicates.txt").unlink()
     with pytest.raises(UsageError, match="cannot read"):
         program.reload()
@@ -402,7 +412,7 @@ def test_a_folder_that_is_gone_leaves_the_old_program_at_work(program):
 
 
 HERE_ONLY = "\\+ here\n"
-"""A goal that fails where `here` has been asserted at run time: the trial knows nothing of that."""
+"""A goal that fails if `here` has been asserted at run time, which the trial does not know."""
 
 
 @pytest.mark.parametrize(
@@ -424,7 +434,7 @@ HERE_ONLY = "\\+ here\n"
         (GOALS + HERE_ONLY, ""),
     ],
 )
-def test_what_fails_only_in_the_running_engine_is_taken_back(program, goals, rules):
+def test_failure_in_running_engine_is_rolled_back(program, goals, rules):
     engine = program.engine
     engine.call("dynamic(here/0)")
     goals = goals.replace(HERE_ONLY, "catch(here, _, fail) -> fail ; true\n")
@@ -439,8 +449,8 @@ def test_what_fails_only_in_the_running_engine_is_taken_back(program, goals, rul
         assert program.state() == before
         assert {name: engine.rules.flags.get(name) for name in flags} == flags
     engine.call("retract(here)")
-    told = program.reload(GOALS, RULES)
-    assert told[0] == "rules: 0 new, 0 gone, 2 kept, with 1 partial match"
+    changes = program.reload(GOALS, RULES)
+    assert changes[0] == "rules: 0 new, 0 gone, 2 kept, with 1 partial match"
     assert program.all("count(X)") == ["7"]
     assert program.events("fire(attic)", "heat(2)") == [
         "fire(attic)",
@@ -452,10 +462,10 @@ def test_what_fails_only_in_the_running_engine_is_taken_back(program, goals, rul
     assert program.records() == ["fire(attic)", "fire(hall)"]
 
 
-# ---- around it -----------------------------------------------------------------------------------------
+# ---- other --------------------------------------------------------------------------------------------
 
 
-def test_a_program_that_was_not_loaded_is_new(tmp_path, program):
+def test_reload_of_other_folder_adds_program(tmp_path, program):
     other = tmp_path / "other"
     other.mkdir()
     (other / "goalPredicates.txt").write_text("memorize(a, [], _, as, 3)\n")
@@ -464,7 +474,7 @@ def test_a_program_that_was_not_loaded_is_new(tmp_path, program):
     assert program.engine.has_memory(atom("fires"))
 
 
-def test_a_program_that_was_wrong_at_first_is_mended(tmp_path):
+def test_reload_repairs_program_that_failed_to_load(tmp_path):
     (tmp_path / "goalPredicates.txt").write_text("memorize(a, [], _, as, 3)\nfail\n")
     engine = Engine()
     with pytest.raises(ProgramErrors):
@@ -473,21 +483,21 @@ def test_a_program_that_was_wrong_at_first_is_mended(tmp_path):
     assert "memories: 0 new, 0 gone, 1 kept, with 0 records" in engine.reload(tmp_path)
 
 
-def test_a_folder_by_another_name_is_the_same(tmp_path):
+def test_symbolic_link_is_same_folder(tmp_path):
     (tmp_path / "real").mkdir()
     program = Program(tmp_path / "real")
     (tmp_path / "link").symlink_to(tmp_path / "real")
     assert program.engine.reload(str(tmp_path / "link"))[0] == "rules: 0 new, 0 gone, 2 kept"
 
 
-def test_goals_have_the_limits_of_a_request(tmp_path):
+def test_loading_goals_have_limits_of_request(tmp_path):
     program = Program(tmp_path, Settings(limits=Limits(inferences=10_000), limit_start=False))
     with pytest.raises(RetalisError, match="inferences"):
         program.reload(goals=GOALS + "numlist(1, 100000, L), member(X, L), X > 99999\n")
     assert program.events("fire(hall)") == ["fire(hall)", "alarm(hall)"]
 
 
-def test_a_callback_cannot_reload(program):
+def test_reload_in_callback_is_refused(program):
     errors = []
 
     def callback(term, topic, name):
@@ -501,7 +511,7 @@ def test_a_callback_cannot_reload(program):
     assert len(errors) == 1
 
 
-def test_foreign_predicates_are_there_in_the_trial(program):
+def test_trial_has_foreign_predicates(program):
     @foreign
     def half(number: int) -> float:
         return number / 2
@@ -510,13 +520,13 @@ def test_foreign_predicates_are_there_in_the_trial(program):
     program.reload(goals=GOALS + "half(4, 2.0)\n")
 
 
-def test_the_trial_says_nothing(program, capsys, caplog):
+def test_trial_writes_no_output_and_no_log(program, capsys, caplog):
     program.reload(goals=GOALS + "write(hello)\n", rules=RULES + "x <- y where no_such.\n")
     assert capsys.readouterr().out == "hello"
-    assert sum("no_such" in one.getMessage() for one in caplog.records) == 1
+    assert sum("no_such" in record.getMessage() for record in caplog.records) == 1
 
 
-def test_events_come_in_meanwhile(program):
+def test_events_during_reload_are_processed(program):
     numbers = range(300)
     sender = threading.Thread(target=lambda: [program.engine.post(FIRE(n), n * 10**9 + 1) for n in numbers])
     sender.start()
@@ -529,7 +539,7 @@ def test_events_come_in_meanwhile(program):
 
 
 class TestTimers:
-    """What a program has timed, when it is read again."""
+    """Timers of a reloaded program."""
 
     @pytest.fixture
     def timed(self, tmp_path):
@@ -543,10 +553,10 @@ class TestTimers:
         return program.all("timers(L), member(timer(E, _, T), L), X = E-T")
 
     @pytest.mark.slow
-    def test_those_that_are_the_same_go_on_and_others_come_and_go(self, timed):
+    def test_equal_timers_continue(self, timed):
         timed.events("e")
-        told = timed.reload(goals=GOALS + "timer(a, every(4, from_now))\ntimer(c, at(0,0,9))\n")
-        assert [line for line in told if "timer" in line] == [
+        changes = timed.reload(goals=GOALS + "timer(a, every(4, from_now))\ntimer(c, at(0,0,9))\n")
+        assert [line for line in changes if "timer" in line] == [
             "timers: 1 new, 1 gone, 1 kept",
             "  new: timer c, at(0,0,9)",
             "  gone: timer b, after(100)",
@@ -559,35 +569,40 @@ class TestTimers:
         timed.now = 11
         assert timed.events("e") == ["a", "own", "c", "a", "own", "e"]
 
-    def test_a_program_with_an_error_leaves_them_as_they_were(self, timed):
+    def test_failed_reload_keeps_timers(self, timed):
         before = self.timers(timed)
         with pytest.raises(ProgramErrors):
             timed.reload(goals=GOALS + "timer(a, evry(4))\n")
         assert self.timers(timed) == before
         timed.engine.call("assertz(here)")
-        with pytest.raises(RetalisError):  # in the engine that runs only
+        with pytest.raises(RetalisError):  # in the running engine only
             timed.reload(goals=GOALS + "timer(d, every(1))\n(catch(here, _, fail) -> throw(bad) ; true)\n")
         assert self.timers(timed) == before
         timed.now = 11
         assert timed.events("e").count("a") == 2
 
-    def test_what_was_made_by_a_state_is_known(self, timed):
+    def test_restored_timers_belong_to_program(self, timed):
         other = Engine.restore(timed.engine.snapshot())
         other.reload(timed.folder)
-        (found,) = other.query("timers(L)")
+        (restored_timers,) = other.query("timers(L)")
         (before,) = timed.engine.query("timers(L)")
-        assert other.show(found["L"]).count("timer(") == other.show(before["L"]).count("timer(") == 3
+        assert (
+            other.show(restored_timers["L"]).count("timer(") == other.show(before["L"]).count("timer(") == 3
+        )
         timed.write(goals=GOALS)
         other.reload(timed.folder)
-        (left,) = other.query("timers(L)")
-        assert other.show(left["L"]).startswith("[timer(own,") and other.show(left["L"]).count("timer(") == 1
+        (remaining_timers,) = other.query("timers(L)")
+        assert (
+            other.show(remaining_timers["L"]).startswith("[timer(own,")
+            and other.show(remaining_timers["L"]).count("timer(") == 1
+        )
 
 
 STATE = "state(docked(R), from(dock(R)), until(undock(R)))\n"
 
 
 class TestStates:
-    """What holds, when a program is read again."""
+    """Declared states of a reloaded program."""
 
     @pytest.fixture
     def docked(self, tmp_path):
@@ -596,29 +611,29 @@ class TestStates:
         program.events("dock(a)")
         return program
 
-    def test_what_is_declared_as_before_goes_on(self, docked):
-        told = docked.reload(goals=GOALS + STATE + "state(up, from(fly), until(land))\n")
-        assert [line for line in told if "state" in line] == [
+    def test_equal_state_continues(self, docked):
+        changes = docked.reload(goals=GOALS + STATE + "state(up, from(fly), until(land))\n")
+        assert [line for line in changes if "state" in line] == [
             "states: 1 new, 0 gone, 1 kept, 1 open",
             "  new: state up",
         ]
         assert docked.events("undock(a)") == ["undock(a)", "docked(a)"]
 
-    def test_what_is_declared_otherwise_or_not_any_more_is_gone(self, docked):
-        told = docked.reload(goals=GOALS + STATE.replace("undock", "out"))
-        assert "  changed: state docked(_): it is declared otherwise, and nothing holds" in told
+    def test_changed_and_removed_states_end(self, docked):
+        changes = docked.reload(goals=GOALS + STATE.replace("undock", "out"))
+        assert "  changed: state docked(_): it is declared otherwise, and nothing holds" in changes
         assert docked.events("dock(b)", "undock(a)", "out(a)", "out(b)")[-1] == "docked(b)"
         assert "docked(a)" not in docked.seen
         assert "  gone: state docked(_)" in docked.reload(goals=GOALS)
         assert docked.events("dock(a)", "out(a)") == ["dock(a)", "out(a)"]
 
-    def test_a_program_with_an_error_leaves_it_as_it_was(self, docked):
+    def test_failed_reload_keeps_states(self, docked):
         docked.engine.call("assertz(here)")
-        with pytest.raises(RetalisError):  # in the engine that runs only
+        with pytest.raises(RetalisError):  # in the running engine only
             docked.reload(goals=GOALS + "(catch(here, _, fail) -> throw(bad) ; true)\n")
         assert docked.events("undock(a)") == ["undock(a)", "docked(a)"]
 
-    def test_a_state_of_the_engine_knows_who_declared_it(self, docked):
+    def test_restored_states_belong_to_program(self, docked):
         other = Engine.restore(docked.engine.snapshot())
         other.reload(docked.folder)
         assert other.call("holds(docked(a))")

@@ -13,7 +13,7 @@ def logged(caplog):
     return caplog
 
 
-def test_what_comes_again_is_logged_ever_more_seldom_and_counted(logged):
+def test_repeated_errors_are_logged_at_powers_of_two(logged):
     reports = Reports()
     place = place_at_offset("rules", "a\nb", 2)
     for number in range(100):
@@ -23,7 +23,7 @@ def test_what_comes_again_is_logged_ever_more_seldom_and_counted(logged):
     assert reports.errors == 100
 
 
-def test_different_places_are_told_apart(logged):
+def test_warnings_at_different_places_are_logged_separately(logged):
     reports = Reports()
     for offset in (0, 2):
         reports.warning(RuleError("wrong", place_at_offset("rules", "a\nb", offset)))
@@ -32,7 +32,7 @@ def test_different_places_are_told_apart(logged):
     assert reports.warnings == 3
 
 
-def test_an_internal_error_is_shown_with_its_traceback_and_is_no_flood(logged):
+def test_internal_error_is_logged_with_traceback(logged):
     reports = Reports()
     for _ in range(10):
         try:
@@ -43,7 +43,7 @@ def test_an_internal_error_is_shown_with_its_traceback_and_is_no_flood(logged):
     assert "Traceback" in logged.records[0].message
 
 
-def test_what_was_not_logged_is_said_at_the_end(logged):
+def test_summary_logs_totals_of_repetitions(logged):
     reports = Reports()
     for number in range(7):
         reports.warning(f"number {number}\nand its line", "refused")
@@ -54,7 +54,7 @@ def test_what_was_not_logged_is_said_at_the_end(logged):
     assert len(logged.records) == 5
 
 
-def test_of_more_kinds_than_are_remembered_the_number_is_said_at_the_end(logged):
+def test_summary_counts_kinds_beyond_limit(logged):
     reports = Reports()
     for number in range(1001):
         for _ in range(3):
@@ -66,7 +66,7 @@ def test_of_more_kinds_than_are_remembered_the_number_is_said_at_the_end(logged)
     ]
 
 
-def test_some_texts_of_a_kind_are_logged_in_any_case(logged):
+def test_distinct_texts_of_kind_are_logged_up_to_limit(logged):
     reports = Reports()
     for number in (1, 2, 3, 3, 3, 4, 5):
         reports.warning(f"number {number}", "refused", 4)
@@ -81,7 +81,7 @@ def test_some_texts_of_a_kind_are_logged_in_any_case(logged):
     ]
 
 
-def test_what_is_reported_is_bounded_in_length_and_kinds_keep_nothing_of_it(logged):
+def test_report_length_and_stored_kinds_are_bounded(logged):
     reports = Reports()
     for number in range(100):
         text = f"{number} {'x' * 100_000}"
@@ -89,21 +89,21 @@ def test_what_is_reported_is_bounded_in_length_and_kinds_keep_nothing_of_it(logg
         reports.warning(text, ("kind", text))
         reports.warning(text, "texts", texts=20)
     assert max(len(record.getMessage()) for record in logged.records) < 5000
-    kept = reachable(reports, str)
-    assert 201 <= len(kept) < 250
-    assert max(map(len, kept)) <= 200
+    stored_texts = reachable(reports, str)
+    assert 201 <= len(stored_texts) < 250
+    assert max(map(len, stored_texts)) <= 200
 
 
 HOSTILE = "\x1b]0;title\x07\x1b[2J \u202e\ud800 \x9b31m ok é\n"
 
 
-def test_what_is_logged_does_nothing_to_a_terminal(caplog):
+def test_control_characters_are_escaped_in_log(caplog):
     reports = Reports()
     reports.warning(f"event refused: {HOSTILE}")
     reports.error(RetalisError(HOSTILE, Place("x\x1b", 1, 1, HOSTILE)))
     for record in caplog.records:
         text = record.getMessage()
-        assert all(one.isprintable() or one == "\n" for one in text)
+        assert all(character.isprintable() or character == "\n" for character in text)
         assert "\\x1b]0;title\\x07" in text and "\\u202e\\ud800" in text and "ok é" in text
         text.encode("utf-8")
     assert len(caplog.records) == 2
@@ -152,7 +152,7 @@ def test_batch_run_logs_first_late_event_and_sum(logged):
     assert logged.records[-1].message.startswith("5 times in all: ")
 
 
-def test_late_and_dropped_events_of_a_rule_are_counted_apart(logged):
+def test_late_and_dropped_events_are_counted_separately(logged):
     reports = Reports()
     engine = Engine(reports=reports)
     engine.rules.max_stored = 2

@@ -15,7 +15,7 @@ def make(size=100, **options):
 
 
 def in_threads(work):
-    """Have four threads work at once, each called with its number, until all are done."""
+    """Call a function in four threads, with the number of the thread, and wait for them."""
     threads = [threading.Thread(target=work, args=(thread,)) for thread in range(4)]
     for thread in threads:
         thread.start()
@@ -23,7 +23,7 @@ def in_threads(work):
         thread.join(30)
 
 
-def test_work_is_done_in_order_and_an_error_stops_nothing():
+def test_error_in_entry_does_not_stop_later_entries():
     executor, _, errors = make()
     done = []
     executor.post(done.append, 1)
@@ -33,7 +33,7 @@ def test_work_is_done_in_order_and_an_error_stops_nothing():
     assert [type(error) for error in errors] == [ZeroDivisionError]
 
 
-def test_what_is_posted_together_is_done_in_order_and_an_error_stops_nothing():
+def test_post_each_executes_in_order_despite_error():
     executor, _, errors = make()
     done = []
 
@@ -46,7 +46,7 @@ def test_what_is_posted_together_is_done_in_order_and_an_error_stops_nothing():
     assert executor.thread is None
 
 
-def test_what_is_posted_or_called_meanwhile_comes_between_what_is_posted_together():
+def test_posts_and_calls_are_executed_between_entries_of_post_each():
     executor, _, _ = make()
     done = []
 
@@ -62,7 +62,7 @@ def test_what_is_posted_or_called_meanwhile_comes_between_what_is_posted_togethe
         elif then == "call":
             caller.start()
             deadline = time.monotonic() + 10
-            while not executor.callers and time.monotonic() < deadline:  # until it waits
+            while not executor.callers and time.monotonic() < deadline:  # until the call waits
                 pass
         elif then == "each":
             executor.post_each(lambda *pair: done.append(pair), [(7, 8), (9, 10)])
@@ -74,20 +74,20 @@ def test_what_is_posted_or_called_meanwhile_comes_between_what_is_posted_togethe
 
 @pytest.fixture
 def busy():
-    """A function that has another thread at work in an executor until the function is called that it returns."""
-    at_work, go_on = threading.Event(), threading.Event()
+    """A function that makes another thread work in an executor; it returns a function that ends this."""
+    is_working, resume = threading.Event(), threading.Event()
 
     def first():
-        at_work.set()
-        assert go_on.wait(10)
+        is_working.set()
+        assert resume.wait(10)
 
     def begin(executor):
         worker = threading.Thread(target=executor.post, args=(first,))
         worker.start()
-        assert at_work.wait(10)
+        assert is_working.wait(10)
 
         def end():
-            go_on.set()
+            resume.set()
             worker.join(10)
 
         return end
@@ -95,7 +95,7 @@ def busy():
     return begin
 
 
-def test_what_is_posted_together_while_another_is_at_work_waits_for_it(busy):
+def test_post_each_queues_while_another_thread_works(busy):
     executor, _, _ = make()
     done = []
     end = busy(executor)
@@ -105,7 +105,7 @@ def test_what_is_posted_together_while_another_is_at_work_waits_for_it(busy):
     assert done == [("a", "1"), ("b", "2"), ("c", "3")]
 
 
-def test_what_is_posted_together_is_done_in_turn_again_as_soon_as_nobody_is_at_work(busy):
+def test_post_each_executes_directly_once_executor_is_idle(busy):
     executor, _, _ = make()
     done, seen = [], []
     end = busy(executor)
@@ -123,7 +123,7 @@ def test_what_is_posted_together_is_done_in_turn_again_as_soon_as_nobody_is_at_w
 
 
 @pytest.mark.parametrize("way", ["free", "busy", "inside"])
-def test_each_of_what_is_posted_together_is_an_entry_of_its_own(way, busy):
+def test_post_each_creates_separate_entries(way, busy):
     executor, _, _ = make()
     entries = []
     same = [("a", None)] * 3
@@ -141,7 +141,7 @@ def test_each_of_what_is_posted_together_is_an_entry_of_its_own(way, busy):
     assert entries == same
 
 
-def test_nothing_is_at_work_while_what_is_posted_next_is_made():
+def test_entry_is_none_while_iterator_creates_next_entry():
     executor, _, _ = make()
     seen = []
 
@@ -154,7 +154,7 @@ def test_nothing_is_at_work_while_what_is_posted_next_is_made():
     assert seen == [None, (0, None), None, (1, None), None, (2, None)]
 
 
-def test_an_error_of_what_makes_that_which_is_posted_together_reaches_who_posts():
+def test_error_of_iterator_is_raised_by_post_each():
     executor, _, errors = make()
     done = []
 
@@ -169,7 +169,7 @@ def test_an_error_of_what_makes_that_which_is_posted_together_reaches_who_posts(
     assert executor.call(lambda: 2) == 2
 
 
-def test_an_error_of_what_makes_that_which_is_posted_together_leaves_nothing_in_the_queue(busy):
+def test_error_of_iterator_leaves_queue_empty(busy):
     executor, _, _ = make()
     done = []
     end = busy(executor)
@@ -185,21 +185,23 @@ def test_an_error_of_what_makes_that_which_is_posted_together_leaves_nothing_in_
     assert (len(executor), done) == (0, [("a", 1), ("b", 2)])
 
 
-def test_many_threads_that_post_together_lose_nothing():
+def test_post_each_of_many_threads_loses_no_entries():
     executor, drops, _ = make(size=50)
     done = []
 
     def post(thread):
         for begin in range(0, 2000, 20):
-            executor.post_each(lambda *pair: done.append(pair), ((thread, begin + at) for at in range(20)))
+            executor.post_each(
+                lambda *pair: done.append(pair), ((thread, begin + offset) for offset in range(20))
+            )
 
     in_threads(post)
     assert drops == []
     for thread in range(4):
-        assert [number for one, number in done if one == thread] == list(range(2000))
+        assert [number for poster, number in done if poster == thread] == list(range(2000))
 
 
-def test_a_call_returns_its_result_or_raises():
+def test_call_returns_result_or_raises():
     executor, _, errors = make()
     assert executor.call(lambda: 7) == 7
     with pytest.raises(KeyError):
@@ -207,20 +209,20 @@ def test_a_call_returns_its_result_or_raises():
     assert errors == []
 
 
-def test_a_call_from_inside_is_done_at_once():
+def test_nested_call_is_executed_immediately():
     executor, _, _ = make()
     assert executor.call(lambda: executor.call(lambda: 3)) == 3
 
 
-def test_while_one_works_others_return_and_the_oldest_is_dropped(monkeypatch):
+def test_full_queue_drops_oldest_entries(monkeypatch):
     monkeypatch.setattr("retalis.engine.runtime.serial_executor.FULL_QUEUE_WAIT_SECONDS", 0.01)
     executor, drops, _ = make(size=2)
-    started, go_on = threading.Event(), threading.Event()
+    started, resume = threading.Event(), threading.Event()
     done = []
 
     def slow():
         started.set()
-        go_on.wait(10)
+        resume.wait(10)
 
     worker = threading.Thread(target=executor.post, args=(slow,))
     worker.start()
@@ -229,18 +231,18 @@ def test_while_one_works_others_return_and_the_oldest_is_dropped(monkeypatch):
         executor.post(done.append, number)
     assert done == []
     assert drops == [1, 2]
-    go_on.set()
+    resume.set()
     worker.join(10)
     assert done == [2, 3]
     assert executor.dropped == 2
 
 
-def test_nothing_is_dropped_while_a_full_queue_is_worked_off_however_long_that_takes(monkeypatch):
+def test_full_queue_drops_nothing_while_it_progresses(monkeypatch):
     started, posting, began, end = (threading.Event() for _ in range(4))
     done = []
 
     class Lock:
-        """A lock for which the one who posts waits in vain, while one piece of work is done and the next begins."""
+        """A lock whose `acquire` times out while one entry ends and the next begins."""
 
         def __init__(self):
             self._lock = threading.Lock()
@@ -276,7 +278,7 @@ def test_nothing_is_dropped_while_a_full_queue_is_worked_off_however_long_that_t
     assert done == [1, 2]
 
 
-def test_a_full_queue_holds_up_those_who_post_and_nothing_is_lost():
+def test_full_queue_blocks_posting_threads_without_loss():
     executor, drops, _ = make(size=10)
     done = []
 
@@ -287,10 +289,10 @@ def test_a_full_queue_holds_up_those_who_post_and_nothing_is_lost():
     in_threads(post)
     assert drops == []
     for thread in range(4):
-        assert [number for one, number in done if one == thread] == list(range(2000))
+        assert [number for poster, number in done if poster == thread] == list(range(2000))
 
 
-def test_one_at_work_who_posts_too_much_does_not_wait_for_itself():
+def test_working_thread_does_not_wait_for_full_queue():
     executor, drops, _ = make(size=3)
     done = []
 
@@ -303,7 +305,7 @@ def test_one_at_work_who_posts_too_much_does_not_wait_for_itself():
     assert done == [2, 3, 4]
 
 
-def test_a_call_goes_before_what_waits():
+def test_call_is_executed_before_queued_entries():
     executor, _, _ = make()
     done = []
     caller = threading.Thread(target=executor.call, args=(lambda: done.append("called"),))
@@ -311,7 +313,7 @@ def test_a_call_goes_before_what_waits():
     def first():
         executor.post(done.append, "posted")
         caller.start()
-        while not executor.callers:  # until it waits
+        while not executor.callers:  # until the call waits
             pass
 
     executor.post(first)
@@ -319,7 +321,7 @@ def test_a_call_goes_before_what_waits():
     assert done == ["called", "posted"]
 
 
-def test_many_threads_lose_nothing():
+def test_posts_of_many_threads_are_all_executed():
     executor, _, _ = make(size=100_000)
     total = [0]
 
@@ -335,7 +337,7 @@ def test_many_threads_lose_nothing():
     assert total[0] == 8000
 
 
-def test_an_interrupt_is_no_result():
+def test_interrupt_of_call_is_raised_to_caller():
     executor, _, errors = make()
 
     def interrupted():
@@ -347,14 +349,14 @@ def test_an_interrupt_is_no_result():
     assert errors == []
 
 
-def test_an_interrupt_gives_the_lock_back_and_who_waits_gets_its_answer():
+def test_interrupt_releases_lock_for_waiting_caller():
     executor, _, _ = make()
-    at_work, go_on = threading.Event(), threading.Event()
+    is_working, resume = threading.Event(), threading.Event()
     answers = []
 
     def interrupted():
-        at_work.set()
-        assert go_on.wait(10)
+        is_working.set()
+        assert resume.wait(10)
         raise KeyboardInterrupt
 
     def first():
@@ -366,46 +368,46 @@ def test_an_interrupt_gives_the_lock_back_and_who_waits_gets_its_answer():
 
     threads = [threading.Thread(target=first), threading.Thread(target=second)]
     threads[0].start()
-    assert at_work.wait(10)
+    assert is_working.wait(10)
     threads[1].start()
-    while not executor.callers:  # until it waits
+    while not executor.callers:  # until the call waits
         pass
-    go_on.set()
+    resume.set()
     for thread in threads:
         thread.join(10)
     assert answers == [2]
 
 
-def test_a_mark_that_an_interrupt_has_left_is_no_work_from_inside():
+def test_state_left_by_interrupt_is_restored_before_next_entry():
     class Noting(Recovery):
         def restore(self, state, rebuild):
-            found.append((state, rebuild))
-            if len(found) == 1:
+            calls.append((state, rebuild))
+            if len(calls) == 1:
                 raise KeyboardInterrupt
 
     def interrupted():
         raise KeyboardInterrupt
 
-    found = []
-    executor = SerialExecutor(10, found.append, found.append, Noting())
+    calls = []
+    executor = SerialExecutor(10, calls.append, calls.append, Noting())
     with pytest.raises(KeyboardInterrupt):
         executor.call(interrupted)
-    assert executor.thread == threading.get_ident()  # going back after the interrupt was interrupted as well
-    assert found == [(None, True)]
-    found.clear()
-    found.append("the mark")
+    assert executor.thread == threading.get_ident()  # the recovery was interrupted as well
+    assert calls == [(None, True)]
+    calls.clear()
+    calls.append("first entry")
     done = []
     executor.post(done.append, 1)
     assert executor.call(lambda: 2) == 2
     assert done == [1]
-    assert found == ["the mark", (None, True)]
+    assert calls == ["first entry", (None, True)]
     thread = threading.Thread(target=executor.post, args=(done.append, 3))
     thread.start()
     thread.join(10)
     assert done == [1, 3]
 
 
-def test_what_is_called_in_vain_is_not_done_later():
+def test_timed_out_call_is_not_executed_later():
     executor, _, _ = make(callback_timeout=0)
     done = []
 
@@ -428,7 +430,7 @@ def test_what_is_called_in_vain_is_not_done_later():
     assert done == ["waited"]
 
 
-def test_work_is_done_once_and_its_result_waits_for_the_caller():
+def test_queued_call_is_executed_once_and_keeps_result():
     done = []
     call = QueuedCall(lambda: done.append(1) or 7)
     assert not call.is_running
@@ -439,18 +441,18 @@ def test_work_is_done_once_and_its_result_waits_for_the_caller():
     assert call.result() == 7
 
 
-def test_an_interrupt_is_no_result_of_a_request():
+def test_interrupt_of_queued_call_is_raised_by_result():
     def interrupted():
         raise KeyboardInterrupt
 
     call = QueuedCall(interrupted)
     with pytest.raises(KeyboardInterrupt):
         call()
-    with pytest.raises(KeyboardInterrupt):  # for the caller that waits, who may be another
+    with pytest.raises(KeyboardInterrupt):  # for the waiting caller, which may be another thread
         call.result()
 
 
-def test_what_its_caller_has_given_up_is_not_done():
+def test_cancelled_call_is_not_executed():
     done = []
     call = QueuedCall(lambda: done.append(1))
     assert call.claim()
@@ -458,7 +460,7 @@ def test_what_its_caller_has_given_up_is_not_done():
     assert (done, call.claim()) == ([], False)
 
 
-def test_work_that_an_interrupt_has_ended_anywhere_wakes_who_waits():
+def test_interrupted_call_wakes_waiting_caller():
     call = QueuedCall(lambda: None)
     waiting = threading.Thread(target=call.wait, args=(10,))
     waiting.start()
@@ -474,7 +476,7 @@ def test_work_that_an_interrupt_has_ended_anywhere_wakes_who_waits():
 
 @pytest.fixture
 def at_end_of_turn(monkeypatch):
-    """Return a function that sets what other threads do when this thread has done a turn."""
+    """Return a function that sets the action of other threads at the end of a turn of this thread."""
     this_thread = threading.current_thread()
 
     def set_action(action):
@@ -493,7 +495,7 @@ def run_in_thread(name, work):
     thread.join(30)
 
 
-def test_caller_is_relieved_by_thread_that_posts_in_a_loop(at_end_of_turn):
+def test_thread_that_posts_in_loop_takes_over_from_caller(at_end_of_turn):
     executor, _, errors = make(10_000)
     workers = []
 
@@ -512,7 +514,7 @@ def test_caller_is_relieved_by_thread_that_posts_in_a_loop(at_end_of_turn):
     assert not errors and executor.thread is None
 
 
-def test_thread_that_posts_is_relieved_by_waiting_caller(at_end_of_turn):
+def test_waiting_caller_takes_over_from_posting_thread(at_end_of_turn):
     executor, _, _ = make(10_000)
     workers, callers = [], []
 
@@ -539,7 +541,7 @@ def test_thread_that_posts_is_relieved_by_waiting_caller(at_end_of_turn):
     assert workers == [this_thread] * (MAX_ENTRIES_PER_TURN - 1) + ["caller"] * (MAX_ENTRIES_PER_TURN + 1)
 
 
-def test_follow_up_work_is_done_in_the_turn_of_its_entry():
+def test_follow_up_work_is_executed_with_its_entry():
     executor, _, _ = make(10_000)
     done = []
 

@@ -1,4 +1,4 @@
-"""What holds up the engine is named, and ended where it is past its seconds."""
+"""Watchdog: warnings about long entries, and time limits."""
 
 import gc
 import threading
@@ -31,7 +31,7 @@ def executor():
 
 @pytest.fixture
 def watched(executor):
-    """A watchdog with a patience of a second, for a limit of ten, and what it has warned of."""
+    """A watchdog that warns after 1 s and ends entries after 10 s, with its warnings."""
     budget = Budget()
     budget.attach_executor(executor)
     budget.set_limits(Limits(seconds=10.0))
@@ -41,14 +41,14 @@ def watched(executor):
     return dog
 
 
-def test_what_runs_for_long_is_warned_of_ever_more_seldom(executor, watched):
+def test_warnings_of_long_entry_are_at_doubling_intervals(executor, watched):
     executor.begin("a")
     for instant in (0.0, 0.5, 1.1, 1.3, 1.9, 2.2, 3.0, 4.5, 5.0):
         watched.sample(instant)
     assert watched.warned == [(1.1, ("a",)), (2.2, ("a",)), (4.5, ("a",))]
 
 
-def test_what_came_meanwhile_is_not_taken_for_what_was_there(executor, watched):
+def test_equal_entries_are_timed_separately(executor, watched):
     for instant in range(20):
         executor.begin("a")
         watched.sample(float(instant))
@@ -59,7 +59,7 @@ def test_what_came_meanwhile_is_not_taken_for_what_was_there(executor, watched):
     assert not watched.budget.needs_check
 
 
-def test_past_its_seconds_an_entry_is_ended_and_gets_the_same_time_to_clean_up(executor, watched):
+def test_entry_over_time_limit_gets_same_time_to_clean_up(executor, watched):
     executor.begin("a")
     watched.sample(0.0)
     watched.sample(9.9)
@@ -76,7 +76,7 @@ def test_past_its_seconds_an_entry_is_ended_and_gets_the_same_time_to_clean_up(e
     assert caught.value.is_final
 
 
-def test_what_is_over_when_its_time_is_noted_takes_nothing_from_the_next(executor, watched):
+def test_late_time_limit_does_not_affect_next_entry(executor, watched):
     executor.begin("a")
     watched.sample(0.0)
     watched.sample(10.1)
@@ -85,7 +85,7 @@ def test_what_is_over_when_its_time_is_noted_takes_nothing_from_the_next(executo
     assert not watched.budget.needs_check
 
 
-def test_what_is_held_and_for_how_long_is_said_between_the_looks(executor, watched):
+def test_running_entry_is_found_between_samples(executor, watched):
     assert watched.find_running_entry(0.0) is None
     for first, name in ((1.0, "a"), (10.0, "b")):
         executor.begin(name)
@@ -110,7 +110,7 @@ def test_what_is_held_and_for_how_long_is_said_between_the_looks(executor, watch
         (0.0, 9.0, 0.005),
     ],
 )
-def test_looks_are_a_fifth_of_the_shortest_time_apart_within_bounds(executor, patience, seconds, pause):
+def test_sample_interval_is_fifth_of_shortest_time(executor, patience, seconds, pause):
     budget = Budget()
     budget.set_limits(Limits(seconds=seconds))
     assert Watchdog(
@@ -130,12 +130,12 @@ def test_looks_are_a_fifth_of_the_shortest_time_apart_within_bounds(executor, pa
         (None, "a request"),
     ],
 )
-def test_what_came_in_is_named_in_short(entry, named):
+def test_description_names_functor_of_entry(entry, named):
     engine = Engine()
     assert describe_work(engine.logic, engine.dispatcher, entry) == RunningWork(named, "", "", None)
 
 
-def test_no_limit_and_no_patience_is_none(executor):
+def test_watchdog_without_limits_ignores_long_entries(executor):
     budget = Budget()
     budget.attach_executor(executor)
     dog = Watchdog(executor, budget, None, lambda seconds, entry: pytest.fail("warned"))
@@ -145,9 +145,9 @@ def test_no_limit_and_no_patience_is_none(executor):
     assert not budget.needs_check
 
 
-def test_short_goals_that_add_up_are_ended_by_the_watchdog(caplog):
+def test_time_limit_covers_sum_of_short_goals(caplog):
     engine = Engine(settings=Settings(limits=Limits(seconds=10.0)))
-    engine.load_rules("".join(f"out({at}) <- in where slow({at}).\n" for at in range(10)))
+    engine.load_rules("".join(f"out({number}) <- in where slow({number}).\n" for number in range(10)))
     dog, now = engine.watchdog, [0.0]
 
     def slow(machine, number):
@@ -174,7 +174,7 @@ def test_short_goals_that_add_up_are_ended_by_the_watchdog(caplog):
         ("synchronized(x(X), hold, []) <- in(X).", "", "synchronized query: goal hold"),
     ],
 )
-def test_rule_goal_and_event_are_named(rules, goals, named, caplog):
+def test_warning_names_rule_goal_and_event(rules, goals, named, caplog):
     engine = Engine(settings=Settings(watchdog=1.0))
     dog = engine.watchdog
 
@@ -193,7 +193,7 @@ def test_rule_goal_and_event_are_named(rules, goals, named, caplog):
     assert ("rules.txt:1" in caplog.text) == bool(rules)
 
 
-def test_goals_at_the_start_and_questions_are_named(caplog, tmp_path):
+def test_warning_names_loading_goals_and_queries(caplog, tmp_path):
     engine = Engine(settings=Settings(watchdog=1.0, limits=Limits(seconds=1.0), limit_start=False))
     dog, now = engine.watchdog, [0.0]
 
@@ -217,7 +217,7 @@ def test_goals_at_the_start_and_questions_are_named(caplog, tmp_path):
     assert ",/2" not in caplog.text
 
 
-def test_what_cannot_be_named_is_ended_all_the_same(monkeypatch, caplog):
+def test_limit_holds_if_warning_fails(monkeypatch, caplog):
     engine = Engine(settings=Settings(watchdog=1.0, limits=Limits(seconds=1.0)))
     dog, budget = engine.watchdog, engine.logic.machine.budget
 
@@ -237,18 +237,18 @@ def test_what_cannot_be_named_is_ended_all_the_same(monkeypatch, caplog):
     assert "changed size during iteration" in caplog.text
 
 
-def test_what_is_over_its_limit_is_named_in_short(caplog):
+def test_warning_of_exceeded_limit_is_short(caplog):
     engine = Engine(settings=Settings(limits=Limits(inferences=10_000)))
     engine.load_rules("loop :- loop.")
     engine.load(goals="subscribe(E, [loop], _, out, a)\nsubscribe(E, [loop], _, out, b)")
     engine.event("x" * 5_000, 1)
-    refused = [one.getMessage() for one in caplog.records if "goals refused" in one.getMessage()]
-    assert len(refused) == 1 and len(refused[0]) < 400
+    messages = [record.getMessage() for record in caplog.records if "goals refused" in record.getMessage()]
+    assert len(messages) == 1 and len(messages[0]) < 400
 
 
-def test_the_thread_ends_with_the_engine():
+def test_watchdog_thread_ends_with_engine():
     def dogs():
-        return [one for one in threading.enumerate() if one.name == "retalis watchdog"]
+        return [thread for thread in threading.enumerate() if thread.name == "retalis watchdog"]
 
     before = set(dogs())
     Engine()
@@ -261,7 +261,7 @@ def test_the_thread_ends_with_the_engine():
     assert not mine.is_alive()
 
 
-def test_the_thread_ends_what_no_goal_counts():
+def test_watchdog_thread_interrupts_waiting_predicate():
     engine = Engine(settings=Settings(limits=Limits(seconds=0.05)))
     going = threading.Event()
     budget = engine.logic.machine.budget
