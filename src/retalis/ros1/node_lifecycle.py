@@ -23,7 +23,6 @@ from ..foundation.cpython_and_pypy import collect_when_idle, limit_gc_pauses, st
 from ..foundation.errors import RetalisError
 from ..foundation.lost_interrupts import repeat_lost_interrupts
 from ..node.parameters import Parameters, read_parameters
-from .connection_limits import limit_connections
 from .master_watch import MasterWatch, wait_for_master
 from .ros_log import forward_log, use_line_buffering
 from .rospy_transport import find_default_program
@@ -172,10 +171,9 @@ def run_node(name: str, create_node: Callable[[Parameters], object]) -> int:
 def _run_until_shutdown(
     name: str, create_node: Callable[[Parameters], object], interrupts: Interrupts
 ) -> int:
-    # All three before `init_node`, in which rospy sets up its log, calls the master, and starts its servers.
+    # Both before `init_node`, in which rospy sets up its log and calls the master.
     use_line_buffering()
     wait_for_master()
-    limit_connections()
     rospy.init_node(name, disable_signals=True)
     forward_log(logging.getLogger("retalis"))
     try:
