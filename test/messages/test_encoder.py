@@ -1,4 +1,5 @@
 import struct
+from functools import partial
 
 import numpy as np
 import pytest
@@ -6,9 +7,22 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from messages.wire import messages, serialize
-from retalis import Decoder, Definitions, Encoder, MessageError, String, Var, atom, deref, functor, make_list
+from retalis import (
+    Decoder,
+    Definitions,
+    Encoder,
+    MessageError,
+    Operators,
+    String,
+    Var,
+    atom,
+    deref,
+    functor,
+    make_list,
+)
+from retalis.messages.encoder import encode_slot_by_slot, find_fault
 from retalis.messages.type_registry import InstalledTypes
-from retalis.messages.validating_encoder import ValidatingEncoder
+from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.terms import timestamps
 from retalis.prolog.terms.array_terms import array_term
 from retalis.prolog.terms.term_traversal import copy
@@ -332,7 +346,7 @@ MSG: pkg/Nothing
 """
 MIXED_TYPE = Definitions(InstalledTypes([], [], include_rosbags=False)).add("pkg/Mixed", MIXED)
 DECODE = Decoder(MIXED_TYPE).decode
-ENCODE, CHECK = Encoder(MIXED_TYPE).encode, ValidatingEncoder(MIXED_TYPE).encode
+ENCODE, CHECK = Encoder(MIXED_TYPE).encode, partial(encode_slot_by_slot, MIXED_TYPE)
 
 odd_terms = st.one_of(
     st.sampled_from(
@@ -417,7 +431,7 @@ def fields(array, dtype):
     return [array_term(numbers), make_list(numbers.tolist())]
 
 
-@pytest.mark.parametrize("encode", [Encoder(ARRAYS).encode, ValidatingEncoder(ARRAYS).encode])
+@pytest.mark.parametrize("encode", [Encoder(ARRAYS).encode, partial(encode_slot_by_slot, ARRAYS)])
 @pytest.mark.parametrize("build", [False, True])
 def test_array_terms_are_published_like_their_lists(encode, build):
     head = functor("pkg__0__Arrays", 3)
@@ -435,6 +449,63 @@ def test_array_terms_are_published_like_their_lists(encode, build):
 
 def test_an_array_term_of_another_length_is_refused():
     term = functor("pkg__0__Arrays", 3)(NIL, array_term(np.arange(7, dtype="<i2")), NIL)
-    for encode in (Encoder(ARRAYS).encode, ValidatingEncoder(ARRAYS).encode):
+    for encode in (Encoder(ARRAYS).encode, partial(encode_slot_by_slot, ARRAYS)):
         with pytest.raises(MessageError, match="expected 6 elements"):
             encode(term)
+
+
+def define(text):
+    """Return the definition of a type with these slots."""
+    definitions = Definitions()
+    return definitions.decoder(definitions.add("my_robot/Thing", text)).definition
+
+
+PARTS = """\
+================================================================================
+MSG: my_robot/Part
+Nothing[2] n
+int8 a
+================================================================================
+MSG: my_robot/Nothing
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "term", "fault"),
+    [
+        ("uint8 a\nstring b", "my_robot__0__Thing(A, _)", None),
+        ("uint8 a\nstring b", "my_robot__0__Thing(256, _)", "expected uint8 from 0 to 255, got 256"),
+        ("float64[] a", "my_robot__0__Thing([1.0|_])", None),
+        ("float64[2] a", "my_robot__0__Thing([_, x])", "expected float64, got the atom x"),
+        ("float64[2] a", "my_robot__0__Thing([_])", "expected 2 elements"),
+        ("float64[2] a", "my_robot__0__Thing([_|_])", None),
+        ("time t\nduration[] d", "my_robot__0__Thing([_, 1], [[_, 2], _|_])", None),
+        ("time t", "my_robot__0__Thing([-1, _])", "Sec from 0 to 4294967295, got -1"),
+        (f"Part p\nPart[] q\n{PARTS}", "my_robot__0__Thing(_, [_, my_robot__0__Part(_, A)|_])", None),
+        (f"Part p\n{PARTS}", "my_robot__0__Thing(my_robot__0__Part(_, x))", "expected int8, got the atom x"),
+        (f"Part p\n{PARTS}", "my_robot__0__Thing(my_robot__0__Part(_))", "Part"),
+        ("", "A", None),
+        ("", "my_robot__0__Other", "Other"),
+    ],
+)
+def test_fault_of_term_with_variables(text, term, fault):
+    error = find_fault(define(text), read_term(term, Operators.prolog()).term)
+    assert error is None if fault is None else fault in error
+
+
+def test_types_of_huge_messages_are_not_filled():
+    huge = define("uint8[4000000000] a\nuint8 b")
+    assert find_fault(huge, (functor("my_robot__0__Thing", 2), Var(), 256)) is None
+
+
+SLOT_TYPES = ("bool", "int8", "float32", "string", "time", "duration", "Part", "Nothing")
+
+
+@pytest.mark.parametrize("array", ["", "[]", "[2]"])
+@pytest.mark.parametrize("slot_type", SLOT_TYPES)
+def test_variable_fits_any_message(slot_type, array):
+    definition = define(f"{slot_type}{array} a\n{PARTS}")
+    assert find_fault(definition, Var()) is None
+    assert find_fault(definition, (functor("my_robot__0__Thing", 1), Var())) is None
+    assert "Thing" in find_fault(definition, (functor("my_robot__0__Thing", 2), Var(), Var()))
+    assert "expected" in find_fault(definition, (functor("my_robot__0__Thing", 1), (functor("f", 1), Var())))

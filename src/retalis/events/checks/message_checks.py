@@ -19,8 +19,8 @@ from ...foundation.errors import (
 )
 from ...foundation.ros_names import strip_slashes
 from ...foundation.similar_names import closest_name, did_you_mean
+from ...messages.encoder import find_fault
 from ...messages.type_definition import Definition, Field, type_name
-from ...messages.validating_encoder import find_fault
 from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.types import (
     FALSE,
