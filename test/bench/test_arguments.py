@@ -22,8 +22,6 @@ BENCH = Path(__file__).resolve().parents[2] / "bench"
         ("logic.py --one retalis nosuch", "there is no case nosuch"),
         ("offline.py --seconds 0", "0 is not a number above zero"),
         ("offline.py --runs many", "many is not a whole number above zero"),
-        ("manybags.py --bags 0", "0 is not a whole number above zero"),
-        ("manybags.py --cases jobs-3", "invalid choice: 'jobs-3'"),
         ("live_node.py --speed fast", "fast is not a number above zero"),
         ("performance.py --ros nofile", "there is no nofile"),
     ],
