@@ -1,6 +1,6 @@
 """Shared parts of a program host."""
 
-from typing import Optional
+from typing import TYPE_CHECKING, Optional
 
 from ..engine.runtime.problem_reports import Reports
 from ..events.program.topic_configuration import TOPICS, Topics, read_topics
@@ -8,8 +8,10 @@ from ..foundation.errors import RetalisError
 from ..messages.type_registry import Definitions
 from .host_time import SimulatedTime
 from .latched_deduplication import LatchedMessageDeduplicator
-from .parameters import Parameters
-from .transport import Transport
+
+if TYPE_CHECKING:
+    from .parameters import Parameters
+    from .transport import Transport
 
 
 class HostContext:
@@ -31,7 +33,7 @@ class HostContext:
         topics_error: the errors of the file; None if it has none.
     """
 
-    def __init__(self, transport: Transport, parameters: Parameters, reports: Reports):
+    def __init__(self, transport: "Transport", parameters: "Parameters", reports: Reports):
         self.transport = transport
         self.parameters = parameters
         self.reports = reports

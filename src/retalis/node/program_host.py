@@ -14,7 +14,7 @@ from ..engine.engine import Engine
 from ..engine.event_input import TopicRequest
 from ..engine.program_check import explain_missing_events, explain_output_mismatch
 from ..engine.runtime.clock_skew import ClockSkewMonitor
-from ..events.program.topic_configuration import Topics, TopicType, direct_topics
+from ..events.program.topic_configuration import Topics, TopicType
 from ..explanation.event_explanations import record_origins
 from ..foundation.errors import RetalisError, UsageError
 from ..messages.decoder import Decoder
@@ -38,7 +38,8 @@ from .host_time import HostClock
 from .latched_deduplication import LatchedConnection
 from .node_dashboard import NodeDashboard
 from .parameters import DEFAULT_WATCHDOG_SECONDS
-from .published_topics import OutputRelay, PublishedTopics, UntypedTopicWarnings, advertise_topics
+from .published_topics import OutputRelay
+from .running_program import OutputCallbacks, ProgramContext, RunningProgram, make_event_handler
 from .services import (
     EngineServices,
     InterfaceServices,
@@ -53,9 +54,8 @@ from .subscribed_topics import (
     ReadingOptions,
     RequestQueue,
     SubscribedTopics,
-    subscribe_topics,
 )
-from .text_exchange import INPUT, OUTPUT, TextExchange, resolve_subscribable_topic
+from .text_exchange import INPUT, OUTPUT, TextExchange
 from .topic_statistics import OutputStatus, StartupWarnings
 from .transport import MessageSource
 
@@ -113,27 +113,24 @@ class ProgramHost:
         # If messages pass as text, the interface node reports it.
         if context.topics_error is not None and not parameters.uses_texts:
             self._errors += log_error(context.topics_error)
-        self._direct = direct_topics(parameters.direct, self._topics, transport.resolve_topic)
-        outputs, requests = self._prepare_loading()
-        if not checkpoint.is_resumed:
-            self._load()
-
         skew = self._make_skew_monitor()
-        self._published = PublishedTopics(transport, context.definitions, parameters.queue, self._reports)
         self._processing = MessageProcessing(
-            self._make_handler, threading.Lock(), self.engine.post_each, skew, context.time.epochs
+            self._make_handler, threading.Lock(), skew=skew, clock_epochs=context.time.epochs
         )
-        self._subscribed = SubscribedTopics(
-            transport,
-            context.definitions,
-            self._reports,
+        # They store the outputs and requested topics of goals until topics can be opened.
+        outputs = OutputRelay(parameters.queue, self._reports)
+        requests = RequestQueue(transport.on_shutdown)
+        self._program = RunningProgram(
+            ProgramContext(transport, context.definitions, self._reports, self._topics, parameters.direct),
+            self.engine,
             self._processing,
             ReadingOptions(parameters.queue),
-            self._published.advertise_learned_types,
+            OutputCallbacks(outputs),
         )
-        self._untyped_topics = UntypedTopicWarnings(
-            transport, (topic for topic, _ in self._topics.published), self._reports
-        )
+        self._program.accept_requests(requests.put)
+        self._published, self._subscribed = self._program.published, self._program.subscribed
+        if not checkpoint.is_resumed:
+            self._load()
         self._log_mistakes(self._topics)
         self._open_topics(outputs, requests, interface)
         self._offer_services(interface is None)
@@ -165,19 +162,6 @@ class ProgramHost:
 
     # ---- the program
 
-    def _prepare_loading(self) -> Tuple[OutputRelay, RequestQueue]:
-        """Return what stores the outputs and requested topics of goals until topics can be opened."""
-        outputs = OutputRelay(self._parameters.queue, self._reports)
-        self.engine.on_output(outputs)
-        requests = RequestQueue(self._transport.on_shutdown)
-        self.engine.input_topics.set_subscriber(
-            requests.put,
-            self._topics,
-            self._direct,
-            lambda topic: resolve_subscribable_topic(topic, self._transport.resolve_topic),
-        )
-        return outputs, requests
-
     def _load(self) -> None:
         try:
             self.engine.load_program(self._parameters.program)
@@ -186,13 +170,10 @@ class ProgramHost:
 
     def _log_mistakes(self, topics: Topics) -> None:
         """Log probable mistakes in the loaded program."""
-        self._untyped_topics.mark_reported(self.engine.output_topics())
-        direct = direct_topics(self._parameters.direct, topics, self._transport.resolve_topic)
-        for warning in self.engine.warnings(
-            self._parameters.program, self._make_short_lived_definitions(), topics, direct
-        ):
-            self._program_warnings.append(warning.brief())
-            log.warning("%s", warning)
+        warnings = self._program.log_mistakes(
+            self._parameters.program, self._make_short_lived_definitions(), topics
+        )
+        self._program_warnings += [warning.brief() for warning in warnings]
 
     def _make_short_lived_definitions(self) -> Definitions:
         """Return definitions that are freed after use: checks load types that the node does not need."""
@@ -201,8 +182,7 @@ class ProgramHost:
     def _on_reload(self, topics: Topics) -> None:
         self._errors.clear()
         self._program_warnings.clear()
-        engine = self.engine
-        engine.do(lambda: engine.knowledge.transforms.require_if_mentioned(engine.rules.terms()))
+        self.engine.do(self._program.require_transforms)
         self._log_mistakes(topics)
 
     # ---- topics
@@ -213,21 +193,12 @@ class ProgramHost:
         """Publish and subscribe the topics of the program; messages arrive from here on."""
         receivers = [self._send_text]
         if not self._parameters.uses_texts:
-            may_be_learned = any(
-                not self._subscribed.knows_type(message_type)
-                for _, message_type in (*self._topics.subscribed, *self._direct)
-            )
-            advertise_topics(self._published, self._topics, may_be_learned)
-            subscribe_topics(self._subscribed, self._topics, self._direct, self._transport.resolve_topic)
+            self._program.open_topics()
             self._texts.receive_outputs(self._subscribed.subscribe_texts, self._published.publish_text)
             receivers.append(lambda term, topic, name: self._published.publish(term, topic))
         self.engine.do(lambda: outputs.start(*receivers))
-        transforms = self.engine.knowledge.transforms
-        transforms.require_if_mentioned(self.engine.rules.terms())
-        transforms.set_feed(self._start_transform_feed)
-        for topic, message_type in self._direct:
-            event = self._topics.event_name_of(topic, self._transport.resolve_topic)
-            self._subscribed.try_to_subscribe(TopicRequest(topic, message_type, event), "parameter ~direct")
+        self._program.start_transforms(self._start_transform_feed)
+        self._program.subscribe_direct_topics()
         requests.start(
             *(
                 (self._subscribed.try_to_subscribe,)
@@ -238,7 +209,7 @@ class ProgramHost:
 
     def _send_text(self, term: Term, topic: str, name: Term) -> None:
         # A rule may have added a subscription to a new topic.
-        self._untyped_topics.check(topic)
+        self._program.untyped_topics.check(topic)
         self._texts.send_output(term, topic, name)
 
     def _start_transform_feed(self) -> None:
@@ -249,26 +220,24 @@ class ProgramHost:
         threading.Thread(target=self._subscribe_transforms, daemon=True).start()
 
     def _subscribe_transforms(self) -> None:
-        engine = self.engine
-        process_input, post_each = engine.event_input.process_input, engine.executor.post_each
         log.info(
             "the program reads transforms: %s are subscribed, with a history of %g s",
             " and ".join(map(self._transport.resolve_topic, TRANSFORM_TOPICS)),
-            engine.settings.tf_cache,
+            self.engine.settings.tf_cache,
         )
-        self._subscribed.subscribe_transforms(lambda messages: post_each(process_input, messages))
+        self._program.subscribe_transforms()
 
     def _make_handler(self, decoder: Decoder, topic: str, source: MessageSource) -> MessageHandler:
         """Return the handler of a source's messages, which returns the event and its instant.
 
         Of a latched source it skips messages that the engine has processed already.
         """
-        decode, stamp = decoder.decode, decoder.stamp
-        send_text = self._texts.make_event_sender(decoder)
         if source.is_latched:
             return self._make_latched_handler(decoder, LatchedConnection(topic, source.node, source.address))
+        send_text = self._texts.make_event_sender(decoder)
         if send_text is None:
-            return lambda data: (decode(data), stamp(data))
+            return make_event_handler(decoder, topic, source)
+        decode, stamp = decoder.decode, decoder.stamp
 
         def handle(data: bytes) -> Tuple[Term, Optional[int]]:
             event, instant = decode(data), stamp(data)
@@ -305,7 +274,7 @@ class ProgramHost:
         EngineServices(
             transport,
             engine,
-            self._untyped_topics,
+            self._program.untyped_topics,
             self._explain_missing_source,
             lambda goal, topic: self._explain_type_mismatch(goal, topic, types),
         )
@@ -324,7 +293,7 @@ class ProgramHost:
     def _explain_missing_source(self, pattern: Term) -> str:
         """Return the reason why no events of a pattern are expected; "" if there may be some."""
         return explain_missing_events(
-            self.engine, pattern, self._make_short_lived_definitions(), self._topics, self._direct
+            self.engine, pattern, self._make_short_lived_definitions(), self._topics, self._program.direct
         )
 
     def _explain_type_mismatch(self, goal: CompoundTerm, topic: str, types: Mapping[str, str]) -> str:
@@ -390,7 +359,7 @@ class ProgramHost:
             parameters.dashboard_queries,
             self.engine,
             self._subscribed.statuses,
-            [*self._topics.subscribed, *self._direct],
+            [*self._topics.subscribed, *self._program.direct],
             lambda: input_topics.merge_with(self._topics).events,
         )
 
@@ -421,7 +390,7 @@ class ProgramHost:
         default_events = {
             resolve_topic(topic): self._topics.event_name_of(topic, resolve_topic)
             or functor_name(message_type)
-            for topic, message_type in self._direct
+            for topic, message_type in self._program.direct
             if resolve_topic(topic) not in named_topics
         }
         text_topics = {resolve_topic(INPUT), resolve_topic(OUTPUT)}

@@ -15,15 +15,22 @@ from ..prolog.syntax.event_text import EventReader, to_text
 from ..prolog.terms.types import Term, deref
 from .text_exchange import OUTPUT, OUTPUT_EVENT, WATCH
 from .topic_statistics import OutputStatus, describe_publication
-from .transport import TopicPublication, Transport
+from .transport import MessageTransport, TopicPublication
 
 log = logging.getLogger("retalis")
+
+TEXT_ONLY = f"its events are published only as text on {OUTPUT}"
+"""What happens to the outputs of a topic without a type in a node."""
 
 MAX_UNTYPED_TOPICS_NAMED = 100
 """Maximum number of topics without a type that are logged."""
 
 OutputReceiver = Callable[[Term, str, Term], object]
 """Publishes an output: term, topic and id of the subscription."""
+
+ReportUnpublished = Callable[[str, Optional[str]], object]
+"""Reports an output that is not published as message: its topic, and the topic's type, which is unknown; None if the
+topic has no type."""
 
 
 class OutputRelay:
@@ -88,9 +95,17 @@ class PublishedTopics:
         definitions: known message types.
         queue: number of messages to queue for each subscriber.
         reports: receives the errors of single messages.
+        report_unpublished: reports outputs that exist only as text; by default as a node does.
     """
 
-    def __init__(self, transport: Transport, definitions: Definitions, queue: int, reports: Reports):
+    def __init__(
+        self,
+        transport: MessageTransport,
+        definitions: Definitions,
+        queue: int,
+        reports: Reports,
+        report_unpublished: Optional[ReportUnpublished] = None,
+    ):
         self._transport = transport
         self._definitions = definitions
         self._queue = queue
@@ -99,7 +114,7 @@ class PublishedTopics:
         self._typed: Dict[str, _TypedTopic] = {}
         self._unadvertised: Dict[str, _UnadvertisedTopic] = {}
         """Topics that are advertised when their types become known."""
-        self._logged_topics: Set[str] = set()
+        self._report_unpublished = report_unpublished or TextOnlyOutputs(reports).report
         self._text_reader = EventReader()
 
     def advertise(self, topic: str, message_type: str, latched: bool = False) -> None:
@@ -165,39 +180,15 @@ class PublishedTopics:
         Outputs to a topic without a type exist only as text.
         """
         try:
-            typed_topic = self._typed.get(self._transport.resolve_topic(topic))
+            name = self._transport.resolve_topic(topic)
+            typed_topic = self._typed.get(name)
             if typed_topic is None:
-                self._report_unpublished(topic)
+                unadvertised = self._unadvertised.get(name)
+                self._report_unpublished(topic, None if unadvertised is None else unadvertised.message_type)
                 return
             typed_topic.publication.send(typed_topic.encoder.encode(term, topic))
         except RetalisError as error:
             self._reports.error(error, ("out", topic))
-
-    def _report_unpublished(self, topic: str) -> None:
-        """Report an output that is not published as message.
-
-        For a topic that waits for its type each message is a loss, and is counted as a warning. For a topic without a
-        type it is normal, and is logged once.
-        """
-        unadvertised = self._unadvertised.get(self._transport.resolve_topic(topic))
-        if unadvertised is not None:
-            text = (
-                f"topic {topic}: a message is dropped: type {unadvertised.message_type} is unknown until a publisher "
-                "defines it"
-            )
-            self._reports.warning(text, ("out", topic))
-        elif (
-            len(self._logged_topics) < MAX_UNTYPED_TOPICS_NAMED
-            and topic not in self._logged_topics
-            and not topic.startswith(WATCH)
-        ):
-            self._logged_topics.add(topic)
-            log.info(
-                "topic %s has no type in %s: its outputs are on %s only",
-                printable(shorten(topic)),
-                TOPICS,
-                OUTPUT,
-            )
 
     def publish_text(self, text: str) -> None:
         """Publish an output that another node has sent as text; a text of another form is reported."""
@@ -212,18 +203,62 @@ class PublishedTopics:
         self.publish(deref(output[1]), getattr(topic, "name", None) or to_text(topic))
 
 
+class TextOnlyOutputs:
+    """Reports of outputs that a node publishes only as text.
+
+    Args:
+        reports: receives the warnings.
+    """
+
+    def __init__(self, reports: Reports):
+        self._reports = reports
+        self._logged_topics: Set[str] = set()
+
+    def report(self, topic: str, message_type: Optional[str]) -> None:
+        """Report an output; see `ReportUnpublished`.
+
+        For a topic that waits for its type each message is a loss, and is counted as a warning. For a topic without a
+        type it is normal, and is logged once.
+        """
+        if message_type is not None:
+            self._reports.warning(
+                f"topic {topic}: a message is dropped: type {message_type} is unknown until a publisher defines it",
+                ("out", topic),
+            )
+        elif (
+            len(self._logged_topics) < MAX_UNTYPED_TOPICS_NAMED
+            and topic not in self._logged_topics
+            and not topic.startswith(WATCH)
+        ):
+            self._logged_topics.add(topic)
+            log.info(
+                "topic %s has no type in %s: its outputs are on %s only",
+                printable(shorten(topic)),
+                TOPICS,
+                OUTPUT,
+            )
+
+
 class UntypedTopicWarnings:
-    """Warns once about each output topic without a type, whose outputs are published only as text.
+    """Warns once about each output topic without a type.
 
     Args:
         transport: the middleware.
         published: topics with a type.
         reports: receives the warnings.
+        consequence: what happens to the outputs.
     """
 
-    def __init__(self, transport: Transport, published: Iterable[str], reports: Reports):
+    def __init__(
+        self,
+        transport: MessageTransport,
+        published: Iterable[str],
+        reports: Reports,
+        consequence: str = TEXT_ONLY,
+    ):
         self._transport = transport
         self._reports = reports
+        self._consequence = consequence
         self._published = {transport.resolve_topic(topic) for topic in published}
         self._checked: Cache[str, bool] = Cache(1000, 1 << 20)
 
@@ -234,7 +269,7 @@ class UntypedTopicWarnings:
             if not self._has_type(topic):
                 name = shorten(topic)
                 self._reports.warning(
-                    f"topic {name} has no type: its events are published only as text on {OUTPUT}; "
+                    f"topic {name} has no type: {self._consequence}; "
                     f'<publish_to name="{name}" msg_type="package/Type"/> in {TOPICS} would give it one',
                     "topics without a type",
                     texts=20,

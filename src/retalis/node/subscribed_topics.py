@@ -3,8 +3,8 @@
 A message passes through these steps:
 
 1. The transport reads serialized messages of one source; see `MessageSource`.
-2. The handler that was created for the source (`HandlerFactory`) converts each message. The types of source and
-   subscription are compared once per source; an unknown type is learned from the source.
+2. The handler that was created for the source (`HandlerFactory`) converts each message; see `SourceReader.convert`.
+   The types of source and subscription are compared once per source; an unknown type is learned from the source.
 3. The results of messages that were read together are passed on together (`ResultConsumer`), under the lock
    `MessageProcessing.lock`.
 
@@ -45,9 +45,9 @@ from ..messages.transform_messages import (
     TransformReader,
 )
 from ..messages.type_registry import Definitions
-from .text_exchange import INPUT, OUTPUT
+from .text_exchange import TEXT_TOPICS, resolve_subscribable_topic
 from .topic_statistics import InputCounts, InputStatus, LossMonitor
-from .transport import MessageSource, Transport
+from .transport import MessageSource, MessageTransport
 
 log = logging.getLogger("retalis")
 
@@ -62,6 +62,9 @@ ResultConsumer = Callable[[Iterable[Any]], object]
 
 BatchHandler = Callable[[List[bytes]], None]
 """Handler of messages that were read together."""
+
+Convert = Callable[[bytes], Any]
+"""Returns the result of a message; None if it is dropped."""
 
 consume_and_discard: ResultConsumer = deque(maxlen=0).extend
 """Processes all messages of a batch and discards the results."""
@@ -84,6 +87,7 @@ class MessageProcessing(NamedTuple):
         consume_results: receives the results of messages that were read together.
         skew: checks the stamps of messages.
         clock_epochs: clock epochs; messages of an epoch that has not begun are queued there.
+        reads_transforms: whether messages are converted to transforms.
     """
 
     make_handler: HandlerFactory
@@ -91,6 +95,18 @@ class MessageProcessing(NamedTuple):
     consume_results: ResultConsumer = consume_and_discard
     skew: Optional[ClockSkewMonitor] = None
     clock_epochs: Optional[ClockEpochs] = None
+    reads_transforms: bool = False
+
+
+def log_replaced_type(request: TopicRequest, source: MessageSource) -> None:
+    """Log a warning that a source's type is used in place of an unknown one, as which its topic is subscribed."""
+    log.warning(
+        "topic %s is subscribed as %s, which is unknown here; %s publishes %s, which is used instead",
+        request.topic,
+        request.message_type,
+        printable(shorten(source.node or "somebody")),
+        printable(shorten(source.message_type)),
+    )
 
 
 class ReadingOptions(NamedTuple):
@@ -101,12 +117,16 @@ class ReadingOptions(NamedTuple):
         max_delay: seconds for which a message of a fast topic may wait for the next ones.
         loss_hint: how to lose fewer messages, for warnings about losses.
         ignores_own: whether messages of this node are not received.
+        reserved: topics that a program may not subscribe to.
+        report_replaced_type: called if a source's type is used in place of an unknown one.
     """
 
     queue_size: int
     max_delay: float = MAX_DELAY_SECONDS
     loss_hint: str = LOSS_HINT
     ignores_own: bool = False
+    reserved: Tuple[str, ...] = TEXT_TOPICS
+    report_replaced_type: Callable[[TopicRequest, MessageSource], object] = log_replaced_type
 
 
 class SubscribedTopics:
@@ -123,7 +143,7 @@ class SubscribedTopics:
 
     def __init__(
         self,
-        transport: Transport,
+        transport: MessageTransport,
         definitions: Definitions,
         reports: Reports,
         processing: MessageProcessing,
@@ -140,7 +160,6 @@ class SubscribedTopics:
         self._topics: Dict[str, SubscribedTopic] = {}
         self._transform_topics: Dict[str, SubscribedTopic] = {}
         self._text_topics: List[SubscribedTopic] = []
-        self._reserved = {transport.resolve_topic(topic) for topic in (INPUT, OUTPUT)}
         self._excluded: Set[str] = set()
         self._lock = threading.Lock()
 
@@ -156,9 +175,7 @@ class SubscribedTopics:
             UsageError: if the topic is subscribed already, or a name is invalid.
         """
         topic, message_type = topic_type(topic, message_type)
-        name = self._transport.resolve_topic(topic)
-        if name in self._reserved:
-            raise UsageError(f"topic {topic} is for events as text, between the nodes")
+        name = self.resolve(topic)
         if name in self._excluded:
             raise UsageError(f"topic {topic} is subscribed by node retalis itself (its parameter ~direct)")
         with self._lock:
@@ -167,6 +184,14 @@ class SubscribedTopics:
                     f"topic {topic} is already subscribed (as {self._topics[name].request.message_type})"
                 )
             self._topics[name] = self._open(TopicRequest(name, message_type, event_name), self._processing)
+
+    def resolve(self, topic: str) -> str:
+        """Return the full name of a topic that a program may subscribe to.
+
+        Raises:
+            UsageError: if the name is invalid, or the topic is reserved.
+        """
+        return resolve_subscribable_topic(topic, self._transport.resolve_topic, self._options.reserved)
 
     def try_to_subscribe(self, request: TopicRequest, requester: str = "subscribe_to") -> bool:
         """Subscribe to a topic; return whether it succeeds. An error is logged, with the name of the requester."""
@@ -224,6 +249,7 @@ class SubscribedTopics:
                 make_handler=lambda decoder, topic, source, read=reader.read: lambda data: (read(data), None),  # type: ignore[misc]
                 consume_results=consume_results,
                 skew=None,
+                reads_transforms=True,
             )
             self._transform_topics[name] = self._open(TopicRequest(name, TRANSFORM_TYPES[0]), processing)
 
@@ -298,7 +324,7 @@ class SubscribedTopic:
 
     def __init__(
         self,
-        transport: Transport,
+        transport: MessageTransport,
         definitions: Definitions,
         reports: Reports,
         request: TopicRequest,
@@ -309,7 +335,7 @@ class SubscribedTopic:
         self._definitions = definitions
         self._reports = reports
         self._processing = processing
-        self._loss_hint = options.loss_hint
+        self._options = options
         self.counts = InputCounts(transport.now)
         self._subscription = transport.subscribe(
             request.topic,
@@ -347,27 +373,29 @@ class SubscribedTopic:
 
     def _connect(self, source: MessageSource) -> "SourceReader":
         """Return the receiver of a new source's messages. A source of the wrong type gets one that drops them."""
-        topic = self.request.topic
+        topic, processing = self.request.topic, self._processing
         monitor = self._make_loss_monitor(source, False)
         try:
             decoder = self._find_decoder(source)
             stamp = decoder.stamp
             monitor = self._make_loss_monitor(source, has_header(decoder.definition))
-            if self._processing.skew is not None:
-                decoder = self._processing.skew.watch(decoder, topic, source.node)
-            handler = self._processing.make_handler(decoder, topic, source)
+            if processing.skew is not None:
+                decoder = processing.skew.watch(decoder, topic, source.node)
+            handler = processing.make_handler(decoder, topic, source)
         # Without a receiver, a transport might connect again at once, forever.
         except Exception as error:
             if not isinstance(error, MessageError):
                 self._reports.error(error)
             reason = getattr(error, "message", "internal error")
-            return SourceReader(
-                self._make_dropping_handler(
-                    f"topic {topic}: {reason}: a message of {source.node or 'somebody'} is dropped"
-                ),
-                monitor,
+            reject = self._make_dropping_handler(
+                f"topic {topic}: {reason}: a message of {source.node or 'somebody'} is dropped"
             )
-        return SourceReader(self._make_batch_handler(handler, stamp, source, monitor), monitor)
+            return SourceReader(
+                lambda data: reject([data]), reject, monitor, processing.reads_transforms, reason
+            )
+        convert = self._make_converter(handler)
+        receive = self._make_batch_handler(convert, stamp, source, monitor)
+        return SourceReader(convert, receive, monitor, processing.reads_transforms)
 
     def _find_decoder(self, source: MessageSource) -> Decoder:
         """Return the decoder for a source's messages.
@@ -385,13 +413,7 @@ class SubscribedTopic:
             request.message_type, source.message_type, source.definition, source.md5sum, request.event
         )
         if learned.is_replacement:
-            log.warning(
-                "topic %s is subscribed as %s, which is unknown here; %s publishes %s, which is used instead",
-                request.topic,
-                request.message_type,
-                printable(shorten(source.node or "somebody")),
-                printable(shorten(source.message_type)),
-            )
+            self._options.report_replaced_type(request, source)
         return learned.decoder
 
     def _make_loss_monitor(self, source: MessageSource, has_header: bool) -> LossMonitor:
@@ -400,7 +422,7 @@ class SubscribedTopic:
         def report(loss: str) -> None:
             self._reports.warning(
                 f"topic {self.request.topic}: {source.node} sends faster than this node reads: {loss}; "
-                f"{self._loss_hint}",
+                f"{self._options.loss_hint}",
                 ("loss", self.request.topic),
             )
 
@@ -408,14 +430,14 @@ class SubscribedTopic:
 
     def _make_batch_handler(
         self,
-        handler: MessageHandler,
+        convert: Convert,
         stamp: Callable[[bytes], Optional[int]],
         source: MessageSource,
         monitor: LossMonitor,
     ) -> BatchHandler:
         """Return the handler of messages that were read together, which queues those of a coming epoch."""
         lock, counts, clock_epochs = self._processing.lock, self.counts, self._processing.clock_epochs
-        handle_batch = self._make_reporting_handler(handler, source)
+        handle_batch = self._make_result_handler(convert, source)
 
         def handle_messages(messages: List[bytes]) -> None:
             counts.count(len(messages))
@@ -435,35 +457,47 @@ class SubscribedTopic:
 
         return handle_messages
 
-    def _make_reporting_handler(self, handler: MessageHandler, source: MessageSource) -> BatchHandler:
-        """Return a handler that converts messages, passes on the results, and reports failures."""
-        consume_results, counts = self._processing.consume_results, self.counts
-        clock_epochs = self._processing.clock_epochs
+    def _make_result_handler(self, convert: Convert, source: MessageSource) -> BatchHandler:
+        """Return a handler that converts messages and passes on the results."""
+        consume_results, clock_epochs = self._processing.consume_results, self._processing.clock_epochs
 
-        def convert(messages: List[bytes]) -> Iterator[Any]:
+        def convert_all(messages: List[bytes]) -> Iterator[Any]:
             for position, data in enumerate(messages):
                 try:
-                    result = handler(data)
-                except RefusedMessage:
-                    # Reported by the clock skew monitor.
-                    counts.refused += 1
+                    result = convert(data)
                 # The message belongs to the next epoch. It and all later ones of its source wait for the epoch's
                 # begin, so that the order within the source is preserved.
                 except EarlyMessage:
                     if clock_epochs is not None:
                         clock_epochs.buffer_early(source.node, handle_batch, messages[position:])
                         return
-                except Exception as error:
-                    # The transport would close the connection.
-                    self._report_failure(error)
-                else:
-                    if result is not None:
-                        yield result
+                    continue
+                if result is not None:
+                    yield result
 
         def handle_batch(messages: List[bytes]) -> None:
-            consume_results(convert(messages))
+            consume_results(convert_all(messages))
 
         return handle_batch
+
+    def _make_converter(self, handler: MessageHandler) -> Convert:
+        """Return a function that converts a message, and reports failures except `EarlyMessage`."""
+        counts = self.counts
+
+        def convert(data: bytes) -> Any:
+            try:
+                return handler(data)
+            except RefusedMessage:
+                # Reported by the clock skew monitor.
+                counts.refused += 1
+            except EarlyMessage:
+                raise
+            except Exception as error:
+                # The transport would close the connection.
+                self._report_failure(error)
+            return None
+
+        return convert
 
     def _report_failure(self, error: Exception) -> None:
         """Count and report a message that cannot be converted."""
@@ -487,16 +521,30 @@ class SubscribedTopic:
 
 
 class SourceReader:
-    """Receiver of the messages of one source.
+    """Receiver of the messages of one source; see `MessageReceiver`.
 
-    Attributes:
+    Args:
+        convert: returns the result of a message.
         receive: processes messages that were read together.
-        close: records the end of the connection, and whether its last message is incomplete.
+        monitor: detects lost messages.
+        reads_transforms: whether messages are converted to transforms.
+        error: the reason why all messages are dropped; "" if they are not.
     """
 
-    def __init__(self, receive: BatchHandler, monitor: LossMonitor):
+    def __init__(
+        self,
+        convert: Convert,
+        receive: BatchHandler,
+        monitor: LossMonitor,
+        reads_transforms: bool = False,
+        error: str = "",
+    ):
+        # Attributes rather than methods, because a call more per message is measurable.
+        self.convert = convert
         self.receive = receive
         self.close = monitor.close
+        self.reads_transforms = reads_transforms
+        self.error = error
 
 
 class RequestQueue:

@@ -5,7 +5,7 @@ interface of the original package, in which all messages passed between two node
 """
 
 from struct import Struct
-from typing import Any, Callable, ContextManager, List, Optional, Protocol
+from typing import TYPE_CHECKING, Any, Callable, ContextManager, Iterable, List, Optional, Protocol
 
 from ..engine.runtime.problem_reports import Reports
 from ..foundation.errors import MessageError, RetalisError, UsageError
@@ -13,14 +13,18 @@ from ..messages.decoder import Decoder
 from ..messages.event_text_writer import make_text_writer
 from ..prolog.syntax.event_text import event_text, to_text
 from ..prolog.terms.types import Term, atom, functor
-from .host_context import HostContext
 from .host_time import Receipts
 from .topic_statistics import OutputStatus, describe_publication
 from .transport import MessageSource, TopicPublication
 
+if TYPE_CHECKING:
+    from .host_context import HostContext
+
 INPUT = "retalisInputEvents"
 OUTPUT = "retalisOutputEvents"
 """Topics of texts: events for the program, and its outputs."""
+
+TEXT_TOPICS = (INPUT, OUTPUT)
 
 WATCH = "retalis_watch_"
 """Beginning of the names of topics whose outputs exist only as text, for ``retalis watch``."""
@@ -72,14 +76,14 @@ class PlainTextExchange:
         context: what the parts of the host share.
     """
 
-    def __init__(self, context: HostContext):
+    def __init__(self, context: "HostContext"):
         transport = context.transport
         definition = context.definitions.find(TEXT_TYPE)
         self._reports = context.reports
         self._stamp = Receipts(context.time.now).stamp
         self._topics = {
             name: transport.advertise(transport.resolve_topic(name), definition, context.parameters.queue)
-            for name in (INPUT, OUTPUT)
+            for name in TEXT_TOPICS
         }
         self._names = {name: transport.resolve_topic(name) for name in self._topics}
 
@@ -115,14 +119,21 @@ class PlainTextExchange:
         ]
 
 
-def resolve_subscribable_topic(topic: str, resolve_topic: Callable[[str], str]) -> str:
+def resolve_subscribable_topic(
+    topic: str, resolve_topic: Callable[[str], str], reserved: Iterable[str] = TEXT_TOPICS
+) -> str:
     """Return the full name of a topic that a program may subscribe to.
 
+    Args:
+        topic: name of the topic.
+        resolve_topic: returns the full name.
+        reserved: topics of the exchange of texts.
+
     Raises:
-        UsageError: if the name is invalid, or the topic belongs to the exchange of texts.
+        UsageError: if the name is invalid, or the topic is reserved.
     """
     name = resolve_topic(topic)
-    if name in map(resolve_topic, (INPUT, OUTPUT)):
+    if name in map(resolve_topic, reserved):
         raise UsageError(f"topic {topic} is for events as text, between the nodes")
     return name
 

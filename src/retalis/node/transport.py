@@ -3,7 +3,8 @@
 A `ProgramHost` runs a program on any object that implements `Transport`: rospy, rclpy, or the memory of a test. The
 interface consists of what these have in common: serialized messages with the type of their publisher, names, time,
 parameters, services, discovery and shutdown. The page ``docs/explanation/transports.md`` describes what rospy and
-rclpy offer for each method.
+rclpy offer for each method. `MessageTransport` is the part of it that a
+`RunningProgram` needs, and that a bag implements too.
 
 All methods may be called from any thread. A transport calls back in threads of its own, also before the method that
 registers the function has returned. Calls for different sources, timers and requests may overlap; the calls for one
@@ -39,7 +40,22 @@ class MessageSource(NamedTuple):
 
 
 class MessageReceiver(Protocol):
-    """Receiver of the messages of one source."""
+    """Receiver of the messages of one source.
+
+    A transport calls `receive`, or `convert` if it passes the messages of all sources to the engine itself, in its
+    own order.
+
+    Attributes:
+        error: the reason why all messages are dropped, for example their type; "" if they are not.
+        reads_transforms: whether messages are converted to transforms, which the engine must store before it
+            processes the events of the same messages.
+    """
+
+    error: str
+    reads_transforms: bool
+
+    def convert(self, message: bytes) -> Any:
+        """Return the event of a message with its instant; None if it is dropped. Errors are reported here."""
 
     def receive(self, messages: List[bytes]) -> None:
         """Process serialized messages that were read together. Errors are reported here and not raised."""
@@ -107,47 +123,17 @@ class NodeGraph(NamedTuple):
     servers: Mapping[str, Set[str]]
 
 
-class Transport(Protocol):
-    """A middleware as a running program sees it.
-
-    Attributes:
-        node_name: full name of this node.
-        is_time_simulated: whether time comes from messages, and may stand still or go back; read at the start.
-        create_transform_buffer: creates the buffer of transforms, given the length of its history in seconds;
-            `TransformBuffer` itself needs no other package.
-    """
-
-    node_name: str
-    is_time_simulated: bool
-    create_transform_buffer: Callable[[float], TransformBuffer]
+class MessageTransport(Protocol):
+    """Topics as a running program sees them."""
 
     def now(self) -> int:
         """Return the time in nanoseconds since the epoch; 0 while simulated time is unknown."""
-
-    def on_clock(self, callback: Callable[[int], object]) -> None:
-        """Call a function with each new instant of simulated time in ns, after `now` returns it.
-
-        Nothing is to be done for time that is not simulated.
-        """
-
-    def call_later(self, delay: int, callback: Callable[[], object]) -> Timer:
-        """Call a function once, after ``delay`` nanoseconds of the transport's time."""
-
-    def parameters(self) -> Dict[str, Any]:
-        """Return the node's own parameters by name, without ``~``, as plain values, lists and dictionaries."""
 
     def resolve_topic(self, topic: str) -> str:
         """Return the full name of a topic, after remapping and in the node's namespace.
 
         Raises:
             UsageError: if the name is invalid.
-        """
-
-    def installed_types(self, include_rosbags: bool = True) -> InstalledTypes:
-        """Return the message types of this machine: ``InstalledTypes(include_rosbags=include_rosbags)`` in general.
-
-        Args:
-            include_rosbags: whether types that only the package ``rosbags`` has are included.
         """
 
     def subscribe(
@@ -185,6 +171,43 @@ class Transport(Protocol):
             is_latched: whether each new subscriber receives the last message.
         """
 
+    def is_shut_down(self) -> bool:
+        """Return whether the node has ended or is ending."""
+
+
+class Transport(MessageTransport, Protocol):
+    """A middleware as a node sees it.
+
+    Attributes:
+        node_name: full name of this node.
+        is_time_simulated: whether time comes from messages, and may stand still or go back; read at the start.
+        create_transform_buffer: creates the buffer of transforms, given the length of its history in seconds;
+            `TransformBuffer` itself needs no other package.
+    """
+
+    node_name: str
+    is_time_simulated: bool
+    create_transform_buffer: Callable[[float], TransformBuffer]
+
+    def on_clock(self, callback: Callable[[int], object]) -> None:
+        """Call a function with each new instant of simulated time in ns, after `now` returns it.
+
+        Nothing is to be done for time that is not simulated.
+        """
+
+    def call_later(self, delay: int, callback: Callable[[], object]) -> Timer:
+        """Call a function once, after ``delay`` nanoseconds of the transport's time."""
+
+    def parameters(self) -> Dict[str, Any]:
+        """Return the node's own parameters by name, without ``~``, as plain values, lists and dictionaries."""
+
+    def installed_types(self, include_rosbags: bool = True) -> InstalledTypes:
+        """Return the message types of this machine: ``InstalledTypes(include_rosbags=include_rosbags)`` in general.
+
+        Args:
+            include_rosbags: whether types that only the package ``rosbags`` has are included.
+        """
+
     def offer_service(
         self, name: str, service_type: str, handler: Callable[[Any], Mapping[str, Any]]
     ) -> None:
@@ -203,6 +226,3 @@ class Transport(Protocol):
 
     def on_shutdown(self, callback: Callable[[], object]) -> None:
         """Call a function when the node ends, after `is_shut_down` is true; timers may no longer fire then."""
-
-    def is_shut_down(self) -> bool:
-        """Return whether the node has ended or is ending."""
