@@ -36,9 +36,9 @@ ORDER = (
     "explanation",
     "visualization",
     "dashboard",
+    "node",
     "playback",
     "cli",
-    "node",
     "ros1",
 )
 """The packages from the lowest to the highest: each imports only packages before it."""

@@ -1,8 +1,9 @@
 """Playback: running a program over a bag without ROS, with the results that the nodes would produce live.
 
-A `Playback` has an engine whose clock is driven by the bag: before a message is processed, the clock is moved to the
-time of its receipt, and every alarm that is due earlier fires at its own time. The result therefore depends on the
-bag only, not on the speed of the machine.
+A `Playback` consists of a `RunningProgram`, as a node does, and a `BagTransport` in place of a middleware. The clock
+of its engine is driven by the bag: before a message is processed, the clock is moved to the time of its receipt, and
+every alarm that is due earlier fires at its own time. The result therefore depends on the bag only, not on the speed
+of the machine.
 
 Messages are passed to the engine in batches (`Engine.post_each`), which is faster than one by one. A batch ends when
 an alarm is due or a message has produced an output, so that outputs are yielded as soon as they exist. Topics that
@@ -17,6 +18,7 @@ They are written as JSON lines, drawn as a timeline, or written to a Parquet fil
 
 import logging
 from collections import Counter
+from contextlib import nullcontext
 from heapq import merge
 from itertools import chain, count, islice
 from operator import attrgetter
@@ -25,7 +27,6 @@ from typing import (
     Any,
     Callable,
     Dict,
-    FrozenSet,
     Iterable,
     Iterator,
     List,
@@ -41,14 +42,14 @@ from ..engine.engine import Engine
 from ..engine.engine_settings import Settings
 from ..engine.event_input import TopicRequest
 from ..engine.run_records import EventRecord, MemoryStateRecord, OutputRecord, RunRecord, WaitRecord
-from ..engine.runtime.clock import StreamClock
-from ..engine.runtime.clock_skew import ClockSkewMonitor, RefusedMessage
+from ..engine.runtime.clock_skew import ClockSkewMonitor
 from ..engine.runtime.problem_reports import Reports
 from ..events.knowledge.knowledge_base import MEMORY_EVENTS
 from ..events.program.topic_configuration import (
     AUTO,
     TOPICS,
     DirectTopics,
+    Topics,
     TopicType,
     direct_topics,
     read_topics,
@@ -59,22 +60,18 @@ from ..foundation.errors import (
     RetalisError,
     format_count,
     quote_shortened,
-    shorten,
 )
-from ..foundation.ros_names import ros1_type_name, strip_slashes, topic_fault, type_fault
-from ..messages.decoder import Decoder
-from ..messages.transform_messages import (
-    STATIC_TRANSFORM_TOPIC,
-    TRANSFORM_TOPICS,
-    TRANSFORM_TYPES,
-    TransformMessage,
-    TransformReader,
-)
+from ..foundation.ros_names import ros1_type_name, topic_fault, type_fault
+from ..messages.transform_messages import TRANSFORM_TOPICS
 from ..messages.type_definition import Definition
 from ..messages.type_registry import Definitions
+from ..node.running_program import OutputCallbacks, ProgramContext, RunningProgram, make_event_handler
+from ..node.subscribed_topics import MessageProcessing, ReadingOptions
+from ..node.transport import MessageSource
 from ..prolog.syntax.term_writer import canonical_text
 from ..prolog.terms.types import Term
 from .bag_locations import Bag
+from .bag_transport import BagTransport, RefusedConnection, list_topic_names
 from .decompression import describe_error
 from .rosbag1 import BagError, PathLike, Record, Topic
 
@@ -150,7 +147,8 @@ class Playback:
         definitions: Optional[Definitions] = None,
     ):
         self._folder = folder = Path(program)
-        self.clock = StreamClock(0)
+        self._transport = BagTransport()
+        self.clock = self._transport.clock
         self._reports = Reports()
         # A bag can contain a million messages with the same problem.
         self._reports.once = True
@@ -164,37 +162,52 @@ class Playback:
             self.engine = Engine.restore(
                 state, self.clock, settings, self._reports, self.definitions, folder=folder
             )
-        self._decoders: Dict[Topic, Optional[Decoder]] = {}
         self._outputs: List[Output] = []
-        self._reported_untyped_topics: Set[str] = set()
         topic_file = read_topics(folder / TOPICS)
-        topics = tuple(TopicType(topic.topic, ros1_type_name(topic.type)) for topic in topics)
-        self._topics = topic_file._replace(subscribed=(*topic_file.subscribed, *topics))
-        self._direct = direct_topics(direct, self._topics, strip_slashes)
-        # If a topic has several types, the last one counts: direct topics override pub_sub.xml, as in a node, and the
-        # argument `topics` overrides both.
-        self._subscriptions = [*topic_file.subscribed, *self._direct, *topics]
+        self._latched_topics = set(map(self._transport.resolve_topic, topic_file.latched))
+        added_topics = [TopicType(topic.topic, ros1_type_name(topic.type)) for topic in topics]
+        self._program = self._create_program(topic_file, added_topics, direct)
         # Topics that the caller lists must be in the bag; those of `AUTO` need not be.
-        is_direct_listed = isinstance(direct, tuple)
-        named_topics = {strip_slashes(topic) for topic, _ in self._topics.subscribed}
-        self._default_topics = frozenset(
-            () if is_direct_listed else {strip_slashes(topic) for topic, _ in self._direct} - named_topics
-        )
-        self._subscribed_types = {strip_slashes(topic): type_name for topic, type_name in self._subscriptions}
-        self._published_types = {strip_slashes(topic): type_name for topic, type_name in topic_file.published}
-        self._event_names = {strip_slashes(topic): event for topic, event in topic_file.events}
-        self._new_topics: Set[str] = set()
-        self._topics_being_read: Set[str] = set()
-        """Names of the bag's topics that are being read."""
-        self._transform_readers: Dict[str, TransformReader] = {}
-        self._latched_topics = {strip_slashes(topic) for topic in topic_file.latched}
-        # Registered before the program is loaded, because its goals may publish.
-        self.engine.on_output(self._collect_output)
-        self.engine.input_topics.set_subscriber(self._subscribe, self._topics, self._direct)
-        self.engine.knowledge.transforms.set_feed(self._start_reading_transforms)
+        listed_topics = direct if isinstance(direct, tuple) else ()
+        self._topic_names = [topic for topic, _ in (*topic_file.subscribed, *listed_topics, *added_topics)]
+        """Names, as written, of the topics that a bag should have."""
+        self._requested_names: List[str] = []
+        """Topics that goals have requested since the last message."""
+        self._program.accept_requests(self._subscribe)
+        self._program.open_topics(may_learn_types=True)
+        self._program.start_transforms(self._program.subscribe_transforms)
+        self._program.subscribe_direct_topics()
         # A restored engine contains its program; loading it again would duplicate the rules.
         if state is None:
             self._load_program()
+
+    def _create_program(
+        self, topic_file: Topics, added_topics: Iterable[TopicType], direct: DirectTopics
+    ) -> RunningProgram:
+        """Return the program on the bag.
+
+        Args:
+            topic_file: contents of ``pub_sub.xml``.
+            added_topics: topics that override the types of ``pub_sub.xml`` and of direct topics.
+            direct: value of ``~direct``.
+        """
+        resolve_topic = self._transport.resolve_topic
+        added = {resolve_topic(topic.topic): topic for topic in added_topics}
+        kept_topics = [topic for topic in topic_file.subscribed if resolve_topic(topic.topic) not in added]
+        topics = topic_file._replace(subscribed=(*kept_topics, *added.values()))
+        kept_direct_topics = tuple(
+            topic
+            for topic in direct_topics(direct, topics, resolve_topic)
+            if resolve_topic(topic.topic) not in added
+        )
+        return RunningProgram(
+            ProgramContext(self._transport, self.definitions, self._reports, topics, kept_direct_topics),
+            self.engine,
+            MessageProcessing(make_event_handler, nullcontext(), skew=self._skew_monitor),
+            # The nodes of a recording may have exchanged texts, which a program may analyze.
+            ReadingOptions(0, reserved=(), report_replaced_type=_log_replaced_type),
+            OutputCallbacks(self._collect_output, self._report_unpublished, "its outputs are no messages"),
+        )
 
     def _load_program(self) -> None:
         """Load the program, and report each of its errors."""
@@ -203,13 +216,6 @@ class Playback:
         except ProgramErrors as errors:
             for error in errors.errors:
                 self._on_error(error)
-
-    def _start_reading_transforms(self) -> None:
-        """Read transforms, from the current time on, or from the start of the next bag."""
-        for topic in TRANSFORM_TOPICS:
-            name = strip_slashes(topic)
-            self._transform_readers[name] = TransformReader(topic == STATIC_TRANSFORM_TOPIC)
-            self._new_topics.add(name)
 
     def run(
         self,
@@ -233,35 +239,30 @@ class Playback:
             flush_time: nanoseconds by which the clock runs on after the end of the last bag, so that windows and
                 states within it end.
         """
-        outputs = self._outputs
-        engine = self.engine
-        engine.knowledge.transforms.require_if_mentioned(engine.rules.terms())
+        outputs, engine, program = self._outputs, self.engine, self._program
+        transforms = engine.knowledge.transforms
+        program.require_transforms()
         # A further bag may have been recorded with other clocks.
         self._skew_monitor.reset()
-        self._prepare_topics(bag, [topic for topic, _ in self._subscriptions], self._default_topics)
-        for warning in self.engine.warnings(self._folder, self.definitions, self._topics, self._direct):
-            log.warning("%s", warning)
-        # The warnings above cover outputs without a type.
-        self._reported_untyped_topics.update(self.engine.output_topics())
-        topic_names = {
-            name
-            for name in _list_topic_names(bag)
-            if strip_slashes(name) in self._subscribed_types or strip_slashes(name) in self._transform_readers
-        }
-        self._new_topics.clear()
-        self._topics_being_read = set(topic_names)
-        if self._transform_readers:
-            self._warn_without_transforms(bag)
-        # By identity, because hashing a topic would hash all its fields for every message.
-        decoders = {id(topic): self._decoders.get(topic) for topic in bag.topics}
-        records = self._read_records(bag, topic_names, decoders)
+        self._warn_about_missing_topics(bag, self._topic_names)
+        self._requested_names.clear()
+        topic_names, refused = self._transport.start(bag)
+        self._report_refused(refused)
+        # The bag may have defined types that the program publishes.
+        program.published.advertise_learned_types()
+        program.log_mistakes(self._folder, self.definitions)
+        if transforms.is_required and not self._transport.has_transforms():
+            log.warning(
+                "%s has no transforms on %s, which the program reads", bag.path, " or ".join(TRANSFORM_TOPICS)
+            )
+        records = self._read_records(bag, topic_names)
         message_numbers = count(1)
         # Each iteration is one batch: `records` yields None before alarms fire, outside `post_each`.
         for record in records:
             if record is not None:
                 batch = chain((record,), records)
-                messages = self._decode_messages(batch, decoders, lambda: progress(next(message_numbers)))
-                if self._transform_readers:
+                messages = self._convert_messages(batch, lambda: progress(next(message_numbers)))
+                if transforms.is_required:
                     engine.executor.post_each(engine.event_input.process_input, messages)
                 else:
                     engine.post_each(messages)
@@ -288,132 +289,83 @@ class Playback:
         >>> Playback(folder, report=print).is_latched("echo")
         False
         """
-        return strip_slashes(topic) in self._latched_topics
+        return self._transport.resolve_topic(topic) in self._latched_topics
 
-    def _decode_messages(
-        self,
-        records: Iterable[Optional[Record]],
-        decoders: Dict[int, Optional[Decoder]],
-        count_message: Callable[[], object],
+    def _convert_messages(
+        self, records: Iterable[Optional[Record]], count_message: Callable[[], object]
     ) -> Iterator[Tuple[Any, Optional[int]]]:
-        """Yield records as decoded messages, until a message produces an output or an alarm is due.
+        """Yield the events of records with their instants, until a message produces an output or an alarm is due.
 
         A message with transforms is also yielded as a `TransformMessage`, before it is yielded as an event.
         """
-        clock, outputs, readers = self.clock, self._outputs, self._transform_readers
+        move_clock, outputs, receivers = self.clock.move_to, self._outputs, self._transport.receivers
         for record in records:
             if record is None:
                 return
             topic, time, data = record
             # `back`: the clocks of several bags, or a bag with unordered times, may go back.
-            clock.move_to(time, back=True)
-            if readers and topic.type in TRANSFORM_TYPES:
-                transforms = self._decode_transforms(topic, data)
-                if transforms is not None:
-                    yield transforms, None
-            decoder = decoders[id(topic)]
-            # Messages of topics with an unusable type still move the clock.
-            message = None if decoder is None else self._decode(topic, decoder, data)
-            if message is not None:
-                yield message
+            move_clock(time, back=True)
+            # Messages of topics with an unusable type have no receivers, but move the clock.
+            for receiver in receivers[id(topic)]:
+                message = receiver.convert(data)
+                if message is not None:
+                    yield message
             count_message()
             if outputs:
                 return
 
-    def _read_records(
-        self, bag: Bag, topics: Set[str], decoders: Dict[int, Optional[Decoder]]
-    ) -> Iterator[Optional[Record]]:
+    def _read_records(self, bag: Bag, topics: Set[str]) -> Iterator[Optional[Record]]:
         """Yield the messages of topics, including topics that goals subscribe to while the bag is played.
 
         Alarms fire before the message that follows them is yielded, and all of them after the last message. Before
         they fire, None is yielded: the caller must leave `Engine.post_each` before it requests the next item.
         """
+        has_new_topics = self._transport.has_new_subscriptions
         stream = iter(bag.records(topics))
         while True:
             record = next(stream, None)
             alarm = self.clock.next_alarm()
-            if alarm is not None and not self._new_topics:
+            if alarm is not None and not has_new_topics():
                 limit = bag.end if record is None else record.time
                 # At time 0 the clock has not been set: timers that were started before count from the first message.
                 if alarm <= limit or not self.clock.reached():
                     yield None
                     self._fire_alarms_until(bag.start, limit)
-            if self._new_topics:
+            if has_new_topics():
                 remaining = stream if record is None else chain((record,), stream)
                 # The new topics start after the current time, so no message is repeated.
-                stream = iter(merge(remaining, self._read_new_topics(bag, decoders), key=_get_time))
+                stream = iter(merge(remaining, self._read_new_topics(bag), key=_get_time))
             elif record is None:
                 return
             else:
                 yield record
 
-    def _read_new_topics(self, bag: Bag, decoders: Dict[int, Optional[Decoder]]) -> Iterator[Record]:
+    def _read_new_topics(self, bag: Bag) -> Iterator[Record]:
         """Return the messages after the current time of the topics that goals have just subscribed to."""
-        new_names = {name for name in _list_topic_names(bag) if strip_slashes(name) in self._new_topics}
-        # A topic may be read already: for its transforms, or for its events.
-        joining_topics = new_names - self._topics_being_read
-        self._topics_being_read |= new_names
-        names = [topic for topic, _ in self._subscriptions if strip_slashes(topic) in self._new_topics]
-        self._new_topics.clear()
-        self._prepare_topics(bag, names)
-        decoders.update(
-            (id(topic), self._decoders.get(topic)) for topic in bag.topics if topic.name in new_names
-        )
+        self._warn_about_missing_topics(bag, self._requested_names)
+        self._requested_names.clear()
+        joining_topics, refused = self._transport.connect(bag)
+        self._report_refused(refused)
         return bag.records(joining_topics, start=self.clock.now() + 1)
 
     def _subscribe(self, request: TopicRequest) -> None:
         """Convert the messages of a topic to events, from the current time on, or from the start of the next bag."""
-        name = strip_slashes(request.topic)
-        self._subscriptions.append(TopicType(request.topic, request.message_type))
-        self._subscribed_types[name] = request.message_type
-        self._event_names[name] = request.event
-        self._new_topics.add(name)
+        self._topic_names.append(request.topic)
+        self._requested_names.append(request.topic)
+        self._program.subscribed.try_to_subscribe(request)
 
     def _fire_alarms_until(self, first_time: int, limit: int) -> None:
         """Fire each alarm at its own time, as on a robot, instead of at the time of the next message."""
-        clock = self.clock
+        clock, has_new_topics = self.clock, self._transport.has_new_subscriptions
         # Timers that were started before the bag count from its first message.
         if not clock.reached():
             clock.move_to(first_time)
         clock.head_for(limit)
         alarm = clock.next_alarm()
-        while alarm is not None and alarm <= limit and not self._new_topics:
+        while alarm is not None and alarm <= limit and not has_new_topics():
             clock.move_to(alarm)
             self.engine.advance()
             alarm = clock.next_alarm()
-
-    def _decode(self, topic: Topic, decoder: Decoder, data: bytes) -> Optional[Tuple[Term, Optional[int]]]:
-        """Return a message as a term with its stamp, or None if it is invalid, which is reported."""
-        try:
-            return decoder.decode(data), decoder.stamp(data)
-        except RefusedMessage:  # counted and reported by the clock skew monitor
-            pass
-        except MessageError as error:
-            message = f"a message on {topic.name} is dropped: {error.message}"
-            self._reports.error(MessageError(message, error.place), ("in", topic.name))
-        return None
-
-    def _warn_without_transforms(self, bag: Bag) -> None:
-        """Warn if the program reads transforms and the bag has none."""
-        if not any(
-            strip_slashes(topic.name) in self._transform_readers and topic.type in TRANSFORM_TYPES
-            for topic in bag.topics
-        ):
-            log.warning(
-                "%s has no transforms on %s, which the program reads", bag.path, " or ".join(TRANSFORM_TOPICS)
-            )
-
-    def _decode_transforms(self, topic: Topic, data: bytes) -> Optional[TransformMessage]:
-        """Return the transforms of a message of `TRANSFORM_TOPICS`, or None if it is invalid, which is reported."""
-        reader = self._transform_readers.get(strip_slashes(topic.name))
-        if reader is None:
-            return None
-        try:
-            return reader.read(data)
-        except MessageError as error:
-            message = f"a message on {topic.name} is dropped: {error.message}"
-            self._reports.error(MessageError(message), ("in", topic.name))
-        return None
 
     def _register_types(self, topics: Iterable[Topic]) -> None:
         """Register the unknown types of a bag; errors are reported when the bag is played."""
@@ -424,25 +376,11 @@ class Playback:
             except MessageError as error:
                 log.debug("%s", error)
 
-    def _prepare_topics(
-        self, bag: Bag, requested: Iterable[str], default_topics: FrozenSet[str] = frozenset()
-    ) -> None:
-        """Store the decoders for the connections of topics; report types that do not fit, and missing topics.
-
-        Args:
-            bag: source of messages.
-            requested: names of the topics.
-            default_topics: those of the topics that the program does not name: a bag may lack them, or have them with
-                another type.
-        """
-        requested = list(requested)
-        names = set(map(strip_slashes, requested))
-        available = set(map(strip_slashes, _list_topic_names(bag)))
-        missing = [
-            topic
-            for topic in requested
-            if strip_slashes(topic) not in available and strip_slashes(topic) not in default_topics
-        ]
+    def _warn_about_missing_topics(self, bag: Bag, requested: Iterable[str]) -> None:
+        """Warn about topics that a bag does not have."""
+        resolve_topic = self._transport.resolve_topic
+        available = set(map(resolve_topic, list_topic_names(bag)))
+        missing = [topic for topic in requested if resolve_topic(topic) not in available]
         if missing:
             log.warning(
                 "%s has no messages on %s; it has %s",
@@ -450,73 +388,51 @@ class Playback:
                 ", ".join(dict.fromkeys(missing)),
                 ", ".join(_describe_topics(bag.topics)) or "none at all",
             )
-        dropped_counts: Dict[Tuple[str, bool], int] = Counter()
-        for topic in bag.topics:
-            problem = self._prepare_topic(topic) if strip_slashes(topic.name) in names else None
-            if problem is not None:
-                text = f"topic {topic.name}: {problem}"
-                dropped_counts[text, strip_slashes(topic.name) in default_topics] += topic.messages
-        for (text, is_default), message_count in dropped_counts.items():
-            text = f"{text}; {format_count(message_count, 'message')} dropped"
-            if is_default:
-                log.warning("%s", text)
-            else:
-                self._on_error(MessageError(text))
 
-    def _prepare_topic(self, topic: Topic) -> Optional[MessageError]:
-        """Store the decoder of a connection with the type that the program requests, or return the error."""
-        type_name = self._subscribed_types[strip_slashes(topic.name)]
-        try:
-            learned = self.definitions.learn(
-                type_name,
-                topic.type,
-                topic.definition,
-                topic.md5sum,
-                self._event_names.get(strip_slashes(topic.name), ""),
-            )
-        except MessageError as error:
-            self._decoders[topic] = None
-            return error
-        if learned.is_replacement:
-            log.warning(
-                "topic %s is requested as %s, which is unknown here; the bag has %s, which is used instead",
-                topic.name,
-                type_name,
-                topic.type,
-            )
-        self._decoders[topic] = self._skew_monitor.watch(learned.decoder, topic.name, topic.caller)
-        return None
+    def _report_refused(self, refused: Iterable[RefusedConnection]) -> None:
+        """Report connections whose type does not fit. On a topic that is subscribed by default, this is no error."""
+        resolve_topic = self._transport.resolve_topic
+        needed_topics = set(map(resolve_topic, self._topic_names))
+        dropped_counts: Dict[Tuple[str, bool], int] = Counter()
+        for topic, error in refused:
+            is_needed = resolve_topic(topic.name) in needed_topics
+            dropped_counts[f"topic {topic.name}: {error}", is_needed] += topic.messages
+        for (text, is_needed), message_count in dropped_counts.items():
+            text = f"{text}; {format_count(message_count, 'message')} dropped"
+            if is_needed:
+                self._on_error(MessageError(text))
+            else:
+                log.warning("%s", text)
 
     def _collect_output(self, term: Term, topic: str, subscription_id: Term) -> None:
-        """Store an output of the program, encoded if its topic has a type."""
-        type_name = self._published_types.get(strip_slashes(topic))
+        """Store an output of the program, with its message if it fits the type of its topic."""
+        self._program.published.publish(term, topic)
+        publication = self._transport.publications.get(self._transport.resolve_topic(topic))
         definition = data = None
-        try:
-            if type_name is None and topic not in self._reported_untyped_topics:
-                shown_topic = shorten(topic)
-                self._reports.warning(
-                    f"topic {shown_topic} has no type: its outputs are no messages; "
-                    f'<publish_to name="{shown_topic}" msg_type="package/Type"/> in {TOPICS} would give it one',
-                    "topics without a type",
-                    texts=20,
-                )
-            elif type_name is not None:
-                definition = self._find_published_type(type_name, topic)
-                data = self.definitions.encoder(definition).encode(term, topic)
-        except MessageError as error:
-            self._reports.error(error, ("out", topic))
+        if publication is not None:
+            definition = publication.definition
+            data = next(iter(publication.take()), None)
         self._outputs.append(Output(topic, term, self.clock.now(), definition, data, subscription_id))
 
-    def _find_published_type(self, type_name: str, topic: str) -> Definition:
+    def _report_unpublished(self, topic: str, message_type: Optional[str]) -> None:
+        """Report an output to a topic without a type, or with an unknown type; see `ReportUnpublished`."""
+        if message_type is None:
+            self._program.untyped_topics.check(topic)
+            return
         try:
-            return self.definitions.find(type_name)
+            self.definitions.find(message_type)
         except MessageError as error:
-            raise MessageError(f"topic {topic}: {error.message}", error.place) from error
+            self._reports.error(MessageError(f"topic {topic}: {error.message}", error.place), ("out", topic))
 
 
-def _list_topic_names(bag: Bag) -> List[str]:
-    """Return the names of a bag's topics, including those that it cannot read, about which it warns itself."""
-    return [topic.name for topic in bag.topics] + [topic.name for topic in bag.unreadable]
+def _log_replaced_type(request: TopicRequest, source: MessageSource) -> None:
+    """Log a warning that the bag's type is used in place of an unknown one."""
+    log.warning(
+        "topic %s is requested as %s, which is unknown here; the bag has %s, which is used instead",
+        request.topic,
+        request.message_type,
+        source.message_type,
+    )
 
 
 def _describe_topics(topics: Iterable[Topic]) -> List[str]:
