@@ -459,6 +459,47 @@ def test_goals_subscribe_topics_from_the_start_or_from_then_on(program, bag):
     assert "has no messages on none; it has a (my_msgs/Point)" in problem
 
 
+def test_restored_program_keeps_topics_that_goals_requested(program, bag):
+    path = bag((SECOND, "/a", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
+    folder = program("", "subscribe_to('/a', 'my_msgs/Point', at_a)")
+    problems, events = [], []
+    with BagReader(path) as reader:
+        state = Playback(folder, problems.append, bag=reader).engine.snapshot()
+        playback = Playback(folder, problems.append, bag=reader, state=state)
+        playback.engine.on_event(lambda event, start, end: events.append(to_text(event)))
+        list(playback.run(reader))
+    assert (problems, events) == ([], ["at_a(1.0)"])
+
+
+def test_output_type_is_learned_from_the_bag(program, bag):
+    path = bag((SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
+    goals = "subscribe(my_msgs__0__Point(X), [], my_msgs__0__Point(X), out, 1)"
+    folder = program("", goals, IN + OUT)
+    problems = []
+    # Without argument `bag`, the types of the bag are known when it is played.
+    outputs, _, _ = play(folder, path, problems)
+    assert [output.definition.name for output in outputs] == ["my_msgs/Point"]
+    assert [output.data is not None for output in outputs] == [True]
+
+
+def test_output_of_unknown_type_is_an_error(program, bag):
+    path = bag((SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
+    goals = "subscribe(my_msgs__0__Point(X), [], my_msgs__0__Point(X), out, 1)"
+    outputs, _, problems = run(program("", goals, IN + OUT.replace("Point", "Unknown")), path)
+    assert [(output.definition, output.data) for output in outputs] == [(None, None)]
+    assert problems[-1].startswith("topic out: ")
+    assert "my_msgs/Unknown" in problems[-1]
+
+
+def test_first_entry_of_a_topic_counts_as_in_a_node(program, bag):
+    path = bag((SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
+    second = '<subscribe_to name="/in" msg_type="std_msgs/Float32"/>'
+    _, events, problems = run(program("", "", IN + second), path)
+    assert [event for event, _, _ in events] == ["my_msgs__0__Point(1.0)"]
+    (problem,) = problems
+    assert "topic /in is subscribed already in line 1, as my_msgs/Point" in problem
+
+
 class Waiting:
     """A hundred thousand queries; it counts how many of them are looked at."""
 

@@ -193,8 +193,11 @@ class Playback:
         """
         resolve_topic = self._transport.resolve_topic
         added = {resolve_topic(topic.topic): topic for topic in added_topics}
-        kept_topics = [topic for topic in topic_file.subscribed if resolve_topic(topic.topic) not in added]
-        topics = topic_file._replace(subscribed=(*kept_topics, *added.values()))
+        subscribed = dict(added)
+        for topic in topic_file.subscribed:
+            # As a node, with the first of two entries; the checks of the program warn about the second.
+            subscribed.setdefault(resolve_topic(topic.topic), topic)
+        topics = topic_file._replace(subscribed=tuple(subscribed.values()))
         kept_direct_topics = tuple(
             topic
             for topic in direct_topics(direct, topics, resolve_topic)
