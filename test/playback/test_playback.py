@@ -491,6 +491,14 @@ def test_output_of_unknown_type_is_an_error(program, bag):
     assert "my_msgs/Unknown" in problems[-1]
 
 
+def test_added_topic_changes_the_type_and_keeps_the_event_name(program, bag):
+    path = bag((SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
+    folder = program("", "", '<subscribe_to name="in" msg_type="std_msgs/Float32" event="spot"/>')
+    _, events, problems = run(folder, path, topics=[TopicType("/in", "my_msgs/Point")])
+    assert problems == []
+    assert [event for event, _, _ in events] == ["spot(1.0)"]
+
+
 def test_first_entry_of_a_topic_counts_as_in_a_node(program, bag):
     path = bag((SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
     second = '<subscribe_to name="/in" msg_type="std_msgs/Float32"/>'

@@ -193,11 +193,14 @@ class Playback:
         """
         resolve_topic = self._transport.resolve_topic
         added = {resolve_topic(topic.topic): topic for topic in added_topics}
-        subscribed = dict(added)
-        for topic in topic_file.subscribed:
+        subscribed: Dict[str, TopicType] = {}
+        for topic, type_name in topic_file.subscribed:
             # As a node, with the first of two entries; the checks of the program warn about the second.
-            subscribed.setdefault(resolve_topic(topic.topic), topic)
-        topics = topic_file._replace(subscribed=tuple(subscribed.values()))
+            name = resolve_topic(topic)
+            message_type = added[name].type if name in added else type_name
+            # Names of events belong to topics as they are written in the file.
+            subscribed.setdefault(name, TopicType(topic, message_type))
+        topics = topic_file._replace(subscribed=tuple({**added, **subscribed}.values()))
         kept_direct_topics = tuple(
             topic
             for topic in direct_topics(direct, topics, resolve_topic)
