@@ -140,12 +140,12 @@ def run_on_network(program, definitions):
     return events, outputs, reports.errors
 
 
-def run_on_bag(program, definitions, folder):
-    """Return the same for playback of a bag, with the errors as texts."""
+def run_on_bag(program, definitions, folder, rows):
+    """Return the same for playback of a bag, with the errors as texts, and the outputs to a topic without a type."""
     path = folder / "recorded.bag"
     with BagWriter(path) as writer:
         connections = {}
-        for instant, topic, message_type, data in messages(definitions):
+        for instant, topic, message_type, data in rows:
             key = topic, message_type
             if key not in connections:
                 connections[key] = writer.add(topic, definitions.find(message_type))
@@ -168,7 +168,9 @@ def test_program_has_equal_results_on_network_and_bag(program, definitions, tmp_
     events, outputs, error_count = run_on_network(program, definitions)
     network_texts = [record.getMessage() for record in caplog.records]
     caplog.clear()
-    bag_events, bag_outputs, untyped, bag_errors = run_on_bag(program, definitions, tmp_path)
+    bag_events, bag_outputs, untyped, bag_errors = run_on_bag(
+        program, definitions, tmp_path, messages(definitions)
+    )
     bag_texts = [record.getMessage() for record in caplog.records]
     assert bag_events == events
     assert bag_outputs == outputs
@@ -184,3 +186,15 @@ def test_program_has_equal_results_on_network_and_bag(program, definitions, tmp_
     assert [str(error) for error in bag_errors] == [
         "topic /heat: expected lab/Heat, found std_msgs/String; 1 message dropped"
     ]
+
+
+def test_bag_provides_transforms_that_a_goal_needs_later(program, definitions, tmp_path):
+    # The rules do not show that the program reads transforms, so that the first goal starts to read them.
+    goal = "atom_concat(tf_, lookup, N), G =.. [N, map, camera, 0, [[X|_]|_]], call(G)"
+    (program / "rules.txt").write_text(f"located(X) <- word(_) where ({goal}).\n")
+    transform, word, *rows = messages(definitions)
+    instant, *fields = transform
+    rows = [word, (instant + 2 * SECOND, *fields), *rows]
+    events, _, _, _ = run_on_bag(program, definitions, tmp_path, rows)
+    located = [(text, end) for text, _, end in events if text.startswith("located")]
+    assert located == [("located(1.5)", START + 8 * SECOND), ("located(1.5)", START + 9 * SECOND)]

@@ -263,7 +263,7 @@ class Playback:
             )
         records = self._read_records(bag, topic_names)
         message_numbers = count(1)
-        # Each iteration is one batch: `records` yields None before alarms fire, outside `post_each`.
+        # Each iteration is one batch: `records` yields None before it continues outside `post_each`.
         for record in records:
             if record is not None:
                 batch = chain((record,), records)
@@ -324,7 +324,8 @@ class Playback:
         """Yield the messages of topics, including topics that goals subscribe to while the bag is played.
 
         Alarms fire before the message that follows them is yielded, and all of them after the last message. Before
-        they fire, None is yielded: the caller must leave `Engine.post_each` before it requests the next item.
+        they fire, and before new topics are read, None is yielded: the caller must leave `Engine.post_each` before it
+        requests the next item.
         """
         has_new_topics = self._transport.has_new_subscriptions
         stream = iter(bag.records(topics))
@@ -338,6 +339,8 @@ class Playback:
                     yield None
                     self._fire_alarms_until(bag.start, limit)
             if has_new_topics():
+                # Ends the batch, because messages with transforms need another one.
+                yield None
                 remaining = stream if record is None else chain((record,), stream)
                 # The new topics start after the current time, so no message is repeated.
                 stream = iter(merge(remaining, self._read_new_topics(bag), key=_get_time))
