@@ -1,4 +1,4 @@
-"""Dispatch: order, constants, depth, errors that stop one firing only."""
+"""Dispatch: order, constants, depth, and isolation of errors."""
 
 import pytest
 from events.stream_programs import ProgramRunner, outputs_of, term_text
@@ -28,24 +28,24 @@ DONE = (Done(),)
 class Recorder:
     def __init__(self):
         self.dispatcher = Dispatcher()
-        self.got = []
+        self.calls = []
 
-    def listen(self, name, pattern, stage=ListenerPhase.RULES):
+    def listen(self, name, pattern, phase=ListenerPhase.RULES):
         def action(term, values, start, end, frame):
-            self.got.append((name, values))
+            self.calls.append((name, values))
             return frame
 
-        return self.dispatcher.listen(stage, pattern, action)
+        return self.dispatcher.listen(phase, pattern, action)
 
     def send(self, term):
-        self.got = []
+        self.calls = []
         frame = self.dispatcher.dispatch(term, 1, 1, DONE)
         while frame is not DONE:
             frame = frame[0].run(frame)
-        return self.got
+        return self.calls
 
 
-def test_stages_come_in_order_and_the_oldest_first():
+def test_phases_and_listeners_are_ordered():
     recorder = Recorder()
     recorder.listen("rule", (A, Var()))
     recorder.listen("memory", (A, Var()), ListenerPhase.MEMORIES)
@@ -54,7 +54,7 @@ def test_stages_come_in_order_and_the_oldest_first():
     assert [name for name, _ in recorder.send((A, 1))] == ["subscription 1", "any", "memory", "rule"]
 
 
-def test_constants_choose_the_listeners():
+def test_constants_choose_listeners():
     recorder = Recorder()
     x, y = atom("x"), atom("y")
     patterns = {
@@ -81,14 +81,14 @@ def test_constants_choose_the_listeners():
     assert set(names((B, Var(), 1))) == set(patterns)
 
 
-def test_what_is_lazy_and_not_looked_at_is_not_made():
+def test_unread_lazy_value_is_not_created():
     recorder = Recorder()
     recorder.listen("all", (B, Var(), 1))
-    lazy = Lazy(F, lambda source: pytest.fail("made"), None)
+    lazy = Lazy(F, lambda source: pytest.fail("created"), None)
     assert recorder.send((B, lazy, 1)) == [("all", (lazy,))]
 
 
-def test_lists_take_apart():
+def test_list_pattern_binds_first_and_rest():
     recorder = Recorder()
     first, rest = Var(), Var()
     recorder.listen("list", (A, make_list([first], rest)))
@@ -96,7 +96,7 @@ def test_lists_take_apart():
     assert recorder.send((A, NIL)) == []
 
 
-def test_removed_listeners_are_not_served():
+def test_removed_listeners_are_not_called():
     recorder = Recorder()
     listener = recorder.listen("a", (A, Var()))
     other = recorder.listen("other", (A, Var()))
@@ -109,22 +109,22 @@ def test_removed_listeners_are_not_served():
 
 
 @pytest.mark.parametrize("term", [1, 2.5, Var()])
-def test_what_is_no_event(term):
+def test_dispatch_refuses_other_terms(term):
     with pytest.raises(UsageError):
         Dispatcher().dispatch(term, 1, 1, DONE)
 
 
-def test_an_event_does_not_end_before_it_starts():
+def test_event_that_ends_before_its_start_is_refused():
     with pytest.raises(UsageError, match="end before"):
         Dispatcher().dispatch(atom("a"), 2, 1, DONE)
 
 
-def test_depth_first():
+def test_events_are_derived_depth_first():
     rules = "b <- a. c <- b. d <- a."
     assert outputs_of(rules, "a@1") == "b@1-1 c@1-1 d@1-1"
 
 
-def test_a_goal_that_raises_stops_one_firing():
+def test_error_of_goal_affects_its_rule_only():
     program = ProgramRunner("b <- a where no_such_goal. c do no_such_goal <- a. d <- a.")
     assert program.feed("a@1") == "d@1-1"
     assert len(program.errors) == 2
@@ -136,21 +136,21 @@ def test_a_goal_that_raises_stops_one_firing():
 @pytest.mark.parametrize(
     "rule", ["a <- a.", "null do new_event(a,[1,1]) <- a.", "n <- a where new_event(a,[1,1])."]
 )
-def test_a_chain_without_end_is_an_error_of_its_rule(rule):
+def test_endless_chain_is_error_of_its_rule(rule):
     program = ProgramRunner(f"{rule} b <- c.")
     program.feed("a@1")
     assert program.errors
     assert program.feed("c@1") == "b@1-1"
 
 
-def test_an_alarm_in_the_past_is_an_event_like_others_in_a_chain_without_end():
+def test_alarms_in_the_past_count_for_endless_chain():
     head = "exceptionAlarmAbsoluteDatime(b,datime(1970,1,1,0,0,0,0))"
     program = ProgramRunner(f"{head} <- {head}. c <- {head}.")
     assert program.feed(f"{head}@1").endswith("c@1-1")
     assert "1000 events" in str(program.errors[0])
 
 
-def test_events_of_ever_new_kinds_leave_nothing_behind():
+def test_state_is_bounded_for_new_event_names():
     recorder = Recorder()
     recorder.listen("any", Var())
     for number in range(20_005):
@@ -158,30 +158,30 @@ def test_events_of_ever_new_kinds_leave_nothing_behind():
     assert count_entries(recorder.dispatcher) <= 11_000
 
 
-def test_events_with_variables_match_what_they_unify_with():
+def test_events_with_variables_match_by_unification():
     assert outputs_of("c(X,Y) <- a(f(X), Y).", "a(Z,Z)@1") == "c(A,f(A))@1-1"
     assert outputs_of("c(X) <- a(X) where X = 3.", "a(Z)@1 a(4)@2") == "c(3)@1-1"
     assert outputs_of("c(X) do X = 3 <- a(X).", "a(Z)@1 a(4)@2") == "c(3)@1-1"
 
 
-def test_a_rule_that_is_deleted_meanwhile_gets_the_event_that_is_served_and_no_more():
+def test_rule_deleted_during_dispatch_gets_event():
     program = ProgramRunner("one do del_event_rule(two) <- a. two : b <- a.")
     assert program.feed("a@1 a@2") == "one@1-1 b@1-1 one@2-2"
     program = ProgramRunner("one do (ins_event_rule(c <- a), del_event_rule(c <- a)) <- a.")
     assert program.feed("a@1") == "one@1-1"
 
 
-def test_a_subscription_that_is_deleted_meanwhile_gets_the_event_that_is_served_and_no_more():
+def test_subscription_deleted_during_dispatch_gets_event():
     program = ProgramRunner()
-    got = []
-    program.engine.on_output(lambda term, topic, name: got.append(name))
+    names = []
+    program.engine.on_output(lambda term, topic, name: names.append(name))
     program.engine.call("subscribe(a, [delete_subscription(t, 2)], _, t, 1)")
     program.engine.call("subscribe(a, [], _, t, 2)")
     program.feed("a@1 a@2")
-    assert got == [1, 2, 1]
+    assert names == [1, 2, 1]
 
 
-def test_a_memory_that_is_deleted_meanwhile_is_gone_for_good():
+def test_memory_deleted_during_dispatch_stays_deleted():
     program = ProgramRunner()
     program.engine.call("memorize(a, [delete_memory(2)], _, 1, 5)")
     program.engine.call("memorize(a, [], _, 2, 5)")
@@ -190,7 +190,7 @@ def test_a_memory_that_is_deleted_meanwhile_is_gone_for_good():
     assert program.engine.call("memory_size(1, 5)")
 
 
-def test_a_memory_that_is_added_meanwhile_gets_later_events_only():
+def test_memory_added_during_dispatch_gets_later_events():
     program = ProgramRunner()
     program.engine.call("subscribe(a(1), [memorize(a(X), [], _, m, 5)], _, t, 1)")
     program.feed("a(1)@1")
@@ -200,42 +200,42 @@ def test_a_memory_that_is_added_meanwhile_gets_later_events_only():
 
 
 @pytest.mark.parametrize("depth", [3, 5, 6, 9])
-def test_listeners_are_served_at_each_depth_up_to_the_limit(depth):
+def test_listeners_are_called_up_to_depth_limit(depth):
     dispatcher = Dispatcher(max_depth=depth)
-    seen = []
+    calls = []
 
-    def note(term, values, start, end, frame):
-        seen.append((term, values, start, end))
+    def record(term, values, start, end, frame):
+        calls.append((term, values, start, end))
         return frame
 
-    def derive(functor, more):
+    def derive(functor, increment):
         return lambda term, values, start, end, frame: dispatcher.dispatch(
-            (functor, values[0] + more), start, end, frame
+            (functor, values[0] + increment), start, end, frame
         )
 
     dispatcher.listen(ListenerPhase.RULES, (A, Var()), derive(F, 0))
     dispatcher.listen(ListenerPhase.RULES, (A, Var()), derive(A, 1))
-    dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, (F, Var()), note)
-    dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, (F, 1), note)
+    dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, (F, Var()), record)
+    dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, (F, 1), record)
     with pytest.raises(UsageError, match=f"more than {depth} events"):
         frame = dispatcher.dispatch((A, 1), 5, 6, DONE)
         while frame is not DONE:
             frame = frame[0].run(frame)
-    assert seen[:2] == [((F, 1), (1,), 5, 6), ((F, 1), (), 5, 6)]
-    assert seen[2:] == [((F, at), (at,), 5, 6) for at in range(2, depth + 1)]
+    assert calls[:2] == [((F, 1), (1,), 5, 6), ((F, 1), (), 5, 6)]
+    assert calls[2:] == [((F, number), (number,), 5, 6) for number in range(2, depth + 1)]
 
 
 @pytest.mark.parametrize("depth", [1, 3, 4, 5, 6, 1000])
-def test_as_many_events_as_allowed_are_derived_one_from_the_other(depth):
+def test_depth_limit_applies_to_derived_events(depth):
     engine = Engine(settings=Settings(max_depth=depth))
-    errors, seen = [], []
+    errors, events = [], []
     engine.rules.on_error = errors.append
-    engine.on_event(lambda term, start, end: seen.append(term))
+    engine.on_event(lambda term, start, end: events.append(term))
     engine.load(rules=f"n(Y) <- n(X) where (X < {depth + 1}, Y is X + 1).")
     engine.event(f"n({1})", 1)
-    assert (len(seen), errors) == (depth + 1, [])
+    assert (len(events), errors) == (depth + 1, [])
     engine.event(f"n({0})", 2)
-    assert len(seen) == 2 * (depth + 1)
+    assert len(events) == 2 * (depth + 1)
     (error,) = errors
     assert f"more than {depth} events were derived" in str(error)
 
@@ -248,21 +248,25 @@ EVENTS = st.tuples(st.just(B), TERMS, TERMS) | st.tuples(st.just(A), TERMS) | st
 LISTENERS = st.tuples(EVENTS | st.just("X"), st.sampled_from(ListenerPhase))
 
 
-def with_variables(term, known):
+def with_variables(term, variables_by_name):
     """Return a term with variables in place of their names."""
     if isinstance(term, str):
-        return known.setdefault(term, Var())
-    return (term[0], *[with_variables(one, known) for one in term[1:]]) if term.__class__ is tuple else term
+        return variables_by_name.setdefault(term, Var())
+    return (
+        (term[0], *[with_variables(argument, variables_by_name) for argument in term[1:]])
+        if term.__class__ is tuple
+        else term
+    )
 
 
-def matched(pattern, term):
-    """Return the text of the values of a pattern's variables, None where the event does not match."""
-    fresh, trail = {}, []
+def matched_values(pattern, term):
+    """Return the text of the values of a pattern's variables, None if the event does not match."""
+    copies, trail = {}, []
     order = variables(pattern)
-    if not unify(copy(pattern, fresh), term, trail):
+    if not unify(copy(pattern, copies), term, trail):
         undo(trail, 0)
         return None
-    text = term_text((functor("values", len(order)), *[fresh[var] for var in order])) if order else "values"
+    text = term_text((functor("values", len(order)), *[copies[var] for var in order])) if order else "values"
     undo(trail, 0)
     return text
 
@@ -270,35 +274,35 @@ def matched(pattern, term):
 @pytest.mark.slow
 @settings(deadline=None, derandomize=True, max_examples=150)
 @given(st.lists(LISTENERS, max_size=8), st.lists(EVENTS, min_size=1, max_size=6), st.data())
-def test_an_event_is_served_to_all_that_unify_with_it_in_order(listeners, events, data):
-    dispatcher, got, waiting = Dispatcher(), [], []
+def test_event_reaches_unifying_listeners_in_order(listeners, events, data):
+    dispatcher, calls, active_listeners = Dispatcher(), [], []
 
-    def listen(number, pattern, stage):
-        def action(term, values, start, end, after):
+    def listen(number, pattern, phase):
+        def action(term, values, start, end, continuation):
             text = term_text((functor("values", len(values)), *values)) if values else "values"
-            got.append((number, text, start, end))
+            calls.append((number, text, start, end))
             assert dispatcher.current[TERM] is term
-            return after
+            return continuation
 
-        listener = dispatcher.listen(stage, pattern, action)
-        waiting.append((stage, number, pattern, listener))
+        listener = dispatcher.listen(phase, pattern, action)
+        active_listeners.append((phase, number, pattern, listener))
 
     for number, (pattern, *rest) in enumerate(listeners):
         listen(number, with_variables(pattern, {}), *rest)
-    for at, event in enumerate(events):
-        if waiting and data.draw(st.booleans()):
-            dispatcher.remove(waiting.pop(data.draw(st.integers(0, len(waiting) - 1)))[-1])
+    for instant, event in enumerate(events):
+        if active_listeners and data.draw(st.booleans()):
+            dispatcher.remove(active_listeners.pop(data.draw(st.integers(0, len(active_listeners) - 1)))[-1])
         term = with_variables(event, {})
-        del got[:]
-        frame = dispatcher.dispatch(term, at, at + 1, DONE)
+        del calls[:]
+        frame = dispatcher.dispatch(term, instant, instant + 1, DONE)
         while frame is not DONE:
             frame = frame[0].run(frame)
-        wanted = [
-            (number, matched(pattern, term), at, at + 1)
-            for _, number, pattern, _ in sorted(waiting, key=lambda one: one[:2])
+        expected = [
+            (number, matched_values(pattern, term), instant, instant + 1)
+            for _, number, pattern, _ in sorted(active_listeners, key=lambda entry: entry[:2])
         ]
-        assert got == [one for one in wanted if one[1] is not None]
+        assert calls == [call for call in expected if call[1] is not None]
         assert dispatcher.current is None
-    for *_, listener in waiting:
+    for *_, listener in active_listeners:
         dispatcher.remove(listener)
     assert reachable(dispatcher, Listener) == []

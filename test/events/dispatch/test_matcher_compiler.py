@@ -23,21 +23,21 @@ TERMS = st.recursive(
 @pytest.mark.slow
 @settings(deadline=None, derandomize=True, max_examples=200)
 @given(TERMS, st.lists(TERMS, max_size=4))
-def test_a_term_is_made_as_by_copying(term, values):
+def test_built_term_equals_copy(term, values):
     order = VARS[: len(values)]
     values = tuple(copy(value) for value in values)
-    make = compile_builder(term, order, "term")
-    first, second = make(values), make(values)
+    build = compile_builder(term, order, "term")
+    first, second = build(values), build(values)
     assert term_text((G, first, make_list(values))) == term_text(
         (G, copy(term, dict(zip(order, values))), make_list(values))
     )
-    new = set(variables(first)) - set(variables(make_list(values)))
-    assert not new & set(variables(second))
+    new_variables = set(variables(first)) - set(variables(make_list(values)))
+    assert not new_variables & set(variables(second))
 
 
 @pytest.mark.parametrize("number", [0, 1, 3])
 def test_large_terms_are_not_compiled(monkeypatch, number):
     term = make_list([*VARS, *[(F, 1)] * MAX_TERM_ARGUMENTS])
     monkeypatch.setattr(matcher_compiler, "shared_function", lambda *_: pytest.fail("compiled"))
-    made = compile_builder(term, VARS[:number], "term")((1,) * number)
-    assert term_text(made) == term_text(copy(term, dict(zip(VARS, (1,) * number))))
+    built = compile_builder(term, VARS[:number], "term")((1,) * number)
+    assert term_text(built) == term_text(copy(term, dict(zip(VARS, (1,) * number))))

@@ -13,7 +13,7 @@ OWNERS = {
 }
 
 
-def assigned(nodes):
+def assigned_attributes(nodes):
     """Yield the attributes that a module assigns."""
     for node in nodes:
         if isinstance(node, ast.Attribute) and isinstance(node.ctx, (ast.Store, ast.Del)):
@@ -21,7 +21,7 @@ def assigned(nodes):
 
 
 @pytest.mark.parametrize("name", OWNERS)
-def test_only_the_owner_sets_it(name):
-    setting = {path for path, nodes in NODES.items() if name in assigned(nodes)}
-    assert setting
-    assert all(path.startswith(OWNERS[name]) for path in setting), setting
+def test_only_owner_assigns_state(name):
+    assigning_modules = {path for path, nodes in NODES.items() if name in assigned_attributes(nodes)}
+    assert assigning_modules
+    assert all(path.startswith(OWNERS[name]) for path in assigning_modules), assigning_modules

@@ -20,8 +20,8 @@ split([[P, C, S, N]|Rest]) :- new_event(tf(P, C), S, N), split(Rest).
 """
 
 
-class Counting:
-    """An engine that tells how many events were handed to its dispatcher."""
+class OutputRecorder:
+    """An engine that records its outputs."""
 
     def __init__(self, rules, goals="", settings=None):
         self.engine = Engine(StreamClock(0), settings)
@@ -41,68 +41,68 @@ def plan(dispatcher, term):
     dispatcher.dispatch(term, 1, 1, None)
 
 
-def test_a_gate_lets_all_pass_while_nothing_is_known():
-    gate = Dispatcher().event_filter(TF, (1,))
-    assert gate.passes(1, 1, X)
+def test_filter_without_plan_passes_all_events():
+    event_filter = Dispatcher().event_filter(TF, (1,))
+    assert event_filter.passes(1, 1, X)
 
 
 @pytest.mark.fused
-def test_a_gate_tells_by_constants_who_is_not_wanted():
+def test_filter_rejects_other_constants():
     dispatcher = Dispatcher()
     listen(dispatcher, TF(X, Var()))
-    gate, blind = dispatcher.event_filter(TF, (1, 2)), dispatcher.event_filter(TF)
+    event_filter, filter_without_constants = dispatcher.event_filter(TF, (1, 2)), dispatcher.event_filter(TF)
     plan(dispatcher, TF(X, Y))
     plan(dispatcher, TF(Y, Y))
-    assert gate.passes(1, 1, X, Y)
-    assert not gate.passes(1, 1, Y, X)
-    assert gate.passes(1, 1, Var(), X), "a variable may stand for any constant"
-    assert gate.passes(1, 1, 7, X), "what is no atom is left to the dispatcher"
-    assert blind.passes(1, 1)
+    assert event_filter.passes(1, 1, X, Y)
+    assert not event_filter.passes(1, 1, Y, X)
+    assert event_filter.passes(1, 1, Var(), X), "a variable may stand for any constant"
+    assert event_filter.passes(1, 1, 7, X), "a value that is no atom is decided by the dispatcher"
+    assert filter_without_constants.passes(1, 1)
 
 
 @pytest.mark.fused
-def test_a_gate_looks_at_the_second_constant_too():
+def test_filter_reads_second_constant():
     dispatcher = Dispatcher()
     listen(dispatcher, TF(X, Y))
-    gate = dispatcher.event_filter(TF, (1, 2))
+    event_filter = dispatcher.event_filter(TF, (1, 2))
     for parent in (X, Y):
         for child in (X, Y):
             plan(dispatcher, TF(parent, child))
-    assert [gate.passes(1, 1, p, c) for p in (X, Y) for c in (X, Y)] == [False, True, False, False]
+    assert [event_filter.passes(1, 1, p, c) for p in (X, Y) for c in (X, Y)] == [False, True, False, False]
 
 
 @pytest.mark.fused
 @pytest.mark.parametrize("time", [(1.5, 0), (-1, 0), (1, 10**9), (1, -1), (10**12, 0), (Var(), 0), (1, X)])
-def test_what_is_wrong_or_unusual_about_a_time_passes(time):
+def test_filter_passes_unusual_timestamps(time):
     dispatcher = Dispatcher()
-    gate = dispatcher.event_filter(TF, (1, 2))
+    event_filter = dispatcher.event_filter(TF, (1, 2))
     plan(dispatcher, TF(X, Y))
-    assert not gate.passes(1, 0, X, Y)
-    assert gate.passes(*time, X, Y)
+    assert not event_filter.passes(1, 0, X, Y)
+    assert event_filter.passes(*time, X, Y)
 
 
 @pytest.mark.fused
-def test_gates_follow_those_who_come_and_go():
+def test_filter_follows_changes_of_listeners():
     dispatcher = Dispatcher()
-    gate = dispatcher.event_filter(A, (1,))
+    event_filter = dispatcher.event_filter(A, (1,))
     plan(dispatcher, A(X))
-    assert not gate.passes(1, 1, X)
-    one = listen(dispatcher, A(X))
-    assert gate.passes(1, 1, X)
+    assert not event_filter.passes(1, 1, X)
+    listener = listen(dispatcher, A(X))
+    assert event_filter.passes(1, 1, X)
     plan(dispatcher, A(X))
     plan(dispatcher, A(Y))
-    assert gate.passes(1, 1, X) and not gate.passes(1, 1, Y)
-    everything = listen(dispatcher, Var())
-    dispatcher.remove(one)
+    assert event_filter.passes(1, 1, X) and not event_filter.passes(1, 1, Y)
+    listener_of_all = listen(dispatcher, Var())
+    dispatcher.remove(listener)
     plan(dispatcher, A(Y))
-    assert gate.passes(1, 1, X) and gate.passes(1, 1, Y)
-    dispatcher.remove(everything)
+    assert event_filter.passes(1, 1, X) and event_filter.passes(1, 1, Y)
+    dispatcher.remove(listener_of_all)
     plan(dispatcher, A(Y))
-    assert not gate.passes(1, 1, X)
+    assert not event_filter.passes(1, 1, X)
 
 
-def test_clauses_that_were_compiled_before_somebody_listens_make_the_events():
-    program = Counting(SPLIT)
+def test_compiled_clauses_create_events_for_new_listener():
+    program = OutputRecorder(SPLIT)
     program.post((X, Y, 1, 1))
     program.engine.call("subscribe(tf(x, C), [], _, t, i)")
     program.post((X, Y, 2, 0), (Y, Y, 3, 0), (X, X, 4, 0))
@@ -112,18 +112,18 @@ def test_clauses_that_were_compiled_before_somebody_listens_make_the_events():
     assert len(program.outputs) == 2
 
 
-def test_a_wrong_time_is_an_error_though_nobody_listens(caplog):
+def test_invalid_timestamp_of_unobserved_event_is_reported(caplog):
     caplog.set_level(logging.ERROR, "retalis")
-    program = Counting(SPLIT)
+    program = OutputRecorder(SPLIT)
     for _ in range(3):
         program.post((X, Y, X, 1))
     assert [record.getMessage() for record in caplog.records] != []
 
 
-def test_an_error_in_a_fused_action_names_the_event_and_the_next_one_is_served(caplog):
+def test_error_in_fused_action_names_event(caplog):
     caplog.set_level(logging.ERROR, "retalis")
     rules = "null do check(X) <- a(X).\ncheck(X) :- Y is X + 1, new_event(b(Y), 1, 1)."
-    program = Counting(rules, "subscribe(b(_), [], _, t, i)")
+    program = OutputRecorder(rules, "subscribe(b(_), [], _, t, i)")
     program.engine.post(A(1))
     program.engine.post(A(X))
     program.engine.post(A(2))
@@ -133,28 +133,28 @@ def test_an_error_in_a_fused_action_names_the_event_and_the_next_one_is_served(c
     assert "at event a(x)" in message and "x/0" in message
 
 
-def test_who_comes_while_an_event_is_served_by_a_fused_action_sees_the_next_one():
+def test_listener_added_in_fused_action_gets_next_event():
     rules = "null do more(X) <- a(X).\nmore(X) :- new_event(go, 1, 1), subscribe(a(_), [], _, t, X)."
-    program = Counting(rules)
+    program = OutputRecorder(rules)
     program.engine.post(A(X))
     assert program.outputs == []
     program.engine.post(A(Y))
     assert program.outputs == ["a(y)"]
 
 
-def test_a_head_behind_a_fused_action_is_served_with_all_that_follows():
+def test_head_after_fused_action_is_dispatched():
     rules = "b(X) do new_event(c(X), 1, 1) <- a(X).\nd(X) <- c(X) and b(X)."
-    program = Counting(rules, "subscribe(d(_), [], _, t, i)")
+    program = OutputRecorder(rules, "subscribe(d(_), [], _, t, i)")
     program.engine.post(A(X))
     assert program.outputs == ["d(x)"]
 
 
-def test_a_rule_on_an_event_twice_takes_it_as_one():
-    """The token of an event that a fused action serves is asked for by what its goal leads to only."""
+def test_event_on_both_sides_is_one_event():
+    """Only events that its goal derives read the token of an event in a fused action."""
     rules = "null do new_event(b(X), 1, 1) <- a(X).\nc <- b(X) and b(X)."
     plain, observed = (
-        Counting(rules, "subscribe(c, [], _, t, i)"),
-        Counting(rules, "subscribe(c, [], _, t, i)"),
+        OutputRecorder(rules, "subscribe(c, [], _, t, i)"),
+        OutputRecorder(rules, "subscribe(c, [], _, t, i)"),
     )
     observed.engine.on_event(lambda term, start, end: None)
     for program in (plain, observed):
@@ -164,7 +164,7 @@ def test_a_rule_on_an_event_twice_takes_it_as_one():
 
 
 @pytest.mark.parametrize("goal", ["loop(X)", "events(X)", "build(X, _)"])
-def test_limits_end_a_goal_of_a_fused_action(goal, caplog):
+def test_limits_stop_goal_of_fused_action(goal, caplog):
     caplog.set_level(logging.ERROR, "retalis")
     rules = f"""
     null do {goal} <- a(X).
@@ -174,7 +174,7 @@ def test_limits_end_a_goal_of_a_fused_action(goal, caplog):
     c(X) do note(X) <- b(X).
     note(X) :- atom_length(X, _).
     """
-    program = Counting(rules, settings=Settings(Limits(inferences=20_000)))
+    program = OutputRecorder(rules, settings=Settings(Limits(inferences=20_000)))
     for _ in range(2):
         program.engine.post(A(X))
     messages = [record.getMessage() for record in caplog.records]
@@ -192,20 +192,20 @@ PATTERNS = ["tf(x, C)", "tf(P, y)", "tf(x, y)", "tf(P, P)", "tf(P, C)", "pack(_)
     st.lists(st.sampled_from(PATTERNS), max_size=3),
     st.lists(st.sampled_from(PATTERNS), max_size=2),
 )
-def test_the_same_comes_out_where_somebody_sees_every_event(stream, wanted, later):
-    """Who sees every event keeps all gates open and all fused actions unused."""
+def test_listener_of_all_events_keeps_outputs(stream, patterns, later_patterns):
+    """A listener of all events keeps all filters open and all fused actions unused."""
     rules = SPLIT + "e(P) <- tf(P, x) seq tf(P, y).\nnull do new_event(f(P), 1, 1) <- e(P)."
     programs = [
-        Counting(rules, "subscribe(f(_), [], _, t, f)"),
-        Counting(rules, "subscribe(f(_), [], _, t, f)"),
+        OutputRecorder(rules, "subscribe(f(_), [], _, t, f)"),
+        OutputRecorder(rules, "subscribe(f(_), [], _, t, f)"),
     ]
     programs[1].engine.on_event(lambda term, start, end: None)
     for program in programs:
-        for at, pattern in enumerate(wanted):
-            program.engine.call(f"subscribe({pattern}, [], _, t, s{at})")
-        for at, items in enumerate(stream):
+        for number, pattern in enumerate(patterns):
+            program.engine.call(f"subscribe({pattern}, [], _, t, s{number})")
+        for number, items in enumerate(stream):
             program.post(*items)
-            if at == 0:
-                for number, pattern in enumerate(later):
+            if number == 0:
+                for number, pattern in enumerate(later_patterns):
                     program.engine.call(f"subscribe({pattern}, [], _, t, l{number})")
     assert programs[0].outputs == programs[1].outputs

@@ -5,18 +5,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retalis import Engine, Var, atom, functor
-from retalis.events.dispatch import listeners as room
+from retalis.events.dispatch import listeners
 from retalis.events.dispatch.listeners import NOT_READ, ListenerPhase
 
 IMAGE = functor("image", 3)
 SEEN = "subscribe(seen(_,_), [], _, t, seen)"
 
 
-def told(engine, kind=IMAGE):
-    return set(engine.dispatcher.projection.announce().get(kind, ()))
+def announced_arguments(engine, event_functor=IMAGE):
+    return set(engine.dispatcher.projection.announce().get(event_functor, ()))
 
 
-def made(rules="", goals=""):
+def engine_with(rules="", goals=""):
     engine = Engine()
     engine.outputs = []
     engine.on_output(lambda term, topic, name: engine.outputs.append(engine.show(term)))
@@ -53,36 +53,36 @@ def made(rules="", goals=""):
         ("", "subscribe(other, [], _, t, s)", set()),
     ],
 )
-def test_what_is_read(rules, goals, unread):
-    assert told(made(rules, goals)) == unread
+def test_unread_arguments_are_announced(rules, goals, unread):
+    assert announced_arguments(engine_with(rules, goals)) == unread
 
 
 @pytest.mark.slow
-def test_nested_and_long_patterns_are_looked_at_once():
+def test_deep_and_long_patterns_are_analyzed():
     deep = "f(" * 20_000 + "x" + ")" * 20_000
-    assert told(made(goals=f"subscribe(image(H, _, {deep}), [], seen(H), t, s)")) == {2}
-    slots = ",".join(f"X{at}" for at in range(20_000))
-    engine = made(goals=f"subscribe(image({slots}), [], seen(X7), t, s)")
-    assert told(engine, functor("image", 20_000)) == set(range(1, 20_001)) - {8}
+    assert announced_arguments(engine_with(goals=f"subscribe(image(H, _, {deep}), [], seen(H), t, s)")) == {2}
+    slots = ",".join(f"X{number}" for number in range(20_000))
+    engine = engine_with(goals=f"subscribe(image({slots}), [], seen(X7), t, s)")
+    assert announced_arguments(engine, functor("image", 20_000)) == set(range(1, 20_001)) - {8}
 
 
-def test_who_sees_all_events_sees_them_whole():
-    engine = made("seen(H, 1) <- image(H, _, _).")
-    assert told(engine) == {2, 3}
+def test_listener_of_all_events_reads_all_arguments():
+    engine = engine_with("seen(H, 1) <- image(H, _, _).")
+    assert announced_arguments(engine) == {2, 3}
     engine.on_event(lambda term, start, end: None)
-    assert told(engine) == set()
+    assert announced_arguments(engine) == set()
 
 
-def test_revision_and_justification_see_them_whole():
-    engine = made("seen(H, 1) <- image(H, _, _).")
+def test_storage_of_events_reads_all_arguments():
+    engine = engine_with("seen(H, 1) <- image(H, _, _).")
     engine.call("set_etalis_flag(store_fired_events, on)")
-    assert told(engine) == set()
+    assert announced_arguments(engine) == set()
 
 
-def test_what_changes_is_told_anew():
-    engine = made("seen(H, 1) <- image(H, _, _).")
+def test_changes_are_announced():
+    engine = engine_with("seen(H, 1) <- image(H, _, _).")
     changes = []
-    engine.dispatcher.on_change = lambda: changes.append(told(engine))
+    engine.dispatcher.on_change = lambda: changes.append(announced_arguments(engine))
     engine.call("memorize(image(_, N, _), [], got(N), m, 10)")
     assert changes[-1] == {3}
     engine.call("delete_memory(m)")
@@ -97,22 +97,22 @@ def test_what_changes_is_told_anew():
         "subscribe(X, [], _, t, late)",
     ],
 )
-def test_who_comes_later_and_reads_it_never_sees_that_it_was_left_out(goal):
-    engine = made("seen(H, 1) <- image(H, _, _).", SEEN)
-    assert told(engine) == {2, 3}
+def test_later_reader_ignores_incomplete_events(goal):
+    engine = engine_with("seen(H, 1) <- image(H, _, _).", SEEN)
+    assert announced_arguments(engine) == {2, 3}
     assert engine.call(goal)
-    assert 3 not in told(engine)
-    lacking, whole = IMAGE(atom("a"), 2, NOT_READ), IMAGE(atom("b"), 2, atom("data"))
-    engine.event(lacking, 1)
+    assert 3 not in announced_arguments(engine)
+    event_without_data, complete_event = IMAGE(atom("a"), 2, NOT_READ), IMAGE(atom("b"), 2, atom("data"))
+    engine.event(event_without_data, 1)
     assert set(engine.outputs) == {"seen(a,1)"}
     del engine.outputs[:]
-    engine.event(whole, 2)
+    engine.event(complete_event, 2)
     assert sum("data" in term for term in engine.outputs) == 1
 
 
-def test_a_rule_that_takes_messages_whole_by_a_fused_action_does_not_take_those_either():
-    engine = made("seen(H, 1) <- image(H, _, _).")
-    assert told(engine) == {2, 3}
+def test_fused_action_ignores_incomplete_events():
+    engine = engine_with("seen(H, 1) <- image(H, _, _).")
+    assert announced_arguments(engine) == {2, 3}
     engine.call("del_event_rule((seen(H, 1) <- image(H, _, _)))")
     engine.load_rules(
         "null_event do got(D) <- image(_, _, D).\ngot(D) :- assertz(data(D)).\n:- dynamic data/1."
@@ -122,13 +122,15 @@ def test_a_rule_that_takes_messages_whole_by_a_fused_action_does_not_take_those_
     assert engine.query("data(D)") == [{"D": atom("x")}, {"D": atom("y")}]
 
 
-def test_what_is_told_is_bounded(monkeypatch):
-    monkeypatch.setattr(room, "MAX_PROJECTED_FUNCTORS", 5)
-    engine = made(goals="".join(f"subscribe(kind{at}(_), [], seen, t, {at})\n" for at in range(10)))
+def test_announced_functors_are_limited(monkeypatch):
+    monkeypatch.setattr(listeners, "MAX_PROJECTED_FUNCTORS", 5)
+    engine = engine_with(
+        goals="".join(f"subscribe(kind{number}(_), [], seen, t, {number})\n" for number in range(10))
+    )
     assert len(engine.dispatcher.projection.announce()) == 5
 
 
-PARTS = [
+RULES = [
     "seen(H, 1) <- image(H, _, _).",
     "seen(H, N) <- image(H, N, _) where N > 1.",
     "seen(D, 2) <- image(_, _, D).",
@@ -153,35 +155,37 @@ EVENTS = st.lists(
 
 @given(st.sets(st.sampled_from(range(8))), st.sets(st.sampled_from(range(5))), EVENTS)
 @pytest.mark.slow
-def test_nobody_can_tell(parts, goals, events):
-    rules = "\n".join(PARTS[at] for at in sorted(parts))
-    asked = "\n".join(GOALS[at] for at in sorted(goals | {0}))
-    seen = []
+def test_omission_of_unread_arguments_keeps_outputs(parts, goals, events):
+    rules = "\n".join(RULES[number] for number in sorted(parts))
+    goals_of_run = "\n".join(GOALS[number] for number in sorted(goals | {0}))
+    results = []
     for leaves_out in (False, True):
-        engine = made(rules, asked)
-        unread = told(engine) if leaves_out else ()
+        engine = engine_with(rules, goals_of_run)
+        unread = announced_arguments(engine) if leaves_out else ()
         for instant, event in enumerate(events, 1):
-            values = [atom(one) if isinstance(one, str) else one for one in event]
-            slots = (NOT_READ if at in unread else value for at, value in enumerate(values, 1))
+            values = [atom(value) if isinstance(value, str) else value for value in event]
+            slots = (NOT_READ if number in unread else value for number, value in enumerate(values, 1))
             engine.event(IMAGE(*slots), instant)
             engine.event("other", instant)
         records = [engine.query(f"access_mem({name}, R, I)") for name in ("m", "m2", "m3")]
-        seen.append((engine.outputs, [[engine.show(one["R"]) for one in found] for found in records]))
-    assert seen[0] == seen[1]
+        results.append(
+            (engine.outputs, [[engine.show(answer["R"]) for answer in answers] for answers in records])
+        )
+    assert results[0] == results[1]
 
 
-def test_one_who_takes_events_as_they_come_has_nothing_made_for_it():
-    engine = made("seen(H, 1) <- image(H, _, _).")
-    assert told(engine) == {2, 3}
-    event, found = Var(), []
+def test_trace_listener_gets_incomplete_events():
+    engine = engine_with("seen(H, 1) <- image(H, _, _).")
+    assert announced_arguments(engine) == {2, 3}
+    event, terms = Var(), []
 
-    def see(term, values, start, end, frame):
-        found.append(term)
+    def record(term, values, start, end, frame):
+        terms.append(term)
         return frame
 
-    engine.dispatcher.listen(ListenerPhase.TRACE, event, see, unread_variables={event})
-    assert told(engine) == {2, 3}
+    engine.dispatcher.listen(ListenerPhase.TRACE, event, record, unread_variables={event})
+    assert announced_arguments(engine) == {2, 3}
     engine.event_at(IMAGE(atom("a"), NOT_READ, NOT_READ), 1, 1)
-    assert found[0] == IMAGE(atom("a"), NOT_READ, NOT_READ)
+    assert terms[0] == IMAGE(atom("a"), NOT_READ, NOT_READ)
     engine.on_event(lambda term, start, end: None)
-    assert told(engine) == set()
+    assert announced_arguments(engine) == set()

@@ -1,6 +1,6 @@
 """pytest plugin that switches fused paths off: ``-p events.fused.fused_path_plugin --without-fused goals sides``.
 
-Everything is then served by the plain way. Tests marked ``fused`` are about the fused paths themselves.
+All events are then processed by the plain nodes. Tests marked ``fused`` concern the fused paths themselves.
 """
 
 from retalis.events.dispatch import discrimination_tree, dispatcher
@@ -9,20 +9,20 @@ from retalis.events.knowledge import pending_queries
 from retalis.events.network import goal_evaluation, join_node, stream_node
 
 
-class OpenGate(discrimination_tree.PushdownFilter):
-    """A gate whose plan is never known, so that it lets everything pass."""
+class OpenFilter(discrimination_tree.PushdownFilter):
+    """A filter whose plan is never known, so that it passes all events."""
 
     __slots__ = ()
-    plan = property(lambda gate: None, lambda gate, plan: None)
+    plan = property(lambda event_filter: None, lambda event_filter, plan: None)
 
 
 def plain_action(plain):
-    """Return an action that serves any event by the plain way, also one that comes without values."""
+    """Return an action that calls the plain action for any event, also for an event without values."""
     return lambda term, values, *rest: plain(term, term[1:] if values is None else values, *rest)
 
 
 def listening_unfused(listen):
-    """Return what listens like `Dispatcher.listen`, but with no action that is called without values."""
+    """Return a replacement of `Dispatcher.listen` whose actions are never called without values."""
     return lambda self, stage, pattern, action, rank=(), is_fused=False, **rest: listen(
         self, stage, pattern, action, rank, **rest
     )
@@ -30,7 +30,7 @@ def listening_unfused(listen):
 
 PATHS = {
     "incoming": (Dispatcher, "listen", listening_unfused(Dispatcher.listen)),
-    "gates": (dispatcher, "PushdownFilter", OpenGate),
+    "gates": (dispatcher, "PushdownFilter", OpenFilter),
     "goals": (
         goal_evaluation,
         "compile_goal_action",
@@ -53,7 +53,7 @@ PATHS = {
         lambda window, limit, node, plain, *rest: plain_action(plain),
     ),
 }
-"""By path: where it is bound, and what to bind there to switch it off."""
+"""By path: owner, attribute, and the replacement that switches the path off."""
 
 
 def pytest_addoption(parser):

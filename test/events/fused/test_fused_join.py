@@ -42,49 +42,51 @@ KEYS = (1, 1, 1, 1, 2, 2, 2, 1.0, atom("k"), functor("f", 1)(2))
 KINDS = [functor(name, 2) for name in "abc"]
 
 
-def stream(source, late):
-    """Return events: terms, starts and ends; their ends rise, but for some."""
-    found = []
+def random_events(generator, has_late_events):
+    """Return events as terms, starts and ends; most ends ascend."""
+    events = []
     now = 1000
-    for _ in range(source.randint(1, 40)):
-        now += source.choice((0, 0, 1, 1, 2, 7))
-        value = Var() if source.random() < 0.03 else source.choice(KEYS)
-        term = source.choice(KINDS)(value, source.choice((0, 1, 2, 2.0, 3)))
-        end = now - (source.choice((0, 0, 0, 1, 5)) if late else 0)
-        found.append((term, end - source.choice((0, 0, 0, 1, 3)), end))
-    return found
+    for _ in range(generator.randint(1, 40)):
+        now += generator.choice((0, 0, 1, 1, 2, 7))
+        value = Var() if generator.random() < 0.03 else generator.choice(KEYS)
+        term = generator.choice(KINDS)(value, generator.choice((0, 1, 2, 2.0, 3)))
+        end = now - (generator.choice((0, 0, 0, 1, 5)) if has_late_events else 0)
+        events.append((term, end - generator.choice((0, 0, 0, 1, 3)), end))
+    return events
 
 
-def run(text, goals, events, cap, cut, change, posted):
-    """Return what fires and is reported, and what is known at last.
+def run_program(text, goals, events, max_stored, restore_before, change, posted):
+    """Return the outputs, the reports, and the final states of all rules.
 
     Args:
         text: the rules.
-        goals: called first.
+        goals: goals to call first.
         events: the stream.
-        cap: how many matches may wait.
-        cut: where what waits is mended, as after an interrupt, and put back as a snapshot has it.
-        change: a goal that is called there.
-        posted: whether events of an instant are posted, and may be served by fused actions.
+        max_stored: limit of the number of stored matches.
+        restore_before: position before which the matches are repaired, and restored from a snapshot.
+        change: a goal to call at this position.
+        posted: whether events of an instant are posted, so that fused actions may process them.
     """
-    found, reports = [], []
+    outputs, reports = [], []
 
-    class Told:
+    class ReportRecorder:
         def __getattr__(self, name):
-            return lambda *told: reports.append((name, [str(one) for one in told]))
+            return lambda *arguments: reports.append((name, [str(argument) for argument in arguments]))
 
-    engine = Engine(None, Settings(), Told())
+    engine = Engine(None, Settings(), ReportRecorder())
     engine.load(goals=goals, rules=text)
     for arity in (0, 1, 2, 3):
         pattern = functor("out", arity)(*(Var() for _ in range(arity))) if arity else atom("out")
         engine.dispatcher.listen(
             ListenerPhase.SUBSCRIPTIONS,
             pattern,
-            lambda term, values, start, end, frame: found.append(shown(engine, term, start, end)) or frame,
+            lambda term, values, start, end, frame: (
+                outputs.append(event_text(engine, term, start, end)) or frame
+            ),
         )
-    engine.rules.max_stored = cap
-    for at, (term, start, end) in enumerate(events):
-        if at == cut:
+    engine.rules.max_stored = max_stored
+    for position, (term, start, end) in enumerate(events):
+        if position == restore_before:
             for rule in engine.rules.rules:
                 rule.repair()
             if change:
@@ -99,22 +101,28 @@ def run(text, goals, events, cap, cut, change, posted):
         else:
             engine.event_at(term, start * SECOND, end * SECOND)
         assert engine.dispatcher.current is None
-    return found, reports, [known(engine, rule) for rule in engine.rules.rules]
+    return outputs, reports, [rule_state(engine, rule) for rule in engine.rules.rules]
 
 
-def shown(engine, term, start, end):
-    """Return an event as it is compared: variables have any names."""
+def event_text(engine, term, start, end):
+    """Return the text of an event with uniform names of variables, and its interval."""
     return re.sub(r"_G\d+", "_", engine.show(term)), start, end
 
 
-def known(engine, rule):
-    """Return what a rule knows, as it is compared."""
-    waiting = [
-        (*shown(engine, (functor("values", len(one.values)), *one.values), one.start, one.end), order, place)
-        for one, place, order in zip(*rule.snapshot().arrivals)
+def rule_state(engine, rule):
+    """Return the state of a rule, with uniform names of variables."""
+    matches = [
+        (
+            *event_text(
+                engine, (functor("values", len(match.values)), *match.values), match.start, match.end
+            ),
+            order,
+            node_position,
+        )
+        for match, node_position, order in zip(*rule.snapshot().arrivals)
     ]
     return (
-        waiting,
+        matches,
         rule.stored_match_count,
         rule.clock,
         rule.order,
@@ -125,60 +133,62 @@ def known(engine, rule):
 
 
 def compare(seed):
-    """Compare both ways for what is drawn from a seed."""
-    source = random.Random(seed)
-    goals = f"set_etalis_flag(event_consumption_policy, {source.choice(POLICIES)})"
-    if source.random() < 0.2:
+    """Compare fused and plain nodes for a program and a stream drawn from a seed."""
+    generator = random.Random(seed)
+    goals = f"set_etalis_flag(event_consumption_policy, {generator.choice(POLICIES)})"
+    if generator.random() < 0.2:
         goals += ", set_etalis_flag(out_of_order, on)"
-    if source.random() < 0.1:
+    if generator.random() < 0.1:
         goals += ", set_etalis_flag(garbage_control, general), set_etalis_flag(garbage_window, 5)"
-    change = source.choice(("", "", f"set_etalis_flag(event_consumption_policy, {source.choice(POLICIES)})"))
-    cap, cut = source.choice((10**6, 10**6, 3)), source.choice((99, 5, 10))
-    text = source.choice(RULES)
-    events = stream(source, source.random() < 0.3)
-    posted = source.random() < 0.7
-    quick = run(text, goals, events, cap, cut, change, posted)
+    change = generator.choice(
+        ("", "", f"set_etalis_flag(event_consumption_policy, {generator.choice(POLICIES)})")
+    )
+    max_stored, restore_before = generator.choice((10**6, 10**6, 3)), generator.choice((99, 5, 10))
+    text = generator.choice(RULES)
+    events = random_events(generator, generator.random() < 0.3)
+    posted = generator.random() < 0.7
+    fused = run_program(text, goals, events, max_stored, restore_before, change, posted)
     with patch.object(*PATHS["sides"]), patch.object(*PATHS["negations"]):
-        plain = run(text, goals, events, cap, cut, change, posted)
-    assert quick == plain, (seed, text, goals, change, posted)
+        plain = run_program(text, goals, events, max_stored, restore_before, change, posted)
+    assert fused == plain, (seed, text, goals, change, posted)
 
 
-@pytest.mark.parametrize("part", range(3))
-def test_it_gives_and_knows_what_the_plain_way_does(part):
-    for seed in range(part * 5, part * 5 + 5):
+@pytest.mark.parametrize("batch", range(3))
+def test_fused_join_equals_plain_nodes(batch):
+    for seed in range(batch * 5, batch * 5 + 5):
         compare(seed)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part", range(10))
-def test_many_streams(part):
-    for seed in range(1000 + part * 100, 1100 + part * 100):
+@pytest.mark.parametrize("batch", range(10))
+def test_fused_join_equals_plain_nodes_on_many_streams(batch):
+    for seed in range(1000 + batch * 100, 1100 + batch * 100):
         compare(seed)
 
 
-@pytest.mark.parametrize("cap", [10**6, 50])
-def test_what_has_left_is_not_held_until_its_time_is_over(cap):
+@pytest.mark.parametrize("max_stored", [10**6, 50])
+def test_removed_matches_leave_expiration_queue(max_stored):
     engine = Engine(StreamClock(10**6 * SECOND))
     engine.load(rules="out(K) <- (a(K) seq b(K)) within 100000.")
-    engine.rules.max_stored = cap
+    engine.rules.max_stored = max_stored
     [rule] = engine.rules.rules
     left, right = functor("a", 1), functor("b", 1)
     for key in range(4000):
         engine.event_at(left(key), 2 * key, 2 * key)
-        if cap > 50:
+        if max_stored > 50:
             engine.event_at(right(key), 2 * key + 1, 2 * key + 1)
-    assert rule.stored_match_count == (0 if cap > 50 else cap)
+    assert rule.stored_match_count == (0 if max_stored > 50 else max_stored)
     assert len(rule.expiration_queue) < 1200
 
 
 @pytest.mark.fused
-def test_what_only_one_side_of_a_rule_takes_has_a_fused_action():
+def test_event_of_one_side_has_fused_action():
     engine = Engine()
     engine.load(
         rules="out(K) <- (a(K) seq b(K)) cnot c(K). out(K) <- d(K) seq d(K). out(K) <- e(K, 1) seq f(K)."
     )
-    ones = {name: functor(name, 1) for name in "abcdf"}
-    for made in ones.values():
-        engine.post(made(1), 1)
+    functors = {name: functor(name, 1) for name in "abcdf"}
+    for event_functor in functors.values():
+        engine.post(event_functor(1), 1)
     engine.post(functor("e", 2)(1, 1), 2)
     assert {key.name for key in engine.dispatcher.fused_actions} == {"a", "b", "c", "f"}

@@ -13,7 +13,7 @@ from retalis.events.network import stream_node
 from retalis.events.streams.running_statistics import ExactSum
 from retalis.prolog.terms.timestamps import SECOND
 
-KINDS = st.lists(
+AGGREGATES = st.lists(
     st.sampled_from(["count", "sum(X)", "avg(X)", "min(X)", "max(Y)", "avg(Y)"]), min_size=1, max_size=3
 )
 NUMBERS = st.one_of(
@@ -28,58 +28,63 @@ EVENTS = st.lists(st.tuples(KEYS, NUMBERS, NUMBERS, STEPS, st.sampled_from([0, 0
 X = functor("x", 3)
 
 
-def rule(kinds, grouped, limit):
-    results = [f"R{at}" for at in range(len(kinds))]
+def rule(aggregates, grouped, limit):
+    results = [f"R{number}" for number in range(len(aggregates))]
     head = ", ".join([*(["K"] if grouped else []), *results])
-    window = f"aggregate([{', '.join(kinds)}], x(K, X, Y), [{', '.join(results)}], last(5))"
+    window = f"aggregate([{', '.join(aggregates)}], x(K, X, Y), [{', '.join(results)}], last(5))"
     return f"out({head}) <- {window}{limit}."
 
 
 def window_of(rules):
-    [made] = rules.rules
-    [found] = [node for node, _, _ in made.nodes if isinstance(node, stream_node.StreamNode)]
-    return found
+    [event_rule] = rules.rules
+    [stream_node_of_rule] = [
+        node for node, _, _ in event_rule.nodes if isinstance(node, stream_node.StreamNode)
+    ]
+    return stream_node_of_rule
 
 
-def run(text, events, cap, cut):
-    """Return all events and reports, what is known at last and how much is held; the state is put back at a cut."""
-    found = []
+def run_program(text, events, max_stored, repair_before):
+    """Return events, reports, the final state and its size; the state is repaired before an event."""
+    outputs = []
     reports = []
 
-    class Told:
+    class ReportRecorder:
         def __getattr__(self, name):
-            return lambda *told: reports.append((name, [str(one) for one in told]))
+            return lambda *arguments: reports.append((name, [str(argument) for argument in arguments]))
 
-    engine = Engine(None, Settings(), Told())
-    engine.on_event(lambda term, start, end: found.append((engine.show(term), start, end)))
+    engine = Engine(None, Settings(), ReportRecorder())
+    engine.on_event(lambda term, start, end: outputs.append((engine.show(term), start, end)))
     engine.load(rules=text)
     rules = engine.rules
-    rules.max_stored = cap
+    rules.max_stored = max_stored
     now = 1000
-    for at, (key, x, y, step, length) in enumerate(events):
+    for number, (key, x, y, step, length) in enumerate(events):
         now += step
-        if at == cut:
-            [made] = rules.rules
-            node = made.root
+        if number == repair_before:
+            [event_rule] = rules.rules
+            node = event_rule.root
             node.repair()
         engine.event_at(X(key, x, y), (now - length) * SECOND, now * SECOND)
-    [made] = rules.rules
-    clock, following, late, order, groups = window_of(rules).snapshot()[0]
-    items = [[(one.start, one.end, str(one.values), one.order) for one in members] for _, members in groups]
+    [event_rule] = rules.rules
+    clock, following, late_count, order, groups = window_of(rules).snapshot()[0]
+    elements = [
+        [(element.start, element.end, str(element.values), element.order) for element in members]
+        for _, members in groups
+    ]
     return (
-        found,
+        outputs,
         reports,
-        (clock, following, late, order, items),
-        made.match_count,
-        made.metrics.firing_count,
-        made.dropped_count,
+        (clock, following, late_count, order, elements),
+        event_rule.match_count,
+        event_rule.metrics.firing_count,
+        event_rule.dropped_count,
     )
 
 
 @pytest.mark.slow
 @example_settings(max_examples=25)
 @given(
-    KINDS,
+    AGGREGATES,
     st.booleans(),
     st.sampled_from(["", " within 3"]),
     EVENTS,
@@ -88,34 +93,38 @@ def run(text, events, cap, cut):
 )
 @example(["avg(X)"], True, "", [(1, 0.5, 0, 1, 0)] * 9 + [(1, 0.1, 0, 1, 0)] * 9, 1000, 99)
 @example(["sum(X)"], True, "", [(1, 1e308, 0, 1, 0)] * 4 + [(1, 2, 0, 1, 0)] * 9, 1000, 99)
-def test_both_ways_give_and_know_the_same(kinds, grouped, limit, events, cap, cut):
-    text = rule(kinds, grouped, limit)
-    fused = run(text, events, cap, cut)
+def test_fused_window_equals_plain_nodes(aggregates, grouped, limit, events, max_stored, repair_before):
+    text = rule(aggregates, grouped, limit)
+    fused = run_program(text, events, max_stored, repair_before)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(*PATHS["windows"])
-        assert run(text, events, cap, cut) == fused
+        assert run_program(text, events, max_stored, repair_before) == fused
 
 
 @pytest.mark.fused
-def test_what_is_common_is_fused(monkeypatch):
-    """Of a hundred items in order few go the plain way, those of the beginning among them."""
-    plainly = []
-    taken = stream_node.compile_fused_window
+def test_most_elements_use_fused_path(monkeypatch):
+    """Of a hundred elements in order, the plain node processes few, the first ones among them."""
+    plain_calls = []
+    compile_fused_window = stream_node.compile_fused_window
 
     def counting(form, limit, node, plain, *others):
         def counted(*arguments):
-            plainly.append(arguments)
+            plain_calls.append(arguments)
             return plain(*arguments)
 
-        return taken(form, limit, node, counted, *others)
+        return compile_fused_window(form, limit, node, counted, *others)
 
     monkeypatch.setattr(stream_node, "compile_fused_window", counting)
     text = rule(["count", "sum(X)", "avg(X)", "min(X)", "max(Y)"], True, "")
-    found = run(text, [(atom("ab"[at % 2]), 0.5, at, 1, 0) for at in range(100)], 1000, 999)[0]
-    assert len(found) == 200 and len(plainly) < 15  # what begins a group, and what asks how far time may go
+    outputs = run_program(
+        text, [(atom("ab"[number % 2]), 0.5, number, 1, 0) for number in range(100)], 1000, 999
+    )[0]
+    assert (
+        len(outputs) == 200 and len(plain_calls) < 15
+    )  # the first elements of the groups, and those that read the maximum timestamp
 
 
-def test_an_element_does_not_get_the_match_of_the_one_that_it_replaces():
+def test_element_has_no_match_of_replaced_one():
     engine = Engine()
     engine.load(rules="out(N) <- aggregate([count], a(X), [N], last(5)).")
     engine.event("a(0)", 0)
@@ -132,17 +141,17 @@ def test_an_element_does_not_get_the_match_of_the_one_that_it_replaces():
     assert "a(8)" in engine.show(explanation["Why"]) and "a(1)" not in engine.show(explanation["Why"])
 
 
-def test_the_first_event_of_a_key_is_processed_outside_of_exception_handlers():
+def test_first_event_of_key_is_not_processed_in_handler():
     engine = Engine()
     engine.load(rules="out(K, N) <- aggregate([count], a(K), [N], last(5)).")
-    handled = []
-    engine.on_event(lambda term, start, end: handled.append(sys.exc_info()[0]))
+    exceptions = []
+    engine.on_event(lambda term, start, end: exceptions.append(sys.exc_info()[0]))
     engine.event("a(1)", 0)
     engine.event("a(2)", 1)
-    assert handled == [None] * 4
+    assert exceptions == [None] * 4
 
 
-def test_a_power_of_two_beyond_floats_is_no_factor():
-    found = ExactSum()
-    found.add_multiple(5e-324, 1)
-    assert found.scale == 1074 and found.factor != found.factor
+def test_scale_beyond_floats_has_no_factor():
+    total = ExactSum()
+    total.add_multiple(5e-324, 1)
+    assert total.scale == 1074 and total.factor != total.factor

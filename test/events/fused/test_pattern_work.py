@@ -13,21 +13,21 @@ RULES = {
 }
 
 
-def steps(rules):
-    """Return the steps of pattern work that each of some events takes."""
+def steps_per_event(rules):
+    """Return the number of pattern steps of each of eight events."""
     engine = Engine(settings=Settings(limits=Limits(inferences=1_000_000)))
     engine.load(rules=rules)
     budget = engine.logic.machine.budget
-    found = []
-    for at in range(8):
-        before = budget.pattern_steps[0]
-        engine.event(f"e({at % 2}, {at}.5)", at)
-        found.append(before - budget.pattern_steps[0])
-    return found
+    counts = []
+    for number in range(8):
+        steps_before = budget.pattern_steps[0]
+        engine.event(f"e({number % 2}, {number}.5)", number)
+        counts.append(steps_before - budget.pattern_steps[0])
+    return counts
 
 
 @pytest.mark.parametrize("path", RULES)
-def test_a_fused_path_counts_what_the_plain_way_counts(path, monkeypatch):
-    fused = steps(RULES[path])
+def test_fused_path_counts_steps_of_plain_nodes(path, monkeypatch):
+    fused = steps_per_event(RULES[path])
     monkeypatch.setattr(*PATHS[path])
-    assert fused == steps(RULES[path])
+    assert fused == steps_per_event(RULES[path])

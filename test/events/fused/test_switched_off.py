@@ -1,4 +1,4 @@
-"""The tests of the rules pass with the fused paths switched off: they do nothing but the same in fewer calls.
+"""The tests of the rules pass with the fused paths switched off: results do not depend on fused paths.
 
 By default all paths are switched off together, for some folders. With ``RETALIS_TEST_FUSED=1`` all tests of the rules
 run with each path switched off alone, too, which takes ten minutes.
@@ -21,7 +21,7 @@ SHARED = ["-n", str(os.cpu_count() or 1)] if find_spec("xdist") else []
 
 @pytest.mark.slow
 @pytest.mark.parametrize("off", [[*PATHS], *([path] for path in PATHS if WHOLE)], ids=" ".join)
-def test_the_tests_of_rules_pass_without(off):
+def test_tests_of_rules_pass_without_path(off):
     command = [
         sys.executable,
         "-m",

@@ -14,51 +14,51 @@ DOCKED = ":- state(docked(R), from(dock(R)), until(undock(R))).\n"
 ALARM = "alarm(R) <- bump(R) where holds(docked(R)).\n"
 
 
-class Watching(Engine):
+class StateEngine(Engine):
     def __init__(self, *arguments):
         super().__init__(*arguments)
-        self.seen = []
+        self.events = []
         self.on_event(
-            lambda term, start, end: self.seen.append((self.show(term), start / SECOND, end / SECOND))
+            lambda term, start, end: self.events.append((self.show(term), start / SECOND, end / SECOND))
         )
 
-    def take(self, *events):
-        """Have events happen, ``(text, end)`` or ``(text, start, end)``; return what others did."""
-        self.seen.clear()
+    def feed(self, *events):
+        """Process events ``(text, end)`` or ``(text, start, end)``; return the derived events."""
+        self.events.clear()
         for text, *interval in events:
             self.event(text, interval[0], interval[-1])
-        given = [(text, interval[0], interval[-1]) for text, *interval in events]
-        return [one for one in self.seen if one not in given]
+        inputs = [(text, interval[0], interval[-1]) for text, *interval in events]
+        return [event for event in self.events if event not in inputs]
 
-    def all(self, goal):
-        return [self.show(found["X"]) for found in self.query(goal)]
+    def values_of_x(self, goal):
+        return [self.show(answer["X"]) for answer in self.query(goal)]
 
 
-def run(rules=DOCKED + ALARM, clock=None):
-    engine = Watching(clock)
+def load_engine(rules=DOCKED + ALARM, clock=None):
+    engine = StateEngine(clock)
     engine.load(rules=rules)
     return engine
 
 
-# ---- what a state is ---------------------------------------------------------------------------------
+# ---- intervals of states -----------------------------------------------------------------------------
 
 
-def test_a_state_is_an_event_when_it_is_over():
-    engine = run(DOCKED + "hit(R) <- bump(R) during docked(R).")
-    assert engine.take(("dock(a)", 1, 2), ("bump(a)", 3), ("bump(b)", 3), ("undock(a)", 5, 6)) == [
+def test_ended_state_is_event():
+    engine = load_engine(DOCKED + "hit(R) <- bump(R) during docked(R).")
+    assert engine.feed(("dock(a)", 1, 2), ("bump(a)", 3), ("bump(b)", 3), ("undock(a)", 5, 6)) == [
         ("docked(a)", 2, 5),
         ("hit(a)", 2, 5),
     ]
 
 
-def test_what_is_open_can_be_asked_for_at_once():
-    engine = run()
-    assert engine.take(("bump(a)", 1), ("dock(a)", 2), ("bump(b)", 3), ("bump(a)", 3)) == [("alarm(a)", 3, 3)]
-    assert engine.take(("undock(a)", 4), ("bump(a)", 5)) == [("docked(a)", 2, 4)]
+def test_open_state_holds_immediately():
+    engine = load_engine()
+    assert engine.feed(("bump(a)", 1), ("dock(a)", 2), ("bump(b)", 3), ("bump(a)", 3)) == [("alarm(a)", 3, 3)]
+    assert engine.feed(("undock(a)", 4), ("bump(a)", 5)) == [("docked(a)", 2, 4)]
 
 
 @pytest.mark.parametrize(
-    "events, wanted",
+    "events, expected",
     [
         ([("undock(a)", 1)], []),
         ([("dock(a)", 1), ("dock(a)", 2), ("undock(a)", 3), ("undock(a)", 4)], [("docked(a)", 1, 3)]),
@@ -67,45 +67,47 @@ def test_what_is_open_can_be_asked_for_at_once():
         ([("dock(a)", 1), ("dock(b)", 2), ("undock(a)", 3)], [("docked(a)", 1, 3)]),
     ],
 )
-def test_what_begins_and_ends_one(events, wanted):
-    assert run().take(*events) == wanted
+def test_events_begin_and_end_state(events, expected):
+    assert load_engine().feed(*events) == expected
 
 
-def test_one_event_ends_all_that_agree_with_it_and_may_begin_the_next():
-    engine = run(
+def test_event_ends_states_and_begins_next():
+    engine = load_engine(
         ":- state(at(P), from(arrive(P)), until(arrive(_))).\n:- state(up(X, Y), from(up(X, Y, _)), until(down(X)))."
     )
-    assert engine.take(("arrive(hall)", 1), ("arrive(attic)", 4), ("arrive(attic)", 6)) == [
+    assert engine.feed(("arrive(hall)", 1), ("arrive(attic)", 4), ("arrive(attic)", 6)) == [
         ("at(hall)", 1, 4),
         ("at(attic)", 4, 6),
     ]
-    engine.take(("up(a, 1, 0)", 1), ("up(b, 1, 0)", 1), ("up(a, 2, 0)", 2), ("up(a, 1, 7)", 3))
-    assert engine.take(("down(a)", 5)) == [("up(a,1)", 1, 5), ("up(a,2)", 2, 5)]
-    assert engine.all("holds(X)") == ["at(attic)", "up(b,1)"]
+    engine.feed(("up(a, 1, 0)", 1), ("up(b, 1, 0)", 1), ("up(a, 2, 0)", 2), ("up(a, 1, 7)", 3))
+    assert engine.feed(("down(a)", 5)) == [("up(a,1)", 1, 5), ("up(a,2)", 2, 5)]
+    assert engine.values_of_x("holds(X)") == ["at(attic)", "up(b,1)"]
 
 
-def test_a_state_that_ends_by_itself_needs_no_event():
+def test_state_ends_after_its_time_limit():
     clock = StreamClock()
-    engine = run(":- state(docked(R), from(dock(R)), until(undock(R)), [within(5)]).\n" + ALARM, clock)
-    engine.take(("dock(a)", 1), ("dock(b)", 2), ("dock(a)", 3))
-    engine.seen.clear()
+    engine = load_engine(
+        ":- state(docked(R), from(dock(R)), until(undock(R)), [within(5)]).\n" + ALARM, clock
+    )
+    engine.feed(("dock(a)", 1), ("dock(b)", 2), ("dock(a)", 3))
+    engine.events.clear()
     clock.move_to(20 * SECOND)
     engine.advance()
-    assert engine.seen == [("docked(a)", 1, 6), ("docked(b)", 2, 7)]
-    assert engine.take(("bump(a)", 20), ("dock(a)", 21), ("undock(a)", 22), ("e", 40)) == [
+    assert engine.events == [("docked(a)", 1, 6), ("docked(b)", 2, 7)]
+    assert engine.feed(("bump(a)", 20), ("dock(a)", 21), ("undock(a)", 22), ("e", 40)) == [
         ("docked(a)", 21, 22)
     ]
 
 
-# ---- asking ------------------------------------------------------------------------------------------
+# ---- queries -----------------------------------------------------------------------------------------
 
 
-def test_questions_about_now_and_the_past():
-    engine = run(":- state(docked(R), from(dock(R)), until(undock(R)), [past(2)]).")
-    engine.take(
+def test_states_are_queried_at_present_and_past():
+    engine = load_engine(":- state(docked(R), from(dock(R)), until(undock(R)), [past(2)]).")
+    engine.feed(
         *(
-            (f"{event}({robot})", at)
-            for at, (event, robot) in enumerate(
+            (f"{event}({robot})", instant)
+            for instant, (event, robot) in enumerate(
                 [
                     ("dock", "a"),
                     ("undock", "a"),
@@ -118,10 +120,12 @@ def test_questions_about_now_and_the_past():
             )
         )
     )
-    assert engine.all("holds(docked(X))") == ["b"]
-    assert engine.all("holds(docked(b), X)") == ["3"]
+    assert engine.values_of_x("holds(docked(X))") == ["b"]
+    assert engine.values_of_x("holds(docked(b), X)") == ["3"]
     assert engine.query("holds(docked(a))") == [] and engine.query("holds(docked(a), _)") == []
-    assert [engine.query(f"holds_at(docked(a), {at})") != [] for at in (0.5, 1.5, 2, 3, 4, 4.5)] == [
+    assert [
+        engine.query(f"holds_at(docked(a), {instant})") != [] for instant in (0.5, 1.5, 2, 3, 4, 4.5)
+    ] == [
         False,
         False,
         True,
@@ -129,168 +133,175 @@ def test_questions_about_now_and_the_past():
         True,
         False,
     ], "the first interval is forgotten"
-    assert sorted(engine.all("holds_at(docked(X), 5.5)")) == ["b", "c"]
-    assert engine.all("holds_at(X, 100)") == ["docked(b)"]
+    assert sorted(engine.values_of_x("holds_at(docked(X), 5.5)")) == ["b", "c"]
+    assert engine.values_of_x("holds_at(X, 100)") == ["docked(b)"]
 
 
 @pytest.mark.parametrize(
     "goal", ["holds(dokced(a))", "holds(dokced)", "holds(3)", "holds_at(docked(a), noon)"]
 )
-def test_questions_that_have_no_answer_are_errors(goal):
+def test_query_of_unknown_state_is_refused(goal):
     with pytest.raises(PrologError):
-        run().call(goal)
+        load_engine().call(goal)
 
 
-# ---- declaring ---------------------------------------------------------------------------------------
+# ---- declarations ------------------------------------------------------------------------------------
 
 
-def test_goals_declare_states_once():
-    engine = run()
-    engine.take(("dock(a)", 1))
+def test_goal_declares_state_once():
+    engine = load_engine()
+    engine.feed(("dock(a)", 1))
     assert engine.call("state(docked(X), from(dock(X)), until(undock(X)))")
-    assert engine.all("holds(docked(X))") == ["a"]
+    assert engine.values_of_x("holds(docked(X))") == ["a"]
     with pytest.raises(PrologError, match="declared otherwise"):
         engine.call("state(docked(X), from(dock(X)), until(out))")
     assert engine.call("delete_state(docked(_))") and not engine.call("delete_state(docked(_))")
-    assert engine.take(("undock(a)", 2)) == []
+    assert engine.feed(("undock(a)", 2)) == []
     assert engine.call("state(docked(X), from(dock(X)), until(out))")
-    assert engine.take(("dock(a)", 3), ("undock(a)", 4), ("out", 5)) == [("docked(a)", 3, 5)]
+    assert engine.feed(("dock(a)", 3), ("undock(a)", 4), ("out", 5)) == [("docked(a)", 3, 5)]
 
 
-def test_a_wrong_declaration_is_an_error_of_its_file():
+def test_invalid_declaration_is_error_of_file():
     with pytest.raises(ProgramErrors, match="each variable of the state"):
-        run(":- state(s(X), from(a), until(b(X))).")
+        load_engine(":- state(s(X), from(a), until(b(X))).")
 
 
-@pytest.mark.parametrize("wrong", ["docked(R, 1)", "dock(R, 1)", "undock(1)"])
-def test_its_events_are_as_they_are_declared(wrong):
-    declared = ":- event docked(r:atom).\n:- event dock(r:atom).\n:- event undock(r:atom).\n"
-    right = "state(docked(R), from(dock(R)), until(undock(R)))"
-    state = right.replace("undock(R)" if "undock" in wrong else wrong.replace(", 1", ""), wrong, 1)
-    engine = run(f"{declared}:- {right}.")
+@pytest.mark.parametrize("invalid_term", ["docked(R, 1)", "dock(R, 1)", "undock(1)"])
+def test_events_of_state_are_checked_against_declarations(invalid_term):
+    declarations = ":- event docked(r:atom).\n:- event dock(r:atom).\n:- event undock(r:atom).\n"
+    valid_goal = "state(docked(R), from(dock(R)), until(undock(R)))"
+    invalid_goal = valid_goal.replace(
+        "undock(R)" if "undock" in invalid_term else invalid_term.replace(", 1", ""), invalid_term, 1
+    )
+    engine = load_engine(f"{declarations}:- {valid_goal}.")
     with pytest.raises(ProgramErrors, match="dock"):
-        run(f"{declared}:- {state}.")
+        load_engine(f"{declarations}:- {invalid_goal}.")
     engine.call("delete_state(docked(_))")
     with pytest.raises(PrologError, match="declared"):
-        engine.call(state)
+        engine.call(invalid_goal)
 
 
-def test_programs_may_have_facts_of_these_names():
-    engine = run(
+def test_program_may_have_facts_named_state():
+    engine = load_engine(
         "state(robot, idle, 3).\nholds(hand, cup).\nout(X) <- e where (state(X, _, 3), holds(hand, _))."
     )
-    assert engine.take(("e", 1)) == [("out(robot)", 1, 1)]
+    assert engine.feed(("e", 1)) == [("out(robot)", 1, 1)]
     with pytest.raises(ProgramErrors, match="write :- before a goal"):
-        run("state(s, from(a), until(b)).")
+        load_engine("state(s, from(a), until(b)).")
 
 
 # ---- bounds ------------------------------------------------------------------------------------------
 
 
-def test_of_too_many_that_are_open_the_oldest_go(caplog):
-    engine = run(":- state(docked(R), from(dock(R)), until(undock(R)), [open(3)]).")
-    engine.take(*((f"dock({at})", at) for at in range(10)))
-    assert engine.all("holds(docked(X))") == ["7", "8", "9"]
-    assert engine.take(("undock(2)", 11), ("undock(8)", 11)) == [("docked(8)", 8, 11)]
+def test_oldest_open_states_are_dropped(caplog):
+    engine = load_engine(":- state(docked(R), from(dock(R)), until(undock(R)), [open(3)]).")
+    engine.feed(*((f"dock({number})", number) for number in range(10)))
+    assert engine.values_of_x("holds(docked(X))") == ["7", "8", "9"]
+    assert engine.feed(("undock(2)", 11), ("undock(8)", 11)) == [("docked(8)", 8, 11)]
     assert (
         len(caplog.records) == 3 and "7 of the oldest" not in caplog.text and "4 of the oldest" in caplog.text
     )
 
 
-def test_events_with_variables_begin_and_end_nothing(caplog):
-    engine = run()
-    seen = engine.take(("dock(_)", 1), ("dock(a)", 2), ("undock(_)", 3))
-    assert not any(event.startswith("docked") for event, _, _ in seen)
-    assert engine.all("holds(docked(X))") == ["a"]
+def test_events_with_variables_begin_no_state(caplog):
+    engine = load_engine()
+    derived = engine.feed(("dock(_)", 1), ("dock(a)", 2), ("undock(_)", 3))
+    assert not any(event.startswith("docked") for event, _, _ in derived)
+    assert engine.values_of_x("holds(docked(X))") == ["a"]
     assert "state docked(_): dock(_" in caplog.text and "has variables: it begins no state" in caplog.text
 
 
-# ---- over a time that goes back, states of engines, interrupts ------------------------------------
+# ---- clock that goes back, restored engines, interrupts ------------------------------------------
 
 
-def test_time_that_goes_back_ends_all_and_tells_of_none():
+def test_clock_that_goes_back_clears_states():
     clock = StreamClock()
-    engine = run(":- state(docked(R), from(dock(R)), until(undock(R)), [within(50)]).", clock)
+    engine = load_engine(":- state(docked(R), from(dock(R)), until(undock(R)), [within(50)]).", clock)
     clock.move_to(10 * SECOND)
-    engine.take(("dock(a)", 9), ("dock(b)", 9.5), ("undock(b)", 10))
+    engine.feed(("dock(a)", 9), ("dock(b)", 9.5), ("undock(b)", 10))
     clock.move_to(SECOND, back=True)
     engine.advance()
-    assert engine.all("holds(X)") == [] == engine.all("holds_at(X, 9.7)")
-    assert engine.take(("dock(a)", 1)) == []
+    assert engine.values_of_x("holds(X)") == [] == engine.values_of_x("holds_at(X, 9.7)")
+    assert engine.feed(("dock(a)", 1)) == []
     clock.move_to(60 * SECOND)
-    engine.seen.clear()
+    engine.events.clear()
     engine.advance()
-    assert engine.seen == [("docked(a)", 1, 51)]
+    assert engine.events == [("docked(a)", 1, 51)]
 
 
-@pytest.mark.parametrize("tracked", [False, True])
-def test_another_engine_goes_on(tracked):
+@pytest.mark.parametrize("revision", [False, True])
+def test_states_are_restored(revision):
     rules = ":- state(docked(R), from(dock(R, _)), until(undock(R)), [within(50)]).\n" + ALARM
-    engine = run((":- set_etalis_flag(revision_flag, on).\n" if tracked else "") + rules)
-    engine.take(("dock(a, 0.5)", 1), ("dock('B', x)", 2), ("undock(a)", 3), ("dock(f(1.5), c)", 4))
-    other = Watching.restore(engine.snapshot())
-    assert other.all("holds(X)") == ["docked('B')", "docked(f(1.5))"] == engine.all("holds(X)")
+    engine = load_engine((":- set_etalis_flag(revision_flag, on).\n" if revision else "") + rules)
+    engine.feed(("dock(a, 0.5)", 1), ("dock('B', x)", 2), ("undock(a)", 3), ("dock(f(1.5), c)", 4))
+    other = StateEngine.restore(engine.snapshot())
+    assert (
+        other.values_of_x("holds(X)") == ["docked('B')", "docked(f(1.5))"] == engine.values_of_x("holds(X)")
+    )
     events = [("bump(f(1.5))", 5), ("undock('B')", 6), ("rev(dock('B', x))", 7), ("e", 100)]
-    assert engine.take(*events) == other.take(*events) != []
-    assert engine.all("holds_at(X, 2)") == other.all("holds_at(X, 2)")
+    assert engine.feed(*events) == other.feed(*events) != []
+    assert engine.values_of_x("holds_at(X, 2)") == other.values_of_x("holds_at(X, 2)")
 
 
-def test_an_interrupt_leaves_all_in_order():
-    engine = run()
-    engine.take(("dock(a)", 1))
+def test_repair_rebuilds_index_of_open_states():
+    engine = load_engine()
+    engine.feed(("dock(a)", 1))
     (state,) = engine.knowledge.states
-    state._open_by_shared_key.clear()  # noqa: SLF001  (as if it had come in the midst)
+    state._open_by_shared_key.clear()  # noqa: SLF001  (as if an interrupt had occurred between two steps)
     engine.knowledge.repair()
-    assert engine.take(("undock(a)", 2)) == [("docked(a)", 1, 2)]
+    assert engine.feed(("undock(a)", 2)) == [("docked(a)", 1, 2)]
 
 
-# ---- taking back -------------------------------------------------------------------------------------
+# ---- revision ----------------------------------------------------------------------------------------
 
 REVISION = ":- set_etalis_flag(revision_flag, on).\n" + DOCKED + ALARM
 
 
-def test_the_event_of_a_state_goes_with_what_began_or_ended_it():
-    for one in ("dock(a)", "undock(a)"):
-        engine = run(REVISION + "was(R) <- docked(R).")
-        engine.take(("dock(a)", 1), ("undock(a)", 3))
-        assert [event for event, _, _ in engine.take((f"rev({one})", 4))] == ["rev(docked(a))", "rev(was(a))"]
-        assert engine.all("holds_at(X, 2)") == [] == engine.all("holds(X)")
+def test_retraction_of_begin_or_end_retracts_state():
+    for retracted in ("dock(a)", "undock(a)"):
+        engine = load_engine(REVISION + "was(R) <- docked(R).")
+        engine.feed(("dock(a)", 1), ("undock(a)", 3))
+        assert [event for event, _, _ in engine.feed((f"rev({retracted})", 4))] == [
+            "rev(docked(a))",
+            "rev(was(a))",
+        ]
+        assert engine.values_of_x("holds_at(X, 2)") == [] == engine.values_of_x("holds(X)")
 
 
-def test_what_never_began_does_not_hold():
-    engine = run(REVISION)
-    engine.take(("dock(a)", 1), ("rev(dock(a))", 2))
-    assert engine.take(("bump(a)", 3), ("undock(a)", 4)) == []
-    engine.take(("dock(a)", 5), ("dock(a, again)", 5))
-    assert engine.take(("bump(a)", 6), ("undock(a)", 7)) == [("alarm(a)", 6, 6), ("docked(a)", 5, 7)]
+def test_retracted_begin_leaves_no_state():
+    engine = load_engine(REVISION)
+    engine.feed(("dock(a)", 1), ("rev(dock(a))", 2))
+    assert engine.feed(("bump(a)", 3), ("undock(a)", 4)) == []
+    engine.feed(("dock(a)", 5), ("dock(a, again)", 5))
+    assert engine.feed(("bump(a)", 6), ("undock(a)", 7)) == [("alarm(a)", 6, 6), ("docked(a)", 5, 7)]
 
 
 @pytest.mark.parametrize("is_restored", [False, True])
 def test_retracted_states_do_not_count_as_open(is_restored, caplog):
     rules = REVISION.replace("undock(R)))", "undock(R)), [open(2)])", 1)
-    engine = run(rules)
-    engine.take(("dock(a)", 1), ("dock(b)", 2), ("rev(dock(b))", 3))
+    engine = load_engine(rules)
+    engine.feed(("dock(a)", 1), ("dock(b)", 2), ("rev(dock(b))", 3))
     if is_restored:
-        engine = Watching.restore(engine.snapshot())
-    engine.take(("dock(c)", 4))
-    assert engine.all("holds(docked(X))") == ["a", "c"]
+        engine = StateEngine.restore(engine.snapshot())
+    engine.feed(("dock(c)", 4))
+    assert engine.values_of_x("holds(docked(X))") == ["a", "c"]
     assert caplog.text == ""
-    engine.take(("rev(dock(a))", 5), ("dock(d)", 6), ("dock(e)", 7))
-    assert engine.all("holds(docked(X))") == ["d", "e"]
+    engine.feed(("rev(dock(a))", 5), ("dock(d)", 6), ("dock(e)", 7))
+    assert engine.values_of_x("holds(docked(X))") == ["d", "e"]
     assert "more than 2 are open; 1 of the oldest" in caplog.text
-    assert engine.take(("undock(c)", 8), ("undock(d)", 8)) == [("docked(d)", 6, 8)]
+    assert engine.feed(("undock(c)", 8), ("undock(d)", 8)) == [("docked(d)", 6, 8)]
 
 
 def test_the_next_that_might_have_begun_it_does_so_in_place_of_one_that_was_taken_back():
-    engine = run(REVISION.replace("dock(R)", "dock(R, _)", 1))
-    engine.take(("dock(a, 1)", 1), ("dock(a, 2)", 2), ("rev(dock(a, 1))", 3))
-    assert engine.take(("bump(a)", 4), ("undock(a)", 5)) == [("alarm(a)", 4, 4), ("docked(a)", 2, 5)]
+    engine = load_engine(REVISION.replace("dock(R)", "dock(R, _)", 1))
+    engine.feed(("dock(a, 1)", 1), ("dock(a, 2)", 2), ("rev(dock(a, 1))", 3))
+    assert engine.feed(("bump(a)", 4), ("undock(a)", 5)) == [("alarm(a)", 4, 4), ("docked(a)", 2, 5)]
 
 
 def test_an_explanation_says_what_it_held_from_and_until():
-    engine = run()
+    engine = load_engine()
     record_origins(engine)
-    engine.take(("dock(a)", 1), ("undock(a)", 3))
+    engine.feed(("dock(a)", 1), ("undock(a)", 3))
     lines = [line for one in explain(engine, "docked(a)").lines for line in one.indented()]
     assert lines == [
         "docked(a) [1,3] is over: it held from",
@@ -376,14 +387,14 @@ def streams(draw):
 
 def compare(events, within):
     options = "" if within is None else f", [within({within})]"
-    engine = run(f":- state(docked(R), from(dock(R)), until(undock(R)){options}).\n" + ALARM)
+    engine = load_engine(f":- state(docked(R), from(dock(R)), until(undock(R)){options}).\n" + ALARM)
     for kind, key, start, end in events:
         engine.event(f"{kind}({key})", start, end)
-    wanted = Definition(events, within)
-    assert engine.seen == wanted.happens()
+    expected = Definition(events, within)
+    assert engine.events == expected.happens()
     for instant in range(1, 30, 5):
-        held = engine.all(f"holds_at(docked(X), {instant})")
-        assert sorted(held) == [key for key in "abc" if wanted.held_at(key, instant)]
+        held = engine.values_of_x(f"holds_at(docked(X), {instant})")
+        assert sorted(held) == [key for key in "abc" if expected.held_at(key, instant)]
 
 
 @settings(max_examples=10, deadline=None)
@@ -402,7 +413,7 @@ def test_many_states_are_what_the_definition_says(events, within):
 
 def test_nothing_is_said_of_a_program_that_is_right(caplog):
     with caplog.at_level(logging.WARNING):
-        run()
+        load_engine()
     assert caplog.records == []
 
 
@@ -427,7 +438,7 @@ def test_a_program_that_resets_has_nothing_hold(goal, known):
 
 
 def test_a_state_whose_deletion_is_interrupted_is_deleted():
-    engine = run()
+    engine = load_engine()
     dispatcher = engine.dispatcher
     on_change = dispatcher.on_change
 
@@ -435,22 +446,22 @@ def test_a_state_whose_deletion_is_interrupted_is_deleted():
         dispatcher.on_change = on_change
         raise KeyboardInterrupt
 
-    engine.take(("dock(1)", 1))
+    engine.feed(("dock(1)", 1))
     dispatcher.on_change = interrupt
     with pytest.raises(KeyboardInterrupt):
         engine.call("delete_state(docked(_))")
     with pytest.raises(PrologError, match="docked/1"):
         engine.query("holds(docked(X))")
     assert engine.call("state(docked(R), from(dock(R)), until(undock(R)))")
-    engine.take(("dock(2)", 2))
-    assert engine.all("holds(docked(X))") == ["2"]
+    engine.feed(("dock(2)", 2))
+    assert engine.values_of_x("holds(docked(X))") == ["2"]
 
 
 def test_a_state_that_is_deleted_or_set_aside_is_not_known():
     for declared_again in (False, True):
-        engine = run(DOCKED)
+        engine = load_engine(DOCKED)
         states = engine.knowledge.states
-        engine.take(("dock(1)", 1))
+        engine.feed(("dock(1)", 1))
         standing = states.all_by_key()
         if declared_again:
             states.detach(list(standing))
@@ -459,4 +470,4 @@ def test_a_state_that_is_deleted_or_set_aside_is_not_known():
         with pytest.raises(PrologError, match="docked/1"):
             engine.query("holds(docked(X))")
         states.restore_all(standing)
-        assert engine.all("holds(docked(X))") == (["1"] if declared_again else [])
+        assert engine.values_of_x("holds(docked(X))") == (["1"] if declared_again else [])

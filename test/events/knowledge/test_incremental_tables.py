@@ -13,36 +13,36 @@ m(P) :- prev(pos, pos(P), _, _, [1000,0]).
 """
 
 
-class Program(Engine):
+class TableEngine(Engine):
     """An engine with goals and rules."""
 
     def __init__(self, goals=POSITIONS, rules=RULES):
         super().__init__()
         self.load(rules=rules, goals=goals)
-        self.now = 0
+        self.clock_time = 0
 
-    def events(self, *texts):
-        """Have events happen, one a second."""
+    def feed(self, *texts):
+        """Process events, one per second."""
         for text in texts:
-            self.now += 1
-            self.event(text, self.now)
+            self.clock_time += 1
+            self.event(text, self.clock_time)
 
-    def all(self, goal):
+    def values_of_x(self, goal):
         """Return the values of X for which a goal is true."""
-        return [self.show(found["X"]) for found in self.query(goal)]
+        return [self.show(answer["X"]) for answer in self.query(goal)]
 
 
-def test_a_table_follows_the_memory_that_it_reads():
-    program = Program()
-    assert program.all("m(X)") == []
-    program.events("pos(a)")
-    assert program.all("m(X)") == ["a"]
-    program.events("pos(b)")
-    assert program.all("m(X)") == ["b"]
-    assert program.all("m(X)") == ["b"]
+def test_table_depends_on_memory():
+    program = TableEngine()
+    assert program.values_of_x("m(X)") == []
+    program.feed("pos(a)")
+    assert program.values_of_x("m(X)") == ["a"]
+    program.feed("pos(b)")
+    assert program.values_of_x("m(X)") == ["b"]
+    assert program.values_of_x("m(X)") == ["b"]
 
 
-READS = [
+READING_GOALS = [
     "prev(pos, pos(X), _, _, [1000,0])",
     "prev_binary(pos, pos(X), _, _, [1000,0])",
     "next(pos, pos(X), _, _, [2,0], [1000,0])",
@@ -64,68 +64,70 @@ READS = [
 ]
 
 
-@pytest.mark.parametrize("reads", READS)
-def test_each_way_to_read_a_memory_counts(reads):
-    own = "memory(Id, X) :- access_mem(Id, pos(X), _), X \\== none.\n"
-    program = Program(rules=f"{own}:- table t/1 as incremental.\nt(X) :- {reads}.\nplain(X) :- {reads}.\n")
+@pytest.mark.parametrize("goal", READING_GOALS)
+def test_each_reading_goal_is_a_dependency(goal):
+    own_memory = "memory(Id, X) :- access_mem(Id, pos(X), _), X \\== none.\n"
+    program = TableEngine(
+        rules=f"{own_memory}:- table t/1 as incremental.\nt(X) :- {goal}.\nplain(X) :- {goal}.\n"
+    )
     texts = [f"pos({name})" for name in "abcdefgh"]
-    rng = random.Random(reads)
+    generator = random.Random(goal)
     for _ in range(3):
         for text in texts:
-            program.events(text)
-            assert set(program.all("t(X)")) == set(program.all("plain(X)"))
+            program.feed(text)
+            assert set(program.values_of_x("t(X)")) == set(program.values_of_x("plain(X)"))
         program.query("delete_memory(pos)")
-        assert set(program.all("t(X)")) == set(program.all("plain(X)"))
+        assert set(program.values_of_x("t(X)")) == set(program.values_of_x("plain(X)"))
         program.query("memorize(pos(P), [], pos(P), pos, 5)")
-        program.events(rng.choice(texts))
-        assert set(program.all("t(X)")) == set(program.all("plain(X)"))
+        program.feed(generator.choice(texts))
+        assert set(program.values_of_x("t(X)")) == set(program.values_of_x("plain(X)"))
 
 
-@pytest.mark.parametrize("joined", [True, False])
-def test_poses_are_read_from_memories(joined):
+@pytest.mark.parametrize("with_goals", [True, False])
+def test_table_of_poses_depends_on_memories(with_goals):
     chain = "pose_chain([tf], T, X)"
-    one, two = "prev(tf, tf(V1, Q1), T1, _, T)", "next_inf(tf, tf(V2, Q2), T2, _, T)"
-    steps = f"{one}, {two}, datime_interpolate(T1, T2, T, F), interpolate_quaternion(V1, Q1, V2, Q2, [F], X)"
-    rules = f":- table at/2 as incremental.\nat(T, X) :- {steps if joined else chain}.\n"
-    program = Program("memorize(tf(V, Q), [], tf(V, Q), tf, 5)", rules)
+    earlier, later = "prev(tf, tf(V1, Q1), T1, _, T)", "next_inf(tf, tf(V2, Q2), T2, _, T)"
+    steps = f"{earlier}, {later}, datime_interpolate(T1, T2, T, F), interpolate_quaternion(V1, Q1, V2, Q2, [F], X)"
+    rules = f":- table at/2 as incremental.\nat(T, X) :- {steps if with_goals else chain}.\n"
+    program = TableEngine("memorize(tf(V, Q), [], tf(V, Q), tf, 5)", rules)
     program.event("tf([0.0,0.0,0.0],[0.0,0.0,0.0,1.0])", 1)
     program.event("tf([3.0,0.0,0.0],[0.0,0.0,0.0,1.0])", 4)
     for nanoseconds in range(15):  # until it is compiled
-        assert program.all(f"at([3,{nanoseconds}], X)")
-    assert "2.0" in program.all("at([3,0], X)")[0]
+        assert program.values_of_x(f"at([3,{nanoseconds}], X)")
+    assert "2.0" in program.values_of_x("at([3,0], X)")[0]
     program.event("tf([8.0,0.0,0.0],[0.0,0.0,0.0,1.0])", 2)
-    assert "5.5" in program.all("at([3,0], X)")[0]
+    assert "5.5" in program.values_of_x("at([3,0], X)")[0]
 
 
-def test_an_event_that_comes_late_changes_a_table():
-    program = Program(rules=":- table t/1 as incremental.\nt(X) :- prev(pos, pos(X), _, _, [5,0]).\n")
+def test_late_event_changes_table():
+    program = TableEngine(rules=":- table t/1 as incremental.\nt(X) :- prev(pos, pos(X), _, _, [5,0]).\n")
     program.event("pos(a)", 1)
     program.event("pos(b)", 9)
-    assert program.all("t(X)") == ["a"]
+    assert program.values_of_x("t(X)") == ["a"]
     program.event("pos(c)", 4)
-    assert program.all("t(X)") == ["c"]
+    assert program.values_of_x("t(X)") == ["c"]
 
 
-def test_a_memory_made_anew_is_another_one():
-    program = Program()
-    program.events("pos(a)")
-    assert program.all("m(X)") == ["a"]
+def test_recreated_memory_is_new_dependency():
+    program = TableEngine()
+    program.feed("pos(a)")
+    assert program.values_of_x("m(X)") == ["a"]
     program.query(f"delete_memory(pos), {POSITIONS}")
-    assert program.all("m(X)") == []
-    program.events("pos(b)")  # as many as before
-    assert program.all("m(X)") == ["b"]
+    assert program.values_of_x("m(X)") == []
+    program.feed("pos(b)")  # as many as before
+    assert program.values_of_x("m(X)") == ["b"]
 
 
-def test_time_that_goes_back_empties_memories_and_tables():
-    program = Program()
-    program.events("pos(a)")
-    assert program.all("m(X)") == ["a"]
+def test_clock_that_goes_back_clears_tables():
+    program = TableEngine()
+    program.feed("pos(a)")
+    assert program.values_of_x("m(X)") == ["a"]
     program.clock.move_to(-1, back=True)
-    program.events("other")
-    assert program.all("m(X)") == []
+    program.feed("other")
+    assert program.values_of_x("m(X)") == []
 
 
-COUNTED = """
+COUNTING_RULES = """
 :- dynamic runs/1.
 runs(0).
 :- table (near/1, far/1, both/1) as incremental.
@@ -136,22 +138,22 @@ counted :- retract(runs(N)), M is N + 1, assertz(runs(M)).
 """
 
 
-def test_only_tables_that_have_read_what_changed_are_evaluated_again():
-    program = Program(f"{POSITIONS}\nmemorize(goal(P), [], goal(P), goal, 5)", COUNTED)
-    program.events("pos(a)", "goal(z)")
-    assert program.all("both(X)") == ["a-z"]
-    program.events("goal(y)")
-    assert program.all("both(X)") == ["a-y"]
-    program.events("other")
-    assert program.all("near(X)") == ["a"]
-    assert program.all("runs(X)") == ["1"]
-    program.events("pos(b)")
-    assert program.all("both(X)") == ["b-y"]
-    assert program.all("runs(X)") == ["2"]
+def test_only_affected_tables_are_evaluated_again():
+    program = TableEngine(f"{POSITIONS}\nmemorize(goal(P), [], goal(P), goal, 5)", COUNTING_RULES)
+    program.feed("pos(a)", "goal(z)")
+    assert program.values_of_x("both(X)") == ["a-z"]
+    program.feed("goal(y)")
+    assert program.values_of_x("both(X)") == ["a-y"]
+    program.feed("other")
+    assert program.values_of_x("near(X)") == ["a"]
+    assert program.values_of_x("runs(X)") == ["1"]
+    program.feed("pos(b)")
+    assert program.values_of_x("both(X)") == ["b-y"]
+    assert program.values_of_x("runs(X)") == ["2"]
 
 
 DOCKED = ":- state(docked(R), from(dock(R)), until(undock(R)), [open(2), past(3)]).\n"
-ASKED = [
+STATE_GOALS = [
     "holds(docked(X))",
     "holds(docked(X), _)",
     "holds_at(docked(X), 3)",
@@ -160,39 +162,39 @@ ASKED = [
 ]
 
 
-@pytest.mark.parametrize("asks", ASKED)
+@pytest.mark.parametrize("goal", STATE_GOALS)
 @pytest.mark.parametrize("flag", ["", ":- set_etalis_flag(revision_flag, on).\n"])
-def test_a_table_follows_the_states_that_it_asks_for(asks, flag):
-    rules = f"{flag}{DOCKED}:- table t/1 as incremental.\nt(X) :- {asks}.\nplain(X) :- {asks}.\n"
-    program = Program("true", rules)
-    rng = random.Random(asks + flag)
-    kinds = ["dock({})", "dock({})", "undock({})", *(["rev(dock({}))"] if flag else [])]
-    changed = set()
+def test_table_depends_on_states(goal, flag):
+    rules = f"{flag}{DOCKED}:- table t/1 as incremental.\nt(X) :- {goal}.\nplain(X) :- {goal}.\n"
+    program = TableEngine("true", rules)
+    generator = random.Random(goal + flag)
+    event_forms = ["dock({})", "dock({})", "undock({})", *(["rev(dock({}))"] if flag else [])]
+    distinct_answers = set()
     for _ in range(60):
-        program.events(rng.choice(kinds).format(rng.choice("abc")))
-        found = frozenset(program.all("t(X)"))
-        assert found == set(program.all("plain(X)"))
-        changed.add(found)
-    assert len(changed) > 1
+        program.feed(generator.choice(event_forms).format(generator.choice("abc")))
+        answers = frozenset(program.values_of_x("t(X)"))
+        assert answers == set(program.values_of_x("plain(X)"))
+        distinct_answers.add(answers)
+    assert len(distinct_answers) > 1
     program.query("reset_db")
-    assert set(program.all("t(X)")) == set(program.all("plain(X)"))
+    assert set(program.values_of_x("t(X)")) == set(program.values_of_x("plain(X)"))
 
 
-def test_states_that_end_by_themselves_and_declarations_that_go():
+def test_table_follows_timeouts_and_deletion_of_states():
     state = ":- state(hot(R), from(heat(R)), until(cool(R)), [within(5)]).\n"
-    program = Program("true", f"{state}:- table t/1 as incremental.\nt(R) :- holds(hot(R)).\n")
+    program = TableEngine("true", f"{state}:- table t/1 as incremental.\nt(R) :- holds(hot(R)).\n")
     program.event("heat(a)", 1)
-    assert program.all("t(X)") == ["a"]
+    assert program.values_of_x("t(X)") == ["a"]
     program.event("other", 20)
-    assert program.all("t(X)") == []
+    assert program.values_of_x("t(X)") == []
     program.event("heat(b)", 21)
-    assert program.all("t(X)") == ["b"]
+    assert program.values_of_x("t(X)") == ["b"]
     program.query("delete_state(hot(_))")
     with pytest.raises(RetalisError, match="state"):
-        program.all("t(X)")
+        program.values_of_x("t(X)")
 
 
-def test_rules_ask_tables_over_facts_that_events_change():
+def test_rules_query_tables_over_changing_facts():
     rules = """
     :- dynamic closed/1 as incremental.
     :- table way/2 as incremental.
@@ -204,11 +206,11 @@ def test_rules_ask_tables_over_facts_that_events_change():
     go(Y) <- goto(Y) where way(a, Y).
     stay(Y) <- goto(Y) where \\+ way(a, Y).
     """
-    program = Program("true", rules)
-    seen = []
-    program.on_event(lambda term, start, end: seen.append(program.show(term)))
-    program.events("goto(c)", "blocked(a-c)", "goto(c)", "blocked(b-c)", "goto(c)", "free(a-c)", "goto(c)")
-    assert [text for text in seen if text.startswith(("go(", "stay("))] == [
+    program = TableEngine("true", rules)
+    events = []
+    program.on_event(lambda term, start, end: events.append(program.show(term)))
+    program.feed("goto(c)", "blocked(a-c)", "goto(c)", "blocked(b-c)", "goto(c)", "free(a-c)", "goto(c)")
+    assert [text for text in events if text.startswith(("go(", "stay("))] == [
         "go(c)",
         "go(c)",
         "stay(c)",
@@ -216,21 +218,21 @@ def test_rules_ask_tables_over_facts_that_events_change():
     ]
 
 
-def test_a_state_of_an_engine_holds_no_answers_that_may_change(tmp_path):
+def test_snapshot_excludes_answers_of_tables(tmp_path):
     rules = RULES + ":- dynamic q/1 as incremental.\n:- table t/1 as incremental.\nt(X) :- q(X).\nq(1).\n"
-    program = Program(rules=rules)
-    program.events("pos(a)")
-    assert program.all("m(X)") == ["a"]
-    assert program.all("t(X)") == ["1"]
-    other = Engine.restore(program.snapshot())
+    program = TableEngine(rules=rules)
+    program.feed("pos(a)")
+    assert program.values_of_x("m(X)") == ["a"]
+    assert program.values_of_x("t(X)") == ["1"]
+    restored = Engine.restore(program.snapshot())
 
     def all_of(goal):
-        return [other.show(found["X"]) for found in other.query(goal)]
+        return [restored.show(answer["X"]) for answer in restored.query(goal)]
 
     assert all_of("m(X)") == ["a"]
     assert all_of("t(X)") == ["1"]
-    other.event("pos(b)", 5)
-    other.query("assertz(q(2))")
+    restored.event("pos(b)", 5)
+    restored.query("assertz(q(2))")
     assert all_of("m(X)") == ["b"]
     assert all_of("t(X)") == ["1", "2"]
 
@@ -240,14 +242,14 @@ def write(folder, rules, goals):
     (folder / "rules.txt").write_text(rules)
 
 
-def test_tables_after_a_reload_and_after_one_that_is_taken_back(tmp_path):
+def test_tables_follow_reload_and_rollback(tmp_path):
     facts = ":- dynamic q/1 as incremental.\n:- table t/1 as incremental.\nt(X) :- q(X).\nq(1).\n"
     write(tmp_path, RULES + facts, POSITIONS)
     engine = Engine()
     engine.load_program(tmp_path)
 
     def all_of(goal):
-        return [engine.show(found["X"]) for found in engine.query(goal)]
+        return [engine.show(answer["X"]) for answer in engine.query(goal)]
 
     engine.event("pos(a)", 1)
     engine.query("assertz(q(2))")
@@ -270,9 +272,9 @@ def test_tables_after_a_reload_and_after_one_that_is_taken_back(tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_random_events_and_questions(seed):
-    """The same clauses with tables and without give the same answers, whatever happens between."""
-    rng = random.Random(seed)
+def test_tables_equal_clauses_on_random_events(seed):
+    """The same clauses with and without tables have equal answers after any changes."""
+    generator = random.Random(seed)
     bodies = {
         "last": "prev(pos, pos(X), _, _, [1000,0])",
         "known": "access_mem(pos, pos(X), _), \\+ lost(X)",
@@ -285,29 +287,31 @@ def test_random_events_and_questions(seed):
         for prefix in ("", "t_"):
             rules.append(f"{prefix}{name}(X) :- {body.format(prefix)}.")
         rules.append(f":- table t_{name}/1 as incremental.")
-    program = Program(rules="\n".join(rules))
+    program = TableEngine(rules="\n".join(rules))
     for _ in range(60):
-        what, name = rng.random(), rng.choice("abc")
-        if what < 0.4:
-            program.events(rng.choice((f"pos({name})", f"dock({name})", f"undock({name})")))
-        elif what < 0.6:
-            program.query(rng.choice((f"assertz(lost({name}))", f"retractall(lost({name}))")))
-        elif what < 0.65:
+        choice, name = generator.random(), generator.choice("abc")
+        if choice < 0.4:
+            program.feed(generator.choice((f"pos({name})", f"dock({name})", f"undock({name})")))
+        elif choice < 0.6:
+            program.query(generator.choice((f"assertz(lost({name}))", f"retractall(lost({name}))")))
+        elif choice < 0.65:
             program.query(f"delete_memory(pos), {POSITIONS}")
         else:
-            asked = rng.choice(list(bodies))
-            assert sorted(set(program.all(f"t_{asked}(X)"))) == sorted(set(program.all(f"{asked}(X)"))), asked
+            predicate = generator.choice(list(bodies))
+            assert sorted(set(program.values_of_x(f"t_{predicate}(X)"))) == sorted(
+                set(program.values_of_x(f"{predicate}(X)"))
+            ), predicate
 
 
 @pytest.mark.parametrize(
     "declaration",
     ["dynamic(between/3 as incremental)", "table(between/3 as incremental)", "dynamic([between/3], [])"],
 )
-def test_a_predicate_of_the_library_that_is_declared_with_options_may_have_facts(declaration):
-    program = Program("true", f":- {declaration}.\nbetween(a, b, c).\nx <- y.\n")
-    assert program.all("between(a, b, X)") == ["c"]
+def test_declared_library_predicate_may_have_facts(declaration):
+    program = TableEngine("true", f":- {declaration}.\nbetween(a, b, c).\nx <- y.\n")
+    assert program.values_of_x("between(a, b, X)") == ["c"]
 
 
-def test_a_rule_may_ask_for_facts_that_an_action_declares_with_options(caplog):
-    Program("true", "begin <- go do dynamic(fact/1 as incremental).\nseen(X) <- ask where fact(X).\n")
+def test_rule_may_query_facts_declared_by_action(caplog):
+    TableEngine("true", "begin <- go do dynamic(fact/1 as incremental).\nseen(X) <- ask where fact(X).\n")
     assert [record.message for record in caplog.records if "fact/1" in record.message] == []

@@ -16,37 +16,37 @@ gap(Id, Sec, NSec, G) :- convert_to_datime([Sec, NSec], T), memory_gap(Id, T, G)
 """
 
 
-def engine_with(*stamps, settings=None, size=100, memories=("m",)):
-    """Return an engine whose memories have a record at each of some stamps in milliseconds."""
+def engine_with(*timestamps, settings=None, size=100, memories=("m",)):
+    """Return an engine whose memories have a record at each timestamp in milliseconds."""
     engine = Engine(StreamClock(1000 * SECOND), settings, Reports())
     engine.load(rules=BETWEEN)
     for name in memories:
         engine.call(f"memorize(v(_), [], _, {name}, {size})")
-    for stamp in stamps:
-        engine.event("v(1)", stamp / 1000)
+    for timestamp in timestamps:
+        engine.event("v(1)", timestamp / 1000)
     return engine
 
 
 def weights(engine, milliseconds, name="m"):
-    seconds, rest = divmod(milliseconds, 1000)
-    return [found["W"] for found in engine.query(f"between({name}, {seconds}, {rest * 10**6}, W)")]
+    seconds, remainder = divmod(milliseconds, 1000)
+    return [answer["W"] for answer in engine.query(f"between({name}, {seconds}, {remainder * 10**6}, W)")]
 
 
-STEADY = tuple(range(1000, 2000, 100))
-HOLE = (*STEADY, 4000, 4100)
+REGULAR_TIMESTAMPS = tuple(range(1000, 2000, 100))
+TIMESTAMPS_WITH_GAP = (*REGULAR_TIMESTAMPS, 4000, 4100)
 
 
-@pytest.mark.parametrize("most", ["2.0", "0.15", "0.1"])
-def test_no_value_over_a_gap_that_is_too_wide(most):
-    engine = engine_with(*HOLE)
-    assert engine.call(f"set_etalis_flag(max_gap, {most})")
+@pytest.mark.parametrize("max_gap", ["2.0", "0.15", "0.1"])
+def test_wide_gap_has_no_interpolation(max_gap):
+    engine = engine_with(*TIMESTAMPS_WITH_GAP)
+    assert engine.call(f"set_etalis_flag(max_gap, {max_gap})")
     assert weights(engine, 1250) == [0.5]
     assert weights(engine, 3000) == []
     assert weights(engine, 4000) == [1]
     assert engine.reports.warnings == 0
 
 
-def test_a_gap_as_wide_as_is_allowed():
+def test_gap_of_maximum_width_is_interpolated():
     engine = engine_with(1000, 1500)
     assert engine.call("set_etalis_flag(max_gap, 0.5)")
     assert weights(engine, 1125) == [0.75]
@@ -54,7 +54,7 @@ def test_a_gap_as_wide_as_is_allowed():
     assert weights(engine, 1125) == []
 
 
-def test_stamps_in_either_order():
+def test_timestamps_may_be_in_either_order():
     engine = engine_with()
     late, early = "datime(2001,1,1,0,0,4,0)", "datime(2001,1,1,0,0,0,0)"
     for goal in (
@@ -67,16 +67,16 @@ def test_stamps_in_either_order():
         assert engine.call("set_etalis_flag(max_gap, 4)")
 
 
-@pytest.mark.parametrize("most", [-1, 0, "1.0e300"])
-def test_any_gap(most):
+@pytest.mark.parametrize("max_gap", [-1, 0, "1.0e300"])
+def test_unlimited_gap_is_interpolated(max_gap):
     engine = engine_with(0, 10**9)
     assert engine.call("set_etalis_flag(max_gap, 1)")
     assert weights(engine, 5 * 10**8) == []
-    assert engine.call(f"set_etalis_flag(max_gap, {most})")
+    assert engine.call(f"set_etalis_flag(max_gap, {max_gap})")
     assert weights(engine, 5 * 10**8) == [0.5]
 
 
-def test_what_the_engine_was_set_up_with_comes_back():
+def test_reset_restores_setting_of_gap():
     engine = engine_with(settings=Settings(max_gap=0.5))
     assert engine.query("get_etalis_flag(max_gap, M)") == [{"M": 0.5}]
     assert engine.call("set_etalis_flag(max_gap, 3)")
@@ -85,8 +85,8 @@ def test_what_the_engine_was_set_up_with_comes_back():
     assert not engine.call("datime_interpolate(1.0, 2.0, 1.0, _)")
 
 
-def test_an_unusual_gap_is_told_of_once_for_each_memory(caplog):
-    engine = engine_with(*HOLE, memories=("m", "n(1)"))
+def test_unusual_gap_is_reported_once_for_memory(caplog):
+    engine = engine_with(*TIMESTAMPS_WITH_GAP, memories=("m", "n(1)"))
     for instant in (3000, 3100, 3200):
         assert weights(engine, instant)
         assert weights(engine, instant, "n(1)")
@@ -96,8 +96,8 @@ def test_an_unusual_gap_is_told_of_once_for_each_memory(caplog):
     assert engine.reports.warnings == 6
 
 
-def test_several_look_ups_of_one_gap_before_the_first_interpolation(caplog):
-    engine = engine_with(*HOLE, memories=("m", "n"))
+def test_gap_of_several_lookups_is_reported(caplog):
+    engine = engine_with(*TIMESTAMPS_WITH_GAP, memories=("m", "n"))
     goal = (
         "convert_to_datime([3,0], T), next_inf(m, _, _, _, T), next_inf(n, _, T2, _, T), prev(n, _, T1, _, T), "
         "datime_interpolate(T1, T2, T, _)"
@@ -107,23 +107,25 @@ def test_several_look_ups_of_one_gap_before_the_first_interpolation(caplog):
 
 
 @pytest.mark.parametrize(
-    "stamps",
+    "timestamps",
     [
-        STEADY,
-        (*STEADY, 2850),  # 9.5 times
-        (1000, 1100, 1200, 1300, 1400, 5400),  # too few to know what is usual
-        tuple(stamp for stamp in (*STEADY, 2700) for _ in range(10)),  # of several publishers at once
+        REGULAR_TIMESTAMPS,
+        (*REGULAR_TIMESTAMPS, 2850),  # 9.5 times
+        (1000, 1100, 1200, 1300, 1400, 5400),  # too few records for a usual gap
+        tuple(
+            timestamp for timestamp in (*REGULAR_TIMESTAMPS, 2700) for _ in range(10)
+        ),  # of several publishers at once
     ],
 )
-def test_a_usual_gap_is_not(stamps):
-    engine = engine_with(*stamps, size=200)
-    for instant in range(1050, max(stamps), 100):
+def test_usual_gap_is_not_reported(timestamps):
+    engine = engine_with(*timestamps, size=200)
+    for instant in range(1050, max(timestamps), 100):
         assert weights(engine, instant)
     assert engine.reports.warnings == 0
 
 
-def test_nobody_is_told_of_a_gap_that_is_only_looked_up():
-    engine = engine_with(*HOLE)
+def test_lookup_without_interpolation_reports_no_gap():
+    engine = engine_with(*TIMESTAMPS_WITH_GAP)
     assert engine.call("next_inf(m, _, _, _, 3.0)")
     assert engine.call("memory_gap(m, 3.0, _)")
     assert weights(engine, 1250) == [0.5]
@@ -131,26 +133,26 @@ def test_nobody_is_told_of_a_gap_that_is_only_looked_up():
 
 
 @pytest.mark.slow
-def test_what_is_noted_is_bounded():
+def test_stored_gaps_are_limited():
     engine = engine_with(size=10_000)
     for start in range(MAX_NOTED_GAPS * 3):
         for step in range(100):
             engine.event("v(1)", start * 10 + step / 1000)
     for start in range(MAX_NOTED_GAPS * 3 - 1):
         assert engine.call(f"next_inf(m, _, _, _, {start * 10 + 5}.0)")
-    noted = engine.knowledge.gaps.noted_gaps
-    assert len(noted) == MAX_NOTED_GAPS
+    gaps = engine.knowledge.gaps.noted_gaps
+    assert len(gaps) == MAX_NOTED_GAPS
     assert weights(engine, 1_905_000) == [pytest.approx(0.505, abs=0.01)]
     engine.knowledge.clear()
-    assert noted == {}
+    assert gaps == {}
 
 
 @pytest.mark.slow
 @given(st.lists(st.integers(0, 40), max_size=20), st.integers(0, 40))
-def test_memory_gap_is_the_distance_of_its_neighbours(stamps, at):
-    engine = engine_with(*stamps)
-    before = [stamp for stamp in stamps if stamp <= at]
-    after = [stamp for stamp in stamps if stamp >= at]
+def test_memory_gap_is_distance_of_neighbours(timestamps, instant):
+    engine = engine_with(*timestamps)
+    before = [timestamp for timestamp in timestamps if timestamp <= instant]
+    after = [timestamp for timestamp in timestamps if timestamp >= instant]
     expected = [(min(after) - max(before)) / 1000] if before and after else []
-    assert [found["G"] for found in engine.query(f"gap(m, 0, {at * 10**6}, G)")] == expected
-    assert engine.query(f"gap(other, 0, {at * 10**6}, G)") == []
+    assert [answer["G"] for answer in engine.query(f"gap(m, 0, {instant * 10**6}, G)")] == expected
+    assert engine.query(f"gap(other, 0, {instant * 10**6}, G)") == []

@@ -38,7 +38,7 @@ RECORDED = "memory 'room temperatures' records it, so call access_mem('room temp
         ("opened(front)", "opened/1", NOT_RECORDED),
     ],
 )
-def test_call_of_event_names_what_to_do(engine, goal, event, advice):
+def test_call_of_event_shows_alternative(engine, goal, event, advice):
     assert error_text(engine, goal).endswith(f": {event} is an event, and events are not facts: {advice}")
 
 

@@ -19,53 +19,53 @@ def names(engine):
     return [event for event, _, _ in engine.events]
 
 
-def test_records_matching_events_in_their_own_form():
+def test_matching_events_are_recorded_by_template():
     engine = RecordingEngine(goals="memorize(tf(a, B, X), [X > 0], kept(B, X), m, 10)")
     for text in ("tf(a, b, 1)", "tf(c, b, 2)", "tf(a, d, -1)", "tf(a, e, 3)"):
         engine.event(text, 1)
     assert records(engine) == ["kept(e,3)", "kept(b,1)"]
 
 
-def test_a_variable_as_record_keeps_the_event():
+def test_variable_template_records_event():
     engine = RecordingEngine(goals="memorize(v(X), [X > 1], _, m, 10)")
     engine.event("v(1)", 1)
     engine.event("v(2)", 2)
     assert records(engine) == ["v(2)"]
 
 
-def test_pattern_conditions_and_record_share_their_variables_and_one_solution_counts():
+def test_template_uses_first_solution_of_conditions():
     engine = RecordingEngine(goals="memorize(v(X), [member(Y, [10, 20]), Z is X + Y], w(X, Z), m, 10)")
     engine.event("v(1)", 1)
     assert records(engine) == ["w(1,11)"]
 
 
-def test_records_with_variables_are_fresh_for_each_reader():
+def test_variables_of_records_are_renamed_for_readers():
     engine = RecordingEngine(goals="memorize(v(X), [], pair(X, _), m, 10)")
     engine.event("v(1)", 1)
     assert engine.query("access_mem(m, pair(1, a), _), access_mem(m, pair(1, b), _)") != []
     assert engine.query("prev(m, P, _, _, 5), P = pair(_, a), prev(m, Q, _, _, 5), Q = pair(_, b)") != []
 
 
-def test_an_event_with_variables_is_recorded_with_fresh_ones():
+def test_variables_of_recorded_event_are_renamed():
     engine = RecordingEngine("null do (new_event(v(_, 2), 1, 0)) <- go.", "memorize(v(X, Y), [], _, m, 10)")
     engine.event("go", 1)
     assert engine.query("access_mem(m, v(a, 2), _), access_mem(m, v(b, 2), _)") != []
 
 
 @pytest.fixture
-def three():
+def engine_with_three_records():
     engine = RecordingEngine(goals="memorize(v(X), [], _, m, 3)")
     for value, time in ((1, 10), (2, 20), (3, 30), (4, 25), (5, 5)):
         engine.event(f"v({value})", time)
     return engine
 
 
-def test_records_lie_in_the_order_of_their_ends_and_the_newest_are_kept(three):
-    assert records(three) == ["v(3)", "v(4)", "v(2)"]
+def test_newest_records_are_kept_in_order(engine_with_three_records):
+    assert records(engine_with_three_records) == ["v(3)", "v(4)", "v(2)"]
 
 
 @pytest.mark.parametrize(
-    ("goal", "found"),
+    ("goal", "expected"),
     [
         ("prev(m, R, _, _, 26)", "v(4)"),
         ("prev(m, R, _, _, 25)", "v(4)"),
@@ -85,16 +85,16 @@ def test_records_lie_in_the_order_of_their_ends_and_the_newest_are_kept(three):
         ("access_mem(unknown, R, _)", None),
     ],
 )
-def test_look_ups(three, goal, found):
-    answers = three.query(goal)
-    if found is None:
+def test_lookups_return_nearest_record(engine_with_three_records, goal, expected):
+    answers = engine_with_three_records.query(goal)
+    if expected is None:
         assert answers == []
     else:
         (answer,) = answers
-        assert three.show(deref(answer["R"])) == found
+        assert engine_with_three_records.show(deref(answer["R"])) == expected
 
 
-def test_look_ups_give_the_interval_in_the_form_it_came_in():
+def test_lookups_keep_form_of_interval():
     engine = RecordingEngine(goals="memorize(v(_), [], _, m, 3)")
     engine.event("v(1)", 5, 7.5)
     (answer,) = engine.query("prev(m, _, T1, T2, 8)")
@@ -105,22 +105,24 @@ def test_look_ups_give_the_interval_in_the_form_it_came_in():
     assert engine.query("prev(m, v(2), _, _, datime(2014,10,19,19,50,5,981209993))") != []
 
 
-def test_sizes_and_counts(three):
-    assert three.query("memory_size(m, N), memory_counter(m, C)") == [{"N": 3, "C": 4}]
-    assert [deref(answer["Id"]).name for answer in three.query("memory_size(Id, _)")] == ["m"]
+def test_size_and_count_are_queried(engine_with_three_records):
+    assert engine_with_three_records.query("memory_size(m, N), memory_counter(m, C)") == [{"N": 3, "C": 4}]
+    assert [deref(answer["Id"]).name for answer in engine_with_three_records.query("memory_size(Id, _)")] == [
+        "m"
+    ]
 
 
-def test_an_active_memory_tells_and_another_does_not():
+def test_active_memory_emits_events():
     engine = RecordingEngine(goals="memorize(v(_), [], _, m, 3)\nmemorize_diactive(v(_), [], _, quiet, 3)")
     engine.event("v(1)", 5)
     engine.call("delete_memory(m), delete_memory(quiet)")
-    kinds = [name.split("(")[0] for name in names(engine)]
-    assert kinds == ["memory_created", "v", "memory_updated", "memory_deleted"]
+    functors = [name.split("(")[0] for name in names(engine)]
+    assert functors == ["memory_created", "v", "memory_updated", "memory_deleted"]
     assert names(engine)[2:] == ["memory_updated(m,5)", "memory_deleted(m)"]
 
 
 @pytest.mark.parametrize(
-    ("definition", "told"),
+    ("definition", "expected"),
     [
         ("v(X), [], _, m, 3", "v(X), [], v(X)"),
         ("v(X), [], R, m, 3", "v(X), [], v(X)"),
@@ -128,18 +130,18 @@ def test_an_active_memory_tells_and_another_does_not():
         ("v(X), [Y = X], Y, m, 3", "v(X), [Y = X], Y"),
     ],
 )
-def test_the_event_of_a_new_memory_tells_what_is_kept(definition, told):
+def test_creation_event_shows_definition(definition, expected):
     engine = RecordingEngine(goals=f"memorize({definition})")
-    assert engine.call(f"{names(engine)[0]} =@= memory_created({told}, m, 3)")
+    assert engine.call(f"{names(engine)[0]} =@= memory_created({expected}, m, 3)")
 
 
-def test_a_rule_may_wait_for_an_update():
+def test_rule_matches_memory_update():
     engine = RecordingEngine("seen(Id) <- memory_updated(Id, _).", "memorize(v(_), [], _, m, 3)")
     engine.event("v(1)", 5)
     assert "seen(m)" in names(engine)
 
 
-def test_an_update_that_is_too_deep_to_be_told_cuts_nothing_off(caplog):
+def test_update_beyond_depth_limit_is_reported(caplog):
     rules = "a(Y) <- a(X) where (X < 20, Y is X + 1). told(I) <- memory_updated(I, _). done <- a(1)."
     engine = RecordingEngine(rules, "memorize(a(20), [], _, m, 5)", max_depth=19)
     engine.event("a(1)", 1)
@@ -160,14 +162,14 @@ def test_memories_of_all_events_do_not_record_updates_of_each_other(memory):
     ]
 
 
-def test_an_active_memory_of_everything_leaves_out_its_own_updates():
+def test_memory_of_all_events_ignores_own_updates():
     engine = RecordingEngine(goals="memorize(E, [], _, m, 100)")
     engine.event("a", 1)
     assert [record.split("(")[0] for record in records(engine)].count("memory_updated") == 0
     assert "a" in records(engine)
 
 
-def test_deleting_an_unknown_memory_warns_and_succeeds(caplog):
+def test_deletion_of_unknown_memory_succeeds_with_warning(caplog):
     engine = RecordingEngine()
     with caplog.at_level(logging.WARNING, "retalis"):
         assert engine.call("delete_memory(nothing)")
@@ -188,7 +190,7 @@ def test_deleting_an_unknown_memory_warns_and_succeeds(caplog):
         ("memorize(v(X), [Y], _, n, 3)", "instantiation_error"),
     ],
 )
-def test_what_is_no_memory_is_an_error_and_nothing_is_half_made(goal, error):
+def test_invalid_memory_is_refused(goal, error):
     engine = RecordingEngine(goals="memorize(v(X), [], _, m, 3)")
     with pytest.raises(PrologError) as caught:
         engine.call(goal)
@@ -196,7 +198,7 @@ def test_what_is_no_memory_is_an_error_and_nothing_is_half_made(goal, error):
     assert [deref(answer["Id"]).name for answer in engine.query("memory_size(Id, _)")] == ["m"]
 
 
-def test_a_condition_that_raises_is_reported_and_the_event_goes_on(caplog):
+def test_error_of_condition_is_reported(caplog):
     engine = RecordingEngine("ok <- v(_).", "memorize(v(X), [Y is X + 1], w(Y), m, 3)")
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.event("v(a)", 1)
@@ -205,19 +207,21 @@ def test_a_condition_that_raises_is_reported_and_the_event_goes_on(caplog):
     assert "memory m" in caplog.text
 
 
-def test_ids_may_be_any_ground_term():
+def test_id_may_be_any_ground_term():
     engine = RecordingEngine(goals="memorize(v(_), [], _, room(1), 3)\nmemorize(v(_), [], _, 1, 3)")
     engine.event("v(x)", 1)
     assert records(engine, "room(1)") == records(engine, "1") == ["v(x)"]
     assert records(engine, "1.0") == []
 
 
-def test_a_reader_sees_the_records_there_were_when_it_began(three):
-    (answer,) = three.query("findall(X, (access_mem(m, v(X), _), new_event(v(9), 99, 0)), L)")
+def test_reader_ignores_records_added_meanwhile(engine_with_three_records):
+    (answer,) = engine_with_three_records.query(
+        "findall(X, (access_mem(m, v(X), _), new_event(v(9), 99, 0)), L)"
+    )
     assert list_items(answer["L"]) == [3, 4, 2]
 
 
-def test_a_condition_that_fails_in_an_event_of_its_own_leaves_the_event_as_it_was():
+def test_failed_condition_restores_current_event():
     engine = Engine()
     engine.load(
         rules="null do wrong(X) <- b(X).\nwrong(X) :- X > foo.",
@@ -230,7 +234,7 @@ def test_a_condition_that_fails_in_an_event_of_its_own_leaves_the_event_as_it_wa
 
 
 @pytest.mark.parametrize(
-    ("definition", "kept"),
+    ("definition", "expected"),
     [
         ("v(X), [X = 1], v(X)", ["v(1)"]),
         ("v(X), [X = 1], _", ["v(A)"]),
@@ -239,13 +243,13 @@ def test_a_condition_that_fails_in_an_event_of_its_own_leaves_the_event_as_it_wa
         ("E, [E = v(1)], seen(E)", ["seen(v(1))"]),
     ],
 )
-def test_conditions_see_the_variables_of_an_event(definition, kept):
+def test_conditions_bind_variables_of_event(definition, expected):
     engine = RecordingEngine(goals=f"memorize({definition}, m, 10)")
     engine.event("v(_)", 1)
-    assert [re.sub(r"_\w+", "A", record) for record in records(engine)] == kept
+    assert [re.sub(r"_\w+", "A", record) for record in records(engine)] == expected
 
 
-def test_a_form_under_conditions_has_what_they_found_and_variables_of_its_own():
+def test_template_has_bindings_and_fresh_variables():
     engine = RecordingEngine(goals="memorize(v(X), [member(Y-Z, [X-_, 3-4])], w(Y, Z, _), m, 10)")
     engine.event("v(1)", 1)
     assert engine.query("prev(m, w(1, a, b), _, _, 5), prev(m, w(1, c, d), _, _, 5)") == [{}]
@@ -257,37 +261,37 @@ full(Id, N) :- memory_counter(Id, C), C >= N.
 """
 
 
-def test_how_many_records_there_were_is_known_of_one_memory_or_of_each():
+def test_counter_is_queried_for_one_or_all_memories():
     engine = RecordingEngine(SIZES, "memorize(v(_), [], _, m, 2)\nmemorize(w(_), [], _, n(1), 5)")
     for number in range(4):
         engine.event(f"v({number})", number)
-    for _ in range(20):  # until it is compiled
+    for _ in range(20):  # until the predicate is compiled
         assert engine.call("full(4)")
         assert not engine.call("full(5)")
-        assert [engine.show(found["Id"]) for found in engine.query("full(Id, 0)")] == ["m", "n(1)"]
+        assert [engine.show(answer["Id"]) for answer in engine.query("full(Id, 0)")] == ["m", "n(1)"]
     assert not engine.call("memory_counter(nothing, _)")
     assert not engine.call("memory_counter(m, 5)")
     assert not engine.call("memory_counter(n(_), _)")
     assert engine.query("Id = n(1), memory_size(Id, 5)") != []
-    assert [found["N"] for found in engine.query("memory_size(_, N)")] == [2, 5]
+    assert [answer["N"] for answer in engine.query("memory_size(_, N)")] == [2, 5]
 
 
-def test_a_memory_may_look_at_itself_to_stop_when_it_is_full():
+def test_condition_may_read_own_memory():
     engine = RecordingEngine(goals="memorize(v(X), [memory_counter(m, N), N < 2], _, m, 5)")
     for number in range(4):
         engine.event(f"v({number})", number)
     assert records(engine) == ["v(1)", "v(0)"]
 
 
-def test_which_memories_are_behind():
+def test_memories_before_instant_are_missing():
     engine = RecordingEngine(goals="memorize(a, [], _, m, 5)\nmemorize(b, [], _, n, 5)")
     knowledge = engine.knowledge
     engine.event("a", 2)
     engine.event("b", 1)
     names = [atom("m"), atom("n")]
     for second, behind in ((0, ""), (1, ""), (2, "n"), (3, "mn")):
-        found = knowledge.find_missing_memories(names, second * SECOND)
-        assert [(engine.show(memory.id), instant) for memory, instant in found] == [
+        missing = knowledge.find_missing_memories(names, second * SECOND)
+        assert [(engine.show(memory.id), instant) for memory, instant in missing] == [
             (name, second * SECOND) for name in behind
         ]
     with pytest.raises(UsageError, match="there is no memory o"):

@@ -1,6 +1,6 @@
 """Synchronized queries: time, number and interval of their calls.
 
-Where nobody but the queries listens to the synchronized events of a rule, these are not made: most tests run
+If only the queries listen to the synchronized events of a rule, these are not created: most tests run
 both ways.
 """
 
@@ -14,31 +14,31 @@ from retalis import Engine, Limits, Settings, Var, atom, functor
 from retalis.events.dispatch.dispatcher import Dispatcher
 from retalis.events.dispatch.listeners import DEPTH, ListenerPhase
 
-ASK = "syncronized(answer(X, V), (prev(m, v(V), _, _, T)), [[m, T]]) <- ask(X, T).\n"
+QUERY_RULE = "syncronized(answer(X, V), (prev(m, v(V), _, _, T)), [[m, T]]) <- ask(X, T).\n"
 MEMORY = "memorize(v(_), [], _, m, 10)\n"
 
 
-class Overheard(Engine):
-    """An engine whose events of a few kinds are kept as text, and of which nobody hears the others."""
+class SelectiveEngine(Engine):
+    """An engine that records events of a few types as text, and has no listener for others."""
 
     def __init__(self, rules="", goals="", **settings):
         super().__init__(settings=Settings(**settings))
         self.events = []
-        for name, arity in KINDS:
+        for name, arity in RECORDED_TYPES:
             pattern = functor(name, arity)(*(Var() for _ in range(arity))) if arity else atom(name)
-            self.dispatcher.listen(ListenerPhase.TRACE, pattern, self._note)
+            self.dispatcher.listen(ListenerPhase.TRACE, pattern, self._record)
         self.load(rules=rules, goals=goals)
 
-    def _note(self, term, values, start, end, frame):
+    def _record(self, term, values, start, end, frame):
         self.events.append((self.show(term), int(start), int(end)))
         return frame
 
 
-KINDS = (("a", 0), ("done", 0), ("answer", 2), ("done", 1), ("done", 2), ("v", 1))
+RECORDED_TYPES = (("a", 0), ("done", 0), ("answer", 2), ("done", 1), ("done", 2), ("v", 1))
 
 
-@pytest.fixture(params=[RecordingEngine, Overheard], ids=["heard by others too", "not made"])
-def run(request):
+@pytest.fixture(params=[RecordingEngine, SelectiveEngine], ids=["created", "not created"])
+def make_engine(request):
     return request.param
 
 
@@ -50,23 +50,23 @@ def names(engine):
     return [event for event, _, _ in answers(engine)]
 
 
-def test_the_status_of_a_rule_of_queries_tells_when_it_fired_last(run):
-    engine = run(ASK, MEMORY)
-    for at in (5, 7):
-        engine.event("ask(1, 0)", at)
+def test_status_shows_last_query(make_engine):
+    engine = make_engine(QUERY_RULE, MEMORY)
+    for second in (5, 7):
+        engine.event("ask(1, 0)", second)
     (rule,) = engine.status().rules
     assert (rule.fired, rule.last_fired) == (2, 7 * 10**9)
 
 
-def test_a_query_that_has_its_data_is_called_at_once(run):
-    engine = run(ASK, MEMORY)
+def test_query_with_data_is_called_immediately(make_engine):
+    engine = make_engine(QUERY_RULE, MEMORY)
     engine.event("v(1)", 10)
     engine.event("ask(a, 10)", 3, 4)
     assert answers(engine) == [("answer(a,1)", 3 * 10**9, 4 * 10**9)]
 
 
-def test_another_waits_and_is_called_once_with_the_interval_of_its_own_event(run):
-    engine = run(ASK, MEMORY)
+def test_query_waits_for_data(make_engine):
+    engine = make_engine(QUERY_RULE, MEMORY)
     engine.event("v(1)", 10)
     engine.event("ask(a, 20)", 3)
     engine.event("v(2)", 19)
@@ -77,16 +77,16 @@ def test_another_waits_and_is_called_once_with_the_interval_of_its_own_event(run
     assert len(engine.knowledge.pending_queries) == 0
 
 
-def test_both_spellings_hold(run):
-    engine = run(ASK.replace("syncronized", "synchronized"), MEMORY)
+def test_both_spellings_are_accepted(make_engine):
+    engine = make_engine(QUERY_RULE.replace("syncronized", "synchronized"), MEMORY)
     engine.event("v(1)", 10)
     engine.event("ask(a, 10)", 3)
     assert names(engine) == ["answer(a,1)"]
 
 
-def test_all_memories_have_to_be_there(run):
+def test_query_waits_for_all_memories(make_engine):
     rules = "syncronized(done(X), true, [[m, 10], [n, 20]]) <- ask(X)."
-    engine = run(rules, MEMORY + "memorize(w(_), [], _, n, 10)")
+    engine = make_engine(rules, MEMORY + "memorize(w(_), [], _, n, 10)")
     engine.event("ask(a)", 1)
     engine.event("v(1)", 30)
     engine.event("w(1)", 19)
@@ -95,42 +95,42 @@ def test_all_memories_have_to_be_there(run):
     assert names(engine) == ["done(a)"]
 
 
-def test_the_first_solution_counts_and_none_triggers_nothing(run):
+def test_query_emits_first_solution_only(make_engine):
     rules = (
         "syncronized(done(Y), member(Y, [1, 2]), [[m, T]]) <- ask(T).\n"
         "syncronized(done(no), fail, [[m, T]]) <- ask(T).\n"
     )
-    engine = run(rules, MEMORY)
+    engine = make_engine(rules, MEMORY)
     engine.event("ask(20)", 1)
     engine.event("v(1)", 20)
     engine.event("ask(20)", 2)
     assert names(engine) == ["done(1)", "done(1)"]
 
 
-def test_queries_are_released_in_the_order_they_came_in(run):
-    engine = run("syncronized(done(X), true, [[m, T]]) <- ask(X, T).", MEMORY)
+def test_queries_are_called_in_order_of_arrival(make_engine):
+    engine = make_engine("syncronized(done(X), true, [[m, T]]) <- ask(X, T).", MEMORY)
     for name, time in (("a", 30), ("b", 10), ("c", 20), ("d", 99)):
         engine.event(f"ask({name}, {time})", 1)
     engine.event("v(1)", 40)
     assert names(engine) == ["done(a)", "done(b)", "done(c)"]
 
 
-def test_each_is_finished_before_the_next_is_called(run):
+def test_query_is_complete_before_next_call(make_engine):
     rules = (
         "syncronized(done(X), note(X), [[m, T]]) <- ask(X, T).\n"
         "note(X) :- findall(Y, seen(Y), L), assertz(seen(X)), assertz(before(X, L)).\n"
         "null do assertz(seen(after(X))) <- done(X).\n"
         ":- dynamic(seen/1). :- dynamic(before/2).\n"
     )
-    engine = run(rules, MEMORY)
+    engine = make_engine(rules, MEMORY)
     engine.event("ask(a, 10)", 1)
     engine.event("ask(b, 10)", 1)
     engine.event("v(1)", 10)
     assert engine.query("before(b, [a, after(a)])") == [{}]
 
 
-def test_a_query_is_called_before_the_rules_of_the_event_that_releases_it(run):
-    engine = run("syncronized(done(X), true, [[m, 10]]) <- ask(X).\ndone(rule) <- v(_).", MEMORY)
+def test_query_precedes_rules_of_releasing_event(make_engine):
+    engine = make_engine("syncronized(done(X), true, [[m, 10]]) <- ask(X).\ndone(rule) <- v(_).", MEMORY)
     engine.event("ask(a)", 1)
     engine.event("v(1)", 10)
     assert names(engine) == ["done(a)", "done(rule)"]
@@ -141,12 +141,12 @@ def test_a_query_is_called_before_the_rules_of_the_event_that_releases_it(run):
     ["Z", "[S, NS]", "D"],
     ids=["float", "ros time", "datime"],
 )
-def test_times_are_floats_ros_times_or_stamps(run, time):
+def test_times_may_be_floats_ros_times_or_datimes(make_engine, time):
     rules = (
         f"syncronized(done(X), true, [[m, {time}]]) <- ask(X, S, NS) "
         "where (Z is S + (NSX), convert_to_datime([S, NS], D)).".replace("NSX", "NS * 0.000000001")
     )
-    engine = run(rules, MEMORY)
+    engine = make_engine(rules, MEMORY)
     engine.event("ask(a, 1413748205, 981209993)", 1)
     engine.post_text("new_event(v(0), 1413748205, 981209000)")
     assert names(engine) == []
@@ -163,8 +163,8 @@ def test_times_are_floats_ros_times_or_stamps(run, time):
         ("[[m, soon]]", "ask", "datime"),
     ],
 )
-def test_wrong_conditions_are_reported_and_the_event_is_dropped(run, conditions, pattern, message, caplog):
-    engine = run(f"syncronized(done, true, {conditions}) <- {pattern}.", MEMORY)
+def test_invalid_conditions_are_reported(make_engine, conditions, pattern, message, caplog):
+    engine = make_engine(f"syncronized(done, true, {conditions}) <- {pattern}.", MEMORY)
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.event("ask", 1)
     assert message in caplog.text
@@ -172,17 +172,17 @@ def test_wrong_conditions_are_reported_and_the_event_is_dropped(run, conditions,
     assert len(engine.knowledge.pending_queries) == 0
 
 
-def test_a_query_that_raises_is_reported(run, caplog):
-    engine = run("syncronized(done, X is a + 1, []) <- ask.", MEMORY)
+def test_error_of_query_is_reported(make_engine, caplog):
+    engine = make_engine("syncronized(done, X is a + 1, []) <- ask.", MEMORY)
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.event("ask", 1)
     assert "evaluable" in caplog.text
     assert answers(engine) == []
 
 
-@pytest.mark.parametrize("when", ["[]", "[[m, 10]]"])
-def test_a_query_that_gives_no_event_is_reported_and_the_rest_goes_on(run, when, caplog):
-    engine = run(f"syncronized(X, X = 1, {when}) <- ask. done <- ask. done(V) <- v(V).", MEMORY)
+@pytest.mark.parametrize("conditions", ["[]", "[[m, 10]]"])
+def test_query_result_that_is_no_event_is_reported(make_engine, conditions, caplog):
+    engine = make_engine(f"syncronized(X, X = 1, {conditions}) <- ask. done <- ask. done(V) <- v(V).", MEMORY)
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.event("ask", 1)
         engine.event("v(1)", 10)
@@ -191,16 +191,16 @@ def test_a_query_that_gives_no_event_is_reported_and_the_rest_goes_on(run, when,
     assert engine.dispatcher.current is None
 
 
-def test_a_chain_of_synchronized_events_without_end_is_an_error_of_its_own(run, caplog):
-    engine = run("syncronized(a, true, []) <- a. done <- b. b <- c. a <- c. done <- c.", max_depth=20)
+def test_endless_chain_of_queries_is_reported(make_engine, caplog):
+    engine = make_engine("syncronized(a, true, []) <- a. done <- b. b <- c. a <- c. done <- c.", max_depth=20)
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.event("c", 1)
     assert "20 events" in caplog.text
     assert names(engine) == ["done", "done"]
 
 
-def test_deleting_a_memory_drops_its_waiting_queries_with_a_warning(run, caplog):
-    engine = run("syncronized(done(X), true, [[m, 10]]) <- ask(X).", MEMORY)
+def test_deleted_memory_drops_pending_queries(make_engine, caplog):
+    engine = make_engine("syncronized(done(X), true, [[m, 10]]) <- ask(X).", MEMORY)
     engine.event("ask(a)", 1)
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.call("delete_memory(m)")
@@ -210,12 +210,12 @@ def test_deleting_a_memory_drops_its_waiting_queries_with_a_warning(run, caplog)
     assert answers(engine) == []
 
 
-def test_a_chain_of_synchronized_events_waits_for_each_anew(run):
+def test_derived_query_waits_for_its_own_data(make_engine):
     rules = (
         "syncronized(done(1, T2), true, [[m, T1]]) <- ask(T1, T2).\n"
         "syncronized(done(2), true, [[m, T2]]) <- done(1, T2).\n"
     )
-    engine = run(rules, MEMORY)
+    engine = make_engine(rules, MEMORY)
     engine.event("v(1)", 10)
     engine.event("ask(10, 20)", 11)
     assert names(engine) == ["done(1,20)"]
@@ -223,8 +223,8 @@ def test_a_chain_of_synchronized_events_waits_for_each_anew(run):
     assert names(engine) == ["done(1,20)", "done(2)"]
 
 
-def test_those_that_wait_are_bounded(run, caplog):
-    engine = run("syncronized(done(X), true, [[m, 10]]) <- ask(X).", MEMORY)
+def test_pending_queries_are_limited(make_engine, caplog):
+    engine = make_engine("syncronized(done(X), true, [[m, 10]]) <- ask(X).", MEMORY)
     engine.knowledge.pending_queries.limit = 3
     with caplog.at_level(logging.WARNING, "retalis"):
         for number in range(5):
@@ -234,8 +234,8 @@ def test_those_that_wait_are_bounded(run, caplog):
     assert names(engine) == ["done(2)", "done(3)", "done(4)"]
 
 
-def test_a_memory_without_events_does_not_pile_up_what_was_dropped(run):
-    engine = run("syncronized(done(X), true, [[m, 10], [m, 11]]) <- ask(X).", MEMORY)
+def test_dropped_queries_leave_memory(make_engine):
+    engine = make_engine("syncronized(done(X), true, [[m, 10], [m, 11]]) <- ask(X).", MEMORY)
     engine.knowledge.pending_queries.limit = 3
     for number in range(50):
         engine.event(f"ask({number})", 1)
@@ -247,8 +247,8 @@ def test_a_memory_without_events_does_not_pile_up_what_was_dropped(run):
     assert names(engine) == ["done(47)", "done(48)", "done(49)"]
 
 
-def test_what_is_dropped_again_and_again_is_no_flood(run, caplog):
-    engine = run("syncronized(done(X), true, [[nothing, 1]]) <- ask(X).", MEMORY)
+def test_repeated_drops_are_reported_seldom(make_engine, caplog):
+    engine = make_engine("syncronized(done(X), true, [[nothing, 1]]) <- ask(X).", MEMORY)
     with caplog.at_level(logging.WARNING, "retalis"):
         for number in range(100):
             engine.event(f"ask({number})", 1)
@@ -256,15 +256,15 @@ def test_what_is_dropped_again_and_again_is_no_flood(run, caplog):
 
 
 @pytest.mark.fused
-def test_events_that_only_queries_listen_to_are_not_made(monkeypatch):
+def test_unobserved_query_events_are_not_created(monkeypatch):
     dispatched, dispatch = [], Dispatcher.dispatch
 
-    def noted(dispatcher, term, *rest):
+    def recording_dispatch(dispatcher, term, *rest):
         dispatched.append(term[0].name)
         return dispatch(dispatcher, term, *rest)
 
-    monkeypatch.setattr(Dispatcher, "dispatch", noted)
-    engine = Overheard("syncronized(done(X), true, [[m, 10]]) <- ask(X).", MEMORY)
+    monkeypatch.setattr(Dispatcher, "dispatch", recording_dispatch)
+    engine = SelectiveEngine("syncronized(done(X), true, [[m, 10]]) <- ask(X).", MEMORY)
     engine.event("ask(a)", 1)
     engine.event("v(1)", 10)
     assert names(engine) == ["done(a)"]
@@ -275,44 +275,44 @@ def test_events_that_only_queries_listen_to_are_not_made(monkeypatch):
     assert names(engine) == ["done(a)", "done(b)", "done(c)", "done(heard)"]
 
 
-def unnumbered(text):
-    """Return a report without the numbers of variables, and without what calls a built-in of compiled code."""
+def without_variable_numbers(text):
+    """Return a report without numbers of variables and callers of built-ins."""
     return re.sub(r"_G?\d+", "_", text).replace(" (in (is)/2)", "")
 
 
 @pytest.mark.parametrize("depth", range(1, 12))
-def test_events_that_are_not_made_count_in_a_chain(depth, caplog):
+def test_omitted_events_count_for_depth_limit(depth, caplog):
     rules = "syncronized(a, true, []) <- a. syncronized(done, true, []) <- a. done(1) <- done. a <- done(1)."
-    found = []
-    for kind in (RecordingEngine, Overheard):
-        engine = kind(rules, max_depth=depth)
+    results = []
+    for engine_type in (RecordingEngine, SelectiveEngine):
+        engine = engine_type(rules, max_depth=depth)
         with caplog.at_level(logging.WARNING, "retalis"):
             engine.event("a", 1)
-        seen = [event for event in engine.events if not event[0].startswith("sync")]
-        found.append((seen, [record.message for record in caplog.records]))
+        events = [event for event in engine.events if not event[0].startswith("sync")]
+        results.append((events, [record.message for record in caplog.records]))
         caplog.clear()
-    assert found[0] == found[1]
+    assert results[0] == results[1]
 
 
-def test_what_follows_an_event_that_is_not_made_is_of_the_event_before():
-    engine = Overheard(
+def test_depth_after_omitted_event():
+    engine = SelectiveEngine(
         "syncronized(done(Y), true, []) <- a event_multiply member(Y, [1, 2, 3, 4, 5, 6]).\n"
         "t <- memory_updated(m, _).",
         "memorize(done(_), [], _, m, 10)",
     )
     depths = []
 
-    def measure(term, values, start, end, frame):
+    def record_depth(term, values, start, end, frame):
         depths.append(engine.dispatcher.current[DEPTH])
         return frame
 
-    engine.dispatcher.listen(ListenerPhase.TRACE, functor("done", 1)(Var()), measure)
+    engine.dispatcher.listen(ListenerPhase.TRACE, functor("done", 1)(Var()), record_depth)
     engine.event("a", 1)
     assert depths == [3] * 6
 
 
 @pytest.mark.parametrize(
-    ("head", "told"),
+    ("head", "expected"),
     [
         ("done(X), X = f(Y), []", ["done(f(_))"]),
         ("done(Y), member(X, [1, 2]), [[m, 0]]", ["done(_)"]),
@@ -332,31 +332,31 @@ def test_what_follows_an_event_that_is_not_made_is_of_the_event_before():
         ("done(A), A = T, [[m, 1], [m, 1]]", ["done(true)"]),
     ],
 )
-def test_what_a_rule_asks_is_the_same_whether_its_event_is_made_or_not(head, told, caplog):
+def test_omission_of_event_keeps_query(head, expected, caplog):
     reports = []
-    for kind in (RecordingEngine, Overheard):
+    for engine_type in (RecordingEngine, SelectiveEngine):
         condition = " where N = 3" if "N" in head else ""
-        engine = kind(f"syncronized({head}) <- ask(T){condition}.\ndeeper :- missing.", MEMORY)
+        engine = engine_type(f"syncronized({head}) <- ask(T){condition}.\ndeeper :- missing.", MEMORY)
         engine.event("v(1)", 5)
-        caplog.clear()  # what was said about the rule
+        caplog.clear()  # the reports about the rule itself
         with caplog.at_level(logging.WARNING, "retalis"):
             engine.event("ask(true)", 1)
-        assert [unnumbered(name) for name in names(engine)] == told
-        reports.append([unnumbered(record.message) for record in caplog.records])
+        assert [without_variable_numbers(name) for name in names(engine)] == expected
+        reports.append([without_variable_numbers(record.message) for record in caplog.records])
     assert reports[0] == reports[1]
-    assert bool(reports[0]) == (not told)
+    assert bool(reports[0]) == (not expected)
 
 
-def test_events_with_variables_are_asked_with_variables(run):
-    engine = run("syncronized(done(X), X = Y, [[m, 10]]) <- ask(X, Y).", MEMORY)
+def test_variables_of_event_are_shared_with_query(make_engine):
+    engine = make_engine("syncronized(done(X), X = Y, [[m, 10]]) <- ask(X, Y).", MEMORY)
     engine.event("ask(p(A, B), p(B, c))", 1)
     engine.event("v(1)", 10)
     assert names(engine) == ["done(p(c,c))"]
 
 
-def test_a_query_waits_for_one_memory_after_the_other():
+def test_query_waits_for_memories_in_any_order():
     goals = "".join(f"memorize(e({name}), [], _, {name}, 10)\n" for name in "pqr")
-    engine = Overheard("syncronized(done(X), true, [[p, 10], [q, T], [r, 30]]) <- ask(X, T).", goals)
+    engine = SelectiveEngine("syncronized(done(X), true, [[p, 10], [q, T], [r, 30]]) <- ask(X, T).", goals)
     engine.event("ask(a, 20)", 1)
     engine.event("ask(b, 25)", 1)
     for name, time in (("r", 30), ("p", 9), ("q", 20), ("p", 10), ("q", 24)):
@@ -370,9 +370,9 @@ def test_a_query_waits_for_one_memory_after_the_other():
     assert len(engine.knowledge.pending_queries) == 0
 
 
-def test_deleting_a_memory_drops_what_waits_for_it_among_others_but_not_what_has_got_its_data(run):
+def test_deleted_memory_keeps_queries_with_its_data(make_engine):
     rules = "syncronized(done(X), true, [[m, T], [n, 50]]) <- ask(X, T)."
-    engine = run(rules, MEMORY + "memorize(w(_), [], _, n, 10)")
+    engine = make_engine(rules, MEMORY + "memorize(w(_), [], _, n, 10)")
     engine.event("v(1)", 20)
     engine.event("ask(a, 20)", 1)
     engine.event("ask(b, 30)", 1)
@@ -391,8 +391,8 @@ def test_deleting_a_memory_drops_what_waits_for_it_among_others_but_not_what_has
     ],
     ids=["query", "memory", "subscription"],
 )
-def test_a_limit_of_a_caller_that_runs_out_meanwhile_is_that_of_the_caller(run, rules, goals, caplog):
-    engine = run("loop :- loop.\ndone(1) <- in.\n" + rules, goals)
+def test_limit_of_caller_is_error_of_caller(make_engine, rules, goals, caplog):
+    engine = make_engine("loop :- loop.\ndone(1) <- in.\n" + rules, goals)
     goal = "catch(call_with_time_limit(0.05, new_event(in, [1, 1])), R, true)"
     (found,) = engine.query(goal)
     assert engine.show(found["R"]) == "time_limit_exceeded"
@@ -401,9 +401,9 @@ def test_a_limit_of_a_caller_that_runs_out_meanwhile_is_that_of_the_caller(run, 
 
 
 @pytest.mark.parametrize("goal", ["", "do noted(X) ", "do noted(X, T) "])
-def test_messages_may_ask(run, goal):
+def test_messages_may_ask(make_engine, goal):
     rule = f"syncronized(done(X), true, [[m, T]]) {goal}<- ask(X, T).\n"
-    engine = run(rule + "noted(_).\nnoted(X, T) :- noted(X), noted(T).", MEMORY)
+    engine = make_engine(rule + "noted(_).\nnoted(X, T) :- noted(X), noted(T).", MEMORY)
     ask, value = functor("ask", 2), functor("v", 1)
     for second in range(1, 21):
         engine.post(value(second), second * 10**9)
@@ -411,8 +411,8 @@ def test_messages_may_ask(run, goal):
     assert names(engine) == [f"done({second})" for second in range(1, 21)]
 
 
-def test_an_error_in_the_query_of_a_message_leaves_nothing_behind(run, caplog):
-    engine = run("syncronized(done(X), X > 1, [[m, T]]) <- ask(X, T).\ndone(rule) <- v(_).", MEMORY)
+def test_an_error_in_the_query_of_a_message_leaves_nothing_behind(make_engine, caplog):
+    engine = make_engine("syncronized(done(X), X > 1, [[m, T]]) <- ask(X, T).\ndone(rule) <- v(_).", MEMORY)
     ask, value = functor("ask", 2), functor("v", 1)
     engine.post(value(0), 10**9)
     for at, asked in enumerate((2, atom("a"), 3, atom("b")), 1):
@@ -424,8 +424,8 @@ def test_an_error_in_the_query_of_a_message_leaves_nothing_behind(run, caplog):
 
 
 @pytest.mark.parametrize("query", ["member(X, [1, 2])", "(new_event(v(2), 20, 0), X = 1)"])
-def test_queries_of_messages_may_need_the_machine(run, query):
-    engine = run(
+def test_queries_of_messages_may_need_the_machine(make_engine, query):
+    engine = make_engine(
         f"syncronized(done(X), {query}, [[m, T]]) <- ask(T).\nnull do member(_, [1]) <- done(_).", MEMORY
     )
     ask, value = functor("ask", 1), functor("v", 1)
@@ -438,9 +438,9 @@ def test_queries_of_messages_may_need_the_machine(run, query):
 
 
 @pytest.mark.parametrize("goal", ["loop", "length(_, 3000000)"])
-def test_limits_hold_for_each_query(run, goal, caplog):
+def test_limits_hold_for_each_query(make_engine, goal, caplog):
     rules = f"loop :- loop.\nsyncronized(done(X), {goal}, [[m, T]]) <- ask(X, T).\ndone(rule) <- v(_)."
-    engine = run(rules, MEMORY, limits=Limits(inferences=3000))
+    engine = make_engine(rules, MEMORY, limits=Limits(inferences=3000))
     ask, value = functor("ask", 2), functor("v", 1)
     engine.post(value(0), 10**9)
     for number, second in ((1, 1.0), (2, 2.0), (3, 2.0)):
@@ -451,9 +451,9 @@ def test_limits_hold_for_each_query(run, goal, caplog):
     assert "done(2) is dropped, its query raised: Not enough resources: inferences" in caplog.text
 
 
-def test_a_long_chain_of_events_follows_from_the_query_of_a_message(run):
+def test_a_long_chain_of_events_follows_from_the_query_of_a_message(make_engine):
     rules = "syncronized(c(1), true, [[m, T]]) <- ask(T).\nc(Y) <- c(X) where (X < 20, Y is X + 1).\n"
-    engine = run(rules + "done(X) <- c(X) where (X = 20).", MEMORY)
+    engine = make_engine(rules + "done(X) <- c(X) where (X = 20).", MEMORY)
     ask, value = functor("ask", 1), functor("v", 1)
     engine.post(value(0), 10**9)
     for second in (1.0, 1.0, 5.0):
@@ -463,16 +463,16 @@ def test_a_long_chain_of_events_follows_from_the_query_of_a_message(run):
     assert names(engine) == ["done(20)"] * 3
 
 
-def test_queries_that_wait_go_on_waiting_in_another_engine(run):
+def test_pending_queries_are_restored(make_engine):
     memories = MEMORY + "memorize(w, [], _, n, 5)\n"
-    rules = ASK.replace("[[m, T]]", "[[m, T], [n, T]]")
-    first, second = run(rules, memories), run(rules, memories)
-    for at, instant in ((1, 1.0), (2, 2.0)):
-        first.event(f"ask({at}, {instant})", instant)
-    order, found = first.knowledge.pending_queries.snapshot()
-    second.knowledge.pending_queries.restore(order, found)
+    rules = QUERY_RULE.replace("[[m, T]]", "[[m, T], [n, T]]")
+    first, second = make_engine(rules, memories), make_engine(rules, memories)
+    for number, instant in ((1, 1.0), (2, 2.0)):
+        first.event(f"ask({number}, {instant})", instant)
+    order, queries = first.knowledge.pending_queries.snapshot()
+    second.knowledge.pending_queries.restore(order, queries)
     assert len(second.knowledge.pending_queries) == 2
-    assert second.knowledge.pending_queries.snapshot() == (order, found)
+    assert second.knowledge.pending_queries.snapshot() == (order, queries)
     second.event("v(7)", 1)
     second.event("w", 1)
     second.event("v(8)", 3)

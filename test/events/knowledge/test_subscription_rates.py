@@ -1,4 +1,4 @@
-"""Subscriptions ``P with S``: they send what a rule with the same rate operator would emit."""
+"""Subscriptions to ``P with Rate``: they send what a rule with the same rate operator would emit."""
 
 import pytest
 from recording_engine import RecordingEngine
@@ -6,45 +6,45 @@ from recording_engine import RecordingEngine
 from retalis import Clock, Engine, PrologError
 from retalis.prolog.terms.timestamps import SECOND
 
-STREAM = "1:1:a 2:2:a 2:2.5:b 2:3:a 3:4:a 3:6:a 4:6.5:b 4:7:a 4:7.2:a 5:12:a"
+INPUT = "1:1:a 2:2:a 2:2.5:b 2:3:a 3:4:a 3:6:a 4:6.5:b 4:7:a 4:7.2:a 5:12:a"
 
 
-def feed(engine, text=STREAM):
-    """Give events, each as ``value:stamp:key``; return what has come out, as texts with the instant of that."""
-    seen = []
-    engine.on_output(lambda term, topic, name: seen.append((engine.show(term), engine.clock.reached())))
-    for one in text.split():
-        value, at, key = one.split(":")
-        engine.event(f"in({key},{value})", float(at))
+def outputs_for_input(engine, text=INPUT):
+    """Process events, each as ``value:seconds:key``; return the outputs as texts with their instants."""
+    outputs = []
+    engine.on_output(lambda term, topic, name: outputs.append((engine.show(term), engine.clock.reached())))
+    for event in text.split():
+        value, seconds, key = event.split(":")
+        engine.event(f"in({key},{value})", float(seconds))
     engine.clock.move_to(30 * SECOND)
     engine.advance()
-    return seen
+    return outputs
 
 
 @pytest.mark.parametrize(
-    "shape",
+    "rate",
     ["throttle(2)", "throttle(2,K)", "burst(1)", "burst(1,K)", "debounce(1)", "debounce(1,K)", "change(X,K)"],
 )
-def test_they_send_what_a_rule_lets_through(shape):
-    through_rule = Engine()
-    through_rule.load(rules=f"out(K,X) <- in(K,X) with {shape}.", goals="subscribe(out(K,X), [], _, t, i)")
-    alone = Engine()
-    alone.load(goals=f"subscribe(in(K,X) with {shape}, [], out(K,X), t, i)")
-    expected = feed(through_rule)
+def test_subscription_sends_what_rule_emits(rate):
+    with_rule = Engine()
+    with_rule.load(rules=f"out(K,X) <- in(K,X) with {rate}.", goals="subscribe(out(K,X), [], _, t, i)")
+    subscription_only = Engine()
+    subscription_only.load(goals=f"subscribe(in(K,X) with {rate}, [], out(K,X), t, i)")
+    expected = outputs_for_input(with_rule)
     assert len(expected) > 1
-    assert feed(alone) == expected
+    assert outputs_for_input(subscription_only) == expected
 
 
-def test_conditions_are_asked_first_so_that_what_is_not_sent_holds_nothing_up():
+def test_refused_events_do_not_count_for_throttle():
     engine = RecordingEngine(
         goals="subscribe(t(X) with throttle(5), [X > 80, Y is X - 80], hot(Y), alarms, 1)"
     )
-    for at, value in enumerate((70, 90, 85, 60, 95, 99, 82)):
-        engine.event(f"t({value})", at)
+    for seconds, value in enumerate((70, 90, 85, 60, 95, 99, 82)):
+        engine.event(f"t({value})", seconds)
     assert [term for term, _, _ in engine.outputs] == ["hot(10)", "hot(2)"]
 
 
-def test_the_clock_sends_without_an_event_and_before_rules_of_the_same_instant():
+def test_clock_sends_debounced_event_before_rules():
     now = [100 * SECOND]
     engine = Engine(Clock(lambda: now[0]))
     engine.load(
@@ -60,7 +60,7 @@ def test_the_clock_sends_without_an_event_and_before_rules_of_the_same_instant()
 
 
 @pytest.mark.parametrize(
-    ("pattern", "said"),
+    ("pattern", "message"),
     [
         ("a(X) with sometimes(1)", "with needs one of throttle(Seconds)"),
         ("a(X) with trottle(1)", "throttle"),
@@ -75,15 +75,15 @@ def test_the_clock_sends_without_an_event_and_before_rules_of_the_same_instant()
         ("3 with throttle(1)", "takes single events"),
     ],
 )
-def test_what_is_no_shape_is_one_error_and_nothing_is_made(pattern, said):
+def test_invalid_rate_is_reported(pattern, message):
     engine = RecordingEngine()
     with pytest.raises(PrologError, match=r"subscription") as raised:
         engine.call(f"subscribe(({pattern}), [], _, t, 1)")
-    assert said in str(raised.value)
+    assert message in str(raised.value)
     assert not engine.status().subscriptions
 
 
-def test_what_is_deleted_rings_no_more_and_one_that_is_made_again_knows_nothing():
+def test_deleted_subscription_sends_nothing():
     engine = RecordingEngine(
         goals="subscribe(a(X) with debounce(2), [], _, t, 1)\nsubscribe(a(X) with throttle(9), [], _, t, 2)"
     )
@@ -96,7 +96,7 @@ def test_what_is_deleted_rings_no_more_and_one_that_is_made_again_knows_nothing(
     assert [term for term, _, _ in engine.outputs] == ["a(1)", "a(2)"]
 
 
-def test_one_that_is_deleted_by_the_event_that_it_takes_is_not_woken_for_it():
+def test_stopped_rate_sends_nothing():
     engine = RecordingEngine(goals="subscribe(a(X) with debounce(2), [], _, t, 1)")
     engine.knowledge.subscriptions.items()[0][1].rate_limiter.stop()
     engine.event("a(1)", 1)
@@ -104,7 +104,7 @@ def test_one_that_is_deleted_by_the_event_that_it_takes_is_not_woken_for_it():
     assert engine.outputs == []
 
 
-def test_what_comes_too_late_or_is_too_much_is_counted_and_said():
+def test_late_and_dropped_events_are_counted():
     engine = RecordingEngine(goals="subscribe(a(X) with debounce(2, X), [], _, t, 1)")
     reports = []
     engine.reports.warning = lambda text, *rest: reports.append(text)
@@ -115,16 +115,16 @@ def test_what_comes_too_late_or_is_too_much_is_counted_and_said():
     engine.rules.max_stored = 2
     for number in (2, 3, 4):
         engine.event(f"a({number})", 10)
-    one = engine.status().subscriptions[0]
-    assert (one.late, one.dropped, one.sent) == (1, 1, 0)
+    subscription = engine.status().subscriptions[0]
+    assert (subscription.late, subscription.dropped, subscription.sent) == (1, 1, 0)
     assert [text.split(";")[-1] for text in reports] == [
         " 1 so far",
         " 1 of the oldest have been dropped so far",
     ]
-    assert "with debounce(2" in one.event
+    assert "with debounce(2" in subscription.event
 
 
-def test_a_clock_that_goes_back_and_a_program_that_resets_have_them_forget():
+def test_reset_clears_state_of_rates():
     goal = "subscribe(a(X) with throttle(100), [], _, t, 1)\nsubscribe(a(X) with debounce(2), [], _, t, 2)"
     for reset in ("reset_db", "reset_etalis_state"):
         engine = RecordingEngine(goals=goal)
@@ -136,37 +136,39 @@ def test_a_clock_that_goes_back_and_a_program_that_resets_have_them_forget():
     now = [1000 * SECOND]
     engine = Engine(Clock(lambda: now[0]))
     engine.load(goals=goal)
-    seen = []
-    engine.on_output(lambda term, topic, name: seen.append(engine.show(term)))
+    outputs = []
+    engine.on_output(lambda term, topic, name: outputs.append(engine.show(term)))
     for instant in (1000, 10, 11, 20):
         now[0] = instant * SECOND
         engine.event(f"a({instant})")
-    assert seen == ["a(1000)", "a(10)", "a(11)"]
+    assert outputs == ["a(1000)", "a(10)", "a(11)"]
 
 
-def test_they_go_on_where_a_state_is_taken_up():
+def test_rates_are_restored():
     goal = "subscribe(a(X) with throttle(100), [], _, t, 1)\nsubscribe(a(X) with debounce(2, X), [], said(X), t, 2)"
     engine = Engine()
     engine.load(goals=goal + "\nsubscribe(a(_), [], _, t, 3)\nsubscribe(a(X) with change(X), [], _, t, 4)")
-    for at, value in ((1, 1), (2, 2), (3, 2)):
-        engine.event(f"a({value})", at)
-    other = Engine.restore(engine.snapshot())
-    seen = []
-    for one in (engine, other):
-        found = []
-        one.on_output(
-            lambda term, topic, name, found=found, one=one: found.append((one.show(term), str(name)))
+    for second, value in ((1, 1), (2, 2), (3, 2)):
+        engine.event(f"a({value})", second)
+    restored = Engine.restore(engine.snapshot())
+    outputs_of_engines = []
+    for current in (engine, restored):
+        outputs = []
+        current.on_output(
+            lambda term, topic, name, outputs=outputs, current=current: outputs.append(
+                (current.show(term), str(name))
+            )
         )
-        one.event("a(2)", 3.5)
-        one.event("b", 20)
-        one.event("a(3)", 102)
-        seen.append(found)
-    assert seen[0] == seen[1]
-    assert len(seen[0]) == 5
-    assert engine.status().subscriptions == other.status().subscriptions
+        current.event("a(2)", 3.5)
+        current.event("b", 20)
+        current.event("a(3)", 102)
+        outputs_of_engines.append(outputs)
+    assert outputs_of_engines[0] == outputs_of_engines[1]
+    assert len(outputs_of_engines[0]) == 5
+    assert engine.status().subscriptions == restored.status().subscriptions
 
 
-def test_they_go_on_where_a_program_is_read_again(tmp_path):
+def test_unchanged_rates_survive_reload(tmp_path):
     (tmp_path / "eventRules.txt").write_text("")
     (tmp_path / "pub_sub.xml").write_text("<publish_subscribe></publish_subscribe>\n")
     goals = tmp_path / "goalPredicates.txt"
@@ -175,8 +177,8 @@ def test_they_go_on_where_a_program_is_read_again(tmp_path):
     )
     engine = Engine()
     engine.load_program(tmp_path)
-    seen = []
-    engine.on_output(lambda term, topic, name: seen.append((engine.show(term), engine.show(name))))
+    outputs = []
+    engine.on_output(lambda term, topic, name: outputs.append((engine.show(term), engine.show(name))))
     engine.event("a(1)", 1)
     engine.reload(tmp_path)
     engine.event("a(2)", 2)
@@ -186,10 +188,10 @@ def test_they_go_on_where_a_program_is_read_again(tmp_path):
     engine.reload(tmp_path)
     engine.event("a(3)", 3)
     engine.event("b", 20)
-    assert seen == [("a(1)", "2"), ("a(3)", "2"), ("a(3)", "1")]
+    assert outputs == [("a(1)", "2"), ("a(3)", "2"), ("a(3)", "1")]
 
 
-def test_an_interrupt_may_leave_it_half_done_and_it_is_put_right():
+def test_repair_restores_timer_of_rate():
     engine = RecordingEngine(goals="subscribe(a(X) with debounce(2), [], _, t, 1)")
     engine.event("a(1)", 1)
     rate = engine.knowledge.subscriptions.items()[0][1].rate_limiter
@@ -201,7 +203,7 @@ def test_an_interrupt_may_leave_it_half_done_and_it_is_put_right():
     assert [term for term, _, _ in engine.outputs] == ["a(1)"]
 
 
-def test_its_event_is_as_it_is_declared():
+def test_event_of_rate_is_checked_against_declaration():
     engine = RecordingEngine(rules=":- event in(x:integer).\nb(X) <- in(X).")
     with pytest.raises(PrologError, match="in/2 does not match its declaration"):
         engine.call("subscribe(in(a, b) with throttle(1), [], _, t, 1)")

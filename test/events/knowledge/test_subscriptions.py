@@ -10,27 +10,27 @@ from retalis.events.dispatch.listeners import ListenerPhase
 from retalis.events.knowledge import memory
 
 
-def test_delivers_what_its_conditions_let_through_in_its_own_form():
+def test_accepted_events_are_sent_by_template():
     engine = RecordingEngine(goals="subscribe(a(X), [X > 1, Y is X * 2], b(X, Y), topic, 1)")
     for value in (1, 2, 3):
         engine.event(f"a({value})", value)
     assert engine.outputs == [("b(2,4)", "topic", "1"), ("b(3,6)", "topic", "1")]
 
 
-def test_several_are_served_in_the_order_they_were_made_and_before_rules():
+def test_subscriptions_precede_rules_in_order():
     rules = "a(2) <- a(1)."
     engine = RecordingEngine(rules, "subscribe(a(X), [], one(X), t, 1)\nsubscribe(a(_), [], _, t, 2)")
     engine.event("a(1)", 1)
     assert [term for term, _, _ in engine.outputs] == ["one(1)", "a(1)", "one(2)", "a(2)"]
 
 
-def test_one_solution_of_the_conditions_counts():
+def test_template_uses_first_solution():
     engine = RecordingEngine(goals="subscribe(a, [member(X, [p, q])], b(X), t, 1)")
     engine.event("a", 1)
     assert engine.outputs == [("b(p)", "t", "1")]
 
 
-def test_topic_and_id_together_are_the_key():
+def test_topic_and_id_identify_subscription():
     engine = RecordingEngine(
         goals="subscribe(a, [], _, t, 1)\nsubscribe(a, [], _, u, 1)\nsubscribe(a, [], _, t, 2)"
     )
@@ -43,7 +43,7 @@ def test_topic_and_id_together_are_the_key():
     assert [(topic, name) for _, topic, name in engine.outputs] == [("u", "1"), ("t", "2")]
 
 
-def test_a_topic_with_a_slash_is_a_name_however_it_is_written():
+def test_topic_may_be_term_with_slash():
     engine = RecordingEngine(goals="subscribe(a, [], _, robot/marker, 1)")
     engine.event("a", 1)
     assert engine.outputs == [("a", "robot/marker", "1")]
@@ -52,7 +52,7 @@ def test_a_topic_with_a_slash_is_a_name_however_it_is_written():
     assert len(engine.outputs) == 1
 
 
-def test_a_topic_is_written_without_quotes():
+def test_topic_is_shown_without_quotes():
     engine = RecordingEngine(goals="subscribe(a, [], _, 'Front Left'/'Camera', 1)")
     engine.event("a", 1)
     assert engine.outputs == [("a", "Front Left/Camera", "1")]
@@ -60,20 +60,20 @@ def test_a_topic_is_written_without_quotes():
     assert subscriptions.has(atom("Front Left/Camera"), 1) and not subscriptions.has(atom("Front Left"), 1)
 
 
-def test_subscriptions_are_restored_as_they_were():
+def test_subscriptions_are_restored_in_order():
     engine = RecordingEngine(goals="subscribe(a, [], one, t, 1)\nsubscribe(a, [], two, t, 2)")
     subscriptions = engine.knowledge.subscriptions
     engine.event("a", 1)
-    before = subscriptions.items()
+    subscriptions_before = subscriptions.items()
     engine.load(goals="delete_subscription(t, 1)\nsubscribe(a, [], three, t, 3)")
     engine.event("a", 2)
-    subscriptions.restore_all(before)
+    subscriptions.restore_all(subscriptions_before)
     engine.event("a", 3)
     assert [term for term, _, _ in engine.outputs] == ["one", "two", "two", "three", "one", "two"]
-    assert [one.sent for one in engine.status().subscriptions] == [2, 3]
+    assert [subscription.sent for subscription in engine.status().subscriptions] == [2, 3]
 
 
-def test_a_listener_that_an_interrupt_has_left_is_removed():
+def test_repair_removes_stale_listener():
     engine = RecordingEngine(goals="subscribe(a, [], one, t, 1)")
     engine.dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, atom("a"), lambda *event: pytest.fail("delivered"))
     engine.knowledge.subscriptions.repair()
@@ -81,7 +81,7 @@ def test_a_listener_that_an_interrupt_has_left_is_removed():
     assert [term for term, _, _ in engine.outputs] == ["one"]
 
 
-def test_deleting_an_unknown_one_warns_and_succeeds(caplog):
+def test_deletion_of_unknown_subscription_succeeds(caplog):
     with caplog.at_level(logging.WARNING, "retalis"):
         assert RecordingEngine().call("delete_subscription(t, never)")
     assert "never" in caplog.text
@@ -98,7 +98,7 @@ def test_deleting_an_unknown_one_warns_and_succeeds(caplog):
         "subscribe(a, [], _, t, I)",
     ],
 )
-def test_what_is_no_subscription_is_an_error_and_nothing_is_half_made(goal):
+def test_invalid_subscription_is_refused(goal):
     engine = RecordingEngine()
     with pytest.raises(PrologError):
         engine.call(goal)
@@ -107,7 +107,7 @@ def test_what_is_no_subscription_is_an_error_and_nothing_is_half_made(goal):
     assert engine.outputs == []
 
 
-def test_a_condition_that_raises_is_reported_and_the_event_goes_on(caplog):
+def test_error_of_condition_is_reported(caplog):
     engine = RecordingEngine("b <- a(_).", "subscribe(a(X), [X > 1], _, t, s)")
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.event("a(x)", 1)
@@ -115,23 +115,23 @@ def test_a_condition_that_raises_is_reported_and_the_event_goes_on(caplog):
     assert [event for event, _, _ in engine.events] == ["a(x)", "b"]
 
 
-def test_everything_may_be_subscribed():
+def test_variable_subscribes_to_all_events():
     engine = RecordingEngine("b <- a.", "subscribe(E, [], _, t, all)")
     engine.event("a", 1)
     assert [term for term, _, _ in engine.outputs] == ["a", "b"]
 
 
-def test_variables_of_a_long_form_are_not_looked_up_one_by_one_in_a_list(monkeypatch):
+def test_variables_of_long_template_are_not_searched(monkeypatch):
     searched = []
     variables = memory.variables
 
-    class Listed(list):
-        def __contains__(self, one):
-            searched.append(one)
-            return super().__contains__(one)
+    class SearchedList(list):
+        def __contains__(self, variable):
+            searched.append(variable)
+            return super().__contains__(variable)
 
-    monkeypatch.setattr(memory, "variables", lambda term: Listed(variables(term)))
-    slots = ",".join(f"X{at}" for at in range(100))
+    monkeypatch.setattr(memory, "variables", lambda term: SearchedList(variables(term)))
+    slots = ",".join(f"X{number}" for number in range(100))
     engine = Engine()
     for goal in (
         "subscribe(long({0}), [], form({0}), t, s)",
