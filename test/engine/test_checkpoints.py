@@ -1,4 +1,4 @@
-"""The state of a running engine in a file."""
+"""Checkpoints: the state of a running engine in a file."""
 
 import os
 import random
@@ -40,47 +40,48 @@ def folder(tmp_path):
     return tmp_path
 
 
-def begun(folder):
+def start_engine(folder):
     engine = Engine(StreamClock())
     engine.load_program(folder)
     engine.event("begin", 0.5)
     return engine
 
 
-def checkpoints(engine, folder, name="state.db"):
+def create_checkpointer(engine, folder, name="state.db"):
     return Checkpointer(engine, CheckpointStorage(folder / name), folder, Reports())
 
 
-def listened(engine):
-    said = []
-    engine.on_event(lambda term, start, end: said.append(engine.show(term)))
-    return said
+def record_events(engine):
+    events = []
+    engine.on_event(lambda term, start, end: events.append(engine.show(term)))
+    return events
 
 
-def resumed(folder, name="state.db"):
-    found = resume(folder / name, folder, StreamClock(), Settings(), Reports())
-    return None if found is None else found[0]
+def resume_engine(folder, name="state.db"):
+    result = resume(folder / name, folder, StreamClock(), Settings(), Reports())
+    return None if result is None else result[0]
 
 
 def records(engine):
     return [
-        engine.show(found["R"]) + engine.show(found["I"]) for found in engine.query("access_mem(m, R, I)")
+        engine.show(solution["R"]) + engine.show(solution["I"])
+        for solution in engine.query("access_mem(m, R, I)")
     ]
 
 
-def test_goes_on_from_what_was_written_last(folder):
-    engine = begun(folder)
-    kept = checkpoints(engine, folder)
+def test_resumed_engine_continues_from_last_checkpoint(folder):
+    engine = start_engine(folder)
+    checkpointer = create_checkpointer(engine, folder)
     for number in range(1, 1200):
         engine.event(f"in({number})", number)
         if number % 130 == 0:
-            kept.write()
-            other = resumed(folder)
+            checkpointer.write()
+            other = resume_engine(folder)
             assert records(other) == records(engine)
             assert other.query("counter(c, X), memory_counter(m, Y)") == engine.query(
                 "counter(c, X), memory_counter(m, Y)"
             )
-    other = resumed(folder)
+    other = resume_engine(folder)
     seen = []
     other.on_event(lambda term, start, end: seen.append(other.show(term)))
     other.event("in(x)", 5000)
@@ -88,122 +89,122 @@ def test_goes_on_from_what_was_written_last(folder):
     assert "n(1171)" in seen
 
 
-def test_writes_only_what_is_new(folder):
-    engine = begun(folder)
-    kept = checkpoints(engine, folder)
-    kept.write()
+def test_checkpoint_writes_only_changes(folder):
+    engine = start_engine(folder)
+    checkpointer = create_checkpointer(engine, folder)
+    checkpointer.write()
     base = sqlite3.connect(str(folder / "state.db"))
     program = base.execute("SELECT rowid, data FROM sections WHERE name = 'program'").fetchone()
     clauses = base.execute("SELECT data FROM sections WHERE name = 'clauses'").fetchone()
     for number in range(1, 400):
         engine.event(f"in({number})", number)
         if number % 20 == 0:
-            kept.write()
+            checkpointer.write()
     assert base.execute("SELECT rowid, data FROM sections WHERE name = 'program'").fetchone() == program
     rows = base.execute("SELECT first, number FROM records ORDER BY first").fetchall()
     assert rows[:3] == [(0, 20), (20, 20), (40, 20)]
     engine.call("assertz(new(1))")
-    kept.write()
+    checkpointer.write()
     assert base.execute("SELECT data FROM sections WHERE name = 'clauses'").fetchone() != clauses
     for number in range(400, 3000):
         engine.event(f"in({number})", number)
         if number % 200 == 0:
-            kept.write()
+            checkpointer.write()
     assert base.execute("SELECT count(*) FROM records").fetchone()[0] <= 12
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 6))])
-def test_late_records_deleted_memories_and_time_that_goes_back(folder, seed):
-    chance = random.Random(seed)
-    engine = begun(folder)
-    kept = checkpoints(engine, folder)
+def test_random_changes_are_restored(folder, seed):
+    generator = random.Random(seed)
+    engine = start_engine(folder)
+    checkpointer = create_checkpointer(engine, folder)
     extra = 0
     for number in range(1, 300):
-        engine.event(f"in({number})", max(0.6, number - chance.choice((0, 0, 0, 1, 5, 40))))
-        what = chance.randrange(40)
-        if what == 0:
+        engine.event(f"in({number})", max(0.6, number - generator.choice((0, 0, 0, 1, 5, 40))))
+        choice = generator.randrange(40)
+        if choice == 0:
             extra += 1
-            engine.call(f"memorize(in(_), [], _, e{extra}, {chance.randrange(30)})")
-        elif what == 1 and extra:
+            engine.call(f"memorize(in(_), [], _, e{extra}, {generator.randrange(30)})")
+        elif choice == 1 and extra:
             engine.call(f"delete_memory(e{extra})")
             extra -= 1
-        elif what == 2:
+        elif choice == 2:
             engine.knowledge.clear()
-        elif what < 10:
-            kept.write()
-            other = resumed(folder)
-            for name in ("m", *(f"e{at}" for at in range(1, extra + 1))):
+        elif choice < 10:
+            checkpointer.write()
+            restored = resume_engine(folder)
+            for name in ("m", *(f"e{number}" for number in range(1, extra + 1))):
                 query = f"access_mem({name}, R, I)"
-                assert [other.show(one["R"]) for one in other.query(query)] == [
-                    engine.show(one["R"]) for one in engine.query(query)
+                assert [restored.show(solution["R"]) for solution in restored.query(query)] == [
+                    engine.show(solution["R"]) for solution in engine.query(query)
                 ]
 
 
-def test_writes_in_the_background_and_at_the_end(folder):
-    engine = begun(folder)
-    kept = Checkpointer(engine, CheckpointStorage(folder / "state.db"), folder, Reports(), 0.001)
-    kept.start()
+def test_checkpoints_are_written_in_background_and_at_stop(folder):
+    engine = start_engine(folder)
+    checkpointer = Checkpointer(engine, CheckpointStorage(folder / "state.db"), folder, Reports(), 0.001)
+    checkpointer.start()
     for number in range(1, 2000):
         engine.event(f"in({number})", number)
-    kept.stop()
-    assert kept.checkpoint_count > 1
-    assert records(resumed(folder)) == records(engine)
+    checkpointer.stop()
+    assert checkpointer.checkpoint_count > 1
+    assert records(resume_engine(folder)) == records(engine)
 
 
-def test_a_file_that_goes_on_is_whole_until_it_is_written(folder):
-    engine = begun(folder)
+def test_file_stays_valid_until_next_checkpoint(folder):
+    engine = start_engine(folder)
     engine.event("in(1)", 2)
-    checkpoints(engine, folder).write()
-    other = resumed(folder)
-    kept = checkpoints(other, folder)
-    assert records(resumed(folder)) == records(engine)
+    create_checkpointer(engine, folder).write()
+    other = resume_engine(folder)
+    checkpointer = create_checkpointer(other, folder)
+    assert records(resume_engine(folder)) == records(engine)
     other.event("in(2)", 3)
-    kept.write()
-    assert len(records(resumed(folder))) == 2
+    checkpointer.write()
+    assert len(records(resume_engine(folder))) == 2
 
 
-def test_nothing_was_written(folder):
-    assert resumed(folder) is None
+def test_missing_or_empty_file_has_no_checkpoint(folder):
+    assert resume_engine(folder) is None
     (folder / "state.db").touch()
-    assert resumed(folder) is None
+    assert resume_engine(folder) is None
     CheckpointStorage(folder / "state.db")
-    assert resumed(folder) is None
+    assert resume_engine(folder) is None
 
 
 @pytest.mark.parametrize("name", ["r.txt", "goalPredicates.txt", "pub_sub.xml"])
-def test_another_program_is_refused(folder, name):
-    engine = begun(folder)
-    checkpoints(engine, folder).write()
+def test_changed_program_is_refused(folder, name):
+    engine = start_engine(folder)
+    create_checkpointer(engine, folder).write()
     (folder / name).write_text("% changed")
     with pytest.raises(UsageError, match=f"{name} has changed since"):
-        resumed(folder)
+        resume_engine(folder)
 
 
-def test_a_program_elsewhere_is_refused(folder):
-    checkpoints(begun(folder), folder).write()
+def test_program_in_other_folder_is_refused(folder):
+    create_checkpointer(start_engine(folder), folder).write()
     (folder / "other").mkdir()
     with pytest.raises(UsageError, match="it is of another program"):
         resume(folder / "state.db", folder / "other", StreamClock(), Settings(), Reports())
 
 
-def test_another_version_is_refused(folder, monkeypatch):
+def test_other_layout_is_refused(folder, monkeypatch):
     monkeypatch.setattr("retalis.engine.checkpoints.LAYOUT_CHECKSUM", 7)
-    checkpoints(begun(folder), folder).write()
+    create_checkpointer(start_engine(folder), folder).write()
     with pytest.raises(UsageError, match="another version of the package"):
-        resumed(folder)
+        resume_engine(folder)
 
 
-def test_a_file_that_is_just_being_made_holds_nothing(folder, monkeypatch):
+def test_unfinished_file_has_no_checkpoint(folder, monkeypatch):
     path = folder / "state.db"
-    found = []
+    results = []
     connect = sqlite3.connect
 
     def look(statement):
         try:
-            found.append((statement, read_checkpoint(path)))
+            results.append((statement, read_checkpoint(path)))
         except UsageError as error:
-            found.append((statement, error))
+            results.append((statement, error))
 
     def watched(name, **options):
         base = connect(name, **options)
@@ -213,10 +214,10 @@ def test_a_file_that_is_just_being_made_holds_nothing(folder, monkeypatch):
 
     monkeypatch.setattr(sqlite3, "connect", watched)
     CheckpointStorage(path).close()
-    statements = [statement for statement, _ in found]
-    assert any("application_id" in one for one in statements)
-    assert any("CREATE TABLE" in one for one in statements)
-    assert [result for _, result in found] == [None] * len(found)
+    statements = [statement for statement, _ in results]
+    assert any("application_id" in statement for statement in statements)
+    assert any("CREATE TABLE" in statement for statement in statements)
+    assert [result for _, result in results] == [None] * len(results)
 
 
 @pytest.mark.slow
@@ -241,14 +242,14 @@ def test_a_file_that_is_just_being_made_holds_nothing(folder, monkeypatch):
         ("UPDATE sections SET data = x'800495' WHERE name = 'about'", "a checksum is wrong"),
     ],
 )
-def test_a_database_that_is_another_one_is_refused(folder, statements, message):
-    kept = checkpoints(begun(folder), folder)
-    kept.stop()
+def test_other_database_is_refused(folder, statements, message):
+    checkpointer = create_checkpointer(start_engine(folder), folder)
+    checkpointer.stop()
     base = sqlite3.connect(str(folder / "state.db"), isolation_level=None)
     base.executescript(statements)
     base.close()
     with pytest.raises(UsageError, match=message):
-        resumed(folder)
+        resume_engine(folder)
 
 
 @pytest.mark.parametrize(
@@ -264,92 +265,94 @@ def test_a_database_that_is_another_one_is_refused(folder, statements, message):
         (lambda old: to_bytes({**old, "memories": old["memories"] * 2}), "two memories"),
     ],
 )
-def test_what_it_says_of_itself_is_checked(folder, about, message):
-    kept = checkpoints(begun(folder), folder)
-    kept.stop()
+def test_invalid_description_is_refused(folder, about, message):
+    checkpointer = create_checkpointer(start_engine(folder), folder)
+    checkpointer.stop()
     base = sqlite3.connect(str(folder / "state.db"), isolation_level=None)
     ((old,),) = base.execute("SELECT data FROM sections WHERE name = 'about'").fetchall()
     data = about(dict(from_bytes(old)))
     base.execute("UPDATE sections SET data = ?, checked = ? WHERE name = 'about'", (data, crc32(data)))
     base.close()
     with pytest.raises(UsageError, match=message):
-        resumed(folder)
+        resume_engine(folder)
 
 
-def test_what_is_no_checkpoint_is_refused(folder):
+def test_other_file_is_refused(folder):
     (folder / "state.db").write_bytes(b"no database at all" * 100)
     with pytest.raises(UsageError, match="not a checkpoint, or is damaged"):
-        resumed(folder)
+        resume_engine(folder)
     (folder / "state.db").unlink()
     other = sqlite3.connect(str(folder / "state.db"))
     other.execute("CREATE TABLE x (y)")
     other.commit()
     other.close()
     with pytest.raises(UsageError, match="another database"):
-        resumed(folder)
+        resume_engine(folder)
 
 
-def test_a_schema_with_a_name_that_is_no_text_is_refused(folder):
-    kept = checkpoints(begun(folder), folder)
-    kept.stop()
+def test_schema_with_invalid_name_is_refused(folder):
+    checkpointer = create_checkpointer(start_engine(folder), folder)
+    checkpointer.stop()
     data = (folder / "state.db").read_bytes()
     # The name of a table, followed by the table's name and a statement that cannot be parsed.
     damaged = data.replace(b"tablerecordsrecords", b"table\xff\xfecordsrecords")
     damaged = damaged.replace(b"CREATE TABLE records", b"CREATX TABLE records")
     (folder / "state.db").write_bytes(damaged)
     with pytest.raises(UsageError, match="not a checkpoint, or is damaged"):
-        resumed(folder)
+        resume_engine(folder)
     with pytest.raises(UsageError, match="cannot write a checkpoint"):
         CheckpointStorage(folder / "state.db")
 
 
 @pytest.mark.parametrize("times", [15, pytest.param(100, marks=pytest.mark.slow)])
-def test_what_is_damaged_is_refused(folder, times):
-    engine = begun(folder)
+def test_damaged_file_is_refused(folder, times):
+    engine = start_engine(folder)
     for number in range(1, 300):
         engine.event(f"in({number})", number)
-    kept = checkpoints(engine, folder)
-    kept.stop()
+    checkpointer = create_checkpointer(engine, folder)
+    checkpointer.stop()
     data = (folder / "state.db").read_bytes()
-    chance = random.Random(1)
+    generator = random.Random(1)
     refused = 0
     for _ in range(times):
         broken = bytearray(data)
-        at = chance.randrange(len(data))
-        broken[at : at + 40] = bytes(chance.randrange(256) for _ in range(len(broken[at : at + 40])))
+        position = generator.randrange(len(data))
+        broken[position : position + 40] = bytes(
+            generator.randrange(256) for _ in range(len(broken[position : position + 40]))
+        )
         (folder / "broken.db").write_bytes(bytes(broken))
         try:
-            found = resumed(folder, "broken.db")
+            restored = resume_engine(folder, "broken.db")
         except UsageError:
             refused += 1
         else:
-            assert records(found) == records(engine)  # it was in a page that is not used
+            assert records(restored) == records(engine)  # the damage is in an unused page
     assert refused > times // 6
 
 
-def test_is_put_aside_with_what_belongs_to_it(folder):
-    kept = checkpoints(begun(folder), folder)
-    kept.write()
+def test_refused_file_is_renamed_with_its_log(folder):
+    checkpointer = create_checkpointer(start_engine(folder), folder)
+    checkpointer.write()
     (folder / "state.db.aside").write_text("older")
     aside = rename_refused_file(folder / "state.db")
     assert aside.name == "state.db.aside2"
     assert not any(name.startswith("state.db") and "aside" not in name for name in os.listdir(folder))
-    assert len(records(resumed(folder, "state.db.aside2"))) == 0
+    assert len(records(resume_engine(folder, "state.db.aside2"))) == 0
     with pytest.raises(UsageError, match="is not a file"):
         rename_refused_file(folder)
 
 
-def test_what_cannot_be_written_is_said(folder):
+def test_missing_folder_is_an_error(folder):
     with pytest.raises(UsageError, match="cannot write a checkpoint to"):
         CheckpointStorage(folder / "not_there" / "state.db")
 
 
 @pytest.mark.slow
-def test_killed_at_random(folder):
-    """The file has a state that was, at most a moment old, each time; nothing in it is of another moment."""
-    chance = random.Random(3)
-    known = before = 0
-    for at in range(KILLS + 1):
+def test_file_is_consistent_after_random_kills(folder):
+    """After each kill the file has one recent state, with all parts of the same time."""
+    generator = random.Random(3)
+    newest = previous = 0
+    for number in range(KILLS + 1):
         process = subprocess.Popen(
             [sys.executable, str(VICTIM), str(folder)],
             stdout=subprocess.PIPE,
@@ -357,19 +360,19 @@ def test_killed_at_random(folder):
             env={**os.environ, "PYTHONPATH": python_path()},
         )
         try:
-            if at:
-                counter, kept, added, last = map(int, process.stdout.readline().split())
+            if number:
+                counter, record_count, added, last = map(int, process.stdout.readline().split())
                 assert counter == added == last
-                assert kept == min(500, last)
-                assert before <= last <= known + 5000
-                before = last
+                assert record_count == min(500, last)
+                assert previous <= last <= newest + 5000
+                previous = last
                 assert process.stdout.readline() == "True True\n"
             assert process.stdout.readline() == "ready\n"
             first = int(process.stdout.readline().split()[0])
-            wanted = first + chance.randrange(200, 3000)
+            target = first + generator.randrange(200, 3000)
             for line in process.stdout:
-                known = int(line.split()[0])
-                if known >= wanted and (at or read_checkpoint(folder / "state.db") is not None):
+                newest = int(line.split()[0])
+                if newest >= target and (number or read_checkpoint(folder / "state.db") is not None):
                     break
         finally:
             process.kill()
@@ -377,60 +380,60 @@ def test_killed_at_random(folder):
             process.stdout.close()
 
 
-def test_another_process_with_the_file_ends_the_first(folder, caplog):
-    one, two = begun(folder), begun(folder)
-    first = checkpoints(one, folder)
+def test_second_writer_stops_first_one(folder, caplog):
+    first_engine, second_engine = start_engine(folder), start_engine(folder)
+    first = create_checkpointer(first_engine, folder)
     first.write()
-    second = checkpoints(two, folder)
-    two.event("in(2)", 2)
+    second = create_checkpointer(second_engine, folder)
+    second_engine.event("in(2)", 2)
     second.write()
-    one.event("in(1)", 1)
+    first_engine.event("in(1)", 1)
     with pytest.raises(UsageError, match="another process writes to this file"):
         first.write()
     first.stop()
     assert "this one writes no more" in caplog.text
-    assert records(resumed(folder)) == records(two)
+    assert records(resume_engine(folder)) == records(second_engine)
 
 
-def test_records_that_are_missing_are_noticed(folder):
-    engine = begun(folder)
-    kept = checkpoints(engine, folder)
+def test_missing_records_are_an_error(folder):
+    engine = start_engine(folder)
+    checkpointer = create_checkpointer(engine, folder)
     for number in range(1, 4):
         engine.event(f"in({number})", number)
-        kept.write()
+        checkpointer.write()
     base = sqlite3.connect(str(folder / "state.db"))
     base.execute("DELETE FROM records WHERE first = 0")
     base.commit()
     with pytest.raises(UsageError, match="records of a memory are missing"):
-        resumed(folder)
+        resume_engine(folder)
 
 
-def test_a_program_that_was_edited_and_not_read_is_another_one(folder):
-    engine = begun(folder)
-    kept = checkpoints(engine, folder)
+def test_program_edited_after_loading_is_refused(folder):
+    engine = start_engine(folder)
+    checkpointer = create_checkpointer(engine, folder)
     (folder / "r.txt").write_text(RULES + "% more\n")
     engine.call("assertz(new(1))")
-    kept.write()
+    checkpointer.write()
     with pytest.raises(UsageError, match=r"r\.txt has changed since it was read"):
-        resumed(folder)
+        resume_engine(folder)
     engine.reload(folder)
-    kept.write()
-    assert resumed(folder).query("new(X)") == [{"X": 1}]
+    checkpointer.write()
+    assert resume_engine(folder).query("new(X)") == [{"X": 1}]
 
 
-def test_an_error_of_any_kind_is_reported_and_the_next_time_comes(folder, monkeypatch, caplog):
-    engine = begun(folder)
-    kept = checkpoints(engine, folder)
+def test_unexpected_error_of_writing_is_logged(folder, monkeypatch, caplog):
+    engine = start_engine(folder)
+    checkpointer = create_checkpointer(engine, folder)
     with monkeypatch.context() as patched:
-        patched.setattr(kept, "write", lambda: 1 // 0)
-        kept.stop()
+        patched.setattr(checkpointer, "write", lambda: 1 // 0)
+        checkpointer.stop()
     assert "division" in caplog.text
 
 
-def test_the_end_does_not_wait_for_an_engine_without_end(folder, monkeypatch):
+def test_stop_does_not_wait_for_blocked_engine(folder, monkeypatch):
     monkeypatch.setattr("retalis.engine.checkpoints.FINAL_WRITE_SECONDS", 0.1)
-    engine = begun(folder)
-    kept = checkpoints(engine, folder)
+    engine = start_engine(folder)
+    checkpointer = create_checkpointer(engine, folder)
     going, stopped = threading.Event(), threading.Event()
 
     def hold(term, start, end):
@@ -441,17 +444,17 @@ def test_the_end_does_not_wait_for_an_engine_without_end(folder, monkeypatch):
     thread = threading.Thread(target=engine.event, args=("x", 9))
     thread.start()
     going.wait(60)
-    kept.start()
-    kept.stop()
+    checkpointer.start()
+    checkpointer.stop()
     stopped.set()
     thread.join()
 
 
-def test_what_is_asked_meanwhile_binds_nothing_that_is_kept(folder):
-    """Asking why unifies with the terms of rules for a while."""
-    engine = begun(folder)
+def test_queries_during_checkpoint_bind_no_stored_variables(folder):
+    """A query for a justification temporarily unifies terms of rules."""
+    engine = start_engine(folder)
     engine.call("set_etalis_flag(etalis_justification, on)")
-    kept = checkpoints(engine, folder)
+    checkpointer = create_checkpointer(engine, folder)
     asked = threading.Event()
 
     def ask():
@@ -463,18 +466,18 @@ def test_what_is_asked_meanwhile_binds_nothing_that_is_kept(folder):
     thread.start()
     while True:
         engine.call("assertz(new(1))")
-        kept.write()
+        checkpointer.write()
         if asked.is_set():
             break
     thread.join()
-    other = resumed(folder)
-    said = listened(other)
-    other.event("in(7)", 50)
-    assert "out(7)" in said
+    restored = resume_engine(folder)
+    events = record_events(restored)
+    restored.event("in(7)", 50)
+    assert "out(7)" in events
 
 
 def test_pause_is_a_multiple_of_the_work_without_its_waits(folder, monkeypatch):
-    engine = begun(folder)
+    engine = start_engine(folder)
     times = SimpleNamespace(now=0.0, cpu=0.0)
     monkeypatch.setattr(
         "retalis.engine.checkpoints.time",
@@ -485,7 +488,7 @@ def test_pause_is_a_multiple_of_the_work_without_its_waits(folder, monkeypatch):
             sleep=lambda seconds: None,
         ),
     )
-    checkpointer = checkpoints(engine, folder)
+    checkpointer = create_checkpointer(engine, folder)
     call, capture_state = engine.executor.call, EngineSnapshot.capture
 
     def call_after_wait(work, entry):
@@ -548,8 +551,8 @@ print(read_checkpoint(path).sections["run"]["event_count"], sorted(os.listdir(pa
 
 @pytest.mark.parametrize("is_killed", [False, True], ids=["closed", "with log"])
 def test_checkpoint_in_read_only_folder_is_read(folder, is_killed):
-    engine = begun(folder)
-    checkpointer = checkpoints(engine, folder)
+    engine = start_engine(folder)
+    checkpointer = create_checkpointer(engine, folder)
     checkpointer.write()
     target = folder / "medium"
     target.mkdir()
@@ -583,11 +586,11 @@ def explained(folder, number_of_events):
     (folder / "goalPredicates.txt").write_text(
         "compile_event_file('r.txt').\nset_etalis_flag(etalis_justification, on).\n"
     )
-    engine = begun(folder)
+    engine = start_engine(folder)
     for number in range(number_of_events):
         engine.event(f"first({number})", number + 1)
         engine.event(f"second({number})", number + 1.5)
-    return engine, checkpoints(engine, folder)
+    return engine, create_checkpointer(engine, folder)
 
 
 def size_of_matches(folder):
@@ -616,7 +619,7 @@ def test_size_of_recorded_events_is_bounded(folder):
 def test_newest_events_are_explained_after_restart(folder):
     engine, checkpointer = explained(folder, 400)
     checkpointer.write()
-    other = resumed(folder)
+    other = resume_engine(folder)
     assert len(other.rules.tracker.remembered_events()) == MAX_EXPLAINED_EVENTS
     assert len(explanation_of(engine, "pair(399)")) == 3
     assert explanation_of(other, "pair(399)") == explanation_of(engine, "pair(399)")
@@ -625,7 +628,7 @@ def test_newest_events_are_explained_after_restart(folder):
 def test_partial_match_of_older_events_continues_after_restart(folder):
     engine, checkpointer = explained(folder, 400)
     checkpointer.write()
-    other = resumed(folder)
+    other = resume_engine(folder)
     for either in (engine, other):
         either.event("third(0)", 1000)
     assert len(explanation_of(engine, "next(0)")) == 5
@@ -646,5 +649,5 @@ def test_checkpoint_contains_all_events_that_may_be_retracted(folder):
     engine, checkpointer = explained(folder, 400)
     engine.call("set_etalis_flag(revision_flag, on)")
     checkpointer.write()
-    other = resumed(folder)
+    other = resume_engine(folder)
     assert len(other.rules.tracker.remembered_events()) == len(engine.rules.tracker.remembered_events())

@@ -18,20 +18,20 @@ TOPICS = Topics(
 
 
 @pytest.fixture
-def asked():
-    """Return an engine with topics, and what its goals ask for."""
-    engine, found = Engine(), []
-    engine.input_topics.set_subscriber(lambda one: found.append(tuple(one)), TOPICS)
-    return engine, found
+def engine_with_topics():
+    """Return an engine with topics, and the subscriptions that its goals request."""
+    engine, subscriptions = Engine(), []
+    engine.input_topics.set_subscriber(lambda request: subscriptions.append(tuple(request)), TOPICS)
+    return engine, subscriptions
 
 
-def test_a_goal_subscribes_a_topic_once(asked):
-    engine, found = asked
+def test_goal_subscribes_to_topic_once(engine_with_topics):
+    engine, subscriptions = engine_with_topics
     engine.load(goals="subscribe_to(right, 'std_msgs/Bool', bumper_right)\nsubscribe_to(scan, 'a/msg/B')")
     assert engine.call("""subscribe_to("/right", "std_msgs/Bool", bumper_right)""")
     assert engine.call("subscribe_to(right, 'std_msgs/msg/Bool', bumper_right)")
     assert engine.call("subscribe_to(said, 'std_msgs/String'), subscribe_to(left, 'std_msgs/Bool', bump)")
-    assert found == [("right", "std_msgs/Bool", "bumper_right"), ("scan", "a/B", "")]
+    assert subscriptions == [("right", "std_msgs/Bool", "bumper_right"), ("scan", "a/B", "")]
     joined = engine.input_topics.merge_with(TOPICS)
     assert joined.subscribed == (
         *TOPICS.subscribed,
@@ -42,7 +42,7 @@ def test_a_goal_subscribes_a_topic_once(asked):
 
 
 @pytest.mark.parametrize(
-    ("goal", "said"),
+    ("goal", "message"),
     [
         ("subscribe_to(said, 'std_msgs/Int32')", "it is subscribed already as std_msgs/String"),
         ("subscribe_to(said, 'std_msgs/String', x)", "it is subscribed already as std_msgs/String"),
@@ -58,23 +58,23 @@ def test_a_goal_subscribes_a_topic_once(asked):
         ("subscribe_to(a, 'std_msgs/Int32', 3)", "names with a slash need quotes"),
     ],
 )
-def test_what_cannot_be_subscribed_is_an_error_of_the_goal(asked, goal, said):
-    engine, found = asked
+def test_invalid_subscription_is_an_error_of_goal(engine_with_topics, goal, message):
+    engine, subscriptions = engine_with_topics
     with pytest.raises(RetalisError) as error:
         engine.call(goal)
-    assert said in str(error.value)
+    assert message in str(error.value)
     assert engine.call(f"catch({goal}, _, true)")
-    assert found == []
+    assert subscriptions == []
 
 
-def test_goals_subscribe_no_more_than_so_many(asked):
-    engine, found = asked
+def test_number_of_subscribed_topics_is_limited(engine_with_topics):
+    engine, subscriptions = engine_with_topics
     with pytest.raises(RetalisError, match="goals subscribe to at most 1000 topics"):
         engine.call("between(0, 2000, N), atom_concat(t, N, T), subscribe_to(T, 'std_msgs/Bool'), fail")
-    assert len(found) == 1000
+    assert len(subscriptions) == 1000
 
 
-def test_an_engine_without_topics_says_so(caplog):
+def test_subscription_without_topics_gives_warning(caplog):
     engine = Engine()
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.load(goals="subscribe_to(left, 'std_msgs/Bool', bump)", rules="hit <- bump(true).")
@@ -82,17 +82,17 @@ def test_an_engine_without_topics_says_so(caplog):
     assert "topic left is not subscribed: there are no topics here" in record.getMessage()
 
 
-def test_slots_by_name_of_events_that_a_goal_names(asked):
-    engine, _ = asked
+def test_events_named_by_goal_have_named_slots(engine_with_topics):
+    engine, _ = engine_with_topics
     engine.load(goals="subscribe_to(right, 'std_msgs/Bool', right)", rules="hit(X) <- right{data: X}.")
-    happened = []
-    engine.on_event(lambda term, start, end: happened.append(str(term[1])))
+    events = []
+    engine.on_event(lambda term, start, end: events.append(str(term[1])))
     engine.event("right(true)", 1)
-    assert len(happened) == 2
+    assert len(events) == 2
 
 
-def test_reloading_subscribes_what_is_new_and_refuses_another_type(tmp_path, asked):
-    engine, found = asked
+def test_reload_subscribes_to_new_topics_and_refuses_other_types(tmp_path, engine_with_topics):
+    engine, subscriptions = engine_with_topics
     goals = tmp_path / "goalPredicates.txt"
     goals.write_text("subscribe_to(a, 'std_msgs/Bool', x)\n")
     engine.load_program(tmp_path)
@@ -101,10 +101,10 @@ def test_reloading_subscribes_what_is_new_and_refuses_another_type(tmp_path, ask
     goals.write_text("subscribe_to(a, 'std_msgs/Int8', x)\nsubscribe_to(c, 'std_msgs/Bool')\n")
     with pytest.raises(RetalisError, match="it is subscribed already as std_msgs/Bool, with events called x"):
         engine.reload(tmp_path)
-    assert found == [("a", "std_msgs/Bool", "x"), ("b", "std_msgs/Bool", "")]
+    assert subscriptions == [("a", "std_msgs/Bool", "x"), ("b", "std_msgs/Bool", "")]
 
 
-def test_events_of_such_topics_are_made(tmp_path):
+def test_check_knows_events_of_topics_subscribed_by_goals(tmp_path):
     (tmp_path / "pub_sub.xml").write_text("<publish_subscribe/>")
     (tmp_path / "goalPredicates.txt").write_text(
         "compile_event_file('rules.txt')\nsubscribe_to(left, 'std_msgs/Bool', bump)\n"
@@ -115,10 +115,11 @@ def test_events_of_such_topics_are_made(tmp_path):
         "more <- bump(false) do subscribe_to(right, 'std_msgs/Bool', later).\n"
         "hit(5) <- more do subscribe_to(n, 'std_msgs/Int8').\n"
     )
-    found = [
-        str(one.problem).split("\n")[0].partition(" [RT")[0] for one in check_program(tmp_path, Definitions())
+    problems = [
+        str(problem.problem).split("\n")[0].partition(" [RT")[0]
+        for problem in check_program(tmp_path, Definitions())
     ]
-    assert [one.partition(f"{tmp_path}/")[2] for one in found] == [
+    assert [problem.partition(f"{tmp_path}/")[2] for problem in problems] == [
         "goalPredicates.txt:3:1: there is no message type std_msgs/Strng; did you mean std_msgs/String?",
         "rules.txt:4:11: no producer of bumb/1: no topic, rule or goal; did you mean bump/1?",
     ]
@@ -140,7 +141,7 @@ silent <- left seq absent(never, 0.5).
 
 
 class FarStamps:
-    """An engine with its default clock, and what it has derived and reported."""
+    """An engine with its default clock, its warnings, and counts of its events."""
 
     def __init__(self, rules=TIMED_RULES):
         self.engine = Engine()
@@ -236,7 +237,7 @@ def test_source_with_another_date_does_not_move_clock_beside_others(offset):
 
 
 @pytest.mark.parametrize("distance", [3600, YEAR])
-def test_first_stamp_ahead_is_given_up(distance):
+def test_clock_returns_from_first_stamp_ahead(distance):
     expected = FarStamps().run(range(100))
     counts = FarStamps().run(range(100), {0: distance})
     assert counts["last_10"] >= 99
@@ -245,7 +246,7 @@ def test_first_stamp_ahead_is_given_up(distance):
 
 
 @pytest.mark.parametrize("offset", [3600, 40 * 86_400, 20 * YEAR])
-def test_stream_with_another_date_is_processed_as_any(offset):
+def test_stream_with_other_date_is_processed(offset):
     run = FarStamps()
     shifted = FarStamps()
     shifted_engine = shifted.engine
@@ -281,7 +282,7 @@ def test_stream_with_rare_events_moves_clock_at_each():
     assert run.warnings == []
 
 
-def test_clock_that_is_set_moves_clock_after_ten_seconds():
+def test_other_date_of_all_events_moves_clock_after_ten_seconds():
     run = FarStamps("late <- left seq absent(never, 1).")
     run.run(range(5))
     run.run(range(YEAR + 5, YEAR + 15))
@@ -417,7 +418,7 @@ changed(N) <- aggregate(count, tick, N, every(3)) with throttle(2).
 
 @pytest.mark.parametrize("has_receipt_clock", [False, True])
 @pytest.mark.parametrize("seed", range(20))
-def test_restored_engine_continues_as_if_never_stopped(seed, has_receipt_clock):
+def test_restored_engine_has_same_outputs(seed, has_receipt_clock):
     random = Random(seed)
     clock, restored_clock = (StreamClock(1), StreamClock(1)) if has_receipt_clock else (None, None)
     engine, restored = Engine(clock), Engine(restored_clock)

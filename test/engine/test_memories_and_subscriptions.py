@@ -5,25 +5,25 @@ import pytest
 from retalis import Engine, PrologError, Var, atom, functor
 
 
-def test_memories_are_added_and_deleted_as_goals_do():
+def test_memories_are_added_and_deleted():
     engine = Engine()
-    told = []
-    engine.on_event(lambda term, start, end: told.append(engine.show(term)))
+    events = []
+    engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     value, name = Var(), atom("warm")
     engine.add_memory((functor("t", 1), value), [(functor(">", 2), value, 20)], Var(), name, 2)
     for degrees in (19, 21, 22):
         engine.event(f"t({degrees})", degrees)
-    assert [str(one["X"]) for one in engine.query("access_mem(warm, t(X), _)")] == ["22", "21"]
+    assert [str(solution["X"]) for solution in engine.query("access_mem(warm, t(X), _)")] == ["22", "21"]
     with pytest.raises(PrologError, match="one already exists"):
         engine.add_memory(atom("a"), [], Var(), name, 2)
     with pytest.raises(PrologError, match="integer"):
         engine.add_memory(atom("a"), [], Var(), atom("other"), atom("two"))
     assert engine.delete_memory(name) and not engine.delete_memory(name)
     assert not engine.has_memory(name)
-    assert told[0].startswith("memory_created(t(") and told[-1] == "memory_deleted(warm)"
+    assert events[0].startswith("memory_created(t(") and events[-1] == "memory_deleted(warm)"
 
 
-def test_subscriptions_are_added_and_deleted_as_goals_do():
+def test_subscriptions_are_added_and_deleted():
     engine = Engine()
     sent = []
     engine.on_output(lambda term, topic, name: sent.append((engine.show(term), topic, engine.show(name))))

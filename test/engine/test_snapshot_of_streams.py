@@ -1,4 +1,4 @@
-"""Operators on streams go on where an engine is restored: windows, shapes and absences."""
+"""Stream operators of a restored engine: windows, rate operators and absences."""
 
 import random
 
@@ -39,30 +39,30 @@ FLAGS = {
 
 
 def stream(seed, number=60):
-    """Return events in an order in which some come late, in steps of a quarter of a second."""
-    chance = random.Random(seed)
-    found = []
+    """Return events with times in steps of 0.25 s, some of which are late."""
+    generator = random.Random(seed)
+    events = []
     now = 8
     for _ in range(number):
-        now += chance.choice((0, 1, 1, 2, 3, 6))
-        start = max(now - chance.choice((0, 0, 0, 1, 5, 9)), 0)
-        end = start + chance.choice((0, 0, 1, 2))
-        event = f"in({chance.choice('abc')}, {chance.choice((1, 2, 2.5, 4))})"
-        if chance.random() < 0.3:
-            event = chance.choice(("no(a)", "no(b)", "end(a)", "end(c)", "no(c)"))
-        found.append((event, start / 4, end / 4))
-    return found
+        now += generator.choice((0, 1, 1, 2, 3, 6))
+        start = max(now - generator.choice((0, 0, 0, 1, 5, 9)), 0)
+        end = start + generator.choice((0, 0, 1, 2))
+        event = f"in({generator.choice('abc')}, {generator.choice((1, 2, 2.5, 4))})"
+        if generator.random() < 0.3:
+            event = generator.choice(("no(a)", "no(b)", "end(a)", "end(c)", "no(c)"))
+        events.append((event, start / 4, end / 4))
+    return events
 
 
-def listened(engine):
-    """Have an engine note the events that it shows."""
-    said = engine.said = []
-    engine.on_event(lambda term, start, end: said.append((engine.show(term), int(start), int(end))))
+def record_emitted(engine):
+    """Record the events of an engine in its attribute ``emitted``."""
+    emitted = engine.emitted = []
+    engine.on_event(lambda term, start, end: emitted.append((engine.show(term), int(start), int(end))))
     return engine
 
 
 def feed(engine, events):
-    """Give events to an engine."""
+    """Feed events to an engine."""
     for event, start, end in events:
         engine.event(event, start, end)
 
@@ -70,22 +70,22 @@ def feed(engine, events):
 @pytest.mark.slow
 @pytest.mark.parametrize("flags", FLAGS)
 @pytest.mark.parametrize("name", PATTERNS)
-def test_goes_on_as_if_nothing_had_been(name, flags):
-    one = Engine()
-    one.load(rules=FLAGS[flags] + PATTERNS[name])
+def test_restored_stream_operator_emits_same_events(name, flags):
+    original = Engine()
+    original.load(rules=FLAGS[flags] + PATTERNS[name])
     events = stream(name)
     if flags == "revised":
         events[45:45] = [(f"rev({term})", *events[44][1:]) for term, *_ in events[30:40:3]]
-    feed(one, events[:35])
-    other = Engine.restore(Engine.restore(one.snapshot()).snapshot())
-    for engine in (one, other):
-        feed(listened(engine), [*events[35:], ("tick", 90, 90)])
-    assert any(text.startswith("w(") for text, _, _ in one.said)
-    assert other.said == one.said
-    assert other.status().rules == one.status().rules
+    feed(original, events[:35])
+    restored = Engine.restore(Engine.restore(original.snapshot()).snapshot())
+    for engine in (original, restored):
+        feed(record_emitted(engine), [*events[35:], ("tick", 90, 90)])
+    assert any(text.startswith("w(") for text, _, _ in original.emitted)
+    assert restored.emitted == original.emitted
+    assert restored.status().rules == original.status().rules
 
 
-def test_no_event_is_late_because_of_a_restoration():
+def test_restoration_makes_no_event_late():
     engine = Engine()
     engine.load(rules=PATTERNS["debounce"])
     feed(engine, [("in(a, 1)", 20, 20), ("in(a, 2)", 10, 10)])

@@ -1,4 +1,4 @@
-"""Stamps far from those before: what is warned of, what is refused, and what is none of it."""
+"""Distant stamps: warnings, refusals, and streams without either."""
 
 import logging
 import struct
@@ -19,11 +19,11 @@ from retalis.engine.runtime.clock_skew import (
 SECOND = 10**9
 HEADER = "\n" + "=" * 80 + "\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
 ROBOT = 1_300_000_000.0
-"""What a bag's stamps say, years before anybody's present."""
+"""Time of a bag in seconds, years before the present."""
 
 
 class Bench:
-    """A topic whose messages are made here, and the clocks by which they are received."""
+    """A topic with its messages, and the clocks of their receipt."""
 
     def __init__(self, **options):
         self.now = self.wall = 5_000 * SECOND
@@ -34,12 +34,12 @@ class Bench:
         self.watching = {}
 
     def pass_time(self, wall, now=None):
-        """Let time pass, in seconds."""
+        """Advance the clocks by seconds."""
         self.wall += round(wall * SECOND)
         self.now += round((wall if now is None else now) * SECOND)
 
     def send(self, stamp, frame="map", topic="/seen", publisher="/robot"):
-        """Return whether a message is taken."""
+        """Return whether a message is accepted."""
         nanoseconds = round(stamp * SECOND)
         data = struct.pack("<IIII", 0, *divmod(nanoseconds, SECOND), len(frame)) + frame.encode()
         if (topic, publisher) not in self.watching:
@@ -63,7 +63,7 @@ def strict():
     return Bench(max_distance_seconds=10.0)
 
 
-def said(caplog):
+def logged_messages(caplog):
     return [record.getMessage() for record in caplog.records]
 
 
@@ -71,156 +71,161 @@ def said(caplog):
 @pytest.mark.parametrize("rate", [0.1, 1, 10])
 @pytest.mark.parametrize("step", [0.02, 1, 60, 86400])
 @pytest.mark.parametrize("clock", ["wall", "simulated", "late"])
-def test_no_false_alarm(strict, step, rate, pause, clock):
-    """A bag at any pace, paused in the middle, of a robot of other years, by any clock of the node."""
-    for at in range(40):
-        assert strict.send(ROBOT + at * step)
-        wall = step / rate + (pause if at == 20 else 0)
+def test_bag_at_any_rate_gives_no_warning(strict, step, rate, pause, clock):
+    """A bag of another year, played at any rate with a pause, on any clock of the node."""
+    for number in range(40):
+        assert strict.send(ROBOT + number * step)
+        wall = step / rate + (pause if number == 20 else 0)
         strict.pass_time(wall, {"wall": wall, "simulated": step, "late": 0}[clock])
     assert strict.reports.warnings == 0
 
 
-def test_a_slow_topic_beside_a_fast_one(strict):
-    """The slow one may step by what the fast one has shown to have passed, whatever the clocks say."""
-    for at in range(600):
-        assert strict.send(ROBOT + at)
-        if at % 200 == 0:
-            assert strict.send(ROBOT + at, topic="/slow")
+def test_slow_topic_may_step_as_far_as_fast_one(strict):
+    """The fast topic shows that time has passed, independent of the clocks."""
+    for second in range(600):
+        assert strict.send(ROBOT + second)
+        if second % 200 == 0:
+            assert strict.send(ROBOT + second, topic="/slow")
         strict.pass_time(0.01)
     assert strict.reports.warnings == 0
 
 
-def test_an_hour_ahead(bench, caplog):
-    for at in range(100):
-        assert bench.send(ROBOT + at / 10)
+def test_stamp_an_hour_ahead_gives_one_warning(bench, caplog):
+    for number in range(100):
+        assert bench.send(ROBOT + number / 10)
         bench.pass_time(0.1)
     for _ in range(3):
         assert bench.send(ROBOT + 3610, publisher="/other")
         assert bench.send(ROBOT + 10)
-    assert said(caplog) == [
+    assert logged_messages(caplog) == [
         "topic /seen, frame map: a stamp from /other is 3600 s ahead of the stamps before it",
     ]
     bench.skew.log_counts()
-    assert said(caplog)[1:] == ["topic /seen: 3 messages in all had a stamp far from those before"]
+    assert logged_messages(caplog)[1:] == ["topic /seen: 3 messages in all had a stamp far from those before"]
 
 
-def test_behind(bench, caplog):
+def test_stamp_behind_gives_warning(bench, caplog):
     bench.send(ROBOT)
     bench.pass_time(1)
     assert bench.send(ROBOT - 19)
-    assert "20 s behind the stamps" in said(caplog)[0] or "19 s behind the stamps" in said(caplog)[0]
+    assert (
+        "20 s behind the stamps" in logged_messages(caplog)[0]
+        or "19 s behind the stamps" in logged_messages(caplog)[0]
+    )
 
 
-def test_each_frame_has_its_own_time(strict, caplog):
-    for at in range(20):
-        assert strict.send(ROBOT + at)
-        assert strict.send(2 * ROBOT + at, frame="odom")
-        assert strict.send(3 * ROBOT + at, topic="/other")
+def test_frames_have_separate_times(strict, caplog):
+    for second in range(20):
+        assert strict.send(ROBOT + second)
+        assert strict.send(2 * ROBOT + second, frame="odom")
+        assert strict.send(3 * ROBOT + second, topic="/other")
         strict.pass_time(1)
-    assert said(caplog) == []
+    assert logged_messages(caplog) == []
 
 
-def test_refused(caplog):
+def test_stamp_beyond_limit_is_refused(caplog):
     bench = Bench(max_distance_seconds=0.5)
-    taken = []
-    for at in range(20):
-        taken.append(bench.send(ROBOT + at / 10 + (0.7 if at == 10 else 0)))
+    accepted = []
+    for number in range(20):
+        accepted.append(bench.send(ROBOT + number / 10 + (0.7 if number == 10 else 0)))
         bench.pass_time(0.1)
-    assert taken == [at != 10 for at in range(20)]
-    assert "0.7 s ahead" in said(caplog)[0] and said(caplog)[0].endswith("such messages are dropped")
-    assert [(one.distant_count, one.refused_count) for one in bench.skew] == [(1, 1)]
+    assert accepted == [number != 10 for number in range(20)]
+    assert "0.7 s ahead" in logged_messages(caplog)[0] and logged_messages(caplog)[0].endswith(
+        "such messages are dropped"
+    )
+    assert [(times.distant_count, times.refused_count) for times in bench.skew] == [(1, 1)]
 
 
-def test_between_the_warning_and_the_limit(caplog):
+def test_stamp_within_limit_is_counted_and_accepted(caplog):
     bench = Bench(max_distance_seconds=100.0)
     bench.send(ROBOT)
     assert bench.send(ROBOT + 50)
     assert not bench.send(ROBOT + 200)
-    assert [(one.distant_count, one.refused_count) for one in bench.skew] == [(2, 1)]
+    assert [(times.distant_count, times.refused_count) for times in bench.skew] == [(2, 1)]
 
 
-def test_a_clock_that_is_set_is_taken_up(strict, caplog):
-    for at in range(20):
-        strict.send(ROBOT + at)
+def test_agreeing_stamps_set_new_time(strict, caplog):
+    for second in range(20):
+        strict.send(ROBOT + second)
         strict.pass_time(1)
-    taken = []
-    for at in range(20, 50):
-        taken.append(strict.send(ROBOT - 5000 + at))
+    accepted = []
+    for second in range(20, 50):
+        accepted.append(strict.send(ROBOT - 5000 + second))
         strict.pass_time(1)
-    assert taken == [False] * (MIN_AGREEING_STAMPS - 1) + [True] * (31 - MIN_AGREEING_STAMPS)
-    assert len(said(caplog)) == 2
-    assert f"the last {MIN_AGREEING_STAMPS} stamps agree and are" in said(caplog)[1]
+    assert accepted == [False] * (MIN_AGREEING_STAMPS - 1) + [True] * (31 - MIN_AGREEING_STAMPS)
+    assert len(logged_messages(caplog)) == 2
+    assert f"the last {MIN_AGREEING_STAMPS} stamps agree and are" in logged_messages(caplog)[1]
 
 
-def test_what_alternates_is_not_taken_up(strict):
-    for at in range(100):
-        assert strict.send(ROBOT + at / 10)
-        assert not strict.send(ROBOT + 3600 + at / 10, publisher="/wrong")
+def test_alternating_stamps_set_no_new_time(strict):
+    for number in range(100):
+        assert strict.send(ROBOT + number / 10)
+        assert not strict.send(ROBOT + 3600 + number / 10, publisher="/wrong")
         strict.pass_time(0.1)
 
 
-def test_a_first_stamp_that_is_wrong_does_not_last(strict):
+def test_wrong_first_stamp_is_replaced(strict):
     strict.send(ROBOT + 3600)
-    taken = [strict.send(ROBOT + at / 10) for at in range(50)]
-    assert taken == [False] * (MIN_AGREEING_STAMPS - 1) + [True] * (51 - MIN_AGREEING_STAMPS)
+    accepted = [strict.send(ROBOT + number / 10) for number in range(50)]
+    assert accepted == [False] * (MIN_AGREEING_STAMPS - 1) + [True] * (51 - MIN_AGREEING_STAMPS)
 
 
-def test_stamps_of_zero_say_nothing(strict):
-    for at in range(20):
-        assert strict.send(ROBOT + at / 10)
+def test_stamps_of_zero_are_ignored(strict):
+    for number in range(20):
+        assert strict.send(ROBOT + number / 10)
         assert strict.send(0)
 
 
-def test_bounded(strict):
-    for at in range(3 * MAX_FRAMES):
-        strict.send(ROBOT, frame=str(at))
+def test_number_of_frames_is_bounded(strict):
+    for number in range(3 * MAX_FRAMES):
+        strict.send(ROBOT, frame=str(number))
     strict.send(ROBOT, frame="x" * 100_000)
     (times,) = strict.skew
     assert len(times) <= MAX_FRAMES
 
 
-def test_bounded_over_all_topics(strict, monkeypatch):
+def test_memory_of_all_topics_is_bounded(strict, monkeypatch):
     monkeypatch.setattr(clock_skew, "MAX_FRAME_BYTES", 100_000)
     for topic in range(20):
-        for at in range(20):
-            assert strict.send(ROBOT, frame=str(at), topic=f"/t{topic}")
+        for number in range(20):
+            assert strict.send(ROBOT, frame=str(number), topic=f"/t{topic}")
             assert sum(times.total_bytes for times in strict.skew) <= 100_000
     assert any(times for times in strict.skew)
     assert not all(times for times in strict.skew)
 
 
-def test_time_that_went_back_is_a_new_beginning(strict):
+def test_reset_accepts_earlier_stamps(strict):
     strict.send(ROBOT)
     strict.skew.reset()
     assert strict.send(ROBOT - 5000)
     assert strict.reports.warnings == 0
 
 
-def test_a_bag_that_is_played_again_is_one_matter_for_all_frames_of_a_topic(bench, caplog):
+def test_repeated_bag_gives_one_warning_per_topic(bench, caplog):
     for _ in range(3):
-        for at in range(30):
+        for number in range(30):
             for frame in "abcdef":
-                assert bench.send(ROBOT + 5 * at, frame=frame)
+                assert bench.send(ROBOT + 5 * number, frame=frame)
             bench.pass_time(5)
-    assert [text.partition(":")[0] for text in said(caplog)] == [
+    assert [text.partition(":")[0] for text in logged_messages(caplog)] == [
         "topic /seen, frame a",
         "topic /seen",
         "topic /seen, frame a",
     ]
-    assert "a bag that is played again without /clock" in said(caplog)[1]
+    assert "a bag that is played again without /clock" in logged_messages(caplog)[1]
 
 
-def test_warnings_are_bounded(bench):
-    bench_logged = logging.getLogger("retalis")
-    lines = []
+def test_number_of_warnings_is_bounded(bench):
+    logger = logging.getLogger("retalis")
+    records = []
     handler = logging.Handler()
-    handler.emit = lambda record: lines.append(record)
-    bench_logged.addHandler(handler)
-    for at in range(1000):
-        bench.send(ROBOT, frame=str(at))
-        bench.send(ROBOT + 3600, frame=str(at))
-    bench_logged.removeHandler(handler)
-    assert len(lines) < 40
+    handler.emit = lambda record: records.append(record)
+    logger.addHandler(handler)
+    for number in range(1000):
+        bench.send(ROBOT, frame=str(number))
+        bench.send(ROBOT + 3600, frame=str(number))
+    logger.removeHandler(handler)
+    assert len(records) < 40
 
 
 @given(
@@ -229,10 +234,10 @@ def test_warnings_are_bounded(bench):
     ),
     st.sampled_from(["wall", "simulated"]),
 )
-def test_stamps_that_go_with_some_time_are_never_far(steps, clock):
-    """Each step is played at a pace of its own between a tenth and nearly ten times, with a pause after it.
+def test_stamps_that_follow_a_clock_give_no_warning(steps, clock):
+    """Each step is played at a rate between 0.1 and 9.99, with a pause after it.
 
-    Not at ten times exactly: the stamps here are floats, which are right to a quarter of a microsecond.
+    The rate is less than 10, because the stamps are floats, which have errors of a quarter of a microsecond.
     """
     bench = Bench(max_distance_seconds=11.0)
     stamp = ROBOT
@@ -246,12 +251,12 @@ def test_stamps_that_go_with_some_time_are_never_far(steps, clock):
 
 
 @given(st.lists(st.floats(0.01, 1), min_size=2, max_size=50), st.floats(15, 1e8), st.booleans())
-def test_one_far_stamp_is_always_found(steps, far, ahead):
+def test_distant_stamp_is_always_refused(steps, distance, is_ahead):
     bench = Bench(max_distance_seconds=11.0)
     stamp = ROBOT
     for step in steps:
         assert bench.send(stamp)
         stamp += step
         bench.pass_time(step)
-    assert not bench.send(stamp + far if ahead else stamp - far)
+    assert not bench.send(stamp + distance if is_ahead else stamp - distance)
     assert bench.send(stamp)

@@ -1,4 +1,4 @@
-"""A forked process: an engine that was idle goes on in it, one that was busy in another thread refuses clearly."""
+"""Engines in a forked process: an idle one works, one that another thread was using refuses calls."""
 
 import multiprocessing
 import os
@@ -15,7 +15,7 @@ pytestmark = [
 ]
 
 SECONDS = 60
-"""After these a process that hangs is ended."""
+"""Time limit of a child process."""
 
 REFUSED = (
     "the engine cannot be used in this process, which was forked while another thread was using it: make"
@@ -23,7 +23,7 @@ REFUSED = (
 
 
 def in_child(work):
-    """Return what work returns in a forked process, or the text of its error; "" for one that hung."""
+    """Return the result of a function in a forked process, or the text of its error; "" after the time limit."""
     reading, writing = os.pipe()
     pid = os.fork()
     if pid == 0:
@@ -46,12 +46,12 @@ def in_child(work):
 
 @pytest.fixture
 def engine():
-    made = Engine(settings=Settings(limits=Limits(seconds=30.0)))
-    made.load(rules="out(X) <- in(X).\ncount(0).\ncount(N) :- N > 0, M is N - 1, count(M).")
-    return made
+    engine = Engine(settings=Settings(limits=Limits(seconds=30.0)))
+    engine.load(rules="out(X) <- in(X).\ncount(0).\ncount(N) :- N > 0, M is N - 1, count(M).")
+    return engine
 
 
-def test_an_idle_engine_goes_on_in_both_processes(engine):
+def test_idle_engine_works_in_both_processes(engine):
     def use():
         seen = []
         engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
@@ -67,7 +67,7 @@ def test_an_idle_engine_goes_on_in_both_processes(engine):
 
 @pytest.fixture
 def busy(engine):
-    """An engine in which another thread is at work."""
+    """An engine that another thread is using."""
     begun, goes_on = threading.Event(), threading.Event()
 
     def wait(*_):
@@ -93,29 +93,29 @@ def busy(engine):
         lambda engine: engine.load(rules="a <- b."),
     ],
 )
-def test_an_engine_that_was_busy_refuses_in_the_child(busy, use):
+def test_busy_engine_refuses_calls_in_child(busy, use):
     assert in_child(lambda: use(busy)).startswith(REFUSED)
 
 
-def test_another_engine_can_be_made_in_the_child(busy):
+def test_child_can_create_engine(busy):
     assert in_child(lambda: Engine().call("true")) == "True"
 
 
-def test_the_thread_that_is_at_work_may_fork(engine):
-    found = []
+def test_working_thread_may_fork(engine):
+    results = []
 
     def fork(*_):
-        found.append(in_child(lambda: engine.query("X = 1")))
+        results.append(in_child(lambda: engine.query("X = 1")))
 
     engine.on_event(fork)
     engine.event("in(1)", 1)
-    assert found == ["[{'X': 1}]"] * 2
+    assert results == ["[{'X': 1}]"] * 2
     assert engine.call("true")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["fork", "multiprocessing"])
-def test_no_process_hangs_that_is_forked_while_another_thread_asks(engine, kind):
+def test_fork_during_query_of_other_thread_does_not_hang(engine, kind):
     ending = threading.Event()
 
     def ask():
@@ -137,7 +137,7 @@ def test_no_process_hangs_that_is_forked_while_another_thread_asks(engine, kind)
 
 
 def in_process(work):
-    """Return what work returns in a process of multiprocessing that was forked, or the text of its error."""
+    """Return the result of a function in a process of multiprocessing, or the text of its error."""
     context = multiprocessing.get_context("fork")
     receiver, sender = context.Pipe(duplex=False)
 
