@@ -14,7 +14,6 @@ import pytest
 
 import retalis.events.language.event_operators  # noqa: F401 -- adds its operators to those of Prolog
 from retalis import Definitions
-from retalis.foundation.cpython_and_pypy import PYPY
 
 pytest_plugins = ["process_state", "random_order"]
 
@@ -61,9 +60,8 @@ def pytest_collection(session):
         yield
     finally:
         gc.enable()
-        if not PYPY:
-            gc.freeze()
-            gc.set_threshold(*GC_THRESHOLDS)
+        gc.freeze()
+        gc.set_threshold(*GC_THRESHOLDS)
 
 
 @pytest.fixture(scope="module")
@@ -98,5 +96,4 @@ def freeze_caches():
     """Exempt the objects that a module of tests has left in caches, too: some tests collect all garbage."""
     yield
     gc.collect()
-    if not PYPY:
-        gc.freeze()
+    gc.freeze()

@@ -42,7 +42,6 @@ METHODS = {
     if part is one or part.__module__.startswith("retalis.engine.")
     for member, found in vars(part).items()
     if not member.startswith("_") and (inspect.isroutine(found) or isinstance(found, (property, classmethod)))
-    if member not in getattr(one, "_fields", ())  # PyPy has properties for them
 }
 """What users call, beside the names themselves."""
 OF_THEIR_CLASS = {name for name in PUBLIC if name != "Engine"}

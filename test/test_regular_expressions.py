@@ -17,7 +17,6 @@ from typing import Any, Dict, Iterator, List, NamedTuple, Set, Tuple
 import pytest
 from source import FILES
 
-from retalis.foundation.cpython_and_pypy import PYPY
 from retalis.prolog.syntax import tokenizer
 
 SIZE = 100_000
@@ -429,7 +428,6 @@ def test_what_others_like(name):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(PYPY, reason="PyPy looks at no signals while it matches")
 @pytest.mark.parametrize(
     "pattern,text",
     [

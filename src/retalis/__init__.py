@@ -34,7 +34,6 @@ if TYPE_CHECKING:  # for type checkers; a program gets them by `__getattr__`
     from .engine.runtime.problem_reports import Reports
     from .events.program.topic_configuration import TopicType
     from .explanation.event_explanations import Explanation, ExplanationLine, explain, record_origins
-    from .foundation.cpython_and_pypy import collect_when_idle, limit_gc_pauses, restore_gc
     from .foundation.errors import (
         MessageError,
         Omission,
@@ -45,6 +44,7 @@ if TYPE_CHECKING:  # for type checkers; a program gets them by `__getattr__`
         SyntaxFault,
         UsageError,
     )
+    from .foundation.garbage_collection import collect_when_idle, limit_gc_pauses, restore_gc
     from .messages.decoder import Decoder
     from .messages.encoder import Encoder
     from .messages.type_definition import Definition
@@ -132,7 +132,7 @@ _MODULES = {
     "BagReader": "playback.rosbag1",
     "BagWriter": "playback.rosbag1",
     "Clock": "engine.runtime.clock",
-    "collect_when_idle": "foundation.cpython_and_pypy",
+    "collect_when_idle": "foundation.garbage_collection",
     "Compound": "prolog.system.value_conversion",
     "Decoder": "messages.decoder",
     "Definition": "messages.type_definition",
@@ -147,7 +147,7 @@ _MODULES = {
     "Functor": "prolog.terms.types",
     "functor": "prolog.terms.types",
     "LeftOut": "engine.engine_status",
-    "limit_gc_pauses": "foundation.cpython_and_pypy",
+    "limit_gc_pauses": "foundation.garbage_collection",
     "Limits": "prolog.machine.resource_limits",
     "list_items": "prolog.terms.list_terms",
     "make_list": "prolog.terms.list_terms",
@@ -165,7 +165,7 @@ _MODULES = {
     "Record": "playback.rosbag1",
     "record_origins": "explanation.event_explanations",
     "Reports": "engine.runtime.problem_reports",
-    "restore_gc": "foundation.cpython_and_pypy",
+    "restore_gc": "foundation.garbage_collection",
     "RetalisError": "foundation.errors",
     "RuleError": "foundation.errors",
     "RuleStatus": "engine.engine_status",

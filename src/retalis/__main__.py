@@ -21,7 +21,7 @@ def main() -> int:
     gc.disable()
     from .cli.command_line import import_commands  # noqa: PLC0415
     from .cli.command_line import main as command_line  # noqa: PLC0415
-    from .foundation.cpython_and_pypy import stop_collecting  # noqa: PLC0415
+    from .foundation.garbage_collection import stop_collecting  # noqa: PLC0415
     from .foundation.lost_interrupts import repeat_lost_interrupts  # noqa: PLC0415
 
     import_commands(sys.argv[1:])

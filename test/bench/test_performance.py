@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from retalis.foundation.cpython_and_pypy import stop_limiting_gc_pauses
+from retalis.foundation.garbage_collection import stop_limiting_gc_pauses
 
 ROOT = Path(__file__).resolve().parents[2]
 MODULES = (

@@ -10,7 +10,7 @@ from bags_and_program import SECOND, make_bag, make_program
 
 from retalis import BagReader
 from retalis.cli.bag_command import _MAX_MESSAGE_CHARACTERS, BagTask, add_parser, play_bag, single_bag_options
-from retalis.foundation.cpython_and_pypy import stop_limiting_gc_pauses
+from retalis.foundation.garbage_collection import stop_limiting_gc_pauses
 
 
 @pytest.fixture(autouse=True)

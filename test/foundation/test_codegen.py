@@ -10,9 +10,8 @@ from pathlib import Path
 import pytest
 
 from retalis.foundation import codegen
-from retalis.foundation.cpython_and_pypy import PYPY
 
-AT_ONCE = not PYPY and getattr(sys, "_is_gil_enabled", lambda: True)()
+AT_ONCE = getattr(sys, "_is_gil_enabled", lambda: True)()
 """Whether functions are freed as soon as nothing holds them; threads without a lock leave them to the collector."""
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -6,9 +6,6 @@ import pytest
 
 from fuzz.campaign import Campaign
 from fuzz.kinds import NAMES
-from retalis.foundation.cpython_and_pypy import PYPY
-
-pytestmark = pytest.mark.skipif(PYPY, reason="an input is watched by audit events, and PyPy has few of them")
 
 INPUTS = {
     "rules": 4000,

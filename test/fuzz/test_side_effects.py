@@ -6,9 +6,6 @@ from fuzz import campaign as module
 from fuzz.campaign import Campaign
 from fuzz.kinds.forbidden_acts import ACTS
 from fuzz.known_findings import reason
-from retalis.foundation.cpython_and_pypy import PYPY
-
-pytestmark = pytest.mark.skipif(PYPY, reason="an input is watched by audit events, and PyPy has few of them")
 
 
 @pytest.fixture(scope="module")

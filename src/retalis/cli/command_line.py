@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, Callable, Dict, Iterable, List, Optional, Tuple
 from xml.etree import ElementTree
 
-from ..foundation.cpython_and_pypy import stop_limiting_gc_pauses
 from ..foundation.errors import RetalisError, quote_shortened
+from ..foundation.garbage_collection import stop_limiting_gc_pauses
 from ..foundation.output_files import GuardedOutput, OutputFailed
 from ..foundation.similar_names import did_you_mean
 from .command_parser import CommandParser

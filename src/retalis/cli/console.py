@@ -21,8 +21,8 @@ from ..engine.engine_settings import Settings
 from ..engine.runtime.clock import Clock
 from ..engine.runtime.problem_reports import Reports
 from ..events.rules.event_input_predicates import event_of
-from ..foundation.cpython_and_pypy import limit_gc_pauses
 from ..foundation.errors import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError, printable
+from ..foundation.garbage_collection import limit_gc_pauses
 from ..foundation.output_files import print_json
 from ..prolog.syntax.term_reader import ReadTerm
 from ..prolog.system.prolog_system import Tracer

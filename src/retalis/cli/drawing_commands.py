@@ -10,8 +10,8 @@ from ..engine.engine_settings import Settings
 from ..engine.event_input import InputTopics
 from ..engine.run_records import open_records
 from ..events.program.topic_configuration import GOALS, TOPICS, Topics, read_topics
-from ..foundation.cpython_and_pypy import limit_gc_pauses
 from ..foundation.errors import ProgramErrors, UsageError
+from ..foundation.garbage_collection import limit_gc_pauses
 from ..foundation.output_files import open_output, print_json
 from ..messages.type_definition import functor_name
 from ..playback.playback import RunRecorder

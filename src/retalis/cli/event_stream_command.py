@@ -25,7 +25,6 @@ from ..events.program.goal_file import goal_of, read_goals
 from ..events.program.topic_configuration import read_text
 from ..events.rules.event_input_predicates import event_of
 from ..explanation.event_explanations import explain, record_origins
-from ..foundation.cpython_and_pypy import limit_gc_pauses
 from ..foundation.errors import (
     Place,
     ProgramErrors,
@@ -35,6 +34,7 @@ from ..foundation.errors import (
     UsageError,
     place_at_column,
 )
+from ..foundation.garbage_collection import limit_gc_pauses
 from ..foundation.output_files import open_output
 from ..prolog.machine.machine import Machine
 from ..prolog.syntax.event_text import EventReader

@@ -28,8 +28,8 @@ from ..events.program.topic_configuration import Topics, TopicType
 from ..events.rules.event_flags import MAX_WATERMARK_DELAY
 from ..events.rules.event_input_predicates import define_new_event
 from ..events.rules.rule_base import RuleBase
-from ..foundation.cpython_and_pypy import count_records_of
 from ..foundation.errors import RetalisError, UsageError, format_count
+from ..foundation.garbage_collection import count_records_of
 from ..messages.message_notation import SlotNames
 from ..messages.type_registry import Definitions
 from ..prolog.machine.resource_limits import MEGABYTE
@@ -250,7 +250,7 @@ class Engine:
                 settings.queue,
             )
         )
-        # The garbage collector counts the records as live heap, see `cpython_and_pypy`.
+        # The garbage collector counts the records as live heap, see `garbage_collection`.
         count_records_of(self._status_reader)
         define_new_event(self.logic, self.dispatcher)
         self.input_topics = InputTopics(self.logic, self.slots, reports)

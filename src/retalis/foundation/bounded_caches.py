@@ -5,9 +5,8 @@ exceeded, all entries are dropped. That needs no lock and no bookkeeping on hits
 computed again at once, and threads that race compute the same entry twice at worst.
 """
 
+from sys import getsizeof
 from typing import Callable, Dict, TypeVar
-
-from .cpython_and_pypy import text_size
 
 Key = TypeVar("Key")
 Value = TypeVar("Value")
@@ -83,4 +82,4 @@ class TextCache(Cache[str, str]):
 
     def __missing__(self, text: str) -> str:
         value = self._compute(text)
-        return self.store(text, value, text_size(text) + text_size(value))
+        return self.store(text, value, getsizeof(text) + getsizeof(value))

@@ -12,7 +12,6 @@ from itertools import count
 from typing import Any, Callable, Dict, Hashable, Iterable, Mapping, NamedTuple, Sequence, Tuple, Union
 
 from .bounded_caches import Cache
-from .cpython_and_pypy import restrict_builtins
 from .errors import quote_shortened
 
 _BUILTINS: Dict[str, object] = {
@@ -165,7 +164,7 @@ def define(source: str, names: Dict[str, Any], title: str) -> Dict[str, Any]:
     names["__loader__"] = _GeneratedSource(source)
     code = compile(source, file, "exec", dont_inherit=True)
     # Without this, Python would add all built-in functions to the globals when the code is executed.
-    restrict_builtins(code, names, _BUILTINS)
+    names["__builtins__"] = _BUILTINS
     exec(code, names)
     return names
 

@@ -17,11 +17,11 @@ variables are replaced by values that fit their slots, so that an error concerns
 from functools import partial
 from struct import Struct, pack
 from struct import error as StructError
+from sys import getsizeof
 from typing import Any, Callable, Dict, List, Optional
 
 from ..foundation import codegen
 from ..foundation.bounded_caches import Cache
-from ..foundation.cpython_and_pypy import text_size
 from ..foundation.errors import MessageError, format_count
 from ..prolog.terms import timestamps
 from ..prolog.terms.array_terms import BLOB, MAX_EAGER_ELEMENTS, element_count, lazy_array
@@ -87,7 +87,7 @@ class _PackedTexts(Cache[Atom, bytes]):
             raise _UnusualForm
         packed: bytes = pack("<I", len(encoded_bytes)) + encoded_bytes
         return (
-            self.store(term, packed, text_size(term.name) + len(packed)) if term.__class__ is Atom else packed
+            self.store(term, packed, getsizeof(term.name) + len(packed)) if term.__class__ is Atom else packed
         )
 
 

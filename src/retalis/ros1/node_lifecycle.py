@@ -19,8 +19,8 @@ from typing import Callable, Optional, Union
 
 import rospy
 
-from ..foundation.cpython_and_pypy import collect_when_idle, limit_gc_pauses, stop_collecting
 from ..foundation.errors import RetalisError
+from ..foundation.garbage_collection import collect_when_idle, limit_gc_pauses, stop_collecting
 from ..foundation.lost_interrupts import repeat_lost_interrupts
 from ..node.parameters import Parameters, read_parameters
 from .master_watch import MasterWatch, wait_for_master

@@ -7,7 +7,6 @@ import pytest
 
 from retalis import PrologError, RetalisError, UsageError
 from retalis.events.program.file_sandbox import FileSandbox, check_name
-from retalis.foundation.cpython_and_pypy import O_PATH
 
 
 @pytest.fixture
@@ -51,9 +50,7 @@ def test_loading_ends_with_its_work(door):
         assert door.is_loading
 
 
-@pytest.mark.parametrize("way", [O_PATH, 0])
-def test_what_may_be_written(door, tmp_path, monkeypatch, way):
-    monkeypatch.setattr("retalis.events.program.file_sandbox.O_PATH", way)
+def test_what_may_be_written(door, tmp_path):
     path = str(tmp_path / "write" / "new.txt")
     door.append(path, "one\n")
     door.append(path, "two\n")

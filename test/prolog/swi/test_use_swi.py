@@ -10,12 +10,9 @@ from python_path import python_path
 from source import ROOT
 
 from retalis import Engine, ProgramErrors, RetalisError, Settings, UsageError
-from retalis.foundation.cpython_and_pypy import PYPY
 from retalis.prolog.swi import libswipl
 
 ALLOWED = Settings(allow_swi=True)
-
-NOT_ON_PYPY = pytest.mark.skipif(PYPY, reason=libswipl.PYPY_MESSAGE)
 
 
 def test_programs_may_not_unless_they_are_allowed_to(tmp_path):
@@ -31,7 +28,6 @@ def test_goals_that_run_later_never_may(folder):
         engine.query("use_swi('kb.pl')")
 
 
-@NOT_ON_PYPY
 def test_it_is_said_where_swi_prolog_is_not_installed(monkeypatch, tmp_path):
     (tmp_path / "any.pl").write_text(":- module(any, [any/1]).\nany(1).\n")
     libswipl.find_library.cache_clear()
@@ -43,7 +39,6 @@ def test_it_is_said_where_swi_prolog_is_not_installed(monkeypatch, tmp_path):
         Engine(settings=ALLOWED).load(rules=":- use_swi('any.pl').", folder=tmp_path)
 
 
-@NOT_ON_PYPY
 def test_it_is_said_which_function_an_older_one_lacks(monkeypatch):
     class OldLibrary(ctypes.PyDLL):
         """A library that has not all of the functions."""
@@ -67,12 +62,6 @@ def test_it_is_said_which_function_an_older_one_lacks(monkeypatch):
         find()
 
 
-def test_it_is_said_where_python_has_no_way_to_it(monkeypatch):
-    monkeypatch.setattr(libswipl, "PYPY", True)
-    with pytest.raises(UsageError, match="use_swi needs CPython"):
-        libswipl.find_library.__wrapped__()
-
-
 @pytest.mark.slow
 def test_who_does_not_use_it_loads_none_of_it():
     environment = {**os.environ, "PYTHONPATH": python_path()}
@@ -86,7 +75,6 @@ def test_who_does_not_use_it_loads_none_of_it():
     assert done.stdout == "False\n"
 
 
-@NOT_ON_PYPY
 @pytest.mark.slow
 def test_these_tests_fail_where_they_are_asked_for_and_it_is_missing():
     script = (

@@ -5,7 +5,6 @@ import math
 import pytest
 
 from retalis import Operators, String, SyntaxFault, atom, make_list
-from retalis.prolog.syntax import literals
 from retalis.prolog.syntax.event_text import to_text
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import write_term
@@ -54,17 +53,6 @@ def test_long_integers():
     assert read("9" * 10_000) == 10**10_000 - 1
     assert write_term(10**20_000 + 7) == "1" + "0" * 19_999 + "7"
     assert write_term(-(10**9000)) == "-1" + "0" * 9000
-
-
-@pytest.mark.parametrize(
-    "base, exponent, less", [(10, 4000, 0), (10, 8000, 1), (10, 16_000, 1), (7, 9999, 0)]
-)
-def test_long_integers_where_decimal_numbers_are_slow(base, exponent, less, monkeypatch):
-    value = base**exponent - less
-    fast = literals.integer_text(value)
-    monkeypatch.setattr(literals, "LONG_DECIMALS", False)
-    assert literals.integer_text(value) == fast
-    assert literals.integer_text(-value) == "-" + fast
 
 
 def test_nan():

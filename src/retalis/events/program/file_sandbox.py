@@ -14,7 +14,6 @@ import stat
 from contextlib import contextmanager
 from typing import Iterable, Iterator, List, Optional, Tuple, Union
 
-from ...foundation.cpython_and_pypy import O_PATH
 from ...foundation.errors import (
     RetalisError,
     UsageError,
@@ -329,7 +328,7 @@ def _open_to_write(real_path: str, name: str, folders: Folders) -> int:
     folder, file_name = os.path.split(real_path)
     # The file is created relative to a descriptor of its folder, whose location has been checked. O_EXCL refuses a
     # link that was created meanwhile.
-    folder_descriptor = os.open(folder, O_PATH | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    folder_descriptor = os.open(folder, os.O_PATH | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
     try:
         # Checked before the file is created, which would be an effect outside of the permitted folders.
         _check_descriptor(folder_descriptor, name, folders)

@@ -10,7 +10,6 @@ from time import monotonic
 from typing import Dict, Hashable, Optional, Set
 
 from ...foundation.cancellation import set_limit_check
-from ...foundation.cpython_and_pypy import PYPY
 from ..compiler.clause_nodes import ARROW, CALL, NOT, SEMICOLON
 from ..database.goal_interpreter import add_arguments, check_body
 from ..machine.arithmetic import evaluate
@@ -339,7 +338,7 @@ class _Cleanup:
     """The cleanup of a goal, referenced only by the goal's guard on the stack of choice points.
 
     A cut of the guard frees it and thereby this object, whose finalizer runs the cleanup. So cuts need no check for
-    guards. On PyPy, which does not free objects immediately, the cut calls `Code.on_drop` instead.
+    guards.
     """
 
     __slots__ = ("machine", "goal", "is_done")
@@ -367,10 +366,8 @@ class _Cleanup:
                     record_caught_error(output_error)
         undo(machine.trail, mark)
 
-    if not PYPY:  # PyPy calls finalizers at an arbitrary time
-
-        def __del__(self) -> None:
-            self.run()
+    def __del__(self) -> None:
+        self.run()
 
 
 @control("setup_call_cleanup/3")
@@ -417,4 +414,3 @@ def _exit_goal(frame: Frame) -> Optional[Frame]:
 _CALL_GUARDED = Code("setup_call_cleanup", _call_guarded)
 _EXIT_GOAL = Code("setup_call_cleanup", _exit_goal)
 _CLEANUP_GUARD = Guard("setup_call_cleanup", lambda entry: entry[1].run())
-_CLEANUP_GUARD.on_drop = _CLEANUP_GUARD.unwind

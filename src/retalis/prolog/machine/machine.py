@@ -20,10 +20,10 @@ bindings undone) and `Machine.solutions` (all solutions, one at a time). `Machin
 run, without a nested loop.
 """
 
+from sys import getrefcount
 from typing import TYPE_CHECKING, Any, Callable, Generator, List, Optional, Protocol, Tuple
 
 from ...foundation.cancellation import set_limit_check
-from ...foundation.cpython_and_pypy import MIN_SHARING_CHECK_OBJECTS, drop_unshared, make_releasing_list
 from ...foundation.errors import RetalisError, TermTooLarge
 from ..terms.term_traversal import copy
 from ..terms.types import Frame, Functor, Step, Term, Trail, Values, Var
@@ -61,11 +61,9 @@ class Code:
             of a run; see `Machine.check`.
         closes_goal: whether a choice point with this code closes the goal above it, because its solutions are
             collected or only the first one is used. A call inside the goal cannot continue after that.
-        on_drop: called with a choice point that is cut, on interpreters that do not finalise its contents
-            immediately.
     """
 
-    __slots__ = ("name", "run", "functor", "keeps_choice_points", "closes_goal", "on_drop")
+    __slots__ = ("name", "run", "functor", "keeps_choice_points", "closes_goal")
 
     def __init__(self, name: str, run: Step, closes_goal: bool = False):
         self.name = name
@@ -73,7 +71,6 @@ class Code:
         self.run = run
         self.functor: Optional[Functor] = None
         self.keeps_choice_points = False
-        self.on_drop: Optional[Callable[[Frame], None]] = None
 
     def __repr__(self) -> str:
         return f"<{self.name}>"
@@ -92,14 +89,6 @@ class Guard(Code):
     def __init__(self, name: str, unwind: Callable[[Frame], None]):
         super().__init__(name, unwind, True)
         self.unwind = unwind
-
-
-def drop(entry: Frame) -> None:
-    """Finalise the objects that only a removed choice point refers to."""
-    # Only a `Code` has the attribute; other objects with a `run` hold nothing that must be finalised.
-    on_drop = getattr(entry[0], "on_drop", None)
-    if on_drop is not None:
-        on_drop(entry)
 
 
 def fail(frame: Frame) -> None:
@@ -124,6 +113,30 @@ class CatchMark:
 
     def __init__(self) -> None:
         self.ref: Optional[bool] = None
+
+
+MIN_COMPACTED_ENTRIES = 20_000
+"""Minimum length of a trail for which `compact` is worthwhile."""
+
+_unshared_count = 1
+"""Reference count of an object that only a local variable refers to; corrected below."""
+
+
+def drop_unshared(objects: List[Any], object_type: type) -> List[Any]:
+    """Empty a list of objects; return those that are referenced elsewhere, and all of other classes."""
+    referenced = []
+    objects.reverse()
+    # First to last: an object that is dropped may hold the last reference to a later one.
+    while objects:
+        candidate = objects.pop()
+        if getrefcount(candidate) > _unshared_count or candidate.__class__ is not object_type:
+            referenced.append(candidate)
+    return referenced
+
+
+# Up to Python 3.13, the argument of the call counts as a further reference.
+if drop_unshared([object()], object):
+    _unshared_count = 2
 
 
 def compact(trail: Trail, low: int) -> None:
@@ -167,12 +180,12 @@ class Machine:
 
     def __init__(self) -> None:
         self.trail: Trail = []
-        self.choices: List[Frame] = make_releasing_list(drop)
+        self.choices: List[Frame] = []
         self.idle_lengths = (0, 0)
         finish = self.choices.append
         self.done: Frame = (Code("done", lambda frame: finish(_FINISHED)),)
         self.budget = Budget()
-        self._compact_at = MIN_SHARING_CHECK_OBJECTS
+        self._compact_at = MIN_COMPACTED_ENTRIES
         self._enter_code = Code("attempt", self._enter_attempt)
         self._attempt_code = Code("attempt", self._attempt_failed, True)
         self._exit_code = _AttemptExit(self)
@@ -350,8 +363,7 @@ class Machine:
                 entry[0].unwind(entry)
             elif entry[0] is self._attempt_code:
                 self.budget.goal = entry[1]
-            # Removed after its notification: an interrupt before it must not lose the entry. `del` and not `pop`,
-            # because the list finalises entries on `del`; see `make_releasing_list`.
+            # Removed after its notification: an interrupt before it must not lose the entry.
             del choices[-1:]
 
     def _run_outermost(self, frame: Optional[Frame], goal: Optional[Term]) -> bool:
@@ -408,7 +420,7 @@ class Machine:
     def _compact(self) -> None:
         compact(self.trail, self.choices[-1][-1] if self.choices else 0)
         # The next threshold doubles, so that compaction takes amortised constant time for each entry.
-        self._compact_at = max(MIN_SHARING_CHECK_OBJECTS, 2 * len(self.trail))
+        self._compact_at = max(MIN_COMPACTED_ENTRIES, 2 * len(self.trail))
 
     # Exceptions
 

@@ -43,7 +43,6 @@ from time import monotonic, sleep
 from typing import TYPE_CHECKING, Any, Callable, Dict, Generator, Iterator, List, Mapping, Optional, Tuple
 from weakref import ref
 
-from ...foundation.cpython_and_pypy import PYPY
 from ...foundation.errors import UsageError
 from ..machine.resource_limits import RemainingLimits, resident_bytes
 
@@ -104,8 +103,6 @@ NOT_INSTALLED_MESSAGE = (
 
 MIN_VERSION = "7.6.4"
 """Oldest version that has all functions used here."""
-
-PYPY_MESSAGE = "use_swi needs CPython: PyPy releases its global lock in each call of a C library"
 
 _ARGUMENTS = (b"swipl", b"--nosignals", b"-q", b"-f", b"none", b"-F", b"none", b"--nodebug")
 """Argument vector of SWI-Prolog: no signal handlers except the one that interrupts system calls, no user files."""
@@ -267,10 +264,8 @@ def find_library() -> SwiLibrary:
     """Return the library's functions, without starting SWI-Prolog.
 
     Raises:
-        UsageError: if SWI-Prolog is not installed or too old, or on PyPy.
+        UsageError: if SWI-Prolog is not installed or too old.
     """
-    if PYPY:
-        raise UsageError(PYPY_MESSAGE)
     too_old = ""
     for name in (*LIBRARY_NAMES, *(path for pattern in LIBRARY_PATTERNS for path in sorted(glob(pattern)))):
         try:

@@ -24,11 +24,11 @@ In the other direction, `to_text` and `event_text` write terms as event text.
 import re
 from functools import lru_cache
 from json import JSONDecoder
+from sys import getsizeof
 from typing import Any, Callable, Dict, List, Match, NamedTuple, Optional, Pattern, Tuple, Union
 
 from ...foundation import codegen
 from ...foundation.bounded_caches import Cache
-from ...foundation.cpython_and_pypy import text_size
 from ...foundation.errors import SyntaxFault
 from ..terms.list_terms import make_list
 from ..terms.timestamps import SECOND, datime
@@ -196,7 +196,7 @@ class TemplateCompiler:
             return None
 
         def store_span(span: str) -> Tuple[Atom, ...]:
-            return spans.store(span, tuple(map(atom, split_span(span))), _SPAN_COPIES * text_size(span))
+            return spans.store(span, tuple(map(atom, split_span(span))), _SPAN_COPIES * getsizeof(span))
 
         names: Dict[str, Any] = {
             **self._bound_names.values,

@@ -16,7 +16,6 @@ from typing import Callable, Dict, Match, Optional, Pattern
 
 from ...foundation.bounded_caches import TextCache
 from ...foundation.cancellation import check_limits
-from ...foundation.cpython_and_pypy import LONG_DECIMALS
 
 _UNQUOTED_NAME = re.compile(r"[^\W\d_]\w*\Z|[-+*/\\^<>=~:.?@#&$]+\Z|\[\]\Z|\{\}\Z|[!;]\Z")
 """Names that need no quotes: words, symbol characters, and solo atoms."""
@@ -233,8 +232,6 @@ def integer_text(value: int) -> str:
         return str(value)
     if value < 0:
         return "-" + integer_text(-value)
-    if not LONG_DECIMALS:
-        return _text_by_division(value)
     with localcontext() as context:
         context.prec, context.Emax = MAX_PREC, MAX_EMAX
         context.traps[Inexact] = True
@@ -259,22 +256,6 @@ def _decimal(value: int) -> Decimal:
         scale = Decimal(2) ** size
         numbers = [high * scale + low for high, low in zip(numbers[::2], numbers[1::2])]
     return numbers[0]
-
-
-def _text_by_division(value: int) -> str:
-    """Return the text of an integer of more than `_SAFE_DIGITS` digits by repeated division, which is slower."""
-    scales = [_SAFE_MAX]
-    while scales[-1] <= value:
-        check_limits()
-        scales.append(scales[-1] ** 2)
-    parts = [value]
-    for scale in reversed(scales[:-1]):  # parts are in order of significance, highest first
-        halves = []
-        for part in parts:
-            check_limits()
-            halves += divmod(part, scale)
-        parts = halves
-    return "".join(str(part).zfill(_SAFE_DIGITS) for part in parts).lstrip("0")
 
 
 def float_text(value: float) -> str:

@@ -111,13 +111,6 @@ def is_replaceable(key: Functor) -> bool:
     return (key.name, key.arity) in ENTRIES and key not in ISO_PREDICATES and key not in PROTECTED_PREDICATES
 
 
-def _close_generator(entry: Frame) -> None:
-    """Close the generator of a choice point."""
-    close = getattr(entry[1], "close", None)  # it may be another iterator
-    if close is not None:
-        close()
-
-
 class PredicateTable:
     """Machine with its predicates, operators and flags.
 
@@ -241,7 +234,6 @@ class PredicateTable:
 
         retry = Code(str(key), resume)
         retry.functor = key
-        retry.on_drop = _close_generator
 
         def call(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
             solutions: Any = function(machine, *args)

@@ -26,11 +26,10 @@ machine executes frames, and event listeners and network nodes return them. They
 """
 
 import sys
+from _weakref import _remove_dead_weakref as remove_dead_reference  # type: ignore[attr-defined]
 from itertools import count
 from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Protocol, Tuple, Union
 from weakref import ref
-
-from ...foundation.cpython_and_pypy import remove_dead_reference
 
 
 class TrailEntry(Protocol):

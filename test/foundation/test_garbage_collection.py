@@ -1,14 +1,15 @@
 import gc
+import os
+import subprocess
 import sys
 import weakref
 
 import pytest
+from python_path import python_path
 
 from retalis import Engine, collect_when_idle, limit_gc_pauses, restore_gc
 from retalis.events.matches.interval_index import gc_paused
-from retalis.foundation.cpython_and_pypy import PYPY, YoungCollector
-
-pytestmark = pytest.mark.skipif(PYPY, reason="PyPy collects in small steps: nothing is set there")
+from retalis.foundation.garbage_collection import YoungCollector
 
 
 class Linked:
@@ -150,3 +151,23 @@ def test_paused_while_something_is_built_and_as_before_then():
             pass
         assert not gc.isenabled()
     assert gc.isenabled()
+
+
+def test_stopped_collector_stays_idle_at_exit():
+    script = """
+import gc
+from retalis.foundation.garbage_collection import stop_collecting
+cycle = []
+cycle.append(cycle)
+del cycle
+stop_collecting()
+print(gc.collect(), gc.isenabled())
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        check=True,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": python_path()},
+    )
+    assert done.stdout == "0 False\n"

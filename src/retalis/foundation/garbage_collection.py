@@ -1,139 +1,16 @@
-"""Differences between Python interpreters: reference counting, garbage collection, and built-in functions.
+"""Limits on the pauses of CPython's garbage collector in processes that run an engine.
 
-CPython counts references, PyPy traces objects from time to time. Each function that differs is defined here twice; no
-other module refers to the interpreter. `limit_gc_pauses` and `collect_when_idle` limit the pauses of CPython's
-garbage collector in processes that run an engine.
+`limit_gc_pauses` exempts the objects of the loaded program from most collections, and `collect_when_idle` runs the
+full collections that become due.
 """
 
 import gc
-import os
 import sys
-from importlib.util import find_spec
-from types import CodeType
-from typing import TYPE_CHECKING, Any, Callable, Dict, List
-from weakref import WeakSet, ref
+from typing import TYPE_CHECKING, Callable, Dict
+from weakref import WeakSet
 
 if TYPE_CHECKING:
     from ..engine.engine_status import StatusReader
-
-PYPY = sys.implementation.name == "pypy"
-
-LONG_DECIMALS = find_spec("_decimal") is not None
-"""True if `decimal` is implemented in C. Long numbers take minutes in the pure Python version of some PyPy builds."""
-
-O_PATH = getattr(os, "O_PATH", 0)
-"""Flag that opens a folder without the right to list it; 0 (read access) if Python does not define it."""
-
-remove_dead_reference: Callable[[Dict[Any, Any], Any], None]
-"""Atomically remove the weak reference of a key from a dictionary if its object is dead; keep any other value."""
-
-MIN_SHARING_CHECK_OBJECTS: int
-"""Minimum number of objects for which `drop_unshared` is worthwhile; PyPy traces the whole heap for it."""
-
-if not PYPY:
-    from _weakref import _remove_dead_weakref  # type: ignore[attr-defined]
-    from sys import getrefcount, getsizeof
-
-    remove_dead_reference = _remove_dead_weakref
-    MIN_SHARING_CHECK_OBJECTS = 20_000
-    # Reference count of an object that only a local variable refers to; corrected below.
-    _unshared_count = 1
-
-    def drop_unshared(objects: List[Any], object_type: type) -> List[Any]:
-        """Empty a list of objects; return those that are referenced elsewhere, and all of other classes."""
-        referenced = []
-        objects.reverse()
-        # First to last: an object that is dropped may hold the last reference to a later one.
-        while objects:
-            candidate = objects.pop()
-            if getrefcount(candidate) > _unshared_count or candidate.__class__ is not object_type:
-                referenced.append(candidate)
-        return referenced
-
-    def restrict_builtins(code: CodeType, names: Dict[str, Any], allowed: Dict[str, Any]) -> None:
-        """Restrict the built-in functions of code that runs with these globals to those allowed."""
-        names["__builtins__"] = allowed
-
-    def make_releasing_list(release: Callable[[Any], None]) -> List[Any]:
-        """Return a new list. Items that ``del`` removes from its end are freed at once, last to first.
-
-        Args:
-            release: ends an item on interpreters that do not free objects at once.
-        """
-        return []
-
-    # Up to Python 3.13, the argument of the call counts as a further reference.
-    if drop_unshared([object()], object):
-        _unshared_count = 2
-
-    def text_size(text: str) -> int:
-        """Return the size of a string in bytes."""
-        return getsizeof(text)
-
-else:
-    import builtins
-    from dis import get_instructions
-
-    from __pypy__ import delitem_if_value_is  # type: ignore[import-not-found,unused-ignore]
-
-    MIN_SHARING_CHECK_OBJECTS = 500_000
-
-    def _remove_dead(dictionary: Dict[Any, Any], key: Any) -> None:
-        reference = dictionary.get(key)
-        if reference is not None and reference() is None:
-            delitem_if_value_is(dictionary, key, reference)
-
-    remove_dead_reference = _remove_dead
-
-    def drop_unshared(objects: List[Any], object_type: type) -> List[Any]:
-        """Empty a list of objects; return those that are referenced elsewhere, and all of other classes."""
-        # Only weak references remain: what survives a full collection is referenced elsewhere.
-        entries = [ref(item) if item.__class__ is object_type else item for item in objects]
-        objects.clear()
-        gc.collect()
-        survivors = [entry() if entry.__class__ is ref else entry for entry in entries]
-        return [item for item in survivors if item is not None]
-
-    class _Releasing(list):  # type: ignore[type-arg]
-        """A list that passes items removed from its end to `release`."""
-
-        __slots__ = ("release",)
-
-        release: Callable[[Any], None]
-
-        def __delitem__(self, index: Any) -> None:
-            removed = self[index]
-            super().__delitem__(index)
-            # From the end, in the order in which CPython frees the items.
-            while removed:
-                self.release(removed.pop())
-
-    def make_releasing_list(release: Callable[[Any], None]) -> List[Any]:
-        """Return a new list. Items that ``del`` removes from its end are released at once, last to first."""
-        result = _Releasing()
-        result.release = release
-        return result
-
-    def restrict_builtins(code: CodeType, names: Dict[str, Any], allowed: Dict[str, Any]) -> None:
-        """Reject code that refers to built-in functions that are not allowed.
-
-        PyPy ignores ``__builtins__`` in the globals, so the code itself is inspected.
-
-        Raises:
-            NameError: if it does.
-        """
-        for instruction in get_instructions(code):
-            if instruction.opname in ("LOAD_GLOBAL", "LOAD_NAME"):
-                name = instruction.argval
-                if name not in names and name not in allowed and hasattr(builtins, name):
-                    raise NameError(f"name {name!r} is not defined")
-        for inner in code.co_consts:
-            if inner.__class__ is CodeType:
-                restrict_builtins(inner, names, allowed)
-
-    def text_size(text: str) -> int:
-        """Return an upper bound for the size of a string in bytes."""
-        return 64 + 4 * len(text)
 
 
 class YoungCollector:
@@ -145,8 +22,6 @@ class YoungCollector:
     are still freed when their reference count drops to zero. Only reference cycles that become garbage after they
     were frozen remain. They are found by a full collection, which runs when the heap has grown by more than the
     live records explain.
-
-    PyPy collects incrementally by itself, so this class does nothing there.
 
     Args:
         count_live_records: returns the number of live records that the owner knows; called during a collection.
@@ -175,13 +50,11 @@ class YoungCollector:
 
     @property
     def _is_active(self) -> bool:
-        return not PYPY and self._on_collection in gc.callbacks
+        return self._on_collection in gc.callbacks
 
     def start(self) -> None:
         """Collect and freeze all objects, and start to visit only newer ones."""
         gc.collect()
-        if PYPY:
-            return
         if not self._is_active:
             self._default_thresholds = gc.get_threshold()
             gc.callbacks.append(self._on_collection)
@@ -323,6 +196,5 @@ def stop_collecting() -> None:
     CPython runs several full collections at exit. Each visits every object, only to free memory that the operating
     system reclaims anyway.
     """
-    if not PYPY:
-        gc.disable()
-        gc.freeze()
+    gc.disable()
+    gc.freeze()
