@@ -16,10 +16,11 @@ sys.path.append(str(Path(__file__).resolve().parent))
 from harness import ENGINE, INTERFACE, Collector, NodeProcesses  # noqa: E402
 
 PROGRAM = Path(__file__).resolve().parent / "first_outputs"
+# Each way sets both parameters, because the master keeps those of the way before.
 WAYS = {
-    "direct": ((ENGINE,), ()),  # the interface node takes no part in it
-    "text": ((ENGINE, INTERFACE), ("_direct:=false",)),
-    "embedded": ((ENGINE,), ("_embedded:=true",)),
+    "direct": ((ENGINE,), ("_direct:=auto", "_embedded:=false")),  # the interface node takes no part in it
+    "text": ((ENGINE, INTERFACE), ("_direct:=false", "_embedded:=false")),
+    "embedded": ((ENGINE,), ("_direct:=auto", "_embedded:=true")),
 }
 
 
