@@ -292,17 +292,17 @@ def test_retracted_states_do_not_count_as_open(is_restored, caplog):
     assert engine.feed(("undock(c)", 8), ("undock(d)", 8)) == [("docked(d)", 6, 8)]
 
 
-def test_the_next_that_might_have_begun_it_does_so_in_place_of_one_that_was_taken_back():
+def test_state_begins_at_next_event_after_retraction():
     engine = load_engine(REVISION.replace("dock(R)", "dock(R, _)", 1))
     engine.feed(("dock(a, 1)", 1), ("dock(a, 2)", 2), ("rev(dock(a, 1))", 3))
     assert engine.feed(("bump(a)", 4), ("undock(a)", 5)) == [("alarm(a)", 4, 4), ("docked(a)", 2, 5)]
 
 
-def test_an_explanation_says_what_it_held_from_and_until():
+def test_explanation_names_begin_and_end_of_state():
     engine = load_engine()
     record_origins(engine)
     engine.feed(("dock(a)", 1), ("undock(a)", 3))
-    lines = [line for one in explain(engine, "docked(a)").lines for line in one.indented()]
+    lines = [line for entry in explain(engine, "docked(a)").lines for line in entry.indented()]
     assert lines == [
         "docked(a) [1,3] is over: it held from",
         "  dock(a) at 1 came from outside",
@@ -310,58 +310,73 @@ def test_an_explanation_says_what_it_held_from_and_until():
     ]
 
 
-# ---- beside a definition that looks through all events again and again --------------------------------
+# ---- comparison with a definition over all events ------------------------------------------------------
 
 
-class Definition:
-    """What a list of events means, each ``(kind, key, start, end)``, in the order in which they came."""
+class ExpectedStates:
+    """The states and alarms of a list of events ``(name, key, start, end)`` in order of arrival."""
 
     def __init__(self, events, within):
         self.events = events
         self.within = within
 
-    def over(self, at):
-        """Return when an opening is over: the place of the event before or at which that is seen, and its end."""
-        _, key, _, begin = self.events[at]
-        for place in range(at + 1, len(self.events)):
-            kind, other, start, _ = self.events[place]
-            if self.within is not None and self.reached(place) >= begin + self.within:
-                return place, begin + self.within, True
-            if kind == "undock" and other == key and start >= begin:
-                return place, start, False
+    def end_of_state(self, first):
+        """Return position of the event that ends a state, instant, and whether the time limit ends it."""
+        _, key, _, begin = self.events[first]
+        for position in range(first + 1, len(self.events)):
+            name, other, start, _ = self.events[position]
+            if self.within is not None and self.time_at(position) >= begin + self.within:
+                return position, begin + self.within, True
+            if name == "undock" and other == key and start >= begin:
+                return position, start, False
         return len(self.events), None, False
 
-    def reached(self, place):
-        return max(end for _, _, _, end in self.events[: place + 1])
+    def time_at(self, position):
+        return max(end for _, _, _, end in self.events[: position + 1])
 
     def openings(self):
-        """Return the events that begin a state: those while none of their key is open."""
-        found = []
-        for at, (kind, key, _, _) in enumerate(self.events):
-            if kind == "dock" and not any(
-                self.events[one][1] == key and (self.over(one)[0] > at) for one in found
+        """Return the positions of the events that begin a state: no state of their key is open."""
+        positions = []
+        for first, (name, key, _, _) in enumerate(self.events):
+            if name == "dock" and not any(
+                self.events[opening][1] == key and (self.end_of_state(opening)[0] > first)
+                for opening in positions
             ):
-                found.append(at)
-        return found
+                positions.append(first)
+        return positions
 
-    def happens(self):
+    def expected_outputs(self):
         openings = self.openings()
-        found = []
-        for place, (kind, key, start, end) in enumerate(self.events):
-            over = [(at, *self.over(at)[1:]) for at in openings if self.over(at)[0] == place]
-            by_itself = sorted((until, at) for at, until, alone in over if alone)
-            found += [(f"docked({self.events[at][1]})", self.events[at][3], until) for until, at in by_itself]
-            found.append((f"{kind}({key})", start, end))
-            found += [(f"docked({key})", self.events[at][3], until) for at, until, alone in over if not alone]
-            if kind == "bump" and any(
-                at < place < self.over(at)[0] and self.events[at][1] == key for at in openings
+        outputs = []
+        for position, (name, key, start, end) in enumerate(self.events):
+            ended = [
+                (first, *self.end_of_state(first)[1:])
+                for first in openings
+                if self.end_of_state(first)[0] == position
+            ]
+            by_itself = sorted((until, first) for first, until, by_time_limit in ended if by_time_limit)
+            outputs += [
+                (f"docked({self.events[first][1]})", self.events[first][3], until)
+                for until, first in by_itself
+            ]
+            outputs.append((f"{name}({key})", start, end))
+            outputs += [
+                (f"docked({key})", self.events[first][3], until)
+                for first, until, by_time_limit in ended
+                if not by_time_limit
+            ]
+            if name == "bump" and any(
+                first < position < self.end_of_state(first)[0] and self.events[first][1] == key
+                for first in openings
             ):
-                found.append((f"alarm({key})", start, end))
-        return found
+                outputs.append((f"alarm({key})", start, end))
+        return outputs
 
     def held_at(self, key, instant):
         intervals = [
-            (self.events[at][3], self.over(at)[1]) for at in self.openings() if self.events[at][1] == key
+            (self.events[first][3], self.end_of_state(first)[1])
+            for first in self.openings()
+            if self.events[first][1] == key
         ]
         # An open state is known to end by itself, also beyond the present time.
         return any(
@@ -388,56 +403,56 @@ def streams(draw):
 def compare(events, within):
     options = "" if within is None else f", [within({within})]"
     engine = load_engine(f":- state(docked(R), from(dock(R)), until(undock(R)){options}).\n" + ALARM)
-    for kind, key, start, end in events:
-        engine.event(f"{kind}({key})", start, end)
-    expected = Definition(events, within)
-    assert engine.events == expected.happens()
+    for name, key, start, end in events:
+        engine.event(f"{name}({key})", start, end)
+    expected = ExpectedStates(events, within)
+    assert engine.events == expected.expected_outputs()
     for instant in range(1, 30, 5):
-        held = engine.values_of_x(f"holds_at(docked(X), {instant})")
-        assert sorted(held) == [key for key in "abc" if expected.held_at(key, instant)]
+        keys = engine.values_of_x(f"holds_at(docked(X), {instant})")
+        assert sorted(keys) == [key for key in "abc" if expected.held_at(key, instant)]
 
 
 @settings(max_examples=10, deadline=None)
 @given(streams(), st.sampled_from([None, 1, 4]))
 @example([("dock", "a", 1, 1)], 1)
-def test_states_are_what_the_definition_says(events, within):
+def test_states_equal_definition(events, within):
     compare(events, within)
 
 
 @pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(streams(), st.sampled_from([None, 1, 4]))
-def test_many_states_are_what_the_definition_says(events, within):
+def test_states_equal_definition_on_many_streams(events, within):
     compare(events, within)
 
 
-def test_nothing_is_said_of_a_program_that_is_right(caplog):
+def test_valid_program_has_no_warnings(caplog):
     with caplog.at_level(logging.WARNING):
         load_engine()
     assert caplog.records == []
 
 
 @pytest.mark.parametrize(
-    ("goal", "known"),
+    ("goal", "keeps_past"),
     [("reset_db", True), ("call_gc", True), ("reset_etalis_state", False), ("reset_etalis", False)],
 )
-def test_a_program_that_resets_has_nothing_hold(goal, known):
+def test_reset_clears_states(goal, keeps_past):
     engine = Engine()
     engine.load(rules=":- state(on(X), from(a(X)), until(b(X)), [within(5)]).")
-    seen = []
-    engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
-    for text, at in (("a(1)", 1), ("b(1)", 2), ("a(2)", 3)):
-        engine.event(text, at)
+    events = []
+    engine.on_event(lambda term, start, end: events.append(engine.show(term)))
+    for text, second in (("a(1)", 1), ("b(1)", 2), ("a(2)", 3)):
+        engine.event(text, second)
     assert engine.call("holds(on(2)), holds_at(on(1), datime(1970,1,1,0,0,2,0))")
     assert engine.call(goal)
     assert not engine.call("holds(_)")
-    assert engine.call("holds_at(on(1), datime(1970,1,1,0,0,2,0))") is known
-    for text, at in (("b(2)", 4), ("a(3)", 5), ("tick", 20)):
-        engine.event(text, at)
-    assert seen == ["a(1)", "b(1)", "on(1)", "a(2)", "b(2)", "a(3)", "on(3)", "tick"]
+    assert engine.call("holds_at(on(1), datime(1970,1,1,0,0,2,0))") is keeps_past
+    for text, second in (("b(2)", 4), ("a(3)", 5), ("tick", 20)):
+        engine.event(text, second)
+    assert events == ["a(1)", "b(1)", "on(1)", "a(2)", "b(2)", "a(3)", "on(3)", "tick"]
 
 
-def test_a_state_whose_deletion_is_interrupted_is_deleted():
+def test_interrupted_deletion_deletes_state():
     engine = load_engine()
     dispatcher = engine.dispatcher
     on_change = dispatcher.on_change
@@ -457,17 +472,17 @@ def test_a_state_whose_deletion_is_interrupted_is_deleted():
     assert engine.values_of_x("holds(docked(X))") == ["2"]
 
 
-def test_a_state_that_is_deleted_or_set_aside_is_not_known():
+def test_deleted_or_detached_state_is_unknown():
     for declared_again in (False, True):
         engine = load_engine(DOCKED)
         states = engine.knowledge.states
         engine.feed(("dock(1)", 1))
-        standing = states.all_by_key()
+        states_by_key = states.all_by_key()
         if declared_again:
-            states.detach(list(standing))
+            states.detach(list(states_by_key))
         else:
             assert engine.call("delete_state(docked(_))") and not engine.call("delete_state(docked(_))")
         with pytest.raises(PrologError, match="docked/1"):
             engine.query("holds(docked(X))")
-        states.restore_all(standing)
+        states.restore_all(states_by_key)
         assert engine.values_of_x("holds(docked(X))") == (["1"] if declared_again else [])

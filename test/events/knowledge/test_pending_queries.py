@@ -394,29 +394,29 @@ def test_deleted_memory_keeps_queries_with_its_data(make_engine):
 def test_limit_of_caller_is_error_of_caller(make_engine, rules, goals, caplog):
     engine = make_engine("loop :- loop.\ndone(1) <- in.\n" + rules, goals)
     goal = "catch(call_with_time_limit(0.05, new_event(in, [1, 1])), R, true)"
-    (found,) = engine.query(goal)
-    assert engine.show(found["R"]) == "time_limit_exceeded"
+    (answer,) = engine.query(goal)
+    assert engine.show(answer["R"]) == "time_limit_exceeded"
     assert names(engine) == ["done(1)"]
     assert "the time limit of a calling goal has been reached" in caplog.text
 
 
 @pytest.mark.parametrize("goal", ["", "do noted(X) ", "do noted(X, T) "])
-def test_messages_may_ask(make_engine, goal):
+def test_messages_may_trigger_queries(make_engine, goal):
     rule = f"syncronized(done(X), true, [[m, T]]) {goal}<- ask(X, T).\n"
     engine = make_engine(rule + "noted(_).\nnoted(X, T) :- noted(X), noted(T).", MEMORY)
-    ask, value = functor("ask", 2), functor("v", 1)
+    make_query, value = functor("ask", 2), functor("v", 1)
     for second in range(1, 21):
         engine.post(value(second), second * 10**9)
-        engine.post(ask(second, float(second + second % 2)), second * 10**9)
+        engine.post(make_query(second, float(second + second % 2)), second * 10**9)
     assert names(engine) == [f"done({second})" for second in range(1, 21)]
 
 
-def test_an_error_in_the_query_of_a_message_leaves_nothing_behind(make_engine, caplog):
+def test_error_in_query_of_message_is_isolated(make_engine, caplog):
     engine = make_engine("syncronized(done(X), X > 1, [[m, T]]) <- ask(X, T).\ndone(rule) <- v(_).", MEMORY)
-    ask, value = functor("ask", 2), functor("v", 1)
+    make_query, value = functor("ask", 2), functor("v", 1)
     engine.post(value(0), 10**9)
-    for at, asked in enumerate((2, atom("a"), 3, atom("b")), 1):
-        engine.post(ask(asked, 1.0), at * 10**9)
+    for second, argument in enumerate((2, atom("a"), 3, atom("b")), 1):
+        engine.post(make_query(argument, 1.0), second * 10**9)
         assert engine.dispatcher.current is None
     engine.post(value(1), 20 * 10**9)
     assert names(engine) == ["done(rule)", "done(2)", "done(3)", "done(rule)"]
@@ -424,40 +424,40 @@ def test_an_error_in_the_query_of_a_message_leaves_nothing_behind(make_engine, c
 
 
 @pytest.mark.parametrize("query", ["member(X, [1, 2])", "(new_event(v(2), 20, 0), X = 1)"])
-def test_queries_of_messages_may_need_the_machine(make_engine, query):
+def test_queries_of_messages_may_call_goals(make_engine, query):
     engine = make_engine(
         f"syncronized(done(X), {query}, [[m, T]]) <- ask(T).\nnull do member(_, [1]) <- done(_).", MEMORY
     )
-    ask, value = functor("ask", 1), functor("v", 1)
+    make_query, value = functor("ask", 1), functor("v", 1)
     engine.post(value(0), 10**9)
-    engine.post(ask(1.0), 2 * 10**9)
-    engine.post(ask(10.0), 3 * 10**9)
+    engine.post(make_query(1.0), 2 * 10**9)
+    engine.post(make_query(10.0), 3 * 10**9)
     engine.post(value(1), 11 * 10**9)
     assert names(engine) == ["done(1)", "done(1)"]
     assert engine.dispatcher.current is None
 
 
 @pytest.mark.parametrize("goal", ["loop", "length(_, 3000000)"])
-def test_limits_hold_for_each_query(make_engine, goal, caplog):
+def test_limits_apply_to_each_query(make_engine, goal, caplog):
     rules = f"loop :- loop.\nsyncronized(done(X), {goal}, [[m, T]]) <- ask(X, T).\ndone(rule) <- v(_)."
     engine = make_engine(rules, MEMORY, limits=Limits(inferences=3000))
-    ask, value = functor("ask", 2), functor("v", 1)
+    make_query, value = functor("ask", 2), functor("v", 1)
     engine.post(value(0), 10**9)
     for number, second in ((1, 1.0), (2, 2.0), (3, 2.0)):
-        engine.post(ask(number, second), 10**9)
+        engine.post(make_query(number, second), 10**9)
     engine.post(value(1), 2 * 10**9)
     assert names(engine) == ["done(rule)", "done(rule)"]
     assert "done(1) is dropped, its query raised: Not enough resources: inferences" in caplog.text
     assert "done(2) is dropped, its query raised: Not enough resources: inferences" in caplog.text
 
 
-def test_a_long_chain_of_events_follows_from_the_query_of_a_message(make_engine):
+def test_query_of_message_may_derive_long_chain(make_engine):
     rules = "syncronized(c(1), true, [[m, T]]) <- ask(T).\nc(Y) <- c(X) where (X < 20, Y is X + 1).\n"
     engine = make_engine(rules + "done(X) <- c(X) where (X = 20).", MEMORY)
-    ask, value = functor("ask", 1), functor("v", 1)
+    make_query, value = functor("ask", 1), functor("v", 1)
     engine.post(value(0), 10**9)
     for second in (1.0, 1.0, 5.0):
-        engine.post(ask(second), 10**9)
+        engine.post(make_query(second), 10**9)
         assert engine.dispatcher.current is None
     engine.post(value(1), 5 * 10**9)
     assert names(engine) == ["done(20)"] * 3

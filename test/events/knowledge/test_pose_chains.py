@@ -14,7 +14,7 @@ from retalis.prolog.terms.timestamps import SECOND
 
 sys.path.append(str(Path(__file__).resolve().parents[2]))
 
-ONE_BY_ONE = """
+SINGLE_STEPS = """
 at(Id, T, Pose) :-
     prev(Id, tf(V1, Q1), T1, _, T),
     next_inf(Id, tf(V2, Q2), T2, _, T),
@@ -25,27 +25,27 @@ one_by_one(T, Last, Pose) :-
     transform_quaternion([P0, P1, P2, Last], Pose).
 """
 CHAIN = ("map", "base", "neck", "camera")
-LAST = [[1.0, -0.5, 0.25], [0.1, -0.7, 0.1, 0.7]]
+LAST_POSE = [[1.0, -0.5, 0.25], [0.1, -0.7, 0.1, 0.7]]
 
 
-def engine_with(rules=ONE_BY_ONE, memories=3, form="tf(V, Q)", size=100):
+def engine_with(rules=SINGLE_STEPS, memories=3, form="tf(V, Q)", size=100):
     engine = Engine(StreamClock(1000 * SECOND), None, Reports())
     engine.load(rules=rules)
-    for at in range(memories):
-        engine.call(f"memorize(tf({at}, V, Q), [], {form}, m{at}, {size})")
+    for number in range(memories):
+        engine.call(f"memorize(tf({number}, V, Q), [], {form}, m{number}, {size})")
     return engine
 
 
-def filled(transforms, **how):
-    """Return an engine with transforms: which memory, the instant in milliseconds, position and rotation."""
-    engine = engine_with(**how)
-    for at, stamp, position, rotation in sorted(transforms, key=lambda one: one[1]):
-        engine.event(f"tf({at}, {list(position)}, {list(rotation)})", stamp / 1000)
+def engine_with_transforms(transforms, **options):
+    """Return an engine with transforms: number of the memory, instant in milliseconds, position and rotation."""
+    engine = engine_with(**options)
+    for number, milliseconds, position, rotation in sorted(transforms, key=lambda transform: transform[1]):
+        engine.event(f"tf({number}, {list(position)}, {list(rotation)})", milliseconds / 1000)
     return engine
 
 
-def solution(engine, goal):
-    return [engine.show(found["P"]) for found in engine.query(goal)]
+def solutions(engine, goal):
+    return [engine.show(solutions_or_error["P"]) for solutions_or_error in engine.query(goal)]
 
 
 def numbers(text):
@@ -64,52 +64,60 @@ TRANSFORMS = st.lists(
 
 @settings(max_examples=12)
 @given(TRANSFORMS, st.integers(0, 20).map(lambda n: 50 * n))
-def test_it_gives_what_the_single_steps_give(transforms, stamp):
-    engine = filled(transforms)
-    steps = solution(engine, f"one_by_one({stamp / 1000}, {LAST}, P)")
-    chain = solution(engine, f"pose_chain([m0, m1, m2, {LAST}], {stamp / 1000}, P)")
+def test_chain_equals_single_steps(transforms, milliseconds):
+    engine = engine_with_transforms(transforms)
+    steps = solutions(engine, f"one_by_one({milliseconds / 1000}, {LAST_POSE}, P)")
+    chain = solutions(engine, f"pose_chain([m0, m1, m2, {LAST_POSE}], {milliseconds / 1000}, P)")
     assert len(chain) == len(steps)
-    for one, other in zip(chain, steps):
-        assert numbers(one) == pytest.approx(numbers(other), abs=1e-12)
+    for pose, expected in zip(chain, steps):
+        assert numbers(pose) == pytest.approx(numbers(expected), abs=1e-12)
 
 
-def turned(rnd):
-    values = [rnd.gauss(0, 1) for _ in range(4)]
+def random_rotation(generator):
+    values = [generator.gauss(0, 1) for _ in range(4)]
     return [value / math.hypot(*values) for value in values]
 
 
 def samples():
-    """Return transforms of three joints, some far apart and turned a lot, and the instants between to look at."""
-    rnd = random.Random(5)
+    """Return transforms of three joints, some with large distances and rotations, and instants between them."""
+    generator = random.Random(5)
     rows = [
-        (at, 10 * stamp + at, [rnd.uniform(-3, 3) for _ in range(3)], turned(rnd))
-        for at in range(3)
-        for stamp in range(0, 40, 1 + at)
+        (
+            joint,
+            10 * milliseconds + joint,
+            [generator.uniform(-3, 3) for _ in range(3)],
+            random_rotation(generator),
+        )
+        for joint in range(3)
+        for milliseconds in range(0, 40, 1 + joint)
     ]
-    return rows, [rnd.randrange(20, 350) for _ in range(40)] + [20, 23, 102]
+    return rows, [generator.randrange(20, 350) for _ in range(40)] + [20, 23, 102]
 
 
-def poses(rows, stamps):
-    engine = filled(rows)
-    return [numbers(solution(engine, f"pose_chain([m0, m1, m2], {stamp / 1000}, P)")[0]) for stamp in stamps]
+def poses(rows, instants):
+    engine = engine_with_transforms(rows)
+    return [
+        numbers(solutions(engine, f"pose_chain([m0, m1, m2], {milliseconds / 1000}, P)")[0])
+        for milliseconds in instants
+    ]
 
 
 @pytest.mark.slow
-def test_poses_are_those_of_tf2():
+def test_poses_equal_tf2():
     reference = pytest.importorskip("tf2_reference")
-    rows, stamps = samples()
+    rows, instants = samples()
     buffer = reference.Reference()
-    for at, stamp, position, rotation in rows:
-        buffer.add(CHAIN[at], CHAIN[at + 1], stamp * 10**6, position, rotation)
-    for found, stamp in zip(poses(rows, stamps), stamps):
-        position, rotation = buffer.pose(CHAIN[0], CHAIN[-1], stamp * 10**6)
-        assert reference.distance(found[:3], position) < 1e-6
-        assert reference.angle(found[3:], rotation) < 1e-6
+    for joint, milliseconds, position, rotation in rows:
+        buffer.add(CHAIN[joint], CHAIN[joint + 1], milliseconds * 10**6, position, rotation)
+    for pose, milliseconds in zip(poses(rows, instants), instants):
+        position, rotation = buffer.pose(CHAIN[0], CHAIN[-1], milliseconds * 10**6)
+        assert reference.distance(pose[:3], position) < 1e-6
+        assert reference.angle(pose[3:], rotation) < 1e-6
 
 
 def test_poses_are_products_of_matrices():
     np = pytest.importorskip("numpy")
-    rows, stamps = samples()
+    rows, instants = samples()
 
     def turn(a, b, part):
         a, b = np.array(a), np.array(b)
@@ -120,34 +128,43 @@ def test_poses_are_products_of_matrices():
     def matrix(position, rotation):
         x, y, z, w = rotation
         u = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-        made = np.eye(4)
-        made[:3, :3] = np.eye(3) + 2 * w * u + 2 * u @ u
-        made[:3, 3] = position
-        return made
+        transform = np.eye(4)
+        transform[:3, :3] = np.eye(3) + 2 * w * u + 2 * u @ u
+        transform[:3, 3] = position
+        return transform
 
-    for found, stamp in zip(poses(rows, stamps), stamps):
-        wanted = np.eye(4)
-        for at in range(3):
-            mine = [row for row in rows if row[0] == at]
-            _, t1, v1, q1 = max((row for row in mine if row[1] <= stamp), key=lambda row: row[1])
-            _, t2, v2, q2 = min((row for row in mine if row[1] >= stamp), key=lambda row: row[1])
-            part = (stamp - t1) / (t2 - t1) if t2 > t1 else 0
+    for pose, milliseconds in zip(poses(rows, instants), instants):
+        expected = np.eye(4)
+        for joint in range(3):
+            rows_of_joint = [row for row in rows if row[0] == joint]
+            _, t1, v1, q1 = max(
+                (row for row in rows_of_joint if row[1] <= milliseconds), key=lambda row: row[1]
+            )
+            _, t2, v2, q2 = min(
+                (row for row in rows_of_joint if row[1] >= milliseconds), key=lambda row: row[1]
+            )
+            part = (milliseconds - t1) / (t2 - t1) if t2 > t1 else 0
             rotation = turn(q1, q2, part) if part else q1
-            wanted = wanted @ matrix((1 - part) * np.array(v1) + part * np.array(v2), rotation)
-        assert np.allclose(matrix(found[:3], found[3:]), wanted, atol=1e-9)
+            expected = expected @ matrix((1 - part) * np.array(v1) + part * np.array(v2), rotation)
+        assert np.allclose(matrix(pose[:3], pose[3:]), expected, atol=1e-9)
 
 
-STILL = ((0, 1000, (1.0, 2.0, 3.0), (0.0, 0.6, 0.0, 0.8)), (0, 2000, (3.0, 2.0, 3.0), (0.0, 0.6, 0.0, 0.8)))
+FIXED_ROTATION = (
+    (0, 1000, (1.0, 2.0, 3.0), (0.0, 0.6, 0.0, 0.8)),
+    (0, 2000, (3.0, 2.0, 3.0), (0.0, 0.6, 0.0, 0.8)),
+)
 FIRST, MIDDLE = "[[1.0,2.0,3.0],[0.0,0.6,0.0,0.8]]", "[[2.0,2.0,3.0],[0.0,0.6,0.0,0.8]]"
 
 
 @pytest.mark.parametrize("form", ["tf(V, Q)", "[V, Q]", "o(V, Q)"])
-def test_records_of_several_forms(form):
-    assert solution(filled(STILL, form=form), "pose_chain([m0], 1.5, P)") == [MIDDLE]
+def test_records_may_have_several_forms(form):
+    assert solutions(engine_with_transforms(FIXED_ROTATION, form=form), "pose_chain([m0], 1.5, P)") == [
+        MIDDLE
+    ]
 
 
 @pytest.mark.parametrize(
-    ("goal", "found"),
+    ("goal", "expected"),
     [
         ("pose_chain([m0], 1, P)", [FIRST]),
         ("pose_chain([m0], [1,0], P)", [FIRST]),
@@ -166,8 +183,8 @@ def test_records_of_several_forms(form):
         ("pose_chain([m0], 1, [[2.0|_]|_]), P = yes", []),
     ],
 )
-def test_what_is_found(goal, found):
-    assert solution(filled(STILL, memories=2), goal) == found
+def test_chain_has_pose_at_instant(goal, expected):
+    assert solutions(engine_with_transforms(FIXED_ROTATION, memories=2), goal) == expected
 
 
 @pytest.mark.parametrize(
@@ -187,8 +204,8 @@ def test_what_is_found(goal, found):
         ("pose_chain([partly], 1, P)", "instantiation_error"),
     ],
 )
-def test_errors(goal, error):
-    engine = filled(STILL)
+def test_invalid_chain_is_refused(goal, error):
+    engine = engine_with_transforms(FIXED_ROTATION)
     engine.call("memorize(name(_), [], _, names, 9)")
     engine.call("memorize(part(V, Q), [], tf(V, [_|Q]), partly, 9)")
     engine.event("name(ann)", 1.0)
@@ -198,23 +215,23 @@ def test_errors(goal, error):
     assert engine.show(raised.value.term[1]).replace("_G", "_").startswith(error.split("_]")[0])
 
 
-def test_a_record_that_is_no_longer_kept_is_not_there():
-    rows = [(0, 1000 * at, (float(at), 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)) for at in range(1, 6)]
-    engine = filled(rows, size=2)
-    assert solution(engine, "pose_chain([m0], 3.5, P)") == []
-    assert solution(engine, "pose_chain([m0], 4.5, P)") == ["[[4.5,0.0,0.0],[0.0,0.0,0.0,1.0]]"]
+def test_removed_record_is_not_used():
+    rows = [(0, 1000 * second, (float(second), 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)) for second in range(1, 6)]
+    engine = engine_with_transforms(rows, size=2)
+    assert solutions(engine, "pose_chain([m0], 3.5, P)") == []
+    assert solutions(engine, "pose_chain([m0], 4.5, P)") == ["[[4.5,0.0,0.0],[0.0,0.0,0.0,1.0]]"]
 
 
-def test_no_pose_over_a_gap_that_is_too_wide():
-    engine = filled(STILL)
+def test_wide_gap_has_no_pose():
+    engine = engine_with_transforms(FIXED_ROTATION)
     assert engine.call("set_etalis_flag(max_gap, 0.5)")
-    assert solution(engine, "pose_chain([m0], 1.5, P)") == []
-    assert solution(engine, "pose_chain([m0], 1, P)") == [FIRST]
+    assert solutions(engine, "pose_chain([m0], 1.5, P)") == []
+    assert solutions(engine, "pose_chain([m0], 1, P)") == [FIRST]
     assert engine.call("set_etalis_flag(max_gap, 1)")
-    assert solution(engine, "pose_chain([m0], 1.5, P)") == [MIDDLE]
+    assert solutions(engine, "pose_chain([m0], 1.5, P)") == [MIDDLE]
 
 
-TOGETHER = """
+ADJACENT_GOALS = """
 joined(Id, T, P) :-
     prev(Id, {0}, T1, _, T), next_inf(Id, {1}, T2, _, T), datime_interpolate(T1, T2, T, F),
     interpolate_quaternion(V1, Q1, V2, Q2, [F], P).
@@ -233,10 +250,10 @@ by_frames(Id, T, P) :- member(I, [Id]), joined(I, T, P), P = [_|_].
 COMPILED = ("joined", "by_frames", "in_a_branch", "in_a_test")
 
 
-def answer(engine, goal):
-    """Return the solutions of a goal, or its error without where it was raised."""
+def solutions_or_error(engine, goal):
+    """Return the solutions of a goal, or the formal term of its error."""
     try:
-        return solution(engine, goal)
+        return solutions(engine, goal)
     except PrologError as error:
         return engine.show(error.term[1])
 
@@ -256,19 +273,21 @@ RECORDS = st.lists(
 
 @settings(max_examples=8)
 @given(RECORDS, st.sampled_from([0, 1, 3]))
-def test_goals_that_are_joined_do_what_they_do_alone(records, gap):
+def test_fused_goals_equal_single_goals(records, gap):
     engine = Engine(StreamClock(1000 * SECOND), None, Reports())
-    engine.load(rules=TOGETHER.format("a(V1, _, Q1)", "a(V2, _, Q2)"), goals="memorize(r(X), [], X, m, 4)")
+    engine.load(
+        rules=ADJACENT_GOALS.format("a(V1, _, Q1)", "a(V2, _, Q2)"), goals="memorize(r(X), [], X, m, 4)"
+    )
     for name in COMPILED:
         engine.logic.database.predicate(functor(name, 3)).compile_after = 0
     engine.call(f"set_etalis_flag(max_gap, {gap})")
-    for end, long, record in records:
-        engine.call(f"event(r({record}), [{end - long},{end}])")
-    for at in (0, 1, 2.5, 3, 4.25, 6, 9, "'x'", "_"):
-        alone = answer(engine, f"single(m, {at}, P)")
+    for end, duration, record in records:
+        engine.call(f"event(r({record}), [{end - duration},{end}])")
+    for instant in (0, 1, 2.5, 3, 4.25, 6, 9, "'x'", "_"):
+        expected = solutions_or_error(engine, f"single(m, {instant}, P)")
         for name in COMPILED:
-            assert answer(engine, f"{name}(m, {at}, P)") == (
-                alone or (["none"] if name == "in_a_test" else [])
+            assert solutions_or_error(engine, f"{name}(m, {instant}, P)") == (
+                expected or (["none"] if name == "in_a_test" else [])
             )
 
 
@@ -287,10 +306,10 @@ def test_goals_that_are_joined_do_what_they_do_alone(records, gap):
         ("V1", "V2", False),
     ],
 )
-def test_which_goals_are_joined(first, second, joined):
+def test_similar_record_goals_are_fused(first, second, joined):
     engine = Engine(StreamClock(1000 * SECOND), None, Reports())
     calls = []
-    engine.load(rules=TOGETHER.format(first, second))
+    engine.load(rules=ADJACENT_GOALS.format(first, second))
     predicate = engine.logic.database.predicate(functor("prev", 5))
     joins = predicate.functional_modes.joins
     predicate.functional_modes = predicate.functional_modes._replace(
@@ -301,7 +320,7 @@ def test_which_goals_are_joined(first, second, joined):
     assert any(calls) == joined
 
 
-def test_a_program_has_predicates_of_its_own_by_these_names():
-    engine = engine_with(ONE_BY_ONE + "\ninterpolate_quaternion(_, _, _, _, _, mine).\n")
+def test_program_may_define_interpolation():
+    engine = engine_with(SINGLE_STEPS + "\ninterpolate_quaternion(_, _, _, _, _, mine).\n")
     engine.event("tf(0, [1,2,3], [0,0,0,1])", 1.0)
-    assert solution(engine, "at(m0, 1, P)") == ["mine"]
+    assert solutions(engine, "at(m0, 1, P)") == ["mine"]

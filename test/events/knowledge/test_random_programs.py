@@ -1,6 +1,6 @@
-"""Programs made at random: what follows is the same whether all events are listened to or only those of a few kinds.
+"""Random programs: outputs are equal whether a listener observes all events or only a few types.
 
-Where few listen, synchronized events of rules are not made and messages go by the short ways.
+With few listeners, synchronized events of rules are not created, and messages use the fused paths.
 """
 
 import logging
@@ -12,7 +12,7 @@ import pytest
 from retalis import Engine, Settings, Var, functor
 from retalis.events.dispatch.listeners import ListenerPhase
 
-KINDS = (("done", 2), ("ask", 3), ("v", 2), ("seen", 1))
+RECORDED_TYPES = (("done", 2), ("ask", 3), ("v", 2), ("seen", 1))
 GOALS = (
     "true",
     "T2 > 4",
@@ -40,81 +40,83 @@ PATTERNS = (
 FOLLOWING = ("seen(A)", "v(2, A)")
 
 
-def memories(pick):
-    """Return memories of values, some under conditions."""
-    names = [f"m{at}" for at in range(pick.randint(1, 4))]
+def memories(generator):
+    """Return memories of values, some with conditions."""
+    names = [f"m{number}" for number in range(generator.randint(1, 4))]
     lines = []
     for name in names:
-        condition = pick.choice(["", "X > 2", f"memory_counter({name}, N), N < 6", "member(_, [X])"])
-        definition = f"v({pick.choice('K012')}, X), [{condition}], {pick.choice(['w(X)', '_'])}"
-        lines.append(f"memorize({definition}, {name}, {pick.choice([0, 1, 3, 50])})\n")
+        condition = generator.choice(["", "X > 2", f"memory_counter({name}, N), N < 6", "member(_, [X])"])
+        definition = f"v({generator.choice('K012')}, X), [{condition}], {generator.choice(['w(X)', '_'])}"
+        lines.append(f"memorize({definition}, {name}, {generator.choice([0, 1, 3, 50])})\n")
     return names, "".join(lines)
 
 
-def rules(pick, names):
-    """Return rules that ask, and rules that follow."""
-    found = ["g(_)", "g(_, _, _)"]
-    for number in range(pick.randint(1, 4)):
-        pairs = [f"[{pick.choice(names)}, {pick.choice(TIMES)}]" for _ in range(pick.randint(0, 3))]
-        event = pick.choice(TRIGGERED).format(number)
-        name = pick.choice(["syncronized", "synchronized"])
-        head = f"{name}({event}, {pick.choice(GOALS)}, [{', '.join(pairs)}])"
-        found.append(f"{head} {pick.choice(ACTIONS)}<- {pick.choice(PATTERNS)}")
-        if pick.random() < 0.3:
-            found.append(f"{pick.choice(FOLLOWING)} <- done({number}, A)")
-    return "".join(f"{rule}.\n" for rule in found)
+def rules(generator, names):
+    """Return rules with queries, and rules on their results."""
+    rule_texts = ["g(_)", "g(_, _, _)"]
+    for number in range(generator.randint(1, 4)):
+        pairs = [
+            f"[{generator.choice(names)}, {generator.choice(TIMES)}]" for _ in range(generator.randint(0, 3))
+        ]
+        event = generator.choice(TRIGGERED).format(number)
+        name = generator.choice(["syncronized", "synchronized"])
+        head = f"{name}({event}, {generator.choice(GOALS)}, [{', '.join(pairs)}])"
+        rule_texts.append(f"{head} {generator.choice(ACTIONS)}<- {generator.choice(PATTERNS)}")
+        if generator.random() < 0.3:
+            rule_texts.append(f"{generator.choice(FOLLOWING)} <- done({number}, A)")
+    return "".join(f"{rule}.\n" for rule in rule_texts)
 
 
-def stream(pick):
-    """Yield values and questions, with their instants."""
+def stream(generator):
+    """Yield values and query events, with their instants."""
     for _ in range(25):
-        second = pick.randint(0, 14)
-        if pick.random() < 0.5:
-            value = functor("v", 2)(pick.randint(0, 2), pick.randint(0, 5))
-            yield value, second * 10**9 + pick.choice([0, 500_000_000])
+        second = generator.randint(0, 14)
+        if generator.random() < 0.5:
+            value = functor("v", 2)(generator.randint(0, 2), generator.randint(0, 5))
+            yield value, second * 10**9 + generator.choice([0, 500_000_000])
         else:
-            time = pick.choice([second, float(second), second + pick.randint(0, 4), second + 2.0])
-            yield functor("ask", 3)(pick.randint(0, 2), time, pick.randint(0, 14)), second * 10**9
+            time = generator.choice([second, float(second), second + generator.randint(0, 4), second + 2.0])
+            yield functor("ask", 3)(generator.randint(0, 2), time, generator.randint(0, 14)), second * 10**9
 
 
-def outcome(seed, everything, caplog):
-    """Return the events, what waits and the warnings of a program."""
-    pick = random.Random(seed)
-    names, goals = memories(pick)
-    engine = Engine(settings=Settings(max_depth=6))  # what goes round is soon over
-    got = []
+def results_of_program(seed, has_listener_of_all, caplog):
+    """Return the events, the number of pending queries, and the warnings of a program."""
+    generator = random.Random(seed)
+    names, goals = memories(generator)
+    engine = Engine(settings=Settings(max_depth=6))  # endless chains end soon
+    events = []
 
-    def note(term, values, start, end, frame):
+    def record(term, values, start, end, frame):
         if not engine.show(term).startswith("sync"):
-            got.append((re.sub(r"_G\d+", "_", engine.show(term)), int(start), int(end)))
+            events.append((re.sub(r"_G\d+", "_", engine.show(term)), int(start), int(end)))
         return frame
 
-    kinds = [functor(name, arity)(*(Var() for _ in range(arity))) for name, arity in KINDS]
-    for pattern in kinds:
-        engine.dispatcher.listen(ListenerPhase.TRACE, pattern, note)
-    if everything:
+    patterns = [functor(name, arity)(*(Var() for _ in range(arity))) for name, arity in RECORDED_TYPES]
+    for pattern in patterns:
+        engine.dispatcher.listen(ListenerPhase.TRACE, pattern, record)
+    if has_listener_of_all:
         engine.on_event(lambda term, start, end: None)
-    engine.load(rules=rules(pick, names), goals=goals)
+    engine.load(rules=rules(generator, names), goals=goals)
     caplog.clear()
-    for term, instant in stream(pick):
-        if pick.random() < 0.7:
+    for term, instant in stream(generator):
+        if generator.random() < 0.7:
             engine.post(term, instant)
         else:
             engine.event_at(term, instant, instant)
-        if pick.random() < 0.02:
+        if generator.random() < 0.02:
             engine.call("delete_memory(m0)")
     assert engine.dispatcher.current is None
     warnings = [re.sub(r" \(in \S+/\d+\)|(?<=_)G?\d+", "", record.message) for record in caplog.records]
     return (
-        got,
+        events,
         len(engine.knowledge.pending_queries),
         warnings,
-    )  # without what calls a built-in of compiled code
+    )  # without callers of built-ins
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part", range(4))
-def test_short_ways_lead_where_long_ones_do(part, caplog):
+@pytest.mark.parametrize("batch", range(4))
+def test_listener_of_all_events_keeps_results(batch, caplog):
     caplog.set_level(logging.WARNING, "retalis")
-    for seed in range(part * 12, part * 12 + 12):
-        assert outcome(seed, True, caplog) == outcome(seed, False, caplog), seed
+    for seed in range(batch * 12, batch * 12 + 12):
+        assert results_of_program(seed, True, caplog) == results_of_program(seed, False, caplog), seed

@@ -1,4 +1,4 @@
-"""The transform buffer in Python; its answers are compared with those of tf2 in `test/ros1/test_tf2_buffer.py`."""
+"""The transform buffer in Python; `test/ros1/test_tf2_buffer.py` compares its results with tf2."""
 
 import math
 import sys
@@ -16,24 +16,24 @@ from retalis.events.knowledge import transform_buffer  # noqa: E402
 from retalis.events.knowledge.transform_buffer import REPEATED, CoordinateFrame, TransformBuffer  # noqa: E402
 
 SECOND = 10**9
-TURNED = (0.0, 0.0, math.sin(0.5), math.cos(0.5))
-NONE = (0.0, 0.0, 0.0, 1.0)
+ROTATED = (0.0, 0.0, math.sin(0.5), math.cos(0.5))
+NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
 
 
-def at(x, rotation=NONE):
+def transform_at(x, rotation=NO_ROTATION):
     return (float(x), 0.0, 0.0, *rotation)
 
 
 def buffer_of(*transforms, cache=10):
-    made = TransformBuffer(cache)
+    buffer = TransformBuffer(cache)
     for transform in transforms:
-        assert isinstance(made.store(*transform), CoordinateFrame)
-    return made
+        assert isinstance(buffer.store(*transform), CoordinateFrame)
+    return buffer
 
 
-def kind(buffer, *question):
-    fault = buffer.find_fault(*question)
-    assert (fault is None) == (buffer.lookup(*question) is not None)
+def fault_kind(buffer, *arguments):
+    fault = buffer.find_fault(*arguments)
+    assert (fault is None) == (buffer.lookup(*arguments) is not None)
     return None if fault is None else fault.kind
 
 
@@ -52,21 +52,21 @@ def product(first, second):
 
 
 @given(st.integers(0, 10**6))
-def test_a_pose_is_the_product_along_the_path(seed):
-    rnd = Random(seed)
-    names = [f"f{number}" for number in range(rnd.randint(2, 7))]
-    buffer, to_root = TransformBuffer(), {"root": matrix((0, 0, 0), NONE)}
+def test_pose_is_product_along_path(seed):
+    generator = Random(seed)
+    names = [f"f{number}" for number in range(generator.randint(2, 7))]
+    buffer, to_root = TransformBuffer(), {"root": matrix((0, 0, 0), NO_ROTATION)}
     for position, name in enumerate(names):
-        parent = rnd.choice(["root", *names[:position]])
-        values = [rnd.uniform(-2, 2) for _ in range(3)], [rnd.gauss(0, 1) for _ in range(4)]
+        parent = generator.choice(["root", *names[:position]])
+        values = [generator.uniform(-2, 2) for _ in range(3)], [generator.gauss(0, 1) for _ in range(4)]
         length = math.hypot(*values[1])
         values = values[0], [value / length for value in values[1]]
-        buffer.store(parent, name, 5, (*values[0], *values[1]), rnd.random() < 0.3)
+        buffer.store(parent, name, 5, (*values[0], *values[1]), generator.random() < 0.3)
         to_root[name] = product(to_root[parent], matrix(*values))
-    target, source = rnd.choice(names), rnd.choice(["root", *names])
-    found = matrix(*buffer.lookup(target, source, 5))
+    target, source = generator.choice(names), generator.choice(["root", *names])
+    pose = matrix(*buffer.lookup(target, source, 5))
     # The pose of the source in the target, moved by the target's own pose, is the source's pose in the root.
-    for row, expected in zip(product(to_root[target], found), to_root[source]):
+    for row, expected in zip(product(to_root[target], pose), to_root[source]):
         assert row == pytest.approx(expected, abs=1e-9)
 
 
@@ -74,17 +74,17 @@ def test_a_pose_is_the_product_along_the_path(seed):
 def test_rotations_are_interpolated_at_constant_speed(part, angle):
     turn = (0.0, 0.0, math.sin(angle / 2), math.cos(angle / 2))
     instant = SECOND + round(part * SECOND)
-    buffer = buffer_of(("a", "b", SECOND, at(0)), ("a", "b", 2 * SECOND, at(4, turn)))
+    buffer = buffer_of(("a", "b", SECOND, transform_at(0)), ("a", "b", 2 * SECOND, transform_at(4, turn)))
     (x, _, _), (_, _, k, w) = buffer.lookup("a", "b", instant)
     share = (instant - SECOND) / SECOND
     assert x == pytest.approx(4 * share)
     assert 2 * math.atan2(k, w) == pytest.approx(share * angle, abs=1e-7)
 
 
-def test_between_samples_only():
-    buffer = buffer_of(("a", "b", 2 * SECOND, at(1)), ("a", "b", 3 * SECOND, at(2)))
-    assert kind(buffer, "a", "b", 2 * SECOND - 1) == "before"
-    assert kind(buffer, "a", "b", 3 * SECOND + 1) == "after"
+def test_lookup_needs_samples_before_and_after():
+    buffer = buffer_of(("a", "b", 2 * SECOND, transform_at(1)), ("a", "b", 3 * SECOND, transform_at(2)))
+    assert fault_kind(buffer, "a", "b", 2 * SECOND - 1) == "before"
+    assert fault_kind(buffer, "a", "b", 3 * SECOND + 1) == "after"
     assert buffer.find_fault("a", "b", 1) == ("before", "b", "", 2 * SECOND)
     assert buffer.find_fault("a", "b", 9 * SECOND) == ("after", "b", "", 3 * SECOND)
     assert buffer.lookup("a", "b", 0)[0][0] == 2.0
@@ -93,7 +93,7 @@ def test_between_samples_only():
 
 
 def test_errors_name_the_frame():
-    buffer = buffer_of(("a", "b", 2 * SECOND, at(1)), ("c", "d", 3 * SECOND, at(2)))
+    buffer = buffer_of(("a", "b", 2 * SECOND, transform_at(1)), ("c", "d", 3 * SECOND, transform_at(2)))
     assert buffer.find_fault("a", "x", 5) == ("unknown", "x", "", None)
     assert buffer.find_fault("/a", "b", 5).kind == "invalid"
     assert buffer.find_fault("", "b", 5).kind == "invalid"
@@ -101,15 +101,17 @@ def test_errors_name_the_frame():
     assert buffer.find_fault("b", "d", 0) == ("unconnected", "b", "d", None)
 
 
-def test_a_loop_is_an_error():
-    buffer = buffer_of(("a", "b", 5, at(1)), ("b", "a", 5, at(1)), ("c", "d", 5, at(1)))
-    assert kind(buffer, "d", "a", 5) == "loop"
-    assert kind(buffer, "a", "d", 5) == "loop"
+def test_loop_of_frames_is_refused():
+    buffer = buffer_of(
+        ("a", "b", 5, transform_at(1)), ("b", "a", 5, transform_at(1)), ("c", "d", 5, transform_at(1))
+    )
+    assert fault_kind(buffer, "d", "a", 5) == "loop"
+    assert fault_kind(buffer, "a", "d", 5) == "loop"
     assert buffer.find_blocking("d", "a", 5) is buffer.topology
 
 
-def test_static_transforms_hold_always():
-    buffer = buffer_of(("a", "b", 5, at(1), True), ("b", "c", SECOND, at(1)))
+def test_static_transforms_are_valid_at_any_time():
+    buffer = buffer_of(("a", "b", 5, transform_at(1), True), ("b", "c", SECOND, transform_at(1)))
     assert buffer.lookup("a", "c", SECOND)[0][0] == 2.0
     assert buffer.lookup("a", "b", 77 * SECOND)[0][0] == 1.0
     assert buffer.latest_common("a", "b") == 0 and buffer.latest_common("a", "c") == SECOND
@@ -118,31 +120,31 @@ def test_static_transforms_hold_always():
     assert buffer.sample_count == 1
 
 
-def test_history_is_bounded_and_late_samples_are_sorted_in():
-    buffer = buffer_of(*(("a", "b", second * SECOND, at(second)) for second in range(1, 31)))
+def test_late_samples_are_inserted_in_history():
+    buffer = buffer_of(*(("a", "b", second * SECOND, transform_at(second)) for second in range(1, 31)))
     assert buffer.sample_count == 11
-    assert kind(buffer, "a", "b", 20 * SECOND - 1) == "before"
-    assert buffer.store("a", "b", 19 * SECOND, at(0)) == "it is older than the history of 10 s"
-    assert buffer.store("a", "b", 25 * SECOND, at(0)) is REPEATED
-    assert buffer.store("a", "b", 25 * SECOND + 5, at(7)).sample_count == 12
+    assert fault_kind(buffer, "a", "b", 20 * SECOND - 1) == "before"
+    assert buffer.store("a", "b", 19 * SECOND, transform_at(0)) == "it is older than the history of 10 s"
+    assert buffer.store("a", "b", 25 * SECOND, transform_at(0)) is REPEATED
+    assert buffer.store("a", "b", 25 * SECOND + 5, transform_at(7)).sample_count == 12
     assert buffer.lookup("a", "b", 25 * SECOND + 5)[0][0] == 7.0
     assert buffer.refused == 1
 
 
-def test_a_long_run_takes_no_more_memory():
+def test_memory_of_buffer_is_bounded():
     buffer = TransformBuffer(1)
     for number in range(5000):
-        buffer.store("a", "b", number * SECOND // 100, at(number))
+        buffer.store("a", "b", number * SECOND // 100, transform_at(number))
     (frame,) = [frame for frame in buffer.frames() if frame.name == "b"]
     assert buffer.sample_count == 101 and len(frame.stamps) < 1000
     assert buffer.lookup("a", "b", 4950 * SECOND // 100)[0][0] == 4950
 
 
-def test_another_parent_holds_from_its_first_sample():
-    buffer = buffer_of(("a", "b", SECOND, at(0), True))
+def test_new_parent_applies_from_first_sample():
+    buffer = buffer_of(("a", "b", SECOND, transform_at(0), True))
     for parent, second in (("a", 1), ("b", 3)):
-        buffer.store(parent, "c", second * SECOND, at(second))
-    buffer.store("b", "c", 4 * SECOND, at(4))
+        buffer.store(parent, "c", second * SECOND, transform_at(second))
+    buffer.store("b", "c", 4 * SECOND, transform_at(4))
     assert buffer.lookup("a", "c", 2 * SECOND)[0][0] == 1.0
     assert buffer.lookup("b", "c", 3 * SECOND + SECOND // 2)[0][0] == 3.5
 
@@ -150,15 +152,15 @@ def test_another_parent_holds_from_its_first_sample():
 @pytest.mark.parametrize(
     ("transform", "reason"),
     [
-        (("a", "a", 5, at(1)), "its own parent"),
-        (("a", "", 5, at(1)), "is empty"),
-        (("", "a", 5, at(1)), "is empty"),
-        (("a", "b", 5, at(math.nan)), "contains nan"),
-        (("a", "b", 5, at(1, (0.0, 0.0, 0.0, 1.1))), "does not have length 1"),
-        (("a", "b", 5, at(1, (0.0, 0.0, 0.0, math.inf))), "does not have length 1"),
-        (("a", "b", -1, at(1)), "from 1970 to 2106"),
-        (("a", "b", SECOND << 32, at(1)), "from 1970 to 2106"),
-        (("a", "b" * 300, 5, at(1)), "at most 256 characters"),
+        (("a", "a", 5, transform_at(1)), "its own parent"),
+        (("a", "", 5, transform_at(1)), "is empty"),
+        (("", "a", 5, transform_at(1)), "is empty"),
+        (("a", "b", 5, transform_at(math.nan)), "contains nan"),
+        (("a", "b", 5, transform_at(1, (0.0, 0.0, 0.0, 1.1))), "does not have length 1"),
+        (("a", "b", 5, transform_at(1, (0.0, 0.0, 0.0, math.inf))), "does not have length 1"),
+        (("a", "b", -1, transform_at(1)), "from 1970 to 2106"),
+        (("a", "b", SECOND << 32, transform_at(1)), "from 1970 to 2106"),
+        (("a", "b" * 300, 5, transform_at(1)), "at most 256 characters"),
     ],
 )
 def test_invalid_transforms_are_refused(transform, reason):
@@ -172,24 +174,24 @@ def test_frames_and_samples_are_limited(monkeypatch):
     monkeypatch.setattr(transform_buffer, "MAX_SAMPLES", 20)
     buffer = TransformBuffer()
     for number in range(9):
-        buffer.store("root", f"f{number}", SECOND, at(1))
+        buffer.store("root", f"f{number}", SECOND, transform_at(1))
     assert len(buffer) == 5
-    assert buffer.store("root", "f8", SECOND, at(1)) == "there are 5 frames already"
+    assert buffer.store("root", "f8", SECOND, transform_at(1)) == "there are 5 frames already"
     for number in range(40):
-        buffer.store("root", "f0", 2 * SECOND + number, at(1))
+        buffer.store("root", "f0", 2 * SECOND + number, transform_at(1))
     assert buffer.sample_count == 20
-    assert buffer.store("root", "f0", 3 * SECOND, at(1)) == "there are 20 transforms already"
-    # Time makes room: what is older than the history goes first.
-    assert isinstance(buffer.store("root", "f0", 30 * SECOND, at(1)), CoordinateFrame)
+    assert buffer.store("root", "f0", 3 * SECOND, transform_at(1)) == "there are 20 transforms already"
+    # Older transforms than the history are removed first.
+    assert isinstance(buffer.store("root", "f0", 30 * SECOND, transform_at(1)), CoordinateFrame)
 
 
-def test_the_widest_gap_is_that_of_the_path():
+def test_widest_gap_is_maximum_along_path():
     buffer = buffer_of(
-        ("root", "a", SECOND, at(1)),
-        ("root", "a", 9 * SECOND, at(1)),
-        ("a", "b", SECOND, at(1)),
-        ("a", "b", 3 * SECOND, at(1)),
-        ("a", "c", 2 * SECOND, at(1)),
+        ("root", "a", SECOND, transform_at(1)),
+        ("root", "a", 9 * SECOND, transform_at(1)),
+        ("a", "b", SECOND, transform_at(1)),
+        ("a", "b", 3 * SECOND, transform_at(1)),
+        ("a", "c", 2 * SECOND, transform_at(1)),
     )
     assert buffer.widest_gap("root", "b", 2 * SECOND) == (8 * SECOND, "a")
     assert buffer.widest_gap("b", "c", 2 * SECOND) == (2 * SECOND, "b")
@@ -197,36 +199,42 @@ def test_the_widest_gap_is_that_of_the_path():
     assert buffer.widest_gap("b", "x", 3 * SECOND) == (0, "")
 
 
-def test_blocking_frames():
+def test_frame_without_transform_blocks_lookup():
     buffer = buffer_of(
-        ("root", "a", SECOND, at(1)), ("a", "b", 3 * SECOND, at(1)), ("a", "c", 5, at(1), True)
+        ("root", "a", SECOND, transform_at(1)),
+        ("a", "b", 3 * SECOND, transform_at(1)),
+        ("a", "c", 5, transform_at(1), True),
     )
 
-    def blocking(*question):
-        frame = buffer.find_blocking(*question)
+    def blocking(*arguments):
+        frame = buffer.find_blocking(*arguments)
         return None if frame is None else frame.name
 
     assert blocking("root", "b", SECOND) is None
     assert blocking("root", "b", 2 * SECOND) == "a"
     assert blocking("root", "b", 4 * SECOND) == "b"
-    assert blocking("c", "b", 2 * SECOND) is None, "what is above the common frame does not matter"
+    assert blocking("c", "b", 2 * SECOND) is None, "frames above the common one are not needed"
     assert blocking("b", "c", 4 * SECOND) == "b"
     assert blocking("root", "x", SECOND) == ""
 
 
-def test_a_loop_of_frames_blocks_no_transform_that_is_there():
+def test_loop_blocks_no_available_transform():
     """tf2 follows the parents of the source, and if one has no transform, those of the target."""
-    loop = buffer_of(("b", "a", 3 * SECOND, at(1)), ("c", "b", 5, at(1), True), ("a", "c", SECOND, at(1)))
+    loop = buffer_of(
+        ("b", "a", 3 * SECOND, transform_at(1)),
+        ("c", "b", 5, transform_at(1), True),
+        ("a", "c", SECOND, transform_at(1)),
+    )
     assert loop.find_fault("c", "a", 3 * SECOND) is None
     assert loop.find_blocking("c", "a", 3 * SECOND) is None
-    pair = buffer_of(("b", "a", SECOND, at(1)), ("a", "b", 3 * SECOND, at(1)))
+    pair = buffer_of(("b", "a", SECOND, transform_at(1)), ("a", "b", 3 * SECOND, transform_at(1)))
     assert pair.find_fault("b", "a", 3 * SECOND) is None
     assert pair.find_blocking("b", "a", 3 * SECOND) is None
     assert pair.find_blocking("b", "a", 4 * SECOND).name == "a"
 
 
 @given(st.integers(0, 10**6))
-def test_what_is_not_blocked_is_there_or_lies_before_the_history(seed):
+def test_lookup_without_blocking_frame_has_no_later_result(seed):
     buffer = TransformBuffer()
     for operation, *arguments in random_transforms.scenario(seed):
         if operation != "ask":

@@ -19,17 +19,19 @@ from retalis.prolog.syntax.term_writer import writeq
 
 OPERATORS = Operators.prolog()
 NAMES = st.sampled_from(["left", "motor", "T one", "a:b", "don't", "list"])
-KIND = st.recursive(
-    st.sampled_from([*(kind.term for kind in VALUE_TYPES.values()), read_term("a__0__B", OPERATORS).term]),
-    lambda inner: inner.map(lambda kind: (functor("list", 1), kind)),
+TYPE_TERMS = st.recursive(
+    st.sampled_from(
+        [*(value_type.term for value_type in VALUE_TYPES.values()), read_term("a__0__B", OPERATORS).term]
+    ),
+    lambda inner: inner.map(lambda item: (functor("list", 1), item)),
     max_leaves=3,
 )
 DECLARATION = st.builds(
-    lambda name, found: Declaration(
-        name, tuple(Argument(one, parse_value_type(kind)) for one, kind in found.items())
+    lambda name, arguments: Declaration(
+        name, tuple(Argument(argument, parse_value_type(term)) for argument, term in arguments.items())
     ),
     NAMES,
-    st.dictionaries(NAMES, KIND, max_size=4),
+    st.dictionaries(NAMES, TYPE_TERMS, max_size=4),
 )
 VALUES = {
     "any": ["f(X)", "7", "[]"],
@@ -45,41 +47,45 @@ VALUES = {
 }
 
 
-def places(part, number=0):
+def no_position(part, number=0):
     return None
 
 
-def read(text):
+def declarations_of(text):
     goal = read_term(f":- event {text}.", OPERATORS).term[1]
-    return [one for one, _ in parse_declarations(goal, places)]
+    return [declaration for declaration, _ in parse_declarations(goal, no_position)]
 
 
 @settings(max_examples=50)
 @given(st.lists(DECLARATION, min_size=1, max_size=3))
-def test_what_is_written_is_read_again(found):
-    text = ", ".join(writeq(one.term, OPERATORS) for one in found)
-    assert [one.term for one in read(text)] == [one.term for one in found]
+def test_written_declaration_is_parsed_again(declarations):
+    text = ", ".join(writeq(declaration.term, OPERATORS) for declaration in declarations)
+    assert [declaration.term for declaration in declarations_of(text)] == [
+        declaration.term for declaration in declarations
+    ]
 
 
 @settings(max_examples=25)
-@given(st.data(), st.lists(DECLARATION, min_size=1, max_size=3, unique_by=lambda one: one.name))
-def test_rules_that_keep_to_their_declarations_have_no_errors(data, found):
-    """Values of the kinds, or a variable for each argument: of one name and kind wherever that stands."""
+@given(
+    st.data(), st.lists(DECLARATION, min_size=1, max_size=3, unique_by=lambda declaration: declaration.name)
+)
+def test_rules_that_follow_declarations_have_no_errors(data, declarations):
+    """Arguments are values of the declared types, or variables with one name for each type."""
 
-    def value(kind):
-        if kind.items is not None:
-            return f"[{value(kind.items)}]"
-        name = writeq(kind.term, OPERATORS)
+    def value(value_type):
+        if value_type.items is not None:
+            return f"[{value(value_type.items)}]"
+        name = writeq(value_type.term, OPERATORS)
         return data.draw(st.sampled_from([*VALUES[name], f"V_{name}", "_"]))
 
     def event():
-        one = data.draw(st.sampled_from(found))
-        arguments = ", ".join(value(argument.value_type) for argument in one.arguments)
-        name = writeq(atom(one.name), OPERATORS)
+        declaration = data.draw(st.sampled_from(declarations))
+        arguments = ", ".join(value(argument.value_type) for argument in declaration.arguments)
+        name = writeq(atom(declaration.name), OPERATORS)
         return f"{name}({arguments})" if arguments else name
 
-    declared = ", ".join(writeq(one.term, OPERATORS) for one in found)
-    rules = f":- event {declared}.\n" + "".join(
+    declaration_text = ", ".join(writeq(declaration.term, OPERATORS) for declaration in declarations)
+    rules = f":- event {declaration_text}.\n" + "".join(
         f"made <- {event()} and ({event()} or {event()}) and {event()}.\n" for _ in range(2)
     )
     checker = FileChecker(declarations=Declarations(str))
@@ -89,7 +95,7 @@ def test_rules_that_keep_to_their_declarations_have_no_errors(data, found):
 
 
 @pytest.mark.parametrize(
-    "text, said",
+    "text, message",
     [
         ("t(a)", "an argument is declared by its name and type, as in temperature(motor:atom, value:number)"),
         (
@@ -109,36 +115,43 @@ def test_rules_that_keep_to_their_declarations_have_no_errors(data, found):
         ),
     ],
 )
-def test_what_is_no_declaration(text, said):
+def test_invalid_declaration_is_refused(text, message):
     with pytest.raises(RuleError) as caught:
-        read(text)
-    assert caught.value.message == said
+        declarations_of(text)
+    assert caught.value.message == message
 
 
-def test_a_name_is_declared_once():
-    declared = Declarations(str)
-    (one,), (other,) = read("t(a:atom)"), read("t(a:number)")
-    assert declared.add(one) and not declared.add(*read("t(a:atom)"))
+def test_second_declaration_of_name_is_refused():
+    declarations = Declarations(str)
+    (first,), (second,) = declarations_of("t(a:atom)"), declarations_of("t(a:number)")
+    assert declarations.add(first) and not declarations.add(*declarations_of("t(a:atom)"))
     with pytest.raises(UsageError, match="t is declared already"):
-        declared.add(other)
+        declarations.add(second)
 
 
 @pytest.mark.parametrize("strict", [False, True])
-def test_only_where_all_have_to_be_declared_is_an_unknown_event_wrong(strict):
-    declared = Declarations(str, read("temperature(a:atom)"), strict, lambda key: key.name == "known")
-    said = [declared.functor_error(functor(*key)) for key in (("known", 3), ("temprature", 1), ("other", 2))]
-    wrong = [
+def test_undeclared_event_is_error_in_strict_mode(strict):
+    declarations = Declarations(
+        str, declarations_of("temperature(a:atom)"), strict, lambda key: key.name == "known"
+    )
+    message = [
+        declarations.functor_error(functor(*key)) for key in (("known", 3), ("temprature", 1), ("other", 2))
+    ]
+    errors = [
         "",
         "temprature/1 is not declared; did you mean temperature(a:atom)?",
         "other/2 is not declared; write :- event other(name:type, name:type).",
     ]
     assert [
-        text.replace(str(read("temperature(a:atom)")[0].term), "temperature(a:atom)") for text in said
-    ] == (wrong if strict else [""] * 3)
+        text.replace(str(declarations_of("temperature(a:atom)")[0].term), "temperature(a:atom)")
+        for text in message
+    ] == (errors if strict else [""] * 3)
 
 
-def test_an_event_that_has_come():
-    declared = Declarations(lambda term: writeq(term, OPERATORS), read("t(a:atom, b:list(event))"))
+def test_received_event_is_checked():
+    declarations = Declarations(
+        lambda term: writeq(term, OPERATORS), declarations_of("t(a:atom, b:list(event))")
+    )
     events = {"t(x, [])": "", "u(1)": "", "t(X, [u(1), t(x, [])])": ""}
     form = "t(a:atom,b:list(event))"
     events["t(x)"] = f"t/1 does not match its declaration: {form} has 2 arguments"
@@ -146,4 +159,4 @@ def test_an_event_that_has_come():
     events["t(x, [2])"] = f"an item of b of t/2 is an event, found 2; declared as {form}"
     events["t(x, [t(1, [])])"] = f"a of t/2 is an atom, found 1; declared as {form}"
     events["rev(t(1, []))"] = f"a of t/2 is an atom, found 1; declared as {form}"
-    assert {text: declared.refusal(read_term(text, OPERATORS).term) for text in events} == events
+    assert {text: declarations.refusal(read_term(text, OPERATORS).term) for text in events} == events

@@ -1,4 +1,4 @@
-"""Table of event operators: syntax, meaning, explanations and documentation."""
+"""Table of event operators: syntax, semantics, explanations and documentation."""
 
 import re
 import shutil
@@ -19,58 +19,66 @@ SOURCE = Path(retalis.__file__).parent
 PAGES = Path(__file__).resolve().parents[3] / "docs" / "reference" / "language"
 PAGE = (PAGES / "index.md").read_text(encoding="utf-8")
 NO_OPERATORS = {"`E`", "`P seq prolog(G)`, `prolog(G) seq P`"}
-"""Rows of the table of patterns that are those of no operator."""
+"""Rows of the table of patterns that belong to no operator."""
 LINK = re.compile(r"\[(.*)\]\([\w-]+\.md\)")
 
 
-def rows(title):
+def table_rows(title):
     """Return the rows of the table of this title, each a list of its cells."""
-    found = PAGE[PAGE.index(f"\n{title}\n") :].split("\n\n")[0].strip().split("\n")[2:]
-    return [[LINK.sub(r"\1", cell) for cell in row[2:-2].split(" | ")] for row in found]
+    lines = PAGE[PAGE.index(f"\n{title}\n") :].split("\n\n")[0].strip().split("\n")[2:]
+    return [[LINK.sub(r"\1", cell) for cell in row[2:-2].split(" | ")] for row in lines]
 
 
-def test_page_has_the_rows_of_all_patterns():
-    assert sorted(map(tuple, rows("| pattern | is matched when | interval |"))) == sorted(
+def test_page_has_rows_of_all_patterns():
+    assert sorted(map(tuple, table_rows("| pattern | is matched when | interval |"))) == sorted(
         [
-            *(row for one in EVENT_OPERATORS for row in one.table_rows),
+            *(row for operator in EVENT_OPERATORS for row in operator.table_rows),
             *(
                 tuple(row)
-                for row in rows("| pattern | is matched when | interval |")
+                for row in table_rows("| pattern | is matched when | interval |")
                 if row[0] in NO_OPERATORS
             ),
         ]
     )
 
 
-def test_every_operator_of_patterns_stands_in_a_row():
-    forms = " ".join(row.notation for one in EVENT_OPERATORS for row in one.table_rows)
-    for one in EVENT_OPERATORS:
-        if one.kind not in (OperatorKind.RULE, OperatorKind.UNSUPPORTED):
-            assert re.search(rf"\b{one.spellings[0]}\b", forms), one.name
+def test_each_operator_has_a_table_row():
+    forms = " ".join(row.notation for operator in EVENT_OPERATORS for row in operator.table_rows)
+    for operator in EVENT_OPERATORS:
+        if operator.kind not in (OperatorKind.RULE, OperatorKind.UNSUPPORTED):
+            assert re.search(rf"\b{operator.spellings[0]}\b", forms), operator.name
 
 
-def test_page_has_the_priorities():
+def test_page_has_priorities():
     expected = {}
-    for one in EVENT_OPERATORS:
-        if one.priority and one.kind is not OperatorKind.UNSUPPORTED:
-            expected.setdefault(str(one.priority), set()).update((one.name, *one.signs))
-    found = {
-        priority: re.findall(r"`([^`]+)`", names) for priority, names in rows("| priority | operators |")
+    for operator in EVENT_OPERATORS:
+        if operator.priority and operator.kind is not OperatorKind.UNSUPPORTED:
+            expected.setdefault(str(operator.priority), set()).update((operator.name, *operator.signs))
+    priorities = {
+        priority: re.findall(r"`([^`]+)`", names)
+        for priority, names in table_rows("| priority | operators |")
     }
-    found["1200"].remove(":")
-    assert {priority: {name.strip("'") for name in names} for priority, names in found.items()} == expected
+    priorities["1200"].remove(":")
+    assert {
+        priority: {name.strip("'") for name in names} for priority, names in priorities.items()
+    } == expected
 
 
-def test_page_names_the_aggregates():
+def test_page_names_aggregates():
     page = (PAGES / "repetition.md").read_text(encoding="utf-8")
-    (found,) = re.findall(r"The kinds of aggregate are (.*)\. `", page)
-    assert re.findall(r"`([^`]+)`", found) == [one.notation for one in SEQUENCE_AGGREGATES.values()]
+    (aggregates,) = re.findall(r"The kinds of aggregate are (.*)\. `", page)
+    assert re.findall(r"`([^`]+)`", aggregates) == [
+        aggregate.notation for aggregate in SEQUENCE_AGGREGATES.values()
+    ]
 
 
-def test_tests_know_all():
-    """The tests have a table of their own: it is a second opinion of what the operators mean."""
-    known = [one for one in EVENT_OPERATORS if one.kind not in (OperatorKind.RULE, OperatorKind.UNSUPPORTED)]
-    names = {one.spellings[0] for one in known}
+def test_tests_cover_all_operators():
+    """The tests have their own table of operators, as an independent definition."""
+    names = {
+        operator.spellings[0]
+        for operator in EVENT_OPERATORS
+        if operator.kind not in (OperatorKind.RULE, OperatorKind.UNSUPPORTED)
+    }
     assert set(PAIR_OPERATORS) == set(operator_table.PAIRS)
     assert set(SEQUENCE_AGGREGATES) == set(operator_table.AGGREGATES)
     assert names <= {re.sub(r"\W.*", "", row) for row in operator_table.ROWS} | {
@@ -83,7 +91,7 @@ def test_tests_know_all():
     assert all(re.search(rf"\b{name}\b", written) for name in names)
 
 
-ENTRY = """    EventOperator(
+NEW_OPERATOR = """    EventOperator(
         "straddles",
         OperatorKind.PAIR,
         1025,
@@ -93,7 +101,7 @@ ENTRY = """    EventOperator(
         no_match_text="none of the first overlaps one of the second",
     ),
 """
-AFTER = """    EventOperator("fnot","""
+FOLLOWING_OPERATOR = """    EventOperator("fnot","""
 PROGRAM = """
 import logging
 import sys
@@ -129,7 +137,7 @@ for rule in ("p <- a stradles b.", "p <- a besides b.", "straddles(X, Y) <- a(X,
     except ProgramErrors as errors:
         print(errors.errors[0].message)
 """
-PRINTED = """\
+EXPECTED_OUTPUT = """\
 recent o(2,3)@2-6 o(5,6)@0-5
 recent_2 o(2,3)@2-6 o(5,6)@0-5
 chronological o(1,3)@1-6 o(5,6)@0-5
@@ -147,14 +155,14 @@ straddles(X, Y) <- a(X, Y).
 
 
 @pytest.mark.slow
-def test_a_two_sided_operator_is_one_entry(tmp_path):
-    """Nothing else of the package changes: it is read, joined and limited in time, under every policy, and named."""
-    copied = tmp_path / "retalis"
-    shutil.copytree(str(SOURCE), str(copied), ignore=shutil.ignore_patterns("__pycache__"))
-    path = copied / "events" / "language" / "event_operators.py"
+def test_pair_operator_is_one_entry(tmp_path):
+    """An entry in the table suffices to parse, join, limit and explain the operator, under every policy."""
+    package_copy = tmp_path / "retalis"
+    shutil.copytree(str(SOURCE), str(package_copy), ignore=shutil.ignore_patterns("__pycache__"))
+    path = package_copy / "events" / "language" / "event_operators.py"
     text = path.read_text(encoding="utf-8")
-    assert text.count(AFTER) == 1
-    path.write_text(text.replace(AFTER, ENTRY + AFTER), encoding="utf-8")
+    assert text.count(FOLLOWING_OPERATOR) == 1
+    path.write_text(text.replace(FOLLOWING_OPERATOR, NEW_OPERATOR + FOLLOWING_OPERATOR), encoding="utf-8")
     result = subprocess.run(
         [sys.executable, "-c", PROGRAM],
         env={"PYTHONPATH": python_path(tmp_path), "PATH": "/usr/bin:/bin"},
@@ -163,10 +171,10 @@ def test_a_two_sided_operator_is_one_entry(tmp_path):
         timeout=60,
     )
     assert result.stderr == ""
-    assert result.stdout == PRINTED
+    assert result.stdout == EXPECTED_OUTPUT
 
 
-def test_a_reader_without_the_event_language_has_the_operators_of_prolog_only():
+def test_prolog_reader_has_no_event_operators():
     program = (
         "from retalis.prolog.syntax.operators import Operators\n"
         "print('seq' in Operators.prolog(), 'mod' in Operators.prolog())\n"

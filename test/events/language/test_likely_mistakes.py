@@ -1,4 +1,4 @@
-"""Warnings about likely mistakes in rules, with their places, and no false alarms."""
+"""Warnings about likely mistakes in rules: positions, texts, and no false warnings."""
 
 from itertools import combinations, product
 
@@ -10,7 +10,7 @@ COMPARISONS = ["X > 1", "X =< 1", "X == 1", "X = 1", "X \\== 1", "Y is X + 1", "
 
 
 @pytest.mark.parametrize("text", COMPARISONS)
-def test_a_comparison_in_the_place_of_a_pattern_is_an_event(text):
+def test_comparison_as_pattern_is_reported(text):
     ((line, column, message),) = warnings_of(f"% first\nc <- a(X) and {text}.")
     assert (line, column) == (2, 17)
     assert message == "this is an event; a condition is written after where"
@@ -56,10 +56,10 @@ def test_a_comparison_in_the_place_of_a_pattern_is_an_event(text):
         ("c do ins_event_rule(d <- a, b) <- a.", 6, "needs brackets of its own"),
     ],
 )
-def test_warned_of_at_its_place(rule, column, part):
-    ((_, at, message),) = warnings_of(rule)
+def test_likely_mistake_is_reported_at_position(rule, column, part):
+    ((_, actual_column, message),) = warnings_of(rule)
     assert part in message
-    assert at == column
+    assert actual_column == column
 
 
 @pytest.mark.parametrize(
@@ -77,11 +77,11 @@ def test_warned_of_at_its_place(rule, column, part):
         "c <- a seq E. E do g(E). g(_).",
     ],
 )
-def test_what_may_be_meant_is_not_warned_of(rules):
+def test_valid_rules_have_no_warnings(rules):
     assert warnings_of(rules) == []
 
 
-def test_rules_that_come_at_run_time_are_warned_of_by_what_they_are():
+def test_rules_added_at_run_time_are_checked():
     program = ProgramRunner(
         "g do ins_event_rule((c <- a, b)) <- a. h do compile_event_rules([(d <- e), (d <- (e ; f))]) <- b."
     )
@@ -93,7 +93,7 @@ def test_rules_that_come_at_run_time_are_warned_of_by_what_they_are():
     assert program.errors == []
 
 
-def test_errors_of_rules_that_come_at_run_time_name_the_rule():
+def test_error_of_added_rule_names_rule():
     program = ProgramRunner("g do compile_event_rules([(d <- e), (3 : d <- e), (d seq e <- f)]) <- a.")
     program.feed("a@1")
     (error,) = program.errors
@@ -112,10 +112,10 @@ def test_errors_of_rules_that_come_at_run_time_name_the_rule():
         ("c <- b seq (a check t1(_)) where call(t2(_)).", [39]),
     ],
 )
-def test_the_interval_is_known_in_check_only(rule, columns):
-    found = errors_of(rule)
-    assert [column for _, column, _ in found] == columns
-    assert all("write check" in message for _, _, message in found)
+def test_interval_outside_check_is_refused(rule, columns):
+    errors = errors_of(rule)
+    assert [column for _, column, _ in errors] == columns
+    assert all("write check" in message for _, _, message in errors)
 
 
 @pytest.mark.parametrize(
@@ -127,13 +127,13 @@ def test_the_interval_is_known_in_check_only(rule, columns):
         "c <- a where t1(_). t1(X) :- X = 5.",
     ],
 )
-def test_where_the_interval_may_be_asked_for_it_may(rules):
+def test_interval_may_be_read_in_check(rules):
     program = ProgramRunner(rules)
     assert program.warnings == []
     assert "c@1" in program.feed("a@1-2")
 
 
-EARLIER = "in an earlier gap does not prevent a match"
+EARLIER_GAP_ADVICE = "in an earlier gap does not prevent a match"
 
 
 @pytest.mark.parametrize(
@@ -169,11 +169,11 @@ EARLIER = "in an earlier gap does not prevent a match"
         ("o <- (a seq b seq c(X)) cnot d(X).", 25, None, None),  # X has no value in the first gap
     ],
 )
-def test_an_absence_covers_the_last_gap_of_a_sequence_only(rule, column, all_gaps, last_gap):
-    ((_, at, message),) = warnings_of(rule)
-    assert at == column
+def test_cnot_over_long_sequence_is_reported(rule, column, all_gaps, last_gap):
+    ((_, actual_column, message),) = warnings_of(rule)
+    assert actual_column == column
     assert message.startswith("cnot covers only the gap before the last part of the sequence, ")
-    assert EARLIER in message
+    assert EARLIER_GAP_ADVICE in message
     if last_gap is None:
         assert message.endswith("; write a cnot for each gap that it must not lie in")
         return
@@ -196,7 +196,7 @@ def test_an_absence_covers_the_last_gap_of_a_sequence_only(rule, column, all_gap
         "o <- ((a seq b) cnot d) seq c seq e.",
     ],
 )
-def test_an_absence_between_two_parts_is_meant_as_it_is_written(rule):
+def test_cnot_between_two_parts_is_not_reported(rule):
     assert warnings_of(rule) == []
 
 
@@ -204,20 +204,20 @@ def test_an_absence_between_two_parts_is_meant_as_it_is_written(rule):
 @pytest.mark.parametrize(
     "pattern", ["(NAME seq f seq f) cnot d", "(f seq f seq NAME) cnot d", "(f seq f seq f) cnot NAME"]
 )
-def test_long_parts_are_not_repeated_in_the_warning(pattern, name):
+def test_warning_omits_long_parts(pattern, name):
     ((_, _, message),) = warnings_of(f"o <- {pattern.replace('NAME', name)}.")
     assert message.endswith("; write a cnot for each gap that it must not lie in")
     assert len(message) < 500
 
 
-def gaps_of(events, times):
+def intervals_without_d(events, times):
     """Return the intervals of all sequences of f without a d between the first and the last."""
-    instants = [at for at, name in enumerate(events) if name == "f"]
-    found = []
-    for chosen in combinations(instants, times):
-        if "d" not in events[chosen[0] : chosen[-1]]:
-            found.append((chosen[0], chosen[-1]))
-    return sorted(found)
+    instants = [instant for instant, name in enumerate(events) if name == "f"]
+    intervals = []
+    for positions in combinations(instants, times):
+        if "d" not in events[positions[0] : positions[-1]]:
+            intervals.append((positions[0], positions[-1]))
+    return sorted(intervals)
 
 
 @pytest.mark.slow
@@ -225,18 +225,19 @@ def gaps_of(events, times):
     ("pattern", "times"),
     [("f seq f seq f", 3), ("f ntimes 3", 3), ("f ntimes 4", 4), ("f seq f seq f seq f", 4)],
 )
-def test_the_pattern_that_is_shown_fires_exactly_when_nothing_lies_in_any_gap(pattern, times):
+def test_suggested_pattern_excludes_event_in_all_gaps(pattern, times):
     ((_, _, message),) = warnings_of(f"o <- ({pattern}) cnot d.")
-    shown = message.split("for none in any gap write ")[1].split(";")[0]
-    written, given = (
-        ProgramRunner(f"o <- {text}.", policy="unrestricted") for text in (shown, f"({pattern}) cnot d")
+    suggested_pattern = message.split("for none in any gap write ")[1].split(";")[0]
+    suggested, original = (
+        ProgramRunner(f"o <- {text}.", policy="unrestricted")
+        for text in (suggested_pattern, f"({pattern}) cnot d")
     )
-    wrong = 0
+    difference_count = 0
     for events in product("fd", repeat=6):
-        stream = " ".join(f"{name}@{at}" for at, name in enumerate(events))
-        answer = written.feed(stream)
-        fired = sorted(tuple(map(int, one[2:].split("-"))) for one in answer.split())
-        assert fired == gaps_of(events, times)
-        wrong += len(given.feed(stream).split()) > len(fired)
-        assert written.engine.call("reset_db") and given.engine.call("reset_db")
-    assert wrong
+        stream = " ".join(f"{name}@{instant}" for instant, name in enumerate(events))
+        outputs = suggested.feed(stream)
+        intervals = sorted(tuple(map(int, output[2:].split("-"))) for output in outputs.split())
+        assert intervals == intervals_without_d(events, times)
+        difference_count += len(original.feed(stream).split()) > len(intervals)
+        assert suggested.engine.call("reset_db") and original.engine.call("reset_db")
+    assert difference_count

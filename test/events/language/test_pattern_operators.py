@@ -4,7 +4,7 @@ import pytest
 from events.stream_programs import ProgramRunner, outputs_of
 
 CASES = [
-    # pattern, stream, what c fires
+    # pattern, stream, derived events
     ("a seq b", "a@1 b@2", "c@1-2"),
     ("a seq b", "a@1-2 b@2-3", ""),
     ("a seq b", "b@2 a@1", ""),
@@ -62,13 +62,13 @@ CASES = [
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("pattern", "stream", "wanted"), CASES)
-def test_operator(pattern, stream, wanted):
-    assert outputs_of(f"c <- {pattern}.", stream) == wanted
+@pytest.mark.parametrize(("pattern", "stream", "expected"), CASES)
+def test_operator_has_condition_and_interval(pattern, stream, expected):
+    assert outputs_of(f"c <- {pattern}.", stream) == expected
 
 
 @pytest.mark.parametrize(
-    ("kind", "wanted"),
+    ("aggregate", "expected"),
     [
         ("count", "r(0)@1-1 r(1)@1-2 r(2)@1-3"),
         ("sum(X)", "r(0)@1-1 r(4)@1-2 r(6)@1-3"),
@@ -78,24 +78,26 @@ def test_operator(pattern, stream, wanted):
         ("list(X)", "r([])@1-1 r([4])@1-2 r([4,2])@1-3"),
     ],
 )
-def test_aggregates(kind, wanted):
-    assert outputs_of(f"r(N) <- s seq aggregate({kind}, a(X), N).", "a(9)@0 s@1 a(4)@2 a(2)@3") == wanted
+def test_aggregate_has_result_for_each_repetition(aggregate, expected):
+    assert (
+        outputs_of(f"r(N) <- s seq aggregate({aggregate}, a(X), N).", "a(9)@0 s@1 a(4)@2 a(2)@3") == expected
+    )
 
 
-def test_average_that_is_no_integer():
+def test_average_may_be_float():
     assert (
         outputs_of("r(N) <- s seq aggregate(avg(X), a(X), N).", "s@1 a(1)@2 a(2)@3") == "r(1)@1-2 r(1.5)@1-3"
     )
 
 
-def test_a_condition_on_the_result_decides_what_fires():
+def test_condition_filters_results():
     assert (
         outputs_of("r(N) <- s seq aggregate(count, a, N) where N > 1.", "s@1 a@2 a@3 a@4")
         == "r(2)@1-3 r(3)@1-4"
     )
 
 
-def test_an_aggregate_of_what_is_no_number_is_reported():
+def test_value_that_is_no_number_is_reported():
     program = ProgramRunner("r(N) <- s seq aggregate(sum(X), a(X), N).")
     assert program.feed("s@1 a(x)@2 a(3)@3") == "r(0)@1-1 r(3)@1-3"
     (error,) = program.errors
@@ -103,7 +105,7 @@ def test_an_aggregate_of_what_is_no_number_is_reported():
 
 
 @pytest.mark.parametrize(
-    ("rule", "stream", "wanted"),
+    ("rule", "stream", "expected"),
     [
         ("c(X,Y) <- a(X) seq b(Y) where X < Y", "a(1)@1 a(5)@2 b(3)@3", "c(1,3)@1-3"),
         ("c(X) <- a(X) seq (b(Y) where Y > X)", "a(2)@1 b(1)@2 b(3)@3", "c(2)@1-3"),
@@ -145,7 +147,7 @@ def test_an_aggregate_of_what_is_no_number_is_reported():
             "a(1)@1 a(5)@1 b(3)@3 d(9)@4 b(6)@5 d(4)@6 b(4)@7 d(3)@8",
             "c(1)@1-4",
         ),
-        # a condition gives values to variables of what must not happen between
+        # a condition binds variables of the negated pattern
         (
             "c(X,N) <- (prolog(N is X + 1) seq (a(X) seq d)) cnot b(N)",
             "a(1)@1 b(1)@2 d@3 a(1)@4 b(2)@5 d@6",
@@ -156,7 +158,7 @@ def test_an_aggregate_of_what_is_no_number_is_reported():
             "e(1)@1 a(1)@2 b(2)@3 d@4 a(1)@5 b(1)@6 d@7",
             "c(1)@1-7",
         ),
-        # what a condition waits for may be known before its pattern meets the one further left
+        # a condition may be decidable before its pattern is joined with the one on the left
         ("c(X) <- a(X) and ((b(Y) where Y >= X) and d(X))", "b(0)@1 d(1)@2 b(1)@3 a(1)@4", "c(1)@2-4"),
         (
             "c(X,Z) <- a(X) seq ((d(X) or e) seq (b(Y) where (Y > X, Z = Y)))",
@@ -176,21 +178,21 @@ def test_an_aggregate_of_what_is_no_number_is_reported():
         ("c(X) do Y is X + 1, c2(Y) <- a(X). c2(_)", "a(1)@1", "c(1)@1-1"),
     ],
 )
-def test_variables(rule, stream, wanted):
-    assert outputs_of(f"{rule}.", stream) == wanted
+def test_variables_are_bound_across_patterns(rule, stream, expected):
+    assert outputs_of(f"{rule}.", stream) == expected
 
 
-def test_a_pattern_inside_a_pattern_is_a_rule_of_its_own():
+def test_nested_rule_emits_its_own_event():
     assert outputs_of("c <- a seq (s(X) <- b(X) seq d).", "a@1 b(5)@2 d@3") == "s(5)@2-3 c@1-3"
 
 
 @pytest.mark.parametrize("spelling", ["seq", "'seq'", "'Seq'", "'SEQ'", "*"])
-def test_spellings(spelling):
+def test_operator_spellings_are_equivalent(spelling):
     assert outputs_of(f"c <- a {spelling} b.", "a@1 b@2") == "c@1-2"
 
 
 @pytest.mark.parametrize(
-    ("rules", "stream", "wanted"),
+    ("rules", "stream", "expected"),
     [
         ("c(V,L) <- s seq aggregate(list(V), a(_), L).", "s@1 a(0)@2 a(1)@3", "c(A,[A,A])@1-3"),
         ("c(V,L) <- (s seq aggregate(list(f(V)), a(_), L)) where V = 5.", "s@1 a(0)@2", "c(5,[f(5)])@1-2"),
@@ -198,5 +200,5 @@ def test_spellings(spelling):
         ("c(L) <- s seq aggregate(list(V), a(_), L).", "s@1 a(0)@2 a(1)@3", "c([A,B])@1-3"),
     ],
 )
-def test_a_variable_that_no_repetition_gives_a_value_is_one_where_it_stands_elsewhere(rules, stream, wanted):
-    assert outputs_of(rules, stream, "unrestricted").split(" ")[-1] == wanted
+def test_unbound_variable_of_repetition_is_shared(rules, stream, expected):
+    assert outputs_of(rules, stream, "unrestricted").split(" ")[-1] == expected

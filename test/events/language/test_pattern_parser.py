@@ -1,4 +1,4 @@
-"""Errors in aggregates that collect nothing."""
+"""Errors in aggregates whose collected values are never bound."""
 
 import pytest
 from events.load_messages import errors_of, warnings_of
@@ -16,19 +16,19 @@ from events.load_messages import errors_of, warnings_of
         ("aggregate(sum(Y), b(X) cnot c(Y), N)", "Y never gets a value"),
     ],
 )
-def test_refused(aggregate, part):
-    (found,) = errors_of(f"out(N) <- a seq {aggregate}.")
-    assert found[:2] == (1, 27)
-    assert part in found[2]
+def test_aggregate_without_values_is_refused(aggregate, part):
+    (error,) = errors_of(f"out(N) <- a seq {aggregate}.")
+    assert error[:2] == (1, 27)
+    assert part in error[2]
 
 
-@pytest.mark.parametrize("kind", ["max(foo)", 'min("b")', "quantile(0.5, f(X))", "[count, stddev(foo)]"])
-def test_a_window_of_what_is_never_a_number_is_refused(kind):
-    (found,) = errors_of(f"out(N) <- aggregate({kind}, b(X), N, last(10)).")
-    assert "needs numbers or arithmetic expressions" in found[2]
+@pytest.mark.parametrize("aggregate", ["max(foo)", 'min("b")', "quantile(0.5, f(X))", "[count, stddev(foo)]"])
+def test_window_of_other_terms_is_refused(aggregate):
+    (error,) = errors_of(f"out(N) <- aggregate({aggregate}, b(X), N, last(10)).")
+    assert "needs numbers or arithmetic expressions" in error[2]
 
 
-def test_what_comes_later_gives_no_value():
+def test_later_condition_binds_no_collected_variable():
     ((_, column, _),) = errors_of("out(N) <- c(Y) and (a seq aggregate(sum(Y), b, N)) where Y > 1.")
     assert column == 37
 
@@ -41,10 +41,10 @@ def test_what_comes_later_gives_no_value():
         ("aggregate(list(Y), b(X), N)", 27, "Y never gets a value"),
     ],
 )
-def test_warned_of(aggregate, column, part):
-    ((_, at, message),) = warnings_of(f"out(N) <- s seq {aggregate}.")
+def test_suspicious_aggregate_is_reported(aggregate, column, part):
+    ((_, actual_column, message),) = warnings_of(f"out(N) <- s seq {aggregate}.")
     assert part in message
-    assert at == column
+    assert actual_column == column
 
 
 @pytest.mark.parametrize(
@@ -61,5 +61,5 @@ def test_warned_of(aggregate, column, part):
         "out <- a seq aggregate(count, hit, 3).",
     ],
 )
-def test_what_may_be_meant_is_not_warned_of(rule):
+def test_valid_aggregates_have_no_warnings(rule):
     assert warnings_of(rule) == []

@@ -10,7 +10,7 @@ STARS = "s(L) <- aggregate(list(X), e(X), L, steps([{}]))."
 
 
 @pytest.mark.parametrize(
-    "steps, found",
+    "steps, expected",
     [
         ("a(2) where X < 5", "s([1,2])@0-1 s([3,4])@2-3 s([1,2])@5-6"),
         ("a(1, many) where X < 4", "s([1,2,3])@0-3"),
@@ -24,16 +24,19 @@ STARS = "s(L) <- aggregate(list(X), e(X), L, steps([{}]))."
         ("a(2), b where X > last(a, X)", "s([1,2,3])@0-2 s([9,1,2])@4-6"),
     ],
 )
-def test_of_one_stream(steps, found):
+def test_row_pattern_matches_stream(steps, expected):
     stream = [1, 2, 3, 4, 9, 1, 2, 0]
-    assert outputs_of(STARS.format(steps), " ".join(f"e({x})@{at}" for at, x in enumerate(stream))) == found
+    assert (
+        outputs_of(STARS.format(steps), " ".join(f"e({x})@{second}" for second, x in enumerate(stream)))
+        == expected
+    )
 
 
-def test_each_value_that_stands_elsewhere_has_steps_of_its_own():
+def test_each_key_has_own_row_pattern():
     assert outputs_of(RISING, "r(a,1)@1 r(b,5)@2 r(a,4)@3 r(b,1)@4 r(b,3)@5") == "up(a)@1-3 up(b)@4-5"
 
 
-def test_inside_other_patterns():
+def test_row_pattern_may_be_nested():
     rule = "both(M) <- aggregate(count, r(M,V), _, steps([low where V < 3, high where V >= 3])) seq ok(M)."
     assert outputs_of(rule, "r(a,1)@1 ok(a)@2 r(a,4)@3 ok(b)@4 ok(a)@5") == "both(a)@1-5"
     rule = "two(L) <- aggregate(list(A+B), (p(A) seq q(B)), L, steps([one(2)]))."
@@ -42,34 +45,34 @@ def test_inside_other_patterns():
 
 @pytest.mark.parametrize("flag", ["revision_flag", "etalis_justification"])
 @pytest.mark.parametrize("policy", ["recent", "chronological", "unrestricted"])
-def test_the_same_under_every_flag_and_policy(flag, policy):
+def test_flags_and_policies_keep_row_pattern_matches(flag, policy):
     assert outputs_of(RISING, "r(a,1)@1 r(a,4)@3", policy, [flag]) == "up(a)@1-3"
 
 
-def test_a_match_is_taken_back_with_what_decided_it():
+def test_retraction_of_deciding_event_retracts_match():
     program = ProgramRunner(STARS.format("a(1, many) where X < 3"), ["revision_flag"])
     assert program.feed("e(1)@1 e(2)@2 e(7)@3") == "s([1,2])@1-3"
     assert program.feed("rev(e(7))@3") == "rev(s([1,2]))@3-3"
     assert program.feed("e(8)@4") == "s([1,2])@1-4"
 
 
-def test_what_is_passed_over_is_not_held():
+def test_skipped_events_are_not_stored():
     program = ProgramRunner(STARS.format("a, later(b) where X > 5"))
-    program.feed(" ".join(f"e(1)@{at}" for at in range(50)))
+    program.feed(" ".join(f"e(1)@{second}" for second in range(50)))
     (rule,) = program.engine.rules.rules
     assert rule.match_count == 1
     assert program.feed("e(6)@50") == "s([1,6])@0-50"
 
 
-def test_any_number_of_starts_may_wait():
-    """Starts counted as ways of each other, so that the hundred and first was lost."""
+def test_number_of_starts_is_not_limited():
+    """The limit of alternative matches applies to each start, not to all starts together."""
     program = ProgramRunner("o(N) <- aggregate(count, a(T), N, steps([p(101) where T > 0, n where T < 0])).")
-    program.feed(" ".join(f"a(1)@{at}" for at in range(201)))
+    program.feed(" ".join(f"a(1)@{second}" for second in range(201)))
     assert program.feed("a(-1)@201") == "o(102)@100-201"
     assert program.warnings == []
 
 
-def test_any_number_of_starts_may_wait_that_later_conditions_look_back_at():
+def test_starts_with_navigation_are_not_limited():
     steps = "a(1, many) where (X >= first(X), X < 1000), b where X =:= first(a, X) + 1000"
     program = ProgramRunner(STARS.format(steps))
     program.feed(" ".join(f"e({x})@{x}" for x in range(150)))
@@ -77,42 +80,42 @@ def test_any_number_of_starts_may_wait_that_later_conditions_look_back_at():
     assert program.warnings == []
 
 
-CROWDED = (
+AMBIGUOUS_STEPS = (
     "a(1, many) where X >= 0, b(1, many) where X >= 0, c where X =:= first(b, X), later(d) where X = 500"
 )
-"""The step b may begin at each item after the first, and c looks back at where it did."""
+"""The variable b may begin at each event after the first, and c refers to its first event."""
 
 
-def test_the_preferred_ways_of_one_start_are_followed_and_others_counted():
-    program = ProgramRunner(STARS.format(CROWDED))
-    program.feed(" ".join(f"e({at})@{at}" for at in range(100)))
+def test_alternatives_of_start_are_limited():
+    program = ProgramRunner(STARS.format(AMBIGUOUS_STEPS))
+    program.feed(" ".join(f"e({second})@{second}" for second in range(100)))
     assert program.warnings == []
-    program.feed(" ".join(f"e({at})@{at}" for at in range(100, 150)))
+    program.feed(" ".join(f"e({second})@{second}" for second in range(100, 150)))
     assert "more than 100 ways to take its steps from one start; 1 have been" in str(program.warnings[0])
     (rule,) = program.engine.rules.rules
     assert rule.match_count == 150
-    # the way in which b began with 10 was one too many, and that in which it began with 140 was not
+    # the alternative in which b begins with 10 exceeds the limit, and the one in which it begins with 140 does not
     assert program.feed("e(10)@150 e(500)@151 e(-1)@152") == ""
-    program.feed(" ".join(f"e({at})@{at + 200}" for at in range(150)))
+    program.feed(" ".join(f"e({second})@{second + 200}" for second in range(150)))
     assert program.feed("e(140)@350 e(-1)@351 e(500)@352").endswith(",149,140,500])@200-352")
 
 
-def test_partial_matches_of_steps_are_bounded_and_those_that_are_dropped_counted():
-    """Each start holds one item and many ways; both count."""
-    program = ProgramRunner(STARS.format(CROWDED))
+def test_partial_matches_are_limited():
+    """The elements and the alternatives of each start count."""
+    program = ProgramRunner(STARS.format(AMBIGUOUS_STEPS))
     program.engine.rules.max_stored = 50
     (rule,) = program.engine.rules.rules
-    for at in range(120):
-        program.feed(f"e({at})@{at}")
+    for second in range(120):
+        program.feed(f"e({second})@{second}")
         assert rule.match_count <= 50
     assert rule.dropped_count
     assert "has more than 50 partial matches" in str(program.warnings[0])
 
 
 @pytest.mark.parametrize(
-    ("steps", "found"),
+    ("steps", "expected"),
     [
-        # y may come next, although the match ends before y could take an item
+        # y may follow, although the match ends before y could match an event
         ("later(x(1, 2, until(X =:= 9))) where X > 0, y(0, 1, reluctant) where X < 0", "s([1])@0-1"),
         ("later(x(1, 2, until(X =:= 9))) where X > 0, later(y(0, 1, reluctant)) where X < 0", "s([1])@0-1"),
         ("later(x(1, 2, until(X =:= 9))) where X > 0, y(0, 1, reluctant) where X < -5", "s([1,3])@0-2"),
@@ -122,36 +125,36 @@ def test_partial_matches_of_steps_are_bounded_and_those_that_are_dropped_counted
         ),
     ],
 )
-def test_a_trailing_reluctant_step_may_come_next(steps, found):
-    assert outputs_of(STARS.format(steps), "e(1)@0 e(-2)@1 e(3)@2") == found
+def test_trailing_reluctant_variable_may_follow(steps, expected):
+    assert outputs_of(STARS.format(steps), "e(1)@0 e(-2)@1 e(3)@2") == expected
 
 
-def test_after_an_item_was_passed_over_a_step_without_later_cannot_come_next():
+def test_variable_without_later_follows_directly():
     steps = "later(x(1, 2, until(X =:= 9))) where X > 0, {} where X < 0"
     stream = "e(1)@0 e(0)@1 e(-2)@2 e(3)@3"
     assert outputs_of(STARS.format(steps.format("y(0, 1, reluctant)")), stream) == "s([1,3])@0-3"
     assert outputs_of(STARS.format(steps.format("later(y(0, 1, reluctant))")), stream) == "s([1])@0-2"
 
 
-def test_a_condition_that_raises_refuses_that_event_alone():
+def test_error_of_condition_refuses_event():
     program = ProgramRunner("s(L) <- aggregate(list(X), e(X), L, steps([a, b where X > prev(X)])).")
     assert program.feed("e(1)@1 e(x)@2 e(2)@3") == "s([1,2])@1-3"
     assert ["the condition of the step b: " in str(error) for error in program.errors] == [True]
 
 
-def test_an_error_in_until_says_so():
+def test_error_in_until_is_reported():
     program = ProgramRunner("s(L) <- aggregate(list(X), e(X), L, steps([a(1, many, until(X > nine))])).")
     assert program.feed("e(1)@1") == ""
     assert ["until of the step a: " in str(error) for error in program.errors] == [True]
 
 
-def test_parts_of_a_condition_share_the_variables_that_are_its_own():
+def test_parts_of_condition_share_variables():
     steps = "a(2, many) where (X > 1, span(N), X < 9, X - first(X) < N)"
     stream = "e(1)@1 e(2)@2 e(5)@3 e(6)@4 e(9)@5"
     assert outputs_of("span(4).\n" + STARS.format(steps), stream) == "s([2,5])@2-4"
 
 
-def test_a_condition_does_not_look_at_patterns_to_the_left():
+def test_condition_with_outer_pattern_is_refused():
     with pytest.raises(ProgramErrors, match="a condition of a step uses a pattern to the left"):
         ProgramRunner("s(L) <- x(Y) seq aggregate(list(X), e(X), L, steps([a where X > Y])).")
 
@@ -159,13 +162,13 @@ def test_a_condition_does_not_look_at_patterns_to_the_left():
 @pytest.mark.parametrize(
     "steps", ["a(1, many)", "a where X = 1, b(0, many), c where X = 2", "later(a(2, many))"]
 )
-def test_a_step_that_takes_all_and_never_ends_is_refused(steps):
+def test_endless_variable_is_refused(steps):
     with pytest.raises(ProgramErrors, match="nothing ends the step"):
         ProgramRunner(STARS.format(steps))
 
 
-def test_a_match_that_cannot_fail_is_given_up_where_there_are_too_many_ways_before_it():
-    program = ProgramRunner(STARS.format(CROWDED))
+def test_preferred_alternatives_replace_certain_match():
+    program = ProgramRunner(STARS.format(AMBIGUOUS_STEPS))
     program.feed(" ".join(f"e({x})@{x}" for x in range(101)) + " e(1)@200 e(-1)@300")
     assert program.warnings
     assert program.feed("e(5)@301 e(6)@302 e(6)@303 e(500)@304 e(-2)@305") == "s([5,6,6,500])@301-305"

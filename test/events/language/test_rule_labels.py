@@ -6,22 +6,22 @@ from events.load_messages import assert_refused, warnings_of
 from retalis.events.language.rule_head_parser import WORD_PROPERTIES
 from retalis.events.matches.match_types import AfterMatchSkipStrategy, ConsumptionPolicy
 
-FORMS = "a label is an atom, or Label([property(Name, Value), ...])"
+LABEL_ADVICE = "a label is an atom, or Label([property(Name, Value), ...])"
 
 
 @pytest.mark.parametrize(
     ("rule", "column", "part"),
     [
-        ("L : a <- b.", 1, f"{FORMS}, not a variable"),
-        ("3 : a <- b.", 1, FORMS),
-        ('"l" : a do f <- b.', 1, FORMS),
-        ("l(window, 3) : a <- b.", 1, FORMS),
-        ("l([property(window, 3)|_]) : a <- b.", 1, FORMS),
+        ("L : a <- b.", 1, f"{LABEL_ADVICE}, not a variable"),
+        ("3 : a <- b.", 1, LABEL_ADVICE),
+        ('"l" : a do f <- b.', 1, LABEL_ADVICE),
+        ("l(window, 3) : a <- b.", 1, LABEL_ADVICE),
+        ("l([property(window, 3)|_]) : a <- b.", 1, LABEL_ADVICE),
         ("l([window(3)]) : a <- b.", 4, "expected property(window, 3)"),
         ("l([property(window, 3), window = 3]) : a <- b.", 32, "expected property(window, 3)"),
         ("l([property(X, 3)]) : a <- b.", 4, "expected property(Name, Value)"),
         ("l([x]) : a <- b.", 1, "expected property(Name, Value)"),
-        ("'rule:'(X, (a <- b)).", 9, FORMS),
+        ("'rule:'(X, (a <- b)).", 9, LABEL_ADVICE),
         ("l([property(window, 1.0Inf)]) : a <- b.", 21, "needs a number of seconds"),
         ("l([property(window, -1)]) : a <- b.", 21, "needs a number of seconds"),
         ("event_rule_property(l, window, 1.0Inf).", 32, "needs a number of seconds"),
@@ -35,21 +35,21 @@ FORMS = "a label is an atom, or Label([property(Name, Value), ...])"
         ("event_rule_property(l, out_of_order, yes).", 38, "property out_of_order is off or on"),
     ],
 )
-def test_refused(rule, column, part):
+def test_invalid_label_is_refused(rule, column, part):
     assert_refused(rule, column, part)
 
 
-def test_an_unknown_property_is_warned_of_at_its_name():
+def test_unknown_property_is_reported_at_name():
     assert warnings_of("l([property(colour, red)]) : a <- b.")[0][:2] == (1, 13)
     assert warnings_of("event_rule_property(l, colour, red).")[0][:2] == (1, 24)
 
 
-def test_a_misspelt_property_is_asked_about():
+def test_misspelt_property_has_suggestion():
     message = warnings_of("l([property(polici, recent)]) : a <- b.")[0][2]
     assert "did you mean policy?" in message
     assert "did you mean" not in warnings_of("l([property(colour, red)]) : a <- b.")[0][2]
 
 
-def test_words_are_those_that_a_rule_runs_by():
+def test_property_values_are_those_of_the_network():
     assert WORD_PROPERTIES["policy"] == tuple(policy.value for policy in ConsumptionPolicy)
-    assert WORD_PROPERTIES["after_match"] == tuple(kind.value for kind in AfterMatchSkipStrategy)
+    assert WORD_PROPERTIES["after_match"] == tuple(strategy.value for strategy in AfterMatchSkipStrategy)

@@ -13,17 +13,17 @@ DAY = 86_400
 
 
 @given(st.integers(1, 10**6), st.integers(1, 4 * 10**18), st.booleans())
-def test_the_next_instant_is_the_first_multiple_after_now(milliseconds, now, aligned):
+def test_next_instant_is_first_multiple_after_present(milliseconds, now, aligned):
     period = milliseconds * 10**6
     schedule = parse_schedule(parse_term(f"every({milliseconds / 1000}{'' if aligned else ', from_now'})"))
-    found = schedule.next_instant(now)
+    next_instant = schedule.next_instant(now)
     assert schedule.repeats and schedule.period == period
-    assert now < found <= now + period
-    assert found % period == 0 if aligned else found == now + period
+    assert now < next_instant <= now + period
+    assert next_instant % period == 0 if aligned else next_instant == now + period
 
 
 @pytest.mark.parametrize(
-    "text, now, wanted",
+    "text, now, expected",
     [
         ("at(8,30,0)", 0, 8.5 * 3600),
         ("at(8,30,0)", 8.5 * 3600, DAY + 8.5 * 3600),
@@ -35,13 +35,13 @@ def test_the_next_instant_is_the_first_multiple_after_now(milliseconds, now, ali
         ("after(2.5)", 7, 9.5),
     ],
 )
-def test_instants_of_the_day_and_single_ones(text, now, wanted):
-    found = parse_schedule(parse_term(text)).next_instant(int(now * SECOND))
-    assert found == (None if wanted is None else round(wanted * SECOND))
+def test_next_instant_of_day_and_of_single_schedules(text, now, expected):
+    next_instant = parse_schedule(parse_term(text)).next_instant(int(now * SECOND))
+    assert next_instant == (None if expected is None else round(expected * SECOND))
 
 
 @pytest.mark.parametrize(
-    "text, said",
+    "text, message",
     [
         ("evry(5)", "expected every(Seconds), every(Seconds, from_now), at("),
         ("every(5, soon)", "expected every(Seconds), every(Seconds, from_now), at("),
@@ -61,21 +61,21 @@ def test_instants_of_the_day_and_single_ones(text, now, wanted):
         ("at(datime(2026,2,30,0,0,0,0))", "expected datime("),
     ],
 )
-def test_what_is_no_time_is_told_what_was_expected(text, said):
+def test_error_of_schedule_names_expected_form(text, message):
     with pytest.raises(UsageError) as raised:
         parse_schedule(parse_term(text))
-    assert said in raised.value.message
-    assert said in schedule_error(parse_term(text))
+    assert message in raised.value.message
+    assert message in schedule_error(parse_term(text))
 
 
 @pytest.mark.parametrize("text", ["W", "every(N)", "at(H,0,0)", "every(2)", "at(datime(Y,1,1,0,0,0,0))"])
-def test_what_may_yet_become_a_time_is_no_fault(text):
+def test_schedule_with_variables_is_no_error(text):
     assert schedule_error(parse_term(text)) is None
 
 
 @pytest.mark.parametrize(
-    "text, sets",
+    "text, is_schedule",
     [("timer(a, every(1))", True), ("timer(a, W)", True), ("timer(a, 5)", False), ("timer", False)],
 )
-def test_goals_that_set_timers_are_told_from_facts(text, sets):
-    assert sets_timer(parse_term(text)) is sets
+def test_timer_goals_are_distinguished_from_facts(text, is_schedule):
+    assert sets_timer(parse_term(text)) is is_schedule

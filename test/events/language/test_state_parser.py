@@ -8,7 +8,7 @@ from retalis.events.language.state_parser import declares_state, parse_state_dec
 from retalis.prolog.terms.timestamps import SECOND
 
 
-def test_a_declaration_says_what_begins_and_ends_a_state():
+def test_declaration_names_begin_and_end():
     form = parse_state_declaration(parse_term("state(at(R, P), from(arrive(R, P)), until(leave(R)))"))
     assert (form.max_duration, form.max_past, form.max_open) == (None, 1000, 10_000)
     assert str(form.functor) == "at/2"
@@ -21,7 +21,7 @@ def test_a_declaration_says_what_begins_and_ends_a_state():
 
 
 @pytest.mark.parametrize(
-    "text, said",
+    "text, message",
     [
         ("state(s, b, c)", "expected state(S, from(Event), until(Event))"),
         ("state(s, from(b), till(c))", "expected state(S, from(Event), until(Event))"),
@@ -41,14 +41,14 @@ def test_a_declaration_says_what_begins_and_ends_a_state():
         ("state(s, from(b), until(c), [open(1.0)])", "open(Number) needs an integer from 1 to"),
     ],
 )
-def test_what_is_no_declaration_is_told_what_was_expected(text, said):
+def test_error_of_declaration_names_expected_form(text, message):
     with pytest.raises(UsageError) as raised:
         parse_state_declaration(parse_term(text))
-    assert said in raised.value.message
+    assert message in raised.value.message
 
 
 @pytest.mark.parametrize(
-    "text, declares",
+    "text, expected",
     [
         ("state(a, from(b), c)", True),
         ("state(a, b, c)", False),
@@ -56,14 +56,14 @@ def test_what_is_no_declaration_is_told_what_was_expected(text, said):
         ("state", False),
     ],
 )
-def test_declarations_are_told_from_facts(text, declares):
-    assert declares_state(parse_term(text)) is declares
+def test_declarations_are_distinguished_from_facts(text, expected):
+    assert declares_state(parse_term(text)) is expected
 
 
 @pytest.mark.parametrize(
-    "text, asked",
+    "text, expected",
     [("holds(a)", "a/0"), ("holds_at(a(X), 1)", "a/1"), ("holds(X, T)", None), ("held(a)", None)],
 )
-def test_questions_name_a_state(text, asked):
-    found = queried_state(parse_term(text))
-    assert (found and str(found)) == asked
+def test_query_goals_name_state(text, expected):
+    state = queried_state(parse_term(text))
+    assert (state and str(state)) == expected

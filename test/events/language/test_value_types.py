@@ -27,36 +27,47 @@ VALUES = {
 
 
 @pytest.mark.parametrize("value", VALUES)
-def test_a_value_is_of_its_kinds_and_no_others(value):
-    kinds = [*VALUE_TYPES, "std_msgs__0__Empty", "std_msgs__0__Bool"]
-    found = [name for name in kinds if parse_value_type(parse_term(name)).accepts(parse_term(value))]
-    assert sorted(found) == sorted(VALUES[value].split())
+def test_value_is_accepted_by_its_types_only(value):
+    type_names = [*VALUE_TYPES, "std_msgs__0__Empty", "std_msgs__0__Bool"]
+    accepting_types = [
+        name for name in type_names if parse_value_type(parse_term(name)).accepts(parse_term(value))
+    ]
+    assert sorted(accepting_types) == sorted(VALUES[value].split())
 
 
-@pytest.mark.parametrize("one", VALUE_TYPES)
-@pytest.mark.parametrize("other", VALUE_TYPES)
-def test_kinds_exclude_each_other_where_no_value_is_of_both(one, other):
-    both = [value for value, kinds in VALUES.items() if {one, other} <= set(kinds.split()) and value != "nan"]
-    assert VALUE_TYPES[one].excludes(VALUE_TYPES[other]) == (not both)
-    assert VALUE_TYPES[one].excludes(VALUE_TYPES[other]) == VALUE_TYPES[other].excludes(VALUE_TYPES[one])
+@pytest.mark.parametrize("first", VALUE_TYPES)
+@pytest.mark.parametrize("second", VALUE_TYPES)
+def test_types_without_common_value_exclude_each_other(first, second):
+    common_values = [
+        value
+        for value, type_names in VALUES.items()
+        if {first, second} <= set(type_names.split()) and value != "nan"
+    ]
+    assert VALUE_TYPES[first].excludes(VALUE_TYPES[second]) == (not common_values)
+    assert VALUE_TYPES[first].excludes(VALUE_TYPES[second]) == VALUE_TYPES[second].excludes(
+        VALUE_TYPES[first]
+    )
 
 
-def test_every_form_is_one_that_terms_or_stamps_have():
+def test_forms_of_types_are_forms_of_terms():
     forms = {form_of(parse_term(value)) for value in VALUES} | {"stamp"}
-    assert frozenset().union(*(kind.forms for kind in (*VALUE_TYPES.values(), *SLOT_TYPES.values()))) == forms
+    assert (
+        frozenset().union(*(value_type.forms for value_type in (*VALUE_TYPES.values(), *SLOT_TYPES.values())))
+        == forms
+    )
 
 
-def test_messages_of_two_types_exclude_each_other():
-    one, other = (parse_value_type(parse_term(f"std_msgs__0__{name}")) for name in ("Bool", "Empty"))
-    assert one.excludes(other) and not one.excludes(one) and not one.excludes(VALUE_TYPES["event"])
+def test_message_types_exclude_each_other():
+    first, second = (parse_value_type(parse_term(f"std_msgs__0__{name}")) for name in ("Bool", "Empty"))
+    assert first.excludes(second) and not first.excludes(first) and not first.excludes(VALUE_TYPES["event"])
 
 
-def test_lists_in_lists():
+def test_list_types_may_be_nested():
     assert parse_value_type(parse_term("list(list(atom))")).items.items is VALUE_TYPES["atom"]
 
 
 @pytest.mark.parametrize(
-    "kind, said",
+    "text, message",
     [
         ("nubmer", "there is no type nubmer; did you mean number?"),
         ("text", "there is no type text: a type is any, atom, "),
@@ -66,7 +77,7 @@ def test_lists_in_lists():
         ("list(" * 20 + "atom" + ")" * 20, "a type is any, atom, "),
     ],
 )
-def test_what_is_no_kind(kind, said):
+def test_unknown_type_is_refused(text, message):
     with pytest.raises(UsageError) as caught:
-        parse_value_type(parse_term(kind))
-    assert caught.value.message.startswith(said)
+        parse_value_type(parse_term(text))
+    assert caught.value.message.startswith(message)
