@@ -23,28 +23,28 @@ def header(sequence, seconds, nanoseconds, frame):
     return struct.pack("<IIII", sequence, seconds, nanoseconds, len(frame)) + frame
 
 
-def test_a_stamped_message():
-    found = decoder("Header header\nfloat64 x\n" + HEADER)
-    term = found.decode(header(7, 1413748205, 981209993, b"/odom") + struct.pack("<d", 0.5))
+def test_message_with_header_is_decoded():
+    message_decoder = decoder("Header header\nfloat64 x\n" + HEADER)
+    term = message_decoder.decode(header(7, 1413748205, 981209993, b"/odom") + struct.pack("<d", 0.5))
     stamp = make_list([1413748205, 981209993])
     assert term == (
         functor("pkg__0__Type", 2),
         (functor("std_msgs__0__Header", 3), 7, stamp, atom('"/odom"')),
         0.5,
     )
-    assert found.functor is functor("pkg__0__Type", 2)
+    assert message_decoder.functor is functor("pkg__0__Type", 2)
 
 
-def test_a_type_without_slots_is_an_atom():
-    found = decoder("uint8 X=1\n", "std_msgs/Empty")
-    assert found.decode(b"") is atom("std_msgs__0__Empty")
-    assert found.lazy(b"") is atom("std_msgs__0__Empty")
-    assert found.functor is functor("std_msgs__0__Empty", 0)
+def test_message_without_slots_is_an_atom():
+    message_decoder = decoder("uint8 X=1\n", "std_msgs/Empty")
+    assert message_decoder.decode(b"") is atom("std_msgs__0__Empty")
+    assert message_decoder.lazy(b"") is atom("std_msgs__0__Empty")
+    assert message_decoder.functor is functor("std_msgs__0__Empty", 0)
     with pytest.raises(MessageError, match="1 byte is not a std_msgs/Empty: 1 left over"):
-        found.decode(b"x")
+        message_decoder.decode(b"x")
 
 
-def test_numbers_at_their_limits():
+def test_limits_of_numbers_are_decoded():
     text = "int8 a\nuint8 b\nint64 c\nuint64 d\nbyte e\nchar f\nbool g\nbool h\ntime t\nduration u\n"
     data = struct.pack(
         "<bBqQbB??IIii", -128, 255, -(2**63), 2**64 - 1, -1, 255, True, False, 2**32 - 1, 5, -1, -2
@@ -63,51 +63,51 @@ def test_numbers_at_their_limits():
     ]
 
 
-def test_floats_that_are_no_numbers():
-    one, two, three = args(
+def test_special_floats_are_decoded():
+    first, second, third = args(
         decoder("float32 a\nfloat64 b\nfloat64 c\n").decode(
             struct.pack("<fdd", float("nan"), float("inf"), -0.0)
         )
     )
-    assert one != one
-    assert two == float("inf")
-    assert str(three) == "-0.0"
+    assert first != first
+    assert second == float("inf")
+    assert str(third) == "-0.0"
 
 
-def test_byte_arrays_are_texts():
+def test_byte_arrays_are_decoded_as_strings():
     term = decoder("uint8[] a\nuint8[3] b\nchar[] c\nbyte[] d\n").decode(
         struct.pack("<I3s3sI2sI2b", 3, b"abc", b"\0\1\2", 2, b"hi", 2, 1, -1)
     )
     assert args(term) == [atom('"abc"'), atom('"FFFFFFFFFFAAEC////"'), atom('"hi"'), make_list([1, -1])]
 
 
-def test_short_arrays_are_there_and_long_ones_are_lazy():
-    found = decoder("float64[] short\nfloat64[] long\nfloat64[3] three\nfloat64[36] matrix\n")
+def test_long_arrays_are_decoded_lazily():
+    message_decoder = decoder("float64[] short\nfloat64[] long\nfloat64[3] three\nfloat64[36] matrix\n")
     values = [float(value) for value in range(36)]
     data = struct.pack("<I2dI9d3d36d", 2, 1.0, 2.0, 9, *values[:9], *values[:3], *values)
-    term = found.decode(data)
+    term = message_decoder.decode(data)
     assert [part.__class__ is Lazy for part in term[1:]] == [False, True, False, True]
     assert [list_items(part) for part in term[1:]] == [[1.0, 2.0], values[:9], values[:3], values]
 
 
-def test_what_is_not_looked_at_is_not_decoded():
-    found = decoder("uint8[] image\nfloat32[] ranges\n")
+def test_unread_arrays_are_not_decoded():
+    message_decoder = decoder("uint8[] image\nfloat32[] ranges\n")
     size = 1 << 20
-    term = found.decode(struct.pack("<I", size) + bytes(size) + struct.pack("<I", 5) + bytes(20))
+    term = message_decoder.decode(struct.pack("<I", size) + bytes(size) + struct.pack("<I", 5) + bytes(20))
     image, ranges = term[1:]
     assert image.__class__ is Lazy and image.decoded_term is None
     assert ranges.__class__ is Lazy and ranges.decoded_term is None
     assert deref(image).name.startswith('"FFFFFFFFFFAAAA')
 
 
-def test_a_lazy_message_is_decoded_when_it_is_looked_at():
-    found = decoder("int8 x\n")
-    term = found.lazy(b"\5")
+def test_lazy_message_is_decoded_on_access():
+    message_decoder = decoder("int8 x\n")
+    term = message_decoder.lazy(b"\5")
     assert term.functor is functor("pkg__0__Type", 1)
     assert term.decoded_term is None
     assert deref(term) == (functor("pkg__0__Type", 1), 5)
     with pytest.raises(MessageError):
-        deref(found.lazy(b""))
+        deref(message_decoder.lazy(b""))
 
 
 @pytest.mark.parametrize(
@@ -131,54 +131,54 @@ def test_a_lazy_message_is_decoded_when_it_is_looked_at():
         ),
     ],
 )
-def test_broken_messages(data, message):
+def test_error_names_slot_of_incomplete_message(data, message):
     text = "Inner[] all\n" + "=" * 80 + "\nMSG: pkg/Inner\nHeader header\nfloat64 x\n" + HEADER
     with pytest.raises(MessageError) as caught:
         decoder(text).decode(data)
     assert message in caught.value.message
 
 
-def test_every_cut_of_a_message_is_an_error():
+def test_truncated_message_is_an_error():
     text = "string[] names\nInner[] all\nuint8[] raw\nfloat32[9] m\nfloat64[] many\n"
-    found = decoder(text + "=" * 80 + "\nMSG: pkg/Inner\nbool x\nstring[2] y\n")
+    message_decoder = decoder(text + "=" * 80 + "\nMSG: pkg/Inner\nbool x\nstring[2] y\n")
     data = struct.pack("<II2sI3s", 2, 2, b"ab", 3, b"abc")
     data += struct.pack("<I?I1sI0s", 1, True, 1, b"x", 0, b"")
     data += struct.pack("<I3s9fI6d", 3, b"abc", *range(9), 6, *range(6))
-    found.decode(data)
+    message_decoder.decode(data)
     for size in range(len(data)):
         with pytest.raises(MessageError, match="they end inside slot|left over"):
-            found.decode(data[:size])
+            message_decoder.decode(data[:size])
     with pytest.raises(MessageError, match="1 left over"):
-        found.decode(data + b"\0")
+        message_decoder.decode(data + b"\0")
 
 
-def test_an_array_of_nothing_cannot_be_endless():
-    found = decoder("Nothing[] all\n" + "=" * 80 + "\nMSG: pkg/Nothing\n")
-    assert list_items(args(found.decode(struct.pack("<I", 3)))[0]) == [atom("pkg__0__Nothing")] * 3
+def test_array_of_empty_messages_is_limited():
+    message_decoder = decoder("Nothing[] all\n" + "=" * 80 + "\nMSG: pkg/Nothing\n")
+    assert list_items(args(message_decoder.decode(struct.pack("<I", 3)))[0]) == [atom("pkg__0__Nothing")] * 3
     with pytest.raises(MessageError):
-        found.decode(struct.pack("<I", 2**32 - 1))
+        message_decoder.decode(struct.pack("<I", 2**32 - 1))
 
 
-def test_stamps():
-    found = decoder("Header header\nint8 x\n" + HEADER)
-    assert found.stamp(header(1, 3, 4, b"frame") + b"\0") == 3_000_000_004
-    assert found.stamp(header(1, 0, 0, b"frame") + b"\0") is None
+def test_stamp_is_read_from_leading_header():
+    message_decoder = decoder("Header header\nint8 x\n" + HEADER)
+    assert message_decoder.stamp(header(1, 3, 4, b"frame") + b"\0") == 3_000_000_004
+    assert message_decoder.stamp(header(1, 0, 0, b"frame") + b"\0") is None
     with pytest.raises(MessageError):
-        found.stamp(b"123")
+        message_decoder.stamp(b"123")
     assert decoder("int8 x\nHeader header\n" + HEADER).stamp(b"") is None
     assert decoder("Header other\n" + HEADER).stamp(header(1, 3, 4, b"")) is None
     assert decoder("int8 x\n").stamp(b"\0") is None
 
 
-def test_texts_seen_before_are_the_same_atoms_and_do_not_pile_up(monkeypatch):
+def test_cache_of_strings_is_bounded(monkeypatch):
     monkeypatch.setattr(cached_texts, "max_entries", 10)
     cached_texts.clear()  # what other tests have left there
-    found = decoder("Header header\nstring child\nfloat64 x\n" + HEADER)
+    message_decoder = decoder("Header header\nstring child\nfloat64 x\n" + HEADER)
     tail = struct.pack("<d", 1.0)
     for number in range(50):
         child = b"child%d" % number
         data = header(1, 2, 3, b"base") + struct.pack("<I", len(child)) + child + tail
-        first, again = found.decode(data), found.decode(data)
+        first, again = message_decoder.decode(data), message_decoder.decode(data)
         assert args(args(first)[0])[2] is args(args(again)[0])[2] is atom('"base"')
         assert args(first)[1] is atom(f'"child{number}"')
     assert len(cached_texts) <= 10
@@ -205,22 +205,22 @@ EMPTY = section("pkg/Empty", "")
         ("pkg/Outer[] x\n" + section("pkg/Outer", "pkg/Empty[] e\n") + EMPTY, struct.pack("<III", 2, 6000, 6000)),
     ],
 )  # fmt: skip
-def test_elements_without_bytes_are_bounded_in_number(text, data):
+def test_number_of_elements_without_bytes_is_limited(text, data):
     with pytest.raises(MessageError, match="zero-byte elements in its arrays: at most 10000 are allowed"):
         decoder(text).decode(data)
 
 
-def test_how_many_elements_without_bytes_is_a_setting():
+def test_limit_of_elements_without_bytes_is_configurable():
     definitions = Definitions(InstalledTypes([], [], include_rosbags=False), bare=3)
-    found = definitions.decoder(definitions.add("pkg/Type", "pkg/Empty[] x\n" + EMPTY))
-    assert len(list_items(args(found.decode(struct.pack("<I", 3)))[0])) == 3
+    message_decoder = definitions.decoder(definitions.add("pkg/Type", "pkg/Empty[] x\n" + EMPTY))
+    assert len(list_items(args(message_decoder.decode(struct.pack("<I", 3)))[0])) == 3
     with pytest.raises(MessageError, match="a pkg/Type has 4 zero-byte elements in its arrays: at most 3"):
-        found.decode(struct.pack("<I", 4))
+        message_decoder.decode(struct.pack("<I", 4))
     with pytest.raises(MessageError, match="they end inside slot x"):
-        found.decode(b"12")
+        message_decoder.decode(b"12")
 
 
-def test_a_long_array_is_refused_before_it_is_made():
+def test_length_beyond_end_of_message_is_an_error():
     text = "pkg/Text[] x\n" + section("pkg/Text", "string s\n")
     with pytest.raises(MessageError, match="they end inside slot"):
         decoder(text).decode(struct.pack("<I", 0xFFFFFFFF) + bytes(64))

@@ -42,16 +42,16 @@ def pose(frame, name, x=0.5, y=0.25, number=7):
 
 
 @pytest.mark.parametrize("frame", ODD)
-def test_texts_are_written_as_those_of_terms(frame):
-    found = decoder(POSE)
+def test_strings_have_text_of_their_terms(frame):
+    message_decoder = decoder(POSE)
     data = pose(frame, frame[::-1])
     for _ in range(2):  # texts that are seen for the first time, and again
-        assert make_text_writer(found)(data) == to_text(found.decode(data))
+        assert make_text_writer(message_decoder)(data) == to_text(message_decoder.decode(data))
 
 
 @settings(deadline=None)
 @given(st.floats(), st.floats(width=32), st.integers(-(2**63), 2**63 - 1))
-def test_numbers_are_written_as_those_of_terms(x, y, number):
+def test_numbers_have_text_of_their_terms(x, y, number):
     data = pose(b"f", b"n", x, y, number)
     text = _writer(data)
     assert text == to_text(_decoder.decode(data))
@@ -71,27 +71,27 @@ def twisted(x, y, z, t, w):
 
 @settings(deadline=None, max_examples=50)
 @given(st.lists(st.lists(st.sampled_from(FLOATS), min_size=7, max_size=7), min_size=2, max_size=4))
-def test_floats_that_stay_and_that_change_are_written_as_those_of_terms(rows):
-    found = decoder(TWISTED)
-    write = make_text_writer(found)
+def test_repeated_and_changed_floats_have_text_of_their_terms(rows):
+    message_decoder = decoder(TWISTED)
+    write = make_text_writer(message_decoder)
     for row in rows:
         for _ in range(2):
             data = twisted(*row[:3], row[3:6], row[6])
-            assert write(data) == to_text(found.decode(data))
+            assert write(data) == to_text(message_decoder.decode(data))
 
 
-def test_floats_before_texts_and_without_are_written_as_those_of_terms():
+def test_floats_before_strings_have_text_of_their_terms():
     for text, data in (
         (
             "float64 x\nfloat64 y\nstring name\n",
-            [struct.pack("<dd", at, 1e-9) + packed(b"n") for at in (1.5, 1e30)],
+            [struct.pack("<dd", number, 1e-9) + packed(b"n") for number in (1.5, 1e30)],
         ),
         ("string name\nfloat64[0] x\nint8 n\n", [packed(b"n") + b"\x05"]),
     ):
-        found = decoder(text)
-        write = make_text_writer(found)
-        for one in data * 2:
-            assert write(one) == to_text(found.decode(one))
+        message_decoder = decoder(text)
+        write = make_text_writer(message_decoder)
+        for message in data * 2:
+            assert write(message) == to_text(message_decoder.decode(message))
 
 
 _decoder = decoder(POSE)
@@ -111,49 +111,51 @@ _writer = make_text_writer(_decoder)
         ("", b""),
     ],
 )
-def test_every_form_of_message_is_written(text, data):
-    found = decoder(text)
-    assert make_text_writer(found)(data) == to_text(found.decode(data))
+def test_message_of_each_form_has_text_of_its_term(text, data):
+    message_decoder = decoder(text)
+    assert make_text_writer(message_decoder)(data) == to_text(message_decoder.decode(data))
 
 
-def test_messages_with_any_number_of_elements():
-    found = decoder("Part[] parts\n" + "=" * 80 + "\nMSG: pkg/Part\nstring name\nfloat64 x\n")
+def test_array_of_any_length_has_text_of_its_term():
+    message_decoder = decoder("Part[] parts\n" + "=" * 80 + "\nMSG: pkg/Part\nstring name\nfloat64 x\n")
     part = packed(b"x") + struct.pack("<d", 2.0)
     for number in range(3):
         data = struct.pack("<I", number) + part * number
-        assert make_text_writer(found)(data) == to_text(found.decode(data))
+        assert make_text_writer(message_decoder)(data) == to_text(message_decoder.decode(data))
 
 
-def test_broken_bytes_are_no_message():
+def test_incomplete_message_is_an_error():
     with pytest.raises(MessageError, match="pkg/Type"):
         _writer(pose(b"f", b"n")[:-1])
 
 
-def test_an_event_has_its_instant_twice():
+def test_event_text_has_instant_as_interval():
     instant = 1413748205_000000007
     stamp = to_text(datime(instant))
     assert event_text("e(1)", instant) == f"event(e(1),[{stamp},{stamp}])"
 
 
-def test_long_arrays_and_texts_that_nobody_reads_are_left_out():
-    one = decoder(
+def test_long_unread_arguments_are_replaced():
+    message_decoder = decoder(
         "Header header\nuint8[] data\nfloat64[] numbers\nstring[] names\nstring text\nint32 size\n" + HEADER
     )
     data = struct.pack("<III", 1, 2, 3) + packed(b"cam") + packed(b"x" * 5000)
     data += struct.pack("<I100d", 100, *range(100)) + struct.pack("<I", 1) + packed(b"joint")
     data += packed(b"y" * 5000) + struct.pack("<i", 7)
     mark = atom("gone")
-    whole = make_text_writer(one)(data)
-    assert write_without_unread(one, data, set(), mark) == whole
-    short = write_without_unread(one, data, {1, 2, 3, 4, 5, 6}, mark)
+    whole = make_text_writer(message_decoder)(data)
+    assert write_without_unread(message_decoder, data, set(), mark) == whole
+    short = write_without_unread(message_decoder, data, {1, 2, 3, 4, 5, 6}, mark)
     assert short == "pkg__0__Type(std_msgs__0__Header(1,[2,3],'\"cam\"'),gone,gone,gone,gone,7)"
-    some = write_without_unread(one, data, {2, 5}, mark)
+    some = write_without_unread(message_decoder, data, {2, 5}, mark)
     assert "xxx" not in some and "yyy" not in some and "99.0" in some and "joint" in some
 
 
-def test_short_slots_stay_where_they_are_and_broken_messages_are_errors():
-    one = decoder("string a\nuint8[] b\nint32[] c\n")
+def test_short_unread_arguments_are_kept():
+    message_decoder = decoder("string a\nuint8[] b\nint32[] c\n")
     data = packed(b"short") + packed(b"data") + struct.pack("<I", 0)
-    assert write_without_unread(one, data, {1, 2, 3}, atom("gone")) == make_text_writer(one)(data)
+    assert write_without_unread(message_decoder, data, {1, 2, 3}, atom("gone")) == make_text_writer(
+        message_decoder
+    )(data)
     with pytest.raises(MessageError):
-        write_without_unread(one, data[:-1], {1, 2, 3}, atom("gone"))
+        write_without_unread(message_decoder, data[:-1], {1, 2, 3}, atom("gone"))

@@ -24,13 +24,13 @@ def read(text, name="my_msgs/msg/Kind", find=find, is_idl=False):
     return parse_ros2_type(name, text, find, is_idl)
 
 
-def slots(found):
-    return [f"{slot.describe()} {slot.name}" for slot in found.definition.fields]
+def slots(message_type):
+    return [f"{slot.describe()} {slot.name}" for slot in message_type.definition.fields]
 
 
-def shown(found, raw):
+def decode_text(message_type, raw):
     definitions = Definitions()
-    return to_text(definitions.decoder(found.definition).decode(found.to_ros1(raw)))
+    return to_text(definitions.decoder(message_type.definition).decode(message_type.to_ros1(raw)))
 
 
 def cdr(layout, *values, order="<"):
@@ -69,7 +69,7 @@ def cdr(layout, *values, order="<"):
         ("std_msgs/msg/Header header", "std_msgs/Header header"),
     ],
 )
-def test_slots(line, slot):
+def test_slots_are_converted(line, slot):
     assert slots(read(f"# a comment\n\n{line}\n")) == [slot]
 
 
@@ -88,14 +88,14 @@ def test_slots(line, slot):
         ('wstring S="ü"', ("string", "S", "ü")),
     ],
 )
-def test_constants(line, constant):
-    (found,) = read(line).definition.constants
-    assert (found.type, found.name, found.value) == constant
+def test_constants_are_converted(line, constant):
+    (converted,) = read(line).definition.constants
+    assert (converted.type, converted.name, converted.value) == constant
 
 
-def test_a_constant_that_ros_1_cannot_express_is_left_out():
-    found = read("int32 X=5 + 5\nint8 Y=128\nint32 x\n")
-    assert (found.definition.constants, slots(found)) == ((), ["int32 x"])
+def test_constant_out_of_range_is_omitted():
+    message_type = read("int32 X=5 + 5\nint8 Y=128\nint32 x\n")
+    assert (message_type.definition.constants, slots(message_type)) == ((), ["int32 x"])
 
 
 @pytest.mark.parametrize(
@@ -112,13 +112,13 @@ def test_a_constant_that_ros_1_cannot_express_is_left_out():
         "time T=5",
     ],
 )
-def test_what_is_no_definition_is_an_error_with_its_place(text):
+def test_error_in_definition_has_line(text):
     with pytest.raises(MessageError) as caught:
         read(f"int32 good\n{text}\n")
     assert caught.value.place.line == 2
 
 
-def test_types_that_cannot_be():
+def test_undefined_and_recursive_types_are_errors():
     with pytest.raises(
         MessageError, match="the type my_msgs/Gone is not defined in the bag or on this system"
     ):
@@ -131,19 +131,19 @@ def test_types_that_cannot_be():
         read("#" * (1 << 20) + "\n")
 
 
-def test_nested_types_come_with_the_text_or_are_found():
+def test_nested_types_are_read_from_text():
     line = "=" * 80
     text = f"Own[<=2] own\nother_msgs/msg/Own far\n{line}\nMSG: my_msgs/msg/Own\nLone lone\n{line}\n"
     text += f"MSG: other_msgs/Own\nint8 x 1\n{line}\nMSG: third_msgs/Lone\nwstring<=3 w\n"
-    found = read(text, find=lambda kind: None)
-    assert slots(found) == ["my_msgs/Own[] own", "other_msgs/Own far"]
-    assert shown(found, cdr("IIIIbxxx", 1, 2, ord("ü"), ord("2"), 7)) == (
+    message_type = read(text, find=lambda kind: None)
+    assert slots(message_type) == ["my_msgs/Own[] own", "other_msgs/Own far"]
+    assert decode_text(message_type, cdr("IIIIbxxx", 1, 2, ord("ü"), ord("2"), 7)) == (
         "my_msgs__0__Kind([my_msgs__0__Own(third_msgs__0__Lone('\"ü2\"'))],other_msgs__0__Own(7))"
     )
 
 
-def test_numbers_are_aligned_from_each_place():
-    found = read(
+def test_numbers_are_aligned():
+    message_type = read(
         "string s\nint8 a\nfloat64 b\nint8 c\nint16 d\nint8 e\nint32 f\nint64[] g\nint16[<=3] h\nint8 i\n"
     )
     for text in ("", "a", "ab", "abc", "abcd", "abcde", "abcdef", "abcdefg"):
@@ -153,25 +153,26 @@ def test_numbers_are_aligned_from_each_place():
             raw += bytes(-len(raw) % size) + struct.pack(f"<{code}", value)
         raw += struct.pack("<Ib", 0, 9)
         assert (
-            shown(found, b"\0\1\0\0" + raw) == f"my_msgs__0__Kind('\"{text}\"',1,2.5,-3,-4,5,-6,[-7,8],[],9)"
+            decode_text(message_type, b"\0\1\0\0" + raw)
+            == f"my_msgs__0__Kind('\"{text}\"',1,2.5,-3,-4,5,-6,[-7,8],[],9)"
         )
 
 
-def test_an_empty_array_is_not_aligned_to_its_elements():
-    found = read("int32 a\nfloat64[] b\nint32 c\n")
-    assert shown(found, cdr("iIi", 1, 0, 2)) == "my_msgs__0__Kind(1,[],2)"
+def test_empty_array_has_no_alignment_of_elements():
+    message_type = read("int32 a\nfloat64[] b\nint32 c\n")
+    assert decode_text(message_type, cdr("iIi", 1, 0, 2)) == "my_msgs__0__Kind(1,[],2)"
 
 
-def test_a_byte_is_an_octet():
-    found = read("byte a\nchar b\nbyte[3] c\n")
-    assert shown(found, cdr("BB3s", 200, 201, b"abc")) == "my_msgs__0__Kind(200,201,'\"abc\"')"
+def test_byte_is_unsigned():
+    message_type = read("byte a\nchar b\nbyte[3] c\n")
+    assert decode_text(message_type, cdr("BB3s", 200, 201, b"abc")) == "my_msgs__0__Kind(200,201,'\"abc\"')"
 
 
-def test_a_type_without_slots_has_a_byte():
-    found = read("int8 X=1\n", "my_msgs/msg/Nothing")
-    assert found.to_ros1(cdr("B", 0)) == b""
+def test_type_without_slots_has_a_byte():
+    message_type = read("int8 X=1\n", "my_msgs/msg/Nothing")
+    assert message_type.to_ros1(cdr("B", 0)) == b""
     text = f"Nothing one\nNothing[] more\nint8 x\n{'=' * 80}\nMSG: my_msgs/Nothing\n"
-    assert shown(read(text), cdr("BxxxIBBb", 0, 2, 0, 0, 7)) == (
+    assert decode_text(read(text), cdr("BxxxIBBb", 0, 2, 0, 0, 7)) == (
         "my_msgs__0__Kind(my_msgs__0__Nothing,[my_msgs__0__Nothing,my_msgs__0__Nothing],7)"
     )
 
@@ -179,26 +180,29 @@ def test_a_type_without_slots_has_a_byte():
 @pytest.mark.parametrize("text", ["", "Jürgen", "日本", "🤖 two units", "a" * 30])
 @pytest.mark.parametrize("width", [2, 4])
 @pytest.mark.parametrize("order", ["<", ">"])
-def test_wide_strings(text, width, order):
-    found = read("int8 a\nwstring<=30 b\nint8 c\n")
+def test_wide_strings_are_converted(text, width, order):
+    message_type = read("int8 a\nwstring<=30 b\nint8 c\n")
     coded = text.encode("utf-16-le")
     units = struct.unpack(f"<{len(coded) // 2}H", coded)
     raw = cdr(f"bxxxI{len(units)}{'H' if width == 2 else 'I'}b", 1, len(units), *units, 2, order=order)
-    assert shown(found, raw) == f"my_msgs__0__Kind(1,'\"{text}\"',2)"
+    assert decode_text(message_type, raw) == f"my_msgs__0__Kind(1,'\"{text}\"',2)"
 
 
-def test_half_a_surrogate_pair_in_a_wide_string_is_no_text():
-    found = read("wstring a\n")
-    assert shown(found, cdr("II", 1, 0xD800)) == "my_msgs__0__Kind('\"FFFFFFFFFF7aCA////\"')"
+def test_lone_surrogate_in_wide_string_is_binary():
+    message_type = read("wstring a\n")
+    assert decode_text(message_type, cdr("II", 1, 0xD800)) == "my_msgs__0__Kind('\"FFFFFFFFFF7aCA////\"')"
 
 
-def test_big_endian():
-    found = read("int8 a\nfloat64 b\nstring c\nuint16[] d\nuint8[] e\nfloat64[10] f\n")
+def test_big_endian_is_converted():
+    message_type = read("int8 a\nfloat64 b\nstring c\nuint16[] d\nuint8[] e\nfloat64[10] f\n")
     values = (1, 2.5, 3, b"hi\0", 2, 0x102, 0x304, 1, b"x")
     raw = bytearray(cdr("b7xdI3sxIHHI1s", *values, order=">"))
     raw += bytes(-(len(raw) - 4) % 8) + struct.pack(">10d", *range(10))
     floats = ",".join(str(float(number)) for number in range(10))
-    assert shown(found, bytes(raw)) == f"my_msgs__0__Kind(1,2.5,'\"hi\"',[258,772],'\"x\"',[{floats}])"
+    assert (
+        decode_text(message_type, bytes(raw))
+        == f"my_msgs__0__Kind(1,2.5,'\"hi\"',[258,772],'\"x\"',[{floats}])"
+    )
 
 
 @pytest.mark.parametrize(
@@ -215,16 +219,16 @@ def test_big_endian():
         (cdr("I", 2**32 - 1), "are not a"),
     ],
 )
-def test_what_is_no_message_is_an_error(raw, reason):
+def test_invalid_message_is_an_error(raw, reason):
     with pytest.raises(MessageError, match=reason):
         read("string a\nint32[] b\n").to_ros1(raw)
 
 
-def test_up_to_three_bytes_may_follow():
-    found = read("int8 a\n")
-    assert [found.to_ros1(cdr(f"b{number}x", 5)) for number in range(4)] == [b"\5"] * 4
+def test_padding_of_three_bytes_is_accepted():
+    message_type = read("int8 a\n")
+    assert [message_type.to_ros1(cdr(f"b{number}x", 5)) for number in range(4)] == [b"\5"] * 4
     with pytest.raises(MessageError):
-        found.to_ros1(cdr("b4x", 5))
+        message_type.to_ros1(cdr("b4x", 5))
 
 
 KINDS = sorted(STORE.types)
@@ -232,7 +236,7 @@ KINDS = sorted(STORE.types)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", KINDS)
-def test_every_usual_type_is_converted_as_rosbags_does(name):
+def test_all_common_types_are_converted_as_by_rosbags(name):
     check_type(name)
 
 
@@ -250,12 +254,12 @@ def test_every_usual_type_is_converted_as_rosbags_does(name):
         "builtin_interfaces/msg/Time",
     ],
 )
-def test_usual_types_are_converted_as_rosbags_does(name):
+def test_common_types_are_converted_as_by_rosbags(name):
     check_type(name)
 
 
 def check_type(name):
-    found = read(find(name.replace("/msg/", "/")), name)
+    message_type = read(find(name.replace("/msg/", "/")), name)
 
     @settings(
         deadline=None,
@@ -265,14 +269,14 @@ def check_type(name):
     )
     @given(
         messages(
-            found.definition,
+            message_type.definition,
             st.text(st.characters(blacklist_categories=["Cs", "Cc"]), max_size=9).map(str.encode),
         )
     )
     def every_message(values):
-        raw = serialize(found.definition, without_numbers(found.definition, values))
+        raw = serialize(message_type.definition, without_numbers(message_type.definition, values))
         data = bytes(STORE.ros1_to_cdr(raw, name))
-        assert found.to_ros1(data) == raw
+        assert message_type.to_ros1(data) == raw
         assert bytes(STORE.cdr_to_ros1(data, name)) == raw
 
     every_message()
@@ -281,15 +285,15 @@ def check_type(name):
 def without_numbers(definition, values):
     """Return values with 0 as the number in headers, which ROS 2 does not have, and with times before 2038."""
     values = list(values)
-    for at, slot in enumerate(definition.fields):
+    for index, slot in enumerate(definition.fields):
         if slot.type == "time" and slot.length is None:
-            values[at] = [values[at][0] % 2**31, values[at][1]]
+            values[index] = [values[index][0] % 2**31, values[index][1]]
         elif slot.type == "time":
-            values[at] = [[seconds % 2**31, nanoseconds] for seconds, nanoseconds in values[at]]
+            values[index] = [[seconds % 2**31, nanoseconds] for seconds, nanoseconds in values[index]]
         elif slot.definition is not None and slot.length is None:
-            values[at] = without_numbers(slot.definition, values[at])
+            values[index] = without_numbers(slot.definition, values[index])
         elif slot.definition is not None:
-            values[at] = [without_numbers(slot.definition, one) for one in values[at]]
+            values[index] = [without_numbers(slot.definition, value) for value in values[index]]
     if definition.name == "std_msgs/Header":
         values[0] = 0
     return values
@@ -328,23 +332,23 @@ int8 c
     deadline=None, derandomize=True, max_examples=40, suppress_health_check=[HealthCheck.data_too_large]
 )
 @given(st.lists(st.tuples(st.sampled_from(SLOTS), st.sampled_from(ARRAYS)), max_size=5), st.data())
-def test_types_of_any_slots_are_converted_as_rosbags_does(slots, data):
+def test_random_types_are_converted_as_by_rosbags(slots, data):
     full = {"Empty": "std_msgs/Empty", "Header": "std_msgs/Header"}
     text = "".join(
         f"{full.get(kind, kind)}{array} slot{number}\n" for number, (kind, array) in enumerate(slots)
     )
-    found = read(text + PARTS)
+    message_type = read(text + PARTS)
     store = get_typestore(Stores.LATEST)
     store.register(get_types_from_msg(text + PARTS, "my_msgs/msg/Kind"))
     values = data.draw(
-        messages(found.definition, st.text(st.characters(whitelist_categories=["L"])).map(str.encode))
+        messages(message_type.definition, st.text(st.characters(whitelist_categories=["L"])).map(str.encode))
     )
-    raw = serialize(found.definition, without_numbers(found.definition, values))
+    raw = serialize(message_type.definition, without_numbers(message_type.definition, values))
     converted = bytes(store.ros1_to_cdr(raw, "my_msgs/msg/Kind"))
-    assert found.to_ros1(converted) == raw
+    assert message_type.to_ros1(converted) == raw
     for end in range(len(converted)):
         with pytest.raises(MessageError):
-            found.to_ros1(converted[:end])
+            message_type.to_ros1(converted[:end])
 
 
 # ---- times before 1970 -------------------------------------------------------------------------------
@@ -362,19 +366,21 @@ def test_types_of_any_slots_are_converted_as_rosbags_does(slots, data):
     ],
 )
 def test_negative_seconds_of_time_are_an_error(order, text, layout, values):
-    found = read(text)
+    message_type = read(text)
     negative, positive = (cdr(layout, *numbers, order=order) for numbers in values)
-    assert len(found.to_ros1(positive)) > 4
+    assert len(message_type.to_ros1(positive)) > 4
     with pytest.raises(MessageError, match="a my_msgs/Kind has a time of -5 s: expected at least 0 s"):
-        found.to_ros1(negative)
+        message_type.to_ros1(negative)
 
 
 def test_negative_seconds_of_stamp_and_duration():
-    found = read("Header header\nbuiltin_interfaces/Duration d\n")
+    message_type = read("Header header\nbuiltin_interfaces/Duration d\n")
     message = cdr("iIIBxxxiI", 4, 0, 1, 0, -5, 0)
-    assert shown(found, message) == "my_msgs__0__Kind(std_msgs__0__Header(0,[4,0],'\"\"'),[-5,0])"
+    assert (
+        decode_text(message_type, message) == "my_msgs__0__Kind(std_msgs__0__Header(0,[4,0],'\"\"'),[-5,0])"
+    )
     with pytest.raises(MessageError, match="has a time of -4 s"):
-        found.to_ros1(cdr("iIIBxxxiI", -4, 0, 1, 0, -5, 0))
+        message_type.to_ros1(cdr("iIIBxxxiI", -4, 0, 1, 0, -5, 0))
 
 
 # ---- events of services ------------------------------------------------------------------------------
@@ -397,25 +403,27 @@ uint8 pace
 
 @pytest.mark.parametrize("text", [SERVICE, SERVICE.split("srv/Go\n")[1]])
 def test_service_event_has_info_request_and_response(text):
-    found = read(text, "my_msgs/srv/Go_Event")
-    assert found.definition.name == "my_msgs/Go_Event"
-    assert slots(found) == [
+    message_type = read(text, "my_msgs/srv/Go_Event")
+    assert message_type.definition.name == "my_msgs/Go_Event"
+    assert slots(message_type) == [
         "service_msgs/ServiceEventInfo info",
         "my_msgs/Go_Request[] request",
         "my_msgs/Go_Response[] response",
     ]
     info = struct.pack("<BxxxiI16s4xq", 2, 4, 5, bytes(range(16)), 7)
-    request = shown(found, b"\0\1\0\0" + info + struct.pack("<I4x3dBxxxI", 1, 1.0, 2.0, 3.0, 1, 0))
-    gid = to_text(shown_gid(bytes(range(16))))
+    request = decode_text(
+        message_type, b"\0\1\0\0" + info + struct.pack("<I4x3dBxxxI", 1, 1.0, 2.0, 3.0, 1, 0)
+    )
+    gid = to_text(decode_gid(bytes(range(16))))
     head = f"my_msgs__0__Go_Event(service_msgs__0__ServiceEventInfo(2,[4,5],{gid},7)"
     assert request == (
         f"{head},[my_msgs__0__Go_Request(geometry_msgs__0__Point(1.0,2.0,3.0),my_msgs__0__Pace(1))],[])"
     )
-    response = shown(found, b"\0\1\0\0" + info + struct.pack("<IIBxxxI3s", 0, 1, 1, 3, b"no\0"))
+    response = decode_text(message_type, b"\0\1\0\0" + info + struct.pack("<IIBxxxI3s", 0, 1, 1, 3, b"no\0"))
     assert response == f"{head},[],[my_msgs__0__Go_Response(true,'\"no\"')])"
 
 
-def shown_gid(gid):
+def decode_gid(gid):
     """Return the term of a byte array."""
     definitions = Definitions()
     array = definitions.add("my_msgs/Gid", "char[16] gid")
@@ -423,10 +431,10 @@ def shown_gid(gid):
 
 
 def test_empty_request_of_service_has_a_byte():
-    found = read("---\nbool ok\n", "my_msgs/srv/Stop_Event")
+    message_type = read("---\nbool ok\n", "my_msgs/srv/Stop_Event")
     info = struct.pack("<BxxxiI16s4xq", 0, 4, 5, bytes(16), 7)
     raw = b"\0\1\0\0" + info + struct.pack("<IBxxxI", 1, 0, 0)
-    assert shown(found, raw).endswith(",[my_msgs__0__Stop_Request],[])")
+    assert decode_text(message_type, raw).endswith(",[my_msgs__0__Stop_Request],[])")
 
 
 @pytest.mark.parametrize("text", ["int8 x\n", "---\n---\n"])
@@ -438,16 +446,16 @@ def test_service_without_one_separator_is_an_error(text):
 # ---- IDL ---------------------------------------------------------------------------------------------
 
 
-def test_types_in_idl_are_read_with_those_after_other_headings():
+def test_nested_types_in_idl_are_read_from_text():
     line = "=" * 80
     text = (
         f'{line}\nIDL: p/msg/A\n// generated\n#include "p/msg/B.idl"\n'
         "module p { module msg { struct A { p::msg::B b; std_msgs::msg::Header header; }; }; };\n"
         f"\n{line}\nIDL: p/msg/B\nmodule p {{ module msg {{ struct B {{ double x; }}; }}; }};\n"
     )
-    found = read(text, "p/msg/A", is_idl=True)
-    assert slots(found) == ["p/B b", "std_msgs/Header header"]
-    assert shown(found, cdr("diIIs", 1.5, 4, 5, 1, b"\0")) == (
+    message_type = read(text, "p/msg/A", is_idl=True)
+    assert slots(message_type) == ["p/B b", "std_msgs/Header header"]
+    assert decode_text(message_type, cdr("diIIs", 1.5, 4, 5, 1, b"\0")) == (
         "p__0__A(p__0__B(1.5),std_msgs__0__Header(0,[4,5],'\"\"'))"
     )
 
@@ -458,9 +466,11 @@ def test_service_event_has_types_in_idl():
         f"{line}\nSRV: p/srv/Go\np/B b\n---\n{line}\nIDL: p/msg/B\n"
         "module p { module msg { struct B { double x; }; }; };\n"
     )
-    found = read(text, "p/srv/Go_Event")
-    assert slots(found)[1] == "p/Go_Request[] request"
-    (request,) = [nested for nested in found.definition.dependencies() if nested.name == "p/Go_Request"]
+    message_type = read(text, "p/srv/Go_Event")
+    assert slots(message_type)[1] == "p/Go_Request[] request"
+    (request,) = [
+        nested for nested in message_type.definition.dependencies() if nested.name == "p/Go_Request"
+    ]
     assert request.fields[0].type == "p/B"
 
 
@@ -475,7 +485,7 @@ def test_error_in_idl_names_line_of_whole_text():
 
 
 def test_odd_constant_of_ros2_is_ignored_with_warning(caplog):
-    found = read("uint8 K=0\nuint8 K=0\nint8 x\n")
-    assert slots(found) == ["int8 x"]
+    message_type = read("uint8 K=0\nuint8 K=0\nint8 x\n")
+    assert slots(message_type) == ["int8 x"]
     (record,) = caplog.records
     assert record.getMessage() == "my_msgs/Kind: 'K' is defined twice: the constant is ignored"

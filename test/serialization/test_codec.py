@@ -1,4 +1,4 @@
-"""Data and terms as bytes."""
+"""Encoding of data and terms as bytes."""
 
 import tracemalloc
 
@@ -21,7 +21,7 @@ LEAVES = st.one_of(
 TERMS = st.recursive(
     LEAVES,
     lambda inner: st.tuples(ATOMS, st.lists(inner, min_size=1, max_size=3)).map(
-        lambda made: (functor(made[0].name, len(made[1])), *made[1])
+        lambda drawn: (functor(drawn[0].name, len(drawn[1])), *drawn[1])
     ),
     max_leaves=20,
 )
@@ -29,7 +29,7 @@ F2 = functor("f", 2)
 
 
 @given(TERMS)
-def test_terms_come_back(term):
+def test_terms_are_decoded(term):
     assert term_key(from_bytes(to_bytes(term))) == term_key(term)
 
 
@@ -38,24 +38,24 @@ def test_terms_come_back(term):
         st.one_of(st.integers(), st.floats(allow_nan=False), st.text(), st.binary(), st.none(), st.booleans())
     )
 )
-def test_data_comes_back_with_lists_for_sequences_and_pairs_for_mappings(data):
+def test_tuples_and_mappings_are_decoded_as_lists(data):
     assert from_bytes(to_bytes([data, tuple(data), {"x": data}])) == [data, data, [["x", data]]]
 
 
 @given(TERMS)
-def test_keys_of_terms_come_back(term):
+def test_keys_of_terms_are_decoded(term):
     assert key(from_bytes(to_bytes([term_key(term)]))[0]) == term_key(term)
 
 
-def test_a_variable_stays_one():
+def test_shared_variable_is_decoded_once():
     var, bound = Var(), Var()
     bound.ref = atom("x")
-    one, two, three = from_bytes(to_bytes([var, (functor("f", 1), var), bound]))
-    assert one is two[1]
-    assert three is atom("x")
+    first, second, third = from_bytes(to_bytes([var, (functor("f", 1), var), bound]))
+    assert first is second[1]
+    assert third is atom("x")
 
 
-def test_lone_surrogates_come_back():
+def test_lone_surrogates_are_decoded():
     assert from_bytes(to_bytes([atom("\ud800"), String("\udfff"), "\ud8ff"])) == [
         atom("\ud800"),
         String("\udfff"),
@@ -63,55 +63,55 @@ def test_lone_surrogates_come_back():
     ]
 
 
-def test_what_is_lazy_is_made():
+def test_lazy_term_is_encoded_as_its_value():
     point = functor("p", 1)
     assert from_bytes(to_bytes([Lazy(point, lambda source: point(source), 3)])) == [point(3)]
 
 
-def test_instants_keep_their_forms():
+def test_instants_keep_their_types():
     whole, stamp, plain = from_bytes(to_bytes([FloatSeconds(5), Stamp.of(7, F2(1, 2)), 9]))
     assert (whole, stamp, plain) == (5, 7, 9)
-    assert [one.__class__ for one in (whole, stamp, plain)] == [FloatSeconds, Stamp, int]
+    assert [instant.__class__ for instant in (whole, stamp, plain)] == [FloatSeconds, Stamp, int]
     assert stamp.term == F2(1, 2)
 
 
-@pytest.mark.parametrize("turned", [False, True])
-def test_deep_terms_come_back(turned):
+@pytest.mark.parametrize("is_left_nested", [False, True])
+def test_deep_terms_are_decoded(is_left_nested):
     var = Var()
     term = make_list([var, *range(5_000), var])
-    if turned:
+    if is_left_nested:
         for number in range(5_000):
             term = functor("s", 2)(term, number)
-    found = from_bytes(to_bytes({"x": [term, (term, 1)]}))[0][1][0]
-    assert term_key(found) == term_key(term)
+    decoded = from_bytes(to_bytes({"x": [term, (term, 1)]}))[0][1][0]
+    assert term_key(decoded) == term_key(term)
 
 
-def test_what_stands_twice_is_written_once_and_read_once():
+def test_shared_subterm_is_encoded_once():
     term = atom("x")
     for _ in range(3000):
         term = F2(term, term)
     data = to_bytes(term)
     assert len(data) < 200_000
-    found = from_bytes(data)
-    assert found[1] is found[2]
+    decoded = from_bytes(data)
+    assert decoded[1] is decoded[2]
 
 
-def test_a_term_that_contains_itself_is_refused():
+def test_cyclic_term_is_refused():
     var = Var()
     var.ref = F2(var, 1)
     with pytest.raises(UsageError, match="contains itself"):
         to_bytes([var])
 
 
-def test_what_has_no_place_in_a_state_is_an_error():
+def test_object_of_other_type_is_an_error():
     with pytest.raises(TypeError, match="object cannot be stored"):
         to_bytes([object()])
     with pytest.raises(TypeError, match="cannot be stored"):
         to_bytes([print])
 
 
-def made(data, atoms=(), names=(), arities=(), nodes=()):
-    """Return bytes as `to_bytes` makes them, of parts that it would not make."""
+def pack_parts(data, atoms=(), names=(), arities=(), nodes=()):
+    """Return bytes in the format of `to_bytes` with arbitrary parts."""
     parts = ((list(atoms), list(names), list(arities), len(nodes)), *nodes, data)
     return b"".join(msgpack.packb(part, use_bin_type=True) for part in parts)
 
@@ -130,22 +130,22 @@ ATOM, FUNCTOR, _, _, _, NODE, _, KIND, _, STAMP = (
         b"cos\nsystem\n(S'false'\ntR.",
         to_bytes([1])[:-1],
         to_bytes([1]) + b"\x01",
-        made(ATOM(b"\0")),
-        made(ATOM(b"\0\0"), ["a"]),
-        made(1, [1]),
-        made(1, names=["f"]),
-        made(1, names=["f"], arities=[-1]),
-        made(1, names=["f"], arities=[1 << 40]),
-        made(NODE(b"\0")),
-        made(1, nodes=[NODE(b"\0")]),
-        made(1, nodes=[NODE(b"\1"), 1]),
-        made(KIND(b"\x05")),
-        made(STAMP(b"\0\0\0\0\0"), nodes=[[1]]),
-        made(msgpack.ExtType(100, b"")),
-        made({"a": 1}),
+        pack_parts(ATOM(b"\0")),
+        pack_parts(ATOM(b"\0\0"), ["a"]),
+        pack_parts(1, [1]),
+        pack_parts(1, names=["f"]),
+        pack_parts(1, names=["f"], arities=[-1]),
+        pack_parts(1, names=["f"], arities=[1 << 40]),
+        pack_parts(NODE(b"\0")),
+        pack_parts(1, nodes=[NODE(b"\0")]),
+        pack_parts(1, nodes=[NODE(b"\1"), 1]),
+        pack_parts(KIND(b"\x05")),
+        pack_parts(STAMP(b"\0\0\0\0\0"), nodes=[[1]]),
+        pack_parts(msgpack.ExtType(100, b"")),
+        pack_parts({"a": 1}),
     ],
 )
-def test_what_to_bytes_does_not_make_is_refused(data):
+def test_malformed_bytes_are_refused(data):
     with pytest.raises(UsageError):
         from_bytes(data)
 
@@ -153,13 +153,13 @@ def test_what_to_bytes_does_not_make_is_refused(data):
 @pytest.mark.parametrize(
     "arguments", [[1], [1, 2, 3], [1, None], [1, [2]], [1, "x"], [1, FUNCTOR(b"\0")], [1, b"x"], [1, True]]
 )
-def test_a_tuple_that_is_read_is_a_sound_term(arguments):
-    found = from_bytes(made([FUNCTOR(b"\0"), *arguments], names=["f"], arities=[2]))
-    assert found.__class__ in (list, FlatKey)
+def test_invalid_arguments_are_not_decoded_as_term(arguments):
+    decoded = from_bytes(pack_parts([FUNCTOR(b"\0"), *arguments], names=["f"], arities=[2]))
+    assert decoded.__class__ in (list, FlatKey)
 
 
 @pytest.mark.parametrize("depth", [1, 400])
-def test_lengths_without_items_set_no_memory_aside(depth):
+def test_lengths_without_items_allocate_no_memory(depth):
     head = msgpack.packb(([], [], [], 0))
     data = head + b"\xdd\x00\x80\x00\x00" * depth + bytes(9_000_000)
     tracemalloc.start()
@@ -172,6 +172,6 @@ def test_lengths_without_items_set_no_memory_aside(depth):
         tracemalloc.stop()
 
 
-def test_nesting_without_end_is_refused():
+def test_deep_nesting_is_refused():
     with pytest.raises(UsageError):
         from_bytes(msgpack.packb(([], [], [], 0)) + b"\x91" * 100_000 + b"\x01")

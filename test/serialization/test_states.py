@@ -1,4 +1,4 @@
-"""States with wrong values and right checksums are refused, and change nothing."""
+"""States with invalid values and valid checksums."""
 
 import sys
 
@@ -27,7 +27,7 @@ def state():
 
 
 def changed(state, section, path, value):
-    """Return a state with another value at a place of a section."""
+    """Return a state with another value at a path of a section."""
     data = from_bytes(state[section])
 
     def put(old, path):
@@ -35,13 +35,13 @@ def changed(state, section, path, value):
             return value(old) if callable(value) else value
         first, *rest = path
         if isinstance(first, str):
-            return [[name, put(one, rest)] if name == first else [name, one] for name, one in old]
-        return [put(one, rest) if at == first else one for at, one in enumerate(old)]
+            return [[name, put(item, rest)] if name == first else [name, item] for name, item in old]
+        return [put(item, rest) if index == first else item for index, item in enumerate(old)]
 
     return pack_sections({**state, section: to_bytes(put(data, path))})
 
 
-def test_unchanged_it_is_taken(state):
+def test_unchanged_state_is_restored(state):
     assert Engine.restore(changed(state, "run", ["event_count"], 3)).query("memory_size(as, N)") == [
         {"N": 10}
     ]
@@ -124,52 +124,56 @@ def test_unchanged_it_is_taken(state):
         ("memory 0", [4, 0], [9, 3], "not ordered by their ends"),
     ],
 )
-def test_what_is_wrong_is_refused_and_said(state, section, path, value, message):
+def test_invalid_value_is_refused(state, section, path, value, message):
     with pytest.raises(UsageError, match=".*") as caught:
         Engine.restore(changed(state, section, path, value))
     assert message in str(caught.value)
 
 
-@pytest.mark.parametrize("left_out", ["program", "clauses", "values", "matches", "run", "memory 0"])
-def test_a_section_that_is_missing_is_said(state, left_out):
+@pytest.mark.parametrize("missing", ["program", "clauses", "values", "matches", "run", "memory 0"])
+def test_missing_section_is_refused(state, missing):
     with pytest.raises(UsageError, match="no section|expected records for each memory"):
-        Engine.restore(pack_sections({name: data for name, data in state.items() if name != left_out}))
+        Engine.restore(pack_sections({name: data for name, data in state.items() if name != missing}))
 
 
-def test_a_section_that_no_state_has_is_refused(state):
+def test_unknown_section_is_refused(state):
     with pytest.raises(UsageError, match="section 'more' is unknown"):
         Engine.restore(pack_sections({**state, "more": to_bytes(1)}))
 
 
-def test_an_older_state_is_refused_by_its_format(state):
+def test_pickle_format_is_refused(state):
     data = pack_sections(state).replace(b'"format": 10', b'"format":  5')
     with pytest.raises(UsageError, match="format 5, a pickle .* never read: this version reads format 10"):
         Engine.restore(data)
 
 
-def test_a_state_of_another_layout_of_this_package_is_refused_by_its_format(state):
+def test_other_format_is_refused(state):
     data = pack_sections(state).replace(b'"format": 10', b'"format":  7')
     with pytest.raises(UsageError, match="the state is of format 7: this version reads format 10"):
         Engine.restore(data)
 
 
-def test_changed_operators_come_back():
+def test_changed_operators_are_restored():
     engine = Engine(StreamClock())
     engine.load(goals="op(700, xfx, near)\nop(0, yfx, mod)\nop(200, xfx, is)")
-    other = Engine.restore(engine.snapshot())
-    assert list(other.logic.operators) == list(engine.logic.operators)
-    assert len(list(other.logic.operators)) == len(list(Engine().logic.operators))
+    restored = Engine.restore(engine.snapshot())
+    assert list(restored.logic.operators) == list(engine.logic.operators)
+    assert len(list(restored.logic.operators)) == len(list(Engine().logic.operators))
 
 
-def test_records_come_back_by_columns():
+def test_records_are_restored_from_columns():
     engine = Engine(StreamClock())
     engine.load(goals="memorize(tf(_, _, _, _), [], _, m, 200)")
-    for at in range(150):
-        engine.event(f'tf(a{at % 3}, v({at}.5, {at / 7!r}), x(y({at}), [{at}]), "s")', at + 1)
-    other = Engine.restore(engine.snapshot())
+    for number in range(150):
+        engine.event(
+            f'tf(a{number % 3}, v({number}.5, {number / 7!r}), x(y({number}), [{number}]), "s")', number + 1
+        )
+    restored = Engine.restore(engine.snapshot())
     query = "access_mem(m, R, I)"
-    assert [str(one) for one in other.query(query)] == [str(one) for one in engine.query(query)]
-    assert len(other.query(query)) == 150
+    assert [str(solution) for solution in restored.query(query)] == [
+        str(solution) for solution in engine.query(query)
+    ]
+    assert len(restored.query(query)) == 150
 
 
 SHARED = functor("s", 1)(1)
@@ -195,37 +199,41 @@ LONG = make_list(range(100))
         lambda at: functor("q", 2)(at / 3, functor("u", 1)(at)) if at % 40 or not at else atom("none"),
     ],
 )
-def test_arguments_of_all_kinds_come_back(number, value):
+def test_arguments_of_all_kinds_are_restored(number, value):
     engine = Engine(StreamClock())
     engine.load(goals=f"memorize(f(_, _), [], _, m, {number})")
-    for at in range(number):
-        engine.event_at(functor("f", 2)(value(at), functor("g", 1)(value(at))), at, at)
-    other = Engine.restore(engine.snapshot())
+    for index in range(number):
+        engine.event_at(functor("f", 2)(value(index), functor("g", 1)(value(index))), index, index)
+    restored = Engine.restore(engine.snapshot())
     query = "access_mem(m, R, I)"
-    assert [str(one) for one in other.query(query)] == [str(one) for one in engine.query(query)]
-    assert len(other.query(query)) == number
+    assert [str(solution) for solution in restored.query(query)] == [
+        str(solution) for solution in engine.query(query)
+    ]
+    assert len(restored.query(query)) == number
 
 
-def test_instants_in_records_come_back_as_integers():
+def test_instants_in_records_are_restored_as_integers():
     engine = Engine(StreamClock())
     engine.load(goals="memorize(f(_, _), [], _, m, 60)")
-    for at in range(60):
-        stamp = Stamp.of(at, functor("s", 1)(at))
-        engine.event_at(functor("f", 2)(FloatSeconds(at), stamp if at % 7 else at), at, at)
-    other = Engine.restore(engine.snapshot())
-    found = [one["R"] for one in other.query("access_mem(m, R, _)")]
-    assert found == [functor("f", 2)(at, at) for at in reversed(range(60))]
+    for number in range(60):
+        stamp = Stamp.of(number, functor("s", 1)(number))
+        engine.event_at(
+            functor("f", 2)(FloatSeconds(number), stamp if number % 7 else number), number, number
+        )
+    restored = Engine.restore(engine.snapshot())
+    records = [solution["R"] for solution in restored.query("access_mem(m, R, _)")]
+    assert records == [functor("f", 2)(number, number) for number in reversed(range(60))]
 
 
 def without_scanning(data):
     """Return data without the computation states that wait for the first element of a row pattern."""
     if not isinstance(data, list):
         return data
-    kept = [one for one in data if not (isinstance(one, list) and len(one) == 6 and one[0] == -1)]
-    return [without_scanning(one) for one in kept]
+    items = [item for item in data if not (isinstance(item, list) and len(item) == 6 and item[0] == -1)]
+    return [without_scanning(item) for item in items]
 
 
-def test_a_row_pattern_that_could_lose_its_last_state_is_refused():
+def test_row_pattern_without_initial_state_is_refused():
     engine = Engine(StreamClock())
     engine.load("s(N) <- aggregate(count, v(X), N, steps([up where X > 3, down(2) where X < 3])).")
     engine.event("v(5)", 1)
@@ -237,7 +245,7 @@ def test_a_row_pattern_that_could_lose_its_last_state_is_refused():
         Engine.restore(pack_sections({**state, "matches": to_bytes(without_scanning(data))}))
 
 
-def test_a_state_after_the_largest_timestamp_is_restored():
+def test_state_after_largest_timestamp_is_restored():
     engine = Engine()
     engine.event("a(1)", MAX_TIMESTAMP // SECOND)
     for number in range(3):
@@ -246,13 +254,13 @@ def test_a_state_after_the_largest_timestamp_is_restored():
 
 
 @pytest.mark.parametrize("stamp", [MAX_TIMESTAMP // SECOND + 1, -(1 << 100), 1e30, make_list([10**16, 0])])
-def test_a_timestamp_that_a_state_cannot_hold_is_refused(stamp):
+def test_timestamp_out_of_range_is_refused(stamp):
     engine = Engine()
     with pytest.raises(UsageError, match=r"a timestamp lies at most 6\.0e\+14 s from the epoch"):
         engine.event("a(1)", stamp)
 
 
-def test_a_partial_match_of_two_rules_is_refused():
+def test_partial_match_of_two_rules_is_refused():
     engine = Engine()
     engine.load(rules="p(X) <- a(X) seq b(X).\nq(X) <- a(X) seq c(X).\n")
     engine.event("a(1)", 1)
@@ -264,7 +272,7 @@ def test_a_partial_match_of_two_rules_is_refused():
 
 
 def state_of(rules, events, goals=""):
-    """Return the sections of an engine with rules that has taken events, one a second."""
+    """Return the sections of an engine with rules that has processed one event per second."""
     engine = Engine(StreamClock())
     engine.load(rules, goals)
     for now, event in enumerate(events, 1):
@@ -302,28 +310,28 @@ OTHER_EVENT = functor("other", 1)(2)
         "p(X) <- (a(X) ntimes 3).",
     ],
 )
-def test_a_match_that_its_node_could_not_read_is_refused(rule, attribute, value):
+def test_match_that_does_not_fit_its_node_is_refused(rule, attribute, value):
     state = state_of(rule, ["a(1)"])
     kind, position = "match", 0 if attribute == "values" else 4
     if columns(state, kind) is None:
-        # Its values are the arguments of its event.
+        # The values of this match are the arguments of its event.
         kind, position = "event match", 2
         value = functor("a", len(value) or 3)(*(value or [1, 2, 3])) if attribute == "values" else value
     refused(state, ["objects", 1, kind, position, 0], value, "expected|neither an event nor parts")
 
 
-def test_the_repetitions_of_a_match_are_counted():
+def test_wrong_number_of_repetitions_is_refused():
     state = state_of(
         "p(X) <- (a(X, _) ntimes 4).",
         ["a(1, 1)", "a(1, 2)", "a(1, 3)"],
         "set_etalis_flag(event_consumption_policy, unrestricted)",
     )
     parts = columns(state, "match")[5]
-    longest = max(at for at, numbers in enumerate(parts) if numbers is not None and len(numbers) > 1)
+    longest = max(index for index, numbers in enumerate(parts) if numbers is not None and len(numbers) > 1)
     refused(state, ["objects", 1, "match", 5, longest], parts[longest][:1], "expected")
 
 
-def test_sequences_with_several_repetitions_of_their_own_are_restored():
+def test_sequences_with_shared_repetitions_are_restored():
     engine = Engine(StreamClock())
     engine.load("p(X) <- (a(X, _) ntimes 5).")
     for now, value in (
@@ -340,40 +348,40 @@ def test_sequences_with_several_repetitions_of_their_own_are_restored():
         (7, 3),
     ):
         engine.event(f"a(1, {value})", now)
-        other = Engine.restore(engine.snapshot())
-        assert other.status().rules == engine.status().rules
+        restored = Engine.restore(engine.snapshot())
+        assert restored.status().rules == engine.status().rules
 
 
 @pytest.mark.parametrize(
     ("window", "due"),
     [("last(3, events)", 64), ("last(5)", -(1 << 62)), ("every(3, events)", 0)],
 )
-def test_a_window_without_deadline_has_none(window, due):
+def test_deadline_of_window_without_one_is_refused(window, due):
     state = state_of(f"p(N) <- aggregate(count, a(_), N, {window}).", ["a(1)"])
     refused(state, ["rules", 0, 2, 1, 1, 0, 1], due, "expected nothing")
 
 
 @pytest.mark.parametrize("due", [None, 0, 1, 4 * SECOND + 1, -(1 << 62)])
-def test_the_next_window_ends_after_its_elements(due):
+def test_wrong_end_of_next_window_is_refused(due):
     state = state_of("p(N) <- aggregate(count, a(_), N, last(4, every(2))).", ["a(1)", "a(2)", "a(3)"])
     refused(
         state, ["rules", 0, 2, 1, 1, 0, 1], due, "expected the end of the next window|expected an instant"
     )
 
 
-def test_the_deadline_of_an_anchored_window_follows_from_its_elements():
+def test_deadline_of_anchored_window_is_computed():
     engine = Engine()
     engine.load("p(N) <- aggregate(count, a(_), N, every(5, first)).")
     engine.event("a(1)", 1)
     state = unpack_sections(engine.snapshot())
     engine = Engine.restore(changed(state, "matches", ["rules", 0, 2, 1, 1, 0, 1], None))
-    heard = []
-    engine.on_event(lambda term, start, end: heard.append(term))
+    events = []
+    engine.on_event(lambda term, start, end: events.append(term))
     engine.event("b(1)", 10)
-    assert functor("p", 1)(1) in heard
+    assert functor("p", 1)(1) in events
 
 
-def test_a_suppressed_match_that_its_node_could_not_retry_is_refused():
+def test_suppressed_match_that_does_not_fit_its_node_is_refused():
     state = state_of(
         "p(X, Y) <- (a(X) seq c(Y)) cnot b(_).",
         ["a(1)", "b(2)", "c(3)"],
@@ -388,20 +396,20 @@ def test_a_suppressed_match_that_its_node_could_not_retry_is_refused():
 @pytest.mark.parametrize(
     "header", ["{}".encode("utf-16"), b"\x00\xf2", b"\xff", '{"a": 1}'.encode("utf-32-be")]
 )
-def test_a_header_that_is_no_text_of_utf8_is_refused(header):
+def test_header_in_other_encoding_is_refused(header):
     imported = set(sys.modules)
     with pytest.raises(UsageError, match="its header is malformed"):
         unpack_sections(b"retalis state\n%d\n%s" % (len(header), header))
     assert set(sys.modules) == imported
 
 
-def test_a_header_with_a_number_of_many_digits_is_refused():
+def test_header_with_long_number_is_refused():
     header = b'{"format": %s}' % (b"9" * 4000)
     with pytest.raises(UsageError, match="its header is malformed"):
         unpack_sections(b"retalis state\n%d\n%s" % (len(header), header))
 
 
-def test_an_output_without_elements_is_refused():
+def test_output_without_elements_is_refused():
     # A retraction runs the operator again, and identifies its outputs by their last elements.
     state = state_of(
         "p(N) <- aggregate(count, a(_), N, last(2, events)).",
