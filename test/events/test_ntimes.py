@@ -3,7 +3,7 @@
 import random
 
 import pytest
-from events.stream_programs import ProgramRunner, outputs_of, term_text
+from events.stream_programs import ProgramRunner, format_events, outputs_of, term_text
 
 from retalis import Engine
 from retalis.events.network.repeat_node import RepeatNode
@@ -224,3 +224,34 @@ def test_of_values_that_do_not_wait_nothing_is_kept():
 def test_a_thousand_repetitions_of_a_sequence_are_loaded():
     engine = Engine()
     engine.load(rules="out <- (a seq b) ntimes 1000.")
+
+
+@pytest.mark.parametrize(
+    ("former_flag", "stream", "later_flag"),
+    [
+        (("event_consumption_policy", "unrestricted"), "", ("event_consumption_policy", "chronological")),
+        (
+            ("event_consumption_policy", "chronological"),
+            "a(1)@1 a(1)@2 a(1)@3",
+            ("event_consumption_policy", "unrestricted"),
+        ),
+        # An event with variables has the sequences joined like parts of a `seq`.
+        (("event_consumption_policy", "chronological"), "a(1)@1 a(1)@2 a(1)@3 a(_)@4", None),
+    ],
+)
+def test_snapshot_after_change_of_evaluation_is_restored(former_flag, stream, later_flag):
+    program = ProgramRunner("out(X) <- (a(X) ntimes 5) and d.", [former_flag], "chronological")
+    program.feed(stream)
+    if later_flag is not None:
+        program.set(*later_flag)
+    program.feed("d@5")
+    restored = Engine.restore(program.engine.snapshot())
+    outputs = []
+    restored.on_event(lambda term, start, end: outputs.append((term, start, end)))
+    later_stream = [f"a(1)@{instant}" for instant in range(6, 11)]
+    expected = program.feed(" ".join(later_stream))
+    for event in later_stream:
+        text, instant = event.split("@")
+        restored.event(text, int(instant))
+    assert "out(1)@" in expected
+    assert format_events([event for event in outputs if term_text(event[0]) == "out(1)"]) == expected

@@ -145,6 +145,10 @@ class RepeatNode(NetworkNode):
             self._switch_to_joins()
         else:
             self._is_grouped = True
+            # Repetitions in right buffers wait for late ones before them, and are joined if `out_of_order` is on
+            # again.
+            if self._join_nodes and not any(node.right_buffer.newest for node in self._join_nodes):
+                self._remove_join_nodes()
             for length, buffer in self._buffers.items():
                 for match in buffer.stored_matches() if length > 1 else ():
                     set_slice_parts(match, length)
@@ -163,8 +167,8 @@ class RepeatNode(NetworkNode):
         was_grouped, lengths, groups, separate_lengths = saved
         if self._is_grouped and not was_grouped:
             self._switch_to_joins()
-        for length in lengths:
-            self._buffer(length)
+        # A state file refers to buffers by position, so they have the order in which the former node created them.
+        self._buffers = {length: self._buffer(length) for length in [*lengths, *self._buffers]}
         self.groups = {group.key: group for group in groups}
         self._separate_lengths_by_key = {key: dict.fromkeys(lengths) for key, lengths in separate_lengths}
 
@@ -176,8 +180,8 @@ class RepeatNode(NetworkNode):
         """
         was_grouped, lengths, _, _ = saved
         if self._is_grouped and was_grouped:
-            return [0, *dict.fromkeys([*self._buffers, *lengths])]
-        known_lengths = dict.fromkeys([*self._buffers, *range(1, self.times), *lengths])
+            return [0, *dict.fromkeys([*lengths, *self._buffers])]
+        known_lengths = dict.fromkeys([*lengths, *self._buffers, *range(1, self.times)])
         return [0, *known_lengths, *[1] * (self.times - 1)]
 
     def values_of(self, cursor: RunCursor) -> Values:
@@ -432,6 +436,17 @@ class RepeatNode(NetworkNode):
         self._join_nodes[-1].bind(
             self._emit_slices if self._options.policy.replaces_identical else self._emit, self._options
         )
+
+    def _remove_join_nodes(self) -> None:
+        """Remove the join nodes of former options and their empty buffers; stored sequences remain.
+
+        The buffers of a node without sequences must not depend on former options, because a state file refers to
+        buffers by position.
+        """
+        self._join_nodes = []
+        self._relays = []
+        # No key has separate lengths while join nodes are in use, so none refers to the buffers that are removed.
+        self._buffers = {length: buffer for length, buffer in self._buffers.items() if buffer.newest}
 
     def _identity_functions_for(self, length: int) -> Tuple[IdentityFunction, IdentityFunction]:
         identify_single, identify_longer = self._identity_functions
