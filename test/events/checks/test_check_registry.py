@@ -46,11 +46,11 @@ def test_each_finding_has_a_code(tmp_path):
         ("% retalis: ignore-file=RT1201", []),
     ],
 )
-def test_a_comment_in_the_line_suppresses_a_finding(tmp_path, comment, codes):
+def test_comment_in_line_suppresses_finding(tmp_path, comment, codes):
     assert codes_of(tmp_path, f"hot(T) <- warm(T).\nfire <- hot(_, _). {comment}\n") == codes
 
 
-def test_a_comment_in_another_line_suppresses_only_for_the_file(tmp_path):
+def test_comment_for_file_suppresses_findings(tmp_path):
     rules = "hot(T) <- warm(T).\nfire <- hot(_, _).\n"
     assert codes_of(tmp_path, f"% retalis: ignore=RT1201\n{rules}") == ["RT1201"]
     assert codes_of(tmp_path, f"% retalis: ignore-file=RT1201\n{rules}") == []

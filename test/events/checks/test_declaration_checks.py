@@ -1,25 +1,25 @@
 """Rules before a declaration that do not fit it, and value types of declared events and messages."""
 
 import pytest
-from events.checks.test_reported_mistakes import said_of, write
+from events.checks.test_reported_mistakes import findings_text, write
 
 from retalis.engine.client_requests import add_rule
-from retalis.engine.engine import Engine as Whole
+from retalis.engine.engine import Engine
 
-NEAR = "\n:- event near(thing:atom, distance:number)."
-OUTSIDE = "input_event(near/2).\n"
+DECLARATION = "\n:- event near(thing:atom, distance:number)."
+INPUT_EVENT = "input_event(near/2).\n"
 
 
 @pytest.mark.parametrize(
-    "program, places",
+    "program, positions",
     [
-        ({"rule": "alarm('\"a\"') <- near(_, far).\n" + OUTSIDE + NEAR}, ["eventRules.txt:3:25"]),
-        ({"rule": "alarm('\"a\"') do event(near(1, 2)) <- hit." + NEAR}, ["eventRules.txt:3:28"]),
-        ({"rule": "null_event do event(near(1, 2)) <- hit." + NEAR}, ["eventRules.txt:3:26"]),
-        ({"rule": "go :- event(near(1, 2)).\nhit do go." + NEAR}, ["eventRules.txt:3:18"]),
+        ({"rule": "alarm('\"a\"') <- near(_, far).\n" + INPUT_EVENT + DECLARATION}, ["eventRules.txt:3:25"]),
+        ({"rule": "alarm('\"a\"') do event(near(1, 2)) <- hit." + DECLARATION}, ["eventRules.txt:3:28"]),
+        ({"rule": "null_event do event(near(1, 2)) <- hit." + DECLARATION}, ["eventRules.txt:3:26"]),
+        ({"rule": "go :- event(near(1, 2)).\nhit do go." + DECLARATION}, ["eventRules.txt:3:18"]),
         (
             {
-                "rule": OUTSIDE,
+                "rule": INPUT_EVENT,
                 "goal": "memorize(near(_, far), [], _, n, 3)\nevent near(thing:atom, distance:number)",
             },
             ["goalPredicates.txt:4:18"],
@@ -29,21 +29,23 @@ OUTSIDE = "input_event(near/2).\n"
             ["goalPredicates.txt:4:23"],
         ),
         (
-            {"rule": "synchronized(near(1, 2), true, []) <- hit.\nalarm(T) <- near(_, T)." + NEAR},
+            {"rule": "synchronized(near(1, 2), true, []) <- hit.\nalarm(T) <- near(_, T)." + DECLARATION},
             ["eventRules.txt:3:19"],
         ),
     ],
 )
-def test_what_stands_above_its_declaration(tmp_path, definitions, program, places):
+def test_rule_before_declaration_is_checked(tmp_path, definitions, program, positions):
     write(tmp_path, **program)
-    said = [
-        line for line in said_of(tmp_path, definitions).split("\n") if "warning" in line or "error" in line
+    lines = [
+        line
+        for line in findings_text(tmp_path, definitions).split("\n")
+        if "warning" in line or "error" in line
     ]
-    assert [line.split()[1].rstrip(":") for line in said if "declared" in line] == places
+    assert [line.split()[1].rstrip(":") for line in lines if "declared" in line] == positions
 
 
 @pytest.mark.parametrize(
-    "rule, said",
+    "rule, message",
     [
         ("alarm(T) <- near(T, _) and std_msgs__0__String(T).", ""),
         (
@@ -61,24 +63,28 @@ def test_what_stands_above_its_declaration(tmp_path, definitions, program, place
         ("alarm(T) <- near(T, D) where T > D.", "T is an atom (thing of near/2), not a number"),
     ],
 )
-def test_values_of_messages_and_of_declared_events(tmp_path, definitions, rule, said):
-    write(tmp_path, rule=f"{OUTSIDE}{NEAR}\n{rule}")
-    found = [
-        line for line in said_of(tmp_path, definitions).split("\n") if "(distance" in line or "(thing" in line
+def test_values_of_messages_fit_declared_events(tmp_path, definitions, rule, message):
+    write(tmp_path, rule=f"{INPUT_EVENT}{DECLARATION}\n{rule}")
+    lines = [
+        line
+        for line in findings_text(tmp_path, definitions).split("\n")
+        if "(distance" in line or "(thing" in line
     ]
-    assert [line.split(": ", 2)[2][: len(said)] for line in found] == ([said] if said else [])
+    assert [line.split(": ", 2)[2][: len(message)] for line in lines] == ([message] if message else [])
 
 
-def test_a_rule_that_was_added_before_is_warned_of(tmp_path, definitions):
-    engine = Whole()
+def test_earlier_added_rule_is_checked(tmp_path, definitions):
+    engine = Engine()
     add_rule(engine, "alarm <- near(_)", "mine")
     engine.call("declare_event(near(thing:atom, distance:number))")
-    said = [warning.message for warning in engine.warnings(tmp_path, definitions)]
-    assert "near/1 does not match its declaration: near(thing:atom,distance:number) has 2 arguments" in said
+    message = [warning.message for warning in engine.warnings(tmp_path, definitions)]
+    assert (
+        "near/1 does not match its declaration: near(thing:atom,distance:number) has 2 arguments" in message
+    )
 
 
 @pytest.mark.parametrize(
-    "arguments, said",
+    "arguments, message",
     [
         (
             "temperature:number, variance:number",
@@ -91,9 +97,9 @@ def test_a_rule_that_was_added_before_is_warned_of(tmp_path, definitions):
         ("header:std_msgs__0__Header, temperature:number, variance:number", ""),
     ],
 )
-def test_events_of_topics_with_names_of_their_own(tmp_path, definitions, arguments, said):
+def test_named_event_of_topic_fits_declaration(tmp_path, definitions, arguments, message):
     topic = '  <subscribe_to name="cold" msg_type="sensor_msgs/Temperature" event="near"/>'
     write(tmp_path, rule=f":- event near({arguments}).", topic=topic)
-    found = said_of(tmp_path, definitions).split("\n")
-    found = [line.partition("the events of topic cold: ")[2] for line in found if "topic cold" in line]
-    assert [line[: len(said)] for line in found] == ([said] if said else [])
+    lines = findings_text(tmp_path, definitions).split("\n")
+    lines = [line.partition("the events of topic cold: ")[2] for line in lines if "topic cold" in line]
+    assert [line[: len(message)] for line in lines] == ([message] if message else [])

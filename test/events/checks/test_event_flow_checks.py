@@ -11,19 +11,21 @@ from retalis.events.program.topic_configuration import Topics
 TOPICS = Topics((TopicType("said", "std_msgs/String"),))
 
 
-def said_of(check, rules):
+def messages_of(check, rules):
     engine = Engine()
     engine.load(rules=rules)
     program = ProgramModel(engine.rules, engine.knowledge, Definitions(), TOPICS)
     return [error.message for error in check(program)]
 
 
-def test_events_of_the_package_itself_are_made_by_it():
+def test_events_of_package_have_producer():
     patterns = [f"{key.name}({', '.join('_' * key.arity)})" for key in OWN_EVENTS]
     assert len(patterns) == 4
-    assert said_of(find_unproduced_events, "\n".join(f"seen <- {pattern}." for pattern in patterns)) == []
-    (said,) = said_of(find_unproduced_events, "seen <- query_given_up(_, _).")
-    assert said == "no producer of query_given_up/2: no topic, rule or goal; did you mean query_given_up/3?"
+    assert messages_of(find_unproduced_events, "\n".join(f"seen <- {pattern}." for pattern in patterns)) == []
+    (message,) = messages_of(find_unproduced_events, "seen <- query_given_up(_, _).")
+    assert (
+        message == "no producer of query_given_up/2: no topic, rule or goal; did you mean query_given_up/3?"
+    )
 
 
 @pytest.mark.parametrize(
@@ -35,35 +37,38 @@ def test_events_of_the_package_itself_are_made_by_it():
         "noted do assertz(n(1)) <- {} where true.",
     ],
 )
-def test_a_rule_that_is_there_for_what_it_does_needs_nobody_to_take_its_event(rule):
-    assert said_of(find_unconsumed_events, rule.format("std_msgs__0__String(_)")) == []
+def test_rule_with_side_effects_needs_no_consumer(rule):
+    assert messages_of(find_unconsumed_events, rule.format("std_msgs__0__String(_)")) == []
 
 
-def test_an_event_that_nobody_takes_is_said():
-    (said,) = said_of(find_unconsumed_events, "noted <- std_msgs__0__String(_).")
-    assert said == "no consumer of noted/0: no rule, memory or subscription"
+def test_event_without_consumer_is_reported():
+    (message,) = messages_of(find_unconsumed_events, "noted <- std_msgs__0__String(_).")
+    assert message == "no consumer of noted/0: no rule, memory or subscription"
 
 
-def test_timers_make_events():
+def test_timer_is_producer():
     rules = ":- timer(tick, every(5)).\nnull do timer(later(X), after(X)) <- std_msgs__0__String(X).\n"
-    assert said_of(find_unproduced_events, rules + "null <- tick.\nnull <- later(X).") == []
-    assert said_of(find_unconsumed_events, rules + "null <- tick.") == [
+    assert messages_of(find_unproduced_events, rules + "null <- tick.\nnull <- later(X).") == []
+    assert messages_of(find_unconsumed_events, rules + "null <- tick.") == [
         "no consumer of later/1: no rule, memory or subscription"
     ]
 
 
-def test_states_take_events_and_make_one():
+def test_state_is_consumer_and_producer():
     rules = ":- state(docked(R), from(dock(R)), until(undock(R))).\ndock(X) <- std_msgs__0__String(X).\n"
-    assert said_of(find_unproduced_events, rules + "null <- docked(_).") == [
+    assert messages_of(find_unproduced_events, rules + "null <- docked(_).") == [
         "state docked(_): no producer of undock/1: no topic, rule or goal; did you mean dock/1?"
     ]
-    assert said_of(find_unconsumed_events, rules) == []
+    assert messages_of(find_unconsumed_events, rules) == []
 
 
-def test_a_subscription_with_a_shape_takes_the_events_below_it():
+def test_subscription_with_rate_is_consumer():
     goal = "subscribe({} with throttle(2), [], _, t, 1)"
     assert (
-        said_of(find_unconsumed_events, f":- {goal.format('noted')}.\nnoted <- std_msgs__0__String(_).") == []
+        messages_of(find_unconsumed_events, f":- {goal.format('noted')}.\nnoted <- std_msgs__0__String(_).")
+        == []
     )
-    (said,) = said_of(find_unproduced_events, f":- {goal.format('notde')}.\nnoted <- std_msgs__0__String(_).")
-    assert said.endswith("no producer of notde/0: no topic, rule or goal; did you mean noted/0?")
+    (message,) = messages_of(
+        find_unproduced_events, f":- {goal.format('notde')}.\nnoted <- std_msgs__0__String(_)."
+    )
+    assert message.endswith("no producer of notde/0: no topic, rule or goal; did you mean noted/0?")

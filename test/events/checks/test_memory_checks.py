@@ -9,12 +9,14 @@ def warnings(folder, rules):
     engine = Engine()
     engine.load(rules=rules, goals="memorize(t(X), [], _, odom_base, 5)")
     return [
-        one.message for one in engine.warnings(folder, Definitions()) if "there is no memory" in one.message
+        warning.message
+        for warning in engine.warnings(folder, Definitions())
+        if "there is no memory" in warning.message
     ]
 
 
 @pytest.mark.parametrize(
-    ("rules", "found"),
+    ("rules", "message"),
     [
         (
             "a <- b where prev(odom_bas, _, 1, 2, 3).",
@@ -25,8 +27,8 @@ def warnings(folder, rules):
         ("a(P) <- b(T, R) where pose_chain([odom_base, head, R], T, P).", "there is no memory head yet"),
     ],
 )
-def test_memories_that_are_read_and_not_there(tmp_path, rules, found):
-    assert warnings(tmp_path, rules) == [found]
+def test_missing_memory_is_reported(tmp_path, rules, message):
+    assert warnings(tmp_path, rules) == [message]
 
 
 @pytest.mark.parametrize(
@@ -39,7 +41,7 @@ def test_memories_that_are_read_and_not_there(tmp_path, rules, found):
         "a(N) <- b(N) do memorize(t(X), [], _, N, 5). c <- d where access_mem(there, _, _).",
     ],
 )
-def test_memories_that_are_there_or_may_come_are_left_alone(tmp_path, rules):
+def test_possible_memory_is_not_reported(tmp_path, rules):
     assert warnings(tmp_path, rules) == []
 
 
@@ -63,10 +65,10 @@ def test_memories_that_are_there_or_may_come_are_left_alone(tmp_path, rules):
         ("memorize(t(X), [], X, m, 5)", "synchronized(a(T), true, [[m, T]]) <- b(T)."),
     ],
 )
-def test_records_that_may_be_there_are_left_alone(tmp_path, goal, rules):
+def test_possible_record_is_not_reported(tmp_path, goal, rules):
     engine = Engine()
     engine.load(rules=rules, goals=goal)
-    texts = [one.message for one in engine.warnings(tmp_path, Definitions())]
+    texts = [warning.message for warning in engine.warnings(tmp_path, Definitions())]
     assert [text for text in texts if "record" in text or " comes " in text] == []
 
 

@@ -14,10 +14,10 @@ WARM = f"Header header\nfloat64 warmth\n{'=' * 80}\nMSG: std_msgs/Header\n{HEADE
 
 @pytest.fixture
 def definitions():
-    known = Definitions()
-    known.add("my_msgs/Warm", WARM)
-    known.add("my_msgs/Empty", "")
-    return known
+    definitions_with_types = Definitions()
+    definitions_with_types.add("my_msgs/Warm", WARM)
+    definitions_with_types.add("my_msgs/Empty", "")
+    return definitions_with_types
 
 
 def warnings(definitions, folder, rules="", goals="", types=("my_msgs/Warm", "my_msgs/Empty")):
@@ -25,12 +25,12 @@ def warnings(definitions, folder, rules="", goals="", types=("my_msgs/Warm", "my
     engine = Engine()
     engine.on_event(lambda term, start, end: None)
     engine.load(rules=rules, goals=goals)
-    topics = Topics(tuple([topic_type(f"t{at}", kind) for at, kind in enumerate(types)]))
-    found = [str(one) for one in engine.warnings(folder, definitions, topics)]
+    topics = Topics(tuple([topic_type(f"t{number}", type_name) for number, type_name in enumerate(types)]))
+    texts = [str(warning) for warning in engine.warnings(folder, definitions, topics)]
     return [
-        one
-        for one in found
-        if "__0__" in one and "no producer of" not in one and "stands here only" not in one
+        text
+        for text in texts
+        if "__0__" in text and "no producer of" not in text and "stands here only" not in text
     ]
 
 
@@ -52,44 +52,45 @@ def warnings(definitions, folder, rules="", goals="", types=("my_msgs/Warm", "my
         ),
     ],
 )
-def test_rules_with_wrong_messages(definitions, tmp_path, rules, warning):
-    (found,) = warnings(definitions, tmp_path, rules)
-    assert found.startswith(f"text:1:1: {warning} [RT1104]\n")
+def test_message_that_does_not_match_type_is_reported(definitions, tmp_path, rules, warning):
+    (text,) = warnings(definitions, tmp_path, rules)
+    assert text.startswith(f"text:1:1: {warning} [RT1104]\n")
 
 
-def test_memories_and_subscriptions_that_stand_in_no_file_are_named(definitions, tmp_path):
+def test_memories_and_subscriptions_without_file_are_named(definitions, tmp_path):
     goals = "memorize(my_msgs__0__Warm(_), [], _, m, 5)\nsubscribe(my_msgs__0__Warm(_, _, _), [], _, out, s)"
-    assert warnings(definitions, tmp_path, goals=goals)[:2] == [
-        "memory m: my_msgs__0__Warm/1 does not match its type: my_msgs/Warm has 2 slots: header, warmth; "
-        "write all of them, or some by name: my_msgs__0__Warm{header: ...} [RT1104]",
-    ] + [
-        one
-        for one in warnings(definitions, tmp_path, goals=goals)
-        if one.startswith("a subscription of topic out: my_msgs__0__Warm/3")
+    slots = (
+        "does not match its type: my_msgs/Warm has 2 slots: header, warmth; "
+        "write all of them, or some by name: my_msgs__0__Warm{header: ...} [RT1104]"
+    )
+    texts = warnings(definitions, tmp_path, goals=goals)
+    assert [text for text in texts if "does not match its type" in text] == [
+        f"memory m: my_msgs__0__Warm/1 {slots}",
+        f"a subscription of topic out: my_msgs__0__Warm/3 {slots}",
     ]
 
 
-def test_right_and_foreign_terms_are_left_alone(definitions, tmp_path):
+def test_valid_and_unknown_messages_are_not_reported(definitions, tmp_path):
     rules = "a(X) <- my_msgs__0__Warm(std_msgs__0__Header(_, _, _), X). b <- other__0__Thing(_)."
     assert warnings(definitions, tmp_path, rules) == []
 
 
-def test_texts_with_their_quotes_and_in_heads_and_goals_are_left_alone(definitions, tmp_path):
+def test_quoted_texts_are_not_reported(definitions, tmp_path):
     header = "std_msgs__0__Header(0, [0,0], {})".format
     right = header("""'"ann"'""")
     rules = f"my_msgs__0__Warm({header('ann')}, 1) <- my_msgs__0__Warm({right}, X) where X = {header('b')}."
     assert warnings(definitions, tmp_path, rules) == []
 
 
-def test_types_that_are_learned_later_are_left_alone(definitions, tmp_path):
+def test_types_known_later_are_not_reported(definitions, tmp_path):
     rules = "a(X) <- far_msgs__0__WarmFeedback(far_msgs__0__Warm(X), my_msgs__0__Warm(_, _))."
     assert warnings(definitions, tmp_path, rules, types=["my_msgs/Warm", "far_msgs/WarmFeedback"]) == []
 
 
-def test_a_misspelt_type_silences_nothing_about_the_others_of_its_package(tmp_path):
+def test_misspelt_type_hides_no_other_warning(tmp_path):
     rules = "a <- std_msgs__0__Strin(_). b <- std_msgs__0__Bool(_, _)."
-    found = warnings(Definitions(), tmp_path, rules, types=["std_msgs/Strng", "std_msgs/Bool"])
-    assert [one.split("\n")[0].partition(": ")[2] for one in found] == [
+    texts = warnings(Definitions(), tmp_path, rules, types=["std_msgs/Strng", "std_msgs/Bool"])
+    assert [text.split("\n")[0].partition(": ")[2] for text in texts] == [
         "there is no message type std_msgs/Strin here; did you mean std_msgs/String? [RT1104]",
         "std_msgs__0__Bool/2 does not match its type: std_msgs/Bool has 1 slot: data; "
         "write all of them, or some by name: std_msgs__0__Bool{data: ...} [RT1104]",
@@ -99,22 +100,22 @@ def test_a_misspelt_type_silences_nothing_about_the_others_of_its_package(tmp_pa
 FAN = Topics((topic_type("fan/state", "std_msgs/Bool"),), events=(TopicEvent("fan/state", "fan"),))
 
 
-def said_of_fans(rules, goals=""):
+def findings_of_fan_topic(rules, goals=""):
     engine = Engine()
     engine.load(rules=rules, goals=goals)
     program = ProgramModel(engine.rules, engine.knowledge, Definitions(), FAN)
     return [(error.message, error.place and error.place.column) for error in find_message_mismatches(program)]
 
 
-def test_a_name_of_a_topics_events_that_is_no_event_is_left_alone():
+def test_atom_named_as_event_is_not_reported():
     rules = (
         "a <- says(fan, true) where (access_mem(fan, false, _), device(fan), F = fan(1, 2), F \\== fan(1)).\n"
         "device(fan). says(fan, true) do note(fan) <- fan(_)."
     )
-    assert said_of_fans(rules, "memorize(fan(On), [], fan, fan, 1)") == []
+    assert findings_of_fan_topic(rules, "memorize(fan(On), [], fan, fan, 1)") == []
 
 
-MAX_EMPTY_ELEMENTS = "fan/0 does not match its type: std_msgs/Bool has 1 slot: data; write fan{data: ...}"
+MISSING_SLOT_MESSAGE = "fan/0 does not match its type: std_msgs/Bool has 1 slot: data; write fan{data: ...}"
 
 
 @pytest.mark.parametrize(
@@ -129,25 +130,25 @@ MAX_EMPTY_ELEMENTS = "fan/0 does not match its type: std_msgs/Bool has 1 slot: d
         ("a(b).", "subscribe(fan, [], std_msgs__0__Bool(true), out, s)"),
     ],
 )
-def test_an_event_of_a_topic_without_its_slots_is_told_how_to_be_written(rules, goals):
-    ((said, _),) = said_of_fans(rules, goals)
-    assert said.endswith(MAX_EMPTY_ELEMENTS)
+def test_event_without_slots_is_reported(rules, goals):
+    ((message, _),) = findings_of_fan_topic(rules, goals)
+    assert message.endswith(MISSING_SLOT_MESSAGE)
 
 
-def test_a_slot_that_is_named_in_parentheses_is_told_where_to_be_named(tmp_path):
+def test_slot_named_in_parentheses_is_reported(tmp_path):
     (tmp_path / "eventRules.txt").write_text("a <- (b where x(fan)) seq fan.\nc <- fan(data: true).\n")
     (tmp_path / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')")
     (tmp_path / "pub_sub.xml").write_text(
         '<publish_subscribe><subscribe_to name="f" msg_type="std_msgs/Bool" event="fan"/></publish_subscribe>'
     )
-    said = [str(one.problem) for one in check_program(tmp_path, Definitions())]
-    (bare,) = [one for one in said if MAX_EMPTY_ELEMENTS in one]
-    (named,) = [one for one in said if "in parentheses" in one]
-    assert bare.startswith(f"{tmp_path}/eventRules.txt:1:27: ")
-    assert named.startswith(
+    texts = [str(finding.problem) for finding in check_program(tmp_path, Definitions())]
+    (without_slots,) = [text for text in texts if MISSING_SLOT_MESSAGE in text]
+    (in_parentheses,) = [text for text in texts if "in parentheses" in text]
+    assert without_slots.startswith(f"{tmp_path}/eventRules.txt:1:27: ")
+    assert in_parentheses.startswith(
         f"{tmp_path}/eventRules.txt:2:10: data of std_msgs/Bool is not named in parentheses"
     )
-    assert "write fan{data: ...}" in named
+    assert "write fan{data: ...}" in in_parentheses
 
 
 def output_warnings(definitions, folder, goal, rules=""):
@@ -155,8 +156,8 @@ def output_warnings(definitions, folder, goal, rules=""):
     engine = Engine()
     engine.load(rules=rules, goals=goal)
     topics = Topics(published=(topic_type("out", "my_msgs/Warm"),))
-    found = [str(one) for one in engine.warnings(folder, definitions, topics)]
-    return [one for one in found if "topic out, my_msgs/Warm" in one]
+    texts = [str(warning) for warning in engine.warnings(folder, definitions, topics)]
+    return [text for text in texts if "topic out, my_msgs/Warm" in text]
 
 
 @pytest.mark.parametrize(
@@ -167,14 +168,14 @@ def output_warnings(definitions, folder, goal, rules=""):
         "subscribe(seen(_, H) with throttle(1), [], H, out, s1)",
     ],
 )
-def test_a_format_that_is_a_variable_of_the_event_may_hold_a_message(definitions, tmp_path, goal):
+def test_variable_template_may_be_message(definitions, tmp_path, goal):
     assert output_warnings(definitions, tmp_path, goal) == []
 
 
 @pytest.mark.parametrize("form", ["_", "Event", "seen(H)"])
-def test_an_event_that_is_no_message_is_said(definitions, tmp_path, form):
-    (found,) = output_warnings(definitions, tmp_path, f"subscribe(seen(H), [], {form}, out, s1)")
-    assert "expected my_msgs__0__Warm/2, got seen/1" in found
+def test_output_that_is_no_message_is_reported(definitions, tmp_path, form):
+    (text,) = output_warnings(definitions, tmp_path, f"subscribe(seen(H), [], {form}, out, s1)")
+    assert "expected my_msgs__0__Warm/2, got seen/1" in text
 
 
 TWO_FLAGS = (
@@ -213,7 +214,7 @@ def test_topics_with_one_event_are_reported(tmp_path, definitions):
     ],
     ids=["unused", "event", "frame", "one frame", "header", "one topic"],
 )
-def test_topics_that_are_told_apart_are_not_reported(tmp_path, definitions, topics, rules):
+def test_distinguishable_topics_are_not_reported(tmp_path, definitions, topics, rules):
     assert shared_events(tmp_path, definitions, topics, rules) == []
 
 

@@ -9,29 +9,33 @@ from retalis import Definitions, Engine, ProgramErrors
 from retalis.engine.program_check import check_program
 
 
-def unread(engine, folder):
-    return [one.message for one in engine.warnings(folder, Definitions()) if "is not read" in one.message]
+def unread_files(engine, folder):
+    return [
+        warning.message
+        for warning in engine.warnings(folder, Definitions())
+        if "is not read" in warning.message
+    ]
 
 
-def test_rules_that_no_goal_reads(tmp_path):
+def test_file_that_is_not_read_is_reported(tmp_path):
     engine = Engine()
-    assert unread(engine, tmp_path) == []
+    assert unread_files(engine, tmp_path) == []
     (tmp_path / "eventRules.txt").write_text("a <- b.")
-    assert unread(engine, tmp_path) == [
+    assert unread_files(engine, tmp_path) == [
         f"{tmp_path}/eventRules.txt is not read: no goal in goalPredicates.txt calls "
         "compile_event_file('eventRules.txt')"
     ]
     (tmp_path / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')")
     engine.load_program(tmp_path)
-    assert unread(engine, tmp_path) == []
+    assert unread_files(engine, tmp_path) == []
     (tmp_path / "eventRules.txt").write_text("a <- .")
     engine = Engine()
     with pytest.raises(ProgramErrors):
         engine.load_program(tmp_path)
-    assert unread(engine, tmp_path) == []  # that they cannot be read is said already
+    assert unread_files(engine, tmp_path) == []  # the errors of the load are reported already
 
 
-def test_a_folder_that_may_not_be_entered_is_no_error(tmp_path, monkeypatch):
+def test_folder_without_permission_is_no_error(tmp_path, monkeypatch):
     """Who is root may enter all of them: here the system says no."""
 
     real_stat, real_path_stat = os.stat, Path.stat
@@ -44,7 +48,7 @@ def test_a_folder_that_may_not_be_entered_is_no_error(tmp_path, monkeypatch):
         os, "stat", lambda path, *rest, **options: refuse(path) or real_stat(path, *rest, **options)
     )
     monkeypatch.setattr(Path, "stat", lambda path, **options: refuse(path) or real_path_stat(path, **options))
-    assert unread(Engine(), tmp_path) == []
+    assert unread_files(Engine(), tmp_path) == []
 
 
 def write_program(folder, rules):

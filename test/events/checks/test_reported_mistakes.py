@@ -34,13 +34,13 @@ def mistakes():
     """Yield the mistakes of the table: what they add to each file, and what is said."""
     for entry in TABLE.read_text(encoding="utf-8").split("\n## ")[1:]:
         name, *lines = entry.rstrip().split("\n")
-        found = defaultdict(list)
+        lines_by_part = defaultdict(list)
         for line in lines:
             if line.startswith("|"):
-                found["said"].append(line[2:])
+                lines_by_part["said"].append(line[2:])
             else:
-                found[line[:6].strip()].append(line[6:])
-        yield pytest.param({kind: "\n".join(lines) for kind, lines in found.items()}, id=name)
+                lines_by_part[line[:6].strip()].append(line[6:])
+        yield pytest.param({part: "\n".join(lines) for part, lines in lines_by_part.items()}, id=name)
 
 
 def write(folder, rule="", goal="", topic="", said=""):
@@ -50,31 +50,31 @@ def write(folder, rule="", goal="", topic="", said=""):
     (folder / "eventRules.txt").write_text(f"{RULES}{rule}\n")
 
 
-def said_of(folder: Path, definitions):
-    found = check_program(folder, definitions)
-    said = "\n".join(f"{finding.severity}: {finding.problem}" for finding in found)
-    return said.replace(f"{folder}/", "")
+def findings_text(folder: Path, definitions):
+    findings = check_program(folder, definitions)
+    text = "\n".join(f"{finding.severity}: {finding.problem}" for finding in findings)
+    return text.replace(f"{folder}/", "")
 
 
 @pytest.mark.parametrize("mistake", list(mistakes()))
-def test_a_mistake_is_said_once_with_its_place(tmp_path, definitions, mistake):
+def test_mistake_has_one_finding_with_position(tmp_path, definitions, mistake):
     write(tmp_path, **mistake)
-    assert said_of(tmp_path, definitions) == mistake["said"]
+    assert findings_text(tmp_path, definitions) == mistake["said"]
 
 
-def test_there_are_thirty_of_them():
+def test_table_has_thirty_mistakes():
     assert len(list(mistakes())) >= 30
 
 
-def test_nothing_is_said_of_the_program_without_them(tmp_path, definitions):
+def test_program_without_mistakes_has_no_findings(tmp_path, definitions):
     write(tmp_path)
-    assert said_of(tmp_path, definitions) == ""
+    assert findings_text(tmp_path, definitions) == ""
 
 
-def test_a_stamp_is_a_number_of_arithmetic(tmp_path, definitions):
+def test_timestamp_is_number_of_arithmetic(tmp_path, definitions):
     header = "sensor_msgs__0__Temperature(std_msgs__0__Header(_, T, _), _, _)"
     write(tmp_path, rule=f"hit <- {header} check (t2(E), E - T > 0.5).")
-    assert said_of(tmp_path, definitions) == ""
+    assert findings_text(tmp_path, definitions) == ""
 
 
 @pytest.mark.parametrize(
@@ -86,11 +86,13 @@ def test_a_stamp_is_a_number_of_arithmetic(tmp_path, definitions):
         "std_msgs__0__Float64(X) <- reading(X) where X \\== unknown.",
     ],
 )
-def test_what_a_program_makes_of_other_kinds_of_values_is_left_alone(tmp_path, definitions, rule):
+def test_converted_values_are_not_reported(tmp_path, definitions, rule):
     write(tmp_path, rule=rule)
-    assert [one.problem for one in check_program(tmp_path, definitions) if one.check == "kinds"] == []
+    assert [
+        finding.problem for finding in check_program(tmp_path, definitions) if finding.check == "kinds"
+    ] == []
 
 
 @pytest.mark.slow
-def test_nothing_is_said_of_the_example(definitions):
-    assert said_of(ROOT / "application_source", definitions) == ""
+def test_example_has_no_findings(definitions):
+    assert findings_text(ROOT / "application_source", definitions) == ""

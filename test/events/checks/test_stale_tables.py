@@ -15,58 +15,58 @@ go(1) <- pos(_).
 """
 
 
-def findings(folder, rules, check):
+def messages_of_check(folder, rules, check):
     """Return what a check says of a program, which has no errors."""
     (folder / "pub_sub.xml").write_text("<publish_subscribe></publish_subscribe>\n")
     (folder / "goalPredicates.txt").write_text(f"compile_event_file('rules.txt')\n{MEMORY}")
     (folder / "rules.txt").write_text(rules)
-    found = list(check_program(folder, Definitions()))
-    assert [one for one in found if one.severity == "error"] == []
-    return [one.problem.message for one in found if one.check == check]
+    findings_of_program = list(check_program(folder, Definitions()))
+    assert [finding for finding in findings_of_program if finding.severity == "error"] == []
+    return [finding.problem.message for finding in findings_of_program if finding.check == check]
 
 
-def said(folder, rules):
+def stale_table_messages(folder, rules):
     """Return what is said of tables in a program."""
-    return findings(folder, RULES + rules, "stale-tables")
+    return messages_of_check(folder, RULES + rules, "stale-tables")
 
 
 READS_POS = "t(P) :- prev(pos, pos(P), _, _, [1000,0]).\n"
-KEEPS = "and keeps its answers when that changes: write :- table t/1 as incremental"
+ADVICE = "and keeps its answers when that changes: write :- table t/1 as incremental"
 OPAQUE = "; where it is meant so, :- table t/1 as opaque"
 
 
 @pytest.mark.parametrize(
     ("rules", "text"),
     [
-        (":- table t/1.\n" + READS_POS, f"table t/1 reads memory pos, {KEEPS}{OPAQUE}"),
-        (":- table t(_).\n" + READS_POS, f"table t/1 reads memory pos, {KEEPS}{OPAQUE}"),
+        (":- table t/1.\n" + READS_POS, f"table t/1 reads memory pos, {ADVICE}{OPAQUE}"),
+        (":- table t(_).\n" + READS_POS, f"table t/1 reads memory pos, {ADVICE}{OPAQUE}"),
         (
             ":- table t/1.\nt(P) :- other(P).\nother(P) :- \\+ \\+ findall(P, access_mem(M, P, _), _), M = pos.\n",
-            f"table t/1 reads memories, {KEEPS}{OPAQUE}",
+            f"table t/1 reads memories, {ADVICE}{OPAQUE}",
         ),
         (
             ":- table t/1.\nt(P) :- pose_chain([pos], [1,0], P).\n",
-            f"table t/1 reads memories, {KEEPS}{OPAQUE}",
+            f"table t/1 reads memories, {ADVICE}{OPAQUE}",
         ),
         (
             ":- state(docked(R), from(dock(R)), until(undock(R))).\n:- table t/1.\nt(R) :- holds(docked(R)).\n",
-            f"table t/1 reads state docked/1, {KEEPS}{OPAQUE}",
+            f"table t/1 reads state docked/1, {ADVICE}{OPAQUE}",
         ),
         (
             ":- dynamic q/1.\n:- table t/1.\nt(X) :- q(X).\nnote(P) :- assertz(q(P)).\n",
-            f"table t/1 reads q/1, which the program changes, {KEEPS} and :- dynamic q/1 as incremental{OPAQUE}",
+            f"table t/1 reads q/1, which the program changes, {ADVICE} and :- dynamic q/1 as incremental{OPAQUE}",
         ),
         (
             ":- dynamic q/1 as incremental.\n:- table t/1.\nt(X) :- q(X).\nnote(P) :- retractall(q(P)).\n",
-            f"table t/1 reads q/1, which the program changes, {KEEPS}{OPAQUE}",
+            f"table t/1 reads q/1, which the program changes, {ADVICE}{OPAQUE}",
         ),
         (
             ":- dynamic q/1.\n:- table t/1.\nt(X) :- clause(q(X), true).\ndo_it <- go do assertz(q(1)).\n",
-            f"table t/1 reads q/1, which the program changes, {KEEPS} and :- dynamic q/1 as incremental{OPAQUE}",
+            f"table t/1 reads q/1, which the program changes, {ADVICE} and :- dynamic q/1 as incremental{OPAQUE}",
         ),
         (
             ":- dynamic t/1.\n:- table t/1.\nnote(P) :- assertz(t(P)).\n",
-            f"table t/1 reads clauses of its own, {KEEPS}{OPAQUE}",
+            f"table t/1 reads clauses of its own, {ADVICE}{OPAQUE}",
         ),
         (
             ":- dynamic q/1.\n:- table t/1 as incremental.\nt(X) :- other(X).\nother(X) :- q(X).\n"
@@ -76,19 +76,22 @@ OPAQUE = "; where it is meant so, :- table t/1 as opaque"
         ),
         (
             ":- table t/1, u/1 as incremental.\nt(P) :- u(P).\nu(P) :- prev(pos, pos(P), _, _, [1000,0]).\n",
-            f"table t/1 reads memory pos, {KEEPS}{OPAQUE}",
+            f"table t/1 reads memory pos, {ADVICE}{OPAQUE}",
         ),
     ],
 )
-def test_a_table_that_goes_stale(tmp_path, rules, text):
-    assert said(tmp_path, rules) == [text]
+def test_stale_table_is_reported(tmp_path, rules, text):
+    assert stale_table_messages(tmp_path, rules) == [text]
 
 
-def test_each_table_on_the_way_is_named(tmp_path):
+def test_each_table_of_chain_is_named(tmp_path):
     rules = ":- table t/1, u/1.\nt(P) :- u(P).\nu(P) :- prev(pos, pos(P), _, _, [1000,0]).\n"
-    assert [text.split(" reads ")[0] for text in said(tmp_path, rules)] == ["table t/1", "table u/1"]
+    assert [text.split(" reads ")[0] for text in stale_table_messages(tmp_path, rules)] == [
+        "table t/1",
+        "table u/1",
+    ]
     opaque = rules.replace("t/1, u/1.", "t/1 as incremental, u/1.")
-    assert [text.split(" reads ")[0] for text in said(tmp_path, opaque)] == ["table u/1"]
+    assert [text.split(" reads ")[0] for text in stale_table_messages(tmp_path, opaque)] == ["table u/1"]
 
 
 @pytest.mark.parametrize(
@@ -116,11 +119,11 @@ def test_each_table_on_the_way_is_named(tmp_path):
         ":- table t/1.\nt(X) :- length(X, 2).\nuser :- t(_), prev(pos, _, _, _, [1,0]).\n",
     ],
 )
-def test_what_is_not_warned_of(tmp_path, rules):
-    assert said(tmp_path, rules) == []
+def test_table_that_cannot_be_stale_is_not_reported(tmp_path, rules):
+    assert stale_table_messages(tmp_path, rules) == []
 
 
-def test_options_of_declarations_hide_no_other_mistake(tmp_path):
+def test_options_of_declaration_hide_no_mistake(tmp_path):
     rules = ":- dynamic q/1 as incremental.\n:- table t/1 as incremental.\nt(X) :- q(X), nothing_there(X).\n"
-    found = findings(tmp_path, rules, "undefined")
-    assert [text.split(":")[0] for text in found] == ["there is no predicate nothing_there/1"]
+    messages = messages_of_check(tmp_path, rules, "undefined")
+    assert [text.split(":")[0] for text in messages] == ["there is no predicate nothing_there/1"]

@@ -17,14 +17,14 @@ from retalis.events.program.topic_configuration import Topics
 
 TOPICS = Topics((TopicType("said", "std_msgs/String"),))
 FIRST = "e0 <- std_msgs__0__String(_) where true."
-LONG = 400
+CHAIN_LENGTH = 400
 
-CHAIN = [f"e{at + 1} <- e{at} where true." for at in range(LONG)]
-TWICE = [f"e{at + 1} <- e{at} check true." for at in range(40)]
-PLAIN = [f"f{at + 1} <- f{at}." for at in range(LONG)]
+CHAIN = [f"e{number + 1} <- e{number} where true." for number in range(CHAIN_LENGTH)]
+TWICE = [f"e{number + 1} <- e{number} check true." for number in range(40)]
+PLAIN = [f"f{number + 1} <- f{number}." for number in range(CHAIN_LENGTH)]
 
 
-def said_of(*rules):
+def messages_of(*rules):
     engine = Engine()
     engine.load(rules="\n".join(rules))
     program = ProgramModel(engine.rules, engine.knowledge, Definitions(), TOPICS)
@@ -32,28 +32,28 @@ def said_of(*rules):
 
 
 @pytest.mark.slow
-def test_an_instant_is_known_behind_a_long_chain_of_rules():
-    (said,) = said_of(FIRST, *CHAIN, *TWICE, f"x <- e{LONG} par e{LONG}.")
-    assert said.startswith("par never matches here: both sides are instants")
+def test_instant_is_known_after_long_chain():
+    (message,) = messages_of(FIRST, *CHAIN, *TWICE, f"x <- e{CHAIN_LENGTH} par e{CHAIN_LENGTH}.")
+    assert message.startswith("par never matches here: both sides are instants")
 
 
-def test_an_event_of_two_rules_is_an_instant_where_both_say_so():
-    assert said_of(FIRST, "e1 <- e0. e1 <- e0 seq e0. x <- e1 par e1.") == []
+def test_event_of_two_rules_is_instant_if_both_are():
+    assert messages_of(FIRST, "e1 <- e0. e1 <- e0 seq e0. x <- e1 par e1.") == []
 
 
-def test_events_that_wait_for_each_other_are_no_instants():
-    assert said_of(FIRST, "a <- b where true. b <- a where true. x <- a par b.") == []
+def test_recursive_events_are_no_instants():
+    assert messages_of(FIRST, "a <- b where true. b <- a where true. x <- a par b.") == []
 
 
 @pytest.mark.slow
-def test_a_cycle_at_the_end_of_a_long_chain_is_said_once():
-    (said,) = said_of(*PLAIN, f"g <- f{LONG}. g <- h. h <- g.")
-    assert said.startswith("these events fire each other (g/0 <- h/0 <- g/0)")
+def test_cycle_after_long_chain_is_reported_once():
+    (message,) = messages_of(*PLAIN, f"g <- f{CHAIN_LENGTH}. g <- h. h <- g.")
+    assert message.startswith("these events fire each other (g/0 <- h/0 <- g/0)")
 
 
-def test_a_cycle_is_said_once():
-    (said,) = said_of(*PLAIN[:9], "f0 <- f9.")
-    assert said.startswith("these events fire each other (f1/0 <- f0/0 <- f9/0 <- ")
+def test_cycle_is_reported_once():
+    (message,) = messages_of(*PLAIN[:9], "f0 <- f9.")
+    assert message.startswith("these events fire each other (f1/0 <- f0/0 <- f9/0 <- ")
 
 
 PAIR = "near <- (std_msgs__0__String(_) and std_msgs__0__Bool(_)) within 0.1."

@@ -326,11 +326,11 @@ def _check_events(definitions, rules, arrivals):
         engine.event(term, *(float(stamp) if "." in stamp else int(stamp) for stamp in (start, end)))
     checked = 0
     for event in outputs:
-        for argument, kinds in (
+        for argument, value_types in (
             zip(event[1:], flow.kinds_of_event(event[0]) or ()) if isinstance(event, tuple) else ()
         ):
-            kind = kind_of(argument)
-            assert kind is None or overlaps(kind, kinds), engine.show(event)
+            value_type = kind_of(argument)
+            assert value_type is None or overlaps(value_type, value_types), engine.show(event)
             checked += 1
     return checked
 

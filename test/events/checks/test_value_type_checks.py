@@ -17,14 +17,16 @@ from retalis.prolog.builtins.builtin_registry import ENTRIES
 TOPICS = Topics((topic_type("at", "geometry_msgs/Point"), topic_type("n", "std_msgs/Int32")))
 
 
-def said(definitions, rules="", goals="", check=find_number_type_mismatches):
+def messages_of(definitions, rules="", goals="", check=find_number_type_mismatches):
     engine = Engine()
     engine.load(rules=rules, goals=goals)
-    return [one.message for one in check(ProgramModel(engine.rules, engine.knowledge, definitions, TOPICS))]
+    return [
+        error.message for error in check(ProgramModel(engine.rules, engine.knowledge, definitions, TOPICS))
+    ]
 
 
 @pytest.mark.parametrize(
-    ("rules", "goals", "told"),
+    ("rules", "goals", "message"),
     [
         ("a <- std_msgs__0__Int32(2.0).", "", "data of std_msgs/Int32 is an integer in events: write 2"),
         (
@@ -50,8 +52,8 @@ def said(definitions, rules="", goals="", check=find_number_type_mismatches):
         ),
     ],
 )
-def test_numbers_of_the_other_kind(definitions, rules, goals, told):
-    assert said(definitions, rules, goals) == [told]
+def test_comparison_with_other_number_type_is_reported(definitions, rules, goals, message):
+    assert messages_of(definitions, rules, goals) == [message]
 
 
 @pytest.mark.parametrize(
@@ -67,12 +69,12 @@ def test_numbers_of_the_other_kind(definitions, rules, goals, told):
         "a <- geometry_msgs__0__Point(X, _, _) where (Y = 0 ; Y = 1), X > Y.",
     ],
 )
-def test_what_may_be_is_left_alone(definitions, rules):
-    assert said(definitions, rules) == []
+def test_possible_comparison_is_not_reported(definitions, rules):
+    assert messages_of(definitions, rules) == []
 
 
 @pytest.mark.parametrize(
-    ("goal", "told"),
+    ("goal", "message"),
     [
         (
             "image_pixel(D, 0, 0, _)",
@@ -91,16 +93,18 @@ def test_what_may_be_is_left_alone(definitions, rules):
         ("(access_mem(m, I, _), image_pixel(I, W, W, D))", None),
     ],
 )
-def test_predicates_on_arrays_and_messages(definitions, goal, told):
+def test_arguments_of_array_predicates_are_checked(definitions, goal, message):
     rules = f"a <- sensor_msgs__0__Image{{data: D, width: W}} where {goal}."
-    assert said(definitions, rules, check=find_type_conflicts) == ([told] if told else [])
+    assert messages_of(definitions, rules, check=find_type_conflicts) == ([message] if message else [])
 
 
-def test_an_array_is_no_number(definitions):
-    (told,) = said(
+def test_array_as_number_is_reported(definitions):
+    (message,) = messages_of(
         definitions, "a <- sensor_msgs__0__LaserScan{ranges: R} where R < 1.", check=find_type_conflicts
     )
-    assert told.startswith("R is a list (ranges of sensor_msgs/LaserScan), not a number: take a number of it")
+    assert message.startswith(
+        "R is a list (ranges of sensor_msgs/LaserScan), not a number: take a number of it"
+    )
 
 
 def test_predicates_on_arrays_and_messages_are_built_in():
@@ -111,7 +115,7 @@ def test_predicates_on_arrays_and_messages_are_built_in():
 
 
 @pytest.mark.parametrize(
-    ("pattern", "told"),
+    ("pattern", "message"),
     [
         ("aggregate(avg(Ranges), msgs__0__Scan(_, Ranges, _), D, last(5))", []),
         ("aggregate(quantile(0.1, Ranges), msgs__0__Scan(_, Ranges, _), D, last(5))", []),
@@ -129,12 +133,12 @@ def test_predicates_on_arrays_and_messages_are_built_in():
         ),
     ],
 )
-def test_windows_take_arrays(definitions, pattern, told):
+def test_windows_accept_arrays(definitions, pattern, message):
     definitions.add("msgs/Scan", "float32 a\nfloat32[] ranges\nstring id\n")
     engine = Engine(definitions=definitions)
     engine.load(rules=f"a(D) <- {pattern}.")
     program = ProgramModel(engine.rules, engine.knowledge, definitions, TOPICS)
-    assert [one.message for one in find_type_conflicts(program)] == told
+    assert [one.message for one in find_type_conflicts(program)] == message
 
 
 @pytest.mark.parametrize(
@@ -158,7 +162,7 @@ def test_windows_take_arrays(definitions, pattern, told):
     ],
 )
 def test_equality_with_inexact_decimal_is_reported(definitions, rule, message):
-    assert said(definitions, rule, check=find_inexact_decimals) == [message]
+    assert messages_of(definitions, rule, check=find_inexact_decimals) == [message]
 
 
 @pytest.mark.parametrize(
@@ -174,4 +178,4 @@ def test_equality_with_inexact_decimal_is_reported(definitions, rule, message):
     ],
 )
 def test_exact_or_unmeasured_numbers_are_not_reported(definitions, rule):
-    assert said(definitions, rule, check=find_inexact_decimals) == []
+    assert messages_of(definitions, rule, check=find_inexact_decimals) == []

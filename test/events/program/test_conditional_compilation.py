@@ -16,19 +16,19 @@ CASES = [
 ]
 
 
-def there(program):
+def defined_predicates(program):
     return "".join(name for name in "abcd" if program.engine.call(f"current_predicate({name}/0)"))
 
 
 @pytest.mark.parametrize("rule", ["", " out <- in."], ids=["prolog", "rules"])
 @pytest.mark.parametrize(("text", "expected"), CASES)
-def test_branches(text, expected, rule):
+def test_branch_of_true_condition_is_loaded(text, expected, rule):
     program = ProgramRunner(text + rule)
-    assert there(program) == expected
+    assert defined_predicates(program) == expected
     assert program.warnings == []
 
 
-def test_rules_in_a_branch_that_does_not_count_are_none():
+def test_rules_in_skipped_branch_are_not_loaded():
     program = ProgramRunner(":- if(fail). c <- a. :- else. d <- a. :- endif.")
     assert program.feed("a@1") == "d@1-1"
 
@@ -45,7 +45,7 @@ def test_rules_in_a_branch_that_does_not_count_are_none():
         ("a. :- if(no_such_goal). b. :- endif.", "this condition raises an error"),
     ],
 )
-def test_what_is_wrong_is_told_at_its_place(text, part):
+def test_unbalanced_directive_is_reported_at_position(text, part):
     program = ProgramRunner(text)
-    assert [part in one.message and one.place.line == 1 for one in program.warnings] == [True]
-    assert there(program) == "a"
+    assert [part in warning.message and warning.place.line == 1 for warning in program.warnings] == [True]
+    assert defined_predicates(program) == "a"

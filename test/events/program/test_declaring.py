@@ -5,15 +5,15 @@ from events.load_messages import errors_of
 
 from retalis import Engine
 
-DECLARED = ":- event temperature(motor:atom, value:number).\n"
+DECLARATION = ":- event temperature(motor:atom, value:number).\n"
 FORM = "temperature(motor:atom,value:number)"
 ARITY = f"temperature/1 does not match its declaration: {FORM} has 2 arguments"
 VALUE = f"value of temperature/2 is a number, found hot; declared as {FORM}"
-BOTH = "V is a number (value of temperature/2) and, here, an atom (motor of temperature/2): these are never equal"
+CONFLICT = "V is a number (value of temperature/2) and, here, an atom (motor of temperature/2): these are never equal"
 
 
 @pytest.mark.parametrize(
-    "rule, column, said",
+    "rule, column, message",
     [
         ("a <- b seq temperature(X).", 12, ARITY),
         ("temperature(X) <- b(X).", 1, ARITY),
@@ -38,61 +38,61 @@ BOTH = "V is a number (value of temperature/2) and, here, an atom (motor of temp
         ("go :- \\+ new_event(temperature(_, hot), [1, 2]).", 35, VALUE),
         ("go :- timer(temperature(_, hot), after(5)).", 28, VALUE),
         (":- true, new_event(temperature(_, hot), 1, 2, 3, 4).", 35, VALUE),
-        ("a <- temperature(M, V) seq temperature(V, _).", 40, BOTH),
+        ("a <- temperature(M, V) seq temperature(V, _).", 40, CONFLICT),
         (
             "temperature(V, 3) <- temperature(M, V).",
             37,
             "V is an atom (motor of temperature/2) and, here, a number (value of temperature/2): these are never "
             "equal",
         ),
-        ("go(V) :- event(temperature(a, V)), event(temperature(V, 1)).", 54, BOTH),
+        ("go(V) :- event(temperature(a, V)), event(temperature(V, 1)).", 54, CONFLICT),
     ],
 )
-def test_an_error_stands_where_it_is(rule, column, said):
-    assert errors_of(f"{DECLARED}{rule}") == [(2, column, said)]
+def test_violation_is_reported_at_position(rule, column, message):
+    assert errors_of(f"{DECLARATION}{rule}") == [(2, column, message)]
 
 
-def test_all_of_them_are_said():
-    text = f"{DECLARED}a <- temperature(X).\nb <- c.\nd <- temperature(3, hot)."
+def test_all_violations_are_reported():
+    text = f"{DECLARATION}a <- temperature(X).\nb <- c.\nd <- temperature(3, hot)."
     assert [(line, column) for line, column, _ in errors_of(text)] == [(2, 6), (4, 18), (4, 21)]
 
 
 @pytest.mark.parametrize(
     ("text", "number"),
     [
-        ("a <- temperature(X).\n" + DECLARED, 1),
-        (DECLARED + "a <- temperature(M, V) where (M == left, temperature(V)).\ntemperature(3).", 1),
-        (DECLARED + "a <- temperature(V, _) or temperature(_, V).", 1),
-        (DECLARED + "a <- b(V) do (number(V) -> event(temperature(m, V)) ; event(temperature(V, 1))).", 1),
-        (DECLARED + "go(X) :- event(X), new_event(X, 1, 2).", 0),
-        (DECLARED + DECLARED, 0),
-        (DECLARED + "X <- a(X).", 1),
-        (DECLARED + "a <- temprature(X).", 1),
+        ("a <- temperature(X).\n" + DECLARATION, 1),
+        (DECLARATION + "a <- temperature(M, V) where (M == left, temperature(V)).\ntemperature(3).", 1),
+        (DECLARATION + "a <- temperature(V, _) or temperature(_, V).", 1),
+        (DECLARATION + "a <- b(V) do (number(V) -> event(temperature(m, V)) ; event(temperature(V, 1))).", 1),
+        (DECLARATION + "go(X) :- event(X), new_event(X, 1, 2).", 0),
+        (DECLARATION + DECLARATION, 0),
+        (DECLARATION + "X <- a(X).", 1),
+        (DECLARATION + "a <- temprature(X).", 1),
     ],
 )
-def test_what_is_before_or_not_certain_is_no_error(text, number):
+def test_earlier_or_uncertain_events_are_no_errors(text, number):
     engine = Engine()
     engine.load_rules(text)
     assert len(engine.rules.rules) == number
-    with pytest.raises(Exception, match="does not match its declaration"):  # what comes later has to fit
+    with pytest.raises(Exception, match="does not match its declaration"):  # later rules are checked
         engine.load_rules("late <- temperature(X).")
     assert len(engine.rules.rules) == number
 
 
-def test_a_declaration_may_hold_already_or_stand_in_an_included_file(tmp_path):
-    (tmp_path / "events.txt").write_text(DECLARED)
+def test_declaration_may_be_earlier_or_included(tmp_path):
+    (tmp_path / "events.txt").write_text(DECLARATION)
     engine = Engine()
     engine.load(goals="event temperature(motor:atom, value:number)")
-    other = Engine()
+    other_engine = Engine()
     with pytest.raises(Exception, match="does not match its declaration"):
         engine.load_rules("a <- temperature(X).")
     with pytest.raises(Exception, match="does not match its declaration"):
-        other.load_rules(":- include('events.txt').\na <- temperature(X).", folder=tmp_path)
-    assert engine.rules.rules == other.rules.rules == []
+        other_engine.load_rules(":- include('events.txt').\na <- temperature(X).", folder=tmp_path)
+    assert engine.rules.rules == other_engine.rules.rules == []
 
 
 @pytest.mark.parametrize(
-    "text, line, column, said",
+    "text, line, column, message",
     [
         (":- event t(a:nubmer).", 1, 12, "there is no type nubmer; did you mean number?"),
         (":- event t(a:atom).\n:- event t(b:atom).", 2, 10, "t is declared already, as t(a:atom)"),
@@ -111,11 +111,11 @@ def test_a_declaration_may_hold_already_or_stand_in_an_included_file(tmp_path):
         ),
     ],
 )
-def test_wrong_declarations(text, line, column, said):
-    assert errors_of(text) == [(line, column, said)]
+def test_invalid_declaration_is_refused(text, line, column, message):
+    assert errors_of(text) == [(line, column, message)]
 
 
-def test_every_event_may_have_to_be_declared():
+def test_undeclared_event_is_refused_if_flag_is_set():
     lines = (
         "a <- b.",
         ":- set_etalis_flag(undeclared_events, error).",

@@ -19,9 +19,9 @@ from events.stream_programs import ProgramRunner
         (":- include(no_such_file).", 4, "No such file"),
     ],
 )
-def test_an_error_is_at_its_goal(directive, column, part):
-    ((line, at, message),) = errors_of(f"% first\n{directive}")
-    assert (line, at) == (2, column)
+def test_error_is_reported_at_goal(directive, column, part):
+    ((line, actual_column, message),) = errors_of(f"% first\n{directive}")
+    assert (line, actual_column) == (2, column)
     assert part in message
 
 
@@ -34,26 +34,26 @@ def test_an_error_is_at_its_goal(directive, column, part):
         (":- true, (fail).", 10),
     ],
 )
-def test_a_failure_is_at_the_goal_that_was_reached_last(directive, column):
+def test_failure_is_reported_at_last_goal(directive, column):
     assert warnings_of(directive) == [(1, column, "this directive fails")]
 
 
-def test_a_cut_is_that_of_the_directive():
+def test_cut_is_local_to_directive():
     program = ProgramRunner(":- assertz(f(1)), assertz(f(2)), f(X), !, assertz(g(X)).")
-    assert [one["X"] for one in program.engine.query("g(X)")] == [1]
+    assert [answer["X"] for answer in program.engine.query("g(X)")] == [1]
     assert warnings_of(":- member(X, [1, 2]), !, X > 1.") == [(1, 26, "this directive fails")]
 
 
-def test_a_directive_that_runs_others_knows_where_it_is():
+def test_nested_directives_keep_positions():
     inner = "compile_event_rules([(:- (true, true, true)), (:- (true, fail))])"
-    found = ProgramRunner(f":- true, {inner}, fail.").warnings
-    assert [warning.place.column if warning.place else None for warning in found] == [
+    warnings = ProgramRunner(f":- true, {inner}, fail.").warnings
+    assert [warning.place.column if warning.place else None for warning in warnings] == [
         None,
         10 + len(inner) + 2,
     ]
 
 
 @pytest.mark.parametrize("goal", ["'$goal'(b)", "'$goal'(_)", "'$goal'(99)", "'$goal'(-1)"])
-def test_what_notes_the_goals_of_a_directive_takes_no_other_numbers(goal):
+def test_goal_marker_refuses_other_numbers(goal):
     assert warnings_of(f":- true, {goal}.") == [(1, 10, "this directive fails")]
     assert list(ProgramRunner("").engine.query(goal)) == []

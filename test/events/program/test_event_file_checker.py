@@ -1,4 +1,4 @@
-"""Facts that were meant as goals."""
+"""Facts that are probably goals without an arrow."""
 
 import pytest
 from events.load_messages import warnings_of
@@ -17,7 +17,7 @@ from retalis import Engine, ProgramErrors
         ("reset_db", "reset_db/0"),
     ],
 )
-def test_they_are_errors_that_name_the_arrow(goal, key):
+def test_fact_of_built_in_predicate_is_refused(goal, key):
     engine = Engine()
     with pytest.raises(ProgramErrors) as caught:
         engine.load(rules=f"c <- a.\nfact(1).\n  {goal}.\n")
@@ -39,15 +39,15 @@ def test_they_are_errors_that_name_the_arrow(goal, key):
         "append(X, Y, Z) :- fail.\nappend([], x, x).",
     ],
 )
-def test_a_program_may_define_predicates_of_the_library(program):
+def test_program_may_define_library_predicates(program):
     engine = Engine()
     engine.load(rules=program)
     assert engine.query("append([], x, X)")[0]["X"].name == "x"
-    engine.load(rules="append(more, x, y).")  # the program's own by now
+    engine.load(rules="append(more, x, y).")  # the predicate belongs to the program
     assert engine.call("append(more, x, y)")
 
 
-def test_facts_that_look_like_forms_of_the_loader_stay():
+def test_facts_named_as_loader_forms_are_stored():
     engine = Engine()
     engine.load(rules="db(x). static(wall). prolog(p(1)). module(m, [x]). print_trigger(a/1).")
     for goal in (
@@ -63,8 +63,8 @@ def test_facts_that_look_like_forms_of_the_loader_stay():
         assert engine.call(goal), goal
 
 
-@pytest.mark.parametrize("text, warned", [("hot(X) - t(X).", True), ("a - b.", True), ("a - 1.", False)])
-def test_a_dash_where_an_arrow_was_meant_is_warned_of(text, warned):
-    found = warnings_of(f"b <- a.\n{text}")
-    assert [(line, column) for line, column, _ in found] == [(2, text.index("-") + 1)] * warned
-    assert all("<-" in message and ":-" in message for _, _, message in found)
+@pytest.mark.parametrize("text, is_reported", [("hot(X) - t(X).", True), ("a - b.", True), ("a - 1.", False)])
+def test_dash_instead_of_arrow_is_reported(text, is_reported):
+    warnings = warnings_of(f"b <- a.\n{text}")
+    assert [(line, column) for line, column, _ in warnings] == [(2, text.index("-") + 1)] * is_reported
+    assert all("<-" in message and ":-" in message for _, _, message in warnings)

@@ -1,4 +1,4 @@
-"""Event files: syntax, errors with places, directives, and rejection as a whole."""
+"""Event files: syntax, errors with positions, directives, and rejection as a whole."""
 
 import linecache
 
@@ -47,12 +47,12 @@ from retalis.prolog.database.predicate import Predicate
         (":- set_etalis_flag(garbage_contrl, general).", 4, "did you mean garbage_control?"),
     ],
 )
-def test_refused(rule, column, part):
+def test_invalid_rule_is_refused_at_position(rule, column, part):
     assert_refused(rule, column, part)
 
 
 @pytest.mark.parametrize("pattern", ["a seq (" * 1500 + "a" + ")" * 1500, " and ".join(["a"] * 3000)])
-def test_a_pattern_that_is_too_deep_is_refused_at_its_place(pattern):
+def test_too_deep_pattern_is_refused_at_position(pattern):
     program = ProgramRunner("d <- a.")
     with pytest.raises(ProgramErrors) as caught:
         program.engine.load(rules=f"b <- a.\nc <- {pattern}.")
@@ -61,9 +61,9 @@ def test_a_pattern_that_is_too_deep_is_refused_at_its_place(pattern):
     assert program.feed("a@1") == "d@1-1"
 
 
-def test_all_errors_at_once():
-    found = errors_of("ok <- a.\nx <- a not b.\ny <- (.\nz <- b ntimes 0.\n")
-    assert [line for line, _, _ in sorted(found)] == [2, 3, 4]
+def test_all_errors_are_reported():
+    errors = errors_of("ok <- a.\nx <- a not b.\ny <- (.\nz <- b ntimes 0.\n")
+    assert [line for line, _, _ in sorted(errors)] == [2, 3, 4]
 
 
 @pytest.mark.parametrize(
@@ -90,7 +90,7 @@ def test_all_errors_at_once():
         (":- fail.", "directive fails"),
     ],
 )
-def test_warned_of(rule, part):
+def test_suspicious_rule_is_reported(rule, part):
     program = ProgramRunner(rule)
     assert any(part in str(warning) for warning in program.warnings)
 
@@ -108,22 +108,22 @@ def test_warned_of(rule, part):
         'c <- a where (sum_list([1], _), format("", []), prev(m, _, _, _, 1)).',
     ],
 )
-def test_what_may_be_called_is_not_warned_of(rules):
+def test_available_predicates_are_not_reported(rules):
     assert ProgramRunner(rules).warnings == []
 
 
-def test_a_long_list_of_predicates_that_a_goal_adds_is_read():
+def test_long_list_of_dynamic_predicates_is_read():
     added = ",".join(f"seen{number}/1" for number in range(3000))
     assert ProgramRunner(f"c <- a where seen2999(1). null do dynamic([{added}]) <- b.").warnings == []
 
 
-def test_a_predicate_that_is_missing_is_warned_of_at_its_place_once():
+def test_missing_predicate_is_reported_once():
     program = ProgramRunner("c <- a.\nd <- a where\n   no_such(1) .\nd <- a where no_such(2).")
     ((warning),) = program.warnings
     assert (warning.place.line, warning.place.column) == (3, 4)
 
 
-def test_forms():
+def test_all_forms_of_terms_are_loaded():
     rules = """
         c1 <- a. c2 iff a. c3 'IFF' a. c4 do true <- a. r1 : c5 <- a. r2 'rule:' c6 <- a.
         a do assertz(called). db(f(1)). prolog(f(2)). static(f(3)). g(X) :- f(X).
@@ -134,11 +134,11 @@ def test_forms():
     program = ProgramRunner(rules)
     assert program.feed("a@1") == "c1@1-1 c2@1-1 c3@1-1 c4@1-1 c5@1-1 c6@1-1"
     assert program.engine.call("called")
-    assert [one["X"] for one in program.engine.query("g(X)")] == [1, 2, 3, 4, 5]
+    assert [answer["X"] for answer in program.engine.query("g(X)")] == [1, 2, 3, 4, 5]
     assert program.engine.call("event_rule_property(r1, window, 5)")
 
 
-def test_a_directive_that_raises_undoes_the_file():
+def test_error_of_directive_rolls_back_file():
     program = ProgramRunner()
     with pytest.raises(ProgramErrors):
         program.engine.load(rules="f(1). :- assertz(g(2)). c <- a. :- no_such_goal.")
@@ -147,7 +147,7 @@ def test_a_directive_that_raises_undoes_the_file():
     assert not program.engine.query("catch(g(_),_,fail)")
 
 
-def test_a_refused_file_leaves_the_windows_of_other_rules():
+def test_refused_file_keeps_windows_of_other_rules():
     program = ProgramRunner("l : c <- a seq b. m([property(window,5)]) : d <- a seq b.")
     with pytest.raises(ProgramErrors):
         program.engine.load(
@@ -156,7 +156,7 @@ def test_a_refused_file_leaves_the_windows_of_other_rules():
     assert program.feed("a@1 b@4 a@5 b@11") == "c@1-4 d@1-4 c@5-11"
 
 
-def test_rules_come_and_go():
+def test_rules_are_inserted_and_deleted():
     program = ProgramRunner("c1(X) <- a(X). l : c2 <- a(_). c3 <- a(1) seq b.")
     call = program.engine.call
     assert call("ins_event_rule(c4 <- a(_))")
@@ -171,19 +171,19 @@ def test_rules_come_and_go():
     assert program.engine.rules.rules == []
 
 
-def test_a_rule_that_was_added_sees_later_events_only():
+def test_added_rule_matches_later_events_only():
     rules = "null do ins_event_rule(late(X) <- a(X)) <- a(1). c(X) <- a(X)."
     assert outputs_of(rules, "a(1)@1 a(2)@2") == "null@1-1 c(1)@1-1 c(2)@2-2 late(2)@2-2"
 
 
-def test_compile_event_rules():
+def test_terms_are_compiled_as_rules_and_clauses():
     program = ProgramRunner()
     assert program.engine.call("compile_event_rules([(c <- a), (f(X) :- X = 1), g(2)])")
     assert program.feed("a@1") == "c@1-1"
     assert program.engine.call("f(1), g(2)")
 
 
-def test_reset():
+def test_reset_removes_matches_and_rules():
     program = ProgramRunner("c <- a seq b.", policy="chronological")
     program.feed("a@1")
     program.engine.call("reset_etalis_state")
@@ -195,7 +195,7 @@ def test_reset():
 
 @pytest.mark.parametrize("goal", ["reset_db", "call_gc"])
 @pytest.mark.parametrize(
-    ("rule", "stream", "more"),
+    ("rule", "stream", "completing_event"),
     [
         ("c <- a seq b.", "a@1", "b@2"),
         ("l : c <- a and b.", "a@1", "b@2"),
@@ -206,24 +206,24 @@ def test_reset():
         ("c <- a forall_seq b.", "a@1 a@2", "b@3"),
     ],
 )
-def test_all_partial_matches_are_dropped(goal, rule, stream, more):
+def test_reset_drops_all_partial_matches(goal, rule, stream, completing_event):
     program = ProgramRunner(rule)
     program.feed(stream)
     assert program.engine.rules.match_count > 0
     assert program.engine.call(goal)
     assert program.engine.rules.match_count == 0
-    assert program.feed(more) == ""
-    assert program.feed(f"{stream} {more}") != ""
+    assert program.feed(completing_event) == ""
+    assert program.feed(f"{stream} {completing_event}") != ""
 
 
-def test_what_rules_out_is_dropped_with_the_partial_matches():
+def test_reset_drops_negated_events():
     program = ProgramRunner("c <- a fnot b.")
     assert program.feed("b@1 a@2") == ""
     assert program.engine.call("reset_db")
     assert program.feed("a@3") == "c@3-3"
 
 
-def test_streams(tmp_path):
+def test_event_stream_file_is_executed(tmp_path):
     program = ProgramRunner()
     program.engine.load(rules="c <- a.", folder=tmp_path)
     (tmp_path / "s.txt").write_text("event(a,[1,1]). fail. no_such_goal. event(a,[2,2]).")
@@ -235,42 +235,44 @@ def test_streams(tmp_path):
     assert len(program.events) == 10
 
 
-def test_stored_events():
+def test_stored_events_are_queried():
     program = ProgramRunner("c <- a.", ["store_fired_events"])
     program.feed("a@1")
     assert len(program.engine.query("fired_event(E,I)")) == 2
     assert program.engine.call("stored_event(event(c,[1,1]))")
 
 
-def test_rules_that_come_and_go_at_run_time_do_not_cost_more_with_what_there_is(monkeypatch):
-    program = ProgramRunner("\n".join(f"f({at}). c <- a({at}) and b." for at in range(50)))
+def test_rule_changes_do_not_scan_program(monkeypatch):
+    program = ProgramRunner("\n".join(f"f({number}). c <- a({number}) and b." for number in range(50)))
     engine = program.engine
-    looked = []
+    reads = []
     active_clauses = Predicate.active_clauses
-    monkeypatch.setattr(Predicate, "active_clauses", lambda one: looked.append(one) or active_clauses(one))
-    monkeypatch.setattr(type(engine.rules), "rules", property(lambda rules: looked.append(rules) or []))
+    monkeypatch.setattr(
+        Predicate, "active_clauses", lambda predicate: reads.append(predicate) or active_clauses(predicate)
+    )
+    monkeypatch.setattr(type(engine.rules), "rules", property(lambda rules: reads.append(rules) or []))
     assert engine.call("ins_event_rule(r([property(window,5)]) : (d(X) <- e(X) and f(X)))")
     assert program.feed("e(1)@1 f(1)@2") == "d(1)@1-2"
     assert engine.call("del_event_rule(r)")
     assert engine.call("ins_event_rule((d(X) <- e(X)))")
     assert engine.call("del_event_rule((d(Y) <- e(Y)))")
     assert program.feed("e(1)@3") == ""
-    assert looked == []
+    assert reads == []
 
 
 @pytest.mark.slow
-def test_rules_of_one_form_that_come_and_go_at_run_time_keep_no_code():
+def test_code_of_deleted_rules_is_not_kept():
     program = ProgramRunner("k(_).")
-    kept = []
+    cache_sizes = []
     for second in range(1, 6):
         assert program.engine.call("ins_event_rule(b(X) do k(X) <- a(X))")
         assert program.feed(f"a(1)@{second}") == f"b(1)@{second}-{second}"
         assert program.engine.call("del_event_rule(b(X) do k(X) <- a(X))")
-        kept.append(len(linecache.cache))
-    assert kept[1:] == [kept[1]] * 4
+        cache_sizes.append(len(linecache.cache))
+    assert cache_sizes[1:] == [cache_sizes[1]] * 4
 
 
-def test_of_many_errors_the_first_are_kept_and_the_others_counted():
+def test_first_errors_are_kept_and_others_counted():
     engine = Engine()
     with pytest.raises(ProgramErrors) as caught:
         engine.load(rules="".join(f"out_{number} <- ).\n" for number in range(1000)))
@@ -282,7 +284,7 @@ def test_of_many_errors_the_first_are_kept_and_the_others_counted():
     assert [error.message for error in caught.value.errors[-2:]] == ["this goal fails", "there are 900 more"]
 
 
-def test_an_error_at_a_long_event_shows_its_beginning(caplog):
+def test_error_shows_beginning_of_long_event(caplog):
     engine = Engine()
     engine.load(rules="null do X is foo+1 <- a(X).")
     engine.event((functor("a", 1), atom("x" * 100_000)), 1)

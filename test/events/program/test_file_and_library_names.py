@@ -16,9 +16,9 @@ def write(folder, **texts):
         path.with_suffix(".pl").write_text(text, encoding="utf-8")
 
 
-def errors_of(work):
+def errors_of(operation):
     with pytest.raises(ProgramErrors) as caught:
-        work()
+        operation()
     return [
         f"{error.place.source}:{error.place.line}:{error.place.column}: {error.message}"
         for error in caught.value.errors
@@ -27,13 +27,13 @@ def errors_of(work):
 
 @pytest.mark.parametrize("form", [":- use_module({})", "use_module({})", ":- ensure_loaded({})"])
 @pytest.mark.parametrize("name", ["'sub/one.pl'", '"sub/one.pl"', "sub/one", "'sub/one'"])
-def test_a_file_is_loaded_before_the_rules(program, tmp_path, form, name):
+def test_used_file_is_loaded_before_rules(program, tmp_path, form, name):
     write(tmp_path, main=f"d <- c.\n{form.format(name)}.", sub__one=":- use_module(two).", sub__two="c <- a.")
     program.engine.rules.load_file(tmp_path / "main.pl")
     assert program.feed("a@1") == "c@1-1 d@1-1"
 
 
-def test_a_file_is_ensured_once_and_used_each_time(program, tmp_path):
+def test_ensured_file_is_loaded_once(program, tmp_path):
     write(
         tmp_path,
         one="c <- a.",
@@ -50,7 +50,7 @@ def test_a_file_is_ensured_once_and_used_each_time(program, tmp_path):
 @pytest.mark.parametrize(
     "goal", ["consult('sub/one')", "consult(sub/one)", "[sub/one]", "consult([sub/one])"]
 )
-def test_a_directive_consults_files_relative_to_its_own(program, tmp_path, goal):
+def test_consulted_file_is_relative_to_directive(program, tmp_path, goal):
     write(tmp_path, inner__main=f":- {goal}. d <- c.")
     (tmp_path / "inner" / "sub").mkdir()
     write(tmp_path / "inner", sub__one="c <- a.")
@@ -58,7 +58,7 @@ def test_a_directive_consults_files_relative_to_its_own(program, tmp_path, goal)
     assert program.feed("a@1") == "c@1-1 d@1-1"
 
 
-def test_a_directive_of_a_file_that_is_used_names_files_beside_it(program, tmp_path):
+def test_directive_of_used_file_is_relative_to_it(program, tmp_path):
     write(
         tmp_path,
         main=":- use_module('sub/one.pl').",
@@ -75,7 +75,7 @@ def test_files_that_ensure_each_other_are_loaded_once(program, tmp_path):
     assert program.feed("a@1") == "d@1-1 c@1-1"
 
 
-def test_a_refused_file_may_be_ensured_again(program, tmp_path):
+def test_refused_file_may_be_loaded_again(program, tmp_path):
     write(tmp_path, one="c <- a. :- no_such_goal.")
     errors_of(lambda: program.engine.load(rules=":- ensure_loaded(one)."))
     write(tmp_path, one="c <- a.")
@@ -83,30 +83,30 @@ def test_a_refused_file_may_be_ensured_again(program, tmp_path):
     assert program.feed("a@1") == "c@1-1"
 
 
-def test_after_a_reset_a_file_may_be_ensured_again(program, tmp_path):
+def test_reset_allows_loading_file_again(program, tmp_path):
     write(tmp_path, one="c <- a.")
     assert program.engine.call("ensure_loaded(one), reset_etalis, ensure_loaded(one)")
     assert program.feed("a@1") == "c@1-1"
 
 
-def test_an_included_file_stands_in_its_place(program, tmp_path):
+def test_included_file_is_read_in_place(program, tmp_path):
     write(tmp_path, sub__more=":- op(700, xfx, ===>). :- include(yet). f(a ===> b).", sub__yet="d <- a.")
     program.engine.load(rules="c <- a. :- include(sub/more). e <- a. g(x ===> y).")
     assert program.feed("a@1") == "c@1-1 d@1-1 e@1-1"
     assert program.engine.call("f(===>(a,b)), g(===>(x,y))")
 
 
-def test_terms_that_are_loaded_may_include_files(program, tmp_path):
+def test_compiled_terms_may_include_files(program, tmp_path):
     write(tmp_path, one="c <- a.")
     assert program.engine.call("compile_event_rules([(:- include(one)), (d <- a)])")
     assert program.feed("a@1") == "c@1-1 d@1-1"
 
 
-def test_errors_have_their_own_files_place_and_come_in_order(program, tmp_path):
+def test_errors_of_files_are_in_order(program, tmp_path):
     write(tmp_path, one="x <- (.\ny <- a ntimes z.", two="ok <- a.\nz <- a not b.")
     rules = "v <- b ntimes q.\n:- include(one).\n:- use_module(two).\n:- include(none).\nw <- .\n"
-    found = errors_of(lambda: program.engine.load(rules=rules, source="r"))
-    assert [text.split(": ")[0] for text in found] == [
+    errors = errors_of(lambda: program.engine.load(rules=rules, source="r"))
+    assert [text.split(": ")[0] for text in errors] == [
         "one.pl:1:7",
         "one.pl:2:15",
         "r:1:15",
@@ -114,15 +114,15 @@ def test_errors_have_their_own_files_place_and_come_in_order(program, tmp_path):
         "r:5:6",
         "two.pl:2:8",
     ]
-    assert found[3] == "r:4:4: cannot read none: No such file or directory"
+    assert errors[3] == "r:4:4: cannot read none: No such file or directory"
     assert program.engine.rules.rules == []
 
 
 @pytest.mark.parametrize("form", ["include", "use_module"])
-def test_a_cycle_is_one_error(program, tmp_path, form):
+def test_cycle_of_files_is_one_error(program, tmp_path, form):
     write(tmp_path, one=f"c <- a.\n:- {form}(two).", two=f":- {form}(one).\nd <- a.")
-    found = errors_of(lambda: program.engine.rules.load_file("one.pl"))
-    assert found == ["two.pl:1:4: one.pl loads itself"]
+    errors = errors_of(lambda: program.engine.rules.load_file("one.pl"))
+    assert errors == ["two.pl:1:4: one.pl loads itself"]
     text = (tmp_path / "one.pl").read_text()
     assert errors_of(lambda: program.engine.load_rules(text, "one.pl", tmp_path)) == [
         f"{tmp_path}/two.pl:1:4: one.pl loads itself"
@@ -133,7 +133,7 @@ def test_a_cycle_is_one_error(program, tmp_path, form):
     "name",
     ["lists", "apply", "assoc", "pairs", "ordsets", "aggregate", "random", "yall", "dcg/basics"],
 )
-def test_libraries_are_there(program, name):
+def test_libraries_are_available(program, name):
     program.engine.load(rules=f":- use_module(library({name})). use_module(library({name})). c <- a.")
     program.engine.load(
         goals=f"use_module(library({name}))\nuse_module(library({name}), [])\nensure_loaded(library({name}))"
@@ -146,23 +146,23 @@ def test_libraries_are_there(program, name):
     ("form", "column"),
     [(":- use_module", 4), ("use_module", 1), (":- ensure_loaded", 4), (":- true, use_module", 10)],
 )
-def test_an_unknown_library_is_an_error(program, form, column):
-    (found,) = errors_of(lambda: program.engine.load(rules=f"c <- a.\n{form}(library(clpfd)).", source="r"))
-    assert found.startswith(f"r:2:{column}: ")
-    assert "Unknown library: clpfd" in found
+def test_unknown_library_is_refused(program, form, column):
+    (error,) = errors_of(lambda: program.engine.load(rules=f"c <- a.\n{form}(library(clpfd)).", source="r"))
+    assert error.startswith(f"r:2:{column}: ")
+    assert "Unknown library: clpfd" in error
 
 
 @pytest.mark.parametrize("name", ["X", "17", "f(x)", "library(X)", "''", "'a\\\\0\\\\b'"])
 @pytest.mark.parametrize("form", ["include", "use_module", "ensure_loaded"])
-def test_what_names_no_file_is_one_error(program, form, name):
-    (found,) = errors_of(lambda: program.engine.load(rules=f":- {form}({name}).", source="r"))
-    assert found.startswith("r:1:4: ")
+def test_invalid_file_name_is_one_error(program, form, name):
+    (error,) = errors_of(lambda: program.engine.load(rules=f":- {form}({name}).", source="r"))
+    assert error.startswith("r:1:4: ")
 
 
 # ---- goal files ------------------------------------------------------------------------------------------
 
 
-def test_goal_files_include_and_load_relative_to_themselves(program, tmp_path):
+def test_paths_of_goal_files_are_relative(program, tmp_path):
     write(
         tmp_path,
         sub__rules="c <- a.",
@@ -173,7 +173,7 @@ def test_goal_files_include_and_load_relative_to_themselves(program, tmp_path):
     assert len(program.engine.query("f(1)")) == 2
 
 
-def test_errors_of_goal_files_have_their_places(program, tmp_path):
+def test_errors_of_goal_files_have_positions(program, tmp_path):
     write(
         tmp_path,
         sub__more="true\nfail\ninclude('../goals.pl')\ncompile_event_file(none)\n",
@@ -181,8 +181,8 @@ def test_errors_of_goal_files_have_their_places(program, tmp_path):
     )
     write(tmp_path, goals="include(sub/more)")
     goals = "include(nothing)\ninclude(sub/more)\nensure_loaded(sub/bad)"
-    found = errors_of(lambda: program.engine.call_goals(goals, str(tmp_path / "goals.pl"), tmp_path))
-    assert [text.replace(f"{tmp_path}/", "") for text in found] == [
+    errors = errors_of(lambda: program.engine.call_goals(goals, str(tmp_path / "goals.pl"), tmp_path))
+    assert [text.replace(f"{tmp_path}/", "") for text in errors] == [
         "goals.pl:1:1: cannot read nothing: No such file or directory",
         "sub/more.pl:2:1: this goal fails",
         "sub/more.pl:3:1: goals.pl loads itself",
@@ -191,13 +191,13 @@ def test_errors_of_goal_files_have_their_places(program, tmp_path):
     ]
 
 
-# ---- which files ---------------------------------------------------------------------------------------
+# ---- permissions ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     "goal", ["ensure_loaded({})", "use_module({})", "compile_event_rules([(:- include({}))])"]
 )
-def test_a_goal_opens_files_in_allowed_folders_only(tmp_path, goal):
+def test_goal_opens_files_in_allowed_folders_only(tmp_path, goal):
     write(tmp_path, inside__one="c <- a.", outside__one="c <- a.")
     engine = Engine(settings=Settings(folders=(str(tmp_path / "inside"),)))
     with pytest.raises(Exception, match="No permission to open source_sink"):
@@ -208,7 +208,7 @@ def test_a_goal_opens_files_in_allowed_folders_only(tmp_path, goal):
 
 
 @pytest.mark.parametrize("mode", ["write", "append"])
-def test_a_name_that_no_file_can_have_is_not_written_to(tmp_path, mode):
+def test_invalid_file_name_is_not_written(tmp_path, mode):
     engine = Engine(settings=Settings(write_folders=(str(tmp_path),)))
     for name, error in (("'a\\0\\b'", "Domain error: `source_sink'"), ("x" * 256, "max_path_length")):
         with pytest.raises(PrologError, match=error):
@@ -216,7 +216,7 @@ def test_a_name_that_no_file_can_have_is_not_written_to(tmp_path, mode):
     assert list(tmp_path.iterdir()) == []
 
 
-def _persistent(write_folders=(), **settings):
+def _warnings_of_persistent_rule(write_folders=(), **settings):
     engine = Engine(clock=StreamClock(), settings=Settings(write_folders=write_folders, **settings))
     warnings = []
     engine.rules.on_warning = lambda warning: warnings.append(str(warning))
@@ -226,32 +226,30 @@ def _persistent(write_folders=(), **settings):
     return warnings
 
 
-WRITTEN = "".join(f"event(b({number}),[{number},{number}]).\n" for number in range(4))
+EXPECTED_FILE = "".join(f"event(b({number}),[{number},{number}]).\n" for number in range(4))
 
 
-def test_persistent_events_are_written_to_the_working_directory_where_goals_may_write_anywhere(
-    tmp_path, monkeypatch
-):
+def test_unrestricted_persistent_events_are_in_working_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert _persistent(None) == []
-    assert (tmp_path / "persistent.txt").read_text() == WRITTEN
+    assert _warnings_of_persistent_rule(None) == []
+    assert (tmp_path / "persistent.txt").read_text() == EXPECTED_FILE
 
 
-def test_persistent_events_are_written_to_allowed_folders_only(tmp_path, monkeypatch):
+def test_persistent_events_are_in_allowed_folders(tmp_path, monkeypatch):
     (tmp_path / "here").mkdir()
     (tmp_path / "program").mkdir()
     monkeypatch.chdir(tmp_path / "here")
-    assert _persistent((str(tmp_path / "program"),)) == []
-    assert (tmp_path / "program" / "persistent.txt").read_text() == WRITTEN
+    assert _warnings_of_persistent_rule((str(tmp_path / "program"),)) == []
+    assert (tmp_path / "program" / "persistent.txt").read_text() == EXPECTED_FILE
     for settings in ({}, {"folders": (str(tmp_path),)}, {"folders": None}):
-        reported = _persistent(**settings)
+        reported = _warnings_of_persistent_rule(**settings)
         assert [text.partition(" ")[0] for text in reported] == ["1", "2", "4"]
         assert "no folder" in reported[0]
     assert list((tmp_path / "here").iterdir()) == []
 
 
 @pytest.mark.parametrize("fact", ["print_trigger", "external_trigger", "spy_event", "persistent_event"])
-def test_events_that_facts_name_are_logged_or_written(tmp_path, caplog, fact):
+def test_events_named_by_facts_are_logged_or_written(tmp_path, caplog, fact):
     caplog.set_level("INFO", "retalis")
     program = ProgramRunner()
     program.engine.rules.files.sandbox.allow([tmp_path], [tmp_path])
@@ -259,21 +257,21 @@ def test_events_that_facts_name_are_logged_or_written(tmp_path, caplog, fact):
     assert program.engine.call(f"assertz({fact}(c/0))")
     program.feed("a(1)@1 a(2)@2 c@3")
     written = tmp_path / "persistent.txt"
-    found = written.read_text() if written.exists() else caplog.text
-    assert "event(b(1),[1,1])" in found
-    assert "event(c,[3,3])" in found
-    assert "b(2)" not in found
+    text = written.read_text() if written.exists() else caplog.text
+    assert "event(b(1),[1,1])" in text
+    assert "event(c,[3,3])" in text
+    assert "b(2)" not in text
     assert program.engine.call(f"exists_file('{written}')") == (fact == "persistent_event")
 
 
-def test_persistent_events_that_cannot_be_written_stop_nothing(tmp_path, monkeypatch):
+def test_failed_write_of_persistent_event_is_reported(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "persistent.txt").mkdir()
-    assert "Is a directory" in _persistent(None)[0]
-    assert "Is a directory" in _persistent([tmp_path])[0]
+    assert "Is a directory" in _warnings_of_persistent_rule(None)[0]
+    assert "Is a directory" in _warnings_of_persistent_rule([tmp_path])[0]
 
 
-def test_a_refused_file_leaves_the_librarys_predicates(program):
+def test_refused_file_keeps_library_predicates(program):
     for rules in (
         "memberchk(zz, _) :- true. c <- a ntimes z.",
         "memberchk(zz, _) :- true. min(1, 2, 3) :- true. d <- a. :- no_such_goal.",
@@ -289,31 +287,31 @@ def test_a_refused_file_leaves_the_librarys_predicates(program):
     "goal",
     ["consult({})", "[{}]", "use_module({})", "compile_event_file({})", "execute_event_stream_file({})"],
 )
-def test_a_file_that_is_not_there_is_an_existence_error_with_its_name(goal, tmp_path):
+def test_missing_file_is_existence_error(goal, tmp_path):
     engine = Engine(settings=Settings(folders=(str(tmp_path),)))
     name = f"'{tmp_path}/no.txt'"
     caught = f"catch({goal.format(name)}, error(existence_error(source_sink, Name), _), true)"
-    (found,) = engine.query(caught)
-    assert engine.show(found["Name"]) == name
+    (answer,) = engine.query(caught)
+    assert engine.show(answer["Name"]) == name
     with pytest.raises(PrologError, match=f"cannot read {tmp_path}/no.txt: No such file or directory"):
         engine.call(goal.format(name))
 
 
-def test_only_what_is_loaded_again_may_not_leave_out_more():
+def test_reload_limits_omissions():
     files = SourceFiles()
     with files.reloading({"one.pl": 2}):
         assert (files.max_omitted("one.pl"), files.max_omitted("two.pl")) == (2, 0)
     assert (files.max_omitted("one.pl"), files.max_omitted("two.pl")) == (None, None)
 
 
-def test_a_file_that_is_loaded_without_any_terms_left_out_is_not_noted():
+def test_file_without_omissions_is_not_recorded():
     files = SourceFiles()
     for number in (2, 0):
         files.record_omitted("one.pl", number)
         assert files.omitted == ({"one.pl": 2} if number else {})
 
 
-def test_names_are_relative_to_the_file_that_is_loaded_else_to_the_programs_folder(tmp_path, monkeypatch):
+def test_names_are_relative_to_loaded_file_or_program(tmp_path, monkeypatch):
     for folder in ("sub", "own", "here"):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / f"{folder}.pl").write_text("")
@@ -321,33 +319,33 @@ def test_names_are_relative_to_the_file_that_is_loaded_else_to_the_programs_fold
     files = SourceFiles()
     files.sandbox.add_program_folder(tmp_path / "own")
 
-    def starts_in(folder):
+    def is_relative_to(folder):
         assert files.absolute("../x") == str(tmp_path / "x")
         assert files.absolute("x") == str(tmp_path / folder / "x")
         assert files.is_folder(f"../{folder}") and not files.is_folder("x")
         assert files.is_readable(f"{folder}.pl") and not files.is_readable("x.pl")
         assert files.to_read(atom(f"{folder}.pl")) == (str(files.find(atom(folder))), "")
-        for work in (files.absolute, files.is_readable, files.is_folder, files.resolve):
+        for operation in (files.absolute, files.is_readable, files.is_folder, files.resolve):
             with pytest.raises(PrologError, match="source_sink"):
-                work("\0")
+                operation("\0")
         return True
 
     files.sandbox.allow([tmp_path], [tmp_path / "own"])
-    assert starts_in("own")
+    assert is_relative_to("own")
     files.sandbox.allow(None, [])
-    assert starts_in("here")
+    assert is_relative_to("here")
     with files.relative_to(tmp_path / "sub"):
-        assert starts_in("sub")
+        assert is_relative_to("sub")
         with files.relative_to(None):
-            assert starts_in("sub")
-    assert starts_in("here")
+            assert is_relative_to("sub")
+    assert is_relative_to("here")
     with files.loading(tmp_path / "sub"):
-        assert starts_in("sub")
-    assert starts_in("here")
+        assert is_relative_to("sub")
+    assert is_relative_to("here")
 
 
 def test_an_interrupted_load_is_restored(tmp_path):
-    """What runs is left by an interrupt wherever that came; the state before says what is to be undone."""
+    """An interrupt may leave the contexts at any point; the state before tells which ones to restore."""
     files = SourceFiles()
     for folder in ("one", "two"):
         (tmp_path / folder).mkdir()
@@ -369,7 +367,7 @@ def test_an_interrupted_load_is_restored(tmp_path):
         assert not files.sandbox.is_loading
 
 
-def test_a_file_that_goals_write_is_emptied_or_added_to(tmp_path):
+def test_written_file_is_emptied_or_appended(tmp_path):
     files = SourceFiles()
     files.sandbox.allow([], [tmp_path])
     with files.relative_to(tmp_path):
@@ -380,23 +378,23 @@ def test_a_file_that_goals_write_is_emptied_or_added_to(tmp_path):
             files.add(path, "one")
 
 
-def test_a_second_file_of_a_module_is_said_while_the_first_is_loaded(tmp_path):
-    files, said = SourceFiles(), []
-    files.on_same_module = said.append
+def test_second_file_of_module_is_reported(tmp_path):
+    files, warnings = SourceFiles(), []
+    files.on_same_module = warnings.append
     files.record_module("nothing_is_loaded")
-    one, two, other = (tmp_path / name for name in ("one.pl", "two.pl", "other.pl"))
-    for path, name in ((one, "m"), (other, "n"), (one, "m"), (two, "m")):
+    first, second, other = (tmp_path / name for name in ("one.pl", "two.pl", "other.pl"))
+    for path, name in ((first, "m"), (other, "n"), (first, "m"), (second, "m")):
         with files.loading_file(path):
             files.record_module(name)
             assert files.module(path) == name
-    assert said == [f"Warning: {one} is module m as well; what {two} has of it is added to that\n"]
+    assert warnings == [f"Warning: {first} is module m as well; what {second} has of it is added to that\n"]
     assert files.module(tmp_path / "none.pl") == ""
-    assert files.has_loaded(one) and not files.has_loaded(tmp_path / "none.pl")
+    assert files.has_loaded(first) and not files.has_loaded(tmp_path / "none.pl")
     files.loaded.clear()
-    assert files.module(one) == ""
-    with files.loading_file(two):
+    assert files.module(first) == ""
+    with files.loading_file(second):
         files.record_module("m")
-    assert len(said) == 1
+    assert len(warnings) == 1
 
 
 @pytest.mark.parametrize(

@@ -10,91 +10,91 @@ from retalis.events.program.file_sandbox import FileSandbox, check_name
 
 
 @pytest.fixture
-def door(tmp_path):
-    made = FileSandbox()
-    made.allow([tmp_path / "read"], [tmp_path / "write"])
+def sandbox(tmp_path):
+    sandbox_with_folders = FileSandbox()
+    sandbox_with_folders.allow([tmp_path / "read"], [tmp_path / "write"])
     for name in ("read", "write", "own", "other"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "a.txt").write_text("one\r\ntwo\rthree\n")
-    made.add_program_folder(tmp_path / "own")
-    return made
+    sandbox_with_folders.add_program_folder(tmp_path / "own")
+    return sandbox_with_folders
 
 
-def test_what_may_be_read(door, tmp_path):
+def test_allowed_files_are_read(sandbox, tmp_path):
     for name in ("read", "write", "own"):
         path = str(tmp_path / name / "a.txt")
-        assert door.is_file(path, path)
-        assert door.read(path, path) == "one\ntwo\nthree\n"
+        assert sandbox.is_file(path, path)
+        assert sandbox.read(path, path) == "one\ntwo\nthree\n"
     path = str(tmp_path / "other" / "a.txt")
-    for ask in (door.is_file, door.read, door.resolve_readable):
+    for operation in (sandbox.is_file, sandbox.read, sandbox.resolve_readable):
         with pytest.raises(PrologError, match="No permission to open source_sink `name'"):
-            ask(path, "name")
-    with door.loading():
-        assert door.read(path, path)
+            operation(path, "name")
+    with sandbox.loading():
+        assert sandbox.read(path, path)
 
 
-def test_a_folder_whose_name_goes_on_is_another(door, tmp_path):
+def test_folder_with_longer_name_is_another(sandbox, tmp_path):
     (tmp_path / "reading").mkdir()
     (tmp_path / "reading" / "a.txt").write_text("")
     with pytest.raises(PrologError, match="No permission"):
-        door.read(str(tmp_path / "reading" / "a.txt"), "a")
+        sandbox.read(str(tmp_path / "reading" / "a.txt"), "a")
 
 
-def test_loading_ends_with_its_work(door):
-    with pytest.raises(UsageError), door.loading():
+def test_loading_ends_after_error(sandbox):
+    with pytest.raises(UsageError), sandbox.loading():
         raise UsageError("x")
-    assert not door.is_loading
-    with door.loading():
-        with door.loading():
+    assert not sandbox.is_loading
+    with sandbox.loading():
+        with sandbox.loading():
             pass
-        assert door.is_loading
+        assert sandbox.is_loading
 
 
-def test_what_may_be_written(door, tmp_path):
+def test_allowed_files_are_written(sandbox, tmp_path):
     path = str(tmp_path / "write" / "new.txt")
-    door.append(path, "one\n")
-    door.append(path, "two\n")
-    assert door.read(path, path) == "one\ntwo\n"
+    sandbox.append(path, "one\n")
+    sandbox.append(path, "two\n")
+    assert sandbox.read(path, path) == "one\ntwo\n"
     for name in ("read", "own", "other"):
         with pytest.raises(PrologError, match="No permission"):
-            door.append(str(tmp_path / name / "new.txt"), "one\n")
+            sandbox.append(str(tmp_path / name / "new.txt"), "one\n")
         assert not (tmp_path / name / "new.txt").exists()
-    with door.loading():
-        door.append(str(tmp_path / "own" / "new.txt"), "one\n")
-    assert door.default_output_folder == str(tmp_path / "write")
+    with sandbox.loading():
+        sandbox.append(str(tmp_path / "own" / "new.txt"), "one\n")
+    assert sandbox.default_output_folder == str(tmp_path / "write")
 
 
-def test_bytes_are_characters_of_latin_1(door, tmp_path):
+def test_bytes_are_latin_1_characters(sandbox, tmp_path):
     path = str(tmp_path / "bytes")
-    with door.loading():
-        door.add_program_folder(tmp_path)
-        door.prepare_writing(path, path, True)
-        door.append(path, "\xff\r\n", "latin-1")
-        assert door.read(path, path, "latin-1") == "\xff\r\n"
+    with sandbox.loading():
+        sandbox.add_program_folder(tmp_path)
+        sandbox.prepare_writing(path, path, True)
+        sandbox.append(path, "\xff\r\n", "latin-1")
+        assert sandbox.read(path, path, "latin-1") == "\xff\r\n"
         with pytest.raises(UsageError):
-            door.append(path, "\u0400", "latin-1")
+            sandbox.append(path, "\u0400", "latin-1")
 
 
 @pytest.mark.parametrize("is_error", [False, True])
-def test_a_full_disk_leaves_no_half_of_a_text(door, tmp_path, monkeypatch, is_error):
+def test_full_disk_leaves_file_unchanged(sandbox, tmp_path, monkeypatch, is_error):
     path = tmp_path / "write" / "a.txt"
-    before = path.read_bytes()
+    content_before = path.read_bytes()
     write = os.write
 
-    def short(opened, data):
-        write(opened, data[:3])
+    def short_write(descriptor, data):
+        write(descriptor, data[:3])
         if is_error:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         return 3
 
     with monkeypatch.context() as patch:
-        patch.setattr("retalis.events.program.file_sandbox.os.write", short)
+        patch.setattr("retalis.events.program.file_sandbox.os.write", short_write)
         with pytest.raises(UsageError, match="cannot write .*: No space left on device"):
-            door.append(str(path), "a text\n")
-    assert path.read_bytes() == before
+            sandbox.append(str(path), "a text\n")
+    assert path.read_bytes() == content_before
 
 
-def test_names_that_files_can_have():
+def test_invalid_file_names_are_refused():
     for name in (
         "",
         "a",
@@ -112,51 +112,54 @@ def test_names_that_files_can_have():
             check_name(name)
 
 
-def test_no_file_stays_open(door, tmp_path):
+def test_no_file_is_left_open(sandbox, tmp_path):
     os.mkfifo(str(tmp_path / "read" / "pipe"))
     (tmp_path / "read" / "large").write_text("x" * 100)
-    door.max_bytes = 50
-    before = os.listdir("/proc/self/fd")
+    sandbox.max_bytes = 50
+    descriptors_before = os.listdir("/proc/self/fd")
     for name in ("a.txt", "pipe", "large", "none", "../other/a.txt", "."):
         path = str(tmp_path / "read" / name)
-        for work in (lambda path=path: door.read(path, path), lambda path=path: door.append(path, "x" * 40)):
+        for operation in (
+            lambda path=path: sandbox.read(path, path),
+            lambda path=path: sandbox.append(path, "x" * 40),
+        ):
             try:
-                work()
+                operation()
             except RetalisError:
                 continue
     for name in ("a.txt", "new.txt"):
-        door.prepare_writing(str(tmp_path / "write" / name), name, True)
+        sandbox.prepare_writing(str(tmp_path / "write" / name), name, True)
     with pytest.raises(PrologError):
-        door.prepare_writing(str(tmp_path / "other" / "new.txt"), "new.txt", True)
-    door.append(str(tmp_path / "write" / "b.txt"), "x" * 40)
+        sandbox.prepare_writing(str(tmp_path / "other" / "new.txt"), "new.txt", True)
+    sandbox.append(str(tmp_path / "write" / "b.txt"), "x" * 40)
     with pytest.raises(PrologError):
-        door.append(str(tmp_path / "write" / "b.txt"), "x" * 40)
-    assert os.listdir("/proc/self/fd") == before
+        sandbox.append(str(tmp_path / "write" / "b.txt"), "x" * 40)
+    assert os.listdir("/proc/self/fd") == descriptors_before
 
 
 @pytest.mark.parametrize("empty", [True, False])
-def test_a_file_is_begun_empty_or_as_it_is(door, tmp_path, empty):
+def test_writing_starts_empty_or_with_content(sandbox, tmp_path, empty):
     path = str(tmp_path / "write" / "a.txt")
-    before = door.read(path, path)
-    door.prepare_writing(path, path, empty)
-    assert door.read(path, path) == ("" if empty else before)
+    content_before = sandbox.read(path, path)
+    sandbox.prepare_writing(path, path, empty)
+    assert sandbox.read(path, path) == ("" if empty else content_before)
     path = str(tmp_path / "write" / "new.txt")
-    door.prepare_writing(path, path, empty)
-    assert door.read(path, path) == ""
+    sandbox.prepare_writing(path, path, empty)
+    assert sandbox.read(path, path) == ""
 
 
-def test_what_is_not_there_is_neither_file_nor_folder(door, tmp_path):
+def test_missing_path_is_neither_file_nor_folder(sandbox, tmp_path):
     for name in ("read", "read/a.txt", "read/none", "read/a.txt/none"):
         path = str(tmp_path / name)
-        assert door.is_file(path, path) == (name == "read/a.txt")
-        assert door.is_folder(path, path) == (name == "read")
+        assert sandbox.is_file(path, path) == (name == "read/a.txt")
+        assert sandbox.is_folder(path, path) == (name == "read")
 
 
 @pytest.mark.parametrize("limited", [True, False])
-def test_what_is_opened_is_checked_where_it_is(door, tmp_path, monkeypatch, limited):
-    """A folder on the way may become a link to elsewhere after the name has been checked."""
+def test_opened_file_is_checked_after_opening(sandbox, tmp_path, monkeypatch, limited):
+    """A parent folder may be replaced by a link after the check of the name."""
     if not limited:
-        door.allow(None, None)
+        sandbox.allow(None, None)
     path, other = str(tmp_path / "read" / "a.txt"), str(tmp_path / "other" / "a.txt")
     os_open = os.open
     monkeypatch.setattr(
@@ -164,53 +167,53 @@ def test_what_is_opened_is_checked_where_it_is(door, tmp_path, monkeypatch, limi
         lambda opened, *rest, **more: os_open(other if opened == path else opened, *rest, **more),
     )
     if limited:
-        before = os.listdir("/proc/self/fd")
+        descriptors_before = os.listdir("/proc/self/fd")
         with pytest.raises(PrologError, match="No permission to open source_sink `a'"):
-            door.read(path, "a")
-        assert os.listdir("/proc/self/fd") == before
+            sandbox.read(path, "a")
+        assert os.listdir("/proc/self/fd") == descriptors_before
     else:
-        assert door.read(path, "a") == "one\ntwo\nthree\n"
+        assert sandbox.read(path, "a") == "one\ntwo\nthree\n"
 
 
-def test_a_text_is_no_list_of_folders(door):
+def test_text_instead_of_folders_is_refused(sandbox):
     for folders in (("read", None), (None, b"write")):
         with pytest.raises(UsageError, match="expected a list of folders, found "):
-            door.allow(*folders)
+            sandbox.allow(*folders)
 
 
-def test_a_file_has_up_to_100_megabytes():
+def test_size_limit_is_100_megabytes():
     assert FileSandbox().max_bytes == 100_000_000
 
 
 @pytest.mark.parametrize("text", ["x" * 10, "\u00e9" * 5])
-def test_a_file_may_have_the_bytes_that_are_allowed_and_no_more(door, tmp_path, text):
-    door.max_bytes = 10
+def test_files_are_limited_in_bytes(sandbox, tmp_path, text):
+    sandbox.max_bytes = 10
     path = tmp_path / "write" / "new.txt"
     with pytest.raises(PrologError, match="would have more than 10 bytes"):
-        door.append(str(path), f"{text}x")
+        sandbox.append(str(path), f"{text}x")
     assert path.read_text() == ""
-    door.append(str(path), text[:1])
-    door.append(str(path), text[1:])
-    assert door.read(str(path), "new") == text
+    sandbox.append(str(path), text[:1])
+    sandbox.append(str(path), text[1:])
+    assert sandbox.read(str(path), "new") == text
     with pytest.raises(PrologError, match="would have more than 10 bytes"):
-        door.append(str(path), "x")
+        sandbox.append(str(path), "x")
     path.write_text(f"{text}x")
     with pytest.raises(PrologError, match="has more than 10 bytes"):
-        door.read(str(path), "new")
+        sandbox.read(str(path), "new")
 
 
-def test_errors_tell_missing_files_from_failed_reads_and_writes(door, tmp_path):
+def test_errors_distinguish_reads_and_writes(sandbox, tmp_path):
     for name in ("none", "a.txt/none"):
         with pytest.raises(PrologError, match=f"cannot read {tmp_path}/read/{name}"):
-            door.read(str(tmp_path / "read" / name), "name")
+            sandbox.read(str(tmp_path / "read" / name), "name")
         path = str(tmp_path / "write" / name / "x")
-        for work in (door.append, lambda path, name: door.prepare_writing(path, name, True)):
+        for operation in (sandbox.append, lambda path, name: sandbox.prepare_writing(path, name, True)):
             with pytest.raises(UsageError, match=f"cannot write {path}: ") as caught:
-                work(path, "x")
+                operation(path, "x")
             assert not isinstance(caught.value, PrologError)
-    for work in (door.resolve_readable, door.is_file, door.is_folder, door.read):
+    for operation in (sandbox.resolve_readable, sandbox.is_file, sandbox.is_folder, sandbox.read):
         with pytest.raises(PrologError, match="Domain error: `source_sink' expected, found `name'"):
-            work("\0", "name")
+            operation("\0", "name")
 
 
 @pytest.mark.parametrize(
@@ -224,32 +227,40 @@ def test_errors_tell_missing_files_from_failed_reads_and_writes(door, tmp_path):
         ([], None, {"own", "read", "write", "other"}, {"own", "read", "write", "other"}),
     ],
 )
-def test_folders_that_settings_allow(door, tmp_path, read, write, readable, writable):
-    door.allow(*(None if names is None else [tmp_path / name for name in names] for names in (read, write)))
+def test_settings_define_readable_and_writable_folders(sandbox, tmp_path, read, write, readable, writable):
+    sandbox.allow(
+        *(None if names is None else [tmp_path / name for name in names] for names in (read, write))
+    )
     names = {"own", "read", "write", "other"}
     for is_loading in (False, True):
         if is_loading:
             readable, writable = names, writable | {"own"}
-        door.is_loading = is_loading
-        assert {name for name in names if allows(door.read, tmp_path / name / "a.txt", "a")} == readable
+        sandbox.is_loading = is_loading
         assert {
-            name for name in names if allows(door.prepare_writing, tmp_path / name / "a.txt", "a", False)
+            name for name in names if is_permitted(sandbox.read, tmp_path / name / "a.txt", "a")
+        } == readable
+        assert {
+            name
+            for name in names
+            if is_permitted(sandbox.prepare_writing, tmp_path / name / "a.txt", "a", False)
         } == writable
-        assert {name for name in names if allows(door.append, tmp_path / name / "a.txt", "")} == writable
-        assert door.base_folder == (str(tmp_path / "own") if readable != names else "")
+        assert {
+            name for name in names if is_permitted(sandbox.append, tmp_path / name / "a.txt", "")
+        } == writable
+        assert sandbox.base_folder == (str(tmp_path / "own") if readable != names else "")
         if write is None:
-            assert door.default_output_folder == ""
+            assert sandbox.default_output_folder == ""
         elif writable:
-            assert door.default_output_folder == str(tmp_path / (write[0] if write else "own"))
+            assert sandbox.default_output_folder == str(tmp_path / (write[0] if write else "own"))
         else:
             with pytest.raises(UsageError, match="there is no folder that goals may write to"):
-                _ = door.default_output_folder
+                _ = sandbox.default_output_folder
 
 
-def allows(work, path, *rest):
-    """Return whether some work on a file is permitted."""
+def is_permitted(operation, path, *rest):
+    """Return whether an operation on a file is permitted."""
     try:
-        work(str(path), *rest)
+        operation(str(path), *rest)
     except PrologError as error:
         assert "No permission to open source_sink" in str(error)
         return False

@@ -23,7 +23,7 @@ def folder(tmp_path):
 
 
 def values(engine, goal):
-    return [engine.show(found["X"]) for found in engine.query(goal)]
+    return [engine.show(answer["X"]) for answer in engine.query(goal)]
 
 
 def check(engine):
@@ -33,14 +33,14 @@ def check(engine):
     assert values(engine, "help(X)") == ["part"]
 
 
-def test_each_is_loaded_once_and_keeps_its_names(folder):
+def test_module_is_loaded_once(folder):
     engine = Engine()
     engine.load_program(folder / "main.pl")
     check(engine)
     assert values(engine, "shared(X)") == ["first", "0"]
 
 
-def test_they_are_modules_in_a_state_that_was_kept_and_when_they_are_read_again(folder):
+def test_modules_are_restored_and_reloaded(folder):
     engine = Engine()
     engine.load_program(folder / "main.pl")
     restored = Engine.restore(engine.snapshot())
@@ -52,24 +52,24 @@ def test_they_are_modules_in_a_state_that_was_kept_and_when_they_are_read_again(
     assert values(engine, "b:help(X)") == ["new"]
 
 
-def test_rules_use_them(folder):
-    engine, heard = Engine(), []
-    engine.on_event(lambda term, start, end: heard.append(engine.show(term)))
+def test_rules_call_predicates_of_modules(folder):
+    engine, events = Engine(), []
+    engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     engine.load_rules((folder / "eventRules.txt").read_text(), str(folder / "eventRules.txt"), folder)
     engine.event("e(1)", 1)
-    assert heard == ["e(1)", "seen(b)"]
+    assert events == ["e(1)", "seen(b)"]
     assert values(engine, "help(X)") == ["rules"]
 
 
-def test_a_file_of_event_rules_is_none(folder):
-    engine, said = Engine(), []
-    engine.logic.message = lambda kind, text: said.append(text)
+def test_event_file_is_no_module(folder):
+    engine, messages = Engine(), []
+    engine.logic.message = lambda kind, text: messages.append(text)
     engine.load_rules(":- module(m, []).\nb <- a where own.\nown.\n")
-    assert "module/2 has no effect" in said[0]
+    assert "module/2 has no effect" in messages[0]
     assert engine.call("own")
 
 
-def test_one_that_fails_half_way_is_left(folder):
+def test_module_is_closed_after_error(folder):
     engine = Engine()
     (folder / "wrong.pl").write_text(":- module(wrong, [w/1]).\n:- throw(no).\nw(X) :- v(X).\nv(1).\n")
     engine.rules.on_warning = lambda warning: None

@@ -4,7 +4,7 @@ import pytest
 from events.stream_programs import ProgramRunner
 
 
-def test_terms_are_replaced():
+def test_terms_are_expanded():
     program = ProgramRunner(
         """
 term_expansion(twice(X), [one(X), two(X)]).
@@ -18,7 +18,7 @@ twice(1). gone. rule(p(X), one(X)). :- my_directive(3). kept.
     assert program.engine.call("one(1), two(1), p(1), note(3), kept, \\+ current_predicate(gone/0)")
 
 
-def test_goals_are_replaced():
+def test_goals_are_expanded():
     program = ProgramRunner(
         """
 goal_expansion(old(X), new(X)).
@@ -33,27 +33,27 @@ q(L) :- ( true -> findall(X, old(X), L) ; fail ).
     assert program.engine.call("p(1), q([1, 2]), seen")
 
 
-def test_a_goal_that_is_replaced_by_itself_costs_its_clause():
+def test_endless_goal_expansion_omits_clause():
     program = ProgramRunner("goal_expansion(a, a). p(1). q :- a.")
     (warning,) = program.warnings
     assert "goal_expansion/2 does not end" in warning.message
     assert program.engine.call("p(1)")
 
 
-def test_an_expansion_that_raises_costs_its_term():
+def test_error_of_expansion_omits_term():
     program = ProgramRunner("term_expansion(p(X), _) :- X > 1. q(1). p(a). q(2).")
     (warning,) = program.warnings
     assert warning.place.column == 41
     assert program.engine.call("q(2)")
 
 
-def test_an_expansion_may_make_event_rules(tmp_path):
+def test_expansion_may_return_event_rules(tmp_path):
     program = ProgramRunner(folder=tmp_path)
     program.engine.load(rules="term_expansion(on(E, H), (H <- E)). on(a, c).")
     assert program.feed("a@1") == "c@1-1"
 
 
-def test_expansions_of_a_file_before_hold_in_files_of_rules():
+def test_expansions_apply_to_later_files():
     program = ProgramRunner("term_expansion(on(E, H), (H <- E)). goal_expansion(old(X), X = 1). p.")
     program.engine.load(rules="on(a, c). d <- a. f(X) :- old(X).")
     assert program.feed("a@1") == "c@1-1 d@1-1"
@@ -61,6 +61,6 @@ def test_expansions_of_a_file_before_hold_in_files_of_rules():
 
 
 @pytest.mark.parametrize("dynamic", [":- dynamic term_expansion/2. ", ":- multifile term_expansion/2. "])
-def test_a_declaration_alone_replaces_nothing(dynamic):
+def test_declaration_of_expansion_replaces_nothing(dynamic):
     program = ProgramRunner(f"{dynamic}p(1).")
     assert program.warnings == [] and program.engine.call("p(1)")

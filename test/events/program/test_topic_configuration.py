@@ -1,3 +1,5 @@
+"""Configuration of topics: pub_sub.xml, encodings, errors, and direct topics."""
+
 from pathlib import Path
 
 import pytest
@@ -15,20 +17,20 @@ from retalis.events.program.topic_configuration import (
 APPLICATION = Path(__file__).parents[3] / "application_source"
 
 
-def read(tmp_path, text):
+def read_configuration(tmp_path, text):
     path = tmp_path / "pub_sub.xml"
     path.write_text(text, encoding="utf-8")
     return read_topics(path)
 
 
-def test_reads_the_nao_application():
+def test_configuration_of_application_is_read():
     topics = read_topics(APPLICATION / "pub_sub.xml")
     assert topics.subscribed[0] == TopicType("tf", "tf/tfMessage")
     assert TopicType("marker8", "geometry_msgs/PoseStamped") in topics.published
 
 
-def test_elements_stand_at_any_depth_and_comments_count_for_nothing(tmp_path):
-    topics = read(
+def test_elements_may_be_nested(tmp_path):
+    topics = read_configuration(
         tmp_path,
         '<publish_subscribe><group><!-- <subscribe_to name="no" msg_type="a/B"/> -->'
         '<subscribe_to name="/a/b" msg_type="std_msgs/String"/></group></publish_subscribe>',
@@ -37,8 +39,8 @@ def test_elements_stand_at_any_depth_and_comments_count_for_nothing(tmp_path):
     assert topics.published == ()
 
 
-def test_types_may_be_named_as_in_ros_2(tmp_path):
-    topics = read(
+def test_type_names_of_ros_2_are_accepted(tmp_path):
+    topics = read_configuration(
         tmp_path,
         '<publish_subscribe><subscribe_to name="a" msg_type="geometry_msgs/msg/Point"/>'
         '<publish_to name="b" msg_type=" geometry_msgs/msg/Pose "/></publish_subscribe>',
@@ -47,23 +49,23 @@ def test_types_may_be_named_as_in_ros_2(tmp_path):
     assert topics.published == (TopicType("b", "geometry_msgs/Pose"),)
 
 
-def test_topics_are_latched_where_that_is_said(tmp_path):
+def test_latched_topics_are_read(tmp_path):
     line = '<publish_to name="{}" msg_type="std_msgs/String" latch="{}"/>'
     lines = [line.format("plain", "false"), line.format("kept", "true"), line.format("also", " true ")]
-    topics = read(tmp_path, f"<publish_subscribe>{''.join(lines)}</publish_subscribe>")
+    topics = read_configuration(tmp_path, f"<publish_subscribe>{''.join(lines)}</publish_subscribe>")
     assert [topic.topic for topic in topics.published] == ["plain", "kept", "also"]
     assert topics.latched == {"kept", "also"}
 
 
-def test_events_of_a_topic_have_the_name_that_is_said(tmp_path):
+def test_event_names_of_topics_are_read(tmp_path):
     line = '<subscribe_to name="{}" msg_type="std_msgs/Bool" {}/>'
     lines = [
         line.format("left", 'event="bumper_left"'),
         line.format("/right", 'event=" bumper_right "'),
         line.format("other", ""),
-        line.format("other", 'event="second"'),  # refused where it is subscribed: the topic is already
+        line.format("other", 'event="second"'),  # refused at the subscription, because the topic has one
     ]
-    topics = read(tmp_path, f"<publish_subscribe>{''.join(lines)}</publish_subscribe>")
+    topics = read_configuration(tmp_path, f"<publish_subscribe>{''.join(lines)}</publish_subscribe>")
     assert [topics.event_name_of(topic) for topic in ("left", "/right", "right", "other", "nowhere")] == [
         "bumper_left",
         "bumper_right",
@@ -85,10 +87,10 @@ def test_events_of_a_topic_have_the_name_that_is_said(tmp_path):
         ("rev", "rev has a fixed meaning in rules"),
     ],
 )
-def test_what_events_of_a_topic_cannot_be_called(tmp_path, event, message):
+def test_invalid_event_name_is_refused(tmp_path, event, message):
     line = f'<subscribe_to name="left" msg_type="std_msgs/Bool" event="{event}"/>'
     with pytest.raises(ProgramErrors) as caught:
-        read(tmp_path, f"<publish_subscribe>{line}</publish_subscribe>")
+        read_configuration(tmp_path, f"<publish_subscribe>{line}</publish_subscribe>")
     (error,) = caught.value.errors
     assert message in error.message
     assert error.place.line == 1
@@ -126,26 +128,26 @@ def test_what_events_of_a_topic_cannot_be_called(tmp_path, event, message):
         ),
     ],
 )
-def test_errors_say_where(tmp_path, text, message, line, column):
+def test_error_has_position(tmp_path, text, message, line, column):
     with pytest.raises(ProgramErrors) as caught:
-        read(tmp_path, text)
+        read_configuration(tmp_path, text)
     (error,) = caught.value.errors
     assert message in error.message
     assert (error.place.line, error.place.column) == (line, column)
 
 
-def test_all_errors_come_at_once(tmp_path):
+def test_all_errors_are_reported(tmp_path):
     with pytest.raises(ProgramErrors) as caught:
-        read(tmp_path, "<publish_subscribe><publish_to/><subscribe_to/></publish_subscribe>")
+        read_configuration(tmp_path, "<publish_subscribe><publish_to/><subscribe_to/></publish_subscribe>")
     assert len(caught.value.errors) == 2
 
 
-def test_a_missing_file_is_named(tmp_path):
+def test_missing_file_is_named(tmp_path):
     with pytest.raises(UsageError, match="nothing.xml"):
         read_topics(tmp_path / "nothing.xml")
 
 
-def test_where_a_text_is_no_utf_8_is_said(tmp_path):
+def test_invalid_utf_8_is_reported_with_line(tmp_path):
     path = tmp_path / "latin.txt"
     path.write_bytes("a.\nb. % gr\u00fcn\n".encode("latin-1"))
     with pytest.raises(UsageError, match=r"latin.txt: not UTF-8 text \(line 2: invalid start byte 0xfc\)"):
@@ -178,7 +180,7 @@ def test_unknown_or_wrong_encoding_is_reported(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["a\0b", f"{chr(0xD800)}.txt", "x" * 10_000])
-def test_what_no_file_is_called_is_a_clear_error(tmp_path, name):
+def test_invalid_file_name_is_reported(tmp_path, name):
     with pytest.raises(UsageError, match="cannot read "):
         read_text(tmp_path / name)
     with pytest.raises(UsageError, match="cannot read "):
@@ -193,7 +195,7 @@ def xml_errors(tmp_path, text):
     return caught.value.errors
 
 
-def test_of_many_errors_the_first_are_shown_and_the_others_counted(tmp_path):
+def test_first_errors_are_shown_and_others_counted(tmp_path):
     text = "<publish_subscribe>" + "<publish_to/>\n" * 30_000 + "</publish_subscribe>"
     errors = xml_errors(tmp_path, text)
     assert [error.place.line for error in errors[:-1]] == list(range(1, 101))
@@ -212,18 +214,18 @@ def test_of_many_errors_the_first_are_shown_and_the_others_counted(tmp_path):
         ("<publish_subscribe>\n<" + "a" * 100_000 + ">", "is not closed", 2),
     ],
 )  # fmt: skip
-def test_what_would_be_large_is_refused_with_a_short_error(tmp_path, text, message, line):
+def test_large_input_is_refused_with_short_error(tmp_path, text, message, line):
     (error,) = xml_errors(tmp_path, text)
     assert message in error.message and error.place.line == line
     assert len(str(error)) < 1000
 
 
-def test_a_file_that_is_too_large_is_refused(tmp_path):
+def test_too_large_file_is_refused(tmp_path):
     (error,) = xml_errors(tmp_path, "<publish_subscribe>" + " " * (4 << 20) + "</publish_subscribe>")
     assert "has 4194343 characters: at most 4000000 are allowed" in error.message
 
 
-def test_auto_subscribes_what_the_file_does_not_name():
+def test_auto_adds_topics_that_are_not_configured():
     markers = DEFAULT_DIRECT_TOPICS[1]
     named = Topics(subscribed=(TopicType("/tf", "tf/tfMessage"),))
     assert direct_topics("auto", Topics()) == DEFAULT_DIRECT_TOPICS
@@ -253,7 +255,7 @@ def test_auto_subscribes_what_the_file_does_not_name():
         ("[]", ()),
     ],
 )
-def test_direct_topics_are_a_word_or_a_list(value, expected):
+def test_direct_topics_are_word_or_list(value, expected):
     assert read_direct(value) == expected
 
 
