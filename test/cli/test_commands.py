@@ -13,7 +13,7 @@ from retalis.cli.command_line import COMMANDS, main, make_parser
 SOURCES = Path(__file__).resolve().parents[2] / "src"
 
 
-def test_the_version_is_that_of_the_manifest(capsys, monkeypatch, tmp_path):
+def test_version_is_that_of_manifest(capsys, monkeypatch, tmp_path):
     with pytest.raises(SystemExit) as ended:
         main(["--version"])
     manifest = ElementTree.parse(SOURCES.parent / "package.xml").getroot()
@@ -26,7 +26,7 @@ def test_the_version_is_that_of_the_manifest(capsys, monkeypatch, tmp_path):
 
 
 def imported(*arguments):
-    """Return the modules of the package that a command imports in a process of its own."""
+    """Return the modules of the package that a command imports in a separate process."""
     code = """import sys
 from retalis.cli.command_line import main
 try:
@@ -46,22 +46,22 @@ print(*(name for name in sys.modules if name.startswith("retalis.")), file=sys.s
     return set(result.stderr.split())
 
 
-def test_the_version_imports_no_engine():
-    found = imported("--version")
-    assert {name.split(".")[1] for name in found} == {"cli", "foundation"}
+def test_version_imports_no_engine():
+    modules = imported("--version")
+    assert {name.split(".")[1] for name in modules} == {"cli", "foundation"}
 
 
 @pytest.mark.parametrize("command", ["docs", "query", "status", "demo"])
-def test_the_help_of_a_command_that_needs_none_imports_no_engine(command):
+def test_help_of_command_without_engine_imports_no_engine(command):
     assert {name.split(".")[1] for name in imported(command, "--help")} == {"cli", "foundation"}
 
 
 @pytest.mark.slow
-def test_a_command_imports_no_other_command_and_bags_only_if_it_reads_them():
-    found = imported("events", "--help")
-    assert "retalis.cli.event_stream_command" in found
-    assert not [name for name in found if name.startswith("retalis.playback")]
-    assert not found & {
+def test_command_imports_only_needed_modules():
+    modules = imported("events", "--help")
+    assert "retalis.cli.event_stream_command" in modules
+    assert not [name for name in modules if name.startswith("retalis.playback")]
+    assert not modules & {
         f"retalis.cli.{path.partition('.')[0]}"
         for path in COMMANDS.values()
         if "event_stream_command" not in path
@@ -69,13 +69,13 @@ def test_a_command_imports_no_other_command_and_bags_only_if_it_reads_them():
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_the_help_of_a_command_is_the_same_without_the_others(name, capsys):
+def test_help_of_single_command_is_that_of_full_parser(name, capsys):
     with pytest.raises(SystemExit) as ended:
         main([name, "--help"])
     assert (ended.value.code, capsys.readouterr().out) == (0, parsers()[name].format_help())
 
 
-def test_the_help_lists_all_commands(capsys):
+def test_help_lists_all_commands(capsys):
     with pytest.raises(SystemExit):
         main(["--help"])
     text = capsys.readouterr().out
@@ -83,7 +83,7 @@ def test_the_help_lists_all_commands(capsys):
     assert all(f"\n    {name} " in text for name in COMMANDS)
 
 
-def test_without_a_command_the_help_is_an_error_message(capsys):
+def test_missing_command_prints_help_as_error(capsys):
     with pytest.raises(SystemExit):
         main(["--help"])
     text = capsys.readouterr().out
@@ -97,22 +97,22 @@ def parsers():
 
 
 @pytest.mark.parametrize("name, parser", parsers().items())
-def test_the_help_of_each_command_is_alike(name, parser):
+def test_help_of_each_command_has_same_form(name, parser):
     assert parser.description[0].isupper() and parser.description.rstrip().endswith(".")
     for action in parser._actions:
-        said = action.help
-        assert said and said[-1] not in ".:" and (said == argparse.SUPPRESS or not said[:2].istitle()), said
+        text = action.help
+        assert text and text[-1] not in ".:" and (text == argparse.SUPPRESS or not text[:2].istitle()), text
         if action.nargs != 0:
-            shown = action.metavar or "".join(action.choices or ())
-            assert shown, f"{name} {action.dest}: a word for its value"
+            value_name = action.metavar or "".join(action.choices or ())
+            assert value_name, f"{name} {action.dest}: a word for its value"
 
 
 @pytest.mark.parametrize("name, parser", parsers().items())
-def test_what_is_no_number_is_told_as_such_in_each_command(name, parser, capsys):
+def test_invalid_number_is_an_error_in_each_command(name, parser, capsys):
     for action in parser._actions:
         if action.option_strings and action.type not in (None, Path):
             with pytest.raises(SystemExit) as ended:
                 main([name, f"{action.option_strings[0]}=many"])
-            said = capsys.readouterr().err.splitlines()[-1]
-            assert (ended.value.code, said.partition(": expected ")[1]) == (2, ": expected "), said
-            assert said.endswith(("found many", "found 'many'"))
+            message = capsys.readouterr().err.splitlines()[-1]
+            assert (ended.value.code, message.partition(": expected ")[1]) == (2, ": expected "), message
+            assert message.endswith(("found many", "found 'many'"))

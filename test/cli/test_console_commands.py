@@ -1,4 +1,4 @@
-"""What the console has besides goals: files loaded again, make, help, apropos, and its ends."""
+"""Commands of the console: consult, make, help, apropos, and quit."""
 
 import io
 import json
@@ -15,7 +15,7 @@ from retalis.cli.toplevel_io import PipedInput
 
 @pytest.fixture
 def ask(capsys):
-    """Return a function that asks one console, time and again."""
+    """Return a function that passes goals to the same console."""
     console = Console(StderrReporter())
 
     def ask(text):
@@ -26,45 +26,45 @@ def ask(capsys):
 
 
 def write(path, text, second):
-    """Write a file, with a time of its own: two changes may come within what the clock of files tells apart."""
+    """Write a file with a given modification time, because the clock of the file system is coarse."""
     path.write_text(text)
     os.utime(path, (second, second))
 
 
-def test_a_file_that_is_loaded_again_replaces_what_it_said(tmp_path, ask):
+def test_reloaded_file_replaces_its_clauses_and_rules(tmp_path, ask):
     path = tmp_path / "a.pl"
     write(path, "p(1). p(2).\nout(X) <- in(X).\n:- memorize(out(_), [], _, m, 5).\n", 1)
     assert ask(f"['{path}'].\nevent(in(7)).\n").out == "true.\ntrue.\n"
     write(path, "p(3).\nout(X) <- in(X).\nother(X) <- in(X).\n:- memorize(out(_), [], _, m, 5).\n", 2)
-    found = ask(f"consult('{path}').\np(X).\nmemory_counter(m, N).\nevent(in(8)).\nmemory_counter(m, N).\n")
-    assert found.err == ""
-    assert f"% {path} again\n%   rules: 1 new, 0 gone, 1 kept\n" in found.out
-    assert found.out.endswith("true.\nX = 3.\nN = 1.\ntrue.\nN = 2.\n")
+    result = ask(f"consult('{path}').\np(X).\nmemory_counter(m, N).\nevent(in(8)).\nmemory_counter(m, N).\n")
+    assert result.err == ""
+    assert f"% {path} again\n%   rules: 1 new, 0 gone, 1 kept\n" in result.out
+    assert result.out.endswith("true.\nX = 3.\nN = 1.\ntrue.\nN = 2.\n")
 
 
-def test_what_is_wrong_leaves_the_old_file_at_work(tmp_path, ask):
+def test_file_with_error_leaves_previous_version_loaded(tmp_path, ask):
     path = tmp_path / "a.pl"
     write(path, "p(1).\n", 1)
     ask(f"['{path}'].\n")
     write(path, "p(2).\nq(.\n", 2)
-    found = ask("make.\np(X).\n")
-    assert found.out == "false.\nX = 1.\n"
-    assert f"{path}:2:3" in found.err
+    result = ask("make.\np(X).\n")
+    assert result.out == "false.\nX = 1.\n"
+    assert f"{path}:2:3" in result.err
     write(path, "p(3).\n", 3)
     assert ask("make.\np(X).\n").out.endswith("true.\nX = 3.\n")
 
 
-def test_a_file_may_need_another_when_it_is_loaded_again(tmp_path, ask):
+def test_reloaded_file_may_call_predicates_of_other_file(tmp_path, ask):
     needed, needing = tmp_path / "a.pl", tmp_path / "b.pl"
     write(needed, "p(1).\n", 1)
     write(needing, ":- p(X), assertz(q(X)).\n", 1)
     ask(f"['{needed}', '{needing}'].\n")
     write(needing, ":- p(X), Y is X + 1, assertz(q(Y)).\n", 2)
-    found = ask("make.\nq(X).\nmake.\n")
-    assert found.err == "" and found.out.endswith("true.\nX = 2.\ntrue.\n")
+    result = ask("make.\nq(X).\nmake.\n")
+    assert result.err == "" and result.out.endswith("true.\nX = 2.\ntrue.\n")
 
 
-def test_make_sees_the_files_of_a_program(tmp_path, ask):
+def test_make_reloads_changed_files_of_program(tmp_path, ask):
     write(tmp_path / "goalPredicates.txt", "compile_event_file('rules.txt')\n", 1)
     write(tmp_path / "rules.txt", "p(1).\n", 1)
     assert ask(f"['{tmp_path}'].\np(X).\n").out == "true.\nX = 1.\n"
@@ -72,19 +72,19 @@ def test_make_sees_the_files_of_a_program(tmp_path, ask):
     assert ask("make.\np(X).\n").out.endswith("true.\nX = 2.\n")
 
 
-def test_what_the_program_defines_is_not_the_console_s(ask):
-    found = ask(
+def test_predicates_of_program_override_console_commands(ask):
+    result = ask(
         "[user].\nmake :- write(made).\nquit.\nhelp(X) :- X = mine.\nend_of_file.\nmake.\nhelp(X).\nquit.\n"
     )
-    assert found.out == "true.\nmade\ntrue.\nX = mine.\ntrue.\n"
+    assert result.out == "true.\nmade\ntrue.\nX = mine.\ntrue.\n"
 
 
 @pytest.mark.parametrize("end", ["quit", "exit", "halt", "end_of_file"])
-def test_ends(ask, end):
+def test_console_ends_at_command(ask, end):
     assert ask(f"{end}.\nX = 1.\n").out == ""
 
 
-def test_a_pipe_gets_the_first_solutions_only(capsys, monkeypatch):
+def test_piped_goal_prints_first_solutions_only(capsys, monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO("between(1, inf, X).\n"))
     assert main(["console"]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -92,7 +92,7 @@ def test_a_pipe_gets_the_first_solutions_only(capsys, monkeypatch):
     assert lines[-2:] == [f"X = {DEFAULT_SHOWN_SOLUTIONS} .", "% there may be more (see --most)"]
 
 
-def test_help_says_what_there_is(ask):
+def test_help_describes_predicates(ask):
     assert ask("help.\n").out == CONSOLE_HELP + "\n"
     assert ask("help(append).\n").out.splitlines()[:2] == [
         "append(?Left, ?Right, ?Whole)",
@@ -103,19 +103,20 @@ def test_help_says_what_there_is(ask):
     assert ask("help(nothing_at_all).\n").out == "% nothing is known of nothing_at_all\n"
 
 
-def test_the_console_goes_on_where_the_page_of_predicates_is_missing(ask, monkeypatch):
+def test_missing_page_of_predicates_is_reported(ask, monkeypatch):
     monkeypatch.setattr(console, "PREDICATES_PAGE", "docs/no_such_page.md")
-    found = ask("help(append).\napropos(append).\nX = 1.\n")
-    assert found.out == "X = 1.\n"
+    result = ask("help(append).\napropos(append).\nX = 1.\n")
+    assert result.out == "X = 1.\n"
     assert (
-        found.err.count("docs/no_such_page.md is neither in the source tree nor in an installed package") == 2
+        result.err.count("docs/no_such_page.md is neither in the source tree nor in an installed package")
+        == 2
     )
 
 
 def test_apropos_finds_names_and_descriptions(ask):
-    found = ask("assertz(my_quaternion(1)).\napropos(quaternion).\n").out.splitlines()
-    assert "mul_quaternion/5: Pose is the product of two poses, each given as position and rotation." in found
-    assert found[-1] == "my_quaternion/1"
+    lines = ask("assertz(my_quaternion(1)).\napropos(quaternion).\n").out.splitlines()
+    assert "mul_quaternion/5: Pose is the product of two poses, each given as position and rotation." in lines
+    assert lines[-1] == "my_quaternion/1"
     assert help_lines("|/2", []) == [
         ":Goal ; :Goal\n    Succeeds if one of the goals succeeds; backtracking tries the left one first."
     ]

@@ -1,4 +1,4 @@
-"""Many bags, each by itself: the same bytes as one by one, in order, and failures told of."""
+"""Separate playback of several bags: results, order and failures."""
 
 import pytest
 from bags_and_program import make_bag, make_program
@@ -24,7 +24,7 @@ GOOD = ("r1/a", "r1/b", "r2/a")
 
 
 @pytest.mark.slow
-def test_what_is_printed_is_what_bags_one_by_one_print(program, bags, capfd):
+def test_output_is_that_of_single_bags(program, bags, capfd):
     more = ["--program", program, "--json", "--events", "--explain", "again(_)"]
     for name in GOOD:
         assert main(["bag", f"{bags}/{name}.bag", *more]) == 0
@@ -39,29 +39,29 @@ def test_what_is_printed_is_what_bags_one_by_one_print(program, bags, capfd):
 
 
 @pytest.mark.slow
-def test_results_are_those_of_bags_one_by_one(program, bags, tmp_path, capfd):
+def test_result_files_are_those_of_single_bags(program, bags, tmp_path, capfd):
     assert main(["bag", str(bags), "--program", program, "--jobs", "2", "--output", f"{tmp_path}/new"]) == 1
     assert capfd.readouterr().out == ""
-    found = sorted(path.relative_to(tmp_path / "new") for path in (tmp_path / "new").rglob("*.*"))
-    assert [str(path) for path in found] == [f"{name}.bag" for name in GOOD]
+    results = sorted(path.relative_to(tmp_path / "new") for path in (tmp_path / "new").rglob("*.*"))
+    assert [str(path) for path in results] == [f"{name}.bag" for name in GOOD]
     for name in GOOD:
-        one = tmp_path / "one.bag"
-        given = ["bag", f"{bags}/{name}.bag", "--program", program, "--output", str(one), "--overwrite"]
-        assert main(given) == 0
-        assert (tmp_path / "new" / f"{name}.bag").read_bytes() == one.read_bytes()
+        single = tmp_path / "one.bag"
+        options = ["bag", f"{bags}/{name}.bag", "--program", program, "--output", str(single), "--overwrite"]
+        assert main(options) == 0
+        assert (tmp_path / "new" / f"{name}.bag").read_bytes() == single.read_bytes()
 
 
 @pytest.mark.slow
-def test_parts_go_on_from_one_another(program, tmp_path, capfd):
+def test_parts_continue_from_previous_part(program, tmp_path, capfd):
     parts = [make_bag(tmp_path / "day" / f"r_{n}.bag", *"xy", start=1 + 3 * n) for n in range(3)]
     assert main(["bag", *map(str, parts), "--program", program, "--json"]) == 0
     expected = capfd.readouterr().out
     assert expected.count('"id": "twice"') == 4
-    given = ["bag", str(tmp_path / "day"), "--program", program, "--jobs", "2", "--json"]
-    assert main([*given, "--parts"]) == 0
+    options = ["bag", str(tmp_path / "day"), "--program", program, "--jobs", "2", "--json"]
+    assert main([*options, "--parts"]) == 0
     assert capfd.readouterr().out == expected
     parts[1].write_text("no bag")
-    assert main([*given, "--parts"]) == 1
+    assert main([*options, "--parts"]) == 1
     shown = capfd.readouterr()
     assert shown.out == "".join(expected.splitlines(keepends=True)[:2])
     assert shown.err.splitlines()[1:] == [
@@ -75,15 +75,15 @@ def cluster():
     """Return the address of a scheduler; its start sets environment variables and loggers for good."""
     distributed = pytest.importorskip("distributed")
     options = {"dashboard_address": None, "processes": True}
-    with distributed.LocalCluster(n_workers=1, threads_per_worker=2, **options) as one:
-        yield one.scheduler_address
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=2, **options) as local_cluster:
+        yield local_cluster.scheduler_address
 
 
 @pytest.mark.slow
-def test_a_cluster_gives_the_same_results(program, bags, tmp_path, capfd, monkeypatch, cluster):
-    monkeypatch.chdir(bags.parent)  # the workers are somewhere else
-    given = ["bag", "bags", "--program", "program", "--json", "--output", "new"]
-    assert main([*given, "--scheduler", cluster]) == 1
+def test_cluster_has_same_results(program, bags, tmp_path, capfd, monkeypatch, cluster):
+    monkeypatch.chdir(bags.parent)  # the workers have another working folder
+    options = ["bag", "bags", "--program", "program", "--json", "--output", "new"]
+    assert main([*options, "--scheduler", cluster]) == 1
     assert f"error: {bags}/r1/aa.bag is not a complete ROS 1 bag" in capfd.readouterr().err
     for name in GOOD:
         assert main(["bag", f"{bags}/{name}.bag", "--program", program, "--json"]) == 0
@@ -91,10 +91,10 @@ def test_a_cluster_gives_the_same_results(program, bags, tmp_path, capfd, monkey
 
 
 @pytest.mark.slow
-def test_what_several_bags_say_alike_is_said_once(program, bags, tmp_path, capfd):
+def test_equal_errors_of_several_bags_are_printed_once(program, bags, tmp_path, capfd):
     (tmp_path / "program" / "goalPredicates.txt").write_text("nothing_such(1)\n")
-    given = ["bag", f"{bags}/r1/a.bag", f"{bags}/r1/b.bag", "--program", program, "--jobs", "1"]
-    assert main(given) == 1
+    options = ["bag", f"{bags}/r1/a.bag", f"{bags}/r1/b.bag", "--program", program, "--jobs", "1"]
+    assert main(options) == 1
     shown = capfd.readouterr().err
     assert shown.startswith(f"{bags}/r1/a.bag:\nerror: ")
     assert shown.endswith("1 more bags had the same errors and warnings as one before\n")
@@ -118,9 +118,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("given", REFUSED)
-def test_what_does_not_go_together_is_refused_before_anything_is_played(
-    program, bags, capsys, monkeypatch, given
-):
+def test_conflicting_options_are_refused(program, bags, capsys, monkeypatch, given):
     monkeypatch.chdir(bags.parent)
     (bags.parent / "old" / "r1").mkdir(parents=True)
     (bags.parent / "old" / "r1" / "b.bag").touch()
@@ -129,6 +127,6 @@ def test_what_does_not_go_together_is_refused_before_anything_is_played(
     assert not (bags.parent / "new").exists()
 
 
-def test_a_url_is_for_bags_each_by_itself(program, capsys):
+def test_url_needs_jobs(program, capsys):
     assert main(["bag", "s3://bucket/a.bag", "--program", program]) == 1
     assert "s3://bucket/a.bag: --jobs plays bags of URLs, each by itself" in capsys.readouterr().err

@@ -25,74 +25,72 @@ HEADER = {"callerid": "/retalis"}
 
 @pytest.fixture
 def interface(monkeypatch):
-    """Return what the interface knows, with rospy's connections and reports in lists."""
+    """Return the projection of the interface, with connections of rospy and warnings in lists."""
     sources = []
     impl = SimpleNamespace(connections=sources)
     monkeypatch.setattr(internode_topics.rospy, "Subscriber", lambda *_, **__: SimpleNamespace(impl=impl))
-    texts, said = [SimpleNamespace(endpoint_id="/retalis")], []
-    reports = SimpleNamespace(warning=lambda text, kind: said.append(text))
-    known = ProjectionReceiver(lambda: texts, reports)
-    return SimpleNamespace(known=known, sources=sources, texts=texts, said=said)
+    texts, warnings = [SimpleNamespace(endpoint_id="/retalis")], []
+    reports = SimpleNamespace(warning=lambda text, kind: warnings.append(text))
+    projection = ProjectionReceiver(lambda: texts, reports)
+    return SimpleNamespace(projection=projection, sources=sources, texts=texts, warnings=warnings)
 
 
-def tell(interface, text, header=HEADER):
+def receive_control_message(interface, text, header=HEADER):
     interface.sources.append(SimpleNamespace(header=header, done=False))
-    interface.known._receive(SimpleNamespace(data=text, _connection_header=header))  # noqa: SLF001
+    interface.projection._receive(SimpleNamespace(data=text, _connection_header=header))  # noqa: SLF001
 
 
-def test_nothing_is_left_out_before_it_is_told(interface):
-    assert interface.known.of(IMAGE) == set()
+def test_no_arguments_are_unread_before_first_message(interface):
+    assert interface.projection.of(IMAGE) == set()
 
 
-def test_what_is_told_holds_until_something_else_is(interface):
-    tell(interface, '{"image/3": [2, 3], "other/1": [1]}')
-    assert interface.known.of(IMAGE) == {2, 3}
-    assert interface.known.of(functor("image", 2)) == set()
-    tell(interface, '{"image/3": [3]}')
-    assert interface.known.of(IMAGE) == {3}
-    tell(interface, "{}")
-    assert interface.known.of(IMAGE) == set()
+def test_unread_arguments_are_those_of_newest_message(interface):
+    receive_control_message(interface, '{"image/3": [2, 3], "other/1": [1]}')
+    assert interface.projection.of(IMAGE) == {2, 3}
+    assert interface.projection.of(functor("image", 2)) == set()
+    receive_control_message(interface, '{"image/3": [3]}')
+    assert interface.projection.of(IMAGE) == {3}
+    receive_control_message(interface, "{}")
+    assert interface.projection.of(IMAGE) == set()
 
 
-def test_it_does_not_hold_where_nobody_or_somebody_else_gets_the_texts(interface):
-    tell(interface, '{"image/3": [3]}')
+def test_other_subscribers_of_texts_need_all_arguments(interface):
+    receive_control_message(interface, '{"image/3": [3]}')
     interface.texts.append(SimpleNamespace(endpoint_id="/rostopic_1"))
-    assert interface.known.of(IMAGE) == set()
+    assert interface.projection.of(IMAGE) == set()
     del interface.texts[0]
-    assert interface.known.of(IMAGE) == set()
+    assert interface.projection.of(IMAGE) == set()
     del interface.texts[0]
-    assert interface.known.of(IMAGE) == set()
+    assert interface.projection.of(IMAGE) == set()
     interface.texts.append(SimpleNamespace(endpoint_id="/retalis"))
-    assert interface.known.of(IMAGE) == {3}
+    assert interface.projection.of(IMAGE) == {3}
 
 
-def test_it_does_not_hold_once_the_one_who_told_it_is_gone(interface):
-    tell(interface, '{"image/3": [3]}')
+def test_message_of_closed_connection_is_ignored(interface):
+    receive_control_message(interface, '{"image/3": [3]}')
     interface.sources[0].done = True
-    assert interface.known.of(IMAGE) == set()
-    interface.sources[:] = [
-        SimpleNamespace(header=dict(HEADER), done=False)
-    ]  # started anew, and not told yet
-    assert interface.known.of(IMAGE) == set()
+    assert interface.projection.of(IMAGE) == set()
+    interface.sources[:] = [SimpleNamespace(header=dict(HEADER), done=False)]  # restarted, without a message
+    assert interface.projection.of(IMAGE) == set()
     del interface.sources[:]
-    assert interface.known.of(IMAGE) == set()
+    assert interface.projection.of(IMAGE) == set()
 
 
 @pytest.mark.parametrize(
     "text", ["", "nonsense", "[]", '{"image/3": 3}', '{"image/3": ["3"]}', "[" * 100_000, "1" * 2_000_000]
 )
-def test_what_is_not_understood_is_said_and_everything_is_written(interface, text):
-    tell(interface, '{"image/3": [3]}')
-    tell(interface, text)
-    assert interface.known.of(IMAGE) == set()
-    assert len(interface.said) == 1
-    assert len(interface.said[0]) < 1000
+def test_malformed_message_is_reported_and_ignored(interface, text):
+    receive_control_message(interface, '{"image/3": [3]}')
+    receive_control_message(interface, text)
+    assert interface.projection.of(IMAGE) == set()
+    assert len(interface.warnings) == 1
+    assert len(interface.warnings[0]) < 1000
 
 
 SUBSCRIPTION = ["right", "std_msgs/Bool", "bumper_right"]
 
 
-def test_a_list_of_subscriptions_is_read():
+def test_list_of_subscriptions_is_read():
     assert [
         tuple(request) for request in read_subscriptions(json.dumps([SUBSCRIPTION, ["a", "b/C", ""]]))
     ] == [
@@ -116,7 +114,7 @@ def test_a_list_of_subscriptions_is_read():
         json.dumps([SUBSCRIPTION]) + " " * MAX_CONTROL_CHARACTERS,
     ],
 )
-def test_a_malformed_list_is_refused(text):
+def test_malformed_list_is_refused(text):
     with pytest.raises(MessageError, match="expected topics, types and names of events"):
         read_subscriptions(text)
 

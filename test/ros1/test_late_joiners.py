@@ -21,7 +21,7 @@ class Link:
 
 
 class TopicWriter:
-    """Notes what is written to whom."""
+    """Records the frames that are written to each connection."""
 
     def __init__(self):
         self._open = []
@@ -55,206 +55,206 @@ def make(topic_writer, reports):
     return lambda queue=100, epoch=lambda: 0: LateJoinerBuffer(topic_writer, ENGINE, queue, reports, epoch)
 
 
-def test_what_comes_before_node_retalis_is_held_for_it_in_order(topic_writer, make):
-    it = make()
-    it.send(b"1", 1)
-    it.send(b"2", 1)
+def test_texts_before_connection_are_buffered_in_order(topic_writer, make):
+    buffer = make()
+    buffer.send(b"1", 1)
+    buffer.send(b"2", 1)
     engine = topic_writer.come()
-    it.send(b"3", 1)
+    buffer.send(b"3", 1)
     assert engine.got == []
-    it.identify(engine, True)
-    it.send(b"4", 1)
+    buffer.identify(engine, True)
+    buffer.send(b"4", 1)
     assert engine.got == [b"123", b"4"]
 
 
-def test_others_get_what_comes_once_they_are_connected(topic_writer, make):
-    it = make()
-    it.send(b"1", 1)
+def test_other_subscribers_get_texts_after_connection(topic_writer, make):
+    buffer = make()
+    buffer.send(b"1", 1)
     other = topic_writer.come()
-    assert it.subscribers_to_identify() == [other]
-    it.send(b"2", 1)
-    it.identify(other, False)
-    it.send(b"3", 1)
+    assert buffer.subscribers_to_identify() == [other]
+    buffer.send(b"2", 1)
+    buffer.identify(other, False)
+    buffer.send(b"3", 1)
     engine = topic_writer.come()
-    it.send(b"4", 1)
-    it.identify(engine, True)
-    it.send(b"5", 1)
+    buffer.send(b"4", 1)
+    buffer.identify(engine, True)
+    buffer.send(b"5", 1)
     assert other.got == [b"2", b"3", b"4", b"5"]
     assert engine.got == [b"1234", b"5"]
 
 
-def test_each_node_retalis_gets_the_newest_latched_messages_once(topic_writer, make):
-    it = make()
-    it.latch("map", lambda: b"A", 1)
-    it.send(b"a", 1)
-    it.send(b"1", 1)
-    it.latch("map", lambda: b"B", 1)
-    it.send(b"b", 1)
+def test_each_peer_gets_newest_latched_messages_once(topic_writer, make):
+    buffer = make()
+    buffer.latch("map", lambda: b"A", 1)
+    buffer.send(b"a", 1)
+    buffer.send(b"1", 1)
+    buffer.latch("map", lambda: b"B", 1)
+    buffer.send(b"b", 1)
     first = topic_writer.come()
-    it.subscribers_to_identify()
-    it.identify(first, True)
-    it.send(b"2", 1)
+    buffer.subscribers_to_identify()
+    buffer.identify(first, True)
+    buffer.send(b"2", 1)
     assert first.got == [b"a1b", b"2"]
     first.done = True
-    it.send(b"3", 1)
+    buffer.send(b"3", 1)
     second = topic_writer.come()
-    it.subscribers_to_identify()
-    it.identify(second, True)
+    buffer.subscribers_to_identify()
+    buffer.identify(second, True)
     assert first.got == [b"a1b", b"2"]
     assert second.got == [b"B3"]
 
 
-def test_a_receiver_that_turns_out_to_be_node_retalis_gets_the_rest_once(topic_writer, make):
-    it = make()
-    it.latch("map", lambda: b"A", 1)
-    it.send(b"a", 1)
+def test_peer_identified_late_gets_missing_texts_once(topic_writer, make):
+    buffer = make()
+    buffer.latch("map", lambda: b"A", 1)
+    buffer.send(b"a", 1)
     engine = topic_writer.come()
-    it.subscribers_to_identify()
-    it.identify(engine, False)
-    it.send(b"1", 1)
-    assert it.subscribers_to_identify() == [engine]
-    it.identify(engine, True)
-    it.send(b"2", 1)
+    buffer.subscribers_to_identify()
+    buffer.identify(engine, False)
+    buffer.send(b"1", 1)
+    assert buffer.subscribers_to_identify() == [engine]
+    buffer.identify(engine, True)
+    buffer.send(b"2", 1)
     assert engine.got == [b"1", b"a", b"2"]
-    assert it.subscribers_to_identify() == []
+    assert buffer.subscribers_to_identify() == []
 
 
-def test_who_only_looks_on_is_known_once_it_was_looked_up(topic_writer, make):
-    it = make()
+def test_third_party_is_known_after_identification(topic_writer, make):
+    buffer = make()
     engine, other = topic_writer.come(), topic_writer.come()
-    assert it.subscribers_to_identify() == [engine, other]
-    assert not it.is_third_party(other)
-    it.identify(engine, True)
-    it.identify(other, False)
-    assert it.is_third_party(other)
-    assert not it.is_third_party(engine)
+    assert buffer.subscribers_to_identify() == [engine, other]
+    assert not buffer.is_third_party(other)
+    buffer.identify(engine, True)
+    buffer.identify(other, False)
+    assert buffer.is_third_party(other)
+    assert not buffer.is_third_party(engine)
 
 
-def test_a_receiver_is_looked_up_only_so_often(topic_writer, make):
-    it = make()
+def test_identification_attempts_are_limited(topic_writer, make):
+    buffer = make()
     other = topic_writer.come()
-    looks = 0
-    while it.subscribers_to_identify():
-        it.identify(other, False)
-        looks += 1
-    assert looks == MAX_IDENTIFICATION_ATTEMPTS
+    attempts = 0
+    while buffer.subscribers_to_identify():
+        buffer.identify(other, False)
+        attempts += 1
+    assert attempts == MAX_IDENTIFICATION_ATTEMPTS
 
 
-def test_the_oldest_is_dropped_and_counted(topic_writer, make, reports, monkeypatch):
-    it = make(queue=5)
+def test_full_buffer_drops_and_counts_oldest_texts(topic_writer, make, reports, monkeypatch):
+    buffer = make(queue=5)
     for number in range(4):
-        it.send(b"%d%d" % (number, number), 2)
+        buffer.send(b"%d%d" % (number, number), 2)
     assert (reports.warnings, topic_writer.counts.dropped, topic_writer.counts.sent) == (4, 4, 8)
     engine = topic_writer.come()
-    it.subscribers_to_identify()
-    it.identify(engine, True)
+    buffer.subscribers_to_identify()
+    buffer.identify(engine, True)
     assert engine.got == [b"2233"]
     monkeypatch.setattr(late_joiners, "MAX_BUFFERED_BYTES", 10)
     engine.done = True
     for _ in range(3):
-        it.send(b"12345", 1)
+        buffer.send(b"12345", 1)
     assert reports.warnings == 5
 
 
-def test_latched_messages_are_bounded(topic_writer, make, reports, monkeypatch):
+def test_number_of_latched_messages_is_limited(topic_writer, make, reports, monkeypatch):
     monkeypatch.setattr(late_joiners, "MAX_LATCHED_MESSAGES", 2)
-    it = make()
+    buffer = make()
     for key in ("a", "b", "b", "c"):
-        it.latch(key, key.encode, 1)
-        it.send(b"-", 1)
-    assert set(it.latched_batch_numbers()) == {"b", "c"}
+        buffer.latch(key, key.encode, 1)
+        buffer.send(b"-", 1)
+    assert set(buffer.latched_batch_numbers()) == {"b", "c"}
     monkeypatch.setattr(late_joiners, "MAX_BUFFERED_BYTES", 10)
-    it.latch("d", b"d".upper, 9)
-    assert set(it.latched_batch_numbers()) == {"c", "d"}
+    buffer.latch("d", b"d".upper, 9)
+    assert set(buffer.latched_batch_numbers()) == {"c", "d"}
     assert reports.warnings == 2
 
 
-def test_latched_messages_of_who_has_gone_are_forgotten_but_not_newer_ones(topic_writer, make):
-    it = make()
+def test_discard_keeps_newer_latched_messages(topic_writer, make):
+    buffer = make()
     for key in ("a", "b"):
-        it.latch(key, key.encode, 1)
-        it.send(b"-", 1)
-    gone = it.latched_batch_numbers()
-    it.latch("b", b"B".upper, 1)
-    it.send(b"-", 1)
-    it.discard(gone)
-    assert set(it.latched_batch_numbers()) == {"b"}
+        buffer.latch(key, key.encode, 1)
+        buffer.send(b"-", 1)
+    gone = buffer.latched_batch_numbers()
+    buffer.latch("b", b"B".upper, 1)
+    buffer.send(b"-", 1)
+    buffer.discard(gone)
+    assert set(buffer.latched_batch_numbers()) == {"b"}
 
 
-def test_only_the_peer_gets_marks(topic_writer, make):
-    it = make()
-    it.send(b"a", 1, b"<mark a>")
+def test_marks_are_sent_to_peer_only(topic_writer, make):
+    buffer = make()
+    buffer.send(b"a", 1, b"<mark a>")
     engine, other = topic_writer.come(), topic_writer.come()
-    it.send(b"b", 1, b"<mark b>")
-    it.identify(engine, True)
-    it.identify(other, False)
-    it.send(b"c", 1, b"<mark c>")
+    buffer.send(b"b", 1, b"<mark b>")
+    buffer.identify(engine, True)
+    buffer.identify(other, False)
+    buffer.send(b"c", 1, b"<mark c>")
     assert engine.got == [b"<mark a>a<mark b>b", b"<mark c>c"]
     assert other.got == [b"b", b"c"]
 
 
-def test_what_the_peer_does_not_need_is_held_for_nobody_but_who_is_not_identified(topic_writer, make):
-    it = make()
-    it.send(b"a", 1, for_peer=False)
+def test_unneeded_texts_are_buffered_for_unidentified_subscribers_only(topic_writer, make):
+    buffer = make()
+    buffer.send(b"a", 1, for_peer=False)
     other = topic_writer.come()
-    it.send(b"b", 1, for_peer=False)
-    it.identify(other, False)
-    it.send(b"c", 1, for_peer=False)
-    it.send(b"d", 1)
+    buffer.send(b"b", 1, for_peer=False)
+    buffer.identify(other, False)
+    buffer.send(b"c", 1, for_peer=False)
+    buffer.send(b"d", 1)
     peer = topic_writer.come()
-    it.subscribers_to_identify()
-    it.identify(peer, True)
+    buffer.subscribers_to_identify()
+    buffer.identify(peer, True)
     assert other.got == [b"b", b"c", b"d"]
     assert peer.got == [b"bd"]
 
 
-def test_nothing_is_dropped_that_the_peer_does_not_need(topic_writer, make, reports):
-    it = make(queue=3)
+def test_unneeded_texts_count_as_no_loss(topic_writer, make, reports):
+    buffer = make(queue=3)
     for _ in range(10):
-        it.send(b"a", 1, for_peer=False)
+        buffer.send(b"a", 1, for_peer=False)
     assert (reports.warnings, topic_writer.counts.dropped) == (0, 0)
 
 
-def test_messages_name_the_peer(topic_writer, reports, caplog):
-    it = LateJoinerBuffer(topic_writer, INTERFACE, 1, reports)
+def test_warning_names_peer(topic_writer, reports, caplog):
+    buffer = LateJoinerBuffer(topic_writer, INTERFACE, 1, reports)
     for _ in range(2):
-        it.send(b"a", 1)
+        buffer.send(b"a", 1)
     assert [record.getMessage() for record in caplog.records] == [
         "the ROS interface is not connected: the oldest event that is buffered for it is dropped"
     ]
 
 
-def test_what_is_held_of_a_former_run_is_not_handed_over(topic_writer, make):
+def test_texts_of_previous_epoch_are_discarded(topic_writer, make):
     epoch = [0]
-    it = make(epoch=lambda: epoch[0])
-    it.send(b"1", 1)
+    buffer = make(epoch=lambda: epoch[0])
+    buffer.send(b"1", 1)
     epoch[0] = 1
-    it.send(b"2", 1)
+    buffer.send(b"2", 1)
     engine = topic_writer.come()
-    it.subscribers_to_identify()
-    it.identify(engine, True)
+    buffer.subscribers_to_identify()
+    buffer.identify(engine, True)
     assert engine.got == [b"2"]
 
 
-def test_a_latched_message_that_cannot_be_written_again_is_reported(topic_writer, make, reports):
+def test_error_of_latched_message_is_reported(topic_writer, make, reports):
     def write():
         raise RuleError("no such year")
 
-    it = make()
-    it.latch("map", write, 1)
-    it.send(b"a", 1)
+    buffer = make()
+    buffer.latch("map", write, 1)
+    buffer.send(b"a", 1)
     first = topic_writer.come()
-    it.subscribers_to_identify()
-    it.identify(first, True)
+    buffer.subscribers_to_identify()
+    buffer.identify(first, True)
     assert (first.got, reports.errors) == ([b"a"], 0)
     first.done = True
     second = topic_writer.come()
-    it.subscribers_to_identify()
-    it.identify(second, True)
+    buffer.subscribers_to_identify()
+    buffer.identify(second, True)
     assert (second.got, reports.errors) == ([], 1)
 
 
-def test_a_connection_that_has_ended_is_noticed_before_something_is_written_to_it():
+def test_closed_connection_is_detected():
     here, other = socket.socketpair()
     link = SimpleNamespace(_connection=SimpleNamespace(socket=here))
     assert not late_joiners.has_ended(link)
@@ -266,14 +266,14 @@ def test_a_connection_that_has_ended_is_noticed_before_something_is_written_to_i
     assert not late_joiners.has_ended(SimpleNamespace())
 
 
-def test_node_retalis_gets_first_what_it_has_to_know_of_all(topic_writer, reports):
-    it = LateJoinerBuffer(topic_writer, ENGINE, 100, reports, lambda: 0, lambda: b"run ")
-    it.send(b"before", 1)
+def test_peer_gets_preamble_first(topic_writer, reports):
+    buffer = LateJoinerBuffer(topic_writer, ENGINE, 100, reports, lambda: 0, lambda: b"run ")
+    buffer.send(b"before", 1)
     node, other = topic_writer.come(), topic_writer.come()
-    it.subscribers_to_identify()
-    it.identify(node, True)
-    it.identify(other, False)
-    it.send(b"after", 1)
+    buffer.subscribers_to_identify()
+    buffer.identify(node, True)
+    buffer.identify(other, False)
+    buffer.send(b"after", 1)
     assert node.got == [b"run before", b"after"]
     assert other.got[-1] == b"after"
     assert b"run " not in b"".join(other.got)

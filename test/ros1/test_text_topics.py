@@ -18,7 +18,7 @@ def message(text):
 
 
 @pytest.fixture
-def taken():
+def processed():
     return []
 
 
@@ -29,42 +29,42 @@ def epochs():
     return epochs
 
 
-def test_texts_of_a_run_that_has_not_begun_wait_for_it(taken, epochs):
-    receive = make_text_handler_factory(taken.append, epochs)(None, "/texts", None)
+def test_texts_of_next_epoch_are_buffered(processed, epochs):
+    receive = make_text_handler_factory(processed.append, epochs)(None, "/texts", None)
     for text in (format_epoch_mark(0), "event(a)", format_epoch_mark(1), "event(b)"):
         receive(message(text))
-    assert taken == ["event(a)"]
+    assert processed == ["event(a)"]
     epochs.update_clock(0)
     epochs.update()
-    assert taken == ["event(a)", "event(b)"]
+    assert processed == ["event(a)", "event(b)"]
 
 
-def test_senders_are_told_apart(taken, epochs):
-    taker = make_text_handler_factory(taken.append, epochs)
-    late, silent = taker(None, "/texts", None), taker(None, "/texts", None)
+def test_epochs_of_senders_are_separate(processed, epochs):
+    make_handler = make_text_handler_factory(processed.append, epochs)
+    late, silent = make_handler(None, "/texts", None), make_handler(None, "/texts", None)
     late(message(format_epoch_mark(7)))
     epochs.update_clock(0)
     late(message("event(old)"))
     silent(message("event(new)"))
     epochs.update()
-    assert taken == ["event(old)"]
+    assert processed == ["event(old)"]
     late(message(format_epoch_mark(8)))
     epochs.update()
-    assert taken == ["event(old)", "event(new)"]
+    assert processed == ["event(old)", "event(new)"]
 
 
 @pytest.mark.parametrize(
     "text",
     ["event(retalis_run(x))", "event(retalis_run(-1))", "event(retalis_run(1), [1,1])", "event(retalis_run("],
 )
-def test_what_only_looks_like_it_is_an_event(text, taken, epochs):
-    make_text_handler_factory(taken.append, epochs)(None, "/texts", None)(message(text))
-    assert taken == [text]
+def test_malformed_epoch_mark_is_an_event(text, processed, epochs):
+    make_text_handler_factory(processed.append, epochs)(None, "/texts", None)(message(text))
+    assert processed == [text]
 
 
-def test_without_simulated_time_it_is_an_event(taken):
-    make_text_handler_factory(taken.append)(None, "/texts", None)(message(format_epoch_mark(3)))
-    assert taken == [format_epoch_mark(3)]
+def test_epoch_mark_without_simulated_time_is_an_event(processed):
+    make_text_handler_factory(processed.append)(None, "/texts", None)(message(format_epoch_mark(3)))
+    assert processed == [format_epoch_mark(3)]
 
 
 MAP = ("/map", "/map_server", "http://robot:4711/")
@@ -73,37 +73,37 @@ MAP = ("/map", "/map_server", "http://robot:4711/")
 @pytest.mark.parametrize(
     "text", ["event(retalis_latched(x))", "event(retalis_latched('a','b',1))", "event(a)"]
 )
-def test_what_only_looks_like_a_mark_is_an_event(text):
-    taken = []
-    make_text_handler_factory(taken.append, None, LatchedMessageDeduplicator())(None, "/texts", None)(
+def test_malformed_latched_mark_is_an_event(text):
+    processed = []
+    make_text_handler_factory(processed.append, None, LatchedMessageDeduplicator())(None, "/texts", None)(
         message(text)
     )
-    assert taken == [text]
+    assert processed == [text]
 
 
-def test_a_text_is_taken_once_whichever_connection_it_comes_on():
-    taken = []
-    taker = make_text_handler_factory(taken.append, None, LatchedMessageDeduplicator())
-    for _ in range(2):  # an interface, and the one that is started after it was killed
-        receive, connection = taker(None, "/texts", None), LatchedConnection(*MAP)
+def test_last_text_repeated_by_next_connection_is_dropped():
+    processed = []
+    make_handler = make_text_handler_factory(processed.append, None, LatchedMessageDeduplicator())
+    for _ in range(2):  # an interface, and its successor after a kill
+        receive, connection = make_handler(None, "/texts", None), LatchedConnection(*MAP)
         for text in ("event(a)", "event(b)", "event(b)"):
             receive(message(connection.describe_message(text.encode()).to_mark()))
             receive(message(text))
             receive(message("event(x)"))
-    # Of the second instance: a was not the last one before, b is new after it, and again.
-    assert taken == ["event(a)", "event(x)", *["event(b)", "event(x)"] * 2] * 2
-    receive, connection = taker(None, "/texts", None), LatchedConnection(*MAP)
+    # The second connection begins with a, which differs from the last text b, so all its texts are processed.
+    assert processed == ["event(a)", "event(x)", *["event(b)", "event(x)"] * 2] * 2
+    receive, connection = make_handler(None, "/texts", None), LatchedConnection(*MAP)
     receive(message(connection.describe_message(b"event(b)").to_mark()))
     receive(message("event(b)"))
-    assert len(taken) == 12
+    assert len(processed) == 12
 
 
-def test_a_text_that_waits_for_its_run_is_compared_when_it_is_taken():
-    taken = []
+def test_buffered_latched_text_is_processed_once_per_epoch():
+    processed = []
     epochs = ClockEpochs(Reports(), lambda: 0, lambda: None)
     epochs.update_clock(9_000_000_000)
     inputs = LatchedMessageDeduplicator(lambda: epochs.epoch)
-    receive = make_text_handler_factory(taken.append, epochs, inputs)(None, "/texts", None)
+    receive = make_text_handler_factory(processed.append, epochs, inputs)(None, "/texts", None)
     mark = LatchedConnection(*MAP).describe_message(b"a").to_mark()
     for text in (
         format_epoch_mark(0),
@@ -116,7 +116,7 @@ def test_a_text_that_waits_for_its_run_is_compared_when_it_is_taken():
         "event(a)",
     ):
         receive(message(text))
-    assert taken == ["event(a)"]
+    assert processed == ["event(a)"]
     epochs.update_clock(0)
     epochs.update()
-    assert taken == ["event(a)", "event(a)"]
+    assert processed == ["event(a)", "event(a)"]
