@@ -32,26 +32,30 @@ CASES = [
 @pytest.mark.parametrize("policy", POLICIES)
 @pytest.mark.parametrize(("short", "long"), CASES)
 @pytest.mark.parametrize("flags", [(), ("out_of_order",), ("etalis_justification",)], ids=str)
-def test_it_is_the_sequence_written_out(short, long, policy, flags):
-    rng = random.Random(f"{short} {policy}")
+def test_ntimes_equals_written_sequence(short, long, policy, flags):
+    generator = random.Random(f"{short} {policy}")
     for _ in range(4):
         stream = []
-        for at in range(3, 17):
-            start = at + rng.choice([0, 0, 0, -2]) if flags == ("out_of_order",) else at
-            stamp = f"{start}-{start + rng.randrange(1, 4)}" if rng.random() < 0.3 else str(start)
-            stream.append(f"{rng.choice('aab')}({rng.randrange(1, 3)},{rng.randrange(1, 4)})@{stamp}")
+        for second in range(3, 17):
+            start = second + generator.choice([0, 0, 0, -2]) if flags == ("out_of_order",) else second
+            interval = (
+                f"{start}-{start + generator.randrange(1, 4)}" if generator.random() < 0.3 else str(start)
+            )
+            stream.append(
+                f"{generator.choice('aab')}({generator.randrange(1, 3)},{generator.randrange(1, 4)})@{interval}"
+            )
         text = " ".join(stream)
         assert outputs_of(f"c(X) <- {short}.", text, policy, flags) == outputs_of(
             f"c(X) <- {long}.", text, policy, flags
         )
 
 
-def test_a_named_variable_has_one_value_though_it_stands_once():
+def test_named_variable_is_shared_by_repetitions():
     assert outputs_of("c <- a(X) ntimes 2.", "a(1)@1 a(2)@2 a(1)@3") == "c@1-3"
     assert outputs_of("c <- a(_) ntimes 2.", "a(1)@1 a(2)@2 a(1)@3") == "c@1-2 c@2-3"
 
 
-REPEATED = [
+REPEATED_PATTERNS = [
     "a(X,_)",
     "a(_,_)",
     "a(X,Y)",
@@ -63,7 +67,7 @@ REPEATED = [
     "(a(_,_) or d)",
     "d",
 ]
-AROUND = [
+OUTER_PATTERNS = [
     "{}",
     "{}",
     "{}",
@@ -86,76 +90,99 @@ AROUND = [
 ]
 
 
-def drawn_stream(rng, late, revised):
+def random_stream(generator, has_late_events, has_retractions):
     """Return events: some touching or overlapping, some with variables, some late or taken back."""
-    found, known, now = [], [], 10
-    for _ in range(rng.choice([8, 12, 24])):
-        now += rng.choice([0, 0, 1, 1, 1, 2])
-        end = now - rng.choice([1, 2, 4]) if late and rng.random() < 0.3 else now
-        start = end - rng.choice([0, 0, 0, 0, 1, 3])
-        value = "Z" if rng.random() < 0.02 else rng.choice(["1", "1", "2", "f(1)"])
-        event = rng.choice(["a({},{})"] * 5 + ["b({},{})", "d"]).format(value, rng.randrange(1, 4))
-        if revised and known and rng.random() < 0.15:
-            event, start = f"rev({rng.choice(known)})", end
+    events, retractable, clock_time = [], [], 10
+    for _ in range(generator.choice([8, 12, 24])):
+        clock_time += generator.choice([0, 0, 1, 1, 1, 2])
+        end = (
+            clock_time - generator.choice([1, 2, 4])
+            if has_late_events and generator.random() < 0.3
+            else clock_time
+        )
+        start = end - generator.choice([0, 0, 0, 0, 1, 3])
+        value = "Z" if generator.random() < 0.02 else generator.choice(["1", "1", "2", "f(1)"])
+        event = generator.choice(["a({},{})"] * 5 + ["b({},{})", "d"]).format(
+            value, generator.randrange(1, 4)
+        )
+        if has_retractions and retractable and generator.random() < 0.15:
+            event, start = f"rev({generator.choice(retractable)})", end
         elif "Z" not in event:
-            known.append(event)
-        found.append(f"{event}@{start}-{end}")
-    return found
+            retractable.append(event)
+        events.append(f"{event}@{start}-{end}")
+    return events
 
 
-def drawn_flags(rng, late, revised):
-    flags = ["revision_flag"] * revised + ["out_of_order"] * (late and rng.random() < 0.7)
-    flags += ["etalis_justification"] * (rng.random() < 0.2)
-    if rng.random() < 0.15:
-        window = rng.choice([2, 5])
+def random_flags(generator, has_late_events, has_retractions):
+    flags = ["revision_flag"] * has_retractions + ["out_of_order"] * (
+        has_late_events and generator.random() < 0.7
+    )
+    flags += ["etalis_justification"] * (generator.random() < 0.2)
+    if generator.random() < 0.15:
+        window = generator.choice([2, 5])
         flags += [("garbage_control", "general"), ("garbage_window", window), ("garbage_window_step", 1)]
     return flags
 
 
-def answer(rule, policy, flags, stream, changes):
+def outputs_and_match_count(rule, policy, flags, stream, changes):
     """Return what follows from each event, and how many partial matches wait in the end."""
     program = ProgramRunner(rule, flags, policy)
-    found = []
-    for at, event in enumerate(stream):
-        for flag, value in changes.get(at, ()):
+    outputs = []
+    for number, event in enumerate(stream):
+        for flag, value in changes.get(number, ()):
             program.set(flag, value)
-        found.append(program.feed(event))
-    return found, program.engine.rules.match_count
+        outputs.append(program.feed(event))
+    return outputs, program.engine.rules.match_count
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("group", range(10))
-def test_by_chance_it_is_the_sequence_written_out(group):
+def test_ntimes_equals_written_sequence_on_random_programs(group):
     for number in range(25):
-        rng = random.Random(f"{group} {number}")
-        policy, late, revised = rng.choice(POLICIES), rng.random() < 0.3, rng.random() < 0.3
+        generator = random.Random(f"{group} {number}")
+        policy, has_late_events, has_retractions = (
+            generator.choice(POLICIES),
+            generator.random() < 0.3,
+            generator.random() < 0.3,
+        )
         changes = {}
-        if rng.random() < 0.25:
-            for at in rng.sample(range(12), 2):
-                changes[at] = [
-                    rng.choice(
+        if generator.random() < 0.25:
+            for position in generator.sample(range(12), 2):
+                changes[position] = [
+                    generator.choice(
                         [
-                            ("event_consumption_policy", rng.choice(POLICIES)),
-                            ("out_of_order", rng.choice(["on", "off"])),
+                            ("event_consumption_policy", generator.choice(POLICIES)),
+                            ("out_of_order", generator.choice(["on", "off"])),
                         ]
                     )
                 ]
-        pattern, times, around = rng.choice(REPEATED), rng.randrange(1, 6), rng.choice(AROUND)
-        label = f"r([property(event_rule_window,{rng.choice([2, 4, 8])})]) : " if rng.random() < 0.2 else ""
-        head = rng.choice(["c(X,Y,N)", "c(X)", "c"])
-        flags = drawn_flags(rng, late, revised)
-        stream = drawn_stream(rng, late, revised)
+        pattern, times, outer_pattern = (
+            generator.choice(REPEATED_PATTERNS),
+            generator.randrange(1, 6),
+            generator.choice(OUTER_PATTERNS),
+        )
+        label = (
+            f"r([property(event_rule_window,{generator.choice([2, 4, 8])})]) : "
+            if generator.random() < 0.2
+            else ""
+        )
+        head = generator.choice(["c(X,Y,N)", "c(X)", "c"])
+        flags = random_flags(generator, has_late_events, has_retractions)
+        stream = random_stream(generator, has_late_events, has_retractions)
         if policy == "unrestricted" or changes:
             stream = stream[:12]
         short, long = (
-            f"{label}{head} <- {around.format(text)}."
+            f"{label}{head} <- {outer_pattern.format(text)}."
             for text in (f"({pattern} ntimes {times})", f"({' seq '.join([pattern] * times)})")
         )
-        given = (policy, flags, stream, changes)
-        assert answer(short, *given) == answer(long, *given), (short, given)
+        settings = (policy, flags, stream, changes)
+        assert outputs_and_match_count(short, *settings) == outputs_and_match_count(long, *settings), (
+            short,
+            settings,
+        )
 
 
-def test_what_waits_goes_on_when_the_policy_changes():
+def test_policy_change_keeps_partial_matches():
     program = ProgramRunner("c <- a(_) ntimes 5.")
     assert program.feed("a(1)@1 a(2)@2 a(3)@3") == ""
     program.set("event_consumption_policy", "unrestricted")
@@ -164,7 +191,7 @@ def test_what_waits_goes_on_when_the_policy_changes():
     assert program.feed("a(5)@5") == "c@1-5"
 
 
-def test_events_of_the_rule_itself_count_where_they_come():
+def test_recursive_events_are_repetitions():
     rules = "a(X,3) <- c(X). c(X) <- {}."
     stream = "a(1,1)@1 a(1,1)@2 a(1,2)@3 a(1,2)@4 a(1,1)@5 a(1,1)@6 a(1,1)@7"
     long = " seq ".join(["a(X,_)"] * 4)
@@ -172,28 +199,28 @@ def test_events_of_the_rule_itself_count_where_they_come():
 
 
 @pytest.mark.parametrize("policy", POLICIES)
-def test_an_explanation_is_that_of_the_sequence_written_out(policy):
+def test_explanation_equals_that_of_sequence(policy):
     stream = "a(1,1)@1 a(1,1)@2-3 a(1,2)@3 a(1,2)@4 a(1,1)@5 a(1,1)@6 a(1,1)@7"
-    found = []
+    explanations = []
     for pattern in ("a(X,_) ntimes 4", "a(X,_) seq a(X,_) seq a(X,_) seq a(X,_)"):
         program = ProgramRunner(f"c(X) <- {pattern}.", ["etalis_justification"], policy)
         program.feed(stream)
-        ask = "findall(E-J, (E = c(_), justify_event(E,_,J)), L)"
-        found.append([term_text(solution["L"]) for solution in program.engine.query(ask)])
-    assert found[0] == found[1]
-    assert "seqf(seqf(seqf(" in found[0][0]
+        goal = "findall(E-J, (E = c(_), justify_event(E,_,J)), L)"
+        explanations.append([term_text(solution["L"]) for solution in program.engine.query(goal)])
+    assert explanations[0] == explanations[1]
+    assert "seqf(seqf(seqf(" in explanations[0][0]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("times", [1000, 10_000])
 @pytest.mark.parametrize("policy", POLICIES[:-1])
-def test_as_many_events_as_repetitions_cost_so_many_steps(policy, times):
+def test_cost_of_repetitions_is_linear(policy, times):
     program = ProgramRunner(f"c(X) <- a(X,_) ntimes {times}.", policy=policy)
     assert program.errors == []
     rule = program.engine.rules.rules[0]
     assert len(rule.nodes) < 10
-    for at in range(times - 1):
-        program.engine.event(f"a(1,{at % 7})", at, at)
+    for second in range(times - 1):
+        program.engine.event(f"a(1,{second % 7})", second, second)
     assert rule.stored_match_count == times - 1
     assert program.feed(f"a(1,0)@{times}") == f"c(1)@0-{times}"
     assert program.feed(f"a(1,0)@{times + 1}") == f"c(1)@1-{times + 1}"
@@ -201,10 +228,10 @@ def test_as_many_events_as_repetitions_cost_so_many_steps(policy, times):
     assert node.visit_count == times + 1
 
 
-def test_a_window_removes_what_is_too_old_from_the_longest_on():
+def test_window_removes_old_repetitions():
     program = ProgramRunner("c <- (a(_) ntimes 1000) within 10.", policy="chronological")
-    for at in range(100):
-        program.engine.event(f"a({at})", at, at)
+    for second in range(100):
+        program.engine.event(f"a({second})", second, second)
     rule = program.engine.rules.rules[0]
     assert rule.stored_match_count == 10
     (node,) = [node for node, _, _ in rule.nodes if isinstance(node, RepeatNode)]
@@ -212,16 +239,16 @@ def test_a_window_removes_what_is_too_old_from_the_longest_on():
     assert sum(len(group.cursors) for group in node.groups.values()) <= 12
 
 
-def test_of_values_that_do_not_wait_nothing_is_kept():
+def test_groups_without_matches_are_removed():
     program = ProgramRunner("c(X) <- (a(X) ntimes 10) within 10.")
-    for at in range(5000):
-        program.engine.event(f"a({at})", at, at)
+    for second in range(5000):
+        program.engine.event(f"a({second})", second, second)
     (node,) = [node for node, _, _ in program.engine.rules.rules[0].nodes if isinstance(node, RepeatNode)]
     assert len(node.groups) <= 11
 
 
 @pytest.mark.slow
-def test_a_thousand_repetitions_of_a_sequence_are_loaded():
+def test_thousand_repetitions_of_sequence_are_loaded():
     engine = Engine()
     engine.load(rules="out <- (a seq b) ntimes 1000.")
 

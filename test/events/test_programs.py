@@ -11,7 +11,7 @@ from retalis.prolog.terms.timestamps import SECOND, to_term
 
 FILE = Path(__file__).parent.parent / "data" / "programs.txt"
 START = 978_307_200  # 2001
-KEPT = ("memory_created(", "memory_updated(", "memory_deleted(")
+MEMORY_EVENTS = ("memory_created(", "memory_updated(", "memory_deleted(")
 
 
 def programs():
@@ -19,22 +19,22 @@ def programs():
         name, *lines = block.strip().split("\n")
         parts = {"goal": [], "rule": [], "stream": [], "events": [], "output": []}
         for line in lines:
-            kind, _, text = line.partition(" ")
-            parts[kind].append(text.strip())
+            part, _, text = line.partition(" ")
+            parts[part].append(text.strip())
         yield pytest.param(parts, id=name)
 
 
-def stamp(text):
+def timestamp(text):
     return to_term(START * SECOND + round(float(text) * SECOND))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("parts", list(programs()))
-def test_program(parts):
+def test_program_has_expected_events_and_outputs(parts):
     engine = Engine(clock=StreamClock(FUTURE))
-    seen, outputs = [], []
+    events, outputs = [], []
     engine.on_event(
-        lambda term, start, end: seen.append((term, start - START * SECOND, end - START * SECOND))
+        lambda term, start, end: events.append((term, start - START * SECOND, end - START * SECOND))
     )
     engine.on_output(
         lambda term, topic, name: outputs.append(f"output({term_text(term)},{topic},{term_text(name)})")
@@ -47,7 +47,7 @@ def test_program(parts):
             continue
         term, _, interval = item.rpartition("@")
         first, _, last = interval.partition("-")
-        engine.event(term, stamp(first), stamp(last or first))
-    found = [event for event in seen if not term_text(event[0]).startswith(KEPT)]
-    assert format_events(found) == " ".join(parts["events"])
+        engine.event(term, timestamp(first), timestamp(last or first))
+    derived = [event for event in events if not term_text(event[0]).startswith(MEMORY_EVENTS)]
+    assert format_events(derived) == " ".join(parts["events"])
     assert outputs == parts["output"]

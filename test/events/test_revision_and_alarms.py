@@ -1,4 +1,4 @@
-"""Revision, justification, alarms."""
+"""Revision, justification and alarms of rules."""
 
 import gc
 
@@ -14,12 +14,12 @@ from retalis.events.provenance.event_log import Occurrence
 from retalis.prolog.terms.timestamps import SECOND
 
 
-def revised(rules, stream, policy=None):
+def outputs_with_revision(rules, stream, policy=None):
     return outputs_of(rules, stream, policy, ["revision_flag"])
 
 
 @pytest.mark.parametrize(
-    ("rules", "stream", "wanted"),
+    ("rules", "stream", "expected"),
     [
         ("c <- a.", "a@1 rev(a)@2 rev(a)@3", "c@1-1 rev(c)@2-2"),
         ("c <- a. d <- c.", "a@1 rev(a)@2", "c@1-1 d@1-1 rev(c)@2-2 rev(d)@2-2"),
@@ -62,12 +62,12 @@ def revised(rules, stream, policy=None):
         ("c <- a(X) fnot b(Y).", "b(1)@1 a(0)@9 b(2)@5 rev(b(1))@20", ""),
     ],
 )
-def test_revision(rules, stream, wanted):
-    assert revised(rules, stream) == wanted
+def test_retraction_retracts_derived_events(rules, stream, expected):
+    assert outputs_with_revision(rules, stream) == expected
 
 
 @pytest.mark.parametrize("goal", ["memorize(c, [{}], _, m, 5)", "subscribe(c, [{}], _, out, s)"])
-def test_what_a_memory_or_subscription_makes_of_an_event_of_a_rule_with_a_goal_stays(goal):
+def test_events_of_memories_are_not_retracted(goal):
     """The rule's goal is over by then."""
     program = ProgramRunner("c do new_event(m,[5,5]) <- a.", ["revision_flag"])
     program.engine.load(goals=goal.format("new_event(x,[6,6])"))
@@ -76,29 +76,29 @@ def test_what_a_memory_or_subscription_makes_of_an_event_of_a_rule_with_a_goal_s
 
 
 @pytest.mark.parametrize("last", ["fail", "X is foo"])
-def test_an_event_after_a_goal_without_a_solution_does_not_follow_from_its_match(last):
+def test_later_event_is_independent_of_failed_goal(last):
     program = ProgramRunner(f"c do (new_event(m,[5,5]), {last}) <- a. d <- b.", ["revision_flag"])
     assert program.feed("a@1 b@2") == "m@5-5 d@2-2"
     assert program.feed("rev(a)@3") == "rev(m)@3-3"
 
 
 @pytest.mark.parametrize("flags", [(), ("revision_flag",)])
-def test_what_a_first_side_leads_to_before_it_waits_is_no_partner_of_it(flags):
+def test_event_derived_from_first_side_is_no_partner(flags):
     rules = "null_event do new_event(y,[9,9]) <- x. c <- (x cnot z) seq y."
     assert outputs_of(rules, "x@2 y@12", flags=flags) == "y@9-9 null_event@2-2 c@2-12"
 
 
-def test_rev_is_an_event_like_others_without_the_flag():
+def test_rev_is_plain_event_without_flag():
     assert outputs_of("c <- a. d <- rev(a).", "a@1 rev(a)@2") == "c@1-1 d@2-2"
 
 
-def test_justification_alone_takes_nothing_back():
+def test_justification_alone_retracts_nothing():
     assert outputs_of("c <- a.", "a@1 rev(a)@2", flags=["etalis_justification"]) == "c@1-1"
 
 
 @pytest.mark.parametrize("policy", ["recent", "chronological", "unrestricted"])
 @pytest.mark.parametrize("flag", ["revision_flag", "etalis_justification"])
-def test_keeping_where_events_came_from_changes_nothing(policy, flag):
+def test_lineage_keeps_outputs(policy, flag):
     rules = (
         "c(X) <- (a(X) and b) seq d. n(N) <- c(_) seq aggregate(count, a(_), N). x <- (a(1) seq d) cnot b."
     )
@@ -106,40 +106,40 @@ def test_keeping_where_events_came_from_changes_nothing(policy, flag):
     assert outputs_of(rules, stream, policy, [flag]) == outputs_of(rules, stream, policy)
 
 
-def explained(program, event):
-    found = program.engine.query(f"justify_event({event},_,J)")
-    return [program.engine.show(one["J"]) for one in found]
+def explanations_of(program, event):
+    answers = program.engine.query(f"justify_event({event},_,J)")
+    return [program.engine.show(answer["J"]) for answer in answers]
 
 
-def test_why():
+def test_event_has_explanation():
     program = ProgramRunner("m <- a seq b. r : c <- m.", ["etalis_justification"])
     program.feed("a@1 b@2")
-    (why,) = explained(program, "c")
-    assert why == (
+    (explanation,) = explanations_of(program, "c")
+    assert explanation == (
         "justification(r,head(c,[1,2]),justification(unlabeled,head(m,[1,2]),seqf("
         "justification(unlabeled,head(a,[1,1]),default),justification(unlabeled,head(b,[2,2]),default))))"
     )
 
 
-def test_why_not():
+def test_missing_event_has_explanation():
     program = ProgramRunner("c <- a seq b where (1 < 2).", ["etalis_justification"])
     program.feed("a@1")
-    (why,) = explained(program, "c")
-    assert "wheref" in why
-    assert "head(a,[1,1]),default" in why
-    assert "head(b," in why
-    assert why.count("),failed)") == 1
+    (explanation,) = explanations_of(program, "c")
+    assert "wheref" in explanation
+    assert "head(a,[1,1]),default" in explanation
+    assert "head(b," in explanation
+    assert explanation.count("),failed)") == 1
 
 
-def test_why_of_what_no_rule_fires():
+def test_event_without_rule_has_explanation():
     program = ProgramRunner("c <- c seq c.", ["etalis_justification"])
-    (why,) = explained(program, "zzz")
-    assert why.startswith("[justification(unlabeled,head(zzz,")
-    assert why.endswith("),failed)]")
-    assert len(explained(program, "c")) == 1
+    (explanation,) = explanations_of(program, "zzz")
+    assert explanation.startswith("[justification(unlabeled,head(zzz,")
+    assert explanation.endswith("),failed)]")
+    assert len(explanations_of(program, "c")) == 1
 
 
-def test_justification_can_be_switched_on_later():
+def test_justification_may_be_enabled_later():
     program = ProgramRunner("c <- a seq b.")
     program.feed("a@1")
     program.set("etalis_justification", "on")
@@ -172,40 +172,39 @@ IN_ORDER = ["recent", "recent_2", "chronological", "unrestricted"]
             "c(1)@1 s(1)@2 b@3 rev(c(1))@4",
             "o(1)@2-2 o(1)@2-3",
         ),
-        # What came before a side that is there after all was late for it, and is.
+        # An event before a side that becomes valid again was late for it, and stays so.
         ("o <- (a fnot c) seq d.", "c@1 d@4 a@3 rev(c)@5", ""),
         ("o <- b seq (a fnot c).", "c@1 a@3 b@2 rev(c)@5", ""),
         ("o <- a seq ((d fnot c) star_times).", "c@1 d@3 a@2 rev(c)@5", "o@2-2"),
-        # What has completed something that stands is used up; what was kept from that is tried first.
+        # A partner of a match that holds is consumed; a partner that was retained is tried first.
         ("o <- (a fnot c) seq (d seq e).", "c@1 a@2 d@3 rev(c)@4 e@5", "o@2-5"),
     ],
 )
-def test_a_side_of_a_sequence_that_is_there_after_all_meets_what_it_could_have_met(
-    rules, stream, expected, policy
-):
-    assert revised(rules, stream, policy) == expected
+def test_restored_side_of_sequence_has_partners(rules, stream, expected, policy):
+    assert outputs_with_revision(rules, stream, policy) == expected
 
 
-def test_a_second_side_that_is_used_up_is_not_there_for_a_first_side_set_free():
+def test_consumed_second_side_is_not_reused():
     rules = "o(X) <- (a(X) fnot c(X)) seq d."
-    assert revised(rules, "c(1)@1 a(1)@2 a(2)@3 d@4 rev(c(1))@5", "recent") == "o(2)@3-4"
+    assert outputs_with_revision(rules, "c(1)@1 a(1)@2 a(2)@3 d@4 rev(c(1))@5", "recent") == "o(2)@3-4"
     stream = "c(1)@1 a(1)@2 a(2)@3 d@4 d@5 rev(c(1))@6"
-    assert revised(rules, stream, "recent") == "o(2)@3-4 o(1)@2-5"
-    assert revised(rules, stream + " d@7", "recent") == "o(2)@3-4 o(1)@2-5"
+    assert outputs_with_revision(rules, stream, "recent") == "o(2)@3-4 o(1)@2-5"
+    assert outputs_with_revision(rules, stream + " d@7", "recent") == "o(2)@3-4 o(1)@2-5"
 
 
-def test_what_a_run_results_in_again_takes_the_place_of_its_old_results():
+def test_new_result_of_run_replaces_old_one():
     rules = "o(S) <- (s seq aggregate(max(V), a(V), S)) seq e."
     stream = "s@1 a(5)@2 a(2)@3 e@4 rev(a(5))@5"
-    assert revised(rules, stream, "recent") == "o(5)@1-4 rev(o(5))@5-5 o(2)@1-4"
+    assert outputs_with_revision(rules, stream, "recent") == "o(5)@1-4 rev(o(5))@5-5 o(2)@1-4"
     assert (
-        revised(rules, stream + " rev(a(2))@6", "recent") == "o(5)@1-4 rev(o(5))@5-5 o(2)@1-4 rev(o(2))@6-6"
+        outputs_with_revision(rules, stream + " rev(a(2))@6", "recent")
+        == "o(5)@1-4 rev(o(5))@5-5 o(2)@1-4 rev(o(2))@6-6"
     )
 
 
-def test_second_sides_are_kept_for_revision_only_where_one_may_need_them(monkeypatch):
+def test_second_sides_are_retained_only_if_needed(monkeypatch):
     monkeypatch.setattr(consumption_policy, "MAX_RETAINED_MATCHES", 20)
-    for rules, most in [
+    for rules, max_matches in [
         ("o <- a seq d.", 0),
         ("o <- a seq (d fnot c).", 0),
         ("o <- (a fnot c) seq d.", 20),
@@ -214,11 +213,11 @@ def test_second_sides_are_kept_for_revision_only_where_one_may_need_them(monkeyp
     ]:
         program = ProgramRunner(rules, ["revision_flag"])
         program.feed(" ".join(f"d@{number}" for number in range(100)))
-        assert program.engine.rules.match_count <= most
+        assert program.engine.rules.match_count <= max_matches
         assert ProgramRunner(rules, ["etalis_justification"]).feed("d@1 d@2") == ""
 
 
-def alarming(rules, stream, until):
+def output_of_alarms(rules, stream, until):
     clock = StreamClock(0)
     program = ProgramRunner(rules, clock=clock)
     program.feed(stream)
@@ -228,19 +227,19 @@ def alarming(rules, stream, until):
     return format_events(program.events), program
 
 
-def test_alarm():
+def test_alarm_is_emitted_after_its_delay():
     rules = "exceptionAlarm(ding(X),5) <- a(X). c(X) <- ding(X)."
-    assert alarming(rules, "a(1)@1-2", 6)[0] == ""
-    assert alarming(rules, "a(1)@1-2", 7)[0] == "ding(1)@1-7 c(1)@1-7"
+    assert output_of_alarms(rules, "a(1)@1-2", 6)[0] == ""
+    assert output_of_alarms(rules, "a(1)@1-2", 7)[0] == "ding(1)@1-7 c(1)@1-7"
 
 
-def test_alarm_at_an_instant():
-    assert alarming("exceptionAlarmAbsoluteDatime(ding,7) <- a.", "a@1", 8)[0] == "ding@1-7"
+def test_alarm_is_emitted_at_its_instant():
+    assert output_of_alarms("exceptionAlarmAbsoluteDatime(ding,7) <- a.", "a@1", 8)[0] == "ding@1-7"
 
 
-def test_an_alarm_that_is_set_rings_after_its_rule_was_deleted():
+def test_alarm_is_emitted_after_deletion_of_rule():
     rules = "l : exceptionAlarm(ding, 5) <- a. gone do del_event_rule(l) <- b."
-    assert alarming(rules, "a@1 b@2 a@3", 10)[0] == "ding@1-6"
+    assert output_of_alarms(rules, "a@1 b@2 a@3", 10)[0] == "ding@1-6"
 
 
 @pytest.mark.parametrize(
@@ -252,7 +251,7 @@ def test_an_alarm_that_is_set_rings_after_its_rule_was_deleted():
         "exceptionAlarm(ding, N) <- a seq b where N = 0.",
     ],
 )
-def test_what_has_not_happened_yet_is_cancelled_without_a_word(rules):
+def test_retraction_cancels_pending_alarm(rules):
     clock = StreamClock(0)
     program = ProgramRunner(rules, ["revision_flag"], clock=clock)
     assert program.feed("a@1 b@2 rev(a)@3") == ""
@@ -262,7 +261,7 @@ def test_what_has_not_happened_yet_is_cancelled_without_a_word(rules):
     assert format_events(program.events) == ""
 
 
-def test_an_alarm_that_has_rung_is_taken_back():
+def test_emitted_alarm_is_retracted():
     clock = StreamClock(0)
     program = ProgramRunner("exceptionAlarm(ding, 5) <- a. c <- ding.", ["revision_flag"], clock=clock)
     program.feed("a@1")
@@ -270,7 +269,7 @@ def test_an_alarm_that_has_rung_is_taken_back():
     assert program.feed("rev(a)@7").endswith("rev(ding)@7-7 rev(c)@7-7")
 
 
-def test_an_alarm_due_exactly_at_the_stamp_of_an_event_rings_before_it():
+def test_alarm_precedes_event_of_same_instant():
     clock = StreamClock(0)
     program = ProgramRunner("exceptionAlarm(ding, 5) <- a. c <- b fnot ding.", clock=clock)
     program.feed("a@1")
@@ -280,13 +279,13 @@ def test_an_alarm_due_exactly_at_the_stamp_of_an_event_rings_before_it():
     assert format_events(program.events) == "ding@1-6 b@6-6 c@6-6"
 
 
-def test_alarm_in_no_time_is_reported():
+def test_alarm_without_delay_is_reported():
     program = ProgramRunner("exceptionAlarm(ding,N) <- a(N).")
     assert program.feed("a(0)@1") == ""
     assert "positive number" in str(program.errors[0])
 
 
-def test_what_is_too_old_to_be_taken_back_does_not_gather_what_follows_from_it(monkeypatch):
+def test_forgotten_event_does_not_collect_derived_events(monkeypatch):
     monkeypatch.setattr(lineage, "MAX_REMEMBERED_EVENTS", 20)
     program = ProgramRunner("c <- a seq b.", ["revision_flag"], "unrestricted")
     program.feed("a@1")
@@ -346,10 +345,13 @@ def test_forgotten_event_does_not_gather_its_dependents(rule, monkeypatch):
 
 
 @pytest.mark.parametrize("pattern", ["s seq aggregate(count, a(_), N)", "(s seq a(_) star_times) and b(N)"])
-def test_what_many_repetitions_have_made_is_kept_once_for_each(pattern):
+def test_lineage_of_repetitions_is_linear(pattern):
     program = ProgramRunner(f"c(N) <- {pattern}.", ["etalis_justification"], "unrestricted")
-    program.feed("s@0 b(7)@0 " + " ".join(f"a({at})@{at}" for at in range(1, 301)))
-    kept = program.engine.rules.tracker.remembered_events()
-    links = [*kept, *(one for event in kept for one in event.derived if isinstance(one, RepetitionChain))]
-    assert len(kept) > 600
-    assert sum(len(one.derived) + len(one.dependents) for one in links) < 4000
+    program.feed("s@0 b(7)@0 " + " ".join(f"a({second})@{second}" for second in range(1, 301)))
+    events = program.engine.rules.tracker.remembered_events()
+    links = [
+        *events,
+        *(chain for event in events for chain in event.derived if isinstance(chain, RepetitionChain)),
+    ]
+    assert len(events) > 600
+    assert sum(len(link.derived) + len(link.dependents) for link in links) < 4000
