@@ -16,10 +16,8 @@ from random import Random
 from typing import Any, Callable, ContextManager, Dict, Iterator, List, NamedTuple, Optional, Tuple
 from unittest.mock import patch
 
-from events.knowledge.test_event_states import ALARM, Definition
-from events.knowledge.test_event_states import run as watching
-from events.network.test_stream_revision import RULES, standing
-from events.network.test_stream_revision import stream as events_to_take_back
+from events.knowledge.test_event_states import ALARM, ExpectedStates, load_engine
+from events.network.test_stream_revision import RULES, random_events, remaining_outputs
 from events.streams.test_row_pattern import VALUE, expected_outputs, outputs_of_rule, rule_of
 
 from retalis import Clock, Engine, list_items, make_list
@@ -30,7 +28,7 @@ from retalis.events.rules.rule_base import RuleBase
 from retalis.events.rules.timer_service import NodeTimers
 from retalis.events.streams import row_pattern
 from retalis.events.streams.absence_timeout import AbsenceTimeout
-from retalis.events.streams.rate_operators import Debounce, DistinctUntilChanged, Throttle
+from retalis.events.streams.rate_operators import RATE_OPERATORS, Debounce, DistinctUntilChanged, Throttle
 from retalis.events.streams.row_pattern import RowPatternNFA, RowPatternWindow
 from retalis.events.streams.stream_operators import StreamElement, StreamOutput
 from retalis.events.streams.windows import (
@@ -107,10 +105,12 @@ def replays(seed: int) -> bool:
     """Compare what stands when an event was taken back with what there is without it."""
     chance = Random(seed)
     rule = RULES[chance.choice([name for name in RULES if name not in ("joined", "change")])]
-    events = events_to_take_back(chance, False)
+    events = random_events(chance, False)
     gone = chance.choice(events)[0]
     left = [event for event in events if event[0] != gone]
-    return standing(rule, [*events, (f"rev({gone})", events[-1][1])]) != standing(rule, left)
+    return remaining_outputs(rule, [*events, (f"rev({gone})", events[-1][1])]) != remaining_outputs(
+        rule, left
+    )
 
 
 def states(within: Optional[int]) -> Notices:
@@ -124,10 +124,10 @@ def states(within: Optional[int]) -> Notices:
             kind, key = chance.choice(["dock", "undock", "bump"]), chance.choice("ab")
             events.append((kind, key, now, now))
         option = "" if within is None else f", [within({within})]"
-        engine = watching(f":- state(docked(R), from(dock(R)), until(undock(R)){option}).\n{ALARM}")
+        engine = load_engine(f":- state(docked(R), from(dock(R)), until(undock(R)){option}).\n{ALARM}")
         for kind, key, start, end in events:
             engine.event(f"{kind}({key})", start, end)
-        return bool(engine.seen != Definition(events, within).happens())
+        return bool(engine.events != ExpectedStates(events, within).expected_outputs())
 
     return notices
 
@@ -212,8 +212,8 @@ def window(name: str, made: Callable[[Any, Any], Any]) -> Callable[[], ContextMa
 
 
 def shape(name: str, made: Callable[[int], Any]) -> Callable[[], ContextManager[Any]]:
-    """Have another shape in the place of one."""
-    return lambda: patch.dict(stream_compiler._RATE_OPERATORS, {name: made})
+    """Replace a rate operator."""
+    return lambda: patch.dict(RATE_OPERATORS, {name: RATE_OPERATORS[name]._replace(create=made)})
 
 
 def method(owner: Any, name: str, made: Any) -> Callable[[], ContextManager[Any]]:
