@@ -13,6 +13,9 @@ import sys
 import time
 import weakref
 
+# A process that a shell has started in the background ignores the signal.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
 class Item:
     def __del__(self):
         if sys.argv[1] == "finalizer":

@@ -4,7 +4,6 @@ import pytest
 from prolog.support import NEVER, answers, first, prolog
 
 from retalis import PrologError
-from retalis.prolog.machine import machine
 from retalis.prolog.syntax.term_reader import read_term
 
 PROGRAM = """
@@ -205,8 +204,7 @@ def test_depth_is_no_matter(goal):
     assert logic.once(first_goal(logic, goal))
 
 
-def test_a_deterministic_loop_does_not_fill_the_trail(monkeypatch):
-    monkeypatch.setattr(machine, "MIN_SHARING_CHECK_OBJECTS", 20_000)  # as in CPython
+def test_deterministic_loop_does_not_fill_the_trail():
     logic = prolog(DEEP)
     highest = 0
     sliced = logic.machine.budget.count_slice
