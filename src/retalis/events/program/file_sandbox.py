@@ -166,7 +166,9 @@ class FileSandbox:
                 # One byte more than permitted is read: the size that `stat` reports may change, and is 0 in /proc.
                 data = file.read(self.max_bytes + 1)
         except OSError as error:
-            raise _convert_os_error("read", error, path, name) from error
+            # Goals of events and requests must not learn the contents of folders.
+            hint = "" if folders is not None else suggest_file(path)
+            raise _convert_os_error("read", error, path, name, hint) from error
         if len(data) > self.max_bytes:
             raise resource_error("file_size", reason=f"{path} has more than {self.max_bytes} bytes")
         try:
@@ -351,10 +353,10 @@ def _check_descriptor(descriptor: int, name: str, folders: Folders) -> None:
         _check_location(os.readlink(f"/proc/self/fd/{descriptor}"), name, folders)
 
 
-def _convert_os_error(operation: str, error: OSError, path: str, name: str) -> RetalisError:
+def _convert_os_error(operation: str, error: OSError, path: str, name: str, hint: str = "") -> RetalisError:
     """Return the Prolog or usage error for an error of the operating system."""
     if error.errno in _PERMISSION_ERRNOS:
         return permission_error("open", "source_sink", atom(name), error.strerror)
     if operation == "read" and isinstance(error, (FileNotFoundError, NotADirectoryError)):
-        return existence_error("source_sink", atom(path), reason=suggest_file(path))
+        return existence_error("source_sink", atom(path), reason=hint)
     return UsageError(f"cannot {operation} {path}: {error.strerror}")
