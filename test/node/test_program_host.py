@@ -7,8 +7,9 @@ from retalis import Definitions, Reports
 from retalis.messages.message_values import make_message_term, read_message_term
 from retalis.node.host_context import HostContext
 from retalis.node.parameters import read_parameters
+from retalis.node.plain_text_exchange import PlainTextExchange
 from retalis.node.program_host import ProgramHost
-from retalis.node.text_exchange import PlainTextExchange, read_text_message, serialize_text
+from retalis.node.text_exchange import read_text_message, serialize_text
 
 DEFINITIONS = Definitions()
 STRING = DEFINITIONS.find("std_msgs/String")

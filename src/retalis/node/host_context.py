@@ -1,17 +1,16 @@
 """Shared parts of a program host."""
 
-from typing import TYPE_CHECKING, Optional
+from typing import Optional
 
+from ..engine.runtime.clock_skew import ClockSkewMonitor
 from ..engine.runtime.problem_reports import Reports
 from ..events.program.topic_configuration import TOPICS, Topics, read_topics
 from ..foundation.errors import RetalisError
 from ..messages.type_registry import Definitions
 from .host_time import SimulatedTime
 from .latched_deduplication import LatchedMessageDeduplicator
-
-if TYPE_CHECKING:
-    from .parameters import Parameters
-    from .transport import Transport
+from .parameters import Parameters
+from .transport import Transport
 
 
 class HostContext:
@@ -33,7 +32,7 @@ class HostContext:
         topics_error: the errors of the file; None if it has none.
     """
 
-    def __init__(self, transport: "Transport", parameters: "Parameters", reports: Reports):
+    def __init__(self, transport: Transport, parameters: Parameters, reports: Reports):
         self.transport = transport
         self.parameters = parameters
         self.reports = reports
@@ -45,3 +44,15 @@ class HostContext:
             self.topics = read_topics(parameters.program / TOPICS)
         except RetalisError as error:
             self.topics, self.topics_error = Topics(), error
+
+    def make_skew_monitor(self) -> ClockSkewMonitor:
+        """Return the monitor of the stamps of messages; its counts, and those of reports, are logged at the end."""
+        skew = ClockSkewMonitor(
+            self.reports,
+            self.time.now,
+            max_distance_seconds=self.parameters.max_skew,
+            buffers_early_messages=self.time.buffers_early_messages,
+        )
+        self.transport.on_shutdown(skew.log_counts)
+        self.transport.on_shutdown(self.reports.sum_up)
+        return skew

@@ -8,7 +8,7 @@ send texts; the texts; time; reports on the state.
 import logging
 import threading
 import time
-from typing import Any, Callable, ContextManager, Dict, List, Mapping, Optional, Protocol, Sequence, Tuple
+from typing import Callable, ContextManager, Dict, List, Mapping, Optional, Protocol, Sequence, Tuple
 
 from ..engine.engine import Engine
 from ..engine.event_input import TopicRequest
@@ -113,7 +113,7 @@ class ProgramHost:
         # If messages pass as text, the interface node reports it.
         if context.topics_error is not None and not parameters.uses_texts:
             self._errors += log_error(context.topics_error)
-        skew = self._make_skew_monitor()
+        skew = context.make_skew_monitor()
         self._processing = MessageProcessing(
             self._make_handler, threading.Lock(), skew=skew, clock_epochs=context.time.epochs
         )
@@ -148,17 +148,6 @@ class ProgramHost:
         assert isinstance(clock, HostClock)
         clock.start(self.engine.advance, is_resumed)
         return clock
-
-    def _make_skew_monitor(self) -> ClockSkewMonitor:
-        skew = ClockSkewMonitor(
-            self._reports,
-            self._context.time.now,
-            max_distance_seconds=self._parameters.max_skew,
-            buffers_early_messages=self._context.time.buffers_early_messages,
-        )
-        self._transport.on_shutdown(skew.log_counts)
-        self._transport.on_shutdown(self._reports.sum_up)
-        return skew
 
     # ---- the program
 
@@ -232,29 +221,17 @@ class ProgramHost:
 
         Of a latched source it skips messages that the engine has processed already.
         """
-        if source.is_latched:
-            return self._make_latched_handler(decoder, LatchedConnection(topic, source.node, source.address))
         send_text = self._texts.make_event_sender(decoder)
-        if send_text is None:
+        connection = LatchedConnection(topic, source.node, source.address) if source.is_latched else None
+        if send_text is None and connection is None:
             return make_event_handler(decoder, topic, source)
-        decode, stamp = decoder.decode, decoder.stamp
-
-        def handle(data: bytes) -> Tuple[Term, Optional[int]]:
-            event, instant = decode(data), stamp(data)
-            send_text(data, instant)
-            return event, instant
-
-        return handle
-
-    def _make_latched_handler(self, decoder: Decoder, connection: LatchedConnection) -> MessageHandler:
         decode, stamp, deduplicator = decoder.decode, decoder.stamp, self._context.latched
-        send_text = self._texts.make_event_sender(decoder)
 
-        def handle(data: bytes) -> Any:
+        def handle(data: bytes) -> Optional[Tuple[Term, Optional[int]]]:
             # Before `record_message`, which records the message as processed: decoding may fail, or the message may
             # belong to the next clock epoch.
             event, instant = decode(data), stamp(data)
-            if deduplicator.record_message(connection.describe_message(data)):
+            if connection is not None and deduplicator.record_message(connection.describe_message(data)):
                 return None
             if send_text is not None:
                 send_text(data, instant)

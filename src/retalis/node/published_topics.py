@@ -20,7 +20,7 @@ from .transport import MessageTransport, TopicPublication
 log = logging.getLogger("retalis")
 
 TEXT_ONLY = f"its events are published only as text on {OUTPUT}"
-"""What happens to the outputs of a topic without a type in a node."""
+"""Consequence for the outputs of a topic without a type in a node."""
 
 MAX_UNTYPED_TOPICS_NAMED = 100
 """Maximum number of topics without a type that are logged."""

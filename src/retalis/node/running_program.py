@@ -12,12 +12,12 @@ them. Nodes and playback contain one, so that the same messages have the same re
 
 import logging
 from pathlib import Path
-from typing import Callable, List, NamedTuple, Optional, Tuple
+from typing import Callable, Iterable, List, NamedTuple, Optional, Tuple
 
 from ..engine.engine import Engine
 from ..engine.event_input import TopicRequest
 from ..engine.runtime.problem_reports import Reports
-from ..events.program.topic_configuration import DirectTopics, Topics, direct_topics
+from ..events.program.topic_configuration import DirectTopics, Topics, TopicType, direct_topics
 from ..foundation.errors import RetalisError
 from ..messages.decoder import Decoder
 from ..messages.type_registry import Definitions
@@ -30,7 +30,7 @@ from .published_topics import (
     UntypedTopicWarnings,
     advertise_topics,
 )
-from .subscribed_topics import MessageProcessing, ReadingOptions, SubscribedTopics, subscribe_topics
+from .subscribed_topics import MessageProcessing, ReadingOptions, SubscribedTopics
 from .transport import MessageSource, MessageTransport
 
 log = logging.getLogger("retalis")
@@ -130,13 +130,7 @@ class RunningProgram:
             may_learn_types: whether publishers may define further types, also if the types of all subscribed topics
                 are known.
         """
-        topics = self._context.topics
-        may_be_learned = may_learn_types or any(
-            not self.subscribed.knows_type(message_type)
-            for _, message_type in (*topics.subscribed, *self.direct)
-        )
-        advertise_topics(self.published, topics, may_be_learned)
-        subscribe_topics(self.subscribed, topics, self.direct, self._context.transport.resolve_topic)
+        open_topics(self.published, self.subscribed, self._context.topics, self.direct, may_learn_types)
 
     def subscribe_direct_topics(self) -> None:
         """Subscribe to the topics of ``~direct``. Errors are logged."""
@@ -178,6 +172,30 @@ class RunningProgram:
         for warning in warnings:
             log.warning("%s", warning)
         return warnings
+
+
+def open_topics(
+    published: PublishedTopics,
+    subscribed: SubscribedTopics,
+    topics: Topics,
+    direct: Iterable[TopicType],
+    may_learn_types: bool = False,
+) -> None:
+    """Advertise and subscribe to the topics of ``pub_sub.xml``, except those of ``direct``. Errors are logged.
+
+    Args:
+        published: publishes the topics.
+        subscribed: subscribes to the topics.
+        topics: contents of the file.
+        direct: topics that are subscribed separately.
+        may_learn_types: see `RunningProgram.open_topics`.
+    """
+    direct = tuple(direct)
+    may_be_learned = may_learn_types or any(
+        not subscribed.knows_type(message_type) for _, message_type in (*topics.subscribed, *direct)
+    )
+    advertise_topics(published, topics, may_be_learned)
+    subscribed.subscribe_all(topics, direct)
 
 
 def make_event_handler(

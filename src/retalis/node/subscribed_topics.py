@@ -185,6 +185,17 @@ class SubscribedTopics:
                 )
             self._topics[name] = self._open(TopicRequest(name, message_type, event_name), self._processing)
 
+    def subscribe_all(self, topics: Topics, direct: Iterable[TopicType]) -> None:
+        """Subscribe to the topics of ``pub_sub.xml``, except those of ``direct``. Errors are logged."""
+        resolve_topic = self._transport.resolve_topic
+        direct_names = {resolve_topic(topic) for topic, _ in direct}
+        for topic, message_type in topics.subscribed:
+            if resolve_topic(topic) not in direct_names:
+                try:
+                    self.subscribe(topic, message_type, topics.event_name_of(topic))
+                except RetalisError as error:
+                    log.error("%s: topic %s: %s", TOPICS, topic, error)
+
     def resolve(self, topic: str) -> str:
         """Return the full name of a topic that a program may subscribe to.
 
@@ -589,19 +600,3 @@ class RequestQueue:
             while execute_next(self._requests.get_nowait()):
                 pass
         threading.Thread(target=run, daemon=True, name="topics of goals").start()
-
-
-def subscribe_topics(
-    subscribed: SubscribedTopics,
-    topics: Topics,
-    direct: Iterable[TopicType],
-    resolve_topic: Callable[[str], str],
-) -> None:
-    """Subscribe to the topics of ``pub_sub.xml``, except those of ``direct``. Errors are logged."""
-    direct_names = {resolve_topic(topic) for topic, _ in direct}
-    for topic, message_type in topics.subscribed:
-        if resolve_topic(topic) not in direct_names:
-            try:
-                subscribed.subscribe(topic, message_type, topics.event_name_of(topic))
-            except RetalisError as error:
-                log.error("%s: topic %s: %s", TOPICS, topic, error)

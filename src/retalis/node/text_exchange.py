@@ -5,7 +5,7 @@ interface of the original package, in which all messages passed between two node
 """
 
 from struct import Struct
-from typing import TYPE_CHECKING, Any, Callable, ContextManager, Iterable, List, Optional, Protocol
+from typing import Any, Callable, ContextManager, Iterable, List, Optional, Protocol
 
 from ..engine.runtime.problem_reports import Reports
 from ..foundation.errors import MessageError, RetalisError, UsageError
@@ -13,12 +13,8 @@ from ..messages.decoder import Decoder
 from ..messages.event_text_writer import make_text_writer
 from ..prolog.syntax.event_text import event_text, to_text
 from ..prolog.terms.types import Term, atom, functor
-from .host_time import Receipts
-from .topic_statistics import OutputStatus, describe_publication
+from .topic_statistics import OutputStatus
 from .transport import MessageSource, TopicPublication
-
-if TYPE_CHECKING:
-    from .host_context import HostContext
 
 INPUT = "retalisInputEvents"
 OUTPUT = "retalisOutputEvents"
@@ -67,56 +63,6 @@ class TextExchange(Protocol):
 
     def statuses(self) -> List[OutputStatus]:
         """Return the counters of the published topics."""
-
-
-class PlainTextExchange:
-    """Exchange with the means that every transport has: texts reach the nodes that are connected.
-
-    Args:
-        context: what the parts of the host share.
-    """
-
-    def __init__(self, context: "HostContext"):
-        transport = context.transport
-        definition = context.definitions.find(TEXT_TYPE)
-        self._reports = context.reports
-        self._stamp = Receipts(context.time.now).stamp
-        self._topics = {
-            name: transport.advertise(transport.resolve_topic(name), definition, context.parameters.queue)
-            for name in TEXT_TOPICS
-        }
-        self._names = {name: transport.resolve_topic(name) for name in self._topics}
-
-    def make_event_sender(self, decoder: Decoder) -> Optional[EventSender]:
-        """See `TextExchange`."""
-        return make_event_sender(decoder, self._topics[INPUT], self._stamp, self._reports)
-
-    def send_output(self, term: Term, topic: str, name: Term) -> None:
-        """See `TextExchange`."""
-        publication = self._topics[OUTPUT]
-        if publication.subscriber_count():
-            publication.send(serialize_text(format_output(term, topic, name)))
-
-    def is_output_received(self) -> bool:
-        """See `TextExchange`: outputs are published by this node."""
-        return True
-
-    def receive_outputs(self, subscribe: SubscribeTexts, publish: Callable[[str], object]) -> None:
-        """See `TextExchange`."""
-        subscribe(OUTPUT, lambda decoder, topic, source: lambda data: publish(read_text_message(data)))
-
-    def receive_events(
-        self, subscribe: SubscribeTexts, post: Callable[[str], object]
-    ) -> List[ContextManager[object]]:
-        """See `TextExchange`."""
-        return [subscribe(INPUT, lambda decoder, topic, source: lambda data: post(read_text_message(data)))]
-
-    def statuses(self) -> List[OutputStatus]:
-        """See `TextExchange`."""
-        return [
-            describe_publication(self._names[name], TEXT_TYPE, publication)
-            for name, publication in self._topics.items()
-        ]
 
 
 def resolve_subscribable_topic(

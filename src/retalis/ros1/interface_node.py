@@ -11,21 +11,19 @@ back as texts on another. Fields that the program does not read are left out of 
 import threading
 from typing import Iterable, List
 
-from ..engine.runtime.clock_skew import ClockSkewMonitor
 from ..engine.runtime.problem_reports import Reports
 from ..events.dispatch.listeners import NOT_READ
-from ..events.program.topic_configuration import TOPICS, Topics, direct_topics, read_topics
-from ..foundation.errors import RetalisError
+from ..events.program.topic_configuration import Topics, direct_topics
 from ..messages.decoder import Decoder
 from ..messages.event_text_writer import make_text_writer, write_without_unread
-from ..messages.type_registry import Definitions
 from ..node.diagnostics import Diagnostics, InputRole, NodeHealth, evaluate_program
 from ..node.goal_output import log_error
 from ..node.host_context import HostContext
 from ..node.host_time import Receipts
 from ..node.latched_deduplication import LatchedConnection
 from ..node.parameters import Parameters
-from ..node.published_topics import PublishedTopics, advertise_topics
+from ..node.published_topics import PublishedTopics
+from ..node.running_program import open_topics
 from ..node.services import InterfaceServices, ListService
 from ..node.subscribed_topics import (
     MessageHandler,
@@ -33,7 +31,6 @@ from ..node.subscribed_topics import (
     ReadingOptions,
     SubscribedTopics,
     consume_and_discard,
-    subscribe_topics,
 )
 from ..node.text_exchange import INPUT, OUTPUT
 from ..node.topic_statistics import OutputStatus, StartupWarnings
@@ -64,15 +61,12 @@ class ServiceNode:
         reports = Reports()
         transport = RospyTransport(reports)
         transport.on_shutdown(reports.sum_up)
-        try:
-            topics = read_topics(parameters.program / TOPICS)
-        except RetalisError:
-            # Node retalis reports it.
-            topics = Topics()
+        # Node retalis reports errors of the topics.
+        context = HostContext(transport, parameters, reports)
+        topics = context.topics
         direct = direct_topics(parameters.direct, topics, transport.resolve_topic)
-        definitions = Definitions(transport.installed_types(), parameters.max_empty_elements)
         self._changes = InputTopicChanges(
-            parameters.direct, (*topics.subscribed, *direct), definitions, reports
+            parameters.direct, (*topics.subscribed, *direct), context.definitions, reports
         )
         InterfaceServices(transport, self._changes)
         ListService(transport, list, reports=reports)
@@ -89,14 +83,7 @@ class TextInterfaceNode:
         transport = RospyTransport(reports)
         context = HostContext(transport, parameters, reports)
         time = context.time
-        skew = ClockSkewMonitor(
-            reports,
-            time.now,
-            max_distance_seconds=parameters.max_skew,
-            buffers_early_messages=time.buffers_early_messages,
-        )
-        transport.on_shutdown(skew.log_counts)
-        transport.on_shutdown(reports.sum_up)
+        skew = context.make_skew_monitor()
         self._receipts = Receipts(time.now)
         self._texts = EventTextPublisher(INPUT, parameters.queue, reports, self._receipts.epoch, time.epochs)
         self._unread = ProjectionReceiver(self._texts.connections, reports)
@@ -137,11 +124,7 @@ class TextInterfaceNode:
         # Before topics are subscribed: node retalis subscribes to these itself, and each message must enter the
         # engine once.
         self._subscribed.exclude(direct)
-        may_be_learned = any(
-            not self._subscribed.knows_type(message_type) for _, message_type in (*topics.subscribed, *direct)
-        )
-        advertise_topics(self._published, topics, may_be_learned)
-        subscribe_topics(self._subscribed, topics, direct, transport.resolve_topic)
+        open_topics(self._published, self._subscribed, topics, direct)
         for topic, message_type in direct:
             self._subscribed.learn(topic, message_type)
 
