@@ -6,11 +6,12 @@ import pytest
 import yaml
 
 
-def statuses(space, arrays=6):
+def read_statuses(space, arrays=6):
     """Return the newest level of each status, and the hardware ids, of some messages."""
-    found = list(yaml.safe_load_all(space.run("rostopic", "echo", "-n", str(arrays), "/diagnostics")))
-    told = [one for array in found if array for one in array["status"]]
-    return {one["name"]: one["level"] for one in told}, {one["hardware_id"] for one in told}
+    messages = yaml.safe_load_all(space.run("rostopic", "echo", "-n", str(arrays), "/diagnostics"))
+    statuses = [status for message in messages if message for status in message["status"]]
+    levels = {status["name"]: status["level"] for status in statuses}
+    return levels, {status["hardware_id"] for status in statuses}
 
 
 @pytest.mark.parametrize("embedded", ["false", "true"])
@@ -26,7 +27,7 @@ def test_a_node_is_green_by_default_and_yellow_if_the_program_misses_something(d
     )
     nodes = {"/retalis"} if embedded == "true" else {"/retalis", "/retalis_ros_interface"}
     devel.expect(lambda found, services: nodes <= found and "/retalis/list" in services)
-    levels, hardware = statuses(devel)
+    levels, hardware = read_statuses(devel)
     assert {"retalis: input /tf", "retalis: input /retalisInputEvents"} <= levels.keys()
     assert {name: level for name, level in levels.items() if level} == {}
     assert hardware == {"robot7"}
@@ -34,7 +35,7 @@ def test_a_node_is_green_by_default_and_yellow_if_the_program_misses_something(d
     # From now on the program reads tf, and has a rule whose events nothing makes, which is a warning in the log.
     devel.run("rosservice", "call", "/retalis/add_rule", "{rule: 'moved <- tf__0__tfMessage(_)', label: ''}")
     devel.run("rosservice", "call", "/add_memory", "{event: lost(X), format: _, id: lost, size: '5'}")
-    levels, _ = statuses(devel)
+    levels, _ = read_statuses(devel)
     assert levels["retalis: input /tf"] == 1
     assert levels["retalis: input /ar_pose_marker"] == 0
     (warnings,) = re.findall(r"(?m)^warnings: (\d+)$", devel.run("rosservice", "call", "/retalis/list", "0"))

@@ -311,7 +311,7 @@ class StreamClock(Clock):
         self._fast_limit = -1
         """Latest timestamp that `follow` accepts without `StampJumps.check`."""
         self._is_on_trial = True
-        """Whether a step of the clock may be an error, so that `follow` must not accept all times."""
+        """True if a step of the clock may be an error, so that `follow` must not accept all times."""
         super().__init__(self._present)
 
     def _present(self) -> int:

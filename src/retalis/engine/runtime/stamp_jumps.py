@@ -19,7 +19,7 @@ events only, so that they are the same live, from a file, and after a restore.
 from enum import Enum
 from typing import Dict, Hashable, List, Optional, Sequence, Tuple
 
-from ...prolog.terms.timestamps import SECOND
+from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS, SECOND
 
 MAX_STEP = 10 * SECOND
 """Step in ns up to which a timestamp always moves the clock."""
@@ -41,9 +41,6 @@ SUSPICION_SPAN = 600 * SECOND
 
 MAX_SUSPECTS = 1000
 """Maximum number of suspects; the oldest is dropped."""
-
-_BEFORE_ALL_INSTANTS = -(1 << 63)
-"""Instant before all timestamps, in ns."""
 
 EventName = Hashable
 """Name and arity of events; None for an event that is a variable."""
@@ -183,7 +180,7 @@ class StampJumps:
 
     def _begin_trial(self, base: Optional[int], stamp: int, source: EventName) -> None:
         trials = self._trials
-        trials.append(_Trial(base, stamp, 0, _BEFORE_ALL_INSTANTS if base is None else base, (source,)))
+        trials.append(_Trial(base, stamp, 0, BEFORE_ALL_INSTANTS if base is None else base, (source,)))
         if len(trials) > MAX_TRIALS:
             del trials[0]
         self._steady_since = stamp

@@ -39,6 +39,7 @@ from ..language.pattern_tree import (
     walk,
 )
 from ..language.rule_head_parser import ALARMS, TIMER, event_raised_by, schedule_error
+from ..streams.rate_operators import RATE_OPERATORS
 from .condition_checks import IS, NUMERIC_COMPARISONS
 from .program_model import ProgramModel, SourceRule, Subterm, key_of, subterms, wrap_term
 from .value_flow import ValueFlow
@@ -373,9 +374,12 @@ class _SpanNotation(NamedTuple):
     parents: Tuple[str, ...]
 
 
+_TIMED_OPERATORS = tuple(name for name, operator in RATE_OPERATORS.items() if operator.takes_seconds)
+"""Names of the rate operators whose first argument is a number of seconds."""
+
 _SPANS = {
     **dict.fromkeys(("within", "absent", "exceptionAlarm"), _SpanNotation(2, ())),
-    **dict.fromkeys(("throttle", "debounce", "burst"), _SpanNotation(1, ("with",))),
+    **dict.fromkeys(_TIMED_OPERATORS, _SpanNotation(1, ("with",))),
     **dict.fromkeys(("last", "every", "first"), _SpanNotation(1, ("aggregate", "last", "running", "timer"))),
     "after": _SpanNotation(1, ("timer",)),
 }
@@ -496,7 +500,7 @@ def find_throttles_without_key(program: ProgramModel) -> Iterator[RuleError]:
         head = event_raised_by(rule.definition.head)
         head_vars = set() if head is None else set(variables(head))
         for node in _walk_nodes(rule.definition.pattern):
-            if isinstance(node, RatePattern) and node.operator in _KEYED_OPERATORS and not node.keys:
+            if isinstance(node, RatePattern) and node.operator in _TIMED_OPERATORS and not node.keys:
                 key_variable = _key_variable(program, rule, node.pattern, head_vars)
                 if key_variable is not None:
                     name = program.names_in(rule).get(key_variable, "Key")
@@ -506,9 +510,6 @@ def find_throttles_without_key(program: ProgramModel) -> Iterator[RuleError]:
                         f"those of others; unless this is intended, write {notation}, {name})",
                         _operator_place(rule, "with"),
                     )
-
-
-_KEYED_OPERATORS = ("throttle", "debounce", "burst")
 
 
 def _key_variable(

@@ -381,25 +381,56 @@ class _NumberSlot(NamedTuple):
     is_single: bool
 
 
+class _SlotValue(NamedTuple):
+    """A value in a slot of a message in a pattern.
+
+    Attributes:
+        slot: the slot.
+        name: names of the slot and of its type.
+        message: the message.
+        position: position of the slot in the message, from 1.
+        prefix: beginning of errors about the pattern.
+    """
+
+    slot: Field
+    name: str
+    message: Subterm
+    position: int
+    prefix: str
+
+    @property
+    def value(self) -> Term:
+        return deref(self.message.term[self.position])
+
+    def make_error(self, fault: str) -> RuleError:
+        """Return an error at the place of the value."""
+        return RuleError(f"{self.prefix}{fault}", self.message.place_of(self.message.term, self.position))
+
+
+def _find_slot_values(program: ProgramModel, created_keys: Set[Optional[Functor]]) -> Iterator[_SlotValue]:
+    """Yield the values in slots of messages in the patterns of a program, if topics are their only source."""
+    for event, prefix in program.patterns():
+        for message, definition in _find_input_messages(program, event, created_keys):
+            for position, slot in enumerate(definition.fields, 1):
+                yield _SlotValue(slot, f"{slot.name} of {definition.name}", message, position, prefix)
+
+
 def find_number_type_mismatches(program: ProgramModel) -> Iterator[RuleError]:
     """Yield numbers that no message has in that slot, and comparisons with such slots that never hold."""
     created_keys = _functors_of_created_events(program)
-    for event, prefix in program.patterns():
-        for subterm, definition in _find_input_messages(program, event, created_keys):
-            for position, slot in enumerate(definition.fields, 1):
-                value, number_type = deref(subterm.term[position]), _number_type(slot)
-                if _has_other_type(value, number_type):
-                    fault = (
-                        f"{slot.name} of {definition.name} is {_describe_number_type(number_type)} in events: "
-                        f"write {_advise_number(number_type, value)}"
-                    )
-                    yield RuleError(f"{prefix}{fault}", subterm.place_of(subterm.term, position))
-                elif slot.type == "float32" and slot.length is None and _is_no_single(value):
-                    fault = (
-                        f"{slot.name} of {definition.name} is a float32, which is never exactly {value}: "
-                        f"write a variable V, and where abs(V - {value}) < 0.001"
-                    )
-                    yield RuleError(f"{prefix}{fault}", subterm.place_of(subterm.term, position))
+    for slot_value in _find_slot_values(program, created_keys):
+        slot, name, value = slot_value.slot, slot_value.name, slot_value.value
+        number_type = _number_type(slot)
+        if _has_other_type(value, number_type):
+            yield slot_value.make_error(
+                f"{name} is {_describe_number_type(number_type)} in events: "
+                f"write {_advise_number(number_type, value)}"
+            )
+        elif slot.type == "float32" and slot.length is None and _is_no_single(value):
+            yield slot_value.make_error(
+                f"{name} is a float32, which is never exactly {value}: "
+                f"write a variable V, and where abs(V - {value}) < 0.001"
+            )
     for comparison in _find_number_comparisons(program, created_keys):
         fault = _explain_number_comparison(comparison)
         if fault:
@@ -409,16 +440,13 @@ def find_number_type_mismatches(program: ProgramModel) -> Iterator[RuleError]:
 def find_inexact_decimals(program: ProgramModel) -> Iterator[RuleError]:
     """Yield decimals that are compared for equality with a float of 64 bits, but have no exact binary value."""
     created_keys = _functors_of_created_events(program)
-    for event, prefix in program.patterns():
-        for subterm, definition in _find_input_messages(program, event, created_keys):
-            for position, slot in enumerate(definition.fields, 1):
-                value = deref(subterm.term[position])
-                if slot.type == "float64" and slot.length is None and _is_inexact(value):
-                    fault = (
-                        f"{slot.name} of {definition.name} is matched only if it is exactly {value}: for a measured "
-                        f"value write a variable V, and where abs(V - {value}) < 0.001"
-                    )
-                    yield RuleError(f"{prefix}{fault}", subterm.place_of(subterm.term, position))
+    for slot_value in _find_slot_values(program, created_keys):
+        slot, value = slot_value.slot, slot_value.value
+        if slot.type == "float64" and slot.length is None and _is_inexact(value):
+            yield slot_value.make_error(
+                f"{slot_value.name} is matched only if it is exactly {value}: for a measured "
+                f"value write a variable V, and where abs(V - {value}) < 0.001"
+            )
     for comparison in _find_number_comparisons(program, created_keys):
         name, value, numeric_slot = comparison.name, comparison.value, comparison.slot
         if numeric_slot.number_type is float and not numeric_slot.is_single and _is_inexact(value):

@@ -36,6 +36,7 @@ from typing import (
 from ...foundation.codegen import MAX_TERM_ARGUMENTS
 from ...foundation.errors import RuleError, UsageError
 from ...prolog.terms.term_traversal import is_larger
+from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS
 from ...prolog.terms.types import Atom, EventAction, Frame, Functor, Term, Values, Var, deref
 from ..dispatch.listeners import Listener, ListenerPhase
 from ..dispatch.matcher_compiler import compile_builder
@@ -105,7 +106,6 @@ class RuleState(NamedTuple):
     skipped: Any
 
 
-_BEFORE_ALL_INSTANTS = -(1 << 63)
 _NO_SWEEP = 1 << 62
 """Sweep threshold of a rule without sweeps, which no number of matches exceeds."""
 
@@ -169,8 +169,8 @@ class EventRule:
         self.ahead_count = 0
         self.maintains_clock = False
         self._tracks_stored = False
-        self.clock: int = _BEFORE_ALL_INSTANTS
-        self.max_timestamp: int = _BEFORE_ALL_INSTANTS
+        self.clock: int = BEFORE_ALL_INSTANTS
+        self.max_timestamp: int = BEFORE_ALL_INSTANTS
         self.completion: Optional[Continuation] = None
         self.order = 0
         self.arrivals: Deque[PartialMatch] = deque()
@@ -458,13 +458,13 @@ class EventRule:
         self.clear_matches()
         if self.skip_state is not None:
             self.skip_state.clear()
-        self.clock = self.max_timestamp = _BEFORE_ALL_INSTANTS
+        self.clock = self.max_timestamp = BEFORE_ALL_INSTANTS
         self._last_collection = None
 
     def return_to(self, instant: int) -> None:
         """Set the clock back, because the engine's clock had followed a wrong timestamp; matches remain."""
         self.clock = min(self.clock, instant)
-        self.max_timestamp = _BEFORE_ALL_INSTANTS
+        self.max_timestamp = BEFORE_ALL_INSTANTS
         if self._last_collection is not None:
             self._last_collection = min(self._last_collection, instant)
         if self.skip_state is not None:

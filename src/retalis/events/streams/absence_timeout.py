@@ -14,8 +14,8 @@ dropped earlier if its neighbours in time cancel every pending element that it w
 import heapq
 from typing import Any, Callable, Dict, Hashable, Iterator, List, NamedTuple, Optional
 
+from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS
 from .stream_operators import (
-    BEFORE_ALL_INSTANTS,
     DeadlineOperator,
     ElementHeap,
     OperatorState,

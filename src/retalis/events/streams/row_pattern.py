@@ -18,9 +18,10 @@ partition; a partition without elements for that time is dropped as a whole.
 from collections import OrderedDict, deque
 from typing import Any, Callable, Deque, Dict, Hashable, List, NamedTuple, Optional, Sequence, Tuple, Union
 
+from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS
 from ...prolog.terms.types import Values
 from .aggregates import Accumulator
-from .stream_operators import BEFORE_ALL_INSTANTS, OperatorState, StreamElement, StreamOperator, StreamOutput
+from .stream_operators import OperatorState, StreamElement, StreamOperator, StreamOutput
 from .windows import MAX_TRACKED_ELEMENTS, results_or_error
 
 NavigatedElements = Sequence[StreamElement]

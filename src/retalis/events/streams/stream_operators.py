@@ -15,6 +15,7 @@ from typing import Any, Callable, Hashable, List, NamedTuple, Optional, Tuple
 from ...foundation.errors import RuleError
 from ...prolog.machine.resource_limits import Meter
 from ...prolog.terms.term_traversal import SELF_KEYED, term_key
+from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS
 from ...prolog.terms.types import Values
 
 
@@ -80,8 +81,6 @@ class StreamOutput(NamedTuple):
 
 OperatorState = Tuple[Any, ...]
 """State of an operator: a tuple of numbers, terms, elements and lists of these."""
-BEFORE_ALL_INSTANTS = -(1 << 63)
-"""Instant before all others."""
 
 
 class KeyBounds(NamedTuple):

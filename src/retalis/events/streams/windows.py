@@ -21,10 +21,11 @@ from collections import OrderedDict, deque
 from typing import Callable, Deque, Dict, Hashable, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...foundation.errors import RuleError
+from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS
 from ...prolog.terms.types import Values
 from .aggregates import Accumulator, present_elements, value_error
 from .running_statistics import LazyMinHeap
-from .stream_operators import BEFORE_ALL_INSTANTS, OperatorState, StreamElement, StreamOperator, StreamOutput
+from .stream_operators import OperatorState, StreamElement, StreamOperator, StreamOutput
 
 MAX_TRACKED_ELEMENTS = 100
 """Maximum number of elements in a tracked output, the newest ones, so that long windows stay cheap."""

@@ -26,6 +26,9 @@ from .types import CONS, NIL, CompoundTerm, Functor, Lazy, Term, Var, deref, fun
 SECOND = 1_000_000_000
 """Nanoseconds in a second."""
 
+BEFORE_ALL_INSTANTS = -(1 << 63)
+"""Instant in ns before the times of all events."""
+
 DATIME7: Functor = functor("datime", 7)
 DATIME6: Functor = functor("datime", 6)
 
