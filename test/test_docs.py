@@ -11,7 +11,7 @@ import pytest
 from python_path import python_path
 
 from retalis import Engine, Operators
-from retalis.events.checks.check_registry import run_checks
+from retalis.events.checks.check_runner import run_checks
 from retalis.events.checks.program_model import ProgramModel
 from retalis.events.program.topic_configuration import Topics
 from retalis.prolog.syntax.term_reader import read_program

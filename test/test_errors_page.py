@@ -5,7 +5,7 @@ import re
 import pytest
 from doc_pages import FENCE, ROOT, PageRun
 
-from retalis.events.checks.check_registry import CHECKS, LOAD_CODES
+from retalis.events.checks.check_runner import CHECKS, LOAD_CODES
 
 pytestmark = pytest.mark.docs
 

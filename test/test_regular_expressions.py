@@ -62,7 +62,7 @@ CASES: Dict[str, Case] = {
         ("", "a", "a."),
         ("a", "a.", "1", ".a", " "),
     ),
-    # events/checks/check_registry.py
+    # events/checks/check_runner.py
     r"%\s*retalis:\s*ignore(-file)?=\s*(RT\d{4}(?:\s*,\s*RT\d{4})*)": Case(
         "findall",
         "blanks after a percent sign, or codes that end in a comma: each is read once",

@@ -15,7 +15,7 @@ sys.path[:0] = [str(ROOT / "bench"), str(ROOT / "src")]
 import leaks  # noqa: E402
 
 from retalis.foundation.bounded_caches import Cache  # noqa: E402
-from retalis.prolog.database.database import Database  # noqa: E402
+from retalis.prolog.database.predicate_table import Database  # noqa: E402
 
 FIRST, LAST = 60, 460
 

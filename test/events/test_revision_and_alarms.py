@@ -10,7 +10,7 @@ from retalis.events.matches import consumption_policy
 from retalis.events.matches.match_types import RepetitionChain
 from retalis.events.network import event_rule
 from retalis.events.provenance import lineage
-from retalis.events.provenance.event_log import Occurrence
+from retalis.events.provenance.occurrences import Occurrence
 from retalis.prolog.terms.timestamps import SECOND
 
 

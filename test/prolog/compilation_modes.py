@@ -19,8 +19,8 @@ import pytest
 
 from retalis import Engine, PrologError, functor
 from retalis.foundation.errors import TermTooLarge
-from retalis.prolog.database.database import Database
 from retalis.prolog.database.predicate import COMPILE_AFTER, NEVER_COMPILE
+from retalis.prolog.database.predicate_table import Database
 from retalis.prolog.syntax.term_reader import read_program, read_term
 from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.system.prolog_system import PrologSystem

@@ -58,6 +58,7 @@ from .command_options import (
     apply_limits,
     message_folders,
 )
+from .event_and_solution_printer import JSON_HELP, Printer, TimeOrigin, redirect_goal_output
 from .option_values import (
     RELATIVE_TIMES_OPTION,
     TIMES_AS_STAMPS,
@@ -67,7 +68,6 @@ from .option_values import (
     positive_integer,
 )
 from .optional_ros_imports import installed_definitions
-from .result_printer import JSON_HELP, Printer, TimeOrigin, redirect_goal_output
 from .stderr_and_progress import (
     ProgressBar,
     StderrReporter,

@@ -8,7 +8,7 @@ from typing import Callable, Dict, List
 
 from ..engine.engine_settings import Settings
 from ..engine.program_check import check_program
-from ..events.checks.check_registry import ERROR, INFO, Finding
+from ..events.checks.check_runner import ERROR, INFO, Finding
 from ..events.checks.program_model import RecordedTopic
 from ..foundation.errors import MessageError, format_count, printable
 from ..foundation.output_files import print_json

@@ -51,9 +51,9 @@ from .command_options import (
     apply_folders,
     apply_limits,
 )
+from .event_and_solution_printer import JSON_HELP, Printer, TimeOrigin, redirect_goal_output
 from .option_values import RELATIVE_TIMES_OPTION, TIMES_RELATIVE
 from .optional_ros_imports import installed_definitions
-from .result_printer import JSON_HELP, Printer, TimeOrigin, redirect_goal_output
 from .stderr_and_progress import StderrReporter
 
 

@@ -18,7 +18,7 @@ from typing import (
     Union,
 )
 
-from ..events.checks.check_registry import INFO, run_checks
+from ..events.checks.check_runner import INFO, run_checks
 from ..events.checks.program_model import ProgramModel
 from ..events.dispatch.dispatcher import Dispatcher
 from ..events.dispatch.listeners import ListenerPhase
@@ -50,14 +50,8 @@ from .engine_settings import Settings
 from .engine_snapshot import EngineSnapshot, convert_errors, create_clock, decode_sections, encode_state
 from .engine_status import DEFAULT_LISTING_LIMIT, Status, StatusReader, StatusSources
 from .event_input import EventInput, InputTopics, TextInput
-from .program_loader import (
-    NullReports,
-    ProgramLoader,
-    create_fixed_clock,
-    create_trial_settings,
-    load_folder,
-    reload_folder,
-)
+from .hot_reload import NullReports, create_fixed_clock, create_trial_settings, reload_folder
+from .program_loader import ProgramLoader, load_folder
 from .runtime.clock import Clock, StreamClock
 from .runtime.problem_reports import Reports
 from .runtime.serial_executor import UNNAMED_REQUEST, EngineRecovery, SerialExecutor

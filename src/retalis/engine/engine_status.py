@@ -11,7 +11,7 @@ from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Seq
 from ..events.dispatch.dispatcher import Dispatcher
 from ..events.knowledge.knowledge_base import KnowledgeBase
 from ..events.knowledge.pending_queries import AwaitedSource
-from ..events.knowledge.transform_queries import AwaitedTransform, Transforms
+from ..events.knowledge.transform_predicates import AwaitedTransform, Transforms
 from ..events.rules.rule_base import RuleBase
 from ..events.rules.timer_service import FIRST_INSTANT
 from ..foundation.errors import shorten

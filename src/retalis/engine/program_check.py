@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 from typing import Collection, Dict, Iterable, Iterator, List, Optional, Tuple
 
-from ..events.checks.check_registry import (
+from ..events.checks.check_runner import (
     ERROR,
     WARNING,
     Finding,

@@ -51,7 +51,7 @@ from ..events.network.event_rule import EventRule
 from ..events.network.goal_evaluation import Evaluators
 from ..events.network.stream_compiler import create_rate_operator
 from ..events.network.stream_node import StreamNode
-from ..events.provenance.event_log import Occurrence
+from ..events.provenance.occurrences import Occurrence
 from ..events.streams.aggregates import SequenceAggregate
 from ..events.streams.rate_operators import RATE_OPERATORS
 from ..events.streams.stream_operators import StreamElement, StreamOutput

@@ -21,7 +21,7 @@ from ..foundation.errors import RetalisError, UsageError, shorten
 from ..messages.type_definition import Definition
 from ..messages.type_registry import InstalledTypes
 from ..node.transport import Connect, MessageReceiver, MessageSource, NodeGraph
-from .connection_reader import read_in_batches, refuse_own_connection
+from .batched_socket_reader import read_in_batches, refuse_own_connection
 from .connection_writer import TopicWriter, serialized_bytes, serialized_class
 from .first_outputs import StartupQueue, SubscriberWait
 from .installed_message_classes import installed_types

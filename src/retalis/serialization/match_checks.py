@@ -18,7 +18,7 @@ from ..events.network.kleene_node import KleeneNode
 from ..events.network.pattern_nodes import EarlyTestNode, EventNode, NetworkNode, NotNode
 from ..events.network.repeat_node import RepeatNode
 from ..events.network.stream_node import StreamNode
-from ..events.provenance.event_log import Occurrence, Suppressed
+from ..events.provenance.occurrences import Occurrence, Suppressed
 from ..foundation.errors import UsageError
 from ..prolog.terms.types import Var
 from .decoded_value_checks import invalid_value

@@ -31,7 +31,7 @@ from ..events.network.kleene_node import KleeneNode
 from ..events.network.pattern_nodes import NetworkNode
 from ..events.network.repeat_node import RepeatNode
 from ..events.network.stream_node import StreamNode
-from ..events.provenance.event_log import Occurrence, Suppressed
+from ..events.provenance.occurrences import Occurrence, Suppressed
 from ..events.streams.stream_operators import StreamElement
 from ..foundation.errors import UsageError
 from ..prolog.terms.types import Functor

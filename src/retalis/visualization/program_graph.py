@@ -28,7 +28,7 @@ from typing import (
 )
 
 from ..engine.engine import Engine
-from ..events.knowledge.transform_queries import TF, TRANSFORM_PREDICATES
+from ..events.knowledge.transform_predicates import TF, TRANSFORM_PREDICATES
 from ..events.language.pattern_tree import EventPattern, own_terms, walk
 from ..events.language.rule_head_parser import ALARMS, SYNCHRONIZED, sets_timer
 from ..events.language.state_parser import queried_state

@@ -4,7 +4,7 @@ import pytest
 from prolog.support import answers, prolog
 
 from retalis import Engine
-from retalis.prolog.database import database
+from retalis.prolog.database import predicate_table
 
 IS_UNDEFINED = "catch({}, error(existence_error(_, _), _), R = undefined)"
 
@@ -18,7 +18,7 @@ def test_predicate_defined_after_demotion_is_called_by_clauses():
 
 
 def test_asserted_and_retracted_names_are_bounded(monkeypatch):
-    monkeypatch.setattr(database, "MAX_EMPTY_DYNAMIC", 50)
+    monkeypatch.setattr(predicate_table, "MAX_EMPTY_DYNAMIC", 50)
     logic = prolog("turn(N) :- atom_concat(seen_, N, Name), F =.. [Name, N], assertz(F), retract(F).")
     before = len(logic.database.predicates)
     for number in range(5000):

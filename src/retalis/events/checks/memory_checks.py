@@ -16,7 +16,7 @@ from ...prolog.terms.list_terms import conjuncts, list_items, list_parts
 from ...prolog.terms.term_traversal import variables
 from ...prolog.terms.types import COMMA, CONS, SLASH, Atom, Functor, Term, Var, deref, functor
 from ...prolog.terms.unification import may_unify
-from ..knowledge.transform_queries import TRANSFORM_PREDICATES
+from ..knowledge.transform_predicates import TRANSFORM_PREDICATES
 from ..language.called_predicates import calls
 from ..language.rule_head_parser import SYNCHRONIZED
 from ..language.state_parser import HOLDS, queried_state

@@ -12,7 +12,7 @@ bounded, so the time is linear in the size of the program, and recursion ends. F
 The results are upper bounds. Whatever is not known has all kinds: events of other programs (``input_event/1``, or no
 producer in this one), results of other goals, tabled predicates, and dynamic predicates that are changed from outside
 only. A last pass over all parts reports where two sets of values have nothing in common. It leaves uses of a
-variable of a slot in the same rule to the checks in `value_type_checks`.
+variable of a slot in the same rule to the checks in `variable_type_checks`.
 """
 
 from collections import deque

@@ -57,7 +57,7 @@ from ..dispatch.listeners import Listener, ListenerPhase
 from ..dispatch.matcher_compiler import compile_builder
 from ..language.state_parser import StateForm, parse_state_declaration
 from ..matches.watermarks import PatternWatermark, Watermarks, functor_of
-from ..provenance.event_log import Occurrence
+from ..provenance.occurrences import Occurrence
 from .memory import Warn
 from .timeouts import Timeouts, TimeoutsState
 

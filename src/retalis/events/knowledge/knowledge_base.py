@@ -30,7 +30,7 @@ from .memory_registry import (
 from .pending_queries import TIMEOUT_EVENT, MissingSources, PendingQueries
 from .subscriptions import Deliver, Subscriptions
 from .transform_buffer import TransformBuffer
-from .transform_queries import Transforms
+from .transform_predicates import Transforms
 
 if TYPE_CHECKING:
     from ...engine.runtime.clock import Clock

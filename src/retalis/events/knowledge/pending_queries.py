@@ -11,7 +11,7 @@ event costs one comparison for any number of pending queries. When the memory re
 registered with the next memory that has not reached its instant, or called if there is none. Queries that become
 ready with one event are called in order of their registration.
 
-A condition ``[tf(Target, Source), Time]`` names a transform instead of a memory, see `transform_queries`. A memory
+A condition ``[tf(Target, Source), Time]`` names a transform instead of a memory, see `transform_predicates`. A memory
 with that id takes precedence.
 
 If a rule makes the synchronized event and it has no other listener, the event is not created: conditions, query
@@ -54,7 +54,7 @@ from ..network.event_rule import EventRule
 from .memory import MemoryInstance, Warn, key_of
 from .memory_registry import MemoryInstances
 from .timeouts import Timeouts, timeout_of
-from .transform_queries import AwaitedTransform, ReachedTransforms, Transforms
+from .transform_predicates import AwaitedTransform, ReachedTransforms, Transforms
 
 if TYPE_CHECKING:
     from ...engine.runtime.clock import Clock

@@ -48,7 +48,7 @@ from ..matches.shared_run_buffer import (
     set_slice_parts,
     slices_of,
 )
-from ..provenance.event_log import lineage_nodes_of
+from ..provenance.occurrences import lineage_nodes_of
 from .join_node import JoinNode
 from .pattern_nodes import IdentityFunction, NetworkNode, OperandBuffer
 

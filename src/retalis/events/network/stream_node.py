@@ -53,7 +53,7 @@ from ..matches.match_types import (
 )
 from ..matches.negation import DeferredNegations
 from ..matches.watermarks import PatternWatermark, functors_of
-from ..provenance.event_log import lineage_nodes_of
+from ..provenance.occurrences import lineage_nodes_of
 from ..streams.row_pattern import MAX_STATES_PER_START
 from ..streams.stream_operators import KeyBounds, OperatorState, StreamElement, StreamOperator, StreamOutput
 from ..streams.windows import KeyedWindow

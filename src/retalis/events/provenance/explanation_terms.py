@@ -47,8 +47,8 @@ from ..language.pattern_tree import (
 from ..language.stream_parser import rate_operator_term, window_term
 from ..matches.match_types import ComputedValues, PartialMatch, RepetitionChain
 from ..matches.shared_run_buffer import repetitions
-from .event_log import Occurrence
 from .lineage import LineageTracker
+from .occurrences import Occurrence
 
 if TYPE_CHECKING:
     from ..network.event_rule import EventRule

@@ -37,7 +37,7 @@ from ..language.rule_head_parser import SYNCHRONIZED
 from ..matches.consumption_policy import metered
 from ..matches.match_types import PartialMatch, RepetitionChain, lineage_sources
 from ..matches.shared_run_buffer import Run
-from .event_log import (
+from .occurrences import (
     LineageNode,
     MatchOrPair,
     Occurrence,
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from ..network.kleene_node import KleeneNode
     from ..network.stream_node import StreamNode
     from ..rules.rule_base import RuleBase
-    from .event_log import SuppressingNode
+    from .occurrences import SuppressingNode
 
     # Nodes that compute results again without repetitions or elements whose events were retracted.
     RecomputingNode = Union[KleeneNode, StreamNode]

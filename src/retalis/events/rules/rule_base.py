@@ -33,9 +33,10 @@ from ..network.stream_node import StreamNode
 from ..program.event_file_checker import FileChecker
 from ..program.event_file_loader import EventFileLoader
 from ..program.file_and_library_names import SourceFiles
-from ..provenance.event_log import EventLog, Occurrence
+from ..provenance.event_log import EventLog
 from ..provenance.explanation_terms import Justifier
 from ..provenance.lineage import LineageTracker
+from ..provenance.occurrences import Occurrence
 from .event_flags import MAX_WATERMARK_DELAY, Flags
 from .event_language_predicates import define_predicates
 from .timer_service import NodeTimers, RuleAlarm, Timers

@@ -41,7 +41,7 @@ from ...prolog.terms.types import Term, Var, atom, deref, functor
 from ...prolog.terms.unification import may_unify
 from ..language.rule_head_parser import TIMER, Schedule, parse_schedule
 from ..network.goal_evaluation import TimedNode
-from ..provenance.event_log import Occurrence
+from ..provenance.occurrences import Occurrence
 
 if TYPE_CHECKING:
     from ..network.event_rule import EventRule

@@ -24,8 +24,8 @@ from ..machine.resource_limits import LimitError
 from ..terms.term_traversal import copy, is_larger, resolve, variables
 from ..terms.types import Frame, Step, Term, Values, Var, deref, functor
 from ..terms.unification import undo
-from .database import Database
 from .predicate import Predicate
+from .predicate_table import Database
 
 _MAX_BAILS = 20
 """Number of calls of the function that return `BAIL` after which the goal only runs on the machine."""

@@ -38,8 +38,8 @@ from ..terms.types import (
     deref,
     functor,
 )
-from .database import Database
 from .module_system import Modules
+from .predicate_table import Database
 
 _MAX_BODY_PARTS = 400
 """Size limit of bodies that are compiled; larger ones most likely contain data that was passed to them."""

@@ -33,7 +33,7 @@ from .clause_index import (
 )
 
 if TYPE_CHECKING:
-    from .database import Database
+    from .predicate_table import Database
 
 NEVER_COMPILE = 1 << 62
 """Number of calls that no predicate reaches: a predicate with this limit is only interpreted."""

@@ -23,20 +23,20 @@ from ..builtins import (  # noqa: F401
     association_lists,
     atoms_and_strings,
     clause_predicates,
+    comparison_and_arithmetic,
     file_names,
     flags_operators_modules,
     format_strings,
     grammar_and_ssu_rules,
-    input_predicates,
     limits_and_cleanup,
     list_predicates,
     listing_and_messages,
     output_predicates,
     pose_predicates,
     sensor_predicates,
+    stream_predicates,
     tabling,
     term_construction,
-    term_tests,
     text_arguments,
     text_streams,
     time_predicates,
@@ -46,9 +46,9 @@ from ..builtins.flags_operators_modules import default_flags
 from ..builtins.grammar_and_ssu_rules import translate_rule
 from ..compiler.clause_nodes import PROTECTED_PREDICATES
 from ..database.clause_index import Clause, functional
-from ..database.database import ISO_PREDICATES, Database
 from ..database.goal_interpreter import Control, control_predicates, functor_of, split_clause
 from ..database.predicate import COMPILE_AFTER, Predicate
+from ..database.predicate_table import ISO_PREDICATES, Database
 from ..machine.machine import LAST, Code, Machine
 from ..syntax.operators import Operators
 from ..syntax.term_reader import read_program

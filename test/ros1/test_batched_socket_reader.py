@@ -11,8 +11,8 @@ rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
 from rospy.exceptions import TransportException, TransportTerminated  # noqa: E402
 
-from retalis.ros1 import connection_reader  # noqa: E402
-from retalis.ros1.connection_reader import (  # noqa: E402
+from retalis.ros1 import batched_socket_reader  # noqa: E402
+from retalis.ros1.batched_socket_reader import (  # noqa: E402
     MAX_SINGLE_MESSAGE_WINDOWS,
     MAX_WINDOW_TIMEOUTS,
     WINDOW_WAKE_UPS,
@@ -81,7 +81,7 @@ def send_in_pieces(sender, data, size):
 @pytest.mark.parametrize("read", [b"", frame(b"first"), frame(b"first")[:2], frame(b"first")[:7]])
 def test_messages_are_handed_on_wherever_they_are_cut(pair, monkeypatch, size, read):
     sender, receiver = pair
-    monkeypatch.setattr(connection_reader, "MAX_READ_BYTES", size)
+    monkeypatch.setattr(batched_socket_reader, "MAX_READ_BYTES", size)
     messages = [b"first", b"", b"second", b"x" * 300]
     stream = b"".join(map(frame, messages))
     assert stream.startswith(read)
@@ -203,7 +203,7 @@ def test_a_message_alone_arrives_where_several_are_waited_for(pair, monkeypatch)
             super().__init__(*arguments)
             self.set_min_bytes(1000)
 
-    monkeypatch.setattr(connection_reader, "LowWaterMark", Patient)
+    monkeypatch.setattr(batched_socket_reader, "LowWaterMark", Patient)
     reader = ConnectionReader(link, subscribed(), lambda header: take, 0.001, _ignore_end)
     sender.sendall(frame(b"alone"))
     assert reader() == []
@@ -284,7 +284,7 @@ def paced():
 
 
 linux = pytest.mark.skipif(
-    not connection_reader.sys.platform.startswith("linux"), reason="for Linux's sockets"
+    not batched_socket_reader.sys.platform.startswith("linux"), reason="for Linux's sockets"
 )
 
 
@@ -311,7 +311,7 @@ def test_when_it_gets_slower_each_message_is_read_at_once_again(paced):
     assert sock.min_bytes > 1
     window(2 * WINDOW_WAKE_UPS / 900, 2)
     assert sock.min_bytes == 1
-    assert sock.timeout == connection_reader.NO_TIMEOUT
+    assert sock.timeout == batched_socket_reader.NO_TIMEOUT
 
 
 @linux

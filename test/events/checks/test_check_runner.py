@@ -6,7 +6,7 @@ import pytest
 
 from retalis import Definitions
 from retalis.engine.program_check import check_program
-from retalis.events.checks.check_registry import CHECKS, LOAD_CODES
+from retalis.events.checks.check_runner import CHECKS, LOAD_CODES
 
 
 def codes_of(folder, text):

@@ -61,7 +61,7 @@ from .time_checks import (
     find_unlikely_spans,
 )
 from .value_flow import find_conflicting_flows, find_impossible_flows
-from .value_type_checks import find_inexact_decimals, find_number_type_mismatches, find_type_conflicts
+from .variable_type_checks import find_inexact_decimals, find_number_type_mismatches, find_type_conflicts
 from .window_checks import find_windows_of_long_events
 
 ERROR, WARNING, INFO = "error", "warning", "info"

@@ -4,7 +4,7 @@ import pytest
 
 from retalis import Engine
 from retalis.events.checks.program_model import ProgramModel
-from retalis.events.checks.value_type_checks import (
+from retalis.events.checks.variable_type_checks import (
     _ARRAY_PREDICATES,
     find_inexact_decimals,
     find_number_type_mismatches,
