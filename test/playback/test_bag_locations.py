@@ -1,4 +1,4 @@
-"""Where bags are found, how they are fetched, and that a result is there whole or not at all."""
+"""Locations of bags: search, download, and atomic results."""
 
 import sys
 from pathlib import Path
@@ -19,7 +19,7 @@ from retalis.playback.bag_locations import (
 
 @pytest.fixture
 def fleet(tmp_path):
-    """A folder with bags of two robots, one of ROS 2 among them, and with what is no bag."""
+    """Return a folder with bags of two robots, one of them a ROS 2 bag, and with other files."""
     names = (
         "r2/day.bag",
         "r1/night.mcap",
@@ -39,37 +39,37 @@ def fleet(tmp_path):
     return tmp_path / "fleet"
 
 
-FOUND = ["r1/day.bag", "r1/night.mcap", "r10/ros2", "r2/day.bag"]
-NAMES = ["r1/day", "r1/night", "r10/ros2", "r2/day"]
+BAG_PATHS = ["r1/day.bag", "r1/night.mcap", "r10/ros2", "r2/day.bag"]
+BAG_NAMES = ["r1/day", "r1/night", "r10/ros2", "r2/day"]
 
 
-def test_bags_below_a_folder_come_in_the_order_of_their_names(fleet):
-    found = find_bags(["x/z.bag", f"{fleet}/", f"{fleet}/r10/ros2", "y"])
-    assert [bag.location for bag in found] == [
+def test_bags_of_folder_are_sorted_by_name(fleet):
+    bags = find_bags(["x/z.bag", f"{fleet}/", f"{fleet}/r10/ros2", "y"])
+    assert [bag.location for bag in bags] == [
         "x/z.bag",
-        *(f"{fleet}/{name}" for name in FOUND),
+        *(f"{fleet}/{name}" for name in BAG_PATHS),
         f"{fleet}/r10/ros2",
         "y",
     ]
-    assert [bag.name for bag in found] == ["z", *NAMES, "ros2", "y"]
+    assert [bag.name for bag in bags] == ["z", *BAG_NAMES, "ros2", "y"]
 
 
-def test_compressed_files_of_ros_2_are_bags(tmp_path):
+def test_compressed_ros2_files_are_bags(tmp_path):
     for name in ("a.db3.zstd", "b.mcap.zstd", "c.zstd", "d.bag.zstd"):
         (tmp_path / name).touch()
     assert [bag.name for bag in find_bags([str(tmp_path)])] == ["a", "b"]
     assert [bag.name for bag in find_bags(["x/e.db3.zstd", "f.zstd"])] == ["e", "f.zstd"]
 
 
-def test_a_url_has_the_same_bags_as_the_folder(fleet):
+def test_url_has_same_bags_as_folder(fleet):
     pytest.importorskip("fsspec")
-    found = find_bags([f"file://{fleet}", f"file://{fleet}/r10/ros2", f"file://{fleet}/r2/day.bag"])
-    assert [bag.location for bag in found] == [
-        *(f"file://{fleet}/{name}" for name in FOUND),
+    bags = find_bags([f"file://{fleet}", f"file://{fleet}/r10/ros2", f"file://{fleet}/r2/day.bag"])
+    assert [bag.location for bag in bags] == [
+        *(f"file://{fleet}/{name}" for name in BAG_PATHS),
         f"file://{fleet}/r10/ros2",
         f"file://{fleet}/r2/day.bag",
     ]
-    assert [bag.name for bag in found] == [*NAMES, "ros2", "day"]
+    assert [bag.name for bag in bags] == [*BAG_NAMES, "ros2", "day"]
 
 
 @pytest.mark.parametrize(
@@ -87,19 +87,19 @@ def test_a_url_has_the_same_bags_as_the_folder(fleet):
         (("r", "r", "r_", "_1"), [["r"], ["r"], ["r_"], ["_1"]]),
     ],
 )
-def test_parts_of_a_recording_are_known_by_their_names(names, recordings):
-    found = group_recordings([BagLocation(f"/d/{name}.bag", name) for name in names])
-    assert [[bag.name for bag in parts] for parts in found] == recordings
+def test_names_group_parts_of_recording(names, recordings):
+    groups = group_recordings([BagLocation(f"/d/{name}.bag", name) for name in names])
+    assert [[bag.name for bag in parts] for parts in groups] == recordings
 
 
-def test_a_folder_without_bags_is_an_error(tmp_path):
+def test_folder_without_bags_is_an_error(tmp_path):
     with pytest.raises(
         BagError, match="has no bags below it: no metadata.yaml, nothing that ends in .bag, .db3"
     ):
         find_bags([str(tmp_path)])
 
 
-def test_what_urls_need_is_named_where_it_is_missing(monkeypatch):
+def test_missing_fsspec_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "fsspec.core", None)
     with pytest.raises(
         BagError, match=r"s3://a/b: URLs need the Python package fsspec \(pip install fsspec, and"
@@ -107,63 +107,69 @@ def test_what_urls_need_is_named_where_it_is_missing(monkeypatch):
         find_bags(["s3://a/b"])
 
 
-def test_what_a_url_cannot_be_is_said_by_who_reads_it():
+def test_unknown_protocol_of_url_is_an_error():
     pytest.importorskip("fsspec")
     with pytest.raises(BagError, match="nowhere://a/b: Protocol not known: nowhere"):
         find_bags(["nowhere://a/b"])
 
 
-def test_a_bag_is_fetched_for_as_long_as_it_is_used(fleet, tmp_path):
-    with local_copy(str(fleet / "r2/day.bag"), str(tmp_path)) as there:
-        assert there == str(fleet / "r2/day.bag")
+def test_downloaded_bag_is_removed_after_use(fleet, tmp_path):
+    with local_copy(str(fleet / "r2/day.bag"), str(tmp_path)) as path:
+        assert path == str(fleet / "r2/day.bag")
     pytest.importorskip("fsspec")
     scratch = tmp_path / "scratch"
     scratch.mkdir()
-    with local_copy(f"file://{fleet}/r2/day.bag", str(scratch)) as there:
-        assert there.startswith(f"{scratch}/") and there.endswith("/day.bag")
-        assert Path(there).read_text() == "r2/day.bag"
-    with local_copy(f"file://{fleet}/r10/ros2", str(scratch)) as there:
-        assert Path(there, "metadata.yaml").read_text() == "r10/ros2/metadata.yaml"
+    with local_copy(f"file://{fleet}/r2/day.bag", str(scratch)) as path:
+        assert path.startswith(f"{scratch}/")
+        assert path.endswith("/day.bag")
+        assert Path(path).read_text() == "r2/day.bag"
+    with local_copy(f"file://{fleet}/r10/ros2", str(scratch)) as path:
+        assert Path(path, "metadata.yaml").read_text() == "r10/ros2/metadata.yaml"
     assert list(scratch.iterdir()) == []
     with pytest.raises(BagError, match="none.bag: "), local_copy(f"file://{fleet}/none.bag", str(scratch)):
         pytest.fail("there is nothing to fetch")
 
 
-@pytest.mark.parametrize("kind", ["", "file://"])
-def test_a_result_is_there_when_it_is_complete(tmp_path, kind):
-    if kind:
+@pytest.mark.parametrize("scheme", ["", "file://"])
+def test_only_complete_result_is_stored(tmp_path, scheme):
+    if scheme:
         pytest.importorskip("fsspec")
     target = tmp_path / "new" / "folder" / "a.jsonl"
-    with result_file(f"{kind}{target}", str(tmp_path)) as path, open(path, "w") as file:
+    with result_file(f"{scheme}{target}", str(tmp_path)) as path, open(path, "w") as file:
         file.write("all")
-        assert not location_exists(f"{kind}{target}")
-    assert location_exists(f"{kind}{target}")
+        assert not location_exists(f"{scheme}{target}")
+    assert location_exists(f"{scheme}{target}")
     assert target.read_text() == "all"
-    with pytest.raises(ZeroDivisionError), result_file(f"{kind}{target}", str(tmp_path)) as path:
-        Path(path).write_text("half")
-        raise ZeroDivisionError
+
+    def write_half():
+        with result_file(f"{scheme}{target}", str(tmp_path)) as path:
+            Path(path).write_text("half")
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        write_half()
     assert target.read_text() == "all"
-    assert [one.name for one in target.parent.iterdir()] == ["a.jsonl"]
+    assert [entry.name for entry in target.parent.iterdir()] == ["a.jsonl"]
 
 
-def test_a_result_that_cannot_be_written_is_an_error(tmp_path):
+def test_unwritable_result_is_an_error(tmp_path):
     (tmp_path / "file").touch()
     result = result_file(str(tmp_path / "file" / "a.bag"), str(tmp_path))
     with pytest.raises(BagError, match="file/a.bag cannot be written: "), result:
         pytest.fail("there is nowhere to write")
 
 
-def test_what_dead_workers_left_is_removed_and_nothing_else(tmp_path):
-    others = [".02.incomplete.b.bag", ".incomplete", "03.incomplete.a.bag", "a.bag"]
-    for name in (*others, ".01.incomplete.a.bag", ".05.incomplete..04.incomplete.a.bag"):
+def test_incomplete_results_are_removed(tmp_path):
+    other_names = [".02.incomplete.b.bag", ".incomplete", "03.incomplete.a.bag", "a.bag"]
+    for name in (*other_names, ".01.incomplete.a.bag", ".05.incomplete..04.incomplete.a.bag"):
         (tmp_path / name).touch()
     remove_incomplete_results(
         [str(tmp_path / "a.bag"), "s3://bucket/b.bag", str(tmp_path / "none" / "c.bag")]
     )
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(others)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(other_names)
 
 
-def test_a_url_that_sends_more_than_it_states_is_an_error(tmp_path, monkeypatch):
+def test_download_beyond_stated_size_is_an_error(tmp_path, monkeypatch):
     memory = pytest.importorskip("fsspec.implementations.memory").MemoryFileSystem
     with memory().open("/sent.bag", "wb") as file:
         file.write(bytes(9_000_000))

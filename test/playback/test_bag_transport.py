@@ -52,7 +52,7 @@ def receiver_names(transport, bag):
 
 
 @pytest.mark.parametrize("topic", ["scan", "/scan", "/scan/"])
-def test_names_are_compared_without_outer_slashes(transport, bag, topic):
+def test_outer_slashes_of_topics_are_ignored(transport, bag, topic):
     reader = bag("/scan", "map", "/other")
     subscribe(transport, topic, Receiver("scan"))
     subscribe(transport, "/map", Receiver("map"))
@@ -60,7 +60,7 @@ def test_names_are_compared_without_outer_slashes(transport, bag, topic):
     assert receiver_names(transport, reader) == {"/scan": ["scan"], "map": ["map"], "/other": []}
 
 
-def test_source_has_type_and_definition_of_the_connection(transport, bag):
+def test_source_has_definition_of_connection(transport, bag):
     sources = []
 
     def connect(source):
@@ -81,7 +81,7 @@ def test_refused_connection_has_no_receiver(transport, bag):
     assert receiver_names(transport, reader) == {"/scan": []}
 
 
-def test_transforms_precede_events_of_the_same_message(transport, bag):
+def test_transforms_precede_events_of_same_message(transport, bag):
     reader = bag("/tf")
     subscribe(transport, "tf", Receiver("event"))
     transport.start(reader)
@@ -111,7 +111,7 @@ def test_later_subscription_is_connected_once(transport, bag):
     assert receiver_names(transport, reader) == {"/scan": ["scan"], "/map": ["map"]}
 
 
-def test_next_bag_replaces_the_connections(transport, bag):
+def test_next_bag_replaces_connections(transport, bag):
     first, second = bag("/scan"), bag("/map")
     subscribe(transport, "scan", Receiver("scan"))
     map_subscription = subscribe(transport, "map", Receiver("map"))
@@ -122,7 +122,7 @@ def test_next_bag_replaces_the_connections(transport, bag):
     assert transport.start(bag("/map")) == (set(), [])
 
 
-def test_publication_stores_messages_until_they_are_taken(transport):
+def test_publication_stores_messages_until_taken(transport):
     publication = transport.advertise("/alarm", STRING, 1)
     publication.send(b"a")
     publication.send(b"b")
@@ -130,7 +130,7 @@ def test_publication_stores_messages_until_they_are_taken(transport):
     assert transport.publications["/alarm"].definition is STRING
 
 
-def test_time_is_that_of_the_clock(transport):
+def test_time_of_transport_is_clock_time(transport):
     assert transport.now() == 0
     transport.clock.move_to(5 * SECOND)
     assert transport.now() == 5 * SECOND

@@ -1,4 +1,4 @@
-"""Chunks of a bag come in the order in which messages ask for them, whoever decompresses them."""
+"""Chunks of ROS 1 bags: order, damaged chunks, decompression ahead, and chunks that are read again."""
 
 import bz2
 import threading
@@ -15,38 +15,38 @@ LIMIT = ChunkLimit(1)
 TEXTS = [bytes([number]) * (number * 1000) for number in range(1, 9)]
 
 
-def packed(kind, texts=TEXTS):
-    """Return a file of packed chunks, and their places."""
-    data, places = b"", {}
+def make_chunk_file(compression, texts=TEXTS):
+    """Return a file of chunks and their positions by number."""
+    data, chunks = b"", {}
     for number, text in enumerate(texts):
-        part = bz2.compress(text) if kind == "bz2" else text
-        places[number] = Chunk(len(data), len(part), len(text), kind)
-        data += part
-    return BytesIO(data), places
+        chunk = bz2.compress(text) if compression == "bz2" else text
+        chunks[number] = Chunk(len(data), len(chunk), len(text), compression)
+        data += chunk
+    return BytesIO(data), chunks
 
 
 @pytest.fixture(params=["none", "bz2"])
-def kept(request, monkeypatch):
+def chunk_file(request, monkeypatch):
     monkeypatch.setattr("os.cpu_count", lambda: 4)
-    return packed(request.param)
+    return make_chunk_file(request.param)
 
 
-def helpers():
-    return [one for one in threading.enumerate() if one.name.startswith("chunks of a bag")]
+def decompression_threads():
+    return [thread for thread in threading.enumerate() if thread.name.startswith("chunks of a bag")]
 
 
 @pytest.mark.parametrize("cores", [1, 2, 8])
-def test_they_come_as_they_are_asked_for(kept, cores, monkeypatch):
+def test_chunks_are_yielded_in_requested_order(chunk_file, cores, monkeypatch):
     monkeypatch.setattr("os.cpu_count", lambda: cores)
     order = [0, 0, 0, 1, 2, 2, 1, 7, 0, 0, 3]
-    assert list(read_chunks(*kept, order, LIMIT)) == [TEXTS[at] for at in (0, 1, 2, 1, 7, 0, 3)]
-    assert list(read_chunks(*kept, [], LIMIT)) == []
-    assert helpers() == []
+    assert list(read_chunks(*chunk_file, order, LIMIT)) == [TEXTS[number] for number in (0, 1, 2, 1, 7, 0, 3)]
+    assert list(read_chunks(*chunk_file, [], LIMIT)) == []
+    assert decompression_threads() == []
 
 
-def test_what_is_broken_is_told_when_its_turn_comes(kept):
-    file, places = kept
-    good = places[2]
+def test_broken_chunk_is_an_error_in_its_turn(chunk_file):
+    file, chunks = chunk_file
+    good = chunks[2]
     for broken in (
         good._replace(position=len(file.getvalue()) + 10),
         good._replace(size=good.size + 1),
@@ -55,63 +55,64 @@ def test_what_is_broken_is_told_when_its_turn_comes(kept):
         good._replace(compression="xz"),
         None,
     ):
-        places[2] = broken
+        chunks[2] = broken
         if broken is None:
-            del places[2]
-        found = read_chunks(file, places, [0, 1, 2, 3], LIMIT)
-        assert [next(found), next(found)] == TEXTS[:2]
+            del chunks[2]
+        texts = read_chunks(file, chunks, [0, 1, 2, 3], LIMIT)
+        assert [next(texts), next(texts)] == TEXTS[:2]
         with pytest.raises(ValueError, match="chunk at byte 2"):
-            next(found)
-    assert helpers() == []
+            next(texts)
+    assert decompression_threads() == []
 
 
-def test_few_are_decompressed_before_they_are_asked_for(monkeypatch):
+def test_number_of_chunks_ahead_is_limited(monkeypatch):
     done = threading.Semaphore(0)
-    number = []
+    calls = []
 
     def unpack(*arguments, really=module.unpack):
-        number.append(1)
+        calls.append(1)
         done.release()
         return really(*arguments)
 
     monkeypatch.setattr("os.cpu_count", lambda: 4)
     monkeypatch.setattr(module, "unpack", unpack)
-    found = read_chunks(*packed("bz2"), range(8), LIMIT)
-    assert next(found) == TEXTS[0]
+    texts = read_chunks(*make_chunk_file("bz2"), range(8), LIMIT)
+    assert next(texts) == TEXTS[0]
     for _ in range(MAX_CHUNKS_AHEAD + 1):
         assert done.acquire(timeout=60)
-    assert len(number) == MAX_CHUNKS_AHEAD + 1
-    found.close()
-    assert len(number) == MAX_CHUNKS_AHEAD + 1
-    assert helpers() == []
+    assert len(calls) == MAX_CHUNKS_AHEAD + 1
+    texts.close()
+    assert len(calls) == MAX_CHUNKS_AHEAD + 1
+    assert decompression_threads() == []
 
 
 @pytest.mark.parametrize("cores", [1, 4])
-def test_a_chunk_that_is_asked_for_again_is_held_if_there_is_room(cores, monkeypatch):
-    read = []
+def test_repeated_chunk_is_held_within_limit(cores, monkeypatch):
+    unpacked_sizes = []
 
-    def unpack(kind, data, size, really=module.unpack):
-        read.append(size)
-        return really(kind, data, size)
+    def unpack(compression, data, size, really=module.unpack):
+        unpacked_sizes.append(size)
+        return really(compression, data, size)
 
     monkeypatch.setattr("os.cpu_count", lambda: cores)
     monkeypatch.setattr(module, "unpack", unpack)
     texts = [bytes(300_000), bytes(400_000), bytes(900_000)]
-    file, places = packed("bz2", texts)
+    file, positions = make_chunk_file("bz2", texts)
     order = [0, 1] * 50
-    assert [len(chunk) for chunk in read_chunks(file, places, order, LIMIT)] == [300_000, 400_000] * 50
-    assert sorted(read) == [300_000, 400_000]
-    read.clear()
-    found = read_chunks(file, places, [1, 2] * 50, LIMIT)  # both together are larger than what may be held
+    assert [len(chunk) for chunk in read_chunks(file, positions, order, LIMIT)] == [300_000, 400_000] * 50
+    assert sorted(unpacked_sizes) == [300_000, 400_000]
+    unpacked_sizes.clear()
+    # Both chunks together exceed the limit of held chunks.
+    chunks = read_chunks(file, positions, [1, 2] * 50, LIMIT)
     with pytest.raises(ValueError, match="messages of large chunks alternate in time too often"):
-        for _ in found:
+        for _ in chunks:
             pass
-    assert 0 < read.count(900_000) <= MAX_REPEATS * 2 + 1
+    assert 0 < unpacked_sizes.count(900_000) <= MAX_REPEATS * 2 + 1
 
 
-def test_a_compressed_bag_is_read_as_another(tmp_path):
+def test_compressed_bag_has_same_records(tmp_path):
     rosbag1 = pytest.importorskip("rosbags.rosbag1")
-    found = []
+    records_by_compression = []
     for name in ("NONE", "BZ2"):
         writer = rosbag1.Writer(tmp_path / f"{name}.bag")
         if name != "NONE":
@@ -123,6 +124,8 @@ def test_a_compressed_bag_is_read_as_another(tmp_path):
             writer.write(talk, number, bytes([number % 256]) * number)
         writer.close()
         with BagReader(tmp_path / f"{name}.bag") as bag:
-            found.append([(record.time, record.data) for record in bag.records(start=5, stop=290)])
-    assert found[0] == found[1]
-    assert len(found[0]) == 285
+            records_by_compression.append(
+                [(record.time, record.data) for record in bag.records(start=5, stop=290)]
+            )
+    assert records_by_compression[0] == records_by_compression[1]
+    assert len(records_by_compression[0]) == 285

@@ -28,7 +28,7 @@ from retalis.playback.decompression import ChunkLimit, copy_up_to, read_up_to, u
 
 @pytest.mark.parametrize("compression", PACK)
 @pytest.mark.parametrize("data", [b"", b"a", bytes(range(256)) * 900], ids=len)
-def test_what_has_its_stated_size_is_unpacked(compression, data):
+def test_only_data_of_stated_size_is_unpacked(compression, data):
     packed = PACK[compression](data)
     assert unpack(compression, packed, len(data)) == data
     with pytest.raises(
@@ -41,7 +41,7 @@ def test_what_has_its_stated_size_is_unpacked(compression, data):
 
 
 @pytest.mark.parametrize("compression", ["bz2", "lz4", "zstd"])
-def test_what_is_cut_is_not_complete(compression):
+def test_truncated_data_is_an_error(compression):
     data = bytes(range(256)) * 50
     packed = PACK[compression](data)
     for end in range(0, len(packed), 7):
@@ -49,12 +49,12 @@ def test_what_is_cut_is_not_complete(compression):
             unpack(compression, packed[:end], len(data))
 
 
-def test_an_unknown_compression_is_an_error():
+def test_unknown_compression_is_an_error():
     with pytest.raises(ValueError, match="compression 'xz' is unknown: expected none, bz2, lz4 or zstd"):
         unpack("xz", b"", 0)
 
 
-def test_a_message_is_unpacked_up_to_the_limit():
+def test_message_is_unpacked_up_to_limit():
     limit = ChunkLimit(1)
     assert limit.unpack_message(zstd(b"a" * MEGABYTE)) == b"a" * MEGABYTE
     with pytest.raises(
@@ -66,7 +66,7 @@ def test_a_message_is_unpacked_up_to_the_limit():
     limit.check(MEGABYTE, "it states")
 
 
-def test_a_stream_is_read_and_copied_up_to_a_size():
+def test_stream_is_read_and_copied_up_to_size():
     data = bytes(5 * MEGABYTE)
     assert len(read_up_to(io.BytesIO(data), 3 * MEGABYTE + 7)) == 3 * MEGABYTE + 7
     assert read_up_to(io.BytesIO(b"abc"), 9) == b"abc"
@@ -76,14 +76,14 @@ def test_a_stream_is_read_and_copied_up_to_a_size():
 
 
 def bombs(folder):
-    """Write small files that hold or claim 200 MB; return each with what its error says."""
+    """Write small files that contain or state 200 MB; return each path with a part of its error message."""
     zeros = {kind: packed_zeros(kind, 200) for kind in ("bz2", "lz4", "zstd")}
     size = 200 * MEGABYTE
-    found = []
+    expected_errors = []
 
     def write(name, data, expected):
         (folder / name).write_bytes(data)
-        found.append((folder / name, expected))
+        expected_errors.append((folder / name, expected))
 
     for kind in ("bz2", "lz4"):
         chunk = {"compression": kind, "packed": zeros[kind]}
@@ -105,11 +105,13 @@ def bombs(folder):
         write(f"whole{kind}", zeros["zstd"], "is too large: unpacked it would have more than 20000000 bytes")
     file = folder_bag(folder / "file", "whole.mcap.zstd", "mcap", "file")
     (file / "whole.mcap.zstd").write_bytes(zeros["zstd"])
-    found.append((file, "is too large: unpacked"))
+    expected_errors.append((file, "is too large: unpacked"))
     message = folder_bag(folder / "message", "one.db3", "sqlite3", "message")
     sqlite_bag(message / "one.db3", messages=[(1, zeros["zstd"])])
-    found.append((message, "a compressed message has more bytes than allowed: expected at most 20 MB"))
-    return found
+    expected_errors.append(
+        (message, "a compressed message has more bytes than allowed: expected at most 20 MB")
+    )
+    return expected_errors
 
 
 READ = """
@@ -121,11 +123,11 @@ def read(path):
             return str(len(list(bag.records())))
     except BagError as error:
         return str(error)
-for path in sys.argv[2].split():  # imports what is needed
+for path in sys.argv[2].split():  # imports modules before the limit is set
     assert read(path) == "1", read(path)
 usage = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
-most = usage + int(sys.argv[1])
-resource.setrlimit(resource.RLIMIT_AS, (most, most))
+limit = usage + int(sys.argv[1])
+resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
 for path in sys.argv[3:]:
     print(read(path))
 """
@@ -133,28 +135,35 @@ for path in sys.argv[3:]:
 
 @pytest.mark.slow
 @pytest.mark.skipif(
-    not Path("/proc/self/statm").exists(), reason="the system does not tell the size of a process"
+    not Path("/proc/self/statm").exists(), reason="the system does not report the size of a process"
 )
-def test_a_bomb_of_each_format_is_one_error_and_takes_no_memory(tmp_path):
-    """Chunks of 20 MB are allowed; with one that is there twice while its blocks are joined, 100 MB have to do."""
-    found = bombs(tmp_path)
-    assert max(path.stat().st_size for path, _ in found if path.is_file()) < 3 * MEGABYTE
-    fine = tmp_path / "fine"
-    fine.mkdir()
-    (fine / "a.bag").write_bytes(ros1_bag([[b"hello"]], compression="lz4"))
-    (fine / "a.mcap").write_bytes(mcap([mcap_message(1)], "zstd"))
-    (fine / "a.mcap.zstd").write_bytes(zstd((fine / "a.mcap").read_bytes()))
-    sqlite_bag(fine / "a.db3")
-    folder_bag(fine, "a.db3", "sqlite3")
-    good = " ".join(map(str, [fine, *sorted(fine.glob("a.*"))]))
+def test_bomb_of_each_format_is_an_error(tmp_path):
+    """100 MB suffice for chunks of at most 20 MB, which are in memory twice while their blocks are joined."""
+    expected_errors = bombs(tmp_path)
+    assert max(path.stat().st_size for path, _ in expected_errors if path.is_file()) < 3 * MEGABYTE
+    valid_folder = tmp_path / "fine"
+    valid_folder.mkdir()
+    (valid_folder / "a.bag").write_bytes(ros1_bag([[b"hello"]], compression="lz4"))
+    (valid_folder / "a.mcap").write_bytes(mcap([mcap_message(1)], "zstd"))
+    (valid_folder / "a.mcap.zstd").write_bytes(zstd((valid_folder / "a.mcap").read_bytes()))
+    sqlite_bag(valid_folder / "a.db3")
+    folder_bag(valid_folder, "a.db3", "sqlite3")
+    valid_paths = " ".join(map(str, [valid_folder, *sorted(valid_folder.glob("a.*"))]))
     environment = {**os.environ, "PYTHONPATH": python_path()}
-    command = [sys.executable, "-c", READ, str(100 * MEGABYTE), good, *(str(path) for path, _ in found)]
-    done = subprocess.run(command, stdout=subprocess.PIPE, env=environment, text=True, check=True)
-    said = done.stdout.splitlines()
-    wrong = [
+    command = [
+        sys.executable,
+        "-c",
+        READ,
+        str(100 * MEGABYTE),
+        valid_paths,
+        *(str(path) for path, _ in expected_errors),
+    ]
+    process = subprocess.run(command, stdout=subprocess.PIPE, env=environment, text=True, check=True)
+    lines = process.stdout.splitlines()
+    mismatches = [
         (path.name, line)
-        for (path, expected), line in zip(found, said)
+        for (path, expected), line in zip(expected_errors, lines)
         if expected not in line or str(path) not in line
     ]
-    assert wrong == []
-    assert len(said) == len(found)
+    assert mismatches == []
+    assert len(lines) == len(expected_errors)

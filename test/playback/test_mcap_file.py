@@ -37,7 +37,7 @@ def test_chunks_are_merged_by_time(tmp_path, compression, has_index):
 
 
 def mcap_without_chunks(seconds, chunks=(), profile="ros2"):
-    """Return a file with messages outside of chunks, whose data is their number."""
+    """Return a file with messages outside of chunks, each with its number as data."""
     data = mcap(chunks, has_index=False, profile=profile)
     end = len(data) - 37
     messages = (
@@ -61,7 +61,7 @@ def test_messages_outside_of_chunks_are_sorted(tmp_path, seconds, chunks, expect
     assert [time for time, _ in read(path)] == expected
 
 
-def test_unsorted_messages_with_equal_times_keep_their_order(tmp_path):
+def test_messages_of_equal_time_keep_their_order(tmp_path):
     path = tmp_path / "a.mcap"
     path.write_bytes(mcap_without_chunks([2, 2, 1, 2]))
     assert read(path) == [(1, b"2"), (2, b"0"), (2, b"1"), (2, b"3")]
@@ -87,7 +87,7 @@ def test_profile_of_header_is_not_needed(tmp_path, profile):
     assert read(path) == [(1, b"0")]
 
 
-def test_summary_without_counts_of_channels_is_completed(tmp_path):
+def test_missing_message_counts_are_computed(tmp_path):
     path = tmp_path / "a.mcap"
     path.write_bytes(mcap(CHUNKS, has_counts=False))
     with MergedBag([path]) as bags:
@@ -116,14 +116,14 @@ WRONG_MCAP = [
 
 
 @pytest.mark.parametrize(("data", "expected"), WRONG_MCAP, ids=range(len(WRONG_MCAP)))
-def test_mcap_files_that_would_take_too_much(tmp_path, data, expected):
+def test_malicious_file_is_an_error(tmp_path, data, expected):
     path = tmp_path / "a.mcap"
     path.write_bytes(data)
     with pytest.raises(BagError, match=expected):
         read(path)
 
 
-def test_chunks_that_do_not_overlap_are_held_one_at_a_time(tmp_path):
+def test_disjoint_chunks_are_held_one_at_a_time(tmp_path):
     path = tmp_path / "a.mcap"
     chunks = [mcap_message(second, bytes(400_000)) for second in range(9)]
     path.write_bytes(mcap(chunks, times=[(second, second) for second in range(9)]))
@@ -132,7 +132,7 @@ def test_chunks_that_do_not_overlap_are_held_one_at_a_time(tmp_path):
     file.close()
 
 
-def test_every_cut_of_an_mcap_file_is_one_error(tmp_path):
+def test_truncated_file_is_an_error(tmp_path):
     content = mcap(CHUNKS, "zstd")
     path = tmp_path / "a.mcap"
     for size in range(0, len(content), 13):

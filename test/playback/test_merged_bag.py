@@ -1,4 +1,4 @@
-"""Several bags as one, parts of them, and bags of ROS 2."""
+"""Merged bags: order, intervals, ROS 2 bags, types that cannot be read, and compressed files."""
 
 import json
 import struct
@@ -20,7 +20,7 @@ STRING = Definitions().add("std_msgs/String", "string data")
 
 
 def bag(path, *seconds, topic="/chatter"):
-    """Write a bag with a text at each of these seconds."""
+    """Write a bag with a text at each of the given seconds."""
     with BagWriter(path) as writer:
         connection = writer.add(topic, STRING)
         for second in seconds:
@@ -32,12 +32,12 @@ def read(bags):
     return [(record.topic.name, record.time // SECOND) for record in bags.records()]
 
 
-def test_bags_come_in_the_order_of_receipt(tmp_path):
+def test_records_are_sorted_by_receipt_time(tmp_path):
     paths = [bag(tmp_path / "a.bag", 1, 4, 5), bag(tmp_path / "b.bag", 2, 4, 9, topic="/other")]
     with MergedBag(paths) as bags:
         assert read(bags) == [
-            (n, s)
-            for s, n in [
+            (topic, second)
+            for second, topic in [
                 (1, "/chatter"),
                 (2, "/other"),
                 (4, "/chatter"),
@@ -50,7 +50,7 @@ def test_bags_come_in_the_order_of_receipt(tmp_path):
         assert (bags.start, bags.end) == (SECOND, 9 * SECOND)
 
 
-def test_a_part_begins_and_ends_where_it_is_told(tmp_path):
+def test_records_are_limited_to_interval(tmp_path):
     paths = [bag(tmp_path / "a.bag", 11, 14, 15), bag(tmp_path / "b.bag", 12, 19)]
     with MergedBag(paths, start=3) as bags:
         assert [second for _, second in read(bags)] == [14, 15, 19]
@@ -63,7 +63,7 @@ def test_a_part_begins_and_ends_where_it_is_told(tmp_path):
         MergedBag(paths, start=9)
 
 
-def test_a_bag_is_not_played_twice(tmp_path):
+def test_repeated_bag_is_an_error(tmp_path):
     path = bag(tmp_path / "a.bag", 1)
     with pytest.raises(UsageError, match="is given twice"):
         MergedBag([path, tmp_path / "." / "a.bag"])
@@ -71,15 +71,15 @@ def test_a_bag_is_not_played_twice(tmp_path):
         MergedBag([])
 
 
-@pytest.mark.parametrize("kind", ["BZ2", "LZ4"])
-def test_compressed_bags_are_read(tmp_path, kind):
+@pytest.mark.parametrize("compression", ["BZ2", "LZ4"])
+def test_compressed_ros1_bag_is_read(tmp_path, compression):
     writer = rosbag1.Writer(tmp_path / "a.bag")
-    writer.set_compression(rosbag1.Writer.CompressionFormat[kind])
+    writer.set_compression(rosbag1.Writer.CompressionFormat[compression])
     with writer:
         options = {"msgdef": STRING.full_text, "md5sum": STRING.md5sum}
         connection = writer.add_connection("/chatter", "std_msgs/msg/String", **options)
         writer.write(connection, SECOND, struct.pack("<I", 2) + b"hi")
-    assert kind.lower().encode() in (tmp_path / "a.bag").read_bytes()
+    assert compression.lower().encode() in (tmp_path / "a.bag").read_bytes()
     with MergedBag([tmp_path / "a.bag"]) as bags:
         assert read(bags) == [("/chatter", 1)]
 
@@ -91,27 +91,27 @@ STORAGES = list(getattr(rosbag2, "StoragePlugin", [None]))
 
 
 def ros2_bag(folder, storage):
-    """Write a bag of ROS 2 with a message of a usual type and one of a type of its own."""
+    """Write a ROS 2 bag with a message of a standard type and one of a custom type."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg(OWN, "my_msgs/msg/Level"))
-    kinds = store.types
-    time = kinds["builtin_interfaces/msg/Time"]
-    header = kinds["std_msgs/msg/Header"]
+    types = store.types
+    time = types["builtin_interfaces/msg/Time"]
+    header = types["std_msgs/msg/Header"]
     options = {} if storage is None else {"version": 9, "storage_plugin": storage}
     with rosbag2.Writer(folder, **options) as writer:
         text = writer.add_connection("/chatter", "std_msgs/msg/String", typestore=store)
         level = writer.add_connection("/level", "my_msgs/msg/Level", typestore=store)
-        said = kinds["std_msgs/msg/String"](data="hello")
-        writer.write(text, 3 * SECOND, store.serialize_cdr(said, "std_msgs/msg/String"))
+        hello = types["std_msgs/msg/String"](data="hello")
+        writer.write(text, 3 * SECOND, store.serialize_cdr(hello, "std_msgs/msg/String"))
         raw = numpy.array([1, 2, 3], dtype=numpy.uint8)
         stamped = header(stamp=time(sec=4, nanosec=5), frame_id="tank")
-        message = kinds["my_msgs/msg/Level"](header=stamped, level=0.5, since=time(sec=1, nanosec=2), raw=raw)
+        message = types["my_msgs/msg/Level"](header=stamped, level=0.5, since=time(sec=1, nanosec=2), raw=raw)
         writer.write(level, 5 * SECOND, store.serialize_cdr(message, "my_msgs/msg/Level"))
     return folder
 
 
 @pytest.mark.parametrize("storage", STORAGES)
-def test_a_bag_of_ros_2_gives_the_events_that_ros_1_would(tmp_path, storage):
+def test_events_of_ros2_bag_are_those_of_ros1(tmp_path, storage):
     program = tmp_path / "program"
     program.mkdir()
     (program / "pub_sub.xml").write_text(
@@ -119,21 +119,21 @@ def test_a_bag_of_ros_2_gives_the_events_that_ros_1_would(tmp_path, storage):
         '<subscribe_to name="level" msg_type="my_msgs/msg/Level"/></publish_subscribe>'
     )
     (program / "goalPredicates.txt").write_text("")
-    found, wrong = [], []
-    playback = Playback(program, wrong.append)
-    recorder = RunRecorder(playback, found.append)
+    records, problems = [], []
+    playback = Playback(program, problems.append)
+    recorder = RunRecorder(playback, records.append)
     with MergedBag([ros2_bag(tmp_path / "two", storage)]) as bags:
         assert [topic.type for topic in bags.topics] == ["std_msgs/String", "my_msgs/Level"]
-        assert list(playback.run(bags, lambda done: recorder.update_waits())) == []
-    assert wrong == []
-    assert [(line["event"], line["start"]) for line in found] == [
+        assert list(playback.run(bags, lambda record: recorder.update_waits())) == []
+    assert problems == []
+    assert [(line["event"], line["start"]) for line in records] == [
         ("std_msgs__0__String('\"hello\"')", 3 * SECOND),
         (
             "my_msgs__0__Level(std_msgs__0__Header(0,[4,5],'\"tank\"'),0.5,[1,2],'\"FFFFFFFFFFAQID////\"')",
             4 * SECOND + 5,
         ),
     ]
-    assert json.loads(json.dumps(found)) == found
+    assert json.loads(json.dumps(records)) == records
 
 
 BOUNDED = """\
@@ -160,29 +160,35 @@ module my_msgs {
 """
 
 
-def packed(*parts):
-    """Return a message in CDR, of parts as for `struct`."""
-    return b"\0\1\0\0" + b"".join(struct.pack(f"<{code}", *values) for code, *values in parts)
+def cdr_message(*fields):
+    """Return a message in CDR with fields, each a format of `struct` and its values."""
+    return b"\0\1\0\0" + b"".join(struct.pack(f"<{code}", *values) for code, *values in fields)
 
 
 def typed_bag(folder, storage, *connections):
-    """Write a bag of ROS 2 with topics of types, each with its definition and messages, one a second."""
+    """Write a ROS 2 bag with one message per second.
+
+    Args:
+        folder: the folder of the bag.
+        storage: the storage plugin, None for the only one.
+        connections: topic, type, definition and messages of each connection.
+    """
     options = {} if storage is None else {"version": 9, "storage_plugin": storage}
     with rosbag2.Writer(folder, **options) as writer:
         second = 0
-        for topic, kind, text, *messages in connections:
-            connection = writer.add_connection(topic, kind, msgdef=text, rihs01="RIHS01_0")
+        for topic, type_name, text, *messages in connections:
+            connection = writer.add_connection(topic, type_name, msgdef=text, rihs01="RIHS01_0")
             for data in messages:
                 second += 1
                 writer.write(connection, second * SECOND, data)
     return folder
 
 
-HELLO = packed(("I6s", 6, b"hello\0"))
+HELLO = cdr_message(("I6s", 6, b"hello\0"))
 
 
 @pytest.mark.parametrize("storage", STORAGES)
-def test_a_type_that_cannot_be_read_costs_its_own_topic(tmp_path, storage, caplog):
+def test_unreadable_type_excludes_only_its_topics(tmp_path, storage, caplog):
     folder = typed_bag(
         tmp_path / "two",
         storage,
@@ -195,8 +201,7 @@ def test_a_type_that_cannot_be_read_costs_its_own_topic(tmp_path, storage, caplo
     with MergedBag([folder]) as bags:
         assert [topic.name for topic in bags.topics] == ["/chatter"]
         assert [record.data for record in bags.records()] == [struct.pack("<I", 5) + b"hello"]
-    left_out = [one.getMessage() for one in caplog.records]
-    assert left_out == [
+    assert [record.getMessage() for record in caplog.records] == [
         f"{folder}: left out: topic /broken (my_msgs/Broken): my_msgs/Broken:1:1: expected 'type name' or "
         "'type NAME=value', found 'float64[<3] x'",
         f"{folder}: left out: topics /gone, /gone_too (my_msgs/Gone): the type my_msgs/Lost is not defined in "
@@ -232,7 +237,7 @@ def test_unreadable_topic_is_reported_if_program_names_it(tmp_path, caplog, topi
 @pytest.mark.parametrize("storage", STORAGES)
 def test_bounds_and_defaults_are_read(tmp_path, storage):
     text = '"Jü"'
-    raw = packed(
+    raw = cdr_message(
         ("I3sx", 3, b"hi\0"),
         ("II2s", 1, 2, b"a\0"),
         ("xxId", 1, 0.5),
@@ -245,12 +250,12 @@ def test_bounds_and_defaults_are_read(tmp_path, storage):
         (record,) = bags.records()
     definitions = Definitions()
     definition = definitions.add(topic.type, topic.definition, topic.md5sum)
-    shown = to_text(definitions.decoder(definition).decode(record.data))
-    assert shown == f"my_msgs__0__Bounded('\"hi\"',['\"a\"'],[0.5],'{text}',200,[])"
+    event_text = to_text(definitions.decoder(definition).decode(record.data))
+    assert event_text == f"my_msgs__0__Bounded('\"hi\"',['\"a\"'],[0.5],'{text}',200,[])"
 
 
-def test_a_definition_in_idl_is_read(tmp_path):
-    raw = packed(("I3sx", 3, b"hi\0"), ("I4xd", 1, 0.5), ("iII1s", 4, 5, 1, b""))
+def test_idl_definition_is_read(tmp_path):
+    raw = cdr_message(("I3sx", 3, b"hi\0"), ("I4xd", 1, 0.5), ("iII1s", 4, 5, 1, b""))
     folder = typed_bag(tmp_path / "two", STORAGES[-1], ("/few", "my_msgs/msg/Few", IDL, raw))
     with MergedBag([folder]) as bags:
         slots = bags.topics[0].definition.split("\n")[:3]
@@ -274,10 +279,8 @@ def test_a_definition_in_idl_is_read(tmp_path):
         ),
     ],
 )
-def test_a_definition_in_idl_that_cannot_be_parsed_is_reported_with_its_place(
-    tmp_path, caplog, text, problem
-):
-    raw = packed(("I3sx", 3, b"hi\0"))
+def test_invalid_idl_is_reported_with_position(tmp_path, caplog, text, problem):
+    raw = cdr_message(("I3sx", 3, b"hi\0"))
     folder = typed_bag(tmp_path / "two", STORAGES[-1], ("/few", "my_msgs/msg/Few", text, raw))
     with MergedBag([folder]) as bags:
         assert not bags.topics
@@ -288,7 +291,7 @@ def test_a_definition_in_idl_that_cannot_be_parsed_is_reported_with_its_place(
     assert problem.format("its definition in IDL cannot be parsed") in message
 
 
-def test_messages_that_are_not_of_their_type_are_dropped_and_counted(tmp_path, caplog):
+def test_message_of_wrong_size_is_dropped_and_counted(tmp_path, caplog):
     folder = typed_bag(
         tmp_path / "two",
         STORAGES[-1],
@@ -296,7 +299,7 @@ def test_messages_that_are_not_of_their_type_are_dropped_and_counted(tmp_path, c
     )
     with MergedBag([folder]) as bags:
         assert read(bags) == [("/chatter", 1), ("/chatter", 4)]
-    assert [one.getMessage() for one in caplog.records] == [
+    assert [record.getMessage() for record in caplog.records] == [
         f"{folder}: a message on /chatter is dropped: 8 bytes of CDR are not a std_msgs/String",
         f"{folder}: 2 messages on /chatter dropped",
     ]
@@ -304,22 +307,22 @@ def test_messages_that_are_not_of_their_type_are_dropped_and_counted(tmp_path, c
 
 @pytest.fixture
 def compressed(tmp_path):
-    """Return a function that writes one file of a bag of ROS 2, compressed."""
+    """Return a function that writes one compressed file of a ROS 2 bag."""
 
     def write(storage):
         folder = typed_bag(
             tmp_path / "two", storage, ("/chatter", "std_msgs/msg/String", "string data\n", HELLO)
         )
-        (path,) = [one for one in folder.iterdir() if one.suffix in (".db3", ".mcap")]
-        alone = tmp_path / f"alone{path.suffix}.zstd"
-        alone.write_bytes(zstd(path.read_bytes()))
-        return alone
+        (path,) = [path for path in folder.iterdir() if path.suffix in (".db3", ".mcap")]
+        compressed_path = tmp_path / f"alone{path.suffix}.zstd"
+        compressed_path.write_bytes(zstd(path.read_bytes()))
+        return compressed_path
 
     return write
 
 
 @pytest.mark.parametrize("storage", STORAGES)
-def test_one_compressed_file_is_played(compressed, storage, tmp_path, monkeypatch):
+def test_compressed_file_is_unpacked_while_open(compressed, storage, tmp_path, monkeypatch):
     scratch = tmp_path / "scratch"
     scratch.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(scratch))
@@ -331,23 +334,23 @@ def test_one_compressed_file_is_played(compressed, storage, tmp_path, monkeypatc
     assert list(scratch.iterdir()) == []
 
 
-def test_a_compressed_file_that_is_too_large_or_broken_is_an_error(compressed, tmp_path, monkeypatch):
+def test_large_or_broken_compressed_file_is_an_error(compressed, tmp_path, monkeypatch):
     scratch = tmp_path / "scratch"
     scratch.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(scratch))
     path = compressed(STORAGES[-1])
-    whole = path.read_bytes()
+    content = path.read_bytes()
     path.write_bytes(packed_zeros("zstd", 2))
     with pytest.raises(BagError, match="too large: unpacked it would have more than 1000000 bytes"):
         MergedBag([path], max_chunk_megabytes=1)
-    path.write_bytes(whole)
+    path.write_bytes(content)
     path.write_bytes(path.read_bytes()[:-9])
     with pytest.raises(BagError, match="alone.* is not a complete ROS 2 bag"):
         MergedBag([path])
     assert list(scratch.iterdir()) == []
 
 
-def test_what_is_no_bag_of_ros_2_is_an_error(tmp_path):
+def test_invalid_ros2_bag_is_an_error(tmp_path):
     (tmp_path / "metadata.yaml").write_text("nothing: 1")
     with pytest.raises(BagError, match="is not a complete ROS 2 bag"):
         MergedBag([tmp_path])

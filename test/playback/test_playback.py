@@ -1,4 +1,4 @@
-"""A program over a bag: topics, types, times, what is published, what is reported."""
+"""Playback of bags: topics, types, times, outputs, and reported problems."""
 
 import logging
 from types import SimpleNamespace
@@ -33,11 +33,11 @@ STAMPED = (
 
 @pytest.fixture
 def definitions():
-    known = Definitions()
-    known.add("my_msgs/Point", POINT)
-    known.add("my_msgs/Stamped", STAMPED)
-    known.add("my_msgs/Empty", "")
-    return known
+    definitions = Definitions()
+    definitions.add("my_msgs/Point", POINT)
+    definitions.add("my_msgs/Stamped", STAMPED)
+    definitions.add("my_msgs/Empty", "")
+    return definitions
 
 
 @pytest.fixture
@@ -60,10 +60,12 @@ def bag(tmp_path, definitions):
         path = tmp_path / "some.bag"
         with BagWriter(path) as writer:
             connections = {}
-            for time, topic, kind, text in messages:
+            for time, topic, type_name, text in messages:
                 if topic not in connections:
-                    connections[topic] = writer.add(topic, definitions.find(kind))
-                writer.write(connections[topic], time, definitions.encoder(kind).encode(parse_term(text)))
+                    connections[topic] = writer.add(topic, definitions.find(type_name))
+                writer.write(
+                    connections[topic], time, definitions.encoder(type_name).encode(parse_term(text))
+                )
         return path
 
     return write
@@ -71,13 +73,13 @@ def bag(tmp_path, definitions):
 
 def run(program, path, **options):
     problems = []
-    logged = logging.Handler()
-    logged.emit = lambda record: problems.append(record.getMessage())
-    logging.getLogger("retalis").addHandler(logged)
+    handler = logging.Handler()
+    handler.emit = lambda record: problems.append(record.getMessage())
+    logging.getLogger("retalis").addHandler(handler)
     try:
         return play(program, path, problems, **options)
     finally:
-        logging.getLogger("retalis").removeHandler(logged)
+        logging.getLogger("retalis").removeHandler(handler)
 
 
 def play(program, path, problems, **options):
@@ -89,11 +91,16 @@ def play(program, path, problems, **options):
     return outputs, events, [str(problem) for problem in problems]
 
 
+def points(*seconds, topic="/in"):
+    """Return a message ``my_msgs/Point`` for each second, which is also its value."""
+    return [(second * SECOND, topic, "my_msgs/Point", f"my_msgs__0__Point({second}.0)") for second in seconds]
+
+
 IN = '<subscribe_to name="in" msg_type="my_msgs/Point"/>'
 OUT = '<publish_to name="out" msg_type="my_msgs/Point"/>'
 
 
-def test_messages_become_events_and_outputs_become_messages(program, bag, definitions):
+def test_outputs_for_messages_are_messages(program, bag, definitions):
     path = bag((7 * SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(6.5)"))
     goals = "subscribe(my_msgs__0__Point(X), [Y is X * 2], my_msgs__0__Point(Y), out, 1)"
     outputs, events, problems = run(program("", goals, IN + OUT), path)
@@ -105,7 +112,7 @@ def test_messages_become_events_and_outputs_become_messages(program, bag, defini
     assert decoded == parse_term("my_msgs__0__Point(13.0)")
 
 
-def test_topic_name_with_trailing_slash_is_the_name_without_it(program, bag, definitions):
+def test_trailing_slash_of_topic_is_ignored(program, bag, definitions):
     path = bag((7 * SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(6.5)"))
     goals = "subscribe(my_msgs__0__Point(X), [], my_msgs__0__Point(X), '/out', 1)"
     topics = IN.replace('"in"', '"/in/"') + OUT.replace('"out"', '"/out/"')
@@ -114,7 +121,7 @@ def test_topic_name_with_trailing_slash_is_the_name_without_it(program, bag, def
     assert outputs[0].definition.name == "my_msgs/Point"
 
 
-def test_a_header_stamps_its_event_and_a_zero_stamp_counts_as_none(program, bag):
+def test_nonzero_header_stamp_is_event_time(program, bag):
     text = "my_msgs__0__Stamped(std_msgs__0__Header(1,[{},{}],'\"f\"'),1.0)"
     path = bag(
         (7 * SECOND, "/in", "my_msgs/Stamped", text.format(3, 4)),
@@ -126,7 +133,7 @@ def test_a_header_stamps_its_event_and_a_zero_stamp_counts_as_none(program, bag)
     assert [(start, end) for _, start, end in events] == [(3 * SECOND + 4,) * 2, (8 * SECOND,) * 2]
 
 
-def test_topics_that_are_not_named_are_left_alone_unless_asked_for(program, bag):
+def test_unnamed_topic_is_played_only_on_request(program, bag):
     path = bag((SECOND, "/other", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
     folder = program("", "", IN)
     assert run(folder, path)[1] == []
@@ -143,7 +150,7 @@ def tf_bag(bag, definitions):
 
 
 @pytest.mark.parametrize(
-    ("options", "number"),
+    ("options", "event_count"),
     [
         ({}, 2),
         ({"direct": "auto"}, 2),
@@ -153,46 +160,46 @@ def tf_bag(bag, definitions):
         ({"direct": ()}, 1),
     ],
 )
-def test_what_a_node_subscribes_by_itself_is_played_too(program, tf_bag, options, number):
+def test_direct_topics_are_played(program, tf_bag, options, event_count):
     _, events, problems = run(program("", "", IN), tf_bag, **options)
-    assert len(events) == number
-    assert problems == []  # a bag need not have ar_pose_marker, which nobody named
+    assert len(events) == event_count
+    assert problems == []  # the default topic ar_pose_marker may be missing
 
 
-def test_a_direct_topic_that_the_file_names_enters_once_under_its_event_name(program, tf_bag):
+def test_named_direct_topic_has_one_event_per_message(program, tf_bag):
     named = IN + '<subscribe_to name="/tf" msg_type="tf/tfMessage" event="moved"/>'
     for direct in ("auto", True, False):
         _, events, _ = run(program("", "", named), tf_bag, direct=direct)
         assert [event for event, _, _ in events] == ["moved([1.0])", "my_msgs__0__Point(1.0)"]
 
 
-def test_a_listed_direct_topic_that_the_bag_has_not_got_is_named(program, tf_bag):
+def test_missing_direct_topic_is_reported(program, tf_bag):
     _, _, problems = run(program("", "", IN), tf_bag, direct=(TopicType("scan", "my_msgs/Point"),))
     (problem,) = problems
     assert "has no messages on scan" in problem
 
 
-def test_a_goal_cannot_subscribe_a_direct_topic_as_another_type(program, tf_bag):
+def test_goal_cannot_change_type_of_direct_topic(program, tf_bag):
     goal = "subscribe_to(tf, 'my_msgs/Point')"
     _, _, (problem, *_) = run(program("", goal, IN), tf_bag)
     assert "subscribed already as tf/tfMessage" in problem
     assert run(program("", goal, IN), tf_bag, direct=False)[2] != []
 
 
-def test_another_type_on_a_default_topic_is_only_warned_of(program, bag):
+def test_other_type_of_default_topic_is_a_warning(program, bag):
     path = bag(
         (SECOND, "/tf", "my_msgs/Point", "my_msgs__0__Point(1.0)"),
         (2 * SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"),
     )
-    wrong = []
+    reported = []
     with BagReader(path) as reader:
-        list(Playback(program("", "", IN), wrong.append).run(reader))
-    assert wrong == []
+        list(Playback(program("", "", IN), reported.append).run(reader))
+    assert reported == []
     _, _, problems = run(program("", "", IN), path)
     assert "1 message dropped" in problems[0]
 
 
-def test_a_type_goes_by_the_name_that_the_program_gives_it(program, bag):
+def test_type_has_name_of_program(program, bag):
     path = bag((SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
     _, events, problems = run(program("", "", IN.replace("my_msgs/Point", "other_msgs/Dot")), path)
     assert problems == [
@@ -202,21 +209,21 @@ def test_a_type_goes_by_the_name_that_the_program_gives_it(program, bag):
     assert [event for event, _, _ in events] == ["other_msgs__0__Dot(1.0)"]
 
 
-def test_a_type_without_slots_has_events_too(program, bag):
+def test_type_without_slots_has_events(program, bag):
     path = bag((SECOND, "/in", "my_msgs/Empty", "my_msgs__0__Empty"))
     _, events, problems = run(program("", "", IN.replace("Point", "Empty")), path)
     assert problems == []
     assert [event for event, _, _ in events] == ["my_msgs__0__Empty"]
 
 
-def test_another_type_than_the_program_says_is_reported(program, bag):
-    path = bag(*((at * SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)") for at in (1, 2)))
+def test_other_type_than_subscribed_is_reported(program, bag):
+    path = bag(*points(1, 2))
     _, events, problems = run(program("", "", IN.replace("my_msgs/Point", "std_msgs/Float32")), path)
     assert events == []
     assert problems == ["topic /in: expected std_msgs/Float32, found my_msgs/Point; 2 messages dropped"]
 
 
-def test_topics_that_the_bag_has_not_got_are_named_once(program, bag):
+def test_missing_topics_are_reported_once(program, bag):
     path = bag((SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
     topics = IN + IN.replace('"in"', '"/ni"')
     _, events, problems = run(program("", "", topics), path, topics=[TopicType("no", "my_msgs/Point")])
@@ -224,8 +231,8 @@ def test_topics_that_the_bag_has_not_got_are_named_once(program, bag):
     assert problems == [f"{path} has no messages on /ni, no; it has /in (my_msgs/Point)"]
 
 
-def test_outputs_that_do_not_fit_are_reported_once_and_counted(program, bag):
-    path = bag(*((at * SECOND, "/in", "my_msgs/Point", f"my_msgs__0__Point({at}.0)") for at in range(1, 8)))
+def test_invalid_outputs_are_reported_once_and_counted(program, bag):
+    path = bag(*points(*range(1, 8)))
     goals = "subscribe(my_msgs__0__Point(X), [Y = a(X)], my_msgs__0__Point(Y), out, 1)"
     outputs, _, problems = run(program("", goals, IN + OUT), path)
     assert [output.data for output in outputs] == [None] * 7
@@ -235,10 +242,8 @@ def test_outputs_that_do_not_fit_are_reported_once_and_counted(program, bag):
     assert at_run == [first, f"7 times in all: {first}"]
 
 
-def test_what_does_not_fit_is_reported_and_the_rest_goes_on(program, bag):
-    path = bag(
-        *((second * SECOND, "/in", "my_msgs/Point", f"my_msgs__0__Point({second}.0)") for second in (1, 2))
-    )
+def test_invalid_goals_do_not_stop_others(program, bag):
+    path = bag(*points(1, 2))
     goals = (
         "subscribe(my_msgs__0__Point(X), [], my_msgs__0__Point(no), out, 1)\n"
         "subscribe(my_msgs__0__Point(X), [], _, nowhere, 2)\n"
@@ -253,10 +258,8 @@ def test_what_does_not_fit_is_reported_and_the_rest_goes_on(program, bag):
     assert any("nowhere" in problem for problem in problems)
 
 
-def test_alarms_go_by_the_time_of_the_bag(program, bag):
-    path = bag(
-        *((second * SECOND, "/in", "my_msgs/Point", f"my_msgs__0__Point({second}.0)") for second in (1, 2, 9))
-    )
+def test_alarms_follow_time_of_bag(program, bag):
+    path = bag(*points(1, 2, 9))
     _, events, problems = run(program("exceptionAlarm(late(X), 3) <- my_msgs__0__Point(X).", "", IN), path)
     assert problems == []
     assert [event for event, _, _ in events] == [
@@ -268,8 +271,8 @@ def test_alarms_go_by_the_time_of_the_bag(program, bag):
     ]
 
 
-def test_an_alarm_rings_at_its_own_time_and_not_at_the_next_message(program, bag):
-    path = bag(*((at * SECOND, "/in", "my_msgs/Point", f"my_msgs__0__Point({at}.0)") for at in (1, 9)))
+def test_alarm_fires_at_its_own_time(program, bag):
+    path = bag(*points(1, 9))
     rules = (
         "exceptionAlarm(late(X), 3) <- my_msgs__0__Point(X).\n"
         "null do event(seen(X)) <- late(X).\n"
@@ -284,38 +287,34 @@ def test_an_alarm_rings_at_its_own_time_and_not_at_the_next_message(program, bag
     assert ("my_msgs__0__Point(1.0)", 6 * SECOND, 6 * SECOND) in events
 
 
-def test_an_output_is_given_before_the_next_message_is_read(program, bag):
-    path = bag(
-        *((at * SECOND, "/in", "my_msgs/Point", f"my_msgs__0__Point({at}.0)") for at in (1, 2, 3)),
-    )
+def test_output_precedes_next_message(program, bag):
+    path = bag(*points(1, 2, 3))
     goals = "subscribe(my_msgs__0__Point(X), [X < 3], _, out, 1)"
-    read = []
+    message_counts, outputs = [], []
     playback = Playback(program("", goals, IN + OUT), report=pytest.fail)
     with BagReader(path) as reader:
-        for output in playback.run(reader, read.append):
-            assert read == list(range(1, output.time // SECOND + 1))
-            assert playback.clock.now() == output.time
-    assert read == [1, 2, 3]
+        for output in playback.run(reader, message_counts.append):
+            outputs.append((output.time // SECOND, playback.clock.now() // SECOND, message_counts[-1]))
+    assert outputs == [(1, 1, 1), (2, 2, 2)]
+    assert message_counts == [1, 2, 3]
 
 
-def test_a_damaged_bag_is_reported_after_the_messages_before_the_damage(program, bag):
-    path = bag(
-        *((at * SECOND, "/in", "my_msgs/Point", f"my_msgs__0__Point({at}.0)") for at in (1, 2, 3)),
-    )
+def test_damage_is_reported_after_earlier_messages(program, bag):
+    path = bag(*points(1, 2, 3))
     playback = Playback(program("", "", IN), report=pytest.fail)
-    seen = []
-    playback.engine.on_event(lambda event, start, end: seen.append(start))
+    starts = []
+    playback.engine.on_event(lambda event, start, end: starts.append(start))
     with BagReader(path) as reader:
-        whole = reader.records
+        undamaged_records = reader.records
 
         def records(topics, **options):
-            yield from list(whole(topics, **options))[:2]
+            yield from list(undamaged_records(topics, **options))[:2]
             raise BagError("the rest cannot be read")
 
         reader.records = records
         with pytest.raises(BagError, match="the rest cannot be read"):
             list(playback.run(reader))
-    assert seen == [SECOND, 2 * SECOND]
+    assert starts == [SECOND, 2 * SECOND]
     assert playback.engine.query("true") == [{}]
 
 
@@ -326,57 +325,59 @@ timer(noon, at(datime(1970,1,1,0,0,7,0)))
 """
 
 
-def test_timers_ring_as_they_do_for_a_stream_of_the_same_events(program, bag):
+def test_timers_fire_as_for_event_stream(program, bag):
     rules = "next(X) <- tick seq my_msgs__0__Point(X)."
-    instants = (1.5, 2, 5, 9)
+    seconds = (1.5, 2, 5, 9)
     path = bag(
-        *((int(at * SECOND), "/in", "my_msgs/Point", f"my_msgs__0__Point({at:.1f})") for at in instants),
+        *(
+            (int(second * SECOND), "/in", "my_msgs/Point", f"my_msgs__0__Point({second:.1f})")
+            for second in seconds
+        ),
     )
     _, events, problems = run(program(rules, TIMERS, IN), path)
     assert problems == []
-    engine, stream = Engine(), []
+    engine, stream_events = Engine(), []
     engine.load(rules=rules, goals=TIMERS)
-    engine.on_event(lambda *event: stream.append((engine.show(event[0]), *event[1:])))
-    for at in instants:
-        engine.event(f"my_msgs__0__Point({at:.1f})", at)
-    assert events == stream and len(stream) == 12
+    engine.on_event(lambda *event: stream_events.append((engine.show(event[0]), *event[1:])))
+    for second in seconds:
+        engine.event(f"my_msgs__0__Point({second:.1f})", second)
+    assert len(stream_events) == 12
+    assert events == stream_events
 
 
-def test_in_a_bag_with_a_gap_a_timer_rings_no_more_often_than_where_time_jumps(program, bag, monkeypatch):
+def test_timer_events_in_gap_are_limited(program, bag, monkeypatch):
     monkeypatch.setattr(timer_service, "MAX_FIRINGS_PER_JUMP", 100)
-    path = bag(
-        *((at * SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)") for at in (10, 20, 5000, 5003))
-    )
+    path = bag(*points(10, 20, 5000, 5003))
     _, events, (problem,) = run(program("null <- tick.", "timer(tick, every(1))", IN), path)
     assert "4979 events of timer tick, every(1) left out" in problem
-    assert [at // SECOND for event, at, _ in events if event == "tick"] == [
+    assert [start // SECOND for event, start, _ in events if event == "tick"] == [
         *range(11, 21),
         *range(5000, 5004),
     ]
 
 
-@pytest.mark.parametrize("limit, taken", [(None, 5), (100.0, 4)])
-def test_a_stamp_far_ahead(program, bag, limit, taken):
+@pytest.mark.parametrize(("limit", "event_count"), [(None, 5), (100.0, 4)])
+def test_stamp_far_ahead_is_reported_and_dropped(program, bag, limit, event_count):
     folder = program("", topics='<subscribe_to name="/s" msg_type="my_msgs/Stamped"/>')
     stamps = [10, 11, 3612, 13, 14]
     messages = [
         (
-            (at + 1) * SECOND,
+            (second + 1) * SECOND,
             "/s",
             "my_msgs/Stamped",
             f"my_msgs__0__Stamped(std_msgs__0__Header(0,[{stamp},1],'\"map\"'),1.0)",
         )
-        for at, stamp in enumerate(stamps)
+        for second, stamp in enumerate(stamps)
     ]
     _, events, problems = run(folder, bag(*messages), max_skew=limit)
-    assert len(events) == taken
+    assert len(events) == event_count
     assert [problem for problem in problems if "no goal" not in problem] == [
         "topic /s, frame map: a stamp is 3600 s ahead of the stamps before it"
         + ("; such messages are dropped" if limit else "")
     ]
 
 
-def test_events_of_a_topic_are_called_as_it_says(program, bag):
+def test_events_have_event_name_of_topic(program, bag):
     line = '<subscribe_to name="{}" msg_type="my_msgs/Point" {}/>'
     topics = line.format("left", 'event="bumper_left"') + line.format("/right", 'event=" bumper_right "')
     folder = program(
@@ -388,8 +389,8 @@ def test_events_of_a_topic_are_called_as_it_says(program, bag):
     messages = [("/left", 1.0), ("right", 1.0), ("middle", 1.0), ("left", 1.0)]
     path = bag(
         *(
-            (at * SECOND, topic, "my_msgs/Point", f"my_msgs__0__Point({x})")
-            for at, (topic, x) in enumerate(messages, 1)
+            (second * SECOND, topic, "my_msgs/Point", f"my_msgs__0__Point({x})")
+            for second, (topic, x) in enumerate(messages, 1)
         )
     )
     _, events, problems = run(folder, path)
@@ -404,7 +405,7 @@ def test_events_of_a_topic_are_called_as_it_says(program, bag):
     assert problems == []
 
 
-def test_a_program_may_name_the_slots_of_types_that_only_the_bag_has(program, bag):
+def test_slots_of_types_in_bag_can_be_named(program, bag):
     path = bag(
         (SECOND, "/in", "my_msgs/Stamped", "my_msgs__0__Stamped(std_msgs__0__Header(1,[3,4],'\"f\"'),1.0)")
     )
@@ -421,21 +422,13 @@ def test_a_program_may_name_the_slots_of_types_that_only_the_bag_has(program, ba
     assert "the slots of my_msgs/Stamped are not known when this is read" in str(problems)
 
 
-def test_goals_subscribe_topics_from_the_start_or_from_then_on(program, bag):
+def test_goals_subscribe_at_start_and_later(program, bag):
     path = bag(
-        *(
-            (at * SECOND, topic, "my_msgs/Point", f"my_msgs__0__Point({at}.0)")
-            for at, topic in (
-                (1, "a"),
-                (2, "b"),
-                (3, "in"),
-                (4, "b"),
-                (5, "c"),
-                (6, "in"),
-                (8, "c"),
-                (9, "d"),
-            )
-        )
+        *points(1, topic="a"),
+        *points(2, 4, topic="b"),
+        *points(3, 6, topic="in"),
+        *points(5, 8, topic="c"),
+        *points(9, topic="d"),
     )
     folder = program(
         "now <- my_msgs__0__Point(3.0) do subscribe_to(b, 'my_msgs/Point', at_b).\n"
@@ -459,7 +452,7 @@ def test_goals_subscribe_topics_from_the_start_or_from_then_on(program, bag):
     assert "has no messages on none; it has a (my_msgs/Point)" in problem
 
 
-def test_restored_program_keeps_topics_that_goals_requested(program, bag):
+def test_restored_program_keeps_subscribed_topics(program, bag):
     path = bag((SECOND, "/a", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
     folder = program("", "subscribe_to('/a', 'my_msgs/Point', at_a)")
     problems, events = [], []
@@ -471,7 +464,7 @@ def test_restored_program_keeps_topics_that_goals_requested(program, bag):
     assert (problems, events) == ([], ["at_a(1.0)"])
 
 
-def test_output_type_is_learned_from_the_bag(program, bag):
+def test_output_type_is_found_in_bag(program, bag):
     path = bag((SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
     goals = "subscribe(my_msgs__0__Point(X), [], my_msgs__0__Point(X), out, 1)"
     folder = program("", goals, IN + OUT)
@@ -491,7 +484,7 @@ def test_output_of_unknown_type_is_an_error(program, bag):
     assert "my_msgs/Unknown" in problems[-1]
 
 
-def test_added_topic_changes_the_type_and_keeps_the_event_name(program, bag):
+def test_added_topic_changes_type_not_event_name(program, bag):
     path = bag((SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
     folder = program("", "", '<subscribe_to name="in" msg_type="std_msgs/Float32" event="spot"/>')
     _, events, problems = run(folder, path, topics=[TopicType("/in", "my_msgs/Point")])
@@ -499,7 +492,7 @@ def test_added_topic_changes_the_type_and_keeps_the_event_name(program, bag):
     assert [event for event, _, _ in events] == ["spot(1.0)"]
 
 
-def test_first_entry_of_a_topic_counts_as_in_a_node(program, bag):
+def test_first_entry_of_topic_has_precedence(program, bag):
     path = bag((SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
     second = '<subscribe_to name="/in" msg_type="std_msgs/Float32"/>'
     _, events, problems = run(program("", "", IN + second), path)
@@ -508,29 +501,29 @@ def test_first_entry_of_a_topic_counts_as_in_a_node(program, bag):
     assert "topic /in is subscribed already in line 1, as my_msgs/Point" in problem
 
 
-class Waiting:
-    """A hundred thousand queries; it counts how many of them are looked at."""
+class PendingQueries:
+    """100,000 pending queries that count how many of them are read."""
 
     def __init__(self):
-        self.looked_at = 0
+        self.read_count = 0
 
     def __len__(self):
         return 100_000
 
     def __iter__(self):
-        question = SimpleNamespace(create_event=lambda values: atom("found"))
+        query = SimpleNamespace(create_event=lambda values: atom("found"))
         for order in range(len(self)):
-            self.looked_at += 1
-            yield order, question, (), None, None, []
+            self.read_count += 1
+            yield order, query, (), None, None, []
 
 
-def test_of_many_queries_that_wait_the_first_are_looked_at(monkeypatch):
-    engine, told, waiting = Engine(), [], Waiting()
+def test_number_of_recorded_queries_is_limited(monkeypatch):
+    engine, records, pending_queries = Engine(), [], PendingQueries()
     playback = SimpleNamespace(engine=engine, clock=SimpleNamespace(now=lambda: 5))
-    recorder = RunRecorder(playback, told.append)
-    monkeypatch.setattr(engine.knowledge, "pending_queries", waiting)
+    recorder = RunRecorder(playback, records.append)
+    monkeypatch.setattr(engine.knowledge, "pending_queries", pending_queries)
     recorder.update_waits()
-    assert waiting.looked_at == MAX_RECORDED_QUERIES
+    assert pending_queries.read_count == MAX_RECORDED_QUERIES
 
 
 def make_lagging_bag(bag, readings):
@@ -556,7 +549,7 @@ LAGGING_GOALS = "subscribe(alarm, [], _, alarms, a)\n"
 @pytest.mark.parametrize(
     ("delay", "alarm_count"), [(None, 0), (0, 1)], ids=["by the lag of the topic", "without delay"]
 )
-def test_alarm_of_bag_waits_for_messages_received_late(program, bag, delay, alarm_count):
+def test_alarm_waits_for_late_messages(program, bag, delay, alarm_count):
     folder = program(LAGGING_RULES, LAGGING_GOALS)
     readings = [(1_000_015, 1_000_000, 1.0), (1_000_505, 1_000_490, 2.0), (1_002_000, 1_001_980, 3.0)]
     with BagReader(make_lagging_bag(bag, readings)) as reader:

@@ -1,4 +1,4 @@
-"""Tasks in other processes: all are done, and a worker that dies costs none of them."""
+"""Tasks in worker processes and on Dask clusters: distribution, dead workers, and errors."""
 
 import os
 import subprocess
@@ -20,30 +20,33 @@ from retalis.playback.process_and_dask_pool import (
 pytestmark = pytest.mark.slow
 
 
-def test_tasks_are_shared_between_processes_that_end_with_them(tmp_path):
-    done = dict(run_in_processes(run_task, ["pid"] * 6, 2, str(tmp_path), pytest.fail))
-    assert sorted(done) == list(range(6))
-    assert os.getpid() not in done.values()
-    assert len(set(done.values())) <= 2
-    for process in set(done.values()):
+def test_tasks_are_divided_among_processes(tmp_path):
+    results = dict(run_in_processes(run_task, ["pid"] * 6, 2, str(tmp_path), pytest.fail))
+    assert sorted(results) == list(range(6))
+    assert os.getpid() not in results.values()
+    assert len(set(results.values())) <= 2
+    for process in set(results.values()):
         with pytest.raises(ProcessLookupError):
             os.kill(process, 0)
 
 
-def test_what_a_dead_worker_was_at_is_done_again_and_given_up_in_the_end(tmp_path):
-    lost = []
+def test_task_of_dead_worker_is_retried_up_to_limit(tmp_path):
+    deaths = []
     tasks = ["pid", "die always", "once a", "pid"]
-    done = dict(
-        run_in_processes(run_task, tasks, 2, str(tmp_path), lambda number, how: lost.append((number, how)))
+    results = dict(
+        run_in_processes(
+            run_task, tasks, 2, str(tmp_path), lambda number, cause: deaths.append((number, cause))
+        )
     )
-    assert done[1] == Unfinished(f"its worker died {MAX_WORKER_DEATHS} times, at last by SIGKILL")
-    assert done[2] == "once a"
-    assert isinstance(done[0], int) and isinstance(done[3], int)
-    assert sorted(lost) == [(1, "by SIGKILL")] * (MAX_WORKER_DEATHS - 1) + [(2, "by SIGKILL")]
+    assert results[1] == Unfinished(f"its worker died {MAX_WORKER_DEATHS} times, at last by SIGKILL")
+    assert results[2] == "once a"
+    assert isinstance(results[0], int)
+    assert isinstance(results[3], int)
+    assert sorted(deaths) == [(1, "by SIGKILL")] * (MAX_WORKER_DEATHS - 1) + [(2, "by SIGKILL")]
 
 
-def test_workers_end_where_nobody_waits_for_them_any_more():
-    """Their standard output is that of the process that is killed: it ends when the last of them has."""
+def test_workers_end_with_killed_parent():
+    """Workers inherit the standard output of the killed process: it is at its end if no worker is left."""
     script = (
         "import os, signal\n"
         "from worker_tasks import run_task\n"
@@ -53,36 +56,38 @@ def test_workers_end_where_nobody_waits_for_them_any_more():
         "        os.kill(os.getpid(), signal.SIGKILL)\n"
     )
     environment = {**os.environ, "PYTHONPATH": python_path(ROOT / "test")}
-    ran = subprocess.run([sys.executable, "-c", script], env=environment, stdout=subprocess.PIPE, timeout=60)
-    assert ran.returncode == -9
+    process = subprocess.run(
+        [sys.executable, "-c", script], env=environment, stdout=subprocess.PIPE, timeout=60
+    )
+    assert process.returncode == -9
 
 
 @pytest.fixture(scope="module")
 def distributed():
-    """Return the package, whose import sets the levels of loggers."""
+    """Return the package, imported before the state of loggers is compared: its import sets their levels."""
     return pytest.importorskip("distributed")
 
 
 @pytest.fixture(scope="module")
 def cluster(distributed):
     options = {"dashboard_address": None, "scheduler_kwargs": {"allowed_failures": 1}}
-    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=True, **options) as one:
-        yield one.scheduler_address
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=True, **options) as cluster:
+        yield cluster.scheduler_address
 
 
-def test_a_cluster_does_again_what_a_lost_worker_was_at(cluster, tmp_path):
-    done = dict(
+def test_cluster_retries_task_of_lost_worker(cluster, tmp_path):
+    results = dict(
         run_on_cluster(
             run_task_in_folder, [f"{task} in {tmp_path}" for task in ("once a", "pid", "die b")], cluster
         )
     )
-    assert done[0] == "once a"
-    assert isinstance(done[1], int)
-    assert isinstance(done[2], Unfinished)
-    assert done[2].reason.startswith("KilledWorker: ")
+    assert results[0] == "once a"
+    assert isinstance(results[1], int)
+    assert isinstance(results[2], Unfinished)
+    assert results[2].reason.startswith("KilledWorker: ")
 
 
-def test_a_scheduler_that_does_not_answer_is_an_error(monkeypatch, distributed):
+def test_unreachable_scheduler_is_an_error(monkeypatch, distributed):
     monkeypatch.setattr("retalis.playback.process_and_dask_pool._CONNECT_TIMEOUT_SECONDS", 0.2)
     with pytest.raises(UsageError, match="--scheduler tcp://127.0.0.1:1: no scheduler answers: "):
         list(run_on_cluster(run_task, ["pid"], "tcp://127.0.0.1:1"))
@@ -90,7 +95,7 @@ def test_a_scheduler_that_does_not_answer_is_an_error(monkeypatch, distributed):
         list(run_on_cluster(run_task, ["pid"], "nonsense://"))
 
 
-def test_the_package_for_clusters_is_named_where_it_is_missing(monkeypatch):
+def test_missing_distributed_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(UsageError, match="needs the Python package distributed"):
         list(run_on_cluster(run_task, ["pid"], "tcp://127.0.0.1:1"))

@@ -25,7 +25,7 @@ def make_sources(times_by_source, open_sources=None):
 
 
 @given(st.lists(st.lists(st.integers(0, 12), max_size=6), max_size=6))
-def test_merge_yields_each_message_in_order_of_time(times_by_source):
+def test_merge_sorts_messages_by_time(times_by_source):
     merged = list(merge_by_time(make_sources(times_by_source)))
     sources = [list(read()) for _, read in make_sources(times_by_source)]
     # A stable sort keeps messages with equal times in the order of their sources.

@@ -1,4 +1,4 @@
-"""Files of ROS 2 bags: as another reader reads them, and those that would take too much."""
+"""ROS 2 bags: comparison with the package rosbags, metadata, split bags, and definitions."""
 
 import struct
 
@@ -14,13 +14,15 @@ from retalis.playback.bag_locations import MergedBag  # noqa: E402
 
 SECOND = 10**9
 MODES = ["NONE", "FILE", "MESSAGE"]
-KINDS = [(storage, mode) for storage in getattr(rosbag2, "StoragePlugin", [None]) for mode in MODES]
+STORAGES_AND_MODES = [
+    (storage, mode) for storage in getattr(rosbag2, "StoragePlugin", [None]) for mode in MODES
+]
 if hasattr(rosbag2, "StoragePlugin"):  # an older version writes databases only
-    KINDS.append((rosbag2.StoragePlugin.MCAP, "STORAGE"))
+    STORAGES_AND_MODES.append((rosbag2.StoragePlugin.MCAP, "STORAGE"))
 
 
-def written(folder, storage, mode):
-    """Write a bag with the package ``rosbags``: 300 messages of three topics, each with its own size."""
+def write_bag(folder, storage, mode):
+    """Write a bag with the package ``rosbags``: 300 messages of different sizes on three topics."""
     options = {} if storage is None else {"version": 9, "storage_plugin": storage}
     writer = rosbag2.Writer(folder, **options)
     if mode != "NONE":
@@ -39,9 +41,9 @@ def written(folder, storage, mode):
     return folder
 
 
-@pytest.mark.parametrize(("storage", "mode"), KINDS)
-def test_bags_are_read_as_by_another_reader(tmp_path, storage, mode):
-    folder = written(tmp_path / "bag", storage, mode)
+@pytest.mark.parametrize(("storage", "mode"), STORAGES_AND_MODES)
+def test_records_equal_those_of_rosbags(tmp_path, storage, mode):
+    folder = write_bag(tmp_path / "bag", storage, mode)
     with rosbag2.Reader(folder) as reader:
         for start, stop in ((None, None), (40 * SECOND, 200 * SECOND)):
             expected = [
@@ -49,12 +51,12 @@ def test_bags_are_read_as_by_another_reader(tmp_path, storage, mode):
                 for connection, time, data in reader.messages(start=start, stop=stop)
             ]
             with MergedBag([folder]) as bags:
-                found = [
+                records = [
                     (record.topic.name, record.time, record.data[4:])
                     for record in bags.records(None, start, stop)
                 ]
-                assert found == expected
-                assert len(found) > 100
+                assert records == expected
+                assert len(records) > 100
                 assert (bags.start, bags.end) == (reader.start_time, reader.end_time - 1)
                 assert {topic.name: topic.messages for topic in bags.topics} == {
                     connection.topic: connection.msgcount for connection in reader.connections
@@ -88,7 +90,7 @@ def read(path):
     ],
     ids=range(10),
 )
-def test_metadata_that_is_wrong(tmp_path, text, expected):
+def test_invalid_metadata_is_an_error(tmp_path, text, expected):
     folder = folder_bag(tmp_path / "bag", "a.db3", "sqlite3")
     sqlite_bag(folder / "a.db3")
     assert [time for time, _ in read(folder)] == [1]
@@ -110,14 +112,14 @@ def test_metadata_that_is_wrong(tmp_path, text, expected):
     ],
     ids=range(5),
 )
-def test_metadata_in_each_form_that_is_written(tmp_path, text):
+def test_each_form_of_metadata_is_read(tmp_path, text):
     folder = folder_bag(tmp_path / "bag", "", "")
     sqlite_bag(folder / "a.db3")
     (folder / "metadata.yaml").write_text(f"rosbag2_bagfile_information:\n  {text}\n")
     assert [time for time, _ in read(folder)] == [1]
 
 
-def test_a_folder_with_several_files_is_one_bag(tmp_path):
+def test_folder_with_several_files_is_one_bag(tmp_path):
     folder = folder_bag(tmp_path / "bag", "b.mcap, a.mcap", "mcap")
     for name, second in (("b", 1), ("a", 2)):
         (folder / f"{name}.mcap").write_bytes(mcap([mcap_message(second)]))
@@ -173,7 +175,7 @@ def test_type_with_empty_definition_has_no_slots(tmp_path):
     assert (topic.type, topic.definition, data) == ("my_msgs/Go", "", b"")
 
 
-def test_type_without_schema_is_searched_in_installation(tmp_path, caplog):
+def test_type_without_schema_is_found_in_installation(tmp_path, caplog):
     path = tmp_path / "a.mcap"
     path.write_bytes(mcap([mcap_message(1)], topic=mcap_topic("my_msgs/msg/Go", "", "")))
     with MergedBag([path]) as bags:

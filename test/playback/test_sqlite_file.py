@@ -61,14 +61,14 @@ WRONG_SQLITE = [
 
 
 @pytest.mark.parametrize(("changes", "expected"), WRONG_SQLITE, ids=range(len(WRONG_SQLITE)))
-def test_databases_that_would_take_too_much(tmp_path, changes, expected):
+def test_malicious_database_is_an_error(tmp_path, changes, expected):
     path = sqlite_bag(tmp_path / "a.db3", **changes)
     with pytest.raises(BagError, match=expected):
         read(path)
 
 
-def test_a_table_whose_pages_are_named_again_and_again_ends(tmp_path):
-    """A tree of pages in which each page names the next one some hundred times has more rows than can be counted."""
+def test_repeated_pages_of_table_are_an_error(tmp_path):
+    """A tree of pages in which each page refers hundreds of times to the next one has an unlimited number of rows."""
     path = sqlite_bag(tmp_path / "a.db3", messages=[(second, HELLO) for second in range(20_000)])
     with closing(sqlite3.connect(str(path))) as database:
         (size,) = database.execute("PRAGMA page_size").fetchone()
@@ -76,14 +76,14 @@ def test_a_table_whose_pages_are_named_again_and_again_ends(tmp_path):
     pages = bytearray(path.read_bytes())
 
     def children(page):
-        """Return the places in which an interior page of a table names others."""
+        """Return the positions of the page numbers in an interior page of a table."""
         begin = (page - 1) * size
         assert pages[begin] == 5
         (cells,) = struct.unpack_from(">H", pages, begin + 3)
         offsets = struct.unpack_from(f">{cells}H", pages, begin + 12)
         return [*(begin + offset for offset in offsets), begin + 8]
 
-    # A copy of the root goes below itself, a few levels deep: each level multiplies the rows.
+    # Copies of the root are its own descendants, a few levels deep: each level multiplies the rows.
     levels = 6
     end = len(pages) // size
     original = bytes(pages[(root - 1) * size : root * size])
@@ -91,17 +91,17 @@ def test_a_table_whose_pages_are_named_again_and_again_ends(tmp_path):
         page = end + level + 1
         pages += original
         if level:
-            for place in children(page):
-                struct.pack_into(">I", pages, place, page - 1)
-    for place in children(root):
-        struct.pack_into(">I", pages, place, end + levels)
+            for position in children(page):
+                struct.pack_into(">I", pages, position, page - 1)
+    for position in children(root):
+        struct.pack_into(">I", pages, position, end + levels)
     struct.pack_into(">I", pages, 28, len(pages) // size)
     path.write_bytes(bytes(pages))
     with pytest.raises(BagError, match="its tables have more rows than a file of its size can hold"):
         read(path)
 
 
-def test_a_database_is_read_in_the_order_of_time_without_its_index(tmp_path):
+def test_database_without_index_is_sorted_by_time(tmp_path):
     tables = TABLES.replace("CREATE INDEX timestamp_idx ON messages (timestamp ASC);", "")
     path = sqlite_bag(tmp_path / "a.db3", tables, messages=[(3, HELLO), (1, HELLO), (2, HELLO)])
     assert [time for time, _ in read(path)] == [1, 2, 3]
@@ -111,7 +111,7 @@ def test_a_database_is_read_in_the_order_of_time_without_its_index(tmp_path):
     file.close()
 
 
-def test_a_reading_that_is_given_up_ends_after_its_file_was_closed(tmp_path, monkeypatch):
+def test_reading_can_end_after_file_is_closed(tmp_path, monkeypatch):
     unraisable = []
     monkeypatch.setattr(sys, "unraisablehook", unraisable.append)
     file = SqliteFile(sqlite_bag(tmp_path / "a.db3", messages=[(1, HELLO), (2, HELLO)]), ChunkLimit(1))
@@ -123,7 +123,7 @@ def test_a_reading_that_is_given_up_ends_after_its_file_was_closed(tmp_path, mon
     assert unraisable == []
 
 
-def test_a_large_database_is_read_with_a_large_limit(tmp_path):
+def test_large_database_is_read_with_large_limit(tmp_path):
     path = sqlite_bag(tmp_path / "a.db3")
     os.truncate(path, 3 << 30)  # a sparse file: its last pages are holes
     file = SqliteFile(path, ChunkLimit(4096))
@@ -135,7 +135,13 @@ def test_a_large_database_is_read_with_a_large_limit(tmp_path):
 
 
 def interrupted_bag(folder, stored, logged):
-    """Write a database with messages at some seconds, and with later ones in its log, as a killed recorder does."""
+    """Write the database of a killed recorder.
+
+    Args:
+        folder: the folder of the bag.
+        stored: seconds of the messages in the database.
+        logged: seconds of later messages in the write-ahead log.
+    """
     folder.mkdir()
     path = folder / "w.db3"
     with closing(sqlite3.connect(str(folder / "recording.db3"))) as database:
@@ -160,7 +166,7 @@ def digests(folder):
 
 
 @pytest.mark.parametrize("stored", [[1, 2], []])
-def test_write_ahead_log_is_read_and_nothing_written(tmp_path, stored):
+def test_write_ahead_log_is_read_without_writing(tmp_path, stored):
     path = interrupted_bag(tmp_path / "bag", stored, [3, 4, 5])
     before = digests(path.parent)
     assert sorted(before) == ["w.db3", "w.db3-wal"]

@@ -1,4 +1,4 @@
-"""Runs as Parquet files."""
+"""Tables of run records in Parquet files."""
 
 import sys
 
@@ -13,33 +13,33 @@ OUTPUT = {"output": "x(1)", "topic": "t", "id": None, "time": 1_500_000_000_000_
 WAIT = {"wait": "w", "memories": ["a", "b"], "start": 1, "end": 2}
 
 
-def test_rows_are_those_of_json(tmp_path, monkeypatch):
+def test_rows_have_values_of_records(tmp_path, monkeypatch):
     parquet = pytest.importorskip("pyarrow.parquet")
     monkeypatch.setattr(playback, "_ROW_GROUP_SIZE", 2)
     with RunTable(tmp_path / "run.parquet", events=True) as table:
         for line in (OUTPUT, WAIT, OUTPUT):
             table.write(line)
-    found = parquet.read_table(tmp_path / "run.parquet")
-    assert found.column("output").to_pylist() == ["x(1)", None, "x(1)"]
-    assert found.column("memories").to_pylist() == [None, ["a", "b"], None]
-    assert found.column("time").cast("int64").to_pylist() == [OUTPUT["time"], None, OUTPUT["time"]]
+    rows = parquet.read_table(tmp_path / "run.parquet")
+    assert rows.column("output").to_pylist() == ["x(1)", None, "x(1)"]
+    assert rows.column("memories").to_pylist() == [None, ["a", "b"], None]
+    assert rows.column("time").cast("int64").to_pylist() == [OUTPUT["time"], None, OUTPUT["time"]]
     assert parquet.ParquetFile(tmp_path / "run.parquet").num_row_groups == 2
 
 
-def test_each_field_of_a_record_has_a_column(tmp_path):
+def test_each_record_field_has_a_column(tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet")
     RunTable(tmp_path / "run.parquet", events=True).close()
     fields = {field for record_type in RECORD_TYPES.values() for field in record_type.__annotations__}
     assert set(parquet.read_table(tmp_path / "run.parquet").column_names) == fields
 
 
-def test_a_run_without_outputs_has_its_columns(tmp_path):
+def test_empty_table_has_columns(tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet")
     RunTable(tmp_path / "run.parquet", events=False).close()
     assert parquet.read_table(tmp_path / "run.parquet").column_names == ["output", "topic", "id", "time"]
 
 
-def test_the_package_is_named_where_it_is_missing(tmp_path, monkeypatch):
+def test_missing_pyarrow_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(BagError, match="writing Parquet needs the Python package pyarrow"):
         RunTable(tmp_path / "run.parquet", events=False)
