@@ -23,8 +23,7 @@ HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 
 from arguments import above_zero, interpreter, positive  # noqa: E402
-from comparison import measure  # noqa: E402
-from engine import CASES, MORE  # noqa: E402
+from engine import CASES, MORE, measure  # noqa: E402
 
 ROOT = HERE.parent
 TRIES = 4

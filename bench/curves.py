@@ -9,6 +9,7 @@ half of the sizes best (0: constant cost; 1: linear cost). ``bench/events.py`` m
 
 import argparse
 import json
+import math
 import sys
 import time
 from pathlib import Path
@@ -19,7 +20,6 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "src")]
 
 import workload as work  # noqa: E402
 from arguments import positive, target  # noqa: E402
-from fitting import exponent  # noqa: E402
 from processes import machine  # noqa: E402
 
 from retalis import Engine, Var, functor, limit_gc_pauses, make_list  # noqa: E402
@@ -27,6 +27,17 @@ from retalis import Engine, Var, functor, limit_gc_pauses, make_list  # noqa: E4
 SECOND = 10**9
 FEW = (1, 10, 40, 160, 640)
 Stream = Sequence[Tuple[Any, Optional[int]]]
+
+
+def exponent(points: Sequence[Tuple[float, float]]) -> float:
+    """Return b of the power law y = a * x**b that fits best; nan with fewer than two points."""
+    logs = [(math.log(x), math.log(y)) for x, y in points]
+    if len(logs) < 2:
+        return math.nan
+    middle_x = sum(x for x, _ in logs) / len(logs)
+    middle_y = sum(y for _, y in logs) / len(logs)
+    over = sum((x - middle_x) ** 2 for x, _ in logs)
+    return sum((x - middle_x) * (y - middle_y) for x, y in logs) / over
 
 
 class Curve(NamedTuple):

@@ -2,7 +2,7 @@
 """Cost of an event that completes one of many partial matches, for each operator and consumption policy.
 
     bench/events.py [--operator NAME ...] [--policy NAME ...] [--setting NAME ...] [--least N] [--most N]
-                    [--seconds S] [--half N] [--json FILE] [--plot PREFIX] [--from FILE ...] [--markdown]
+                    [--seconds S] [--json FILE] [--from FILE ...] [--markdown]
 
 The settings determine how the partial matches differ:
 
@@ -17,13 +17,13 @@ with N items (``bench/event_streams.py``).
 Operator ``rules`` has N rules; an event fits one that has fired before or, for ``rules_first``, one that has not. For
 ``expiry``, one of N partial matches expires at each event. The size of a cell grows from --least by factors of ten to
 --most, or until the next size would take longer than --seconds. The figures are the CPU time of processing terms,
-without parsing. Finally, --half N first halves of matches are fed to rules with and without bounds, and the memory of
-the process is measured; 0 omits that.
+without parsing.
 """
 
 import argparse
 import gc
 import json
+import math
 import random
 import statistics
 import sys
@@ -34,10 +34,9 @@ from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Se
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "src")]
 
-import event_memory  # noqa: E402
 import event_streams  # noqa: E402
-import event_tables  # noqa: E402
 from arguments import above_zero, existing, positive, target  # noqa: E402
+from curves import exponent  # noqa: E402
 
 from retalis import Engine, StreamClock, Term, atom, functor  # noqa: E402
 from retalis.events.dispatch.listeners import ListenerPhase  # noqa: E402
@@ -360,10 +359,103 @@ def run(options: argparse.Namespace) -> Dict[str, Any]:
     for name, policy, setting in cells(options):
         found = list(measure(name, policy, setting, options.most, options.seconds, options.least))
         rows += found
-        figures = " ".join(f"{row['waiting']}:{event_tables.per_result(row):.1f}" for row in found)
+        figures = " ".join(f"{row['waiting']}:{per_result(row):.1f}" for row in found)
         print(f"{setting} {name} {policy} {figures}", file=sys.stderr, flush=True)
-    memory = event_memory.measure_all(options.half) if options.half else {}
-    return {"python": sys.version.split()[0], "rows": rows, "memory": memory}
+    return {"python": sys.version.split()[0], "rows": rows}
+
+
+Rows = Sequence[Dict[str, Any]]
+
+
+def joined(files: Sequence[Path]) -> Dict[str, Any]:
+    """Return the combined figures of several files."""
+    figures: Dict[str, Any] = {"rows": []}
+    for file in files:
+        try:
+            found = json.loads(file.read_text())
+            figures["rows"] += found["rows"]
+            figures["python"] = found["python"]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise SystemExit(f"{file} has not the figures that --json writes: {error!r}") from error
+    return figures
+
+
+def plain(rows: Rows) -> Iterator[str]:
+    """Yield the lines of a table: microseconds per completing event, or per result if an event has many."""
+    sizes = sorted({row["waiting"] for row in rows})
+    yield f"{'setting':<8} {'operator':<19} {'policy':<15} " + " ".join(f"{size:>9}" for size in sizes)
+    for (setting, name, policy), found in _cells(rows).items():
+        figures = [f"{per_result(found[size]):9.1f}" if size in found else " " * 9 for size in sizes]
+        each = " a result" if any(row["results"] > 1 for row in found.values()) else ""
+        yield f"{setting:<8} {name:<19} {policy:<15} " + " ".join(figures) + f"  {_power(found)}{each}"
+
+
+def markdown(rows: Rows) -> Iterator[str]:
+    """Yield the lines of one table for each setting, in Markdown."""
+    for setting in dict.fromkeys(row["setting"] for row in rows):
+        mine = [row for row in rows if row["setting"] == setting]
+        if setting == "streams":
+            yield from _streams(mine)
+            continue
+        sizes = sorted({row["waiting"] for row in mine})
+        yield ""
+        yield "| operator | policy | " + " | ".join(f"{size:,}" for size in sizes) + " |"
+        yield "| --- | --- |" + " ---: |" * len(sizes)
+        for (_, name, policy), found in sorted(_cells(mine).items(), key=lambda item: _place(mine, item[0])):
+            figures = [_rounded(per_result(found[size])) if size in found else "" for size in sizes]
+            yield f"| `{name}` | `{policy}` | " + " | ".join(figures) + " |"
+
+
+def _streams(rows: Rows) -> Iterator[str]:
+    """Yield the lines of the table of windows, shapes, timers, states and the like."""
+    sizes = sorted({row["waiting"] for row in rows})
+    yield ""
+    yield "| row | what | " + " | ".join(f"{size:,}" for size in sizes) + " | exponent |"
+    yield "| --- | --- |" + " ---: |" * (len(sizes) + 1)
+    cells = {name: found for (_, name, _), found in _cells(rows).items()}
+    for name in [one for one in event_streams.STREAMS if one in cells]:
+        found = cells[name]
+        figures = [_rounded(per_result(found[size])) if size in found else "" for size in sizes]
+        yield (
+            f"| `{name}` | {event_streams.STREAMS[name].about} | "
+            + " | ".join(figures)
+            + f" | {_power(found)} |"
+        )
+
+
+def _power(found: Dict[int, Dict[str, Any]]) -> str:
+    """Return the exponent of a cost's growth from N = 100 on as text; empty if unknown."""
+    power = exponent([(size, per_result(row)) for size, row in found.items() if size >= 100])
+    return "" if math.isnan(power) else f"{power:.2f}"
+
+
+def keys(row: Dict[str, Any]) -> Tuple[str, str, str]:
+    """Return the key of a row."""
+    return row["setting"], row["operator"], row["policy"]
+
+
+def per_result(row: Dict[str, Any]) -> float:
+    """Return the microseconds per event, divided by its results if it has many."""
+    return float(row["us"]) / max(1, int(row["results"]))
+
+
+def _cells(rows: Rows) -> Dict[Tuple[str, str, str], Dict[int, Dict[str, Any]]]:
+    """Return the rows by key and by number of partial matches."""
+    found: Dict[Tuple[str, str, str], Dict[int, Dict[str, Any]]] = {}
+    for row in rows:
+        found.setdefault(keys(row), {})[row["waiting"]] = row
+    return found
+
+
+def _place(rows: Rows, cell: Tuple[str, str, str]) -> Tuple[int, int]:
+    """Return the sort key of a cell: operators in order of measurement, policies from the newest to all."""
+    names: List[str] = list(dict.fromkeys(row["operator"] for row in rows))
+    policies = ("recent", "recent_2", "chronological", "chronological_2", "unrestricted")
+    return names.index(cell[1]), policies.index(cell[2])
+
+
+def _rounded(figure: float) -> str:
+    return f"{figure:.1f}" if figure < 100 else f"{figure:,.0f}"
 
 
 def main(arguments: Optional[List[str]] = None) -> int:
@@ -378,7 +470,6 @@ def main(arguments: Optional[List[str]] = None) -> int:
     add("--least", type=positive, default=10, help="the smallest number that waits")
     add("--most", type=positive, default=10**5, help="the largest number that waits")
     add("--seconds", type=above_zero, default=2.0, help="how long the next size of a cell may take")
-    add("--half", type=int, default=10**6, help="how many half matches the memory is measured with")
     add("--markdown", action="store_true", help="print the tables as they stand in the documentation")
     add("--json", type=target, help="write the figures there")
     add(
@@ -388,20 +479,13 @@ def main(arguments: Optional[List[str]] = None) -> int:
         nargs="+",
         help="take the figures from there instead of measuring",
     )
-    add("--plot", type=target, help="draw plots into files whose names start so")
     options = parser.parse_args(arguments)
-    figures = event_tables.joined(options.sources) if options.sources else run(options)
-    table = event_tables.markdown if options.markdown else event_tables.plain
+    figures = joined(options.sources) if options.sources else run(options)
+    table = markdown if options.markdown else plain
     for line in table(figures["rows"]):
-        print(line)
-    for line in event_memory.lines(figures["memory"]):
         print(line)
     if options.json:
         options.json.write_text(json.dumps(figures, indent=1) + "\n")
-    if options.plot:
-        import event_plots
-
-        event_plots.draw(figures, str(options.plot))
     return 0
 
 

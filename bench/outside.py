@@ -30,8 +30,7 @@ HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "src")]
 
 from arguments import interpreter, positive, target  # noqa: E402
-from outside_sides import SIDES  # noqa: E402
-from outside_streams import STREAMS  # noqa: E402
+from outside_sides import SIDES, STREAMS  # noqa: E402
 
 from retalis import limit_gc_pauses  # noqa: E402
 

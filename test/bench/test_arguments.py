@@ -38,8 +38,8 @@ def test_a_wrong_argument_is_named(arguments, problem, tmp_path):
 
 @pytest.mark.slow
 def test_a_file_without_figures_is_named(tmp_path):
-    (tmp_path / "wrong.json").write_text('{"rows": []}')
+    (tmp_path / "wrong.json").write_text('{"python": "3.11"}')
     command = [sys.executable, str(BENCH / "events.py"), "--from", "wrong.json"]
     ran = subprocess.run(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     assert ran.returncode == 1
-    assert ran.stderr == "wrong.json has not the figures that --json writes: KeyError('memory')\n"
+    assert ran.stderr == "wrong.json has not the figures that --json writes: KeyError('rows')\n"

@@ -28,14 +28,14 @@ def events(monkeypatch):
 @pytest.mark.slow
 def test_every_cell_gives_figures(events, tmp_path, capsys):
     file = tmp_path / "figures.json"
-    assert events.main(["--most", "100", "--half", "0", "--json", str(file)]) == 0
+    assert events.main(["--most", "100", "--json", str(file)]) == 0
     rows = json.loads(file.read_text())["rows"]
     assert {row["operator"] for row in rows} == {*events.CASES, *events.MORE, *events.event_streams.STREAMS}
     assert {row["policy"] for row in rows} == {*events.POLICIES, ""}
     assert {row["waiting"] for row in rows} == {10, 100}
     assert all(row["us"] > 0 for row in rows)
     table = capsys.readouterr().out.splitlines()
-    assert len(table) == 1 + len({events.event_tables.keys(row) for row in rows})
+    assert len(table) == 1 + len({events.keys(row) for row in rows})
 
 
 @pytest.mark.slow
@@ -44,7 +44,7 @@ def test_figures_of_several_runs_make_one_table(events, tmp_path, capsys):
     for name, policy in (("seq", "unrestricted"), ("seq", "recent"), ("and", "recent")):
         files.append(str(tmp_path / f"{name}_{policy}.json"))
         which = ["--operator", name, "--policy", policy, "--setting", "alike", "--most", "10"]
-        events.main([*which, "--half", "0", "--json", files[-1]])
+        events.main([*which, "--json", files[-1]])
     capsys.readouterr()
     assert events.main(["--from", *files, "--markdown"]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -80,7 +80,7 @@ def test_rows_of_streams_do_what_they_are_about(events):
 @pytest.mark.slow
 def test_the_table_of_streams_has_exponents(events, capsys):
     which = ["--setting", "streams", "--operator", "last_avg", "--operator", "throttle", "--seconds", "300"]
-    assert events.main([*which, "--most", "1000", "--half", "0", "--markdown"]) == 0
+    assert events.main([*which, "--most", "1000", "--markdown"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[1] == "| row | what | 10 | 100 | 1,000 | exponent |"
     assert [line.split(" | ")[0] for line in lines[3:]] == ["| `last_avg`", "| `throttle`"]
@@ -103,34 +103,7 @@ def test_partners_wait_again_after_a_batch(events):
     assert bench.engine.rules.match_count == 10
 
 
-def test_bounds_hold_memory(events):
-    memory = importlib.import_module("event_memory")
-    number = memory.SECONDS + 200
-    waiting = {name: memory.feed(name, number)[-1][2] for name in ("no bound", "window")}
-    assert waiting["no bound"] == number
-    assert waiting["window"] <= memory.SECONDS + 1
-
-
-def test_a_row_for_each_bound(events):
-    memory = importlib.import_module("event_memory")
-    figures = {"window": [[0, 10**6, 0], [100, 3 * 10**6, 50]]}
-    assert list(memory.lines(figures))[1].split() == ["window", "100", "50", "2.0"]
-
-
 def test_fitted_exponents(events):
-    fitting = importlib.import_module("fitting")
-    assert fitting.exponent([(100, 10.0), (1000, 100.0), (10000, 1000.0)]) == pytest.approx(1.0)
-    assert fitting.exponent([(1, 5.0), (10, 5.0)]) == pytest.approx(0.0)
-    assert math.isnan(fitting.exponent([(1, 5.0)]))
-
-
-def test_plots_are_drawn(events, tmp_path):
-    pytest.importorskip("matplotlib")
-    plots = importlib.import_module("event_plots")
-    rows = [
-        row for size in ("recent", "unrestricted") for row in events.measure("seq", size, "values", 100, 1.0)
-    ]
-    memory = {"no bound": [[0, 0, 0], [10, 1000, 10]]}
-    files = plots.draw({"rows": rows, "memory": memory}, str(tmp_path / "plot"))
-    assert len(files) == 2
-    assert all(Path(file).stat().st_size for file in files)
+    assert events.exponent([(100, 10.0), (1000, 100.0), (10000, 1000.0)]) == pytest.approx(1.0)
+    assert events.exponent([(1, 5.0), (10, 5.0)]) == pytest.approx(0.0)
+    assert math.isnan(events.exponent([(1, 5.0)]))

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 BENCH = Path(__file__).resolve().parents[2] / "bench"
-MODULES = ("outside", "outside_sides", "outside_streams")
+MODULES = ("outside", "outside_sides")
 EVENTS = 1500
 
 
@@ -18,7 +18,7 @@ def outside(monkeypatch):
     """The module; of its sequences only a hundred are open at a time."""
     monkeypatch.setattr(sys, "path", [str(BENCH), *sys.path])
     found = importlib.import_module("outside")
-    monkeypatch.setattr(importlib.import_module("outside_streams"), "WAITING", 100)
+    monkeypatch.setattr(importlib.import_module("outside_sides"), "WAITING", 100)
     yield found
     for name in MODULES:
         sys.modules.pop(name, None)

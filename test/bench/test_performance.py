@@ -9,17 +9,7 @@ import pytest
 from retalis.foundation.garbage_collection import stop_limiting_gc_pauses
 
 ROOT = Path(__file__).resolve().parents[2]
-MODULES = (
-    "comparison",
-    "curves",
-    "engine",
-    "fitting",
-    "offline",
-    "performance",
-    "processes",
-    "renamed",
-    "workload",
-)
+MODULES = ("curves", "engine", "offline", "performance", "processes", "workload")
 
 
 @pytest.fixture
@@ -42,9 +32,9 @@ def test_a_case_is_one_line(bench, capsys, monkeypatch):
 
 
 def test_other_names_are_the_same_work(bench):
-    engine, work, renamed = bench("engine"), bench("workload"), bench("renamed")
+    engine, work = bench("engine"), bench("workload")
     streams = [work.nao_stream(3), work.nao_stream(3, other_names=True)]
-    assert [renamed.renamed(item.term) for item in streams[0]] == [item.term for item in streams[1]]
+    assert [work.renamed(item.term) for item in streams[0]] == [item.term for item in streams[1]]
     counts = []
     for other in (False, True):
         machine = work.nao_engine(other)
@@ -56,12 +46,12 @@ def test_other_names_are_the_same_work(bench):
 
 
 def test_no_old_name_is_left(bench):
-    renamed = bench("renamed")
+    work = bench("workload")
     text = "\n".join(
-        renamed.renamed_program((ROOT / "application_source" / "eventRules.txt").read_text(encoding="utf-8"))
+        work.renamed_program((ROOT / "application_source" / "eventRules.txt").read_text(encoding="utf-8"))
     )
     assert "robot__0__Link(" in text
-    for name, _ in renamed.NAMES:
+    for name, _ in work.NAMES:
         assert f" {name}(" not in f" {text}".replace("(", " (").replace(" (", "(")
 
 

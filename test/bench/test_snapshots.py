@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-MODULES = ("alternating", "comparison", "engine", "processes", "renamed", "snapshots", "workload")
+MODULES = ("alternating", "engine", "processes", "snapshots", "workload")
 
 
 @pytest.fixture

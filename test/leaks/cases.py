@@ -1,28 +1,15 @@
-#!/usr/bin/env python3
-"""Memory leaks: growth of the process over many rounds of adding and removing things, one line for each case.
+"""Things that are added and removed again, and things that occur once: one case for each.
 
-    bench/leaks.py [CASE ...] [--rounds N]
-
-A tenth of the rounds run first, to fill the caches. Then the growth of the process and of the number of Python
-objects is measured over N rounds: ``case NAME rounds N mb_before MB mb_after MB bytes_per_round B``.
+A case sets up what its rounds need and returns a function that executes the round of a number.
 """
 
-import argparse
-import gc
 import struct
-import sys
-from pathlib import Path
-from typing import Any, Callable, Dict, List, Tuple
+from typing import Any, Callable, Dict
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path[:0] = [str(ROOT / "bench"), str(ROOT / "src")]
-
-from arguments import positive  # noqa: E402
-
-from retalis import Definitions, Engine, Operators, Reports, RetalisError, Settings, atom, functor  # noqa: E402
-from retalis.messages.type_registry import InstalledTypes  # noqa: E402
-from retalis.prolog.syntax.event_text import EventReader, event_text, to_text  # noqa: E402
-from retalis.prolog.syntax.term_reader import read_term  # noqa: E402
+from retalis import Definitions, Engine, Operators, Reports, RetalisError, Settings, atom, functor
+from retalis.messages.type_registry import InstalledTypes
+from retalis.prolog.syntax.event_text import EventReader, event_text, to_text
+from retalis.prolog.syntax.term_reader import read_term
 
 Round = Callable[[int], Any]
 CASES: Dict[str, Callable[[], Round]] = {}
@@ -51,7 +38,7 @@ def goals(*texts: str, rules: str = "") -> Round:
     return do
 
 
-# ---- what is added and deleted ----
+# ---- things that are added and deleted ----
 
 
 @case
@@ -221,7 +208,7 @@ def refused_rule_files() -> Round:
     return do
 
 
-# ---- what comes once and never again ----
+# ---- things that occur once ----
 
 
 @case
@@ -364,48 +351,3 @@ def message_texts() -> Round:
         event_text(to_text(term), number * 10**9)
 
     return do
-
-
-# ---- measuring ----
-
-
-def resident() -> int:
-    """Return the resident bytes of the process."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * 4096
-
-
-def measure(name: str, rounds: int) -> Tuple[int, int]:
-    """Return the bytes of the process before and after some rounds of a case."""
-    do = CASES[name]()
-    first = max(1, rounds // 10)
-    for number in range(1, first):
-        do(number)
-    gc.collect()
-    before = resident()
-    for number in range(first, first + rounds):
-        do(number)
-    gc.collect()
-    return before, resident()
-
-
-def main(arguments: List[str]) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("cases", nargs="*", metavar="CASE", help=", ".join(CASES))
-    parser.add_argument("--rounds", type=positive, default=100_000)
-    given = parser.parse_args(arguments)
-    unknown = set(given.cases) - set(CASES)
-    if unknown:
-        parser.error(f"there is no case {', '.join(sorted(unknown))}")
-    for name in given.cases or CASES:
-        before, after = measure(name, given.rounds)
-        print(
-            f"case {name} rounds {given.rounds} mb_before {before / 1e6:.1f} mb_after {after / 1e6:.1f} "
-            f"bytes_per_round {(after - before) / given.rounds:.1f}",
-            flush=True,
-        )
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,1 @@
+"""Search for memory leaks: objects that many rounds of adding and removing things leave behind."""
