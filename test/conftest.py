@@ -14,6 +14,7 @@ import pytest
 
 import retalis.events.language.event_operators  # noqa: F401 -- adds its operators to those of Prolog
 from retalis import Definitions
+from retalis.foundation import garbage_collection
 
 pytest_plugins = ["process_state", "random_order"]
 
@@ -24,6 +25,29 @@ MAX_PROCESSES = 8
 
 GC_THRESHOLDS = (700, 10, 100)
 """Thresholds of the garbage collector: those of Python, except that all objects are visited a tenth as often."""
+
+
+class FrozenCollector:
+    """The garbage collector for commands in the process of the tests, without collecting, freezing and unfreezing.
+
+    `limit_gc_pauses` collects all garbage twice, and undoing it unfreezes the million objects of the tests' modules.
+    Each command would visit these objects, which takes a second for work of 0.05 s. Settings and callbacks are those
+    of the process. The tests of the garbage collector use the real one.
+    """
+
+    def __getattr__(self, name):
+        return getattr(gc, name)
+
+    def collect(self):
+        return 0
+
+    def freeze(self):
+        pass
+
+    unfreeze = freeze
+
+
+garbage_collection.gc = FrozenCollector()
 
 try:
     import lark  # noqa: F401 - sets its logger when it is imported, which a test must not change

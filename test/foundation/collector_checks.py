@@ -1,0 +1,147 @@
+"""Tests of the garbage collector's settings, in a process without the objects of other tests."""
+
+import gc
+import sys
+import weakref
+
+import pytest
+
+from retalis import Engine, collect_when_idle, limit_gc_pauses, restore_gc
+from retalis.events.matches.interval_index import gc_paused
+from retalis.foundation import garbage_collection
+from retalis.foundation.garbage_collection import YoungCollector
+
+
+class Linked:
+    """An object in a reference cycle of its own."""
+
+    def __init__(self):
+        self.itself = self
+
+
+def settings():
+    return gc.get_threshold(), len(gc.callbacks)
+
+
+@pytest.fixture(autouse=True)
+def _as_before(monkeypatch):
+    monkeypatch.setattr(garbage_collection, "gc", gc)
+    thresholds = gc.get_threshold()
+    gc.unfreeze()
+    gc.set_threshold(700, 10, 10)
+    yield
+    restore_gc()
+    gc.collect()
+    gc.freeze()  # as all tests begin
+    gc.set_threshold(*thresholds)
+
+
+@pytest.fixture
+def _limited():
+    limit_gc_pauses()
+
+
+def test_what_is_loaded_is_not_walked_again():
+    before = settings()
+    limit_gc_pauses()
+    limit_gc_pauses()
+    assert gc.get_freeze_count() > 10_000
+    assert gc.get_threshold()[0] > 700
+    restore_gc()
+    restore_gc()
+    assert gc.get_freeze_count() == 0
+    assert settings() == before
+
+
+def test_an_engine_leaves_the_collector_alone():
+    before = settings()
+    engine = Engine()
+    engine.load(rules="fever(X) <- hot(X) seq hot(X).")
+    for number in range(2000):
+        engine.event(f"hot({number})", number)
+    assert settings() == before
+    assert gc.get_freeze_count() == 0
+
+
+@pytest.mark.usefixtures("_limited")
+def test_a_collection_walks_a_bounded_number_of_objects_however_many_are_alive():
+    walked = []
+
+    def look(phase, info):
+        if phase == "start" and info["generation"]:
+            walked.append(len(gc.get_objects()))
+
+    gc.callbacks.append(look)
+    try:
+        alive = [[number] for number in range(300_000)]
+    finally:
+        gc.callbacks.remove(look)
+    assert len(alive) == 300_000
+    assert len(walked) > 3
+    assert max(walked) < 70_000
+
+
+@pytest.mark.usefixtures("_limited")
+def test_cycles_that_become_garbage_soon_are_collected():
+    freed = []
+    for _ in range(1000):
+        weakref.finalize(Linked(), freed.append, None)
+    alive = [[number] for number in range(50_000)]
+    assert len(alive) == 50_000
+    assert len(freed) == 1000
+
+
+def late_garbage():
+    """Return finalizers of cycles that were frozen before they became garbage."""
+    frozen = [Linked() for _ in range(100_000)]
+    finalizers = [weakref.finalize(one, int) for one in frozen[:20_000]]
+    del frozen
+    assert all(one.alive for one in finalizers)
+    return finalizers
+
+
+@pytest.mark.usefixtures("_limited")
+def test_cycles_that_become_garbage_late_are_collected_when_idle(monkeypatch):
+    assert not collect_when_idle()
+    finalizers = late_garbage()
+    monkeypatch.setattr(YoungCollector, "MAX_GARBAGE_BLOCKS_IDLE", -(10**9))
+    assert collect_when_idle()
+    assert not any(one.alive for one in finalizers)
+    assert gc.get_freeze_count() > 10_000
+
+
+@pytest.mark.usefixtures("_limited")
+def test_cycles_that_become_garbage_late_are_collected_at_work_when_the_heap_has_grown(monkeypatch):
+    finalizers = late_garbage()
+    monkeypatch.setattr(YoungCollector, "MAX_GARBAGE_BLOCKS", -(10**9))
+    alive = []
+    while any(one.alive for one in finalizers):
+        alive += [[number] for number in range(10_000)]
+        assert len(alive) < 1_000_000
+    assert gc.get_freeze_count() > 10_000  # what is left is frozen again
+    assert gc.get_threshold()[2] > 0
+
+
+@pytest.mark.usefixtures("_limited")
+def test_the_records_of_engines_explain_the_growth_of_the_heap(monkeypatch):
+    monkeypatch.setattr(YoungCollector, "BLOCKS_PER_RECORD", 40)
+    engine = Engine()
+    engine.load(rules="fever(X) <- hot(X) seq cold(X).")
+    limit_gc_pauses()
+    # The limit is a quarter of the heap and these blocks; other tests may have left a large heap.
+    monkeypatch.setattr(YoungCollector, "MAX_GARBAGE_BLOCKS_IDLE", 20_000 - sys.getallocatedblocks() // 4)
+    for number in range(100_000):
+        engine.event(f"hot({number})", number)
+    assert not collect_when_idle()
+    monkeypatch.setattr(YoungCollector, "BLOCKS_PER_RECORD", 0)
+    assert collect_when_idle()
+
+
+def test_paused_while_something_is_built_and_as_before_then():
+    assert gc.isenabled()
+    with gc_paused():
+        assert not gc.isenabled()
+        with gc_paused():
+            pass
+        assert not gc.isenabled()
+    assert gc.isenabled()
