@@ -8,6 +8,6 @@ for number in (signal.SIGINT, signal.SIGTERM):
         number, signal.SIG_DFL
     )  # until all is imported: nothing is there yet that would have to be ended
 
-from retalis.ros1.interface_node import main  # noqa: E402
+from retalis.ros1.ros_interface_node import main  # noqa: E402
 
 raise SystemExit(main())

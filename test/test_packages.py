@@ -1,6 +1,7 @@
 """Structure of the package: imports go one way, between packages and between modules."""
 
 import ast
+import re
 from collections import Counter
 
 import pytest
@@ -150,3 +151,40 @@ def test_tests_mirror_the_packages():
 
 def test_picture_shows_the_imports():
     assert packages.PICTURE.read_text(encoding="utf-8") == packages.picture(), "run docs/packages.py"
+
+
+def imports_of_scripts():
+    """Yield the imports of the package by files outside it: file, module and name."""
+    scripts = [
+        path for folder in ("bench", "docs", "examples", "nodes") for path in (ROOT / folder).rglob("*")
+    ]
+    for path in [*scripts, *ROOT.glob("*.py")]:
+        if path.is_file() and "_build" not in path.parts and is_python(path):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("retalis"):
+                    for alias in node.names:
+                        yield path.relative_to(ROOT).as_posix(), node.module, alias.name
+
+
+def is_python(path):
+    """Return whether a file is a Python script."""
+    if path.suffix:
+        return path.suffix == ".py"
+    return path.read_bytes().startswith(b"#!/usr/bin/env python")
+
+
+SCRIPT_IMPORTS = sorted(set(imports_of_scripts()))
+
+
+def test_imports_of_nodes_are_checked():
+    assert {path for path, _, _ in SCRIPT_IMPORTS} >= {
+        f"nodes/{name}" for name in ("retalis", "retalis_node")
+    }
+
+
+@pytest.mark.parametrize(("path", "module", "name"), SCRIPT_IMPORTS)
+def test_names_imported_by_scripts_exist(path, module, name):
+    folder = ROOT / "src" / module.replace(".", "/")
+    source = folder / "__init__.py" if folder.is_dir() else folder.with_suffix(".py")
+    is_submodule = (folder / name).is_dir() or (folder / f"{name}.py").is_file()
+    assert is_submodule or re.search(rf"\b{name}\b", source.read_text(encoding="utf-8"))
