@@ -1,19 +1,12 @@
-"""Package metadata for catkin and pip; name, version and authors are read from package.xml."""
+"""Stub for catkin, with the parts of the metadata that `pyproject.toml` cannot express: the README without links to
+files, and the files outside the package with their folders.
+"""
 
 import os
 import re
 from pathlib import Path
-from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
-
-KINDS = ("*.pl", "*.bash", "*.fish", "_retalis", "page/*.*", "py.typed")
-DATA = [path for kind in KINDS for path in sorted(Path("src/retalis").rglob(kind))]
-LAYOUT = {
-    "packages": find_packages("src"),
-    "package_dir": {"": "src"},
-    "package_data": {"retalis": [str(path.relative_to("src/retalis")) for path in DATA]},
-}
 
 SHARED = ("application_source", "examples/nao", "examples/cookbook")
 """Folders that the commands ``demo`` and ``help`` read; `CMakeLists.txt` installs them for catkin."""
@@ -24,21 +17,17 @@ PAGES = ("explanation", "how-to", "reference", "tutorials")
 SITE = "docs/_build/html"
 """Documentation site, which ``./install.py docs`` builds; a wheel contains it if it exists."""
 
-EXTRAS = {
-    "dashboard": ["tornado>=6"],
-    "plot": ["matplotlib"],
-    "dask": ["distributed"],
-    "s3": ["fsspec", "s3fs"],
-    "parquet": ["pyarrow"],
-}
+COMPLETIONS = [
+    ("share/bash-completion/completions", ["src/retalis/cli/retalis.bash"]),
+    ("share/zsh/site-functions", ["src/retalis/cli/_retalis"]),
+    ("share/fish/vendor_completions.d", ["src/retalis/cli/retalis.fish"]),
+]
+
+_IMAGE = re.compile(r"!\[([^\]]*)\]\([^)]*\)")
+_LINK = re.compile(r"\[([^\]]*)\]\((?!https?://|#)[^)]*\)")
 
 
-def shared() -> list:
-    """Return the files of the examples and their folders in an installation."""
-    return [entry for folder in SHARED for entry in placed(folder, f"share/retalis/{folder}")]
-
-
-def placed(source: str, target: str, suffix: str = "") -> list:
+def place_files(source: str, target: str, suffix: str = "") -> list:
     """Return the files of a folder and its subfolders, and their folders in an installation.
 
     Args:
@@ -58,38 +47,15 @@ def placed(source: str, target: str, suffix: str = "") -> list:
     ]
 
 
-CLASSIFIERS = [
-    "Development Status :: 5 - Production/Stable",
-    "Environment :: Console",
-    "Intended Audience :: Developers",
-    "Intended Audience :: Science/Research",
-    "License :: OSI Approved :: GNU General Public License v3 or later (GPLv3+)",
-    "Operating System :: POSIX :: Linux",
-    "Programming Language :: Prolog",
-    "Programming Language :: Python :: 3",
-    "Programming Language :: Python :: 3.8",
-    "Programming Language :: Python :: 3.11",
-    "Programming Language :: Python :: 3.12",
-    "Programming Language :: Python :: 3.13",
-    "Programming Language :: Python :: Implementation :: CPython",
-    "Topic :: Scientific/Engineering :: Artificial Intelligence",
-    "Topic :: Software Development :: Interpreters",
-    "Typing :: Typed",
-]
-
-KEYWORDS = [
-    "ROS",
-    "robotics",
-    "complex event processing",
-    "CEP",
-    "stream reasoning",
-    "Prolog",
-    "rules",
-    "events",
-]
-
-_IMAGE = re.compile(r"!\[([^\]]*)\]\([^)]*\)")
-_LINK = re.compile(r"\[([^\]]*)\]\((?!https?://|#)[^)]*\)")
+def find_data_files() -> list:
+    """Return the files outside the package: examples, pages, site and completions."""
+    shared = [entry for folder in SHARED for entry in place_files(folder, f"share/retalis/{folder}")]
+    pages = [
+        entry
+        for folder in PAGES
+        for entry in place_files(f"docs/{folder}", f"share/retalis/docs/{folder}", ".md")
+    ]
+    return [*shared, *pages, *place_files(SITE, "share/retalis/docs/html"), *COMPLETIONS]
 
 
 def long_description() -> str:
@@ -99,42 +65,6 @@ def long_description() -> str:
     """
     text = Path("README.md").read_text(encoding="utf-8")
     return _LINK.sub(r"\1", _IMAGE.sub(r"*(Image: \1)*", text))
-
-
-def described() -> dict:
-    """Return the metadata for pip."""
-    manifest = ElementTree.parse("package.xml").getroot()
-    urls = {str(url.get("type")).capitalize(): str(url.text) for url in manifest.findall("url")}
-    return {
-        "name": manifest.findtext("name"),
-        "version": manifest.findtext("version"),
-        "author": manifest.findtext("author"),
-        "maintainer": manifest.findtext("maintainer"),
-        "url": manifest.findtext("url"),
-        "project_urls": urls,
-        "license": manifest.findtext("license"),
-        "classifiers": CLASSIFIERS,
-        "keywords": KEYWORDS,
-        "description": " ".join(str(manifest.findtext("description")).split()),
-        "long_description": long_description(),
-        "long_description_content_type": "text/markdown",
-        "python_requires": ">=3.8",
-        "install_requires": Path("requirements.txt").read_text(encoding="utf-8").split(),
-        "extras_require": EXTRAS,
-        "entry_points": {"console_scripts": ["retalis = retalis.__main__:main"]},
-        "data_files": [
-            *shared(),
-            *placed(SITE, "share/retalis/docs/html"),
-            *[
-                entry
-                for folder in PAGES
-                for entry in placed(f"docs/{folder}", f"share/retalis/docs/{folder}", ".md")
-            ],
-            ("share/bash-completion/completions", ["src/retalis/cli/retalis.bash"]),
-            ("share/zsh/site-functions", ["src/retalis/cli/_retalis"]),
-            ("share/fish/vendor_completions.d", ["src/retalis/cli/retalis.fish"]),
-        ],
-    }
 
 
 def is_for_catkin() -> bool:
@@ -148,6 +78,23 @@ def is_for_catkin() -> bool:
 if is_for_catkin():
     from catkin_pkg.python_setup import generate_distutils_setup
 
-    setup(**generate_distutils_setup(**LAYOUT))
+    # The setuptools of Ubuntu 20.04 do not read the layout in `pyproject.toml`.
+    data = [
+        path.relative_to("src/retalis").as_posix()
+        for path in Path("src/retalis").rglob("*")
+        if path.is_file() and path.suffix != ".py" and "__pycache__" not in path.parts
+    ]
+    setup(
+        **generate_distutils_setup(
+            packages=find_packages("src"),
+            package_dir={"": "src"},
+            package_data={"retalis": data},
+            long_description=long_description(),
+        )
+    )
 else:
-    setup(**described(), **LAYOUT)
+    setup(
+        long_description=long_description(),
+        long_description_content_type="text/markdown",
+        data_files=find_data_files(),
+    )

@@ -10,6 +10,7 @@ import zipfile
 from email.parser import Parser
 from pathlib import Path
 from types import SimpleNamespace
+from xml.etree import ElementTree
 
 import pytest
 
@@ -93,6 +94,21 @@ def installed(built, tmp_path_factory):
     return there
 
 
+def test_metadata_agrees_with_package_manifest():
+    manifest = ElementTree.parse(ROOT / "package.xml").getroot()
+    metadata = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    for name in ("name", "version"):
+        assert re.findall(f'(?m)^{name} = "(.*)"$', metadata) == [manifest.findtext(name)]
+    for fact in (
+        manifest.findtext("license"),
+        manifest.findtext("author"),
+        manifest.find("maintainer").get("email"),
+    ):
+        assert f'"{fact}"' in metadata
+    for url in manifest.iterfind("url"):
+        assert f'{url.get("type").capitalize()} = "{url.text}"' in metadata
+
+
 def test_the_archive_has_what_it_is_built_from(built):
     with tarfile.open(built.archive) as found:
         names = {name.partition("/")[2] for name in found.getnames()}
@@ -121,7 +137,7 @@ def test_the_wheel_has_the_package_and_the_example(built):
         for path in (ROOT / folder).iterdir():
             if path.is_file() and path.suffix != ".bag":
                 assert any(name.endswith(f"/share/retalis/{folder}/{path.name}") for name in names)
-    assert told["Author"] and told["Maintainer"] and told["Description-Content-Type"] == "text/markdown"
+    assert told["Author"] and told["Maintainer-email"] and told["Description-Content-Type"] == "text/markdown"
     assert (told.get_payload() or told["Description"]).lstrip().startswith("# retalis")
     assert set(told.get_all("Provides-Extra")) == {"dashboard", "dask", "parquet", "plot", "s3"}
     assert told["Requires-Python"] == ">=3.8"
