@@ -16,6 +16,7 @@ ORDER = (
     "prolog.machine",
     "prolog.compiler",
     "prolog.database",
+    "prolog.files",
     "prolog.builtins",
     "prolog.system",
     "prolog.swi",

@@ -473,7 +473,7 @@ def test_what_is_swapped_before_it_is_opened_is_not_read(place, monkeypatch, goa
         return real(opened, *arguments, **named)
 
     with monkeypatch.context() as patch:
-        patch.setattr(f"retalis.events.program.file_sandbox.os.{hook}", swapping)
+        patch.setattr(f"retalis.prolog.files.file_sandbox.os.{hook}", swapping)
         text = told(lambda: engine.call(GOALS[goal]("sub/in.pl")))
     assert calls
     assert "No permission to open source_sink" in text
@@ -499,7 +499,7 @@ def test_what_is_swapped_before_it_is_opened_is_not_written(place, monkeypatch, 
         return real(opened, *arguments, **named)
 
     with monkeypatch.context() as patch:
-        patch.setattr("retalis.events.program.file_sandbox.os.open", swapping)
+        patch.setattr("retalis.prolog.files.file_sandbox.os.open", swapping)
         persistent(place, write_folders=(folder,))
     assert calls  # and nothing outside has changed
 

@@ -38,7 +38,7 @@ GROUPS = {
         "prolog/machine/resource_limits.py",
         "engine/runtime/watchdog.py",
     ),
-    "files": ("events/program/file_sandbox.py", "events/program/file_and_library_names.py"),
+    "files": ("prolog/files/file_sandbox.py", "prolog/files/source_files.py"),
 }
 """Paths below ``src/retalis`` that matter most, by subject. Each subject gives the same number of mutants."""
 

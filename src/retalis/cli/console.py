@@ -24,8 +24,8 @@ from ..events.rules.event_input_predicates import event_of
 from ..foundation.errors import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError, printable
 from ..foundation.garbage_collection import limit_gc_pauses
 from ..foundation.output_files import print_json
+from ..prolog.builtins.tracer import Tracer
 from ..prolog.syntax.term_reader import ReadTerm
-from ..prolog.system.prolog_system import Tracer
 from ..prolog.terms.list_terms import list_items
 from ..prolog.terms.types import COMMA, Atom, String, Term, Var, deref, functor
 from .command_options import add_limits, apply_limits
@@ -495,7 +495,7 @@ class Console:
         logic = self.logic
         saved_outputs = logic.output, logic.error_output
         # The trace goes to stderr, so that the answers can be piped.
-        tracer = Tracer(logic, lambda line: print(line, file=sys.stderr))
+        tracer = Tracer(logic.machine, lambda line: print(line, file=sys.stderr))
         try:
             with tracer.on() if is_traced else nullcontext():
                 print_solutions = self._print_json_solutions if self._as_json else self._print_solutions

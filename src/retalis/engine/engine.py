@@ -32,6 +32,7 @@ from ..foundation.errors import RetalisError, UsageError, format_count
 from ..foundation.garbage_collection import count_records_of
 from ..messages.message_notation import SlotNames
 from ..messages.type_registry import Definitions
+from ..prolog.files.source_files import SourceFiles
 from ..prolog.machine.resource_limits import MEGABYTE
 from ..prolog.swi.use_swi import define_use_swi
 from ..prolog.syntax.operators import Operators
@@ -156,12 +157,21 @@ class Engine:
     ):
         self.clock: Clock = StreamClock(follows_events=True) if clock is None else clock
         self.settings = settings = Settings() if settings is None else settings
-        self.logic = PrologSystem()
-        self.slots = self.logic.operators.message_types = SlotNames(definitions)
-        self._budget = budget = self.logic.machine.budget
-        self.logic.limits = settings.limits
-        self.logic.allow_flags = settings.allow_flags
-        self.logic.now = self.clock.now
+        self.slots = SlotNames(definitions)
+        self._files = SourceFiles()
+        self._files.sandbox.allow(
+            settings.folders, settings.write_folders, settings.max_file_megabytes * MEGABYTE
+        )
+        self.logic = PrologSystem(
+            Operators.prolog(self.slots),
+            limits=settings.limits,
+            now=self.clock.now,
+            files=self._files,
+            # Python modules can read the environment anyway, so goals may read it, too.
+            environment=os.environ if settings.allow_foreign else None,
+            allow_flags=settings.allow_flags,
+        )
+        budget = self.logic.machine.budget
         self.dispatcher = Dispatcher(self.logic, max_depth=settings.max_depth)
         self.reports = reports = Reports() if reports is None else reports
         # Rules and knowledge depend on each other. The rules receive functions that look up the knowledge when they
@@ -170,16 +180,13 @@ class Engine:
             self.logic,
             self.dispatcher,
             self.clock,
+            self._files,
             on_error=reports.error,
             on_warning=reports.warning,
             on_reset=lambda past: self.knowledge.reset(past),
             is_external_event=lambda key: key in OWN_EVENTS or key.name in self.slots.events,
         )
         declared = self.rules.declared_events
-        self._files = self.rules.files
-        self._files.sandbox.allow(
-            settings.folders, settings.write_folders, settings.max_file_megabytes * MEGABYTE
-        )
         self.knowledge = KnowledgeBase(
             self.logic,
             self.dispatcher,
@@ -249,9 +256,6 @@ class Engine:
         define_new_event(self.logic, self.dispatcher)
         self.input_topics = InputTopics(self.logic, self.slots, reports)
         define_use_foreign(self.logic, self.executor, self._files, settings.allow_foreign)
-        # Python modules can read the environment anyway, so goals may read it, too.
-        if settings.allow_foreign:
-            self.logic.environment = os.environ
         define_use_swi(self.logic, self._files, settings.allow_swi, reports.warning)
 
     # ---- loading -------------------------------------------------------------------------------------
@@ -860,14 +864,13 @@ class Engine:
         """Call a callback of the user; its errors are reported."""
         # The executor names this callback in the error of a thread that waits for it; see `patience`.
         executor = self.executor
-        outer_callback = executor.running_callback
-        executor.running_callback = (callback_name,)
+        outer_callback = executor.begin_callback(callback_name)
         try:
             callback(*arguments)
         except Exception as error:
             # An error in a callback must not prevent the remaining consequences of the event.
             self.reports.error(error)
-        executor.running_callback = outer_callback
+        executor.end_callback(outer_callback)
 
     def _report_drop(self, dropped: int) -> None:
         self.reports.warning(

@@ -107,7 +107,7 @@ class ProgramLoader:
         """Call a goal of a goal file."""
         budget = self._logic.machine.budget
         # The watchdog names this entry, with its place in the file, if the goal takes long.
-        self._executor.entry = goal
+        self._executor.replace_entry(goal)
         limits = budget.limits
         if not self._limits_file_goals:
             budget.set_limits(NO_LIMITS)

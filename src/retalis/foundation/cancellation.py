@@ -11,11 +11,8 @@ The check finds the goal in one of two ways. A machine that runs in the current 
 
 from itertools import chain
 from threading import local
-from typing import TYPE_CHECKING, Callable, Iterable, Iterator, Optional, Sequence, Tuple, TypeVar, overload
+from typing import Callable, Iterable, Iterator, Optional, Protocol, Sequence, Tuple, TypeVar, overload
 from weakref import ref
-
-if TYPE_CHECKING:
-    from ..prolog.machine.resource_limits import Budget
 
 STEPS_PER_ROUND = (None,) * 1024
 """Steps of one round, the work between two calls of `check_limits`. A step is as small as an inference."""
@@ -36,11 +33,22 @@ class ThreadLimitCheck(local):
 CURRENT_CHECK = ThreadLimitCheck()
 
 
-_BUDGETS: Tuple[Callable[[], Optional["Budget"]], ...] = ()
+class RunningBudget(Protocol):
+    """A budget of a machine that knows in which thread it runs."""
+
+    @property
+    def runs_here(self) -> bool:
+        """True while this thread runs a goal of the budget."""
+
+    def check_limits(self, work: int, size: int = 0) -> None:
+        """Count work and raise an error if a limit is exceeded, with ``size`` bytes about to be allocated."""
+
+
+_BUDGETS: Tuple[Callable[[], Optional[RunningBudget]], ...] = ()
 """Weak references to the budgets that `check_limits` checks if no function is registered for the thread."""
 
 
-def register_budget(budget: "Budget") -> None:
+def register_budget(budget: RunningBudget) -> None:
     """Register a budget that `check_limits` checks whenever a goal of it runs in the current thread."""
     global _BUDGETS
     # The tuple is replaced and not changed, because `check_limits` iterates over it in other threads.

@@ -6,11 +6,8 @@ full collections that become due.
 
 import gc
 import sys
-from typing import TYPE_CHECKING, Callable, Dict
+from typing import Callable, Dict, Protocol
 from weakref import WeakSet
-
-if TYPE_CHECKING:
-    from ..engine.engine_status import StatusReader
 
 
 class YoungCollector:
@@ -127,19 +124,26 @@ class YoungCollector:
             gc.freeze()
 
 
-_status_readers: "WeakSet[StatusReader]" = WeakSet()
+class RecordCounter(Protocol):
+    """Counter of the records of an engine, which are live heap."""
+
+    def count_records(self) -> int:
+        """Return the number of records."""
+
+
+_record_counters: "WeakSet[RecordCounter]" = WeakSet()
 
 
 def _count_records() -> int:
-    return sum(reader.count_records() for reader in list(_status_readers))
+    return sum(counter.count_records() for counter in list(_record_counters))
 
 
 _collector = YoungCollector(_count_records)
 
 
-def count_records_of(status_reader: "StatusReader") -> None:
-    """Treat the records of an engine as live heap, as long as its status reader exists."""
-    _status_readers.add(status_reader)
+def count_records_of(counter: RecordCounter) -> None:
+    """Treat the records of an engine as live heap, as long as their counter exists."""
+    _record_counters.add(counter)
 
 
 def limit_gc_pauses() -> None:

@@ -321,7 +321,7 @@ def test_second_file_of_module_is_reported(program, tmp_path):
         (tmp_path / f"{name}.pl").write_text(f":- module(x, []).\np({name}).\n")
     warnings = []
     program.engine.load(rules=":- use_module(x). :- use_module(x).")
-    program.engine.logic.files.on_same_module = warnings.append
+    program.engine.logic.print_to(print, warnings.append)
     program.engine.load(rules=":- use_module(y). :- use_module(y).")
     assert warnings == [
         f"Warning: {tmp_path}/x.pl is module x as well; what {tmp_path}/y.pl has of it is added to that\n"

@@ -7,7 +7,7 @@ from prolog.compiler.test_compiled import CALLS, SEEDS, program
 from prolog.support import NEVER, answers, first, prolog
 
 from retalis.prolog.compiler.predicate_code import PredicateGenerator
-from retalis.prolog.database import goal_interpreter
+from retalis.prolog.database import just_in_time_bodies
 from retalis.prolog.machine import machine
 
 
@@ -36,7 +36,7 @@ all(L) :- findall(N, sum(N), L).
 def made(monkeypatch):
     found = []
     monkeypatch.setattr(
-        goal_interpreter,
+        just_in_time_bodies,
         "PredicateGenerator",
         lambda *args: found.append(args) or PredicateGenerator(*args),
     )
@@ -134,10 +134,12 @@ def test_a_cut_that_a_variable_stands_for_is_that_of_the_body(goal, steps, monke
 
 def test_what_cannot_be_compiled_is_tried_once_and_many_bodies_take_turns(monkeypatch):
     tried = []
-    monkeypatch.setattr(goal_interpreter.JustInTimeBodies, "_compile", lambda self, body: tried.append(body))
+    monkeypatch.setattr(
+        just_in_time_bodies.JustInTimeBodies, "_compile", lambda self, body: tried.append(body)
+    )
     monkeypatch.setattr(machine, "SLICE", (None,))
     logic = prolog(SEARCH, NEVER)
     goal = " , ".join(f"\\+ (digit(X{at}), digit(Y{at}), X{at} + Y{at} > 18)" for at in range(20))
     assert first(logic, f"{goal}, N = 1")["N"] == "1"
     assert 0 < len(tried) <= 60
-    assert len(logic.control.bodies) <= 2 * goal_interpreter._MAX_BODIES  # noqa: SLF001
+    assert len(logic.control.bodies) <= 2 * just_in_time_bodies._MAX_BODIES  # noqa: SLF001

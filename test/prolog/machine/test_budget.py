@@ -26,6 +26,11 @@ class Executor:
     def __init__(self):
         self.thread, self.entry, self.following = threading.get_ident(), ("outer",), []
 
+    def replace_entry(self, entry):
+        """Set the entry; return the previous one."""
+        previous, self.entry = self.entry, entry
+        return previous
+
     def call_next(self, work):
         """Note what is to be done after the entry."""
         self.following.append(work)
@@ -133,7 +138,7 @@ def executor():
 
 def test_each_step_of_pattern_work_that_is_left_out_is_counted_once(budget, executor):
     reports = []
-    budget.on_stopped = lambda rule, limit, steps, entry: reports.append((rule, limit, steps))
+    budget.on_stopped.add(lambda rule, limit, steps, entry: reports.append((rule, limit, steps)))
     budget.set_limits(Limits(inferences=100))
     budget.attach_executor(executor)
     meter = budget.meter("rule")

@@ -202,6 +202,20 @@ class SerialExecutor:
         """The working thread; None if the executor is idle."""
         return self._working_thread
 
+    def replace_entry(self, entry: object) -> object:
+        """Set the identity of the current work; return the previous one."""
+        previous, self.entry = self.entry, entry
+        return previous
+
+    def begin_callback(self, name: str) -> Optional[Tuple[str]]:
+        """Record that a callback of the user runs; return the outer one, for `end_callback`."""
+        outer_callback, self.running_callback = self.running_callback, (name,)
+        return outer_callback
+
+    def end_callback(self, outer_callback: Optional[Tuple[str]]) -> None:
+        """Record that a callback has ended."""
+        self.running_callback = outer_callback
+
     def post(self, work: Callable[..., object], *arguments: object) -> None:
         """Do work now if the executor is idle, otherwise queue it. Errors of the work are passed to ``on_error``."""
         this_thread = _thread_id()

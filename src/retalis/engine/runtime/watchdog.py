@@ -151,8 +151,8 @@ def start_watchdog(
             RuleError(text, getattr(rule, "place", None)), ("pattern work", name, _describe_entry(entry))
         )
 
-    budget.on_refused = warn_of_refusal
-    budget.on_stopped = warn_of_stop
+    budget.on_refused.add(warn_of_refusal)
+    budget.on_stopped.add(warn_of_stop)
     watchdog = Watchdog(executor, budget, warn_after, warn)
     # Without a warning and a time limit there is nothing to sample, so no thread is started.
     if warn_after is not None or budget.limits.seconds is not None:

@@ -98,7 +98,7 @@ class KnowledgeBase:
         # Looked up at each call, because `on_pattern` is assigned later.
         self.states.on_event = lambda event: self.on_pattern(event)
         self._define_predicates()
-        logic.undefined_procedures.describe_other_use = self._describe_other_use
+        logic.undefined_procedures.other_uses.add(self._describe_other_use)
 
     def _describe_other_use(self, key: Functor) -> str:
         """Return that a name is a state or an event, and how to ask for it; an empty text for other names."""

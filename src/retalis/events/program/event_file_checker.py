@@ -12,7 +12,8 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Se
 
 from ...foundation.errors import Errors, Place, RetalisError, RuleError
 from ...prolog.builtins.grammar_and_ssu_rules import SINGLE_SIDED, translate_single_sided
-from ...prolog.database.goal_interpreter import split_clause
+from ...prolog.database.goal_terms import split_clause
+from ...prolog.files.library_names import renaming_clauses
 from ...prolog.machine.errors import PrologError
 from ...prolog.syntax.term_reader import ReadTerm
 from ...prolog.system.predicate_resolution import is_replaceable
@@ -54,7 +55,6 @@ from ..language.rule_head_parser import (
     split_label,
 )
 from ..language.state_parser import HOLDS, STATE, declares_state
-from .file_and_library_names import renaming_clauses
 from .file_directives import FileDeclarations, Goals, directive_goals
 
 _CLAUSE = functor(":-", 2)

@@ -30,6 +30,8 @@ from ...foundation.errors import (
     SyntaxFault,
     UsageError,
 )
+from ...prolog.files.library_names import LIBRARY, check_library
+from ...prolog.files.source_files import SourceFiles
 from ...prolog.machine.errors import PrologError
 from ...prolog.syntax.operators import Operators
 from ...prolog.syntax.term_reader import OF_FILES, Program, ReadTerm, read_program
@@ -54,7 +56,6 @@ from .event_file_checker import (
     included_file_name,
     predicates_defined_in,
 )
-from .file_and_library_names import LIBRARY, SourceFiles, check_library
 from .file_directives import Directives
 from .prolog_file_loader import PrologFileLoader, PrologSource
 from .source_preprocessing import ConditionalCompilation, TermExpansion
@@ -175,9 +176,6 @@ class EventFileLoader:
         """Rollbacks of the load in progress; entries after the first two belong to nested loads."""
         self._deferred_calls: Optional[List[PredicateCall]] = None
         self._modules = rules.logic.database.modules
-        self._modules.on_begin = self._files.record_module
-        self._files.on_same_module = self._modules.on_import_conflict
-        rules.logic.files = self._files
 
     def record_calls(self, calls: List[PredicateCall]) -> None:
         """Warn about unknown predicates, at the end of the load in progress or now."""

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Tuple, Union
 
 from ...foundation.errors import Place, ProgramErrors, RetalisError, RuleError, SyntaxFault
+from ...prolog.files.source_files import SourceFiles
 from ...prolog.syntax.operators import Operators
 from ...prolog.syntax.term_reader import ReadTerm, read_term
 from ...prolog.terms.types import Term, deref, functor
 from ..language.event_operators import ARROWS
-from .file_and_library_names import SourceFiles
 
 ReadResult = Union[ReadTerm, SyntaxFault]
 RunWithPermissions = Callable[[Optional[Path], Callable[[], Any]], Any]

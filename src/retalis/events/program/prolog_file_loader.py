@@ -10,6 +10,8 @@ omitted, the file is rejected. During a reload, it is also rejected if more term
 from typing import TYPE_CHECKING, Any, Callable, List, NamedTuple, Optional
 
 from ...foundation.errors import Errors, Omission, Place, ProgramErrors, RetalisError, RuleError, SyntaxFault
+from ...prolog.files.library_names import declare_operators
+from ...prolog.files.source_files import SourceFiles
 from ...prolog.machine.errors import PrologError
 from ...prolog.machine.resource_limits import LimitError
 from ...prolog.syntax.term_reader import OF_FILES, Program, ReadTerm, read_program
@@ -26,7 +28,6 @@ from .event_file_checker import (
     fact_error,
     included_file_name,
 )
-from .file_and_library_names import SourceFiles, declare_operators
 from .file_directives import Directives, Goals
 from .source_preprocessing import ConditionalCompilation, TermExpansion
 

@@ -6,7 +6,7 @@ from collections import deque
 from typing import TYPE_CHECKING, Deque, Iterator, List, Optional, Tuple
 
 from ...foundation.errors import RetalisError, UsageError
-from ...prolog.database.goal_interpreter import functor_of
+from ...prolog.database.goal_terms import functor_of
 from ...prolog.database.predicate import Predicate
 from ...prolog.machine.machine import Machine
 from ...prolog.terms.term_traversal import copy

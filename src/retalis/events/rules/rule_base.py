@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Callable, Dict, Hashable, Iterator, List, Optional, Sequence, Tuple, Union
 
 from ...foundation.errors import Place, RecurringWarning, RetalisError, RuleError
+from ...prolog.files.source_files import SourceFiles
 from ...prolog.machine.resource_limits import record_caught_error
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.term_traversal import copy, term_key, variables
@@ -32,7 +33,6 @@ from ..network.goal_evaluation import ConditionState, TimedNode
 from ..network.stream_node import StreamNode
 from ..program.event_file_checker import FileChecker
 from ..program.event_file_loader import EventFileLoader
-from ..program.file_and_library_names import SourceFiles
 from ..provenance.event_log import EventLog
 from ..provenance.explanation_terms import Justifier
 from ..provenance.lineage import LineageTracker
@@ -121,6 +121,7 @@ class RuleBase:
         logic: compiles goals and stores clauses.
         dispatcher: dispatches events to the rules and receives derived events.
         clock: provides the time and alarms.
+        files: files of the program.
         max_stored: maximum number of partial matches of a rule (the oldest are dropped) and of alarms (further ones
             are dropped).
         future: maximum time in ns by which a timestamp may be ahead of the clock and still advance windows.
@@ -147,6 +148,7 @@ class RuleBase:
         logic: PrologSystem,
         dispatcher: Dispatcher,
         clock: "Clock",
+        files: SourceFiles,
         max_stored: int = 1_000_000,
         future: int = 10 * SECOND,
         on_error: Callable[[RetalisError], None] = lambda error: log.error("%s", error),
@@ -177,7 +179,7 @@ class RuleBase:
         self.event_log = EventLog(self)
         self.node_timers = NodeTimers(self)
         self.watermarks.on_shorter_delay(self.node_timers.reschedule)
-        self.files = SourceFiles()
+        self.files = files
         self.loader = EventFileLoader(self)
         self._properties: Dict[Hashable, List[Property]] = {}
         self._is_ahead_reported = False

@@ -11,7 +11,7 @@ from ...foundation.cancellation import STEPS_PER_ROUND, check_limits
 from ..compiler.clause_nodes import CONTROL
 from ..compiler.predicate_code import key_of
 from ..database.clause_index import NEVER_RETRACTED, Clause, may_match
-from ..database.goal_interpreter import functor_of
+from ..database.goal_terms import functor_of
 from ..database.predicate import Predicate
 from ..machine.errors import domain_error, indicator, instantiation_error, permission_error, type_error
 from ..machine.machine import LAST, Machine

@@ -16,7 +16,7 @@ from .builtin_registry import deterministic
 from .text_arguments import text_of, whole_text
 
 if TYPE_CHECKING:
-    from ...events.program.file_and_library_names import SourceFiles
+    from ..files.source_files import SourceFiles
 
 _EXTENSIONS: Dict[str, List[str]] = {
     "prolog": [".pl", ".prolog", ".pro", ""],

@@ -11,7 +11,7 @@ A clause that raises the error follows the last rule.
 from typing import Any, List, NamedTuple, Set, Tuple
 
 from ..compiler.clause_nodes import ARROW, BAR, EQUAL, NOT, SEMICOLON, SOFT_ARROW
-from ..database.goal_interpreter import add_arguments
+from ..database.goal_terms import add_arguments
 from ..machine.errors import instantiation_error, no_matching_rule, type_error
 from ..machine.machine import Machine
 from ..terms.list_terms import conjunction, list_items, make_list

@@ -11,7 +11,7 @@ from typing import Dict, Hashable, Optional, Set
 
 from ...foundation.cancellation import set_limit_check
 from ..compiler.clause_nodes import ARROW, CALL, NOT, SEMICOLON
-from ..database.goal_interpreter import add_arguments, check_body
+from ..database.goal_terms import add_arguments, check_body
 from ..machine.arithmetic import evaluate
 from ..machine.errors import PrologError, domain_error, instantiation_error, type_error
 from ..machine.machine import Code, Guard, Machine

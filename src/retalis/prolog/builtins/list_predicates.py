@@ -47,7 +47,7 @@ from typing import (
 
 from ...foundation.cancellation import STEPS_PER_ROUND, check_limits, with_limit_checks
 from ...foundation.errors import TermTooLarge
-from ..database.goal_interpreter import add_arguments
+from ..database.goal_terms import add_arguments
 from ..machine.arithmetic import EVALUABLE, Number, add, evaluate
 from ..machine.errors import (
     domain_error,

@@ -30,7 +30,7 @@ from .builtin_registry import Solutions, deterministic, nondeterministic
 from .text_arguments import check_text_length
 
 if TYPE_CHECKING:
-    from ...events.program.file_and_library_names import SourceFiles
+    from ..files.source_files import SourceFiles
     from ..system.prolog_system import PrologSystem
 
 MAX_OPEN_STREAMS = 64

@@ -193,7 +193,7 @@ class GoalGenerator:
 
     def _make_interpreter(self, delivers_outputs: bool) -> Step:
         """Return a function of the frame that interprets the goal."""
-        call: Callable[[Term, Frame], Optional[Frame]] = self._database.machine.logic.control.call
+        call: Callable[[Term, Frame], Optional[Frame]] = self._database.control.call
         inputs, goal, outputs = self._inputs, self._term, self._outputs
 
         def run(frame: Frame) -> Optional[Frame]:

@@ -5,22 +5,16 @@ pushes a choice point, and a cut shortens the choice point stack to the height a
 ``catch/3`` pushes a choice point of its own kind; while the goal runs, the machine searches the stack for it after an
 exception.
 
-Rarely called bodies are interpreted, but a body that is called once may run its goals a million times by
-backtracking. `JustInTimeBodies` finds those by sampling: the machine reports the goal that it is about to interpret
-once per slice of steps (`Machine.on_interpreted_goal`). A body that is reported twice is compiled, with its variables
-as arguments, and the compiled code runs from then on.
+A body that runs often is compiled while it runs, see `database.just_in_time_bodies`.
 """
 
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Set, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Tuple
 
-from ...foundation.cancellation import STEPS_PER_ROUND, check_limits
-from ...foundation.errors import TermTooLarge
 from ..compiler.clause_nodes import ARROW, BAR, CALL, IGNORE, NOT, ONCE, SEMICOLON, SOFT_ARROW
-from ..compiler.predicate_code import ClauseParts, PredicateGenerator
 from ..machine.errors import PrologError, instantiation_error, type_error
-from ..machine.machine import DEAD, RESUME, CatchMark, Code, Machine
+from ..machine.machine import DEAD, RESUME, CatchMark, Code, GoalCode, Machine
 from ..terms.list_terms import list_parts, make_list
-from ..terms.term_traversal import CYCLE_CHECK_ROUND, WALK_ROUNDS, copy, is_ground, require_acyclic
+from ..terms.term_traversal import copy, is_ground
 from ..terms.types import (
     COMMA,
     FALSE,
@@ -31,158 +25,25 @@ from ..terms.types import (
     Frame,
     Functor,
     Lazy,
-    Step,
     Term,
     Values,
     Var,
     deref,
     functor,
 )
-from .module_system import Modules
-from .predicate_table import Database
+from .goal_terms import BODY_CONSTRUCTS, add_arguments, check_body
+from .just_in_time_bodies import JustInTimeBodies
 
-_MAX_BODY_PARTS = 400
-"""Size limit of bodies that are compiled; larger ones most likely contain data that was passed to them."""
-
-_MAX_BODIES = 16
-"""Bodies that are observed at a time; the oldest one is dropped."""
-
-BODY_CONSTRUCTS = {COMMA, SEMICOLON, BAR, ARROW, SOFT_ARROW, NOT}
-"""Control constructs whose arguments are goals of the body in which they stand."""
-
-
-class CompiledBody(NamedTuple):
-    """A body that is compiled while it runs.
-
-    Attributes:
-        run: the compiled code, a step of a frame with the values of the variables.
-        variables: the variables of the body.
-        body: the body itself, which keeps its ``id`` in use.
-    """
-
-    run: Step
-    variables: Tuple[Var, ...]
-    body: Term
-
-
-class JustInTimeBodies:
-    """Just-in-time compiler of interpreted bodies, by the identity of their terms.
-
-    Attributes:
-        compiled: the compiled bodies by the ``id`` of the body.
-    """
-
-    def __init__(self, database: Database):
-        self._database = database
-        self.compiled: Dict[int, CompiledBody] = {}
-        self._reported: Dict[int, Term] = {}
-        self._refused: Set[int] = set()
-
-    def __len__(self) -> int:
-        """Return the number of stored bodies."""
-        return len(self._reported) + len(self.compiled)
-
-    def clear(self) -> None:
-        """Drop all bodies, at the end of a goal or after a redefinition of a predicate."""
-        self.compiled.clear()
-        self._reported.clear()
-        self._refused.clear()
-
-    def record_interpreted(self, body: Term) -> None:
-        """Record that a body is about to be interpreted, and compile it if that was recorded before."""
-        if body.__class__ is not tuple or self._database.is_interpreter_only:
-            return
-        if body[0] not in BODY_CONSTRUCTS and not self._database.is_inline(body[0]):
-            return
-        # An id may be reused by another term, so the identity is compared as well.
-        if self._reported.get(id(body)) is not body:
-            if len(self._reported) >= _MAX_BODIES:
-                self._drop(next(iter(self._reported)))
-            self._reported[id(body)] = body
-        elif id(body) not in self.compiled and id(body) not in self._refused:
-            entry = None if _has_bound_goal(body) else self._compile(body)
-            if entry is None:
-                self._refused.add(id(body))
-            else:
-                self.compiled[id(body)] = entry
-
-    def _drop(self, body_id: int) -> None:
-        del self._reported[body_id]
-        self.compiled.pop(body_id, None)
-        self._refused.discard(body_id)
-
-    def _compile(self, body: Term) -> Optional[CompiledBody]:
-        """Return the compiled body; None if it is too large or its compilation raises an error."""
-        copies: Dict[Var, Term] = {}
-        try:
-            source = _BodyCopier(copies).copy(body)
-            if source is None:
-                return None
-            key = functor("$body", len(copies))
-            clause = ClauseParts(tuple(copies.values()), source)
-            step = PredicateGenerator(
-                self._database, key, [clause], Code("body", _never_called)
-            ).generate_clause(0)
-        except (PrologError, RecursionError):
-            # The interpreter raises the error when it reaches the goal, or never if it does not.
-            return None
-        return CompiledBody(step, tuple(copies), body)
-
-
-def _never_called(frame: Frame) -> Optional[Frame]:
-    raise AssertionError("a body does not call itself")
-
-
-def _has_bound_goal(body: Term) -> bool:
-    """Return whether a bound variable occurs as a goal of a body.
-
-    A cut in its value cuts the body, which compiled code (``call/1`` of the variable) would not do.
-    """
-    stack = [body]
-    while stack:
-        goal = stack.pop()
-        if goal.__class__ is Var and goal.ref is not None:
-            return True
-        if goal.__class__ is tuple and goal[0] in BODY_CONSTRUCTS:
-            stack += goal[1:]
-    return False
-
-
-class _BodyCopier:
-    """Copier of a body as it was written.
-
-    Bound variables are copied as variables, because they may have other values the next time.
-    """
-
-    def __init__(self, names: Dict[Var, Term]):
-        self._names = names
-        self._parts_left = _MAX_BODY_PARTS
-
-    def copy(self, term: Any) -> Optional[Term]:
-        """Return the copy; None if the body is too large or contains a term that has not been decoded."""
-        if term.__class__ is Var:
-            return self._names.setdefault(term, Var())
-        if term.__class__ is Lazy:
-            return None
-        if term.__class__ is not tuple:
-            return term  # type: ignore[no-any-return]
-        parts: List[Any] = [term[0]]
-        self._parts_left -= len(term)
-        if self._parts_left < 0:
-            return None
-        for part in term[1:]:
-            copied = self.copy(part)
-            if copied is None:
-                return None
-            parts.append(copied)
-        return tuple(parts)
-
+if TYPE_CHECKING:
+    from .predicate_table import Database
 
 _CUT = functor("!", 0)
 _FAIL = functor("fail", 0)
 _COLON = functor(":", 2)
-_NECK = functor(":-", 2)
 
+
+SolveFunction = Callable[[Term, int, Frame], Optional[Frame]]
+"""Returns the frame that runs a goal, from the goal, a cut height and the next frame; see `Control.solve`."""
 
 ControlFunction = Callable[[Machine, Values, Frame], Optional[Frame]]
 """Control built-in: takes the machine, the arguments and the next frame; returns the frame to run."""
@@ -197,12 +58,14 @@ class Control:
         bodies: the bodies that are compiled while they run.
     """
 
-    def __init__(self, database: Database):
+    def __init__(self, database: "Database"):
         self._database = database
         self.machine = database.machine
         self._choices = database.machine.choices
         self._trail = database.machine.trail
-        self.code = database.machine.goal_code = Code("goal", self._run)
+        self.bodies = JustInTimeBodies(database)
+        self._compiled = self.bodies.compiled
+        self.code = GoalCode(self._run, self.bodies.record_interpreted)
         self._cut_code = Code("cut", self._run_cut)
         self._soft_cut_code = Code("soft cut", self._run_soft_cut)
         self._reject_code = Code("reject", self._run_rejection)
@@ -218,12 +81,7 @@ class Control:
             ONCE: self._solve_once,
             IGNORE: self._solve_ignore,
         }
-        self.bodies = JustInTimeBodies(database)
-        self._compiled = self.bodies.compiled
-        database.machine.on_interpreted_goal = self.bodies.record_interpreted
-        database.machine.budget.on_reset = database.on_code_discarded = self.bodies.clear
-        database.interpret = self.code
-        database.solve = self.solve
+        database.machine.budget.on_reset.add(self.bodies.clear)
 
     def solve(  # noqa: C901 -- runs every interpreted goal; calls of helpers would slow it
         self, goal: Any, height: int, continuation: Frame
@@ -267,6 +125,18 @@ class Control:
             if goal_class is Var:
                 raise instantiation_error()
             raise type_error("callable", goal)
+
+    def start_tracing(self, solve: SolveFunction) -> SolveFunction:
+        """Let a tracer run the goals; return the function that has run them so far."""
+        previous = self.solve
+        # An instance attribute hides the method, so that calls need no test whether tracing is on.
+        self.solve = solve  # type: ignore[method-assign, assignment]
+        return previous
+
+    def stop_tracing(self, solve: Optional[SolveFunction] = None) -> None:
+        """Stop tracing if goals are run by a tracer's function; by default by any."""
+        if "solve" in vars(self) and solve in (None, self.solve):
+            del self.solve
 
     def call(self, goal: Term, continuation: Frame) -> Optional[Frame]:
         """Return the frame of ``call/1``, in which cuts are local to the goal."""
@@ -400,52 +270,6 @@ class Control:
         return self.solve(goal, 0, continuation)
 
 
-def check_body(goal: Term) -> Term:
-    """Return a goal as a body, with variables as goals replaced by ``call/1`` (cuts in their values are local).
-
-    Raises:
-        PrologError: ``type_error(callable, Goal)`` with the whole goal if part of a control construct is not
-            callable.
-        TermTooLarge: if the goal has too many parts.
-    """
-    # Between the rounds the work can be cancelled, and after many of them the term is tested for cycles, in which the
-    # traversal would not end.
-    stack = [goal]
-    has_variables = False
-    for round_number in WALK_ROUNDS:
-        for _ in STEPS_PER_ROUND:
-            if not stack:
-                return _wrap_variables(goal) if has_variables else goal
-            item = deref(stack.pop())
-            if item.__class__ is tuple:
-                if item[0] in BODY_CONSTRUCTS:
-                    stack.extend(item[1:])
-            elif item.__class__ is Var:
-                has_variables = True
-            elif item.__class__ is not Atom:
-                raise type_error("callable", goal)
-        check_limits()
-        if round_number == CYCLE_CHECK_ROUND:
-            require_acyclic(goal)
-    raise TermTooLarge
-
-
-def _wrap_variables(goal: Term) -> Term:
-    """Return a body with its variables wrapped in ``call/1``; conjunctions are traversed without recursion."""
-    conjuncts = []
-    goal = deref(goal)
-    while goal.__class__ is tuple and goal[0] in BODY_CONSTRUCTS and len(goal) == 3:
-        conjuncts.append((goal[0], _wrap_variables(goal[1])))
-        goal = deref(goal[2])
-    if goal.__class__ is Var:
-        goal = (CALL, goal)
-    elif goal.__class__ is tuple and goal[0] is NOT:
-        goal = (NOT, _wrap_variables(goal[1]))
-    for key, conjunct in reversed(conjuncts):
-        goal = (key, conjunct, goal)
-    return goal
-
-
 def check_partial_list(term: Term) -> None:
     """Require a list or a partial list.
 
@@ -455,26 +279,6 @@ def check_partial_list(term: Term) -> None:
     _, tail = list_parts(term)
     if tail.__class__ is not Var and tail is not NIL:
         raise type_error("list", term)
-
-
-def add_arguments(goal: Term, extra: Values, modules: Optional[Modules] = None) -> Term:
-    """Return a closure with the arguments of ``call/N`` appended."""
-    closure: Any = deref(goal)
-    closure_class = closure.__class__
-    if closure_class is tuple:
-        if closure[0] is _COLON:
-            plain_closure = (
-                deref(closure[2])
-                if modules is None
-                else modules.resolve_qualified_closure(closure, len(extra))
-            )
-            return add_arguments(plain_closure, extra, modules)
-        return (functor(closure[0].name, len(closure) - 1 + len(extra)), *closure[1:], *extra)
-    if closure_class is Atom:
-        return (functor(closure.name, len(extra)), *extra)
-    if closure_class is Var:
-        raise instantiation_error()
-    raise type_error("callable", closure)
 
 
 def thrown(ball: Term) -> PrologError:
@@ -542,36 +346,3 @@ def _repeat(machine: Machine) -> ControlFunction:
     retry_code = Code("repeat", lambda frame: repeat(machine, frame[1], frame[2]))
     retry_code.functor = functor("repeat", 0)
     return repeat
-
-
-def functor_of(head: Term) -> Functor:
-    """Return the functor of an atom or compound term, such as a clause head or an event."""
-    if head.__class__ is tuple:
-        key: Functor = head[0]
-        return key
-    assert head.__class__ is Atom
-    return head.functor
-
-
-def split_clause(term: Term) -> Tuple[Term, Term]:
-    """Return head and body of a clause; a module before the head is dropped.
-
-    Raises:
-        PrologError: an instantiation or type error if the term is not a clause.
-    """
-    head: Term = term
-    body: Term = TRUE
-    if term.__class__ is tuple and term[0] is _NECK:
-        head, body = deref(term[1]), deref(term[2])
-    if head.__class__ is tuple and head[0].name == ":" and len(head) == 3:
-        head = deref(head[2])
-    head_class = head.__class__
-    if head_class is Var:
-        raise instantiation_error()
-    if head_class is not tuple and head_class is not Atom:
-        raise type_error("callable", head)
-    if body.__class__ is Var:
-        body = (CALL, body)
-    else:
-        body = check_body(body)
-    return head, body

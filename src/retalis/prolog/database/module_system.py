@@ -139,28 +139,37 @@ USER_MODULE = Module("user")
 class ModuleNames:
     """Modules of a program, and resolution of names in them.
 
+    Args:
+        is_defined: returns whether the program has a predicate with a functor.
+        is_system_predicate: returns whether a functor is that of a predicate of the system.
+        on_module: called with the name of each module that a file declares.
+        on_change: called after a module was added.
+        warn: called with a warning about a name that cannot be imported.
+
     Attributes:
         modules: modules by name.
         declared_kinds_of: argument kinds of the program's own predicates.
         loading_module: module whose file is being loaded, or None.
         last_loaded_name: name of the module whose file was loaded last; "" if that file was no module.
-        is_defined: returns whether the program has a predicate with a functor.
-        is_system_predicate: returns whether a functor is that of a predicate of the system.
-        on_begin: called with the name of each module that a file declares.
-        on_change: called after a module was added.
-        on_import_conflict: called with a warning about a name that cannot be imported.
     """
 
-    def __init__(self) -> None:
+    def __init__(
+        self,
+        is_defined: Callable[[Functor], bool],
+        is_system_predicate: Callable[[Functor], bool],
+        on_module: Callable[[str], None],
+        on_change: Callable[[], None],
+        warn: Callable[[str], None],
+    ):
+        self._is_defined = is_defined
+        self._is_system_predicate = is_system_predicate
+        self._on_module = on_module
+        self._on_change = on_change
+        self._warn = warn
         self.modules: Dict[str, Module] = {}
         self.declared_kinds_of: Dict[Functor, ArgumentKinds] = {}
         self.loading_module: Optional[Module] = None
         self.last_loaded_name = ""
-        self.is_defined: Callable[[Functor], bool] = lambda key: False
-        self.is_system_predicate: Callable[[Functor], bool] = lambda key: False
-        self.on_begin: Callable[[str], None] = lambda name: None
-        self.on_change: Callable[[], None] = lambda: None
-        self.on_import_conflict: Callable[[str], None] = lambda text: None
         # For each file that is being loaded, whether it may declare a module; the innermost one is last.
         self._files: List[bool] = []
         self._plain_names: Dict[str, str] = {}
@@ -211,10 +220,10 @@ class ModuleNames:
         for key in sorted(module.shadowed_exports, key=str):
             self._warn_of_import_conflict(module, key, "user", key)
         self.loading_module = module
-        self.on_begin(name)
+        self._on_module(name)
         if is_new:
             # Code that has been compiled so far calls the plain names.
-            self.on_change()
+            self._on_change()
         return True
 
     def import_exports(self, name: str) -> None:
@@ -250,7 +259,7 @@ class ModuleNames:
             "user",
         )
         qualified = f"{module.name}:{key}"
-        self.on_import_conflict(
+        self._warn(
             f"Warning: no permission to import {qualified} into {importer}: already imported from {exporter}; "
             f"{module.name}:{key.name}(...) calls it\n"
         )
@@ -297,7 +306,9 @@ class ModuleNames:
         """Return the functor of the predicate to which a module asserts clauses: its own, or an imported one."""
         own_functor = self.stored_functor(module, key)
         return (
-            module.imports[key] if key in module.imports and not self.is_defined(own_functor) else own_functor
+            module.imports[key]
+            if key in module.imports and not self._is_defined(own_functor)
+            else own_functor
         )
 
     def resolve(self, module: Module, key: Functor) -> Functor:
@@ -305,7 +316,7 @@ class ModuleNames:
         if self._has_plain_name(module, key):
             return key
         # Own definitions take precedence over imported and system predicates, as in SWI-Prolog.
-        if (key in module.imports or self.is_system_predicate(key)) and not self.is_defined(
+        if (key in module.imports or self._is_system_predicate(key)) and not self._is_defined(
             functor(f"{module.name}:{key.name}", key.arity)
         ):
             return module.imports.get(key, key)
@@ -344,7 +355,7 @@ class ModuleNames:
         if argument_kinds is None:
             # If a qualified predicate is not defined, the plain one is called instead.
             plain = self.plain_functor(key)
-            if plain is not None and not self.is_defined(key):
+            if plain is not None and not self._is_defined(key):
                 key = plain
             argument_kinds = self.declared_kinds_of.get(key) or SYSTEM_ARGUMENT_KINDS.get(key)
         return argument_kinds

@@ -457,7 +457,7 @@ class Predicate:
         fresh: Dict[Var, Term] = {}
         if not match_head(frame, clause, fresh, trail):
             return None
-        return self.database.solve(copy(clause.body, fresh), height, frame[-1])
+        return self.database.control.solve(copy(clause.body, fresh), height, frame[-1])
 
     # Compilation
 

@@ -20,8 +20,9 @@ from ..compiler.function_code import FunctionCode
 from ..machine.errors import indicator, permission_error
 from ..machine.machine import Code, Machine
 from ..terms.types import Frame, Functor, Step, Term, deref, functor
+from .goal_interpreter import Control
 from .module_system import Modules
-from .predicate import COMPILE_AFTER, NEVER_COMPILE, Predicate
+from .predicate import NEVER_COMPILE, Predicate
 
 
 def _functor_of(text: str) -> Functor:
@@ -64,9 +65,16 @@ class Database:
     Args:
         machine: runs the predicates.
         compile_after: calls of an unchanged predicate after which it is compiled.
+        call_undefined: returns the frame for a call of an undefined predicate, or raises an error.
+        is_system_predicate: returns whether a functor is that of a predicate of the system.
+        on_module: called with the name of each module that a file declares.
+        warn: called with the text of a warning.
 
     Attributes:
         machine: runs the predicates.
+        call_undefined: see above.
+        control: interpreter of goal terms.
+        interpret: code of frames that run a goal from its term.
         generation: number of clauses that have been retracted. `Clause.retracted_at` is compared with the generation
             at the beginning of a call (logical update view).
         change_count: number of changes of clauses.
@@ -80,16 +88,21 @@ class Database:
         library: the predicates as the clauses of the library resolve them.
         compiled_goals: the compiled goals that Python code holds. Their code is discarded together with that of the
             predicates.
-        interpret: code of frames that run a goal from its term.
-        solve: returns the frame that runs a goal from its term, a cut height, and the next frame.
-        on_code_discarded: called when compiled code is discarded.
-        call_undefined: returns the frame for a call of an undefined predicate, or raises an error.
     """
 
     is_library = False
 
-    def __init__(self, machine: Machine, compile_after: int = COMPILE_AFTER):
+    def __init__(
+        self,
+        machine: Machine,
+        compile_after: int,
+        call_undefined: Callable[[Predicate, Frame], Optional[Frame]],
+        is_system_predicate: Callable[[Functor], bool],
+        on_module: Callable[[str], None],
+        warn: Callable[[str], None],
+    ):
         self.machine = machine
+        self.call_undefined = call_undefined
         self.generation = 0
         self.change_count = 0
         self.compile_after = compile_after
@@ -98,15 +111,13 @@ class Database:
         self._demoted: WeakValueDictionary[Functor, Predicate] = WeakValueDictionary()
         self.empty_dynamic: Dict[Functor, None] = {}
         self._demotion_limit = _UNUSED_ALLOWANCE
-        self.modules = Modules()
-        self.modules.is_defined = self._is_defined
-        self.modules.on_change = self.discard_compiled_code
+        self.modules = Modules(
+            self._is_defined, is_system_predicate, on_module, self.discard_compiled_code, warn
+        )
         self.library = LibraryView(self)
         self.compiled_goals: WeakSet[Any] = WeakSet()
-        self.interpret: Optional[Code] = None
-        self.solve: Callable[[Term, int, Frame], Optional[Frame]] = lambda goal, height, continuation: None
-        self.on_code_discarded: Callable[[], None] = lambda: None
-        self.call_undefined: Callable[[Predicate, Frame], Optional[Frame]] = lambda predicate, frame: None
+        self.control = Control(self)
+        self.interpret: Code = self.control.code
 
     def predicate(self, key: Functor) -> Predicate:
         """Return the predicate of a functor, creating an undefined one if there is none."""
@@ -209,7 +220,7 @@ class Database:
             predicate.discard_compiled_code()
         for goal in list(self.compiled_goals):
             goal.invalidate()
-        self.on_code_discarded()
+        self.control.bodies.clear()
 
     def require_writable(self, key: Functor, action: str, asserted: bool = False) -> None:
         """Require that the program may change the clauses of a predicate.
@@ -289,7 +300,7 @@ class LibraryView:
         return self._database.modules
 
     @property
-    def interpret(self) -> Optional[Code]:
+    def interpret(self) -> Code:
         """Code of frames that run a goal from its term."""
         return self._database.interpret
 

@@ -82,13 +82,35 @@ class Guard(Code):
     Args:
         name: the name in error messages.
         unwind: called with the choice point. If the goal exits, the code that cuts the choice point calls it.
+        on_failure: called with the choice point when it is removed by failure; by default ``unwind``.
     """
 
     __slots__ = ("unwind",)
 
-    def __init__(self, name: str, unwind: Callable[[Frame], None]):
-        super().__init__(name, unwind, True)
+    def __init__(
+        self,
+        name: str,
+        unwind: Callable[[Frame], None],
+        on_failure: Optional[Callable[[Frame], None]] = None,
+    ):
+        super().__init__(name, unwind if on_failure is None else on_failure, True)
         self.unwind = unwind
+
+
+class GoalCode(Code):
+    """Code of a frame that runs a goal from its term, the first argument of the frame.
+
+    Args:
+        run: executes the step.
+        sample: called with the goal that is about to run, at most once in a slice of steps, to find goals worth
+            compiling.
+    """
+
+    __slots__ = ("sample",)
+
+    def __init__(self, run: Step, sample: Callable[[Term], None]):
+        super().__init__("goal", run)
+        self.sample = sample
 
 
 def fail(frame: Frame) -> None:
@@ -166,33 +188,32 @@ _CALL_WITH_OUTPUTS = Code("go on", lambda frame: frame[1](frame[2]))
 class Machine:
     """Executes frames.
 
+    Args:
+        logic: the program that it runs.
+        budget: resource limits of goals, and their use.
+
     Attributes:
         trail: variables bound since choice points were pushed; the list object never changes.
         choices: choice points; the list object never changes.
         done: the frame that ends a run, the continuation of the first frame of each `run`.
-        goal_code: the code that runs a goal from its term, the first argument of its frame.
-        on_interpreted_goal: called with the goal that is about to run, at most once in a slice of steps, to find
-            goals worth compiling.
         budget: resource limits of goals, and their use.
         logic: the program that it runs.
         idle_lengths: lengths of choices and trail while no goal runs; see `recovery`.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, logic: "PrologSystem", budget: Budget):
+        self.logic = logic
+        self.budget = budget
         self.trail: Trail = []
         self.choices: List[Frame] = []
         self.idle_lengths = (0, 0)
         finish = self.choices.append
         self.done: Frame = (Code("done", lambda frame: finish(_FINISHED)),)
-        self.budget = Budget()
         self._compact_at = MIN_COMPACTED_ENTRIES
         self._enter_code = Code("attempt", self._enter_attempt)
         self._attempt_code = Code("attempt", self._attempt_failed, True)
         self._exit_code = _AttemptExit(self)
         self.catch_code = Code("catch", fail, True)
-        self.goal_code: Optional[Code] = None
-        self.on_interpreted_goal: Callable[[Term], None] = lambda goal: None
-        self.logic: PrologSystem = None  # type: ignore[assignment]  # set by the program
 
     def unify(self, left: Term, right: Term) -> bool:
         """Make two terms equal by binding variables; return whether they unify. If not, nothing is bound."""
@@ -409,8 +430,9 @@ class Machine:
                                 return False
                     # A slice has ended: a goal that is met here by sampling runs often, and may be compiled.
                     steps = iter(SLICE)
-                    if frame[0] is self.goal_code:
-                        self.on_interpreted_goal(frame[1])
+                    code = frame[0]
+                    if code.__class__ is GoalCode:
+                        code.sample(frame[1])
                     if len(trail) > self._compact_at:
                         self._compact()
                     self.budget.count_slice()
@@ -482,7 +504,7 @@ class Machine:
     def _add_context(self, ball: Term, frame: Frame) -> None:
         if ball.__class__ is tuple and ball[0] is ERROR and ball[2].__class__ is Var:
             key = getattr(frame[0], "functor", None)
-            if frame[0] is self.goal_code:
+            if frame[0].__class__ is GoalCode:
                 key = first_goal_functor(frame[1])
             if key is not None:
                 ball[2].ref = (CONTEXT, indicator(key), Var())

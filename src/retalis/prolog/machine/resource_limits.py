@@ -26,7 +26,6 @@ from contextlib import contextmanager
 from threading import get_ident
 from time import monotonic
 from typing import (
-    TYPE_CHECKING,
     Any,
     Callable,
     Dict,
@@ -35,19 +34,18 @@ from typing import (
     List,
     NamedTuple,
     Optional,
+    Protocol,
     Tuple,
     Type,
     TypeVar,
     Union,
 )
 
+from ...foundation.callbacks import CallbackList
 from ...foundation.cancellation import CURRENT_CHECK, register_budget
 from ...foundation.errors import UsageError, quote_shortened
 from ..terms.types import Term
 from .errors import PrologError, resource_error
-
-if TYPE_CHECKING:
-    from ...engine.runtime.serial_executor import SerialExecutor
 
 SLICE = (None,) * 1021
 """Steps between two checks of the limits. The number is prime, so that the checks of a loop fall on different
@@ -228,11 +226,40 @@ BudgetState = Tuple[bool, LimitCheck, object, int, Tuple[int, ...]]
 """The running goals of a budget; see `Budget.snapshot`."""
 
 
+class EntryExecutor(Protocol):
+    """Executor of the units of work that are entries.
+
+    Attributes:
+        entry: identity of the current work.
+    """
+
+    entry: object
+
+    @property
+    def thread(self) -> Optional[int]:
+        """The working thread; None if the executor is idle."""
+
+    def replace_entry(self, entry: object) -> object:
+        """Set the identity of the current work; return the previous one."""
+
+    def call_next(self, work: Callable[[], object]) -> None:
+        """Schedule work directly after the current one."""
+
+    def begin_callback(self, name: str) -> Optional[Tuple[str]]:
+        """Record that a callback of the user runs; return the outer one, for `end_callback`."""
+
+    def end_callback(self, outer_callback: Optional[Tuple[str]]) -> None:
+        """Record that a callback has ended."""
+
+
 class Budget:
     """Resource use and limits of the current entry: an event or query with everything that it starts.
 
     An engine announces entries by its executor (`attach_executor`). Without an engine, each outermost run of the
     machine is an entry.
+
+    Args:
+        limits: the limits of each entry.
 
     Attributes:
         limits: the limits of each entry.
@@ -258,15 +285,15 @@ class Budget:
         running: whether a run is active for which `enter` has been called.
     """
 
-    def __init__(self) -> None:
-        self.executor: Optional[SerialExecutor] = None
+    def __init__(self, limits: Limits = NO_LIMITS) -> None:
+        self.executor: Optional[EntryExecutor] = None
         self.goal: object = None
-        self.on_reset: Callable[[], None] = lambda: None
-        self.on_refused: Callable[[int, str, object], None] = lambda number, what, entry: None
-        self.on_stopped: Callable[[object, str, int, object], None] = lambda rule, what, steps, entry: None
+        self.on_reset: CallbackList[Callable[[], None]] = CallbackList()
+        self.on_refused: CallbackList[Callable[[int, str, object], None]] = CallbackList()
+        self.on_stopped: CallbackList[Callable[[object, str, int, object], None]] = CallbackList()
         self.meters_patterns = False
         self.pattern_steps = [0]
-        self.set_limits(NO_LIMITS)
+        self.set_limits(limits)
         self.running = False
         self._limit_check = self.check_limits
         self.inferences = 0
@@ -290,7 +317,7 @@ class Budget:
         self._pattern_slice = self.pattern_steps[0] = min(len(SLICE), max(1, steps))
         self.limited = limits != NO_LIMITS and self.executor is None
 
-    def attach_executor(self, executor: "SerialExecutor") -> None:
+    def attach_executor(self, executor: EntryExecutor) -> None:
         """Treat each unit of work of an executor as an entry; reset the use of resources after each."""
         self.executor = executor
         self.meters_patterns = self._has_limits
@@ -345,7 +372,8 @@ class Budget:
         self._reset_use()
         self.alarms.clear()
         self.ceilings.clear()
-        self.on_reset()
+        for callback in self.on_reset:
+            callback()
 
     def snapshot(self) -> BudgetState:
         """Return the running goals, for `restore`."""
@@ -389,25 +417,29 @@ class Budget:
     def _report(self) -> None:
         """Report the refused goals and the skipped pattern matching of the entry."""
         if self.refused_count and self._refusal_limit is not None:
-            self.on_refused(self.refused_count, self._refusal_limit, self._entry)
+            for report_refusal in self.on_refused:
+                report_refusal(self.refused_count, self._refusal_limit, self._entry)
         if self.pattern_stop is not None:
-            self.on_stopped(*self.pattern_stop, self.skipped_pattern_steps, self._entry)
+            for report_stop in self.on_stopped:
+                report_stop(*self.pattern_stop, self.skipped_pattern_steps, self._entry)
 
     def run_as_entry(self, entry: object, work: Callable[[], T]) -> T:
         """Run ``work`` as an entry of its own in the middle of another entry; return its result."""
         executor = self.executor
         assert executor is not None
-        previous_goal = executor.entry, self.goal
+        previous_goal = self.goal
         # The use of the outer entry is saved attribute by attribute, because generated code and the machine refer to
         # this budget object.
         saved = [getattr(self, name) for name in _ENTRY_ATTRIBUTES] if self.has_use else None
         if saved is not None:
             self._reset_use()
-        executor.entry, self.goal = entry, None
+        previous_entry = executor.replace_entry(entry)
+        self.goal = None
         try:
             return work()
         finally:
-            executor.entry, self.goal = previous_goal
+            executor.replace_entry(previous_entry)
+            self.goal = previous_goal
             if self.has_use:
                 self._report()
                 self._reset_use()
@@ -426,13 +458,12 @@ class Budget:
         """
         executor = self.executor
         assert executor is not None
-        entry: Any
-        entry, executor.entry = executor.entry, None
+        entry: Any = executor.replace_entry(None)
         try:
             yield
         finally:
             # A new identity with the same name: a watchdog that still times the old entry must not expire this one.
-            executor.entry = None if entry is None else (*entry, None)
+            executor.replace_entry(None if entry is None else (*entry, None))
             self._reset_use()
 
     # Goals of entries

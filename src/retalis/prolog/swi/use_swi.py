@@ -16,7 +16,7 @@ from ..terms.term_traversal import copy
 from ..terms.types import NIL, SLASH, Atom, Functor, Term, Var, atom, deref, functor
 
 if TYPE_CHECKING:
-    from ...events.program.file_and_library_names import SourceFiles
+    from ..files.source_files import SourceFiles
     from .swi_session import SwiProgram
 
 

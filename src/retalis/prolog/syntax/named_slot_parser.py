@@ -2,13 +2,13 @@
 
 A message with named slots is an entry of kind ``SLOTS`` on the parser's stack. When its bracket closes, the term is
 built with all arguments in the order of the message type: a variable for each slot that is not named, and floats in
-place of integers in float slots. `SlotNames` (in `messages.message_notation`) provides the slots of a message type.
+place of integers in float slots. `MessageTypes` provides the slots of a message type.
 
 `misnamed_message_error` creates the error for a name before the bracket that is not a message type: a ROS notation
 (``Temperature``, ``sensor_msgs/Temperature``), a misspelt name, or a space before the bracket.
 """
 
-from typing import TYPE_CHECKING, Any, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 from ...foundation.errors import RetalisError, SyntaxFault, UnknownMessage
 from ...foundation.similar_names import did_you_mean
@@ -16,17 +16,14 @@ from ..terms.types import Term, Var, atom, functor
 from . import parser_stack
 from .literals import atom_text
 from .parser_stack import LIST, SLOTS, OpenBracket, OperatorTable, ParserStack, ParserState
-from .slot_defaults import MessageSlot, ParsedMessage, integers_to_floats
+from .slot_defaults import MessageSlot, MessageTypes, ParsedMessage, integers_to_floats
 from .tokenizer import NAME, QUOTED, VARIABLE, token_description
-
-if TYPE_CHECKING:
-    from ...messages.message_notation import SlotNames
 
 _MAX_SUGGESTED_TYPES = 3
 """Maximum number of message types that an error suggests."""
 
 
-def misnamed_message_error(parser: ParserState, message_types: "SlotNames") -> Optional[SyntaxFault]:
+def misnamed_message_error(parser: ParserState, message_types: MessageTypes) -> Optional[SyntaxFault]:
     """Return the error for a curly bracket after a name that is not a message type.
 
     Returns:
@@ -53,7 +50,7 @@ def misnamed_message_error(parser: ParserState, message_types: "SlotNames") -> O
     return UnknownMessage(fault.message, fault.place)
 
 
-def _is_message(name: str, message_types: "SlotNames") -> bool:
+def _is_message(name: str, message_types: MessageTypes) -> bool:
     try:
         return message_types.find(name) is not None
     except RetalisError:  # The message type exists, but its definition cannot be read.

@@ -23,7 +23,7 @@ from ...foundation.errors import UsageError
 from ..terms.types import Functor, functor
 
 if TYPE_CHECKING:
-    from ...messages.message_notation import SlotNames
+    from .slot_defaults import MessageTypes
 
 
 class Operator(NamedTuple):
@@ -181,21 +181,26 @@ class Operators:
 
     __slots__ = ("prefix", "infix", "postfix", "message_types", "_patterns")
 
-    def __init__(self) -> None:
+    def __init__(self, message_types: "Optional[MessageTypes]" = None) -> None:
         self.prefix: Dict[str, Operator] = {}
         self.infix: Dict[str, Operator] = {}
         self.postfix: Dict[str, Operator] = {}
-        self.message_types: Optional[SlotNames] = None
+        self.message_types = message_types
         self._patterns: Optional[Dict[str, Operator]] = None
 
     @classmethod
-    def prolog(cls) -> "Operators":
+    def prolog(cls, message_types: "Optional[MessageTypes]" = None) -> "Operators":
         """Return a table with the operators of ISO Prolog, SWI-Prolog 9 and, if it is loaded, the event language.
+
+        Args:
+            message_types: the message types that parsers with this table know; None if there are no messages.
 
         >>> "seq" in Operators.prolog()
         True
         """
-        return standard_operators().copy()
+        table = cls(message_types)
+        table.become(standard_operators())
+        return table
 
     @classmethod
     def iso(cls) -> "Operators":
@@ -214,11 +219,8 @@ class Operators:
         >>> "mod" in operators
         True
         """
-        table = Operators()
-        table.prefix = dict(self.prefix)
-        table.infix = dict(self.infix)
-        table.postfix = dict(self.postfix)
-        table.message_types = self.message_types
+        table = Operators(self.message_types)
+        table.become(self)
         return table
 
     def become(self, source: "Operators") -> None:

@@ -12,12 +12,10 @@ An integer in a float slot denotes a float: ``{x: 0}`` matches 0.0, because ROS 
 """
 
 from math import copysign
-from typing import TYPE_CHECKING, Callable, Dict, Iterator, List, NamedTuple, Sequence, Set, Tuple
+from typing import Callable, Dict, Iterator, List, NamedTuple, Optional, Protocol, Sequence, Set, Tuple
 
+from ...foundation.bounded_caches import Cache
 from ..terms.types import CONS, CompoundTerm, Functor, Term, Var, deref, functor
-
-if TYPE_CHECKING:
-    from ...messages.message_notation import SlotNames
 
 _ARROW = functor("<-", 2)
 _DO = functor("do", 2)
@@ -108,6 +106,22 @@ class MessageSuggestions(NamedTuple):
     is_other_notation: bool = False
 
 
+class MessageTypes(Protocol):
+    """The message types that a program may name.
+
+    Attributes:
+        notations: the slots that messages were written with.
+    """
+
+    notations: Cache[MessageNotation, bool]
+
+    def find(self, name: str) -> Optional[List[MessageSlot]]:
+        """Return the slots of the messages with a name, or None if it is not a message."""
+
+    def suggest(self, name: str) -> MessageSuggestions:
+        """Return suggestions for a name that is not a message."""
+
+
 class ParsedMessage(NamedTuple):
     """A message with named slots as it was read.
 
@@ -167,7 +181,7 @@ def compound_subterms(term: Term) -> Iterator[CompoundTerm]:
 
 
 def bind_defaults(
-    term: Term, messages: Sequence[ParsedMessage], message_types: "SlotNames", is_constructed: bool
+    term: Term, messages: Sequence[ParsedMessage], message_types: MessageTypes, is_constructed: bool
 ) -> None:
     """Bind unnamed slots to their default values in constructed messages, and store the notations of all messages.
 

@@ -42,6 +42,7 @@ from typing import (
 from ...foundation.errors import RetalisError, UsageError, format_count
 from ..machine.errors import PrologError, instantiation_error, permission_error, type_error
 from ..machine.machine import Machine
+from ..machine.resource_limits import EntryExecutor
 from ..terms.types import SLASH, Atom, Functor, String, Term, Var, atom, deref, functor
 from .prolog_system import PrologSystem
 from .value_conversion import argument_converter, to_term
@@ -49,8 +50,7 @@ from .value_conversion import argument_converter, to_term
 if TYPE_CHECKING:
     from inspect import Parameter
 
-    from ...engine.runtime.serial_executor import SerialExecutor
-    from ...events.program.file_and_library_names import SourceFiles
+    from ..files.source_files import SourceFiles
 
 _ERROR = functor("error", 2)
 _PYTHON_ERROR = functor("python_error", 2)
@@ -147,7 +147,7 @@ def _parameters(function: Callable[..., object]) -> "List[Parameter]":
     return parameters
 
 
-def define_foreign(logic: PrologSystem, executor: "SerialExecutor", *sources: object) -> List[Functor]:
+def define_foreign(logic: PrologSystem, executor: EntryExecutor, *sources: object) -> List[Functor]:
     """Define marked functions in a program, and return the functors of their predicates.
 
     Args:
@@ -179,7 +179,7 @@ def _is_marked(value: object) -> bool:
 
 
 def _define(
-    logic: PrologSystem, executor: "SerialExecutor", function: Callable[..., Any], spec: _ForeignSpec
+    logic: PrologSystem, executor: EntryExecutor, function: Callable[..., Any], spec: _ForeignSpec
 ) -> Functor:
     key = functor(spec.name, spec.arity)
     existing = logic.database.predicates.get(key)
@@ -197,15 +197,14 @@ def _define(
 
 
 def _deterministic_function(
-    executor: "SerialExecutor", function: Callable[..., object], spec: _ForeignSpec, key: Functor
+    executor: EntryExecutor, function: Callable[..., object], spec: _ForeignSpec, key: Functor
 ) -> Callable[..., bool]:
     input_count = len(spec.converters)
     description = f"the foreign predicate {key}"
 
     def run(machine: Machine, *arguments: Term) -> bool:
         values = [convert(term) for convert, term in zip(spec.converters, arguments)]
-        outer_callback = executor.running_callback
-        executor.running_callback = (description,)
+        outer_callback = executor.begin_callback(description)
         try:
             result = function(*values)
             if not spec.output_count:
@@ -215,13 +214,13 @@ def _deterministic_function(
             # Any exception of a user's function is an error of the goal and must not end the program.
             raise _goal_error(error, key) from error
         finally:
-            executor.running_callback = outer_callback
+            executor.end_callback(outer_callback)
 
     return run
 
 
 def _generator_function(
-    executor: "SerialExecutor",
+    executor: EntryExecutor,
     function: Callable[..., Generator[object, None, None]],
     spec: _ForeignSpec,
     key: Functor,
@@ -234,8 +233,7 @@ def _generator_function(
         # A cut drops the generator of solutions; closing it then runs the function's finally blocks.
         with closing(function(*values)) as solutions:
             while True:
-                outer_callback = executor.running_callback
-                executor.running_callback = (description,)
+                outer_callback = executor.begin_callback(description)
                 try:
                     result = next(solutions)
                     is_solution = not spec.output_count or _unify_outputs(
@@ -246,7 +244,7 @@ def _generator_function(
                 except Exception as error:  # an error of the goal, see `_deterministic_function`
                     raise _goal_error(error, key) from error
                 finally:
-                    executor.running_callback = outer_callback
+                    executor.end_callback(outer_callback)
                 if is_solution:
                     yield None
 
@@ -276,7 +274,7 @@ def _indicator(key: Functor) -> Term:
 
 
 def define_use_foreign(
-    logic: PrologSystem, executor: "SerialExecutor", files: "SourceFiles", is_allowed: bool
+    logic: PrologSystem, executor: EntryExecutor, files: "SourceFiles", is_allowed: bool
 ) -> None:
     """Define ``use_foreign(Module)``, which loads a Python module and defines its predicates.
 

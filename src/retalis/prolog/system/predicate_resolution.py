@@ -40,19 +40,23 @@ from ..builtins import (  # noqa: F401
     text_arguments,
     text_streams,
     time_predicates,
+    tracer,
 )
 from ..builtins.builtin_registry import ENTRIES
 from ..builtins.flags_operators_modules import default_flags
 from ..builtins.grammar_and_ssu_rules import translate_rule
 from ..compiler.clause_nodes import PROTECTED_PREDICATES
 from ..database.clause_index import Clause, functional
-from ..database.goal_interpreter import Control, control_predicates, functor_of, split_clause
-from ..database.predicate import COMPILE_AFTER, Predicate
+from ..database.goal_interpreter import control_predicates
+from ..database.goal_terms import functor_of, split_clause
+from ..database.predicate import Predicate
 from ..database.predicate_table import ISO_PREDICATES, Database
 from ..machine.machine import LAST, Code, Machine
+from ..machine.resource_limits import Budget
 from ..syntax.operators import Operators
 from ..syntax.term_reader import read_program
 from ..terms.types import Frame, Functor, Step, Term, Values, Var, deref, functor
+from .undefined_procedures import UndefinedProcedures
 
 LIBRARY_FOLDER = Path(__file__).resolve().parent.parent / "library"
 
@@ -115,8 +119,11 @@ class PredicateTable:
     """Machine with its predicates, operators and flags.
 
     Args:
-        operators: operator table of the program; by default the standard one.
+        operators: operator table of the program.
         compile_after: calls of an unchanged predicate after which it is compiled.
+        budget: resource limits of goals.
+        on_module: called with the name of each module that a file declares.
+        warn: called with the text of a warning.
 
     Attributes:
         machine: runs frames.
@@ -124,17 +131,25 @@ class PredicateTable:
         control: interpreter of goal terms.
         operators: operator table, changed by ``op/3``.
         flags: Prolog flags by name, as terms.
-        message: called with the kind (error, warning, informational, ...) and the text of ``print_message/2``.
+        undefined_procedures: handles calls of undefined procedures.
     """
 
-    message: Callable[[str, str], None]
-
-    def __init__(self, operators: Optional[Operators] = None, compile_after: int = COMPILE_AFTER):
-        self.machine = Machine()
-        self.machine.logic = self  # type: ignore[assignment]  # `PrologSystem` is the only subclass
-        self.operators = Operators.prolog() if operators is None else operators
-        self.database = Database(self.machine, compile_after)
-        self.control = Control(self.database)
+    def __init__(
+        self,
+        operators: Operators,
+        compile_after: int,
+        budget: Budget,
+        on_module: Callable[[str], None],
+        warn: Callable[[str], None],
+    ):
+        self.machine = Machine(self, budget)  # type: ignore[arg-type]  # `PrologSystem` is the only subclass
+        self.operators = operators
+        self._library = library_index()
+        self.database = Database(
+            self.machine, compile_after, self._call_undefined, self.is_system_predicate, on_module, warn
+        )
+        self.control = self.database.control
+        self.undefined_procedures = UndefinedProcedures(self, warn)
         self.flags: Dict[str, Term] = default_flags()
         for (name, arity), function in control_predicates(self.control).items():
             self._mark_as_system(self.define_control(name, arity, function))
@@ -148,8 +163,6 @@ class PredicateTable:
             predicate = definers[entry.kind](name, arity, entry.function)
             if entry.is_protected:
                 self._mark_as_system(predicate)
-        self._library = library_index()
-        self.database.modules.is_system_predicate = self.is_system_predicate
 
     @staticmethod
     def _mark_as_system(predicate: Predicate) -> None:
@@ -339,3 +352,18 @@ class PredicateTable:
     def _load_library(self, file_name: str) -> None:
         """Load a file of the library."""
         load_library(self.database, file_name)
+
+    def _call_undefined(self, predicate: Predicate, frame: Frame) -> Optional[Frame]:
+        """Run a call of an undefined predicate: through the plain name, the library, or the existence error."""
+        key = predicate.functor
+        if predicate.dynamic:
+            return None
+        plain_key = self.database.modules.plain_functor(key)
+        plain_predicate = None if plain_key is None else self.lookup(plain_key)
+        if plain_predicate is not None:
+            return plain_predicate.run((plain_predicate, *frame[1:]))
+        library_file = self._library.get((key.name, key.arity))
+        if library_file is not None:
+            self._load_library(library_file)
+            return self.database.predicate(key).run(frame)
+        return self.undefined_procedures.handle_call(predicate, frame)

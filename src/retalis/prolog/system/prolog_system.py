@@ -1,12 +1,7 @@
 """Prolog system: the interface of a Prolog to Python.
 
-`PrologSystem` adds clauses, runs directives and goals, compiles goals for Python, and prints terms. The module also
-contains two services of a running system:
-
-* `Tracer` runs goals in the box model of Byrd: it interprets clauses and reports each port (call, exit, redo, fail,
-  exception) that a goal passes.
-* `machine_state`, `restore_machine` and `repair_after_interrupt` return a machine to an earlier state after an
-  interrupt at any point.
+`PrologSystem` adds clauses, runs directives and goals, compiles goals for Python, and prints terms. `machine_state`,
+`restore_machine` and `repair_after_interrupt` return a machine to an earlier state after an interrupt at any point.
 """
 
 import sys
@@ -29,7 +24,6 @@ from typing import (
 )
 
 from ...foundation.errors import MAX_SHOWN_CHARACTERS, Place, printable
-from ..builtins.builtin_registry import control
 from ..builtins.grammar_and_ssu_rules import (
     SINGLE_SIDED,
     is_error_clause_body,
@@ -40,226 +34,21 @@ from ..builtins.text_streams import end_captures
 from ..compiler.clause_nodes import CALL
 from ..database.clause_index import Clause
 from ..database.compiled_goal import CompiledGoal
-from ..database.goal_interpreter import check_body, functor_of, split_clause
-from ..database.predicate import COMPILE_AFTER, Predicate
+from ..database.goal_terms import check_body, functor_of, split_clause
+from ..database.predicate import COMPILE_AFTER
 from ..machine.errors import PrologError, permission_error
-from ..machine.machine import Code, Guard, Machine
-from ..machine.resource_limits import Budget, BudgetState, Limits
+from ..machine.machine import Guard, Machine
+from ..machine.resource_limits import NO_LIMITS, Budget, BudgetState, Limits
 from ..syntax.operators import Operators
 from ..syntax.term_writer import named_message_portray, write_term
 from ..terms.term_traversal import copy
-from ..terms.types import (
-    COLON,
-    COMMA,
-    Atom,
-    CompoundTerm,
-    Frame,
-    Functor,
-    Term,
-    Values,
-    Var,
-    deref,
-    functor,
-)
-from ..terms.unification import undo, unify
+from ..terms.types import COLON, CompoundTerm, Functor, Term, Var, deref, functor
+from ..terms.unification import undo
 from .predicate_resolution import PredicateTable
-from .undefined_procedures import UndefinedProcedures, find_similar
+from .undefined_procedures import find_similar
 
 if TYPE_CHECKING:
-    from ...events.program.file_and_library_names import SourceFiles
-
-_UNREPORTED_GOALS = frozenset(functor(name, 0) for name in ("true", "!", "fail", "false", "otherwise"))
-"""Goals without ports in a trace."""
-
-_CONTROL_CONSTRUCTS = frozenset(
-    functor(name, arity)
-    for name, arity in ((";", 2), ("|", 2), ("->", 2), ("*->", 2), ("\\+", 1), ("call", 1))
-)
-"""Constructs without ports in a trace; the goals in them have ports."""
-
-
-class _TracedCall:
-    """Traced call: its goal, its depth, and whether it has exited with choice points, so that it can be retried."""
-
-    __slots__ = ("goal", "depth", "has_exited")
-
-    def __init__(self, goal: Term, depth: int):
-        self.goal = goal
-        self.depth = depth
-        self.has_exited = False
-
-
-class Tracer:
-    """Tracer that interprets goals and reports each port that they pass.
-
-    Clauses of the program are interpreted while it is on. A predicate of the system is a single call, but the goals
-    that it calls are traced.
-
-    Args:
-        logic: the predicates.
-        write_line: called with a line for each port.
-    """
-
-    def __init__(self, logic: PredicateTable, write_line: Callable[[str], None]):
-        self._logic = logic
-        self._write_line = write_line
-        self._control = logic.control
-        self._choices = logic.machine.choices
-        self._trail = logic.machine.trail
-        self._depth = 0
-        self._guard_code = Guard("trace", self._on_unwind)
-        self._guard_code.run = self._on_failure
-        self._exit_code = Code("trace exit", self._on_exit)
-        self._redo_code = Code("trace redo", self._on_redo)
-        self._next_clause_code = Code("trace clause", self._next_clause)
-
-    @contextmanager
-    def on(self) -> Iterator[None]:
-        """Return a context in which goals are traced."""
-        self.start()
-        try:
-            yield
-        finally:
-            self.stop()
-
-    def start(self) -> None:
-        """Start tracing."""
-        # An instance attribute hides the method, so that calls need no test whether tracing is on.
-        control = self._control
-        self._untraced_solve = control.solve
-        control.solve = self._logic.database.solve = self.solve  # type: ignore[method-assign]
-
-    def stop(self) -> None:
-        """Stop tracing."""
-        control = self._control
-        if control.solve == self.solve:
-            del control.solve
-            self._logic.database.solve = control.solve
-
-    def solve(self, goal: Term, height: int, continuation: Frame) -> Optional[Frame]:
-        """Return the frame that runs a goal with reports of its ports; see `Control.solve`."""
-        goal = deref(goal)
-        while goal.__class__ is tuple and goal[0] is COMMA:
-            continuation = (self._control.code, goal[2], height, continuation)
-            goal = deref(goal[1])
-        if goal.__class__ is tuple and goal[0] is COLON:
-            return self.solve(self._logic.database.modules.resolve_qualified_goal(goal), height, continuation)
-        key = _functor_of(goal)
-        if key is None or key in _UNREPORTED_GOALS or key in _CONTROL_CONSTRUCTS:
-            return self._untraced_solve(goal, height, continuation)
-        return self._call(goal, key, continuation)
-
-    def _call(self, goal: Term, key: Functor, continuation: Frame) -> Optional[Frame]:
-        self._depth += 1
-        call = _TracedCall(goal, self._depth)
-        self._report_port("Call", call)
-        # The guard lies below the choice points of the call: backtracking reaches it when the call has failed, and an
-        # exception unwinds it.
-        base = len(self._choices)
-        self._choices.append((self._guard_code, call, len(self._trail)))
-        exit_frame = (self._exit_code, call, base, continuation)
-        predicate = self._logic.lookup(key) or self._logic.database.predicate(key)
-        if predicate.kind == "user" and not predicate.is_library_predicate:
-            arguments = goal[1:] if goal.__class__ is tuple else ()
-            clauses = list(predicate.active_clauses())
-            return self._next_clause((self._next_clause_code, arguments, clauses, 0, exit_frame, call, None))
-        return self._untraced_solve(goal, base + 1, exit_frame)
-
-    def _next_clause(self, entry: Frame) -> Optional[Frame]:
-        """Try the remaining clauses of a call."""
-        _, arguments, clauses, start, exit_frame, call, _ = entry
-        self._depth = call.depth
-        trail = self._trail
-        mark = len(trail)
-        height = len(self._choices)
-        for index in range(start, len(clauses)):
-            clause = clauses[index]
-            new_vars: Dict[Var, Term] = {}
-            head = copy(clause.head, new_vars)
-            head_args = head[1:] if head.__class__ is tuple else ()
-            if all(unify(argument, head_arg, trail) for argument, head_arg in zip(arguments, head_args)):
-                if index + 1 < len(clauses):
-                    self._choices.append(
-                        (self._next_clause_code, arguments, clauses, index + 1, exit_frame, call, mark)
-                    )
-                return self._control.solve(copy(clause.body, new_vars), height, exit_frame)
-            undo(trail, mark)
-        return None
-
-    def _on_exit(self, frame: Frame) -> Frame:
-        continuation: Frame
-        _, call, base, continuation = frame
-        self._report_port("Exit", call)
-        self._depth = call.depth - 1
-        if len(self._choices) == base + 1:
-            self._choices.pop()
-        else:
-            # On top of the call's choice points: backtracking into the call passes its redo port first.
-            call.has_exited = True
-            self._choices.append((self._redo_code, call, len(self._trail)))
-        return continuation
-
-    def _on_redo(self, entry: Frame) -> None:
-        call = entry[1]
-        call.has_exited = False
-        self._depth = call.depth
-        self._report_port("Redo", call)
-
-    def _on_failure(self, entry: Frame) -> None:
-        self._report_port("Fail", entry[1])
-        self._depth = entry[1].depth - 1
-
-    def _on_unwind(self, entry: Frame) -> None:
-        call = entry[1]
-        if not call.has_exited:
-            self._report_port("Exception", call)
-        self._depth = call.depth - 1
-
-    def _report_port(self, port: str, call: _TracedCall) -> None:
-        text = write_term(
-            call.goal, self._logic.operators, quoted=True, numbervars=True, spacing=True, priority=999
-        )
-        self._write_line(f"{port:>9}: ({call.depth}) {text}")
-
-
-def _functor_of(goal: Term) -> Optional[Functor]:
-    """Return the functor of a goal, or None for a term that is no goal."""
-    if goal.__class__ is tuple:
-        key: Functor = goal[0]
-        return key
-    return goal.functor if goal.__class__ is Atom else None
-
-
-@control("trace/1")
-def trace(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
-    """Call a goal and write a line to the error output for each port that it passes."""
-    logic = machine.logic
-    tracer = Tracer(logic, lambda line: logic.error_output(f"{line}\n"))
-    tracer.start()
-    # Tracing must stop when the goal fails, exits or raises, and start again when it is retried: the guard and the
-    # codes below do that at the corresponding points of the choice point stack.
-    height = len(machine.choices)
-    machine.choices.append((_TRACE_GUARD, tracer, len(machine.trail)))
-    return tracer.solve(args[0], height + 1, (_EXIT_TRACE, machine, tracer, height, continuation))
-
-
-def _exit_trace(frame: Frame) -> Frame:
-    """Stop tracing when the traced goal exits; backtracking into it starts tracing again."""
-    machine: Machine
-    tracer: Tracer
-    continuation: Frame
-    _, machine, tracer, height, continuation = frame
-    tracer.stop()
-    if len(machine.choices) == height + 1:
-        machine.choices.pop()
-    else:
-        machine.choices.append((_RESUME_TRACE, tracer, len(machine.trail)))
-    return continuation
-
-
-_TRACE_GUARD = Guard("trace", lambda entry: entry[1].stop())
-_EXIT_TRACE = Code("trace", _exit_trace)
-_RESUME_TRACE = Code("trace", lambda entry: entry[1].start())
+    from ..files.source_files import SourceFiles
 
 
 class MachineState(NamedTuple):
@@ -301,9 +90,7 @@ def repair_after_interrupt(logic: Any) -> None:
     end_captures(logic)
     logic.new_goals = None
     logic.database.modules.reset_loading()
-    # An interrupted trace leaves its method on the instance; see `Tracer.start`.
-    vars(logic.control).pop("solve", None)
-    logic.database.solve = logic.control.solve
+    logic.control.stop_tracing()
     for predicate in list(logic.database.predicates.values()):
         predicate.repair()
     for value in list(logic.state.values()):
@@ -351,46 +138,60 @@ class PrologSystem(PredicateTable):
     Args:
         operators: operator table of the program; by default the standard one.
         compile_after: calls of an unchanged predicate after which it is compiled.
+        limits: resource limits of goals.
+        now: returns the current time in nanoseconds.
+        files: opens files for goals; None if goals may open none.
+        environment: environment variables of the process; None if the program may not read them.
+        allow_flags: whether goals of clients, including those that they add to the program, may change flags.
 
     Attributes:
         output: called with text that the program prints.
         column: column at which the next text is printed.
-        now: returns the current time in nanoseconds.
+        now: see above.
         error_output: called with text printed to ``user_error``, and with warnings.
         globals: global variables by name.
         state: data that built-ins store by name, such as counters and tables.
         swi_files: files that the program has loaded into SWI-Prolog, by name.
         foreign_modules: names or paths of the Python modules that the program has loaded.
-        files: opens files for goals; None if goals may open none.
-        undefined_procedures: handles calls of undefined procedures.
+        files: see above.
+        environment: see above.
         ask: returns the next line that the user types, None at the end of input; None if there is no user.
-        environment: environment variables of the process; None if the program may not read them.
         is_serving_client: whether the current work is done for a client and not for the program; see
             `serving_client`.
-        allow_flags: whether goals of clients, including those that they add to the program, may change flags.
         new_goals: goals compiled since `precompiling_goals` began; None outside of it.
     """
 
-    def __init__(self, operators: Optional[Operators] = None, compile_after: int = COMPILE_AFTER):
-        super().__init__(operators, compile_after)
-        self.database.call_undefined = self._call_undefined
-        self.undefined_procedures = UndefinedProcedures(self)
+    def __init__(
+        self,
+        operators: Optional[Operators] = None,
+        compile_after: int = COMPILE_AFTER,
+        limits: Limits = NO_LIMITS,
+        now: Callable[[], int] = time_ns,
+        files: "Optional[SourceFiles]" = None,
+        environment: Optional[Mapping[str, str]] = None,
+        allow_flags: bool = False,
+    ):
+        super().__init__(
+            Operators.prolog() if operators is None else operators,
+            compile_after,
+            Budget(limits),
+            self._record_module,
+            lambda text: self.message("warning", text),
+        )
+        self.now = now
+        self.files = files
+        self.environment = environment
+        self._allow_flags = allow_flags
         self.globals: Dict[str, Term] = {}
         self.column = 0
         self.output: Callable[[str], None]
         self.error_output: Callable[[str], None]
         self.print_to(_write_stdout, _write_stderr)
-        self.message = self._to_error_output
-        self.database.modules.on_import_conflict = lambda text: self.message("warning", text)
-        self.files: Optional[SourceFiles] = None
         self.ask: Optional[Callable[[], Optional[str]]] = None
         self.state: Dict[str, Any] = {}
-        self.now: Callable[[], int] = time_ns
         self.new_goals: Optional[List[CompiledGoal]] = None
         self.is_serving_client = False
-        self.allow_flags = False
         self.foreign_modules: Dict[str, None] = {}
-        self.environment: Optional[Mapping[str, str]] = None
         self.swi_files: Dict[str, Tuple[Any, ...]] = {}
 
     # Limits
@@ -421,7 +222,7 @@ class PrologSystem(PredicateTable):
         Raises:
             PrologError: a permission error if the goal comes from a client.
         """
-        if self.allow_flags:
+        if self._allow_flags:
             return
         # A compiled goal records its origin: a client may have added it to the program, which runs it later.
         goal = self.machine.budget.goal
@@ -634,7 +435,8 @@ class PrologSystem(PredicateTable):
         self.column = self.column + len(text) if newline < 0 else len(text) - newline - 1
         self.output(text)
 
-    def _to_error_output(self, message_kind: str, text: str) -> None:
+    def message(self, kind: str, text: str) -> None:
+        """Print a message of a kind (error, warning, informational, ...), as ``print_message/2`` does."""
         self.error_output(text)
 
     def show(
@@ -678,22 +480,11 @@ class PrologSystem(PredicateTable):
         """Return the text of a term, shortened for reports."""
         return self.show(term, names=names, is_constructed=is_constructed, longest=MAX_SHOWN_CHARACTERS)
 
-    # Internals
-
-    def _call_undefined(self, predicate: Predicate, frame: Frame) -> Optional[Frame]:
-        """Run a call of an undefined predicate: through the plain name, the library, or the existence error."""
-        key = predicate.functor
-        if predicate.dynamic:
-            return None
-        plain_key = self.database.modules.plain_functor(key)
-        plain_predicate = None if plain_key is None else self.lookup(plain_key)
-        if plain_predicate is not None:
-            return plain_predicate.run((plain_predicate, *frame[1:]))
-        library_file = self._library.get((key.name, key.arity))
-        if library_file is not None:
-            self._load_library(library_file)
-            return self.database.predicate(key).run(frame)
-        return self.undefined_procedures.handle_call(predicate, frame)
+    def _record_module(self, name: str) -> None:
+        """Record that the file that is being loaded declares a module; warn if another file declares the same one."""
+        warning = "" if self.files is None else self.files.record_module(name)
+        if warning:
+            self.message("warning", warning)
 
     def find_similar(self, key: Functor) -> List[str]:
         """Return indicators of predicates with a similar name, for "did you mean" hints."""

@@ -5,16 +5,19 @@ procedure at each event: hints are stored, and the number of searches is bounded
 """
 
 from difflib import get_close_matches
-from typing import Callable, Dict, List, Optional, Tuple
+from typing import TYPE_CHECKING, Callable, Dict, List, Optional, Tuple
 
 from ...foundation.bounded_caches import Cache
+from ...foundation.callbacks import CallbackList
 from ..database.clause_index import Clause
 from ..database.predicate import Predicate
 from ..machine.errors import CONTEXT, existence_error, indicator
 from ..terms.term_traversal import copy
 from ..terms.types import FALSE, Atom, CompoundTerm, Frame, Functor, Trail, atom, deref
 from ..terms.unification import undo, unify
-from .predicate_resolution import PredicateTable
+
+if TYPE_CHECKING:
+    from .predicate_resolution import PredicateTable
 
 _MAX_COMPARED_CHARACTERS = 200
 """Characters of a name that are compared with other names; the comparison is quadratic."""
@@ -31,15 +34,17 @@ class UndefinedProcedures:
 
     Args:
         logic: contains the predicates and the flag ``unknown``.
+        warn: called with the text of a warning.
 
     Attributes:
-        describe_other_use: returns what a name without a predicate stands for instead, and how to ask for that; an
-            empty text if it stands for nothing.
+        other_uses: functions that return what a name without a predicate stands for instead, and how to ask for
+            that; an empty text if it stands for nothing.
     """
 
-    def __init__(self, logic: PredicateTable):
+    def __init__(self, logic: "PredicateTable", warn: Callable[[str], None]):
         self._logic = logic
-        self.describe_other_use: Callable[[Functor], str] = lambda key: ""
+        self._warn = warn
+        self.other_uses: CallbackList[Callable[[Functor], str]] = CallbackList()
         self._call_count = self._search_count = 0
         self._hints: Cache[Tuple[Functor, Optional[Functor], int], str] = Cache(1000, 1 << 20)
 
@@ -59,7 +64,7 @@ class UndefinedProcedures:
         if flag is atom("warning"):
             if not predicate.has_warned_undefined:
                 predicate.has_warned_undefined = True
-                logic.message("warning", f"Unknown procedure: {key}")
+                self._warn(f"Unknown procedure: {key}")
             return None
         hints = self._hints_of(predicate, frame)
         shown_indicator = logic.database.modules.module_indicator(key) or indicator(key)
@@ -91,14 +96,15 @@ class UndefinedProcedures:
 
     def suggest(self, key: Functor) -> str:
         """Return what to call instead of an undefined procedure; an empty text if that is unknown."""
-        other_use = self.describe_other_use(key)
-        if other_use:
-            return other_use
+        for describe_other_use in self.other_uses:
+            other_use = describe_other_use(key)
+            if other_use:
+                return other_use
         similar = find_similar(self._logic, key)
         return f"did you mean {' or '.join(similar)}?" if similar else ""
 
 
-def _possible_callers(logic: PredicateTable, predicate: Predicate, frame: Frame) -> List[str]:
+def _possible_callers(logic: "PredicateTable", predicate: Predicate, frame: Frame) -> List[str]:
     """Return descriptions of the clauses that may have made a call, at most three.
 
     A last call leaves no frame of its clause. The candidates are therefore the clauses with a goal that the call is
@@ -162,7 +168,7 @@ def _may_unify(goal: CompoundTerm, call: CompoundTerm) -> bool:
     return unifies
 
 
-def find_similar(logic: PredicateTable, key: Functor) -> List[str]:
+def find_similar(logic: "PredicateTable", key: Functor) -> List[str]:
     """Return indicators of defined procedures with the same name or a similar one, at most three.
 
     Indicators of other arities are returned only if none has the arity of the call.

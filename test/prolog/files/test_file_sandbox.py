@@ -6,7 +6,7 @@ import os
 import pytest
 
 from retalis import PrologError, RetalisError, UsageError
-from retalis.events.program.file_sandbox import FileSandbox, check_name
+from retalis.prolog.files.file_sandbox import FileSandbox, check_name
 
 
 @pytest.fixture
@@ -88,7 +88,7 @@ def test_full_disk_leaves_file_unchanged(sandbox, tmp_path, monkeypatch, is_erro
         return 3
 
     with monkeypatch.context() as patch:
-        patch.setattr("retalis.events.program.file_sandbox.os.write", short_write)
+        patch.setattr("retalis.prolog.files.file_sandbox.os.write", short_write)
         with pytest.raises(UsageError, match="cannot write .*: No space left on device"):
             sandbox.append(str(path), "a text\n")
     assert path.read_bytes() == content_before
@@ -163,7 +163,7 @@ def test_opened_file_is_checked_after_opening(sandbox, tmp_path, monkeypatch, li
     path, other = str(tmp_path / "read" / "a.txt"), str(tmp_path / "other" / "a.txt")
     os_open = os.open
     monkeypatch.setattr(
-        "retalis.events.program.file_sandbox.os.open",
+        "retalis.prolog.files.file_sandbox.os.open",
         lambda opened, *rest, **more: os_open(other if opened == path else opened, *rest, **more),
     )
     if limited:

@@ -21,15 +21,15 @@ from ...foundation.errors import (
     quote_shortened,
     suggest_file,
 )
-from ...prolog.machine.errors import (
+from ..machine.errors import (
     domain_error,
     existence_error,
     permission_error,
     representation_error,
     resource_error,
 )
-from ...prolog.machine.resource_limits import MEGABYTE
-from ...prolog.terms.types import atom
+from ..machine.resource_limits import MEGABYTE
+from ..terms.types import atom
 
 _MAX_PATH_BYTES, _MAX_NAME_BYTES = 4095, 255
 """Limits of Linux in bytes."""

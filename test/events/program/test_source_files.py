@@ -6,7 +6,7 @@ import pytest
 from events.stream_programs import ProgramRunner, format_events
 
 from retalis import Engine, ProgramErrors, PrologError, RetalisError, Settings, StreamClock, atom
-from retalis.events.program.file_and_library_names import SourceFiles
+from retalis.prolog.files.source_files import SourceFiles
 
 
 def write(folder, **texts):
@@ -380,21 +380,20 @@ def test_written_file_is_emptied_or_appended(tmp_path):
 
 def test_second_file_of_module_is_reported(tmp_path):
     files, warnings = SourceFiles(), []
-    files.on_same_module = warnings.append
-    files.record_module("nothing_is_loaded")
+    assert files.record_module("nothing_is_loaded") == ""
     first, second, other = (tmp_path / name for name in ("one.pl", "two.pl", "other.pl"))
     for path, name in ((first, "m"), (other, "n"), (first, "m"), (second, "m")):
         with files.loading_file(path):
-            files.record_module(name)
+            warnings.append(files.record_module(name))
             assert files.module(path) == name
-    assert warnings == [f"Warning: {first} is module m as well; what {second} has of it is added to that\n"]
+    warning = f"Warning: {first} is module m as well; what {second} has of it is added to that\n"
+    assert warnings == ["", "", "", warning]
     assert files.module(tmp_path / "none.pl") == ""
     assert files.has_loaded(first) and not files.has_loaded(tmp_path / "none.pl")
     files.loaded.clear()
     assert files.module(first) == ""
     with files.loading_file(second):
-        files.record_module("m")
-    assert len(warnings) == 1
+        assert files.record_module("m") == ""
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,1 @@
+"""Files that programs name: their paths, permissions and modules."""
