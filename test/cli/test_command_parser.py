@@ -8,19 +8,19 @@ MAX_LINES = 24
 """Lines of a usual terminal window."""
 
 
-def fails_to_parse(arguments, capsys):
-    with pytest.raises(SystemExit) as ended:
+def usage_error(arguments, capsys):
+    with pytest.raises(SystemExit) as raised:
         main(arguments)
-    assert ended.value.code == 2
+    assert raised.value.code == 2
     captured = capsys.readouterr()
     assert captured.out == ""
     return captured.err.splitlines()
 
 
 def printed_help(arguments, capsys):
-    with pytest.raises(SystemExit) as ended:
+    with pytest.raises(SystemExit) as raised:
         main(arguments)
-    assert not ended.value.code
+    assert not raised.value.code
     return capsys.readouterr().out
 
 
@@ -32,11 +32,13 @@ def test_help_fits_on_screen(command, capsys, monkeypatch):
     assert lines[0].startswith(f"usage: retalis {command} [options]")
 
 
-def test_full_help_has_groups_that_short_help_omits(capsys):
+def test_full_help_has_groups_omitted_from_short(capsys):
     short, full = (printed_help(["bag", option], capsys) for option in ("--help", "--help-all"))
     for name in ("--max-seconds", "--jobs", "--direct", "--folder", "many bags:", "with --json each line"):
-        assert name in full and name not in short
-    assert "--help-all" in short and "--program" in short
+        assert name in full
+        assert name not in short
+    assert "--help-all" in short
+    assert "--program" in short
 
 
 def test_command_without_groups_has_no_full_help(capsys):
@@ -68,7 +70,7 @@ def test_command_without_groups_has_no_full_help(capsys):
     ],
 )
 def test_error_shows_usage_and_similar_name(arguments, usage, error, capsys):
-    *usage_lines, last = fails_to_parse(arguments, capsys)
+    *usage_lines, last = usage_error(arguments, capsys)
     assert usage_lines == [f"usage: {usage}"]
     assert last.partition(": error: ")[2] == error
 

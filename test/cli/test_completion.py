@@ -1,4 +1,4 @@
-"""What may come next on a command line, as a shell asks for it."""
+"""Completion of command lines in shells."""
 
 import os
 import pty
@@ -16,25 +16,25 @@ from retalis.cli import completion
 from retalis.cli.command_line import main, make_parser
 
 
-def after(*words, names=lambda kind, node: []):
-    """Return what the last of the words may become."""
+def candidates(*words, names=lambda kind, node: []):
+    """Return the completions of the last word."""
     return completion.list_candidates(make_parser([])[0], words, names)
 
 
-def named(kind, node):
+def names_in_node(kind, node):
     return [f"{kind} of {node}", "odom"]
 
 
 @pytest.mark.parametrize(
-    "words, found",
+    ("words", "expected"),
     [
         (["ev"], ["events"]),
         (["--v"], ["--version"]),
         (["bag", "--max-s"], ["--max-skew", "--max-seconds"]),
-        (["bag", "--program", ""], []),  # the shell takes files
+        (["bag", "--program", ""], []),  # the shell completes files
         (["bag", "--program", "x", "--max-skew", "2", "a.bag", "--prog"], ["--program"]),
         (["bag", "x.bag", "--quiet", "--quie"], ["--quiet"]),
-        (["list", ""], ["--help", "--node", "--json"]),  # there are no other arguments
+        (["list", ""], ["--help", "--node", "--json"]),  # has only options
         (["console", "--he"], ["--help", "--help-all"]),
         (["list", "--no"], ["--node"]),
         (["query", "--node", ""], ["nodes of None", "odom"]),
@@ -51,22 +51,22 @@ def named(kind, node):
         (["console", "a", "b", "c"], []),
     ],
 )
-def test_what_may_come(words, found):
-    assert after(*words, names=named) == found
+def test_words_have_candidates(words, expected):
+    assert candidates(*words, names=names_in_node) == expected
 
 
-def test_each_command_is_offered_and_each_of_its_options():
-    commands = after("")
+def test_commands_and_options_are_candidates():
+    commands = candidates("")
     assert {"bag", "console", "demo", "events", "query", "watch", "reload"} <= set(commands)
     for command in commands:
-        assert "--help" in after(command, "-")
+        assert "--help" in candidates(command, "-")
 
 
-def test_asked_by_the_shell(capsys, monkeypatch):
+def test_command_complete_prints_candidates(capsys, monkeypatch):
     assert main(["complete", "words", "1", "retalis", "demo"]) == 0
     assert capsys.readouterr().out.endswith("demo\n")
     monkeypatch.setattr(completion, "import_ros_module", no_ros)
-    assert main(["complete", "words", "3", "retalis", "query", "--node"]) == 0  # the word is not begun yet
+    assert main(["complete", "words", "3", "retalis", "query", "--node"]) == 0  # the third word is empty
     assert capsys.readouterr() == ("", "")
 
 
@@ -74,7 +74,7 @@ def no_ros(name):
     raise completion.UsageError("there is no ROS")
 
 
-def test_the_script_is_printed(capsys):
+def test_script_of_shell_is_printed(capsys):
     assert main(["complete"]) == 0
     assert "\ncomplete -o default -F _retalis_complete retalis\n" in capsys.readouterr().out
     assert main(["complete", "zsh"]) == 0
@@ -164,15 +164,17 @@ def complete_in_fish(lines, environment):
     for line in lines:
         script = f'retalis complete fish | source; complete -C "{line}"'
         words = ["fish", "-N", "-c", script]
-        done = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=True, timeout=60, **environment)
-        (candidate,) = done.stdout.splitlines()
+        process = subprocess.run(
+            words, stdout=subprocess.PIPE, text=True, check=True, timeout=60, **environment
+        )
+        (candidate,) = process.stdout.splitlines()
         completed.append(f"{line.rpartition(' ')[0]} {candidate}")
     return completed
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_shells_complete_commands_options_values_and_files(shell, tmp_path):
+def test_shell_completes_words(shell, tmp_path):
     if shutil.which(shell) is None:
         pytest.skip(f"{shell} is not installed (Debian's package {shell})")
     command = tmp_path / "bin" / "retalis"

@@ -1,4 +1,4 @@
-"""The console: answers, errors, files, tracing; from a pipe and at a terminal."""
+"""Console: solutions, errors, files, and tracing; from a pipe and at a terminal."""
 
 import io
 import os
@@ -25,7 +25,7 @@ SOURCE = Path(__file__).resolve().parents[2] / "src"
 
 @pytest.fixture
 def ask(capsys):
-    """Return a function that pipes text into a console and returns what it printed: output and errors."""
+    """Return a function that pipes text into a console and returns the printed output and errors."""
 
     def ask(text, console=None):
         console = Console(StderrReporter()) if console is None else console
@@ -63,73 +63,73 @@ def ask(capsys):
         ("halt.\nX = 1.", ""),
     ],
 )
-def test_answer(ask, goal, answer):
-    found = ask(goal + "\n")
-    assert (found.out, found.err) == (answer, "")
+def test_solutions_are_printed(ask, goal, answer):
+    captured = ask(goal + "\n")
+    assert (captured.out, captured.err) == (answer, "")
 
 
-def test_error_keeps_the_console(ask):
-    found = ask("atom_length(X, Y).\nthrow(oops).\nX = 2.\n")
-    assert found.out == "X = 2.\n"
-    assert "Arguments are not sufficiently instantiated" in found.err
-    assert "Unhandled exception: oops" in found.err
+def test_console_continues_after_error(ask):
+    captured = ask("atom_length(X, Y).\nthrow(oops).\nX = 2.\n")
+    assert captured.out == "X = 2.\n"
+    assert "Arguments are not sufficiently instantiated" in captured.err
+    assert "Unhandled exception: oops" in captured.err
 
 
-def test_error_after_output_begins_a_line(ask):
-    found = ask("write(a), atom_length(X, Y).\n")
-    assert found.out == "a\n"
+def test_error_after_output_is_on_new_line(ask):
+    captured = ask("write(a), atom_length(X, Y).\n")
+    assert captured.out == "a\n"
 
 
-def test_syntax_error_has_place_and_caret(ask):
-    found = ask("X = .\nX = 1.\n")
-    assert found.out == "X = 1.\n"
-    assert "user:1:5" in found.err
-    assert found.err.splitlines()[-1] == "    ^"
+def test_syntax_error_has_position_and_caret(ask):
+    captured = ask("X = .\nX = 1.\n")
+    assert captured.out == "X = 1.\n"
+    assert "user:1:5" in captured.err
+    assert captured.err.splitlines()[-1] == "    ^"
 
 
-def test_undefined_predicate_names_what_was_meant(ask):
+def test_undefined_predicate_has_similar_name(ask):
     assert "did you mean atom_length/2" in ask("atom_lenth(a, X).\n").err
 
 
-def test_most(capsys):
+def test_option_most_limits_solutions(capsys):
     Console(StderrReporter(), max_solutions=2).solve_goals(PipedInput(io.StringIO("repeat.\n")))
     assert capsys.readouterr().out == "true ;\ntrue .\n% there may be more (see --most)\n"
 
 
-def test_clauses_from_user(ask):
-    found = ask("[user].\np(1).\np(X) :- q(Y).\nend_of_file.\np(X).\n")
-    assert found.out.startswith("true.\nX = 1 ;\n")
-    assert "singleton variables: X, Y" in found.err
-    assert "called from p/1" in found.err
+def test_clauses_are_read_from_user(ask):
+    captured = ask("[user].\np(1).\np(X) :- q(Y).\nend_of_file.\np(X).\n")
+    assert captured.out.startswith("true.\nX = 1 ;\n")
+    assert "singleton variables: X, Y" in captured.err
+    assert "called from p/1" in captured.err
 
 
-def test_files(tmp_path, ask, caplog):
+def test_files_are_consulted(tmp_path, ask, caplog):
     path = tmp_path / "facts.pl"
     path.write_text("p(1).\np(2).\nout(X) <- in(X).\nq(A) :- p(1).\n")
-    found = ask(
+    captured = ask(
         f"['{path}'].\np(X).\nsubscribe(out(_), [], _, topic, s).\nevent(in(3)).\nconsult('{path}x').\n"
     )
-    assert "X = 1 ;\nX = 2.\n" in found.out
-    assert "% topic: out(3)" in found.out
+    assert "X = 1 ;\nX = 2.\n" in captured.out
+    assert "% topic: out(3)" in captured.out
     assert f"{path}:4:1: singleton variables: A" in caplog.text
-    assert "cannot read" in found.err
+    assert "cannot read" in captured.err
 
 
-def test_wrong_file_shows_all_errors(tmp_path, capsys):
+def test_invalid_file_reports_all_errors(tmp_path, capsys):
     path = tmp_path / "wrong.pl"
     path.write_text("p(.\nq(1) <- a.\nr(]).\n")
-    report = StderrReporter()
-    assert not Console(report).load(path)
-    assert report.errors == 2
+    reporter = StderrReporter()
+    assert not Console(reporter).load(path)
+    assert reporter.errors == 2
     assert "wrong.pl:1:3" in capsys.readouterr().err
 
 
-def test_flags_and_operators_hold_for_the_next_goal(ask):
-    found = ask('op(700, xfx, ===>), set_prolog_flag(double_quotes, codes).\nX = (a ===> b).\nX = "a".\n')
-    assert found.out == "true.\nX = (a===>b).\nX = [97].\n"
+def test_flags_and_operators_apply_to_next_goal(ask):
+    captured = ask('op(700, xfx, ===>), set_prolog_flag(double_quotes, codes).\nX = (a ===> b).\nX = "a".\n')
+    assert captured.out == "true.\nX = (a===>b).\nX = [97].\n"
 
 
-TRACED = """\
+TRACE = """\
      Call: (1) p(_, b)
      Call: (2) q(_)
      Exit: (2) q(1)
@@ -145,39 +145,39 @@ TRACED = """\
 """
 
 
-def test_trace(ask):
+def test_trace_prints_ports(ask):
     console = Console(StderrReporter())
     ask("[user].\np(X, b) :- q(X).\nq(1).\nq(2).\nend_of_file.\n", console)
-    found = ask("trace, p(X, b), X > 1.\np(X, b).\n", console)
-    assert found.out == "X = 2.\nX = 1 ;\nX = 2.\n"
-    assert _without_names(found.err) == TRACED
+    captured = ask("trace, p(X, b), X > 1.\np(X, b).\n", console)
+    assert captured.out == "X = 2.\nX = 1 ;\nX = 2.\n"
+    assert without_variable_names(captured.err) == TRACE
 
 
-def test_trace_of_exceptions_and_meta_calls(ask):
-    found = ask("trace(catch(atom_length(_, _), error(E, _), true)).\n")
-    assert found.out == "E = instantiation_error.\n"
-    ports = [line.split()[0] for line in found.err.splitlines()]
+def test_trace_has_exceptions_and_meta_calls(ask):
+    captured = ask("trace(catch(atom_length(_, _), error(E, _), true)).\n")
+    assert captured.out == "E = instantiation_error.\n"
+    ports = [line.split()[0] for line in captured.err.splitlines()]
     assert ports == ["Call:", "Call:", "Exception:", "Exit:"]
 
 
 def test_trace_respects_cuts(ask):
     console = Console(StderrReporter())
     ask("[user].\np(X) :- q(X), !.\nq(1).\nq(2).\nend_of_file.\n", console)
-    found = ask("trace(p(X)).\ntrace(\\+ p(3)).\ntrace((p(X) -> Y = X ; Y = none)).\n", console)
-    assert found.out == "X = 1.\ntrue.\nX = Y, Y = 1.\n"
+    captured = ask("trace(p(X)).\ntrace(\\+ p(3)).\ntrace((p(X) -> Y = X ; Y = none)).\n", console)
+    assert captured.out == "X = 1.\ntrue.\nX = Y, Y = 1.\n"
 
 
-def test_trace_is_switched(ask):
-    found = ask("trace.\natom(a).\nnotrace.\natom(b).\n")
-    assert found.out == "true.\n" * 4
-    assert found.err == "     Call: (1) atom(a)\n     Exit: (1) atom(a)\n"
+def test_trace_is_switched_on_and_off(ask):
+    captured = ask("trace.\natom(a).\nnotrace.\natom(b).\n")
+    assert captured.out == "true.\n" * 4
+    assert captured.err == "     Call: (1) atom(a)\n     Exit: (1) atom(a)\n"
 
 
-def _without_names(text):
+def without_variable_names(text):
     return re.sub(r"_G\d+", "_", text)
 
 
-def test_a_terminal_too_simple_for_lines_to_be_edited(monkeypatch):
+def test_simple_terminal_has_no_line_editing(monkeypatch):
     def refuse(path):
         raise RuntimeError("terminal doesn't have the required 'clear' capability")
 
@@ -185,21 +185,21 @@ def test_a_terminal_too_simple_for_lines_to_be_edited(monkeypatch):
         **dict.fromkeys(("set_completer", "set_completer_delims", "parse_and_bind"), id)
     )
     readline.read_history_file = refuse
-    kept = []
-    monkeypatch.setattr("atexit.register", kept.append)
+    exit_handlers = []
+    monkeypatch.setattr("atexit.register", exit_handlers.append)
     monkeypatch.setitem(sys.modules, "readline", readline)
     assert TerminalInput(list).is_terminal
-    assert not kept
+    assert not exit_handlers
 
 
-def test_completions():
+def test_names_are_completed():
     names = ["append", "atom_length", "atom_chars", "=..", "Weird"]
     assert find_completions("atom", names) == ["atom_chars", "atom_length"]
     assert find_completions("", names) == []
     assert find_completions("W", names) == []
 
 
-def test_bindings_of_equal_names():
+def test_names_of_bindings_are_unique():
     read = read_term("f(_A, X)", Operators.prolog())
     read.names["X"].ref = (read.term[0], read.names["_A"], 1)
     assert format_bindings(read.names, Operators.prolog()) == "X = f(_, 1)"
@@ -217,16 +217,16 @@ def run(arguments, text=""):
 
 
 @pytest.mark.slow
-def test_pipe(tmp_path):
+def test_piped_goals_and_option_goal_are_solved(tmp_path):
     path = tmp_path / "facts.pl"
     path.write_text("p(1).\n")
-    done = run([str(path)], "p(X).\np(.\n")
-    assert (done.returncode, done.stdout) == (1, "X = 1.\n")
+    process = run([str(path)], "p(X).\np(.\n")
+    assert (process.returncode, process.stdout) == (1, "X = 1.\n")
     assert run(["-g", "X = 1"]).stdout == "X = 1.\n"
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs a pseudo-terminal")
-def test_terminal(tmp_path):
+def test_terminal_has_solutions_and_interrupts(tmp_path):
 
     pid, terminal = pty.fork()
     if pid == 0:
@@ -237,9 +237,9 @@ def test_terminal(tmp_path):
             "TERM": "dumb",
             "PYTHONUNBUFFERED": "",
         }
-        signal.signal(signal.SIGINT, signal.SIG_DFL)  # what a shell starts in the background ignores it
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # background processes of a shell ignore it
         os.execve(sys.executable, [sys.executable, "-m", "retalis", "console"], environment)
-    screen = _Screen(terminal)
+    screen = Screen(terminal)
     screen.until("?- ")
     screen.type("member(X, [1,2,3]).\n")
     screen.until("X = 1")
@@ -261,7 +261,7 @@ def test_terminal(tmp_path):
     assert "member(X, [1,2,3])." in (tmp_path / ".retalis_history").read_text()
 
 
-class _Screen:
+class Screen:
     def __init__(self, terminal):
         self._terminal = terminal
         self._text = ""
@@ -275,69 +275,71 @@ class _Screen:
         self._text = self._text.split(text, 1)[1]
 
 
-def test_a_cleanup_of_a_goal_that_is_left_ends_its_line(ask):
-    found = ask("setup_call_cleanup(true, member(X, [1,2]), write(done)), !.\nX = 2.")
-    assert found.out == "done\nX = 1.\nX = 2.\n"
+def test_output_of_cleanup_ends_its_line(ask):
+    captured = ask("setup_call_cleanup(true, member(X, [1,2]), write(done)), !.\nX = 2.")
+    assert captured.out == "done\nX = 1.\nX = 2.\n"
 
 
-def test_an_unknown_procedure_is_named_once(ask):
+def test_unknown_procedure_is_named_once(ask):
     assert "error: Unknown procedure: no_such/1\n" in ask("no_such(1).").err
 
 
-def test_all_goals_and_clauses_of_a_line_are_read(ask):
+def test_all_goals_and_clauses_of_line_are_read(ask):
     text = "X = 1. X = 2.\n[user]. h(1). h(2).\nh(3). h(\n4).\nend_of_file.\nh(X).\n"
     assert ask(text).out == "X = 1.\nX = 2.\ntrue.\nX = 1 ;\nX = 2 ;\nX = 3 ;\nX = 4.\n"
 
 
 @pytest.mark.slow
-def test_a_goal_that_eats_memory_ends(ask):
+def test_goal_beyond_memory_limit_ends(ask):
     console = Console(StderrReporter(), Settings(limits=Limits(megabytes=50)))
-    answered = ask("findall(X, repeat, L).\nX = 1.\n", console)
-    assert "resource_error" in answered.err or "memory" in answered.err
-    assert answered.out.endswith("X = 1.\n")
+    captured = ask("findall(X, repeat, L).\nX = 1.\n", console)
+    assert "resource_error" in captured.err or "memory" in captured.err
+    assert captured.out.endswith("X = 1.\n")
 
 
-def test_goals_that_are_typed_open_files_anywhere(ask, tmp_path, monkeypatch):
+def test_typed_goals_open_files_anywhere(ask, tmp_path, monkeypatch):
     for name in ("here", "there"):
         (tmp_path / name).mkdir()
     monkeypatch.chdir(tmp_path / "here")
     (tmp_path / "there" / "one.pl").write_text("p(1).")
-    shown = ask(
+    captured = ask(
         "ensure_loaded('../there/one'), p(X).\nassertz(persistent_event(a)), event(a, [1,1]).\n"
         "exists_file('persistent.txt').\n"
     )
-    assert (shown.out, shown.err) == ("X = 1.\ntrue.\ntrue.\n", "")
+    assert (captured.out, captured.err) == ("X = 1.\ntrue.\ntrue.\n", "")
     assert (tmp_path / "here" / "persistent.txt").read_text() == "event(a,[1,1]).\n"
 
 
-class Typing:
-    """A terminal at which lines are typed."""
+class TypedLines:
+    """A terminal with typed lines."""
 
     is_terminal = True
 
     def __init__(self, *lines):
         self.unread_text = ""
-        self.asked = []
+        self.prompts = []
         self._lines = list(lines)
 
     def read_line(self, prompt):
-        self.asked.append(prompt)
+        self.prompts.append(prompt)
         return self._lines.pop(0) if self._lines else None
 
     def wants_more(self):
         return False
 
 
-def test_a_goal_asks_who_types(capsys):
-    typing = Typing("write('Fever? '), read(X), read(Y).\n", "yes.\n", "39.\n", "get_char(X).\n", "\n", "z\n")
-    Console(StderrReporter()).solve_goals(typing)
+def test_goal_reads_typed_lines(capsys):
+    terminal = TypedLines(
+        "write('Fever? '), read(X), read(Y).\n", "yes.\n", "39.\n", "get_char(X).\n", "\n", "z\n"
+    )
+    Console(StderrReporter()).solve_goals(terminal)
     printed = capsys.readouterr().out
     assert "X = yes,\nY = 39." in printed
-    assert typing.asked[:4] == ["?- ", "|: ", "|: ", "?- "]
+    assert terminal.prompts[:4] == ["?- ", "|: ", "|: ", "?- "]
     assert "X = '\\n'." in printed
 
 
-def test_a_goal_from_a_pipe_finds_the_end_of_its_input(ask):
+def test_goal_from_pipe_reads_end_of_file(ask):
     assert ask("read(X).\nfoo.\n").out.startswith("X = end_of_file.")
 
 
@@ -345,6 +347,6 @@ def test_a_goal_from_a_pipe_finds_the_end_of_its_input(ask):
     ("goals", "status"),
     [(["true"], 0), (["fail"], 1), (["true", "fail"], 1), (["member(X, [1,2])"], 0), (["X = f("], 1)],
 )
-def test_status_of_option_goal(goals, status, capsys):
+def test_option_goal_has_exit_status(goals, status, capsys):
     assert main(["console", *(f"--goal={goal}" for goal in goals)]) == status
-    assert "false." in capsys.readouterr().out or "fail" not in goals
+    assert ("false." in capsys.readouterr().out) == ("fail" in goals)

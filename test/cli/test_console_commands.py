@@ -31,7 +31,7 @@ def write(path, text, second):
     os.utime(path, (second, second))
 
 
-def test_reloaded_file_replaces_its_clauses_and_rules(tmp_path, ask):
+def test_reloaded_file_replaces_clauses_and_rules(tmp_path, ask):
     path = tmp_path / "a.pl"
     write(path, "p(1). p(2).\nout(X) <- in(X).\n:- memorize(out(_), [], _, m, 5).\n", 1)
     assert ask(f"['{path}'].\nevent(in(7)).\n").out == "true.\ntrue.\n"
@@ -42,7 +42,7 @@ def test_reloaded_file_replaces_its_clauses_and_rules(tmp_path, ask):
     assert result.out.endswith("true.\nX = 3.\nN = 1.\ntrue.\nN = 2.\n")
 
 
-def test_file_with_error_leaves_previous_version_loaded(tmp_path, ask):
+def test_file_with_error_keeps_previous_version(tmp_path, ask):
     path = tmp_path / "a.pl"
     write(path, "p(1).\n", 1)
     ask(f"['{path}'].\n")
@@ -54,14 +54,15 @@ def test_file_with_error_leaves_previous_version_loaded(tmp_path, ask):
     assert ask("make.\np(X).\n").out.endswith("true.\nX = 3.\n")
 
 
-def test_reloaded_file_may_call_predicates_of_other_file(tmp_path, ask):
+def test_reloaded_file_calls_predicates_of_others(tmp_path, ask):
     needed, needing = tmp_path / "a.pl", tmp_path / "b.pl"
     write(needed, "p(1).\n", 1)
     write(needing, ":- p(X), assertz(q(X)).\n", 1)
     ask(f"['{needed}', '{needing}'].\n")
     write(needing, ":- p(X), Y is X + 1, assertz(q(Y)).\n", 2)
     result = ask("make.\nq(X).\nmake.\n")
-    assert result.err == "" and result.out.endswith("true.\nX = 2.\ntrue.\n")
+    assert result.err == ""
+    assert result.out.endswith("true.\nX = 2.\ntrue.\n")
 
 
 def test_make_reloads_changed_files_of_program(tmp_path, ask):
@@ -72,7 +73,7 @@ def test_make_reloads_changed_files_of_program(tmp_path, ask):
     assert ask("make.\np(X).\n").out.endswith("true.\nX = 2.\n")
 
 
-def test_predicates_of_program_override_console_commands(ask):
+def test_predicates_override_console_commands(ask):
     result = ask(
         "[user].\nmake :- write(made).\nquit.\nhelp(X) :- X = mine.\nend_of_file.\nmake.\nhelp(X).\nquit.\n"
     )
@@ -128,26 +129,26 @@ def test_apropos_finds_names_and_descriptions(ask):
     ("name", "page"),
     [("memorize", "docs/reference/memories.md"), ("absent", "docs/how-to/missing-message.md")],
 )
-def test_help_of_own_predicates_and_operators_names_their_pages(name, page):
+def test_help_of_own_predicates_names_page(name, page):
     assert any(line.endswith(page) for line in "\n".join(help_lines(name, ["memorize/5"])).split("\n"))
 
 
-def test_json_has_an_object_per_solution(capsys):
+def test_json_has_object_per_solution(capsys):
     goals = ['member(X, [1, "text", f(_)]), _Hidden = 1', "event(seen(1))", "format(shown)"]
     options = [word for goal in goals for word in ("--goal", goal)]
     assert main(["console", "--json", *options]) == 0
-    shown = capsys.readouterr()
-    assert [json.loads(line) for line in shown.out.splitlines()] == [
+    captured = capsys.readouterr()
+    assert [json.loads(line) for line in captured.out.splitlines()] == [
         {"X": 1},
         {"X": "text"},
         {"X": {"functor": "f", "args": [{"variable": "_1"}]}},
         {},
         {},
     ]
-    assert shown.err == "shown\n"
+    assert captured.err == "shown\n"
 
 
-def test_json_of_a_goal_that_fails_is_empty(capsys):
+def test_json_of_failed_goal_is_empty(capsys):
     assert main(["console", "--json", "--goal", "fail"]) == 1
     assert capsys.readouterr() == ("", "")
 

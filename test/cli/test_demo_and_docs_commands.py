@@ -1,4 +1,4 @@
-"""``retalis demo``: the NAO example without ROS, and ``retalis docs``: the documentation site in the browser."""
+"""Command ``demo``, the NAO example without ROS, and ``docs``, the documentation site in the browser."""
 
 import json
 import math
@@ -15,21 +15,21 @@ sys.path.append(str(ROOT / "examples" / "nao"))
 from make_bag import make_bag  # noqa: E402
 
 
-def test_locates_the_markers(capsys):
+def test_demo_locates_markers(capsys):
     assert main(["demo", "--seconds", "4", "--seed", "3"]) == 0
-    shown = capsys.readouterr()
-    assert shown.err == ""
-    assert "4x4_1" in shown.out
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    assert "4x4_1" in captured.out
 
 
-def test_plays_a_bag_that_is_given(tmp_path, capsys):
+def test_demo_plays_given_bag(tmp_path, capsys):
     bag = tmp_path / "nao.bag"
     make_bag(bag, 3.0, 2)
     assert main(["demo", "--bag", str(bag)]) == 0
     assert "4x4_1" in capsys.readouterr().out
 
 
-def test_json_of_demo_has_outputs_as_bag_and_a_line_per_marker(tmp_path, capsys):
+def test_json_of_demo_has_outputs_and_markers(tmp_path, capsys):
     bag = tmp_path / "nao.bag"
     make_bag(bag, 3.0, 2)
     assert main(["demo", "--bag", str(bag), "--json"]) == 0
@@ -41,7 +41,7 @@ def test_json_of_demo_has_outputs_as_bag_and_a_line_per_marker(tmp_path, capsys)
     assert math.dist(marker["located"], marker["true"]) == pytest.approx(marker["error"])
 
 
-def test_a_bag_that_is_not_there_is_an_error(tmp_path, capsys):
+def test_missing_bag_is_an_error(tmp_path, capsys):
     assert main(["demo", "--bag", str(tmp_path / "no.bag")]) == 1
     assert "no.bag: there is no such file" in capsys.readouterr().err
     (tmp_path / "no.bag").touch()
@@ -49,29 +49,29 @@ def test_a_bag_that_is_not_there_is_an_error(tmp_path, capsys):
     assert "no.truth.json" in capsys.readouterr().err
 
 
-def test_finds_the_example_in_the_source_tree():
+def test_example_is_found_in_source_tree():
     assert commands.example_folder() == ROOT / "examples" / "nao"
 
 
-def test_wrong_options_end_with_status_2(capsys):
+def test_invalid_options_are_usage_errors(capsys):
     for arguments in (["demo", "--seconds", "soon"], ["demonstrate"]):
-        with pytest.raises(SystemExit) as ended:
+        with pytest.raises(SystemExit) as raised:
             main(arguments)
-        assert ended.value.code == 2
+        assert raised.value.code == 2
     assert "usage: retalis" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("seconds", ["-1", "0", "nan", "inf", "some"])
-def test_a_length_that_is_none_is_refused(seconds, capsys):
-    with pytest.raises(SystemExit) as caught:
+def test_invalid_duration_is_a_usage_error(seconds, capsys):
+    with pytest.raises(SystemExit) as raised:
         main(["demo", "--seconds", seconds])
-    assert caught.value.code == 2
+    assert raised.value.code == 2
     assert f"expected a positive number of seconds, found {seconds}" in capsys.readouterr().err
 
 
 @pytest.fixture(params=[commands.SOURCE_SITE, commands.INSTALLED_SITE], ids=["clone", "installation"])
 def page(request, tmp_path, monkeypatch):
-    """Start page of a built site, in a clone and in an installation."""
+    """Return the start page of a built site, in a clone and in an installation."""
     module = tmp_path / "lib" / "python3" / "site-packages" / "retalis" / "cli" / "demo_and_docs_commands.py"
     monkeypatch.setattr(commands, "__file__", str(module))
     page = tmp_path / request.param / "index.html"
@@ -80,31 +80,31 @@ def page(request, tmp_path, monkeypatch):
     return page
 
 
-def test_the_start_page_is_opened(page, monkeypatch, capsys):
-    opened = []
-    monkeypatch.setattr(commands.webbrowser, "open", lambda url: opened.append(url) or True)
+def test_start_page_is_opened(page, monkeypatch, capsys):
+    urls = []
+    monkeypatch.setattr(commands.webbrowser, "open", lambda url: urls.append(url) or True)
     assert main(["docs"]) == 0
-    assert opened == [page.as_uri()]
+    assert urls == [page.as_uri()]
     assert capsys.readouterr() == ("", "")
 
 
-def test_the_path_is_printed(page, capsys):
+def test_path_of_site_is_printed(page, capsys):
     assert main(["docs", "--print-path"]) == 0
     assert capsys.readouterr() == (f"{page}\n", "")
 
 
-def test_json_has_the_path(page, capsys):
+def test_json_has_path_of_site(page, capsys):
     assert main(["docs", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"path": str(page)}
 
 
-def test_without_a_browser_the_path_is_an_error_message(page, monkeypatch, capsys):
+def test_missing_browser_is_an_error_with_path(page, monkeypatch, capsys):
     monkeypatch.setattr(commands.webbrowser, "open", lambda url: False)
     assert main(["docs"]) == 1
     assert capsys.readouterr().err == f"retalis docs: no browser can be started: open {page}\n"
 
 
-def test_without_a_site_the_message_names_the_command_that_builds_it(page, capsys):
+def test_missing_site_is_an_error_with_command(page, capsys):
     page.unlink()
     assert main(["docs", "--print-path"]) == 1
     assert "the documentation site is not built: run ./install.py docs" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""``retalis graph``: a program as a picture, or as text, and ``retalis plot``: a run as a page."""
+"""Command ``graph``, a program as picture or text, and ``plot``, a run as page."""
 
 import json
 import re
@@ -16,17 +16,17 @@ from make_bag import make_bag  # noqa: E402
 PROGRAM = str(ROOT / "application_source")
 
 
-def test_the_text_is_printed_or_written(tmp_path, capsys, monkeypatch):
+def test_graph_is_printed_or_written(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(ROOT / "application_source")
     assert main(["graph"]) == 0
-    shown = capsys.readouterr()
-    assert shown.err == ""
-    assert 'label="application_source"' in shown.out
-    assert "_G" not in shown.out  # numbers of variables differ from one drawing to the next
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    assert 'label="application_source"' in captured.out
+    assert "_G" not in captured.out  # numbers of variables differ from one drawing to the next
     for name in ("tf", "ar_marker/5", "odom_base", "transform_marker", "marker8", "eventRules.txt:74"):
-        assert f'label="{name}' in shown.out
+        assert f'label="{name}' in captured.out
     assert main(["graph", ".", "-o", str(tmp_path / "nao.dot")]) == 0
-    assert (tmp_path / "nao.dot").read_text() == shown.out
+    assert (tmp_path / "nao.dot").read_text() == captured.out
 
 
 def test_graph_is_printed_as_json(capsys):
@@ -38,37 +38,38 @@ def test_graph_is_printed_as_json(capsys):
     assert {"rule", "event", "topic", "memory", "output"} <= {node["kind"] for node in graph["nodes"]}
 
 
-def test_a_topic_with_events_of_its_own_leads_to_these(tmp_path, capsys):
+def test_topic_with_event_name_has_edge_to_event(tmp_path, capsys):
     (tmp_path / "pub_sub.xml").write_text(
         '<publish_subscribe><subscribe_to name="left" msg_type="std_msgs/Bool" event="bump"/></publish_subscribe>'
     )
     (tmp_path / "goalPredicates.txt").write_text("subscribe(bump(_), [], _, hit, h)\n")
     assert main(["graph", str(tmp_path)]) == 0
-    shown = capsys.readouterr().out
-    assert shown.count(" -> ") == 2 and 'label="bump/1"' in shown
+    text = capsys.readouterr().out
+    assert text.count(" -> ") == 2
+    assert 'label="bump/1"' in text
 
 
 @pytest.mark.parametrize("name", ["x.jpeg", "x", "x.svgz"])
-def test_endings_that_say_nothing_are_refused(name, capsys):
+def test_unknown_suffix_is_an_error(name, capsys):
     assert main(["graph", str(ROOT / "application_source"), "-o", name]) == 1
     assert "expected a name that ends in one of .svg, .png, .pdf, .dot, .gv" in capsys.readouterr().err
 
 
-def test_a_folder_without_a_program_is_an_error(tmp_path, capsys):
+def test_folder_without_program_is_an_error(tmp_path, capsys):
     assert main(["graph", str(tmp_path)]) == 1
     assert "has no file goalPredicates.txt" in capsys.readouterr().err
 
 
-def test_errors_of_the_program_are_told_and_the_rest_is_drawn(tmp_path, capsys):
+def test_program_with_error_is_drawn_in_part(tmp_path, capsys):
     (tmp_path / "goalPredicates.txt").write_text("memorize(a, [], _, m, 5)\nno_such_goal\n")
     assert main(["graph", str(tmp_path)]) == 1
-    shown = capsys.readouterr()
-    assert "goalPredicates.txt:2:1" in shown.err
-    assert 'label="m"' in shown.out
+    captured = capsys.readouterr()
+    assert "goalPredicates.txt:2:1" in captured.err
+    assert 'label="m"' in captured.out
 
 
 @pytest.mark.slow
-def test_a_run_is_the_same_from_the_bag_and_from_a_file(tmp_path, capsys):
+def test_plot_of_bag_equals_plot_of_file(tmp_path, capsys):
     bag = tmp_path / "nao.bag"
     make_bag(bag, 1.0, 1)
     assert main(["plot", str(bag), "--program", PROGRAM, "-o", str(tmp_path / "a.html")]) == 0
@@ -78,11 +79,12 @@ def test_a_run_is_the_same_from_the_bag_and_from_a_file(tmp_path, capsys):
     assert main(["plot", "--from", str(tmp_path / "run.jsonl"), "-o", str(tmp_path / "b.html")]) == 0
     drawn, read = ((tmp_path / name).read_text(encoding="utf-8") for name in ("a.html", "b.html"))
     assert drawn.replace("application_source over nao.bag", "run.jsonl") == read
-    assert '"name": "odom_base"' in drawn and '"kind": "wait"' in drawn
+    assert '"name": "odom_base"' in drawn
+    assert '"kind": "wait"' in drawn
 
 
 @pytest.mark.slow
-def test_plot_draws_what_flush_ends_and_what_is_open(tmp_path, capsys):
+def test_plot_has_flushed_and_open_windows(tmp_path, capsys):
     bag, program = tmp_path / "nao.bag", tmp_path / "program"
     make_bag(bag, 1.0, 1)
     program.mkdir()
@@ -107,18 +109,18 @@ def test_plot_draws_what_flush_ends_and_what_is_open(tmp_path, capsys):
     )
 
 
-def test_wrong_options_are_refused(tmp_path, capsys):
+def test_invalid_options_are_errors(tmp_path, capsys):
     assert main(["plot", "x.bag", "--program", PROGRAM, "-o", "run.jpeg"]) == 1
     assert "expected a name that ends in one of .html, .htm, .png, .svg, .pdf" in capsys.readouterr().err
     assert main(["plot", "--from", str(tmp_path / "none"), "-o", "run.html"]) == 1
     assert "cannot read" in capsys.readouterr().err
     for arguments in (["x.bag", "--from", "y"], [], ["x.bag"]):
-        with pytest.raises(SystemExit) as ended:
+        with pytest.raises(SystemExit) as raised:
             main(["plot", *arguments, "-o", "run.html"])
-        assert ended.value.code == 2
+        assert raised.value.code == 2
 
 
-def test_plot_takes_message_types_from_folder(tmp_path, capsys):
+def test_plot_finds_types_in_folder(tmp_path, capsys):
     bag = tmp_path / "nao.bag"
     make_bag(bag, 0.1, 1)
     (tmp_path / "arm_msgs" / "msg").mkdir(parents=True)

@@ -1,4 +1,4 @@
-"""Command ``help``: the search over situations, pages, programs and predicates."""
+"""Command ``help``: search in situations, pages, programs and predicates."""
 
 import json
 
@@ -75,7 +75,7 @@ def test_words_lead_to_page(entries, words, page):
     assert page in pages(search(words, entries))
 
 
-def test_json_has_an_object_per_match_in_the_order_of_the_text(capsys):
+def test_json_has_matches_in_order_of_text(capsys):
     assert main(["help", "missing", "message"]) == 0
     titles = [block.partition("\n")[0] for block in capsys.readouterr().out.strip().split("\n\n")]
     assert main(["help", "missing", "message", "--json"]) == 0
@@ -90,11 +90,13 @@ def test_json_has_an_object_per_match_in_the_order_of_the_text(capsys):
     }
 
 
-def test_text_of_a_section_is_cut_at_80_columns(entries):
+def test_text_of_section_is_cut_at_80_columns(entries):
     section = search("state file format", entries)[0]
     title, excerpt, page = section.lines()
     assert (title, page) == (section.title, f"  page     {section.page}")
-    assert excerpt.startswith("  text     ") and excerpt.endswith(" ...") and len(excerpt) <= 80
+    assert excerpt.startswith("  text     ")
+    assert excerpt.endswith(" ...")
+    assert len(excerpt) <= 80
 
 
 def test_json_without_words_is_an_error(capsys):
@@ -166,4 +168,5 @@ def test_without_pages_situations_are_searched(monkeypatch):
 
 def test_forms_of_a_word_have_one_stem():
     assert len({stem_word(word) for word in ("cancel", "cancels", "cancelled", "cancelling")}) == 1
-    assert stem_word("is") == "is" and stem_word("bus") == "bus"
+    assert stem_word("is") == "is"
+    assert stem_word("bus") == "bus"

@@ -13,38 +13,39 @@ def program(tmp_path):
 
 @pytest.fixture
 def bags(tmp_path):
-    """A folder with three bags and a damaged one."""
+    """Return a folder with three bags and a damaged one."""
     for number, name in enumerate(("r1/a", "r1/b", "r2/a")):
         make_bag(tmp_path / "bags" / f"{name}.bag", *"xxyxy"[number:])
     (tmp_path / "bags" / "r1" / "aa.bag").write_text("no bag")
     return tmp_path / "bags"
 
 
-GOOD = ("r1/a", "r1/b", "r2/a")
+VALID_BAGS = ("r1/a", "r1/b", "r2/a")
 
 
 @pytest.mark.slow
-def test_output_is_that_of_single_bags(program, bags, capfd):
-    more = ["--program", program, "--json", "--events", "--explain", "again(_)"]
-    for name in GOOD:
-        assert main(["bag", f"{bags}/{name}.bag", *more]) == 0
+def test_output_equals_that_of_single_bags(program, bags, capfd):
+    options = ["--program", program, "--json", "--events", "--explain", "again(_)"]
+    for name in VALID_BAGS:
+        assert main(["bag", f"{bags}/{name}.bag", *options]) == 0
     expected = capfd.readouterr()
-    assert expected.out and not expected.err
-    assert main(["bag", str(bags), *more, "--jobs", "2"]) == 1
-    shown = capfd.readouterr()
-    assert shown.out == expected.out
-    assert shown.err == (
+    assert expected.out
+    assert not expected.err
+    assert main(["bag", str(bags), *options, "--jobs", "2"]) == 1
+    captured = capfd.readouterr()
+    assert captured.out == expected.out
+    assert captured.err == (
         f"error: {bags}/r1/aa.bag is not a complete ROS 1 bag: File magic is invalid\n1 of 4 bags failed\n"
     )
 
 
 @pytest.mark.slow
-def test_result_files_are_those_of_single_bags(program, bags, tmp_path, capfd):
+def test_results_equal_those_of_single_bags(program, bags, tmp_path, capfd):
     assert main(["bag", str(bags), "--program", program, "--jobs", "2", "--output", f"{tmp_path}/new"]) == 1
     assert capfd.readouterr().out == ""
     results = sorted(path.relative_to(tmp_path / "new") for path in (tmp_path / "new").rglob("*.*"))
-    assert [str(path) for path in results] == [f"{name}.bag" for name in GOOD]
-    for name in GOOD:
+    assert [str(path) for path in results] == [f"{name}.bag" for name in VALID_BAGS]
+    for name in VALID_BAGS:
         single = tmp_path / "one.bag"
         options = ["bag", f"{bags}/{name}.bag", "--program", program, "--output", str(single), "--overwrite"]
         assert main(options) == 0
@@ -53,7 +54,9 @@ def test_result_files_are_those_of_single_bags(program, bags, tmp_path, capfd):
 
 @pytest.mark.slow
 def test_parts_continue_from_previous_part(program, tmp_path, capfd):
-    parts = [make_bag(tmp_path / "day" / f"r_{n}.bag", *"xy", start=1 + 3 * n) for n in range(3)]
+    parts = [
+        make_bag(tmp_path / "day" / f"r_{number}.bag", *"xy", start=1 + 3 * number) for number in range(3)
+    ]
     assert main(["bag", *map(str, parts), "--program", program, "--json"]) == 0
     expected = capfd.readouterr().out
     assert expected.count('"id": "twice"') == 4
@@ -62,9 +65,9 @@ def test_parts_continue_from_previous_part(program, tmp_path, capfd):
     assert capfd.readouterr().out == expected
     parts[1].write_text("no bag")
     assert main([*options, "--parts"]) == 1
-    shown = capfd.readouterr()
-    assert shown.out == "".join(expected.splitlines(keepends=True)[:2])
-    assert shown.err.splitlines()[1:] == [
+    captured = capfd.readouterr()
+    assert captured.out == "".join(expected.splitlines(keepends=True)[:2])
+    assert captured.err.splitlines()[1:] == [
         f"error: {parts[2]}: not played: it goes on from {parts[1]}, which failed",
         "2 of 3 bags failed",
     ]
@@ -85,23 +88,23 @@ def test_cluster_has_same_results(program, bags, tmp_path, capfd, monkeypatch, c
     options = ["bag", "bags", "--program", "program", "--json", "--output", "new"]
     assert main([*options, "--scheduler", cluster]) == 1
     assert f"error: {bags}/r1/aa.bag is not a complete ROS 1 bag" in capfd.readouterr().err
-    for name in GOOD:
+    for name in VALID_BAGS:
         assert main(["bag", f"{bags}/{name}.bag", "--program", program, "--json"]) == 0
         assert (tmp_path / "new" / f"{name}.jsonl").read_text() == capfd.readouterr().out
 
 
 @pytest.mark.slow
-def test_equal_errors_of_several_bags_are_printed_once(program, bags, tmp_path, capfd):
+def test_equal_errors_of_bags_are_printed_once(program, bags, tmp_path, capfd):
     (tmp_path / "program" / "goalPredicates.txt").write_text("nothing_such(1)\n")
     options = ["bag", f"{bags}/r1/a.bag", f"{bags}/r1/b.bag", "--program", program, "--jobs", "1"]
     assert main(options) == 1
-    shown = capfd.readouterr().err
-    assert shown.startswith(f"{bags}/r1/a.bag:\nerror: ")
-    assert shown.endswith("1 more bags had the same errors and warnings as one before\n")
-    assert shown.count("error: ") == 1
+    errors = capfd.readouterr().err
+    assert errors.startswith(f"{bags}/r1/a.bag:\nerror: ")
+    assert errors.endswith("1 more bags had the same errors and warnings as one before\n")
+    assert errors.count("error: ") == 1
 
 
-REFUSED = {
+CONFLICTS = {
     "bags --jobs 2 --scheduler tcp://x:1 --output new": "--jobs and --scheduler: give only one option",
     "bags --scheduler tcp://x:1": "--scheduler needs --output",
     "bags --jobs 2 --format jsonl": "--format needs --output",
@@ -117,13 +120,13 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("given", REFUSED)
-def test_conflicting_options_are_refused(program, bags, capsys, monkeypatch, given):
+@pytest.mark.parametrize("arguments", CONFLICTS)
+def test_conflicting_options_are_errors(program, bags, capsys, monkeypatch, arguments):
     monkeypatch.chdir(bags.parent)
     (bags.parent / "old" / "r1").mkdir(parents=True)
     (bags.parent / "old" / "r1" / "b.bag").touch()
-    assert main(["bag", *given.split(), "--program", program]) == 1
-    assert REFUSED[given] in capsys.readouterr().err
+    assert main(["bag", *arguments.split(), "--program", program]) == 1
+    assert CONFLICTS[arguments] in capsys.readouterr().err
     assert not (bags.parent / "new").exists()
 
 

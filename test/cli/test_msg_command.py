@@ -1,4 +1,4 @@
-"""``msg`` prints types of the installation and of bags."""
+"""Command ``msg``: message types of the installation and of bags."""
 
 import json
 
@@ -42,7 +42,7 @@ std_msgs__0__String(  % 4 bytes or more
 """
 
 
-def test_a_type_of_a_bag_is_printed_in_each_format(bag, capsys):
+def test_type_of_bag_is_printed_in_each_format(bag, capsys):
     for name, text in PRINTED.items():
         assert main(["msg", "only_in_bags/Point", "--bag", str(bag), "--format", name]) == 0
         assert capsys.readouterr().out == text
@@ -51,7 +51,7 @@ def test_a_type_of_a_bag_is_printed_in_each_format(bag, capsys):
         assert capsys.readouterr().out == STRING
 
 
-def test_a_type_of_a_bag_of_ros_2_is_printed(tmp_path, capsys):
+def test_type_of_ros2_bag_is_printed(tmp_path, capsys):
     options = {"version": 8} if hasattr(rosbag2, "StoragePlugin") else {}
     with rosbag2.Writer(tmp_path / "two", **options) as writer:
         connection = writer.add_connection(
@@ -65,7 +65,7 @@ def test_a_type_of_a_bag_of_ros_2_is_printed(tmp_path, capsys):
     )
 
 
-def test_type_that_bag_cannot_read_is_reported_with_reason(tmp_path, capsys):
+def test_unreadable_type_of_bag_has_reason(tmp_path, capsys):
     options = {"version": 8} if hasattr(rosbag2, "StoragePlugin") else {}
     with rosbag2.Writer(tmp_path / "two", **options) as writer:
         writer.add_connection("/solid", "my_msgs/msg/Solid", msgdef="float64[<3] sizes\n", rihs01="RIHS01_0")
@@ -73,7 +73,7 @@ def test_type_that_bag_cannot_read_is_reported_with_reason(tmp_path, capsys):
     assert "two: my_msgs/Solid:1:1: expected 'type name' or" in capsys.readouterr().err
 
 
-def test_a_type_that_there_is_not_is_an_error_in_one_line(bag, capsys):
+def test_unknown_type_is_an_error(bag, capsys):
     assert main(["msg", "only_in_bags/Point"]) == 1
     assert "retalis: no definition of the message type only_in_bags/Point" in capsys.readouterr().err
     assert main(["msg", "only_in_bags/Other", "--bag", str(bag)]) == 1
@@ -82,9 +82,9 @@ def test_a_type_that_there_is_not_is_an_error_in_one_line(bag, capsys):
     assert 'expected a message type "package/Type"' in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("wrong", ["std_msgs/string", "std_msgs/Strng", "String", "string", "std_mgs/String"])
-def test_the_type_that_was_probably_meant_is_named(wrong, capsys):
-    assert main(["msg", wrong]) == 1
+@pytest.mark.parametrize("name", ["std_msgs/string", "std_msgs/Strng", "String", "string", "std_mgs/String"])
+def test_unknown_type_has_similar_name(name, capsys):
+    assert main(["msg", name]) == 1
     assert capsys.readouterr().err.endswith("; did you mean std_msgs/String?\n")
 
 

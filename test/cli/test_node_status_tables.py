@@ -1,4 +1,4 @@
-"""Records in columns."""
+"""Tables of the commands ``list`` and ``watch``."""
 
 import pytest
 
@@ -79,7 +79,7 @@ RULE = {"label": "", "text": "a <- b", "place": "/x/rules.txt:1:1", "fired": 2, 
 RULE = {**RULE, "errors": 0, "waiting": 0, "dropped": 0}
 
 
-def test_a_status_has_rates_and_ages():
+def test_status_has_rates_and_ages():
     after = {**NODE, "now": 110.0, "taken": 30, "fired": 5, "rules": [{**RULE, "fired": 7}]}
     assert format_status({**NODE, "rules": [RULE]}, after, 10.0, 80) == [
         "/a  active  3.0 events/s  0.5 firings/s",
@@ -90,7 +90,7 @@ def test_a_status_has_rates_and_ages():
     ]
 
 
-def test_a_status_has_no_value_that_says_nothing_and_names_what_somebody_has_to_look_at():
+def test_status_shows_problems_and_hides_zeros():
     (head,) = format_status(NODE, {**NODE, "inputs": [], "more_rules": 0, "waiting": []}, 1.0, 80)
     assert head == "/a  idle  0.0 events/s  0.0 firings/s"
     busy = {
@@ -113,7 +113,7 @@ def test_a_status_has_no_value_that_says_nothing_and_names_what_somebody_has_to_
     ]
 
 
-def test_status_counts_late_and_ahead_events_in_one_column_each():
+def test_status_has_columns_for_late_and_ahead():
     subscription = {"topic": "alarms", "id": "a", "event": "fire", "sent": 0}
     counts = {"late": 3, "ahead": 2}
     after = {**NODE, "rules": [{**RULE, **counts}], "subscriptions": [{**subscription, **counts}]}
@@ -121,7 +121,7 @@ def test_status_counts_late_and_ahead_events_in_one_column_each():
     assert [(heading.count("late"), heading.count("ahead")) for heading in headings] == [(1, 1), (1, 1)]
 
 
-def test_a_status_before_the_clock_has_begun_has_no_ages():
+def test_status_without_time_has_no_ages():
     lines = format_status(NODE, {**NODE, "now": None, "rules": [RULE]}, 1.0, 80)
     assert lines[-1].split()[-1] == "-"
 
@@ -131,15 +131,15 @@ def test_status_is_idle_without_events():
     assert format_status(NODE, {**NODE, "taken": 1}, 1.0, 80)[0].startswith("/a  active  1.0 events/s")
 
 
-def test_a_counter_of_a_node_that_was_started_anew_has_no_negative_rate():
+def test_restarted_node_has_no_negative_rate():
     assert "0.0 events/s" in format_status({**NODE, "taken": 100}, {**NODE, "taken": 5}, 1.0, 80)[0]
 
 
-def test_a_status_of_an_interface_says_nothing_of_an_engine():
+def test_status_of_interface_has_no_engine():
     row = {"topic": "/tf", "type": "tf/tfMessage", "publishers": 0, "messages": 9, "age": 7200.0, "lag": 0.25}
     row = {**row, "dropped": 1, "refused": 2}
-    found = {**NODE, "inputs": [row]}
-    assert [line.split() for line in format_status(found, found, 1.0, 80, has_engine=False)] == [
+    status = {**NODE, "inputs": [row]}
+    assert [line.split() for line in format_status(status, status, 1.0, 80, has_engine=False)] == [
         ["/a"],
         [],
         ["inputs"],
@@ -148,7 +148,7 @@ def test_a_status_of_an_interface_says_nothing_of_an_engine():
     ]
 
 
-def test_a_status_fits_its_terminal():
+def test_status_fits_terminal():
     long = "long" * 20
     memory = {
         "id": long,
@@ -161,7 +161,7 @@ def test_a_status_fits_its_terminal():
     }
     waits = {"id": "odom", "behind": 0.5}
     topic = {"topic": f"/robot/{long}", "type": long, "publishers": 3, "messages": 5, "age": 1e6, "lag": 1e6}
-    found = {
+    status = {
         **NODE,
         **{f"more_{name}": 1 for name in ("rules", "memories", "subscriptions", "waiting", "inputs")},
         "rules": [{**RULE, "text": long, "errors": 10**9, "waiting": 10**6, "dropped": 10**6}],
@@ -172,7 +172,7 @@ def test_a_status_fits_its_terminal():
         "waiting": [{"event": long, "since": 5.0, "memories": [waits] * 5, "left_out": 3}],
         "inputs": [{**topic, "dropped": 10**6, "refused": 0}],
     }
-    lines = format_status(found, found, 1.0, 80)
+    lines = format_status(status, status, 1.0, 80)
     assert max(map(len, lines)) <= 80
     text = "\n".join(lines)
     for head in (
@@ -183,13 +183,13 @@ def test_a_status_fits_its_terminal():
         "waits for",
         "publishers",
         "lost",
-    ):  # nothing is cut off
+    ):
         assert head in text
-    assert "..." + long[-5:] in text  # of a topic, the end is shown
+    assert "..." + long[-5:] in text  # the end of a topic is shown
 
 
 @pytest.mark.parametrize(
-    ("seconds", "shown"),
+    ("seconds", "age"),
     [
         (0.04, "0.0s"),
         (9.94, "9.9s"),
@@ -200,6 +200,6 @@ def test_a_status_fits_its_terminal():
         (90_000, "1d01h"),
     ],
 )
-def test_ages_are_short(seconds, shown):
+def test_ages_are_short(seconds, age):
     lines = format_status(NODE, {**NODE, "rules": [{**RULE, "last_fired": 100.0 - seconds}]}, 1.0, 80)
-    assert lines[-1].split()[-1] == shown
+    assert lines[-1].split()[-1] == age

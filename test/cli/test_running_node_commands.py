@@ -1,4 +1,4 @@
-"""Commands for a node that runs, where there is no ROS."""
+"""Commands for a running node, without ROS."""
 
 import sys
 
@@ -27,7 +27,7 @@ def no_ros(monkeypatch):
         ["console", "--node", "/x"],
     ],
 )
-def test_without_ros_they_say_what_is_missing(no_ros, capsys, words):
+def test_missing_ros_is_an_error(no_ros, capsys, words):
     assert main(words) == 1
     assert "this needs ROS" in capsys.readouterr().err
 
@@ -36,8 +36,8 @@ def test_without_ros_they_say_what_is_missing(no_ros, capsys, words):
     "words",
     [["query"], ["query", "a", "--most", "-1"], ["explain"], ["status", "--every", "x"]],
 )
-def test_called_wrongly(capsys, words):
-    with pytest.raises(SystemExit) as ended:
+def test_invalid_options_are_usage_errors(capsys, words):
+    with pytest.raises(SystemExit) as raised:
         main(words)
-    assert ended.value.code == 2
-    capsys.readouterr()
+    assert raised.value.code == 2
+    assert capsys.readouterr().err.startswith("usage: retalis ")

@@ -65,43 +65,43 @@ COMMANDS = (
 
 @pytest.mark.slow
 @pytest.mark.parametrize("arguments", COMMANDS)
-def test_full_disk_is_one_line_and_status_1(folder, arguments):
+def test_full_disk_is_an_error(folder, arguments):
     with open("/dev/full", "w") as full:
-        ended = run(folder, arguments, stdin=subprocess.DEVNULL, stdout=full)
-    assert (ended.stderr, ended.returncode) == (FULL_DISK, 1)
+        process = run(folder, arguments, stdin=subprocess.DEVNULL, stdout=full)
+    assert (process.stderr, process.returncode) == (FULL_DISK, 1)
 
 
 @pytest.mark.slow
-def test_console_on_full_disk_is_one_line_and_status_1(folder):
+def test_full_disk_is_an_error_in_console(folder):
     with open("/dev/full", "w") as full:
-        ended = run(folder, "console", input="X = 1.\nX = 2.\n", stdout=full)
-    assert (ended.stderr, ended.returncode) == (FULL_DISK, 1)
+        process = run(folder, "console", input="X = 1.\nX = 2.\n", stdout=full)
+    assert (process.stderr, process.returncode) == (FULL_DISK, 1)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("arguments", COMMANDS[:3])
-def test_reader_that_ends_is_no_error(folder, arguments):
+def test_closed_reader_is_no_error(folder, arguments):
     reading, writing = os.pipe()
     os.close(reading)
     try:
-        ended = run(folder, arguments, stdin=subprocess.DEVNULL, stdout=writing)
+        process = run(folder, arguments, stdin=subprocess.DEVNULL, stdout=writing)
     finally:
         os.close(writing)
-    assert (ended.stderr, ended.returncode) == ("", 1)
+    assert (process.stderr, process.returncode) == ("", 1)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("arguments", ["console", "events --rules rules.txt --stream -", "check program"])
 def test_closed_standard_input_is_empty(folder, arguments):
-    ended = run(folder, arguments, stdout=subprocess.PIPE, preexec_fn=lambda: os.close(0))
-    assert (ended.stderr, ended.returncode) == ("", 0)
+    process = run(folder, arguments, stdout=subprocess.PIPE, preexec_fn=lambda: os.close(0))
+    assert (process.stderr, process.returncode) == ("", 0)
 
 
 @pytest.mark.slow
-def test_closed_standard_output_changes_no_other_file(folder):
+def test_closed_standard_output_changes_no_file(folder):
     page = folder / "run.html"
-    ended = run(folder, f"plot some.bag --program program -o {page}", preexec_fn=lambda: os.close(1))
-    assert (ended.stderr, ended.returncode) == ("", 0)
+    process = run(folder, f"plot some.bag --program program -o {page}", preexec_fn=lambda: os.close(1))
+    assert (process.stderr, process.returncode) == ("", 0)
     assert page.read_text().rstrip().endswith("</html>")
 
 
@@ -109,7 +109,7 @@ def test_closed_standard_output_changes_no_other_file(folder):
 @pytest.mark.parametrize(
     "module", ["retalis.cli.command_line", "retalis.engine.engine", "retalis.playback.playback"]
 )
-def test_interrupt_while_modules_are_imported_is_status_130(folder, module):
+def test_interrupt_of_import_has_status_130(folder, module):
     # The import of a module sends the signal, so that the test depends on no duration.
     program = (
         "import os, signal, sys\n"
@@ -120,7 +120,7 @@ def test_interrupt_while_modules_are_imported_is_status_130(folder, module):
         "import retalis.__main__\n"
         "sys.exit(retalis.__main__.main())\n"
     )
-    ended = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", program, "bag", "some.bag", "--program", "program"],
         cwd=folder,
         env={**os.environ, "PYTHONPATH": python_path()},
@@ -128,12 +128,12 @@ def test_interrupt_while_modules_are_imported_is_status_130(folder, module):
         text=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
-    assert (ended.stdout, ended.stderr, ended.returncode) == ("", "", 130)
+    assert (process.stdout, process.stderr, process.returncode) == ("", "", 130)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("is_piped", [True, False])
-def test_interrupt_of_goal_without_terminal_is_status_130(folder, is_piped):
+def test_interrupt_of_goal_has_status_130(folder, is_piped):
     goal = "write(started), nl, repeat, fail."
     command = subprocess.Popen(
         [sys.executable, "-m", "retalis", "console", *([] if is_piped else ["--goal", goal])],
@@ -151,7 +151,7 @@ def test_interrupt_of_goal_without_terminal_is_status_130(folder, is_piped):
             command.stdin.flush()
         assert command.stdout.readline() == "started\n"
         command.send_signal(signal.SIGINT)
-        shown, errors = command.communicate(timeout=60)
+        output, errors = command.communicate(timeout=60)
     finally:
         command.kill()
-    assert (shown, errors, command.returncode) == ("", "", 130)
+    assert (output, errors, command.returncode) == ("", "", 130)

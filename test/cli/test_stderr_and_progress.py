@@ -1,4 +1,4 @@
-"""The progress bar: share, number, rate, time left; colours of labels."""
+"""Progress bar: share, count, rate and remaining time; colours of labels."""
 
 import sys
 from io import StringIO

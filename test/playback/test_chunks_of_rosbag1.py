@@ -66,12 +66,12 @@ def test_broken_chunk_is_an_error_in_its_turn(chunk_file):
 
 
 def test_number_of_chunks_ahead_is_limited(monkeypatch):
-    done = threading.Semaphore(0)
+    unpacked = threading.Semaphore(0)
     calls = []
 
     def unpack(*arguments, really=module.unpack):
         calls.append(1)
-        done.release()
+        unpacked.release()
         return really(*arguments)
 
     monkeypatch.setattr("os.cpu_count", lambda: 4)
@@ -79,7 +79,7 @@ def test_number_of_chunks_ahead_is_limited(monkeypatch):
     texts = read_chunks(*make_chunk_file("bz2"), range(8), LIMIT)
     assert next(texts) == TEXTS[0]
     for _ in range(MAX_CHUNKS_AHEAD + 1):
-        assert done.acquire(timeout=60)
+        assert unpacked.acquire(timeout=60)
     assert len(calls) == MAX_CHUNKS_AHEAD + 1
     texts.close()
     assert len(calls) == MAX_CHUNKS_AHEAD + 1

@@ -212,7 +212,7 @@ def test_unreadable_type_excludes_only_its_topics(tmp_path, storage, caplog):
 
 
 @pytest.mark.parametrize(("topic", "is_named"), [("chatter", False), ("gone", True)])
-def test_unreadable_topic_is_reported_if_program_names_it(tmp_path, caplog, topic, is_named):
+def test_unreadable_topic_of_program_is_reported(tmp_path, caplog, topic, is_named):
     program = tmp_path / "program"
     program.mkdir()
     (program / "pub_sub.xml").write_text(
@@ -291,7 +291,7 @@ def test_invalid_idl_is_reported_with_position(tmp_path, caplog, text, problem):
     assert problem.format("its definition in IDL cannot be parsed") in message
 
 
-def test_message_of_wrong_size_is_dropped_and_counted(tmp_path, caplog):
+def test_messages_of_wrong_size_are_counted(tmp_path, caplog):
     folder = typed_bag(
         tmp_path / "two",
         STORAGES[-1],

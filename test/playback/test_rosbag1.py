@@ -95,7 +95,7 @@ def test_existing_bag_is_not_overwritten(bag):
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
-def test_exception_discards_new_bag_and_keeps_old_one(bag, error):
+def test_exception_keeps_old_bag(bag, error):
     old = bag.read_bytes()
 
     def write_and_fail():
@@ -109,7 +109,7 @@ def test_exception_discards_new_bag_and_keeps_old_one(bag, error):
     assert [path.name for path in bag.parent.iterdir()] == [bag.name]
 
 
-def test_full_disk_discards_new_bag_and_keeps_old_one(bag):
+def test_full_disk_keeps_old_bag(bag):
     old = bag.read_bytes()
     size_limit = resource.getrlimit(resource.RLIMIT_FSIZE)
 
@@ -285,7 +285,7 @@ def test_recorded_transform_is_decoded():
 def test_empty_file_is_named_by_its_path(tmp_path):
     path = tmp_path / "empty.bag"
     path.touch()
-    with pytest.raises(BagError) as caught:
+    with pytest.raises(BagError) as raised:
         BagReader(path)
-    assert str(caught.value).count(str(path)) == 2
-    assert " at 0x" not in str(caught.value)
+    assert str(raised.value).count(str(path)) == 2
+    assert " at 0x" not in str(raised.value)

@@ -175,7 +175,7 @@ def test_type_with_empty_definition_has_no_slots(tmp_path):
     assert (topic.type, topic.definition, data) == ("my_msgs/Go", "", b"")
 
 
-def test_type_without_schema_is_found_in_installation(tmp_path, caplog):
+def test_type_without_schema_is_searched(tmp_path, caplog):
     path = tmp_path / "a.mcap"
     path.write_bytes(mcap([mcap_message(1)], topic=mcap_topic("my_msgs/msg/Go", "", "")))
     with MergedBag([path]) as bags:

@@ -190,7 +190,7 @@ def test_log_in_read_only_folder_is_read(tmp_path):
         path.parent.chmod(0o755)
 
 
-def test_unreadable_log_is_reported_with_exit_status_3(tmp_path, capsys):
+def test_unreadable_log_is_an_error(tmp_path, capsys):
     path = interrupted_bag(tmp_path / "bag", [1], [2])
     log = path.with_name("w.db3-wal")
     log.unlink()

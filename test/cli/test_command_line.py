@@ -1,3 +1,5 @@
+"""Command line: version, help, imports, and options of all commands."""
+
 import argparse
 import subprocess
 import sys
@@ -13,11 +15,11 @@ from retalis.cli.command_line import COMMANDS, main, make_parser
 SOURCES = Path(__file__).resolve().parents[2] / "src"
 
 
-def test_version_is_that_of_manifest(capsys, monkeypatch, tmp_path):
-    with pytest.raises(SystemExit) as ended:
+def test_version_is_read_from_manifest(capsys, monkeypatch, tmp_path):
+    with pytest.raises(SystemExit) as raised:
         main(["--version"])
     manifest = ElementTree.parse(SOURCES.parent / "package.xml").getroot()
-    assert (ended.value.code, capsys.readouterr().out) == (0, f"retalis {manifest.findtext('version')}\n")
+    assert (raised.value.code, capsys.readouterr().out) == (0, f"retalis {manifest.findtext('version')}\n")
     monkeypatch.setattr(command_line, "MANIFEST", tmp_path / "package.xml")
     monkeypatch.setattr("importlib.metadata.version", lambda name: f"9 of {name}")
     assert command_line.version() == "9 of retalis"
@@ -25,7 +27,7 @@ def test_version_is_that_of_manifest(capsys, monkeypatch, tmp_path):
     assert command_line.version() == "9 of retalis"
 
 
-def imported(*arguments):
+def imported_modules(*arguments):
     """Return the modules of the package that a command imports in a separate process."""
     code = """import sys
 from retalis.cli.command_line import main
@@ -47,18 +49,18 @@ print(*(name for name in sys.modules if name.startswith("retalis.")), file=sys.s
 
 
 def test_version_imports_no_engine():
-    modules = imported("--version")
+    modules = imported_modules("--version")
     assert {name.split(".")[1] for name in modules} == {"cli", "foundation"}
 
 
 @pytest.mark.parametrize("command", ["docs", "query", "status", "demo"])
-def test_help_of_command_without_engine_imports_no_engine(command):
-    assert {name.split(".")[1] for name in imported(command, "--help")} == {"cli", "foundation"}
+def test_help_without_engine_imports_no_engine(command):
+    assert {name.split(".")[1] for name in imported_modules(command, "--help")} == {"cli", "foundation"}
 
 
 @pytest.mark.slow
 def test_command_imports_only_needed_modules():
-    modules = imported("events", "--help")
+    modules = imported_modules("events", "--help")
     assert "retalis.cli.event_stream_command" in modules
     assert not [name for name in modules if name.startswith("retalis.playback")]
     assert not modules & {
@@ -69,10 +71,10 @@ def test_command_imports_only_needed_modules():
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_help_of_single_command_is_that_of_full_parser(name, capsys):
-    with pytest.raises(SystemExit) as ended:
+def test_help_of_command_equals_full_parser(name, capsys):
+    with pytest.raises(SystemExit) as raised:
         main([name, "--help"])
-    assert (ended.value.code, capsys.readouterr().out) == (0, parsers()[name].format_help())
+    assert (raised.value.code, capsys.readouterr().out) == (0, parsers()[name].format_help())
 
 
 def test_help_lists_all_commands(capsys):
@@ -96,23 +98,37 @@ def parsers():
     return make_parser([])[1]
 
 
-@pytest.mark.parametrize("name, parser", parsers().items())
-def test_help_of_each_command_has_same_form(name, parser):
-    assert parser.description[0].isupper() and parser.description.rstrip().endswith(".")
+@pytest.mark.parametrize(("name", "parser"), parsers().items())
+def test_help_of_each_command_has_common_form(name, parser):
+    assert parser.description[0].isupper()
+    assert parser.description.rstrip().endswith(".")
     for action in parser._actions:
         text = action.help
-        assert text and text[-1] not in ".:" and (text == argparse.SUPPRESS or not text[:2].istitle()), text
+        assert text
+        assert text[-1] not in ".:", text
+        assert text == argparse.SUPPRESS or not text[:2].istitle(), text
         if action.nargs != 0:
             value_name = action.metavar or "".join(action.choices or ())
             assert value_name, f"{name} {action.dest}: a word for its value"
 
 
-@pytest.mark.parametrize("name, parser", parsers().items())
-def test_invalid_number_is_an_error_in_each_command(name, parser, capsys):
-    for action in parser._actions:
-        if action.option_strings and action.type not in (None, Path):
-            with pytest.raises(SystemExit) as ended:
-                main([name, f"{action.option_strings[0]}=many"])
-            message = capsys.readouterr().err.splitlines()[-1]
-            assert (ended.value.code, message.partition(": expected ")[1]) == (2, ": expected "), message
-            assert message.endswith(("found many", "found 'many'"))
+NUMERIC_OPTIONS = [
+    (command, action.option_strings[0])
+    for command, parser in parsers().items()
+    for action in parser._actions
+    if action.option_strings and action.type not in (None, Path)
+]
+
+
+def test_some_commands_have_numeric_options():
+    assert {("bag", "--start"), ("console", "--most"), ("query", "--timeout")} <= set(NUMERIC_OPTIONS)
+
+
+@pytest.mark.parametrize(("command", "option"), NUMERIC_OPTIONS)
+def test_invalid_number_is_a_usage_error(command, option, capsys):
+    with pytest.raises(SystemExit) as raised:
+        main([command, f"{option}=many"])
+    message = capsys.readouterr().err.splitlines()[-1]
+    assert raised.value.code == 2
+    assert ": expected " in message
+    assert message.endswith(("found many", "found 'many'"))

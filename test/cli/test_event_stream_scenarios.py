@@ -1,4 +1,4 @@
-"""The recorded programs of ``test/data/scenarios`` through the command line, as its help says."""
+"""Programs of ``test/data/scenarios`` in the command ``events``."""
 
 import json
 
@@ -13,11 +13,11 @@ from retalis.prolog.terms.timestamps import from_term
 
 CLOCK = "datime(2001,1,1,1,0,0)"
 STAMPED = ("event1_same_second",)
-"""Where the clock, which is another here, gave the stamps."""
+"""Scenarios with stamps of the clock, which differs from that of the command."""
 
 
 class Run:
-    """One scenario; what was printed, as terms."""
+    """A scenario and its printed terms."""
 
     def __init__(self, data, capsys):
         rules = data["rules"] if isinstance(data["rules"], list) else [data["rules"]]
@@ -37,16 +37,16 @@ class Run:
             "--write-folder",
             ".",
         ]
-        arguments += written("goals", [f"{goal}." for goal in data["goals"]])
+        arguments += write_option("goals", [f"{goal}." for goal in data["goals"]])
         for number, text in enumerate(rules):
-            arguments += written(f"rules{number}", [text] if text else [])
-        arguments += written("stream", stream)
-        arguments += written("queries", [f"{goal}." for goal in data.get("queries") or ()])
+            arguments += write_option(f"rules{number}", [text] if text else [])
+        arguments += write_option("stream", stream)
+        arguments += write_option("queries", [f"{goal}." for goal in data.get("queries") or ()])
         self.status = main(arguments)
         self.events, self.memory_events, self.printed = [], [], []
-        shown = capsys.readouterr()
-        self.error = shown.err
-        for term in terms(shown.out):
+        captured = capsys.readouterr()
+        self.error = captured.err
+        for term in terms(captured.out):
             self._sort(term)
         with open("outputs.out", encoding="utf-8") as file:
             self.outputs = [term_text(term) for term in terms(file.read())]
@@ -57,12 +57,12 @@ class Run:
             self.printed.append(term_text(term))
             return
         start, end = (from_term(stamp) for stamp in list_items(term[2]))
-        into = self.events if kind == "event" else self.memory_events
-        into.append((term_text(deref(term[1])), start, end))
+        events = self.events if kind == "event" else self.memory_events
+        events.append((term_text(deref(term[1])), start, end))
 
 
-def written(name, lines):
-    """Write a file; return the option for it, nothing where there is nothing to write."""
+def write_option(name, lines):
+    """Write a file and return its option; return no option without lines."""
     if not lines:
         return []
     with open(f"{name}.in", "w", encoding="utf-8") as file:
@@ -71,42 +71,46 @@ def written(name, lines):
 
 
 def terms(text):
-    """Return the terms that were printed; other lines (what a program writes) are none."""
-    found = []
+    """Return the printed terms, without other lines that a program prints."""
+    printed_terms = []
     for line in text.splitlines():
-        for read_back in read_program(line, Operators.prolog(), "printed"):
-            if not isinstance(read_back, SyntaxFault):
-                found.append(deref(read_back.term))
-    return found
+        for read_term in read_program(line, Operators.prolog(), "printed"):
+            if not isinstance(read_term, SyntaxFault):
+                printed_terms.append(deref(read_term.term))
+    return printed_terms
 
 
-def agree(events, wanted):
-    """Tell whether events are those wanted; the stamps that the clock gave may be later."""
-    if len(events) != len(wanted):
+def agree(events, expected_events):
+    """Return whether events are the expected ones, where stamps of the clock may be later."""
+    if len(events) != len(expected_events):
         return False
     return all(
-        one == other
-        or (one[0] == other[0] and BASE <= other[1] <= min(BASE + 2, one[1]) and other[2] <= one[2])
-        for one, other in zip(events, wanted)
+        event == expected
+        or (
+            event[0] == expected[0]
+            and BASE <= expected[1] <= min(BASE + 2, event[1])
+            and expected[2] <= event[2]
+        )
+        for event, expected in zip(events, expected_events)
     )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
-def test_scenario(path, tmp_path, monkeypatch, capsys):
+def test_recorded_scenario_is_reproduced(path, tmp_path, monkeypatch, capsys):
     data = json.loads(path.read_text(encoding="utf-8"))
     monkeypatch.chdir(tmp_path)
     for name, text in (data.get("files") or {}).items():
         (tmp_path / name).write_text(text, encoding="utf-8")
     run = Run(data, capsys)
-    wanted = wanted_of(path.stem, data)
-    if wanted.short is None or path.stem in STAMPED:
-        assert agree(run.events, wanted.events)
+    expected = wanted_of(path.stem, data)
+    if expected.short is None or path.stem in STAMPED:
+        assert agree(run.events, expected.events)
     else:
-        assert short(run.events) == wanted.short
-    assert run.outputs == wanted.outputs
-    assert [term for term, _, _ in run.memory_events] == [term for term, _, _ in wanted.memory_events]
-    answers = [term for found in wanted.answers if found != "an error" for term in found]
+        assert short(run.events) == expected.short
+    assert run.outputs == expected.outputs
+    assert [term for term, _, _ in run.memory_events] == [term for term, _, _ in expected.memory_events]
+    answers = [term for solutions in expected.answers if solutions != "an error" for term in solutions]
     assert not answers or run.printed[-len(answers) :] == answers
-    assert bool(run.error.count("error: ")) == (wanted.errors or "an error" in wanted.answers)
+    assert bool(run.error.count("error: ")) == (expected.errors or "an error" in expected.answers)
     assert run.status == bool(run.error.count("error: "))
