@@ -575,11 +575,15 @@ def create_docs_venv(workspace: Path, shell: Shell) -> str:
 
 
 TEST_DURATION_TEXT = (
-    "All tests take up to 25 minutes on two cores that have nothing else to do; "
+    "All tests take up to 15 minutes on two cores that have nothing else to do; "
     "./install.py test -m 'not slow' --ignore test/ros1 takes 2."
 )
-PARALLEL_OPTIONS = ("-n", "2", "--dist", "loadfile")
-"""Two processes, each with whole test files: tests with ROS spend most of their time waiting."""
+PARALLEL_OPTIONS = ("-n", "3", "--dist", "worksteal")
+"""Three processes for two cores, because tests with ROS spend most of their time waiting.
+
+Each has a part of the test files in order, so that fixtures of modules are shared. A process without tests takes half
+of those that another one still has: all processes work until the end.
+"""
 
 _ONE_PROCESS = {
     "--pdb",

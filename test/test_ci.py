@@ -34,7 +34,7 @@ echo bare >> "$RETALIS_CALLS"
 """
 
 SWI = "install.py test --with-swi -n 0 test/prolog/swi"
-OLD_TESTS = "python3.8 -m pytest -n 2 --dist loadfile -m not slow --ignore test/ros1"
+OLD_TESTS = "python3.8 -m pytest -n 2 --dist worksteal -m not slow --ignore test/ros1"
 
 
 def write_program(path, text):
@@ -106,6 +106,10 @@ def test_stages_run_parts(run):
     ]
 
 
+def test_nightly_stage_runs_nightly_tests(run):
+    assert run("nightly")[2] == ["install.py test -m nightly"]
+
+
 def test_unknown_stage_is_refused(run):
-    message = ".ci/run: unknown stage 'quick': expected fast, ros or slow"
+    message = ".ci/run: unknown stage 'quick': expected fast, ros, slow or nightly"
     assert run("fast", "quick") == (2, [message], [])

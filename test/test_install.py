@@ -522,14 +522,14 @@ def test_the_tests_run_without_what_the_shell_has(ran, tmp_path):
 
 def test_all_the_tests_say_first_how_long_they_take(ran, capsys):
     ran("test")
-    assert capsys.readouterr().out.startswith("All tests take up to 25 minutes on two cores")
+    assert capsys.readouterr().out.startswith("All tests take up to 15 minutes on two cores")
     ran("test", "test/test_api.py")
     assert "minutes" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("options", [[], ["test/ros1"], ["-m", "not slow", "--ignore", "test/test_api.py"]])
 def test_both_cores_run_tests(install, options):
-    assert install.choose_parallel_options(options) == ("-n", "2", "--dist", "loadfile")
+    assert install.choose_parallel_options(options) == ("-n", "3", "--dist", "worksteal")
 
 
 @pytest.mark.parametrize(

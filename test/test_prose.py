@@ -6,7 +6,7 @@ import re
 import pytest
 from source import NODES, ROOT
 
-pytestmark = pytest.mark.docs
+pytestmark = [pytest.mark.docs, pytest.mark.nightly]
 
 DOCS = ROOT / "docs"
 PAGES = {

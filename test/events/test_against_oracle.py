@@ -1,6 +1,6 @@
 """The engine against the oracle on random rules and streams, and against itself where nothing may change.
 
-The oracle (``test/oracle``) is an evaluator of its own; its README has the command for long runs.
+The oracle (``test/oracle``) is an evaluator of its own; `test_long_runs` compares more cases.
 """
 
 import re
@@ -22,7 +22,7 @@ from retalis import atom, functor
 from retalis.events.matches import interval_index, match_buffer
 from retalis.prolog.terms.timestamps import SECOND, datime, datime6, to_term
 
-quick = settings(max_examples=60, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
+quick = settings(max_examples=20, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
 
 
 MOST = 16
@@ -47,7 +47,7 @@ def garbage_control(window):
 
 
 @pytest.mark.slow
-@settings(quick, max_examples=500)
+@settings(quick, max_examples=100)
 @given(cases())
 def test_oracle(case):
     case = affordable(case)
@@ -56,21 +56,21 @@ def test_oracle(case):
 
 
 @pytest.mark.slow
-@settings(quick, max_examples=150)
+@settings(quick, max_examples=30)
 @given(cases(unsure=True))
 def test_oracle_with_conditions_over_what_may_be_open(case):
     assert difference(affordable(case)) is None
 
 
 @pytest.mark.slow
-@settings(quick, max_examples=150)
+@settings(quick, max_examples=30)
 @given(cases(streams=True))
 def test_oracle_with_operators_on_streams(case):
     assert difference(affordable(case)) is None
 
 
 @pytest.mark.slow
-@settings(quick, max_examples=150)
+@settings(quick, max_examples=30)
 @given(cases())
 def test_oracle_with_every_partner_looked_up_by_time(case):
     with patch.multiple(match_buffer, MAX_MISSES_BEFORE_INDEX=0, MAX_MISSES_WITH_INDEX=0), patch.object(
@@ -117,7 +117,7 @@ def test_garbage_control_drops_what_is_old(pattern):
 
 
 @pytest.mark.slow
-@settings(quick, max_examples=150)
+@settings(quick, max_examples=30)
 @given(cases(depth=3, revision=True))
 def test_revision(case):
     if difference(case) is not None:
@@ -151,7 +151,7 @@ def as_numbers(fired):
 
 
 @pytest.mark.slow
-@settings(quick, max_examples=25)
+@settings(quick, max_examples=15)
 @given(cases())
 def test_stamps_in_all_forms(case):
     """What check does with t1 and t2 is the same for numbers and datimes."""

@@ -230,7 +230,14 @@ class _Copy:
     def _run(self, arguments, timeout):
         """Run pytest; return its exit status and the output."""
         command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--no-header", *arguments]
-        environment = {**os.environ, "PYTHONPATH": "", "PYTHONDONTWRITEBYTECODE": "1" if timeout else ""}
+        environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1" if timeout else ""}
+        # Packages may be in folders that only this variable names. The copy has this package and the tests itself.
+        folders = environment.pop("PYTHONPATH", "").split(os.pathsep)
+        own_folders = {ROOT / "src", ROOT / "test"}
+        environment["PYTHONPATH"] = os.pathsep.join(
+            folder for folder in folders if Path(folder).resolve() not in own_folders
+        )
+        environment.pop("PYTEST_XDIST_WORKER", None)  # of the run of the tests that has started this program
         process = subprocess.Popen(
             command,
             cwd=self._root,

@@ -12,7 +12,7 @@ from oracle.strategies import cases
 
 
 @pytest.mark.slow
-@settings(max_examples=300, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=60, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
 @given(cases())
 def test_unrestricted_is_every_combination_once(case):
     assume(defined_for(case.rules))
@@ -25,7 +25,7 @@ def test_unrestricted_is_every_combination_once(case):
 
 
 @pytest.mark.slow
-@settings(max_examples=300, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=60, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
 @given(cases())
 def test_without_late_events_expiry_changes_nothing(case):
     assume(case.has_limits())
