@@ -342,6 +342,18 @@ def test_refused_file_is_renamed_with_its_log(folder):
         rename_refused_file(folder)
 
 
+def test_empty_refused_file_is_renamed_with_its_log(folder):
+    storage = CheckpointStorage(folder / "state.db")
+    log = (folder / "state.db-wal").read_bytes()
+    storage.close()
+    path = folder / "emptied.db"
+    path.touch()
+    (folder / "emptied.db-wal").write_bytes(log)
+    renamed = rename_refused_file(path)
+    assert renamed.read_bytes() == b""
+    assert log and (folder / f"{renamed.name}-wal").read_bytes() == log
+
+
 def test_missing_folder_is_an_error(folder):
     with pytest.raises(UsageError, match="cannot write a checkpoint to"):
         CheckpointStorage(folder / "not_there" / "state.db")

@@ -24,6 +24,7 @@ from zlib import crc32
 from ..events.knowledge.memory import NO_POSITION, MemoryInstance
 from ..events.program.topic_configuration import GOALS, TOPICS
 from ..foundation.errors import UsageError
+from ..foundation.read_only_database import open_without_locks
 from ..messages.type_registry import Definitions
 from ..serialization.codec import from_bytes, to_bytes
 from ..serialization.columns import MemoryRecords, encode_records
@@ -264,27 +265,10 @@ def _open_for_reading(path: Path) -> sqlite3.Connection:
         if os.access(path.resolve().parent, os.W_OK):
             raise
         # Readers of a write-ahead log create an index and locks beside it, which this folder does not permit.
-        return _open_without_locks(path)
+        return open_without_locks(path)
     except _DATABASE_ERRORS:
         # The file is no database; the first query raises the error again.
         return database
-    return database
-
-
-def _open_without_locks(path: Path) -> sqlite3.Connection:
-    """Return a connection that reads a database without a writer, and creates no files beside it."""
-    # SQLite searches the write-ahead log beside the file itself, not beside a symbolic link to it.
-    path = path.resolve()
-    log = Path(f"{path}-wal")
-    # `immutable` ignores the log. Without shared memory, its index is in this process (SQLite manual, "Use of WAL
-    # Without Shared-Memory").
-    access = "vfs=unix-none" if log.is_file() and log.stat().st_size else "immutable=1"
-    database = sqlite3.connect(f"{path.as_uri()}?mode=ro&{access}", uri=True)
-    try:
-        database.execute("PRAGMA locking_mode = EXCLUSIVE")
-    except BaseException:
-        database.close()
-        raise
     return database
 
 
@@ -294,7 +278,7 @@ def _check_owned(path: Path) -> None:
     Raises:
         UsageError: if it is another file.
     """
-    if path.is_file() and path.stat().st_size and is_foreign_database(path):
+    if path.is_file() and is_foreign_database(path):
         raise UsageError(
             f"cannot write a checkpoint to {path}: it is the database of another program: name another file"
         )
@@ -303,7 +287,7 @@ def _check_owned(path: Path) -> None:
 def is_foreign_database(path: Path) -> bool:
     """Return whether a file is a valid SQLite database, but not a checkpoint."""
     try:
-        database = _open_without_locks(path)
+        database = open_without_locks(path)
         try:
             has_tables = _query_value(database, "SELECT count(*) FROM sqlite_master")
             application_id = _query_value(database, "PRAGMA application_id")

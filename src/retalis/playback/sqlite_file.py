@@ -3,11 +3,8 @@
 The files are not trusted: a database may only have plain tables, and is limited to a number of virtual machine
 instructions and of bytes.
 
-A recorder that was killed leaves its newest messages in the write-ahead log (``.db3-wal``;
-https://www.sqlite.org/wal.html). SQLite would create an index of the log beside it (``.db3-shm``), and would copy the
-log into the database when the last connection is closed. Here the index is in memory, which the locking mode
-``EXCLUSIVE`` does, and the database is open for reading only, so nothing is written: bags on read-only media are read
-with their log.
+A recorder that was killed leaves its newest messages in the write-ahead log (``.db3-wal``). They are read, and
+nothing is written, as `read_only_database` describes.
 """
 
 import logging
@@ -17,6 +14,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Collection, Dict, Iterator, List, Optional, Tuple
 
+from ..foundation.read_only_database import open_without_locks
 from .decompression import ChunkLimit, describe_error
 from .ros2_storage import Connection, Message
 from .rosbag1 import IncompleteBagError
@@ -50,24 +48,13 @@ class SqliteFile:
     """
 
     def __init__(self, path: Path, limit: ChunkLimit):
-        # SQLite searches the log beside the file itself, not beside a symbolic link to it.
+        # The log is beside the file itself, not beside a symbolic link to it.
         path = path.resolve()
-        log_size = _measure_log(path)
-        self._size = path.stat().st_size + log_size
+        self._size = path.stat().st_size + _measure_log(path)
         self._steps = 0
-        # SQLite deletes the log of an empty database, although that is opened for reading only.
-        if self._size == log_size:
-            raise ValueError("it is empty: expected a database that ros2 bag has written")
-        # Without locks, which need write permission. `immutable` also ignores the log.
-        access = "vfs=unix-none" if log_size else "immutable=1"
         with ExitStack() as stack:
-            self._database = sqlite3.connect(
-                f"{path.as_uri()}?mode=ro&{access}", uri=True, check_same_thread=False
-            )
+            self._database = open_without_locks(path)
             stack.callback(self._database.close)
-            self._database.execute("PRAGMA locking_mode = EXCLUSIVE")
-            # A schema from an untrusted file must not call functions with side effects.
-            self._database.execute("PRAGMA trusted_schema = OFF")
             # Older versions of Python cannot limit single values; the number of rows and steps is limited in any
             # case.
             set_limit = getattr(self._database, "setlimit", None)  # from Python 3.11
