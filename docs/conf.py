@@ -86,6 +86,8 @@ LINK = re.compile(r"\]\((?!https?:)([^)#\s]+\.md)")
 FILE_COMMENT = re.compile(r"<!-- (\S+) -->\s*")
 """Comment that names the file of the code block after it; the tests of the pages write these files."""
 
+HTML_COMMENT = re.compile(r"<!--.*?-->")
+
 COOKBOOK_FILES = {
     "eventRules.txt": ("prolog", "The rules."),
     "goalPredicates.txt": ("prolog", "The goals that are called at the start."),
@@ -327,7 +329,8 @@ def section_texts(section: nodes.Element) -> Iterator[Tuple[List[str], str]]:
     The text has no title, because the search shows it, and no text of the sections in it.
     """
     texts = [
-        child.astext()
+        # Cells of tables have comments, with words for `retalis help`.
+        HTML_COMMENT.sub("", child.astext())
         for child in section.children
         if not isinstance(child, (nodes.section, nodes.title, nodes.raw))
     ]

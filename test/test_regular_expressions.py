@@ -205,6 +205,12 @@ CASES: Dict[str, Case] = {
         ("", "| [a](a/README.md) | ", "| [", "| [a]("),
         ("a", "| ", " |", "| [a](a/README.md) | ", "\n| ["),
     ),
+    r"^\| ([^|\n]+) \| \[([^|\n]+)\]\(([^()|\n]+)\) \| `([^`|\n]+)` <!-- ([^|\n]+) --> \|$": Case(
+        "finditer",
+        "a row that does not end as it should: each character of a cell once, and back",
+        ("", "| ", "| a | [", "| a | [a](", "| a | [a](a) | `", "| a | [a](a) | `a` <!-- "),
+        ("a", "|", "| ", "](", "](a", "[", "`", "` <!-- ", " -->", "| a | [a](a) | `a` <!-- ", "\n| a"),
+    ),
     r"\[([^\[\]]*)\]\([^()]*\)": Case(
         "search", "each character once more", ("", "[", "[]("), ("a", "[", "]", "(", "](", "[](")
     ),

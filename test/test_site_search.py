@@ -93,3 +93,10 @@ def test_page_marks_the_words_of_the_last_search(browser):
         "[...document.querySelectorAll('article span.highlighted')].map(word => word.innerText)"
     )
     assert {word.lower() for word in marked} == {"mode"}
+
+
+def test_comments_of_pages_are_not_searched():
+    page = (DOCS / "reference" / "situations.md").read_text(encoding="utf-8")
+    texts = (SITE / "_static" / "search_texts.js").read_text(encoding="utf-8")
+    assert "hysteresis threshold noise noisy schmitt" in page and "schmitt" not in texts
+    assert "switch at two limits without flicker" in texts

@@ -161,9 +161,10 @@ def test_stop_words_count_only_alone(entries):
     assert search("", entries) == search("?", entries) == []
 
 
-def test_without_pages_situations_are_searched(monkeypatch):
+def test_missing_documentation_is_an_error(monkeypatch, capsys):
     monkeypatch.setattr(help_search, "docs_folder", lambda: None)
-    assert search("debounce button", all_entries())[0].title == "debounce a button"
+    assert main(["help", "debounce"]) == 1
+    assert capsys.readouterr().err.startswith("retalis: help: the documentation is not installed: expected ")
 
 
 def test_forms_of_a_word_have_one_stem():

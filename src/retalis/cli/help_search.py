@@ -6,6 +6,7 @@ Information Retrieval, chapter 6). Words are compared by their stems, so that ot
 """
 
 import argparse
+import posixpath
 import re
 import textwrap
 from collections import Counter
@@ -16,7 +17,6 @@ from typing import Callable, Dict, FrozenSet, Iterable, Iterator, List, NamedTup
 
 from ..foundation.errors import UsageError
 from ..foundation.output_files import print_json
-from .situation_guide import SITUATIONS, Situation
 
 MAX_MATCHES = 10
 """Maximum number of entries that are printed for a search."""
@@ -48,6 +48,12 @@ _COOKBOOK = "examples/cookbook"
 """Folder of the searched programs, beside ``docs``."""
 
 _SITUATIONS_PAGE = "reference/situations.md"
+"""Page with the situations, which are stated there only."""
+
+_SITUATION_ROW = re.compile(
+    r"^\| ([^|\n]+) \| \[([^|\n]+)\]\(([^()|\n]+)\) \| `([^`|\n]+)` <!-- ([^|\n]+) --> \|$", re.MULTILINE
+)
+"""Row of a table of situations: need, solution, link to the page that explains it, example, and keywords."""
 
 _MAX_SECTION_WORDS = 60
 """Number of words of a section that are searched."""
@@ -194,13 +200,44 @@ def _stems_of(text: str) -> FrozenSet[str]:
     return frozenset(map(stem_word, split_words(text)))
 
 
+class Situation(NamedTuple):
+    """A situation in the words of a user, and what solves it.
+
+    Attributes:
+        need: continues "I want to ...".
+        solution: operator, predicate or command.
+        example: one line: a rule, a directive (``:- ``), a goal (``?- ``) or a command (``$ ``).
+        page: page that explains it.
+        keywords: further words by which users search for it.
+    """
+
+    need: str
+    solution: str
+    example: str
+    page: str
+    keywords: str
+
+
+def read_situations() -> List[Situation]:
+    """Return the situations of the documentation; none if it is not installed."""
+    folder = docs_folder()
+    if folder is None:
+        return []
+    text = (folder / _SITUATIONS_PAGE).read_text(encoding="utf-8")
+    base = posixpath.dirname(f"docs/{_SITUATIONS_PAGE}")
+    return [
+        Situation(need, _plain(solution), example, posixpath.normpath(f"{base}/{link}"), keywords)
+        for need, solution, link, example, keywords in _SITUATION_ROW.findall(text)
+    ]
+
+
 def _situation_entry(situation: Situation) -> HelpEntry:
     return HelpEntry(
         _SITUATION,
         situation.need,
         situation.solution,
         situation.example,
-        f"docs/{situation.page}",
+        situation.page,
         _stems_of(situation.need),
         _stems_of(f"{situation.solution} {situation.keywords}"),
         frozenset(),
@@ -209,17 +246,25 @@ def _situation_entry(situation: Situation) -> HelpEntry:
 
 
 def all_entries() -> List[HelpEntry]:
-    """Return the entries of situations, sections, programs and predicates; only situations if there are no pages."""
-    entries = [_situation_entry(situation) for section in SITUATIONS.values() for situation in section]
+    """Return the entries of situations, sections, programs and predicates.
+
+    Raises:
+        UsageError: if the documentation is not installed.
+    """
     folder = docs_folder()
-    if folder is not None:
-        for page in sorted(page for name in _FOLDERS for page in (folder / name).rglob("*.md")):
-            name = page.relative_to(folder).as_posix()
-            if page.name == "predicates.md":
-                entries += _predicate_entries(name, page.read_text(encoding="utf-8"))
-            elif name != _SITUATIONS_PAGE and page.name != "index.md":
-                entries += _section_entries(name, page.read_text(encoding="utf-8"))
-        entries += _program_entries(folder.parent)
+    if folder is None:
+        raise UsageError(
+            "help: the documentation is not installed: expected the folder share/retalis/docs of an installation, "
+            "or docs of a clone"
+        )
+    entries = [_situation_entry(situation) for situation in read_situations()]
+    for page in sorted(page for name in _FOLDERS for page in (folder / name).rglob("*.md")):
+        name = page.relative_to(folder).as_posix()
+        if page.name == "predicates.md":
+            entries += _predicate_entries(name, page.read_text(encoding="utf-8"))
+        elif name != _SITUATIONS_PAGE and page.name != "index.md":
+            entries += _section_entries(name, page.read_text(encoding="utf-8"))
+    entries += _program_entries(folder.parent)
     return entries
 
 
@@ -364,8 +409,7 @@ def suggest_words(text: str) -> List[str]:
     words = sorted(
         {
             word
-            for section in SITUATIONS.values()
-            for situation in section
+            for situation in read_situations()
             for word in split_words(f"{situation.need} {situation.keywords}")
         }
     )
