@@ -32,11 +32,11 @@ def split(term):
 
 @pytest.fixture(params=[0, NEVER], ids=["compiled", "interpreted"])
 def logic(request):
-    made = prolog(PROGRAM, request.param)
-    made.define_function("half_of", 2, half_of)
+    system = prolog(PROGRAM, request.param)
+    system.define_function("half_of", 2, half_of)
     shows = (None, lambda value: (functor("f", 2), value, atom("end")))
-    made.define_function("split", 3, split, (0, 2), shows)
-    return made
+    system.define_function("split", 3, split, (0, 2), shows)
+    return system
 
 
 CASES = [
@@ -67,20 +67,20 @@ CASES = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize("goal, expected", CASES)
-def test_functions_as_predicates(logic, goal, expected):
+def test_functions_have_answers_of_predicates(logic, goal, expected):
     for _ in range(2):
         assert answers(logic, goal) == expected
     assert logic.machine.trail == []
 
 
-def test_a_program_may_not_define_it_where_it_is_locked():
+def test_clause_for_locked_function_is_refused():
     logic = prolog()
     logic.define_function("half_of", 2, half_of).is_locked = True
     with pytest.raises(PrologError, match="permission"):
         logic.add_clause((functor("half_of", 2), 1, 2))
 
 
-def test_a_predicate_that_replaces_it_counts():
+def test_compiled_clause_calls_new_definition():
     logic = prolog("twice(X, Y) :- half_of(Y, X).")
     logic.define_function("half_of", 2, half_of)
     assert answers(logic, "twice(X, 8)") == [{"X": "4"}]
@@ -89,23 +89,25 @@ def test_a_predicate_that_replaces_it_counts():
 
 
 @pytest.mark.parametrize("compile_after", [0, NEVER], ids=["compiled", "interpreted"])
-def test_a_predicate_may_be_a_function_where_its_first_argument_is_known(compile_after):
+def test_function_is_used_if_first_argument_is_known(compile_after):
     logic = prolog("one(Y) :- number_of(b, Y).\nall(X, Y) :- number_of(X, Y).\n", compile_after)
     numbers = {"a": 1, "b": 2}
-    asked = []
+    enumerated = []
 
-    def each(machine, name, value):
-        asked.append(name)
+    def enumerate_numbers(machine, name, value):
+        enumerated.append(name)
         for key, number in numbers.items():
             if machine.unify_all((name, atom(key)), (value, number)):
                 yield True
 
-    logic.define_nondeterministic("number_of", 2, each, lambda name: numbers.get(deref(name).name))
+    logic.define_nondeterministic(
+        "number_of", 2, enumerate_numbers, lambda name: numbers.get(deref(name).name)
+    )
     assert answers(logic, "one(Y)") == [{"Y": "2"}]
     assert answers(logic, "X = a, number_of(X, Y)") == [{"X": "a", "Y": "1"}]
     assert answers(logic, "number_of(a, 2)") == []
     assert answers(logic, "number_of(c, _)") == []
-    assert asked == []
+    assert enumerated == []
     assert answers(logic, "all(X, Y)") == [{"X": "a", "Y": "1"}, {"X": "b", "Y": "2"}]
     assert answers(logic, "all(X, 2)") == [{"X": "b"}]
-    assert len(asked) == 2
+    assert len(enumerated) == 2

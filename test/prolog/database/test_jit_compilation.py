@@ -3,7 +3,7 @@
 from random import Random
 
 import pytest
-from prolog.compiler.test_compiled import CALLS, SEEDS, program
+from prolog.compiler.test_predicate_code import CALLS, SEEDS, program
 from prolog.support import NEVER, answers, first, prolog
 
 from retalis.prolog.compiler.predicate_code import PredicateGenerator
@@ -14,12 +14,12 @@ from retalis.prolog.machine import machine
 @pytest.mark.slow
 @pytest.mark.parametrize("steps", [1, 3])
 @pytest.mark.parametrize("seed", SEEDS[:12])
-def test_answers_are_the_same(seed, steps, monkeypatch):
+def test_bodies_compiled_at_any_step_keep_answers(seed, steps, monkeypatch):
     text = program(seed)
-    wanted = [answers(prolog(text), call) for call in CALLS]
+    expected = [answers(prolog(text), call) for call in CALLS]
     monkeypatch.setattr(machine, "SLICE", (None,) * steps)
     logic = prolog(text, NEVER)
-    assert [answers(logic, call) for call in CALLS] == wanted
+    assert [answers(logic, call) for call in CALLS] == expected
     assert logic.machine.trail == [] == logic.machine.choices
 
 
@@ -33,17 +33,17 @@ all(L) :- findall(N, sum(N), L).
 
 
 @pytest.fixture
-def made(monkeypatch):
-    found = []
+def compilations(monkeypatch):
+    arguments = []
     monkeypatch.setattr(
         just_in_time_bodies,
         "PredicateGenerator",
-        lambda *args: found.append(args) or PredicateGenerator(*args),
+        lambda *args: arguments.append(args) or PredicateGenerator(*args),
     )
-    return found
+    return arguments
 
 
-def test_a_search_of_one_call_is_compiled(made):
+def test_search_of_one_call_is_compiled(compilations):
     fast, slow = prolog(SEARCH, NEVER), prolog(SEARCH)
     expected = sorted(
         a * 100 + b * 10 + c
@@ -53,7 +53,7 @@ def test_a_search_of_one_call_is_compiled(made):
         if a != b and c > b and (a + b == c or (a == 7 and b == 1))
     )
     assert first(slow, "all(L)") == first(fast, "all(L)") == str(expected).replace(" ", "")
-    assert 1 <= len(made) <= 8
+    assert 1 <= len(compilations) <= 8
     assert first(fast, "first(N)") == "96"
 
 
@@ -64,26 +64,26 @@ refused :- call((member(Y, [1, z]), between(1, 60000, X), X > Y, fail)).
 """
 
 
-def test_a_built_in_after_a_search_is_compiled(made):
+def test_builtin_after_search_is_compiled(compilations):
     logic = prolog(BUILT_IN, NEVER)
     assert first(logic, "big(L)") == "[59999,60000]"
-    assert len(made) == 1
+    assert len(compilations) == 1
     assert first(logic, "wrong(E)") == "type_error(evaluable,z/0)"
 
 
-def test_what_is_short_is_not(made):
+def test_short_search_is_not_compiled(compilations):
     assert first(prolog(SEARCH, NEVER), "first(N)") == "96"
-    assert not made
+    assert not compilations
 
 
-def test_it_is_forgotten_with_the_question(made):
+def test_compiled_bodies_are_dropped_after_query(compilations):
     logic = prolog(SEARCH, NEVER)
     assert first(logic, "all(L)")
-    assert made
+    assert compilations
     assert len(logic.control.bodies) == 0
 
 
-def test_what_it_calls_may_be_redefined_meanwhile():
+def test_facts_change_during_compiled_search():
     text = """
     :- dynamic(limit/1).
     limit(3).
@@ -96,7 +96,7 @@ def test_what_it_calls_may_be_redefined_meanwhile():
     assert first(prolog(text, NEVER), "between(1, 9, X), limit(L), X > L, !") == {"X": "4", "L": "3"}
 
 
-def test_errors_and_cuts_in_it(monkeypatch):
+def test_compiled_body_keeps_errors_and_cuts(monkeypatch):
     text = """
     go(S) :- between(1, 100, X), ( X =:= 60 -> Y = a ; Y = 1 ), catch(Z is X + Y, error(E, _), (S = X-E, !)), Z < 0.
     throws(N) :- between(1, 100, X), ( X > N -> throw(found(X)) ; true ), fail.
@@ -108,7 +108,7 @@ def test_errors_and_cuts_in_it(monkeypatch):
     assert expected[1] == ["found(51)"]
 
 
-def test_large_terms_that_were_passed_are_no_reason_to_compile(made, monkeypatch):
+def test_body_with_large_term_keeps_answer(compilations, monkeypatch):
     monkeypatch.setattr(machine, "SLICE", (None,) * 3)
     random = Random(1)
     numbers = ", ".join(str(random.randrange(9)) for _ in range(500))
@@ -126,20 +126,22 @@ def test_large_terms_that_were_passed_are_no_reason_to_compile(made, monkeypatch
     ],
 )
 @pytest.mark.parametrize("steps", [1, 3, 50])
-def test_a_cut_that_a_variable_stands_for_is_that_of_the_body(goal, steps, monkeypatch):
-    wanted = answers(prolog(SEARCH), goal)
+def test_cut_bound_to_variable_is_local_to_body(goal, steps, monkeypatch):
+    expected = answers(prolog(SEARCH), goal)
     monkeypatch.setattr(machine, "SLICE", (None,) * steps)
-    assert answers(prolog(SEARCH, NEVER), goal) == wanted
+    assert answers(prolog(SEARCH, NEVER), goal) == expected
 
 
-def test_what_cannot_be_compiled_is_tried_once_and_many_bodies_take_turns(monkeypatch):
-    tried = []
+def test_number_of_observed_bodies_is_bounded(monkeypatch):
+    attempts = []
     monkeypatch.setattr(
-        just_in_time_bodies.JustInTimeBodies, "_compile", lambda self, body: tried.append(body)
+        just_in_time_bodies.JustInTimeBodies, "_compile", lambda self, body: attempts.append(body)
     )
     monkeypatch.setattr(machine, "SLICE", (None,))
     logic = prolog(SEARCH, NEVER)
-    goal = " , ".join(f"\\+ (digit(X{at}), digit(Y{at}), X{at} + Y{at} > 18)" for at in range(20))
+    goal = " , ".join(
+        f"\\+ (digit(X{number}), digit(Y{number}), X{number} + Y{number} > 18)" for number in range(20)
+    )
     assert first(logic, f"{goal}, N = 1")["N"] == "1"
-    assert 0 < len(tried) <= 60
+    assert 0 < len(attempts) <= 60
     assert len(logic.control.bodies) <= 2 * just_in_time_bodies._MAX_BODIES  # noqa: SLF001

@@ -19,48 +19,48 @@ later(A, B, N) :- A - B > N.
 longest(A, B, X) :- X is max(A, B) - min(A, B).
 greatest(A, B, X) :- X is max(A, B).
 """
-WAYS = [prolog(PROGRAM), prolog(PROGRAM, compile_after=NEVER)]
+SYSTEMS = [prolog(PROGRAM), prolog(PROGRAM, compile_after=NEVER)]
 
 
 def forms(instant):
-    """Return all terms that name an instant."""
+    """Return all terms that denote an instant (ns)."""
     year, month, day, hour, minute, second, rest = timestamps.datime_fields(instant)
-    found = [
+    terms = [
         f"datime({year},{month},{day},{hour},{minute},{second},{rest})",
         f"datime({year},{month},{day},{hour},{minute},{float(second)},{rest})",
         "[{},{}]".format(*timestamps.to_parts(instant)),
     ]
     if not rest:
-        found.append(f"datime({year},{month},{day},{hour},{minute},{second})")
-    return found
+        terms.append(f"datime({year},{month},{day},{hour},{minute},{second})")
+    return terms
 
 
-def one(goal):
-    """Return the only answer that there is, by every way."""
-    found = {str(first(logic, goal)) for logic in WAYS}
-    assert len(found) == 1
-    return found.pop()
+def common_answer(goal):
+    """Return the first answer to a goal, which is the same interpreted and compiled."""
+    results = {str(first(logic, goal)) for logic in SYSTEMS}
+    assert len(results) == 1
+    return results.pop()
 
 
-def pairs():
+def timestamp_pairs():
     whole = st.integers(0, 4_000_000_000).map(lambda seconds: seconds * SECOND)
     instants = st.one_of(whole, st.integers(0, 4_000_000_000 * SECOND))
-    near = st.tuples(instants, st.integers(-3, 3)).map(lambda drawn: (drawn[0], max(0, sum(drawn))))
+    near = st.tuples(instants, st.integers(-3, 3)).map(lambda pair: (pair[0], max(0, sum(pair))))
     return st.one_of(st.tuples(instants, instants), near)
 
 
 @settings(max_examples=60, derandomize=True, deadline=None)
-@given(pairs(), st.randoms(use_true_random=False))
-def test_stamps_subtract_and_compare_to_the_nanosecond(pair, pick):
+@given(timestamp_pairs(), st.randoms(use_true_random=False))
+def test_timestamps_are_exact_to_nanosecond(pair, random):
     left, right = pair
-    one_form, other_form = pick.choice(forms(left)), pick.choice(forms(right))
+    left_form, right_form = random.choice(forms(left)), random.choice(forms(right))
     difference = write_term((left - right) / SECOND)
-    assert one(f"minus({one_form}, {other_form}, X)") == difference
-    assert float(one(f"datime_minus_datime({one_form}, {other_form}, X)")) == float(difference)
-    assert one(f"order({one_form}, {other_form}, X)") == (
+    assert common_answer(f"minus({left_form}, {right_form}, X)") == difference
+    assert float(common_answer(f"datime_minus_datime({left_form}, {right_form}, X)")) == float(difference)
+    assert common_answer(f"order({left_form}, {right_form}, X)") == (
         "<" if left < right else ">" if left > right else "="
     )
-    assert one(f"longest({one_form}, {other_form}, X)") == write_term(abs(left - right) / SECOND)
+    assert common_answer(f"longest({left_form}, {right_form}, X)") == write_term(abs(left - right) / SECOND)
 
 
 @pytest.mark.parametrize(
@@ -92,11 +92,11 @@ def test_stamps_subtract_and_compare_to_the_nanosecond(pair, pick):
         ("_T = [1,0], X is inf - _T", "evaluation_error(float_overflow)"),
     ],
 )
-def test_a_stamp_is_a_number(goal, value):
-    assert one(goal) == value
+def test_timestamp_evaluates_to_number(goal, value):
+    assert common_answer(goal) == value
 
 
-def test_what_a_program_gets_is_an_ordinary_number():
+def test_evaluated_timestamp_is_ordinary_number():
     logic = prolog("both(A, X) :- X is A, Y is max(A, 0), foo(X) = foo(Y), X == Y.")
     assert answers(logic, "both([5,5], X), X == 5.000000005, atom_number(A, X)") == [
         {"X": "5.000000005", "A": "'5.000000005'"}

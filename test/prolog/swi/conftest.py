@@ -7,8 +7,8 @@ import pytest
 from retalis import Engine, Limits, Settings, UsageError
 from retalis.prolog.swi.libswipl import find_library
 
-ASKED = "RETALIS_TEST_SWI"
-"""Variable that asks for these tests."""
+SWI_VARIABLE = "RETALIS_TEST_SWI"
+"""Environment variable that enables these tests."""
 
 KB = """\
 :- module(kb, [inc/2, upto/2, echo/2, forever/0, stubborn/0, retrying/0, sleeps/0, bad/1, hard/1, piles/0,
@@ -56,31 +56,31 @@ pokes_later(X) :- retalis(near(a, X)), poke, X == c.
 
 @pytest.fixture(scope="session")
 def swi():
-    """Return the library of SWI-Prolog; fail if these tests were asked for and there is none."""
+    """Return the library of SWI-Prolog; fail if these tests are enabled and it is missing."""
     try:
         return find_library()
     except UsageError as error:
-        if os.environ.get(ASKED):
-            pytest.fail(f"{ASKED} is set: {error}")
+        if os.environ.get(SWI_VARIABLE):
+            pytest.fail(f"{SWI_VARIABLE} is set: {error}")
         pytest.skip(str(error))
 
 
 @pytest.fixture(scope="session")
 def folder(swi, tmp_path_factory):
-    """Return the folder of a file for SWI-Prolog: one for all tests, as SWI-Prolog is one for the process."""
-    found = tmp_path_factory.mktemp("swi")
-    (found / "kb.pl").write_text(KB)
-    return found
+    """Return the folder of the file for SWI-Prolog; all tests of the process share both."""
+    path = tmp_path_factory.mktemp("swi")
+    (path / "kb.pl").write_text(KB)
+    return path
 
 
 @pytest.fixture
 def program(folder):
-    """Return what makes an engine with that file and rules."""
+    """Return a function that creates an engine with the file for SWI-Prolog and rules."""
 
     def make(rules="", **limits):
         engine = Engine(settings=Settings(allow_swi=True))
         engine.load(rules=f":- use_swi('kb.pl').\n{rules}", folder=folder)
-        engine.logic.limits = Limits(**limits)  # not for the loading: a machine may be busy
+        engine.logic.limits = Limits(**limits)  # after loading, which has no limits
         return engine
 
     return make
@@ -92,10 +92,13 @@ def engine(program):
 
 
 def pytest_collection_modifyitems(items):
-    """Leave these tests to a process of their own: SWI-Prolog stays in it, with its signals, until it ends."""
-    if os.environ.get(ASKED):
+    """Skip these tests outside a process of their own.
+
+    SWI-Prolog and its signal handlers stay until the process ends.
+    """
+    if os.environ.get(SWI_VARIABLE):
         return
-    alone = pytest.mark.skip(reason=f"in a process of their own: {ASKED}=1 pytest test/prolog/swi")
+    skip = pytest.mark.skip(reason=f"in a process of their own: {SWI_VARIABLE}=1 pytest test/prolog/swi")
     for item in items:
         if "prolog/swi/" in item.nodeid:
-            item.add_marker(alone)
+            item.add_marker(skip)

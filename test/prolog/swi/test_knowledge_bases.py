@@ -9,26 +9,28 @@ from retalis import Engine, PrologError, Settings
 FOLDER = Path(__file__).resolve().parent / "bases"
 
 
-def said(swi, rules, *events):
-    """Return the events that rules make of these ones, as text; the library has been found by then."""
+def derived_events(swi, rules, *events):
+    """Return the events that rules derive from events, as text; the fixture `swi` requires the library."""
     engine = Engine(settings=Settings(allow_swi=True))
     engine.load(rules=rules, folder=FOLDER)
-    found = []
-    engine.on_event(lambda term, start, end: found.append(engine.show(term)))
-    for at, event in enumerate(events, 1):
-        engine.event(event, at)
-    return [one for one in found if one not in events]
+    outputs = []
+    engine.on_event(lambda term, start, end: outputs.append(engine.show(term)))
+    for time, event in enumerate(events, 1):
+        engine.event(event, time)
+    return [output for output in outputs if output not in events]
 
 
 @pytest.mark.slow
-def test_constraints(swi):
+def test_rules_query_finite_domain_constraints(swi):
     rules = (
         ":- use_swi('shifts.pl').\n"
         "planned(H) <- wanted(W) where (plan(W, H), H = [10|_]).\n"
         "leaves(T) <- late(Now) where earliest(Now, 5, T).\n"
         "no_plan(W) <- wanted(W) where \\+ plan(W, _).\n"
     )
-    assert said(swi, rules, "wanted([any,at(8),after(10)])", "wanted([at(9),at(9)])", "late(17)") == [
+    assert derived_events(
+        swi, rules, "wanted([any,at(8),after(10)])", "wanted([at(9),at(9)])", "late(17)"
+    ) == [
         "planned([10,8,11])",
         "no_plan([at(9),at(9)])",
         "leaves(20)",
@@ -36,14 +38,14 @@ def test_constraints(swi):
 
 
 @pytest.mark.slow
-def test_rules_for_constraints(swi):
+def test_rules_query_constraint_handling_rules(swi):
     rules = (
         ":- use_swi('doors.pl').\n"
         "near(L) <- doors(From, Doors) where ways(From, Doors, L).\n"
         "forgotten <- doors(_, [door(A, B, _)|_]) where shut(A, B).\n"
     )
     doors = "[door(hall,kitchen,2),door(kitchen,cellar,3),door(hall,cellar,9)]"
-    assert said(swi, rules, f"doors(hall,{doors})", "doors(cellar,[door(cellar,hall,1)])") == [
+    assert derived_events(swi, rules, f"doors(hall,{doors})", "doors(cellar,[door(cellar,hall,1)])") == [
         "near([cellar-5,kitchen-2])",
         "forgotten",
         "near([hall-1])",
@@ -52,7 +54,7 @@ def test_rules_for_constraints(swi):
 
 
 @pytest.mark.slow
-def test_triples(swi):
+def test_rules_query_and_change_triples(swi):
     rules = (
         ":- use_swi('things.pl').\n"
         "stands(T, P) <- asked(T) where on(T, P).\n"
@@ -60,7 +62,7 @@ def test_triples(swi):
         "moved(T) do move(T, P) <- seen(T, P).\n"
     )
     events = ["asked(mug1)", "seen(mug1,floor)", "asked(mug1)", "seen(mug1,table)"]
-    assert said(swi, rules, *events) == [
+    assert derived_events(swi, rules, *events) == [
         "stands(mug1,table)",
         "kinds_of(mug1,['Mug','Thing','Vessel'])",
         "moved(mug1)",
@@ -70,7 +72,7 @@ def test_triples(swi):
     ]
 
 
-def test_a_variable_with_constraints_of_chr_is_refused(swi, tmp_path):
+def test_variable_with_chr_constraints_is_refused(swi, tmp_path):
     (tmp_path / "order.pl").write_text(
         ":- module(order, [under/2]).\n:- use_module(library(chr)).\n:- chr_constraint under(?, ?).\n"
         "under(X, X) <=> fail.\nunder(X, Y), under(Y, X) <=> fail.\n"

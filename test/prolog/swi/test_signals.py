@@ -18,10 +18,10 @@ class Stack(ctypes.Structure):
 
 
 def signal_stack():
-    """Return where this thread handles its signals."""
-    found = Stack()
-    ctypes.CDLL(None).sigaltstack(None, ctypes.byref(found))
-    return found.place, found.flags, found.size
+    """Return the alternate signal stack of this thread."""
+    stack = Stack()
+    ctypes.CDLL(None).sigaltstack(None, ctypes.byref(stack))
+    return stack.place, stack.flags, stack.size
 
 
 @pytest.fixture
@@ -37,39 +37,39 @@ def alarms():
 
 
 @pytest.mark.parametrize("goal", ["upto(3, X)", "engines(X)"])
-def test_a_thread_handles_its_signals_where_it_did_before(program, goal):
-    """Else it is on memory that goes with an engine, and what is there by then is written over."""
+def test_signal_stack_of_thread_is_kept(program, goal):
+    """A stack inside an engine of SWI-Prolog would be freed with the engine."""
     before = signal_stack()
     engine = program()
     assert engine.query(goal)
     assert signal_stack() == before
-    found = []
+    stacks = []
 
-    def ask():
-        found.append(signal_stack())
+    def query():
+        stacks.append(signal_stack())
         assert engine.query(goal)
-        found.append(signal_stack())
+        stacks.append(signal_stack())
 
-    other = threading.Thread(target=ask)
-    other.start()
-    other.join()
-    assert found[0] == found[1]
+    thread = threading.Thread(target=query)
+    thread.start()
+    thread.join()
+    assert stacks[0] == stacks[1]
     engine = None
     gc.collect()
     assert signal_stack() == before
 
 
-def test_a_signal_that_comes_before_it_asks_back_is_not_lost(engine, alarms, capfd):
-    """Its handler runs where Python code begins, which SWI-Prolog has called."""
+def test_signal_before_callback_is_handled(engine, alarms, capfd):
+    """The handler runs when the callback enters Python."""
     for _ in range(5):
         with pytest.raises(Interrupt):
             engine.query("pokes(X)")
-        assert [one["X"] for one in engine.query("upto(2, A), inc(A, X)")] == [2, 3]
+        assert [answer["X"] for answer in engine.query("upto(2, A), inc(A, X)")] == [2, 3]
         assert len(engine.query("asks(near(a, _), X)")) == 1
     assert capfd.readouterr().err == ""
 
 
-def test_a_signal_that_comes_while_it_answers_ends_the_goal(engine, alarms):
+def test_signal_after_callback_ends_goal(engine, alarms):
     with pytest.raises(Interrupt):
         engine.query("pokes_later(X)")
     assert len(engine.query("upto(2, A), inc(A, X)")) == 2
@@ -87,15 +87,15 @@ class AtSession(AtBytecode):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # as solutions are let go
 @pytest.mark.parametrize("goal", ["upto(2, X), inc(X, Y)", "asks(upto(1, _), X)", "catch(bad(X), _, true)"])
-def test_an_interrupt_anywhere_leaves_nothing_open(engine, goal):
+def test_interrupt_closes_goals(engine, goal):
     expected = len(engine.query(goal))
-    at = 0
+    position = 0
     where = True
     while where is not None:
-        at += 3
-        with contextlib.suppress(Interrupt), AtSession(at) as injected:
+        position += 3
+        with contextlib.suppress(Interrupt), AtSession(position) as injected:
             engine.query(goal)
         where = injected.where
         assert len(engine.query(goal)) == expected, where
         assert faults(engine) == [], where
-    assert at > 300
+    assert position > 300

@@ -11,15 +11,17 @@ from retalis.prolog.machine.resource_limits import LimitError
 
 def shown(engine, goal):
     """Return the solutions of a goal, as text."""
-    return [{name: engine.show(deref(term)) for name, term in one.items()} for one in engine.query(goal)]
+    return [
+        {name: engine.show(deref(term)) for name, term in solution.items()} for solution in engine.query(goal)
+    ]
 
 
 def values(engine, goal, name="X"):
-    return [one[name] for one in shown(engine, goal)]
+    return [solution[name] for solution in shown(engine, goal)]
 
 
 @pytest.mark.parametrize(
-    ("goal", "found"),
+    ("goal", "expected"),
     [
         ("inc(3, X)", ["4"]),
         ("inc(3, 4), X = yes", ["yes"]),
@@ -44,40 +46,40 @@ def values(engine, goal, name="X"):
         ("near(a, A), both(A, X)", ["b", "c"]),
     ],
 )
-def test_solutions(engine, goal, found):
-    assert values(engine, goal) == found
+def test_goal_has_all_solutions(engine, goal, expected):
+    assert values(engine, goal) == expected
 
 
-def test_variables_stay_what_they_are(engine):
-    (found,) = engine.query("half_open(X, Y)")
-    x, y = found["X"], deref(found["Y"])
+def test_shared_variables_stay_shared(engine):
+    (answer,) = engine.query("half_open(X, Y)")
+    x, y = answer["X"], deref(answer["Y"])
     assert deref(y[1]) is deref(x)
     assert deref(y[2]) is deref(y[3])
-    (found,) = engine.query("both(X, Y), both(Y, Z)")
-    assert deref(found["X"]) is deref(found["Y"]) is deref(found["Z"])
+    (answer,) = engine.query("both(X, Y), both(Y, Z)")
+    assert deref(answer["X"]) is deref(answer["Y"]) is deref(answer["Z"])
 
 
-def test_a_rule_asks(program):
+def test_rule_calls_swi_predicate(program):
     engine = program("next_one(Y) <- number(X) where inc(X, Y).\nbig <- number(X) where upto(X, 5).\n")
-    said = []
-    engine.on_event(lambda term, start, end: said.append(engine.show(term)))
+    outputs = []
+    engine.on_event(lambda term, start, end: outputs.append(engine.show(term)))
     engine.event("number(4)", 1)
     engine.event("number(7)", 2)
-    assert said == ["number(4)", "next_one(5)", "number(7)", "next_one(8)", "big"]
+    assert outputs == ["number(4)", "next_one(5)", "number(7)", "next_one(8)", "big"]
 
 
-def test_a_synchronized_query_asks(program):
+def test_synchronized_query_calls_swi_predicate(program):
     engine = program(
         "synchronized(found(Y), lookup(T, Y), [[m, T]]) <- ask(T).\n"
         "lookup(T, Y) :- prev(m, number(X), _, _, T), inc(X, Y).\n"
     )
     engine.load(goals="memorize(number(X), [], number(X), m, 10)")
-    said = []
-    engine.on_event(lambda term, start, end: said.append(engine.show(term)))
+    outputs = []
+    engine.on_event(lambda term, start, end: outputs.append(engine.show(term)))
     engine.event("number(6)", 1)
     engine.event("ask([2, 0])", 2)
     engine.event("number(8)", 3)
-    assert "found(7)" in said
+    assert "found(7)" in outputs
 
 
 @pytest.mark.parametrize(
@@ -94,35 +96,38 @@ def test_a_synchronized_query_asks(program):
         ("cyclic(_)", "term_size"),
     ],
 )
-def test_errors(engine, goal, message):
+def test_errors_and_unsupported_terms_are_errors(engine, goal, message):
     with pytest.raises(PrologError, match=message):
         engine.query(goal)
     assert values(engine, "inc(1, X)") == ["2"]
 
 
-def test_errors_are_caught_by_their_terms(engine):
-    (found,) = shown(engine, "catch(bad(1), my_ball(A, B, _), true)")
-    assert (found["A"], found["B"]) == ("1", '"text"')
+def test_error_of_swi_is_caught_by_its_term(engine):
+    (answer,) = shown(engine, "catch(bad(1), my_ball(A, B, _), true)")
+    assert (answer["A"], answer["B"]) == ("1", '"text"')
     assert values(engine, "catch((upto(3, A), A > 1, bad(A)), my_ball(X, _, _), true)") == ["2"]
 
 
-def test_solutions_that_nobody_wants_are_cleaned_up(engine):
+def test_cut_and_error_run_cleanup_in_swi(engine):
+    assert engine.call("forgets")
     engine.query("marks(X, cut), !")
     assert engine.call("noted(cut)")
     engine.query("catch((marks(X, thrown), throw(oh)), oh, true)")
     assert engine.call("noted(thrown)")
-    solutions = engine.query("marks(X, Y), X = 2, Y = dropped", most=1)
-    assert len(solutions) == 1
+    assert len(engine.query("marks(X, Y), X = 2, Y = dropped", most=1)) == 1
+    # The variable is bound here only, so the cleanup in SWI-Prolog sees it unbound.
+    assert engine.call("noted(X), var(X)")
+    assert engine.call("forgets")
 
 
-def test_halt_ends_nothing(engine):
+def test_halt_does_not_end_process(engine):
     assert not engine.call("halts")
     assert values(engine, "inc(1, X)") == ["2"]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("goal", ["forever", "stubborn", "retrying", "sleeps", "upto(3, X), forever"])
-def test_what_hangs_is_ended(program, goal):
+def test_endless_goal_exceeds_seconds(program, goal):
     engine = program(seconds=0.1)
     with pytest.raises(LimitError, match="seconds"):
         engine.query(goal)
@@ -131,7 +136,7 @@ def test_what_hangs_is_ended(program, goal):
 
 
 @pytest.mark.parametrize("goal", ["forever", "upto(3, X), forever"])
-def test_inferences_are_limited(program, goal):
+def test_endless_goal_exceeds_inferences(program, goal):
     engine = program(inferences=50_000)
     with pytest.raises(PrologError, match="inferences"):
         engine.query(goal)
@@ -139,50 +144,50 @@ def test_inferences_are_limited(program, goal):
 
 
 @pytest.mark.slow
-def test_inferences_are_limited_for_who_catches_that(program):
+def test_catching_goal_exceeds_inferences(program):
     with pytest.raises(PrologError, match="inferences"):
         program(inferences=50_000).query("retrying")
 
 
 @pytest.mark.slow
-def test_memory_is_limited(program):
+def test_growing_goal_exceeds_memory(program):
     with pytest.raises(PrologError, match="memory"):
         program(megabytes=50).query("piles")
     assert program().call("forgets")
 
 
 @pytest.mark.parametrize(
-    ("goal", "found"),
+    ("goal", "expected"),
     [
         ("call_with_time_limit(0.05, forever)", "time_limit_exceeded"),
         ("call_with_inference_limit(forever, 1000, R), throw(R)", "inference_limit_exceeded"),
     ],
 )
-def test_limits_of_calls_hold(engine, goal, found):
-    assert values(engine, f"catch(({goal}), X, true)") == [found]
+def test_limits_of_calls_end_swi_goal(engine, goal, expected):
+    assert values(engine, f"catch(({goal}), X, true)") == [expected]
 
 
-def test_a_limit_is_caught_once(program):
+def test_exceeded_limit_is_caught_once(program):
     engine = program(seconds=0.05)
     assert values(engine, "catch(forever, error(X, _), true)") == ["resource_error(seconds)"]
     with pytest.raises(LimitError):
         engine.query("catch(forever, _, true), forever")
 
 
-def test_it_asks_back(engine):
+def test_swi_goal_calls_program(engine):
     assert values(engine, "asks(near(a, _), X)") == ["[near(a,b),near(a,c)]"]
     assert values(engine, "asks(upto(3, _), X)") == ["[upto(3,1),upto(3,2),upto(3,3)]"]
     assert values(engine, "asks(asks(near(a, A), L), X)")[0].endswith("[near(a,b),near(a,c)])]")
 
 
-def test_its_errors_come_back(engine):
+def test_error_of_callback_is_raised(engine):
     with pytest.raises(PrologError, match="Unknown procedure: farther/1"):
         engine.query("asks(farther(a), X)")
     assert values(engine, "asks_safely(throw(oh(1)), X)") == ["oh(1)"]
     assert values(engine, "asks_safely(forever_not_there, error(X, _))")[0].startswith("existence_error")
 
 
-def test_limits_hold_for_what_it_asks_back(program):
+def test_callback_exceeds_limit(program):
     engine = program("turning :- turning.\n", seconds=0.05)
     with pytest.raises(LimitError, match="seconds"):
         engine.query("asks(turning, X)")
@@ -190,7 +195,7 @@ def test_limits_hold_for_what_it_asks_back(program):
     assert values(engine, "inc(1, X)") == ["2"]
 
 
-def test_it_reads_memories(folder, program):
+def test_swi_goal_reads_memories(folder, program):
     (folder / "reading.pl").write_text(
         ":- module(reading, [newest/2, between_them/3, all/1]).\n"
         "newest(At, X) :- prev(m, number(X), _, _, At).\n"
@@ -201,73 +206,75 @@ def test_it_reads_memories(folder, program):
     engine.load(
         rules=":- use_swi('reading.pl').", goals="memorize(number(X), [], number(X), m, 10)", folder=folder
     )
-    for at in (1, 2, 3):
-        engine.event(f"number({at}0)", at)
+    for time in (1, 2, 3):
+        engine.event(f"number({time}0)", time)
     assert values(engine, "newest([2, 0], X)") == ["20"]
     assert values(engine, "between_them([2, 0], [3, 0], X)") == ["20"]
     assert values(engine, "all(X)") == ["[30,20,10]"]
 
 
-def test_threads_take_turns(engine):
-    found, faults = [], []
+def test_threads_query_in_turn(engine):
+    results, errors = [], []
 
-    def ask():
+    def query():
         try:
-            found.append(values(engine, "upto(2, A), inc(A, X)"))
+            results.append(values(engine, "upto(2, A), inc(A, X)"))
         except RetalisError as error:
-            faults.append(error)
+            errors.append(error)
 
-    threads = [threading.Thread(target=ask) for _ in range(10)]
-    for one in threads:
-        one.start()
-    for one in threads:
-        one.join()
-    assert (found, faults) == ([["2", "3"]] * 10, [])
-
-
-def test_threads_have_stacks_of_their_own(engine):
-    """What looks how much of the C stack is left, as tabling does, works in each thread, also in those before."""
-    found = []
-    deeper = [threading.Thread(target=lambda: found.append(values(engine, "count(2, X)"))) for _ in range(4)]
-    found.append(values(engine, "count(1, X)"))
-    for one in deeper:
-        one.start()
-        one.join()
-    found.append(values(engine, "reach(39, X)"))
-    assert sorted(found.pop()) == ["40", "41"]
-    assert found == [["40"], *[["39"]] * 4]
+    threads = [threading.Thread(target=query) for _ in range(10)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert (results, errors) == ([["2", "3"]] * 10, [])
 
 
-def test_solutions_belong_to_a_thread(program):
+def test_tabling_works_in_each_thread(engine):
+    """Tabling measures the free part of the C stack, which differs between threads."""
+    results = []
+    deeper = [
+        threading.Thread(target=lambda: results.append(values(engine, "count(2, X)"))) for _ in range(4)
+    ]
+    results.append(values(engine, "count(1, X)"))
+    for thread in deeper:
+        thread.start()
+        thread.join()
+    results.append(values(engine, "reach(39, X)"))
+    assert sorted(results.pop()) == ["40", "41"]
+    assert results == [["40"], *[["39"]] * 4]
+
+
+def test_solutions_of_other_thread_are_refused(program):
     logic = program().logic
     solutions = logic.solutions((functor("upto", 2), 3, Var()))
     next(solutions)
-    faults = []
+    refusals = []
 
-    def go_on():
+    def continue_in_thread():
         with pytest.raises(RetalisError, match="by the thread that requested the first one"):
             next(solutions)
-        faults.append(True)
+        refusals.append(True)
 
-    other = threading.Thread(target=go_on)
-    other.start()
-    other.join()
+    thread = threading.Thread(target=continue_in_thread)
+    thread.start()
+    thread.join()
     solutions.close()
-    assert faults == [True]
+    assert refusals == [True]
     assert logic.once((functor("inc", 2), 1, 2))
 
 
-def test_solutions_are_given_up_in_another_thread(engine):
-    def ask():
+def test_unfinished_solutions_of_thread_are_closed(engine):
+    def query():
         assert len(engine.query("upto(1000, X), upto(1000, Y)", most=3)) == 3
 
-    one = threading.Thread(target=ask)
-    one.start()
-    one.join()
+    thread = threading.Thread(target=query)
+    thread.start()
+    thread.join()
     assert values(engine, "upto(2, X)") == ["1", "2"]
 
 
-def test_engines_come_and_go(program):
+def test_new_engines_reuse_swi(program):
     for number in range(5):
         engine = program(f"own({number}).\n")
         assert values(engine, "upto(3, X), own(_), !") == ["1"]
@@ -275,7 +282,7 @@ def test_engines_come_and_go(program):
     gc.collect()
 
 
-def test_many_goals_stay_open_at_once(program):
+def test_many_open_goals_keep_their_solutions(program):
     engine = program("deep(0, []).\ndeep(N, [X|L]) :- N > 0, upto(2, X), M is N - 1, deep(M, L).\n")
     assert values(engine, "deep(300, L), !, length(L, X)") == ["300"]
     assert values(engine, "findall(L, deep(4, L), A), length(A, X)") == ["16"]

@@ -37,29 +37,29 @@ PAIR = functor("-", 2)
 
 @pytest.fixture(scope="module")
 def logic(folder):
-    made = PrologSystem()
+    system = PrologSystem()
     path = str(folder / "kb.pl")
-    use_swi(made, SwiFile(path, atom(path), NIL), warn=print)
-    return made
+    use_swi(system, SwiFile(path, atom(path), NIL), warn=print)
+    return system
 
 
 def echo(logic, term):
-    """Return what a term is when it has come back."""
-    found = Var()
-    assert logic.once((ECHO, term, found))
-    return deref(found)
+    """Return a term after its conversion to SWI-Prolog and back."""
+    result = Var()
+    assert logic.once((ECHO, term, result))
+    return deref(result)
 
 
 @pytest.mark.slow
 @settings(max_examples=50)
 @given(term=TERMS)
-def test_round_trip(logic, term):
+def test_terms_are_converted_both_ways(logic, term):
     back = echo(logic, term)
     assert variant_key((PAIR, term, back)) == variant_key((PAIR, term, term))
 
 
 @pytest.mark.slow
-def test_the_largest(logic):
+def test_large_terms_are_converted_both_ways(logic):
     nested = 0
     for _ in range(30_000):
         nested = (functor("f", 1), nested)
@@ -71,6 +71,6 @@ def test_the_largest(logic):
 
 
 @pytest.mark.slow
-def test_atoms_come_and_go(logic):
+def test_thousands_of_atoms_are_converted(logic):
     for number in range(4_500):
         assert echo(logic, atom(f"atom {number}")).name == f"atom {number}"

@@ -15,31 +15,31 @@ from retalis.prolog.swi import libswipl
 ALLOWED = Settings(allow_swi=True)
 
 
-def test_programs_may_not_unless_they_are_allowed_to(tmp_path):
+def test_use_swi_requires_permission(tmp_path):
     (tmp_path / "any.pl").write_text(":- module(any, [any/1]).\nany(1).\n")
     with pytest.raises(ProgramErrors, match="load swi_file .*: the setting allow_swi is off"):
         Engine().load(rules=":- use_swi('any.pl').", folder=tmp_path)
 
 
-def test_goals_that_run_later_never_may(folder):
+def test_use_swi_at_run_time_is_refused(folder):
     engine = Engine(settings=ALLOWED)
     engine.load(rules="near(a).", folder=folder)
     with pytest.raises(RetalisError, match="load swi_file .* only what the program's own files ask for"):
         engine.query("use_swi('kb.pl')")
 
 
-def test_it_is_said_where_swi_prolog_is_not_installed(monkeypatch, tmp_path):
+def test_missing_swi_prolog_is_reported(monkeypatch, tmp_path):
     (tmp_path / "any.pl").write_text(":- module(any, [any/1]).\nany(1).\n")
     libswipl.find_library.cache_clear()
-    starting = pytest.importorskip("retalis.prolog.swi.swi_session")
-    monkeypatch.setattr(starting, "_start_runtime", starting._start_runtime.__wrapped__)  # noqa: SLF001
+    session = pytest.importorskip("retalis.prolog.swi.swi_session")
+    monkeypatch.setattr(session, "_start_runtime", session._start_runtime.__wrapped__)  # noqa: SLF001
     monkeypatch.setattr(libswipl, "LIBRARY_NAMES", ("libswipl_that_is_not_there.so",))
     monkeypatch.setattr(libswipl, "LIBRARY_PATTERNS", ())
     with pytest.raises(ProgramErrors, match="SWI-Prolog, which is not installed here: .* swi-prolog-nox"):
         Engine(settings=ALLOWED).load(rules=":- use_swi('any.pl').", folder=tmp_path)
 
 
-def test_it_is_said_which_function_an_older_one_lacks(monkeypatch):
+def test_function_missing_in_older_version_is_reported(monkeypatch):
     class OldLibrary(ctypes.PyDLL):
         """A library that has not all of the functions."""
 
@@ -63,35 +63,35 @@ def test_it_is_said_which_function_an_older_one_lacks(monkeypatch):
 
 
 @pytest.mark.slow
-def test_who_does_not_use_it_loads_none_of_it():
+def test_engine_without_use_swi_loads_no_bridge():
     environment = {**os.environ, "PYTHONPATH": python_path()}
     script = (
         "import sys, retalis; retalis.Engine(); "
         "print(any(name.startswith('retalis.prolog.swi.s') for name in sys.modules))"
     )
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True, env=environment
     )
-    assert done.stdout == "False\n"
+    assert process.stdout == "False\n"
 
 
 @pytest.mark.slow
-def test_these_tests_fail_where_they_are_asked_for_and_it_is_missing():
+def test_enabled_tests_fail_without_swi_prolog():
     script = (
         "import sys, pytest; from retalis.prolog.swi import libswipl; "
         "libswipl.LIBRARY_NAMES = libswipl.LIBRARY_PATTERNS = (); "
         f"sys.exit(pytest.main([{os.path.dirname(__file__)!r} + '/test_swi_terms.py']))"
     )
     environment = {**os.environ, "PYTHONPATH": python_path(), "RETALIS_TEST_SWI": "1"}
-    ran = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT, env=environment
     )
-    assert ran.returncode == 1
-    assert "RETALIS_TEST_SWI is set: use_swi needs SWI-Prolog" in ran.stdout
-    assert "skipped" not in ran.stdout
+    assert process.returncode == 1
+    assert "RETALIS_TEST_SWI is set: use_swi needs SWI-Prolog" in process.stdout
+    assert "skipped" not in process.stdout
 
 
-def test_predicates_are_named(swi, folder):
+def test_named_predicates_are_defined(swi, folder):
     (folder / "plain.pl").write_text("near(a, b).\nnear(b, c).\nnext_to(X, Y) :- near(X, Y).\n")
     engine = Engine(settings=ALLOWED)
     engine.load(rules=":- use_swi('plain.pl', [next_to/2, near/2 as close_by]).", folder=folder)
@@ -100,11 +100,11 @@ def test_predicates_are_named(swi, folder):
         engine.query("near(a, X)")
 
 
-def test_a_library_is_named(swi):
+def test_library_predicates_are_defined(swi):
     engine = Engine(settings=ALLOWED)
     engine.load(goals="use_swi(library(ugraphs), [vertices_edges_to_ugraph/3, reachable/3])")
-    (found,) = engine.query("vertices_edges_to_ugraph([], [a-b, b-c], G), reachable(b, G, L)")
-    assert engine.show(found["L"]) == "[b,c]"
+    (answer,) = engine.query("vertices_edges_to_ugraph([], [a-b, b-c], G), reachable(b, G, L)")
+    assert engine.show(answer["L"]) == "[b,c]"
 
 
 @pytest.mark.parametrize(
@@ -122,13 +122,13 @@ def test_a_library_is_named(swi):
         ("near(a).\n", "use_swi(library(not_there), [near/1])", "not_there"),
     ],
 )
-def test_what_is_wrong_is_said(swi, folder, tmp_path, text, call, message):
+def test_invalid_use_is_reported(swi, folder, tmp_path, text, call, message):
     (tmp_path / "wrong.pl").write_text(text)
     with pytest.raises(ProgramErrors, match=message):
         Engine(settings=ALLOWED).load(rules=f":- {call}.", folder=tmp_path)
 
 
-def test_what_is_doubtful_is_a_warning(swi, tmp_path, caplog):
+def test_warning_of_swi_is_logged(swi, tmp_path, caplog):
     (tmp_path / "doubtful.pl").write_text(
         ":- module(doubtful, [lonely/1]).\nlonely(X) :- near(Y).\nnear(1).\n"
     )
@@ -138,35 +138,35 @@ def test_what_is_doubtful_is_a_warning(swi, tmp_path, caplog):
     assert "doubtful.pl:2: Singleton variables" in caplog.text
 
 
-def test_a_file_that_has_changed_is_loaded_again(swi, tmp_path):
+def test_changed_file_is_loaded_again(swi, tmp_path):
     path = tmp_path / "changing.pl"
     text = (
         ":- module(changing, [version/1, to/2]).\n:- table to/2.\nto(X, Y) :- to(X, Z), Y is Z + 1, Y < 5.\n"
     )
     path.write_text(f"{text}to(X, X).\nversion(1).\n")
-    one = Engine(settings=ALLOWED)
-    one.load(rules=":- use_swi('changing.pl').", folder=tmp_path)
-    assert len(one.query("to(1, X)")) == 4
+    first = Engine(settings=ALLOWED)
+    first.load(rules=":- use_swi('changing.pl').", folder=tmp_path)
+    assert len(first.query("to(1, X)")) == 4
     path.write_text(f"{text}to(X, X).\nversion(2).\n")
     os.utime(path, (2e9, 2e9))
-    other = Engine(settings=ALLOWED)
-    other.load(rules=":- use_swi('changing.pl').", folder=tmp_path)
-    assert [engine.query("version(X)") for engine in (one, other)] == [[{"X": 2}], [{"X": 2}]]
-    assert len(one.query("to(1, X)")) == 4
+    second = Engine(settings=ALLOWED)
+    second.load(rules=":- use_swi('changing.pl').", folder=tmp_path)
+    assert [engine.query("version(X)") for engine in (first, second)] == [[{"X": 2}], [{"X": 2}]]
+    assert len(first.query("to(1, X)")) == 4
 
 
-def test_a_state_says_what_to_load_and_keeps_nothing_of_it(swi, tmp_path):
+def test_restored_engine_loads_swi_file_again(swi, tmp_path):
     (tmp_path / "kept.pl").write_text(
         ":- module(kept, [learn/1, known/1]).\n:- dynamic known/1.\nknown(0).\nlearn(X) :- assertz(known(X)).\n"
     )
-    one = Engine(settings=ALLOWED)
-    one.load(
+    engine = Engine(settings=ALLOWED)
+    engine.load(
         rules=":- use_swi('kept.pl', [learn/1, known/1]).\nlearnt(X) <- told(X) where known(X).",
         folder=tmp_path,
     )
-    data = one.snapshot()
-    other = Engine.restore(data, settings=ALLOWED, folder=tmp_path)
-    assert other.query("known(X)") == [{"X": 0}]
+    data = engine.snapshot()
+    restored = Engine.restore(data, settings=ALLOWED, folder=tmp_path)
+    assert restored.query("known(X)") == [{"X": 0}]
     with pytest.raises(UsageError, match="not in a folder of its own"):
         Engine.restore(data, settings=ALLOWED)
     with pytest.raises(UsageError, match="allow_swi is off"):

@@ -35,8 +35,8 @@ def distance(x1: float, y1: float, x2: float, y2: float) -> float:
 
 
 @foreign
-def upto(most: int) -> Iterator[int]:
-    yield from range(1, most + 1)
+def upto(last: int) -> Iterator[int]:
+    yield from range(1, last + 1)
 
 
 @foreign
@@ -85,9 +85,9 @@ ALL = (distance, upto, is_even, split, steps, swapped, kind, broken, broken_late
 
 @pytest.fixture
 def engine():
-    made = Engine()
-    made.add_foreign(*ALL)
-    return made
+    empty_engine = Engine()
+    empty_engine.add_foreign(*ALL)
+    return empty_engine
 
 
 def answers(engine, goal):
@@ -118,10 +118,11 @@ def answers(engine, goal):
         ("findall(X, upto(2, X), L)", [{"X": "_", "L": "[1,2]"}]),
     ],
 )
-def test_call(engine, goal, expected):
-    found = answers(engine, goal)
+def test_foreign_function_returns_solutions(engine, goal, expected):
+    solutions = answers(engine, goal)
     assert [
-        {name: "_" if value[:2] == "_G" else value for name, value in one.items()} for one in found
+        {name: "_" if value[:2] == "_G" else value for name, value in solution.items()}
+        for solution in solutions
     ] == expected
 
 
@@ -136,13 +137,13 @@ def test_call(engine, goal, expected):
         ("broken_later(X), fail", "python_error('KeyError',\"'x'\")"),
     ],
 )
-def test_errors(engine, goal, formal):
+def test_wrong_arguments_and_exceptions_are_errors(engine, goal, formal):
     with pytest.raises(PrologError) as caught:
         engine.query(goal)
     assert writeq(caught.value.term[1]) == formal
 
 
-def test_in_a_rule():
+def test_rule_calls_foreign_function():
     engine = Engine()
     engine.add_foreign(distance)
     engine.load("near(D) <- at(X, Y) where (distance(X, Y, 0, 0, D), D < 2).")
@@ -153,7 +154,7 @@ def test_in_a_rule():
     assert seen == ["at(3,4)", "at(0,1)", "near(1.0)"]
 
 
-def test_wrong_uses():
+def test_invalid_foreign_functions_are_refused():
     engine = Engine()
     with pytest.raises(UsageError, match="decorated"):
         engine.add_foreign(len)
@@ -175,7 +176,7 @@ def double(number: int) -> int:
 """
 
 
-def test_use_foreign(tmp_path):
+def test_use_foreign_loads_module_of_program(tmp_path):
     (tmp_path / "helpers.py").write_text(MODULE)
     rules = ":- use_foreign(helpers).\nb(Y) <- a(X) where double(X, Y).\n"
     (tmp_path / "rules.txt").write_text(rules)
@@ -193,7 +194,7 @@ def test_use_foreign(tmp_path):
 
 
 @pytest.mark.parametrize("folders", [None, ()])
-def test_goals_that_run_later_load_no_python(tmp_path, folders):
+def test_use_foreign_at_run_time_is_refused(tmp_path, folders):
     (tmp_path / "helpers.py").write_text("import pathlib\npathlib.Path(__file__).with_name('ran').touch()\n")
     engine = Engine(settings=Settings(allow_foreign=True, folders=folders, write_folders=folders))
     errors: List[str] = []
@@ -211,7 +212,7 @@ def test_goals_that_run_later_load_no_python(tmp_path, folders):
     assert not (tmp_path / "ran").exists()
 
 
-def test_use_foreign_by_module_name(monkeypatch, tmp_path):
+def test_use_foreign_imports_module_by_name(monkeypatch, tmp_path):
     (tmp_path / "retalis_test_helpers.py").write_text(MODULE)
     monkeypatch.syspath_prepend(str(tmp_path))
     engine = Engine(settings=Settings(allow_foreign=True))
@@ -221,14 +222,14 @@ def test_use_foreign_by_module_name(monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize("text", ["1 +", "import nothing_of_that_name", "raise RuntimeError('x')", "x = 1"])
-def test_bad_module(tmp_path, text):
+def test_invalid_module_is_refused(tmp_path, text):
     (tmp_path / "bad.py").write_text(text)
     engine = Engine(settings=Settings(allow_foreign=True))
     with pytest.raises(ProgramErrors, match="cannot load |has no function"):
         engine.load(goals=f"use_foreign('{tmp_path / 'bad.py'}')")
 
 
-def test_a_result_that_does_not_fit_is_the_goals_error():
+def test_result_of_other_type_is_an_error_of_goal():
     @foreign(outputs=2)
     def pair(number: int) -> int:
         return number
@@ -245,7 +246,7 @@ def test_a_result_that_does_not_fit_is_the_goals_error():
         assert engine.call(f"catch({goal}, _, true)")
 
 
-def test_the_example_of_the_documentation(tmp_path):
+def test_example_of_documentation_works(tmp_path):
     page = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "python-predicate.md"
     code = page.read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
     (tmp_path / "helpers.py").write_text(code)
@@ -276,25 +277,25 @@ def count_items(items: list) -> int:
 
 @foreign
 def depth(term) -> int:
-    found = 0
+    levels = 0
     while isinstance(term, Compound):
         term = term.args[0]
-        found += 1
-    return found
+        levels += 1
+    return levels
 
 
 @foreign(outputs=2)
-def one_of_two() -> Any:
+def returns_one_value() -> Any:
     return (1,)
 
 
 @foreign(outputs=2)
-def no_tuple() -> Any:
+def returns_no_tuple() -> Any:
     return 1
 
 
 @foreign
-def strange() -> Any:
+def returns_object() -> Any:
     return object()
 
 
@@ -304,22 +305,29 @@ def numbers_without_end() -> Any:
 
 
 @foreign
-def asks_for_the_engine(name: str) -> bool:
+def raises_prolog_error(name: str) -> bool:
     raise PrologError((functor("my_error", 1), atom(name)))
 
 
 @pytest.fixture
 def forms():
-    made = Engine()
-    made.add_foreign(
-        endless, count_items, depth, one_of_two, no_tuple, strange, numbers_without_end, asks_for_the_engine
+    empty_engine = Engine()
+    empty_engine.add_foreign(
+        endless,
+        count_items,
+        depth,
+        returns_one_value,
+        returns_no_tuple,
+        returns_object,
+        numbers_without_end,
+        raises_prolog_error,
     )
     CLOSED.clear()
-    return made
+    return empty_engine
 
 
 @pytest.mark.parametrize(
-    ("goal", "at"),
+    ("goal", "last_values"),
     [
         ("endless(1, X), X > 2, !", [3]),
         ("(endless(1, X) -> true)", [1]),
@@ -329,12 +337,12 @@ def forms():
         ("findall(X, limit(2, endless(1, X)), _)", [2]),
     ],
 )
-def test_a_generator_is_closed_where_it_is_cut(forms, goal, at):
+def test_cut_closes_generator(forms, goal, last_values):
     assert forms.call(goal)
-    assert sorted(CLOSED) == sorted(at)
+    assert sorted(CLOSED) == sorted(last_values)
 
 
-def test_a_generator_without_end_is_stopped_by_the_limits(forms):
+def test_endless_generator_exceeds_limit(forms):
     forms.logic.limits = Limits(inferences=20_000)
     with pytest.raises(PrologError, match="Not enough resources: inferences"):
         forms.call("endless(1, X), X < 0")
@@ -352,17 +360,17 @@ def test_deep_and_long_terms_are_converted(forms):
 @pytest.mark.parametrize(
     ("goal", "formal"),
     [
-        ("one_of_two(A, B)", "system_error('a foreign predicate returned 1 value for 2 outputs')"),
-        ("strange(X)", "system_error('a object is not a term: <"),
-        ("no_tuple(A, B)", "python_error('TypeError',"),
-        ("asks_for_the_engine(a)", None),
+        ("returns_one_value(A, B)", "system_error('a foreign predicate returned 1 value for 2 outputs')"),
+        ("returns_object(X)", "system_error('a object is not a term: <"),
+        ("returns_no_tuple(A, B)", "python_error('TypeError',"),
+        ("raises_prolog_error(a)", None),
         ("count_items([1|_], _)", "instantiation_error"),
         ("count_items(X, _)", "instantiation_error"),
         ("count_items([_], _)", "instantiation_error"),
         ("count_items([1])", "existence_error(procedure,count_items/1)"),
     ],
 )
-def test_what_goes_wrong_is_an_error_of_the_goal(forms, goal, formal):
+def test_failed_conversion_is_an_error_of_goal(forms, goal, formal):
     with pytest.raises(PrologError) as caught:
         forms.call(goal)
     if formal is None:
@@ -372,13 +380,13 @@ def test_what_goes_wrong_is_an_error_of_the_goal(forms, goal, formal):
     assert forms.call("count_items([1], 1)")
 
 
-def test_a_result_without_end_is_given_up(forms):
+def test_endless_result_exceeds_limit(forms):
     forms.logic.limits = Limits(inferences=20_000)
     with pytest.raises(PrologError, match="Not enough resources"):
         forms.call("numbers_without_end(X)")
 
 
-def test_a_parameter_of_type_ndarray_gets_an_array():
+def test_ndarray_parameter_receives_array():
     seen = []
 
     @foreign
@@ -391,11 +399,11 @@ def test_a_parameter_of_type_ndarray_gets_an_array():
         return float(values.sum())
 
     @foreign
-    def as_before(values) -> str:
+    def class_name(values) -> str:
         return type(values).__name__
 
     engine = Engine()
-    engine.add_foreign(doubled, total, as_before)
+    engine.add_foreign(doubled, total, class_name)
     ranges = array_term(numpy.arange(9, dtype="f4"))
     result = Var()
     for _ in engine.logic.solutions((functor("doubled", 2), ranges, result)):
@@ -403,12 +411,12 @@ def test_a_parameter_of_type_ndarray_gets_an_array():
     assert seen[0].dtype == numpy.dtype("f4") and not seen[0].flags.writeable
     assert ranges.decoded_term is None
     assert shown == "[0.0,2.0,4.0,6.0,8.0,10.0,12.0,14.0,16.0]"
-    (found,) = engine.query("doubled([1,2,3], L), total(L, T), as_before(L, K), total('\"ab\"', B)")
-    assert [engine.show(found[name]) for name in "LTKB"] == ["[2,4,6]", "12.0", "list", "195.0"]
+    (answer,) = engine.query("doubled([1,2,3], L), total(L, T), class_name(L, K), total('\"ab\"', B)")
+    assert [engine.show(answer[name]) for name in "LTKB"] == ["[2,4,6]", "12.0", "list", "195.0"]
 
 
 @pytest.mark.parametrize("term", ["X", "foo", "[a]", "[1|_]"])
-def test_other_terms_are_no_arrays(term):
+def test_other_terms_for_ndarray_are_errors(term):
     @foreign
     def count(values: numpy.ndarray) -> int:
         return len(values)
@@ -429,5 +437,5 @@ def test_other_terms_are_no_arrays(term):
         (numpy.arange(5, dtype="f2"), "[0.0,1.0,2.0,3.0,4.0]"),
     ],
 )
-def test_arrays_become_lists(array, text):
+def test_returned_array_is_converted_to_list(array, text):
     assert writeq(to_term(array)) == text

@@ -1,7 +1,7 @@
 """Errors of calls of undefined procedures, and the number of searches for their hints."""
 
 import pytest
-from prolog.support import prolog
+from prolog.support import NEVER, prolog
 
 from retalis.prolog.machine.errors import PrologError
 from retalis.prolog.syntax.term_reader import read_term
@@ -32,7 +32,8 @@ def test_error_names_caller_and_similar_procedure():
     logic = prolog("caller(X) :- apend(X, [], _), true.")
     text = error_text(logic, "caller([])")
     assert "Unknown procedure: apend/3" in text
-    assert "called from caller/1" in text and "did you mean append/3?" in text
+    assert "called from caller/1 (program.pl:1:" in text
+    assert "did you mean append/3?" in text
 
 
 def test_repeated_call_searches_once(searches):
@@ -53,3 +54,38 @@ def test_constructed_names_are_searched_in_bounded_number(searches):
     for number in range(3000):
         assert "Unknown procedure" in error_text(logic, f"missing_{number}(x)")
     assert 100 <= len(searches) <= 103
+
+
+CALLERS = """
+one(X) :- missing(1, X).
+two(X) :- missing(2, X), true(X).
+three(X) :- missing(Y, X), atom(Y).
+three(X) :- atom(X), missing(3, X), p(X).
+four(L) :- maplist(other(a), L).
+four([]).
+p(missing).
+"""
+
+
+@pytest.mark.parametrize("compile_after", [0, NEVER])
+@pytest.mark.parametrize(
+    ("goal", "callers"),
+    [
+        ("one(X)", ["one/1 (program.pl:2:", "three/1 (program.pl:4:"]),
+        ("two(X)", ["two/1 (program.pl:3:", "three/1 (program.pl:4:"]),
+        ("three(X)", None),
+        ("missing(5, X)", ["three/1 (program.pl:4:"]),
+        ("four([b])", ["four/1 (program.pl:6:"]),
+    ],
+)
+def test_error_names_clauses_that_may_call(compile_after, goal, callers):
+    logic = prolog(CALLERS, compile_after)
+    with pytest.raises(PrologError) as error:
+        logic.once(read_term(goal, logic.operators).term)
+    named = error.value.message.split("called from ")[1].split(";")[0].split(", ")
+    if callers is None:
+        assert "three/1 (program.pl:4:" in named[0] or "three/1 (program.pl:4:" in named[-1]
+    elif compile_after == NEVER or len(callers) == 1:
+        assert [place.rpartition(":")[0] + ":" for place in named] == callers
+    else:  # compiled, the frame that the call returns to is known
+        assert named[0].startswith(callers[0])

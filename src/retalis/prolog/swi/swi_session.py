@@ -309,7 +309,7 @@ class SwiEngine:
             status = self._next_solution(query, remaining)
             if status == RAISED:
                 raise self._read_exception(query)
-            bindings = [] if status == FAILED else terms.read_values(refs)
+            bindings = [] if status == FAILED else self._read_bindings(refs)
             if status == SOLVED:
                 open_goal = OpenGoal(query, foreign_frame, refs)
                 self._open_goals.append(open_goal)
@@ -323,6 +323,17 @@ class SwiEngine:
         if status == SOLVED:
             return self._solutions(machine, open_goal, bindings)
         return status != FAILED and (not bindings or machine.unify_all(*bindings))
+
+    def _read_bindings(self, refs: Refs) -> Bindings:
+        """Return the values of the variables of a solution.
+
+        The marks of variables are undone at once: a cleanup of the goal, which runs when the query is closed, could
+        store them.
+        """
+        foreign_frame = self._swi.open_frame()
+        bindings = self._terms.read_values(refs)
+        self._swi.discard_frame(foreign_frame)
+        return bindings
 
     def _solutions(self, machine: Machine, open_goal: OpenGoal, bindings: Bindings) -> Iterator[object]:
         """Yield at each solution of an open goal; ``bindings`` are those of the first one."""
@@ -360,7 +371,7 @@ class SwiEngine:
             status = self._next_solution(open_goal.query, remaining)
             if status == RAISED:
                 raise self._read_exception(open_goal.query)
-            bindings = None if status == FAILED else self._terms.read_values(open_goal.refs)
+            bindings = None if status == FAILED else self._read_bindings(open_goal.refs)
             if status == LAST_SOLVED:
                 open_goal.is_abandoned = True
                 self._close_abandoned()

@@ -5,8 +5,7 @@ are mapped to SWI-Prolog's handles by bounded caches. An atom handle is register
 it, since SWI-Prolog frees unreferenced atoms.
 
 While a term is read, each of its variables is bound to a mark ``'$retalis_variable'(N)``, by which further
-occurrences of the variable are recognised. The caller undoes the marks, by the next solution of the query or by
-discarding a frame.
+occurrences of the variable are recognised. The caller undoes the marks by discarding a frame.
 """
 
 from ctypes import byref, c_double, c_int, c_int64, c_size_t, c_void_p, string_at

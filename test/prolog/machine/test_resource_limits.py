@@ -21,7 +21,7 @@ from retalis.prolog.machine.resource_limits import (
 
 
 class Executor:
-    """An executor in which one entry is at work."""
+    """An executor that executes an entry in this thread."""
 
     def __init__(self):
         self.thread, self.entry, self.following = threading.get_ident(), ("outer",), []
@@ -32,7 +32,7 @@ class Executor:
         return previous
 
     def call_next(self, work):
-        """Note what is to be done after the entry."""
+        """Record work that follows the entry."""
         self.following.append(work)
 
 
@@ -41,21 +41,21 @@ def budget():
     return Budget()
 
 
-def test_nothing_is_left_to_look_at_without_limits(budget):
+def test_budget_without_limits_has_no_remaining_ones(budget):
     assert budget.remaining_limits() is None
 
 
-def test_what_is_left_of_inferences(budget):
+def test_checked_inferences_are_subtracted(budget):
     budget.set_limits(Limits(inferences=1000))
     assert budget.remaining_limits() == RemainingLimits(None, 1000, None)
     budget.check_limits(400)
     assert budget.remaining_limits() == RemainingLimits(None, 600, None)
 
 
-def test_what_is_left_up_to_the_nearest_ceiling_of_a_call(budget):
+def test_lowest_ceiling_limits_inferences(budget):
     budget.check_limits(5000)
-    for most in (300, 200):
-        budget.add_ceiling(budget.ceiling_after(most), CallLimitError("inference", atom("ball")))
+    for limit in (300, 200):
+        budget.add_ceiling(budget.ceiling_after(limit), CallLimitError("inference", atom("ball")))
     assert budget.remaining_limits() == RemainingLimits(None, 200, None)
     budget.check_limits(150)
     assert budget.remaining_limits() == RemainingLimits(None, 50, None)
@@ -63,13 +63,13 @@ def test_what_is_left_up_to_the_nearest_ceiling_of_a_call(budget):
         budget.check_limits(51)
 
 
-def test_what_is_left_up_to_the_nearest_alarm(budget):
+def test_earliest_alarm_limits_seconds(budget):
     for instant in (1e12, 1e11):
         budget.add_alarm(instant, CallLimitError("time", atom("ball")))
     assert budget.remaining_limits() == RemainingLimits(1e11, None, None)
 
 
-def test_no_two_ceilings_are_the_same(budget):
+def test_equal_ceilings_are_made_distinct(budget):
     ceilings = []
     for _ in range(3):
         ceilings.append(budget.ceiling_after(10))
@@ -77,7 +77,7 @@ def test_no_two_ceilings_are_the_same(budget):
     assert ceilings == [10, 11, 12]
 
 
-def test_memory_may_grow_by_just_its_limit(budget, monkeypatch):
+def test_memory_growth_beyond_limit_is_error(budget, monkeypatch):
     used, now = [50 * MEGABYTE], [1.0]
     monkeypatch.setattr(_budget, "resident_bytes", lambda: used[0])
     monkeypatch.setattr(_budget, "monotonic", lambda: now[0])
@@ -92,37 +92,37 @@ def test_memory_may_grow_by_just_its_limit(budget, monkeypatch):
 
 
 @pytest.mark.parametrize("now", [0.0, 1.0])
-def test_what_is_left_of_memory_is_counted_from_now(budget, monkeypatch, now):
-    """At 0 the memory has been measured just before, as far as the budget knows."""
+def test_remaining_memory_counts_from_present_size(budget, monkeypatch, now):
+    """At time 0 the budget assumes that the memory has just been measured."""
     monkeypatch.setattr(_budget, "resident_bytes", lambda: 50 * MEGABYTE)
     monkeypatch.setattr(_budget, "monotonic", lambda: now)
     budget.set_limits(Limits(megabytes=2))
     assert budget.remaining_limits() == RemainingLimits(None, None, 52 * MEGABYTE)
 
 
-def test_past_its_seconds_an_entry_gets_as_many_again_once(budget, monkeypatch):
+def test_exceeded_seconds_are_granted_once_again(budget, monkeypatch):
     now = [100.0]
     monkeypatch.setattr(_budget, "monotonic", lambda: now[0])
     budget.set_limits(Limits(seconds=10.0))
     budget.check_limits(1)
     for final in (False, True):
         now[0] += 10.5
-        with pytest.raises(LimitError, match="seconds") as caught:
+        with pytest.raises(LimitError, match="seconds") as error:
             budget.check_limits(1)
-        assert caught.value.is_final == final
+        assert error.value.is_final == final
         if not final:
             budget.check_limits(1)  # begins the time of the handler
             now[0] += 9.5
             budget.check_limits(1)
 
 
-def test_an_error_that_is_kept_back_in_a_later_entry_refuses_goals_of_that_one_only(budget):
+def test_refusal_of_goals_ends_with_entry(budget):
     budget.set_limits(Limits(inferences=10))
-    with pytest.raises(LimitError) as caught:
+    with pytest.raises(LimitError) as error:
         budget.check_limits(11)
     budget.reset()
     saved = budget.enter()
-    budget.refuse_goals(caught.value)
+    budget.refuse_goals(error.value)
     with pytest.raises(LimitError):
         budget.check_entry()
     budget.leave(saved)
@@ -131,14 +131,14 @@ def test_an_error_that_is_kept_back_in_a_later_entry_refuses_goals_of_that_one_o
 
 @pytest.fixture
 def executor():
-    made = Executor()
-    yield made
-    made.thread = None  # what comes after is no work of this entry
+    busy_executor = Executor()
+    yield busy_executor
+    busy_executor.thread = None  # the entry has ended
 
 
-def test_each_step_of_pattern_work_that_is_left_out_is_counted_once(budget, executor):
+def test_skipped_pattern_steps_are_counted_once(budget, executor):
     reports = []
-    budget.on_stopped.add(lambda rule, limit, steps, entry: reports.append((rule, limit, steps)))
+    budget.on_stopped.add(lambda label, limit, steps, entry: reports.append((label, limit, steps)))
     budget.set_limits(Limits(inferences=100))
     budget.attach_executor(executor)
     meter = budget.meter("rule")
@@ -149,7 +149,7 @@ def test_each_step_of_pattern_work_that_is_left_out_is_counted_once(budget, exec
     assert reports == [("rule", "inferences", 3)]
 
 
-def test_an_entry_inside_of_another_has_limits_of_its_own(budget, executor):
+def test_nested_entry_has_its_own_limits(budget, executor):
     budget.attach_executor(executor)
     budget.set_limits(Limits(inferences=1000))
     budget.goal = outer = object()
@@ -166,29 +166,29 @@ def test_an_entry_inside_of_another_has_limits_of_its_own(budget, executor):
     assert budget.remaining_limits() == RemainingLimits(None, 100, None)
 
 
-def test_output_is_limited_for_each_entry(budget, executor):
+def test_output_is_limited_per_entry(budget, executor):
     budget.attach_executor(executor)
     budget.set_limits(Limits(output_megabytes=1))
     budget.count_output(MEGABYTE)
-    with pytest.raises(LimitError, match="output") as caught:
+    with pytest.raises(LimitError, match="output") as error:
         budget.count_output(1)
-    assert not caught.value.is_final
+    assert not error.value.is_final
     budget.count_output(MEGABYTE // 10)  # a handler may write a tenth more
-    with pytest.raises(LimitError, match="output") as caught:
+    with pytest.raises(LimitError, match="output") as error:
         budget.count_output(1)
-    assert caught.value.is_final
+    assert error.value.is_final
     (end,) = executor.following
     end()
     budget.count_output(MEGABYTE)
 
 
-def test_what_no_entry_writes_is_not_limited(budget):
+def test_output_outside_entries_is_unlimited(budget):
     budget.set_limits(Limits(output_megabytes=1))
     for _ in range(3):
         budget.count_output(MEGABYTE)
 
 
-def test_a_system_that_does_not_tell_has_no_memory_limit(budget, monkeypatch):
+def test_unknown_memory_size_disables_limit(budget, monkeypatch):
     def missing(*_):
         raise FileNotFoundError
 
@@ -209,15 +209,17 @@ STEPS = st.one_of(
 )
 
 
-class Model:
-    """What an entry with a goal may use: its methods return the error that those of a budget raise, or None.
+class BudgetModel:
+    """A model of a budget for one entry with a goal.
+
+    Its methods return the error that the methods of a budget raise, or None.
 
     Attributes:
         spent: inferences, less the tenth that a handler gets.
-        pending: steps of which nobody has looked what they use.
-        deadline: when its seconds are over; None before somebody has looked.
+        pending: steps that have not been checked.
+        deadline: time (s) at which the seconds are exceeded; None before the first check.
         printed: bytes of output.
-        rounds: 1, or 2 once an error was raised.
+        rounds: 1 before the first error, then 2.
     """
 
     LIMITS = Limits(inferences=4000, seconds=10, output_megabytes=1)
@@ -233,7 +235,7 @@ class Model:
         self.rounds = 1
 
     def count(self, steps):
-        """Count steps; return the limit that is passed."""
+        """Count steps and return the exceeded limit, or None."""
         self.spent += self.pending + steps
         self.pending = 0
         if self.spent > self.LIMITS.inferences:
@@ -243,7 +245,7 @@ class Model:
         return "seconds" if self.now > self.deadline else None
 
     def raised(self, limit):
-        """Return the error for a limit: its name, and whether no program can catch it."""
+        """Return the error for an exceeded limit: its name and whether it is final."""
         if limit is None:
             return None
         final = self.rounds == 2
@@ -278,7 +280,7 @@ class Model:
         return error
 
     def inner(self):
-        self.pending = 0  # an entry in the midst of another takes over the steps that nobody has looked at
+        self.pending = 0  # a nested entry takes over the steps that have not been checked
 
     def write(self, size):
         if self.printed + size > MEGABYTE * (1.0 if self.rounds == 1 else 1.1):
@@ -289,9 +291,9 @@ class Model:
 
 @settings(deadline=None, derandomize=True, max_examples=300)
 @given(st.lists(STEPS, max_size=25))
-def test_a_goal_may_use_what_the_limits_say_and_once_a_little_more_after_an_error(steps):
-    model, budget, executor = Model(), Budget(), Executor()
-    budget.set_limits(Model.LIMITS)
+def test_budget_agrees_with_model_of_limits(steps):
+    model, budget, executor = BudgetModel(), Budget(), Executor()
+    budget.set_limits(BudgetModel.LIMITS)
     budget.attach_executor(executor)
     budget.goal = object()
     budget.inner = lambda: budget.run_as_entry(("inner",), lambda: budget.check_limits(0))
@@ -302,17 +304,17 @@ def test_a_goal_may_use_what_the_limits_say_and_once_a_little_more_after_an_erro
                 if name == "wait":
                     model.now += number[0]
                     continue
-                wanted = getattr(model, name)(*number)
+                expected = getattr(model, name)(*number)
                 try:
-                    found = getattr(budget, name)(*number)
+                    result = getattr(budget, name)(*number)
                 except LimitError as error:
-                    assert (error.limit_name, error.is_final) == wanted
+                    assert (error.limit_name, error.is_final) == expected
                     assert error.budget is budget and not error.was_refused and not budget.needs_check
                 else:
-                    assert wanted is None
+                    assert expected is None
                     if name == "remaining_limits":
-                        assert found == RemainingLimits(
-                            model.deadline, Model.LIMITS.inferences - model.spent, None
+                        assert result == RemainingLimits(
+                            model.deadline, BudgetModel.LIMITS.inferences - model.spent, None
                         )
     finally:
         executor.thread = None

@@ -53,21 +53,21 @@ def formal(error):
 
 @pytest.fixture
 def engine():
-    made = Engine(settings=Settings(limits=Limits(seconds=0.3, inferences=400_000, megabytes=300)))
-    made.load(rules=PROGRAM)
-    return made
+    loaded_engine = Engine(settings=Settings(limits=Limits(seconds=0.3, inferences=400_000, megabytes=300)))
+    loaded_engine.load(rules=PROGRAM)
+    return loaded_engine
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("goal", RUNAWAY)
-def test_runaway_goal_ends(engine, goal):
+def test_runaway_goal_exceeds_limit(engine, goal):
     with pytest.raises(PrologError) as caught:
         engine.query(goal)
     assert formal(caught.value).startswith("resource_error")
     assert engine.call("X = 1")
 
 
-def test_steps_that_grow_end(engine):
+def test_growing_steps_exceed_limit(engine):
     with pytest.raises(PrologError) as caught:
         engine.query("double([1])")
     assert formal(caught.value).startswith("resource_error")
@@ -87,33 +87,34 @@ def test_steps_that_grow_end(engine):
         "X is 7 ^ (7 ^ (7 ^ 7))",
     ],
 )
-def test_one_large_step_is_refused(engine, goal):
+def test_single_large_step_is_refused(engine, goal):
     with pytest.raises(PrologError) as caught:
         engine.query(goal)
     assert formal(caught.value).startswith("resource_error")
 
 
 @pytest.mark.parametrize(
-    ("limits", "what", "goal"),
+    ("limits", "resource", "goal"),
     [
         (Limits(seconds=0.2), "seconds", "loop"),
         (Limits(inferences=100_000), "inferences", "loop"),
         (Limits(megabytes=20), "memory", "grow([])"),
     ],
 )
-def test_each_limit_alone(limits, what, goal):
+def test_single_limit_ends_goal(limits, resource, goal):
     engine = Engine(settings=Settings(limits=limits))
     engine.load(rules=PROGRAM)
     with pytest.raises(PrologError) as caught:
         engine.query(goal)
-    assert formal(caught.value) == f"resource_error({what})"
+    assert formal(caught.value) == f"resource_error({resource})"
 
 
-def test_a_program_may_catch_its_limit(engine):
-    assert engine.query("catch(loop, error(resource_error(R), _), true), X = R")
+def test_program_catches_exceeded_limit(engine):
+    (answer,) = engine.query("catch(loop, error(resource_error(R), _), true)")
+    assert engine.show(answer["R"]) in ("seconds", "inferences")
 
 
-def test_an_event_whose_goal_runs_away_is_reported_and_the_next_is_taken(caplog):
+def test_event_after_runaway_goal_is_processed(caplog):
     engine = Engine(settings=Settings(limits=Limits(inferences=100_000)))
     engine.load(rules="loop :- loop.\nout(X) <- in(X) where (X > 1 ; loop).\nseen(X) <- in(X).")
     seen = []
@@ -124,13 +125,13 @@ def test_an_event_whose_goal_runs_away_is_reported_and_the_next_is_taken(caplog)
     assert "Not enough resources" in caplog.text
 
 
-def test_a_chain_of_events_without_end_is_cut(caplog):
+def test_endless_chain_of_events_is_cut(caplog):
     engine = Engine(settings=Settings(max_depth=100))
     engine.load(rules="tick(N) <- tick(M) where N is M + 1.")
     seen = []
     engine.on_event(lambda term, start, end: seen.append(term))
     engine.event("tick(0)", 1)
-    assert len(seen) <= 102
+    assert len(seen) == 101
     engine.event("other", 2)
     assert engine.show(seen[-1]) == "other"
 
@@ -156,13 +157,13 @@ def test_a_chain_of_events_without_end_is_cut(caplog):
         "halt",
     ],
 )
-def test_what_reaches_outside_is_not_there(engine, goal):
+def test_access_to_system_is_refused(engine, goal):
     with pytest.raises(PrologError) as caught:
         engine.query(goal)
     assert formal(caught.value).startswith(("existence_error(procedure", "permission_error"))
 
 
-def test_files_only_in_allowed_folders(tmp_path):
+def test_files_outside_allowed_folders_are_refused(tmp_path):
     inside, outside = tmp_path / "inside", tmp_path / "outside"
     for folder in (inside, outside):
         folder.mkdir()
@@ -180,12 +181,12 @@ def test_files_only_in_allowed_folders(tmp_path):
     assert engine.call(f"compile_event_file('{outside}/rules.txt')")
 
 
-def test_consult_loads_files_of_allowed_folders(tmp_path):
+def test_consult_loads_only_allowed_folders(tmp_path):
     (tmp_path / "a.pl").write_text("p(1).\np(2).\n")
     (tmp_path / "b.pl").write_text("q(1).\nout(X) <- in(X) where q(X).\n")
     engine = Engine(settings=Settings(folders=(str(tmp_path),)))
     assert engine.call(f"consult(['{tmp_path}/a', '{tmp_path}/b.pl'])")
-    assert [found["X"] for found in engine.query("p(X)")] == [1, 2]
+    assert [answer["X"] for answer in engine.query("p(X)")] == [1, 2]
     seen = []
     engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
     engine.event("in(1)", 1)
@@ -195,7 +196,7 @@ def test_consult_loads_files_of_allowed_folders(tmp_path):
             engine.call(goal)
 
 
-def test_rules_loaded_at_run_time_cannot_name_files_outside(tmp_path):
+def test_loaded_rules_cannot_name_files_outside(tmp_path):
     (tmp_path / "inside").mkdir()
     (tmp_path / "secret.txt").write_text("p(1).\n")
     (tmp_path / "inside" / "rules.txt").write_text("use_module('../secret.txt').\n")
@@ -205,7 +206,7 @@ def test_rules_loaded_at_run_time_cannot_name_files_outside(tmp_path):
     assert not engine.query("catch(p(X), _, fail)")
 
 
-def test_goals_do_not_look_at_limits_before_any_has_run_out():
+def test_new_budget_needs_no_check():
     for limits in (Limits(), Limits(seconds=1.0)):
         budget = Engine(settings=Settings(limits=limits)).logic.machine.budget
         assert not budget.limited
@@ -215,7 +216,7 @@ def test_goals_do_not_look_at_limits_before_any_has_run_out():
 @pytest.mark.parametrize(
     "goal", ["numlist(1, 1000000, L), msort(L, M), M = [X|_]", "length(L, 3000000), X = L"]
 )
-def test_goals_of_rules_that_need_no_machine_have_limits_too(goal):
+def test_inline_goals_of_rules_are_limited(goal):
     engine = Engine(settings=Settings(limits=Limits(inferences=2000)))
     errors = []
     engine.rules.on_error = lambda error: errors.append(str(error))
@@ -239,27 +240,25 @@ CALLERS = "loop :- loop.\ncount(0).\ncount(N) :- N > 0, M is N - 1, count(M).\n"
         ),
     ],
 )
-def test_a_limit_that_runs_out_in_a_goal_of_a_rule_is_that_of_the_caller(
-    operator, goal, kind, result, caplog
-):
+def test_rule_goal_exceeds_limit_of_caller(operator, goal, kind, result, caplog):
     engine = Engine()
     engine.load(rules=f"{CALLERS}out <- in {operator} loop.\nseen <- in.")
     seen = []
     engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
-    (found,) = engine.query(goal)
-    assert engine.show(found["R"]) == result
+    (answer,) = engine.query(goal)
+    assert engine.show(answer["R"]) == result
     assert seen == ["in", "seen"]
     assert f"goal loop: the {kind} limit of a calling goal has been reached" in caplog.text
 
 
-def test_a_limit_that_a_goal_of_a_rule_has_set_is_its_own(caplog):
+def test_limit_set_by_rule_goal_is_its_own(caplog):
     engine = Engine()
     engine.load(rules=f"{CALLERS}out <- in where call_with_time_limit(0.05, loop).")
     assert engine.call("call_with_time_limit(10, new_event(in, [1,1]))")
     assert "Unhandled exception: time_limit_exceeded" in caplog.text
 
 
-def test_what_the_caller_has_used_counts_for_the_goals_of_rules(caplog):
+def test_inferences_of_caller_count_for_rule_goals(caplog):
     engine = Engine(settings=Settings(limits=Limits(inferences=100_000)))
     engine.load(rules=f"{CALLERS}out <- in where (count(45000), \\+ fail).")
     assert engine.call("count(45000), new_event(in, [1,1])")
@@ -268,14 +267,14 @@ def test_what_the_caller_has_used_counts_for_the_goals_of_rules(caplog):
     assert caplog.text.count("Not enough resources: inferences") == 1
 
 
-def test_a_second_limit_is_final_also_when_a_goal_of_a_rule_came_between():
+def test_second_exceeded_limit_is_final_after_rule_goal():
     engine = Engine(settings=Settings(limits=Limits(inferences=100_000)))
     engine.load(rules=f"{CALLERS}out <- in where (count(10), \\+ fail).")
     with pytest.raises(PrologError, match="inferences"):
         engine.call("catch(loop, _, true), new_event(in, [1,1]), catch(loop, _, true)")
 
 
-def test_an_interrupt_leaves_no_limit_behind():
+def test_interrupt_removes_limits_of_calls():
     engine = Engine()
     budget = engine.logic.machine.budget
 
@@ -291,7 +290,7 @@ def test_an_interrupt_leaves_no_limit_behind():
 
 
 @pytest.mark.parametrize("limits", [Limits(), Limits(inferences=1000)])
-def test_an_interrupt_leaves_no_binding_behind(limits):
+def test_interrupt_undoes_bindings(limits):
     engine = Engine(settings=Settings(limits=limits))
 
     def interrupt(machine, term):
@@ -304,7 +303,7 @@ def test_an_interrupt_leaves_no_binding_behind(limits):
     assert not engine.logic.machine.trail
 
 
-def test_a_limit_that_runs_out_in_a_function_is_not_run_into_again():
+def test_limit_in_function_does_not_repeat_call():
     logic = prolog("p(X, Y) :- q(X, Y).\nq(X, Y) :- long(X, Y).")
     calls = []
 
@@ -324,23 +323,23 @@ def test_a_limit_that_runs_out_in_a_function_is_not_run_into_again():
     assert first(logic, "catch(p(3, _), error(resource_error(inferences), _), true)") == {}
 
 
-def test_what_runs_between_two_solutions_counts_with_them():
+def test_work_between_solutions_counts_with_query():
     logic = prolog("work(0) :- !.\nwork(N) :- M is N - 1, work(M).\nmany :- repeat, work(6000).")
     logic.limits = Limits(inferences=20_000)
     solutions = logic.solutions(functor("call", 1)(atom("many")))
-    found = 0
+    count = 0
     with pytest.raises(PrologError, match="inferences"):
         for _ in solutions:
-            found += 1
+            count += 1
             assert logic.once(functor("work", 1)(6000))
-            assert found < 4
-    assert found >= 1
+            assert count < 4
+    assert count >= 1
     solutions.close()
     assert not logic.machine.budget.running
     assert logic.once(functor("work", 1)(6000))
 
 
-def test_limits_take_whole_and_broken_numbers():
+def test_limits_accept_integers_and_floats():
     limits = Limits(seconds=1, inferences=1e6, megabytes=200.0)
     assert limits == (1.0, 1_000_000, 200.0, 1.0)
     assert isinstance(limits.inferences, int)
@@ -352,20 +351,20 @@ def test_limits_take_whole_and_broken_numbers():
 @pytest.mark.parametrize(
     "value", [True, "1", -1, -0.5, float("nan"), float("inf"), 10**400, [1], 1 + 0j], ids=repr
 )
-def test_limits_that_are_no_numbers_are_refused_when_they_are_made(name, value):
+def test_invalid_limits_are_refused(name, value):
     with pytest.raises(UsageError, match=f"^{name}: expected a (whole )?number from 0 to 1e"):
         Limits(**{name: value})
     with pytest.raises(UsageError, match=f"^{name}: "):
         Limits()._replace(**{name: value})
 
 
-def test_half_an_inference_is_refused():
+def test_fractional_inferences_are_refused():
     with pytest.raises(UsageError, match="^inferences: expected a whole number from 0 to 1e.20, found 1.5$"):
         Limits(inferences=1.5)
 
 
 @pytest.mark.slow
-def test_a_limit_of_memory_that_is_a_float_ends_an_event(caplog):
+def test_fractional_megabytes_end_event(caplog):
     engine = Engine(settings=Settings(limits=Limits(seconds=60.0, megabytes=5.0)))
     engine.load(rules=PROGRAM + "null_event do grow([]) <- in.")
     engine.event("in", 1)

@@ -20,7 +20,7 @@ def rule_for(key):
 FREE = sorted({functor(*key) for key in ENTRIES} - PROTECTED_PREDICATES, key=str)
 
 
-def test_all_but_control_unification_comparison_and_type_tests_can_be_defined():
+def test_unprotected_builtins_are_redefined():
     logic = prolog()
     for key in FREE:
         logic.add_clause(rule_for(key))
@@ -28,7 +28,7 @@ def test_all_but_control_unification_comparison_and_type_tests_can_be_defined():
 
 
 @pytest.mark.parametrize("key", sorted(PROTECTED_PREDICATES, key=str), ids=str)
-def test_those_cannot(key):
+def test_redefinition_of_protected_builtin_is_refused(key):
     with pytest.raises(PrologError, match="modify"):
         prolog().add_clause(rule_for(key))
 
@@ -47,25 +47,25 @@ def test_those_cannot(key):
         ("forall(X, X).", "forall(X, one)", [{"X": "one"}]),
     ],
 )
-def test_the_program_gets_its_own(program, goal, expected, compile_after):
+def test_program_calls_its_own_definition(program, goal, expected, compile_after):
     logic = prolog(program, compile_after)
     assert answers(logic, goal) == expected
     assert answers(logic, goal) == expected
 
 
-def test_the_library_keeps_the_one_of_the_system():
+def test_library_calls_builtin():
     logic = prolog("length(_, own). msort(_, []). between(_, _, none).")
     assert first(logic, "last([1, 2], X)") == "2"
     assert first(logic, "list_to_assoc([a-1], T)") == "t(a,1,-,t,t)"
     assert first(logic, "numlist(1, 3, X)") == "[1,2,3]"
 
 
-def test_what_was_compiled_before_sees_it():
+def test_compiled_code_calls_new_definition():
     logic = prolog("a(X) :- succ(1, X).")
     for _ in range(20):
         assert answers(logic, "a(X)") == [{"X": "2"}]
-    wanted = Var()
-    goal = logic.compile_goal((functor("succ", 2), 1, wanted), outputs=[wanted])
+    result = Var()
+    goal = logic.compile_goal((functor("succ", 2), 1, result), outputs=[result])
     assert goal.first_solution(()) == (2,)
     logic.add_clause((functor("succ", 2), 1, atom("own")))
     assert answers(logic, "a(X)") == [{"X": "own"}]
@@ -73,7 +73,7 @@ def test_what_was_compiled_before_sees_it():
     assert goal.all_solutions(()) == [(atom("own"),)]
 
 
-def test_a_clause_that_is_asserted_does_not_replace_one_of_the_standard():
+def test_assert_for_standard_builtin_is_refused():
     logic = prolog()
     with pytest.raises(PrologError, match="modify"):
         logic.once(goal := (functor("assertz", 1), (functor("atom_length", 2), 1, 2)))
@@ -83,10 +83,10 @@ def test_a_clause_that_is_asserted_does_not_replace_one_of_the_standard():
     assert answers(logic, "assertz(counter(a, b)), counter(a, X)") == [{"X": "b"}]
 
 
-def test_rules_of_the_same_file_call_its_own():
+def test_rules_of_file_call_its_own_definitions():
     engine = Engine()
-    heard = []
-    engine.on_output(lambda term, topic, name: heard.append(engine.show(term)))
+    outputs = []
+    engine.on_output(lambda term, topic, name: outputs.append(engine.show(term)))
     engine.load(
         rules="b(X) <- a(X) where not(X).\nc(X) <- a(X) where between(1, 2, X).\n"
         "not(X) :- X == yes.\nbetween(_, _, yes) :- true.\n",
@@ -94,10 +94,10 @@ def test_rules_of_the_same_file_call_its_own():
     )
     engine.event("a(yes)", 1)
     engine.event("a(fail)", 2)
-    assert heard == ["b(yes)", "c(yes)"]
+    assert outputs == ["b(yes)", "c(yes)"]
 
 
-def test_a_file_that_is_refused_leaves_those_of_the_system():
+def test_refused_file_leaves_builtin():
     engine = Engine()
     with pytest.raises(ProgramErrors):
         engine.load(rules="succ(1, own) :- true.\nc <- a.\n:- throw(no).\n")
@@ -114,7 +114,7 @@ def test_a_file_that_is_refused_leaves_those_of_the_system():
         ("reset_db.\nreset_db.", True),
     ],
 )
-def test_several_facts_are_a_definition_where_nobody_would_write_goals_so(program, refused):
+def test_facts_redefine_unless_they_may_be_goals(program, refused):
     engine = Engine()
     if refused:
         with pytest.raises(ProgramErrors, match="would replace"):
