@@ -1,6 +1,6 @@
-"""Goals with the answers that the standard gives, and what this Prolog answers.
+"""Comparison of the answers to goals with those of the ISO standard.
 
-Usage: python conformity.py       print what does not agree
+Usage: python conformity.py       print the differences
 """
 
 import functools
@@ -20,11 +20,11 @@ ISO = ReadFlags(double_quotes="codes", iso=True)
 _OR = functor(";", 2)
 _ERROR = functor("error", 2)
 _EQUAL = functor("=", 2)
-_MOST = 20
+_MAX_SOLUTIONS = 20
 
 
 class Case(NamedTuple):
-    """A goal (or a text to be read and run) and the answer that the standard gives."""
+    """A goal (or a text that is read and executed) and the answer of the standard."""
 
     file: str
     number: int
@@ -52,13 +52,13 @@ def cases(file: str) -> Iterator[Case]:
 
 
 def clauses(file: str) -> str:
-    """Return the program that a file's goals use."""
+    """Return the program of the goals of a file."""
     lines = (DATA / file).read_text(encoding="utf-8").split("\n")
     return "\n".join(line[2:] for line in lines if line.startswith("| "))
 
 
 def prepared(program: str) -> Tuple[PrologSystem, List[str]]:
-    """Return a Prolog in the standard's mode with a program, and the list that collects what it writes."""
+    """Return a Prolog system in ISO mode with a program, and the list of its output."""
     logic = PrologSystem()
     logic.limits = Limits(inferences=2_000_000)
     written: List[str] = []
@@ -72,7 +72,7 @@ def prepared(program: str) -> Tuple[PrologSystem, List[str]]:
 
 
 def agrees(case: Case, program: str = "") -> Tuple[bool, str]:
-    """Run a case; return whether the answer is the standard's, and the answer."""
+    """Run a case; return whether the answer agrees with the standard, and the answer."""
     logic, written = prepared(program)
     try:
         goal = read_term(case.goal, logic.operators, flags=ISO)
@@ -85,10 +85,10 @@ def agrees(case: Case, program: str = "") -> Tuple[bool, str]:
         return _prints(logic, goal.term, written, rest)
     if case.answer in ("true", "false"):
         try:
-            found = "true" if logic.once(goal.term) else "false"
+            result = "true" if logic.once(goal.term) else "false"
         except PrologError as error:
-            found = _text(error.term)
-        return found == case.answer, found
+            result = _text(error.term)
+        return result == case.answer, result
     return _binds(logic, goal, case.answer)
 
 
@@ -118,21 +118,21 @@ def _binds(logic: PrologSystem, goal: Any, answer: str) -> Tuple[bool, str]:
     expected = read_term(answer, logic.operators, flags=ISO)
     names = list(dict.fromkeys(name for name in goal.names if name in expected.names))
     solutions = _alternatives(expected.term)
-    found: List[Term] = []
-    wanted = [goal.names[name] for name in names]
+    results: List[Term] = []
+    requested = [goal.names[name] for name in names]
     others = [goal.names[name] for name in goal.names]
     try:
         for _ in logic.solutions(goal.term):
-            found.append(copy(make_list([make_list(wanted), make_list(others)])))
-            if len(found) == _MOST:
+            results.append(copy(make_list([make_list(requested), make_list(others)])))
+            if len(results) == _MAX_SOLUTIONS:
                 break
     except PrologError as error:
         return False, _text(error.term)
-    shown = " ; ".join(_text(one[1]) for one in found) or "false"
-    if len(found) != len(solutions):
+    shown = " ; ".join(_text(result[1]) for result in results) or "false"
+    if len(results) != len(solutions):
         return False, shown
-    for one, solution in zip(found, solutions):
-        values = dict(zip(goal.names, list_items(deref(one[2])[1]) or []))
+    for result, solution in zip(results, solutions):
+        values = dict(zip(goal.names, list_items(deref(result[2])[1]) or []))
         known = {var: values[name] for name, var in expected.names.items() if name in values}
         equations = [deref(equation) for equation in conjuncts(solution)]
         ours = make_list([known[equation[1]] for equation in equations])
@@ -148,15 +148,15 @@ def _renamed(known: Any, var: Any) -> Term:
 
 
 def _alternatives(term: Term) -> List[Term]:
-    found = []
+    alternatives = []
     while term.__class__ is tuple and term[0] is _OR:
-        found.append(term[1])
+        alternatives.append(term[1])
         term = deref(term[2])
-    return [*found, term]
+    return [*alternatives, term]
 
 
 def _same(left: Term, right: Term) -> bool:
-    """Tell whether terms are the same but for the names of variables."""
+    """Return whether terms differ in the names of variables only."""
     return _text(left) == _text(right)
 
 
@@ -167,14 +167,14 @@ def _text(term: Term) -> str:
 
 
 def main() -> None:
-    """Print the cases that do not agree."""
+    """Print the cases that differ from the standard."""
     for file in sorted(path.name for path in DATA.glob("*.txt")):
         program = clauses(file)
-        found = [(case, *agrees(case, program)) for case in cases(file)]
-        wrong = [(case, answer) for case, good, answer in found if not good]
+        results = [(case, *agrees(case, program)) for case in cases(file)]
+        wrong = [(case, answer) for case, agrees_with_standard, answer in results if not agrees_with_standard]
         for case, answer in wrong:
             print(f"{case.goal}\n    standard  {case.answer}\n    here      {answer}")
-        print(f"{file}: {len(found) - len(wrong)} of {len(found)} agree")
+        print(f"{file}: {len(results) - len(wrong)} of {len(results)} agree")
 
 
 if __name__ == "__main__":

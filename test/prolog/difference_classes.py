@@ -10,8 +10,8 @@ class Reason(NamedTuple):
     """A class of differences.
 
     Attributes:
-        name: what docs/explanation/compatibility.md calls it.
-        applies: tells from goal, answer here and SWI-Prolog's answer whether it is of this class.
+        name: its name in docs/explanation/compatibility.md.
+        applies: returns whether a difference belongs to the class, for the goal, our answer and SWI-Prolog's.
     """
 
     name: str
@@ -19,18 +19,18 @@ class Reason(NamedTuple):
 
 
 def _goal(pattern: str) -> Callable[[str, str, str], bool]:
-    found = re.compile(pattern)
-    return lambda goal, ours, theirs: found.search(goal) is not None
+    expression = re.compile(pattern)
+    return lambda goal, ours, theirs: expression.search(goal) is not None
 
 
 def _theirs(pattern: str) -> Callable[[str, str, str], bool]:
-    found = re.compile(pattern)
-    return lambda goal, ours, theirs: found.search(theirs) is not None
+    expression = re.compile(pattern)
+    return lambda goal, ours, theirs: expression.search(theirs) is not None
 
 
 def _ours(pattern: str) -> Callable[[str, str, str], bool]:
-    found = re.compile(pattern)
-    return lambda goal, ours, theirs: found.search(ours) is not None
+    expression = re.compile(pattern)
+    return lambda goal, ours, theirs: expression.search(ours) is not None
 
 
 def _printed(goal: str, ours: str, theirs: str) -> bool:
@@ -84,5 +84,5 @@ REASONS: List[Reason] = [
 
 
 def reason(goal: str, ours: str, theirs: str) -> Optional[str]:
-    """Return the name of the first class that a difference is of, or None where it is of none."""
-    return next((found.name for found in REASONS if found.applies(goal, ours, theirs)), None)
+    """Return the name of the first class of a difference, or None if it belongs to none."""
+    return next((difference.name for difference in REASONS if difference.applies(goal, ours, theirs)), None)

@@ -1,6 +1,6 @@
-"""Compare goals here and in SWI-Prolog, where it is installed.
+"""Comparison of the answers to random goals with those of SWI-Prolog.
 
-Usage: python differential.py COUNT [SEED]      print what differs
+Usage: python differential.py COUNT [SEED]      print the differences
        python differential.py --record COUNT    write goals and SWI-Prolog's answers to goals_kinds.tsv
 """
 
@@ -25,7 +25,7 @@ from retalis.prolog.system.prolog_system import PrologSystem  # noqa: E402
 from retalis.prolog.terms.term_traversal import copy, variables  # noqa: E402
 
 RECORD = Path(__file__).with_name("goals_kinds.tsv")
-MOST = 5
+MAX_SOLUTIONS = 5
 _FREE_NAME = re.compile(r"_G?[0-9]+")
 _SYNTAX_ERROR = re.compile(r"(?<=^error\()syntax_error\(.*\)(?=\)$)")
 _ERROR = functor("error", 2)
@@ -34,7 +34,7 @@ _NUMBERED = functor("$VAR", 1)
 
 
 def answer(text: str) -> str:
-    """Return the answers to a goal here: the list of instantiated goals, or the error term; and what it printed."""
+    """Return the answer to a goal: the list of instantiated goals or the error term, and the output."""
     logic = PrologSystem()
     logic.limits = Limits(inferences=200_000, seconds=5, megabytes=300)
     output: List[str] = []
@@ -45,27 +45,27 @@ def answer(text: str) -> str:
     except SyntaxFault:
         return "unread"
     try:
-        found = solutions(logic, goal)
+        result = solutions(logic, goal)
     except PrologError as error:
-        found = fault(error.term)
+        result = fault(error.term)
     except Exception as error:
-        found = f"raised {error!r}"
+        result = f"raised {error!r}"
     printed = "".join(output)
-    return found + (f" printed {write_term(String(printed))}" if printed else "")
+    return result + (f" printed {write_term(String(printed))}" if printed else "")
 
 
 def solutions(logic: PrologSystem, goal: object) -> str:
-    """Return the instances of a goal that are true."""
-    found = []
+    """Return the first instances of a goal that are true, as the text of a list."""
+    instances = []
     for _ in logic.solutions(goal):
-        found.append(shown(goal))
-        if len(found) == MOST:
+        instances.append(shown(goal))
+        if len(instances) == MAX_SOLUTIONS:
             break
-    return f"[{','.join(found)}]"
+    return f"[{','.join(instances)}]"
 
 
 def fault(term: object) -> str:
-    """Return how an error shows: the formal term, or the ball."""
+    """Return the text of an error: of its formal term, or of the ball."""
     if term.__class__ is not tuple or term[0] is not _ERROR:
         return f"ball({shown(term)})"
     formal = term[1]
@@ -85,18 +85,18 @@ def shown(term: object) -> str:
     return write_term(numbered, quoted=True, ignore_ops=True, numbervars=True)
 
 
-def plain(found: str) -> str:
-    """Return an answer without what is free to differ: names of variables, and the text of a syntax error."""
-    found = _FREE_NAME.sub("_", found)
-    return _SYNTAX_ERROR.sub("syntax_error(_)", found)
+def plain(answer: str) -> str:
+    """Return an answer without names of variables and texts of syntax errors, which may differ."""
+    answer = _FREE_NAME.sub("_", answer)
+    return _SYNTAX_ERROR.sub("syntax_error(_)", answer)
 
 
 def main() -> None:
-    """Compare or record."""
+    """Compare the answers, or record those of SWI-Prolog."""
     if sys.argv[1] == "--record":
         texts = Generator(7).goals(int(sys.argv[2]))
-        kept = [(text, found) for text, found in zip(texts, ask(texts)) if found not in ("limit", "lost")]
-        RECORD.write_text("".join(f"{text}\t{found}\n" for text, found in kept))
+        rows = [(text, reply) for text, reply in zip(texts, ask(texts)) if reply not in ("limit", "lost")]
+        RECORD.write_text("".join(f"{text}\t{reply}\n" for text, reply in rows))
         return
     seed = int(sys.argv[2]) if len(sys.argv) > 2 else random.randrange(1 << 30)
     texts = Generator(seed).goals(int(sys.argv[1]))
@@ -104,12 +104,12 @@ def main() -> None:
     for text, theirs in zip(texts, ask(texts)):
         ours = answer(text)
         if plain(ours) != plain(theirs):
-            found = reason(text, ours, theirs) or "unexplained"
-            classes[found] += 1
-            print(f"{found}: {text}\n  here  {ours}\n  swipl {theirs}")
+            name = reason(text, ours, theirs) or "unexplained"
+            classes[name] += 1
+            print(f"{name}: {text}\n  here  {ours}\n  swipl {theirs}")
     print(f"seed {seed}: {len(texts) - sum(classes.values())} of {len(texts)} agree")
-    for found, count in classes.most_common():
-        print(f"{count:6} {found}")
+    for name, count in classes.most_common():
+        print(f"{count:6} {name}")
 
 
 if __name__ == "__main__":

@@ -1,8 +1,7 @@
 """Generator of random goals over the built-ins.
 
-``goal_predicates.txt`` says for each predicate what kind of argument goes where, ``goal_kinds.txt`` gives the
-arguments of a kind. An argument is mostly of its kind, and sometimes a variable or anything at all, so that errors
-are asked for too.
+``goal_predicates.txt`` lists the kinds of the arguments of each predicate, ``goal_kinds.txt`` the values of a kind.
+An argument is mostly of its kind, and sometimes a variable or of any kind, which also tests errors.
 """
 
 from pathlib import Path
@@ -10,8 +9,8 @@ from random import Random
 from typing import Dict, List
 
 FOLDER = Path(__file__).parent
-VARIABLE, ANYTHING = 0.15, 0.12
-ARITHMETIC = 0.12
+VARIABLE_SHARE, ANYTHING_SHARE = 0.15, 0.12
+ARITHMETIC_SHARE = 0.12
 
 _FUNCTIONS = r"""
 +/2 -/2 */2 ///2 mod/2 rem/2 div/2 //2 min/2 max/2 **/2 ^/2 >>/2 <</2 /\/2 \//2 xor/2 gcd/2 atan2/2
@@ -34,16 +33,16 @@ def _lines(name: str) -> List[str]:
 
 
 def kinds() -> Dict[str, List[str]]:
-    """Return the arguments of each kind."""
-    found: Dict[str, List[str]] = {}
+    """Return the values of each kind of argument."""
+    values_by_kind: Dict[str, List[str]] = {}
     for line in _lines("goal_kinds.txt"):
         kind, *values = line.split("  ")
-        found.setdefault(kind[:-1], []).extend(values)
-    return found
+        values_by_kind.setdefault(kind[:-1], []).extend(values)
+    return values_by_kind
 
 
 class Generator:
-    """Makes goals; the same ones from the same seed."""
+    """Generator of random goals, determined by its seed."""
 
     def __init__(self, seed: int):
         self.random = Random(seed)
@@ -51,23 +50,23 @@ class Generator:
         self.predicates = [line.split(" ") for line in _lines("goal_predicates.txt")]
 
     def goals(self, count: int) -> List[str]:
-        """Return different goals."""
-        made: Dict[str, None] = {}
-        while len(made) < count:
-            made[self._goal()] = None
-        return list(made)
+        """Return distinct goals."""
+        distinct: Dict[str, None] = {}
+        while len(distinct) < count:
+            distinct[self._goal()] = None
+        return list(distinct)
 
     def _goal(self) -> str:
-        if self.random.random() < ARITHMETIC:
+        if self.random.random() < ARITHMETIC_SHARE:
             return "X is " + self._expression(2)
-        name, *wanted = self.random.choice(self.predicates)
-        return _applied(name, [self._argument(kind) for kind in wanted])
+        name, *argument_kinds = self.random.choice(self.predicates)
+        return _applied(name, [self._argument(kind) for kind in argument_kinds])
 
     def _argument(self, kind: str) -> str:
         chance = self.random.random()
-        if chance < VARIABLE:
+        if chance < VARIABLE_SHARE:
             return self.random.choice("XYZ")
-        return self.random.choice(self.kinds["any" if chance < VARIABLE + ANYTHING else kind])
+        return self.random.choice(self.kinds["any" if chance < VARIABLE_SHARE + ANYTHING_SHARE else kind])
 
     def _expression(self, depth: int) -> str:
         if depth == 0 or self.random.random() < 0.3:

@@ -12,7 +12,7 @@ NEVER = 1 << 60
 
 
 def prolog(program: str = "", compile_after: int = 0) -> PrologSystem:
-    """Return a Prolog with a program; by default all of it is compiled at its first call."""
+    """Return a Prolog system with a program, whose predicates are compiled at the first call by default."""
     logic = PrologSystem(compile_after=compile_after)
     problems: List[str] = []
     for read in read_program(program, logic.operators, "program.pl"):
@@ -23,29 +23,29 @@ def prolog(program: str = "", compile_after: int = 0) -> PrologSystem:
     return logic
 
 
-def answers(logic: PrologSystem, text: str, most: int = 20) -> List[Any]:
-    """Return for each solution the texts of the goal's variables; an error is the text of its term, at the end."""
+def answers(logic: PrologSystem, text: str, limit: int = 20) -> List[Any]:
+    """Return the texts of a goal's variables for each solution, followed by the text of an error if one is raised."""
     read = read_term(text, logic.operators)
-    found: List[Any] = []
+    results: List[Any] = []
     solutions = logic.solutions(read.term)
     try:
         for _ in solutions:
             values: Dict[str, str] = {
                 name: show(value) for name, value in read.names.items() if name[0] != "_"
             }
-            found.append(values)
-            if len(found) == most:
+            results.append(values)
+            if len(results) == limit:
                 break
     except PrologError as error:
         term = error.term
-        found.append(show(term[1] if term.__class__ is tuple and term[0] is functor("error", 2) else term))
+        results.append(show(term[1] if term.__class__ is tuple and term[0] is functor("error", 2) else term))
     finally:
         solutions.close()
-    return found
+    return results
 
 
 def show(term: Term) -> str:
-    """Return a term as text, its variables named A, B, ... in order."""
+    """Return a term as text with its variables named A, B, ... in order."""
     numbered = copy(term)
     for number, var in enumerate(variables(numbered)):
         var.ref = (functor("$VAR", 1), number)
@@ -53,10 +53,10 @@ def show(term: Term) -> str:
 
 
 def first(logic: PrologSystem, text: str) -> Any:
-    """Return the first solution's values: the only one if there is one variable, None for failure."""
-    found = answers(logic, text, 1)
-    if not found:
+    """Return the values of the first solution: a single value if there is one variable, None for failure."""
+    results = answers(logic, text, 1)
+    if not results:
         return None
-    if isinstance(found[0], dict) and len(found[0]) == 1:
-        return next(iter(found[0].values()))
-    return found[0]
+    if isinstance(results[0], dict) and len(results[0]) == 1:
+        return next(iter(results[0].values()))
+    return results[0]

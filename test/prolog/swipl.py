@@ -5,8 +5,8 @@ import tempfile
 from pathlib import Path
 from typing import List
 
-BATCH = 500
-SECONDS = 120
+BATCH_SIZE = 500
+BATCH_TIMEOUT_SECONDS = 120
 
 PROGRAM = r"""
 :- use_module(library(unix)).
@@ -92,34 +92,34 @@ def quoted(text: str) -> str:
 
 
 def ask(texts: List[str], program: str = PROGRAM) -> List[str]:
-    """Return SWI-Prolog's answer to each text; ``lost`` where the process died or hung."""
-    found: List[str] = []
+    """Return SWI-Prolog's answer to each text, or ``lost`` if the process crashed or timed out."""
+    replies: List[str] = []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "goals.pl"
         path.write_text(program, encoding="utf-8")
-        while len(found) < len(texts):
-            batch = texts[len(found) : len(found) + BATCH]
-            got = _answered(path, batch)[: len(batch)]
-            found += got if len(got) == len(batch) else [*got, "lost"]
-    return found
+        while len(replies) < len(texts):
+            batch = texts[len(replies) : len(replies) + BATCH_SIZE]
+            batch_replies = _batch_answers(path, batch)[: len(batch)]
+            replies += batch_replies if len(batch_replies) == len(batch) else [*batch_replies, "lost"]
+    return replies
 
 
-def _answered(path: Path, batch: List[str]) -> List[str]:
-    """Return the answers that came before the process ended or its time was up."""
+def _batch_answers(path: Path, batch: List[str]) -> List[str]:
+    """Return the answers before the process ended or timed out."""
     command = ["swipl", "-q", "-l", str(path), "-g", "'$main'", "-t", "halt"]
-    given = "".join(quoted(text) + ".\n" for text in batch)
+    queries = "".join(quoted(text) + ".\n" for text in batch)
     try:
-        done = subprocess.run(
+        process = subprocess.run(
             command,
-            input=given.encode(),
+            input=queries.encode(),
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            timeout=SECONDS,
+            timeout=BATCH_TIMEOUT_SECONDS,
             check=False,
             env={"LANG": "C.UTF-8", "PATH": "/usr/bin:/bin:/usr/local/bin"},
         )
-        text = done.stdout
-    except subprocess.TimeoutExpired as late:
-        text = late.stdout or b""
+        text = process.stdout
+    except subprocess.TimeoutExpired as error:
+        text = error.stdout or b""
     parts = text.decode("utf-8", "replace").split("\n#\n")
     return parts[:-1]

@@ -229,24 +229,24 @@ def answers_of(text, values):
     for name, value in values.items():
         if name in names:
             names.pop(name).ref = value
-    found, written = [], []
-    logic.output = written.append
+    solutions, output = [], []
+    logic.output = output.append
     goals = logic.solutions(read.term)
     try:
         for _ in goals:
-            found.append({name: show(value) for name, value in names.items()})
-            if len(found) == 15:
+            solutions.append({name: show(value) for name, value in names.items()})
+            if len(solutions) == 15:
                 break
     except PrologError as error:
-        found.append(
+        solutions.append(
             show(error.term[1] if error.term.__class__ is tuple and len(error.term) == 3 else error.term)
         )
     finally:
         goals.close()
-    return found, written
+    return solutions, output
 
 
-def same(goal, dtype, items, make):
+def check_same_answers(goal, dtype, items, make):
     numbers = np.array(items, dtype)
     as_list = make_list(numbers.tolist())
     other = make_list([*numbers.tolist()[:3], *numbers.tolist()[3:][::-1]])
@@ -256,7 +256,7 @@ def same(goal, dtype, items, make):
     assert answers_of(goal, both) == expected
 
 
-def built(numbers):
+def decoded_array_term(numbers):
     """Return an array term whose list has been built."""
     term = array_term(numbers)
     deref(term)
@@ -264,18 +264,18 @@ def built(numbers):
 
 
 @settings(max_examples=4, deadline=None)
-@given(st.sampled_from([array_term, built]), ARRAYS)
+@given(st.sampled_from([array_term, decoded_array_term]), ARRAYS)
 @pytest.mark.parametrize("goal", GOALS)
-def test_goals_have_the_same_answers(goal, make, array):
-    same(goal, *array, make)
+def test_goals_have_answers_of_lists(goal, make, array):
+    check_same_answers(goal, *array, make)
 
 
 @pytest.mark.parametrize("dtype", CODES)
 @pytest.mark.parametrize(
     "goal", ["L = M", "sum_list(L, X)", "min_list(L, X)", "max_list(L, X)", "length(L, X)", "nth0(3, L, X)"]
 )
-def test_all_types_of_numbers(goal, dtype):
-    same(goal, dtype, [3, 1, 1, 7, 5, 1, 4], array_term)
+def test_numbers_of_any_type_have_answers_of_lists(goal, dtype):
+    check_same_answers(goal, dtype, [3, 1, 1, 7, 5, 1, 4], array_term)
 
 
 @pytest.mark.parametrize(
@@ -293,21 +293,21 @@ def test_all_types_of_numbers(goal, dtype):
     ],
 )
 @pytest.mark.parametrize("goal", ["sum_list(L, X)", "min_list(L, X)", "max_list(L, X)"])
-def test_folds_are_those_of_the_list(goal, items):
-    same(goal, "<f8", items, array_term)
+def test_sums_and_extremes_equal_those_of_list(goal, items):
+    check_same_answers(goal, "<f8", items, array_term)
 
 
 @pytest.mark.parametrize(
     "goal",
     ["length(L, _)", "nth0(3, L, _)", "nth1(3, L, _)", "sum_list(L, _)", "min_list(L, _)", "max_list(L, _)"],
 )
-def test_the_short_ways_do_not_build_the_list(goal):
+def test_direct_access_does_not_decode_array(goal):
     term = array_term(np.arange(20.0))
     assert len(answers_of(goal, {"L": term})[0]) == 1
     assert term.decoded_term is None
 
 
-def test_a_variable_that_is_bound_to_an_array_is_followed():
+def test_bound_variable_does_not_decode_array():
     logic = prolog("smallest(L, X) :- M = L, min_list(M, X).")
     term = array_term(np.arange(1.0, 20.0))
     result = Var()

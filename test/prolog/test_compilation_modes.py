@@ -93,12 +93,13 @@ GOALS = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize("goal", GOALS)
-def test_variables_keep_their_order(goal):
+def test_answers_are_independent_of_mode(goal):
     assert compare(PROGRAM, [goal]) == {}
 
 
 @pytest.mark.slow
-def test_recorded_goals():
-    """A part of the goals over the built-ins; each is the body of a clause."""
+def test_recorded_goals_are_independent_of_mode():
+    """Every 25th goal over the built-ins is the body of a clause."""
     goals = [goal for goal in list(recorded())[::25] if "time" not in goal and "random" not in goal]
+    assert len(goals) > 30
     assert compare("", goals) == {}

@@ -1,4 +1,4 @@
-"""Long steps: they count as inferences and end with a resource error, as endless goals do."""
+"""Long steps of built-ins: they count as inferences and end with a resource error, as endless goals do."""
 
 import random
 
@@ -57,19 +57,19 @@ def logic(shared_logic):
     shared_logic.limits, shared_logic.output = NO_LIMITS, output
 
 
-def fault(logic, goal, **limits):
+def error_of(logic, goal, **limits):
     logic.limits = Limits(**limits)
-    with pytest.raises(PrologError) as caught:
+    with pytest.raises(PrologError) as error:
         logic.once(read_term(goal, logic.operators).term)
-    return writeq(caught.value.term[1])
+    return writeq(error.value.term[1])
 
 
 @pytest.mark.parametrize("goal", ["X = [a|X], length(X, _)", "X = [a|X], memberchk(b, X)"])
-def test_a_term_that_contains_itself_is_refused(logic, goal):
-    assert fault(logic, goal, inferences=LIMIT) == "resource_error(term_size)"
+def test_cyclic_list_is_refused(logic, goal):
+    assert error_of(logic, goal, inferences=LIMIT) == "resource_error(term_size)"
 
 
-def test_a_term_that_contains_itself_is_walked_once(logic):
+def test_ground_visits_cyclic_term_once(logic):
     assert logic.once(read_term("X = f(X), ground(X)", logic.operators).term)
 
 
@@ -128,8 +128,8 @@ def test_a_term_that_contains_itself_is_walked_once(logic):
         "kept(a)",
     ],
 )
-def test_work_inside_a_step_is_counted(logic, goal):
-    assert fault(logic, goal, inferences=LIMIT) in (
+def test_long_step_exceeds_limit(logic, goal):
+    assert error_of(logic, goal, inferences=LIMIT) in (
         "resource_error(inferences)",
         "resource_error(memory)",
     )
@@ -139,7 +139,7 @@ def test_work_inside_a_step_is_counted(logic, goal):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("goal", "what"),
+    ("goal", "resource"),
     [
         ("concat(a)", "memory"),
         ("strings(a)", "memory"),
@@ -164,8 +164,8 @@ def test_work_inside_a_step_is_counted(logic, goal):
         ("X is (1 << 1000000) - 1, format(atom(_), '~8r', [X])", "integer_size"),
     ],
 )
-def test_what_would_grow_too_large_is_refused_without_limits(logic, goal, what):
-    assert fault(logic, goal) == f"resource_error({what})"
+def test_huge_result_is_refused_without_limits(logic, goal, resource):
+    assert error_of(logic, goal) == f"resource_error({resource})"
 
 
 @pytest.mark.parametrize(
@@ -178,7 +178,7 @@ def test_what_would_grow_too_large_is_refused_without_limits(logic, goal, what):
         ("X is -(7 // 2) + (-7) rem 2 + (-7) mod 2 + (-7) div 2", -3 - 1 + 1 - 4),
     ],
 )
-def test_large_integers_are_right(logic, goal, value):
+def test_large_integers_are_exact(logic, goal, value):
     logic.limits = Limits()
     read = read_term(goal, logic.operators)
     assert logic.once(read.term)
@@ -186,73 +186,73 @@ def test_large_integers_are_right(logic, goal, value):
 
 
 @pytest.mark.slow
-def test_a_limit_is_caught_inside_a_long_step(logic):
+def test_limit_in_long_step_is_caught(logic):
     logic.limits = Limits(inferences=LIMIT)
     goal = "wide(T, _), catch(copy_term(T, _), error(resource_error(R), _), true), R == inferences"
     assert logic.once(read_term(goal, logic.operators).term)
 
 
 @pytest.mark.slow
-def test_an_error_names_the_goal_that_took_long(logic):
+def test_limit_error_names_goal(logic):
     logic.limits = Limits(inferences=LIMIT)
-    with pytest.raises(PrologError) as caught:
+    with pytest.raises(PrologError) as error:
         logic.once(read_term("wide(T, _), copy_term(T, _)", logic.operators).term)
-    assert "copy_term/2" in caught.value.message
-    with pytest.raises(PrologError) as caught:
+    assert "copy_term/2" in error.value.message
+    with pytest.raises(PrologError) as error:
         logic.once(read_term("repeat, atom(b), fail", logic.operators).term)
-    assert any(name in caught.value.message for name in ("repeat/0", "atom/1", "fail/0"))
+    assert any(name in error.value.message for name in ("repeat/0", "atom/1", "fail/0"))
 
 
-def test_long_work_outside_a_goal_is_not_limited(logic):
+def test_work_outside_goal_is_not_limited(logic):
     logic.limits = Limits(inferences=1000)
     assert not logic.once(read_term("fail", logic.operators).term)
     assert len(writeq(make_list([atom("a")] * 5000))) == 10001
 
 
-def test_loops_are_stopped_between_their_turns(logic):
-    assert fault(logic, "store(0)", inferences=10_000) == "resource_error(inferences)"
+def test_limit_stops_loop_between_iterations(logic):
+    assert error_of(logic, "store(0)", inferences=10_000) == "resource_error(inferences)"
     assert 10_000 <= len(logic.database.predicates[functor("item", 1)]) < 15_000
 
 
 @pytest.mark.parametrize(
     "work",
     [
-        lambda made: convert_each(made.append, "a" * 100_000),
-        lambda made: list(map(made.append, _split("a," * 50_000, ",", ""))),
-        lambda made: integer_text(7**200_000),
-        lambda made: integer("7" * 200_000),
+        lambda converted: convert_each(converted.append, "a" * 100_000),
+        lambda converted: list(map(converted.append, _split("a," * 50_000, ",", ""))),
+        lambda converted: integer_text(7**200_000),
+        lambda converted: integer("7" * 200_000),
     ],
 )
-def test_conversions_are_looked_at_while_they_last(work):
-    """Not only behind them: what was made since the last look is never much."""
-    made, most, looks = [], [0], [0]
+def test_conversion_is_checked_while_it_runs(work):
+    """The number of items converted between two checks is bounded."""
+    converted, largest, checks = [], [0], [0]
 
-    def ask(pieces, size):
-        most[0] = max(most[0], len(made))
-        looks[0] += 1
-        made.clear()
+    def check(pieces, size):
+        largest[0] = max(largest[0], len(converted))
+        checks[0] += 1
+        converted.clear()
 
-    before = set_limit_check(ask)
+    before = set_limit_check(check)
     try:
-        work(made)
+        work(converted)
     finally:
         set_limit_check(before)
-    assert most[0] <= 2048
-    assert looks[0] >= 5
+    assert largest[0] <= 2048
+    assert checks[0] >= 5
 
 
 @pytest.mark.parametrize(
     "walk",
     [copy, is_ground, lambda term: unify(term, copy(term), []), lambda term: compare(term, copy(term))],
 )
-def test_the_arguments_of_a_wide_term_count(walk):
-    asked = []
-    before = set_limit_check(lambda work, size: asked.append(work))
+def test_arguments_of_wide_term_are_counted(walk):
+    counts = []
+    before = set_limit_check(lambda work, size: counts.append(work))
     try:
         walk((functor("wide", 5000), *[Var() for _ in range(5000)]))
     finally:
         set_limit_check(before)
-    assert 5000 <= sum(asked) < 11_000
+    assert 5000 <= sum(counts) < 11_000
 
 
 @pytest.mark.parametrize(
@@ -275,27 +275,27 @@ def test_the_arguments_of_a_wide_term_count(walk):
         "numlist(1, 90000, L), T =.. [f|L]",
     ],
 )
-def test_what_is_allocated_in_one_piece_is_announced(logic, goal):
+def test_large_allocation_is_checked_first(logic, goal):
     """A limit of memory can refuse an allocation before it is made."""
     logic.limits = NO_LIMITS
-    asked = []
+    sizes = []
     read = read_term(goal, logic.operators)
     if "A" in read.names:
         read.names["A"].ref = atom("a" * 300_000)
     work = read.term
 
-    before = set_limit_check(lambda pieces, size: asked.append(size))
+    before = set_limit_check(lambda pieces, size: sizes.append(size))
     try:
         logic.output = lambda text: None
         assert logic.machine.run((logic.control.code, (CALL, work), 0, logic.machine.done))
     finally:
         set_limit_check(before)
-    assert max(asked) >= 90_000
+    assert max(sizes) >= 90_000
 
 
 @pytest.mark.parametrize("make", [int, str])
 @pytest.mark.parametrize("distinct", [1, 7, 10**9])
-def test_a_long_list_is_sorted_in_chunks(monkeypatch, make, distinct):
+def test_long_list_is_sorted_in_chunks(monkeypatch, make, distinct):
     monkeypatch.setattr(list_predicates, "_CHUNK_ITEMS", 64)
     chance = random.Random(distinct)
     for size in (0, 1, 63, 64, 65, 640, 3000):
@@ -306,25 +306,25 @@ def test_a_long_list_is_sorted_in_chunks(monkeypatch, make, distinct):
             )
 
 
-def test_sorting_is_looked_at_while_it_lasts(monkeypatch):
+def test_sorting_is_checked_while_it_runs(monkeypatch):
     monkeypatch.setattr(list_predicates, "_CHUNK_ITEMS", 64)
-    looks = []
-    before = set_limit_check(lambda work, size: looks.append(work))
+    counts = []
+    before = set_limit_check(lambda work, size: counts.append(work))
     try:
         sorted_positions(random.Random(1).sample(range(6400), 6400))
     finally:
         set_limit_check(before)
-    assert len(looks) > 200
+    assert len(counts) > 200
 
 
-def test_the_text_of_an_error_does_not_grow_with_its_term(logic):
+def test_error_text_of_large_term_is_short(logic):
     deep = atom("x")
     for _ in range(100_000):
         deep = (functor("f", 1), deep)
     terms = [deep, make_list(range(100_000)), (functor("f", 100_000), *range(100_000)), 3**600_000]
     terms += [atom("a" * 100_000), String("é" * 100_000)]
-    asked = []
-    before = set_limit_check(lambda work, size: asked.append(work))
+    counts = []
+    before = set_limit_check(lambda work, size: counts.append(work))
     try:
         for term in terms:
             text = type_error("list", term).message
@@ -332,15 +332,15 @@ def test_the_text_of_an_error_does_not_grow_with_its_term(logic):
             assert len(text) <= 4003
     finally:
         set_limit_check(before)
-    assert not asked
+    assert not counts
     assert type_error("list", 3**600_000).message.endswith("found `an integer of 950978 bits'")
 
 
-def test_white_space_is_found_across_pieces():
+def test_words_are_split_across_chunks():
     for size in range(1015, 1030):
         text = " " + "a" * size + " b  " + "c" * size + "\t\n"
         assert _split_words(text) == text.split()
 
 
-def test_an_empty_text_has_no_words():
+def test_empty_text_has_no_words():
     assert _split_words("") == []

@@ -50,20 +50,20 @@ def logic():
         ("aggregate_all(nonsense, X, true, R)", ["domain_error(aggregate_template,nonsense)"]),
     ],
 )
-def test_result(logic, goal, values):
-    found = answers(logic, goal)
-    shown = [answer["R"] if isinstance(answer, dict) else answer for answer in found]
+def test_meta_call_has_results(logic, goal, values):
+    solutions = answers(logic, goal)
+    shown = [answer["R"] if isinstance(answer, dict) else answer for answer in solutions]
     assert shown == values
     assert logic.machine.budget.ceilings == {}
 
 
-def deep(around, inmost):
-    """Return a goal that makes G a term in which one is around the other 3000 times."""
-    return f"numlist(1, 3000, _L), foldl([_, A, {around}]>>true, _L, {inmost}, G)"
+def nested_goal(step, innermost):
+    """Return a goal that binds G to a term that nests ``step`` 3000 times around ``innermost``."""
+    return f"numlist(1, 3000, _L), foldl([_, A, {step}]>>true, _L, {innermost}, G)"
 
 
 @pytest.mark.parametrize(
-    ("goal", "found"),
+    ("goal", "expected"),
     [
         ("dif(a, b)", [{}]),
         ("dif(a, a)", []),
@@ -82,23 +82,25 @@ def deep(around, inmost):
         ("when(foo, true)", ["domain_error(when_condition,foo)"]),
     ],
 )
-def test_goals_that_would_have_to_wait(logic, goal, found):
-    assert answers(logic, goal) == found
+def test_blocking_goals_run_or_are_errors(logic, goal, expected):
+    assert answers(logic, goal) == expected
 
 
-@pytest.mark.parametrize("joined", ["(A, nonvar(a))", "(nonvar(a), A)", "(A ; nonvar(a))", "(nonvar(_) ; A)"])
-def test_a_condition_may_be_deep(logic, joined):
-    assert answers(logic, f"{deep(joined, 'nonvar(a)')}, when(G, X = 1)")[0]["X"] == "1"
+@pytest.mark.parametrize(
+    "condition", ["(A, nonvar(a))", "(nonvar(a), A)", "(A ; nonvar(a))", "(nonvar(_) ; A)"]
+)
+def test_deep_condition_of_when_is_checked(logic, condition):
+    assert answers(logic, f"{nested_goal(condition, 'nonvar(a)')}, when(G, X = 1)")[0]["X"] == "1"
 
 
-@pytest.mark.parametrize("around", ["\\+ A", "(A -> true)", "((A, _) , true)"])
-def test_a_goal_that_is_too_deep_is_an_error(logic, around):
-    found = first(logic, f"{deep(around, 'true')}, catch(G, error(E, _), true)")
-    assert found["E"] == "resource_error(term_size)"
+@pytest.mark.parametrize("step", ["\\+ A", "(A -> true)", "((A, _) , true)"])
+def test_goal_beyond_depth_limit_is_an_error(logic, step):
+    answer = first(logic, f"{nested_goal(step, 'true')}, catch(G, error(E, _), true)")
+    assert answer["E"] == "resource_error(term_size)"
     assert logic.machine.choices == []
 
 
-def test_ports(logic):
+def test_trace_prints_ports(logic):
     lines = []
     logic.error_output = lines.append
     assert answers(logic, "trace(p(X)), X > 1, p(_)", 1) == [{"X": "2"}]
@@ -111,7 +113,7 @@ def test_ports(logic):
     ]
 
 
-def test_tracing_ends_with_an_error(logic):
+def test_error_ends_tracing(logic):
     lines = []
     logic.error_output = lines.append
     assert answers(logic, "catch(trace(throw(x)), x, true)") == [{}]
@@ -119,13 +121,13 @@ def test_tracing_ends_with_an_error(logic):
     assert [line.split()[0] for line in lines] == ["Call:", "Exception:"]
 
 
-def test_the_library_is_loaded_at_no_cost(logic):
+def test_loading_library_uses_no_inferences(logic):
     logic.limits = Limits(inferences=2000)
     assert answers(logic, "append([1], [2], L), list_to_assoc([], _)") == [{"L": "[1,2]"}]
 
 
 @pytest.mark.parametrize(
-    ("goal", "found"),
+    ("goal", "expected"),
     [
         ("read_term(user_input, X, [])", [{"X": "end_of_file"}]),
         ("read(user_input, X)", [{"X": "end_of_file"}]),
@@ -140,12 +142,12 @@ def test_the_library_is_loaded_at_no_cost(logic):
         ("current_char_conversion(X, b)", [{"X": "b"}]),
     ],
 )
-def test_there_is_no_input(logic, goal, found):
-    assert answers(logic, goal) == found
+def test_standard_input_is_empty(logic, goal, expected):
+    assert answers(logic, goal) == expected
 
 
 @pytest.mark.parametrize(
-    ("goal", "found"),
+    ("goal", "expected"),
     [
         ("must_be(encoding, utf8)", [{}]),
         ("must_be(encoding, foo)", ["type_error(encoding,foo)"]),
@@ -157,16 +159,16 @@ def test_there_is_no_input(logic, goal, found):
         ("must_be(stream, _)", ["instantiation_error"]),
     ],
 )
-def test_types_of_what_is_hardly_there(logic, goal, found):
-    assert answers(logic, goal) == found
+def test_must_be_accepts_unusual_types(logic, goal, expected):
+    assert answers(logic, goal) == expected
 
 
-def test_a_variable_before_a_goal_is_one_like_all_others(logic):
+def test_caret_outside_bagof_calls_goal(logic):
     assert answers(logic, "X^member(X, [1,2])") == [{"X": "1"}, {"X": "2"}]
     assert answers(logic, "_^G") == ["instantiation_error"]
 
 
-def test_solutions_that_are_distinct(logic):
+def test_distinct_solutions_occur_once(logic):
     assert answers(logic, "distinct(X, member(X-_, [1-a,1-b,2-c]))") == [{"X": "1"}, {"X": "2"}]
     assert answers(logic, "distinct(member(X, [b,b,a]))") == [{"X": "b"}, {"X": "a"}]
 
@@ -185,30 +187,30 @@ def test_solutions_that_are_distinct(logic):
         ("maplist(X/[X]>>true, [1,1]), L = X", ["1"]),
     ],
 )
-def test_lambda(logic, goal, values):
-    found = answers(logic, goal)
-    assert [one["L"] if isinstance(one, dict) else one for one in found] == values
+def test_lambda_shares_free_variables_only(logic, goal, values):
+    solutions = answers(logic, goal)
+    assert [solution["L"] if isinstance(solution, dict) else solution for solution in solutions] == values
 
 
 @pytest.mark.parametrize(
     "goal", ["dif(X, a)", "freeze(X, true)", "when(ground(f(X)), true)", "dif(f(X), f(Y))"]
 )
-def test_a_goal_that_would_wait_says_what_can(goal):
+def test_error_of_blocking_goal_names_alternative(goal):
     logic = prolog()
-    with pytest.raises(PrologError) as caught:
+    with pytest.raises(PrologError) as error:
         logic.once(read_term(goal, logic.operators).term)
     name = goal[: goal.index("(")]
-    assert f"(in {name}/2): goals cannot wait for a variable" in caught.value.message
-    assert "use_swi" in caught.value.message
+    assert f"(in {name}/2): goals cannot wait for a variable" in error.value.message
+    assert "use_swi" in error.value.message
 
 
 @pytest.mark.parametrize(
-    ("goal", "there"),
+    ("goal", "is_current"),
     [("succ/2", True), ("(=)/2", True), ("no_such/2", False), ("p/1", True), ("p/2", False)],
 )
-def test_a_predicate_of_the_system_is_one_where_it_is_named(goal, there):
+def test_current_predicate_includes_builtins_by_flag(goal, is_current):
     logic = prolog("p(1). :- dynamic(p/2).")
-    assert logic.once(read_term(f"current_predicate({goal})", logic.operators).term) == there
+    assert logic.once(read_term(f"current_predicate({goal})", logic.operators).term) == is_current
     assert logic.once(read_term("current_predicate(succ/N)", logic.operators).term) is False
     assert logic.once(read_term("set_prolog_flag(iso, true)", logic.operators).term)
     assert logic.once(read_term(f"current_predicate({goal})", logic.operators).term) == (goal == "p/1")

@@ -37,7 +37,7 @@ from retalis import Engine, Settings
         ("is_absolute_file_name('/a'), \\+ is_absolute_file_name(a), X = yes", "yes"),
     ],
 )
-def test_parts(goal, expected):
+def test_file_name_has_parts(goal, expected):
     assert first(prolog(), goal) == expected
 
 
@@ -51,7 +51,7 @@ def test_parts(goal, expected):
         ("exists_directory(a)", "permission_error(access,source_sink,'.')"),
     ],
 )
-def test_errors(goal, error):
+def test_invalid_file_name_is_an_error(goal, error):
     assert answers(prolog(), goal) == [error]
 
 
@@ -76,12 +76,12 @@ def logic(tmp_path):
         ("absolute_file_name('.', X, [relative_to('/other')])", "other"),
     ],
 )
-def test_whole_paths(logic, tmp_path, goal, expected):
-    wanted = f"{tmp_path}{expected}" if expected.startswith("/") else f"/{expected}"
-    assert first(logic, goal) == f"'{wanted}'"
+def test_file_name_is_resolved_in_program_folder(logic, tmp_path, goal, expected):
+    path = f"{tmp_path}{expected}" if expected.startswith("/") else f"/{expected}"
+    assert first(logic, goal) == f"'{path}'"
 
 
-def test_what_is_there(logic, tmp_path):
+def test_missing_file_is_reported(logic, tmp_path):
     assert answers(logic, "exists_directory(maps)") == [{}]
     assert answers(logic, "exists_directory('kb.pl')") == []
     assert answers(logic, "absolute_file_name(none, _, [access(read)])") == [

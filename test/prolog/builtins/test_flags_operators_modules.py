@@ -25,19 +25,19 @@ from retalis import Engine
         'number_codes(X, "0\'%"), X =:= 37',
     ],
 )
-def test_answers(goal):
+def test_directive_or_expansion_succeeds(goal):
     assert Engine().call(goal)
 
 
-def test_flag_unknown():
+def test_unknown_flag_decides_undefined_calls():
     engine = Engine()
-    told = []
-    engine.logic.message = lambda kind, text: told.append((kind, text))
+    messages = []
+    engine.logic.message = lambda kind, text: messages.append((kind, text))
     engine.load(rules="p :- nope(1). q(L) :- findall(X, nope(X), L).")
     assert engine.call("unknown(error, warning), \\+ p, \\+ p, q([])")
-    assert told == [("warning", "Unknown procedure: nope/1")]
+    assert messages == [("warning", "Unknown procedure: nope/1")]
     assert engine.call("set_prolog_flag(unknown, fail), \\+ p, \\+ other(1)")
-    assert len(told) == 1
+    assert len(messages) == 1
     assert engine.call(
         "unknown(X, error), X == fail, catch(p, error(existence_error(procedure, nope/1), _), true)"
     )

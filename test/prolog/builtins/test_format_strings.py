@@ -16,11 +16,11 @@ portray(wrong) :- throw(oops).
 
 def written(goal, program=PROGRAM):
     logic = prolog(program)
-    out = []
-    logic.output = out.append
-    found = answers(logic, goal)
-    assert found
-    return "".join(out), found
+    texts = []
+    logic.output = texts.append
+    solutions = answers(logic, goal)
+    assert solutions
+    return "".join(texts), solutions
 
 
 @pytest.mark.parametrize(
@@ -37,16 +37,16 @@ def written(goal, program=PROGRAM):
         ("print(r(X)), var(X)", "one"),
     ],
 )
-def test_what_the_program_portrays(goal, text):
+def test_portray_hook_prints_terms(goal, text):
     assert written(goal)[0] == text
 
 
-def test_without_portray_print_is_writeq():
+def test_print_without_portray_writes_quoted():
     assert written("print('A b')", "")[0] == "'A b'"
     assert written("print(a)", ":- dynamic(portray/1).")[0] == "a"
 
 
-def test_an_error_and_a_portray_without_end_are_errors_of_print():
+def test_error_of_portray_is_error_of_print():
     assert written("catch(print(f(wrong)), E, true)")[1] == [{"E": "oops"}]
-    (found,) = written("catch(print(f(1)), error(E, _), true)", "portray(X) :- print(X).")[1]
-    assert found["E"].startswith("resource_error(")
+    (answer,) = written("catch(print(f(1)), error(E, _), true)", "portray(X) :- print(X).")[1]
+    assert answer["E"].startswith("resource_error(")

@@ -18,9 +18,9 @@ none => fail.
 
 @pytest.fixture(scope="module")
 def engine():
-    made = Engine()
-    made.load(rules=RULES)
-    return made
+    rule_engine = Engine()
+    rule_engine.load(rules=RULES)
+    return rule_engine
 
 
 @pytest.mark.parametrize(
@@ -38,18 +38,18 @@ def engine():
         "clause(none, _)",
     ],
 )
-def test_the_first_rule_that_matches_is_the_only_one(engine, goal):
+def test_first_matching_rule_is_committed(engine, goal):
     assert engine.call(goal)
 
 
 @pytest.mark.parametrize("goal", ["p(_, _)", "p(f(1,_), _)", "p(b, _)", "q(_, _)", "q(A, f(_))", "len(_, _)"])
-def test_a_call_that_no_rule_takes_is_an_error_and_binds_nothing(engine, goal):
-    with pytest.raises(PrologError) as caught:
+def test_call_without_matching_rule_is_an_error(engine, goal):
+    with pytest.raises(PrologError) as error:
         engine.call(goal)
-    assert "matching_rule" in engine.show(caught.value.term)
+    assert "matching_rule" in engine.show(error.value.term)
 
 
-def test_rules_that_are_added_come_before_the_error():
+def test_added_rules_precede_error_of_no_match():
     engine = Engine()
     assert engine.call(
         "assertz((p(1, X) => X = a)), assertz((p(2, X) => X = b)), asserta((p(0, X) => X = z))"

@@ -47,17 +47,17 @@ other(1).
 
 @pytest.fixture(params=[0, NEVER])
 def logic(request):
-    made = prolog(PROGRAM, request.param)
-    made.limits = Limits(inferences=5_000_000)
-    return made
+    system = prolog(PROGRAM, request.param)
+    system.limits = Limits(inferences=5_000_000)
+    return system
 
 
 def values(logic, goal):
-    """Return the values of X for which a goal is true, in order."""
-    return sorted(one["X"] for one in answers(logic, goal, 100))
+    """Return the sorted values of X in the solutions of a goal."""
+    return sorted(answer["X"] for answer in answers(logic, goal, 100))
 
 
-def test_a_change_reaches_the_tables_that_have_read_it(logic):
+def test_change_reaches_tables_that_read_it(logic):
     assert values(logic, "path(a, X)") == ["b", "c"]
     assert first(logic, "count(N)") == "3"
     assert answers(logic, "assertz(edge(c, d))") == [{}]
@@ -75,7 +75,7 @@ def test_a_change_reaches_the_tables_that_have_read_it(logic):
     assert logic.machine.choices == [] == logic.machine.trail
 
 
-def test_tables_are_evaluated_anew_only_when_something_has_changed_that_they_read():
+def test_only_changes_of_read_facts_reevaluate():
     logic = prolog(PROGRAM.replace("[node/1, runs/1]", "[node/1]").replace("other/1.", "other/1, runs/1."))
     for _ in range(3):
         assert first(logic, "count(N)") == "3"
@@ -87,7 +87,7 @@ def test_tables_are_evaluated_anew_only_when_something_has_changed_that_they_rea
     assert first(logic, "aggregate_all(count, runs(_), N)") == "2"
 
 
-def test_what_a_table_negates_or_collects_is_read_too(logic):
+def test_negated_and_collected_facts_are_read(logic):
     assert values(logic, "alone(X)") == []
     assert values(logic, "unreached(X)") == ["a"]
     assert answers(logic, "assertz(node(d))") == [{}]
@@ -98,14 +98,14 @@ def test_what_a_table_negates_or_collects_is_read_too(logic):
     assert values(logic, "unreached(X)") == ["a"]
 
 
-def test_tables_with_modes_change_both_ways(logic):
+def test_moded_table_follows_changes_both_ways(logic):
     assert first(logic, "cost(a, c, X)") == "2"
     assert first(logic, "assertz(edge(a, c)), cost(a, c, X)") == "1"
     assert first(logic, "retract(edge(a, c)), cost(a, c, X)") == "2"
     assert first(logic, "retract(edge(b, c)), (cost(a, c, X) -> true ; X = none)") == "none"
 
 
-def test_tables_that_depend_on_each_other_are_out_of_date_together(logic):
+def test_mutually_recursive_tables_follow_changes(logic):
     assert values(logic, "even(X)") == ["a", "c"]
     assert values(logic, "odd(X)") == ["b"]
     assert answers(logic, "assertz(edge(c, a))") == [{}]
@@ -116,7 +116,7 @@ def test_tables_that_depend_on_each_other_are_out_of_date_together(logic):
     assert values(logic, "odd(X)") == []
 
 
-def test_what_is_not_incremental_is_opaque(logic):
+def test_tables_ignore_changes_of_opaque_facts(logic):
     assert values(logic, "plain(X)") == values(logic, "over(X)") == ["a", "b", "c"]
     assert values(logic, "stored(X)") == ["1"]
     assert answers(logic, "assertz(node(d)), assertz(other(2))") == [{}]
@@ -145,7 +145,7 @@ def test_what_is_not_incremental_is_opaque(logic):
     ],
 )
 @pytest.mark.parametrize("compile_after", [0, 2, NEVER])
-def test_each_way_to_read_a_predicate_counts(reads, compile_after):
+def test_any_read_of_facts_is_recorded(reads, compile_after):
     program = f"""
     :- dynamic fact/1 as incremental.
     known(X) :- fact(X).
@@ -159,7 +159,7 @@ def test_each_way_to_read_a_predicate_counts(reads, compile_after):
         assert first(logic, "retract(fact(1)), t(L)") == "[]"
 
 
-def test_a_table_depends_on_what_a_table_has_read_that_it_found_complete(logic):
+def test_table_depends_on_reads_of_complete_table(logic):
     clause = "size(_N) :- findall(_X-_Y, path(_X, _Y), _L), length(_L, _N)"
     assert answers(logic, f"table(size/1 as incremental), assertz(({clause}))") == [{}]
     assert answers(logic, "findall(_X, path(_X, _), _)") == [{}]
@@ -167,7 +167,7 @@ def test_a_table_depends_on_what_a_table_has_read_that_it_found_complete(logic):
     assert first(logic, "assertz(edge(c, d)), size(N)") == "6"
 
 
-def test_a_source_that_has_changed_during_an_evaluation_and_is_what_it_was_leaves_a_table_out_of_date():
+def test_change_during_evaluation_outdates_table():
     class Switch:
         def version(self, part):
             return "off"
@@ -179,7 +179,7 @@ def test_a_source_that_has_changed_during_an_evaluation_and_is_what_it_was_leave
     assert table.is_outdated
 
 
-def test_facts_that_were_looked_up_in_compiled_goals_before_they_were_declared_incremental():
+def test_later_declaration_reaches_compiled_code():
     logic = prolog(
         ":- dynamic fact/1.\nfact(1). known(X) :- fact(X).\n:- table t/1 as incremental.\nt(X) :- known(X)."
     )
@@ -191,17 +191,17 @@ def test_facts_that_were_looked_up_in_compiled_goals_before_they_were_declared_i
     assert values(logic, "assertz(fact(3)), t(X)") == ["1", "2", "3"]
 
 
-def test_many_facts_with_an_index():
+def test_indexed_facts_outdate_tables():
     logic = prolog(":- dynamic f/2 as incremental.\n:- table t/2 as incremental.\nt(X, Y) :- f(X, Y).")
     assert answers(logic, "forall(between(1, 200, _I), assertz(f(_I, _I)))") == [{}]
-    for at in range(1, 60):
-        assert values(logic, f"t({at}, X)") == [str(at)]
+    for number in range(1, 60):
+        assert values(logic, f"t({number}, X)") == [str(number)]
     assert answers(logic, "retract(f(7, _)), assertz(f(8, new))") == [{}]
     assert values(logic, "t(7, X)") == []
     assert values(logic, "t(8, X)") == ["8", "new"]
 
 
-def test_a_table_whose_evaluation_changes_what_it_has_read_is_out_of_date():
+def test_evaluation_that_changes_its_facts_is_repeated():
     program = """
     :- dynamic q/1 as incremental.
     :- table a/1 as incremental.
@@ -214,13 +214,13 @@ def test_a_table_whose_evaluation_changes_what_it_has_read_is_out_of_date():
     assert values(logic, "a(X)") == ["9"]
 
 
-def test_a_change_while_answers_are_given_leaves_those_that_are_left(logic):
+def test_change_between_answers_keeps_remaining_ones(logic):
     goal = "findall(X, (path(a, X), retractall(edge(_, _))), X)"
     assert first(logic, goal) in ("[b,c]", "[c,b]")
     assert values(logic, "path(a, X)") == []
 
 
-def test_an_evaluation_that_ends_with_an_error_leaves_nothing():
+def test_failed_evaluation_leaves_no_answers():
     program = """
     :- dynamic q/1 as incremental.
     :- table (a/1, b/1) as incremental.
@@ -250,17 +250,17 @@ rounds(0).
 """
 
 
-@pytest.mark.parametrize(("ends", "found"), [("true", "[{}]"), ("assertz(ends)", "['ended']")])
-def test_rounds_of_an_evaluation_leave_no_answers_of_what_has_changed_since(ends, found):
+@pytest.mark.parametrize(("ends", "expected"), [("true", "[{}]"), ("assertz(ends)", "['ended']")])
+def test_outdated_answers_of_rounds_are_dropped(ends, expected):
     logic = prolog(ROUNDS)
-    begin = f"{ends}, assertz(q(1)), assertz(way(on)), findall(_X, a(_X), _)"
-    assert str(answers(logic, begin)) == found
+    start = f"{ends}, assertz(q(1)), assertz(way(on)), findall(_X, a(_X), _)"
+    assert str(answers(logic, start)) == expected
     assert first(logic, "rounds(N), retractall(ends)") == "2"
     assert values(logic, "retract(q(1)), assertz(q(2)), c(X)") == ["12", "2", "99"]
     assert values(logic, "a(X)") == ["2", "99"]
 
 
-def test_abolishing_a_predicate_that_a_table_reads():
+def test_abolished_predicate_outdates_table():
     logic = prolog(":- dynamic q/1 as incremental.\n:- table t/1 as incremental.\nt(X) :- q(X).\nt(0).")
     assert values(logic, "assertz(q(1)), t(X)") == ["0", "1"]
     assert answers(logic, "abolish(q/1), t(_)") == ["existence_error(procedure,q/1)"]
@@ -268,7 +268,7 @@ def test_abolishing_a_predicate_that_a_table_reads():
     assert values(logic, "assertz(q(2)), t(X)") == ["0", "2"]
 
 
-def test_clauses_of_the_tabled_predicate_itself_change():
+def test_changed_clauses_of_table_outdate_it():
     logic = prolog(":- table t/1 as incremental.\n:- dynamic t/1.\nt(1).")
     assert values(logic, "t(X)") == ["1"]
     assert values(logic, "assertz(t(2)), t(X)") == ["1", "2"]
@@ -279,7 +279,7 @@ def test_clauses_of_the_tabled_predicate_itself_change():
     assert values(other, "retractall(t(_)), assertz(t(3)), t(X)") == ["3"]
 
 
-def test_a_later_declaration_adds_its_options():
+def test_later_declaration_changes_options():
     logic = prolog(":- dynamic q/1 as incremental.\n:- table t/1.\nt(X) :- q(X).")
     assert values(logic, "assertz(q(1)), t(X)") == ["1"]
     assert values(logic, "assertz(q(2)), t(X)") == ["1"]
@@ -289,10 +289,12 @@ def test_a_later_declaration_adds_its_options():
     assert values(logic, "assertz(q(4)), t(X)") == ["1", "2", "3"]
 
 
-def test_properties_and_listing(logic):
+def test_properties_and_listing_show_options(logic):
     def properties(goal):
         return [
-            one for one in values(logic, f"predicate_property({goal}, X)") if "tabled" in one or "incr" in one
+            name
+            for name in values(logic, f"predicate_property({goal}, X)")
+            if "tabled" in name or "incr" in name
         ]
 
     assert properties("path(_, _)") == ["incremental", "tabled", "tabled(incremental)", "tabled(variant)"]
@@ -328,33 +330,33 @@ def test_properties_and_listing(logic):
         ("dynamic([t], [])", "type_error(predicate_indicator,t)"),
     ],
 )
-def test_options_that_there_are_not(goal, error):
+def test_unknown_option_is_refused(goal, error):
     assert answers(prolog(), goal) == [error]
 
 
 @pytest.mark.parametrize(
     "option", ["subsumptive", "shared", "monotonic", "lazy", "max_answers(3)", "subgoal_abstract(2)"]
 )
-def test_an_option_without_an_effect_is_told_of(option):
-    logic, told = prolog(), []
-    logic.message = lambda kind, text: told.append((kind, text))
+def test_option_without_effect_gives_warning(option):
+    logic, messages = prolog(), []
+    logic.message = lambda kind, text: messages.append((kind, text))
     assert answers(logic, f"table(t/1 as (incremental, {option}))") == [{}]
-    assert [kind for kind, _ in told] == ["warning"]
-    assert f"table t/1 as {option}: the option has no effect" in told[0][1]
+    assert [kind for kind, _ in messages] == ["warning"]
+    assert f"table t/1 as {option}: the option has no effect" in messages[0][1]
     assert answers(logic, "predicate_property(t(_), incremental)") == [{}]
 
 
-def test_options_with_an_effect_or_that_say_what_is_so_are_not_told_of():
-    logic, told = prolog(), []
-    logic.message = lambda kind, text: told.append(text)
+def test_effective_and_default_options_give_no_warning():
+    logic, messages = prolog(), []
+    logic.message = lambda kind, text: messages.append(text)
     table = "table(t/1 as (variant, incremental, dynamic)), table(u/1 as opaque)"
     goal = f"{table}, dynamic(v/1 as (opaque, abstract(0))), assertz(t(1)), t(X)"
     assert answers(logic, goal) == [{"X": "1"}]
-    assert told == []
+    assert messages == []
 
 
 @pytest.mark.slow
-def test_tables_that_are_out_of_date_and_not_called_again_are_dropped():
+def test_outdated_tables_are_dropped():
     logic = prolog(":- dynamic q/1 as incremental.\n:- table t/2 as incremental.\nt(N, X) :- q(X), X < N.")
     assert answers(
         logic, "forall(between(1, 4000, _N), (retractall(q(_)), assertz(q(_N)), t(_N, _) ; true))"
@@ -380,14 +382,14 @@ _GOALS = (
     "clause(f({0}, {1}), true)",
 )
 _MONOTONE = (0, 2, 3, 4, 10)
-"""Goals that may call a table that depends on the caller: more answers never make others wrong."""
+"""Monotone goals, which may call a table that depends on the caller: more answers never refute others."""
 
 
 def random_rules(rng, names):
-    """Return rules for predicates of these names: two call each other, and in all ways those before them."""
+    """Return rules for pairs of predicates, which call each other, and those of earlier pairs in any way."""
     rules = []
-    for at, name in enumerate(names):
-        below, peers = names[: at // 2 * 2], names[at // 2 * 2 :][:2]
+    for index, name in enumerate(names):
+        below, peers = names[: index // 2 * 2], names[index // 2 * 2 :][:2]
         rules.append(f"{name}(X0, X1) :- {rng.choice(('f(X0, X1)', 'f(X1, X0)', 'g(X0), X1 = X0'))}.")
         for _ in range(rng.randrange(1, 4)):
             size = rng.randrange(1, 4)
@@ -398,7 +400,7 @@ def random_rules(rng, names):
                 else:
                     kind, other = rng.choice(_MONOTONE), rng.choice(peers)
                 goals.append(_GOALS[kind].format(f"X{step}", f"X{step + 1}", other))
-            # values that are known make negation and arithmetic safe
+            # bound values make negation and arithmetic safe
             known = "".join(f"g(X{step}), " for step in range(size + 1))
             rules.append(f"{name}(X0, X{size}) :- {known}{', '.join(goals)}.")
     return rules
@@ -433,23 +435,24 @@ _FACTS = [
 _NAMES = ("p", "q", "r", "s")
 
 
-def sorted_answers(name, at=""):
+def sorted_answers(name, suffix=""):
     """Return a goal that binds S to the sorted answers of a predicate."""
-    return f"aggregate_all(set(X-Y), {name}(X, Y), S{at})"
+    return f"aggregate_all(set(X-Y), {name}(X, Y), S{suffix})"
 
 
 def solutions(logic, goal):
     """Return the values of S for each solution of a goal, or an error."""
-    return [one.get("S") if isinstance(one, dict) else one for one in answers(logic, goal)]
+    return [answer.get("S") if isinstance(answer, dict) else answer for answer in answers(logic, goal)]
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_random_programs_give_what_fresh_tables_give(seed):
+def test_incremental_tables_equal_fresh_ones(seed):
     rng = random.Random(seed)
     rules = random_rules(rng, _NAMES)
     tables = ", ".join(f"{name}/2" for name in _NAMES)
     head = f":- discontiguous {tables}."
     compile_after = rng.choice((0, 12, NEVER))
+    compared = 0
     incremental = prolog(
         "\n".join([*_FACTS, f":- table ({tables}) as incremental.", head, *rules]), compile_after
     )
@@ -463,16 +466,19 @@ def test_random_programs_give_what_fresh_tables_give(seed):
             name = rng.choice(_NAMES)
             goal = rng.choice((sorted_answers(name), f"aggregate_all(set(Y), {name}(1, Y), S)"))
             assert answers(fresh, "abolish_all_tables") == [{}]
-        assert solutions(incremental, goal) == solutions(fresh, goal), (goal, rules)
+        expected = solutions(fresh, goal)
+        assert solutions(incremental, goal) == expected, (goal, rules)
+        compared += expected not in ([], [None], ["[]"])
+    assert compared > 0
     assert incremental.machine.choices == [] == incremental.machine.trail
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_random_programs_without_recursion_give_what_no_tables_give(seed):
+def test_incremental_tables_equal_untabled_predicates(seed):
     rng = random.Random(seed)
     rules = []
-    for at, name in enumerate(_NAMES):  # names of their own, so that each calls only those before it
-        rules += random_rules(rng, (*_NAMES[:at], name))[-3:] if at else ["p(X, Y) :- f(X, Y)."]
+    for index, name in enumerate(_NAMES):  # each predicate calls only earlier ones
+        rules += random_rules(rng, (*_NAMES[:index], name))[-3:] if index else ["p(X, Y) :- f(X, Y)."]
         rules = [rule for rule in rules if not rule.startswith(name) or f" {name}(" not in rule]
     rules = [rule for rule in rules if not _calls_itself_or_later(rule)]
     rules += [f"{name}(X, Y) :- f(Y, X)." for name in _NAMES]
@@ -482,11 +488,11 @@ def test_random_programs_without_recursion_give_what_no_tables_give(seed):
     plain = prolog("\n".join([*_FACTS, head, *rules]))
     for _ in range(25):
         goal = random_changes(rng) if rng.random() < 0.6 else sorted_answers(rng.choice(_NAMES))
-        found, wanted = (
-            [{key: one[key] for key in one if key == "S"} for one in answers(logic, goal)]
+        tabled_answers, plain_answers = (
+            [{key: answer[key] for key in answer if key == "S"} for answer in answers(logic, goal)]
             for logic in (tabled, plain)
         )
-        assert found == wanted, (goal, rules)
+        assert tabled_answers == plain_answers, (goal, rules)
 
 
 def _calls_itself_or_later(rule):
@@ -495,8 +501,8 @@ def _calls_itself_or_later(rule):
     return any(f"{name}(X" in body or f"{name}(_" in body or f"({name}," in body for name in later)
 
 
-def beside(name):
-    """Return a module of the folder above, which is no package."""
+def load_neighbor(name):
+    """Return a module of the folder above, which is not a package."""
     spec = importlib.util.spec_from_file_location(name, str(Path(__file__).parents[1] / f"{name}.py"))
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -506,10 +512,10 @@ def beside(name):
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("swipl") is None, reason="SWI-Prolog is not installed")
 @pytest.mark.parametrize("seed", range(4))
-def test_random_scripts_give_what_swi_prolog_gives(seed, monkeypatch):
+def test_incremental_tables_equal_those_of_swi_prolog(seed, monkeypatch):
     # Restores the search path, to which the modules add their folder.
     monkeypatch.syspath_prepend(Path(__file__).parents[1])
-    differential, swipl = beside("differential"), beside("swipl")
+    differential, swipl = load_neighbor("differential"), load_neighbor("swipl")
     rng = random.Random(seed)
     tables = ", ".join(f"{name}/2" for name in _NAMES)
     head = [f":- discontiguous {tables}.", f":- table ({tables}) as incremental."]
@@ -517,17 +523,17 @@ def test_random_scripts_give_what_swi_prolog_gives(seed, monkeypatch):
     scripts = []
     for _ in range(40):
         steps = [
-            random_changes(rng) if rng.random() < 0.5 else sorted_answers(rng.choice(_NAMES), at)
-            for at in range(12)
+            random_changes(rng) if rng.random() < 0.5 else sorted_answers(rng.choice(_NAMES), step)
+            for step in range(12)
         ]
         scripts.append(", ".join([*steps, sorted_answers("s", "last")]))
-    asked = differential.ask(scripts, f"{swipl.PROGRAM}\n{program}\n")
+    swi_answers = differential.ask(scripts, f"{swipl.PROGRAM}\n{program}\n")
     compared = 0
-    for script, theirs in zip(scripts, asked):
-        if theirs in ("limit", "lost"):
+    for script, expected in zip(scripts, swi_answers):
+        if expected in ("limit", "lost"):
             continue
         logic = prolog(program)
-        ours = differential.solutions(logic, read_term(script, logic.operators).term)
-        assert differential.plain(ours) == differential.plain(theirs), (script, program)
+        answer = differential.solutions(logic, read_term(script, logic.operators).term)
+        assert differential.plain(answer) == differential.plain(expected), (script, program)
         compared += 1
     assert compared > len(scripts) // 2

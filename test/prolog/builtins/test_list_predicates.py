@@ -33,31 +33,31 @@ def random_term(choose, depth, variables):
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_keys_give_the_standard_order(seed):
+def test_sorting_follows_standard_order(seed):
     choose = random.Random(seed)
     names = [Var() for _ in range(4)]
     terms = [random_term(choose, 3, names) for _ in range(choose.randint(0, 60))]
     if seed % 4 == 0:
         terms.append(float("nan"))  # has no key
     if seed % 4 == 1:
-        terms.append(make_list(range(200)))  # neither have long terms
-    found = sort_terms(terms)
+        terms.append(make_list(range(200)))  # long terms have no key either
+    ordered = sort_terms(terms)
     expected = sorted(terms, key=cmp_to_key(compare))
-    assert len(found) == len(terms)
-    assert all(compare(one, two) == 0 for one, two in zip(found, expected))
-    single = sort_unique(terms)
-    assert all(compare(one, two) < 0 for one, two in zip(single, single[1:]))
-    assert all(any(compare(one, two) == 0 for two in single) for one in terms)
+    assert len(ordered) == len(terms)
+    assert all(compare(left, right) == 0 for left, right in zip(ordered, expected))
+    unique = sort_unique(terms)
+    assert all(compare(left, right) < 0 for left, right in zip(unique, unique[1:]))
+    assert all(any(compare(left, right) == 0 for right in unique) for left in terms)
     for reverse in (False, True):
-        places = [at for _, at in sort_by(range(len(terms)), terms, reverse)]
-        assert places == sorted(
-            range(len(terms)), key=lambda at: cmp_to_key(compare)(terms[at]), reverse=reverse
+        positions = [index for _, index in sort_by(range(len(terms)), terms, reverse)]
+        assert positions == sorted(
+            range(len(terms)), key=lambda index: cmp_to_key(compare)(terms[index]), reverse=reverse
         )
 
 
 @pytest.mark.parametrize("seed", range(40))
 def test_copies_are_variants(seed):
-    """Of small ground terms, which are shared where they have no bound variable, and of all others."""
+    """Small ground terms without bound variables are shared; all others are copied."""
     choose = random.Random(seed)
     for _ in range(50):
         term = random_term(choose, choose.randint(0, 5), [Var() for _ in range(2)] if seed % 2 else [1, NIL])
@@ -67,11 +67,11 @@ def test_copies_are_variants(seed):
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_association_lists_stay_balanced(seed):
+def test_insertion_keeps_association_list_balanced(seed):
     choose = random.Random(seed)
     logic = prolog("put([], A, A). put([K-V|T], A0, A) :- put_assoc(K, A0, V, A1), put(T, A1, A).")
     keys = ["1", "1.0", "a", '"a"', "f(1)", "f(a)", "-3", "b", "[]", "g(X)", *map(str, range(20, 60))]
-    pairs = [f"{choose.choice(keys)}-{at}" for at in range(choose.randint(0, 80))]
+    pairs = [f"{choose.choice(keys)}-{index}" for index in range(choose.randint(0, 80))]
     expected = {}
     for key, value in (pair.rsplit("-", 1) for pair in pairs):
         expected[key] = value
@@ -95,7 +95,7 @@ def test_association_lists_stay_balanced(seed):
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_association_lists_stay_balanced_as_keys_are_deleted(seed):
+def test_deletion_keeps_association_list_balanced(seed):
     choose = random.Random(seed)
     rules = """
     del([], A, A).
@@ -105,15 +105,15 @@ def test_association_lists_stay_balanced_as_keys_are_deleted(seed):
     logic = prolog(rules)
     keys = choose.sample(range(60), choose.randint(1, 50))
     removed = [choose.randrange(60) for _ in range(40)]
-    left = sorted(set(keys) - set(removed))
-    (found,) = answers(
+    remaining = sorted(set(keys) - set(removed))
+    (answer,) = answers(
         logic,
         f"findall(K-x(K), member(K, {keys}), Ps), list_to_assoc(Ps, A0), del({removed}, A0, A),"
         "assoc_to_keys(A, Keys), assoc_to_values(A, Values), assoc_to_list(A, Pairs)",
     )
-    assert found["Keys"] == "[" + ",".join(map(str, left)) + "]"
-    assert found["Values"] == "[" + ",".join(f"x({key})" for key in left) + "]"
-    assert found["Pairs"] == "[" + ",".join(f"{key}-x({key})" for key in left) + "]"
+    assert answer["Keys"] == "[" + ",".join(map(str, remaining)) + "]"
+    assert answer["Values"] == "[" + ",".join(f"x({key})" for key in remaining) + "]"
+    assert answer["Pairs"] == "[" + ",".join(f"{key}-x({key})" for key in remaining) + "]"
 
 
 @pytest.mark.parametrize(
@@ -138,28 +138,29 @@ def test_association_lists_stay_balanced_as_keys_are_deleted(seed):
         ("t(a,1,>,t,t(b,2,-,t,t))", "a", "t(b,2,-,t,t)"),
     ],
 )
-def test_deletion_makes_the_tree_of_swi_prolog(before, key, after):
+def test_deletion_builds_tree_of_swi_prolog(before, key, after):
     assert answers(prolog(), f"del_assoc({key}, {before}, _, A)") == [{"A": after}]
 
 
-def test_deletions_from_a_large_tree_take_few_inferences():
-    """A deletion visits the nodes of one path, not all of them."""
-    make = "findall(K-x, between(1, 10000, K), _Pairs), list_to_assoc(_Pairs, _A)"
-    delete = "call_with_inference_limit(forall(between(1, 100, K), del_assoc(K, _A, x, _)), 50000, Left)"
-    (found,) = answers(prolog(), f"{make}, {delete}")
-    assert found["Left"] == "!"
+def test_deletion_visits_one_path_of_large_tree():
+    creation = "findall(K-x, between(1, 10000, K), _Pairs), list_to_assoc(_Pairs, _A)"
+    deletions = "call_with_inference_limit(forall(between(1, 100, K), del_assoc(K, _A, x, _)), 50000, Left)"
+    (answer,) = answers(prolog(), f"{creation}, {deletions}")
+    assert answer["Left"] == "!"
 
 
-def test_balances_may_be_bound_variables():
+def test_balance_may_be_bound_variable():
     tree = "t(d,1,<,t(b,2,X,t,t(c,3,Y,t,t)),t(e,4,-,t,t))"
-    (found,) = answers(prolog(), f"X = (>), Y = (-), del_assoc(e, {tree}, _, A)")
-    assert found["A"] == "t(c,3,-,t(b,2,-,t,t),t(d,1,-,t,t))"
-    (found,) = answers(prolog(), "X = (<), del_assoc(c, t(b,1,<,t(a,1,X,t(0,1,-,t,t),t),t(c,1,-,t,t)), _, A)")
-    assert found["A"] == "t(a,1,-,t(0,1,-,t,t),t(b,1,-,t,t))"
+    (answer,) = answers(prolog(), f"X = (>), Y = (-), del_assoc(e, {tree}, _, A)")
+    assert answer["A"] == "t(c,3,-,t(b,2,-,t,t),t(d,1,-,t,t))"
+    (answer,) = answers(
+        prolog(), "X = (<), del_assoc(c, t(b,1,<,t(a,1,X,t(0,1,-,t,t),t),t(c,1,-,t,t)), _, A)"
+    )
+    assert answer["A"] == "t(a,1,-,t(0,1,-,t,t),t(b,1,-,t,t))"
 
 
-def test_a_deep_term_in_place_of_a_balance_is_not_hashed():
-    """Python hashes tuples by recursion in C: a tuple that is deep enough ends the process."""
+def test_deep_term_as_balance_does_not_crash():
+    """Python hashes tuples by recursion in C: hashing a tuple that is deep enough crashes the process."""
     deep = NIL
     for _ in range(300_000):
         deep = (functor("f", 1), deep)
@@ -170,7 +171,7 @@ def test_a_deep_term_in_place_of_a_balance_is_not_hashed():
 
 
 @pytest.mark.slow
-def test_trees_that_are_none():
+def test_malformed_tree_fails_or_is_an_error():
     logic = prolog()
     assert answers(logic, "put_assoc(a, t(b,1,x,t,t), 2, A)") == []
     assert answers(logic, "put_assoc(a, t(b,1,>,t,t(c,1,<,t,t)), 2, A)") == [
@@ -192,7 +193,7 @@ def test_trees_that_are_none():
 
 
 @pytest.mark.parametrize("name", ["assoc_to_list", "assoc_to_keys", "assoc_to_values"])
-def test_the_first_wrong_part_of_a_tree_decides_how_listing_it_ends(name):
+def test_first_malformed_node_decides_result(name):
     logic = prolog("")
     assert first(logic, f"Side = t, {name}(t(k,v,<,t,Side), L), length(L, 1)") is not None
     assert answers(logic, f"{name}(t(k,v,<,foo,_), L)") == []
@@ -223,17 +224,17 @@ downwards(O, A, B) :- compare(O, B, A).
         ("predsort(user:by_key, [2-a,1-b,0-c], L)", ["[0-c,1-b,2-a]"]),
     ],
 )
-def test_predsort(goal, lists):
-    assert [found["L"] for found in answers(prolog(PREDSORT), goal)] == lists
+def test_predsort_follows_order_of_goal(goal, lists):
+    assert [answer["L"] for answer in answers(prolog(PREDSORT), goal)] == lists
 
 
-def test_predsort_tries_each_order_that_is_not_told():
-    found = [each["L"] for each in answers(prolog(PREDSORT), "predsort(any_order, [a,b,c], L)")]
+def test_predsort_backtracks_over_unspecified_order():
+    lists = [answer["L"] for answer in answers(prolog(PREDSORT), "predsort(any_order, [a,b,c], L)")]
     expected = "[a,b,c] [a,c] [b,a,c] [b,a] [b,c,a] [a,b] [a] [b,a] [a,c,b] [a,b] [c,a,b] [c,a] [c,b,a]"
-    assert found == expected.split()
+    assert lists == expected.split()
 
 
-def test_predsort_sorts_as_the_order_says():
+def test_predsort_sorts_downwards():
     choose = random.Random(7)
     numbers = [choose.randrange(50) for _ in range(100)]
     goal = f"predsort(downwards, {numbers}, L)"

@@ -25,7 +25,7 @@ from prolog.support import answers, prolog
         ("f(x)", 1, "f(...)"),
     ],
 )
-def test_what_is_deep_is_left_out(term, depth, text):
+def test_parts_beyond_depth_limit_are_elided(term, depth, text):
     logic = prolog()
     written = []
     logic.output = written.append
@@ -33,7 +33,7 @@ def test_what_is_deep_is_left_out(term, depth, text):
     assert "".join(written) == text
 
 
-def test_a_term_that_contains_itself_is_cut_off_too():
+def test_cyclic_term_is_elided():
     logic = prolog()
     written = []
     logic.output = written.append
@@ -42,7 +42,7 @@ def test_a_term_that_contains_itself_is_cut_off_too():
 
 
 @pytest.mark.slow
-def test_a_deep_term_is_written_whole_where_much_is_allowed():
+def test_deep_term_below_limit_is_written_completely():
     logic = prolog("deep(0, a) :- !. deep(N, f(T)) :- M is N - 1, deep(M, T).")
     written = []
     logic.output = written.append

@@ -1,4 +1,4 @@
-"""Clouds, images and maps: answers against numpy used in another way, and errors of malformed messages."""
+"""Clouds, images and maps: answers compared with numpy, and errors of malformed messages."""
 
 import math
 import struct
@@ -23,7 +23,7 @@ HEADER = functor("std_msgs__0__Header", 3)(0, make_list([0, 0]), atom('"sensor"'
 FIELD = functor("sensor_msgs__0__PointField", 4)
 CLOUD = functor("sensor_msgs__0__PointCloud2", 9)
 IMAGE = functor("sensor_msgs__0__Image", 7)
-TRUTH = {True: atom("true"), False: atom("false")}
+BOOLEANS = {True: atom("true"), False: atom("false")}
 
 
 def text(name):
@@ -31,7 +31,7 @@ def text(name):
 
 
 def base64_atom(data):
-    """Return bytes as somebody writes them by hand: base64 in lines."""
+    """Return bytes as an atom in base64 with lines of 76 characters."""
     encoded = b64encode(data).decode()
     return text("FFFFFFFFFF" + "".join(encoded[i : i + 76] + "////" for i in range(0, len(encoded), 76)))
 
@@ -45,27 +45,28 @@ def call(name, *inputs):
     return list_items(value) if value.__class__ is tuple or value is atom("[]") else value
 
 
-def fault(name, *inputs):
+def error_of(name, *inputs):
     """Return the formal term and the reason of a predicate's error."""
-    with pytest.raises(PrologError) as caught:
+    with pytest.raises(PrologError) as error:
         call(name, *inputs)
-    formal, context = caught.value.term[1:]
+    formal, context = error.value.term[1:]
     context = deref(context)
     reason = deref(context[2]) if context.__class__ is tuple and len(context) == 3 else None
     return show(formal), getattr(reason, "name", None)
 
 
 def decoded(term):
-    """Return a message as it comes from a topic."""
+    """Return a message as it is received from a topic: decoded lazily."""
     definition = DEFINITIONS.find(term[0].name.replace("__0__", "/"))
     return DEFINITIONS.decoder(definition).lazy(DEFINITIONS.encoder(definition).encode(term))
 
 
-def same(found, wanted):
-    """Return whether two lists of numbers are the same; nan is."""
-    return len(found) == len(wanted) and all(
-        type(one) is type(other) and (one == other or (one != one and other != other))
-        for one, other in zip(found, wanted)
+def equal_numbers(left, right):
+    """Return whether two lists contain the same numbers, where nan equals nan."""
+    return len(left) == len(right) and all(
+        type(left_number) is type(right_number)
+        and (left_number == right_number or (left_number != left_number and right_number != right_number))
+        for left_number, right_number in zip(left, right)
     )
 
 
@@ -102,17 +103,17 @@ class Cloud:
             "height": self.height,
             "width": self.width,
             "fields": make_list(self.fields),
-            "is_bigendian": TRUTH[self.big],
+            "is_bigendian": BOOLEANS[self.big],
             "point_step": self.point_step,
             "row_step": self.row_step,
             "data": base64_atom(self.data),
-            "is_dense": TRUTH[False],
+            "is_dense": BOOLEANS[False],
         }
         assert set(changes) <= set(slots)
         return CLOUD(*{**slots, **changes}.values())
 
     def values(self, name):
-        """Return the values of a field: row by row, each by the bytes of its points alone."""
+        """Return the values of a field, read row by row."""
         rows = [
             numpy.frombuffer(
                 self.data[row * self.row_step : row * self.row_step + self.width * self.point_step],
@@ -141,18 +142,18 @@ def clouds(draw):
 
 
 @given(clouds())
-def test_a_field_is_read_by_the_table_of_the_cloud(cloud):
+def test_cloud_field_has_values_of_layout(cloud):
     for message in (cloud.term(), decoded(cloud.term())):
         for field in cloud.fields:
             name = field[1].name.strip('"')
-            wanted = cloud.values(name).tolist()
-            assert same(call("cloud_field", message, atom(name)), wanted)
-            assert same(call("cloud_field", message, field[1]), wanted)
-            assert same(call("cloud_field", message, String(name)), wanted)
+            expected = cloud.values(name).tolist()
+            assert equal_numbers(call("cloud_field", message, atom(name)), expected)
+            assert equal_numbers(call("cloud_field", message, field[1]), expected)
+            assert equal_numbers(call("cloud_field", message, String(name)), expected)
 
 
 def xyz(points, kinds=("f4", "f4", "f4"), big=False, height=1, padding=0, extra=0):
-    """Return a cloud of points, in an array of shape (n, 3), and the numbers that its bytes hold."""
+    """Return a cloud of points and the stored coordinates as an array of shape (n, 3)."""
     order = ">" if big else "<"
     codes = {form: code for code, form in TYPES.items()}
     fields = [(name, codes[kind], 1) for name, kind in zip("xyz", kinds)]
@@ -187,7 +188,7 @@ COORDINATE = st.one_of(
     st.lists(st.floats(-4, 4), min_size=6, max_size=6),
     st.floats(0, 6),
 )
-def test_points_near_and_in_a_box_are_counted(points, height, padding, extra, big, kinds, box, radius):
+def test_points_in_box_and_sphere_are_counted(points, height, padding, extra, big, kinds, box, radius):
     points = points[: len(points) // height * height]
     cloud, stored = xyz(points, kinds, big, height, padding, extra)
     low, high = [min(a, b) for a, b in zip(box[:3], box[3:])], [max(a, b) for a, b in zip(box[:3], box[3:])]
@@ -205,27 +206,27 @@ def test_large_clouds_are_counted_in_blocks(block, height, padding, monkeypatch)
     monkeypatch.setattr(sensor_predicates, "_POINTS_PER_BLOCK", block)
     points = numpy.random.RandomState(1).uniform(-2, 2, (600, 3))
     cloud, stored = xyz(points, height=height, padding=padding)
-    wanted = int(((stored >= -1) & (stored <= 1)).all(axis=1).sum())
-    assert 0 < wanted < 600
-    assert call("cloud_box", cloud.term(), make_list([-1] * 3), make_list([1] * 3)) == wanted
+    inside = int(((stored >= -1) & (stored <= 1)).all(axis=1).sum())
+    assert 0 < inside < 600
+    assert call("cloud_box", cloud.term(), make_list([-1] * 3), make_list([1] * 3)) == inside
     near = int(((stored**2).sum(axis=1) <= 1).sum())
     assert call("cloud_near", cloud.term(), make_list([0] * 3), 1) == near
 
 
-def test_integers_are_coordinates_too():
+def test_integer_coordinates_are_counted():
     cloud, _ = xyz([(1, 2, 3), (-1, 0, 2)], ("i2", "i1", "u1"))
     assert call("cloud_box", cloud.term(), make_list([0, 0, 0]), make_list([3, 3, 3])) == 1
     assert call("cloud_near", cloud.term(), make_list([-1, 0, 0]), 2) == 1
 
 
-def test_a_limit_is_not_rounded_to_the_type_of_the_coordinates():
+def test_box_limit_is_not_rounded_to_float32():
     cloud, _ = xyz([(0.1, 0.0, 0.0)])  # as float32, 0.1 is a little more
     box = make_list([0, 0, 0])
     assert call("cloud_box", cloud.term(), box, make_list([0.1, 1, 1])) == 0
     assert call("cloud_box", cloud.term(), box, make_list([0.1000001, 1, 1])) == 1
 
 
-def test_another_name_of_the_event_is_accepted():
+def test_renamed_cloud_event_is_accepted():
     cloud, _ = xyz([(0, 0, 0)])
     own = functor("front_cloud", 9)(*cloud.term()[1:])
     assert call("cloud_near", own, make_list([0, 0, 0]), 1) == 1
@@ -245,7 +246,11 @@ GOOD, _ = xyz([(0, 0, 0), (1, 1, 1)])
             "domain_error(row_step,24)",
             "row_step: 24 bytes, expected width * point_step = 36 or more",
         ),
-        ({"width": 1 << 80}, None, None),
+        (
+            {"width": 1 << 80},
+            "domain_error(row_step,24)",
+            f"row_step: 24 bytes, expected width * point_step = {12 << 80} or more",
+        ),
         (
             {"point_step": 11, "row_step": 24},
             "domain_error(point_step,11)",
@@ -279,26 +284,25 @@ GOOD, _ = xyz([(0, 0, 0), (1, 1, 1)])
         ({"data": make_list([1.5])}, "type_error(bytes,[1.5])", "slot data"),
     ],
 )
-def test_a_malformed_cloud_is_an_error_that_names_the_slot(changes, formal, reason):
+def test_malformed_cloud_is_an_error_naming_slot(changes, formal, reason):
     for goal in (
         ("cloud_near", GOOD.term(**changes), make_list([0, 0, 0]), 1),
         ("cloud_box", GOOD.term(**changes), make_list([0, 0, 0]), make_list([1, 1, 1])),
     ):
-        found = fault(*goal)
-        if formal is not None:
-            assert found == (formal, reason)
+        assert error_of(*goal) == (formal, reason)
 
 
 @pytest.mark.parametrize(
     "slot", ["height", "width", "fields", "is_bigendian", "point_step", "row_step", "data"]
 )
-def test_an_unbound_slot_is_an_instantiation_error(slot):
+def test_unbound_slot_is_an_instantiation_error(slot):
     assert (
-        fault("cloud_near", GOOD.term(**{slot: Var()}), make_list([0, 0, 0]), 1)[0] == "instantiation_error"
+        error_of("cloud_near", GOOD.term(**{slot: Var()}), make_list([0, 0, 0]), 1)[0]
+        == "instantiation_error"
     )
 
 
-def test_slots_that_are_not_read_may_be_anything():
+def test_unread_slots_are_not_checked():
     message = GOOD.term(header=Var(), is_dense=atom("perhaps"))
     assert call("cloud_near", message, make_list([0, 0, 0]), 1) == 1
 
@@ -318,13 +322,16 @@ def test_other_terms_are_type_errors(goal, error):
     assert answers(prolog(), goal) == [error]
 
 
-def test_wrong_numbers_are_errors():
+def test_invalid_position_and_radius_are_errors():
     message = GOOD.term()
-    assert fault("cloud_near", message, make_list([0, 0]), 1)[0] == "type_error(position,[0,0])"
-    assert fault("cloud_near", message, make_list([0, 0, 0]), -1)[0] == "domain_error(not_less_than_zero,-1)"
-    assert fault("cloud_near", message, make_list([0, 0, 0]), atom("far"))[0] == "type_error(number,far)"
+    assert error_of("cloud_near", message, make_list([0, 0]), 1)[0] == "type_error(position,[0,0])"
     assert (
-        fault("cloud_near", message, make_list([0, 0, 0]), 10**400)[0] == "evaluation_error(float_overflow)"
+        error_of("cloud_near", message, make_list([0, 0, 0]), -1)[0] == "domain_error(not_less_than_zero,-1)"
+    )
+    assert error_of("cloud_near", message, make_list([0, 0, 0]), atom("far"))[0] == "type_error(number,far)"
+    assert (
+        error_of("cloud_near", message, make_list([0, 0, 0]), 10**400)[0]
+        == "evaluation_error(float_overflow)"
     )
     assert call("cloud_near", message, make_list([0, 0, 0]), math.inf) == 2
     assert call("cloud_near", message, make_list([math.nan, 0, 0]), 1) == 0
@@ -396,7 +403,7 @@ def as_list(value):
 
 
 @given(images(), st.integers(-2, 7), st.integers(-2, 7), st.integers(0, 8), st.integers(0, 8))
-def test_images_are_read_by_their_encoding(image, left, top, width, height):
+def test_image_values_follow_encoding(image, left, top, width, height):
     everything = [image.pixel(x, y) for y in range(image.height) for x in range(image.width)]
     region = [
         image.pixel(x, y)
@@ -408,13 +415,13 @@ def test_images_are_read_by_their_encoding(image, left, top, width, height):
         for channel in range(image.channels)
     ]
     for message in (image.term(), decoded(image.term())):
-        assert same(call("image_array", message), [value for pixel in everything for value in pixel])
-        found = call("image_pixel", message, left, top)
+        assert equal_numbers(call("image_array", message), [value for pixel in everything for value in pixel])
+        channel_values = call("image_pixel", message, left, top)
         if 0 <= left < image.width and 0 <= top < image.height:
-            assert same(as_list(found), image.pixel(left, top))
-            assert isinstance(found, list) == (image.channels > 1)
+            assert equal_numbers(as_list(channel_values), image.pixel(left, top))
+            assert isinstance(channel_values, list) == (image.channels > 1)
         else:
-            assert found is None
+            assert channel_values is None
         means = call("image_region_mean", message, left, top, width, height)
         if all(channels):
             for mean, values in zip(as_list(means), channels):
@@ -426,7 +433,7 @@ def test_images_are_read_by_their_encoding(image, left, top, width, height):
             assert means is None
 
 
-def test_a_mean_of_a_large_image_does_not_overflow():
+def test_mean_of_large_image_does_not_overflow():
     tall = IMAGE(HEADER, 70_000, 3, text("mono8"), 0, 3, base64_atom(b"\xff" * 210_000))
     assert call("image_region_mean", tall, 0, 0, 3, 70_000) == 255.0
     wide = IMAGE(HEADER, 1, 40_000, text("16UC1"), 0, 80_000, base64_atom(b"\xff" * 80_000))
@@ -463,20 +470,20 @@ IMAGE_2X2 = Image(2, 2, "rgb8", 0, False, 1)
         ({"height": Var()}, "instantiation_error", None),
     ],
 )
-def test_a_malformed_image_is_an_error_that_names_the_slot(changes, formal, reason):
+def test_malformed_image_is_an_error_naming_slot(changes, formal, reason):
     message = IMAGE_2X2.term(**changes)
-    assert fault("image_array", message) == (formal, reason)
-    assert fault("image_pixel", message, 0, 0) == (formal, reason)
-    assert fault("image_region_mean", message, 0, 0, 1, 1) == (formal, reason)
+    assert error_of("image_array", message) == (formal, reason)
+    assert error_of("image_pixel", message, 0, 0) == (formal, reason)
+    assert error_of("image_region_mean", message, 0, 0, 1, 1) == (formal, reason)
 
 
-def test_pixels_have_whole_coordinates():
+def test_fractional_pixel_coordinates_are_refused():
     message = IMAGE_2X2.term()
-    assert fault("image_pixel", message, 0.5, 0)[0] == "type_error(integer,0.5)"
-    assert fault("image_region_mean", message, 0, 0, -1, 1)[0] == "domain_error(not_less_than_zero,-1)"
+    assert error_of("image_pixel", message, 0.5, 0)[0] == "type_error(integer,0.5)"
+    assert error_of("image_region_mean", message, 0, 0, -1, 1)[0] == "domain_error(not_less_than_zero,-1)"
 
 
-def test_data_may_be_text_or_a_list():
+def test_image_data_may_be_text_or_list():
     slots = {"height": 2, "width": 2, "encoding": atom("mono8"), "step": 2}
     for data in (atom("abcd"), text("abcd"), String("abcd"), make_list([97, 98, 99, 100])):
         assert call("image_array", IMAGE_2X2.term(**slots, data=data)) == [97, 98, 99, 100]
@@ -508,7 +515,7 @@ def grid(width, height, cells, resolution=0.5, origin=(0.0, 0.0), turn=0.0, norm
     st.floats(0.5, 2),
     st.data(),
 )
-def test_cells_are_found_by_metres(width, height, turn, origin, resolution, norm, data):
+def test_map_cell_is_selected_by_position(width, height, turn, origin, resolution, norm, data):
     cells = data.draw(st.lists(st.integers(-1, 100), min_size=width * height, max_size=width * height))
     message = grid(width, height, cells, resolution, origin, turn, norm)
     matrix = numpy.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
@@ -517,12 +524,12 @@ def test_cells_are_found_by_metres(width, height, turn, origin, resolution, norm
             middle = numpy.array([column + 0.5, row + 0.5]) * resolution
             x, y = (matrix @ middle + origin).tolist()
             inside = 0 <= column < width and 0 <= row < height
-            wanted = cells[row * width + column] if inside else None
-            assert call("map_cell", message, x, y) == wanted
-            assert call("map_cell", decoded(message), x, y) == wanted
+            expected = cells[row * width + column] if inside else None
+            assert call("map_cell", message, x, y) == expected
+            assert call("map_cell", decoded(message), x, y) == expected
 
 
-def test_the_edges_of_a_map():
+def test_position_outside_map_has_no_cell():
     message = grid(2, 1, [7, 8], 1.0)
     assert [call("map_cell", message, x, 0) for x in (0, 0.999, 1, 2, -0.001)] == [7, 7, 8, None, None]
     for odd in (math.nan, math.inf, -math.inf, 1e308):
@@ -530,7 +537,7 @@ def test_the_edges_of_a_map():
         assert call("map_cell", message, 0, odd) is None
 
 
-def test_a_map_without_an_orientation_is_not_turned():
+def test_map_without_orientation_is_not_rotated():
     assert call("map_cell", grid(2, 1, [7, 8], norm=0.0), 0.6, 0.1) == 8
 
 
@@ -552,11 +559,11 @@ def test_a_map_without_an_orientation_is_not_turned():
         (grid(1, 1, [0], atom("fine")), "type_error(number,fine)", "slot info.resolution"),
     ],
 )
-def test_a_malformed_map_is_an_error_that_names_the_slot(message, formal, reason):
-    assert fault("map_cell", message, 0, 0) == (formal, reason)
+def test_malformed_map_is_an_error_naming_slot(message, formal, reason):
+    assert error_of("map_cell", message, 0, 0) == (formal, reason)
 
 
-# Whatever somebody writes
+# Random slots
 
 ODD = st.one_of(
     st.integers(-3, 40),
@@ -575,8 +582,8 @@ ODD_LIST = st.builds(make_list, st.lists(ODD, max_size=4))
 
 
 @given(st.data())
-def test_no_message_crashes(data):
-    """Any slots give an answer, a failure, or an error that a program can catch."""
+def test_random_slots_are_read_or_refused(data):
+    """Random slots have an answer, no answer, or an error that a program can catch."""
     value = st.one_of(ODD, ODD_LIST)
     good = {
         CLOUD: (GOOD.term(), [("cloud_field", [atom("x")]), ("cloud_near", [make_list([0, 0, 0]), 1])]),
@@ -591,13 +598,15 @@ def test_no_message_crashes(data):
     for position in data.draw(st.lists(st.integers(2, len(slots) - 1), max_size=3)):
         slots[position] = data.draw(value)
     for name, inputs in goals:
+        term_of_error = None
         try:
             call(name, tuple(slots), *inputs)
         except PrologError as error:
-            assert error.term[0] is functor("error", 2)
+            term_of_error = error.term
+        assert term_of_error is None or term_of_error[0] is functor("error", 2)
 
 
-def test_work_on_messages_counts():
+def test_counted_points_use_inferences():
     logic = PrologSystem()
     logic.limits = Limits(inferences=1000)
     size = 12 * 100_000
@@ -609,7 +618,7 @@ def test_work_on_messages_counts():
     assert logic.once(goal)
 
 
-def test_bytes_stay_with_a_message_whose_text_was_read():
+def test_decoded_text_keeps_bytes_of_message():
     cloud, stored = xyz([(index, 0, 0) for index in range(500)])
     message = deref(decoded(cloud.term()))
     assert show(message).count("FFFFFFFFFF") == 1
@@ -620,13 +629,13 @@ def test_bytes_stay_with_a_message_whose_text_was_read():
 @pytest.mark.parametrize(
     "name", ["", "C", "8U", "8UC513", "8UC1000", "8UC-1", "8UC\u0661", "8UC1 ", "RGB8", "C8UC1"]
 )
-def test_other_encodings_are_not_read(name):
-    assert fault("image_array", IMAGE_2X2.term(encoding=text(name)))[0].startswith(
+def test_unknown_encoding_is_refused(name):
+    assert error_of("image_array", IMAGE_2X2.term(encoding=text(name)))[0].startswith(
         "domain_error(image_encoding"
     )
 
 
-def test_a_long_text_is_decoded_once_for_several_predicates(monkeypatch):
+def test_last_long_text_is_decoded_once(monkeypatch):
     decoded_texts = []
 
     def text_bytes(term):

@@ -15,7 +15,7 @@ from retalis.prolog.syntax.tokenizer import ReadFlags
 from retalis.prolog.system.prolog_system import repair_after_interrupt
 
 
-class Folder:
+class FileStore:
     """Files in a dictionary; those whose names begin with ``no`` are not allowed."""
 
     def __init__(self, **files):
@@ -46,19 +46,19 @@ class Folder:
 
 @pytest.fixture
 def logic():
-    made = prolog(
+    system = prolog(
         "... --> [] | [_], ... . "
         "copy(S) :- get_char(S,C), (C = end_of_file -> true ; open(out, append, O), write(O, C), close(O), copy(S))."
     )
-    made.written = []
-    made.output = made.written.append
-    made.files = Folder(
+    system.written = []
+    system.output = system.written.append
+    system.files = FileStore(
         terms="a(1). b(X, Y, X).\nfoo bar. c.\nrest\nlast line",
         empty="",
         facts="p(1).\np(2).\n",
         accents="\u00e9",
     )
-    return made
+    return system
 
 
 @pytest.mark.parametrize(
@@ -140,9 +140,9 @@ def logic():
         ("open(facts, read, S), findall(X, (repeat, read(S, X), X == end_of_file, !), [T])", "end_of_file"),
     ],
 )
-def test_reading(logic, goal, expected):
-    (found,) = answers(logic, goal, 1)
-    assert found["T"] == expected
+def test_input_stream_has_value(logic, goal, expected):
+    (answer,) = answers(logic, goal, 1)
+    assert answer["T"] == expected
 
 
 @pytest.mark.parametrize(
@@ -172,24 +172,24 @@ def test_reading(logic, goal, expected):
         ("open(out, write, S), portray_clause(S, f(X)), print_message_lines(S, '', []), close(S)", "f(_).\n"),
     ],
 )
-def test_writing(logic, goal, text):
+def test_output_stream_writes_text(logic, goal, text):
     assert answers(logic, goal)
     assert logic.files.files["out"] == text
 
 
-def test_what_is_written_elsewhere_goes_to_the_user(logic):
+def test_user_output_is_not_redirected(logic):
     answers(logic, "tell(out), write(a), write(user_output, u), told, write(b)")
     assert "".join(logic.written) == "ub"
 
 
-def test_a_line_is_written_when_it_ends(logic):
+def test_line_is_written_at_its_end(logic):
     answers(logic, "open(out, write, S, [alias(out)]), write(S, one), nl(S), write(S, two)")
     assert logic.files.files["out"] == "one\n"
     answers(logic, "close(out)")
     assert logic.files.files["out"] == "one\ntwo"
 
 
-def test_columns_are_those_of_each_stream(logic):
+def test_streams_have_separate_columns(logic):
     answers(logic, "write(abc), tell(out), format('x~t~5|y~n'), told, format('~t~5|y')")
     assert logic.files.files["out"] == "x    y\n"
     assert "".join(logic.written) == "abc  y"
@@ -255,17 +255,17 @@ def test_columns_are_those_of_each_stream(logic):
         ("open(facts, read, S), close(S), read(S, _)", "existence_error(stream,'$stream'(1))"),
     ],
 )
-def test_errors(logic, goal, error):
+def test_invalid_stream_operation_is_an_error(logic, goal, error):
     assert answers(logic, goal) == [error]
 
 
-def test_there_are_so_many_at_most(logic):
+def test_number_of_open_streams_is_limited(logic):
     goal = "forall(between(1, {}, _), open(facts, read, _))"
     assert answers(logic, goal.format(MAX_OPEN_STREAMS)) == [{}]
     assert answers(logic, goal.format(1)) == ["resource_error(streams)"]
 
 
-def test_an_interrupt_closes_all(logic):
+def test_interrupt_closes_streams(logic):
     answers(logic, "open(facts, read, _, [alias(in)]), tell(out), write(a)")
     repair_after_interrupt(logic)
     assert answers(logic, "write(b), stream_property(_, file_name(_))") == []
@@ -273,26 +273,26 @@ def test_an_interrupt_closes_all(logic):
     assert logic.written == ["b"]
 
 
-def test_who_types_is_asked_until_a_term_ends(logic):
+def test_terminal_input_is_read_until_term_ends(logic):
     lines = iter(["\n", "point(1,\n", "  2). % so\n", "next. 'it''s'\n", ".\n", "wrong wrong.\n", "x"])
     logic.ask = lambda: next(lines, None)
     assert first(logic, "read(X)") == "point(1,2)"
     assert first(logic, "read(X)") == "next"
     assert first(logic, "read(X)") == "'it\\'s'"
-    (found,) = answers(logic, "read(X)")
-    assert found.startswith("syntax_error")
+    (error,) = answers(logic, "read(X)")
+    assert error.startswith("syntax_error")
     assert first(logic, "get_char(_), get_char(X)") == "x"
     assert first(logic, "read(X)") == "end_of_file"
 
 
-def test_a_text_of_many_terms_is_cut_only_once(monkeypatch):
-    cut = []
-    monkeypatch.setattr(text_streams, "read_program", lambda *args: cut.append(1) or read_program(*args))
+def test_text_of_many_terms_is_parsed_once(monkeypatch):
+    reads = []
+    monkeypatch.setattr(text_streams, "read_program", lambda *args: reads.append(1) or read_program(*args))
     stream = InputStream("many", "p(1).\n" * 2000)
     operators, read = Operators.prolog(), 0
     while stream.read_term(operators, ReadFlags()) is not None:
         read += 1
-    assert (read, len(cut)) == (2000, 1)
+    assert (read, len(reads)) == (2000, 1)
 
 
 TERMS = st.sampled_from(
@@ -304,40 +304,40 @@ TERMS = st.sampled_from(
 @given(
     st.lists(st.tuples(TERMS, st.sampled_from([".\n", ". ", ".\n\n% c\n", " .\n"])), max_size=8), st.data()
 )
-def test_terms_and_characters_are_read_from_one_text(parts, data):
+def test_reading_by_characters_advances_to_same_offset(parts, data):
     text = "".join(term + end for term, end in parts)
     whole, mixed = InputStream("whole", text), InputStream("mixed", text)
     operators, flags = Operators.prolog(), ReadFlags()
 
-    def shown(found):
-        assert not isinstance(found, SyntaxFault)
+    def text_of(entry):
+        assert not isinstance(entry, SyntaxFault)
         return (
             None
-            if found is None
-            else write_term(found.term, operators, quoted=True, numbervars=True).split("_")[0]
+            if entry is None
+            else write_term(entry.term, operators, quoted=True, numbervars=True).split("_")[0]
         )
 
     for term, _ in parts:
-        found = shown(whole.read_term(operators, flags))
-        assert found is not None
+        entry = text_of(whole.read_term(operators, flags))
+        assert entry is not None
         if data.draw(st.booleans()):  # to the end of the term by characters
             while mixed.offset < whole.offset:
                 assert mixed.read_character(True) == text[mixed.offset - 1]
         else:
-            assert shown(mixed.read_term(operators, flags)) == found
+            assert text_of(mixed.read_term(operators, flags)) == entry
         assert mixed.offset == whole.offset, term
     assert whole.read_term(operators, flags) is None
     assert mixed.read_character(False) == text[mixed.offset : mixed.offset + 1]
 
 
-def test_streams_belong_to_their_program(logic):
+def test_streams_are_separate_per_program(logic):
     answers(logic, "open(facts, read, _)")
     assert len(streams_of(logic.machine).open_streams) == 1
     assert not streams_of(prolog().machine).open_streams
 
 
 @given(st.text("ab\n", max_size=30), st.lists(st.integers(0, 30), max_size=12))
-def test_positions_are_those_of_the_text_wherever_reading_goes(text, places):
+def test_position_has_line_and_column(text, places):
     stream = InputStream("any", text)
     for place in places:
         if not stream.set_position(place):
@@ -348,23 +348,23 @@ def test_positions_are_those_of_the_text_wherever_reading_goes(text, places):
         assert stream.line == before.count("\n") + 1
 
 
-def test_lines_of_a_long_text_are_counted_once():
+def test_lines_of_long_text_are_counted_once():
     class Text(str):
         looked = 0
 
-        def count(self, what, first, last):
+        def count(self, pattern, first, last):
             Text.looked += last - first
-            return super().count(what, first, last)
+            return super().count(pattern, first, last)
 
     stream = InputStream("long", Text("p(1).\n" * 1000))
-    for at in range(0, 6000, 6):
-        stream.offset = at
-        assert stream.line == at // 6 + 1
+    for offset in range(0, 6000, 6):
+        stream.offset = offset
+        assert stream.line == offset // 6 + 1
     assert Text.looked <= 6000
 
 
 @pytest.mark.parametrize(
-    ("goal", "caught", "written"),
+    ("goal", "captured", "written"),
     [
         ("writeln(user, x)", "", "x\n"),
         ("(writeln(user_output, x), write(y))", "y", "x\n"),
@@ -378,16 +378,17 @@ def test_lines_of_a_long_text_are_counted_once():
         ("(current_output(S), stream_property(S, mode(M)), write(M), close(S))", "append", ""),
     ],
 )
-def test_user_output_while_output_is_caught(goal, caught, written):
+def test_user_output_is_not_captured(goal, captured, written):
     """Output to the user by name is not captured, as in SWI-Prolog; a capture has a stream of its own."""
-    logic, folder = prolog(), Folder(out="")
+    logic, folder = prolog(), FileStore(out="")
     logic.files = folder
     texts = []
     logic.output = texts.append
     assert first(logic, f"with_output_to(string(Text), {goal}), Caught = Text, \\+ Text = 1") is not None
-    assert answers(logic, f"with_output_to(atom(Text), {goal})")[0]["Text"] == f"{write_term(atom(caught))}"
+    assert answers(logic, f"with_output_to(atom(Text), {goal})")[0]["Text"] == f"{write_term(atom(captured))}"
     assert "".join(texts) == 2 * written
-    assert answers(logic, "write(after)") == [{}] and texts[-1] == "after"
+    assert answers(logic, "write(after)") == [{}]
+    assert texts[-1] == "after"
 
 
 @pytest.mark.parametrize(
@@ -400,14 +401,14 @@ def test_user_output_while_output_is_caught(goal, caught, written):
         ("(write(ab), line_position(user_output, P), write(P))", "ab0"),
     ],
 )
-def test_the_column_of_a_capture_while_something_else_is_written(goal, text):
+def test_capture_keeps_its_column(goal, text):
     logic = prolog()
-    logic.files = Folder(out="")
+    logic.files = FileStore(out="")
     answer = first(logic, f"with_output_to(string(Text), (current_output(S), {goal}))")
     assert answer["Text"] == f'"{text}"'
 
 
-def test_caught_output_is_no_stream_afterwards():
+def test_ended_capture_is_no_stream():
     logic = prolog()
     assert answers(logic, "with_output_to(string(_), current_output(S)), catch(nl(S), error(E, _), true)")[0][
         "E"

@@ -3,7 +3,7 @@
 import random
 
 import pytest
-from prolog.compiler.test_compiled import term
+from prolog.compiler.test_predicate_code import term
 from prolog.support import NEVER, prolog, show
 
 from retalis import PrologError, Var, functor
@@ -46,23 +46,23 @@ def compiled(logic, text, inputs, outputs):
     )
 
 
-def told(goal, values):
-    """Return what a goal says: its outputs as texts, or its error's."""
+def result_of(goal, values):
+    """Return the outputs of a goal as texts, the text of its error, or None."""
     try:
-        found = goal.first_solution(values)
+        outputs = goal.first_solution(values)
     except PrologError as error:
         return show(error.term)
-    return None if found is None else tuple(map(show, found))
+    return None if outputs is None else tuple(map(show, outputs))
 
 
-def both_ways(logic, text, inputs, outputs, values):
-    """Return what a goal says, after comparing with what it says by frames; and whether a function told it."""
+def result_by_both(logic, text, inputs, outputs, values):
+    """Return the result of a goal, equal by function and by frames, and whether a function returned it."""
     with_function = compiled(logic, text, inputs, outputs)
     by_frames = compiled(logic, text, inputs, outputs)
     by_frames.function = None
-    expected = told(by_frames, values)
+    expected = result_of(by_frames, values)
     for _ in range(2):
-        assert told(with_function, values) == expected
+        assert result_of(with_function, values) == expected
         assert logic.machine.trail == [] == logic.machine.choices
     return expected, with_function.function is not None and with_function.function(*values) is not BAIL
 
@@ -100,34 +100,34 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize("text, values, expected, is_function", CASES)
-def test_functions_say_what_frames_say(text, values, expected, is_function):
+@pytest.mark.parametrize(("text", "values", "expected", "is_function"), CASES)
+def test_functions_return_answers_of_frames(text, values, expected, is_function):
     logic = prolog(PROGRAM)
     outputs = [name for name in "YZ" if name in text]
     inputs = ["X"] if values else []
-    found, function = both_ways(logic, text, inputs, outputs, values)
-    assert found == expected
+    result, function = result_by_both(logic, text, inputs, outputs, values)
+    assert result == expected
     assert function == is_function
 
 
-def test_errors_keep_their_context():
+def test_errors_have_context_of_predicate():
     logic = prolog(PROGRAM)
-    found, function = both_ways(logic, "wrong(X)", ["X"], [], (functor("f", 1)(1),))
-    assert found == "error(type_error(evaluable,f/1),context(inc/2,A))"
+    result, function = result_by_both(logic, "wrong(X)", ["X"], [], (functor("f", 1)(1),))
+    assert result == "error(type_error(evaluable,f/1),context(inc/2,A))"
     assert not function
-    assert both_ways(logic, "wrong(X)", ["X"], [], (Var(),))[0].startswith(
+    assert result_by_both(logic, "wrong(X)", ["X"], [], (Var(),))[0].startswith(
         "error(instantiation_error,context(inc/2"
     )
 
 
-def test_a_goal_of_no_predicate_has_no_context():
+def test_error_outside_predicates_has_no_context():
     logic = prolog(PROGRAM)
     for _ in range(3):
-        found, _ = both_ways(logic, "two(Z), Y is X + 1, Y > Z", ["X"], ["Y"], (functor("f", 1)(1),))
-        assert found == "error(type_error(evaluable,f/1),A)"
+        result, _ = result_by_both(logic, "two(Z), Y is X + 1, Y > Z", ["X"], ["Y"], (functor("f", 1)(1),))
+        assert result == "error(type_error(evaluable,f/1),A)"
 
 
-def test_variables_among_the_values_are_free_again():
+def test_input_variables_are_unbound_after_call():
     logic = prolog(PROGRAM)
     var = Var()
     goal = compiled(logic, "two(X)", ["X"], ["X"])
@@ -135,10 +135,11 @@ def test_variables_among_the_values_are_free_again():
     assert var.ref is None
     failing = compiled(logic, "X = 1, !, X = 2", ["X"], [])
     assert failing.first_solution((var,)) is None
-    assert var.ref is None and logic.machine.trail == []
+    assert var.ref is None
+    assert logic.machine.trail == []
 
 
-def test_facts_that_come_and_go():
+def test_changed_facts_change_answers():
     logic = prolog(":- dynamic state/2. is_on(X) :- state(X, on).")
     goal = compiled(logic, "is_on(X)", ["X"], [])
     lamp = read_term("lamp", logic.operators).term
@@ -150,15 +151,15 @@ def test_facts_that_come_and_go():
     assert goal.first_solution((lamp,)) == ()
 
 
-def test_many_facts_are_found_by_their_index():
+def test_function_uses_index_of_facts():
     logic = prolog(" ".join(f"p({n}, {n * n})." for n in range(200)) + " q(X, Y) :- p(X, Y), Y > 0.")
-    assert both_ways(logic, "q(X, Y)", ["X"], ["Y"], (12,)) == (("144",), True)
-    assert both_ways(logic, "q(X, Y)", ["X"], ["Y"], (0,)) == (None, True)
-    assert both_ways(logic, "p(_, Y), Y > 3", [], ["Y"], ()) == (("4",), False)
-    assert both_ways(logic, "p(_, Y)", [], ["Y"], ()) == (("0",), True)
+    assert result_by_both(logic, "q(X, Y)", ["X"], ["Y"], (12,)) == (("144",), True)
+    assert result_by_both(logic, "q(X, Y)", ["X"], ["Y"], (0,)) == (None, True)
+    assert result_by_both(logic, "p(_, Y), Y > 3", [], ["Y"], ()) == (("4",), False)
+    assert result_by_both(logic, "p(_, Y)", [], ["Y"], ()) == (("0",), True)
 
 
-def test_clauses_that_are_added_count():
+def test_added_clauses_are_called():
     logic = prolog("p(1). q(X) :- p(X).")
     goal = compiled(logic, "q(X)", ["X"], [])
     assert goal.first_solution((2,)) is None
@@ -169,7 +170,7 @@ def test_clauses_that_are_added_count():
     assert goal.function(1) is BAIL
 
 
-def test_predicates_may_be_defined_after_the_goal():
+def test_predicate_is_defined_after_goal():
     logic = prolog()
     goal = compiled(logic, "inc(X, Y)", ["X"], ["Y"])
     logic.add_clause(read_term("inc(X, Y) :- Y is X + 1", logic.operators).term)
@@ -177,7 +178,7 @@ def test_predicates_may_be_defined_after_the_goal():
     assert goal.function(1) == (2,)
 
 
-def test_what_cannot_tell_is_not_asked_for_ever():
+def test_function_that_bails_out_is_dropped():
     logic = prolog(PROGRAM)
     goal = compiled(logic, "later(Y)", [], ["Y"])
     for _ in range(30):
@@ -185,7 +186,7 @@ def test_what_cannot_tell_is_not_asked_for_ever():
     assert goal.function is None
 
 
-def test_attempts_use_functions_and_frames():
+def test_attempts_use_functions_or_frames():
     logic = prolog(PROGRAM)
     machine = logic.machine
     for text, values, expected in (
@@ -194,14 +195,14 @@ def test_attempts_use_functions_and_frames():
         ("max(X, 3, Y), Y > 3", (4,), (4,)),
     ):
         goal = compiled(logic, text, ["X"] if values else [], ["Y"])
-        seen = []
+        results = []
 
-        def then(outputs, seen=seen):
-            seen.append(outputs)
+        def record(outputs, results=results):
+            results.append(outputs)
             return machine.done
 
-        assert machine.run(machine.attempt(goal, values, then, machine.done, seen.append))
-        assert seen == [expected]
+        assert machine.run(machine.attempt(goal, values, record, machine.done, results.append))
+        assert results == [expected]
 
 
 def body(rng, names):
@@ -228,22 +229,26 @@ def program(rng):
     """Return clauses of p, q and r; each calls only those after it."""
     names = ["p", "q", "r", "s"]
     lines = ["s(1, a). s(2, b). s([a], X) :- X = 1."]
-    for at, name in enumerate(names[:3]):
+    for index, name in enumerate(names[:3]):
         for _ in range(rng.randint(1, 3)):
-            lines.append(f"{name}({term(rng)}, {term(rng)}) :- {body(rng, names[at + 1 :])}.")
+            lines.append(f"{name}({term(rng)}, {term(rng)}) :- {body(rng, names[index + 1 :])}.")
     return "\n".join(lines)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(150))
-def test_random_programs(seed):
+def test_random_goals_have_answers_of_frames():
+    results, functions = zip(*[outcome for seed in range(150) for outcome in random_outcomes(seed)])
+    assert sum(result is not None for result in results) > 100
+    assert sum(functions) > 100
+
+
+def random_outcomes(seed):
+    """Yield the results of random goals, and whether functions returned them."""
     rng = random.Random(seed)
     text = program(rng)
     logic = prolog(text, rng.choice([0, NEVER]))
-    functions = 0
     for _ in range(4):
         value = read_term(term(rng), logic.operators).term
         goal = f"p(X, Y), {body(rng, ['q', 'r'])}, Z = Y"
-        found, function = both_ways(logic, goal, ["X"], ["Z"], (value,))
-        functions += function
+        yield result_by_both(logic, goal, ["X"], ["Z"], (value,))
     assert logic.machine.choices == []

@@ -31,7 +31,7 @@ VALUES = terms(st.one_of(ATOMS, st.integers(0, 3), st.sampled_from(SHARED)))
 
 @pytest.mark.slow
 @given(PATTERNS, VALUES)
-def test_a_pattern_in_a_clause_unifies_as_terms_do(pattern, value):
+def test_compiled_pattern_unifies_as_terms(pattern, value):
     pattern, value = copy(pattern), copy(value)
     trail = []
     expected = None
@@ -46,19 +46,19 @@ def test_a_pattern_in_a_clause_unifies_as_terms_do(pattern, value):
     known = functor("v", len(inputs))(*inputs) if inputs else atom("none")
     clause = functor(":-", 2)(functor("p", 2)(argument, known), functor("=", 2)(argument, pattern))
     logic.add_clause(clause)
-    result = Var()
-    found = None
-    for _ in logic.solutions(functor("p", 2)(value, result)):
-        found = copy(resolve(functor("p", 2)(result, value)))
-    assert (found is None) == (expected is None)
-    if found is not None:
-        assert is_variant(found, expected)
+    bindings = Var()
+    result = None
+    for _ in logic.solutions(functor("p", 2)(value, bindings)):
+        result = copy(resolve(functor("p", 2)(bindings, value)))
+    assert (result is None) == (expected is None)
+    if result is not None:
+        assert is_variant(result, expected)
 
 
-def is_variant(one, other):
-    """Tell whether two terms differ in the names of variables only."""
+def is_variant(left, right):
+    """Return whether two terms differ in the names of variables only."""
     numbered = []
-    for term in (one, other):
+    for term in (left, right):
         term = copy(term)
         trail = []
         for number, var in enumerate(variables(term)):

@@ -66,7 +66,7 @@ CASES = [
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("goal, expected", CASES)
+@pytest.mark.parametrize(("goal", "expected"), CASES)
 def test_functions_have_answers_of_predicates(logic, goal, expected):
     for _ in range(2):
         assert answers(logic, goal) == expected

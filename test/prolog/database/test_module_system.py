@@ -210,7 +210,8 @@ def test_invalid_export_leaves_module_defined():
     with logic.database.modules.loading_file():
         for read in read_program(":- module(m, [p/1, q(x)]).\np(X) :- own(X).\nown(1).\n", logic.operators):
             logic.load([(read.term, read.place)], lambda message, place: problems.append(message))
-    assert len(problems) == 1 and "predicate_indicator" in problems[0]
+    assert len(problems) == 1
+    assert "predicate_indicator" in problems[0]
     assert first(logic, "p(X)") == "1"
     assert answers(logic, "own(X)")[0].startswith("existence_error")
 

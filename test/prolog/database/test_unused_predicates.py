@@ -9,7 +9,7 @@ from retalis.prolog.database import predicate_table
 IS_UNDEFINED = "catch({}, error(existence_error(_, _), _), R = undefined)"
 
 
-def test_predicate_defined_after_demotion_is_called_by_clauses():
+def test_demoted_predicate_is_called_once_defined():
     logic = prolog("p :- foo, true.")
     for _ in range(300):
         assert answers(logic, IS_UNDEFINED.format("p"))[0]["R"] == "undefined"

@@ -14,29 +14,29 @@ ROWS = [
     line.split("\t")
     for line in (Path(__file__).parent / "answers.tsv").read_text(encoding="utf-8").splitlines()
 ]
-MOST = 5
+MAX_SOLUTIONS = 5
 
 
 @pytest.fixture(scope="module")
 def logic():
-    return PrologSystem(compile_after=1 << 60)  # what is asked once is not worth compiling
+    return PrologSystem(compile_after=1 << 60)  # each goal is called once only
 
 
 @pytest.mark.parametrize(("goal", "answer"), ROWS, ids=[goal for goal, _ in ROWS])
-def test_answer(logic, goal, answer):
+def test_library_goal_has_answer_of_swi_prolog(logic, goal, answer):
     assert answered(logic, goal) == answer
 
 
 def answered(logic, goal):
     read = read_term(goal, logic.operators)
     names = [name for name in read.names if name[0] != "_"]
-    found = []
+    solutions = []
     try:
         for _ in logic.solutions(read.term):
             bindings = [(functor("=", 2), atom(name), read.names[name]) for name in names]
-            found.append(copy(make_list(bindings)))
-            if len(found) == MOST:
+            solutions.append(copy(make_list(bindings)))
+            if len(solutions) == MAX_SOLUTIONS:
                 break
     except PrologError as error:
         return f"error({show(error.term[1])})"
-    return show(make_list(found))
+    return show(make_list(solutions))

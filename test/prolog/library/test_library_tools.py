@@ -23,14 +23,14 @@ def test_time_reports_errors_and_failures():
     assert "".join(written).count(" inferences, ") == 2
 
 
-def test_choices_by_chance():
+def test_random_predicates_select_items():
     logic = prolog()
     assert first(logic, "set_random(seed(1)), randseq(3, 3, S), msort(S, M)")["M"] == "[1,2,3]"
     assert first(logic, "random_select(X, [a,b], [R]), X \\== R") is not None
     assert first(logic, "random_subseq([a,b,c], T, L), append(T, L, A), msort(A, M)")["M"] == "[a,b,c]"
 
 
-def test_topics():
+def test_debug_prints_messages_of_topics():
     logic = prolog()
     written = []
     logic.error_output = written.append
@@ -39,14 +39,14 @@ def test_topics():
     assert "".join(written) == "% step 1\n"
 
 
-def test_a_program_may_have_predicates_of_these_names():
+def test_program_overrides_library_predicates():
     logic = prolog("union(G, mine(G)). option(a, b).")
     assert first(logic, "union(1, E)") == "mine(1)"
     assert first(logic, "option(a, X)") == "b"
     assert first(logic, "select_option(a(X), [a(1)], _)") == "1"
 
 
-def test_the_environment_is_refused_unless_it_is_given():
+def test_environment_variables_require_permission():
     logic = prolog()
     assert answers(logic, "getenv('HOME', H)") == ["permission_error(access,environment_variable,'HOME')"]
     logic.environment = {"HOME": "/home/robot"}

@@ -117,23 +117,23 @@ def test_program_catches_exceeded_limit(engine):
 def test_event_after_runaway_goal_is_processed(caplog):
     engine = Engine(settings=Settings(limits=Limits(inferences=100_000)))
     engine.load(rules="loop :- loop.\nout(X) <- in(X) where (X > 1 ; loop).\nseen(X) <- in(X).")
-    seen = []
-    engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
+    events = []
+    engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     engine.event("in(1)", 1)
     engine.event("in(2)", 2)
-    assert seen == ["in(1)", "seen(1)", "in(2)", "out(2)", "seen(2)"]
+    assert events == ["in(1)", "seen(1)", "in(2)", "out(2)", "seen(2)"]
     assert "Not enough resources" in caplog.text
 
 
 def test_endless_chain_of_events_is_cut(caplog):
     engine = Engine(settings=Settings(max_depth=100))
     engine.load(rules="tick(N) <- tick(M) where N is M + 1.")
-    seen = []
-    engine.on_event(lambda term, start, end: seen.append(term))
+    events = []
+    engine.on_event(lambda term, start, end: events.append(term))
     engine.event("tick(0)", 1)
-    assert len(seen) == 101
+    assert len(events) == 101
     engine.event("other", 2)
-    assert engine.show(seen[-1]) == "other"
+    assert engine.show(events[-1]) == "other"
 
 
 @pytest.mark.parametrize(
@@ -187,10 +187,10 @@ def test_consult_loads_only_allowed_folders(tmp_path):
     engine = Engine(settings=Settings(folders=(str(tmp_path),)))
     assert engine.call(f"consult(['{tmp_path}/a', '{tmp_path}/b.pl'])")
     assert [answer["X"] for answer in engine.query("p(X)")] == [1, 2]
-    seen = []
-    engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
+    events = []
+    engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     engine.event("in(1)", 1)
-    assert seen == ["in(1)", "out(1)"]
+    assert events == ["in(1)", "out(1)"]
     for goal in ("consult('/etc/passwd')", "consult(['/etc/passwd'])"):
         with pytest.raises(PrologError, match="No permission to open"):
             engine.call(goal)
@@ -243,11 +243,11 @@ CALLERS = "loop :- loop.\ncount(0).\ncount(N) :- N > 0, M is N - 1, count(M).\n"
 def test_rule_goal_exceeds_limit_of_caller(operator, goal, kind, result, caplog):
     engine = Engine()
     engine.load(rules=f"{CALLERS}out <- in {operator} loop.\nseen <- in.")
-    seen = []
-    engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
+    events = []
+    engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     (answer,) = engine.query(goal)
     assert engine.show(answer["R"]) == result
-    assert seen == ["in", "seen"]
+    assert events == ["in", "seen"]
     assert f"goal loop: the {kind} limit of a calling goal has been reached" in caplog.text
 
 
@@ -267,7 +267,7 @@ def test_inferences_of_caller_count_for_rule_goals(caplog):
     assert caplog.text.count("Not enough resources: inferences") == 1
 
 
-def test_second_exceeded_limit_is_final_after_rule_goal():
+def test_second_limit_is_final_after_rule_goal():
     engine = Engine(settings=Settings(limits=Limits(inferences=100_000)))
     engine.load(rules=f"{CALLERS}out <- in where (count(10), \\+ fail).")
     with pytest.raises(PrologError, match="inferences"):
@@ -327,13 +327,10 @@ def test_work_between_solutions_counts_with_query():
     logic = prolog("work(0) :- !.\nwork(N) :- M is N - 1, work(M).\nmany :- repeat, work(6000).")
     logic.limits = Limits(inferences=20_000)
     solutions = logic.solutions(functor("call", 1)(atom("many")))
-    count = 0
+    next(solutions)
+    assert logic.once(functor("work", 1)(6000))
     with pytest.raises(PrologError, match="inferences"):
-        for _ in solutions:
-            count += 1
-            assert logic.once(functor("work", 1)(6000))
-            assert count < 4
-    assert count >= 1
+        next(solutions)
     solutions.close()
     assert not logic.machine.budget.running
     assert logic.once(functor("work", 1)(6000))

@@ -21,4 +21,5 @@ def test_entries_without_other_references_are_dropped():
     remaining = drop_unshared(entries, Entry)
     assert entries == []
     assert [type(entry) for entry in remaining] == [Entry, OtherEntry, Entry]
-    assert remaining[0] is kept and remaining[2] is chained.next
+    assert remaining[0] is kept
+    assert remaining[2] is chained.next

@@ -1,4 +1,4 @@
-"""Comparing and making terms in tests."""
+"""Strategies for random terms, and their comparison."""
 
 import struct
 
@@ -9,7 +9,7 @@ from retalis.prolog.terms.types import CONS, NIL
 
 
 def shape(term):
-    """Return a hashable value: equal for two terms that are the same up to the names of variables."""
+    """Return a hashable value that is equal for terms that differ in the names of variables only."""
     numbers = {}
     flat = []
     stack = [term]

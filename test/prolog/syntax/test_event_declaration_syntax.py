@@ -1,4 +1,4 @@
-"""The word ``event`` before a declaration, which is no operator anywhere else."""
+"""The prefix ``event`` of declarations, which is an ordinary name elsewhere."""
 
 import pytest
 
@@ -15,7 +15,7 @@ def read(text, flags=None):
 
 
 @pytest.mark.parametrize(
-    "text, term",
+    ("text", "term"),
     [
         (":- event t(a:atom).", ":-declare_event(t(a:atom))"),
         ("?- event t.", "?-declare_event(t)"),
@@ -24,7 +24,7 @@ def read(text, flags=None):
         (":- event 'T one'.", ":-declare_event('T one')"),
     ],
 )
-def test_it_is_read_as_a_goal(text, term):
+def test_declaration_is_read_as_goal(text, term):
     assert read(text) == term
 
 
@@ -42,30 +42,30 @@ def test_it_is_read_as_a_goal(text, term):
         "a<-event seq b",
     ],
 )
-def test_what_was_read_before_reads_as_before(text):
+def test_event_stays_an_ordinary_name_elsewhere(text):
     assert read(text) == text
 
 
 @pytest.mark.parametrize(
     "text", ["a :- event t.", "X = (event t)", ":- a, event t.", ":- event T.", "event t <- b."]
 )
-def test_elsewhere_an_operator_is_missing(text):
+def test_declaration_inside_term_is_refused(text):
     with pytest.raises(SyntaxFault, match="expected an operator"):
         read(text)
 
 
-def test_no_event_is_a_declaration():
+def test_constructed_event_is_no_declaration():
     with pytest.raises(SyntaxFault, match="expected an operator"):
         read("event t", ReadFlags(is_constructed=True))
 
 
-def test_an_operator_of_the_program_goes_first():
+def test_operator_of_program_has_precedence():
     operators = OPERATORS.copy()
     operators.add(700, "xfx", "near")
     assert writeq(read_term("event near a", operators).term, operators) == "event near a"
 
 
-def test_parts_have_places():
-    _, found = read_program("x.\n  :- event t(a:atom, b:nubmer).", OPERATORS)
-    declared = found.term[1][1]
-    assert [found.place_of(declared, at).column for at in (0, 1, 2)] == [12, 14, 22]
+def test_parts_of_declaration_have_places():
+    _, clause = read_program("x.\n  :- event t(a:atom, b:nubmer).", OPERATORS)
+    declared = clause.term[1][1]
+    assert [clause.place_of(declared, argument).column for argument in (0, 1, 2)] == [12, 14, 22]

@@ -1,3 +1,5 @@
+"""Event text, read by shape, compared with the general reader."""
+
 import re
 
 import pytest
@@ -23,7 +25,7 @@ TF = (
 )
 
 
-def fully(text):
+def read_completely(text):
     return read_term(text, OPERATORS, flags=ReadFlags(event_text=True)).term
 
 
@@ -36,16 +38,16 @@ def outcome(read, text):
 
 def check(text, reader=None):
     reader = reader or EventReader()
-    expected = outcome(fully, text)
+    expected = outcome(read_completely, text)
     assert outcome(reader.read, text) == expected
     assert outcome(reader.read, text) == expected
 
 
-def test_reads_a_tf_event_as_the_full_reader_does():
+def test_repeated_tf_event_adds_no_cache_entry():
     reader = EventReader()
     assert to_text(reader.read(TF)) == TF
     assert to_text(reader.read(TF)) == TF
-    known = count_entries(reader) + 1  # the frames that come next
+    known = count_entries(reader) + 1  # the entry for other frame names
     other = TF.replace("0.1", "-7").replace("/odom", "/map")
     assert to_text(reader.read(other)) == other
     assert count_entries(reader) == known
@@ -103,11 +105,11 @@ def test_reads_a_tf_event_as_the_full_reader_does():
         "e(`12`)",
     ],
 )
-def test_same_as_full_reader(text):
+def test_text_is_read_as_by_full_reader(text):
     check(text)
 
 
-SEEN = "event(e(0,[1,2],'a',b('b'),0.5,[]))"
+KNOWN = "event(e(0,[1,2],'a',b('b'),0.5,[]))"
 
 
 @pytest.mark.parametrize(
@@ -140,15 +142,15 @@ SEEN = "event(e(0,[1,2],'a',b('b'),0.5,[]))"
         f"event(e({'1' * 5000},[1,2],'a',b('b'),0.5,[]))",
     ],
 )
-def test_a_text_like_those_before_is_read_as_any_other(text):
+def test_text_of_known_shape_is_read_as_by_full_reader(text):
     reader = EventReader()
     for _ in range(3):
-        reader.read(SEEN)
+        reader.read(KNOWN)
     check(text, reader)
-    check(SEEN, reader)
+    check(KNOWN, reader)
 
 
-def test_texts_of_many_numbers_and_of_none_are_read_as_any_other():
+def test_number_of_numbers_does_not_change_terms():
     reader = EventReader()
     for text in (
         f"event(e([{','.join(['1.5'] * 36)}],'a'))",
@@ -157,22 +159,22 @@ def test_texts_of_many_numbers_and_of_none_are_read_as_any_other():
         "event(e)",
         "event(e('a'))",
         "event(5)",
-        f"event(e({','.join(str(at) for at in range(250))}))",
+        f"event(e({','.join(str(number) for number in range(250))}))",
     ):
         for _ in range(2):
             check(text, reader)
 
 
-def test_shapes_that_alternate_are_read_as_any_other():
+def test_alternating_shapes_are_read_as_by_full_reader():
     reader = EventReader()
-    for text in [SEEN, SEEN, SEEN.replace("0.5", "a"), SEEN.replace("[]", "[1]"), SEEN] * 3:
+    for text in [KNOWN, KNOWN, KNOWN.replace("0.5", "a"), KNOWN.replace("[]", "[1]"), KNOWN] * 3:
         check(text, reader)
         assert reader.ground is True
 
 
-def test_shapes_are_not_confused():
+def test_similar_shapes_are_distinguished():
     reader = EventReader()
-    places = [
+    items = [
         "1",
         "-1",
         "1.5",
@@ -190,45 +192,46 @@ def test_shapes_are_not_confused():
         "-a",
     ]
     for _ in range(2):
-        for one in places:
-            for two in places:
-                check(f"e({one},{two})", reader)
-                check(f"e([{one}|{two}])", reader)
-                check(f"e({one} , {two})", reader)
-                check(f"e({one}={two})", reader)
-                check(f"e({one} - {two})", reader)
-                check(f"event(e({one},[{two}]))", reader)
+        for left in items:
+            for right in items:
+                check(f"e({left},{right})", reader)
+                check(f"e([{left}|{right}])", reader)
+                check(f"e({left} , {right})", reader)
+                check(f"e({left}={right})", reader)
+                check(f"e({left} - {right})", reader)
+                check(f"event(e({left},[{right}]))", reader)
 
 
-def test_special_atoms_and_floats():
+def test_special_floats_differ_from_quoted_atoms():
     read = EventReader().read
-    assert read("nan") != read("nan") and read("-inf") == float("-inf")
+    assert read("nan") != read("nan")
+    assert read("-inf") == float("-inf")
     assert read("'nan'") is atom("nan")
     assert read('"4x4_1"') is read("'\"4x4_1\"'") is atom('"4x4_1"')
 
 
 @pytest.mark.parametrize("size", [1, 17, 250, 1000])
-def test_long_arrays(size):
+def test_long_arrays_are_read(size):
     reader = EventReader()
     for start in (0, 5):
-        text = f"scan([{','.join(str(at / 2) for at in range(start, start + size))}],x,7)"
+        text = f"scan([{','.join(str(number / 2) for number in range(start, start + size))}],x,7)"
         check(text, reader)
         assert len(list_items(reader.read(text)[1])) == size
-    text = f"path([{','.join(f'p({at},a)' for at in range(size))}])"
+    text = f"path([{','.join(f'p({number},a)' for number in range(size))}])"
     check(text, reader)
     check(f"[{','.join(['1'] * size)}|2]", reader)
     check(f"e(a,{','.join(['1'] * size)},[{','.join(['b', '1'] * size)}])", reader)
 
 
-def test_memory_is_bounded():
+def test_number_of_cached_shapes_is_bounded():
     reader = EventReader()
     for number in range(600):
         reader.read(f"e{number}(1)")
-    assert max(map(len, reachable(reader, Cache))) <= 512
+    assert 0 < max(map(len, reachable(reader, Cache))) <= 512
 
 
 @pytest.mark.slow
-def test_deep_nesting():
+def test_deep_term_is_read():
     text = "f(" * 50_000 + "1" + ")" * 50_000
     reader = EventReader()
     assert to_text(reader.read(text)) == text
@@ -237,9 +240,9 @@ def test_deep_nesting():
 @pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(st.lists(terms, min_size=1, max_size=3))
-def test_written_terms(found):
+def test_written_terms_are_read_as_by_full_reader(written):
     reader = EventReader()
-    for term in found * 2:
+    for term in written * 2:
         check(to_text(term), reader)
         check(write_term(term, OPERATORS), reader)
         check(write_term(term, OPERATORS, spacing=True), reader)
@@ -299,8 +302,8 @@ SHARED = EventReader()
 @settings(max_examples=1000, deadline=None)
 @given(st.lists(PIECES, max_size=12).map("".join))
 @example("f('\0')")
-def test_any_text(text):
-    reader = SHARED  # what it learned from other texts must not matter
+def test_any_text_is_read_as_by_full_reader(text):
+    reader = SHARED  # shapes of earlier texts must not change the result
     for variant in (
         text,
         f"e({text})",
@@ -312,20 +315,20 @@ def test_any_text(text):
         check(variant, reader)
 
 
-def test_the_originals_spelling_of_a_bool_is_read():
+def test_capitalized_booleans_are_read():
     for _ in range(2):  # by the full reader, then by its shape
         term = EventReader().read("event(p(True,False,Truth))")
         assert term[1][1:3] == (TRUE, FALSE)
         assert term[1][3].__class__ is Var
 
 
-def test_it_knows_whether_a_term_has_variables():
+def test_reader_reports_whether_term_is_ground():
     reader = EventReader()
-    told = []
+    states = []
     for text in ("e(1,'a')", "e(2,'b')", "e(X,[1])", "e(Y,[2])", "e(1 + 2)", "e(1"):
         try:
             reader.read(text)
         except SyntaxFault:
             pass
-        told.append(reader.ground)
-    assert told == [True, True, False, False, True, None]
+        states.append(reader.ground)
+    assert states == [True, True, False, False, True, None]

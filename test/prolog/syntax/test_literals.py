@@ -12,7 +12,7 @@ OPERATORS = Operators.prolog()
 
 
 @pytest.mark.parametrize(
-    "text,end",
+    ("text", "end"),
     [
         ("'a' b'", 3),
         ("'a''b'", 6),
@@ -32,12 +32,12 @@ OPERATORS = Operators.prolog()
         ("`a``'`", 6),
     ],
 )
-def test_where_it_ends(text, end):
+def test_closing_quote_ends_text(text, end):
     assert quote_end(text, 0) == end
 
 
 @pytest.mark.parametrize(
-    "text,end",
+    ("text", "end"),
     [
         ("'a. b.\nc", 5),
         ("'a. b. \t\nc", 5),
@@ -48,7 +48,7 @@ def test_where_it_ends(text, end):
         ("'a.\\", 3),
     ],
 )
-def test_where_one_that_is_not_closed_ends(text, end):
+def test_unclosed_text_ends_with_clause(text, end):
     assert unclosed_quote_end(text, 0) == end
 
 
@@ -56,14 +56,14 @@ def test_where_one_that_is_not_closed_ends(text, end):
     "text",
     ["f('\\x41\\',',b)", "f('\\x41\\','b')", "f('\\c\n ',1)", "'a'''", "f('a'',b)", "f('a\\x41\\''',\n1)"],
 )
-def test_both_readers_agree(text):
+def test_readers_agree_on_quoted_text(text):
     def outcome(read):
         try:
             return read(text)
         except SyntaxFault as fault:
             return fault.message, fault.place.column
 
-    def fully(text):
+    def read_completely(text):
         return read_term(text, OPERATORS, "event text", ReadFlags(event_text=True)).term
 
-    assert outcome(EventReader(OPERATORS).read) == outcome(fully)
+    assert outcome(EventReader(OPERATORS).read) == outcome(read_completely)

@@ -76,11 +76,11 @@ FAULTS = [
 ]
 
 
-@pytest.mark.parametrize("text,column,parts", FAULTS)
-def test_message(text, column, parts):
-    with pytest.raises(SyntaxFault) as caught:
+@pytest.mark.parametrize(("text", "column", "parts"), FAULTS)
+def test_syntax_error_has_message_and_column(text, column, parts):
+    with pytest.raises(SyntaxFault) as error:
         read_term(text, OPERATORS, "rules.txt")
-    fault = caught.value
+    fault = error.value
     assert (fault.place.source, fault.place.line, fault.place.column) == ("rules.txt", 1, column), (
         fault.message
     )
@@ -104,7 +104,7 @@ last(
 """
 
 
-def test_all_errors_of_a_program_come_at_once():
+def test_errors_of_program_are_reported_together():
     read = list(read_program(PROGRAM, OPERATORS, "p"))
     terms = [writeq(entry.term).split("(")[0] for entry in read if isinstance(entry, ReadTerm)]
     faults = [entry.place.line for entry in read if isinstance(entry, SyntaxFault)]
@@ -112,17 +112,18 @@ def test_all_errors_of_a_program_come_at_once():
     assert faults == [3, 5, 6, 7, 8, 9, 12]
 
 
-def test_the_caret_stands_under_the_error():
+def test_caret_is_below_error():
     fault = list(read_program("a.\n\tb :- c d.\n", OPERATORS, "p"))[1]
     assert str(fault).split("\n")[1:] == ["\tb :- c d.", "\t       ^"]
 
 
-def test_last_clause_needs_a_full_stop():
+def test_missing_full_stop_of_last_clause_is_an_error():
     (fault,) = read_program("a :- b % c", OPERATORS)
-    assert "expected a full stop" in fault.message and fault.place.column == 7
+    assert "expected a full stop" in fault.message
+    assert fault.place.column == 7
 
 
-def test_places_of_parts():
+def test_parts_of_term_have_places():
     read = read_term("out(X) <-\n  a(X) seq (b * c) where X > 1.", OPERATORS, "p")
     where = read.term[2]
     assert str(read.place) == "p:1:1"
@@ -206,22 +207,24 @@ PIECES = st.sampled_from(
 @pytest.mark.slow
 @settings(max_examples=700, deadline=None)
 @given(st.lists(st.one_of(PIECES, st.just(" ")), max_size=25).map("".join) | st.text(max_size=30))
-def test_any_text_reads_or_is_a_syntax_fault(text):
+def test_any_text_is_read_or_is_a_syntax_error(text):
     for entry in read_program(text, OPERATORS):
         assert isinstance(entry, (ReadTerm, SyntaxFault))
     for flags in (ReadFlags(), ReadFlags(iso=True), ReadFlags(event_text=True)):
+        fault = None
         try:
             read_term(text, OPERATORS, flags=flags)
-        except SyntaxFault as fault:
-            assert fault.message and fault.place is not None
+        except SyntaxFault as error:
+            fault = error
+        assert fault is None or (fault.message and fault.place is not None)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "opening,closing", [("(", ")"), ("f(", ")"), ("[", "]"), ("{", "}"), ("- ", ""), ("[a|", "]")]
+    ("opening", "closing"), [("(", ")"), ("f(", ")"), ("[", "]"), ("{", "}"), ("- ", ""), ("[a|", "]")]
 )
 @pytest.mark.parametrize("rule", ["", "x <- "])
-def test_depth_is_no_danger(opening, closing, rule):
+def test_deep_nesting_is_read_or_refused(opening, closing, rule):
     depth = 30_000
     read_term(rule + opening * depth + "b" + closing * depth, OPERATORS)
     with pytest.raises(SyntaxFault):
@@ -232,6 +235,6 @@ def test_depth_is_no_danger(opening, closing, rule):
 @pytest.mark.parametrize(
     "text", ["'\\'", "' . ", '"\\\n', "0'", "1_ ", "'\\\n\\'", "(,", "a b\n", "/*", "\\"]
 )
-def test_no_text_takes_quadratic_time(text):
+def test_long_repeated_text_is_read(text):
     for entry in read_program(text * 20_000, OPERATORS):
         assert isinstance(entry, (ReadTerm, SyntaxFault))

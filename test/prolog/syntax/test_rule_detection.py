@@ -91,14 +91,14 @@ RULES = {
 
 
 @pytest.mark.parametrize("text", RULES)
-def test_rule(text):
+def test_rule_is_read_as_canonical_term(text):
     read = read_term(text, OPERATORS)
     names = {variable: name for name, variable in read.names.items()}
-    found = write_term(read.term, Operators(), variable_names=names).replace("'rule:'", "rule:")
-    assert found == RULES[text]
+    canonical = write_term(read.term, Operators(), variable_names=names).replace("'rule:'", "rule:")
+    assert canonical == RULES[text]
 
 
-def test_wiki_program():
+def test_rules_of_original_program_are_read():
     text = """
     null_event do split_tf(Transforms) <- tf__0__tfMessage(Transforms).
     split_ar_pose(Markers) <- ar_pose__0__ARMarkers(Header,Markers).
@@ -116,20 +116,20 @@ def test_wiki_program():
     assert write_term(condition[2], ignore_ops=True, variable_names={}).startswith("+(")
 
 
-def test_user_operators_hold_from_the_next_clause_on():
+def test_new_operator_applies_from_next_clause():
     operators = Operators.prolog()
     reader = read_program("a.\nx ~~ y.\n p <- q ~~ r * s.", operators)
-    seen = []
+    clauses = []
     for entry in reader:
         operators.add(700, "xfx", "~~")
-        seen.append(write_term(entry.term, Operators()))
-    assert seen == ["a", "~~(x,y)", "<-(p,seq(~~(q,r),s))"]
+        clauses.append(write_term(entry.term, Operators()))
+    assert clauses == ["a", "~~(x,y)", "<-(p,seq(~~(q,r),s))"]
 
 
-def test_flags_hold_from_the_next_clause_on():
+def test_new_flags_apply_from_next_clause():
     reader = read_program('x("a"). x("a").', OPERATORS)
-    seen = []
+    clauses = []
     for entry in reader:
-        seen.append(write_term(entry.term))
+        clauses.append(write_term(entry.term))
         reader.flags = reader.flags._replace(double_quotes="codes")
-    assert seen == ['x("a")', "x([97])"]
+    assert clauses == ['x("a")', "x([97])"]

@@ -104,11 +104,11 @@ WRITTEN = {
 
 
 @pytest.mark.parametrize("text", WRITTEN)
-def test_writeq(text):
+def test_writeq_quotes_and_spaces_terms(text):
     assert writeq(read_term(text, OPERATORS).term, OPERATORS) == WRITTEN[text]
 
 
-def test_options():
+def test_write_options_change_text():
     term = read_term("f('A b',\"s\",x+1,[1,2],{y,z},- 1)", OPERATORS).term
     assert write_term(term, quoted=False) == "f(A b,s,x+1,[1,2],{y,z},- 1)"
     assert write_term(term, ignore_ops=True) == "f('A b',\"s\",+(x,1),[1,2],{','(y,z)},-(1))"
@@ -122,21 +122,21 @@ def test_options():
     )
 
 
-def test_variables():
-    one, two = Var(), Var()
-    two.ref = atom("b")
-    term = (functor("f", 3), one, two, one)
-    assert writeq(term) == to_text(term) == f"f(_G{serial(one)},b,_G{serial(one)})"
-    assert write_term(term, variable_names={one: "X"}) == "f(X,b,X)"
+def test_variables_are_named_or_numbered():
+    first, second = Var(), Var()
+    second.ref = atom("b")
+    term = (functor("f", 3), first, second, first)
+    assert writeq(term) == to_text(term) == f"f(_G{serial(first)},b,_G{serial(first)})"
+    assert write_term(term, variable_names={first: "X"}) == "f(X,b,X)"
 
 
-def test_lazy_terms_are_looked_at():
-    made = Lazy(functor("g", 1), lambda source: (functor("g", 1), source), 7)
-    term = (functor("f", 2), made, (CONS, made, Lazy(CONS, lambda source: (CONS, source, NIL), 8)))
+def test_lazy_terms_are_decoded():
+    lazy = Lazy(functor("g", 1), lambda source: (functor("g", 1), source), 7)
+    term = (functor("f", 2), lazy, (CONS, lazy, Lazy(CONS, lambda source: (CONS, source, NIL), 8)))
     assert to_text(term) == writeq(term) == "f(g(7),[g(7),8])"
 
 
-def test_event_text():
+def test_event_text_has_no_operators():
     items = make_list([1, -2.5, math.inf, -math.inf, math.nan, 1e22, atom("nan"), String("s")])
     term = (functor("e", 2), items, atom('"/odom"'))
     assert to_text(term) == "e([1,-2.5,inf,-inf,nan,1.0e+22,'nan',\"s\"],'\"/odom\"')"
@@ -144,9 +144,10 @@ def test_event_text():
 
 
 @pytest.mark.slow
-def test_long_and_deep_terms():
+def test_long_and_deep_terms_are_written():
     items = make_list(range(300_000))
-    assert writeq(items).endswith(",299999]") and to_text(items) == writeq(items)
+    assert writeq(items).endswith(",299999]")
+    assert to_text(items) == writeq(items)
     deep = atom("a")
     for _ in range(100_000):
         deep = (functor("-", 1), deep)

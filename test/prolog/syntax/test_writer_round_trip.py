@@ -1,3 +1,5 @@
+"""Round trip of terms: a written term is read as the same term."""
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -34,7 +36,7 @@ def _table(entries):
 @pytest.mark.slow
 @settings(max_examples=500, deadline=None)
 @given(terms, operator_tables())
-def test_write_then_read(term, operators):
+def test_written_term_is_read_as_same_term(term, operators):
     for text in (
         write_term(term, operators),
         write_term(term, operators, spacing=True),
@@ -48,7 +50,7 @@ def test_write_then_read(term, operators):
 @pytest.mark.slow
 @settings(max_examples=500, deadline=None)
 @given(terms)
-def test_event_text_reads_back(term):
+def test_event_text_is_read_as_same_term(term):
     """Strings excepted: in event text, ``"a"`` is the atom with the quotes inside."""
     read = read_term(to_text(term), Operators.prolog(), flags=EVENT).term
     expected = [_as_atom(item) for item in shape(term)]
@@ -85,9 +87,12 @@ SYMBOLS = (
     *("\\", ":", "$", "#", "dynamic", "table"),
 )
 RULES = frozenset(
-    s for one in EVENT_OPERATORS for s in one.spellings if one.name in ("<-", "do", "iff", "rule:")
+    spelling
+    for operator in EVENT_OPERATORS
+    for spelling in operator.spellings
+    if operator.name in ("<-", "do", "iff", "rule:")
 )
-"""Operators of rules: what stands beside them reads as a pattern, where `*` is another term than in Prolog."""
+"""Operators of rules: their arguments are read as patterns, where `*` denotes another term than in Prolog."""
 
 
 def _applied(children):
@@ -102,26 +107,27 @@ def _applied(children):
 clauses = st.recursive(st.one_of(terms, st.sampled_from(SYMBOLS).map(atom)), _applied, max_leaves=8)
 
 
-def _says_other(item):
-    """Tell whether a functor is written for something else: a variable, or a rule."""
+def _is_written_differently(item):
+    """Return whether a functor is written as a variable or read as a rule."""
     return item.__class__ is Functor and (item.name == "$VAR" or item.name in RULES)
 
 
 def check_written(logic, term):
-    """Check that what the writing predicates write reads back as the same term."""
+    """Check that the text of each writing predicate is read as the same term."""
     for name in ("portray_clause", "writeq", "print", "write_canonical"):
         written = []
         logic.output = written.append
         assert logic.once((functor(name, 1), term))
         text = "".join(written) + ("" if name == "portray_clause" else " .")
         (read,) = read_program(text, logic.operators, name)
-        assert not isinstance(read, Exception) and shape(read.term) == shape(term), text
+        assert not isinstance(read, Exception), text
+        assert shape(read.term) == shape(term), text
 
 
 @pytest.mark.slow
 @settings(max_examples=400, deadline=None)
-@given(clauses.filter(lambda term: not any(map(_says_other, shape(term)))), operator_tables())
-def test_written_clauses_read_back(term, operators):
+@given(clauses.filter(lambda term: not any(map(_is_written_differently, shape(term)))), operator_tables())
+def test_written_clause_is_read_as_same_term(term, operators):
     logic = PrologSystem()
     logic.operators.become(operators)
     check_written(logic, term)
@@ -153,7 +159,7 @@ FORMS = (
 
 
 @pytest.mark.parametrize("name", SYMBOLS)
-def test_operators_as_atoms_read_back(name):
+def test_operator_as_atom_is_read_as_same_term(name):
     """Alone, as argument, operand, item, head and goal."""
     logic = PrologSystem()
     text = f"({write_term(atom(name))})" if name != "," else "','"
@@ -161,7 +167,7 @@ def test_operators_as_atoms_read_back(name):
         check_written(logic, read_term(form.format(text), logic.operators).term)
 
 
-def test_redefined_operators_are_not_laid_out():
+def test_redefined_operator_is_written_without_layout():
     logic = PrologSystem()
     assert logic.once(read_term("op(500, xfy, :-)", logic.operators).term)
     check_written(logic, read_term("':-'(:(a:b), \\+ a)", logic.operators).term)

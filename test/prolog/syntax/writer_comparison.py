@@ -1,6 +1,6 @@
 """Comparison of written random terms with SWI-Prolog.
 
-Usage: python writer_comparison.py COUNT [SEED]      print what differs
+Usage: python writer_comparison.py COUNT [SEED]      print the differences
 """
 
 import random
@@ -29,13 +29,13 @@ WRITERS = ["writeq", "print", "write_canonical", "write", "portray_clause"]
 
 
 class Terms:
-    """Makes the texts of terms; the same ones from the same seed."""
+    """Generator of the texts of random terms, determined by its seed."""
 
     def __init__(self, seed: int):
         self.random = random.Random(seed)
 
     def term(self, depth: int) -> str:
-        """Return a term as text that both read alike: operators are written as functors."""
+        """Return the text of a term that both systems read as the same term: operators are written as functors."""
         choose = self.random.choice
         kind = self.random.random()
         if depth == 0 or kind < 0.15:
@@ -67,11 +67,11 @@ def main() -> None:
     goals = Terms(seed).goals(int(sys.argv[1]))
     differing = 0
     for goal, theirs in zip(goals, ask(goals)):
-        here, there = (plain(found).partition(" printed ")[2] for found in (answer(goal), theirs))
+        here, there = (plain(result).partition(" printed ")[2] for result in (answer(goal), theirs))
         if here != there:
             differing += 1
             print(f"{goal}\n  here  {here}\n  swipl {there}")
-    print(f"seed {seed}: {len(goals) - differing} of {len(goals)} are written alike")
+    print(f"seed {seed}: {len(goals) - differing} of {len(goals)} have the same text")
 
 
 if __name__ == "__main__":

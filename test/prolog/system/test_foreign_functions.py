@@ -147,11 +147,11 @@ def test_rule_calls_foreign_function():
     engine = Engine()
     engine.add_foreign(distance)
     engine.load("near(D) <- at(X, Y) where (distance(X, Y, 0, 0, D), D < 2).")
-    seen: List[str] = []
-    engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
+    events: List[str] = []
+    engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     engine.event("at(3,4)", 1)
     engine.event("at(0,1)", 2)
-    assert seen == ["at(3,4)", "at(0,1)", "near(1.0)"]
+    assert events == ["at(3,4)", "at(0,1)", "near(1.0)"]
 
 
 def test_invalid_foreign_functions_are_refused():
@@ -162,8 +162,8 @@ def test_invalid_foreign_functions_are_refused():
         foreign(lambda *args: 1)
     with pytest.raises(PrologError, match="append/3|atom_length/2"):
         engine.add_foreign(foreign(name="atom_length")(lambda text: 1))
+    engine.add_foreign(foreign(name="pair", outputs=2)(lambda: (1, 2, 3)))
     with pytest.raises(PrologError, match="2 values|3 values"):
-        engine.add_foreign(foreign(name="pair", outputs=2)(lambda: (1, 2, 3)))
         engine.query("pair(A, B)")
 
 
@@ -186,10 +186,10 @@ def test_use_foreign_loads_module_of_program(tmp_path):
         refused.load_program(tmp_path)
     engine = Engine(settings=Settings(allow_foreign=True))
     engine.load_program(tmp_path)
-    seen: List[str] = []
-    engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
+    events: List[str] = []
+    engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     engine.event("a(4)", 1)
-    assert seen == ["a(4)", "b(8)"]
+    assert events == ["a(4)", "b(8)"]
     engine.load(goals=f"use_foreign('{tmp_path / 'helpers.py'}')")
 
 
@@ -387,11 +387,11 @@ def test_endless_result_exceeds_limit(forms):
 
 
 def test_ndarray_parameter_receives_array():
-    seen = []
+    arrays = []
 
     @foreign
     def doubled(values: numpy.ndarray) -> numpy.ndarray:
-        seen.append(values)
+        arrays.append(values)
         return values * 2
 
     @foreign
@@ -408,7 +408,8 @@ def test_ndarray_parameter_receives_array():
     result = Var()
     for _ in engine.logic.solutions((functor("doubled", 2), ranges, result)):
         shown = writeq(result)
-    assert seen[0].dtype == numpy.dtype("f4") and not seen[0].flags.writeable
+    assert arrays[0].dtype == numpy.dtype("f4")
+    assert not arrays[0].flags.writeable
     assert ranges.decoded_term is None
     assert shown == "[0.0,2.0,4.0,6.0,8.0,10.0,12.0,14.0,16.0]"
     (answer,) = engine.query("doubled([1,2,3], L), total(L, T), class_name(L, K), total('\"ab\"', B)")

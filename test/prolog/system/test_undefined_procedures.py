@@ -39,7 +39,8 @@ def test_error_names_caller_and_similar_procedure():
 def test_repeated_call_searches_once(searches):
     logic = prolog("caller(X) :- apend(X, [], _), true.")
     texts = {error_text(logic, "caller([])") for _ in range(200)}
-    assert len(texts) == 1 and searches == ["apend/3"]
+    assert len(texts) == 1
+    assert searches == ["apend/3"]
 
 
 def test_later_definition_is_suggested(searches):
@@ -49,7 +50,7 @@ def test_later_definition_is_suggested(searches):
     assert "did you mean measure/1?" in error_text(logic, "mesure(_)")
 
 
-def test_constructed_names_are_searched_in_bounded_number(searches):
+def test_number_of_searched_names_is_bounded(searches):
     logic = prolog()
     for number in range(3000):
         assert "Unknown procedure" in error_text(logic, f"missing_{number}(x)")

@@ -13,7 +13,7 @@ from retalis.prolog.terms.types import NIL, Lazy
 
 
 @pytest.mark.parametrize("dtype", CODES)
-def test_the_numbers_of_an_array_term_are_those_of_the_array(dtype):
+def test_array_term_keeps_numbers_and_type(dtype):
     numbers = np.arange(1, 21).astype(dtype) * (1 if dtype.endswith("1") else 3)
     term = array_term(numbers)
     array = array_of(term)
@@ -25,18 +25,18 @@ def test_the_numbers_of_an_array_term_are_those_of_the_array(dtype):
 
 
 @pytest.mark.parametrize("numbers", [np.arange(9, dtype=">i4"), np.arange(18, dtype="i4")[::2]])
-def test_byte_order_and_strides_are_those_of_the_terms(numbers):
+def test_byte_order_and_strides_are_normalized(numbers):
     assert array_of(array_term(numbers)).tolist() == numbers.tolist()
 
 
-def test_the_bytes_stay_after_the_list_has_been_made():
+def test_decoded_array_term_keeps_its_bytes():
     term = array_term(np.arange(9.0))
     deref(term)
     assert term.decoded_term is not None
     assert array_of(term).tolist() == list(range(9))
 
 
-def test_changes_of_the_array_do_not_change_the_term():
+def test_array_term_is_a_copy():
     numbers = np.arange(9.0)
     term = array_term(numbers)
     numbers[0] = 5
@@ -44,20 +44,20 @@ def test_changes_of_the_array_do_not_change_the_term():
 
 
 @pytest.mark.parametrize("count", range(7))
-def test_short_arrays_are_lists(count):
+def test_short_array_is_a_list(count):
     term = array_term(np.arange(count))
     assert (term.__class__ is Lazy) == (count > 4)
     assert array_of(term).tolist() == list(range(count))
 
 
-def test_wide_floats_become_doubles():
+def test_wide_floats_are_converted_to_doubles():
     assert array_of(array_term(np.arange(9, dtype="g"))).dtype == np.dtype("f8")
 
 
 @pytest.mark.parametrize(
     "array", [np.zeros((2, 2)), np.array(1.0), np.array(["a"] * 9), np.array([True] * 9)]
 )
-def test_other_arrays_are_refused(array):
+def test_array_of_other_items_is_refused(array):
     with pytest.raises(ValueError, match="not a list of numbers"):
         array_term(array)
 
@@ -74,13 +74,13 @@ def test_other_arrays_are_refused(array):
         ([1.5, math.inf, math.nan], "f8"),
     ],
 )
-def test_arrays_of_lists(items, dtype):
+def test_list_is_converted_to_array(items, dtype):
     array = array_of(make_list(items))
     assert array.dtype == np.dtype(dtype)
     np.testing.assert_array_equal(array, np.array(items, dtype))
 
 
-def test_bound_variables_are_followed():
+def test_bound_variables_are_dereferenced():
     item, tail, whole = Var(), Var(), Var()
     item.ref, tail.ref = 2, make_list([3.5])
     whole.ref = make_list([1, item], tail)
@@ -91,7 +91,7 @@ def test_bound_variables_are_followed():
 
 
 @pytest.mark.parametrize("data", [b"", b"text", b"\x00\xff", bytes(range(256)) * 8])
-def test_bytes_of_byte_arrays(data):
+def test_byte_array_is_converted_to_array(data):
     lazy = Lazy(LAZY_STRING_FUNCTOR, BLOB, data)
     assert array_of(lazy).tobytes() == data
     assert lazy.decoded_term is None
@@ -100,7 +100,7 @@ def test_bytes_of_byte_arrays(data):
 
 
 @pytest.mark.parametrize("term", [Var(), make_list([1, Var()]), make_list([1], Var())])
-def test_unbound_parts_are_instantiation_errors(term):
+def test_unbound_part_is_an_instantiation_error(term):
     with pytest.raises(PrologError, match="not sufficiently instantiated"):
         array_of(term)
 
@@ -117,7 +117,7 @@ def test_unbound_parts_are_instantiation_errors(term):
         (make_list([NIL]), r"`number' expected, found `\[\]': item 0"),
     ],
 )
-def test_other_terms_are_type_errors(term, error):
+def test_term_that_is_no_array_is_a_type_error(term, error):
     with pytest.raises(PrologError, match=error):
         array_of(term)
 

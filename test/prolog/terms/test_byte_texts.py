@@ -1,3 +1,5 @@
+"""Atoms for strings and byte arrays of messages, and the bytes of atoms."""
+
 import base64
 import unicodedata
 
@@ -40,7 +42,7 @@ from retalis.prolog.terms.types import NIL
         ("FFFFFFFFFFü".encode(), '"FFFFFFFFFFRkZGRkZGRkZGRsO8////"'),
     ],
 )
-def test_strings_as_atoms(data, name):
+def test_string_is_converted_to_atom(data, name):
     assert text_atom(data) is atom(name)
     assert text_bytes(atom(name)) == data
 
@@ -58,20 +60,20 @@ def test_strings_as_atoms(data, name):
         (b"FFFFFFFFFF", '"FFFFFFFFFFRkZGRkZGRkZGRg==////"'),
     ],
 )
-def test_byte_arrays_as_atoms(data, name):
+def test_byte_array_is_converted_to_atom(data, name):
     assert blob_atom(data) is atom(name)
     assert text_bytes(atom(name)) == data
 
 
 @given(st.text(max_size=20))
-def test_only_control_characters_keep_a_text_from_being_one(text):
+def test_text_with_control_characters_is_base64(text):
     is_text = not text.startswith("FFFFFFFFFF") and all(
         char in "\t\n\r" or unicodedata.category(char) != "Cc" for char in text
     )
     assert (text_atom(text.encode()) is atom(f'"{text}"')) == is_text
 
 
-def test_base64_comes_in_lines_of_76():
+def test_base64_has_lines_of_76_characters():
     data = bytes(range(256))
     name = text_atom(data).name
     assert name.startswith('"FFFFFFFFFF')
@@ -81,14 +83,14 @@ def test_base64_comes_in_lines_of_76():
     assert len(lines.split("////")[0]) == 76
 
 
-def test_slashes_of_base64_are_no_line_breaks():
+def test_slashes_in_base64_are_no_line_breaks():
     data = b"\xff" * 60  # all of it "/" in base64
     assert text_atom(data).name == '"FFFFFFFFFF' + "/" * 76 + "////" + "/" * 4 + "////" + '"'
     assert text_bytes(text_atom(data)) == data
 
 
 @given(st.binary(max_size=300) | st.text(max_size=100).map(str.encode))
-def test_every_text_comes_back(data):
+def test_atom_is_converted_to_same_bytes(data):
     assert text_bytes(text_atom(data)) == data
     assert text_bytes(blob_atom(data)) == data
 
@@ -108,19 +110,19 @@ def test_every_text_comes_back(data):
         (2.5, None),
     ],
 )
-def test_other_terms_for_texts(term, data):
+def test_term_is_converted_to_bytes(term, data):
     assert text_bytes(term) == data
 
 
 @pytest.mark.parametrize(
     "broken", ["FFFFFFFFFFAA==", "FFFFFFFFFFA////", "FFFFFFFFFF?!==////", "FFFFFFFFFFé////"]
 )
-def test_broken_base64(broken):
+def test_invalid_base64_is_refused(broken):
     with pytest.raises(MessageError, match="base64"):
         text_bytes(atom(f'"{broken}"'))
 
 
-def test_half_a_surrogate_pair_is_no_text():
+def test_lone_surrogate_is_refused():
     with pytest.raises(MessageError, match="code point 0xd800"):
         text_bytes(atom("a\ud800"))
 
@@ -139,14 +141,14 @@ def outcome(text):
         max_size=2,
     ),
 )
-def test_the_short_way_of_base64_gives_what_the_general_way_gives(data, changes):
+def test_fast_base64_decoder_equals_general_one(data, changes):
     lines = blob_atom(b"\0" + data).name[1 + len(byte_texts.BASE64_MARK) : -1]
     for place, replacement in changes:
         lines = lines[:place] + replacement + lines[place + 1 :]
     text = f'"{byte_texts.BASE64_MARK}{lines}"'
-    found = outcome(text)
+    bytes_or_error = outcome(text)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(byte_texts, "_decode_valid_base64", lambda text: None)
-        assert outcome(text) == found
+        assert outcome(text) == bytes_or_error
     if not changes:
-        assert found == b"\0" + data
+        assert bytes_or_error == b"\0" + data

@@ -13,10 +13,10 @@ REFUSED = ["resource_error(term_size)"]
 
 @pytest.fixture(scope="module")
 def logic():
-    made = prolog(compile_after=1 << 60)
-    made.limits = Limits(seconds=20)
-    made.output = lambda text: None
-    return made
+    system = prolog(compile_after=1 << 60)
+    system.limits = Limits(seconds=20)
+    system.output = lambda text: None
+    return system
 
 
 @pytest.mark.parametrize(
@@ -37,7 +37,7 @@ def logic():
         ("unify_with_occurs_check(f(A,B,A,1), f(a(A),a(B),B,2))", False),
     ],
 )
-def test_what_is_known_of_a_term_that_contains_itself(logic, goal, holds):
+def test_cyclic_terms_compare_as_infinite_terms(logic, goal, holds):
     assert bool(answers(logic, f"\\+ \\+ ({goal})")) is holds
 
 
@@ -58,11 +58,11 @@ def test_what_is_known_of_a_term_that_contains_itself(logic, goal, holds):
         "X = f(X), term_hash(X, _)",
     ],
 )
-def test_what_is_refused(logic, goal):
+def test_traversal_of_cyclic_term_is_refused(logic, goal):
     assert answers(logic, goal) == REFUSED
 
 
-def test_a_term_with_parts_that_occur_twice_does_not_contain_itself():
+def test_shared_subterm_is_not_cyclic():
     part = (functor("f", 1), 1)
     term = (functor("g", 2), part, part)
     assert not contains_itself(term)
@@ -72,7 +72,7 @@ def test_a_term_with_parts_that_occur_twice_does_not_contain_itself():
 
 
 @pytest.mark.slow
-def test_long_lists_are_unified_as_before():
+def test_long_lists_are_unified():
     trail = []
     last = Var()
     assert unify(make_list(range(200_000)), make_list([*range(199_999), last]), trail)

@@ -1,3 +1,5 @@
+"""Atoms and functors: one object per name, which is released with its last reference."""
+
 import copy
 import gc
 import pickle
@@ -11,40 +13,42 @@ from retalis import atom, functor
 from retalis.prolog.terms import types
 
 
-def test_one_atom_for_a_name():
+def test_equal_names_have_same_atom():
     assert atom("base_link") is atom("base_link")
     assert atom("a") is not atom("b")
     assert copy.deepcopy(atom("a")) is pickle.loads(pickle.dumps(atom("a"))) is atom("a")
 
 
-def test_the_functor_of_an_atom_is_made_at_need():
-    one = atom("some name")
-    assert one.functor is functor("some name", 0) is one.functor
+def test_functor_of_atom_is_created_on_demand():
+    name = atom("some name")
+    assert name.functor is functor("some name", 0) is name.functor
     with pytest.raises(AttributeError):
-        one.other  # noqa: B018
+        name.other  # noqa: B018
 
 
 @pytest.mark.slow
-def test_atoms_that_no_term_holds_are_forgotten():
+def test_unreferenced_atoms_are_released():
     kept = atom("kept text")
     for number in range(1000):
         atom(f"text {number}")
     gc.collect()
-    assert not any(name.startswith("text ") for name in reachable(list(vars(types).values()), str))
+    names = reachable(list(vars(types).values()), str)
+    assert "kept text" in names
+    assert not any(name.startswith("text ") for name in names)
     assert atom("kept text") is kept
 
 
-def test_threads_get_the_same_atom():
+def test_threads_create_same_atom():
     interval = sys.getswitchinterval()
     sys.setswitchinterval(1e-6)
-    wrong = []
+    differing = []
 
     def work():
         for number in range(3000):
             name = f"name {number % 3}"
-            one = atom(name)
-            if atom(name) is not one or one.name != name:
-                wrong.append(name)
+            created = atom(name)
+            if atom(name) is not created or created.name != name:
+                differing.append(name)
 
     threads = [threading.Thread(target=work) for _ in range(4)]
     try:
@@ -54,10 +58,10 @@ def test_threads_get_the_same_atom():
             thread.join()
     finally:
         sys.setswitchinterval(interval)
-    assert not wrong
+    assert not differing
 
 
-def test_functors_that_nothing_holds_are_forgotten():
+def test_unreferenced_functors_are_released():
     first = functor("for_a_moment", 2)
     assert functor("for_a_moment", 2) is first
     kept = (first, 1, 2)

@@ -6,14 +6,14 @@ from retalis.prolog.terms.unification import unify
 F = functor("f", 1)
 
 
-def test_lists_that_differ_early_are_not_walked():
+def test_early_difference_binds_no_variables():
     trail = []
     left = make_list([F(atom("a")), *[Var() for _ in range(100)]])
     assert not unify(left, make_list([F(atom("b")), *range(100)]), trail)
     assert trail == []
 
 
-def test_all_arguments_are_unified():
+def test_arguments_of_compound_are_unified():
     first, second, third = Var(), Var(), Var()
     key = functor("g", 4)
     trail = []
