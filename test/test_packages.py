@@ -21,6 +21,7 @@ ORDER = (
     "prolog.system",
     "prolog.swi",
     "messages",
+    "events.clock",
     "events.streams",
     "events.language",
     "events.dispatch",

@@ -30,8 +30,8 @@ if TYPE_CHECKING:  # for type checkers; a program gets them by `__getattr__`
         WaitingStatus,
         Work,
     )
-    from .engine.runtime.clock import Clock, StreamClock
     from .engine.runtime.problem_reports import Reports
+    from .events.clock.clock import Clock, StreamClock
     from .events.program.topic_configuration import TopicType
     from .explanation.event_explanations import Explanation, ExplanationLine, explain, record_origins
     from .foundation.errors import (
@@ -131,7 +131,7 @@ _MODULES = {
     "BagError": "playback.rosbag1",
     "BagReader": "playback.rosbag1",
     "BagWriter": "playback.rosbag1",
-    "Clock": "engine.runtime.clock",
+    "Clock": "events.clock.clock",
     "collect_when_idle": "foundation.garbage_collection",
     "Compound": "prolog.system.value_conversion",
     "Decoder": "messages.decoder",
@@ -171,7 +171,7 @@ _MODULES = {
     "RuleStatus": "engine.engine_status",
     "Settings": "engine.engine_settings",
     "Status": "engine.engine_status",
-    "StreamClock": "engine.runtime.clock",
+    "StreamClock": "events.clock.clock",
     "String": "prolog.terms.types",
     "SubscriptionStatus": "engine.engine_status",
     "SyntaxFault": "foundation.errors",

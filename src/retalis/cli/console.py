@@ -18,8 +18,8 @@ from typing import Callable, Dict, Iterable, Iterator, List, NamedTuple, Optiona
 from ..engine.client_requests import decode_bindings, read_bindings
 from ..engine.engine import Engine
 from ..engine.engine_settings import Settings
-from ..engine.runtime.clock import Clock
 from ..engine.runtime.problem_reports import Reports
+from ..events.clock.clock import Clock
 from ..events.rules.event_input_predicates import event_of
 from ..foundation.errors import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError, printable
 from ..foundation.garbage_collection import limit_gc_pauses

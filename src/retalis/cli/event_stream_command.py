@@ -19,8 +19,8 @@ from ..engine.engine import Engine
 from ..engine.engine_settings import Settings
 from ..engine.program_check import find_absent_events
 from ..engine.run_records import open_records
-from ..engine.runtime.clock import StreamClock
 from ..engine.runtime.problem_reports import Reports
+from ..events.clock.clock import StreamClock
 from ..events.program.goal_file import goal_of, read_goals
 from ..events.program.topic_configuration import read_text
 from ..events.rules.event_input_predicates import event_of

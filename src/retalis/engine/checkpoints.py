@@ -21,6 +21,7 @@ from random import SystemRandom
 from typing import Any, Container, Dict, Iterable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 from zlib import crc32
 
+from ..events.clock.clock import Clock
 from ..events.knowledge.memory import NO_POSITION, MemoryInstance
 from ..events.program.topic_configuration import GOALS, TOPICS
 from ..foundation.errors import UsageError
@@ -42,7 +43,6 @@ from .deployment_contents import Deployment
 from .engine import Engine
 from .engine_settings import Settings
 from .engine_snapshot import EngineSnapshot, convert_errors, records_since
-from .runtime.clock import Clock
 from .runtime.problem_reports import Reports
 from .runtime.serial_executor import UNNAMED_REQUEST
 

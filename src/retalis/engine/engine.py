@@ -20,6 +20,7 @@ from typing import (
 
 from ..events.checks.check_runner import INFO, run_checks
 from ..events.checks.program_model import ProgramModel
+from ..events.clock.clock import Clock, StreamClock
 from ..events.dispatch.dispatcher import Dispatcher
 from ..events.dispatch.listeners import ListenerPhase
 from ..events.knowledge.knowledge_base import DELETE_MEMORY, MEMORIZE, OWN_EVENTS, SUBSCRIBE, KnowledgeBase
@@ -53,7 +54,6 @@ from .engine_status import DEFAULT_LISTING_LIMIT, Status, StatusReader, StatusSo
 from .event_input import EventInput, InputTopics, TextInput
 from .hot_reload import NullReports, create_fixed_clock, create_trial_settings, reload_folder
 from .program_loader import ProgramLoader, load_folder
-from .runtime.clock import Clock, StreamClock
 from .runtime.problem_reports import Reports
 from .runtime.serial_executor import UNNAMED_REQUEST, EngineRecovery, SerialExecutor
 from .runtime.watchdog import start_watchdog
@@ -174,8 +174,6 @@ class Engine:
         budget = self.logic.machine.budget
         self.dispatcher = Dispatcher(self.logic, max_depth=settings.max_depth)
         self.reports = reports = Reports() if reports is None else reports
-        # Rules and knowledge depend on each other. The rules receive functions that look up the knowledge when they
-        # are called, which is after both exist.
         self.rules = RuleBase(
             self.logic,
             self.dispatcher,
@@ -183,7 +181,6 @@ class Engine:
             self._files,
             on_error=reports.error,
             on_warning=reports.warning,
-            on_reset=lambda past: self.knowledge.reset(past),
             is_external_event=lambda key: key in OWN_EVENTS or key.name in self.slots.events,
         )
         declared = self.rules.declared_events

@@ -4,6 +4,7 @@ from operator import gt, itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Sequence, Tuple, TypeVar
 
+from ..events.clock.clock import StreamClock
 from ..events.knowledge.memory import MemoryInstance
 from ..events.network.event_rule import EventRule
 from ..foundation.errors import RetalisError, UsageError
@@ -24,7 +25,6 @@ from ..serialization.network_state import restore_matches, restore_rules, snapsh
 from ..serialization.state_file_format import SECTIONS, read_section
 from .deployment_contents import restore_deployments, save_deployments
 from .event_input import TopicRequest
-from .runtime.clock import StreamClock
 
 if TYPE_CHECKING:
     from .engine import Engine
@@ -180,9 +180,9 @@ class EngineSnapshot:
         for instance, batches in zip(memories, records):
             restore_records(instance, batches)
         restore_matches(rules, knowledge, engine.clock, sections["matches"], numbered_rules)
-        rules.files.loaded = set(map(Path, program["rules"]["loaded_files"]))
+        rules.files.set_loaded(map(Path, program["rules"]["loaded_files"]))
         # Each event checks the flag before it looks up a declaration; here it is not known whether there are any.
-        rules.declared_events.checks_events = True
+        rules.declared_events.check_all()
         engine.deployments.update(
             restore_deployments(program["deployments"], logic, knowledge, rules.timers, numbered_rules)
         )
@@ -193,7 +193,7 @@ class EngineSnapshot:
         engine.event_input.restore(
             counters["event_count"], counters["far_ahead_count"], counters["stamp_jumps"]
         )
-        engine.executor.dropped = counters["dropped_count"]
+        engine.executor.restore(counters["dropped_count"])
         engine.dispatcher.next_token_number = counters["next_token_number"]
 
     def _load_foreign(self, modules: Sequence[str], folder: Optional[Path]) -> None:

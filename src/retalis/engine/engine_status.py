@@ -8,6 +8,7 @@ the event that is being processed.
 import time
 from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, TypeVar, Union
 
+from ..events.clock.clock import Clock
 from ..events.dispatch.dispatcher import Dispatcher
 from ..events.knowledge.knowledge_base import KnowledgeBase
 from ..events.knowledge.pending_queries import AwaitedSource
@@ -17,7 +18,6 @@ from ..events.rules.timer_service import FIRST_INSTANT
 from ..foundation.errors import shorten
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.types import Term, Var, deref
-from .runtime.clock import Clock
 from .runtime.problem_reports import Reports
 from .runtime.serial_executor import SerialExecutor
 from .runtime.watchdog import Watchdog, describe_work

@@ -10,8 +10,11 @@ topics itself, so a node or a bag player registers a function that subscribes.
 """
 
 import logging
+from functools import partial
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, Union
 
+from ..events.clock.clock import Clock, StreamClock
+from ..events.clock.stamp_jumps import NO_JUMPS, JumpDecision, JumpState, StampJumps
 from ..events.dispatch.dispatcher import Dispatcher
 from ..events.knowledge.transform_buffer import Transform
 from ..events.language.event_declarations import DeclaredEvents, event_name_error
@@ -29,9 +32,7 @@ from ..prolog.syntax.operators import Operators
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.timestamps import format_distance
 from ..prolog.terms.types import Atom, String, Term, Var, deref
-from .runtime.clock import Clock, StreamClock
 from .runtime.problem_reports import Reports
-from .runtime.stamp_jumps import NO_JUMPS, JumpDecision, JumpState, StampJumps
 
 log = logging.getLogger("retalis")
 
@@ -228,23 +229,21 @@ class EventInput:
         # event, so that events are processed even if alarms set new alarms.
         until = clock.reached()
         is_idle = self._dispatcher.current is None and not self._logic.machine.choices
+        run_as_entry = self._logic.machine.budget.run_as_entry
         while True:
             due_alarm = clock.due(until)
             if due_alarm is None:
                 return
             instant, alarm = due_alarm
-            # Goals of the alarm see its own instant as the present time, even if the clock has moved further.
-            clock.ringing = instant
-            # Each alarm has its own limits and errors, which affect neither the other alarms nor the event that moved
-            # the clock.
+            # Goals of the alarm see its own instant as the present time, even if the clock has moved further. Each
+            # alarm has its own limits and errors, which affect neither the other alarms nor the event that moved the
+            # clock.
             try:
-                self._logic.machine.budget.run_as_entry(("an alarm", instant), lambda: alarm(instant))  # noqa: B023
+                clock.ring(instant, partial(run_as_entry, ("an alarm", instant), partial(alarm, instant)))
             except Halt:
                 raise
             except Exception as error:
                 self._report_alarm_error(error, is_idle)
-            finally:
-                clock.ringing = None
 
     def stamp_jumps(self) -> JumpState:
         """Return the state of the checks of timestamps ahead; see `StampJumps.snapshot`."""

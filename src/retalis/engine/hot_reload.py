@@ -19,6 +19,7 @@ from pathlib import Path
 from threading import get_ident
 from typing import TYPE_CHECKING, Callable, Dict, Hashable, Iterable, List, Sequence
 
+from ..events.clock.clock import Clock, StreamClock
 from ..events.knowledge.memory import MemoryInstance
 from ..events.network.event_rule import EventRule
 from ..events.rules.timer_service import ProgramTimer
@@ -44,7 +45,6 @@ from .deployment_contents import (
 )
 from .engine_settings import Settings
 from .program_loader import load_files, program_items, resolve_path
-from .runtime.clock import Clock, StreamClock
 from .runtime.problem_reports import Reports
 from .runtime.serial_executor import UNNAMED_REQUEST
 
@@ -415,7 +415,7 @@ class ReloadTransaction:
             for key, items in rules.all_properties().items()
         }
         rules.restore_properties({key: items for key, items in properties.items() if items})
-        rules.files.loaded -= old.files
+        rules.files.set_loaded(rules.files.loaded - old.files)
         # A flag is reset only if it still has the folder's value. Otherwise a goal or a service has changed it since.
         for name, value in old.flags.items():
             new_value = self._trial_deployment.flags[name]
@@ -537,7 +537,7 @@ class ReloadTransaction:
                 rules.flags.set(name, value)
         rules.restore_properties(before.properties)
         rules.activate_exactly(before.rules)
-        rules.files.loaded = before.files
+        rules.files.set_loaded(before.files)
         knowledge.memories.restore_all(list(before.memories.values()))
         knowledge.subscriptions.restore_all(list(before.subscriptions.items()))
         rules.timers.restore_all(before.timers)

@@ -16,6 +16,7 @@ from ..events.checks.check_runner import (
 from ..events.checks.event_flow_checks import EventProducers, explain_missing_producer
 from ..events.checks.message_checks import find_output_fault
 from ..events.checks.program_model import FunctorSuggestions, ProgramModel, RecordedTopic
+from ..events.clock.clock import Clock
 from ..events.program.topic_configuration import (
     AUTO,
     TOPICS,
@@ -40,7 +41,6 @@ from ..messages.type_registry import Definitions
 from ..prolog.terms.types import CompoundTerm, Functor, Term
 from .engine import Engine
 from .engine_settings import Settings
-from .runtime.clock import Clock
 from .runtime.problem_reports import Reports
 
 

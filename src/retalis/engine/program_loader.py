@@ -170,5 +170,5 @@ def load_files(engine: "Engine", folder: Path) -> None:
         raise UsageError(f"cannot read {folder}: there is no such file or folder")
     path = folder / GOALS
     # Types of event names must be known before the goals run: rules in the folder are checked against them.
-    engine.slots.events = {**engine.input_topics.event_types(), **event_types(folder)}
+    engine.slots.set_events({**engine.input_topics.event_types(), **event_types(folder)})
     loader.call_goals(read_text(path), str(path), folder)

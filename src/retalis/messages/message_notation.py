@@ -112,6 +112,10 @@ class SlotNames:
             self._definitions = Definitions()
         return self._definitions
 
+    def set_events(self, events: Dict[str, str]) -> None:
+        """Set the message types by the event names that the program has given them."""
+        self.events = events
+
     def find(self, name: str) -> Optional[List[MessageSlot]]:
         """Return the slots of the messages with this name, or None if it is not a message.
 

@@ -15,8 +15,8 @@ from ..engine.checkpoints import (
 )
 from ..engine.engine import Engine
 from ..engine.engine_settings import Settings
-from ..engine.runtime.clock import Clock
 from ..engine.runtime.problem_reports import Reports
+from ..events.clock.clock import Clock
 from ..foundation.errors import RetalisError, format_count
 from ..messages.type_registry import Definitions
 

@@ -5,9 +5,9 @@ import threading
 import time
 from typing import Callable, ContextManager, Optional, Sequence, Tuple
 
-from ..engine.runtime.clock import Alarm, Clock
 from ..engine.runtime.clock_epochs import ClockEpochs
 from ..engine.runtime.problem_reports import Reports
+from ..events.clock.clock import Alarm, Clock
 from .transport import Timer, Transport
 
 log = logging.getLogger("retalis")

@@ -142,7 +142,7 @@ class RunningProgram:
     def start_transforms(self, start_feed: Callable[[], object]) -> None:
         """Call a function once, as soon as the program reads transforms; it calls `subscribe_transforms`."""
         self.require_transforms()
-        self.engine.knowledge.transforms.set_feed(start_feed)
+        self.engine.knowledge.transforms.add_feed(start_feed)
 
     def require_transforms(self) -> None:
         """Read transforms if the rules use them."""

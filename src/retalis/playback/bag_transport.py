@@ -7,7 +7,7 @@ bag that is played, and whoever plays the bag calls `MessageReceiver.convert` fo
 
 from typing import Dict, Iterable, List, NamedTuple, Set, Tuple
 
-from ..engine.runtime.clock import StreamClock
+from ..events.clock.clock import StreamClock
 from ..foundation.ros_names import strip_slashes
 from ..messages.type_definition import Definition
 from ..node.transport import Connect, MessageReceiver, MessageSource

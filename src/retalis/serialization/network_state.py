@@ -12,7 +12,7 @@ from operator import itemgetter
 from types import MappingProxyType
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
-from ..engine.runtime.clock import Clock
+from ..events.clock.clock import Clock
 from ..events.knowledge.knowledge_base import KnowledgeBase
 from ..events.knowledge.timeouts import TimeoutAlarm, Timeouts
 from ..events.matches.match_types import EventMatch

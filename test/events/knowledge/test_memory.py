@@ -99,9 +99,8 @@ def test_clear_removes_records():
 
 
 def test_wide_gaps_are_reported():
-    memory = Memory(100)
     gaps = []
-    memory.on_wide_gap = lambda start, end: gaps.append((start, end))
+    memory = Memory(100, lambda start, end: gaps.append((start, end)))
     for end in [*range(1000, 2000, 100), 4000, 4100]:
         memory.add((end, end, end))
     for look_up in (memory.around, memory.at_or_after):
@@ -114,9 +113,8 @@ def test_wide_gaps_are_reported():
 @pytest.mark.parametrize("gap", [90, 99, 100, 110])
 @pytest.mark.parametrize("steps_before", [1, 3])
 def test_gap_is_wide_from_ten_times_the_mean(gap, steps_before):
-    memory, end = Memory(100), 0
     widths = []
-    memory.on_wide_gap = lambda start, end: widths.append(end - start)
+    memory, end = Memory(100, lambda start, end: widths.append(end - start)), 0
     for step in [10] * steps_before + [gap] + [10] * 4:
         end += step
         memory.add((end, end, end))

@@ -301,7 +301,7 @@ def test_transforms_are_required_if_program_reads_them():
         requests = []
         transforms = program.engine.knowledge.transforms
         transforms.require_if_mentioned(program.engine.rules.terms())
-        transforms.set_feed(lambda: requests.append(True))  # noqa: B023
+        transforms.add_feed(lambda: requests.append(True))  # noqa: B023
         assert requests == [True] * expected, rules
         program.engine.call("ignore(tf_lookup(a, b, 0, _))")
         assert requests == [True]

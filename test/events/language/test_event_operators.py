@@ -108,7 +108,7 @@ import sys
 
 from retalis import Engine, ProgramErrors
 from retalis.explanation.event_explanations import explain, record_origins
-from retalis.engine.runtime.clock import StreamClock
+from retalis.events.clock.clock import StreamClock
 from retalis.prolog.terms.timestamps import SECOND; from retalis.prolog.terms.types import functor
 
 EVENTS = (("a(1)", 1, 4), ("a(2)", 2, 5), ("b(3)", 3, 6), ("b(4)", 5, 6), ("a(5)", 0, 4), ("b(6)", 1, 5))

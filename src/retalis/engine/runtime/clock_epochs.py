@@ -38,8 +38,8 @@ from typing import (
     Tuple,
 )
 
+from ...events.clock.clock import JUMP
 from ...foundation.errors import format_count
-from .clock import JUMP
 from .problem_reports import Reports
 
 CLOCK_WAIT_SECONDS = 1.0

@@ -16,12 +16,12 @@ timestamps followed the node's time before.
 import time
 from typing import Callable, Dict, Iterator, List, Optional
 
+from ...events.clock.clock import JUMP
 from ...foundation.bounded_caches import Cache
 from ...foundation.errors import printable, shorten
 from ...messages.decoder import Decoder
 from ...messages.header_stamps import FrameStamp, format_frame_key, make_observed_decoder
 from ...prolog.terms.timestamps import SECOND
-from .clock import JUMP
 from .problem_reports import Reports
 
 MAX_UNREPORTED_SKEW_NS = 10 * SECOND

@@ -202,6 +202,10 @@ class SerialExecutor:
         """The working thread; None if the executor is idle."""
         return self._working_thread
 
+    def restore(self, dropped: int) -> None:
+        """Set the number of dropped entries to that of another executor."""
+        self.dropped = dropped
+
     def replace_entry(self, entry: object) -> object:
         """Set the identity of the current work; return the previous one."""
         previous, self.entry = self.entry, entry

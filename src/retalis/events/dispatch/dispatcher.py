@@ -211,7 +211,6 @@ class Dispatcher(ListenerIndex):
 
     Attributes:
         current: `Context` of the event that is being dispatched, or None.
-        create_token: creates the token of an event; lineage tracking replaces it.
         max_recursive_depth: depth up to which derived events are dispatched by recursive calls.
         tracks_lineage: whether tokens record the lineage of events.
         retractions: number of retractions; one counts once, whatever the number of events that depended on it.
@@ -236,7 +235,7 @@ class Dispatcher(ListenerIndex):
         self.current: Any = None
         self.cause: Any = None
         self.shortcuts: Dict[Functor, Callable[[Any, EventAction], Optional[EventAction]]] = {}
-        self.create_token: Callable[[Context], Any] = lambda context: next(self._tokens)
+        self._create_token: Optional[Callable[[Context], Any]] = None
         self.tracks_lineage = False
         self.retractions = 0
 
@@ -244,6 +243,15 @@ class Dispatcher(ListenerIndex):
         """Clear all plans and reset the context, after an interrupt."""
         self._invalidate_plans(None)
         self.restore(None, None)
+
+    def track_lineage(self, create_token: Optional[Callable[[Context], Any]]) -> None:
+        """Let a function create the tokens of events, which record their lineage; None stops tracking."""
+        self._create_token = create_token
+        self.tracks_lineage = create_token is not None
+
+    def count_retraction(self) -> None:
+        """Count a retraction."""
+        self.retractions += 1
 
     def dispatch(  # noqa: C901  (on the path of every event)
         self,
@@ -512,7 +520,8 @@ class Dispatcher(ListenerIndex):
         """Return the unique token of the current event."""
         context = self._require_context()
         if context[TOKEN] is None:
-            context[TOKEN] = self.create_token(context)
+            create_token = self._create_token
+            context[TOKEN] = next(self._tokens) if create_token is None else create_token(context)
         return context[TOKEN]
 
     def _require_context(self) -> Context:

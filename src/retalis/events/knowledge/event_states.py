@@ -16,7 +16,6 @@ is retracted, the state holds since the next one.
 from collections import OrderedDict, deque
 from itertools import count
 from typing import (
-    TYPE_CHECKING,
     Any,
     Callable,
     Deque,
@@ -52,6 +51,7 @@ from ...prolog.terms.term_traversal import copy, freeze, term_key, variables
 from ...prolog.terms.timestamps import lazy_term
 from ...prolog.terms.types import Frame, Functor, Term, Values, Var, atom, deref, functor
 from ...prolog.terms.unification import may_unify
+from ..clock.clock import Clock
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import Listener, ListenerPhase
 from ..dispatch.matcher_compiler import compile_builder
@@ -60,9 +60,6 @@ from ..matches.watermarks import PatternWatermark, Watermarks, functor_of
 from ..provenance.occurrences import Occurrence
 from .memory import Warn
 from .timeouts import Timeouts, TimeoutsState
-
-if TYPE_CHECKING:
-    from ...engine.runtime.clock import Clock
 
 # Versions are unique among all declarations, so a table that depends on one declaration can compare numbers only.
 _VERSIONS = count()
@@ -153,7 +150,7 @@ class DeclaredState:
         form: StateForm,
         logic: PrologSystem,
         dispatcher: Dispatcher,
-        clock: "Clock",
+        clock: Clock,
         watermarks: Watermarks,
         warn: Warn,
     ):
@@ -481,8 +478,6 @@ class StateRegistry:
         clock: calls alarms for states that end by themselves.
         watermarks: the watermarks that such ends wait for.
         warn: receives warnings.
-
-    Attributes:
         on_event: called with each event of a declaration before it is declared; may raise an error.
     """
 
@@ -490,20 +485,21 @@ class StateRegistry:
         self,
         logic: PrologSystem,
         dispatcher: Dispatcher,
-        clock: "Clock",
+        clock: Clock,
         watermarks: Watermarks,
         warn: Warn,
+        on_event: Callable[[Term], None],
     ):
         self._logic = logic
         self._dispatcher = dispatcher
         self._clock = clock
         self._watermarks = watermarks
         self._warn = warn
+        self.on_event = on_event
         self._declarations: Dict[Hashable, DeclaredState] = {}
         self._detached: Dict[Hashable, DeclaredState] = {}
         self._declarations_by_functor: Dict[Functor, List[DeclaredState]] = {}
         self._tables = tables_of(logic.machine)
-        self.on_event: Callable[[Term], None] = lambda event: None
         _StatePredicates(self).define(logic)
 
     def __iter__(self) -> Iterator[DeclaredState]:

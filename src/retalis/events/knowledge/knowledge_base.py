@@ -5,7 +5,7 @@
 """
 
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Callable, Iterator, Optional, Sequence, Tuple
+from typing import Any, Callable, Iterator, Optional, Sequence, Tuple
 
 from ...foundation.errors import UsageError
 from ...prolog.machine.errors import instantiation_error, type_error
@@ -13,9 +13,11 @@ from ...prolog.machine.machine import Machine
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.term_traversal import variables
 from ...prolog.terms.types import Frame, Functor, Term, Var, deref, functor
+from ..clock.clock import Clock
 from ..dispatch.dispatcher import Dispatcher
 from ..language.stream_parser import subscription_event
 from ..matches.watermarks import functor_of
+from ..rules.rule_base import RuleBase
 from .event_states import StateRegistry
 from .memory import UPDATED, MemoryInstance, Warn, key_of
 from .memory_gaps_and_pose_chains import MemoryGaps, TransformChains
@@ -32,11 +34,6 @@ from .subscriptions import Deliver, Subscriptions
 from .transform_buffer import TransformBuffer
 from .transform_predicates import Transforms
 
-if TYPE_CHECKING:
-    from ...engine.runtime.clock import Clock
-    from ..rules.rule_base import RuleBase
-
-
 MEMORIZE = functor("memorize", 5)
 SUBSCRIBE = functor("subscribe", 5)
 DELETE_MEMORY = functor("delete_memory", 1)
@@ -52,8 +49,6 @@ class KnowledgeBase:
     """Memories, transforms, pending queries, subscriptions and states of a program.
 
     Attributes:
-        on_pattern: called with the patterns of a memory, subscription or state before it is made; may raise.
-        on_conditions: called with the conditions and the name of each memory and subscription that is made.
         gaps: limits for interpolation.
 
     Args:
@@ -63,6 +58,8 @@ class KnowledgeBase:
         deliver: receives the events of subscriptions.
         warn: receives warnings as text.
         rules: rules of the program; they call subscriptions that send later.
+        on_pattern: called with the patterns of a memory, subscription or state before it is made; may raise.
+        on_conditions: called with the conditions and the name of each memory and subscription that is made.
         buffer: buffer of the transforms; by default a new one.
     """
 
@@ -70,10 +67,10 @@ class KnowledgeBase:
         self,
         logic: PrologSystem,
         dispatcher: Dispatcher,
-        clock: "Clock",
+        clock: Clock,
         deliver: Deliver,
         warn: Warn,
-        rules: "RuleBase",
+        rules: RuleBase,
         on_pattern: Callable[[Term], None] = lambda pattern: None,
         on_conditions: Callable[[Term, str], None] = lambda conditions, owner: None,
         buffer: Optional[TransformBuffer] = None,
@@ -82,11 +79,10 @@ class KnowledgeBase:
         self._dispatcher = dispatcher
         self._rules = rules
         self._warn = warn
-        self.on_pattern = on_pattern
-        self.on_conditions = on_conditions
-        self.memories = MemoryInstances(logic, dispatcher, clock.stamp, warn)
+        self._on_pattern = on_pattern
+        self._on_conditions = on_conditions
         self.gaps = MemoryGaps(logic.brief, warn)
-        self.memories.on_create = self.gaps.note_gaps_of
+        self.memories = MemoryInstances(logic, dispatcher, clock.stamp, warn, self.gaps.note_gap)
         self.transforms = Transforms(
             logic, dispatcher, TransformBuffer() if buffer is None else buffer, self.gaps, warn
         )
@@ -94,10 +90,9 @@ class KnowledgeBase:
             logic, dispatcher, self.memories, self.transforms, warn, clock, rules.watermarks
         )
         self.subscriptions = Subscriptions(logic, dispatcher, deliver, warn, rules)
-        self.states = StateRegistry(logic, dispatcher, clock, rules.watermarks, warn)
-        # Looked up at each call, because `on_pattern` is assigned later.
-        self.states.on_event = lambda event: self.on_pattern(event)
+        self.states = StateRegistry(logic, dispatcher, clock, rules.watermarks, warn, on_pattern)
         self._define_predicates()
+        rules.on_reset.add(self.reset)
         logic.undefined_procedures.other_uses.add(self._describe_other_use)
 
     def _describe_other_use(self, key: Functor) -> str:
@@ -211,9 +206,9 @@ class KnowledgeBase:
 
     def _create_memory(self, arguments: Sequence[Term], active: bool, frame: Frame) -> Frame:
         # Checks run before the memory is created, so an error leaves no memory behind.
-        self.on_pattern(arguments[0])
+        self._on_pattern(arguments[0])
         next_frame = self.memories.create((MEMORIZE, *arguments), active, frame)
-        self.on_conditions(arguments[1], f"memory {self._logic.brief(arguments[3])}")
+        self._on_conditions(arguments[1], f"memory {self._logic.brief(arguments[3])}")
         return next_frame
 
     def _memorize_by_flag(self, machine: Machine, arguments: Sequence[Term], frame: Frame) -> Frame:
@@ -233,9 +228,9 @@ class KnowledgeBase:
             return frame
 
     def _subscribe(self, machine: Machine, *arguments: Term) -> bool:
-        self.on_pattern(subscription_event(arguments[0]))
+        self._on_pattern(subscription_event(arguments[0]))
         self.subscriptions.create((SUBSCRIBE, *arguments))
-        self.on_conditions(arguments[1], f"subscription {self._logic.brief(arguments[4])}")
+        self._on_conditions(arguments[1], f"subscription {self._logic.brief(arguments[4])}")
         return True
 
     def _delete_subscription(self, machine: Machine, topic: Term, name: Term) -> bool:

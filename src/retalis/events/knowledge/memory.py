@@ -17,6 +17,7 @@ to a record.
 """
 
 from bisect import bisect_left, bisect_right
+from functools import partial
 from heapq import heapify, heappop, heappush
 from itertools import count
 from typing import (
@@ -276,6 +277,10 @@ class Memory:
     last ``size`` entries of the lists count. Lists are replaced, never shortened or reordered in place, so a reader
     of an older list is not disturbed by later changes.
 
+    Args:
+        size: maximum number of records.
+        on_wide_gap: called with both ends if a look-up falls between records that may be unusually far apart.
+
     Attributes:
         size: maximum number of records.
         trim_length: length of the lists at which they are cut.
@@ -286,7 +291,6 @@ class Memory:
         indices: indexes of the records, by the position of the indexed argument; see `candidate_positions`.
         first_changed_position: position of the first record that an insertion out of order has moved, counted from
             the first record ever; `NO_POSITION` if all records have arrived in order since this was set.
-        on_wide_gap: called with both ends if a look-up falls between records that may be unusually far apart.
     """
 
     __slots__ = (
@@ -296,14 +300,14 @@ class Memory:
         "ends",
         "records",
         "indices",
-        "on_wide_gap",
+        "_on_wide_gap",
         "first_changed_position",
         "_epoch",
         "_removed_count",
         "_next",
     )
 
-    def __init__(self, size: int):
+    def __init__(self, size: int, on_wide_gap: Callable[[int, int], object] = lambda start, end: None):
         self.size = size
         self.trim_length = size + size // 4 + 16
         self.late_count = 0
@@ -315,7 +319,7 @@ class Memory:
         self.ends: List[int] = []
         self.records: List[MemoryRecord] = []
         self.indices: Dict[int, RecordIndex] = {}
-        self.on_wide_gap: Callable[[int, int], object] = lambda start, end: None
+        self._on_wide_gap = on_wide_gap
 
     def clear(self) -> None:
         """Remove all records; the counters remain."""
@@ -437,7 +441,7 @@ class Memory:
             ends[-1] - ends[0]
         ) and start < end:
             # At least `WIDE_STEP_FACTOR` times the mean of the other steps.
-            self.on_wide_gap(start, end)
+            self._on_wide_gap(start, end)
         return self.records[position]
 
     def around(self, instant: int) -> Optional[Tuple[MemoryRecord, MemoryRecord]]:
@@ -458,7 +462,7 @@ class Memory:
         end = ends[position]
         # As in `at_or_after`.
         if (end - start) * (record_count + WIDE_STEP_FACTOR - 2) >= WIDE_STEP_FACTOR * (ends[-1] - ends[0]):
-            self.on_wide_gap(start, end)
+            self._on_wide_gap(start, end)
         return self.records[position - 1], self.records[position]
 
     @property
@@ -572,6 +576,14 @@ class QueryQueue:
 class MemoryInstance(QueryQueue):
     """A memory with its name, its recorder, and the queries that wait for it.
 
+    Args:
+        name: its name, any ground term.
+        size: maximum number of records.
+        active: see below.
+        definition: see below.
+        note_gap: called with the instance and both ends if a look-up falls between records that may be unusually far
+            apart.
+
     Attributes:
         id: its name, any ground term.
         active: whether its creation, updates and deletion are reported as events.
@@ -585,11 +597,18 @@ class MemoryInstance(QueryQueue):
 
     recorder: "Recorder"
 
-    def __init__(self, name: Term, size: int, active: bool, definition: Term):
+    def __init__(
+        self,
+        name: Term,
+        size: int,
+        active: bool,
+        definition: Term,
+        note_gap: "Callable[[MemoryInstance, int, int], object]",
+    ):
         super().__init__()
         self.id = name
         self.definition = definition
-        self.memory = Memory(size)
+        self.memory = Memory(size, partial(note_gap, self))
         self.active = active
         self.has_variables = False
 

@@ -76,18 +76,14 @@ class MemoryGaps:
         """Remove all noted gaps."""
         self.noted_gaps.clear()
 
-    def note_gaps_of(self, instance: MemoryInstance) -> None:
-        """Note the wide gaps of a memory from now on."""
-
-        def note_gap(start: int, end: int) -> None:
-            gaps = self.noted_gaps
-            # The entry is removed and inserted again, so that it moves to the end of the dictionary.
-            instances = gaps.pop((start, end), ())
-            gaps[start, end] = instances if instance in instances else (*instances, instance)
-            if len(gaps) > MAX_NOTED_GAPS:
-                del gaps[next(iter(gaps))]
-
-        instance.memory.on_wide_gap = note_gap
+    def note_gap(self, instance: MemoryInstance, start: int, end: int) -> None:
+        """Note a wide gap of a memory."""
+        gaps = self.noted_gaps
+        # The entry is removed and inserted again, so that it moves to the end of the dictionary.
+        instances = gaps.pop((start, end), ())
+        gaps[start, end] = instances if instance in instances else (*instances, instance)
+        if len(gaps) > MAX_NOTED_GAPS:
+            del gaps[next(iter(gaps))]
 
     def interpolation_weight(self, start: int, end: int, instant: int) -> Optional[Number]:
         """Return the weight of a record at ``start`` in the interpolation with one at ``end``.

@@ -9,6 +9,7 @@ with an unchanged definition continue with their records.
 from bisect import bisect_left
 from typing import Any, Callable, Dict, Hashable, Iterable, Iterator, List, Optional, Sequence, Tuple
 
+from ...foundation.callbacks import CallbackList
 from ...foundation.cancellation import check_limits
 from ...foundation.errors import UsageError
 from ...prolog.builtins.tabling import tables_of
@@ -50,13 +51,14 @@ class MemoryInstances:
         dispatcher: dispatcher of the events that are recorded.
         stamp: returns the instant for an event of the clock.
         warn: receives reports about conditions that raised an error.
+        note_gap: called with an instance and both ends if a look-up falls between records that may be unusually far
+            apart.
 
     Attributes:
         instances: instances by the keys of their names.
         on_update: called when an instance has reached the instant of a pending query, with the instance, the end of
-            the recorded event, and the next frame; returns the frame to continue with.
+            the recorded event, and the next frame; each returns the frame to continue with.
         on_delete: called with an instance that is deleted.
-        on_create: called with an instance that is created.
     """
 
     def __init__(
@@ -65,20 +67,21 @@ class MemoryInstances:
         dispatcher: Dispatcher,
         stamp: Callable[[], int],
         warn: Warn,
+        note_gap: Callable[[MemoryInstance, int, int], object],
     ):
         self._logic = logic
         self._dispatcher = dispatcher
         self._stamp = stamp
         self._warn = warn
+        self._note_gap = note_gap
         self.instances: Dict[Hashable, MemoryInstance] = {}
         self._tables = tables_of(logic.machine)
         self._active_tables = self._tables.active
         self._newest_recorder: Optional[Recorder] = None
         self._detached: Dict[Hashable, MemoryInstance] = {}
         self._updates = dispatcher.event_filter(UPDATED)
-        self.on_update: UpdateAction = lambda instance, end, frame: frame
-        self.on_delete: Callable[[MemoryInstance], None] = lambda instance: None
-        self.on_create: Callable[[MemoryInstance], None] = lambda instance: None
+        self.on_update: CallbackList[UpdateAction] = CallbackList()
+        self.on_delete: CallbackList[Callable[[MemoryInstance], None]] = CallbackList()
 
     def __iter__(self) -> Iterator[MemoryInstance]:
         return iter(list(self.instances.values()))
@@ -144,13 +147,11 @@ class MemoryInstances:
             raise type_error("integer", size, f"the size is a number of records: write {_NOTATION}")
         if size < 0:
             raise domain_error("not_less_than_zero", size)
-        instance = MemoryInstance(name, size, active, copied)
+        instance = MemoryInstance(name, size, active, copied, self._note_gap)
         detached_instance = self._detached.get(key)
         # Detached by a reload and unchanged: the memory keeps its records.
         if detached_instance is not None and detached_instance.key == instance.key:
             instance = self._detached.pop(key)
-        else:
-            self.on_create(instance)
         recorder = self._find_or_create_recorder(pattern, conditions, template, name)
         self.instances[key] = instance
         recorder.add(instance)
@@ -174,7 +175,7 @@ class MemoryInstances:
         # The memory is gone before its deletion is reported: a listener may create a new one with the same name.
         del self.instances[key_of(instance.id)]
         instance.recorder.remove(instance)
-        self.on_delete(instance)
+        self._report_removal(instance)
         return self.report_deleted(instance, frame)
 
     def report_deleted(self, instance: MemoryInstance, frame: Frame) -> Frame:
@@ -197,8 +198,12 @@ class MemoryInstances:
         deleted = list(self._detached.values())
         self._detached.clear()
         for instance in deleted:
-            self.on_delete(instance)
+            self._report_removal(instance)
         return deleted
+
+    def _report_removal(self, instance: MemoryInstance) -> None:
+        for callback in self.on_delete:
+            callback(instance)
 
     def restore_all(self, instances: Sequence[MemoryInstance]) -> None:
         """Restore exactly these memories, whether or not they have been detached meanwhile."""
@@ -216,9 +221,8 @@ class MemoryInstances:
     def create_unreported(self, definition: Any, active: bool) -> MemoryInstance:
         """Create a memory by its definition as `create` does, without reporting it."""
         _, _, _, _, name, size = definition
-        instance = MemoryInstance(name, size, active, definition)
+        instance = MemoryInstance(name, size, active, definition, self._note_gap)
         self._detached[key_of(name)] = instance
-        self.on_create(instance)
         self.create(definition, active, self._logic.machine.done)
         return instance
 
@@ -275,7 +279,8 @@ class MemoryInstances:
             # The report becomes the continuation of the queries, so they are called before its listeners.
             frame = (self, update, instant, frame)
         if instance.next_instant <= end:
-            return self.on_update(instance, end, frame)
+            for process_update in self.on_update:
+                frame = process_update(instance, end, frame)
         return frame
 
     def run(self, frame: Frame) -> Frame:

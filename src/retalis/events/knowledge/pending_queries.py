@@ -20,7 +20,6 @@ and event are compiled for the variables of the rule (`compile_conditions`, `com
 
 from itertools import count
 from typing import (
-    TYPE_CHECKING,
     Any,
     Callable,
     Dict,
@@ -45,6 +44,7 @@ from ...prolog.terms import timestamps
 from ...prolog.terms.list_terms import list_items, make_list
 from ...prolog.terms.term_traversal import copy, positions, variables
 from ...prolog.terms.types import CONS, MINUS, TRUE, EventAction, Frame, Term, Values, Var, deref, functor
+from ..clock.clock import Clock
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import ListenerPhase
 from ..dispatch.matcher_compiler import compile_builder
@@ -55,9 +55,6 @@ from .memory import MemoryInstance, Warn, key_of
 from .memory_registry import MemoryInstances
 from .timeouts import Timeouts, timeout_of
 from .transform_predicates import AwaitedTransform, ReachedTransforms, Transforms
-
-if TYPE_CHECKING:
-    from ...engine.runtime.clock import Clock
 
 AwaitedSource = Union[MemoryInstance, AwaitedTransform]
 """A memory or transform that queries wait for."""
@@ -495,7 +492,7 @@ class PendingQueries:
         memories: MemoryInstances,
         transforms: Transforms,
         warn: Warn,
-        clock: "Clock",
+        clock: Clock,
         watermarks: Watermarks,
         limit: int = MAX_PENDING_QUERIES,
     ):
@@ -514,9 +511,9 @@ class PendingQueries:
         )
         self._context = QueryContext(logic, dispatcher, warn)
         self._general_query = compile_general_query(self._context)
-        memories.on_update = self._on_memory_update
-        transforms.on_reached = self._on_transforms_reached
-        memories.on_delete = self._drop_queries_of_deleted
+        memories.on_update.add(self._on_memory_update)
+        transforms.on_reached.add(self._on_transforms_reached)
+        memories.on_delete.add(self._drop_queries_of_deleted)
         for name in ("syncronized", "synchronized"):
             key = functor(name, 3)
             dispatcher.listen(ListenerPhase.QUERIES, key(Var(), Var(), Var()), self._process_synchronized)

@@ -8,7 +8,6 @@ Esper calls output rate limiting.
 
 from itertools import count
 from typing import (
-    TYPE_CHECKING,
     Any,
     Callable,
     Dict,
@@ -34,6 +33,7 @@ from ..language.stream_parser import subscription_event, subscription_rate_opera
 from ..matches.match_types import NetworkOptions
 from ..matches.watermarks import PatternWatermark, functor_of
 from ..network.stream_compiler import compile_rate_spec
+from ..rules.rule_base import RuleBase
 from ..streams.stream_operators import StreamElement, StreamOperator, StreamOutput
 from .memory import (
     Recording,
@@ -44,9 +44,6 @@ from .memory import (
     record_event,
     unused_variables,
 )
-
-if TYPE_CHECKING:
-    from ..rules.rule_base import RuleBase
 
 _NOTATION = "subscribe(Pattern, Conditions, Template, Topic, Id)"
 
@@ -72,9 +69,9 @@ class OutputRateLimiter:
         rules: the rule base, which sets the alarms and provides the limits.
         warn: receives warnings.
         position: position among all subscriptions.
+        send: sends the term of an event.
 
     Attributes:
-        send: sends the term of an event.
         serial: 0, so that alarms of subscriptions run before those of rules.
         active: whether it may be called by the clock.
         alarm_instant: instant of its next alarm; None if no alarm is set.
@@ -92,16 +89,17 @@ class OutputRateLimiter:
         rate_pattern: RatePattern,
         event: Term,
         title: str,
-        rules: "RuleBase",
+        rules: RuleBase,
         warn: Warn,
         position: int,
+        send: Callable[[Term], None],
     ):
         self._spec = compile_rate_spec(rate_pattern, variables(event))
         self.value_counts = (len(rate_pattern.keys), int(rate_pattern.value is not None))
         self._title = title
         self._rules = rules
         self._warn = warn
-        self.send: Callable[[Term], None] = lambda term: None
+        self._send_term = send
         self.position = position
         self.active = True
         self.alarm_instant: Optional[int] = None
@@ -114,7 +112,7 @@ class OutputRateLimiter:
 
     def _create_stream(self) -> StreamOperator:
         stream = self._spec.create_operator(NetworkOptions())
-        stream.compute_max_timestamp = self._rules.compute_max_timestamp
+        stream.limit_time(self._rules.compute_max_timestamp)
         stream.set_bounds(self._rules.key_bounds)
         self._evicted_count = 0
         return stream
@@ -201,7 +199,7 @@ class OutputRateLimiter:
 
     def _send(self, outputs: List[StreamOutput]) -> None:
         for output in outputs:
-            self.send(output.elements[-1].match)
+            self._send_term(output.elements[-1].match)
 
     def _set_alarm(self) -> None:
         instant = self._stream.next_deadline
@@ -290,7 +288,7 @@ class Subscriptions:
     """
 
     def __init__(
-        self, logic: PrologSystem, dispatcher: Dispatcher, deliver: Deliver, warn: Warn, rules: "RuleBase"
+        self, logic: PrologSystem, dispatcher: Dispatcher, deliver: Deliver, warn: Warn, rules: RuleBase
     ):
         self._logic = logic
         self._dispatcher = dispatcher
@@ -352,7 +350,13 @@ class Subscriptions:
         rate_limiter = (
             None
             if rate_operator is None
-            else self._create_rate_limiter(rate_operator, pattern, title, unchanged)
+            else self._create_rate_limiter(
+                rate_operator,
+                pattern,
+                title,
+                unchanged,
+                self._create_sender(sent_counter, topic_text, subscription_id),
+            )
         )
         listener = self._dispatcher.listen(
             ListenerPhase.SUBSCRIPTIONS,
@@ -395,18 +399,25 @@ class Subscriptions:
             return send if recording is record_event else send_record
         limit_rate = rate_limiter.process
 
-        def send_term(term: Term) -> None:
-            sent_counter.count += 1
-            deliver(term, topic, subscription_id)
-
         def send_limited(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
             output_term = recording(term, values, is_ground_context())
             if output_term is not None:
                 limit_rate(output_term, values, start, end)
             return frame
 
-        rate_limiter.send = send_term
         return send_limited
+
+    def _create_sender(
+        self, sent_counter: SentCounter, topic: str, subscription_id: Term
+    ) -> Callable[[Term], None]:
+        """Return the function that sends the terms of a rate limiter."""
+        deliver = self._deliver
+
+        def send(term: Term) -> None:
+            sent_counter.count += 1
+            deliver(term, topic, subscription_id)
+
+        return send
 
     def _create_rate_limiter(
         self,
@@ -414,10 +425,11 @@ class Subscriptions:
         event: Term,
         title: str,
         unchanged: Optional[Subscription],
+        send: Callable[[Term], None],
     ) -> OutputRateLimiter:
         """Return the rate limiter, with the state of an unchanged subscription that was detached."""
         rate_limiter = OutputRateLimiter(
-            rate_operator, event, title, self._rules, self._warn, next(self._next_position)
+            rate_operator, event, title, self._rules, self._warn, next(self._next_position), send
         )
         if unchanged is not None and unchanged.rate_limiter is not None:
             rate_limiter.restore(unchanged.rate_limiter.snapshot())

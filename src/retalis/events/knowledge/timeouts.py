@@ -7,16 +7,14 @@ is due when the watermark reaches it, that is when the clock has passed it by th
 """
 
 from heapq import heapify, heappop, heappush
-from typing import TYPE_CHECKING, Callable, Container, List, Set, Tuple
+from typing import Callable, Container, List, Set, Tuple
 
 from ...foundation.errors import UsageError
 from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.timestamps import from_seconds
 from ...prolog.terms.types import Term, deref, functor
+from ..clock.clock import Clock
 from ..matches.watermarks import PatternWatermark, Watermarks
-
-if TYPE_CHECKING:
-    from ...engine.runtime.clock import Clock
 
 TimeoutsState = Tuple[List[Tuple[int, int]], List[int]]
 """Deadlines (instant, order), and instants for which an alarm is set."""
@@ -54,7 +52,7 @@ class Timeouts:
 
     def __init__(
         self,
-        clock: "Clock",
+        clock: Clock,
         pending_orders: Container[int],
         on_timeout: Callable[[int, int], None],
         watermarks: Watermarks,

@@ -11,11 +11,13 @@ number of pending queries. When that frame gets the sample, the condition is reg
 path. If a frame gets its first sample or another parent, all conditions are registered again.
 
 The engine does not know topics. The node or the bag player passes a function that subscribes to the transform topics
-to `set_feed`. It is called when the program first uses transforms; other programs do not receive these topics.
+to `Transforms.add_feed`. It is called when the program first uses transforms; other programs do not receive these
+topics.
 """
 
 from typing import Any, Callable, Dict, Hashable, Iterable, List, Optional, Sequence, Set, Tuple
 
+from ...foundation.callbacks import CallbackList
 from ...foundation.errors import UsageError
 from ...foundation.similar_names import closest_name
 from ...prolog.builtins.pose_predicates import compose, lazy_pose_term, parse_pose
@@ -131,8 +133,8 @@ class Transforms:
     Attributes:
         buffer: the buffer.
         is_required: whether the program reads transforms.
-        on_reached: called with the transforms that have become available and the next frame; returns the frame that
-            calls the queries first.
+        on_reached: called with the transforms that have become available and the next frame; each returns the frame
+            that calls the queries first.
     """
 
     def __init__(
@@ -149,7 +151,7 @@ class Transforms:
         self._gaps = gaps
         self._warn = warn
         self.is_required = False
-        self._start_feed: Callable[[], object] = lambda: None
+        self._feeds: CallbackList[Callable[[], object]] = CallbackList()
         self._frame_names: Dict[Term, str] = {}
         self._reported_frames: Set[str] = set()
         self._transforms_by_frames: Dict[Tuple[str, str], AwaitedTransform] = {}
@@ -157,7 +159,7 @@ class Transforms:
         self._seen_topology_version = 0
         self._tables = tables_of(logic.machine)
         self._active_tables = self._tables.active
-        self.on_reached: Callable[[ReachedTransforms, Frame], Frame] = lambda reached, next_frame: next_frame
+        self.on_reached: CallbackList[Callable[[ReachedTransforms, Frame], Frame]] = CallbackList()
         self._define_lookups()
         logic.define_function("tf_missing", 4, self._find_missing_reason)
         logic.define_control("tf_add", 4, self._add_dynamic)
@@ -165,9 +167,9 @@ class Transforms:
 
     # ---- topics --------------------------------------------------------------------------------------
 
-    def set_feed(self, start_feed: Callable[[], object]) -> None:
-        """Set the function that starts to feed the buffer; it is called once, when the program needs transforms."""
-        self._start_feed = start_feed
+    def add_feed(self, start_feed: Callable[[], object]) -> None:
+        """Add a function that starts to feed the buffer; it is called once, when the program needs transforms."""
+        self._feeds.add(start_feed)
         if self.is_required:
             start_feed()
 
@@ -175,7 +177,8 @@ class Transforms:
         """Record that the program reads transforms, and start the feed."""
         if not self.is_required:
             self.is_required = True
-            self._start_feed()
+            for start_feed in self._feeds:
+                start_feed()
 
     def require_if_mentioned(self, terms: Iterable[Term]) -> None:
         """Start the feed if one of the given terms refers to transforms."""
@@ -190,7 +193,9 @@ class Transforms:
         if reached:
             machine = self._logic.machine
             # The queries are not caused by the current event, if there is one.
-            self._dispatcher.run_without_context(lambda: machine.run(self.on_reached(reached, machine.done)))
+            self._dispatcher.run_without_context(
+                lambda: machine.run(self._process_reached(reached, machine.done))
+            )
 
     def _store(self, transforms: Iterable[Transform], is_static: bool) -> ReachedTransforms:
         """Store transforms; return those that queries wait for and that are available now."""
@@ -404,7 +409,13 @@ class Transforms:
         if reason:
             raise permission_error("create", "transform", deref(child), reason)
         reached = self._store([(*names, instant, numbers)], is_static)
-        return self.on_reached(reached, next_frame) if reached else next_frame
+        return self._process_reached(reached, next_frame) if reached else next_frame
+
+    def _process_reached(self, reached: ReachedTransforms, frame: Frame) -> Frame:
+        """Return the frame that calls the queries that waited for transforms, and goes on with ``frame``."""
+        for call_queries in self.on_reached:
+            frame = call_queries(reached, frame)
+        return frame
 
     def _frame_name(self, term: Term) -> str:
         """Return the name of a frame, given as an atom or a string.

@@ -632,6 +632,10 @@ class DeclaredEvents:
         self._is_external_event = is_external_event
         logic.define(DECLARE_EVENT.name, 1, self._declare)
 
+    def check_all(self) -> None:
+        """Check events even if nothing is declared."""
+        self.checks_events = True
+
     def current_declarations(self) -> Declarations:
         """Return a copy of the present declarations; additions to it have no effect on others."""
         return Declarations(

@@ -17,7 +17,7 @@ aggregates and windows.
 `TimedNode` is the protocol of nodes with alarms, which rules and subscriptions have.
 """
 
-from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Protocol, Sequence, Tuple, Union
+from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Protocol, Sequence, Tuple
 
 from ...foundation.errors import RetalisError, RuleError
 from ...prolog.database.compiled_goal import CompiledGoal
@@ -32,9 +32,20 @@ from ..matches.match_types import PartialMatch
 from ..streams.aggregates import AGGREGATES, array_length, is_number, is_number_expression, value_error
 
 if TYPE_CHECKING:
-    from ..knowledge.subscriptions import OutputRateLimiter
     from ..matches.watermarks import PatternWatermark
     from .event_rule import EventRule
+
+
+class AlarmOwner(Protocol):
+    """The owner of nodes with alarms: a rule or a subscription."""
+
+    @property
+    def serial(self) -> int:
+        """Alarms of owners with a lower number run first."""
+
+    @property
+    def active(self) -> bool:
+        """True while the clock may call its nodes."""
 
 
 class TimedNode(Protocol):
@@ -51,8 +62,8 @@ class TimedNode(Protocol):
     watermark: "PatternWatermark"
 
     @property
-    def rule(self) -> "Union[EventRule, OutputRateLimiter]":
-        """The owner; alarms of owners with a lower ``serial`` run first."""
+    def rule(self) -> AlarmOwner:
+        """The owner."""
 
     def on_alarm(self, instant: int, frame: Frame, /) -> Frame:
         """Return the frame that processes everything that is due, and continues with ``frame``."""

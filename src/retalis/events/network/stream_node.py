@@ -314,6 +314,11 @@ class StreamNodeSpec(NamedTuple):
     fusible_window: Optional[FusedWindow] = None
 
 
+def _drop_result(match: PartialMatch, frame: Frame) -> Frame:
+    """Drop a result of a node that is not connected."""
+    return frame
+
+
 class StreamNode(NetworkNode):
     """Passes the matches of patterns to an operator on streams.
 
@@ -363,13 +368,13 @@ class StreamNode(NetworkNode):
         self._options: Optional[NetworkOptions] = None
         self.stream = self._create_operator(NetworkOptions(), rule.meter)
         self.replay: Optional[Replay] = None
-        self.emit: Emit = lambda match, frame: frame
+        self.emit: Emit = _drop_result
 
     def _create_operator(self, options: NetworkOptions, meter: Optional[Meter]) -> StreamOperator:
         stream = self.spec.create_operator(options)
         stream.meter = meter
         stream.tracks_elements = options.tracks_events
-        stream.compute_max_timestamp = self.rule.network.compute_max_timestamp
+        stream.limit_time(self.rule.network.compute_max_timestamp)
         stream.set_bounds(self._bounds)
         return stream
 

@@ -83,7 +83,7 @@ class LoadSavepoint:
             if rule.serial > self._serial:
                 rules.remove(rule)
         rules.restore_properties(self._properties)
-        rules.files.loaded = self._loaded
+        rules.files.set_loaded(self._loaded)
 
 
 class LoadRollback:
@@ -435,7 +435,7 @@ class EventFileLoader:
             if rollback is not None:
                 rollback.restore()
             # Necessary even if nothing took effect, because reading has marked the files as loaded.
-            self._files.loaded = loaded
+            self._files.set_loaded(loaded)
             if outermost:
                 self._rollbacks = []
             if isinstance(error, ProgramErrors):

@@ -85,7 +85,6 @@ class LineageTracker:
         self._remembered_events: Deque[Occurrence] = deque()
         self._occurrences_by_term: Dict[Hashable, List[Occurrence]] = {}
         self.listeners: List[Listener] = []
-        self._untracked_create_token = rules.dispatcher.create_token
         self.blocking_match: Optional[PartialMatch] = None
         self._next_suppressed_number = count()
         self._next_event_number = count(1)
@@ -97,12 +96,11 @@ class LineageTracker:
         for listener in self.listeners:
             dispatcher.remove(listener)
         self.listeners = []
-        dispatcher.tracks_lineage = self._rules.options.tracks_events
         if not self._rules.options.tracks_events:
-            dispatcher.create_token = self._untracked_create_token
+            dispatcher.track_lineage(None)
             self.clear()
             return
-        dispatcher.create_token = self._create_token
+        dispatcher.track_lineage(self._create_token)
         self.listeners.append(dispatcher.listen(ListenerPhase.TRACE, Var(), self._remember))
         if self._rules.flags.is_on("revision_flag"):
             self.listeners.append(dispatcher.listen(ListenerPhase.RULES, (REV, Var()), self._retract, (-1,)))
@@ -284,7 +282,7 @@ class LineageTracker:
         marked = _mark_retracted(retracted, meter)
         if marked is None:
             return None
-        self._rules.dispatcher.retractions += 1
+        self._rules.dispatcher.count_retraction()
         # ``rev(E)`` itself reports the retraction of E, so no further ``rev`` event is dispatched for these.
         for occurrence in retracted:
             occurrence.reported = True

@@ -164,14 +164,14 @@ class _RulePredicates:
         # Past states, stored events, lineage and the clocks of the rules remain.
         for rule in self.rules.rules:
             rule.clear_matches()
-        self.rules.on_reset(False)
+        self.rules.report_reset(False)
         return True
 
     def reset_etalis_state(self, machine: Machine) -> bool:
         # Rules, flags, memories and facts remain.
         for rule in self.rules.rules:
             rule.clear()
-        self.rules.on_reset(True)
+        self.rules.report_reset(True)
         self.rules.event_log.clear()
         self.rules.tracker.clear()
         return True

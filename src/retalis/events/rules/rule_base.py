@@ -9,8 +9,9 @@ frequency, so that a rule that fails at each event does not flood the log.
 import logging
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Callable, Dict, Hashable, Iterator, List, Optional, Sequence, Tuple, Union
+from typing import Callable, Dict, Hashable, Iterator, List, Optional, Sequence, Tuple, Union
 
+from ...foundation.callbacks import CallbackList
 from ...foundation.errors import Place, RecurringWarning, RetalisError, RuleError
 from ...prolog.files.source_files import SourceFiles
 from ...prolog.machine.resource_limits import record_caught_error
@@ -19,6 +20,7 @@ from ...prolog.terms.term_traversal import copy, term_key, variables
 from ...prolog.terms.timestamps import SECOND, format_distance, from_seconds
 from ...prolog.terms.types import Functor, Term, Trail, Values, atom, deref
 from ...prolog.terms.unification import unify
+from ..clock.clock import Clock
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import TERM, ListenerPhase
 from ..language.called_predicates import calls_in_goals
@@ -40,9 +42,6 @@ from ..provenance.occurrences import Occurrence
 from .event_flags import MAX_WATERMARK_DELAY, Flags
 from .event_language_predicates import define_predicates
 from .timer_service import NodeTimers, RuleAlarm, Timers
-
-if TYPE_CHECKING:
-    from ...engine.runtime.clock import Clock
 
 _UNLABELED = atom("unlabeled")
 
@@ -127,10 +126,10 @@ class RuleBase:
         future: maximum time in ns by which a timestamp may be ahead of the clock and still advance windows.
         on_error: called with each error of a rule or goal while events are processed; by default it is logged.
         on_warning: called with each warning; by default it is logged.
-        on_reset: called if a goal drops partial matches, with True if stored events are dropped, too.
         is_external_event: returns whether events of a functor come from outside the program without a declaration.
 
     Attributes:
+        on_reset: called if a goal drops partial matches, with True if stored events are dropped, too.
         warn_singletons: whether to warn of variables that occur only once in a clause.
         flags: the flags of ``set_etalis_flag/2``.
         declared_events: declared events.
@@ -147,13 +146,12 @@ class RuleBase:
         self,
         logic: PrologSystem,
         dispatcher: Dispatcher,
-        clock: "Clock",
+        clock: Clock,
         files: SourceFiles,
         max_stored: int = 1_000_000,
         future: int = 10 * SECOND,
         on_error: Callable[[RetalisError], None] = lambda error: log.error("%s", error),
         on_warning: Callable[[RetalisError], None] = lambda error: log.warning("%s", error),
-        on_reset: Callable[[bool], None] = lambda past: None,
         is_external_event: Callable[[Functor], bool] = lambda key: False,
     ):
         self.logic = logic
@@ -165,7 +163,7 @@ class RuleBase:
         self.warn_singletons = False
         self.failed_retraction_count = 0
         self.fired_by_deleted_rules = 0
-        self.on_reset = on_reset
+        self.on_reset: CallbackList[Callable[[bool], None]] = CallbackList()
         self.on_warning = on_warning
         self.condition_state = ConditionState()
         self._rule_index = RuleIndex()
@@ -445,7 +443,7 @@ class RuleBase:
             self.event_log.set_storing(self.flags.is_on(name))
         elif name == UNDECLARED.name:
             # The flag makes undeclared events errors, so each event must be checked even if nothing is declared.
-            self.declared_events.checks_events = True
+            self.declared_events.check_all()
 
     def compute_max_timestamp(self) -> int:
         """Return the latest timestamp that may advance the windows of a rule: ``future`` ns after the present time.
@@ -469,11 +467,16 @@ class RuleBase:
             rule.return_to(instant)
         self.timers.return_to(instant)
 
+    def report_reset(self, includes_past: bool) -> None:
+        """Report that a goal drops partial matches, and stored events if ``includes_past`` is true."""
+        for callback in self.on_reset:
+            callback(includes_past)
+
     def reset(self) -> None:
         """Remove all rules, properties, partial matches, stored events and timers, and reset all flags."""
         for rule in list(self.rules):
             self.remove(rule)
-        self.on_reset(True)
+        self.report_reset(True)
         self._properties.clear()
         self.declared_events.clear()
         self.event_log.clear()

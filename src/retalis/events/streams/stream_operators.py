@@ -97,6 +97,10 @@ class KeyBounds(NamedTuple):
     max_keys: int = 1 << 62
 
 
+def _no_time_limit() -> int:
+    return 1 << 64
+
+
 class StreamOperator:
     """Base class of stream operators: state machines that take elements and instants, and return outputs.
 
@@ -131,11 +135,15 @@ class StreamOperator:
         self.late_count = self.ahead_count = self.pruned_count = self.evicted_count = 0
         self.tracks_elements = False
         self.meter: Optional[Meter] = None
-        self.compute_max_timestamp: Callable[[], int] = lambda: 1 << 64
+        self.compute_max_timestamp: Callable[[], int] = _no_time_limit
         self.set_bounds(KeyBounds())
         self.clock = self.max_timestamp = BEFORE_ALL_INSTANTS
         # Finding the first key of a plain dict takes time linear in the number of keys deleted before it.
         self.states: OrderedDict[Hashable, Any] = OrderedDict()
+
+    def limit_time(self, compute_max_timestamp: Callable[[], int]) -> None:
+        """Limit the ends that may advance the time of the stream; by default there is no limit."""
+        self.compute_max_timestamp = compute_max_timestamp
 
     def set_bounds(self, bounds: KeyBounds) -> None:
         """Set the bounds for the states of keys from the next element on."""

@@ -7,7 +7,7 @@ them, or to the program's folder for goals.
 import os
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Dict, Iterator, List, Optional, Set, Tuple, Union
+from typing import Dict, Iterable, Iterator, List, Optional, Set, Tuple, Union
 
 from ...foundation.errors import UsageError
 from ..terms.types import Term
@@ -178,6 +178,10 @@ class SourceFiles:
     def is_folder(self, path: str) -> bool:
         """Return whether a readable folder exists; raises the errors of `resolve`."""
         return self.sandbox.is_folder(str(self.resolve(path)), path)
+
+    def set_loaded(self, paths: Iterable[Path]) -> None:
+        """Set the files that have been loaded, after a load was undone or its files were removed."""
+        self.loaded = set(paths)
 
     def has_loaded(self, path: Path) -> bool:
         """Return whether a file has been loaded or is being loaded."""

@@ -54,6 +54,19 @@ class Clock:
         self.alarms: List[Tuple[int, int, Alarm]] = []
         self._order = count()
 
+    def ring(self, instant: int, call_alarm: Callable[[], object]) -> None:
+        """Call the alarm of an instant, which is `ringing` meanwhile.
+
+        >>> clock = Clock(lambda: 5_000_000_000)
+        >>> clock.ring(4_000_000_000, lambda: print(clock.ringing))
+        4000000000
+        """
+        self.ringing = instant
+        try:
+            call_alarm()
+        finally:
+            self.ringing = None
+
     def snapshot(self) -> List[int]:
         """Return the state of the clock without its source and its alarms; see `restore`.
 
@@ -316,6 +329,19 @@ class StreamClock(Clock):
 
     def _present(self) -> int:
         return self._time if self._pinned is None else self._pinned
+
+    def ring(self, instant: int, call_alarm: Callable[[], object]) -> None:
+        """Call the alarm of an instant, which is `ringing` meanwhile.
+
+        >>> clock = Clock(lambda: 5_000_000_000)
+        >>> clock.ring(4_000_000_000, lambda: print(clock.ringing))
+        4000000000
+        """
+        self.ringing = instant
+        try:
+            call_alarm()
+        finally:
+            self.ringing = None
 
     def snapshot(self) -> List[int]:
         """Return the state of the clock; see `Clock.snapshot`.

@@ -2,7 +2,7 @@
 
 import pytest
 
-from retalis.engine.runtime.stamp_jumps import StampJumps
+from retalis.events.clock.stamp_jumps import StampJumps
 from retalis.prolog.terms.timestamps import SECOND
 
 HOUR = 3600

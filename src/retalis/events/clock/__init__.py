@@ -1,0 +1,1 @@
+"""Clocks, alarms, and checks of timestamps ahead of a clock."""
