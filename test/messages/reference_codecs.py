@@ -1,4 +1,4 @@
-"""Random messages of many types, decoded and encoded by this package and by genpy or rosbags.
+"""Comparison of this package with genpy or rosbags: random messages of many types are decoded and encoded.
 
 For each message of each type: the decoded term denotes the values that the reference has deserialized, and the bytes
 that are encoded from it, before and after its lazy terms are read, and from the terms of the reference's values are
@@ -8,7 +8,7 @@ those that the reference serializes.
     PYTHONPATH=src:test python3 -m messages.reference_codecs --messages 1000 genpy  (in a shell that has sourced ROS)
 
 The types of genpy are those of the installed packages, and those of all stores of rosbags, from whose texts genpy
-generates classes. Three differences are known, and not tried: genpy replaces bytes that are no UTF-8 in a string; it
+generates classes. Three known differences are excluded: genpy replaces bytes that are no UTF-8 in a string; it
 carries nanoseconds over a second; and both references set a bit in signalling NaNs, which arrays keep here.
 """
 
@@ -57,7 +57,7 @@ SPECIAL_FLOATS = {
 LENGTHS = (0, 0, 1, 1, 2, 3, 4, 5, 8, 9, 17, 200)
 
 BUDGETS = (*[20] * 12, *[200] * 3, 3000)
-"""Numbers of slots in the arrays of a message; large messages are rare, so that many can be tried."""
+"""Numbers of slots in the arrays of a message; large messages are rare, since they take long."""
 
 
 class RandomMessages:
@@ -159,17 +159,21 @@ def check_same(term, expected, path=""):
     """
     term = deref(term)
     if expected.__class__ is float:
-        assert term.__class__ is float and PACK(term) == PACK(expected), (path, term, expected)
+        assert term.__class__ is float, (path, term, expected)
+        assert PACK(term) == PACK(expected), (path, term, expected)
     elif expected.__class__ is not tuple:
-        assert term.__class__ is expected.__class__ and term == expected, (path, term, expected)
+        assert term.__class__ is expected.__class__, (path, term, expected)
+        assert term == expected, (path, term, expected)
     elif expected[0] is not CONS:
-        assert term.__class__ is tuple and term[0] is expected[0], (path, term, expected)
+        assert term.__class__ is tuple, (path, term, expected)
+        assert term[0] is expected[0], (path, term, expected)
         for index, (argument, expected_argument) in enumerate(zip(term[1:], expected[1:])):
             check_same(argument, expected_argument, f"{path}({index}")
     else:
         index = 0
         while expected is not NIL:
-            assert term.__class__ is tuple and term[0] is CONS, (path, index, term, expected)
+            assert term.__class__ is tuple, (path, index, term, expected)
+            assert term[0] is CONS, (path, index, term, expected)
             check_same(term[1], expected[1], f"{path}[{index}")
             term, expected, index = deref(term[2]), expected[2], index + 1
         assert term is NIL, (path, index, term)
@@ -270,15 +274,15 @@ def rosbags_types():
     """Yield each type of the stores of rosbags once, with its name there, its store and its definition."""
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - takes a second
 
-    seen = set()
+    yielded = set()
     for name in Stores:
         store = get_typestore(name)
         for type_name in sorted(store.types):
             text = store.generate_msgdef(type_name, ros_version=1)[0]
             # Bounds and wide strings are of ROS 2; the form in ROS 1 is the same without bounds.
-            if (type_name, text) in seen or "wstring" in text:
+            if (type_name, text) in yielded or "wstring" in text:
                 continue
-            seen.add((type_name, text))
+            yielded.add((type_name, text))
             text = re.sub(r"<=[0-9]+", "", text).replace("octet", "byte")
             package, _, last = type_name.split("/")
             yield (
@@ -332,7 +336,7 @@ def _genpy_reference(definition, message_class):
 # ---- The comparison ----
 
 
-def check(reference, messages, seed=0):
+def compare_messages(reference, messages, seed=0):
     """Compare a type with its reference for a number of random messages."""
     definition = reference.definition
     registry = Definitions(InstalledTypes([], [], include_rosbags=False))
@@ -380,7 +384,7 @@ def main():
         if types % 20 == 0:
             print(f"{types} types, {time.process_time():.0f} s", file=sys.stderr, flush=True)
         try:
-            check(reference, options.messages, options.seed)
+            compare_messages(reference, options.messages, options.seed)
         except (AssertionError, MessageError) as error:
             failed += 1
             print(str(error)[:2000], flush=True)

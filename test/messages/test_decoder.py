@@ -1,8 +1,12 @@
+"""Decoding of serialized messages to terms: values, lazy parts, and limits."""
+
 import struct
 
 import pytest
+from reachability import reachable
 
 from retalis import Definitions, MessageError, atom, deref, functor, list_items, make_list
+from retalis.foundation.bounded_caches import Cache
 from retalis.messages.decoder import cached_texts
 from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.terms.types import Lazy
@@ -95,8 +99,9 @@ def test_unread_arrays_are_not_decoded():
     size = 1 << 20
     term = message_decoder.decode(struct.pack("<I", size) + bytes(size) + struct.pack("<I", 5) + bytes(20))
     image, ranges = term[1:]
-    assert image.__class__ is Lazy and image.decoded_term is None
-    assert ranges.__class__ is Lazy and ranges.decoded_term is None
+    for part in (image, ranges):
+        assert part.__class__ is Lazy
+        assert part.decoded_term is None
     assert deref(image).name.startswith('"FFFFFFFFFFAAAA')
 
 
@@ -133,9 +138,9 @@ def test_lazy_message_is_decoded_on_access():
 )
 def test_error_names_slot_of_incomplete_message(data, message):
     text = "Inner[] all\n" + "=" * 80 + "\nMSG: pkg/Inner\nHeader header\nfloat64 x\n" + HEADER
-    with pytest.raises(MessageError) as caught:
+    with pytest.raises(MessageError) as error:
         decoder(text).decode(data)
-    assert message in caught.value.message
+    assert message in error.value.message
 
 
 def test_truncated_message_is_an_error():
@@ -144,7 +149,7 @@ def test_truncated_message_is_an_error():
     data = struct.pack("<II2sI3s", 2, 2, b"ab", 3, b"abc")
     data += struct.pack("<I?I1sI0s", 1, True, 1, b"x", 0, b"")
     data += struct.pack("<I3s9fI6d", 3, b"abc", *range(9), 6, *range(6))
-    message_decoder.decode(data)
+    assert len(message_decoder.decode(data)) == 6
     for size in range(len(data)):
         with pytest.raises(MessageError, match="they end inside slot|left over"):
             message_decoder.decode(data[:size])
@@ -172,16 +177,25 @@ def test_stamp_is_read_from_leading_header():
 
 def test_cache_of_strings_is_bounded(monkeypatch):
     monkeypatch.setattr(cached_texts, "max_entries", 10)
-    cached_texts.clear()  # what other tests have left there
-    message_decoder = decoder("Header header\nstring child\nfloat64 x\n" + HEADER)
-    tail = struct.pack("<d", 1.0)
+    cached_texts.clear()
+    message_decoder = decoder("string[] names\n")
     for number in range(50):
+        name = b"name%d" % number
+        data = struct.pack("<II", 1, len(name)) + name
+        first, second = (list_items(args(message_decoder.decode(data))[0])[0] for _ in range(2))
+        assert first is second is cached_texts[name] is atom(f'"name{number}"')
+        assert len(cached_texts) <= 10
+
+
+def test_caches_of_adjacent_strings_are_bounded():
+    message_decoder = decoder("Header header\nstring child\nfloat64 x\n" + HEADER)
+    for number in range(5000):
         child = b"child%d" % number
-        data = header(1, 2, 3, b"base") + struct.pack("<I", len(child)) + child + tail
-        first, again = message_decoder.decode(data), message_decoder.decode(data)
-        assert args(args(first)[0])[2] is args(args(again)[0])[2] is atom('"base"')
-        assert args(first)[1] is atom(f'"child{number}"')
-    assert len(cached_texts) <= 10
+        data = header(1, 2, 3, b"base") + struct.pack("<I", len(child)) + child + struct.pack("<d", 1.0)
+        message = message_decoder.decode(data)
+        assert args(args(message)[0])[2] is atom('"base"')
+        assert args(message)[1] is atom(f'"child{number}"')
+    assert 0 < max(map(len, reachable(message_decoder.decode.__globals__, Cache))) <= 2048
 
 
 def section(name, text):
@@ -192,7 +206,7 @@ EMPTY = section("pkg/Empty", "")
 
 
 @pytest.mark.parametrize(
-    "text,data",
+    ("text", "data"),
     [
         ("pkg/Empty[] x\n" + EMPTY, struct.pack("<I", 1 << 20)),
         ("pkg/Empty[4000000000] x\n" + EMPTY, b""),
@@ -205,13 +219,13 @@ EMPTY = section("pkg/Empty", "")
         ("pkg/Outer[] x\n" + section("pkg/Outer", "pkg/Empty[] e\n") + EMPTY, struct.pack("<III", 2, 6000, 6000)),
     ],
 )  # fmt: skip
-def test_number_of_elements_without_bytes_is_limited(text, data):
+def test_number_of_empty_elements_is_limited(text, data):
     with pytest.raises(MessageError, match="zero-byte elements in its arrays: at most 10000 are allowed"):
         decoder(text).decode(data)
 
 
-def test_limit_of_elements_without_bytes_is_configurable():
-    definitions = Definitions(InstalledTypes([], [], include_rosbags=False), bare=3)
+def test_limit_of_empty_elements_is_configurable():
+    definitions = Definitions(InstalledTypes([], [], include_rosbags=False), max_empty_elements=3)
     message_decoder = definitions.decoder(definitions.add("pkg/Type", "pkg/Empty[] x\n" + EMPTY))
     assert len(list_items(args(message_decoder.decode(struct.pack("<I", 3)))[0])) == 3
     with pytest.raises(MessageError, match="a pkg/Type has 4 zero-byte elements in its arrays: at most 3"):

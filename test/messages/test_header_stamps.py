@@ -31,16 +31,13 @@ TYPES = {
 }
 
 
-@pytest.fixture(scope="module")
-def known():
-    definitions = Definitions()
-    for name, text in TYPES.items():
-        definitions.add(name, text)
-    return definitions
+DEFINITIONS = Definitions()
+for _name, _text in TYPES.items():
+    DEFINITIONS.add(_name, _text)
 
 
-def encode(known, kind, text):
-    return known.encoder(known.find(kind)).encode(read_term(text, Operators.prolog()).term)
+def encode(kind, text):
+    return DEFINITIONS.encoder(DEFINITIONS.find(kind)).encode(read_term(text, Operators.prolog()).term)
 
 
 def header(second, nanosecond, frame):
@@ -51,17 +48,17 @@ def transform(second, nanosecond, frame, child):
     return f"t__0__T({header(second, nanosecond, frame)},'\"{child}\"',[0,0,0,0,0,0,1])"
 
 
-def read(known, kind, text):
-    found = make_stamp_reader(known.find(kind))(encode(known, kind, text))
-    return [(format_frame_key(key), instant / SECOND) for key, instant in found]
+def read(kind, text):
+    stamps = make_stamp_reader(DEFINITIONS.find(kind))(encode(kind, text))
+    return [(format_frame_key(key), instant / SECOND) for key, instant in stamps]
 
 
-def test_none(known):
-    assert make_stamp_reader(known.find("t/Plain")) is None
+def test_type_without_stamps_has_no_reader():
+    assert make_stamp_reader(DEFINITIONS.find("t/Plain")) is None
 
 
 @pytest.mark.parametrize(
-    "kind, text, expected",
+    ("kind", "text", "expected"),
     [
         ("t/Own", f"t__0__Own({header(5, 500000000, 'map')},1.0)", [("map", 5.5)]),
         ("t/Own", f"t__0__Own({header(0, 0, 'map')},1.0)", []),
@@ -85,24 +82,26 @@ def test_none(known):
         ),
     ],
 )
-def test_frames_and_stamps(known, kind, text, expected):
-    assert read(known, kind, text) == expected
+def test_stamps_of_all_frames_are_read(kind, text, expected):
+    assert read(kind, text) == expected
 
 
-def test_slots_have_frames_of_their_own(known):
+def test_slots_have_separate_frame_keys():
     text = f"t__0__Markers({header(1, 0, 'a')},[],[t__0__M({header(2, 0, 'a')},'\"n\"')])"
-    keys = [key for key, _ in make_stamp_reader(known.find("t/Markers"))(encode(known, "t/Markers", text))]
+    keys = [key for key, _ in make_stamp_reader(DEFINITIONS.find("t/Markers"))(encode("t/Markers", text))]
     assert len(set(keys)) == 2
 
 
 @given(st.sampled_from(sorted(TYPES)), st.binary(max_size=200))
-def test_any_bytes(kind, data):
-    read = make_stamp_reader(KNOWN.find(kind))
+def test_stamps_of_any_bytes_are_bounded(kind, data):
+    read = make_stamp_reader(DEFINITIONS.find(kind))
     if read is not None:
         assert len(read(data)) <= len(data) // 16
 
 
-class Seen:
+class LastSecond:
+    """The last second in which a frame was reported."""
+
     def __init__(self, second):
         self.second = second
 
@@ -114,19 +113,19 @@ class Seen:
         st.tuples(st.integers(0, 5), st.integers(0, 3), st.sampled_from(["", "map", "odom"])), max_size=20
     ),
 )
-def test_the_short_ways_see_what_the_reader_reads(kind, messages):
-    """Each new second of a frame is handed on, and nothing else."""
-    decoder, reader = KNOWN.decoder(KNOWN.find(kind)), make_stamp_reader(KNOWN.find(kind))
-    looked, known, expected, seconds = [], {}, [], {}
+def test_observer_reports_each_new_second_once(kind, messages):
+    """The observer reports each new second of a frame and no other stamp."""
+    decoder, reader = DEFINITIONS.decoder(DEFINITIONS.find(kind)), make_stamp_reader(DEFINITIONS.find(kind))
+    reports, last_seconds, expected, seconds = [], {}, [], {}
 
-    def look(found):
-        looked.append(found)
-        for key, _ in found:  # which is replaced, and may be held elsewhere
-            known.get(key, Seen(0)).second = -1
-        known.update((key, Seen(instant // SECOND)) for key, instant in found)
+    def report(stamps):
+        reports.append(stamps)
+        for key, _ in stamps:  # the replaced object may still be referenced
+            last_seconds.get(key, LastSecond(0)).second = -1
+        last_seconds.update((key, LastSecond(instant // SECOND)) for key, instant in stamps)
 
-    watching = make_observed_decoder(decoder, known, look)
-    reads = [lambda data: to_text(watching.decode(data)), make_text_writer(watching)]
+    observed = make_observed_decoder(decoder, last_seconds, report)
+    reads = [lambda data: to_text(observed.decode(data)), make_text_writer(observed)]
     for second, nanosecond, frame in messages:
         text = {
             "t/Own": f"t__0__Own({header(second, nanosecond, frame)},1.0)",
@@ -135,44 +134,37 @@ def test_the_short_ways_see_what_the_reader_reads(kind, messages):
             "t/Frames": f"t__0__Frames([{transform(second, nanosecond, frame, 'b')}])",
             "t/Markers": f"t__0__Markers({header(second, nanosecond, frame)},[],[])",
         }[kind]
-        data = encode(KNOWN, kind, text)
+        data = encode(kind, text)
         assert reads[nanosecond % 2](data) == make_text_writer(decoder)(data)
-        assert watching.stamp(data) == decoder.stamp(data)
-        found = reader(data)
-        if any(seconds.get(key) != instant // SECOND for key, instant in found):
-            expected.append(found)
-        seconds.update((key, instant // SECOND) for key, instant in found)
-    assert looked == expected
+        assert observed.stamp(data) == decoder.stamp(data)
+        stamps = reader(data)
+        if any(seconds.get(key) != instant // SECOND for key, instant in stamps):
+            expected.append(stamps)
+        seconds.update((key, instant // SECOND) for key, instant in stamps)
+    assert reports == expected
 
 
-def test_what_is_written_again_is_not_looked_at_again(known):
-    looked = []
-    watching = make_observed_decoder(known.decoder(known.find("t/Frames")), {}, looked.append)
-    data = encode(known, "t/Frames", f"t__0__Frames([{transform(5, 0, 'a', 'b')}])")
-    assert make_text_writer(watching)(data) == make_text_writer(watching.plain)(data)
-    assert len(looked) == 1
+def test_message_written_again_is_not_reported_again():
+    reports = []
+    observed = make_observed_decoder(DEFINITIONS.decoder(DEFINITIONS.find("t/Frames")), {}, reports.append)
+    data = encode("t/Frames", f"t__0__Frames([{transform(5, 0, 'a', 'b')}])")
+    assert make_text_writer(observed)(data) == make_text_writer(observed.plain)(data)
+    assert len(reports) == 1
 
 
 @pytest.mark.parametrize("child", ["", "b"])
 @pytest.mark.parametrize("frame", ["", "a"])
-def test_frames_without_a_name_are_shown(known, frame, child):
-    assert read(known, "t/Frames", f"t__0__Frames([{transform(5, 0, frame, child)}])") == [
-        (f"{frame} > {child}", 5)
-    ]
+def test_unnamed_frames_are_shown_as_empty(frame, child):
+    assert read("t/Frames", f"t__0__Frames([{transform(5, 0, frame, child)}])") == [(f"{frame} > {child}", 5)]
 
 
-KNOWN = Definitions()
-for _name, _text in TYPES.items():
-    KNOWN.add(_name, _text)
-
-
-def test_elements_without_bytes_are_counted_where_stamps_are_looked_at():
+def test_observed_decoder_limits_empty_elements():
     parts = BAR + "MSG: t/Nothing" + HEADER
-    definitions = Definitions(InstalledTypes([], [], include_rosbags=False), bare=3)
+    definitions = Definitions(InstalledTypes([], [], include_rosbags=False), max_empty_elements=3)
     for number in (3, 4):
-        found = definitions.add(f"t/Type{number}", f"Header header\nNothing[{number}] x{parts}")
-        watching = make_observed_decoder(definitions.decoder(found), {}, lambda found: None)
-        for read in (watching.decode, make_text_writer(watching)):
+        definition = definitions.add(f"t/Type{number}", f"Header header\nNothing[{number}] x{parts}")
+        observed = make_observed_decoder(definitions.decoder(definition), {}, lambda definition: None)
+        for read in (observed.decode, make_text_writer(observed)):
             data = struct.pack("<IIII", 1, 2, 3, 0)
             if number == 3:
                 assert read(data)

@@ -27,22 +27,22 @@ POINT, ALL = "my_msgs__0__Point", "my_msgs__0__All"
 ZERO = f"{POINT}(0.0,0.0)"
 
 
-def slots():
-    known = SlotNames(DEFINITIONS)
-    known.events["spot"] = "my_msgs/Point"
-    return known
+def slot_names():
+    names = SlotNames(DEFINITIONS)
+    names.events["spot"] = "my_msgs/Point"
+    return names
 
 
 PROGRAM = PrologSystem()
-KNOWING = PROGRAM.operators
-KNOWING.message_types = slots()
+OPERATORS = PROGRAM.operators
+OPERATORS.message_types = slot_names()
 
 
-def read(text, is_constructed=False, operators=KNOWING):
+def read(text, is_constructed=False, operators=OPERATORS):
     return read_term(text, operators, flags=ReadFlags(is_constructed=is_constructed)).term
 
 
-READS = {
+POSITIONAL = {
     f"{POINT}{{x: X}}": f"{POINT}(X, _)",
     f"{POINT}{{}}": f"{POINT}(_, _)",
     f"{POINT}{{y: 1, x: X}}": f"{POINT}(X, 1.0)",
@@ -82,13 +82,13 @@ READS = {
 }
 
 
-def test_what_messages_with_named_slots_read_as():
-    for text, same in READS.items():
-        assert term_key(read(text)) == term_key(read(same)), text
+def test_named_slots_are_read_as_positional_term():
+    for text, positional in POSITIONAL.items():
+        assert term_key(read(text)) == term_key(read(positional)), text
     assert to_text(read(f"{POINT}{{x: 3}}", is_constructed=True)) == f"{POINT}(3.0,0.0)"
 
 
-WRONG = {
+ERRORS = {
     f"a <- {POINT}{{z: X}}": (24, f"{POINT} has no slot z; it has x, y"),
     f"{ALL}{{pont: X}}": (17, f"{ALL} has no slot pont; did you mean point?"),
     f"{ALL}{{point: {{xx: X}}}}": (25, f"{POINT} has no slot xx; did you mean x?"),
@@ -110,16 +110,16 @@ WRONG = {
 }
 
 
-def test_what_is_wrong_is_said_at_its_place():
-    for text, (column, message) in WRONG.items():
-        with pytest.raises(SyntaxFault) as caught:
+def test_error_in_named_slots_has_place():
+    for text, (column, message) in ERRORS.items():
+        with pytest.raises(SyntaxFault) as error:
             read(text)
-        assert message in caught.value.message, text
-        assert (text, caught.value.place.column) == (text, column)
+        assert message in error.value.message, text
+        assert (text, error.value.place.column) == (text, column)
 
 
-def test_nothing_that_has_read_otherwise_reads_otherwise():
-    plain, knowing = Operators.prolog(), KNOWING.copy()
+def test_other_braces_are_read_as_in_prolog():
+    plain, extended = Operators.prolog(), OPERATORS.copy()
     for text in (
         "{}",
         "{a}",
@@ -134,50 +134,50 @@ def test_nothing_that_has_read_otherwise_reads_otherwise():
         assert term_key(read(text)) == term_key(read(text, operators=plain)), text
     for text in ("a {b}", "X{a: 1}", "f(x){a: 1}", "0{x: 1}", "a/B{c}", "[] {}"):
         messages = []
-        for operators in (plain, knowing):
-            with pytest.raises(SyntaxFault) as caught:
+        for operators in (plain, extended):
+            with pytest.raises(SyntaxFault) as error:
                 read(text, operators=operators)
-            messages.append(str(caught.value))
+            messages.append(str(error.value))
         assert messages[0] == messages[1], text
-    knowing.add(200, "fy", POINT)  # a program's own prefix operator
+    extended.add(200, "fy", POINT)  # a prefix operator of the program
     plain.add(200, "fy", POINT)
-    assert term_key(read(f"{POINT}{{x}}", operators=knowing)) == term_key(
+    assert term_key(read(f"{POINT}{{x}}", operators=extended)) == term_key(
         read(f"{POINT}{{x}}", operators=plain)
     )
 
 
-UNKNOWN = "no message type or event of a topic is called"
-MISNAMED = {
-    "a <- spott{x: 1}": (6, f"{UNKNOWN} spott; did you mean spot?"),
-    "a <- wrong{x: 1}": (6, f"{UNKNOWN} wrong"),
-    "a <- Point{x: 1} where b": (6, f"{UNKNOWN} Point; write {POINT}{{...}}"),
-    "a <- point {x: 1} where b": (6, f"{UNKNOWN} point; write {POINT}{{...}}"),
-    "a <- Poin{x: 1}": (6, f"{UNKNOWN} Poin; did you mean {POINT}?"),
-    "a <- Spot{x: 1}": (6, f"{UNKNOWN} Spot; write spot{{...}}"),
-    "a <- my_msgs_Point{x: 1}": (6, f"{UNKNOWN} my_msgs_Point; write {POINT}{{...}}"),
-    "f(my_msgs/Point{x: 1})": (3, f"{UNKNOWN} my_msgs/Point; write {POINT}{{...}}"),
-    "a <- 'my_msgs/Point'{x: 1}": (6, f"{UNKNOWN} my_msgs/Point; write {POINT}{{...}}"),
+NO_SUCH_TYPE = "no message type or event of a topic is called"
+MISNAMED_TYPES = {
+    "a <- spott{x: 1}": (6, f"{NO_SUCH_TYPE} spott; did you mean spot?"),
+    "a <- wrong{x: 1}": (6, f"{NO_SUCH_TYPE} wrong"),
+    "a <- Point{x: 1} where b": (6, f"{NO_SUCH_TYPE} Point; write {POINT}{{...}}"),
+    "a <- point {x: 1} where b": (6, f"{NO_SUCH_TYPE} point; write {POINT}{{...}}"),
+    "a <- Poin{x: 1}": (6, f"{NO_SUCH_TYPE} Poin; did you mean {POINT}?"),
+    "a <- Spot{x: 1}": (6, f"{NO_SUCH_TYPE} Spot; write spot{{...}}"),
+    "a <- my_msgs_Point{x: 1}": (6, f"{NO_SUCH_TYPE} my_msgs_Point; write {POINT}{{...}}"),
+    "f(my_msgs/Point{x: 1})": (3, f"{NO_SUCH_TYPE} my_msgs/Point; write {POINT}{{...}}"),
+    "a <- 'my_msgs/Point'{x: 1}": (6, f"{NO_SUCH_TYPE} my_msgs/Point; write {POINT}{{...}}"),
     f"a <- {POINT} {{x: 1}}": (24, f'no space is allowed between {POINT} and its "{{"'),
     "my_msgs__0__Other {x: 1}": (19, 'no space is allowed between my_msgs__0__Other and its "{"'),
 }
 
 
-def test_a_name_that_no_messages_have_is_said_with_those_that_were_meant():
-    for text, (column, message) in MISNAMED.items():
-        with pytest.raises(SyntaxFault) as caught:
+def test_unknown_type_is_reported_with_similar_name():
+    for text, (column, message) in MISNAMED_TYPES.items():
+        with pytest.raises(SyntaxFault) as error:
             read(text)
-        assert (text, caught.value.message) == (text, message)
-        assert (text, caught.value.place.column) == (text, column)
+        assert (text, error.value.message) == (text, message)
+        assert (text, error.value.place.column) == (text, column)
 
 
-def test_who_knows_no_messages_reads_none_by_name():
+def test_named_slots_without_types_are_refused():
     with pytest.raises(SyntaxFault, match="slots by name are not available here"):
         read(f"{POINT}{{x: 1}}", operators=Operators.prolog())
-    with pytest.raises(SyntaxFault):  # nor does what comes from other nodes
-        read_term(f"{POINT}{{x: 1}}", KNOWING, flags=ReadFlags(event_text=True))
+    with pytest.raises(SyntaxFault):  # nor in event texts of other nodes
+        read_term(f"{POINT}{{x: 1}}", OPERATORS, flags=ReadFlags(event_text=True))
 
 
-SHOWN = (
+SHOWN_TEXTS = (
     f"a<-{POINT}{{x: X}}where X>1",
     f"{POINT}{{x: X}}<-a(X)",
     f"a(X)<-{ALL}{{text: '\"t\"', point: {{y: X}}}}",
@@ -193,19 +193,19 @@ SHOWN = (
 )
 
 
-def test_terms_are_shown_as_they_were_written():
-    for text in SHOWN:
-        KNOWING.message_types.notations.clear()
-        found = read_term(text, KNOWING)
-        shown = PROGRAM.show(found.term, names={var: name for name, var in found.names.items()})
+def test_term_is_shown_with_its_named_slots():
+    for text in SHOWN_TEXTS:
+        OPERATORS.message_types.notations.clear()
+        read_result = read_term(text, OPERATORS)
+        shown = PROGRAM.show(read_result.term, names={var: name for name, var in read_result.names.items()})
         assert shown == text
-        assert term_key(read(shown)) == term_key(found.term)
+        assert term_key(read(shown)) == term_key(read_result.term)
 
 
-def test_a_head_alone_is_shown_as_what_is_made():
-    # Messages are shown with the slots that the program has written, so it must be one without other messages.
+def test_head_is_shown_as_constructed_message():
+    # Messages are shown with the slots that a program has written, so this program is new.
     program = PrologSystem()
-    program.operators.message_types = slots()
+    program.operators.message_types = slot_names()
     rule = read(f"{POINT}{{x: 1}} <- {POINT}{{y: 1}}", operators=program.operators)
     assert program.show(rule[1], is_constructed=True) == f"{POINT}{{x: 1}}"
     assert program.show(rule[1]) == f"{POINT}(1.0,0.0)"  # as a pattern it would match more
@@ -218,7 +218,7 @@ points = st.dictionaries(st.sampled_from(["x", "y"]), values, max_size=2)
 
 @st.composite
 def messages(draw):
-    """Return a message with some of its slots by name, and the same with all slots in their order."""
+    """Return a message with some named slots, and the same message with positional slots."""
     names = [slot.name for slot in DEFINITIONS.find("my_msgs/All").fields]
     chosen = draw(st.lists(st.sampled_from(names), unique=True))
     named, plain = [], {}
@@ -241,17 +241,17 @@ FRAMES = ("{}", "a(X) <- {}", "a <- {} seq b(X)", "p(Y) :- q({}, {}), r(X)", "p 
 @pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(st.lists(messages(), min_size=2, max_size=2), st.sampled_from(FRAMES))
-def test_named_slots_read_as_those_in_order_and_are_shown_so_that_they_read_back(found, frame):
-    text = frame.format(*(named for named, _ in found))
-    term = read_term(text, KNOWING)
-    same = read(frame.format(*(plain for _, plain in found)))
-    assert term_key(term.term) == term_key(same)
+def test_shown_messages_are_read_as_same_term(drawn_messages, frame):
+    text = frame.format(*(named for named, _ in drawn_messages))
+    term = read_term(text, OPERATORS)
+    positional = read(frame.format(*(plain for _, plain in drawn_messages)))
+    assert term_key(term.term) == term_key(positional)
     for names in ({}, {var: name for name, var in term.names.items()}):
-        again = read(PROGRAM.show(term.term, names=names))
-        assert term_key(again) == term_key(same)
+        read_again = read(PROGRAM.show(term.term, names=names))
+        assert term_key(read_again) == term_key(positional)
 
 
-def test_a_type_that_is_misspelt_is_answered_with_the_one_that_was_meant():
-    with pytest.raises(UsageError) as caught:
+def test_misspelt_type_is_reported_with_similar_name():
+    with pytest.raises(UsageError) as error:
         SlotNames(Definitions()).find("std_msgs__0__Strng")
-    assert str(caught.value) == "there is no message type std_msgs/Strng; did you mean std_msgs/String?"
+    assert str(error.value) == "there is no message type std_msgs/Strng; did you mean std_msgs/String?"

@@ -113,9 +113,9 @@ def test_constant_out_of_range_is_omitted():
     ],
 )
 def test_error_in_definition_has_line(text):
-    with pytest.raises(MessageError) as caught:
+    with pytest.raises(MessageError) as error:
         read(f"int32 good\n{text}\n")
-    assert caught.value.place.line == 2
+    assert error.value.place.line == 2
 
 
 def test_undefined_and_recursive_types_are_errors():
@@ -479,9 +479,9 @@ def test_error_in_idl_names_line_of_whole_text():
     text = (
         f"{line}\nSRV: p/srv/Go\np/B b\n---\n{line}\nIDL: p/msg/B\nmodule p {{ struct B {{ double }}; }};\n"
     )
-    with pytest.raises(MessageError) as caught:
+    with pytest.raises(MessageError) as error:
         read(text, "p/srv/Go_Event")
-    assert (caught.value.place.line, caught.value.place.column) == (7, 30)
+    assert (error.value.place.line, error.value.place.column) == (7, 30)
 
 
 def test_odd_constant_of_ros2_is_ignored_with_warning(caplog):

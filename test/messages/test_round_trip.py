@@ -1,4 +1,4 @@
-"""Round trip from bytes to terms and text, for all installed message types and some artificial ones."""
+"""Round trip from bytes to terms and text, for all installed types and for artificial ones."""
 
 import importlib
 import io
@@ -129,16 +129,16 @@ unicode = st.text(max_size=20).map(str.encode)  # genpy replaces bytes that are 
 printable = st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=12).map(str.encode)
 
 
-def check(definition, registry, raw):
-    """Check the way round: through a term and through its text."""
+def check_round_trip(definition, registry, raw):
+    """Check that the bytes of a message survive the conversion to a term and to event text."""
     decode, encode = registry.decoder(definition).decode, registry.encoder(definition).encode
     assert encode(decode(raw)) == raw
     term = decode(raw)
     text = to_text(term)
     assert encode(EventReader().read(text)) == raw
-    assert encode(term) == raw  # now that all of it has been looked at
-    again = decode(raw)  # now that its texts are known
-    assert to_text(again) == text
+    assert encode(term) == raw  # all lazy parts are decoded
+    decoded_again = decode(raw)  # its texts are cached
+    assert to_text(decoded_again) == text
 
 
 TEXTS = """\
@@ -149,35 +149,37 @@ uint8[] raw
 string[] several
 """
 SHORT = {"short texts": "int32 number\nstring one\nstring two\n", "all texts": TEXTS}
-wild = st.binary(max_size=20) | st.text(max_size=12).map(str.encode)
-tame = st.text(st.characters(min_codepoint=0xA0, blacklist_categories=("Cs",)), max_size=12).map(str.encode)
-odd = st.sampled_from(
+any_bytes = st.binary(max_size=20) | st.text(max_size=12).map(str.encode)
+printable_texts = st.text(st.characters(min_codepoint=0xA0, blacklist_categories=("Cs",)), max_size=12).map(
+    str.encode
+)
+odd_texts = st.sampled_from(
     ["Jürgen", "'", '"', "\\", "\n", "\r", "\t", "\u2028", "\u0085", "ü'\\\n\"", "日本", "🤖"]
 )
 
 
 @pytest.mark.parametrize("shape", SHORT)
-def test_texts_are_read_alike_by_each_reader_and_come_back(shape):
+def test_texts_agree_for_all_readers_and_writers(shape):
     definition = WITHOUT_ROS.add(f"test_msgs/{shape.title().replace(' ', '')}", SHORT[shape])
     decoder, encode = WITHOUT_ROS.decoder(definition), WITHOUT_ROS.encoder(definition).encode
     write = make_text_writer(decoder)
-    reader = EventReader()  # one for all, so that it reads texts in all of its ways
+    reader = EventReader()  # shared, so that texts of known and of new shapes occur
     operators = Operators.prolog()
 
     @settings(deadline=None, derandomize=True, max_examples=150)
-    @given(messages(definition, wild | tame | odd.map(str.encode)))
+    @given(messages(definition, any_bytes | printable_texts | odd_texts.map(str.encode)))
     def every_message(values):
         raw = serialize(definition, values)
         term = freeze(decoder.decode(raw))
         text = f"event({write(raw)})"
         assert text == f"event({to_text(decoder.decode(raw))})"
-        fully = read_term(text, operators, flags=ReadFlags(event_text=True)).term[1]
-        assert freeze(fully) == term
+        read_completely = read_term(text, operators, flags=ReadFlags(event_text=True)).term[1]
+        assert freeze(read_completely) == term
         for _ in range(3):
             (_, read) = reader.read(text)
             assert freeze(read) == term
             assert encode(read) == raw
-        assert encode(fully) == encode(decoder.decode(raw)) == raw
+        assert encode(read_completely) == encode(decoder.decode(raw)) == raw
 
     every_message()
 
@@ -194,7 +196,7 @@ def genpy_class(name):
 @pytest.mark.parametrize(
     "name", INSTALLED or [pytest.param("", marks=pytest.mark.skip(reason="no ROS messages installed"))]
 )
-def test_installed_types(name):
+def test_installed_type_survives_round_trip(name):
     definition = REGISTRY.find(name)
     generated = genpy_class(name)
 
@@ -204,24 +206,24 @@ def test_installed_types(name):
         raw = serialize(definition, values)
         if generated is not None:
             assert generated._md5sum == definition.md5sum
-            out = io.BytesIO()
-            generated().deserialize(raw).serialize(out)
-            assert out.getvalue() == raw
-        check(definition, REGISTRY, raw)
+            buffer = io.BytesIO()
+            generated().deserialize(raw).serialize(buffer)
+            assert buffer.getvalue() == raw
+        check_round_trip(definition, REGISTRY, raw)
 
     every_message()
 
 
 @settings(brief, max_examples=5)
 @given(st.data())
-def test_a_type_with_everything(data):
+def test_type_of_all_slots_survives_round_trip(data):
     definition = WITHOUT_ROS.add("test_msgs/Everything", EVERYTHING)
-    check(definition, WITHOUT_ROS, serialize(definition, data.draw(messages(definition))))
+    check_round_trip(definition, WITHOUT_ROS, serialize(definition, data.draw(messages(definition))))
 
 
 @settings(brief, max_examples=5)
 @given(st.data())
-def test_the_term_is_the_expected_one(data):
+def test_decoded_term_equals_reference_term(data):
     definition = WITHOUT_ROS.add("test_msgs/Everything", EVERYTHING)
     values = data.draw(messages(definition, printable))
     for index, slot in enumerate(definition.fields):
@@ -234,7 +236,7 @@ def test_the_term_is_the_expected_one(data):
 
 def _without_codes(definition, values):
     """Replace byte arrays, which may not be printable."""
-    kept = []
+    replaced = []
     for slot, value in zip(definition.fields, values):
         if slot.is_bytes:
             value = b"x" * len(value)
@@ -242,18 +244,18 @@ def _without_codes(definition, values):
             value = _without_codes(slot.definition, value)
         elif slot.definition is not None:
             value = [_without_codes(slot.definition, item) for item in value]
-        kept.append(value)
-    return kept
+        replaced.append(value)
+    return replaced
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_shapes_of_messages(shape):
+def test_message_layout_survives_round_trip(shape):
     definition = WITHOUT_ROS.add(f"test_msgs/{shape}", SHAPES[shape] + _PARTS)
 
     @settings(brief, max_examples=20)
     @given(messages(definition, printable | st.binary(max_size=5)))
     def every_message(values):
-        check(definition, WITHOUT_ROS, serialize(definition, values))
+        check_round_trip(definition, WITHOUT_ROS, serialize(definition, values))
 
     every_message()
 
@@ -266,7 +268,7 @@ slots = st.tuples(numbers | structs, st.sampled_from(["", "", "", "[]", "[0]", "
 @pytest.mark.slow
 @settings(brief, max_examples=100)
 @given(st.lists(slots, max_size=5), st.data())
-def test_types_of_any_slots(slots, data):
+def test_random_type_survives_round_trip(slots, data):
     definitions = Definitions(InstalledTypes([], [], include_rosbags=False))
     text = "".join(f"{kind}{array} slot{number}\n" for number, (kind, array) in enumerate(slots))
     definition = definitions.add("test_msgs/Any", text + EVERYTHING[EVERYTHING.index("=") :])
@@ -277,12 +279,12 @@ def test_types_of_any_slots(slots, data):
     for values in data.draw(st.lists(messages(definition, printable), min_size=1, max_size=3)):
         values = _without_codes(definition, values)
         raw = serialize(definition, values)
-        check(definition, definitions, raw)
+        check_round_trip(definition, definitions, raw)
         assert encode(decoder.decode(raw)) == raw
         assert freeze(decoder.decode(raw)) == freeze(to_term(definition, values))
         assert write(raw) == to_text(decoder.decode(raw))
 
 
 def _refuse(definition, term, topic):
-    """Replace the encoding of unusual terms, which the terms of messages do not need."""
-    raise AssertionError("the encoder takes this term to be unusual")
+    """Replace the slot-by-slot encoding, which decoded messages must not need."""
+    raise AssertionError("a decoded message is encoded slot by slot")

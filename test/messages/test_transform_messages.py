@@ -1,3 +1,5 @@
+"""Transforms read directly from serialized messages."""
+
 from struct import pack
 
 import pytest
@@ -28,15 +30,15 @@ def data():
     return Definitions().encoder("tf2_msgs/TFMessage").encode(read_term(TERM, Operators.prolog()).term, "tf")
 
 
-def test_the_transforms_of_a_message(data):
+def test_transforms_of_message_are_read(data):
     for is_static in (False, True):
         reader = TransformReader(is_static)
-        for _ in range(2):  # the names come from a cache the second time
+        for _ in range(2):  # the second time from the cache of names
             assert reader.read(data) == (TRANSFORMS, is_static)
     assert TransformReader(False).read(pack("<I", 0)) == ([], False)
 
 
-def test_every_part_of_a_message_is_an_error(data):
+def test_truncated_message_is_an_error(data):
     reader = TransformReader(False)
     for length in range(len(data)):
         with pytest.raises(MessageError, match="too few"):
@@ -53,12 +55,12 @@ def test_any_bytes_are_transforms_or_an_error(data):
         pass
 
 
-def test_names_are_utf8(data):
+def test_frame_that_is_no_utf8_is_an_error(data):
     with pytest.raises(MessageError, match="not UTF-8"):
         TransformReader(False).read(data.replace(b"map", b"\xff\xfe\xfd"))
 
 
-def test_the_cache_of_names_is_bounded():
+def test_cache_of_frame_names_is_bounded():
     reader = TransformReader(False)
     for number in range(10_050):
         name = b"%d" % number
@@ -70,4 +72,4 @@ def test_the_cache_of_names_is_bounded():
             + b"a"
             + pack("<7d", *range(7))
         )
-    assert len(reader._names_by_bytes) < 10_002  # noqa: SLF001
+    assert 0 < len(reader._names_by_bytes) < 10_002  # noqa: SLF001

@@ -1,3 +1,5 @@
+"""Message definitions: slots, constants, checksums, errors, and limits."""
+
 import re
 from hashlib import md5
 from keyword import iskeyword
@@ -22,7 +24,7 @@ from retalis.messages.type_registry import InstalledTypes
 HEADER = "uint32 seq\ntime stamp\nstring frame_id\n"
 
 
-def registry(**installed):
+def registry():
     return Definitions(InstalledTypes([], [], include_rosbags=False))
 
 
@@ -30,13 +32,13 @@ def read(text, name="pkg/Type"):
     return registry().add(name, text)
 
 
-def fault(text):
-    with pytest.raises(MessageError) as caught:
+def error_of(text):
+    with pytest.raises(MessageError) as error:
         read(text)
-    return caught.value
+    return error.value
 
 
-def test_slots():
+def test_slots_have_name_type_and_length():
     definition = read("# a comment\n\nfloat64 x # metres\nint32[]  many\nuint8[4] four\r\n\tstring name\n")
     assert [(slot.name, slot.type, slot.length) for slot in definition.fields] == [
         ("x", "float64", None),
@@ -47,7 +49,7 @@ def test_slots():
     assert [slot.describe() for slot in definition.fields] == ["float64", "int32[]", "uint8[4]", "string"]
 
 
-def test_constants():
+def test_constants_have_name_and_value():
     definition = read(
         "int8 LOW=-128\nuint8 MASK = 0x1F # bits\nfloat32 HALF=0.5\nbool YES=True\n"
         "string NAME= it's # not a comment \n"
@@ -62,7 +64,7 @@ def test_constants():
     assert definition.fields == ()
 
 
-def test_checksums_are_those_of_ros():
+def test_checksum_is_that_of_ros():
     assert read(HEADER, "std_msgs/Header").md5sum == "2176decaecbce78abc3b96ef049fabed"
     assert read("string data\n", "std_msgs/String").md5sum == "992ce8a1687cec8c8bd883ec73ca41d1"
     assert read("", "std_msgs/Empty").md5sum == "d41d8cd98f00b204e9800998ecf8427e"
@@ -71,29 +73,29 @@ def test_checksums_are_those_of_ros():
     assert read(text + vector, "geometry_msgs/Twist").md5sum == "9f195f881246fdfa2798d1d3eebca84a"
 
 
-def test_comments_do_not_count_but_constants_do():
+def test_checksum_includes_constants_but_no_comments():
     plain = read("int32 x\nint32 Y=1\n")
     assert read("# why\nint32   x # what\n int32 Y = 1 # how\n").md5sum == plain.md5sum
     assert read("int32 x\nint32 Y=2\n").md5sum != plain.md5sum
 
 
-def test_header_is_that_of_std_msgs():
+def test_header_is_type_of_std_msgs():
     text = "Header header\n" + "=" * 80 + "\nMSG: std_msgs/Header\n" + HEADER
     assert read(text).fields[0].type == "std_msgs/Header"
     assert read(text.replace("Header header", "roslib/Header header")).md5sum == read(text).md5sum
 
 
-def test_nested_types_are_looked_for_in_the_own_package_first():
+def test_nested_type_of_own_package_is_preferred():
     text = "Point p\n" + "=" * 80 + "\nMSG: pkg/Point\nint8 x\n" + "=" * 80 + "\nMSG: other/Point\nint16 x\n"
     assert read(text).fields[0].type == "pkg/Point"
 
 
-def test_nested_types_of_old_texts_without_a_package():
+def test_nested_type_of_other_package_is_found():
     text = "Point p\n" + "=" * 80 + "\nMSG: geometry_msgs/Point\nfloat64 x\n"
     assert read(text).fields[0].type == "geometry_msgs/Point"
 
 
-def test_full_text_reads_back():
+def test_full_text_has_same_definition():
     text = "Header header\nInner[] all\n" + "=" * 80 + "\nMSG: pkg/Inner\nHeader header\n" + "=" * 80
     definition = read(text + "\nMSG: std_msgs/Header\n" + HEADER)
     again = read(definition.full_text)
@@ -113,8 +115,8 @@ def test_full_text_reads_back():
         ("int32[x] y\n", "expected 'type name'", 1, 1),
     ],
 )
-def test_errors_have_a_place(text, message, line, column):
-    error = fault(text)
+def test_error_has_place(text, message, line, column):
+    error = error_of(text)
     assert message in error.message
     assert (error.place.source, error.place.line, error.place.column) == ("pkg/Type", line, column)
 
@@ -141,7 +143,7 @@ def test_odd_constant_is_ignored_with_warning(caplog, line, problem):
     assert len(record.getMessage()) < 1000
 
 
-def test_ignored_constants_are_part_of_checksum_and_text():
+def test_ignored_constants_count_for_checksum():
     definition = read("uint8 K = 0\nuint8 K = 0  # again\nfloat64 x\n")
     # md5 of the lines "uint8 K=0", "uint8 K=0", "float64 x", as genmsg computes it.
     assert definition.md5sum == md5(b"uint8 K=0\nuint8 K=0\nfloat64 x").hexdigest()
@@ -150,42 +152,42 @@ def test_ignored_constants_are_part_of_checksum_and_text():
     assert read(definition.full_text).md5sum == definition.md5sum
 
 
-def test_several_odd_constants_give_one_warning(caplog):
+def test_odd_constants_of_type_give_one_warning(caplog):
     section = "=" * 80 + "\nMSG: pkg/Inner\nbool B=2\nint8 y\n"
     read(f"uint8 _K=1\nuint8 _L=1\nInner inner\n{section}")
     (record,) = caplog.records
     assert record.getMessage().endswith(": this and 2 more constants are ignored")
 
 
-def test_an_error_in_a_nested_type_names_that_type():
-    error = fault("Inner inner\n" + "=" * 80 + "\nMSG: pkg/Inner\nint32 x\nfloat y\n")
+def test_error_in_nested_type_names_it():
+    error = error_of("Inner inner\n" + "=" * 80 + "\nMSG: pkg/Inner\nint32 x\nfloat y\n")
     assert str(error.place) == "pkg/Inner:2:1"
 
 
-def test_a_type_cannot_contain_itself():
-    assert "pkg/Type contains itself" in fault("Type inner\n").message
+def test_recursive_type_is_refused():
+    assert "pkg/Type contains itself" in error_of("Type inner\n").message
 
 
-def test_half_a_character():
-    error = fault("int32 x\nstring X=a\ud800")
+def test_lone_surrogate_is_refused():
+    error = error_of("int32 x\nstring X=a\ud800")
     assert (error.place.line, error.place.column) == (2, 11)
 
 
-def test_broken_sections():
-    assert "expected 'MSG: pkg/Type'" in fault("int32 x\n" + "=" * 80 + "\nint32 y\n").message
-    assert "expected 'MSG: pkg/Type'" in fault("int32 x\n" + "=" * 80 + "\n").message
+def test_malformed_section_is_refused():
+    assert "expected 'MSG: pkg/Type'" in error_of("int32 x\n" + "=" * 80 + "\nint32 y\n").message
+    assert "expected 'MSG: pkg/Type'" in error_of("int32 x\n" + "=" * 80 + "\n").message
     both = "int32 x\n" + ("=" * 80 + "\nMSG: a/B\nint8 {}\n") * 2
-    assert "a/B is defined twice with different contents" in fault(both.format("x", "y")).message
+    assert "a/B is defined twice with different contents" in error_of(both.format("x", "y")).message
     assert len(split_sections("pkg/Type", both.format("x", "x"))) == 2
 
 
 @pytest.mark.parametrize("name", ["Type", "pkg/", "pkg/a/b", "1pkg/Type", ""])
-def test_wrong_names_of_types(name):
+def test_invalid_type_name_is_refused(name):
     with pytest.raises(MessageError, match="expected a message type"):
         parse(name, "int8 x\n", lambda written, package: None)
 
 
-def test_names_of_functors():
+def test_functor_name_denotes_type():
     assert functor_name("geometry_msgs/Pose") == "geometry_msgs__0__Pose"
     assert type_name("geometry_msgs__0__Pose") == "geometry_msgs/Pose"
     assert type_name("tf") is None
@@ -195,7 +197,7 @@ def section(name, text):
     return "=" * 80 + f"\nMSG: {name}\n{text}"
 
 
-TOO_MUCH = {
+TOO_LARGE = {
     "digits": ("uint8[" + "9" * 5000 + "] x\n", "an array cannot have more than 4294967295 elements"),
     "length": ("uint8 y\nuint8[4294967295] x\n", "a message cannot have more than 4294967295 bytes"),
     "product": (
@@ -222,84 +224,85 @@ TOO_MUCH = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("text,reason", TOO_MUCH.values(), ids=TOO_MUCH)
-def test_what_would_be_too_large_is_refused_with_one_short_error(text, reason):
-    error = fault(text)
+@pytest.mark.parametrize(("text", "reason"), TOO_LARGE.values(), ids=TOO_LARGE)
+def test_definition_beyond_limit_is_refused(text, reason):
+    error = error_of(text)
     assert reason in str(error)
     assert len(str(error)) < 1000
 
 
-def test_types_of_one_another_among_the_installed_ones_end(tmp_path):
+def test_recursive_installed_types_are_refused(tmp_path):
     for name, other in (("A", "B"), ("B", "A")):
         folder = tmp_path / "pkg" / "msg"
         folder.mkdir(parents=True, exist_ok=True)
         (folder / f"{name}.msg").write_text(f"C c\n{section('pkg/C', f'pkg/{other} x')}\n")
-    known = Definitions(InstalledTypes([str(tmp_path)], [], include_rosbags=False))
+    definitions = Definitions(InstalledTypes([str(tmp_path)], [], include_rosbags=False))
     for _ in range(2):
         with pytest.raises(MessageError, match="contains itself"):
-            known.find("pkg/A")
+            definitions.find("pkg/A")
 
 
-def test_types_beside_each_other_are_not_nested():
+def test_sibling_types_add_no_depth():
     names = [f"pkg/Part{number}" for number in range(MAX_TYPE_DEPTH + 5)]
     text = "".join(f"{name} slot{number}\n" for number, name in enumerate(names))
-    found = read(text + "".join(section(name, "int8 x\n") for name in names))
-    assert (len(found.fields), found.measure.depth) == (MAX_TYPE_DEPTH + 5, 2)
+    definition = read(text + "".join(section(name, "int8 x\n") for name in names))
+    assert (len(definition.fields), definition.measure.depth) == (MAX_TYPE_DEPTH + 5, 2)
 
 
 @pytest.mark.slow
-def test_the_largest_types_compile_and_are_read():
-    known = registry()
-    wide = known.add("pkg/Wide", "".join(f"int8 x{n}\n" for n in range(10_000)))
-    deep = known.add(
+def test_largest_types_are_decoded_and_encoded():
+    definitions = registry()
+    wide = definitions.add("pkg/Wide", "".join(f"int8 x{n}\n" for n in range(10_000)))
+    deep = definitions.add(
         "pkg/T0",
         "pkg/T1 a\n"
         + "".join(section(f"pkg/T{n}", f"pkg/T{n + 1} a\n") for n in range(1, 49))
         + section("pkg/T49", "int8[4] x\n"),
     )
     for definition, data in ((wide, bytes(10_000)), (deep, bytes(4))):
-        term = known.decoder(definition).decode(data)
-        assert known.encoder(definition).encode(term) == data
+        term = definitions.decoder(definition).decode(data)
+        assert definitions.encoder(definition).encode(term) == data
 
 
 @pytest.mark.slow
-def test_ever_new_definitions_do_not_pile_up():
-    known = registry()
+def test_number_of_stored_definitions_is_bounded():
+    definitions = registry()
     for number in range(3000):
-        known.decoder(
-            known.add("pkg/Type", f"int8 x{number}\npkg/N{number} n\n" + section(f"pkg/N{number}", ""))
+        definitions.decoder(
+            definitions.add("pkg/Type", f"int8 x{number}\npkg/N{number} n\n" + section(f"pkg/N{number}", ""))
         )
-    assert max(map(len, reachable(known, dict))) <= 1000
-    assert known.known("pkg/N0") is not None
-    assert [number for number in range(1, 3000) if known.known(f"pkg/N{number}") is not None] == []
+    assert max(map(len, reachable(definitions, dict))) <= 1000
+    assert definitions.known("pkg/N0") is not None
+    assert [number for number in range(1, 3000) if definitions.known(f"pkg/N{number}") is not None] == []
     for number in range(999):
-        known.add(f"pkg/T{number}", "int8 x\n")
+        definitions.add(f"pkg/T{number}", "int8 x\n")
     with pytest.raises(MessageError, match="pkg/More is not added: 1000 message types"):
-        known.add("pkg/More", "int8 x\n")
-    assert known.add("pkg/T5", "int8 x\n") is known.find("pkg/T5")
+        definitions.add("pkg/More", "int8 x\n")
+    assert definitions.add("pkg/T5", "int8 x\n") is definitions.find("pkg/T5")
 
 
 @pytest.mark.parametrize(
-    "text,column,part",
+    ("text", "column", "part"),
     [
         (f"uint8[{' ' * 100_000}", 1, "expected 'type name'"),
         (f"{' ' * 100_000}uint8 1x", 100_007, "expected a name"),
     ],
     ids=["array", "indent"],
 )
-def test_long_digits_and_blanks(text, column, part):
-    found = fault(text)
-    assert found.place.column == column and part in found.message
+def test_long_blanks_are_scanned_once(text, column, part):
+    error = error_of(text)
+    assert error.place.column == column
+    assert part in error.message
 
 
-def test_a_type_may_be_as_large_as_is_allowed():
-    for field, most in (
+def test_measure_beyond_limit_is_reported():
+    for field, limit in (
         ("slot_count", MAX_SLOTS),
         ("depth", MAX_TYPE_DEPTH),
         ("min_size", MAX_MESSAGE_BYTES),
     ):
-        assert Measure(**{field: most}).exceeded_limit() == ""
-        assert str(most) in Measure(**{field: most + 1}).exceeded_limit()
+        assert Measure(**{field: limit}).exceeded_limit() == ""
+        assert str(limit) in Measure(**{field: limit + 1}).exceeded_limit()
 
 
 @pytest.mark.parametrize(
@@ -330,7 +333,7 @@ def test_a_type_may_be_as_large_as_is_allowed():
         ("int8[0] a", Measure(slot_count=1, depth=1)),
     ],
 )
-def test_what_messages_of_a_type_measure(text, measure):
+def test_measure_counts_sizes_slots_and_depth(text, measure):
     parts = {"Part": "int16 a\nint8 b\nNothing n", "Nothing": "", "Bare": "Nothing[3] n\nint8 a"}
     more = "".join(f"\n{'=' * 80}\nMSG: my_robot/{name}\n{part}" for name, part in parts.items())
     definitions = Definitions()
@@ -354,7 +357,7 @@ def slots_of_rosbags(text):
             length = content[1] if node == Nodetype.ARRAY else VARIABLE_LENGTH
             node, content = content[0]
         slot_type = content[0] if node == Nodetype.BASE else content.replace("/msg/", "/")
-        # By its version: the names of bytes, and slots with the names of keywords.
+        # The names of bytes and of slots that are keywords depend on the version of rosbags.
         slot_type = {"octet": "byte", "char": "uint8"}.get(slot_type, slot_type)
         slot_type = re.sub("builtin_interfaces/(Time|Duration)", lambda match: match[1].lower(), slot_type)
         slots.append((name[:-1] if name.endswith("_") and iskeyword(name[:-1]) else name, slot_type, length))
@@ -368,7 +371,7 @@ def slots_of(definition):
     ]
 
 
-def test_the_slots_of_all_usual_types_are_those_that_rosbags_reads():
+def test_slots_agree_with_rosbags():
     pytest.importorskip("rosbags")
     from messages.reference_codecs import rosbags_types  # noqa: PLC0415
 
@@ -389,14 +392,14 @@ def test_the_slots_of_all_usual_types_are_those_that_rosbags_reads():
         ("int32 x\nint32 x", "x is defined twice"),
     ],
 )
-def test_definitions_that_rosbags_accepts_and_ros_rejects(text, reason):
+def test_definition_refused_by_ros_is_refused(text, reason):
     pytest.importorskip("rosbags")
-    assert reason in fault(text).message
+    assert reason in error_of(text).message
     assert slots_of_rosbags(text) is not None
 
 
 @pytest.mark.parametrize("text", ["float32 X=0.50", "int32 X=010"])
-def test_constants_whose_checksum_rosbags_cannot_know(text):
+def test_checksum_of_rosbags_differs_for_numerals(text):
     pytest.importorskip("rosbags")
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: PLC0415
 

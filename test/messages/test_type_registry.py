@@ -1,3 +1,5 @@
+"""Registry of message types: added, installed, generated and received definitions."""
+
 import sys
 
 import pytest
@@ -18,11 +20,11 @@ string frame_id
 """
 
 
-def nothing_installed():
+def empty_registry():
     return Definitions(InstalledTypes([], [], include_rosbags=False))
 
 
-def package(root, name, **messages):
+def write_package(root, name, **messages):
     folder = root / name / "msg"
     folder.mkdir(parents=True)
     (root / name / "package.xml").write_text("<package/>")
@@ -30,18 +32,18 @@ def package(root, name, **messages):
         (folder / f"{kind}.msg").write_text(text)
 
 
-def test_a_publisher_describes_its_own_messages_and_no_others():
+def test_received_type_leaves_installed_one():
     definitions = Definitions()
     installed = definitions.find("std_msgs/String").md5sum
     transforms = definitions.find("tf/tfMessage").md5sum
     forged = Definitions().add("tf/tfMessage", "int32 x\n").md5sum
-    for number in range(1100):  # more than are kept
+    for number in range(1100):  # more than the registry stores
         with pytest.raises(MessageError, match="expected std_msgs/String, found"):
             definitions.received("std_msgs/String", f"my_pkg/Type{number}", f"int32 x{number}\n", "*")
     with pytest.raises(MessageError, match="expected std_msgs/String, found tf/tfMessage"):
         definitions.received("std_msgs/String", "tf/tfMessage", "int32 x\n", forged)
     own = definitions.received("tf/tfMessage", "tf/tfMessage", "int32 x\n", forged)
-    assert own.md5sum == forged  # this publisher's messages are read as it says
+    assert own.md5sum == forged
     definitions.received("unknown_msgs/Kind", "tf/tfMessage", "int32 x\n", forged)
     assert definitions.find("tf/tfMessage").md5sum == transforms
     assert definitions.find("std_msgs/String").md5sum == installed
@@ -51,8 +53,8 @@ def test_a_publisher_describes_its_own_messages_and_no_others():
     assert "my_pkg/Type1" not in definitions
 
 
-def test_an_added_type_is_found_with_its_nested_ones():
-    registry = nothing_installed()
+def test_added_type_is_found_with_nested_types():
+    registry = empty_registry()
     definition = registry.add("pkg/Stamped", STAMPED)
     assert registry.find("pkg/Stamped") is definition
     assert registry.add("pkg/Stamped", STAMPED) is definition
@@ -61,8 +63,8 @@ def test_an_added_type_is_found_with_its_nested_ones():
     assert "pkg/Other" not in registry
 
 
-def test_types_may_be_named_as_in_ros_2():
-    registry = nothing_installed()
+def test_types_are_found_by_ros2_names():
+    registry = empty_registry()
     definition = registry.add("pkg/msg/Stamped", STAMPED.replace("Inner inner", "pkg/msg/Inner inner"))
     assert definition.name == "pkg/Stamped"
     assert definition.md5sum == registry.add("pkg/Stamped", STAMPED).md5sum
@@ -79,8 +81,8 @@ def test_types_may_be_named_as_in_ros_2():
     )
 
 
-def test_another_text_for_a_known_name_is_another_definition():
-    registry = nothing_installed()
+def test_other_text_for_known_name_is_not_registered():
+    registry = empty_registry()
     first = registry.add("pkg/Type", "int8 x\n")
     second = registry.add("pkg/Type", "int16 x\n")
     assert registry.find("pkg/Type") is first
@@ -90,8 +92,8 @@ def test_another_text_for_a_known_name_is_another_definition():
     assert registry.encoder("pkg/Type").definition is first
 
 
-def test_a_definition_that_is_not_that_of_the_messages():
-    registry = nothing_installed()
+def test_definition_with_other_checksum_is_refused():
+    registry = empty_registry()
     with pytest.raises(
         MessageError, match="the definition of pkg/Type does not match the messages: its checksum is"
     ):
@@ -101,29 +103,29 @@ def test_a_definition_that_is_not_that_of_the_messages():
     assert registry.add("pkg/Type", "int8 x\n", definition.md5sum) is definition
 
 
-def test_an_unknown_type_is_an_error_that_names_it():
+def test_unknown_type_is_an_error():
     with pytest.raises(MessageError, match="no definition of the message type pkg/Missing"):
-        nothing_installed().find("pkg/Missing")
+        empty_registry().find("pkg/Missing")
 
 
-def test_installed_types_are_found_and_read_once(tmp_path):
-    package(tmp_path, "pkg", Outer="other/Inner inner\nOwn own\n", Own="int8 x\n")
-    package(tmp_path, "other", Inner="float64 y\n")
+def test_installed_types_are_read_once(tmp_path):
+    write_package(tmp_path, "pkg", Outer="other/Inner inner\nOwn own\n", Own="int8 x\n")
+    write_package(tmp_path, "other", Inner="float64 y\n")
     registry = Definitions(InstalledTypes([str(tmp_path)], [], include_rosbags=False))
     outer = registry.find("pkg/Outer")
     assert [slot.type for slot in outer.fields] == ["other/Inner", "pkg/Own"]
     assert registry.find("pkg/Outer") is outer
 
 
-def test_an_installed_type_that_is_wrong_names_its_file(tmp_path):
-    package(tmp_path, "pkg", Bad="int8 x\nint8 x\n")
-    with pytest.raises(MessageError) as caught:
+def test_error_in_installed_type_names_file(tmp_path):
+    write_package(tmp_path, "pkg", Bad="int8 x\nint8 x\n")
+    with pytest.raises(MessageError) as error:
         Definitions(InstalledTypes([str(tmp_path)], [], include_rosbags=False)).find("pkg/Bad")
-    assert str(caught.value.place) == f"{tmp_path}/pkg/msg/Bad.msg:2:6"
+    assert str(error.value.place) == f"{tmp_path}/pkg/msg/Bad.msg:2:6"
 
 
-def test_packages_deep_in_a_workspace(tmp_path):
-    package(tmp_path / "src" / "stack", "pkg", Type="int8 x\n")
+def test_nested_packages_are_found(tmp_path):
+    write_package(tmp_path / "src" / "stack", "pkg", Type="int8 x\n")
     (tmp_path / "src" / ".hidden").mkdir()
     registry = Definitions(
         InstalledTypes([str(tmp_path / "src"), str(tmp_path / "missing")], [], include_rosbags=False)
@@ -131,14 +133,14 @@ def test_packages_deep_in_a_workspace(tmp_path):
     assert registry.find("pkg/Type").fields[0].type == "int8"
 
 
-def test_a_folder_that_is_a_package_itself(tmp_path):
-    package(tmp_path, "pkg", Type="int8 x\n")
+def test_folder_of_one_package_is_searched(tmp_path):
+    write_package(tmp_path, "pkg", Type="int8 x\n")
     assert "pkg/Type" in Definitions(InstalledTypes([str(tmp_path / "pkg")], [], include_rosbags=False))
 
 
-def test_the_usual_places(tmp_path, monkeypatch):
-    package(tmp_path / "path", "one", Type="int8 x\n")
-    package(tmp_path / "prefix" / "share", "two", Type="int16 x\n")
+def test_environment_variables_name_folders(tmp_path, monkeypatch):
+    write_package(tmp_path / "path", "one", Type="int8 x\n")
+    write_package(tmp_path / "prefix" / "share", "two", Type="int16 x\n")
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "path"))
     monkeypatch.setenv("CMAKE_PREFIX_PATH", str(tmp_path / "prefix"))
     registry = Definitions()
@@ -147,8 +149,8 @@ def test_the_usual_places(tmp_path, monkeypatch):
 
 
 def generated_class(text, **changes):
-    """Return the attributes of the class that genpy would generate for ``pkg/Type``."""
-    definition = nothing_installed().add("pkg/Type", text)
+    """Return the attributes of the class that genpy generates for ``pkg/Type``."""
+    definition = empty_registry().add("pkg/Type", text)
     generated = GeneratedClass(
         text,
         definition.md5sum,
@@ -159,8 +161,8 @@ def generated_class(text, **changes):
     return generated._replace(**changes)
 
 
-def with_classes(tmp_path, inspect_class, packages=(), **options):
-    """Return the installed types where ``pkg/Type`` has a generated module."""
+def types_with_class(tmp_path, inspect_class, packages=(), **options):
+    """Return the installed types, among which ``pkg/Type`` has a generated module."""
     folder = tmp_path / "modules" / "pkg" / "msg"
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "_Type.py").write_text("raise SystemExit\n")
@@ -169,37 +171,37 @@ def with_classes(tmp_path, inspect_class, packages=(), **options):
     )
 
 
-def test_generated_classes_are_inspected_if_there_is_a_module(tmp_path):
-    asked = []
+def test_generated_class_with_module_is_inspected(tmp_path):
+    inspected = []
 
     def inspect_class(name):
-        asked.append(name)
+        inspected.append(name)
         return generated_class(STAMPED)
 
-    installed = with_classes(tmp_path, inspect_class)
+    installed = types_with_class(tmp_path, inspect_class)
     registry = Definitions(installed)
     assert registry.find("pkg/Type").fields[1].type == "pkg/Inner"
     assert registry.installed_text("pkg/Type") == (STAMPED, "/somewhere/pkg/msg/_Type.py")
     assert "pkg/Other" not in registry
     assert "antigravity/Type" not in registry
-    assert set(asked) == {"pkg/Type"}
+    assert set(inspected) == {"pkg/Type"}
     assert (installed.packages(), installed.types("pkg")) == (["pkg"], ["Type"])
     assert "pkg" not in sys.modules
 
 
-def test_generated_modules_are_of_no_use_without_ros(tmp_path):
-    installed = with_classes(tmp_path, None)
+def test_generated_modules_are_ignored_without_ros(tmp_path):
+    installed = types_with_class(tmp_path, None)
     assert installed.text("pkg/Type") is None
     assert (installed.packages(), installed.types("pkg")) == ([], [])
 
 
-def test_a_class_comes_before_files_except_those_of_extra_folders(tmp_path):
-    package(tmp_path / "files", "pkg", Type="int8 file\n")
-    package(tmp_path / "extra" / "nested", "pkg", Type="int8 extra\n")
+def test_class_precedes_files_except_extra_folders(tmp_path):
+    write_package(tmp_path / "files", "pkg", Type="int8 file\n")
+    write_package(tmp_path / "extra" / "nested", "pkg", Type="int8 extra\n")
     files, extra = str(tmp_path / "files"), str(tmp_path / "extra")
 
     def slot(*packages, **options):
-        installed = with_classes(
+        installed = types_with_class(
             tmp_path, lambda name: generated_class("int8 generated\n"), packages, **options
         )
         return Definitions(installed).find("pkg/Type").fields[0].name
@@ -209,16 +211,16 @@ def test_a_class_comes_before_files_except_those_of_extra_folders(tmp_path):
     assert slot(files, extra_folders=[str(tmp_path / "files" / "pkg")]) == "file"
 
 
-def test_a_class_that_cannot_be_imported_is_an_error_unless_a_file_defines_the_type(tmp_path):
+def test_failed_import_is_an_error_without_file(tmp_path):
     def inspect_class(name):
         raise MessageError(f"{name}: cannot be imported")
 
-    registry = Definitions(with_classes(tmp_path, inspect_class))
+    registry = Definitions(types_with_class(tmp_path, inspect_class))
     with pytest.raises(MessageError, match="pkg/Type: cannot be imported"):
         registry.find("pkg/Type")
     assert "pkg/Type" not in registry
-    package(tmp_path / "files", "pkg", Type="int8 file\n")
-    installed = with_classes(tmp_path, inspect_class, [str(tmp_path / "files")])
+    write_package(tmp_path / "files", "pkg", Type="int8 file\n")
+    installed = types_with_class(tmp_path, inspect_class, [str(tmp_path / "files")])
     assert Definitions(installed).find("pkg/Type").fields[0].name == "file"
 
 
@@ -231,23 +233,23 @@ def test_a_class_that_cannot_be_imported_is_an_error_unless_a_file_defines_the_t
         ({"slot_types": ("int8", "uint8[4]")}, "its slots are not those of its definition"),
     ],
 )
-def test_a_class_must_match_its_own_definition(tmp_path, changes, problem):
+def test_class_with_other_definition_is_refused(tmp_path, changes, problem):
     generated = generated_class("int8 x\nuint8[3] y\n", **changes)
-    with pytest.raises(MessageError, match=problem) as caught:
-        Definitions(with_classes(tmp_path, lambda name: generated)).find("pkg/Type")
-    assert "/somewhere/pkg/msg/_Type.py: the generated class of pkg/Type" in caught.value.message
+    with pytest.raises(MessageError, match=problem) as error:
+        Definitions(types_with_class(tmp_path, lambda name: generated)).find("pkg/Type")
+    assert "/somewhere/pkg/msg/_Type.py: the generated class of pkg/Type" in error.value.message
 
 
-def test_slots_that_are_keywords_and_old_names_of_headers_match_their_class(tmp_path):
+def test_keyword_slots_and_old_headers_match_class(tmp_path):
     text = "roslib/Header header\nint8 lambda\nint8 from_\n" + STAMPED[STAMPED.index("=") :]
     generated = generated_class(text)
     changed = {"slots": ("header", "lambda_", "from_"), "slot_types": ("roslib/Header", "int8", "int8")}
     for inspected in (generated, generated._replace(**changed)):
-        definition = Definitions(with_classes(tmp_path, lambda name, it=inspected: it)).find("pkg/Type")
+        definition = Definitions(types_with_class(tmp_path, lambda name, it=inspected: it)).find("pkg/Type")
         assert [slot.name for slot in definition.fields] == ["header", "lambda", "from_"]
 
 
-def test_types_that_rosbags_brings():
+def test_types_of_rosbags_are_found():
     pytest.importorskip("rosbags")
     registry = Definitions(InstalledTypes([], []))
     assert registry.find("geometry_msgs/PoseStamped").md5sum == "d3812c3cbc69362b77dc0b19b345f8f5"
@@ -255,7 +257,7 @@ def test_types_that_rosbags_brings():
     assert "pkg/Type" not in registry
 
 
-def test_types_that_rosbags_brings_are_listed():
+def test_types_of_rosbags_are_listed():
     pytest.importorskip("rosbags")
     installed = InstalledTypes([], [])
     assert {"geometry_msgs", "sensor_msgs", "std_msgs"} <= set(installed.packages())
@@ -263,28 +265,28 @@ def test_types_that_rosbags_brings_are_listed():
 
 
 @pytest.mark.parametrize("name", ["tf/tfMessage", "tf2_msgs/TFMessage"])
-def test_tf_by_both_names_wherever_geometry_is(name):
+def test_tf_message_is_found_by_both_names(name):
     pytest.importorskip("rosbags")
     definition = Definitions(InstalledTypes([], [])).find(name)
     assert definition.name == name
     assert definition.md5sum == "94810edda583a504dfda3829e70d7eec"
 
 
-def test_added_types_come_before_installed_ones_and_those_before_nested_ones(tmp_path):
-    package(tmp_path, "pkg", Inner="int64 installed\n", Stamped="int64 installed\n")
+def test_added_types_precede_installed_and_nested_ones(tmp_path):
+    write_package(tmp_path, "pkg", Inner="int64 installed\n", Stamped="int64 installed\n")
     registry = Definitions(InstalledTypes([str(tmp_path)], [], include_rosbags=False))
     registry.add("pkg/Stamped", STAMPED)
     assert registry.find("pkg/Stamped").fields[0].name == "header"
     assert registry.find("pkg/Inner").fields[0].name == "installed"
 
 
-def test_names_that_are_paths_are_not_looked_up(tmp_path):
-    package(tmp_path, "pkg", Type="int8 x\n")
+def test_type_name_with_path_is_not_found(tmp_path):
+    write_package(tmp_path, "pkg", Type="int8 x\n")
     assert InstalledTypes([str(tmp_path / "other")], [], include_rosbags=False).text("../pkg/Type") is None
 
 
-def test_received_messages_are_read_by_the_definition_that_fits():
-    registry = nothing_installed()
+def test_received_type_uses_matching_definition():
+    registry = empty_registry()
     known = registry.add("pkg/A", "int8 x\n")
     assert registry.received("pkg/A", "pkg/A", "", known.md5sum) is known
     assert registry.received("pkg/A", "other/B", "", known.md5sum) is known

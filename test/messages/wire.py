@@ -1,6 +1,6 @@
-"""A plain second implementation of the wire format and of the event terms, to test the first against.
+"""A simple second implementation of the wire format and of event terms, as reference for tests.
 
-A message is a list of its slots' values; times are pairs; strings and byte arrays are bytes.
+A message is the list of its slot values; times are pairs; strings and byte arrays are bytes.
 """
 
 import struct
@@ -34,15 +34,15 @@ def serialize(definition, values):
 
 def _slot(slot, value):
     if slot.length is None:
-        return _one(slot, value)
+        return _single(slot, value)
     if slot.type in ("uint8", "char"):
         body, number = bytes(value), len(value)
     else:
-        body, number = b"".join(_one(slot, item) for item in value), len(value)
+        body, number = b"".join(_single(slot, item) for item in value), len(value)
     return (struct.pack("<I", number) if slot.length < 0 else b"") + body
 
 
-def _one(slot, value):
+def _single(slot, value):
     if slot.definition is not None:
         return serialize(slot.definition, value)
     if slot.type == "string":
@@ -55,22 +55,22 @@ def _one(slot, value):
 
 
 def to_term(definition, values):
-    """Return the event term of a message whose texts are all printable."""
+    """Return the event term of a message with printable texts only."""
     name = definition.name.replace("/", "__0__")
     if not definition.fields:
         return atom(name)
     arguments = []
     for slot, value in zip(definition.fields, values):
         if slot.length is None:
-            arguments.append(_one_term(slot, value))
+            arguments.append(_single_term(slot, value))
         elif slot.type in ("uint8", "char"):
             arguments.append(_text(bytes(value)))
         else:
-            arguments.append(_list([_one_term(slot, item) for item in value]))
+            arguments.append(_list([_single_term(slot, item) for item in value]))
     return functor(name, len(arguments))(*arguments)
 
 
-def _one_term(slot, value):
+def _single_term(slot, value):
     if slot.definition is not None:
         return to_term(slot.definition, value)
     if slot.type == "string":
@@ -91,41 +91,37 @@ def _list(items):
     return term
 
 
-def messages(definition: Definition, cached_texts=None):
-    """Return the strategy of a type's messages."""
-    cached_texts = (
-        st.binary(max_size=40) | st.text(max_size=20).map(str.encode)
-        if cached_texts is None
-        else cached_texts
-    )
-    return st.tuples(*(_values(slot, cached_texts) for slot in definition.fields)).map(list)
+def messages(definition: Definition, texts=None):
+    """Return the strategy for messages of a type."""
+    texts = st.binary(max_size=40) | st.text(max_size=20).map(str.encode) if texts is None else texts
+    return st.tuples(*(_values(slot, texts) for slot in definition.fields)).map(list)
 
 
-def _values(slot, cached_texts):
+def _values(slot, texts):
     if slot.length is None:
-        return _element(slot, cached_texts)
+        return _element(slot, texts)
     low, high = (0, 7 if slot.definition is None else 2) if slot.length < 0 else (slot.length,) * 2
     if slot.type in ("uint8", "char"):
         return (
-            cached_texts.map(lambda text: text[:high].ljust(low, b" "))
+            texts.map(lambda text: text[:high].ljust(low, b" "))
             if high > 7
             else st.binary(min_size=low, max_size=high if slot.length >= 0 else 1500)
         )
-    return st.lists(_element(slot, cached_texts), min_size=low, max_size=high)
+    return st.lists(_element(slot, texts), min_size=low, max_size=high)
 
 
-def _element(slot, cached_texts):
+def _element(slot, texts):
     if slot.definition is not None:
-        return messages(slot.definition, cached_texts)
+        return messages(slot.definition, texts)
     if slot.type == "string":
-        return cached_texts
+        return texts
     if slot.type in ("time", "duration"):  # genpy carries nanoseconds over a second
         low, high = (0, 2**32 - 1) if slot.type == "time" else (-(2**31), 2**31 - 1)
         return st.tuples(st.integers(low, high), st.integers(0, 999_999_999)).map(list)
     if slot.type == "bool":
         return st.booleans()
     if slot.type in ("float32", "float64"):
-        # A text has one nan only, so the others cannot come back from it.
+        # Event text has one NaN only, so other NaNs do not survive it.
         floats = st.floats(width=int(slot.type[5:]))
         return floats.map(lambda value: NAN if value != value else value)
     code = CODES[slot.type]

@@ -4,7 +4,7 @@ import pytest
 
 pytest.importorskip("genpy", reason="ROS is not installed")
 
-from messages.reference_codecs import check, genpy_references  # noqa: E402
+from messages.reference_codecs import compare_messages, genpy_references  # noqa: E402
 
 MESSAGES = 10
 """Messages of each type; ``python3 -m messages.reference_codecs genpy`` tries any number, and more types."""
@@ -13,6 +13,6 @@ MESSAGES = 10
 def test_all_installed_types_are_decoded_and_encoded_as_by_genpy():
     names = set()
     for reference in genpy_references(with_stores=False):
-        check(reference, MESSAGES)
+        compare_messages(reference, MESSAGES)
         names.add(reference.definition.name)
     assert {"std_msgs/String", "tf2_msgs/TFMessage", "retalis/Radar"} <= names

@@ -623,7 +623,7 @@ class Decoder:
 
     Args:
         definition: the type.
-        bare: maximum number of zero-byte elements in a message.
+        max_empty_elements: maximum number of zero-byte elements in a message.
 
     Attributes:
         definition: the type.
@@ -638,10 +638,10 @@ class Decoder:
 
     __slots__ = ("definition", "functor", "decode", "stamp", "watch", "plain")
 
-    def __init__(self, definition: Definition, bare: int = MAX_EMPTY_ELEMENTS):
+    def __init__(self, definition: Definition, max_empty_elements: int = MAX_EMPTY_ELEMENTS):
         self.definition = definition
         self.functor = functor(definition.functor_name, len(definition.fields))
-        self.decode: Decode = _compile_decode(definition, bare)
+        self.decode: Decode = _compile_decode(definition, max_empty_elements)
         self.stamp: Callable[[bytes], Optional[int]] = _compile_stamp(definition)
         # Set by `make_watching_decoder`, on a copy.
         self.watch: Optional[StampWatch] = None

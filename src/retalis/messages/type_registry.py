@@ -406,12 +406,14 @@ class Definitions:
 
     Args:
         installed: source of installed types; searches the standard folders by default.
-        bare: limit for zero-byte elements in a message (elements of arrays whose type has no slots).
+        max_empty_elements: limit for zero-byte elements in a message (elements of arrays whose type has no slots).
     """
 
-    def __init__(self, installed: Optional[InstalledTypes] = None, bare: int = MAX_EMPTY_ELEMENTS):
+    def __init__(
+        self, installed: Optional[InstalledTypes] = None, max_empty_elements: int = MAX_EMPTY_ELEMENTS
+    ):
         self._installed = InstalledTypes() if installed is None else installed
-        self._max_empty_elements = bare
+        self._max_empty_elements = max_empty_elements
         self._characters = 0
         self._added: Dict[str, Definition] = {}
         self._nested: Dict[str, Definition] = {}

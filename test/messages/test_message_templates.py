@@ -1,4 +1,4 @@
-"""Templates of ``retalis msg`` for all installed types, parsed again."""
+"""Templates of messages, as ``retalis msg`` prints them."""
 
 import pytest
 from rosbags.typesys import Stores, get_typestore
@@ -19,14 +19,14 @@ OPERATORS.message_types = SlotNames(DEFINITIONS)
 
 
 def read(text):
-    """Return the term of a template, and the names in it."""
-    found = read_term(text, OPERATORS)
-    assert not [name for name in found.names if not name[0].isupper()]
-    return found.term, len(found.names)
+    """Return the term of a template and the number of its variables."""
+    read_result = read_term(text, OPERATORS)
+    assert not [name for name in read_result.names if not name[0].isupper()]
+    return read_result.term, len(read_result.names)
 
 
 def shape(term):
-    """Return a term with all variables alike."""
+    """Return a term whose variables are replaced by one object."""
     term = deref(term)
     if term.__class__ is tuple:
         return (term[0], *map(shape, term[1:]))
@@ -34,7 +34,7 @@ def shape(term):
 
 
 def expected(definition):
-    """Return the shape that a template of a type has, and how many variables."""
+    """Return the expected shape of a template and the number of its variables."""
     if not definition.fields:
         return DEFINITIONS.decoder(definition).decode(b""), 0
     parts, number = [], 0
@@ -50,7 +50,7 @@ def expected(definition):
     return (DEFINITIONS.decoder(definition).functor, *parts), number
 
 
-def check(definition):
+def check_templates(definition):
     for text in (format_positional(definition), format_with_names(definition)):
         term, names = read(text)
         assert (shape(term), names) == expected(definition), text
@@ -61,9 +61,9 @@ def check(definition):
 
 
 @pytest.mark.slow
-def test_templates_of_all_installed_types_read_back():
+def test_templates_of_installed_types_are_read():
     store = get_typestore(Stores.ROS1_NOETIC)
-    names = getattr(store, "fielddefs", None) or store.FIELDDEFS  # by its version
+    names = getattr(store, "fielddefs", None) or store.FIELDDEFS  # the name depends on the version of rosbags
     checked = 0
     for name in sorted(names):
         package, _, kind = name.split("/")
@@ -71,7 +71,7 @@ def test_templates_of_all_installed_types_read_back():
             definition = DEFINITIONS.find(f"{package}/{kind}")
         except MessageError:
             continue
-        check(definition)
+        check_templates(definition)
         checked += 1
     assert checked > 100
 
@@ -145,13 +145,13 @@ PRINTED = """odd_msgs__0__Odd(              % 68 bytes or more
 """
 
 
-def test_what_is_alike_has_variables_of_its_own():
+def test_equal_slot_names_have_distinct_variables():
     odd = DEFINITIONS.add("odd_msgs/Odd", ODD.replace("string _Odd\n", ""))
     assert format_positional(odd) == PRINTED
-    check(odd)
+    check_templates(odd)
 
 
-def test_sizes_of_slots():
+def test_template_shows_sizes_of_slots():
     text = "bool a\nfloat64[9] b\nstring[3] c\nfloat32[] d\nstring[] e\nuint8[] f\nbyte[1] g\n"
     template, _, predicates = format_with_names(DEFINITIONS.add("odd_msgs/Sizes", text)).partition("\n\n")
     assert predicates == "% for array_min/2, array_percentile/3 and others: b, d, f, g\n"
@@ -167,7 +167,7 @@ def test_sizes_of_slots():
     ]
 
 
-def test_arrays_and_predicates_are_named():
+def test_template_names_arrays_and_predicates():
     text = format_positional(DEFINITIONS.find("nav_msgs/OccupancyGrid"))
     assert text.endswith(
         """
