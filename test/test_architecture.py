@@ -14,6 +14,8 @@ NO_NAMES = {
     *("float", "int", "struct"),  # Python's
     *("split_tf", "new_event(tf(Parent, Child, V, Q), Sec, NSec)"),  # the example's
     *("synchronized(Event, Query, Conditions)", "geometry_msgs__0__PoseStamped"),
+    *("fever", "temperature(anna, 39.5)", "temperature(anna, 38.2)", '("anna", 39.5)', "Who", "T1"),
+    *("seq", "within"),
     *("tf", "retalisInputEvents", "receive_once", "RETALIS_TEST_FUSED=1", "retalis"),  # ROS's
 }
 """What the page quotes besides."""
@@ -70,3 +72,30 @@ def test_all_rooms_are_named():
     text = PAGE.read_text(encoding="utf-8")
     rooms = {path.relative_to(SOURCE).parts[0] for path in SOURCE.glob("*/**/*.py")}
     assert [room for room in rooms if f"| `{room}/` |" not in text] == []
+
+
+EXCERPT = re.compile(r"```python\n# (?P<path>[\w/]+\.py), (?P<name>[\w.]+)\n(?P<text>.*?)```", re.DOTALL)
+
+
+def excerpts():
+    """Return the path, function and lines of each excerpt of the source."""
+    text = PAGE.read_text(encoding="utf-8")
+    assert len(EXCERPT.findall(text)) == text.count("```python")
+    return [(match["path"], match["name"], match["text"].splitlines()) for match in EXCERPT.finditer(text)]
+
+
+def find_definition(path, name):
+    """Return the syntax node of a function or method."""
+    node = ast.parse((SOURCE / path).read_text(encoding="utf-8"))
+    for part in name.split("."):
+        (node,) = (child for child in node.body if getattr(child, "name", None) == part)
+    return node
+
+
+@pytest.mark.parametrize(("path", "name", "lines"), excerpts())
+def test_excerpts_are_lines_of_the_source(path, name, lines):
+    node = find_definition(path, name)
+    source = (SOURCE / path).read_text(encoding="utf-8").splitlines()[node.lineno - 1 : node.end_lineno]
+    remaining = iter([line.strip() for line in source])
+    for line in lines:
+        assert line == "..." or line.strip() in remaining, line
