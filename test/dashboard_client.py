@@ -1,4 +1,4 @@
-"""A page that is served for a test, and who asks for it as a browser does, without a proxy."""
+"""Served page of the dashboard and a client that sends requests as a browser does, without a proxy."""
 
 import http.client
 import json
@@ -10,23 +10,23 @@ from retalis import Engine, record_origins
 from retalis.dashboard.page_server import Dashboard
 from retalis.dashboard.view_model import DashboardSource
 
-PATIENCE = 30.0
+TIMEOUT_SECONDS = 30.0
 RULES = "alarm(X) <- smoke(X) seq heat(X). synchronized(seen(X), true, [[fires, 100]]) <- marker(X)."
 GOALS = "memorize(smoke(_), [], _, fires, 10)\nsubscribe(alarm(_), [], _, alarms, a)"
 
 
 def engine():
-    """Return an engine with a small program that has taken a few events."""
-    made = Engine()
-    record_origins(made)
-    made.load(rules=RULES, goals=GOALS)
-    return made
+    """Return an engine with a small program."""
+    program = Engine()
+    record_origins(program)
+    program.load(rules=RULES, goals=GOALS)
+    return program
 
 
 @contextmanager
-def serving(of=None, port=0, **known):
+def serving(program=None, port=0, **source):
     """Serve a page on a port, by default on a free one."""
-    page = Dashboard(DashboardSource(of or engine(), "/retalis", **known), port, period=0.05)
+    page = Dashboard(DashboardSource(program or engine(), "/retalis", **source), port, period=0.05)
     try:
         yield page
     finally:
@@ -34,34 +34,34 @@ def serving(of=None, port=0, **known):
 
 
 class Visitor:
-    """Asks a page for things."""
+    """Client of a page."""
 
     def __init__(self, page):
         self.port = page.port
 
     def ask(self, path, method="GET", body=None, **headers):
-        """Return the status, the headers and the body of an answer."""
-        link = http.client.HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE)
+        """Return the status, the headers and the body of a response."""
+        link = http.client.HTTPConnection("127.0.0.1", self.port, timeout=TIMEOUT_SECONDS)
         try:
             names = {name.replace("_", "-"): value for name, value in headers.items()}
             link.request(method, path, body, names)
-            answer = link.getresponse()
-            return answer.status, answer.headers, answer.read()
+            response = link.getresponse()
+            return response.status, response.headers, response.read()
         finally:
             link.close()
 
-    def post(self, path, asked, **headers):
-        """Return the answer to a request in JSON."""
+    def post(self, path, request, **headers):
+        """Return the response to a request in JSON."""
         status, _, body = self.ask(
-            path, "POST", json.dumps(asked), Content_Type="application/json", **headers
+            path, "POST", json.dumps(request), Content_Type="application/json", **headers
         )
         assert status == 200, body
         return json.loads(body)
 
     @contextmanager
     def stream(self, path="/stream"):
-        """Give what reads the next event of the stream, as its name and data."""
-        link = socket.create_connection(("127.0.0.1", self.port), timeout=PATIENCE)
+        """Open the stream of events."""
+        link = socket.create_connection(("127.0.0.1", self.port), timeout=TIMEOUT_SECONDS)
         file = link.makefile("rb")
         try:
             link.sendall(f"GET {path} HTTP/1.1\r\nHost: localhost:{self.port}\r\n\r\n".encode())
@@ -75,7 +75,7 @@ class Visitor:
 
 
 class Stream:
-    """A stream of events, chunk by chunk."""
+    """A stream of server-sent events."""
 
     def __init__(self, status, file):
         self.status = status
@@ -91,10 +91,10 @@ class Stream:
                 return json.loads(data[len("data: ") :])
 
     def until(self, condition):
-        """Return the first look of which something is true."""
-        end = time.monotonic() + PATIENCE
+        """Return the first snapshot for which a condition holds."""
+        end = time.monotonic() + TIMEOUT_SECONDS
         while time.monotonic() < end:
-            found = self.next()
-            if condition(found):
-                return found
-        raise AssertionError(found)
+            snapshot = self.next()
+            if condition(snapshot):
+                return snapshot
+        raise AssertionError(snapshot)

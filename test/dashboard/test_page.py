@@ -1,4 +1,4 @@
-"""The dashboard in a browser: its tables, graph and forms, compared with the state of the engine."""
+"""Page of the dashboard in a browser: tables, graph and forms, compared with the state of the engine."""
 
 import re
 import threading
@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("tornado", reason="tornado is not installed")
 
-from dashboard_client import PATIENCE, engine, serving  # noqa: E402
+from dashboard_client import TIMEOUT_SECONDS, engine, serving  # noqa: E402
 
 from retalis import foreign  # noqa: E402
 from retalis.dashboard.view_model import TopicRow  # noqa: E402
@@ -83,7 +83,7 @@ def rows_of(browser, table):
     return browser.ask(ROWS.format(table=table))
 
 
-def test_tiles_show_the_counters_of_the_engine(page, program):
+def test_tiles_show_counters_of_engine(page, program):
     program.event("smoke(hall)", 1)
     program.event("heat(hall)", 2)
     program.event("marker(7)", 3)
@@ -91,7 +91,8 @@ def test_tiles_show_the_counters_of_the_engine(page, program):
     program.event("number(1)", 4)
     wait_for_update(page)
     status, tiles = program.status(), page.ask(TILES)
-    assert text_of(page, "#title") == "/retalis" and text_of(page, "#state") == "live"
+    assert text_of(page, "#title") == "/retalis"
+    assert text_of(page, "#state") == "live"
     assert status.errors == 1
     assert {name: tiles[name] for name in ("in the queue", "dropped", "errors", "partial matches")} == {
         "in the queue": str(status.queued),
@@ -103,7 +104,7 @@ def test_tiles_show_the_counters_of_the_engine(page, program):
     assert int(tiles["MB of memory"].replace(",", "")) > 0
 
 
-def test_rates_follow_the_events(page, program):
+def test_rates_follow_events(page, program):
     for second in range(1, 60):
         program.event("smoke(hall)", second)
     page.wait_for(f"parseFloat(({TILES})['events in /s']) > 0")
@@ -134,7 +135,7 @@ def test_memories_show_their_records(page, program):
     assert page.ask(bar) == "30%"
 
 
-def test_subscriptions_show_what_was_sent(page, program):
+def test_subscriptions_show_sent_outputs(page, program):
     program.event("smoke(hall)", 1)
     program.event("heat(hall)", 2)
     wait_for_update(page)
@@ -167,12 +168,13 @@ def test_rules_show_their_counters(page, program):
     assert [row[7] for row in rows] == [str(rule.errors) for rule in rules] == ["0", "0", "1"]
     assert [row[4] for row in rows] == [str(rule.waiting) for rule in rules]
     assert [row[5] for row in rows] == [str(rule.keys) for rule in rules]
-    assert rows[2][0].startswith("hot") and rows[2][3] == "1.00 s ago"
+    assert rows[2][0].startswith("hot")
+    assert rows[2][3] == "1.00 s ago"
     for rule in rules:
         assert rule.text in text_of(page, "#rules")
 
 
-def test_items_beyond_the_limit_are_counted(page, program):
+def test_items_beyond_limit_are_counted(page, program):
     rules = "".join(f"a{number} <- b{number}. " for number in range(DEFAULT_LISTING_LIMIT))
     goals = "".join(
         f"memorize(c{number}, [], _, m{number}, 5)\n" for number in range(DEFAULT_LISTING_LIMIT + 1)
@@ -187,7 +189,7 @@ def test_running_goal_is_shown(page, program):
 
     @foreign
     def spin() -> bool:
-        return released.wait(PATIENCE)
+        return released.wait(TIMEOUT_SECONDS)
 
     program.add_foreign(spin)
     program.load(rules="null_event do spin <- start.")
@@ -205,7 +207,7 @@ def test_running_goal_is_shown(page, program):
     page.wait_for("document.getElementById('busy').hidden")
 
 
-def test_graph_shows_the_nodes_and_edges_of_the_program(page, program):
+def test_graph_shows_nodes_and_edges_of_program(page, program):
     program.load(rules="quiet(X) <- (smoke(X) seq heat(X)) cnot known(X) where owner(X). owner(hall).")
     graph = program_graph(program, GRAPH_TOPICS)
     page.wait_for(f"document.querySelectorAll('#graph g').length === {len(graph.nodes)}")
@@ -215,7 +217,7 @@ def test_graph_shows_the_nodes_and_edges_of_the_program(page, program):
 
 
 @pytest.mark.parametrize("dark", [False, True])
-def test_kinds_of_nodes_have_distinct_colours_with_a_legend(page, program, dark):
+def test_node_kinds_have_distinct_colours(page, program, dark):
     program.load(rules="a <- b where c, tf_missing(d, e, 0, _). c.")
     page.set_dark(dark)
     page.wait_for(f"document.querySelectorAll('#legend span').length === {len(NODE_STYLES)}")
@@ -223,12 +225,12 @@ def test_kinds_of_nodes_have_distinct_colours_with_a_legend(page, program, dark)
     assert list(colours) == list(NODE_STYLES)
     components = {kind: list(map(int, re.findall(r"\d+", colour))) for kind, colour in colours.items()}
     for first, second in combinations(components.values(), 2):
-        assert sum(abs(one - other) for one, other in zip(first, second)) >= 20
+        assert sum(abs(a - b) for a, b in zip(first, second)) >= 20
     texts = page.ask("[...document.querySelectorAll('#legend span')].map((entry) => entry.textContent)")
     assert texts == [style.legend for style in NODE_STYLES.values()]
 
 
-def test_wide_graph_has_a_hint_to_scroll(page, program):
+def test_wide_graph_has_hint_to_scroll(page, program):
     hint = "document.getElementById('graph-scroll').hidden"
     program.load(rules=" ".join(f"stage{number + 1} <- stage{number}." for number in range(9)))
     page.wait_for(f"!{hint}")
@@ -246,7 +248,7 @@ def test_small_graph_has_no_hint_to_scroll(page):
     assert page.ask("document.getElementById('graph').className") == "scroll"
 
 
-def test_texts_of_the_program_stay_texts(page, program):
+def test_texts_of_program_are_not_markup(page, program):
     program.event(f"said('{HOSTILE}')", 5)
     program.load(rules=f"'{HOSTILE}' <- '{HOSTILE}'(_).", goals=f"memorize(x, [], _, '{HOSTILE}', 5)")
     for part in ("#events", "#rules", "#memories"):
@@ -297,7 +299,7 @@ def test_query_is_answered(page, program, goal, answer):
     wait_for_text(page, "#answer", answer)
 
 
-def test_form_is_hidden_if_queries_are_not_allowed(browser, program):
+def test_query_form_is_hidden_if_not_allowed(browser, program):
     with serving(program) as dashboard:
         browser.open(dashboard.url)
         browser.wait_for(IS_OPEN)
@@ -314,7 +316,7 @@ def test_events_are_observed_only_on_request(page, program):
 
 
 @pytest.mark.parametrize("width", [320, 390, 700, 1280])
-def test_page_is_not_wider_than_the_screen(page, program, width):
+def test_page_is_not_wider_than_screen(page, program, width):
     page.resize(width, 800)
     program.event(f"long('{LONG}', [{LONG}])", 9)
     program.event(f"marker({LONG})", 9)
@@ -326,7 +328,7 @@ def test_page_is_not_wider_than_the_screen(page, program, width):
     assert len(columns) == (1 if width <= 600 else 2)
 
 
-def test_page_shows_a_lost_node_and_reconnects(browser, program):
+def test_page_shows_lost_node_and_reconnects(browser, program):
     with serving(program) as dashboard:
         browser.open(dashboard.url)
         browser.wait_for(IS_OPEN)
@@ -335,4 +337,6 @@ def test_page_shows_a_lost_node_and_reconnects(browser, program):
     with serving(program, port=dashboard.port):
         browser.wait_for(f"{state} === 'live'", allow_problems=True)
     # The browser reports each failed attempt to connect.
-    assert all(dashboard.url in problem for problem in browser.take_problems())
+    problems = browser.take_problems()
+    assert problems
+    assert all(dashboard.url in problem for problem in problems)

@@ -1,4 +1,4 @@
-"""The page's server: what it serves, to whom, and how much of it."""
+"""Server of the page: files, access, limits, and streams."""
 
 import os
 import socket
@@ -12,7 +12,7 @@ from python_path import python_path
 
 pytest.importorskip("tornado", reason="tornado is not installed")
 
-from dashboard_client import PATIENCE, Visitor, engine, serving  # noqa: E402
+from dashboard_client import TIMEOUT_SECONDS, Visitor, engine, serving  # noqa: E402
 
 from retalis import UsageError  # noqa: E402
 from retalis.dashboard.page_server import Dashboard  # noqa: E402
@@ -27,8 +27,8 @@ def program():
 
 @pytest.fixture
 def page(program):
-    with serving(program) as served:
-        yield served
+    with serving(program) as dashboard:
+        yield dashboard
 
 
 @pytest.fixture
@@ -36,20 +36,22 @@ def visitor(page):
     return Visitor(page)
 
 
-def test_all_files_of_the_page_are_served_and_nothing_else(visitor):
+def test_only_files_of_page_are_served(visitor):
     assert {path.name for path in PAGE.iterdir()} == {name for name, _ in FILES.values()}
-    for path, (name, kind) in FILES.items():
+    for path, (name, content_type) in FILES.items():
         status, headers, body = visitor.ask(path)
-        assert (status, headers["Content-Type"], body) == (200, kind, (PAGE / name).read_bytes())
+        assert (status, headers["Content-Type"], body) == (200, content_type, (PAGE / name).read_bytes())
     for path in ("/index.html", "/page/", "/../server.py", "/%2e%2e/server.py", "/dashboardxjs", "//"):
         assert visitor.ask(path)[0] == 404, path
 
 
-def test_nothing_comes_from_elsewhere_and_no_script_stands_in_the_page():
+def test_page_has_no_foreign_or_inline_code():
+    assert len(list(PAGE.iterdir())) == len(FILES)
     for path in PAGE.iterdir():
         text = path.read_text(encoding="utf-8").replace("http://www.w3.org/2000/svg", "")
         assert "//" not in text.replace("// ", "") or path.suffix == ".js", path
-        assert "http:" not in text and "https:" not in text, path
+        assert "http:" not in text, path
+        assert "https:" not in text, path
         for word in (
             "innerHTML",
             "outerHTML",
@@ -62,7 +64,7 @@ def test_nothing_comes_from_elsewhere_and_no_script_stands_in_the_page():
             assert word not in text, (path, word)
 
 
-def test_each_answer_says_what_the_browser_may_do(visitor):
+def test_each_response_has_security_headers(visitor):
     for path in ("/", "/nothing"):
         _, headers, _ = visitor.ask(path)
         assert "default-src 'none'" in headers["Content-Security-Policy"]
@@ -78,121 +80,125 @@ def test_each_answer_says_what_the_browser_may_do(visitor):
 @pytest.mark.parametrize(
     "host", ["evil.example", "evil.example:80", "127.0.0.1.evil.example", "[::1", "", "[::1]"]
 )
-def test_a_name_that_was_made_to_lead_here_is_refused(visitor, path, host):
+def test_foreign_host_name_is_refused(visitor, path, host):
     assert visitor.ask(path, Host=host)[0] in (400, 403)
 
 
-def test_a_foreign_page_is_refused(page, visitor):
+def test_request_of_foreign_page_is_refused(page, visitor):
     own = f"127.0.0.1:{page.port}"
     for origin in ("http://evil.example", "null", f"https://{own}", "http://127.0.0.1:1", "http://localhost"):
         assert visitor.ask("/stream", Host=own, Origin=origin)[0] == 403, origin
-        asked = visitor.ask(
+        response = visitor.ask(
             "/explain", "POST", "{}", Host=own, Origin=origin, Content_Type="application/json"
         )
-        assert asked[0] == 403
+        assert response[0] == 403
     assert visitor.ask("/stream", Sec_Fetch_Site="cross-site")[0] == 403
     assert visitor.ask("/dashboard.js", Sec_Fetch_Site="same-site")[0] == 403
     assert visitor.ask("/", Sec_Fetch_Site="cross-site")[0] == 200  # a link to the page
     assert visitor.ask("/", Host=own, Origin=f"http://{own}")[0] == 200
-    assert visitor.ask("/", Host="localhost:9000")[0] == 200  # the far end of a tunnel
+    assert visitor.ask("/", Host="localhost:9000")[0] == 200  # as through a tunnel
 
 
-def test_only_json_of_some_size_is_taken(visitor):
+def test_only_json_of_limited_size_is_accepted(visitor):
     assert visitor.ask("/query", "POST", "{}")[0] == 415
     assert visitor.ask("/query", "POST", "{}", Content_Type="text/plain")[0] == 415
-    for wrong in ("", "[]", "1", "{", "[" * 9000):
-        assert visitor.ask("/query", "POST", wrong, Content_Type="application/json")[0] == 400
+    for body in ("", "[]", "1", "{", "[" * 9000):
+        assert visitor.ask("/query", "POST", body, Content_Type="application/json")[0] == 400
     try:
         assert visitor.ask("/query", "POST", "1" * 50_000, Content_Type="application/json")[0] in (400, 413)
     except OSError:
-        pass  # it was cut off
+        pass  # the server has closed the connection
     assert visitor.ask("/stream", "POST", "{}")[0] == 405
     assert visitor.ask("/query")[0] == 405
     assert visitor.ask("/", "DELETE")[0] == 405
 
 
-def test_a_method_that_http_does_not_have_is_refused_without_a_traceback(visitor, caplog):
+def test_unknown_method_is_refused(visitor, caplog):
     status, _, body = visitor.ask("/", "FOO")
     assert (status, body) == (405, b"405: Method Not Allowed\n")
     assert caplog.text == ""
 
 
-def test_it_is_on_the_loopback_address_only(page):
-    with pytest.raises(OSError):  # what listens on all addresses of the machine answers on this one too
+def test_server_is_on_loopback_address_only(page):
+    # A server on all addresses would accept this connection.
+    with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.2", page.port), timeout=5)
 
 
-def test_numbers_come_while_the_program_runs(program, visitor):
+def test_stream_has_events_and_counters(program, visitor):
     with visitor.stream() as stream:
-        look = stream.next()
-        assert (look["title"], look["queries"], look["watching"]) == ("/retalis", False, True)
+        snapshot = stream.next()
+        assert (snapshot["title"], snapshot["queries"], snapshot["watching"]) == ("/retalis", False, True)
         program.event("smoke(hall)", 1)
         program.event("heat(hall)", 2)
-        look = stream.until(lambda found: found["status"]["taken"] == 2 and len(found["events"]) == 3)
-        assert [one["text"] for one in look["events"]] == ["alarm(hall)", "heat(hall)", "smoke(hall)"]
-        assert look["events"][0]["start"] == 1.0
-        assert look["status"]["memories"][0]["newest"] == 1.0
-        assert look["status"]["subscriptions"][0]["sent"] == 1
-        stream.until(lambda found: found["rates"]["taken"] > 0)
+        snapshot = stream.until(
+            lambda snapshot: snapshot["status"]["taken"] == 2 and len(snapshot["events"]) == 3
+        )
+        assert [event["text"] for event in snapshot["events"]] == ["alarm(hall)", "heat(hall)", "smoke(hall)"]
+        assert snapshot["events"][0]["start"] == 1.0
+        assert snapshot["status"]["memories"][0]["newest"] == 1.0
+        assert snapshot["status"]["subscriptions"][0]["sent"] == 1
+        stream.until(lambda snapshot: snapshot["rates"]["taken"] > 0)
 
 
-def test_the_graph_comes_once_and_again_when_the_program_has_changed(program, visitor):
+def test_changed_graph_is_sent_again(program, visitor):
     with visitor.stream() as stream:
         graph = stream.next("graph")
         assert {"rule:0", "memory:fires", "event:smoke/1", "output:alarms"} <= {
-            one["id"] for one in graph["nodes"]
+            node["id"] for node in graph["nodes"]
         }
         program.load(rules="late <- alarm(_).")
         graph = stream.next("graph")
-        assert "event:late/0" in {one["id"] for one in graph["nodes"]}
+        assert "event:late/0" in {node["id"] for node in graph["nodes"]}
 
 
-def listeners(program):
-    """Return how many take all events whole or in part, but for the record of what events come from."""
-    return sum(one.accepts_unread for one in program.dispatcher._listeners.get(None, ()))  # noqa: SLF001
+def listener_count(program):
+    """Return the number of listeners for all events, without that for origins."""
+    listener_count = program.dispatcher._listeners.get(None, ())  # noqa: SLF001
+    return sum(listener.accepts_unread for listener in listener_count)
 
 
-def until(condition):
-    """Wait for what another thread does."""
+def wait_until(condition):
+    """Wait for another thread until a condition holds."""
     event = threading.Event()
-    for _ in range(int(PATIENCE / 0.02)):
+    for _ in range(int(TIMEOUT_SECONDS / 0.02)):
         if condition():
             return
         event.wait(0.02)
     raise AssertionError("waited in vain")
 
 
-def test_the_engine_is_listened_to_only_while_a_page_shows_events(program, visitor):
-    assert listeners(program) == 0
+def test_engine_has_listener_while_page_shows_events(program, visitor):
+    assert listener_count(program) == 0
     with visitor.stream("/stream?events=0") as quiet:
         assert not quiet.next()["watching"]
-        assert listeners(program) == 0
+        assert listener_count(program) == 0
         with visitor.stream() as stream:
             stream.next()
-            assert listeners(program) == 1
-        until(lambda: listeners(program) == 0)
-        quiet.until(lambda found: not found["watching"])
+            assert listener_count(program) == 1
+        wait_until(lambda: listener_count(program) == 0)
+        quiet.until(lambda snapshot: not snapshot["watching"])
 
 
-def test_so_many_pages_may_be_open(visitor):
+def test_number_of_open_pages_is_limited(visitor):
     with ExitStack() as stack:
         for _ in range(MAX_OPEN_PAGES):
             assert stack.enter_context(visitor.stream()).status == 200
-        with visitor.stream() as one_more:
-            assert one_more.status == 503
+        with visitor.stream() as excess_stream:
+            assert excess_stream.status == 503
 
-    def again():
+    def can_open_page():
         with visitor.stream() as stream:
             return stream.status == 200
 
-    until(again)
+    wait_until(can_open_page)
 
 
 @pytest.mark.slow
-def test_idle_connections_make_room_and_live_pages_stay(page, visitor):
+def test_idle_connections_are_closed_before_pages(page, visitor):
     with visitor.stream() as stream:
         links = [
-            socket.create_connection(("127.0.0.1", page.port), timeout=PATIENCE)
+            socket.create_connection(("127.0.0.1", page.port), timeout=TIMEOUT_SECONDS)
             for _ in range(MAX_CONNECTIONS)
         ]
         try:
@@ -206,7 +212,7 @@ def test_idle_connections_make_room_and_live_pages_stay(page, visitor):
 
 
 @pytest.mark.slow
-def test_one_who_does_not_read_gets_the_newest_and_holds_up_nobody(program, visitor):
+def test_slow_reader_does_not_block_others(program, visitor):
     program.load(rules="".join(f"a{number} <- b{number}(_). " for number in range(100)))
     with visitor.stream() as slow, visitor.stream() as stream:
         assert slow.status == 200
@@ -214,63 +220,66 @@ def test_one_who_does_not_read_gets_the_newest_and_holds_up_nobody(program, visi
             stream.next()
 
 
-def test_why_an_event_happened(program, visitor):
+def test_event_is_explained(program, visitor):
     with visitor.stream() as stream:
         stream.next()
         program.event("smoke(hall)", 1)
         program.event("heat(hall)", 2)
-        look = stream.until(lambda found: len(found["events"]) == 3)
-        found = visitor.post("/explain", {"serial": look["events"][0]["serial"]})
-        assert found["lines"][0].startswith("alarm(hall) [")
-        assert "smoke(hall)" in found["lines"][1]
+        snapshot = stream.until(lambda snapshot: len(snapshot["events"]) == 3)
+        snapshot = visitor.post("/explain", {"serial": snapshot["events"][0]["serial"]})
+        assert snapshot["lines"][0].startswith("alarm(hall) [")
+        assert "smoke(hall)" in snapshot["lines"][1]
         for serial in (10_000, -1, "1", None, True, [1]):
             assert "error" in visitor.post("/explain", {"serial": serial}), serial
 
 
-def test_queries_are_answered_only_where_they_are_allowed(program, visitor):
+def test_queries_are_answered_if_allowed(program, visitor):
     program.call("assertz(room(hall))")
     assert "dashboard_queries" in visitor.post("/query", {"goal": "room(X)"})["error"]
     with serving(program, allows_queries=True) as allowed:
-        ask = Visitor(allowed)
-        assert ask.post("/query", {"goal": "room(X)"}) == {"solutions": [[["X", "hall"]]], "complete": True}
-        assert len(ask.post("/query", {"goal": "repeat"})["solutions"]) == 100
+        allowed_visitor = Visitor(allowed)
+        assert allowed_visitor.post("/query", {"goal": "room(X)"}) == {
+            "solutions": [[["X", "hall"]]],
+            "complete": True,
+        }
+        assert len(allowed_visitor.post("/query", {"goal": "repeat"})["solutions"]) == 100
         for goal in ("room(", "throw(x)", "nobody_has_defined_this", 7, None, "a" * 6000):
-            assert "error" in ask.post("/query", {"goal": goal}), goal
+            assert "error" in allowed_visitor.post("/query", {"goal": goal}), goal
 
 
-def test_a_busy_engine_holds_up_no_page(program):
-    free = threading.Event()
-    begun = threading.Event()
+def test_busy_engine_does_not_block_page(program):
+    released = threading.Event()
+    started = threading.Event()
 
     def work():
-        begun.set()
-        free.wait(PATIENCE)
+        started.set()
+        released.wait(TIMEOUT_SECONDS)
 
     with serving(program, allows_queries=True) as page:
         visitor = Visitor(page)
         worker = threading.Thread(target=program.do, args=(work,), daemon=True)
-        asking = [
+        query_threads = [
             threading.Thread(target=visitor.post, args=("/query", {"goal": "true"}), daemon=True)
             for _ in range(2)
         ]
         try:
             worker.start()
-            assert begun.wait(PATIENCE)
+            assert started.wait(TIMEOUT_SECONDS)
             with visitor.stream() as stream:
                 stream.next()
-                for one in asking:
-                    one.start()
-                until(lambda: program.status().callers == 2)
+                for thread in query_threads:
+                    thread.start()
+                wait_until(lambda: program.status().callers == 2)
                 assert "busy" in visitor.post("/query", {"goal": "true"})["error"]
                 stream.next()
         finally:
-            free.set()
-        for one in (worker, *asking):
-            one.join(PATIENCE)
-            assert not one.is_alive()
+            released.set()
+        for thread in (worker, *query_threads):
+            thread.join(TIMEOUT_SECONDS)
+            assert not thread.is_alive()
 
 
-def test_topics_have_what_is_known_of_them(program):
+def test_topics_have_counts_of_source_or_engine(program):
     topics = [
         TopicRow("/smoke", "house/Smoke", 7, 1, 0, 0.5, 0.01),
         TopicRow("/other", "house/Other"),
@@ -278,12 +287,12 @@ def test_topics_have_what_is_known_of_them(program):
     with serving(program, topics=lambda: topics) as page, Visitor(page).stream() as stream:
         stream.next()
         program.event("house__0__Other(1)", 5)
-        rows = stream.until(lambda found: found["topics"][1]["messages"] == 1)["topics"]
+        rows = stream.until(lambda snapshot: snapshot["topics"][1]["messages"] == 1)["topics"]
         assert rows[0] == topics[0]._asdict()
         assert rows[1]["age"] == 0
 
 
-def test_a_port_that_is_taken_is_an_error_with_its_number(page):
+def test_used_port_is_an_error(page):
     with pytest.raises(UsageError, match=f"port {page.port} of 127.0.0.1"):
         Dashboard(DashboardSource(engine(), "x"), page.port)
 
@@ -301,7 +310,7 @@ def test_ports_end_at_65535():
         Dashboard(DashboardSource(engine(), "x"), 70_000, port_count=20)
 
 
-def test_without_tornado_the_error_names_its_package():
+def test_missing_tornado_is_an_error():
     # In a new process, because the modules of this one have been imported with tornado.
     code = """import sys
 sys.modules["tornado"] = None
@@ -311,16 +320,16 @@ from retalis.dashboard.view_model import DashboardSource
 Dashboard(DashboardSource(Engine(), "x"), 0)
 """
     environment = {**os.environ, "PYTHONPATH": python_path()}
-    ran = subprocess.run([sys.executable, "-c", code], env=environment, stderr=subprocess.PIPE, text=True)
-    assert ran.stderr.splitlines()[-1].startswith("retalis.foundation.errors.UsageError: ")
-    assert "python3-tornado" in ran.stderr
+    process = subprocess.run([sys.executable, "-c", code], env=environment, stderr=subprocess.PIPE, text=True)
+    assert process.stderr.splitlines()[-1].startswith("retalis.foundation.errors.UsageError: ")
+    assert "python3-tornado" in process.stderr
 
 
-def test_closing_ends_what_is_open(program):
+def test_close_ends_streams_and_listeners(program):
     with serving(program) as page, Visitor(page).stream() as stream:
         stream.next()
         page.close()
         page.close()
-        with pytest.raises(OSError):
+        with pytest.raises(ConnectionRefusedError):
             socket.create_connection(("127.0.0.1", page.port), timeout=5)
-    until(lambda: listeners(program) == 0)
+    wait_until(lambda: listener_count(program) == 0)

@@ -1,4 +1,4 @@
-"""The last events: bounded in number, size and work."""
+"""Recent events of the dashboard, limited in number, size and work."""
 
 import pytest
 
@@ -17,39 +17,39 @@ from retalis.prolog.terms.types import CONS, Lazy
 
 @pytest.fixture
 def engine():
-    it = Engine()
-    record_origins(it)
-    it.load(rules="alarm(X) <- smoke(X) seq heat(X).")
-    return it
+    engine = Engine()
+    record_origins(engine)
+    engine.load(rules="alarm(X) <- smoke(X) seq heat(X).")
+    return engine
 
 
 @pytest.fixture
 def recent(engine):
-    it = RecentEvents(engine)
-    it.set_observing(True)
-    return it
+    recent = RecentEvents(engine)
+    recent.set_observing(True)
+    return recent
 
 
-def test_events_are_kept_while_that_is_wanted(engine, recent):
+def test_events_are_stored_while_observed(engine, recent):
     engine.event("smoke(hall)", 1, 2)
     recent.set_observing(False)
     engine.event("heat(hall)", 3)
-    (found,) = recent.take_latest()
-    assert (found.text, found.whole, found.start, found.end) == ("smoke(hall)", True, 10**9, 2 * 10**9)
+    (event,) = recent.take_latest()
+    assert (event.text, event.whole, event.start, event.end) == ("smoke(hall)", True, 10**9, 2 * 10**9)
     assert recent.get_counts() == {"smoke/1": (1, 2 * 10**9)}
 
 
-def test_rare_events_stay_beside_many(engine, recent):
+def test_rare_event_is_not_evicted_by_many(engine, recent):
     engine.event("smoke(hall)", 1)
     for second in range(2, 1000):
         engine.event("tick", second)
-    found = recent.take_latest()
-    assert len(found) == 1 + MAX_WRITTEN_PER_SNAPSHOT
-    assert found[-1].text == "smoke(hall)"
+    events = recent.take_latest()
+    assert len(events) == 1 + MAX_WRITTEN_PER_SNAPSHOT
+    assert events[-1].text == "smoke(hall)"
     assert recent.get_counts()["tick/0"].number_of_events == 998
 
 
-def test_all_is_bounded(engine, recent):
+def test_numbers_of_events_are_limited(engine, recent):
     for number in range(3 * MAX_FUNCTORS):
         engine.event(f"e{number}(1)", number + 1)
     assert len(recent.take_latest()) == MAX_SHOWN_EVENTS
@@ -68,14 +68,14 @@ def test_all_is_bounded(engine, recent):
         functor("f", 1)(Lazy(CONS, lambda source: pytest.fail("it is made"), b"")),
     ],
 )
-def test_large_events_are_cut_and_not_even_made(engine, term):
+def test_large_event_is_cut_without_decoding(engine, term):
     text, whole = format_event_beginning(engine.show, term)
     assert "..." in text
     assert len(text) <= MAX_EVENT_CHARACTERS + 3
     assert not whole
 
 
-def test_deep_events_are_cut(engine):
+def test_deep_event_is_cut(engine):
     term = atom("deep")
     for _ in range(100_000):
         term = functor("f", 1)(term)
@@ -85,10 +85,10 @@ def test_deep_events_are_cut(engine):
 
 
 @pytest.mark.parametrize("text", ["f(A,_,A)", "f([],[a|B])", "f('A b',\"text\",-1.5)", "atom", "1 + 2"])
-def test_short_events_are_whole(engine, recent, text):
+def test_short_event_is_whole(engine, recent, text):
     engine.event(text, 1)
-    (found,) = recent.take_latest()
-    assert found.whole
+    (event,) = recent.take_latest()
+    assert event.whole
     assert engine.logic.once((functor("=@=", 2), engine.query(f"X = ({text})")[0]["X"], recent_term(recent)))
 
 
@@ -96,7 +96,7 @@ def recent_term(recent):
     return recent.find(recent.take_latest()[0].serial)[1]
 
 
-def test_an_event_that_is_kept_can_be_explained(engine, recent):
+def test_stored_event_can_be_explained(engine, recent):
     engine.event("smoke(hall)", 1.000000001)
     engine.event("heat(hall)", 2)
     alarm = recent.take_latest()[0]

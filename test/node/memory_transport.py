@@ -1,4 +1,4 @@
-"""A transport in memory: a middleware without processes, whose time is moved by the test.
+"""Transport in memory: a middleware without processes, whose time the test advances.
 
 Publishers and subscribers of one `MemoryNetwork` exchange messages at once, in the thread of the publisher.
 """
@@ -30,7 +30,7 @@ class MemoryNetwork:
         self.timers = []
 
     def move_time(self, seconds):
-        """Move the time on, and call the timers that are due in between at their times."""
+        """Advance the time and call each due timer at its time."""
         end = self.now + int(seconds * 10**9)
         while True:
             due = min(
@@ -46,7 +46,7 @@ class MemoryNetwork:
         self.now = end
 
     def connect(self, publication, subscription):
-        """Connect a publisher and a subscriber of one topic, unless they do not want to be."""
+        """Connect a publisher and a subscriber of a topic, unless the subscriber ignores its own node."""
         if subscription.ignores_own and publication.source.node == subscription.node:
             return
         subscription.receivers[publication] = subscription.connect(publication.source)
@@ -192,8 +192,12 @@ class MemoryTransport:
     def graph(self):
         publications = self.network.publications
         return NodeGraph(
-            {topic: found[0].source.message_type for topic, found in publications.items() if found},
-            {topic: {each.source.node for each in found} for topic, found in publications.items() if found},
+            {topic: entries[0].source.message_type for topic, entries in publications.items() if entries},
+            {
+                topic: {publication.source.node for publication in entries}
+                for topic, entries in publications.items()
+                if entries
+            },
             {name: {node} for name, (node, _) in self.network.services.items()},
         )
 

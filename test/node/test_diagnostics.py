@@ -59,7 +59,7 @@ def network():
 
 @pytest.fixture
 def transport(network):
-    """Return a transport that has the type of diagnostics, with or without ROS on this machine."""
+    """Return a transport with the type of diagnostics, which does not depend on the installation of ROS."""
     transport = MemoryTransport(network, "/ns/retalis")
     transport.installed_types = lambda include_rosbags=True: InstalledTypes()
     yield transport
@@ -71,7 +71,7 @@ def listener(network):
     return Listener(network)
 
 
-def test_each_part_is_a_status_of_the_node(transport, listener):
+def test_each_part_is_a_status_of_node(transport, listener):
     Diagnostics(transport, 0.001, HEALTH, Reports(), "robot7")
     message = listener.wait()
     assert message["header"]["stamp"] == 1_000_000_002
@@ -98,7 +98,7 @@ def test_missing_package_is_warned_of_once(network, transport, caplog):
     assert network.publications == {}
 
 
-def test_error_of_one_evaluation_does_not_end_publishing(transport, listener):
+def test_error_of_evaluation_does_not_end_publishing(transport, listener):
     evaluations, reports = [], Reports()
 
     def evaluate():

@@ -1,4 +1,4 @@
-"""Lines that goals print, and counts of a node's log."""
+"""Printed lines of goals, and counts of the log of a node."""
 
 import logging
 import sys
@@ -9,7 +9,7 @@ from retalis.node.goal_output import MAX_PRINTED_LINE_CHARACTERS, LogCounts, Pri
 FORGED = "[ERROR] [1700000000.000000]: the robot is on fire"
 
 
-def test_lines_of_goals_have_a_mark_and_are_whole(capsys):
+def test_printed_lines_have_mark_and_are_complete(capsys):
     print_lines = PrintedLines("stdout")
     print_lines("a")
     assert capsys.readouterr().out == ""
@@ -20,17 +20,17 @@ def test_lines_of_goals_have_a_mark_and_are_whole(capsys):
     assert capsys.readouterr().out == "| c\n"
 
 
-def test_a_line_without_an_end_is_not_held_for_ever(capsys):
+def test_long_line_is_split(capsys):
     PrintedLines("stderr")("x" * (2 * MAX_PRINTED_LINE_CHARACTERS + 1))
     assert capsys.readouterr().err == f"| {'x' * MAX_PRINTED_LINE_CHARACTERS}\n" * 2
 
 
-def test_a_node_without_standard_output_goes_on(monkeypatch):
+def test_missing_standard_output_is_ignored(monkeypatch):
     monkeypatch.setattr(sys, "stdout", None)
     PrintedLines("stdout")("a\n")
 
 
-def test_records_are_counted_unless_reports_count_them():
+def test_records_are_counted_once():
     counts = LogCounts()
     logger = logging.Logger("test_log")
     logger.addHandler(counts)

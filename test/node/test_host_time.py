@@ -11,7 +11,7 @@ from retalis.node.host_time import HostClock, Receipts, SimulatedTime
 from retalis.prolog.terms.timestamps import SECOND
 
 
-def test_receipts_differ_and_start_again_when_time_goes_back():
+def test_receipt_stamps_are_distinct_in_each_epoch():
     times = [5, 5, 5, 4.5, 5.5, 2, 2, 9]
     receipts = Receipts(lambda: int(times[0] * SECOND))
     stamps = []
@@ -65,7 +65,7 @@ def clock():
     clock = SimulatedClock()
     yield clock
     clock.transport.shut_down()
-    # A clock that goes back wakes the thread, which ends.
+    # A clock that moves backwards wakes the thread, which ends.
     for seconds in (1000, 0):
         clock.move(seconds)
     for thread in threading.enumerate():
@@ -73,7 +73,7 @@ def clock():
             thread.join(60)
 
 
-def test_epoch_begins_when_the_clock_goes_back(clock):
+def test_backward_clock_begins_epoch(clock):
     for seconds in (8, 9):
         clock.move(seconds)
     clock.move(2, back=True)
@@ -81,7 +81,7 @@ def test_epoch_begins_when_the_clock_goes_back(clock):
     assert clock.time.now() == 2 * SECOND
 
 
-def test_time_of_the_engine_goes_back_when_it_is_told(clock, monkeypatch):
+def test_engine_time_follows_begun_epoch(clock, monkeypatch):
     host_clock = HostClock(clock.transport, clock.time.epochs)
     clock.move(9)
     clock.move(2, back=True)
@@ -90,12 +90,12 @@ def test_time_of_the_engine_goes_back_when_it_is_told(clock, monkeypatch):
     assert (host_clock.now(), host_clock.went_back()) == (2 * SECOND, True)
     clock.move(0, back=True)
     assert host_clock.now() == 2 * SECOND
-    # Nobody tells it.
+    # The wait for the begin of the epoch times out.
     monkeypatch.setattr(host_time, "MAX_EPOCH_WAIT_SECONDS", -1.0)
     assert host_clock.now() == 0
 
 
-def test_resumed_clock_waits_for_the_first_time(clock):
+def test_resumed_clock_waits_for_first_time(clock):
     host_clock = HostClock(clock.transport, clock.time.epochs)
     host_clock.restore([-1, 5 * SECOND, 0, 0])
     host_clock.start(lambda: None, is_resumed=True)
@@ -116,7 +116,7 @@ def make_engine(network):
     return engine
 
 
-def test_restored_engine_sets_its_timer_when_it_is_started(network):
+def test_started_clock_sets_timer_of_restored_engine(network):
     engine = make_engine(network)
     engine.load(rules="exceptionAlarm(late(X), 5) <- a(X).")
     engine.post(functor("a", 1)(1))

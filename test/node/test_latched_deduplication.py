@@ -12,7 +12,7 @@ from retalis.node.latched_deduplication import (
 MAP = ("/map", "/map_server", "http://robot:4711/")
 
 
-def test_the_first_message_of_a_new_connection_is_a_repetition_if_it_was_the_last_one():
+def test_last_message_in_new_connection_is_repetition():
     inputs = LatchedMessageDeduplicator()
     first, second, third = LatchedConnection(*MAP), LatchedConnection(*MAP), LatchedConnection(*MAP)
     assert not inputs.record_message(first.describe_message(b"a"))
@@ -21,7 +21,7 @@ def test_the_first_message_of_a_new_connection_is_a_repetition_if_it_was_the_las
     assert not inputs.record_message(third.describe_message(b"a"))
 
 
-def test_what_a_publisher_publishes_again_is_new():
+def test_message_published_again_is_no_repetition():
     inputs = LatchedMessageDeduplicator()
     connection = LatchedConnection(*MAP)
     assert [inputs.record_message(connection.describe_message(b"a")) for _ in range(3)] == [
@@ -29,8 +29,12 @@ def test_what_a_publisher_publishes_again_is_new():
         False,
         False,
     ]
-    again = LatchedConnection(*MAP)
-    assert [inputs.record_message(again.describe_message(b"a")) for _ in range(3)] == [True, False, False]
+    new_connection = LatchedConnection(*MAP)
+    assert [inputs.record_message(new_connection.describe_message(b"a")) for _ in range(3)] == [
+        True,
+        False,
+        False,
+    ]
 
 
 @pytest.mark.parametrize(
@@ -41,29 +45,29 @@ def test_what_a_publisher_publishes_again_is_new():
         ("/map", "/map_server", "http://robot:4712/"),
     ],
 )
-def test_another_publisher_or_process_makes_a_new_event(other):
+def test_message_of_other_publisher_is_no_repetition(other):
     inputs = LatchedMessageDeduplicator()
     assert not inputs.record_message(LatchedConnection(*MAP).describe_message(b"a"))
     assert not inputs.record_message(LatchedConnection(*other).describe_message(b"a"))
     assert inputs.record_message(LatchedConnection(*MAP).describe_message(b"a"))
 
 
-def test_a_publisher_whose_process_is_unknown_repeats_nothing():
+def test_publisher_without_address_has_no_repetition():
     inputs = LatchedMessageDeduplicator()
     for _ in range(2):
         assert not inputs.record_message(LatchedConnection("/map", "/map_server", "").describe_message(b"a"))
 
 
-def test_a_message_of_a_former_run_is_no_repetition():
-    run = 0
-    inputs = LatchedMessageDeduplicator(lambda: run)
+def test_message_of_previous_epoch_is_no_repetition():
+    epoch = 0
+    inputs = LatchedMessageDeduplicator(lambda: epoch)
     assert not inputs.record_message(LatchedConnection(*MAP).describe_message(b"a"))
-    run = 1
+    epoch = 1
     assert not inputs.record_message(LatchedConnection(*MAP).describe_message(b"a"))
     assert inputs.record_message(LatchedConnection(*MAP).describe_message(b"a"))
 
 
-def test_the_publisher_that_was_quiet_for_longest_is_forgotten(monkeypatch):
+def test_least_recent_publisher_is_evicted(monkeypatch):
     monkeypatch.setattr(latched_deduplication, "MAX_PUBLISHERS", 2)
     inputs = LatchedMessageDeduplicator()
 
@@ -75,7 +79,7 @@ def test_the_publisher_that_was_quiet_for_longest_is_forgotten(monkeypatch):
     assert [repeats(topic) for topic in "abacab"] == [False, False, True, False, True, False]
 
 
-def test_marks_read_back():
+def test_written_mark_is_parsed():
     message = LatchedConnection(*MAP).describe_message(b"a")
     assert parse_latched_mark(message.to_mark()) == message
     assert parse_latched_mark(message._replace(may_be_repetition=False).to_mark()) == message._replace(

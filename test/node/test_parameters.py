@@ -20,29 +20,29 @@ def read(monkeypatch):
     return read
 
 
-def test_defaults_keep_the_originals_behaviour(read):
-    found = read()
-    assert found.program == Path("/some/package/application_source")
-    assert (found.direct, found.embedded, found.queue) == ("auto", False, 5000)
-    assert not found.settings.allow_goals
-    assert found.settings.max_depth == Settings().max_depth
+def test_defaults_of_parameters(read):
+    parameters = read()
+    assert parameters.program == Path("/some/package/application_source")
+    assert (parameters.direct, parameters.embedded, parameters.queue) == ("auto", False, 5000)
+    assert not parameters.settings.allow_goals
+    assert parameters.settings.max_depth == Settings().max_depth
 
 
-def test_the_hardware_id_is_a_text(read):
+def test_hardware_id_is_a_text(read):
     assert read().hardware_id == read(hardware_id="").hardware_id == "retalis"
     assert read(hardware_id="robot7").hardware_id == "robot7"
 
 
-def test_limits_have_defaults_and_0_is_none(read):
-    found = read().settings
-    assert found.limits == Limits(10.0, None, 500)
-    assert (found.watchdog, found.limit_start) == (1.0, False)
+def test_limit_0_disables_default(read):
+    settings = read().settings
+    assert settings.limits == Limits(10.0, None, 500)
+    assert (settings.watchdog, settings.limit_start) == (1.0, False)
     zeros = dict.fromkeys(("max_seconds", "max_inferences", "max_megabytes", "max_output_megabytes"), 0)
-    found = read(watchdog=0.0, **zeros).settings
-    assert (found.limits, found.watchdog) == (NO_LIMITS, None)
+    settings = read(watchdog=0.0, **zeros).settings
+    assert (settings.limits, settings.watchdog) == (NO_LIMITS, None)
 
 
-def test_limits_are_numbers_of_either_kind(read):
+def test_limits_are_integers_or_floats(read):
     limits = read(
         max_seconds=2, max_inferences=1e6, max_megabytes=0.5, max_output_megabytes=3
     ).settings.limits
@@ -50,7 +50,7 @@ def test_limits_are_numbers_of_either_kind(read):
     assert isinstance(limits.inferences, int)
 
 
-def test_any_stamp_is_taken_where_no_limit_is_given(read):
+def test_max_skew_is_unlimited_by_default(read):
     assert read().max_skew is None
     assert read(max_skew=0).max_skew is None
     assert read(max_skew=2).max_skew == 2.0
@@ -58,7 +58,7 @@ def test_any_stamp_is_taken_where_no_limit_is_given(read):
         read(max_skew="much")
 
 
-def test_any_gap_may_be_interpolated_over_where_no_limit_is_given(read):
+def test_max_gap_is_unlimited_by_default(read):
     assert read().settings.max_gap is None
     assert read(max_gap=0).settings.max_gap is None
     assert read(max_gap=0.5).settings.max_gap == 0.5
@@ -80,7 +80,7 @@ def test_watermark_delay_is_auto_or_number(read):
             read(**{parameter: "much"})
 
 
-def test_program_replaces_the_default_folder(read):
+def test_program_replaces_default_folder(read):
     assert read("/here").program == Path("/here/application_source")
     assert read("/here", program="/there").program == Path("/there")
 
@@ -92,31 +92,33 @@ def test_program_replaces_the_default_folder(read):
         ("/here", "/nowhere/it", "parameter ~program: /nowhere/it does not exist: give the absolute path"),
     ],
 )
-def test_a_program_that_is_not_there_is_an_error_with_a_way_out(read, package, program, text):
+def test_missing_program_is_an_error_with_advice(read, package, program, text):
     with pytest.raises(UsageError, match=text):
         read(package, program=program)
 
 
-def test_a_program_that_is_a_file_is_an_error(tmp_path):
+def test_program_file_is_an_error(tmp_path):
     path = tmp_path / "rules.txt"
     path.write_text("")
     with pytest.raises(UsageError, match=r"rules.txt is not a folder: give"):
         read_parameters({"program": str(path)}, Path)
 
 
-def test_numbers_and_flags(read):
-    found = read(queue=7, max_depth=5, max_seconds=2, max_inferences=1000, allow_goals=True, embedded=True)
-    assert (found.queue, found.settings.queue, found.settings.max_depth) == (7, 7, 5)
-    assert (found.settings.limits.seconds, found.settings.limits.inferences) == (2.0, 1000)
-    assert found.settings.allow_goals
-    assert not found.settings.allow_swi
+def test_numbers_and_flags_are_read(read):
+    parameters = read(
+        queue=7, max_depth=5, max_seconds=2, max_inferences=1000, allow_goals=True, embedded=True
+    )
+    assert (parameters.queue, parameters.settings.queue, parameters.settings.max_depth) == (7, 7, 5)
+    assert (parameters.settings.limits.seconds, parameters.settings.limits.inferences) == (2.0, 1000)
+    assert parameters.settings.allow_goals
+    assert not parameters.settings.allow_swi
     assert read(allow_swi=True).settings.allow_swi
-    assert not found.settings.allow_flags
+    assert not parameters.settings.allow_flags
     assert read(allow_flags=True).settings.allow_flags
-    assert found.embedded
+    assert parameters.embedded
 
 
-def test_goals_open_files_of_the_program_only_by_default(read):
+def test_folders_for_goals_are_empty_by_default(read):
     settings = read().settings
     assert (settings.folders, settings.write_folders) == ((), ())
     settings = read(folders=["/data", "/more"], write_folders=["/out"], max_file_megabytes=5).settings
@@ -157,17 +159,17 @@ def test_goals_open_files_of_the_program_only_by_default(read):
         ("max_file_megabytes", "x"),
     ],
 )
-def test_what_is_wrong_is_named(read, name, value):
+def test_invalid_value_is_an_error(read, name, value):
     with pytest.raises(UsageError, match=name):
         read(**{name: value})
 
 
 @pytest.mark.parametrize("value", [["scan", "sensor_msgs/LaserScan"], [["scan", "sensor_msgs/LaserScan"]]])
-def test_a_list_of_topics_and_types(read, value):
+def test_list_of_direct_topics_is_read(read, value):
     assert read(direct=value).direct == (TopicType("scan", "sensor_msgs/LaserScan"),)
 
 
-def test_an_unknown_parameter_is_warned_of(read, caplog):
+def test_unknown_parameter_is_warned_of(read, caplog):
     read(max_second=1, queue=5, quick=True)
     warnings = [record.getMessage() for record in caplog.records]
     assert warnings[0] == "there is no parameter ~max_second; did you mean ~max_seconds?"
@@ -175,13 +177,13 @@ def test_an_unknown_parameter_is_warned_of(read, caplog):
     assert len(warnings) == 2
 
 
-def test_the_page_is_off_by_default_and_has_a_port(read):
+def test_dashboard_is_disabled_by_default(read):
     assert (read().dashboard, read().dashboard_queries) == (None, False)
     assert read(dashboard=True).dashboard == DASHBOARD_PORT
     assert read(dashboard=9000).dashboard == 9000
     assert read(dashboard_queries=True).dashboard_queries
-    for wrong in (0, -1, 1 << 16, "yes", 80.5):
+    for value in (0, -1, 1 << 16, "yes", 80.5):
         with pytest.raises(
             UsageError, match="parameter ~dashboard: expected true, false or the number of a port"
         ):
-            read(dashboard=wrong)
+            read(dashboard=value)

@@ -37,7 +37,7 @@ class Robot:
     """Another node of the network.
 
     Attributes:
-        received: texts that were received, by topic.
+        received: received texts by topic.
     """
 
     def __init__(self, network):
@@ -101,7 +101,7 @@ def test_output_of_rule_is_published(network, start):
     assert robot.received["/alarm"] == ["fire"]
 
 
-def test_alarm_fires_by_the_time_of_the_transport(network, start):
+def test_alarm_fires_by_time_of_transport(network, start):
     robot = Robot(network)
     robot.subscribe("/alarm")
     start("std_msgs__0__String(silence) <- scan(X) seq absent(scan(_), 5).\n")
@@ -122,7 +122,7 @@ def test_message_of_wrong_type_is_refused_and_counted(network, start):
     assert (scan["messages"], scan["refused"]) == (1, 1)
 
 
-def test_damaged_message_is_dropped_and_the_next_one_processed(network, start):
+def test_damaged_message_does_not_stop_next_one(network, start):
     robot = Robot(network)
     robot.subscribe("/alarm")
     host = start(ECHO)
@@ -142,7 +142,7 @@ def test_latched_message_is_processed_once(network, start):
     assert robot.received["/alarm"] == ["map"]
 
 
-def test_services_change_the_program(network, start):
+def test_services_change_program(network, start):
     robot = Robot(network)
     robot.subscribe("/alarm")
     start("", topics=TOPICS.replace('name="scan"', 'name="other"'))

@@ -1,4 +1,4 @@
-"""Outputs as messages."""
+"""Published topics: outputs as messages."""
 
 import pytest
 from node.memory_transport import MemoryNetwork, MemoryTransport
@@ -10,7 +10,7 @@ from retalis.node.text_exchange import WATCH
 TEXT = functor("std_msgs__0__String", 1)(atom('"a"'))
 
 
-def test_outputs_of_load_are_passed_on_in_order():
+def test_outputs_of_load_are_relayed_in_order():
     received = []
     relay = OutputRelay(10, Reports())
     relay("a", "topic", "id")
@@ -20,7 +20,7 @@ def test_outputs_of_load_are_passed_on_in_order():
     assert received == [item for name in "abc" for item in ((name, "topic", "id"), "second")]
 
 
-def test_excess_of_outputs_of_load_is_dropped_and_reported():
+def test_excess_outputs_of_load_are_dropped():
     reports, received = Reports(), []
     relay = OutputRelay(2, reports)
     for number in range(5):
@@ -65,7 +65,7 @@ def test_topic_has_one_type(topics):
         topics.advertise("said", "std_msgs/Int8")
 
 
-def test_topic_of_unknown_type_is_advertised_when_the_type_is_learned(network, topics):
+def test_topic_is_advertised_if_type_is_found(network, topics):
     with pytest.raises(MessageError):
         topics.advertise("door", "lab/Door")
     topics.publish(TEXT, "door")

@@ -32,7 +32,7 @@ def engine(transport):
     return engine
 
 
-def test_long_format_is_traversed_once(network, engine, monkeypatch):
+def test_long_format_is_traversed_few_times(network, engine, monkeypatch):
     traversed = []
     variables = services.variables
     monkeypatch.setattr(services, "variables", lambda term: traversed.append(term) or variables(term))
@@ -47,7 +47,7 @@ def test_unbound_variable_of_format_is_warned_of(network, engine, caplog):
     assert "memorize m: nothing in event or conditions gives Y in the format a value" in caplog.text
 
 
-def test_long_request_is_refused_before_it_is_parsed(network, transport):
+def test_long_request_is_not_parsed(network, transport):
     handled = []
     offer_service(transport, "~query", "Query", lambda request: handled.append(request) or {"result": "ok"})
     half = services.MAX_REQUEST_CHARACTERS // 2
@@ -88,7 +88,7 @@ def test_memory_is_added_and_deleted_once(network, engine):
     assert network.call("/delete_memory", id="m") == {"result": "error: there is no memory m"}
 
 
-def test_listing_is_cut_and_counts_the_rest(network, engine):
+def test_long_list_is_cut_and_counted(network, engine):
     engine.load(rules="\n".join(f"a{number} <- b{number}." for number in range(5)))
     response = network.call("/retalis/list", most=2)
     assert (len(response["rules"]), response["more_rules"]) == (2, 3)

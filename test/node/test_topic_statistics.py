@@ -17,7 +17,7 @@ OWN = {"/retalis", "/retalis_ros_interface"}
 
 
 @pytest.mark.parametrize(
-    ("publishers", "said"),
+    ("publishers", "suggestion"),
     [
         ({"/rosout": ["/lidar"], "/robot/scn": ["/lidar"]}, "; did you mean /robot/scn?"),
         ({"/rosout": ["/lidar"], "/tf": ["/lidar"]}, ""),
@@ -28,17 +28,16 @@ OWN = {"/retalis", "/retalis_ros_interface"}
         ({}, ""),
     ],
 )
-def test_a_topic_that_nobody_publishes_is_said(publishers, said):
-    expected = f"nobody publishes topic /robot/scan (sensor_msgs/LaserScan) 10 s after the start{said}"
+def test_unpublished_topic_is_warned_of(publishers, suggestion):
+    expected = f"nobody publishes topic /robot/scan (sensor_msgs/LaserScan) 10 s after the start{suggestion}"
     assert list(unpublished_topic_warnings([SCAN], publishers, OWN)) == [expected]
 
 
-def test_topics_that_somebody_publishes_are_left_alone():
+def test_published_topic_is_not_warned_of():
     assert list(unpublished_topic_warnings([SCAN], {"/robot/scan": ["/lidar"]}, OWN)) == []
     assert list(unpublished_topic_warnings([SCAN._replace(publishers=1)], {}, OWN)) == []
-    assert (
-        list(unpublished_topic_warnings([SCAN._replace(messages=3)], {}, OWN)) == []
-    )  # from one who has gone
+    # Its publisher has ended.
+    assert list(unpublished_topic_warnings([SCAN._replace(messages=3)], {}, OWN)) == []
 
 
 class Connection:
@@ -63,7 +62,7 @@ class Connection:
         self.monitor.end()
 
 
-def test_gap_that_a_busy_node_reads_is_a_loss():
+def test_gap_in_busy_node_is_a_loss():
     connection = Connection()
     connection.read(7)
     connection.read(8, 12)
@@ -84,7 +83,7 @@ def test_gap_after_a_wait_is_no_loss():
 
 
 @pytest.mark.parametrize("numbers", [(3, 100, 4, 101, 200), (0, 9, 9, 30), (5, 8, 1, 40)])
-def test_numbers_that_do_not_increase_make_gaps_meaningless(numbers):
+def test_gaps_of_unordered_numbers_are_no_loss(numbers):
     connection = Connection()
     for number in numbers:
         connection.read(number)
@@ -113,7 +112,7 @@ def test_incomplete_last_message_is_a_loss():
     ]
 
 
-def test_connection_that_ends_behind_is_reported():
+def test_end_of_delayed_connection_is_reported():
     connection = Connection()
     connection.read(1, busy=2 * MIN_BEHIND_SECONDS)
     connection.read(2, busy=0.0)
@@ -122,7 +121,7 @@ def test_connection_that_ends_behind_is_reported():
     assert connection.reports == ["it closed the connection: messages that were still in its queue are lost"]
 
 
-def test_connection_that_ends_after_a_short_burst_is_not_reported():
+def test_end_after_short_burst_is_not_reported():
     connection = Connection()
     connection.read(1, busy=MIN_BEHIND_SECONDS / 4)
     connection.read(2, busy=MIN_BEHIND_SECONDS / 4)

@@ -1,4 +1,4 @@
-"""One program on two transports: a network in memory and a bag of the same messages."""
+"""Program host and playback: equal results on a network in memory and on a bag of the same messages."""
 
 import time
 
@@ -141,7 +141,7 @@ def run_on_network(program, definitions):
 
 
 def run_on_bag(program, definitions, folder, rows):
-    """Return the same for playback of a bag, with the errors as texts, and the outputs to a topic without a type."""
+    """Return events, outputs, outputs on a topic without a type, and errors of the playback of a bag."""
     path = folder / "recorded.bag"
     with BagWriter(path) as writer:
         connections = {}
@@ -164,7 +164,7 @@ def run_on_bag(program, definitions, folder, rows):
     return events, outputs, untyped, errors
 
 
-def test_program_has_equal_results_on_network_and_bag(program, definitions, tmp_path, caplog):
+def test_network_and_bag_have_equal_results(program, definitions, tmp_path, caplog):
     events, outputs, error_count = run_on_network(program, definitions)
     network_texts = [record.getMessage() for record in caplog.records]
     caplog.clear()
@@ -188,7 +188,7 @@ def test_program_has_equal_results_on_network_and_bag(program, definitions, tmp_
     ]
 
 
-def test_bag_provides_transforms_that_a_goal_needs_later(program, definitions, tmp_path):
+def test_bag_has_transforms_for_later_goal(program, definitions, tmp_path):
     # The rules do not show that the program reads transforms, so that the first goal starts to read them.
     goal = "atom_concat(tf_, lookup, N), G =.. [N, map, camera, 0, [[X|_]|_]], call(G)"
     (program / "rules.txt").write_text(f"located(X) <- word(_) where ({goal}).\n")
