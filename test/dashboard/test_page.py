@@ -336,7 +336,5 @@ def test_page_shows_lost_node_and_reconnects(browser, program):
     browser.wait_for(f"{state} === 'the node does not answer'", allow_problems=True)
     with serving(program, port=dashboard.port):
         browser.wait_for(f"{state} === 'live'", allow_problems=True)
-    # The browser reports each failed attempt to connect.
-    problems = browser.take_problems()
-    assert problems
-    assert all(dashboard.url in problem for problem in problems)
+    # The browser may report failed attempts to connect, but nothing else.
+    assert all(dashboard.url in problem for problem in browser.take_problems())

@@ -1,4 +1,4 @@
-"""A stand-in for rospy and message packages: a script gets messages in simulated time, in one thread."""
+"""Replacement of rospy and message packages: a script receives messages in simulated time, in one thread."""
 
 import heapq
 import sys
@@ -7,12 +7,12 @@ from itertools import count
 from types import ModuleType, SimpleNamespace
 
 SECOND = 10**9
-BEGAN = 1_700_000_000 * SECOND
-"""When the bags begin: times among slots count from there."""
+START = 1_700_000_000 * SECOND
+"""Start of the bags in ns; times in slots are relative to it."""
 
 
 class Duration:
-    """An amount of time, as rospy's; `Time` shares its arithmetic."""
+    """A duration as in rospy; `Time` has the same arithmetic."""
 
     def __init__(self, secs=0, nsecs=0):
         self.ns = round(secs * SECOND) + nsecs
@@ -43,8 +43,8 @@ class Duration:
         return type(self).of(self.ns + other.ns)
 
     def __sub__(self, other):
-        kind = Duration if type(self) is type(other) else type(self)
-        return kind.of(self.ns - other.ns)
+        result_class = Duration if type(self) is type(other) else type(self)
+        return result_class.of(self.ns - other.ns)
 
     def __abs__(self):
         return type(self).of(abs(self.ns))
@@ -69,7 +69,7 @@ class Duration:
 
 
 class Time(Duration):
-    """An instant; `RobotWorld` gives the class that knows what time it is."""
+    """An instant; `RobotWorld` defines the subclass that returns the present time."""
 
 
 CLASSES = {}
@@ -81,19 +81,23 @@ def message_class(definition):
 
 
 def new_class(definition):
-    """Return a class for a message: slots by name or in order, zero where they are not given."""
+    """Return a class for a message: slots by name or in order, zero by default."""
     slots = {field.name: field for field in definition.fields}
 
-    def __init__(self, *values, **named):
-        given = {**dict(zip(slots, values)), **named}
-        assert len(values) in (0, len(slots)), f"{definition.name} takes all slots or none by position"
-        assert set(given) <= set(slots), f"{definition.name} has no slot {set(given) - set(slots)}"
+    def initialize(self, *positional_values, **values):
+        values = {**dict(zip(slots, positional_values)), **values}
+        assert len(positional_values) in (0, len(slots)), (
+            f"{definition.name} takes all slots or none by position"
+        )
+        assert set(values) <= set(slots), f"{definition.name} has no slot {set(values) - set(slots)}"
         for name, field in slots.items():
-            setattr(self, name, given[name] if name in given else default(field))
+            setattr(self, name, values[name] if name in values else default(field))
 
     constants = {constant.name: constant.value for constant in definition.constants}
     return type(
-        definition.name.rpartition("/")[2], (), {"__init__": __init__, "kind": definition, **constants}
+        definition.name.rpartition("/")[2],
+        (),
+        {"__init__": initialize, "definition": definition, **constants},
     )
 
 
@@ -105,35 +109,39 @@ def default(field):
     return {"time": Time(), "duration": Duration(), "string": "", "bool": False}.get(field.type, 0)
 
 
-def from_slots(kind, slots, time):
-    """Return a message of slots by name; a header has the message's time where it gives none."""
-    message = message_class(kind)()
-    for field in kind.fields:
+def from_slots(definition, slots, time):
+    """Return a message of slots by name; a header without a time has that of the message."""
+    message = message_class(definition)()
+    for field in definition.fields:
         value = slots.get(field.name)
         if field.definition is not None and field.length is None:
             setattr(message, field.name, from_slots(field.definition, value or {}, time))
         elif field.definition is not None:
-            setattr(message, field.name, [from_slots(field.definition, one, time) for one in value or []])
+            setattr(message, field.name, [from_slots(field.definition, item, time) for item in value or []])
         elif field.type == "time":
-            setattr(message, field.name, Time.of(time if value is None else BEGAN + round(value * SECOND)))
+            setattr(message, field.name, Time.of(time if value is None else START + round(value * SECOND)))
         elif value is not None:
             setattr(message, field.name, value)
     return message
 
 
 def to_slots(value):
-    """Return a message as slots by name, nested ones likewise."""
+    """Return a message as nested dictionaries of slots."""
     if isinstance(value, Duration):
-        return (value.ns - (BEGAN if isinstance(value, Time) else 0)) / SECOND
+        return (value.ns - (START if isinstance(value, Time) else 0)) / SECOND
     if isinstance(value, (list, tuple)):
-        return [to_slots(one) for one in value]
-    if hasattr(value, "kind"):
-        return {field.name: to_slots(getattr(value, field.name)) for field in value.kind.fields}
+        return [to_slots(item) for item in value]
+    if hasattr(value, "definition"):
+        return {field.name: to_slots(getattr(value, field.name)) for field in value.definition.fields}
     return value
 
 
 class RobotWorld:
-    """What a node's script finds when it imports rospy; `published` has what it publishes, with the time."""
+    """Replacement of rospy for the script of a node.
+
+    Attributes:
+        published: published messages as tuples of time, topic and message.
+    """
 
     def __init__(self, definitions):
         self._definitions = definitions
@@ -145,7 +153,7 @@ class RobotWorld:
         self._timers = []
 
     def run(self, script, messages):
-        """Run a node's script over messages: (time, topic, message class, slots by name)."""
+        """Run the script of a node over messages: tuples of time, topic, definition and slots by name."""
         self.messages = messages
         code = compile(script.read_text(encoding="utf-8"), str(script), "exec")
         with self._modules():
@@ -153,13 +161,13 @@ class RobotWorld:
         return self.published
 
     def spin(self):
-        for time, topic, kind, slots in self.messages:
-            self._ring_until(time)
+        for time, topic, definition, slots in self.messages:
+            self._fire_timers_until(time)
             self.now = time
             for callback in self._callbacks.get(topic.lstrip("/"), ()):
-                callback(from_slots(kind, slots, time))
+                callback(from_slots(definition, slots, time))
 
-    def _ring_until(self, instant):
+    def _fire_timers_until(self, instant):
         while self._timers and self._timers[0][0] <= instant:
             self.now, _, timer = heapq.heappop(self._timers)
             if timer.running:
@@ -170,7 +178,7 @@ class RobotWorld:
 
     @contextmanager
     def _modules(self):
-        """Put the stand-ins where scripts import from, and what was there back again."""
+        """Replace the modules that scripts import, and restore them afterwards."""
         world = self
 
         class Clock(Time):
@@ -190,27 +198,28 @@ class RobotWorld:
             "spin": self.spin,
         }.items():
             setattr(rospy, name, value)
-        stand_ins = {"rospy": rospy}
+        replacements = {"rospy": rospy}
         for package in PACKAGES:
-            stand_ins[package] = ModuleType(package)
-            stand_ins[f"{package}.msg"] = Messages(package, self._definitions)
-        kept = {name: sys.modules.get(name) for name in stand_ins}
-        sys.modules.update(stand_ins)
+            replacements[package] = ModuleType(package)
+            replacements[f"{package}.msg"] = Messages(package, self._definitions)
+        original_modules = {name: sys.modules.get(name) for name in replacements}
+        sys.modules.update(replacements)
         try:
             yield
         finally:
-            for name, module in kept.items():
+            for name, module in original_modules.items():
                 if module is None:
                     del sys.modules[name]
                 else:
                     sys.modules[name] = module
 
-    def _subscribe(self, topic, kind, callback, queue_size=None):
+    def _subscribe(self, topic, message_type, callback, queue_size=None):
         self._callbacks.setdefault(topic, []).append(callback)
 
-    def _publisher(self, topic, kind, queue_size=None, latch=False):
-        def publish(*values, **named):
-            message = values[0] if values and isinstance(values[0], kind) else kind(*values, **named)
+    def _publisher(self, topic, message_type, queue_size=None, latch=False):
+        def publish(*values, **slots):
+            is_message = bool(values) and isinstance(values[0], message_type)
+            message = values[0] if is_message else message_type(*values, **slots)
             self.published.append((self.now, topic, message))
 
         return SimpleNamespace(publish=publish)
@@ -223,7 +232,7 @@ class RobotWorld:
 
 
 class Messages(ModuleType):
-    """The module ``package.msg``: its classes are made from definitions when they are imported."""
+    """The module ``package.msg``, which creates classes from definitions when they are imported."""
 
     def __init__(self, package, definitions):
         super().__init__(f"{package}.msg")
@@ -232,9 +241,9 @@ class Messages(ModuleType):
     def __getattr__(self, name):
         if name.startswith("_"):
             raise AttributeError(name)
-        found = message_class(self._definitions.find(f"{self._package}/{name}"))
-        setattr(self, name, found)
-        return found
+        message_class_by_name = message_class(self._definitions.find(f"{self._package}/{name}"))
+        setattr(self, name, message_class_by_name)
+        return message_class_by_name
 
 
 PACKAGES = ("std_msgs", "sensor_msgs", "geometry_msgs", "nav_msgs", "actionlib_msgs", "tf2_msgs")

@@ -1,4 +1,4 @@
-"""Recipes from scans, images, clouds, maps and joints: what their rules measure is what numpy measures apart.
+"""Recipes for scans, images, clouds, maps and joints: their measurements equal those of numpy.
 
 The bags are read with rosbags, and the messages with numpy only.
 """
@@ -21,7 +21,7 @@ STORE = get_typestore(Stores.ROS1_NOETIC)
 
 @pytest.fixture(scope="module")
 def recipes():
-    """Return the script that makes the bags."""
+    """Return the script that writes the bags."""
     spec = importlib.util.spec_from_file_location("cookbook_make_bag", str(FOLDER / "make_bag.py"))
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -30,7 +30,7 @@ def recipes():
 
 @pytest.fixture
 def play(recipes, definitions, tmp_path):
-    """Return a function that plays a recipe: its events, and the messages of its bag as rosbags reads them."""
+    """Return a function that plays a recipe and returns its events and the messages of its bag, read by rosbags."""
 
     def run(name):
         path = tmp_path / f"{name}.bag"
@@ -57,115 +57,115 @@ def values_of(term):
     return to_python(term) if term.__class__ is tuple and "__0__" not in term[0].name else None
 
 
-def named(events, name):
+def arguments_of(events, name):
     """Return the arguments of the events of a name, in order."""
     return [event.args for event in events if event is not None and event.name == name]
 
 
-def test_the_nearest_reading_ahead(play):
+def test_nearest_reading_ahead_equals_numpy(play):
     events, messages = play("obstacle")
-    wanted = []
+    expected = []
     for _, _, scan in messages:
         angles = scan.angle_min + scan.angle_increment * numpy.arange(len(scan.ranges))
         ahead = scan.ranges[numpy.abs(angles) <= 0.25]
         valid = ahead[numpy.isfinite(ahead) & (ahead >= scan.range_min) & (ahead <= scan.range_max)]
-        wanted.append([float(valid.min()) if len(valid) else scan.range_max])
-    assert named(events, "ahead") == wanted
-    assert named(events, "obstacle") == changes(
-        "near" if d < 0.5 else "far" if d > 0.75 else None for (d,) in wanted
+        expected.append([float(valid.min()) if len(valid) else scan.range_max])
+    assert arguments_of(events, "ahead") == expected
+    assert arguments_of(events, "obstacle") == changes(
+        "near" if d < 0.5 else "far" if d > 0.75 else None for (d,) in expected
     )
 
 
 def changes(states):
-    """Return the states that differ from the one before, without those that are None."""
-    found = [state for state in states if state is not None]
-    return [[state] for before, state in zip([None, *found], found) if state != before]
+    """Return the states that differ from the previous one, without None."""
+    known_states = [state for state in states if state is not None]
+    return [[state] for before, state in zip([None, *known_states], known_states) if state != before]
 
 
-def test_the_mean_of_the_middle_of_an_image(play):
+def test_mean_of_image_centre_equals_numpy(play):
     events, messages = play("dark_image")
-    wanted = []
+    expected = []
     for _, _, image in messages:
         rows = image.data.reshape(image.height, image.step)[:, : 3 * image.width]
         y, x = image.height // 4, image.width // 4
         middle = rows.reshape(image.height, image.width, 3)[
             y : y + image.height // 2, x : x + image.width // 2
         ]
-        wanted.append(middle.astype(float).mean())
-    measured = [mean for (mean,) in named(events, "brightness")]
-    assert measured == pytest.approx(wanted, rel=1e-12)
-    assert named(events, "light") == changes(
-        "dark" if m < 40 else "bright" if m > 60 else None for m in wanted
+        expected.append(middle.astype(float).mean())
+    measured = [mean for (mean,) in arguments_of(events, "brightness")]
+    assert measured == pytest.approx(expected, rel=1e-12)
+    assert arguments_of(events, "light") == changes(
+        "dark" if m < 40 else "bright" if m > 60 else None for m in expected
     )
 
 
-def test_the_points_in_each_zone(play):
+def test_point_counts_in_zones_equal_numpy(play):
     zones = {"door": ((1.5, -0.5, 0.25), (2.5, 0.5, 2.0)), "shelf": ((-0.5, 1.0, 0.25), (1.0, 2.0, 2.0))}
     events, messages = play("cloud_zone")
-    wanted = []
+    expected = []
     for _, _, cloud in messages:
         points = cloud.data.view("<f4").reshape(-1, 4)[:, :3].astype(float)
         assert numpy.isnan(points).any()
         with numpy.errstate(invalid="ignore"):
-            wanted += [
+            expected += [
                 [zone, int(((points >= low) & (points <= high)).all(axis=1).sum())]
                 for zone, (low, high) in zones.items()
             ]
-    assert named(events, "points") == wanted
+    assert arguments_of(events, "points") == expected
     for zone in zones:
         states = changes(
             "taken" if count >= 10 else "free" if count <= 2 else None
-            for name, count in wanted
+            for name, count in expected
             if name == zone
         )
         assert len(states) > 1
-        assert [[state] for name, state in named(events, "zone_is") if name == zone] == states
+        assert [[state] for name, state in arguments_of(events, "zone_is") if name == zone] == states
 
 
-def test_the_cells_of_goals(play):
+def test_cells_of_goals_equal_numpy(play):
     events, messages = play("map_cell")
-    grid, wanted = None, []
+    grid, expected = None, []
     for _, topic, message in messages:
         if topic == "/map":
             grid = message
             continue
-        info, place = grid.info, message.pose.position
+        info, position = grid.info, message.pose.position
         turn = 2 * math.atan2(info.origin.orientation.z, info.origin.orientation.w)
         inverse = numpy.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
-        local = inverse @ [place.x - info.origin.position.x, place.y - info.origin.position.y]
+        local = inverse @ [position.x - info.origin.position.x, position.y - info.origin.position.y]
         column, row = numpy.floor(local / info.resolution).astype(int)
         if not (0 <= column < info.width and 0 <= row < info.height):
-            what = "outside"
+            state = "outside"
         else:
             cell = grid.data.reshape(info.height, info.width)[row, column]
-            what = "unknown" if cell < 0 else "occupied" if cell >= 65 else "free"
-        if what != "free":
-            wanted.append([place.x, place.y, what])
-    assert {what for *_, what in wanted} == {"outside", "unknown", "occupied"}
-    assert named(events, "refused") == wanted
+            state = "unknown" if cell < 0 else "occupied" if cell >= 65 else "free"
+        if state != "free":
+            expected.append([position.x, position.y, state])
+    assert {state for *_, state in expected} == {"outside", "unknown", "occupied"}
+    assert arguments_of(events, "refused") == expected
 
 
-def test_the_mean_efforts_of_two_seconds(play):
+def test_mean_efforts_equal_numpy(play):
     events, messages = play("joint_effort")
-    wanted = []
+    expected = []
     for now, _, newest in messages:
         window = [state.effort for time, _, state in messages if time <= now and now - time < 2 * 10**9]
-        wanted += [[joint, mean] for joint, mean in zip(newest.name, numpy.mean(window, axis=0).tolist())]
-    measured = [[joint.strip('"'), mean] for joint, mean in named(events, "mean")]
-    assert [joint for joint, _ in measured] == [joint for joint, _ in wanted]
-    assert [mean for _, mean in measured] == pytest.approx([mean for _, mean in wanted], rel=1e-12)
+        expected += [[joint, mean] for joint, mean in zip(newest.name, numpy.mean(window, axis=0).tolist())]
+    measured = [[joint.strip('"'), mean] for joint, mean in arguments_of(events, "mean")]
+    assert [joint for joint, _ in measured] == [joint for joint, _ in expected]
+    assert [mean for _, mean in measured] == pytest.approx([mean for _, mean in expected], rel=1e-12)
     states = {}
     for joint in ("shoulder", "elbow", "wrist"):
-        means = [mean for name, mean in wanted if name == joint]
+        means = [mean for name, mean in expected if name == joint]
         states[joint] = changes("strained" if mean > 6 else "relaxed" if mean < 4 else None for mean in means)
-        found = [[state] for name, state in named(events, "joint_is") if name == f'"{joint}"']
-        assert found == states[joint]
+        joint_states = [[state] for name, state in arguments_of(events, "joint_is") if name == f'"{joint}"']
+        assert joint_states == states[joint]
     assert list(map(len, states.values())) == [1, 3, 2]
 
 
 @pytest.mark.parametrize("name", ["dark_image", "cloud_zone", "map_cell", "obstacle", "joint_effort"])
-def test_messages_as_text_give_the_same(name, recipes, definitions, tmp_path):
-    """The interface sends messages as text if it is a process of its own."""
+def test_messages_as_text_have_expected_outputs(name, recipes, definitions, tmp_path):
+    """A separate interface node sends messages as text."""
     path = tmp_path / "recipe.bag"
     recipes.make_bag(FOLDER / name, path, definitions)
     engine, outputs = Engine(), []

@@ -1,4 +1,4 @@
-"""``examples/events``: each folder is run by the command in its README."""
+"""``examples/events``: the command in the README of each folder has the expected output."""
 
 import re
 import shlex
@@ -18,23 +18,23 @@ COMMAND = "    PYTHONPATH=../../../src python3 -m retalis "
 
 @pytest.mark.slow
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.name)
-def test_prints_what_is_expected(example, tmp_path, monkeypatch, capsys):
-    place = tmp_path / example.name
-    shutil.copytree(str(example), str(place))
-    if (place / "outputs.txt").exists():
-        (place / "outputs.txt").unlink()
-    monkeypatch.chdir(place)
+def test_example_has_expected_output(example, tmp_path, monkeypatch, capsys):
+    folder = tmp_path / example.name
+    shutil.copytree(str(example), str(folder))
+    if (folder / "outputs.txt").exists():
+        (folder / "outputs.txt").unlink()
+    monkeypatch.chdir(folder)
     readme = (example / "README.md").read_text(encoding="utf-8")
     (command,) = [line for line in readme.splitlines() if line.startswith(COMMAND)]
     assert main(shlex.split(command[len(COMMAND) :])) == 0
-    shown = capsys.readouterr()
-    assert shown.err == ""
-    assert shown.out == (example / "expected.txt").read_text(encoding="utf-8")
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    assert captured.out == (example / "expected.txt").read_text(encoding="utf-8")
     if (example / "outputs.txt").exists():
-        assert (place / "outputs.txt").read_text() == (example / "outputs.txt").read_text()
+        assert (folder / "outputs.txt").read_text() == (example / "outputs.txt").read_text()
 
 
-def test_every_operator_and_policy_has_one():
+def test_each_operator_and_policy_has_example():
     names = {path.name for path in EXAMPLES}
     others = [
         "or",
@@ -53,11 +53,12 @@ def test_every_operator_and_policy_has_one():
     assert {f"policy_{policy.value}" for policy in ConsumptionPolicy} <= names
 
 
-def test_the_path_of_the_commands_leads_to_the_package():
+def test_search_path_of_commands_has_package():
     (path,) = set(re.findall(r"PYTHONPATH=(\S+)", (FOLDER / "README.md").read_text(encoding="utf-8")))
+    assert EXAMPLES
     assert all((example / path / "retalis" / "__main__.py").is_file() for example in EXAMPLES)
 
 
-def test_the_index_names_all():
+def test_index_names_all_examples():
     index = (FOLDER / "README.md").read_text(encoding="utf-8")
     assert set(re.findall(r"\]\((\w+)/README.md\)", index)) == {path.name for path in EXAMPLES}

@@ -1,4 +1,4 @@
-"""``examples/fleet``: a robot goes on from its bytes, and a fleet that is killed loses and repeats nothing."""
+"""``examples/fleet``: a restored robot continues, and a killed fleet loses and repeats no output."""
 
 import importlib.util
 import json
@@ -43,30 +43,30 @@ def build_part(*arguments):
 FileSink.build_part = build_part
 runpy.run_module("bytewax.run", run_name="__main__")
 """
-"""Bytewax's own command in a process that is killed when it has written some lines and not yet kept the state."""
+"""The command of Bytewax in a process that is killed after some lines, before it stores the state."""
 
 
-def loaded(name):
+def load_module(name):
     spec = importlib.util.spec_from_file_location(f"fleet_{name}", str(FOLDER / f"{name}.py"))
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
 
 
-robot = loaded("robot")
-make_events = loaded("make_events")
+robot = load_module("robot")
+make_events = load_module("make_events")
 
 
 def text_of(path):
     return path.read_text(encoding="utf-8")
 
 
-def written(events, path):
+def write_events(events, path):
     path.write_text("".join(json.dumps(event) + "\n" for event in events), encoding="utf-8")
 
 
 def by_robot(text):
-    """Return the outputs of each robot, in their order; how robots alternate is nobody's business."""
+    """Return the outputs of each robot in their order; the order between robots is not defined."""
     outputs = defaultdict(list)
     for line in text.splitlines():
         output = json.loads(line)
@@ -75,7 +75,7 @@ def by_robot(text):
 
 
 def run(folder, *arguments, stdin=os.devnull):
-    """Return a process that has run in a folder with this package, killed or not."""
+    """Run Python in a folder with this package; return the ended process."""
     with open(stdin, encoding="utf-8") as lines:
         return subprocess.run(
             [sys.executable, *map(str, arguments)],
@@ -88,8 +88,8 @@ def run(folder, *arguments, stdin=os.devnull):
         )
 
 
-def shell(folder, *commands):
-    """Give commands as in the clone, with this Python; what they write stays in a folder."""
+def run_in_shell(folder, *commands):
+    """Run commands in a folder with links to the clone, with this Python."""
     for name in ("examples", "src"):
         if not (folder / name).exists():
             (folder / name).symlink_to(ROOT / name)
@@ -101,43 +101,44 @@ def shell(folder, *commands):
             *commands,
         ]
     )
-    done = subprocess.run(["bash", "-c", script], cwd=folder, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stdout + done.stderr
+    process = subprocess.run(["bash", "-c", script], cwd=folder, capture_output=True, text=True, timeout=120)
+    assert process.returncode == 0, process.stdout + process.stderr
 
 
-def test_a_robot_goes_on_from_its_state_anywhere():
+def test_restored_robot_has_same_outputs():
     events = make_events.events(robots=1, seconds=90, seed=3)
     undisturbed = robot.Robot()
-    wanted = [output for event in events for output in undisturbed.take(event["time"], event["event"])]
-    kinds = {output["output"].partition("(")[0] for output in wanted}
-    assert kinds == {"shelf_at", "delivered", "bumped", "overdue"}
-    cut = Random(7)
-    moved, outputs = robot.Robot(), []
+    expected = [output for event in events for output in undisturbed.take(event["time"], event["event"])]
+    functors = {output["output"].partition("(")[0] for output in expected}
+    assert functors == {"shelf_at", "delivered", "bumped", "overdue"}
+    chance = Random(7)
+    restored, outputs = robot.Robot(), []
     for event in events:
-        if cut.random() < 0.1:
-            moved = robot.Robot(moved.snapshot())
-        outputs += moved.take(event["time"], event["event"])
-    assert outputs == wanted
+        if chance.random() < 0.1:
+            restored = robot.Robot(restored.snapshot())
+        outputs += restored.take(event["time"], event["event"])
+    assert outputs == expected
 
 
-def test_time_passes_without_events():
-    waiting = robot.Robot()
-    assert waiting.take(1, "picked(parcel)") == []
-    (output,) = waiting.take(60)
+def test_time_advances_without_events():
+    parcel_robot = robot.Robot()
+    assert parcel_robot.take(1, "picked(parcel)") == []
+    (output,) = parcel_robot.take(60)
     assert output == {"number": 1, "topic": "parcels", "output": "overdue(parcel)"}
 
 
-def test_an_event_that_cannot_be_read_is_an_output():
+def test_invalid_event_is_an_error_output():
     (output,) = robot.Robot().take(1, "picked(")
-    assert output["topic"] == "errors" and "picked(" in output["output"]
+    assert output["topic"] == "errors"
+    assert "picked(" in output["output"]
 
 
-def test_the_page_names_the_files():
-    named = set(re.findall(r"`([\w.]+\.(?:py|txt))` ", text_of(PAGE).replace("`,", "` ")))
-    assert named >= {path.name for path in FOLDER.iterdir() if path.suffix in (".py", ".txt")}
+def test_page_names_all_files():
+    names = set(re.findall(r"`([\w.]+\.(?:py|txt))` ", text_of(PAGE).replace("`,", "` ")))
+    assert names >= {path.name for path in FOLDER.iterdir() if path.suffix in (".py", ".txt")}
 
 
-def test_the_same_seed_makes_the_same_events(tmp_path):
+def test_seed_determines_events(tmp_path):
     path = tmp_path / "events.jsonl"
     make_events.main([str(path), "--robots", "2", "--seconds", "30"])
     lines = text_of(path).splitlines()
@@ -145,45 +146,45 @@ def test_the_same_seed_makes_the_same_events(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_fleet_that_is_killed_loses_nothing_and_repeats_nothing(tmp_path):
-    """Give the commands of the page; a snapshot a batch, as a clock would choose other places each time."""
+def test_killed_fleet_loses_and_repeats_nothing(tmp_path):
+    """Run the commands of the page with a snapshot per batch, because those of a clock would vary."""
     pytest.importorskip("bytewax", reason="bytewax is not installed: it has wheels for some Pythons only")
     *before, start, plain, compare = re.findall(r"^    (\S.*)$", text_of(PAGE), re.MULTILINE)
-    shell(tmp_path, *before, "head -n 1500 events.jsonl > some", "mv some events.jsonl")
+    run_in_shell(tmp_path, *before, "head -n 1500 events.jsonl > some", "mv some events.jsonl")
     words = shlex.split(start.replace("')\"", "', 50)\"").replace("-s 1", "-s 0"))
-    assert words[:3] == ["python3", "-m", "bytewax.run"] and words[3].endswith(", 50)")
-    kill = Random(15)
+    assert words[:3] == ["python3", "-m", "bytewax.run"]
+    assert words[3].endswith(", 50)")
+    chance = Random(15)
     for _ in range(3):
-        dying = DYING.format(lines=kill.randrange(20, 50))
-        killed = run(tmp_path, "-c", dying, *words[3:])
-        assert killed.returncode == -signal.SIGKILL, killed.stderr
-    ended = run(tmp_path, *words[1:])
-    assert ended.returncode == 0, ended.stderr
-    shell(tmp_path, plain, compare)
+        dying = DYING.format(lines=chance.randrange(20, 50))
+        process = run(tmp_path, "-c", dying, *words[3:])
+        assert process.returncode == -signal.SIGKILL, process.stderr
+    last_process = run(tmp_path, *words[1:])
+    assert last_process.returncode == 0, last_process.stderr
+    run_in_shell(tmp_path, plain, compare)
     assert len(by_robot(text_of(tmp_path / "outputs.jsonl"))) == 20
-    places = resumed(tmp_path / "recovery")
-    assert len(places) == 4 and sorted(set(places)) == places, (
-        "some dataflow began where the one before it had"
-    )
+    epochs = resume_epochs(tmp_path / "recovery")
+    # No dataflow begins at the same snapshot as the previous one.
+    assert len(epochs) == len(set(epochs)) == 4
 
 
 @pytest.mark.slow
-def test_the_same_fleet_on_flink(tmp_path):
+def test_flink_has_same_outputs(tmp_path):
     pytest.importorskip("pyflink", reason="Apache Flink is not installed: it takes 800 MB, and Java")
-    written(make_events.events(robots=20, seconds=600), tmp_path / "events.jsonl")
-    wanted = by_robot(run(tmp_path, FOLDER / "plain.py", stdin=tmp_path / "events.jsonl").stdout)
-    ended = run(tmp_path, FOLDER / "fleet_flink.py", "events.jsonl", "outputs", "checkpoints")
-    assert ended.returncode == 0, ended.stderr
+    write_events(make_events.events(robots=20, seconds=600), tmp_path / "events.jsonl")
+    expected = by_robot(run(tmp_path, FOLDER / "plain.py", stdin=tmp_path / "events.jsonl").stdout)
+    process = run(tmp_path, FOLDER / "fleet_flink.py", "events.jsonl", "outputs", "checkpoints")
+    assert process.returncode == 0, process.stderr
     parts = [text_of(path) for path in (tmp_path / "outputs").rglob("part-*")]
-    assert by_robot("".join(parts)) == wanted
+    assert by_robot("".join(parts)) == expected
 
 
-def resumed(recovery):
-    """Return the snapshots from which a dataflow has gone on each time it was started."""
-    found = []
+def resume_epochs(recovery):
+    """Return the snapshot that each start of a dataflow has resumed."""
+    epochs = []
     for path in recovery.glob("*.sqlite3"):
         with sqlite3.connect(str(path)) as store:
-            found += [
-                place for _, place in store.execute("SELECT ex_num, resume_epoch FROM exs ORDER BY ex_num")
+            epochs += [
+                epoch for _, epoch in store.execute("SELECT ex_num, resume_epoch FROM exs ORDER BY ex_num")
             ]
-    return sorted(found)
+    return sorted(epochs)

@@ -1,3 +1,5 @@
+"""Bags of the simulated NAO: topics, rates, poses, and comparison with the truth."""
+
 import os
 import shutil
 import subprocess
@@ -26,23 +28,23 @@ SECONDS = 12
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def bag_and_truth(tmp_path_factory):
     path = tmp_path_factory.mktemp("nao") / "nao.bag"
     return path, make_bag.make_bag(path, SECONDS, seed=3)
 
 
 @pytest.fixture(scope="module")
-def records(made):
-    known = Definitions(InstalledTypes([], [], include_rosbags=False))
-    found = []
-    with BagReader(made[0]) as reader:
+def records(bag_and_truth):
+    definitions = Definitions(InstalledTypes([], [], include_rosbags=False))
+    messages = []
+    with BagReader(bag_and_truth[0]) as reader:
         for record in reader.records():
-            definition = known.add(record.topic.type, record.topic.definition)
+            definition = definitions.add(record.topic.type, record.topic.definition)
             assert definition.md5sum == record.topic.md5sum
-            found.append(
-                (record.topic.name, record.time, plain(known.decoder(definition).decode(record.data)))
+            messages.append(
+                (record.topic.name, record.time, plain(definitions.decoder(definition).decode(record.data)))
             )
-    return found
+    return messages
 
 
 def plain(term):
@@ -62,14 +64,16 @@ def nanoseconds(stamp):
 
 def transforms(records):
     """Return (stamp, receipt, pose) of each pair of frames, in the order of receipt."""
-    found = defaultdict(list)
+    transforms_by_frames = defaultdict(list)
     for topic, received, message in records:
         if topic == "/tf":
             (transform,) = message[0]
             (_, stamp, parent), child, (position, rotation) = transform
             pose = (tuple(position), tuple(rotation))
-            found[parent.strip('"'), child.strip('"')].append((nanoseconds(stamp), received, pose))
-    return found
+            transforms_by_frames[parent.strip('"'), child.strip('"')].append(
+                (nanoseconds(stamp), received, pose)
+            )
+    return transforms_by_frames
 
 
 def interpolate(left, right, share):
@@ -79,16 +83,16 @@ def interpolate(left, right, share):
     if cosine < 0:
         cosine, s = -cosine, tuple(-part for part in s)
     angle = acos(min(1.0, cosine))
-    one, other = (
+    left_weight, right_weight = (
         (1 - share, share)
         if angle < 1e-9
         else (sin((1 - share) * angle) / sin(angle), sin(share * angle) / sin(angle))
     )
-    return position, tuple(one * a + other * b for a, b in zip(q, s))
+    return position, tuple(left_weight * a + right_weight * b for a, b in zip(q, s))
 
 
-def at(history, stamp):
-    stamps = [one[0] for one in history]
+def pose_at(history, stamp):
+    stamps = [entry[0] for entry in history]
     after = bisect_left(stamps, stamp)
     if stamps[after] == stamp:
         return history[after][2]
@@ -98,50 +102,52 @@ def at(history, stamp):
 
 
 @pytest.mark.slow
-def test_topics_and_rates(made, records):
-    with BagReader(made[0]) as reader:
+def test_bag_has_topics_with_rates(bag_and_truth, records):
+    with BagReader(bag_and_truth[0]) as reader:
         assert {(topic.name, topic.type) for topic in reader.topics} == {
             ("/tf", "tf/tfMessage"),
             ("/ar_pose_marker", "ar_pose/ARMarkers"),
             ("/face_recognition/feedback", "face_recognition/FaceRecognitionActionFeedback"),
         }
-    number = defaultdict(int)
+    counts = defaultdict(int)
     for topic, _, _ in records:
-        number[topic] += 1
-    assert number == {
+        counts[topic] += 1
+    assert counts == {
         "/tf": 1900 * SECONDS,
         "/ar_pose_marker": 7 * SECONDS,
         "/face_recognition/feedback": 3 * SECONDS,
     }
 
 
-def test_the_chain_comes_at_its_rates_and_in_order(records):
-    found = transforms(records)
-    rates = {pair: len(history) / SECONDS for pair, history in found.items()}
+def test_transforms_of_chain_have_rates_and_order(records):
+    histories = transforms(records)
+    rates = {pair: len(history) / SECONDS for pair, history in histories.items()}
     assert [rates[parent, child] for parent, child, _ in nao_robot.CHAIN] == [10, 50, 10, 10, 50]
     assert set(rates.values()) <= {8, 10, 12, 50}
     for parent, child, _ in nao_robot.CHAIN:
-        history = found[parent, child]
+        history = histories[parent, child]
         assert history == sorted(history)
-    late = [received - stamp for history in found.values() for stamp, received, _ in history]
-    assert min(late) > 0
-    assert 0.3e9 < max(late) <= 0.51e9
+    delays = [received - stamp for history in histories.values() for stamp, received, _ in history]
+    assert min(delays) > 0
+    assert 0.3e9 < max(delays) <= 0.51e9
 
 
-def test_rotations_are_rotations(records):
-    for history in transforms(records).values():
+def test_rotations_have_unit_length(records):
+    histories = transforms(records)
+    assert histories
+    for history in histories.values():
         for _, _, (_, rotation) in history:
             assert sum(part * part for part in rotation) == pytest.approx(1.0, abs=1e-12)
 
 
-def test_located_markers_are_where_they_are(made, records):
-    """Interpolating the links at each observation gives the true pose of the marker, though the robot moves."""
-    truth = made[1]
-    found = transforms(records)
-    chain = [found[parent, child] for parent, child, _ in nao_robot.CHAIN]
+def test_interpolated_poses_locate_markers(bag_and_truth, records):
+    """Interpolation of the links at each observation results in the true pose of the marker."""
+    truth = bag_and_truth[1]
+    histories = transforms(records)
+    chain = [histories[parent, child] for parent, child, _ in nao_robot.CHAIN]
     located = {}
-    complete = {(one.marker, one.stamp) for one in truth.complete}
-    number = 0
+    complete = {(entry.marker, entry.stamp) for entry in truth.complete}
+    count = 0
     for topic, _, message in records:
         if topic != "/ar_pose_marker":
             continue
@@ -151,47 +157,48 @@ def test_located_markers_are_where_they_are(made, records):
         assert covariance == [0.0] * 36
         if (name, stamp) not in complete:
             continue
-        number += 1
+        count += 1
         pose = nao_robot.IDENTITY
         for history in chain:
-            pose = nao_robot.compose(pose, at(history, stamp))
+            pose = nao_robot.compose(pose, pose_at(history, stamp))
         pose = nao_robot.compose(pose, (tuple(position), tuple(rotation)))
         assert nao_robot.distance(pose[0], truth.markers[name][0]) < 0.01
         located[name] = pose[0]
-    assert number == len(truth.complete) > 7 * SECONDS - 5
+    assert count == len(truth.complete) > 7 * SECONDS - 5
     comparisons = nao_truth.compare(truth, located)
-    assert [one.marker for one in comparisons] == list(nao_robot.MARKERS)
-    assert all(one.good for one in comparisons)
-    assert max(one.error for one in comparisons) > 1e-6  # the robot does move
+    assert [entry.marker for entry in comparisons] == list(nao_robot.MARKERS)
+    assert all(entry.good for entry in comparisons)
+    assert max(entry.error for entry in comparisons) > 1e-6  # the robot moves
 
 
-def test_observations(made, records):
-    path, truth = made
+def test_observations_have_delays_and_are_stored(bag_and_truth, records):
+    path, truth = bag_and_truth
     assert nao_truth.load(path) == truth
-    assert {one.marker for one in truth.observations[:20]} == set(nao_robot.MARKERS)
+    assert {observation.marker for observation in truth.observations[:20]} == set(nao_robot.MARKERS)
     received = [time for topic, time, _ in records if topic == "/ar_pose_marker"]
-    assert [one.received for one in truth.observations] == received
-    delays = [one.received - one.stamp for one in truth.observations]
+    assert [observation.received for observation in truth.observations] == received
+    delays = [observation.received - observation.stamp for observation in truth.observations]
     assert min(delays) >= 0.03e9
     assert 0.2e9 < max(delays) <= 0.5e9
-    stamps = sorted(one.stamp for one in truth.observations)
+    stamps = sorted(observation.stamp for observation in truth.observations)
     gaps = {second - first for first, second in zip(stamps, stamps[1:])}
     assert len(gaps) > SECONDS
 
 
-def test_faces(records):
+def test_bag_has_faces(records):
     names = set()
-    for _topic, received, (header, status, (order, found, confidence)) in [
-        record for record in records if record[0] == "/face_recognition/feedback"
-    ]:
+    for topic, received, message in records:
+        if topic != "/face_recognition/feedback":
+            continue
+        header, status, (order, faces, confidence) = message
         assert 0.05e9 <= received - nanoseconds(header[1]) <= 0.15e9
         assert (status[1], order) == (1, 1)
-        assert len(found) == len(confidence) in (1, 2)
-        names.update(found)
+        assert len(faces) == len(confidence) in (1, 2)
+        names.update(faces)
     assert names == {f'"{name}"' for name in make_bag.FACES}
 
 
-def test_the_same_seed_gives_the_same_bag(tmp_path):
+def test_seed_determines_bag(tmp_path):
     paths = [tmp_path / name for name in ("a.bag", "b.bag", "c.bag")]
     for path, seed in zip(paths, (1, 1, 2)):
         make_bag.make_bag(path, 2, seed)
@@ -201,44 +208,44 @@ def test_the_same_seed_gives_the_same_bag(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_command(tmp_path):
+def test_command_writes_bag(tmp_path):
     output = tmp_path / "x.bag"
     command = [sys.executable, str(NAO / "make_bag.py"), "--seconds", "1", "--output", str(output)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith(
+    process = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert process.returncode == 0, process.stderr
+    assert process.stdout.startswith(
         f"{output}: 1 s, 7 observations of 8 markers; true positions in {tmp_path}/x.truth.json"
     )
-    again = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
-    assert again.returncode == 1
-    assert again.stderr == f"make_bag.py: {output} already exists\n"
+    second_process = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert second_process.returncode == 1
+    assert second_process.stderr == f"make_bag.py: {output} already exists\n"
     assert subprocess.run([*command, "--force"], capture_output=True, check=False, timeout=60).returncode == 0
 
 
-def test_comparison_table():
+def test_table_has_errors_of_markers():
     truth = nao_truth.Truth(
         1, 1, 0, {"4x4_1": ((1.0, 2.0, 3.0), (0, 0, 0, 1)), "4x4_2": ((0.0, 0.0, 0.0), (0, 0, 0, 1))}, []
     )
-    one, other = nao_truth.compare(truth, {"4x4_1": (1.0, 2.0, 3.03)})
-    assert one.error == pytest.approx(0.03)
-    assert not one.good
-    assert not other.good
-    assert "30.0 mm" in nao_truth.table([one, other])
-    assert "not located" in nao_truth.table([one, other])
+    located, missing = nao_truth.compare(truth, {"4x4_1": (1.0, 2.0, 3.03)})
+    assert located.error == pytest.approx(0.03)
+    assert not located.good
+    assert not missing.good
+    assert "30.0 mm" in nao_truth.table([located, missing])
+    assert "not located" in nao_truth.table([located, missing])
 
 
 ROSBAG = shutil.which("rosbag", path=f"/usr/bin{os.pathsep}{os.environ.get('PATH', '')}")
 
 
-@pytest.mark.skipif(ROSBAG is None, reason="no ROS here")
-def test_ros_reads_the_bag(made, tmp_path):
+@pytest.mark.skipif(ROSBAG is None, reason="ROS is not installed")
+def test_rosbag_reads_bag(bag_and_truth, tmp_path):
     environment = {**os.environ, "PATH": "/usr/bin:" + os.environ["PATH"], "ROS_LOG_DIR": str(tmp_path)}
-    done = subprocess.run(
-        [ROSBAG, "info", "--yaml", "--key=messages", str(made[0])],
+    process = subprocess.run(
+        [ROSBAG, "info", "--yaml", "--key=messages", str(bag_and_truth[0])],
         capture_output=True,
         text=True,
         env=environment,
         check=False,
         timeout=60,
     )
-    assert done.stdout.strip() == str(1910 * SECONDS), done.stderr
+    assert process.stdout.strip() == str(1910 * SECONDS), process.stderr

@@ -1,4 +1,4 @@
-"""The NAO program where transforms fail to come for two seconds: what it says of that time, and of the rest."""
+"""Program of the NAO with transforms missing for two seconds: poses within and outside the gap, and warnings."""
 
 import logging
 import sys
@@ -19,32 +19,34 @@ import nao_messages  # noqa: E402
 pytestmark = pytest.mark.slow
 
 SECOND = 10**9
-BEGINS, ENDS = (make_bag.START + 4) * SECOND, (make_bag.START + 6) * SECOND
+GAP_START, GAP_END = (make_bag.START + 4) * SECOND, (make_bag.START + 6) * SECOND
 FRAMES = b"base_link", b"torso"
 DELAY = SECOND // 100
-"""Longer than a transform is under way."""
+"""Upper limit of the delay of a transform, in ns."""
 
 
 @pytest.fixture(scope="module")
 def bags(tmp_path_factory):
     """Return a bag, and the same without the transforms of one joint for two seconds."""
     folder = tmp_path_factory.mktemp("gaps")
-    whole, holed = folder / "whole.bag", folder / "holed.bag"
-    make_bag.make_bag(whole, seconds=10.0, seed=7)
-    with BagReader(whole) as bag, BagWriter(holed) as out:
+    complete, incomplete = folder / "complete.bag", folder / "incomplete.bag"
+    make_bag.make_bag(complete, seconds=10.0, seed=7)
+    with BagReader(complete) as bag, BagWriter(incomplete) as out:
         connections, definitions = {}, nao_messages.definitions()
         for topic, instant, data in bag.records():
             if topic not in connections:
                 connections[topic] = out.add(topic.name, definitions[topic.type])
             if not (
-                topic.name == "/tf" and all(frame in data for frame in FRAMES) and BEGINS <= instant < ENDS
+                topic.name == "/tf"
+                and all(frame in data for frame in FRAMES)
+                and GAP_START <= instant < GAP_END
             ):
                 out.write(connections[topic], instant, data)
-    return whole, holed
+    return complete, incomplete
 
 
 def play(path, settings=None):
-    """Return each pose by marker and stamp, and when the joint's transforms were."""
+    """Return each pose by marker and stamp, and the times of the transforms of the joint in ms."""
     playback = Playback(PROGRAM, print, settings=settings)
     poses = {}
     with BagReader(path) as bag:
@@ -55,43 +57,43 @@ def play(path, settings=None):
                 poses[output.topic, seconds * SECOND + rest] = playback.engine.show(pose)
     answers = playback.engine.query("access_mem(base_torso, _, [T, _]), absoluteTime(T, S)")
     midnight = make_bag.START - make_bag.START % 86400
-    return poses, sorted(round((midnight + found["S"]) * 1000) for found in answers)
+    return poses, sorted(round((midnight + answer["S"]) * 1000) for answer in answers)
 
 
-def hole(stamps):
-    """Return the widest step, in nanoseconds."""
-    return max((late - early, early, late) for early, late in zip(stamps, stamps[1:]))[1:]
+def widest_gap(stamps):
+    """Return start and end of the widest gap."""
+    return max((end - start, start, end) for start, end in zip(stamps, stamps[1:]))[1:]
 
 
-def test_no_pose_in_the_hole_and_the_exact_ones_outside(bags, caplog):
+def test_limit_of_gap_omits_poses_in_gap_only(bags, caplog):
     exact, _ = play(bags[0])
     poses, stamps = play(bags[1], Settings(max_gap=0.5))
-    begins, ends = (limit * 10**6 for limit in hole(stamps))
-    assert BEGINS - SECOND // 4 < begins < BEGINS < ENDS - DELAY < ends < ENDS + SECOND // 4
-    expected = {key: pose for key, pose in exact.items() if not begins < key[1] < ends}
+    gap_start, gap_end = (limit * 10**6 for limit in widest_gap(stamps))
+    assert GAP_START - SECOND // 4 < gap_start < GAP_START < GAP_END - DELAY < gap_end < GAP_END + SECOND // 4
+    expected = {key: pose for key, pose in exact.items() if not gap_start < key[1] < gap_end}
     assert len(expected) < len(exact) - 5
     assert poses == expected
     assert [record for record in caplog.records if record.levelno >= logging.WARNING] == []
 
 
-def test_without_a_limit_the_memory_is_named_once(bags, caplog):
+def test_interpolated_gap_is_warned_of(bags, caplog):
     exact, _ = play(bags[0])
     poses, stamps = play(bags[1])
-    begins, ends = (limit * 10**6 for limit in hole(stamps))
+    gap_start, gap_end = (limit * 10**6 for limit in widest_gap(stamps))
     assert poses.keys() == exact.keys()
-    assert all(poses[key] == exact[key] for key in exact if not begins < key[1] < ends)
+    assert all(poses[key] == exact[key] for key in exact if not gap_start < key[1] < gap_end)
     warning, total = [record.message for record in caplog.records if record.levelno >= logging.WARNING]
-    told = (
+    text = (
         "memory base_torso: a value is interpolated over a gap of 2 s; its records are usually 0.02 s apart"
     )
-    assert warning.startswith(told)
-    times = sum(1 for key in exact if begins < key[1] < ends)
-    assert total.startswith(f"{times} times in all: {told}")
+    assert warning.startswith(text)
+    count = sum(1 for key in exact if gap_start < key[1] < gap_end)
+    assert total.startswith(f"{count} times in all: {text}")
 
 
-def test_as_an_option_of_bag(bags, capsys):
-    printed = []
+def test_option_max_gap_limits_gap(bags, capsys):
+    pose_counts = []
     for options in ([], ["--max-gap", "0.5"], ["--max-gap", "0"]):
         main(["bag", str(bags[1]), "--program", str(PROGRAM), *options])
-        printed.append(capsys.readouterr().out.count("PoseStamped("))
-    assert printed[1] < printed[0] == printed[2]
+        pose_counts.append(capsys.readouterr().out.count("PoseStamped("))
+    assert pose_counts[1] < pose_counts[0] == pose_counts[2]

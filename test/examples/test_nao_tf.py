@@ -1,4 +1,4 @@
-"""The NAO example by the tree of transforms, compared with the one by memories on the same bag."""
+"""NAO example with the tree of transforms, compared with the example with memories on the same bag."""
 
 import sys
 from pathlib import Path
@@ -16,7 +16,7 @@ from retalis import BagReader, Playback, deref, list_items  # noqa: E402
 MARKERS = [f"marker{number}" for number in range(1, 9)]
 
 
-def flat(term):
+def leaves(term):
     """Yield the leaves of a term."""
     term = deref(term)
     items = list_items(term)
@@ -25,37 +25,38 @@ def flat(term):
         yield term
     else:
         for part in parts:
-            yield from flat(part)
+            yield from leaves(part)
 
 
 def outputs(folder, bag):
     errors = []
     with BagReader(bag) as reader:
-        found = [
-            (output.topic, output.time, output.data is not None, list(flat(output.term)))
+        outputs_of_markers = [
+            (output.topic, output.time, output.data is not None, list(leaves(output.term)))
             for output in Playback(folder, report=errors.append, bag=reader).run(reader)
             if output.topic in MARKERS
         ]
     assert not errors
-    return found
+    return outputs_of_markers
 
 
-def test_the_same_poses_at_the_same_times(tmp_path):
+def test_poses_equal_those_of_memories(tmp_path):
     truth = make_bag.make_bag(tmp_path / "nao.bag", 4, seed=3)
     expected = outputs(ROOT / "application_source", tmp_path / "nao.bag")
-    found = outputs(ROOT / "examples" / "nao-tf", tmp_path / "nao.bag")
-    assert len(found) == len(expected) > 10
-    assert len(found) <= len(truth.complete)
-    for one, other in zip(found, expected):
-        assert one[:3] == other[:3] and one[2]
-        for value, right in zip(one[3], other[3]):
+    poses = outputs(ROOT / "examples" / "nao-tf", tmp_path / "nao.bag")
+    assert len(poses) == len(expected) > 10
+    assert len(poses) <= len(truth.complete)
+    for pose, expected_pose in zip(poses, expected):
+        assert pose[:3] == expected_pose[:3]
+        assert pose[2]
+        for value, expected_value in zip(pose[3], expected_pose[3]):
             if isinstance(value, float):
-                assert abs(value - right) < 1e-9
+                assert abs(value - expected_value) < 1e-9
             else:
-                assert value == right
+                assert value == expected_value
 
 
-def test_a_third_of_the_lines():
+def test_program_has_a_third_of_the_lines():
     def count(folder):
         lines = [
             line

@@ -1,4 +1,4 @@
-"""Explanations that would take too long."""
+"""Time limit of explanations."""
 
 import pytest
 
@@ -7,16 +7,16 @@ from retalis import Engine, UsageError, explain, record_origins
 
 @pytest.fixture
 def engine():
-    found = Engine()
-    record_origins(found)
-    found.load(rules="c(X, Y) <- a(X) seq b(Y) where X > 1000.")
+    engine = Engine()
+    record_origins(engine)
+    engine.load(rules="c(X, Y) <- a(X) seq b(Y) where X > 1000.")
     for number in range(50):
-        found.event(f"a({number})", number)
-        found.event(f"b({number})", number)
-    return found
+        engine.event(f"a({number})", number)
+        engine.event(f"b({number})", number)
+    return engine
 
 
-def test_it_gives_up_when_the_time_is_over(engine):
+def test_explanation_beyond_limit_is_an_error(engine):
     with pytest.raises(UsageError, match="no explanation within 0 s"):
         explain(engine, "c(_, _)", 0)
     assert not explain(engine, "c(_, _)", 3600).happened
@@ -24,7 +24,7 @@ def test_it_gives_up_when_the_time_is_over(engine):
     assert engine.query("between(1, 100000, X), X =:= 100000")
 
 
-def test_limits_of_goals_hold_as_before(engine):
+def test_limits_of_goals_follow_interruption(engine):
     with pytest.raises(UsageError):
         explain(engine, "c(_, _)", 0)
     assert not engine.call(

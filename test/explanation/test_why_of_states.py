@@ -1,4 +1,4 @@
-"""Explanations of declared states that are open or never began, of operators with deadlines, and of unknown names."""
+"""Explanations of open and missing states, of operators with deadlines, and of unknown names."""
 
 import pytest
 
@@ -7,18 +7,18 @@ from retalis import Engine, PrologError, explain, record_origins
 STATE = ":- state(docked(R), from(dock(R)), until(undock(R))).\n"
 
 
-def explained(rules, events, asked, origin=None):
+def explanation_lines(rules, events, pattern, origin=None):
     """Return the lines of an explanation."""
     engine = Engine()
     record_origins(engine)
     engine.load(rules=rules)
     for event, end in events:
         engine.event(event, end)
-    return [text for line in explain(engine, asked, origin=origin).lines for text in line.indented()]
+    return [text for line in explain(engine, pattern, origin=origin).lines for text in line.indented()]
 
 
 @pytest.mark.parametrize(
-    "rule, lines",
+    ("rule", "lines"),
     [
         ("w(X) <- in(X) with throttle(2).", ["in(1) at 1 came from outside"]),
         ("w(X) <- in(X) seq absent(no, 2).", ["in(1) at 1 came from outside"]),
@@ -30,22 +30,22 @@ def explained(rules, events, asked, origin=None):
 )
 def test_sources_of_operator_are_shown_once(rule, lines):
     events = [("in(1)", 1), ("next", 2), ("tick", 10)]
-    assert [line.strip() for line in explained(rule, events, "w(1)")[1:]] == lines
+    assert [line.strip() for line in explanation_lines(rule, events, "w(1)")[1:]] == lines
 
 
 def test_open_state_shows_start_and_event():
     events = [("dock(a)", 5), ("dock(b)", 7)]
-    assert explained(STATE, events, "docked(b)") == [
+    assert explanation_lines(STATE, events, "docked(b)") == [
         "state docked(b) is open since 7: it becomes an event when it ends",
         "  dock(b) at 7 came from outside",
     ]
-    relative = explained(STATE, events, "docked(b)", origin=5 * 10**9)
+    relative = explanation_lines(STATE, events, "docked(b)", origin=5 * 10**9)
     assert relative[0] == "state docked(b) is open since 2 s: it becomes an event when it ends"
 
 
-def test_state_that_never_began_shows_missing_event():
+def test_missing_state_shows_missing_event():
     rules = f"{STATE}dock(R) <- near(R) seq touched(R)."
-    assert explained(rules, [("near(a)", 1)], "docked(a)") == [
+    assert explanation_lines(rules, [("near(a)", 1)], "docked(a)") == [
         "state docked(a) is not open: dock(a), which begins it, did not happen",
         "  rule dock(a) <- near(a) seq touched(a) (text:2)",
         "    - seq: one side is missing",
@@ -54,14 +54,16 @@ def test_state_that_never_began_shows_missing_event():
     ]
 
 
-def test_open_state_is_shown_below_rule_that_needs_its_end():
-    lines = explained(f"{STATE}left(R) <- docked(R) seq bye(R).", [("dock(a)", 1), ("bye(a)", 2)], "left(a)")
+def test_open_state_is_shown_below_rule():
+    lines = explanation_lines(
+        f"{STATE}left(R) <- docked(R) seq bye(R).", [("dock(a)", 1), ("bye(a)", 2)], "left(a)"
+    )
     assert "      state docked(a) is open since 1: it becomes an event when it ends" in lines
 
 
-def test_states_that_begin_with_each_other_end_explanation():
+def test_mutual_states_end_explanation():
     rules = ":- state(p, from(q), until(x)).\n:- state(q, from(p), until(x)).\n"
-    assert explained(rules, [], "p") == [
+    assert explanation_lines(rules, [], "p") == [
         "state p is not open: q, which begins it, did not happen",
         "  state q is not open: p, which begins it, did not happen",
     ]
@@ -69,13 +71,13 @@ def test_states_that_begin_with_each_other_end_explanation():
 
 def test_unknown_name_suggests_similar_event():
     rules = "alarm(R) <- smoke(R) seq heat(R)."
-    for asked, similar in (("alrm(_)", "alarm"), ("smokee(_)", "smoke"), ("gust", "gusts")):
-        (line, *_) = explained(rules, [("gusts", 1)], asked)
+    for name, similar in (("alrm(_)", "alarm"), ("smokee(_)", "smoke"), ("gust", "gusts")):
+        (line, *_) = explanation_lines(rules, [("gusts", 1)], name)
         assert line.endswith(f"no such event came from outside; did you mean {similar}?"), line
-    assert "did you mean" not in explained(rules, [], "zzz")[0]
+    assert "did you mean" not in explanation_lines(rules, [], "zzz")[0]
 
 
-def test_query_of_unknown_state_suggests_similar_state():
+def test_unknown_state_suggests_similar_state():
     engine = Engine()
     engine.load(rules=STATE)
     with pytest.raises(PrologError, match=r"Unknown state: dokced/1: did you mean docked/1\?"):

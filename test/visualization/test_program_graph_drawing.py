@@ -1,4 +1,4 @@
-"""A graph as text for Graphviz, and what is said where that is missing."""
+"""Drawing of graphs: text for Graphviz, and its errors."""
 
 import re
 import subprocess
@@ -10,7 +10,7 @@ from xml.sax.saxutils import escape
 
 import pytest
 from hypothesis import given
-from hypothesis import strategies as some
+from hypothesis import strategies as st
 
 from retalis import Engine, UsageError
 from retalis.visualization.program_graph import (
@@ -27,7 +27,7 @@ ROOT = Path(__file__).resolve().parents[2]
 STRING = re.compile(r'"((?:[^"\\]|\\.)*)"', re.DOTALL)
 
 
-def test_a_program_has_nodes_ways_and_a_legend():
+def test_text_has_nodes_edges_and_legend():
     engine = Engine()
     engine.load(rules="far : quiet(X) <- (a(X) seq my_msgs__0__Level(_)) cnot b.")
     lines = dot_text(program_graph(engine), "mine").splitlines()
@@ -35,19 +35,20 @@ def test_a_program_has_nodes_ways_and_a_legend():
     assert any('label="Level/1\\nmy_msgs"' in line for line in lines)
     assert sum("arrowhead=tee" in line for line in lines) == 1
     (legend,) = [line for line in lines if line.strip().startswith("legend [")]
-    assert "must not happen" in legend and "memory" not in legend
+    assert "must not happen" in legend
+    assert "memory" not in legend
 
 
-def test_colours_are_those_of_the_page():
+def test_colours_equal_those_of_page():
     page = (ROOT / "src/retalis/dashboard/page/dashboard.css").read_text(encoding="utf-8")
-    for kind, look in NODE_STYLES.items():
-        assert re.search(rf"--{kind}: (#\w+)", page).group(1) == look.colour
+    for style_name, style in NODE_STYLES.items():
+        assert re.search(rf"--{style_name}: (#\w+)", page).group(1) == style.colour
 
 
 def test_kinds_have_distinct_colours():
     colours = [bytes.fromhex(style.colour[1:]) for style in NODE_STYLES.values()]
     for first, second in combinations(colours, 2):
-        assert sum(abs(one - other) for one, other in zip(first, second)) >= 20
+        assert sum(abs(a - b) for a, b in zip(first, second)) >= 20
 
 
 def test_terms_have_spaces_at_operators_and_commas():
@@ -57,13 +58,13 @@ def test_terms_have_spaces_at_operators_and_commas():
     assert rule.text == "alarm(X, Y) <- heat(X) and smoke(Y) where X > 1, Y < 2"
 
 
-def test_chain_of_rules_is_drawn_from_top_to_bottom():
+def test_chain_of_rules_is_drawn_downwards():
     engine = Engine()
     engine.load(rules=" ".join(f"stage{number + 1}(X) <- stage{number}(X)." for number in range(6)))
     assert "rankdir=TB" in dot_text(program_graph(engine), "chain")
 
 
-def test_parallel_rules_are_drawn_from_left_to_right():
+def test_parallel_rules_are_drawn_to_the_right():
     engine = Engine()
     engine.load(rules=" ".join(f"alarm{number} <- event{number}." for number in range(12)))
     assert "rankdir=LR" in dot_text(program_graph(engine), "parallel")
@@ -77,7 +78,7 @@ def test_cycle_of_rules_is_drawn():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("folder", ["application_source", "examples/cookbook/joint_effort"])
-def test_picture_is_at_most_three_times_as_long_as_wide(folder, tmp_path):
+def test_picture_has_limited_aspect_ratio(folder, tmp_path):
     if which("dot") is None:
         pytest.skip("Graphviz is not installed")
     engine = Engine()
@@ -88,8 +89,8 @@ def test_picture_is_at_most_three_times_as_long_as_wide(folder, tmp_path):
     assert 1 / 3 <= width / height <= 3
 
 
-@given(some.text(max_size=40))
-def test_text_of_a_program_stays_a_string(name):
+@given(st.text(max_size=40))
+def test_texts_of_program_are_quoted(name):
     def remove_strings(label, title):
         nodes = [GraphNode("a", "topic", label, label), GraphNode("b", "rule", "r", label)]
         text = dot_text(Graph(nodes, [GraphEdge("a", "b", "", "flow")], 3), title)
@@ -102,29 +103,29 @@ def test_text_of_a_program_stays_a_string(name):
 FORGING = "\x1b[31m\x9b\u202e\x00\ud800\uffff &#27; &amp; &x; a & b"
 
 
-def test_texts_have_only_what_xml_has_and_no_entities():
-    nodes = [GraphNode("a", kind, FORGING, FORGING) for kind in NODE_STYLES]
+def test_texts_are_valid_xml_without_entities():
+    nodes = [GraphNode("a", style_name, FORGING, FORGING) for style_name in NODE_STYLES]
     text = dot_text(Graph(nodes, [], 0), FORGING)
     ElementTree.fromstring(f"<t>{escape(text)}</t>")
-    shown = r"\x1b[31m\x9b\u202e\x00\ud800\uffff \x26#27; \x26amp; \x26x; a & b"
-    assert shown.replace("\\", "\\\\") in text
+    escaped = r"\x1b[31m\x9b\u202e\x00\ud800\uffff \x26#27; \x26amp; \x26x; a & b"
+    assert escaped.replace("\\", "\\\\") in text
 
 
-@pytest.mark.skipif(which("dot") is None, reason="Graphviz is not there")
-def test_graphviz_draws_any_text_as_well_formed_xml(tmp_path):
+@pytest.mark.skipif(which("dot") is None, reason="Graphviz is not installed")
+def test_graphviz_draws_text_as_well_formed_xml(tmp_path):
     draw_graph(
         dot_text(Graph([GraphNode("a", "topic", FORGING, FORGING)], [], 0), FORGING), tmp_path / "x.svg"
     )
     assert "\\x1b[31m" in "".join(ElementTree.parse(tmp_path / "x.svg").getroot().itertext())
 
 
-def test_without_graphviz_the_error_says_what_to_do(monkeypatch, tmp_path):
+def test_missing_graphviz_is_an_error_with_advice(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(UsageError, match=r"apt install graphviz.*program\.dot can be written"):
         draw_graph("digraph {}", tmp_path / "program.svg")
 
 
-def test_what_dot_cannot_read_is_an_error(monkeypatch, tmp_path):
+def test_error_of_dot_is_reported(monkeypatch, tmp_path):
     (tmp_path / "dot").write_text("#!/bin/sh\necho 'syntax error' >&2\nexit 1\n")
     (tmp_path / "dot").chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
@@ -133,11 +134,12 @@ def test_what_dot_cannot_read_is_an_error(monkeypatch, tmp_path):
 
 
 @pytest.mark.slow
-def test_graphviz_reads_it_where_it_is_there():
+@pytest.mark.skipif(which("dot") is None, reason="Graphviz is not installed")
+def test_graphviz_draws_large_program():
     engine = Engine()
     engine.load_program(ROOT / "application_source")
     text = dot_text(program_graph(engine), 'a "title" \\ with\nlines')
-    if which("dot"):
-        drawn = subprocess.run(["dot", "-Tsvg"], input=text, capture_output=True, text=True, timeout=60)
-        assert drawn.stderr == "" and drawn.stdout.count("<title>") > 30
-    assert "odom_base" in text
+    process = subprocess.run(["dot", "-Tsvg"], input=text, capture_output=True, text=True, timeout=60)
+    assert process.stderr == ""
+    assert process.stdout.count("<title>") > 30
+    assert "odom_base" in process.stdout

@@ -1,4 +1,4 @@
-"""The page with a timeline in a browser: lanes, marks, details, zoom and colours, compared with the data."""
+"""Page of a timeline in a browser: lanes, marks, details, zoom and colours, compared with the data."""
 
 import json
 
@@ -38,15 +38,16 @@ COLOURED_AREAS = """
       pixels.drawImage(canvas, 0, 0);
       const isColoured = ([red, green, blue]) => Math.max(red, green, blue) - Math.min(red, green, blue) > 25;
       const areas = (image, length, step) => {
-        const found = [];
-        for (let at = 0, last = -2; at < length; at++) {
-          const line = [...Array(image.data.length / 4 / length).keys()];
-          const position = (other) => 4 * step(at, other);
-          if (!line.some((other) => isColoured(image.data.subarray(position(other), position(other) + 3)))) continue;
-          if (last === at - 1) found[found.length - 1][1] = at; else found.push([at, at]);
-          last = at;
+        const intervals = [];
+        for (let line = 0, last = -2; line < length; line++) {
+          const indexes = [...Array(image.data.length / 4 / length).keys()];
+          const position = (index) => 4 * step(line, index);
+          const isColouredAt = (index) => isColoured(image.data.subarray(position(index), position(index) + 3));
+          if (!indexes.some(isColouredAt)) continue;
+          if (last === line - 1) intervals[intervals.length - 1][1] = line; else intervals.push([line, line]);
+          last = line;
         }
-        return found;
+        return intervals;
       };
       return run.lanes.map((lane, row) => {
         const top = AXIS + row * LANE_HEIGHT, image = pixels.getImageData(LEFT, top, copy.width - LEFT, LANE_HEIGHT);
@@ -93,7 +94,8 @@ def read_areas(browser):
 
 
 def check_areas(lanes, timeline):
-    """Compare coloured areas with the marks of a timeline; marks that touch are one area."""
+    """Compare coloured areas with the marks of a timeline; adjacent marks are one area."""
+    assert len(lanes) == len(timeline.lanes)
     first = min(area[0] for areas in lanes for area in areas)
     last = max(area[1] for areas in lanes for area in areas)
     for lane, areas in zip(timeline.lanes, lanes):
@@ -107,25 +109,26 @@ def check_areas(lanes, timeline):
         assert [area[:2] for area in areas] == [pytest.approx(area, abs=2) for area in expected], lane.name
 
 
-def test_marks_are_where_the_data_say(page, timeline):
+def test_marks_are_at_times_of_data(page, timeline):
     check_areas(read_areas(page), timeline)
 
 
-def test_each_lane_has_its_name_and_count(page, timeline):
+def test_each_lane_has_name_and_count(page, timeline):
     texts = page.ask(DRAWN_TEXTS)
     labels = [text for lane in timeline.lanes for text in (lane.name, f"{lane.total:,}")]
     assert [text for text in texts if text in labels] == labels
-    assert "4,000" in labels and "3.0 s" in texts
+    assert "4,000" in labels
+    assert "3.0 s" in texts
 
 
-def test_overlapping_marks_have_rows_of_their_own(page, timeline):
+def test_overlapping_marks_have_separate_rows(page, timeline):
     rows = {
         lane.name: [count for _, _, count in areas] for lane, areas in zip(timeline.lanes, read_areas(page))
     }
     assert rows == {"Level": [1, 1], "high": [2], "seen waits": [1], "odom": [1], "alarm": [1], "lit": [1]}
 
 
-def test_details_of_a_mark_are_shown_at_the_pointer(page, timeline):
+def test_details_of_mark_are_shown_at_pointer(page, timeline):
     top = page.ask("canvas.offsetTop + AXIS")
     details = {}
     for row, (lane, areas) in enumerate(zip(timeline.lanes, read_areas(page))):
@@ -141,7 +144,7 @@ def test_details_of_a_mark_are_shown_at_the_pointer(page, timeline):
     }
 
 
-def test_wheel_zooms_around_the_pointer(page):
+def test_wheel_zooms_around_pointer(page):
     ((before, *_),) = read_areas(page)[-1]
     whole = page.ask("view[1] - view[0]")
     y = page.ask("canvas.offsetTop + AXIS + 5")
@@ -154,7 +157,7 @@ def test_wheel_zooms_around_the_pointer(page):
     assert page.ask("view[1] - view[0]") == whole
 
 
-def test_dragging_moves_the_marks(page):
+def test_dragging_moves_marks(page):
     y = page.ask("canvas.offsetTop + AXIS + 5")
     page.send_mouse_event("mouseWheel", 700, y, deltaX=0, deltaY=-100)
     ((before, *_),) = read_areas(page)[-1]
@@ -165,14 +168,15 @@ def test_dragging_moves_the_marks(page):
     assert abs(after - before - 40) <= 1
 
 
-def test_keys_zoom_and_move(page):
+def test_keys_zoom_and_pan(page):
     page.ask("canvas.focus()")
     whole = page.ask("view")
     page.press("+")
     page.press("+")
     page.press("+")
     zoomed = page.ask("view")
-    assert zoomed[0] > whole[0] and zoomed[1] < whole[1]
+    assert zoomed[0] > whole[0]
+    assert zoomed[1] < whole[1]
     page.press("ArrowRight")
     assert page.ask("view")[0] > zoomed[0]
     page.press("ArrowLeft")
@@ -183,7 +187,7 @@ def test_keys_zoom_and_move(page):
 
 
 @pytest.mark.parametrize("dark", [False, True])
-def test_kinds_have_distinct_colours_with_a_legend(page, timeline, dark):
+def test_legend_has_distinct_colours(page, timeline, dark):
     page.set_dark(dark)
     check_areas(read_areas(page), timeline)
     assert page.ask("[...document.querySelectorAll('#legend span')].map((entry) => entry.textContent)") == [
@@ -199,13 +203,13 @@ def test_kinds_have_distinct_colours_with_a_legend(page, timeline, dark):
     assert len({*colours, background}) == 6
 
 
-def test_page_of_an_empty_run_opens(browser, tmp_path):
+def test_page_of_empty_run_opens(browser, tmp_path):
     (tmp_path / "run.html").write_text(timeline_page(read_run([], "run"), "run"), encoding="utf-8")
     browser.open((tmp_path / "run.html").as_uri())
     assert browser.ask("document.getElementById('legend').textContent") == ""
 
 
-def test_narrow_page_has_nothing_to_scroll_to_the_side(page):
+def test_narrow_page_does_not_scroll_sideways(page):
     page.resize(390, 800)
     page.ask(IS_REDRAWN)
     assert page.ask("document.documentElement.scrollWidth") == 390
