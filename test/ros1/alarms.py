@@ -40,8 +40,8 @@ class Alarms(unittest.TestCase):
         for rule in RULES:
             cls.to_engine.publish(rule)
 
-    def at(self, seconds, nanoseconds, mark):
-        """Move time, and return when the engine has seen that: an event of the clock comes back."""
+    def advance_to(self, seconds, nanoseconds, mark):
+        """Set the time and wait until the engine has it: it outputs an event that follows the clock."""
         self.clock.publish(Clock(rospy.Time(START + seconds, nanoseconds)))
         wait_until(lambda: rospy.get_rostime() == rospy.Time(START + seconds, nanoseconds), "time")
         self.clock.publish(Clock(rospy.Time(START + seconds, nanoseconds)))
@@ -52,11 +52,11 @@ class Alarms(unittest.TestCase):
         self.outputs.wait_for(lambda messages: any(message.data == text for message in messages), text)
 
     def move_until(self, seconds, text):
-        """Have time go on, as it does, until something comes: a timer that begins after a jump waits from there."""
-        left = iter(seconds)
+        """Advance time until an output is received: a timer that starts after a jump counts from there."""
+        remaining_seconds = iter(seconds)
 
         def moved():
-            second = next(left, None)
+            second = next(remaining_seconds, None)
             if second is not None:
                 self.clock.publish(Clock(rospy.Time(START + second, 0)))
             return self.has(text)
@@ -66,20 +66,20 @@ class Alarms(unittest.TestCase):
     def has(self, text):
         return any(message.data == text for message in self.outputs.messages)
 
-    def test_an_alarm_rings_when_its_time_has_come_and_not_before(self):
-        self.at(0, 0, 1)
+    def test_alarm_fires_at_its_time_not_before(self):
+        self.advance_to(0, 0, 1)
         self.to_engine.publish("event(starts(a),[datime(2001,9,9,1,46,40,0),datime(2001,9,9,1,46,40,0)])")
         self.to_engine.publish("event(sets(b))")
         self.to_engine.publish("event(heard(c),[datime(2001,9,9,1,46,40,0),datime(2001,9,9,1,46,40,0)])")
-        self.at(4, 999_999_999, 2)
+        self.advance_to(4, 999_999_999, 2)
         self.assertFalse(self.has("event(rings(a),t,rings)"))
-        self.at(5, 1_000_000, 3)
+        self.advance_to(5, 1_000_000, 3)
         self.move_until(range(6, 19), "event(rings(a),t,rings)")
         self.assertFalse(self.has("event(strikes(b),t,strikes)"))
-        self.move_until(range(7, 19), "event(lost(c),t,lost)")  # no event says that it is time
-        beats = [one.data for one in self.outputs.messages if one.data.startswith("event(beats")]
-        self.assertEqual(beats[:3], [f"event(beats({at}),t,beats)" for at in (1, 2, 1)])
-        # no event comes: the node's own timer wakes it
+        self.move_until(range(7, 19), "event(lost(c),t,lost)")  # no event is received at that time
+        beats = [message.data for message in self.outputs.messages if message.data.startswith("event(beats")]
+        self.assertEqual(beats[:3], [f"event(beats({advance_to}),t,beats)" for advance_to in (1, 2, 1)])
+        # Without events, the timer of the node fires.
         self.move_until(range(21, 100_000), "event(strikes(b),t,strikes)")
 
 

@@ -12,7 +12,7 @@ SECOND = 10**9
 START = 1_000_000_000 * SECOND
 LINE = "=" * 80
 
-KINDS = {
+DEFINITIONS_BY_TOPIC = {
     "notes": DEFINITIONS.add("configuration_msgs/Note", "int32 run\nstring text"),
     "numbers": DEFINITIONS.add("configuration_msgs/Number", "int32 run\nfloat64 number"),
     "marks": DEFINITIONS.add(
@@ -23,15 +23,20 @@ KINDS = {
     ),
     "poses": DEFINITIONS.find("geometry_msgs/PoseStamped"),
 }
-KINDS["others"] = KINDS["numbers"]
-KINDS["asked"] = KINDS["poses"]
-"""The topics with their types, of which three are installed nowhere; some have the same.
-
-A goal subscribes to the last one."""
+DEFINITIONS_BY_TOPIC["others"] = DEFINITIONS_BY_TOPIC["numbers"]
+DEFINITIONS_BY_TOPIC["asked"] = DEFINITIONS_BY_TOPIC["poses"]
+"""Definitions by topic; three of the types are not installed. A goal subscribes to the last topic."""
 
 
-class Kind(NamedTuple):
-    """What a bag has in it: topics, seconds from one message to the next, and what stamps are like."""
+class BagSpecification(NamedTuple):
+    """Contents of a bag.
+
+    Attributes:
+        name: description of the bag.
+        topics: topics of the messages.
+        step: seconds between messages.
+        stamps: order of the stamps.
+    """
 
     name: str
     topics: Tuple[str, ...]
@@ -40,45 +45,53 @@ class Kind(NamedTuple):
 
 
 BAGS = (
-    Kind("no stamps, time stands", ("notes", "numbers"), 0),
-    Kind("no stamps, time runs", ("notes", "numbers", "others"), 0.3),
-    Kind("stamps, time stands", ("marks", "poses"), 0),
-    Kind("stamps, time runs", ("marks", "poses", "asked"), 0.25),
-    Kind("the same stamps", ("marks", "poses"), 0.1, "same"),
-    Kind("stamps out of order", ("marks", "poses"), 0.2, "shuffled"),
-    Kind("zero stamps", ("marks",), 0, "zero"),
-    Kind("all topics, time stands", tuple(KINDS), 0),
-    Kind("all topics, time runs", tuple(KINDS), 0.5),
-    Kind("all topics, stamps of years ago", tuple(KINDS), 0.4, "old"),
+    BagSpecification("no stamps, time stands", ("notes", "numbers"), 0),
+    BagSpecification("no stamps, time runs", ("notes", "numbers", "others"), 0.3),
+    BagSpecification("stamps, time stands", ("marks", "poses"), 0),
+    BagSpecification("stamps, time runs", ("marks", "poses", "asked"), 0.25),
+    BagSpecification("the same stamps", ("marks", "poses"), 0.1, "same"),
+    BagSpecification("stamps out of order", ("marks", "poses"), 0.2, "shuffled"),
+    BagSpecification("zero stamps", ("marks",), 0, "zero"),
+    BagSpecification("all topics, time stands", tuple(DEFINITIONS_BY_TOPIC), 0),
+    BagSpecification("all topics, time runs", tuple(DEFINITIONS_BY_TOPIC), 0.5),
+    BagSpecification("all topics, stamps of years ago", tuple(DEFINITIONS_BY_TOPIC), 0.4, "old"),
 )
 
 
-def write_bag(path, number, kind):
-    """Write the bag of a kind; return its path."""
+def write_bag(path, number, specification):
+    """Write the bag of a specification; return its path."""
     draw = random.Random(number)
     start = START + 1000 * number * SECOND
     with BagWriter(path) as bag:
-        connections = {topic: bag.add(f"/{topic}", KINDS[topic]) for topic in kind.topics}
-        for at in range(24):
-            topic = kind.topics[at] if at < len(kind.topics) else draw.choice(kind.topics)
-            now = start + int(at * kind.step * SECOND)
-            text = _TERMS[topic](draw, number, _stamp(draw, kind.stamps, start, at))
+        connections = {
+            topic: bag.add(f"/{topic}", DEFINITIONS_BY_TOPIC[topic]) for topic in specification.topics
+        }
+        for index in range(24):
+            topic = (
+                specification.topics[index]
+                if index < len(specification.topics)
+                else draw.choice(specification.topics)
+            )
+            now = start + int(index * specification.step * SECOND)
+            text = _TERMS[topic](draw, number, _stamp(draw, specification.stamps, start, index))
             term = read_term(text, Operators.prolog()).term
-            bag.write(connections[topic], now, DEFINITIONS.encoder(KINDS[topic]).encode(term, topic))
+            bag.write(
+                connections[topic], now, DEFINITIONS.encoder(DEFINITIONS_BY_TOPIC[topic]).encode(term, topic)
+            )
     return path
 
 
-def _stamp(draw, stamps, start, at):
+def _stamp(draw, stamps, start, index):
     """Return the stamp of a message, in nanoseconds."""
     if stamps == "zero":
         return 0
     if stamps == "same":
-        return start + at // 6 * SECOND
+        return start + index // 6 * SECOND
     if stamps == "shuffled":
         return start + draw.randrange(8) * SECOND
     if stamps == "old":
-        return start - 400_000_000 * SECOND + at
-    return start + at * SECOND // 7
+        return start - 400_000_000 * SECOND + index
+    return start + index * SECOND // 7
 
 
 def _string(draw):

@@ -11,25 +11,25 @@ import pytest
 
 SPACES = ("devel", "install")
 
-PATIENCE = 120.0
-"""Seconds after which what has not come is missing: most of it is for a machine that is busy."""
+TIMEOUT_SECONDS = 120.0
+"""Seconds after which a wait fails; only a busy machine needs most of them."""
 
 
 @pytest.fixture
 def port():
-    """A port that nobody listens to."""
+    """Return an unused port."""
     with socket.socket() as probe:
         probe.bind(("localhost", 0))
         return probe.getsockname()[1]
 
 
-def _interruptible():
-    """Have SIGINT end a process also where the tests were started in the background of a shell, which ignores it."""
+def _restore_sigint():
+    """Let SIGINT end a process, because a shell starts background processes with the signal ignored."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 class Space:
-    """The package as built into one of the workspace's spaces, with a master of its own."""
+    """A space of the workspace with the built package, and an own master."""
 
     def __init__(self, script, port, logs):
         self.port = port
@@ -40,7 +40,7 @@ class Space:
             ROS_HOSTNAME="localhost",
             ROS_LOG_DIR=str(logs),
         )
-        for name in list(self.env):  # of the shell: PYTHONUNBUFFERED hides what a user does not get to see
+        for name in list(self.env):  # variables of the shell: PYTHONUNBUFFERED hides missing flushes
             if name.startswith("PYTHON") or name in ("CMAKE_PREFIX_PATH", "ROS_PACKAGE_PATH"):
                 del self.env[name]
         self.script = script
@@ -48,22 +48,22 @@ class Space:
         self.started = []
 
     def command(self, *words):
-        """Return the command as it is run in a shell that has sourced setup.bash."""
+        """Return the command for a shell that sources setup.bash."""
         return ["bash", "-c", 'source "$0" && exec "$@"', str(self.script), *words]
 
     def run(self, *words):
-        """Run to the end and return what was printed."""
+        """Run a command to its end and return its output."""
         return subprocess.run(
             self.command(*words),
             env=self.env,
             check=True,
             stdout=subprocess.PIPE,
             text=True,
-            timeout=PATIENCE,
+            timeout=TIMEOUT_SECONDS,
         ).stdout
 
     def start(self, *words):
-        """Start a process; it is ended after the test."""
+        """Start a process that ends after the test."""
         log = self.logs / f"{len(self.started)}.out"
         with log.open("wb") as output:
             process = subprocess.Popen(
@@ -71,7 +71,7 @@ class Space:
                 env=self.env,
                 stdout=output,
                 stderr=subprocess.STDOUT,
-                preexec_fn=_interruptible,
+                preexec_fn=_restore_sigint,
             )
         self.started.append(process)
         return process
@@ -79,11 +79,11 @@ class Space:
     def start_master(self):
         """Start a master and return its process when it answers.
 
-        A roslaunch or roscore that starts one by itself gives it 10 s, which a busy machine may take longer for.
+        roslaunch and roscore wait at most 10 s for a master that they start, which a busy machine may exceed.
         """
         process = self.start("rosmaster", "--core", "-p", str(self.port))
         master = ServerProxy(self.env["ROS_MASTER_URI"])
-        end = time.monotonic() + PATIENCE
+        end = time.monotonic() + TIMEOUT_SECONDS
         while process.poll() is None and time.monotonic() < end:
             try:
                 master.getPid("/test")
@@ -91,11 +91,11 @@ class Space:
             except OSError:
                 time.sleep(0.1)
         code = process.poll()
-        what = "does not answer" if code is None else f"has ended with {code}"
-        return pytest.fail(f"the master {what}\n{self.printed()}")
+        problem = "does not answer" if code is None else f"has ended with {code}"
+        return pytest.fail(f"the master {problem}\n{self.printed()}")
 
     def printed(self):
-        """Return what the started processes have printed."""
+        """Return the output of the started processes."""
         return "\n".join(path.read_text(errors="replace") for path in sorted(self.logs.glob("*.out")))
 
     def expect_printed(self, text):
@@ -103,7 +103,7 @@ class Space:
         self.expect(lambda nodes, services: text in self.printed())
 
     def query(self, goal):
-        """Return what service `query` of node retalis prints for a goal."""
+        """Return the printed response of service `query` of node retalis for a goal."""
         return self.run("rosservice", "call", "/retalis/query", f"{{goal: '{goal}'}}")
 
     def post_events(self, *events):
@@ -111,7 +111,7 @@ class Space:
         self.run("python3", str(Path(__file__).with_name("event_publisher.py")), *events)
 
     def state(self):
-        """Return the master's nodes and services, or nothing where there is no master yet."""
+        """Return the nodes and services of the master, empty sets without a master."""
         try:
             master = ServerProxy(self.env["ROS_MASTER_URI"])
             publications, subscriptions, services = master.getSystemState("/test")[2]
@@ -121,15 +121,15 @@ class Space:
         return {node for _, nodes in everything for node in nodes}, {name for name, _ in services}
 
     def pid(self, node):
-        """Return the process of a node, None where it does not answer."""
+        """Return the process of a node, None if it does not answer."""
         try:
             uri = ServerProxy(self.env["ROS_MASTER_URI"]).lookupNode("/test", node)[2]
             return ServerProxy(uri).getPid("/test")[2] if uri else None
         except OSError:
             return None
 
-    def expect(self, condition, seconds=PATIENCE):
-        """Wait until the master's nodes and services fulfil the condition."""
+    def expect(self, condition, seconds=TIMEOUT_SECONDS):
+        """Wait until a condition holds for the nodes and services of the master."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             if condition(*self.state()):
@@ -138,20 +138,20 @@ class Space:
         pytest.fail(f"{self.state()}\n{self.printed()}")
 
     def close(self):
-        """End what was started, last first; return the exit statuses."""
+        """End the started processes, the last one first; return the exit statuses."""
         for process in reversed(self.started):
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)
             try:
-                process.wait(timeout=PATIENCE / 2)
+                process.wait(timeout=TIMEOUT_SECONDS / 2)
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
         return [process.returncode for process in self.started]
 
 
-def built(name, port, logs):
-    """Return a space where install.py built it."""
+def make_space(name, port, logs):
+    """Return a space that install.py has built."""
     workspace = os.environ.get("RETALIS_WORKSPACE")
     if not workspace or not shutil.which("roslaunch"):
         pytest.skip("./install.py test builds the spaces")
@@ -160,15 +160,15 @@ def built(name, port, logs):
 
 @pytest.fixture(params=SPACES)
 def space(request, port, tmp_path):
-    """Each space in turn."""
-    it = built(request.param, port, tmp_path)
-    yield it
-    it.close()
+    """Return each of the spaces, one after the other."""
+    space = make_space(request.param, port, tmp_path)
+    yield space
+    space.close()
 
 
 @pytest.fixture
 def devel(port, tmp_path):
-    """The space of the sources, for what is the same in both."""
-    it = built("devel", port, tmp_path)
-    yield it
-    it.close()
+    """Return the devel space, for tests that do not differ between spaces."""
+    space = make_space("devel", port, tmp_path)
+    yield space
+    space.close()

@@ -31,9 +31,9 @@ class Direct(unittest.TestCase):
     def connect(self, numbers="numbers"):
         """Create the publishers of inputs and the subscriber of outputs."""
         self.numbers = rospy.Publisher(f"{self.namespace}/{numbers}", Int32, queue_size=100)
-        self.more = rospy.Publisher(f"{self.namespace}/more", Int32, queue_size=100)
+        self.additional = rospy.Publisher(f"{self.namespace}/more", Int32, queue_size=100)
         self.received = Collector(f"{self.namespace}/received", Int32)
-        for publisher in (self.numbers, self.more):
+        for publisher in (self.numbers, self.additional):
             self.addCleanup(publisher.unregister)
         self.addCleanup(self.received.close)
 
@@ -42,51 +42,55 @@ class Direct(unittest.TestCase):
             **fields
         )
 
-    def add_more(self):
+    def add_additional(self):
         response = self.call("add_input_subscription", topic="more", message_type="std_msgs/Int32")
         self.assertEqual(response.result, "ok")
 
     def send(self, *publishers):
         """Publish the next number on each topic, and wait until the outputs are exactly one for each."""
-        wait_until(lambda: all(count_subscribers(one) == 1 for one in publishers), "the subscriptions")
+        wait_until(
+            lambda: all(count_subscribers(publisher) == 1 for publisher in publishers), "the subscriptions"
+        )
         wait_until(self.received.is_connected, "the publisher of the outputs")
         for publisher in publishers:
             self.sent += 1
             publisher.publish(self.sent)
             expected = list(range(1, self.sent + 1))
-            self.received.wait_for(lambda messages: any(one.data == self.sent for one in messages), expected)
-            self.assertEqual([one.data for one in self.received.messages], expected)
+            self.received.wait_for(
+                lambda messages: any(message.data == self.sent for message in messages), expected
+            )
+            self.assertEqual([message.data for message in self.received.messages], expected)
 
-    def test_messages_enter_once_if_engine_starts_first(self):
+    def test_first_engine_receives_messages_once(self):
         self.connect()
         self.nodes.start(ENGINE)
         self.nodes.start(INTERFACE)
-        self.add_more()
-        self.send(self.numbers, self.more)
+        self.add_additional()
+        self.send(self.numbers, self.additional)
         self.check_restarts()
 
-    def test_messages_enter_once_if_interface_starts_first(self):
+    def test_first_interface_receives_messages_once(self):
         self.connect()
         self.nodes.start(INTERFACE)
-        self.add_more()
+        self.add_additional()
         self.nodes.start(ENGINE)
-        self.send(self.numbers, self.more)
+        self.send(self.numbers, self.additional)
         self.check_restarts()
 
     def check_restarts(self):
         self.nodes.end(signal.SIGKILL, ENGINE)
         self.nodes.start(ENGINE)
-        self.send(self.more, self.numbers)
+        self.send(self.additional, self.numbers)
         self.nodes.end(signal.SIGKILL, INTERFACE)
-        self.send(self.more, self.numbers)
+        self.send(self.additional, self.numbers)
         self.nodes.start(INTERFACE)
         # The services of the new interface node have added no topic.
-        wait_until(lambda: count_subscribers(self.more) == 0, "the end of the subscription")
+        wait_until(lambda: count_subscribers(self.additional) == 0, "the end of the subscription")
         self.send(self.numbers)
-        self.add_more()
-        self.send(self.more, self.numbers)
+        self.add_additional()
+        self.send(self.additional, self.numbers)
 
-    def test_topic_is_deleted_until_interface_restarts(self):
+    def test_topic_is_deleted_until_restart(self):
         self.connect()
         self.nodes.start(ENGINE)
         self.nodes.start(INTERFACE)
@@ -95,9 +99,9 @@ class Direct(unittest.TestCase):
         self.assertIn("not subscribed", self.call("delete_input_subscription", topic="numbers").result)
         wait_until(lambda: count_subscribers(self.numbers) == 0, "the end of the subscription")
         self.nodes.end(signal.SIGINT, ENGINE)
-        self.add_more()
+        self.add_additional()
         self.nodes.start(ENGINE)
-        self.send(self.more)
+        self.send(self.additional)
         wait_until(lambda: count_subscribers(self.numbers) == 0, "the end of the subscription")
         self.nodes.end(signal.SIGINT, INTERFACE)
         self.nodes.start(INTERFACE)
@@ -109,11 +113,11 @@ class Direct(unittest.TestCase):
         self.addCleanup(self.nodes.end_all)
         self.connect("counts")
         self.nodes.start(INTERFACE)
-        self.add_more()
+        self.add_additional()
         result = self.call("add_input_subscription", topic="counts", message_type="std_msgs/Int32").result
         self.assertIn("already subscribed", result)
         self.nodes.start(ENGINE)
-        self.send(self.numbers, self.more)
+        self.send(self.numbers, self.additional)
 
     def test_texts_are_for_other_nodes(self):
         self.connect()
@@ -129,9 +133,11 @@ class Direct(unittest.TestCase):
             "node retalis, beside the subscriber of this test",
         )
         self.send(self.numbers)
-        inputs.wait_for(lambda texts: any("event(std_msgs__0__Int32(2),[" in one.data for one in texts), "2")
+        inputs.wait_for(
+            lambda texts: any("event(std_msgs__0__Int32(2),[" in message.data for message in texts), "2"
+        )
         outputs.wait_for(
-            lambda texts: any(one.data == "event(std_msgs__0__Int32(2),received,r)" for one in texts)
+            lambda texts: any(message.data == "event(std_msgs__0__Int32(2),received,r)" for message in texts)
         )
         to_engine.publish("event(std_msgs__0__Int32(3))")
         self.received.wait_for(lambda messages: len(messages) == 3)
@@ -152,8 +158,8 @@ class Direct(unittest.TestCase):
         self.addCleanup(rospy.delete_param, f"{INTERFACE}/direct")
         log.wait_for(
             lambda records: any(
-                'parameter ~direct: it is "auto" here and false in node /retalis_ros_interface' in one.msg
-                for one in records
+                'parameter ~direct: it is "auto" here and false in node /retalis_ros_interface' in record.msg
+                for record in records
             ),
             "the error",
         )

@@ -15,9 +15,8 @@ CONNECTION_TIMEOUT_SECONDS = 60.0
 
 def main(events):
     rospy.init_node("event_publisher", anonymous=True)
-    publisher = rospy.Publisher(
-        TOPIC, String, queue_size=None
-    )  # without a queue, `publish` returns when it has sent
+    # Without a queue, `publish` returns after the message has been sent.
+    publisher = rospy.Publisher(TOPIC, String, queue_size=None)
     end = time.monotonic() + CONNECTION_TIMEOUT_SECONDS
     while not publisher.get_num_connections():
         if time.monotonic() > end:

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Other nodes on the topics of event texts, simulated time, and a type that is not installed."""
+"""Event texts of other nodes, simulated time, and a type that is not installed."""
 
 import sys
 import time
@@ -23,10 +23,7 @@ from harness import (  # noqa: E402
     wait_until,
 )
 
-from retalis import (
-    Operators,  # noqa: E402
-    srv,  # noqa: E402
-)
+from retalis import Operators, srv  # noqa: E402
 from retalis.prolog.syntax.term_reader import read_term  # noqa: E402
 
 POSE = (
@@ -54,7 +51,7 @@ class EventTexts(unittest.TestCase):
     def wait_for_output(self, text):
         self.outputs.wait_for(lambda messages: any(message.data == text for message in messages), text)
 
-    def test_each_form_of_event_is_taken(self):
+    def test_each_form_of_event_is_processed(self):
         self.subscribe("form(X)", "", "_", "t", "forms")
         for text in (
             "event(form(1),[datime(2014,10,19,19,50,5,1),datime(2014,10,19,19,50,6,1)])",
@@ -68,7 +65,7 @@ class EventTexts(unittest.TestCase):
         for number in range(1, 5):
             self.wait_for_output(f"event(form({number}),t,forms)")
 
-    def test_what_is_no_event_is_refused_and_the_node_goes_on(self):
+    def test_invalid_text_is_ignored(self):
         self.subscribe("after(X)", "", "_", "t", "refused")
         for text in (
             "shell('true')",
@@ -84,7 +81,7 @@ class EventTexts(unittest.TestCase):
         self.to_engine.publish("event(after(1))")
         self.wait_for_output("event(after(1),t,refused)")
 
-    def test_outputs_of_other_nodes_become_messages(self):
+    def test_outputs_of_other_nodes_are_published(self):
         for name in ("'\"4x4_1\"'", '"4x4_1"'):
             count = len(self.marker.messages)
             self.to_topics.publish(f"event({POSE.format(name=name)}, marker1, m1)")
@@ -95,7 +92,7 @@ class EventTexts(unittest.TestCase):
                 (pose.pose.position.x, pose.pose.position.y, pose.pose.position.z), (1.5, -2.0, 3.0)
             )
 
-    def test_outputs_that_do_not_fit_are_not_published(self):
+    def test_invalid_outputs_are_not_published(self):
         count = len(self.marker.messages)
         for text in (
             "event(std_msgs__0__String('\"x\"'),marker1,m1)",
@@ -110,7 +107,7 @@ class EventTexts(unittest.TestCase):
         messages = self.marker.wait_for(lambda messages: any(m.header.frame_id == "last" for m in messages))
         self.assertEqual(len(messages), count + 1)
 
-    def test_a_type_that_is_installed_nowhere(self):
+    def test_type_without_installation_is_subscribed(self):
         definition = DEFINITIONS.add(
             "nowhere_msgs/Thing",
             "float64 x\nPart[] parts\n" + "=" * 80 + "\nMSG: nowhere_msgs/Part\nstring name\nbool ok",
@@ -127,7 +124,7 @@ class EventTexts(unittest.TestCase):
             "event(nowhere_msgs__0__Thing(0.5,[nowhere_msgs__0__Part('\"arm\"',true)]),t,thing)"
         )
 
-    def test_a_burst_comes_whole_and_in_order(self):
+    def test_burst_is_complete_and_in_order(self):
         burst = rospy.Publisher("burst", String, queue_size=5000)
         self.assertEqual(self.add_input("burst", "std_msgs/String").result, "ok")
         self.subscribe("std_msgs__0__String(_)", "", "_", "t", "burst")
@@ -138,19 +135,19 @@ class EventTexts(unittest.TestCase):
         def numbers(messages):
             return [int(m.data.split()[1].split('"')[0]) for m in messages if m.data.endswith(",t,burst)")]
 
-        found = self.outputs.wait_for(lambda messages: "burst 2999" in messages[-1].data, "the burst")
-        self.assertEqual(numbers(found), list(range(3000)))
+        messages = self.outputs.wait_for(lambda messages: "burst 2999" in messages[-1].data, "the burst")
+        self.assertEqual(numbers(messages), list(range(3000)))
 
-    def test_a_message_without_header_is_stamped_with_simulated_time(self):
-        plain = rospy.Publisher("plain", String, queue_size=10)
+    def test_message_without_header_has_simulated_time(self):
+        publisher = rospy.Publisher("plain", String, queue_size=10)
         self.assertEqual(self.add_input("plain", "std_msgs/String").result, "ok")
-        wait_until(lambda: plain.get_num_connections() > 0, "the subscriber")
-        wanted = "datime(2001,9,9,1,46,40,5)"
+        wait_until(lambda: publisher.get_num_connections() > 0, "the subscriber")
+        stamp = "datime(2001,9,9,1,46,40,5)"
         deadline = time.monotonic() + TIMEOUT_SECONDS
-        while not any(wanted in message.data for message in self.inputs.messages):
+        while not any(stamp in message.data for message in self.inputs.messages):
             self.assertLess(time.monotonic(), deadline, "simulated time was not used")
             self.clock.publish(Clock(rospy.Time(1_000_000_000, 5)))
-            plain.publish("x")
+            publisher.publish("x")
             time.sleep(0.01)
 
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Outputs of goals while the program is loaded, and of a latched input: each subscriber gets all of each start.
+"""Outputs of initial goals and of a latched input: each subscriber receives all outputs of each start.
 
 rostest retalis first_outputs.test starts:=50
 """
@@ -16,9 +16,9 @@ sys.path.append(str(Path(__file__).resolve().parent))
 from harness import ENGINE, INTERFACE, Collector, NodeProcesses  # noqa: E402
 
 PROGRAM = Path(__file__).resolve().parent / "first_outputs"
-# Each way sets both parameters, because the master keeps those of the way before.
-WAYS = {
-    "direct": ((ENGINE,), ("_direct:=auto", "_embedded:=false")),  # the interface node takes no part in it
+# Each configuration sets both parameters, because the master keeps those of the previous one.
+CONFIGURATIONS = {
+    "direct": ((ENGINE,), ("_direct:=auto", "_embedded:=false")),  # without the interface node
     "text": ((ENGINE, INTERFACE), ("_direct:=false", "_embedded:=false")),
     "embedded": ((ENGINE,), ("_direct:=auto", "_embedded:=true")),
 }
@@ -39,8 +39,8 @@ class FirstOutputs(unittest.TestCase):
         for collector in self.outputs.values():
             self.addCleanup(collector.close)
 
-    def start_nodes(self, way):
-        names, arguments = WAYS[way]
+    def start_nodes(self, configuration):
+        names, arguments = CONFIGURATIONS[configuration]
         nodes = NodeProcesses(PROGRAM, *arguments)
         self.addCleanup(nodes.end_all)
         for number in range(1, self.starts + 1):
@@ -61,13 +61,13 @@ class FirstOutputs(unittest.TestCase):
         expected = {"ready": [1, 2], "where": ["hall"], "greeting": ["hello"] * 2}
         self.assertEqual(received, {topic: values * self.starts for topic, values in expected.items()})
 
-    def test_no_output_is_lost_on_the_direct_way(self):
+    def test_direct_topics_lose_no_output(self):
         self.start_nodes("direct")
 
-    def test_no_output_is_lost_on_the_text_way(self):
+    def test_text_topics_lose_no_output(self):
         self.start_nodes("text")
 
-    def test_no_output_is_lost_of_an_embedded_interface(self):
+    def test_embedded_interface_loses_no_output(self):
         self.start_nodes("embedded")
 
 

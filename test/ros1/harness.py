@@ -1,4 +1,4 @@
-"""Helpers of the tests on a real master: publishers of raw bytes, and waiting for messages."""
+"""Helpers of the tests with a master: publishers of raw bytes, and waits for messages."""
 
 import signal
 import subprocess
@@ -19,21 +19,21 @@ TIMEOUT_SECONDS = 60.0
 """Seconds after which a test that waits fails."""
 
 
-def wait_until(condition, what, timeout=TIMEOUT_SECONDS, pause=0.01):
+def wait_until(condition, description, timeout=TIMEOUT_SECONDS, pause=0.01):
     """Wait until a condition holds, in real time: simulated time stands still in most tests.
 
     Args:
         condition: returns whether the condition holds.
-        what: description of the condition for the error.
+        description: the condition, for the error.
         timeout: seconds after which the test fails.
         pause: seconds between two calls of ``condition``.
     """
     deadline = time.monotonic() + timeout
     while not condition():
         if time.monotonic() > deadline:
-            raise AssertionError(f"waited {timeout:.0f} s in vain for {what}")
+            raise AssertionError(f"waited {timeout:.0f} s in vain for {description}")
         if rospy.is_shutdown():
-            raise AssertionError(f"shut down while waiting for {what}")
+            raise AssertionError(f"shut down while waiting for {description}")
         time.sleep(pause)
 
 
@@ -51,19 +51,21 @@ class Collector:
             self.messages.append(message)
             self._changed.notify_all()
 
-    def wait_for(self, condition, what="messages"):
+    def wait_for(self, condition, description="messages"):
         """Wait until ``condition`` holds for the list of messages; return the list."""
         with self._changed:
             if not self._changed.wait_for(lambda: condition(self.messages), TIMEOUT_SECONDS):
-                got = [str(message)[:200] for message in self.messages[-5:]]
-                raise AssertionError(f"waited in vain for {what} on {self.topic}; the last ones: {got}")
+                last_messages = [str(message)[:200] for message in self.messages[-5:]]
+                raise AssertionError(
+                    f"waited in vain for {description} on {self.topic}; the last messages: {last_messages}"
+                )
             return list(self.messages)
 
     def is_connected(self):
         """Return whether a publisher is connected, so that all messages that it sends from now on are received.
 
-        rospy also counts connections that are not established yet. If many are opened at once, some are opened again
-        a second later.
+        rospy also counts connections that are not established yet. If many are opened at once, it retries some after
+        a second.
         """
         return any(map(is_served_by_publisher, self._established_connections()))
 
@@ -83,9 +85,9 @@ class Collector:
 
 
 def is_served_by_publisher(link):
-    """Return whether the publisher of a connection has added it to those that it sends to.
+    """Return whether the publisher sends messages to a connection.
 
-    It writes its header before that. A message that it publishes in between is not sent to this subscriber.
+    It writes its header earlier. A message that it publishes in between is not sent to this subscriber.
     """
     try:
         with ServerProxy(link.endpoint_id) as publisher:

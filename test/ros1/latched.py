@@ -42,27 +42,27 @@ LATCHED = {
 }
 
 
-def encoded(topic):
-    kind, text = LATCHED[topic]
+def encoded_message(topic):
+    type_name, text = LATCHED[topic]
     term = read_term(text, Operators.prolog()).term
-    return DEFINITIONS.encoder(kind).encode(term, topic)
+    return DEFINITIONS.encoder(type_name).encode(term, topic)
 
 
 def executable(name):
-    """Return the path of a node: rosrun starts several processes each time to find it."""
+    """Return the path of a node; rosrun would start several processes to find it."""
     return roslib.packages.find_node("retalis", name)[0]
 
 
 def publish():
-    """Be the publisher of the latched messages: rospy is slow to come back to one in the same process."""
+    """Publish the latched messages in a separate process: rospy is slow to reconnect within a process."""
     rospy.init_node("publisher")
-    for topic, (kind, _) in LATCHED.items():
-        RawPublisher(topic, DEFINITIONS.find(kind), latch=True).publish(encoded(topic))
+    for topic, (type_name, _) in LATCHED.items():
+        RawPublisher(topic, DEFINITIONS.find(type_name), latch=True).publish(encoded_message(topic))
     rospy.spin()
 
 
 class Nodes(unittest.TestCase):
-    """Starts nodes and ends them."""
+    """Base of tests that start and end nodes."""
 
     def setUp(self):
         self.running = {}
@@ -70,12 +70,12 @@ class Nodes(unittest.TestCase):
         self.events = rospy.Publisher("retalisInputEvents", String, queue_size=100)
         self.news = rospy.Publisher("news", Int32, queue_size=100)
         self.outputs = Collector("retalisOutputEvents", String)
-        self.asked = 0
+        self.request_count = 0
         self.addCleanup(self.outputs.close)
         self.addCleanup(self.end_all)
 
     def start(self, name):
-        """Start a node, or the publisher, and wait until it is there."""
+        """Start a node or the publisher and wait until it is ready."""
         command = [sys.executable, __file__, "publisher"]
         if name in NODES:
             command = [
@@ -85,10 +85,10 @@ class Nodes(unittest.TestCase):
                 *self.options,
             ]
         self.running[name] = subprocess.Popen(command, start_new_session=True)
-        wait_until(lambda: self.is_there(name), f"node {name}", pause=0.05)
+        wait_until(lambda: self.is_ready(name), f"node {name}", pause=0.05)
 
-    def is_there(self, name):
-        """Tell whether a node has taken up its work: it offers its last service, and listens."""
+    def is_ready(self, name):
+        """Return whether a node is ready: it offers its last service and subscribes to its topics."""
         published, subscribed, offered = rosgraph.Master("/latched").getSystemState()
         if name == "publisher":
             return all("/publisher" in dict(published).get(f"/{topic}", ()) for topic in LATCHED)
@@ -109,58 +109,58 @@ class Nodes(unittest.TestCase):
         self.events.unregister()
         self.news.unregister()
 
-    def there(self):
-        """Return what the engine has now: how often each latched message, and the others."""
-        self.asked += 1
-        begin = f"event(there({self.asked},"
+    def received_messages(self):
+        """Return the counts of latched messages that the engine has received, and the other messages."""
+        self.request_count += 1
+        begin = f"event(there({self.request_count},"
         deadline = time.monotonic() + TIMEOUT_SECONDS
         while True:
-            self.events.publish(f"event(ask({self.asked}))")
+            self.events.publish(f"event(ask({self.request_count}))")
             time.sleep(0.05)
-            for one in self.outputs.messages:
-                if one.data.startswith(begin):
-                    return one.data[len(begin) :].partition("),there")[0]
+            for message in self.outputs.messages:
+                if message.data.startswith(begin):
+                    return message.data[len(begin) :].partition("),there")[0]
             self.assertLess(time.monotonic(), deadline, "the engine does not answer")
 
-    def expect(self, wanted):
-        """Wait for an answer, and see that it stays so."""
-        found = []
+    def expect(self, expected):
+        """Wait until the engine has received the expected messages, and check that it receives no others."""
+        answers = []
 
-        def has_come():
-            found.append(self.there())
-            return found[-1] == wanted
+        def is_expected():
+            answers.append(self.received_messages())
+            return answers[-1] == expected
 
         try:
-            wait_until(has_come, wanted)
+            wait_until(is_expected, expected)
         except AssertionError as error:
-            self.fail(f"{error}; found {found[-3:]}")
+            self.fail(f"{error}; found {answers[-3:]}")
         for _ in range(5):
-            self.assertEqual(self.there(), wanted)
+            self.assertEqual(self.received_messages(), expected)
 
-    def orders(self, names, restarted=(), counts=()):
-        """Start in each order; after the first and the last, start again what is to be started again.
+    def check_orders(self, names, restarted=(), counts=()):
+        """Start nodes in each order; after the first and the last order, restart some of them.
 
-        To start one again is to start it last, so the orders between would show nothing else.
+        A restart is a start as the last node, so restarts in the other orders add no case.
         """
-        every = list(permutations(names))
-        for order in every:
+        check_orders = list(permutations(names))
+        for order in check_orders:
             with self.subTest(order=order):
                 for name in order:
                     self.start(name)
                 self.expect("1,1,[]")
-                again = zip(restarted, counts) if order in (every[0], every[-1]) else ()
-                for name, count in again:
+                restarts = zip(restarted, counts) if order in (check_orders[0], check_orders[-1]) else ()
+                for name, count in restarts:
                     self.end(name, signal.SIGKILL if name == "retalis" and count == 1 else signal.SIGINT)
                     self.start(name)
                     self.expect(f"{count},{count},[]")
                 for name in names:
                     self.end(name)
 
-    def reconnects(self, *names):
-        """Drop the connection of a publisher: what it sends again when it returns is no event, a new message is."""
+    def check_reconnection(self, *names):
+        """Close the connection of a publisher: its repeated latched message is no event, a new message is one."""
         publisher = RawPublisher("map", DEFINITIONS.find("nav_msgs/OccupancyGrid"), latch=True)
         self.addCleanup(publisher.publisher.unregister)
-        publisher.publish(encoded("map"))
+        publisher.publish(encoded_message("map"))
         for name in names:
             self.start(name)
         self.expect("0,1,[]")
@@ -169,27 +169,27 @@ class Nodes(unittest.TestCase):
             for link in before:
                 link.close()
 
-            def is_back(before=before):
+            def is_reconnected(before=before):
                 return set(publisher.publisher.impl.connections).difference(before)
 
-            # rospy connects again when the master tells of the publishers, as it does when there is another one.
+            # rospy reconnects when the master sends the list of publishers, as it does for an additional publisher.
             other = rosgraph.Master(f"/other{count}")
             other.registerPublisher("/map", "nav_msgs/OccupancyGrid", "http://localhost:1/")
-            wait_until(is_back, "the connection")
+            wait_until(is_reconnected, "the connection")
             other.unregisterPublisher("/map", "http://localhost:1/")
-            publisher.publish(encoded("map"))  # after what the connection has brought again
+            publisher.publish(encoded_message("map"))  # follows the repeated message
             self.expect(f"0,{count},[]")
 
 
 class OverText(Nodes):
-    def test_a_connection_that_returns(self):
-        self.reconnects("retalis", "retalis_ros_interface")
+    def test_repeated_message_of_connection_is_no_event(self):
+        self.check_reconnection("retalis", "retalis_ros_interface")
 
-    def test_all_orders(self):
+    def test_latched_messages_are_received_in_all_orders(self):
         again = ("retalis_ros_interface", "publisher", "retalis", "retalis")
-        self.orders(("retalis", "retalis_ros_interface", "publisher"), again, (1, 2, 1, 1))
+        self.check_orders(("retalis", "retalis_ros_interface", "publisher"), again, (1, 2, 1, 1))
 
-    def test_what_comes_while_node_retalis_is_away_is_held(self):
+    def test_messages_without_engine_are_buffered(self):
         for name in ("retalis_ros_interface", "publisher"):
             self.start(name)
         listener = Collector("retalisInputEvents", String)
@@ -198,36 +198,40 @@ class OverText(Nodes):
         wait_until(lambda: "/retalis_ros_interface" in listener.publishers(), "the publisher of the events")
         for number in (1, 2, 3):
             self.news.publish(number)
-        listener.wait_for(lambda all_: any("Int32(3)" in one.data for one in all_), "the news for others")
+        listener.wait_for(
+            lambda messages: any("Int32(3)" in message.data for message in messages), "the news for others"
+        )
         self.start("retalis")
         self.expect("1,1,[1,2,3]")
         self.end("retalis")
         for number in (4, 5):
             self.news.publish(number)
-        listener.wait_for(lambda all_: any("Int32(5)" in one.data for one in all_), "the news for others")
+        listener.wait_for(
+            lambda messages: any("Int32(5)" in message.data for message in messages), "the news for others"
+        )
         self.start("retalis")
         self.news.publish(6)
         self.expect("1,1,[4,5,6]")
-        numbers = [one.data for one in listener.messages if "Int32" in one.data]
-        self.assertEqual(len(numbers), 6)
+        texts = [message.data for message in listener.messages if "Int32" in message.data]
+        self.assertEqual(len(texts), 6)
 
 
 class WithoutText(Nodes):
-    def test_direct(self):
+    def test_direct_topics_are_received_in_all_orders(self):
         self.options = ["_direct:=[" + ", ".join(DIRECT) + "]"]
-        self.orders(("retalis", "retalis_ros_interface", "publisher"))
+        self.check_orders(("retalis", "retalis_ros_interface", "publisher"))
 
-    def test_a_connection_that_returns_direct(self):
+    def test_direct_repeated_message_is_no_event(self):
         self.options = ["_direct:=[" + ", ".join(DIRECT) + "]"]
-        self.reconnects("retalis", "retalis_ros_interface")
+        self.check_reconnection("retalis", "retalis_ros_interface")
 
-    def test_a_connection_that_returns_embedded(self):
+    def test_embedded_repeated_message_is_no_event(self):
         self.options = ["_direct:=false", "_embedded:=true"]
-        self.reconnects("retalis")
+        self.check_reconnection("retalis")
 
-    def test_embedded(self):
+    def test_embedded_interface_receives_in_all_orders(self):
         self.options = ["_direct:=false", "_embedded:=true"]
-        self.orders(("retalis", "publisher"), ("publisher", "retalis"), (2, 1))
+        self.check_orders(("retalis", "publisher"), ("publisher", "retalis"), (2, 1))
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Bags with the same stamps, while ``/clock`` and messages overtake each other: their poses are not mixed."""
+"""Bags with the same stamps, with ``/clock`` later or earlier than messages: their poses are not mixed."""
 
 import sys
 import tempfile
@@ -27,11 +27,11 @@ PROGRAM = Path(__file__).resolve().parents[2] / "application_source"
 MARKERS = [f"marker{number}" for number in range(1, 9)]
 SECONDS = 4.0
 SPEED = 2.0
-LATE = 0.4
+LATE_SECONDS = 0.4
 """Seconds of a bag that are sent before the clock goes back to its start."""
 
-LEFT_OVER = 40
-"""Messages of the run before that come after it."""
+LATE_MESSAGES = 40
+"""Number of messages of the previous run that are received after its end."""
 
 
 class LateClock(unittest.TestCase):
@@ -43,16 +43,23 @@ class LateClock(unittest.TestCase):
             path = Path(folder.name) / f"{seed}.bag"
             make_bag(path, seconds=SECONDS, seed=seed)
             with BagReader(path) as bag:
-                kinds = {topic.name: (topic.type, topic.definition) for topic in bag.topics}
-                records = [(one.time, one.topic.name, one.data) for one in bag.records()]
-                wanted = [(one.topic, one.data) for one in Playback(PROGRAM, report=self.fail).run(bag)]
-                self.bags.append((records, sorted(one for one in wanted if one[0] in MARKERS)))
+                types = {topic.name: (topic.type, topic.definition) for topic in bag.topics}
+                records = [(record.time, record.topic.name, record.data) for record in bag.records()]
+                outputs = [
+                    (output.topic, output.data) for output in Playback(PROGRAM, report=self.fail).run(bag)
+                ]
+                self.bags.append((records, sorted(output for output in outputs if output[0] in MARKERS)))
         self.clock = rospy.Publisher("/clock", Clock, queue_size=10)
         self.markers = {name: Collector(name, rospy.AnyMsg) for name in MARKERS}
-        self.publishers = {name: RawPublisher(name, DEFINITIONS.add(*kind)) for name, kind in kinds.items()}
-        wait_until(lambda: all(one.is_connected() for one in self.publishers.values()), "the subscribers")
+        self.publishers = {
+            name: RawPublisher(name, DEFINITIONS.add(*message_type)) for name, message_type in types.items()
+        }
         wait_until(
-            lambda: all(one.is_connected() for one in self.markers.values()), "the publishers of the markers"
+            lambda: all(publisher.is_connected() for publisher in self.publishers.values()), "the subscribers"
+        )
+        wait_until(
+            lambda: all(collector.is_connected() for collector in self.markers.values()),
+            "the publishers of the markers",
         )
         wait_for_message_path()
         added = wait_for_service("add_memory", srv.AddMemory)(
@@ -68,13 +75,13 @@ class LateClock(unittest.TestCase):
         self.tick(first[0][0])
         self.play(first)
         self.expect(first_poses)
-        early = self.until(second, LATE)  # the clock comes late
+        early = self.count_until(second, LATE_SECONDS)  # the clock is late
         self.send(second[:early])
         self.play(second[early:])
         self.expect(second_poses)
-        self.tick(first[0][0])  # the messages come late
-        wait_until(self.clock_is_heard, "time to go back")
-        self.send(second[-LEFT_OVER:])
+        self.tick(first[0][0])  # the messages are late
+        wait_until(self.is_clock_received, "time to go back")
+        self.send(second[-LATE_MESSAGES:])
         self.play(first)
         self.expect(first_poses)
 
@@ -82,17 +89,19 @@ class LateClock(unittest.TestCase):
         self.now = instant
         self.clock.publish(Clock(rospy.Time(*divmod(instant, 10**9))))
 
-    def clock_is_heard(self):
-        """Tell whether all nodes on the way of messages have the time: what has no stamp is stamped by it."""
+    def is_clock_received(self):
+        """Return whether all nodes that process messages have the time, which stamps messages without header."""
         self.probe.publish("probe")
-        found = self.query(srv.QueryRequest(goal=f"access_mem(probes, _, [_, T]), T < {self.now / 1e9 + 1}"))
-        self.assertEqual(found.result, "ok")
-        return bool(found.solutions)
+        response = self.query(
+            srv.QueryRequest(goal=f"access_mem(probes, _, [_, T]), T < {self.now / 1e9 + 1}")
+        )
+        self.assertEqual(response.result, "ok")
+        return bool(response.solutions)
 
     @staticmethod
-    def until(records, seconds):
-        """Return how many messages a bag has up to a time."""
-        return sum(one[0] < records[0][0] + seconds * 1e9 for one in records)
+    def count_until(records, seconds):
+        """Return the number of messages in the first seconds of a bag."""
+        return sum(record[0] < records[0][0] + seconds * 1e9 for record in records)
 
     def play(self, records):
         """Publish messages at their times, as ``rosbag play --clock`` does."""
@@ -106,20 +115,25 @@ class LateClock(unittest.TestCase):
             self.publishers[topic].publish(data)
 
     def send(self, records):
-        """Publish messages at once: the clock must not come more than a second later than the first of them."""
+        """Publish messages at once, because the clock must follow the first one within a second."""
         for _, topic, data in records:
             self.publishers[topic].publish(data)
 
     def expect(self, poses):
-        """Wait for poses, and see that these are all."""
+        """Wait for poses, and check that there are no others."""
 
-        def found():
-            return sorted((name, one._buff) for name, all_ in self.markers.items() for one in all_.messages)
+        def received_poses():
+            return sorted(
+                (name, message._buff)
+                for name, collector in self.markers.items()
+                for message in collector.messages
+            )
 
-        wait_until(lambda: len(found()) >= len(poses), f"{len(poses)} poses")
-        self.assertEqual(found(), poses)
-        for one in self.markers.values():
-            one.messages.clear()
+        self.assertGreater(len(poses), 0)
+        wait_until(lambda: len(received_poses()) >= len(poses), f"{len(poses)} poses")
+        self.assertEqual(received_poses(), poses)
+        for collector in self.markers.values():
+            collector.messages.clear()
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Malformed requests, texts, messages and headers to a running node, which has to answer and continue."""
+"""Malformed requests, texts, messages and headers: the node answers and continues."""
 
 import sys
 import unittest
@@ -45,8 +45,8 @@ def read_arguments():
 class RawHeaderPublisher:
     """Publisher with an arbitrary type, definition and checksum in its connection header."""
 
-    def __init__(self, topic, kind, definition, md5sum):
-        members = {"_type": kind, "_full_text": definition, "_md5sum": md5sum, "_has_header": False}
+    def __init__(self, topic, message_type, definition, md5sum):
+        members = {"_type": message_type, "_full_text": definition, "_md5sum": md5sum, "_has_header": False}
         self.message_class = type(
             "Sent", (rospy.AnyMsg,), {**members, "__slots__": ["_buff"], "_slot_types": []}
         )
@@ -59,10 +59,12 @@ class MalformedInputsTest(unittest.TestCase):
         wait_for_message_path()
         cls.count, cls.seed = read_arguments()
         cls.inputs = Inputs(cls.seed)
-        kinds = {
+        service_types = {
             name: getattr(srv, "".join(word.capitalize() for word in name.split("_"))) for name in FIELDS
         }
-        cls.services = {name: wait_for_service(name, kind) for name, kind in kinds.items()}
+        cls.services = {
+            name: wait_for_service(name, message_type) for name, message_type in service_types.items()
+        }
         cls.events = rospy.Publisher("retalisInputEvents", String, queue_size=5000)
         cls.to_topics = rospy.Publisher("retalisOutputEvents", String, queue_size=5000)
         cls.outputs = Collector("retalisOutputEvents", String)
@@ -90,7 +92,7 @@ class MalformedInputsTest(unittest.TestCase):
         ]
 
     def assert_alive(self):
-        """Send an event through the engine and wait until it comes out."""
+        """Send an event to the engine and wait for its output."""
         type(self).check_count += 1
         text = f"event(alive({self.check_count}),alive,alive)"
 
@@ -101,7 +103,7 @@ class MalformedInputsTest(unittest.TestCase):
         wait_until(is_received, f"a sign of life after input {self.check_count * INPUTS_PER_CHECK}")
         del self.outputs.messages[:]
 
-    def test_requests_are_answered(self):
+    def test_malformed_requests_are_answered(self):
         before = None
         for number in range(self.count):
             name, fields = self.inputs.request(number)
@@ -115,10 +117,10 @@ class MalformedInputsTest(unittest.TestCase):
                 before = self.resident()
         self.assert_alive()
         if before is not None:
-            for then, now in zip(before, self.resident()):
-                self.assertLess(now - then, MAX_GROWTH_KILOBYTES)
+            for old_size, new_size in zip(before, self.resident()):
+                self.assertLess(new_size - old_size, MAX_GROWTH_KILOBYTES)
 
-    def test_texts(self):
+    def test_malformed_texts_are_ignored(self):
         for number in range(self.count):
             text = self.inputs.text(number)
             self.events.publish(text)
@@ -127,12 +129,12 @@ class MalformedInputsTest(unittest.TestCase):
                 self.assert_alive()
         self.assert_alive()
 
-    def test_messages(self):
+    def test_malformed_messages_are_ignored(self):
         publisher = RawPublisher("fuzz_messages", self.inputs.definition)
         texts = RawPublisher("retalisInputEvents", self.inputs.known.find("std_msgs/String"))
         result = self.services["add_input_subscription"]("fuzz_messages", "fuzz/A").result
         self.assertEqual(result, "ok")
-        # A connection of test_headers that sends nothing blocks the others for a minute.
+        # A connection of test_malformed_headers_are_ignored that sends nothing blocks the others for a minute.
         wait_until(
             lambda: publisher.is_connected() and texts.is_connected(), "the subscribers", 3 * TIMEOUT_SECONDS
         )
@@ -143,20 +145,20 @@ class MalformedInputsTest(unittest.TestCase):
                 self.assert_alive()
         self.assert_alive()
 
-    def test_headers(self):
+    def test_malformed_headers_are_ignored(self):
         for number in range(min(MAX_HEADERS, self.count)):
-            kind, definition, md5sum = self.inputs.header(number)
+            message_type, definition, md5sum = self.inputs.header(number)
             topic = f"fuzz_header_{number}"
             try:
-                sent = RawHeaderPublisher(topic, kind, definition, md5sum)
+                header_publisher = RawHeaderPublisher(topic, message_type, definition, md5sum)
             except (ValueError, rospy.ROSException):  # rospy itself refuses to send it
                 continue
             self.services["add_input_subscription"](topic, "fuzz/A")
-            message = sent.message_class()
+            message = header_publisher.message_class()
             message._buff = bytes(8)
-            sent.publisher.publish(message)
+            header_publisher.publisher.publish(message)
             self.assert_alive()
-            sent.publisher.unregister()
+            header_publisher.publisher.unregister()
             self.services["delete_input_subscription"](topic)
 
     def tearDown(self):

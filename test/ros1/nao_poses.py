@@ -20,7 +20,7 @@ from make_bag import make_bag  # noqa: E402
 from retalis import BagReader  # noqa: E402
 
 SPEED = 2.0
-"""How many times faster than it was recorded the bag is played."""
+"""Speed of the playback, as a multiple of the recorded speed."""
 
 
 class NaoPoses(unittest.TestCase):
@@ -30,7 +30,7 @@ class NaoPoses(unittest.TestCase):
         self.bag = Path(folder.name) / "nao.bag"
         self.truth = make_bag(self.bag, seconds=5.0, seed=3)
 
-    def test_poses(self):
+    def test_poses_equal_those_of_truth(self):
         clock = rospy.Publisher("/clock", Clock, queue_size=10)
         markers = [Collector(f"marker{i}", PoseStamped) for i in range(1, 9)]
         with BagReader(self.bag) as bag:
@@ -39,27 +39,31 @@ class NaoPoses(unittest.TestCase):
                 for topic in bag.topics
             }
             wait_until(
-                lambda: all(one.is_connected() for one in publishers.values()),
+                lambda: all(publisher.is_connected() for publisher in publishers.values()),
                 "subscribers of the bag's topics",
             )
-            wait_until(lambda: all(one.is_connected() for one in markers), "publishers of the markers")
+            wait_until(
+                lambda: all(collector.is_connected() for collector in markers), "publishers of the markers"
+            )
             wait_for_message_path()
             self.play(bag, publishers, clock)
-        expected = sorted((one.marker, one.stamp) for one in self.truth.complete)
+        expected = sorted((view.marker, view.stamp) for view in self.truth.complete)
+        self.assertGreater(len(expected), 0)
         wait_until(
-            lambda: sum(len(one.messages) for one in markers) >= len(expected), f"{len(expected)} poses"
+            lambda: sum(len(collector.messages) for collector in markers) >= len(expected),
+            f"{len(expected)} poses",
         )
-        found = []
+        poses = []
         for number, collector in enumerate(markers, 1):
             for pose in collector.messages:
                 name = pose.header.frame_id
                 self.assertEqual(name, f"4x4_{number}")
-                found.append((name, pose.header.stamp.to_nsec()))
-                place = pose.pose.position
+                poses.append((name, pose.header.stamp.to_nsec()))
+                position = pose.pose.position
                 true = self.truth.markers[name][0]
-                error = sum((a - b) ** 2 for a, b in zip((place.x, place.y, place.z), true)) ** 0.5
+                error = sum((a - b) ** 2 for a, b in zip((position.x, position.y, position.z), true)) ** 0.5
                 self.assertLess(error, 0.02)
-        self.assertEqual(sorted(found), expected)
+        self.assertEqual(sorted(poses), expected)
 
     def play(self, bag, publishers, clock):
         """Publish the bag's messages at their times, as ``rosbag play --clock`` does."""

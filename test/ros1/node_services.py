@@ -41,56 +41,58 @@ class NodeServices(unittest.TestCase):
     def wait_until_true(self, goal):
         wait_until(lambda: self.ask(goal).solutions, goal)
 
-    def test_a_query_has_typed_solutions(self):
-        found = self.ask("member(X-Y, [1-a, f(Z)-[b, 2.5]])")
-        self.assertEqual((found.result, found.complete), ("ok", True))
-        values = [{one.name: one.text for one in solution.bindings} for solution in found.solutions]
+    def test_query_has_typed_solutions(self):
+        response = self.ask("member(X-Y, [1-a, f(Z)-[b, 2.5]])")
+        self.assertEqual((response.result, response.complete), ("ok", True))
+        values = [
+            {binding.name: binding.text for binding in solution.bindings} for solution in response.solutions
+        ]
         self.assertEqual(values, [{"X": "1", "Y": "a", "Z": "_1"}, {"X": "f(_1)", "Y": "[b,2.5]", "Z": "_1"}])
-        self.assertEqual(json.loads(found.solutions[1].bindings[1].json), ["b", 2.5])
+        self.assertEqual(json.loads(response.solutions[1].bindings[1].json), ["b", 2.5])
 
-    def test_a_query_has_limits(self):
-        found = self.ask("repeat", max_solutions=3)
-        self.assertEqual((found.result, found.complete, len(found.solutions)), ("ok", False, 3))
+    def test_query_has_limits(self):
+        response = self.ask("repeat", max_solutions=3)
+        self.assertEqual((response.result, response.complete, len(response.solutions)), ("ok", False, 3))
         self.assertIn("inferences", self.ask("repeat, fail", inferences=1000).result)
         self.assertIn("seconds", self.ask("repeat, fail", seconds=0.1).result)
         self.assertIn("more than", self.ask("numlist(1, 1000000, L)").result)
         self.assertLess(len(self.ask("numlist(1, 20, X), repeat", max_solutions=100_000).solutions), 100_000)
         self.assertIn("seconds: expected", self.ask("true", seconds=-1).result)
 
-    def test_a_query_that_is_wrong(self):
+    def test_invalid_query_is_an_error(self):
         for goal, part in (
             ("f(X", "column 4"),
             ("", "goal: expected a term"),
             ("no_such(1)", "no_such/1"),
             ("X", "instantiat"),
         ):
-            found = self.ask(goal)
-            self.assertTrue(found.result.startswith("error: "), found.result)
-            self.assertIn(part, found.result)
-            self.assertNotIn("\n", found.result)
+            response = self.ask(goal)
+            self.assertTrue(response.result.startswith("error: "), response.result)
+            self.assertIn(part, response.result)
+            self.assertNotIn("\n", response.result)
 
-    def test_a_query_reads_no_files(self):
+    def test_query_reads_no_files(self):
         self.assertIn("ermission", self.ask("compile_event_file('/etc/passwd')").result)
 
-    def test_a_query_waits_for_memories_while_others_work(self):
+    def test_query_waits_for_memories(self):
         self.assertEqual(self.add_memory("late(X)", "", "_", "late", "5").result, "ok")
-        found = []
+        responses = []
         stamp = rospy.Time(10)
         thread = threading.Thread(
-            target=lambda: found.append(
+            target=lambda: responses.append(
                 self.ask("access_mem(late, late(X), _)", wait_for=["late"], stamp=stamp, timeout=60)
             )
         )
         thread.start()
         self.send("event(late(1), [9,9])")
         self.wait_until_true("access_mem(late, late(1), _)")
-        self.assertFalse(found)
+        self.assertFalse(responses)
         self.send("event(late(2), [10,10])")
         thread.join(60)
-        values = [one.text for solution in found[0].solutions for one in solution.bindings]
+        values = [binding.text for solution in responses[0].solutions for binding in solution.bindings]
         self.assertEqual(values, ["2", "1"])
-        late = self.ask("true", wait_for=["late"], stamp=rospy.Time(12), timeout=0.01)
-        self.assertIn("in memory late (2 s too early) after 0.01 s", late.result)
+        response = self.ask("true", wait_for=["late"], stamp=rospy.Time(12), timeout=0.01)
+        self.assertIn("in memory late (2 s too early) after 0.01 s", response.result)
         self.assertIn("there is no memory x", self.ask("true", wait_for=["x"]).result)
         self.assertEqual(self.delete_memory("late").result, "ok")
 
@@ -107,10 +109,10 @@ class NodeServices(unittest.TestCase):
         self.assertIn("there is no rule hot", self.delete_rule("hot").result)
         self.assertEqual(self.delete_memory("fires").result, "ok")
 
-    def test_a_wrong_rule_is_answered_with_line_and_caret(self):
-        wrong = self.add_rule("a <- b seq\n  (c where X > )", "").result
-        self.assertTrue(wrong.startswith("error: rule:2:16: "), wrong)
-        self.assertEqual(wrong.splitlines()[1:], ["  (c where X > )", " " * 15 + "^"])
+    def test_invalid_rule_is_an_error_with_caret(self):
+        error = self.add_rule("a <- b seq\n  (c where X > )", "").result
+        self.assertTrue(error.startswith("error: rule:2:16: "), error)
+        self.assertEqual(error.splitlines()[1:], ["  (c where X > )", " " * 15 + "^"])
 
     def test_events_are_explained(self):
         self.assertEqual(self.add_rule("glow_(X) <- warm_(X) seq dark_(X)", "glow").result, "ok")
@@ -119,13 +121,13 @@ class NodeServices(unittest.TestCase):
         self.send("event(warm_(2))")
         self.send("event(dark_(1))")
         self.wait_until_true("access_mem(glows, glow_(1), _)")
-        why = self.explain("glow_(1)")
-        self.assertEqual((why.result, why.happened), ("ok", True))
-        self.assertIn("by rule glow: ", why.lines[0])
-        self.assertEqual([line[:9] for line in why.lines[1:]], ["  warm_(1", "  dark_(1"])
-        why = self.explain("glow_(2)")
-        self.assertEqual((why.result, why.happened), ("ok", False))
-        self.assertIn("    - dark_(2): did not happen", why.lines)
+        response = self.explain("glow_(1)")
+        self.assertEqual((response.result, response.happened), ("ok", True))
+        self.assertIn("by rule glow: ", response.lines[0])
+        self.assertEqual([line[:9] for line in response.lines[1:]], ["  warm_(1", "  dark_(1"])
+        response = self.explain("glow_(2)")
+        self.assertEqual((response.result, response.happened), ("ok", False))
+        self.assertIn("    - dark_(2): did not happen", response.lines)
         self.assertIn("error: ", self.explain("f(").result)
         self.assertEqual(self.delete_rule("glow").result, "ok")
         self.assertEqual(self.delete_memory("glows").result, "ok")

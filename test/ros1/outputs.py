@@ -34,27 +34,27 @@ class Outputs(unittest.TestCase):
         wait_until(cls.log.is_connected, "the log")
 
     def event(self, text):
-        """Have an event come out as text."""
+        """Publish an event and wait for its output as text."""
         self.events.publish(f"event({text})")
-        wanted = f"event({text},nowhere,n)"
-        self.outputs.wait_for(lambda messages: any(one.data == wanted for one in messages), wanted)
+        output = f"event({text},nowhere,n)"
+        self.outputs.wait_for(lambda messages: any(message.data == output for message in messages), output)
 
-    def test_a_type_that_a_publisher_brings_is_published(self):
+    def test_type_defined_by_publisher_is_published(self):
         thing = RawPublisher("things", THING)
         wait_until(thing.is_connected, "the subscriber of the things")
         term = read_term(f"nowhere_msgs__0__Thing(0.5,{PART})", Operators.prolog()).term
         data = DEFINITIONS.encoder(THING).encode(term, "things")
-        thing.publish(data)  # what comes of it may be lost: who listens learns of the topics afterwards
+        thing.publish(data)  # its outputs may be lost: subscribers find the new topics afterwards
         copies, parts = (Collector(topic, rospy.AnyMsg) for topic in ("copies", "parts"))
         wait_until(copies.is_connected, "the publisher of the copies")
         wait_until(parts.is_connected, "the publisher of the parts")
-        self.assertEqual([one._buff for one in parts.wait_for(bool)], [data[8:]])
+        self.assertEqual([message._buff for message in parts.wait_for(bool)], [data[8:]])
 
-        def copied():
+        def is_copied():
             thing.publish(data)
             return copies.messages
 
-        wait_until(copied, "a copy")  # who listens has the connection a moment before who publishes
+        wait_until(is_copied, "a copy")  # a subscriber has the connection a moment before the publisher
         self.assertEqual(copies.messages[-1]._buff, data)
         parts.wait_for(lambda messages: len(messages) > 1)
         header = copies.messages[0]._connection_header
@@ -63,31 +63,32 @@ class Outputs(unittest.TestCase):
         )
         self.assertEqual(parts.messages[0]._connection_header["latching"], "1")
 
-    def test_an_output_on_no_published_topic_is_no_error(self):
+    def test_output_on_unpublished_topic_is_no_error(self):
         for number in range(20):
             self.event(f"state('\"{number}\"')")
-        told = [one for one in self.log.messages if "topic nowhere has no type" in one.msg]
-        self.assertLessEqual(len([one for one in told if one.level >= Log.WARN]), 1)
-        self.assertEqual([one.msg for one in self.log.messages if one.level >= Log.ERROR], [])
+        records = [record for record in self.log.messages if "topic nowhere has no type" in record.msg]
+        self.assertLessEqual(len([record for record in records if record.level >= Log.WARN]), 1)
+        self.assertEqual([record.msg for record in self.log.messages if record.level >= Log.ERROR], [])
 
-    def test_a_latched_topic_gives_its_last_message_once_to_who_comes_later(self):
+    def test_latched_topic_sends_last_message_once(self):
         state = Collector("state", String)
         wait_until(state.is_connected, "the publisher of the state")
 
-        def arrives():
+        def is_received():
             self.event("state('\"0\"')")
             return state.messages
 
-        wait_until(arrives, "the way from node retalis to the topic")  # outputs before it is there are lost
+        # Outputs before the connection are lost.
+        wait_until(is_received, "the way from node retalis to the topic")
         for number in range(100, 110):
             self.event(f"state('\"{number}\"')")
         state.wait_for(lambda messages: messages and messages[-1].data == "109")
         state.close()
-        again = Collector("state", String)
-        again.wait_for(bool, "the latched message")
+        late_joiner = Collector("state", String)
+        late_joiner.wait_for(bool, "the latched message")
         self.event("state('\"110\"')")
-        again.wait_for(lambda messages: messages and messages[-1].data == "110")
-        self.assertEqual([one.data for one in again.messages], ["109", "110"])
+        late_joiner.wait_for(lambda messages: messages and messages[-1].data == "110")
+        self.assertEqual([message.data for message in late_joiner.messages], ["109", "110"])
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Rules that multiply events, added to a running node by services: the node stops at its limit and answers others."""
+"""Rules that multiply events, added by services: the node ends them at its limit and answers other requests."""
 
 import sys
 import threading
@@ -16,16 +16,16 @@ from harness import Collector, wait_for_service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402
 
-RULES = 30
-LIMIT = 2.0
-"""Seconds, as in the launch file."""
+RULE_COUNT = 30
+LIMIT_SECONDS = 2.0
+"""Limit in the launch file."""
 
-ANSWER = 4 * LIMIT
-"""Seconds in which a query is answered while an event is at its limit; a busy machine takes longer."""
+MAX_ANSWER_SECONDS = 4 * LIMIT_SECONDS
+"""Time to answer a query while an event reaches its limit; a busy machine takes longer."""
 
 
 class PatternLimits(unittest.TestCase):
-    def test_rules_that_multiply_events_stop_at_the_limit(self):
+    def test_multiplying_rules_end_at_limit(self):
         query = wait_for_service("retalis/query", srv.Query)
         add_rule = wait_for_service("retalis/add_rule", srv.AddRule)
         log = Collector("/rosout", Log)
@@ -35,7 +35,7 @@ class PatternLimits(unittest.TestCase):
             return query(srv.QueryRequest(goal=goal))
 
         self.assertEqual(ask("set_etalis_flag(event_consumption_policy, unrestricted)").result, "ok")
-        for number in range(RULES):
+        for number in range(RULE_COUNT):
             rule = f"e{number + 1}(X) <- e{number}(X) and e{number}(Y)"
             self.assertEqual(add_rule(rule, f"multiply{number}").result, "ok")
 
@@ -53,14 +53,14 @@ class PatternLimits(unittest.TestCase):
         for attack in attacks:
             attack.join(60)
         self.assertEqual(len(answers), len(attacks))
-        self.assertLess(max(waits), ANSWER)
+        self.assertLess(max(waits), MAX_ANSWER_SECONDS)
         self.assertEqual(ask("X = 1").solutions[0].bindings[0].text, "1")
 
         report = "has exceeded its limit of seconds while patterns were matched"
-        messages = log.wait_for(
-            lambda messages: any(report in one.msg for one in messages), "the report of the limit"
+        records = log.wait_for(
+            lambda records: any(report in record.msg for record in records), "the report of the limit"
         )
-        self.assertIn("multiply", next(one.msg for one in messages if report in one.msg))
+        self.assertIn("multiply", next(record.msg for record in records if report in record.msg))
 
 
 if __name__ == "__main__":

@@ -36,53 +36,53 @@ class Projection(unittest.TestCase):
         cls.interface = ServerProxy(master.lookupNode("/retalis_ros_interface"))
         cls.subscribe(PATTERN.format("_"), "", "layout(Layout)", "t", "layouts")
 
-    def sent(self):
-        """Return how many bytes the interface has sent as text."""
+    def sent_bytes(self):
+        """Return the number of bytes that the interface has sent as text."""
         topics = self.interface.getBusStats("/unread")[2][0]
         return sum(link[1] for topic in topics if topic[0] == "/retalisInputEvents" for link in topic[-1])
 
     def publish(self, letter):
-        """Publish an image and wait for what follows; return the bytes that it took as text."""
-        before, known = self.sent(), len(self.outputs.messages)
+        """Publish an image and wait for its output; return the number of bytes of its text."""
+        before, count = self.sent_bytes(), len(self.outputs.messages)
         self.images.publish(UInt8MultiArray(data=letter * SIZE))
         self.outputs.wait_for(
-            lambda found: any(m.data.startswith("event(layout(") for m in found[known:]), "the layout"
+            lambda messages: any(message.data.startswith("event(layout(") for message in messages[count:]),
+            "the layout",
         )
-        return self.sent() - before
+        return self.sent_bytes() - before
 
-    def saves(self):
+    def is_projected(self):
         return self.publish(b"a") < 10_000
 
-    def test_1_what_nobody_reads_is_not_written(self):
-        wait_until(self.saves, "the end of whole messages")
+    def test_1_unread_fields_are_not_written(self):
+        wait_until(self.is_projected, "the end of whole messages")
         self.assertLess(self.publish(b"a"), 10_000)
 
-    def test_2_somebody_else_who_listens_gets_whole_messages(self):
-        wait_until(self.saves, "the end of whole messages")
+    def test_2_other_subscriber_receives_whole_messages(self):
+        wait_until(self.is_projected, "the end of whole messages")
         texts = Collector("retalisInputEvents", String)
         wait_until(texts.is_connected, "the interface")
-        wait_until(
-            lambda: self.publish(b"b") and texts.messages, "a whole message"
-        )  # it is served a moment later
-        found = texts.messages
-        self.assertIn("b" * SIZE, found[-1].data)
+        # The interface sends to a new subscriber a moment after the connection.
+        wait_until(lambda: self.publish(b"b") and texts.messages, "a whole message")
+        self.assertIn("b" * SIZE, texts.messages[-1].data)
         texts.close()
-        wait_until(self.saves, "the end of the other one")
+        wait_until(self.is_projected, "the end of the other subscription")
 
-    def test_3_who_comes_later_gets_nothing_but_whole_messages(self):
-        wait_until(self.saves, "the end of whole messages")
+    def test_3_added_subscription_has_whole_messages(self):
+        wait_until(self.is_projected, "the end of whole messages")
         added = self.subscribe(PATTERN.format("Data"), "", "data(Data)", "t", "data").result
         self.assertEqual(added, "ok")
         wait_until(lambda: self.publish(b"c") > SIZE, "whole messages")
+        prefix = "event(data("
         self.outputs.wait_for(
-            lambda all_: any(one.data.startswith("event(data(") for one in all_), "the data"
+            lambda messages: any(message.data.startswith(prefix) for message in messages), "the data"
         )
-        found = [one.data for one in self.outputs.messages if one.data.startswith("event(data(")]
-        for text in found:
-            self.assertIn("c" * SIZE, text)
+        for message in self.outputs.messages:
+            if message.data.startswith(prefix):
+                self.assertIn("c" * SIZE, message.data)
         delete = wait_for_service("delete_output_subscription", srv.DeleteOutputSubscription)
         self.assertEqual(delete("t", "data").result, "ok")
-        wait_until(self.saves, "the end of whole messages")
+        wait_until(self.is_projected, "the end of whole messages")
 
 
 if __name__ == "__main__":

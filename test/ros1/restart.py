@@ -22,22 +22,22 @@ from retalis import srv  # noqa: E402
 TYPES = {"retalis": "retalis_node", "retalis_ros_interface": "retalis_ros_converter.py"}
 
 
-def alive(name):
+def is_alive(name):
     return f"/{name}" in rosnode.get_node_names()
 
 
 class Restart(unittest.TestCase):
     def start(self, name):
-        """Start a node as a user would, and have it ended with the test."""
+        """Start a node by rosrun; it ends after the test."""
         process = subprocess.Popen(
             ["rosrun", "retalis", TYPES[name], f"__name:={name}"], start_new_session=True
         )
         self.addCleanup(self.end, process)
-        wait_until(lambda: alive(name), f"node {name}")
+        wait_until(lambda: is_alive(name), f"node {name}")
         return process
 
     def end(self, process):
-        """Interrupt a node, so that the master forgets it."""
+        """Interrupt a node, so that it is unregistered."""
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGINT)
             process.wait(TIMEOUT_SECONDS)
@@ -45,12 +45,12 @@ class Restart(unittest.TestCase):
     def kill(self, name):
         killed, failed = rosnode.kill_nodes([f"/{name}"])
         self.assertEqual((killed, failed), ([f"/{name}"], []))
-        wait_until(lambda: not self.registered(name), f"the end of {name}")
+        wait_until(lambda: not self.is_registered(name), f"the end of {name}")
 
-    def test_1_the_interface_is_killed_and_started_again(self):
+    def test_1_killed_interface_is_restarted(self):
         wait_for_message_path()
         self.kill("retalis_ros_interface")
-        self.assertTrue(alive("retalis"))
+        self.assertTrue(is_alive("retalis"))
         add = wait_for_service("add_memory", srv.AddMemory)
         self.assertEqual(add("x(Y)", "", "_", "while_alone", "1").result, "ok")
         self.start("retalis_ros_interface")
@@ -60,13 +60,13 @@ class Restart(unittest.TestCase):
         self.assertEqual(deleted.result, "ok")
         wait_for_message_path()
 
-    def test_2_the_engine_is_killed_and_started_again(self):
-        self.start("retalis_ros_interface")  # the first test took its own with it
+    def test_2_killed_engine_is_restarted(self):
+        self.start("retalis_ros_interface")  # that of the first test has ended
         self.kill("retalis")
         self.start("retalis")
         wait_for_message_path()
 
-    def test_3_an_interrupt_ends_a_node_at_once(self):
+    def test_3_interrupt_ends_each_node(self):
         for name in TYPES:
             process = self.start(name)
             events = rospy.Publisher("retalisInputEvents", String, queue_size=100)
@@ -75,13 +75,13 @@ class Restart(unittest.TestCase):
                 wait_until(lambda events=events: events.get_num_connections() > 0, "the engine")
                 events.publish("event(a)")
             else:
-                wait_until(lambda: alive("retalis_ros_interface"), "the interface")
+                wait_until(lambda: is_alive("retalis_ros_interface"), "the interface")
             os.killpg(process.pid, signal.SIGINT)
             process.wait(5)
             outputs.close()
-            wait_until(lambda name=name: not self.registered(name), f"the end of {name}")
+            wait_until(lambda name=name: not self.is_registered(name), f"the end of {name}")
 
-    def registered(self, name):
+    def is_registered(self, name):
         return any(
             f"/{name}" in nodes
             for state in rosgraph.Master("/restart").getSystemState()

@@ -52,7 +52,7 @@ class Services(unittest.TestCase):
 
     @classmethod
     def keep_flowing(cls):
-        """Publish events the whole time, so that no service is answered by an idle node only."""
+        """Publish events continuously, so that services are answered by a busy node."""
         number = 0
         while cls.flowing.is_set() and not rospy.is_shutdown():
             number += 1
@@ -75,7 +75,7 @@ class Services(unittest.TestCase):
         for part in parts:
             self.assertIn(part, response.result)
 
-    def test_a_subscription_is_added_delivers_and_is_deleted(self):
+    def test_subscription_is_added_and_deleted(self):
         self.assertEqual(
             self.add_subscription("a(X)", "X > 1, X < 9", "got(X)", "somewhere", "s1").result, "ok"
         )
@@ -91,7 +91,7 @@ class Services(unittest.TestCase):
         self.assertFalse(self.has_output("event(got(7),somewhere,s1)"))
         self.assertEqual(self.delete_subscription("somewhere", "s2").result, "ok")
 
-    def test_a_full_stop_and_comments_do_no_harm(self):
+    def test_full_stop_and_comments_are_accepted(self):
         added = self.add_subscription("c(X).", "X > 1 % large", "_.", "t", "stop")
         self.assertEqual(added.result, "ok")
         self.send("event(c(1))", "event(c(2))")
@@ -105,7 +105,7 @@ class Services(unittest.TestCase):
         self.wait_for_output("event(slash(1),'/robot/out',1)")
         self.assertEqual(self.delete_subscription("/robot/out", "1").result, "ok")
 
-    def test_a_taken_subscription_is_an_error(self):
+    def test_repeated_subscription_is_an_error(self):
         self.assertEqual(self.add_subscription("b(_)", "", "_", "t", "twice").result, "ok")
         self.assert_error(
             self.add_subscription("b(_)", "", "_", "t", "twice"), "subscription twice of topic t already"
@@ -114,7 +114,7 @@ class Services(unittest.TestCase):
         self.assertEqual(self.delete_subscription("t", "twice").result, "ok")
         self.assertEqual(self.delete_subscription("other", "twice").result, "ok")
 
-    def test_subscription_of_invalid_topic_is_refused(self):
+    def test_invalid_topic_is_an_error(self):
         for topic in ("bad topic!", "4x4", "a//b", "über"):
             with self.subTest(topic):
                 self.assert_error(
@@ -122,11 +122,11 @@ class Services(unittest.TestCase):
                 )
                 self.assert_error(self.delete_subscription(topic, "never"), "there is no subscription never")
 
-    def test_an_unknown_subscription_is_an_error(self):
+    def test_unknown_subscription_is_an_error(self):
         self.assert_error(self.delete_subscription("t", "never"), "never")
         self.assert_error(self.delete_subscription("t", "two\nlines"), "two lines")
 
-    def test_errors_say_which_field_and_where(self):
+    def test_error_has_field_and_position(self):
         self.assert_error(self.add_subscription("a(X", "", "_", "t", "e1"), "event", "column")
         self.assert_error(self.add_subscription("a(X)", "X >", "_", "t", "e1"), "conditions", "column")
         self.assert_error(self.add_subscription("a(X)", "", "f(]", "t", "e1"), "format", "line 1, column 3")
@@ -141,7 +141,7 @@ class Services(unittest.TestCase):
         self.assert_error(self.add_subscription("a),(b", "", "_", "t", "e1"), "event", "column 2")
         self.assert_error(self.delete_subscription("t", "e1"), "e1")
 
-    def test_a_memory_is_added_used_and_deleted(self):
+    def test_memory_is_added_and_deleted(self):
         self.assertEqual(self.add_memory("v(X)", "", "kept(X)", "m", "2").result, "ok")
         self.assert_error(self.add_memory("v(X)", "", "_", "m", "2"), "m")
         added = self.add_subscription("ask", "findall(X, access_mem(m, kept(X), _), L)", "all(L)", "t", "ask")
@@ -152,7 +152,7 @@ class Services(unittest.TestCase):
         self.assert_error(self.delete_memory("m"), "m")
         self.assertEqual(self.delete_subscription("t", "ask").result, "ok")
 
-    def test_bad_memories_are_errors_and_nothing_is_half_added(self):
+    def test_invalid_memory_is_not_added(self):
         self.assert_error(self.add_memory("v(X)", "", "_", "bad", "many"), "size", "many")
         self.assert_error(self.add_memory("v(X)", "", "_", "bad", "-1"), "size: expected", "found -1")
         self.assert_error(
@@ -166,13 +166,13 @@ class Services(unittest.TestCase):
         self.assert_error(self.add_memory("v(X)", "", "_", "", "5"), "id")
         self.assert_error(self.delete_memory("bad"), "bad")
 
-    def test_a_taken_memory_is_an_error(self):
+    def test_repeated_memory_is_an_error(self):
         self.assertEqual(self.add_memory("w(X)", "", "_", "twice", "5").result, "ok")
-        taken = self.add_memory("w(X)", "", "_", "twice", "5")
-        self.assertEqual(taken.result, "error: a memory twice already exists")
+        response = self.add_memory("w(X)", "", "_", "twice", "5")
+        self.assertEqual(response.result, "error: a memory twice already exists")
         self.assertEqual(self.delete_memory("twice").result, "ok")
 
-    def test_a_topic_without_a_type_is_warned_of(self):
+    def test_topic_without_type_is_warned_of(self):
         log = Collector("/rosout", Log)
         wait_until(lambda: "/retalis" in log.publishers(), "the log")
         self.assertEqual(self.add_subscription("u(_)", "", "_", "nothing/there", "u").result, "ok")
@@ -181,15 +181,15 @@ class Services(unittest.TestCase):
         )
         self.assertEqual(self.delete_subscription("nothing/there", "u").result, "ok")
 
-    def test_a_memory_that_can_record_nothing_is_warned_of(self):
-        told = Collector("/rosout", Log)
-        wait_until(lambda: "/retalis" in told.publishers(), "the log")
+    def test_memory_without_records_is_warned_of(self):
+        log = Collector("/rosout", Log)
+        wait_until(lambda: "/retalis" in log.publishers(), "the log")
         self.assertEqual(self.add_memory("v(X)", "no_such(X)", "kept(Y)", "odd", "2").result, "ok")
         for text in ("memory odd: there is no predicate no_such/1 yet", "gives Y in the format a value"):
-            told.wait_for(lambda messages, text=text: any(text in one.msg for one in messages), text)
+            log.wait_for(lambda records, text=text: any(text in record.msg for record in records), text)
         self.assertEqual(self.delete_memory("odd").result, "ok")
 
-    def test_input_subscriptions(self):
+    def test_input_subscription_is_added_and_deleted(self):
         number = rospy.Publisher("number", Float64, queue_size=10)
         self.assertEqual(self.add_input("number", "std_msgs/msg/Float64").result, "ok")
         self.assert_error(self.add_input("number", "std_msgs/Float64"), "number")
@@ -198,7 +198,7 @@ class Services(unittest.TestCase):
         )
         deadline = time.monotonic() + TIMEOUT_SECONDS
         while not self.has_output("event(number(2.5),t,n)"):
-            self.assertLess(time.monotonic(), deadline, "the number never came")
+            self.assertLess(time.monotonic(), deadline, "no number is received")
             number.publish(2.5)
             time.sleep(0.01)
         self.assertEqual(self.delete_input("number").result, "ok")
@@ -206,11 +206,11 @@ class Services(unittest.TestCase):
         self.assert_error(self.add_input("number", "Float64"), "package/Type")
         self.assert_error(self.add_input("a b", "std_msgs/Float64"), "a b")
         self.assert_error(self.add_input("a?b", "std_msgs/Float64"), "a?b")
-        self.assert_error(self.add_input("tf", "tf/tfMessage"), "tf")  # node retalis subscribes it by itself
+        self.assert_error(self.add_input("tf", "tf/tfMessage"), "tf")  # a direct topic of node retalis
         self.assert_error(self.add_input("", "std_msgs/Float64"))
         self.assertEqual(self.delete_subscription("t", "n").result, "ok")
 
-    def test_a_format_that_never_fits_the_type_of_its_topic_is_an_error(self):
+    def test_format_unlike_type_of_topic_is_an_error(self):
         for form, reason in (
             ("got(X)", "expected geometry_msgs__0__PoseStamped/2, got got/1"),
             ("_", "expected geometry_msgs__0__PoseStamped/2, got p/1"),
@@ -223,14 +223,14 @@ class Services(unittest.TestCase):
         self.assertEqual(self.add_subscription("p(X)", "", "X", "marker1", "may").result, "ok")
         self.assertEqual(self.delete_subscription("marker1", "may").result, "ok")
 
-    def test_a_misspelt_type_is_an_error_that_names_the_one_that_was_meant(self):
+    def test_misspelt_type_has_similar_name(self):
         self.assert_error(
             self.add_input("speed", "std_msgs/Flaot64"),
             "there is no type 'std_msgs/Flaot64' here; did you mean std_msgs/Float64?",
         )
         self.assert_error(self.add_input("speed", "std_msg/Float64"), "did you mean std_msgs/Float64?")
         self.assert_error(self.delete_input("speed"), "speed")
-        # a type that is like no other is learned from a publisher, and so is one that a publisher has brought
+        # Types without similar names, and types of publishers, are accepted.
         self.assertEqual(self.add_input("speed", "far_msgs/Unknown").result, "ok")
         self.assertEqual(self.delete_input("speed").result, "ok")
         members = {"_type": "std_msgs/Flaot64", "_md5sum": "0" * 32, "_full_text": "int32 x\n"}
@@ -241,8 +241,8 @@ class Services(unittest.TestCase):
         self.assertEqual(self.delete_input("speed").result, "ok")
         publisher.unregister()
 
-    def test_a_goal_subscribes_a_topic_while_the_node_runs(self):
-        asked = rospy.Publisher("asked", Float64, queue_size=10)
+    def test_goal_subscribes_topic_of_running_node(self):
+        publisher = rospy.Publisher("asked", Float64, queue_size=10)
         query = wait_for_service("retalis/query", srv.Query)
         goal = "subscribe_to(asked, 'std_msgs/Float64', asked_number)"
         for _ in range(2):
@@ -251,42 +251,42 @@ class Services(unittest.TestCase):
         self.assertEqual(self.add_subscription("asked_number(X)", "", "asked(X)", "t", "q").result, "ok")
         deadline = time.monotonic() + TIMEOUT_SECONDS
         while not self.has_output("event(asked(2.5),t,q)"):
-            self.assertLess(time.monotonic(), deadline, "the number never came")
-            asked.publish(2.5)
+            self.assertLess(time.monotonic(), deadline, "no number is received")
+            publisher.publish(2.5)
             time.sleep(0.01)
         self.assert_error(self.add_input("asked", "std_msgs/Float64"), "asked")
         self.assertEqual(self.delete_input("asked").result, "ok")
         self.assertEqual(self.delete_subscription("t", "q").result, "ok")
 
-    def test_names_of_types_run_nothing(self):
-        harm = Path(tempfile.mkdtemp()) / "harm"
-        told = Collector("/rosout", Log)
-        wait_until(lambda: "/retalis" in told.publishers(), "the log")
-        for kind in (
-            f'a/b:=__import__("os").system("touch {harm}")',
-            f"a/b(__import__('os').system('touch {harm}'))",
-            f'a/b",__import__("os").system("touch {harm}"),"',
+    def test_names_of_types_are_not_executed(self):
+        created_file = Path(tempfile.mkdtemp()) / "harm"
+        log = Collector("/rosout", Log)
+        wait_until(lambda: "/retalis" in log.publishers(), "the log")
+        for type_name in (
+            f'a/b:=__import__("os").system("touch {created_file}")',
+            f"a/b(__import__('os').system('touch {created_file}'))",
+            f'a/b",__import__("os").system("touch {created_file}"),"',
         ):
-            self.assert_error(self.add_input("hostile", kind), "expected a message type")
+            self.assert_error(self.add_input("hostile", type_name), "expected a message type")
             members = {"_type": "a/B", "_md5sum": "0" * 32, "_full_text": "int32 x\n", "__slots__": ["_buff"]}
             hostile = type("Hostile", (rospy.AnyMsg,), members)
             publisher = rospy.Publisher("hostile", hostile, queue_size=10)
-            hostile._type = kind  # the master looks at the type, connections say what they like
+            hostile._type = type_name  # the master checks the type, connections may state any
             self.assertEqual(self.add_input("hostile", "unknown_msgs/Kind").result, "ok")
             wait_until(lambda publisher=publisher: publisher.get_num_connections() > 0, "the connection")
             message = hostile()
             message._buff = b"\1\0\0\0"
             publisher.publish(message)
-            told.wait_for(
-                lambda messages: any(
-                    "topic /hostile: expected a message type" in one.msg for one in messages
+            log.wait_for(
+                lambda records: any(
+                    "topic /hostile: expected a message type" in record.msg for record in records
                 ),
                 "the refusal",
             )
             self.assertEqual(self.delete_input("hostile").result, "ok")
             publisher.unregister()
-            told.messages.clear()
-        self.assertFalse(harm.exists())
+            log.messages.clear()
+        self.assertFalse(created_file.exists())
 
 
 if __name__ == "__main__":

@@ -52,50 +52,53 @@ class StartOrders(unittest.TestCase):
         self.where.close()
         self.texts.close()
 
-    def say(self, number):
-        """Have the engine publish a number; return how many names of maps it has got."""
+    def count_map_names(self, number):
+        """Let the engine publish a number; return the number of names of maps that it has received."""
         self.events.publish(f"event(say({number}))")
         begin = f"event(said({number},"
-        texts = self.texts.wait_for(lambda all_: any(one.data.startswith(begin) for one in all_), f"{number}")
-        return next(one.data[len(begin) :].partition(")")[0] for one in texts if one.data.startswith(begin))
+        messages = self.texts.wait_for(
+            lambda messages: any(message.data.startswith(begin) for message in messages), f"{number}"
+        )
+        text = next(message.data for message in messages if message.data.startswith(begin))
+        return text[len(begin) :].partition(")")[0]
 
     def received(self):
-        """Return how many outputs the interface has received."""
+        """Return the number of outputs that the interface has received."""
         inputs = wait_for_service(f"{INTERFACE}/list", srv.List)(0).inputs
-        return next(one.messages for one in inputs if one.topic == "/retalisOutputEvents")
+        return next(topic.messages for topic in inputs if topic.topic == "/retalisOutputEvents")
 
-    def come(self, number):
-        """Wait for outputs on the latched topic, and see that these are all."""
+    def expect_outputs(self, number):
+        """Wait for outputs on the latched topic, and check that there are no others."""
         self.where.wait_for(lambda messages: len(messages) >= number, f"output {number}")
         self.assertEqual(len(self.where.messages), number)
 
-    def test_outputs_of_a_start_are_published(self):
+    def test_outputs_of_each_start_are_published(self):
         for number in range(self.starts):
             with self.subTest(start=number):
                 for name in NODES:
                     self.nodes.start(name)
-                self.come(number + 1)
+                self.expect_outputs(number + 1)
                 self.nodes.end(signal.SIGINT, *NODES)
 
-    def test_outputs_wait_for_an_interface_that_was_killed(self):
+    def test_outputs_wait_for_killed_interface(self):
         for name in NODES:
             self.nodes.start(name)
-        self.come(1)
+        self.expect_outputs(1)
         wait_until(lambda: self.events.get_num_connections() > 0, "node retalis")
         wait_until(lambda: ENGINE in "".join(self.texts.publishers()), "the outputs of node retalis")
         for number in range(1, self.kills + 1):
             with self.subTest(kill=number):
                 self.nodes.end(signal.SIGKILL, INTERFACE)
-                self.assertEqual(self.say(2 * number), "1")
+                self.assertEqual(self.count_map_names(2 * number), "1")
                 self.nodes.start(INTERFACE)
-                self.assertEqual(self.say(2 * number + 1), "1")
-                self.come(number + 1)
+                self.assertEqual(self.count_map_names(2 * number + 1), "1")
+                self.expect_outputs(number + 1)
                 wait_until(lambda: self.received() >= 3, "both outputs, and the latched one", pause=0.1)
                 self.assertEqual(self.received(), 3)
-        self.assertEqual(self.say(1), "1")
+        self.assertEqual(self.count_map_names(1), "1")
 
 
 if __name__ == "__main__":
     rospy.init_node("start_orders")
-    StartOrders.starts, StartOrders.kills = (int(one) for one in sys.argv[1:3])
+    StartOrders.starts, StartOrders.kills = map(int, sys.argv[1:3])
     rostest.rosrun("retalis", "start_orders", StartOrders)

@@ -32,30 +32,30 @@ class Status(unittest.TestCase):
             wait_for_service("add_output_subscription", srv.AddOutputSubscription)
         )
         cls.add_input = staticmethod(wait_for_service("add_input_subscription", srv.AddInputSubscription))
-        cls.told = Collector("/diagnostics", DiagnosticArray)
+        cls.diagnostics = Collector("/diagnostics", DiagnosticArray)
         cls.events = rospy.Publisher("retalisInputEvents", String, queue_size=100)
         wait_until(lambda: cls.events.get_num_connections() > 0, "node retalis")
 
     def wait_for_status(self, name, condition=lambda status: True):
-        """Return the newest status of this name, once one fulfils a condition."""
-        found = []
+        """Return the newest status with a name for which a condition holds."""
+        statuses = []
 
-        def has_come(messages):
-            found[:] = [
-                one
+        def is_received(messages):
+            statuses[:] = [
+                status
                 for message in messages[-20:]
-                for one in message.status
-                if one.name == name and condition(one)
+                for status in message.status
+                if status.name == name and condition(status)
             ]
-            return bool(found)
+            return bool(statuses)
 
-        self.told.wait_for(has_come, name)
-        return found[-1]
+        self.diagnostics.wait_for(is_received, name)
+        return statuses[-1]
 
     def values(self, status):
-        return {one.key: one.value for one in status.values}
+        return {pair.key: pair.value for pair in status.values}
 
-    def test_lists_what_there_is_with_counters(self):
+    def test_list_has_entries_with_counters(self):
         self.assertEqual(self.add_rule(rule="counted: hot(X) <- heat(X) where X > 1").result, "ok")
         self.assertEqual(self.add_memory("hot(_)", "", "_", "hot_ones", "2").result, "ok")
         self.assertEqual(self.add_subscription("hot(X)", "", "_", "hot", "h").result, "ok")
@@ -63,23 +63,23 @@ class Status(unittest.TestCase):
             self.events.publish(String(f"event(heat({number}), [10.0, 10.5])"))
 
         def memory():
-            return [one for one in self.list(10).memories if one.id == "hot_ones"][0]
+            return next(memory for memory in self.list(10).memories if memory.id == "hot_ones")
 
         wait_until(lambda: memory().added == 3, "the events")
-        found = self.list(0)
-        self.assertEqual(found.result, "ok")
-        rule = [one for one in found.rules if one.label == "counted"][0]
+        response = self.list(0)
+        self.assertEqual(response.result, "ok")
+        rule = next(rule for rule in response.rules if rule.label == "counted")
         self.assertEqual((rule.fired, rule.errors, rule.last_fired.to_sec()), (3, 0, 10.5))
         self.assertIn("hot(X)", rule.text)
         self.assertEqual((memory().size, memory().records, memory().oldest.to_sec()), (2, 2, 10.5))
-        self.assertEqual([one.sent for one in found.subscriptions if one.id == "h"], [3])
-        self.assertGreaterEqual(found.taken, 5)
-        self.assertIn("/retalisInputEvents", [one.topic for one in found.inputs])
-        self.assertEqual(found.work, "")
-        some = self.list(1)
-        self.assertEqual((len(some.rules), some.more_rules), (1, len(found.rules) - 1))
+        self.assertEqual([entry.sent for entry in response.subscriptions if entry.id == "h"], [3])
+        self.assertGreaterEqual(response.taken, 5)
+        self.assertIn("/retalisInputEvents", [entry.topic for entry in response.inputs])
+        self.assertEqual(response.work, "")
+        shortened = self.list(1)
+        self.assertEqual((len(shortened.rules), shortened.more_rules), (1, len(response.rules) - 1))
 
-    def test_lists_waiting_queries_with_what_they_wait_for(self):
+    def test_list_has_waiting_queries_with_memories(self):
         self.assertEqual(self.add_memory("pose", "", "_", "odom", "5").result, "ok")
         self.add_rule(rule="synchronized(late(X), true, [[odom, 30]]) <- late_marker(X)")
         self.events.publish(String("event(pose, [20.0, 20.0])"))
@@ -88,13 +88,13 @@ class Status(unittest.TestCase):
         waiting = self.list(0).waiting[0]
         self.assertEqual((waiting.event, waiting.since.to_sec()), ("late(1)", 25.0))
         self.assertEqual(
-            [(one.id, one.instant.to_sec(), one.behind.to_sec()) for one in waiting.memories],
+            [(entry.id, entry.instant.to_sec(), entry.behind.to_sec()) for entry in waiting.memories],
             [("odom", 30.0, 10.0)],
         )
-        status = self.wait_for_status("retalis: waiting queries", lambda one: one.values)
+        status = self.wait_for_status("retalis: waiting queries", lambda status: status.values)
         self.assertIn("odom (10.000 s behind)", self.values(status)["late(1)"])
 
-    def test_tells_of_a_topic(self):
+    def test_list_and_diagnostics_have_input_topic(self):
         self.assertEqual(self.add_input("points", "geometry_msgs/PointStamped").result, "ok")
         publisher = rospy.Publisher("points", PointStamped, queue_size=100)
         wait_until(lambda: publisher.get_num_connections() > 0, "the subscription")
@@ -102,7 +102,7 @@ class Status(unittest.TestCase):
             publisher.publish(PointStamped())
 
         def topic():
-            return [one for one in self.list_interface(0).inputs if one.topic == "/points"][0]
+            return next(entry for entry in self.list_interface(0).inputs if entry.topic == "/points")
 
         wait_until(lambda: topic().messages == 20, "the messages")
         self.assertEqual(
@@ -110,46 +110,46 @@ class Status(unittest.TestCase):
         )
         self.assertGreaterEqual(topic().age.to_sec(), 0)
         name = f"{self.interface}: input /points"
-        status = self.wait_for_status(name, lambda one: self.values(one)["messages"] == "20")
+        status = self.wait_for_status(name, lambda status: self.values(status)["messages"] == "20")
         self.assertEqual((status.level, status.hardware_id), (DiagnosticStatus.OK, "retalis"))
         publisher.unregister()
-        self.wait_for_status(name, lambda one: one.level == DiagnosticStatus.WARN)
+        self.wait_for_status(name, lambda status: status.level == DiagnosticStatus.WARN)
 
-    def test_tells_of_a_publisher_that_is_refused(self):
+    def test_refused_publisher_is_a_diagnostic_error(self):
         self.assertEqual(self.add_input("wrong", "std_msgs/String").result, "ok")
         publisher = rospy.Publisher("wrong", Float64, queue_size=10)
         name = f"{self.interface}: input /wrong"
         try:
             wait_until(lambda: publisher.get_num_connections() > 0, "the subscription")
             publisher.publish(Float64(1.0))
-            status = self.wait_for_status(name, lambda one: one.level == DiagnosticStatus.ERROR)
+            status = self.wait_for_status(name, lambda status: status.level == DiagnosticStatus.ERROR)
             self.assertEqual(self.values(status)["refused"], "1")
         finally:
             publisher.unregister()
 
-    def test_tells_of_errors_by_rule(self):
+    def test_errors_of_rule_are_a_diagnostic_error(self):
         self.add_rule(rule="wrong_one: never <- number(X) where X > 1")
         self.events.publish(String("event(number(many))"))
-        status = self.wait_for_status("retalis: rules", lambda one: one.level == DiagnosticStatus.ERROR)
+        status = self.wait_for_status("retalis: rules", lambda status: status.level == DiagnosticStatus.ERROR)
         self.assertIn("wrong_one", " ".join(self.values(status)))
 
-    def test_both_nodes_tell_of_themselves(self):
+    def test_both_nodes_have_diagnostics(self):
         for part in ("queue", "work", "rules", "waiting queries", "program", "process memory"):
             self.wait_for_status(f"retalis: {part}")
         self.wait_for_status("retalis: input /retalisInputEvents")
         self.wait_for_status(f"{self.interface}: process memory")
 
-    def test_a_busy_engine_is_told_of_at_once(self):
+    def test_busy_engine_is_listed_and_warned_of(self):
         request = srv.QueryRequest(goal="repeat, fail", seconds=4.0)
-        asking = threading.Thread(target=lambda: self.query(request))
-        asking.start()
+        query_thread = threading.Thread(target=lambda: self.query(request))
+        query_thread.start()
         wait_until(lambda: self.list(0).work_goal, "the goal")
-        found = self.list(0)
-        self.assertTrue(asking.is_alive())
-        self.assertEqual(found.work_goal, "goal repeat")
-        self.wait_for_status("retalis: work", lambda one: one.level == DiagnosticStatus.WARN)
-        asking.join()
-        self.wait_for_status("retalis: work", lambda one: one.level == DiagnosticStatus.OK)
+        response = self.list(0)
+        self.assertTrue(query_thread.is_alive())
+        self.assertEqual(response.work_goal, "goal repeat")
+        self.wait_for_status("retalis: work", lambda status: status.level == DiagnosticStatus.WARN)
+        query_thread.join()
+        self.wait_for_status("retalis: work", lambda status: status.level == DiagnosticStatus.OK)
 
 
 if __name__ == "__main__":

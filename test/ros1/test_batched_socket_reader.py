@@ -59,74 +59,80 @@ def new_link(receiver, read=b"", latched=False):
 
 
 def callback(message):
-    raise AssertionError("rospy calls it, the reader does not")
+    raise AssertionError("only rospy calls it, not the reader")
 
 
-def subscribed(callbacks=(callback,), **topic):
-    topic = SimpleNamespace(callbacks=[(one, None) for one in callbacks], **topic)
+def make_subscriber(callbacks=(callback,), **topic):
+    topic = SimpleNamespace(callbacks=[(function, None) for function in callbacks], **topic)
     return SimpleNamespace(impl=topic, callback=callback)
 
 
-def new_reader(link, taken, callbacks=(callback,)):
-    return ConnectionReader(link, subscribed(callbacks), lambda header: taken.append, 0.001, _ignore_end)
+def new_reader(link, batches, callbacks=(callback,)):
+    return ConnectionReader(
+        link, make_subscriber(callbacks), lambda header: batches.append, 0.001, _ignore_end
+    )
 
 
 def send_in_pieces(sender, data, size):
-    for at in range(0, len(data), size):
-        sender.sendall(data[at : at + size])
+    for position in range(0, len(data), size):
+        sender.sendall(data[position : position + size])
     sender.close()
 
 
 @pytest.mark.parametrize("size", [1, 3, 5, 1000])
 @pytest.mark.parametrize("read", [b"", frame(b"first"), frame(b"first")[:2], frame(b"first")[:7]])
-def test_messages_are_handed_on_wherever_they_are_cut(pair, monkeypatch, size, read):
+def test_messages_are_read_at_any_cut(pair, monkeypatch, size, read):
     sender, receiver = pair
     monkeypatch.setattr(batched_socket_reader, "MAX_READ_BYTES", size)
     messages = [b"first", b"", b"second", b"x" * 300]
     stream = b"".join(map(frame, messages))
     assert stream.startswith(read)
-    link, taken = new_link(receiver, read), []
+    link, batches = new_link(receiver, read), []
     send_in_pieces(sender, stream[len(read) :], 7)
     with pytest.raises(TransportTerminated):
-        new_reader(link, taken)()
-    assert [one for found in taken for one in found] == messages
+        new_reader(link, batches)()
+    assert [message for batch in batches for message in batch] == messages
     assert link.stat_num_msg == len(messages)
     assert link.stat_bytes == len(stream) - len(read)
 
 
-def test_messages_that_come_together_are_handed_on_together(pair):
+def test_adjacent_messages_are_one_batch(pair):
     sender, receiver = pair
-    taken = []
+    batches = []
     send_in_pieces(sender, frame(b"one") + frame(b"two"), 1000)
     with pytest.raises(TransportTerminated):
-        new_reader(new_link(receiver), taken)()
-    assert taken == [[b"one", b"two"]]
+        new_reader(new_link(receiver), batches)()
+    assert batches == [[b"one", b"two"]]
 
 
 @pytest.mark.parametrize("callbacks", [(callback, print), (print,)], ids=["too", "only"])
-def test_messages_go_to_rospy_where_others_have_called_for_them(pair, callbacks):
+def test_other_callbacks_receive_messages_of_rospy(pair, callbacks):
     sender, receiver = pair
-    taken = []
+    batches = []
     sender.sendall(frame(b"one") + frame(b"two"))
-    messages = new_reader(new_link(receiver), taken, callbacks)()
+    messages = new_reader(new_link(receiver), batches, callbacks)()
     assert [message._buff for message in messages] == [b"one", b"two"]
     assert all(message._connection_header is HEADER for message in messages)
-    assert taken == []
+    assert batches == []
 
 
 @pytest.mark.parametrize("missing", ["latch", "is_latched", "stat_num_msg", "socket"])
-def test_connections_that_lack_something_stay_rospys(missing):
+def test_connection_without_attribute_is_unchanged(missing):
     link = new_link(None)
     delattr(link, missing)
-    subscriber = subscribed(data_class=rospy.AnyMsg, connections=[link], add_connection=lambda link: True)
+    subscriber = make_subscriber(
+        data_class=rospy.AnyMsg, connections=[link], add_connection=lambda link: True
+    )
     read_in_batches(subscriber, print, 0.001)
     assert link.receive_once is None
 
 
 @pytest.mark.parametrize("callbacks", [None, (), [callback], {callback: None}])
-def test_topics_that_keep_their_callbacks_otherwise_stay_rospys(callbacks):
+def test_topic_with_other_callbacks_is_unchanged(callbacks):
     link = new_link(None)
-    subscriber = subscribed(data_class=rospy.AnyMsg, connections=[link], add_connection=lambda link: True)
+    subscriber = make_subscriber(
+        data_class=rospy.AnyMsg, connections=[link], add_connection=lambda link: True
+    )
     subscriber.impl.callbacks = callbacks
     read_in_batches(subscriber, print, 0.001)
     assert link.receive_once is None
@@ -135,7 +141,7 @@ def test_topics_that_keep_their_callbacks_otherwise_stay_rospys(callbacks):
     assert link.receive_once is None
 
 
-def test_the_last_message_of_a_latched_topic_is_kept(pair):
+def test_last_message_of_latched_topic_is_stored(pair):
     sender, receiver = pair
     link = new_link(receiver, latched=True)
     send_in_pieces(sender, frame(b"one") + frame(b"two"), 1000)
@@ -144,7 +150,7 @@ def test_the_last_message_of_a_latched_topic_is_kept(pair):
     assert link.latch._buff == b"two"
 
 
-def test_a_connection_that_is_closed_ends(pair):
+def test_closed_connection_ends(pair):
     _, receiver = pair
     reader = new_reader(new_link(receiver), [])
     receiver.close()
@@ -168,7 +174,7 @@ def test_end_of_connection_is_reported(pair, data, is_incomplete):
     ends = []
     link = new_link(receiver)
     reader = ConnectionReader(
-        link, subscribed(), lambda header: lambda messages: None, 0.001, lambda *end: ends.append(end)
+        link, make_subscriber(), lambda header: lambda messages: None, 0.001, lambda *end: ends.append(end)
     )
     send_in_pieces(sender, data, 1000)
     with pytest.raises(TransportTerminated):
@@ -176,7 +182,7 @@ def test_end_of_connection_is_reported(pair, data, is_incomplete):
     assert ends == [(HEADER, is_incomplete)]
 
 
-def test_connection_that_this_node_closes_has_no_loss(pair):
+def test_connection_closed_by_node_has_no_loss(pair):
     sender, receiver = pair
     ends = []
     link = new_link(receiver)
@@ -184,78 +190,81 @@ def test_connection_that_this_node_closes_has_no_loss(pair):
     def close(messages):
         link.done = True
 
-    reader = ConnectionReader(link, subscribed(), lambda header: close, 0.001, lambda *end: ends.append(end))
+    reader = ConnectionReader(
+        link, make_subscriber(), lambda header: close, 0.001, lambda *end: ends.append(end)
+    )
     send_in_pieces(sender, frame(b"one") + frame(b"two")[:6], 1000)
     assert reader() == []
     assert ends == []
 
 
-def test_a_message_alone_arrives_where_several_are_waited_for(pair, monkeypatch):
+def test_single_message_is_read_after_timeout(pair, monkeypatch):
     sender, receiver = pair
-    link, taken = new_link(receiver), []
+    link, received = new_link(receiver), []
 
-    def take(messages):
-        taken.extend(messages)
+    def receive(messages):
+        received.extend(messages)
         link.done = True
 
-    class Patient(LowWaterMark):
+    class HighLowWaterMark(LowWaterMark):
         def __init__(self, *arguments):
             super().__init__(*arguments)
             self.set_min_bytes(1000)
 
-    monkeypatch.setattr(batched_socket_reader, "LowWaterMark", Patient)
-    reader = ConnectionReader(link, subscribed(), lambda header: take, 0.001, _ignore_end)
+    monkeypatch.setattr(batched_socket_reader, "LowWaterMark", HighLowWaterMark)
+    reader = ConnectionReader(link, make_subscriber(), lambda header: receive, 0.001, _ignore_end)
     sender.sendall(frame(b"alone"))
     assert reader() == []
-    assert taken == [b"alone"]
+    assert received == [b"alone"]
 
 
-def subscriber(data_class=rospy.AnyMsg, connections=(), statistics=None):
+def make_topic_subscriber(data_class=rospy.AnyMsg, connections=(), statistics=None):
+    """Return a subscriber and the list of connections that are added to its topic."""
     added = []
-    found = subscribed(
+    subscriber = make_subscriber(
         data_class=data_class,
         connections=list(connections),
         statistics_logger=statistics,
         add_connection=added.append,
     )
-    return found, added
+    return subscriber, added
 
 
 def ignore(header):
     return lambda messages: None
 
 
-def test_connections_present_and_future_are_read(pair):
+def test_present_and_future_connections_are_read(pair):
     present, future = new_link(pair[1]), new_link(pair[1])
-    found, added = subscriber(connections=[present])
-    read_in_batches(found, ignore, 0.001)
-    found.impl.add_connection(future)
+    subscriber, added = make_topic_subscriber(connections=[present])
+    read_in_batches(subscriber, ignore, 0.001)
+    subscriber.impl.add_connection(future)
     assert isinstance(present.receive_once, ConnectionReader)
     assert isinstance(future.receive_once, ConnectionReader)
     assert added == [future]
     reader = present.receive_once
-    found.impl.add_connection(present)
+    subscriber.impl.add_connection(present)
     assert present.receive_once is reader
 
 
 @pytest.mark.parametrize("options", [{"data_class": rospy.Header}, {"statistics": object()}])
-def test_topics_that_are_rospys_own_are_left_to_it(pair, options):
+def test_topic_of_other_class_is_unchanged(pair, options):
     link = new_link(pair[1])
-    found, _ = subscriber(connections=[link], **options)
-    read_in_batches(found, ignore, 0.001)
+    subscriber, _ = make_topic_subscriber(connections=[link], **options)
+    read_in_batches(subscriber, ignore, 0.001)
     assert link.receive_once is None
 
 
-def test_connections_of_another_make_are_left_to_rospy():
+def test_connection_of_other_class_is_unchanged():
     link = SimpleNamespace(receive_once=None)
-    found, _ = subscriber(connections=[link])
-    read_in_batches(found, ignore, 0.001)
+    subscriber, _ = make_topic_subscriber(connections=[link])
+    read_in_batches(subscriber, ignore, 0.001)
     assert link.receive_once is None
     read_in_batches(SimpleNamespace(), ignore, 0.001)
 
 
-class Options:
-    """A socket that notes what it is told."""
+class OptionSocket:
+    """A socket that records its options."""
 
     def __init__(self):
         self.min_bytes = 1
@@ -269,18 +278,18 @@ class Options:
 
 
 @pytest.fixture
-def paced():
-    """Return a socket, its pace, and a function that lets a window of wake-ups pass."""
+def socket_mark_window():
+    """Return a socket, its low water mark, and a function that records windows of wake-ups."""
     time = [0.0]
-    sock = Options()
-    pace = LowWaterMark(sock, 0.001, lambda: time[0])
+    sock = OptionSocket()
+    mark = LowWaterMark(sock, 0.001, lambda: time[0])
 
     def window(seconds, messages, size=100, windows=1):
         for _ in range(windows * WINDOW_WAKE_UPS):
             time[0] += seconds / WINDOW_WAKE_UPS
-            pace.record_wake_up(messages * size, messages)
+            mark.record_wake_up(messages * size, messages)
 
-    return sock, pace, window
+    return sock, mark, window
 
 
 linux = pytest.mark.skipif(
@@ -290,23 +299,23 @@ linux = pytest.mark.skipif(
 
 @linux
 @pytest.mark.parametrize(("rate", "min_bytes"), [(500, 1), (1900, 1), (2500, 201), (9900, 901)])
-def test_how_much_is_waited_for_goes_with_the_rate(paced, rate, min_bytes):
-    sock, pace, window = paced
+def test_low_water_mark_follows_rate(socket_mark_window, rate, min_bytes):
+    sock, mark, window = socket_mark_window
     window(WINDOW_WAKE_UPS / rate, 1)
-    assert sock.min_bytes == pace.min_bytes == min_bytes
+    assert sock.min_bytes == mark.min_bytes == min_bytes
     assert (sock.timeout is None) == (min_bytes == 1)
 
 
 @linux
-def test_bursts_are_not_waited_for(paced):
-    sock, _, window = paced
+def test_bursts_have_no_low_water_mark(socket_mark_window):
+    sock, _, window = socket_mark_window
     window(4 * WINDOW_WAKE_UPS / 2500, 4)
     assert sock.min_bytes == 1
 
 
 @linux
-def test_when_it_gets_slower_each_message_is_read_at_once_again(paced):
-    sock, _, window = paced
+def test_lower_rate_resets_low_water_mark(socket_mark_window):
+    sock, _, window = socket_mark_window
     window(WINDOW_WAKE_UPS / 2500, 1)
     assert sock.min_bytes > 1
     window(2 * WINDOW_WAKE_UPS / 900, 2)
@@ -315,8 +324,8 @@ def test_when_it_gets_slower_each_message_is_read_at_once_again(paced):
 
 
 @linux
-def test_where_waiting_is_in_vain_it_is_tried_ever_more_seldom(paced):
-    sock, pace, window = paced
+def test_vain_waits_become_rarer(socket_mark_window):
+    sock, mark, window = socket_mark_window
     pauses = []
     for _ in range(9):
         pauses.append(0)
@@ -324,7 +333,7 @@ def test_where_waiting_is_in_vain_it_is_tried_ever_more_seldom(paced):
             window(WINDOW_WAKE_UPS / 2500, 1)
             pauses[-1] += 1
         for _ in range(MAX_WINDOW_TIMEOUTS + 1):
-            pace.record_wake_up(0, 0)
+            mark.record_wake_up(0, 0)
         assert sock.min_bytes == 1
     assert pauses == [
         1,
@@ -339,12 +348,12 @@ def test_where_waiting_is_in_vain_it_is_tried_ever_more_seldom(paced):
     ]
 
 
-def test_a_socket_that_cannot_wait_is_read_as_before(paced):
-    sock, pace, window = paced
+def test_socket_without_option_has_no_low_water_mark(socket_mark_window):
+    sock, mark, window = socket_mark_window
 
     def refuse(*arguments):
         raise OSError("no such option")
 
     sock.setsockopt = refuse
     window(WINDOW_WAKE_UPS / 2500, 1)
-    assert pace.min_bytes == 1
+    assert mark.min_bytes == 1

@@ -31,8 +31,8 @@ def node(devel, program, tmp_path):
         before = devel.printed().count(READY)
         words = (f"_program:={program}", f"_checkpoint:={tmp_path}/state.db", "_direct:=false")
         process = devel.start("rosrun", "retalis", "retalis_node", *words)
-        devel.expect(lambda found, services: devel.printed().count(READY) > before)
-        devel.expect(lambda found, services: devel.pid("/retalis") is not None)
+        devel.expect(lambda nodes, services: devel.printed().count(READY) > before)
+        devel.expect(lambda nodes, services: devel.pid("/retalis") is not None)
         return process
 
     return start
@@ -42,18 +42,18 @@ READY = "1 event rule"
 
 
 def kill(space, process):
-    """End the node as the kernel would where memory is short."""
+    """Kill the node, as the kernel does if memory is short."""
     os.kill(space.pid("/retalis"), signal.SIGKILL)
     process.wait(60)
 
 
-def written(path):
-    """Return when the state in a file was written."""
-    found = read_checkpoint(path)
-    return 0.0 if found is None else found.written_at
+def written_at(path):
+    """Return the time at which the state in a file was written, 0 without a state."""
+    checkpoint = read_checkpoint(path)
+    return 0.0 if checkpoint is None else checkpoint.written_at
 
 
-def test_goes_on_after_it_was_killed(devel, node, tmp_path):
+def test_killed_node_continues_from_checkpoint(devel, node, tmp_path):
     path = tmp_path / "state.db"
     process = node()
     devel.run(
@@ -63,14 +63,14 @@ def test_goes_on_after_it_was_killed(devel, node, tmp_path):
         "{event: 'pair(_,_)', conditions: '', format: _, id: pairs, size: '9'}",
     )
     devel.post_events("in(1)")
-    devel.expect(lambda found, services: "in(1)" in devel.query("access_mem(m, R, _)"))
+    devel.expect(lambda nodes, services: "in(1)" in devel.query("access_mem(m, R, _)"))
     now = time.time()
-    devel.expect(lambda found, services: written(path) > now)
+    devel.expect(lambda nodes, services: written_at(path) > now)
     kill(devel, process)
     process = node()
     assert f"restored from {path}, written" in devel.printed()
     devel.post_events("in(2)")
-    devel.expect(lambda found, services: "pair(1,2)" in devel.query("access_mem(pairs, P, _)"))
+    devel.expect(lambda nodes, services: "pair(1,2)" in devel.query("access_mem(pairs, P, _)"))
     os.kill(devel.pid("/retalis"), signal.SIGINT)
     assert process.wait(60) == 0
     node()
@@ -78,16 +78,16 @@ def test_goes_on_after_it_was_killed(devel, node, tmp_path):
     assert "Traceback" not in devel.printed()
 
 
-def test_starts_fresh_where_the_program_has_changed_or_the_file_is_damaged(devel, node, program, tmp_path):
+def test_invalid_checkpoint_is_not_restored(devel, node, program, tmp_path):
     path = tmp_path / "state.db"
     process = node()
-    devel.expect(lambda found, services: written(path))
+    devel.expect(lambda nodes, services: written_at(path))
     kill(devel, process)
     (program / "rules.txt").write_text(RULES + "% changed\n")
     process = node()
     assert f"{path} is not restored: {program}/rules.txt has changed since it was read" in devel.printed()
     assert f"the node starts without state; the file is kept as {path}.aside" in devel.printed()
-    devel.expect(lambda found, services: path.exists() and written(path))
+    devel.expect(lambda nodes, services: path.exists() and written_at(path))
     kill(devel, process)
     for name in ("state.db-wal", "state.db-shm"):
         if (tmp_path / name).exists():

@@ -22,7 +22,7 @@ BODY = b"b" * 20_000
 
 
 class Link:
-    """A connection of rospy's, and the other end of it."""
+    """A connection of rospy, and its other end."""
 
     def __init__(self):
         self.socket, self.other = socket.socketpair()
@@ -39,9 +39,9 @@ class Link:
         """Return the numbers of the messages until that one."""
         numbers, data = [], b""
         while upto not in numbers:
-            received = self.other.recv(1 << 16)
-            assert received
-            data += received
+            read_until = self.other.recv(1 << 16)
+            assert read_until
+            data += read_until
             while len(data) >= 4 and len(data) >= 4 + unpack_from("<I", data)[0]:
                 size, number = unpack_from("<II", data)
                 assert data[8 : 4 + size] == BODY
@@ -51,11 +51,11 @@ class Link:
         return numbers
 
 
-def anybody(link):
+def wait_for_all(link):
     return True
 
 
-def numbered(number):
+def numbered_message(number):
     return pack("<II", len(BODY) + 4, number) + BODY
 
 
@@ -81,10 +81,10 @@ def end_identification(monkeypatch):
 
 @pytest.fixture
 def link():
-    it = Link()
-    yield it
-    it.socket.close()
-    it.other.close()
+    connection = Link()
+    yield connection
+    connection.socket.close()
+    connection.other.close()
 
 
 @pytest.fixture
@@ -93,76 +93,74 @@ def reports():
 
 
 @pytest.fixture
-def outlet(monkeypatch, link, reports):
-    """Return a function that makes an outlet with the connection."""
+def make_writer(monkeypatch, link, reports):
+    """Return a function that makes a writer with the connection."""
 
-    def publisher(topic, kind, listener, latch, queue_size):
+    def publisher(topic, message_class, listener, latch, queue_size):
         return SimpleNamespace(name=topic, impl=SimpleNamespace(connections=[link]), listener=listener)
 
     monkeypatch.setattr(rospy, "Publisher", publisher)
-    return lambda queue=1000, patient=connection_writer.never_wait, latched=False, hint="": TopicWriter(
-        "/topic", object, queue, reports, patient, latched, wait_hint=hint
+    return lambda queue=1000, waits_for=connection_writer.never_wait, latched=False, hint="": TopicWriter(
+        "/topic", object, queue, reports, waits_for, latched, wait_hint=hint
     )
 
 
-def test_what_a_connection_takes_is_written_at_once(outlet, link):
-    outlet().send(b"frame", 3)
+def test_message_is_written_at_once(make_writer, link):
+    make_writer().send(b"frame", 3)
     assert link.other.recv(100) == b"frame"
     assert (link.stat_bytes, link.stat_num_msg) == (5, 3)
 
 
-def test_a_receiver_that_comes_late_gets_all_in_order(outlet, link, reports):
-    it = outlet()
+def test_late_receiver_gets_messages_in_order(make_writer, link, reports):
+    writer = make_writer()
     for number in range(30):
-        it.send(numbered(number))
+        writer.send(numbered_message(number))
     assert link.read(29) == list(range(30))
-    it.send(numbered(30))
+    writer.send(numbered_message(30))
     assert link.read(30) == [30]
     assert reports.warnings == 0
 
 
-def test_for_a_receiver_that_does_not_keep_up_the_oldest_are_dropped_and_no_message_is_cut(
-    outlet, link, reports, caplog
-):
-    it = outlet(queue=5)
+def test_oldest_messages_are_dropped_if_receiver_is_slow(make_writer, link, reports, caplog):
+    writer = make_writer(queue=5)
     for number in range(100):
-        it.send(numbered(number))
+        writer.send(numbered_message(number))
     numbers = link.read(99)
     assert numbers == sorted(set(numbers))
     assert numbers[0] == 0
     assert numbers[-5:] == [95, 96, 97, 98, 99]
     reports.sum_up()
     text = "/listener does not keep up with topic /topic: a message is dropped for it"
-    shown = [record.getMessage() for record in caplog.records]
-    assert (shown[0], shown[-1]) == (text, f"{100 - len(numbers)} times in all: {text}")
+    messages = [record.getMessage() for record in caplog.records]
+    assert (messages[0], messages[-1]) == (text, f"{100 - len(numbers)} times in all: {text}")
 
 
-def test_who_sends_patiently_loses_nothing(outlet, link, reports):
-    it = outlet(queue=5, patient=anybody)
+def test_waiting_writer_loses_no_message(make_writer, link, reports):
+    writer = make_writer(queue=5, waits_for=wait_for_all)
     numbers = []
     receiving = threading.Thread(target=lambda: numbers.extend(link.read(99)))
     receiving.start()
     for number in range(100):
-        it.send(numbered(number))
+        writer.send(numbered_message(number))
     receiving.join()
     assert numbers == list(range(100))
     assert reports.warnings == 0
 
 
-def test_there_is_room_again_before_much_of_what_waits_is_read(outlet, link, reports, monkeypatch):
-    it = outlet(queue=40, patient=anybody)
-    read = []
+def test_writer_waits_only_for_room_in_queue(make_writer, link, reports, monkeypatch):
+    writer = make_writer(queue=40, waits_for=wait_for_all)
+    read_sizes = []
     monkeypatch.setattr(
-        connection_writer, "wallsleep", lambda seconds: read.append(len(link.other.recv(1000)))
+        connection_writer, "wallsleep", lambda seconds: read_sizes.append(len(link.other.recv(1000)))
     )
     for number in range(100):
-        read.clear()
-        it.send(numbered(number))
-        assert sum(read) <= connection_writer.COMBINED_WRITE_BYTES + 4 * len(numbered(0))
+        read_sizes.clear()
+        writer.send(numbered_message(number))
+        assert sum(read_sizes) <= connection_writer.COMBINED_WRITE_BYTES + 4 * len(numbered_message(0))
     assert reports.warnings == 0
 
 
-def test_who_sends_waits_as_long_as_anything_is_taken(outlet, link, reports, monkeypatch):
+def test_writer_waits_while_receiver_reads(make_writer, link, reports, monkeypatch):
     now = 0.0
 
     def read_some(seconds):
@@ -173,14 +171,14 @@ def test_who_sends_waits_as_long_as_anything_is_taken(outlet, link, reports, mon
 
     monkeypatch.setattr(connection_writer, "wallsleep", read_some)
     monkeypatch.setattr(connection_writer, "time", SimpleNamespace(monotonic=lambda: now))
-    it = outlet(queue=5, patient=anybody)
+    writer = make_writer(queue=5, waits_for=wait_for_all)
     for number in range(90):
-        it.send(numbered(number))
+        writer.send(numbered_message(number))
     assert now > 10 * connection_writer.RECEIVER_WAIT_SECONDS
     assert reports.warnings == 0
 
 
-def test_nobody_waits_for_one_who_has_gone(outlet, link, monkeypatch):
+def test_writer_does_not_wait_for_closed_connection(make_writer, link, monkeypatch):
     waits, sock = [], link.socket
 
     def go(seconds):
@@ -188,96 +186,96 @@ def test_nobody_waits_for_one_who_has_gone(outlet, link, monkeypatch):
         link.socket = None
 
     monkeypatch.setattr(connection_writer, "wallsleep", go)
-    it = outlet(queue=5, patient=anybody)
+    writer = make_writer(queue=5, waits_for=wait_for_all)
     while not waits:
-        it.send(numbered(0))
+        writer.send(numbered_message(0))
     link.socket = sock
     assert len(waits) == 1
 
 
-def test_nobody_is_held_up_for_one_who_only_looks_on(outlet, link, reports, monkeypatch):
+def test_writer_does_not_wait_for_other_nodes(make_writer, link, reports, monkeypatch):
     def wait(seconds):
         raise AssertionError
 
     monkeypatch.setattr(connection_writer, "wallsleep", wait)
-    it = outlet(queue=5, patient=lambda found: found is not link)
+    writer = make_writer(queue=5, waits_for=lambda connection: connection is not link)
     for number in range(100):
-        it.send(numbered(number))
+        writer.send(numbered_message(number))
     assert reports.warnings > 0
 
 
-def test_patience_is_tried_once(outlet, link, reports, monkeypatch):
+def test_writer_waits_once_for_stalled_receiver(make_writer, link, reports, monkeypatch):
     monkeypatch.setattr(connection_writer, "RECEIVER_WAIT_SECONDS", 0.01)
     waits = []
     monkeypatch.setattr(connection_writer, "wallsleep", lambda seconds: waits.append(seconds))
-    it = outlet(queue=5, patient=anybody)
+    writer = make_writer(queue=5, waits_for=wait_for_all)
     while not reports.warnings:
-        it.send(numbered(0))
+        writer.send(numbered_message(0))
     count = len(waits)
     assert count > 0
-    it.send(numbered(1))
+    writer.send(numbered_message(1))
     assert len(waits) == count
 
 
-def test_wait_for_slow_receiver_is_reported_once(outlet, link, reports, caplog):
-    it = outlet(queue=5, patient=anybody, hint="be quick")
+def test_wait_for_slow_receiver_is_reported_once(make_writer, link, reports, caplog):
+    writer = make_writer(queue=5, waits_for=wait_for_all, hint="be quick")
     for _ in range(2):
         receiving = threading.Thread(target=link.read, args=(99,))
         receiving.start()
         for number in range(100):
-            it.send(numbered(number))
+            writer.send(numbered_message(number))
         receiving.join()
     expected = "/listener does not keep up with topic /topic: messages wait; be quick"
     assert 1 <= reports.warnings <= 2
     assert {record.getMessage() for record in caplog.records} == {expected}
 
 
-def test_a_connection_that_has_ended_is_closed(outlet, link):
+def test_ended_connection_is_closed(make_writer, link):
     link.other.close()
-    outlet().send(b"frame")
+    make_writer().send(b"frame")
     assert link.closed
 
 
 @pytest.mark.parametrize("topic", [SimpleNamespace(closed=True), None])
-def test_a_connection_that_ends_while_rospy_takes_its_topic_down_is_left_to_it(outlet, link, topic):
+def test_error_while_topic_is_closed_is_ignored(make_writer, link, topic):
     def close():
-        it.publisher.impl = topic
+        writer.publisher.impl = topic
         raise TypeError("'NoneType' object is not iterable")
 
     link.close = close
     link.other.close()
-    it = outlet()
-    it.send(b"frame")
-    assert it.publisher.impl is topic
-    assert list(it.connections()) == []
+    writer = make_writer()
+    writer.send(b"frame")
+    assert writer.publisher.impl is topic
+    assert list(writer.connections()) == []
 
 
-def test_another_error_of_closing_is_not_hidden(outlet, link):
+def test_other_error_of_closing_is_raised(make_writer, link):
     def close():
-        it.publisher.impl.closed = False
+        writer.publisher.impl.closed = False
         raise TypeError("something else")
 
     link.close = close
     link.other.close()
-    it = outlet()
+    writer = make_writer()
     with pytest.raises(TypeError, match="something else"):
-        it.send(b"frame")
+        writer.send(b"frame")
 
 
-def test_a_connection_that_ends_while_it_is_slow_is_closed(outlet, link):
-    it = outlet()
+def test_slow_connection_that_ends_is_closed(make_writer, link):
+    writer = make_writer()
     for number in range(5):
-        it.send(numbered(number))
-    writing = [one for one in threading.enumerate() if one.name == "to /topic"]
-    assert writing
+        writer.send(numbered_message(number))
+    threads = [thread for thread in threading.enumerate() if thread.name == "to /topic"]
+    assert threads
     link.other.close()
-    for one in writing:
-        one.join(60)
+    for thread in threads:
+        thread.join(60)
     assert link.closed
 
 
-def test_connections_of_another_make_get_their_messages_by_their_own_way(outlet, link):
-    class Other:
+def test_other_connection_class_writes_its_messages(make_writer, link):
+    class OtherConnection:
         def __init__(self):
             self.sent = []
             self.closed = False
@@ -290,84 +288,89 @@ def test_connections_of_another_make_get_their_messages_by_their_own_way(outlet,
         def close(self):
             self.closed = True
 
-    other, it = Other(), outlet()
-    it.publisher.impl.connections = [other]
-    it.send(b"frame")
-    assert other.sent == [b"frame"]
-    assert not other.closed
-    it.send(b"frame")
-    assert other.closed
+    connection, writer = OtherConnection(), make_writer()
+    writer.publisher.impl.connections = [connection]
+    writer.send(b"frame")
+    assert connection.sent == [b"frame"]
+    assert not connection.closed
+    writer.send(b"frame")
+    assert connection.closed
 
 
-def test_connections_that_are_gone_are_forgotten(outlet, link):
-    it = outlet()
-    it.send(b"frame")
-    assert link in reachable(it, Link)
-    it.publisher.impl.connections = []
-    it.send(b"frame")
-    assert reachable(it, Link) == []
-    it.publisher.impl = None
-    it.send(b"frame")
-    assert list(it.connections()) == []
+def test_removed_connections_are_released(make_writer, link):
+    writer = make_writer()
+    writer.send(b"frame")
+    assert link in reachable(writer, Link)
+    writer.publisher.impl.connections = []
+    writer.send(b"frame")
+    assert reachable(writer, Link) == []
+    writer.publisher.impl = None
+    writer.send(b"frame")
+    assert list(writer.connections()) == []
 
 
-def come(it, new):
-    """Have a connection be made, as rospy does: among the topic's first, then told of."""
-    it.publisher.impl.connections = [*it.publisher.impl.connections, new]
-    return lambda: it.publisher.listener.peer_subscribe("/topic", print, print)
+def connect(writer, new_link):
+    """Add a connection as rospy does; return the function that notifies the listener afterwards."""
+    writer.publisher.impl.connections = [*writer.publisher.impl.connections, new_link]
+    return lambda: writer.publisher.listener.peer_subscribe("/topic", print, print)
 
 
-def test_the_last_message_of_a_latched_topic_goes_once_to_who_comes_later(outlet, link):
-    it = outlet(latched=True)
+def test_late_subscriber_gets_latched_message_once(make_writer, link):
+    writer = make_writer(latched=True)
     for number in range(2):
-        it.send(numbered(number))
+        writer.send(numbered_message(number))
     assert link.read(1) == [0, 1]
     before, between, after = Link(), Link(), Link()
-    come(it, before)()
-    tell = come(it, between)
-    it.send(numbered(2))
-    tell()
-    tell()
-    come(it, after)()
-    it.send(numbered(3))
-    assert [one.read(3) for one in (link, before, between, after)] == [[2, 3], [1, 2, 3], [2, 3], [2, 3]]
+    connect(writer, before)()
+    notify = connect(writer, between)
+    writer.send(numbered_message(2))
+    notify()
+    notify()
+    connect(writer, after)()
+    writer.send(numbered_message(3))
+    assert [connection.read(3) for connection in (link, before, between, after)] == [
+        [2, 3],
+        [1, 2, 3],
+        [2, 3],
+        [2, 3],
+    ]
 
 
-def test_latched_topic_without_message_sends_nothing_to_new_subscriber(outlet, link):
-    writer, subscriber = outlet(latched=True), Link()
-    come(writer, subscriber)()
-    writer.send(numbered(0))
+def test_latched_topic_without_message_sends_nothing(make_writer, link):
+    writer, subscriber = make_writer(latched=True), Link()
+    connect(writer, subscriber)()
+    writer.send(numbered_message(0))
     assert link.read(0) == [0]
     subscriber.socket.close()
     subscriber.other.close()
 
 
-def test_texts_go_out_together_in_order(outlet, link, monkeypatch):
+def test_texts_are_written_together_in_order(make_writer, link, monkeypatch):
     monkeypatch.setattr(late_joiners, "find_nodes_offering", lambda service: {link.endpoint_id})
-    it, turn = EventTextPublisher("/topic", 1000, Reports(), lambda: 0), threading.Lock()
-    it.start_identification(turn, set)
-    it.add("a")
-    it.add("b\udcff")
+    writer, turn = EventTextPublisher("/topic", 1000, Reports(), lambda: 0), threading.Lock()
+    writer.start_identification(turn, set)
+    writer.add("a")
+    writer.add("b\udcff")
     link.other.setblocking(False)
     with pytest.raises(BlockingIOError):
         link.other.recv(100)
     link.other.settimeout(60)
     with turn:
-        it.flush()
+        writer.flush()
     assert link.other.recv(100) == serialize_string("a") + pack("<II", 6, 2) + b"b\xff"
     end = time.monotonic() + 20
-    while link.stat_num_msg != 2 and time.monotonic() < end:  # it is counted after it was sent
+    while link.stat_num_msg != 2 and time.monotonic() < end:  # messages are counted after they are sent
         time.sleep(0.01)
     assert link.stat_num_msg == 2
     monkeypatch.setattr(text_topics, "MAX_TEXTS_PER_WRITE", 2)
     with turn:
-        it.add("c")
-        it.add("d")
+        writer.add("c")
+        writer.add("d")
     assert link.other.recv(100) == serialize_string("c") + serialize_string("d")
 
 
-def received(link, text):
-    """Return what comes until a text."""
+def read_until(link, text):
+    """Return the data of a connection up to the end of a text."""
     data = b""
     while not data.endswith(serialize_string(text)):
         part = link.other.recv(1000)
@@ -376,25 +379,25 @@ def received(link, text):
     return data
 
 
-def test_outputs_go_to_the_interface_in_order(outlet, link, monkeypatch):
-    asked = []
+def test_outputs_are_sent_to_interface_in_order(make_writer, link, monkeypatch):
+    services = []
 
     def offering(service):
-        asked.append(service)
+        services.append(service)
         return {link.endpoint_id}
 
     monkeypatch.setattr(late_joiners, "find_nodes_offering", offering)
-    it = OutputTextPublisher("/topic", 1000, Reports(), ["out", "foo bar"], [])
+    writer = OutputTextPublisher("/topic", 1000, Reports(), ["out", "foo bar"], [])
     for topic, text in (("out", "a"), ("watched", "b"), ("/out", "c"), ("not a name", "d")):
-        it.send(topic, text.__str__)
-    assert received(link, "d") == b"".join(map(serialize_string, "abcd"))
-    assert set(asked) == {"add_input_subscription"}
+        writer.send(topic, text.__str__)
+    assert read_until(link, "d") == b"".join(map(serialize_string, "abcd"))
+    assert set(services) == {"add_input_subscription"}
 
 
-def test_outputs_that_the_interface_publishes_wait_for_it_and_others_are_not_even_written(monkeypatch):
+def test_only_published_outputs_wait_for_interface(monkeypatch):
     connections, written, listeners = [], [], []
 
-    def publisher(topic, kind, listener, latch, queue_size):
+    def publisher(topic, message_class, listener, latch, queue_size):
         listeners.append(listener)
         return SimpleNamespace(name=topic, impl=SimpleNamespace(connections=connections), listener=listener)
 
@@ -403,20 +406,22 @@ def test_outputs_that_the_interface_publishes_wait_for_it_and_others_are_not_eve
 
     monkeypatch.setattr(rospy, "Publisher", publisher)
     reports = Reports()
-    it = OutputTextPublisher("/topic", 2, reports, ["out", "state"], ["state"])
+    writer = OutputTextPublisher("/topic", 2, reports, ["out", "state"], ["state"])
     for topic, text in (("state", "s"), ("watched", "w"), ("out", "a"), ("out", "b")):
-        it.send(topic, write(text))
+        writer.send(topic, write(text))
     assert (written, reports.warnings) == (["s", "a", "b"], 1)  # the queue holds two
-    for after in (b"sab", b"sc"):
+    for expected in (b"sab", b"sc"):
         link = Link()
         monkeypatch.setattr(
             late_joiners, "find_nodes_offering", lambda service, name=link.endpoint_id: {name}
         )
         connections[:] = []
-        if after == b"sc":
-            it.send("out", write("c"))
+        if expected == b"sc":
+            writer.send("out", write("c"))
         connections[:] = [link]
         listeners[-1].peer_subscribe("/topic", None, None)
-        assert received(link, chr(after[-1])) == b"".join(serialize_string(chr(one)) for one in after)
+        assert read_until(link, chr(expected[-1])) == b"".join(
+            serialize_string(chr(byte)) for byte in expected
+        )
         link.socket.close()
         link.other.close()

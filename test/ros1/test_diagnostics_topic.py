@@ -15,7 +15,7 @@ def read_statuses(space, arrays=6):
 
 
 @pytest.mark.parametrize("embedded", ["false", "true"])
-def test_a_node_is_green_by_default_and_yellow_if_the_program_misses_something(devel, tmp_path, embedded):
+def test_missing_inputs_are_diagnostic_warnings(devel, tmp_path, embedded):
     program = tmp_path / "program"
     program.mkdir()
     (program / "pub_sub.xml").write_text("<publish_subscribe/>")
@@ -25,14 +25,14 @@ def test_a_node_is_green_by_default_and_yellow_if_the_program_misses_something(d
     devel.start(
         "roslaunch", "-p", str(devel.port), "retalis", "retalis.launch", *options, "hardware_id:=robot7"
     )
-    nodes = {"/retalis"} if embedded == "true" else {"/retalis", "/retalis_ros_interface"}
-    devel.expect(lambda found, services: nodes <= found and "/retalis/list" in services)
+    expected = {"/retalis"} if embedded == "true" else {"/retalis", "/retalis_ros_interface"}
+    devel.expect(lambda nodes, services: expected <= nodes and "/retalis/list" in services)
     levels, hardware = read_statuses(devel)
     assert {"retalis: input /tf", "retalis: input /retalisInputEvents"} <= levels.keys()
     assert {name: level for name, level in levels.items() if level} == {}
     assert hardware == {"robot7"}
 
-    # From now on the program reads tf, and has a rule whose events nothing makes, which is a warning in the log.
+    # The added rule requires tf, and the added memory an event without producers, which is a warning in the log.
     devel.run("rosservice", "call", "/retalis/add_rule", "{rule: 'moved <- tf__0__tfMessage(_)', label: ''}")
     devel.run("rosservice", "call", "/add_memory", "{event: lost(X), format: _, id: lost, size: '5'}")
     levels, _ = read_statuses(devel)

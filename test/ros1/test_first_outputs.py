@@ -58,7 +58,7 @@ def test_messages_wait_for_release(writer, queue):
     assert writer.written == [b"1", b"2", b"3"]
 
 
-def test_excess_of_waiting_messages_is_counted_as_dropped(writer, queue):
+def test_excess_messages_are_counted_as_dropped(writer, queue):
     for number in range(5):
         queue.send(b"%d" % number)
     queue.release()
@@ -110,7 +110,7 @@ def test_topic_without_subscribers_is_released_at_once(writer, queue, start_wait
     assert writer.written == [b"1"]
 
 
-def test_queue_is_released_when_known_subscriber_connects(writer, queue, start_wait, listening_uri):
+def test_queue_is_released_if_subscriber_connects(writer, queue, start_wait, listening_uri):
     queue.send(b"1")
     written_before = []
 
@@ -121,7 +121,8 @@ def test_queue_is_released_when_known_subscriber_connects(writer, queue, start_w
 
     master = make_master({"/topic": ["/listener"]}, {"/listener": listening_uri})
     assert start_wait({"/topic": queue}, master, connect) == 0
-    assert written_before[:3] == [[], [], []] and writer.written == [b"1"]
+    assert written_before[:3] == [[], [], []]
+    assert writer.written == [b"1"]
 
 
 def test_crashed_subscriber_is_not_awaited(writer, queue, start_wait):
@@ -130,7 +131,7 @@ def test_crashed_subscriber_is_not_awaited(writer, queue, start_wait):
     assert writer.written == [b"1"]
 
 
-def test_subscriber_that_does_not_connect_is_reported(monkeypatch, writer, queue, start_wait, listening_uri):
+def test_missing_connection_is_reported(monkeypatch, writer, queue, start_wait, listening_uri):
     monkeypatch.setattr(first_outputs, "MAX_SUBSCRIBER_WAIT_SECONDS", 0.0)
     queue.send(b"1")
     master = make_master({"/topic": ["/listener"]}, {"/listener": listening_uri})
@@ -138,7 +139,7 @@ def test_subscriber_that_does_not_connect_is_reported(monkeypatch, writer, queue
     assert writer.written == [b"1"]
 
 
-def test_topic_without_subscribers_waits_for_no_deadline(monkeypatch, writer, queue, start_wait):
+def test_topic_without_subscribers_has_no_deadline(monkeypatch, writer, queue, start_wait):
     monkeypatch.setattr(first_outputs, "MAX_SUBSCRIBER_WAIT_SECONDS", 0.0)
     queue.send(b"1")
     assert start_wait({"/topic": queue}, make_master({}, {})) == 0
@@ -146,7 +147,7 @@ def test_topic_without_subscribers_waits_for_no_deadline(monkeypatch, writer, qu
 
 
 @pytest.mark.parametrize("uri", ["http://127.0.0.1:port/", "nonsense", "http://[::1"])
-def test_subscriber_with_invalid_address_is_not_awaited(writer, queue, start_wait, uri):
+def test_invalid_subscriber_is_not_awaited(writer, queue, start_wait, uri):
     queue.send(b"1")
     master = make_master({"/topic": ["/listener"]}, {"/listener": uri})
     assert start_wait({"/topic": queue}, master) == 0

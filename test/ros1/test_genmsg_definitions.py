@@ -41,7 +41,7 @@ def read_by_genmsg(text):
         "byte[] b\nchar[3] c\ntime t\nduration[] d\nstring[2] s",
     ],
 )
-def test_definitions_that_both_read(text):
+def test_definition_is_read_as_by_genmsg(text):
     specification, checksum_text = read_by_genmsg(text)
     definition, constants = read(text)
     assert [slot.name for slot in definition.fields] == specification.names
@@ -65,7 +65,7 @@ def test_definitions_that_both_read(text):
         "@optional\nint32 x",
     ],
 )
-def test_definitions_that_both_reject(text):
+def test_definition_is_rejected_as_by_genmsg(text):
     with pytest.raises(genmsg.InvalidMsgSpec):
         read_by_genmsg(text)
     with pytest.raises(MessageError):
@@ -81,7 +81,7 @@ def test_definitions_that_both_reject(text):
         ("bool B=maybe", "2:8: 'maybe' is not a value of type bool"),
     ],
 )
-def test_constant_that_genmsg_rejects_is_ignored_with_warning(caplog, line, problem):
+def test_invalid_constant_is_ignored_with_warning(caplog, line, problem):
     text = f"int8 OK=1\n{line}\nint32 x\nstring[] names"
     with pytest.raises(genmsg.InvalidMsgSpec):
         read_by_genmsg(text)

@@ -1,4 +1,4 @@
-"""Connection state of the tests' subscribers. Needs the built package, no master."""
+"""Connection state of the subscribers of tests. Needs the built package, no master."""
 
 import sys
 import threading
@@ -18,14 +18,14 @@ from harness import Collector  # noqa: E402
 
 @pytest.fixture
 def publisher():
-    """Serve a node that tells of its connections as rospy and roscpp do; return its address and their ports."""
+    """Serve a node that lists its connections as rospy and roscpp do; return its address and their ports."""
     ports = []
 
     def bus_info(caller):
-        said = "TCPROS connection on port 40001 to [127.0.0.1:{} on socket 9]"
+        description = "TCPROS connection on port 40001 to [127.0.0.1:{} on socket 9]"
         rows = [
-            [at, "/listener", "o", "TCPROS", "/news", True, said.format(port)]
-            for at, port in enumerate(ports)
+            [number, "/listener", "o", "TCPROS", "/news", True, description.format(port)]
+            for number, port in enumerate(ports)
         ]
         return [1, "bus info", rows]
 
@@ -53,17 +53,21 @@ def collector(link, monkeypatch):
     return Collector("news", rospy.AnyMsg)
 
 
-def test_a_header_alone_does_not_connect(collector, publisher):
-    assert not collector.is_connected() and collector.publishers() == []
-    publisher[1].append(15000)  # somebody else's
-    assert not collector.is_connected() and collector.publishers() == []
+def test_connection_needs_more_than_header(collector, publisher):
+    assert not collector.is_connected()
+    assert collector.publishers() == []
+    publisher[1].append(15000)  # the port of another subscriber
+    assert not collector.is_connected()
+    assert collector.publishers() == []
 
 
-def test_the_publisher_that_knows_the_connection_does(collector, publisher):
+def test_connection_is_known_by_publisher(collector, publisher):
     publisher[1].append(5000)
-    assert collector.is_connected() and collector.publishers() == ["/talker"]
+    assert collector.is_connected()
+    assert collector.publishers() == ["/talker"]
 
 
-def test_a_publisher_that_has_ended_does_not(collector, link):
+def test_ended_publisher_has_no_connection(collector, link):
     link.endpoint_id = "http://localhost:1"
-    assert not collector.is_connected() and collector.publishers() == []
+    assert not collector.is_connected()
+    assert collector.publishers() == []

@@ -27,7 +27,7 @@ MD5SUM = (
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """The folder of modules of a package that is on the module path."""
+    """Return the folder of modules of a package on the module path."""
     folder = tmp_path / "made_msgs" / "msg"
     folder.mkdir(parents=True)
     (tmp_path / "made_msgs" / "__init__.py").write_text("")
@@ -46,7 +46,7 @@ def registry():
     return Definitions(installed_types(include_rosbags=False))
 
 
-def test_an_installed_type_is_defined_by_its_class():
+def test_installed_type_is_defined_by_its_class():
     generated = inspect_class("std_msgs/Header")
     message_class = get_message_class("std_msgs/Header")
     assert generated.md5sum == message_class._md5sum == registry().find("std_msgs/Header").md5sum
@@ -57,7 +57,7 @@ def test_an_installed_type_is_defined_by_its_class():
     assert generated.source.endswith("/std_msgs/msg/_Header.py")
 
 
-def test_a_class_with_a_slot_that_is_a_keyword_matches(folder):
+def test_slot_named_by_keyword_is_read(folder):
     write(folder, "Made", MODULE.format(name="Made", md5sum=MD5SUM))
     assert registry().find("made_msgs/Made").fields[0].name == "lambda"
 
@@ -71,17 +71,17 @@ def test_a_class_with_a_slot_that_is_a_keyword_matches(folder):
         ("Unlisted", "", "", "/made_msgs/msg/__init__.py has no class Unlisted"),
     ],
 )
-def test_a_class_that_cannot_be_imported_is_an_error_that_says_why(folder, name, source, init, reason):
+def test_failed_import_is_an_error_with_reason(folder, name, source, init, reason):
     write(folder, name, source, init)
-    with pytest.raises(MessageError) as caught:
+    with pytest.raises(MessageError) as raised:
         registry().find(f"made_msgs/{name}")
-    message = caught.value.message
+    message = raised.value.message
     assert f"made_msgs/{name}: the generated Python class of this message type cannot be imported" in message
     assert reason in message.replace('"', "'").replace("\\'", "'")
     assert "build its package" in message
 
 
-def test_names_of_modules_that_are_no_messages_import_nothing():
+def test_names_of_other_modules_are_not_imported():
     for name in ("antigravity/Type", "this/Zen", "idlelib/String", "std_msgs.msg/String", "os/path"):
         assert name not in registry()
     assert not {"antigravity", "this", "idlelib"} & set(sys.modules)

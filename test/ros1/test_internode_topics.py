@@ -44,7 +44,7 @@ def test_no_arguments_are_unread_before_first_message(interface):
     assert interface.projection.of(IMAGE) == set()
 
 
-def test_unread_arguments_are_those_of_newest_message(interface):
+def test_newest_message_defines_unread_arguments(interface):
     receive_control_message(interface, '{"image/3": [2, 3], "other/1": [1]}')
     assert interface.projection.of(IMAGE) == {2, 3}
     assert interface.projection.of(functor("image", 2)) == set()
@@ -196,7 +196,7 @@ def apply_changes(receiver, added, deleted):
 A, B = ("std_msgs/Int8", "number"), ("std_msgs/Bool", "")
 
 
-def test_each_list_of_changes_replaces_the_previous_one(receiver):
+def test_list_of_changes_replaces_previous_one(receiver):
     added = {"/c": "std_msgs/Empty"}
     expected = {"/a": A, "/b": B, "/c": ("std_msgs/Empty", "")}
     assert apply_changes(receiver, added, []) == expected
@@ -214,12 +214,12 @@ def test_deleted_topic_is_restored_with_its_event_name(receiver):
     assert apply_changes(receiver, {}, []) == {"/a": A, "/b": B}
 
 
-def test_topic_that_is_deleted_and_added_stays_added(receiver):
+def test_deleted_and_added_topic_stays_added(receiver):
     expected = {"/a": A, "/b": B, "/c": ("std_msgs/Empty", "")}
     for _ in range(3):
         assert apply_changes(receiver, {"/c": "std_msgs/Empty"}, ["/c"]) == expected
 
 
-def test_added_topic_that_is_subscribed_already_keeps_its_subscription(receiver):
+def test_added_topic_keeps_present_subscription(receiver):
     assert apply_changes(receiver, {"/a": "std_msgs/Int16"}, []) == {"/a": A, "/b": B}
     assert apply_changes(receiver, {}, []) == {"/a": A, "/b": B}

@@ -16,7 +16,7 @@ class Link:
     """A connection."""
 
     def __init__(self):
-        self.got = []
+        self.received = []
         self.done = False
 
 
@@ -32,9 +32,9 @@ class TopicWriter:
 
     def write(self, connections, frames, number):
         for link in connections:
-            link.got.append(frames)
+            link.received.append(frames)
 
-    def come(self):
+    def connect(self):
         link = Link()
         self._open = [*self._open, link]
         return link
@@ -51,77 +51,77 @@ def reports():
 
 
 @pytest.fixture
-def make(topic_writer, reports):
+def make_buffer(topic_writer, reports):
     return lambda queue=100, epoch=lambda: 0: LateJoinerBuffer(topic_writer, ENGINE, queue, reports, epoch)
 
 
-def test_texts_before_connection_are_buffered_in_order(topic_writer, make):
-    buffer = make()
+def test_texts_before_connection_are_buffered_in_order(topic_writer, make_buffer):
+    buffer = make_buffer()
     buffer.send(b"1", 1)
     buffer.send(b"2", 1)
-    engine = topic_writer.come()
+    engine = topic_writer.connect()
     buffer.send(b"3", 1)
-    assert engine.got == []
+    assert engine.received == []
     buffer.identify(engine, True)
     buffer.send(b"4", 1)
-    assert engine.got == [b"123", b"4"]
+    assert engine.received == [b"123", b"4"]
 
 
-def test_other_subscribers_get_texts_after_connection(topic_writer, make):
-    buffer = make()
+def test_other_subscribers_get_texts_after_connection(topic_writer, make_buffer):
+    buffer = make_buffer()
     buffer.send(b"1", 1)
-    other = topic_writer.come()
+    other = topic_writer.connect()
     assert buffer.subscribers_to_identify() == [other]
     buffer.send(b"2", 1)
     buffer.identify(other, False)
     buffer.send(b"3", 1)
-    engine = topic_writer.come()
+    engine = topic_writer.connect()
     buffer.send(b"4", 1)
     buffer.identify(engine, True)
     buffer.send(b"5", 1)
-    assert other.got == [b"2", b"3", b"4", b"5"]
-    assert engine.got == [b"1234", b"5"]
+    assert other.received == [b"2", b"3", b"4", b"5"]
+    assert engine.received == [b"1234", b"5"]
 
 
-def test_each_peer_gets_newest_latched_messages_once(topic_writer, make):
-    buffer = make()
+def test_each_peer_gets_newest_latched_messages_once(topic_writer, make_buffer):
+    buffer = make_buffer()
     buffer.latch("map", lambda: b"A", 1)
     buffer.send(b"a", 1)
     buffer.send(b"1", 1)
     buffer.latch("map", lambda: b"B", 1)
     buffer.send(b"b", 1)
-    first = topic_writer.come()
+    first = topic_writer.connect()
     buffer.subscribers_to_identify()
     buffer.identify(first, True)
     buffer.send(b"2", 1)
-    assert first.got == [b"a1b", b"2"]
+    assert first.received == [b"a1b", b"2"]
     first.done = True
     buffer.send(b"3", 1)
-    second = topic_writer.come()
+    second = topic_writer.connect()
     buffer.subscribers_to_identify()
     buffer.identify(second, True)
-    assert first.got == [b"a1b", b"2"]
-    assert second.got == [b"B3"]
+    assert first.received == [b"a1b", b"2"]
+    assert second.received == [b"B3"]
 
 
-def test_peer_identified_late_gets_missing_texts_once(topic_writer, make):
-    buffer = make()
+def test_peer_identified_late_gets_missing_texts_once(topic_writer, make_buffer):
+    buffer = make_buffer()
     buffer.latch("map", lambda: b"A", 1)
     buffer.send(b"a", 1)
-    engine = topic_writer.come()
+    engine = topic_writer.connect()
     buffer.subscribers_to_identify()
     buffer.identify(engine, False)
     buffer.send(b"1", 1)
     assert buffer.subscribers_to_identify() == [engine]
     buffer.identify(engine, True)
     buffer.send(b"2", 1)
-    assert engine.got == [b"1", b"a", b"2"]
+    assert engine.received == [b"1", b"a", b"2"]
     assert buffer.subscribers_to_identify() == []
 
 
-def test_third_party_is_known_after_identification(topic_writer, make):
-    buffer = make()
-    engine, other = topic_writer.come(), topic_writer.come()
+def test_third_party_is_known_after_identification(topic_writer, make_buffer):
+    buffer = make_buffer()
+    engine, other = topic_writer.connect(), topic_writer.connect()
     assert buffer.subscribers_to_identify() == [engine, other]
     assert not buffer.is_third_party(other)
     buffer.identify(engine, True)
@@ -130,9 +130,9 @@ def test_third_party_is_known_after_identification(topic_writer, make):
     assert not buffer.is_third_party(engine)
 
 
-def test_identification_attempts_are_limited(topic_writer, make):
-    buffer = make()
-    other = topic_writer.come()
+def test_identification_attempts_are_limited(topic_writer, make_buffer):
+    buffer = make_buffer()
+    other = topic_writer.connect()
     attempts = 0
     while buffer.subscribers_to_identify():
         buffer.identify(other, False)
@@ -140,15 +140,15 @@ def test_identification_attempts_are_limited(topic_writer, make):
     assert attempts == MAX_IDENTIFICATION_ATTEMPTS
 
 
-def test_full_buffer_drops_and_counts_oldest_texts(topic_writer, make, reports, monkeypatch):
-    buffer = make(queue=5)
+def test_full_buffer_drops_and_counts_oldest_texts(topic_writer, make_buffer, reports, monkeypatch):
+    buffer = make_buffer(queue=5)
     for number in range(4):
         buffer.send(b"%d%d" % (number, number), 2)
     assert (reports.warnings, topic_writer.counts.dropped, topic_writer.counts.sent) == (4, 4, 8)
-    engine = topic_writer.come()
+    engine = topic_writer.connect()
     buffer.subscribers_to_identify()
     buffer.identify(engine, True)
-    assert engine.got == [b"2233"]
+    assert engine.received == [b"2233"]
     monkeypatch.setattr(late_joiners, "MAX_BUFFERED_BYTES", 10)
     engine.done = True
     for _ in range(3):
@@ -156,9 +156,9 @@ def test_full_buffer_drops_and_counts_oldest_texts(topic_writer, make, reports, 
     assert reports.warnings == 5
 
 
-def test_number_of_latched_messages_is_limited(topic_writer, make, reports, monkeypatch):
+def test_number_of_latched_messages_is_limited(topic_writer, make_buffer, reports, monkeypatch):
     monkeypatch.setattr(late_joiners, "MAX_LATCHED_MESSAGES", 2)
-    buffer = make()
+    buffer = make_buffer()
     for key in ("a", "b", "b", "c"):
         buffer.latch(key, key.encode, 1)
         buffer.send(b"-", 1)
@@ -169,8 +169,8 @@ def test_number_of_latched_messages_is_limited(topic_writer, make, reports, monk
     assert reports.warnings == 2
 
 
-def test_discard_keeps_newer_latched_messages(topic_writer, make):
-    buffer = make()
+def test_discard_keeps_newer_latched_messages(topic_writer, make_buffer):
+    buffer = make_buffer()
     for key in ("a", "b"):
         buffer.latch(key, key.encode, 1)
         buffer.send(b"-", 1)
@@ -181,35 +181,35 @@ def test_discard_keeps_newer_latched_messages(topic_writer, make):
     assert set(buffer.latched_batch_numbers()) == {"b"}
 
 
-def test_marks_are_sent_to_peer_only(topic_writer, make):
-    buffer = make()
+def test_marks_are_sent_to_peer_only(topic_writer, make_buffer):
+    buffer = make_buffer()
     buffer.send(b"a", 1, b"<mark a>")
-    engine, other = topic_writer.come(), topic_writer.come()
+    engine, other = topic_writer.connect(), topic_writer.connect()
     buffer.send(b"b", 1, b"<mark b>")
     buffer.identify(engine, True)
     buffer.identify(other, False)
     buffer.send(b"c", 1, b"<mark c>")
-    assert engine.got == [b"<mark a>a<mark b>b", b"<mark c>c"]
-    assert other.got == [b"b", b"c"]
+    assert engine.received == [b"<mark a>a<mark b>b", b"<mark c>c"]
+    assert other.received == [b"b", b"c"]
 
 
-def test_unneeded_texts_are_buffered_for_unidentified_subscribers_only(topic_writer, make):
-    buffer = make()
+def test_unneeded_texts_wait_for_identification(topic_writer, make_buffer):
+    buffer = make_buffer()
     buffer.send(b"a", 1, for_peer=False)
-    other = topic_writer.come()
+    other = topic_writer.connect()
     buffer.send(b"b", 1, for_peer=False)
     buffer.identify(other, False)
     buffer.send(b"c", 1, for_peer=False)
     buffer.send(b"d", 1)
-    peer = topic_writer.come()
+    peer = topic_writer.connect()
     buffer.subscribers_to_identify()
     buffer.identify(peer, True)
-    assert other.got == [b"b", b"c", b"d"]
-    assert peer.got == [b"bd"]
+    assert other.received == [b"b", b"c", b"d"]
+    assert peer.received == [b"bd"]
 
 
-def test_unneeded_texts_count_as_no_loss(topic_writer, make, reports):
-    buffer = make(queue=3)
+def test_unneeded_texts_count_as_no_loss(topic_writer, make_buffer, reports):
+    buffer = make_buffer(queue=3)
     for _ in range(10):
         buffer.send(b"a", 1, for_peer=False)
     assert (reports.warnings, topic_writer.counts.dropped) == (0, 0)
@@ -224,43 +224,43 @@ def test_warning_names_peer(topic_writer, reports, caplog):
     ]
 
 
-def test_texts_of_previous_epoch_are_discarded(topic_writer, make):
+def test_texts_of_previous_epoch_are_discarded(topic_writer, make_buffer):
     epoch = [0]
-    buffer = make(epoch=lambda: epoch[0])
+    buffer = make_buffer(epoch=lambda: epoch[0])
     buffer.send(b"1", 1)
     epoch[0] = 1
     buffer.send(b"2", 1)
-    engine = topic_writer.come()
+    engine = topic_writer.connect()
     buffer.subscribers_to_identify()
     buffer.identify(engine, True)
-    assert engine.got == [b"2"]
+    assert engine.received == [b"2"]
 
 
-def test_error_of_latched_message_is_reported(topic_writer, make, reports):
+def test_error_of_latched_message_is_reported(topic_writer, make_buffer, reports):
     def write():
         raise RuleError("no such year")
 
-    buffer = make()
+    buffer = make_buffer()
     buffer.latch("map", write, 1)
     buffer.send(b"a", 1)
-    first = topic_writer.come()
+    first = topic_writer.connect()
     buffer.subscribers_to_identify()
     buffer.identify(first, True)
-    assert (first.got, reports.errors) == ([b"a"], 0)
+    assert (first.received, reports.errors) == ([b"a"], 0)
     first.done = True
-    second = topic_writer.come()
+    second = topic_writer.connect()
     buffer.subscribers_to_identify()
     buffer.identify(second, True)
-    assert (second.got, reports.errors) == ([], 1)
+    assert (second.received, reports.errors) == ([], 1)
 
 
 def test_closed_connection_is_detected():
-    here, other = socket.socketpair()
-    link = SimpleNamespace(_connection=SimpleNamespace(socket=here))
+    own_socket, other = socket.socketpair()
+    link = SimpleNamespace(_connection=SimpleNamespace(socket=own_socket))
     assert not late_joiners.has_ended(link)
     other.close()
     assert late_joiners.has_ended(link)
-    here.close()
+    own_socket.close()
     assert late_joiners.has_ended(link)
     assert late_joiners.has_ended(SimpleNamespace(socket=None, done=True))
     assert not late_joiners.has_ended(SimpleNamespace())
@@ -269,11 +269,11 @@ def test_closed_connection_is_detected():
 def test_peer_gets_preamble_first(topic_writer, reports):
     buffer = LateJoinerBuffer(topic_writer, ENGINE, 100, reports, lambda: 0, lambda: b"run ")
     buffer.send(b"before", 1)
-    node, other = topic_writer.come(), topic_writer.come()
+    node, other = topic_writer.connect(), topic_writer.connect()
     buffer.subscribers_to_identify()
     buffer.identify(node, True)
     buffer.identify(other, False)
     buffer.send(b"after", 1)
-    assert node.got == [b"run before", b"after"]
-    assert other.got[-1] == b"after"
-    assert b"run " not in b"".join(other.got)
+    assert node.received == [b"run before", b"after"]
+    assert other.received[-1] == b"after"
+    assert b"run " not in b"".join(other.received)

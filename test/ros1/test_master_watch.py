@@ -7,7 +7,7 @@ from xmlrpc.client import ServerProxy
 import pytest
 
 PROBE = Path(__file__).with_name("message_probe.py")
-WAYS = {
+CONFIGURATIONS = {
     "text": ("_direct:=false",),
     "direct": ("_direct:=[in, std_msgs/String]",),
     "embedded": ("_direct:=false", "_embedded:=true"),
@@ -30,7 +30,7 @@ def program(tmp_path):
 
 
 class Master:
-    """A master without more, and what it knows of the nodes."""
+    """A master without other processes, and its registrations of the nodes."""
 
     def __init__(self, space):
         self._space = space
@@ -53,12 +53,12 @@ class Master:
 
         self._space.expect(holds)
 
-    def known(self):
-        """Return what the nodes have registered."""
+    def registrations(self):
+        """Return the publications, subscriptions and services of the nodes."""
         state = self.uri.getSystemState("/test")[2]
         return [
-            sorted((name, one) for name, nodes in kind for one in nodes if one.startswith("/retalis"))
-            for kind in state
+            sorted((name, node) for name, nodes in entries for node in nodes if node.startswith("/retalis"))
+            for entries in state
         ]
 
     def parameters(self):
@@ -72,10 +72,10 @@ def nodes(devel, program):
     master = Master(devel)
     master.uri.setParam("/test", "/use_sim_time", False)
 
-    def start(way):
-        arguments = (f"_program:={program}", *WAYS[way])
+    def start(configuration):
+        arguments = (f"_program:={program}", *CONFIGURATIONS[configuration])
         devel.start("rosrun", "retalis", "retalis_node", *arguments)
-        if way != "embedded":
+        if configuration != "embedded":
             name = "__name:=retalis_ros_interface"
             devel.start("rosrun", "retalis", "retalis_ros_converter.py", name, *arguments)
         probe(devel, "before")
@@ -92,38 +92,38 @@ def probe(space, text):
         space.env.pop("PYTHONPATH")
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_nodes_register_again(devel, nodes, way):
-    master = nodes(way)
-    before = master.known()
+@pytest.mark.parametrize("configuration", CONFIGURATIONS)
+def test_nodes_register_with_new_master(devel, nodes, configuration):
+    master = nodes(configuration)
+    before = master.registrations()
     parameters = master.parameters()
     for number in (1, 2):
         master.kill()
         master.start()
-        master.wait_until(lambda before=before: master.known() == before)
+        master.wait_until(lambda before=before: master.registrations() == before)
         assert master.parameters() == parameters
         probe(devel, f"after{number}")
-        before = master.known()
-        assert len([one for one in before[1] if one[0] == f"/topic_after{number}"]) == 1
-        warned = number * (1 if way == "embedded" else 2)
-        master.wait_until(lambda warned=warned: devel.printed().count(WARNING) == warned)
+        before = master.registrations()
+        assert [topic for topic, _ in before[1]].count(f"/topic_after{number}") == 1
+        warning_count = number * (1 if configuration == "embedded" else 2)
+        master.wait_until(lambda warning_count=warning_count: devel.printed().count(WARNING) == warning_count)
 
 
-def test_what_somebody_has_set_meanwhile_stays(devel, nodes):
+def test_changed_parameter_is_not_overwritten(devel, nodes):
     master = nodes("embedded")
-    before = master.known()
+    before = master.registrations()
     master.kill()
     master.start()
     master.uri.setParam("/test", "/retalis/program", "/another")
-    master.wait_until(lambda: master.known() == before)
+    master.wait_until(lambda: master.registrations() == before)
     assert master.parameters()["/retalis/program"] == "/another"
 
 
-def test_a_node_that_is_ended_is_not_registered_again(devel, nodes):
+def test_ended_node_is_not_registered_again(devel, nodes):
     master = nodes("embedded")
     master.kill()
     master.start()
     node = devel.started[1]
     node.terminate()
     assert node.wait(60) == 0
-    assert master.known() == [[], [], []]
+    assert master.registrations() == [[], [], []]

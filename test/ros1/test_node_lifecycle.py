@@ -1,4 +1,4 @@
-"""End of a node by one signal at any moment, and its exit status."""
+"""End of a node by one signal at any time, and its exit status."""
 
 import os
 import resource
@@ -13,13 +13,13 @@ import pytest
 NODES = ("retalis_node", "retalis_ros_converter.py")
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 XML = '<publish_subscribe><publish_to name="out" msg_type="std_msgs/String"/></publish_subscribe>'
-SECONDS = 60
-"""Time for an end: most of it is for a machine that is busy."""
+TIMEOUT_SECONDS = 60
+"""Time for the end of a node; only a busy machine needs most of it."""
 
 
 @pytest.fixture
 def program(tmp_path):
-    """Return a function that makes a program of goals."""
+    """Return a function that writes a program of goals."""
     folder = tmp_path / "program"
     folder.mkdir()
     (folder / "pub_sub.xml").write_text(XML)
@@ -43,41 +43,41 @@ def master(devel):
     return devel.start_master()
 
 
-def ended(process, number):
+def end_by_signal(process, number):
     process.send_signal(number)
-    return process.wait(SECONDS)
+    return process.wait(TIMEOUT_SECONDS)
 
 
 @pytest.mark.parametrize("name", NODES)
 @pytest.mark.parametrize("number", SIGNALS)
-def test_where_there_is_no_master(devel, node, program, name, number):
+def test_node_without_master_ends(devel, node, program, name, number):
     process = node(name, program())
     devel.expect_printed(f"no master answers at http://localhost:{devel.port}")
-    assert ended(process, number) == 0
+    assert end_by_signal(process, number) == 0
     assert "Traceback" not in devel.printed()
 
 
-def test_a_master_that_comes_late_is_waited_for(devel, node, program):
+def test_node_waits_for_master(devel, node, program):
     process = node("retalis_node", program())
     devel.expect_printed("no master answers")
     devel.start_master()
-    devel.expect(lambda found, services: "/add_memory" in services)
-    assert ended(process, signal.SIGINT) == 0
+    devel.expect(lambda nodes, services: "/add_memory" in services)
+    assert end_by_signal(process, signal.SIGINT) == 0
 
 
 @pytest.mark.parametrize("number", SIGNALS)
-def test_in_a_goal_without_end(devel, master, node, program, number):
+def test_node_with_endless_goal_ends(devel, master, node, program, number):
     process = node(
         "retalis_node", program("writeln('it has begun'), flush_output, repeat, fail", "writeln('the next')")
     )
     devel.expect_printed("it has begun")
-    assert ended(process, number) == 0
+    assert end_by_signal(process, number) == 0
     assert "the next" not in devel.printed()
     assert devel.state() == (set(), set())
 
 
 @pytest.mark.parametrize("number", SIGNALS)
-def test_in_a_callback_of_a_weak_reference(devel, master, node, program, tmp_path, number):
+def test_signal_in_weak_reference_callback_ends_node(devel, master, node, program, tmp_path, number):
     """Python ignores the exception of a signal handler that runs within such a callback."""
     module = f"""
 import os
@@ -96,33 +96,33 @@ def lose_interrupt() -> None:
     (tmp_path / "program" / "losing.py").write_text(module)
     process = node("retalis_node", folder, "_allow_foreign:=true", "_max_seconds:=0")
     devel.expect_printed("it-continues\n")
-    assert process.wait(SECONDS) == 0
+    assert process.wait(TIMEOUT_SECONDS) == 0
     assert devel.state() == (set(), set())
 
 
 @pytest.mark.parametrize("name", NODES)
 @pytest.mark.parametrize("number", SIGNALS)
-def test_idle(devel, master, node, program, name, number):
+def test_idle_node_ends(devel, master, node, program, name, number):
     process = node(name, program())
     service = "/add_memory" if name == "retalis_node" else "/add_input_subscription"
-    devel.expect(lambda found, services: service in services)
-    assert ended(process, number) == 0
+    devel.expect(lambda nodes, services: service in services)
+    assert end_by_signal(process, number) == 0
     assert devel.state() == (set(), set())
     assert "Traceback" not in devel.printed()
 
 
-def test_while_an_event_is_at_work_that_never_ends(devel, master, node, program):
+def test_node_with_endless_event_ends(devel, master, node, program):
     rules = "a <- begin do (writeln('it has begun'), flush_output, repeat, fail)."
     process = node("retalis_node", program("compile_event_file('rules.txt')", rules=rules), "_max_seconds:=0")
-    devel.expect(lambda found, services: "/add_memory" in services)
+    devel.expect(lambda nodes, services: "/add_memory" in services)
     devel.post_events("begin")
     devel.expect_printed("it has begun")
-    assert ended(process, signal.SIGINT) == 0
+    assert end_by_signal(process, signal.SIGINT) == 0
     assert devel.state() == (set(), set())
 
 
-def test_recorded_events_do_not_delay_the_end(devel, master, node, program):
-    """Processor time, not time: that of the machine's other work does not count."""
+def test_recorded_events_do_not_delay_end(devel, master, node, program):
+    """Processor time is measured, because elapsed time depends on the load of the machine."""
     rules = """
 b(N) <- a(N).
 c <- begin do (forall(between(1, 50000, N), event(a([[[N], [N]], [[N], [N]], [[N], [N]], [[N], [N]]]))),
@@ -130,45 +130,45 @@ c <- begin do (forall(between(1, 50000, N), event(a([[[N], [N]], [[N], [N]], [[N
 """
     folder = program("compile_event_file('rules.txt')", rules=rules)
     process = node("retalis_node", folder, "_explain:=true", "_max_seconds:=0")
-    devel.expect(lambda found, services: "/add_memory" in services)
+    devel.expect(lambda nodes, services: "/add_memory" in services)
     devel.post_events("begin")
     devel.expect_printed("all came")
-    others = seconds_of_children()
-    before = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
-    ticks = sum(map(int, before[11:15]))  # its own, and of its children
-    assert ended(process, signal.SIGINT) == 0
-    spent = seconds_of_children() - others - ticks / os.sysconf("SC_CLK_TCK")
+    before_seconds = seconds_of_children()
+    statistics = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
+    ticks = sum(map(int, statistics[11:15]))  # those of the process and of its children
+    assert end_by_signal(process, signal.SIGINT) == 0
+    spent = seconds_of_children() - before_seconds - ticks / os.sysconf("SC_CLK_TCK")
     assert spent < 1.0
 
 
 def seconds_of_children():
-    """Return the processor time of all processes that were waited for."""
+    """Return the processor time of all ended child processes, in seconds."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 
 
-def test_where_the_master_hangs(devel, master, node, program):
+def test_node_ends_while_master_is_blocked(devel, master, node, program):
     process = node("retalis_node", program())
-    devel.expect(lambda found, services: "/add_memory" in services)
+    devel.expect(lambda nodes, services: "/add_memory" in services)
     master.send_signal(signal.SIGSTOP)
     try:
-        assert ended(process, signal.SIGINT) == 0
+        assert end_by_signal(process, signal.SIGINT) == 0
     finally:
         master.send_signal(signal.SIGCONT)
 
 
 @pytest.mark.parametrize("name", NODES)
-def test_a_program_that_is_not_there(devel, master, node, tmp_path, name):
+def test_missing_program_is_an_error(devel, master, node, tmp_path, name):
     process = node(name, f"_program:={tmp_path}/nowhere")
-    assert process.wait(SECONDS) == 1
+    assert process.wait(TIMEOUT_SECONDS) == 1
     assert f"{tmp_path}/nowhere does not exist: give the absolute path" in devel.printed()
     assert devel.state() == (set(), set())
 
 
 @pytest.mark.parametrize(
-    "name, numbers", [*((name, SIGNALS) for name in NODES), ("retalis", [signal.SIGINT])]
+    ("name", "numbers"), [*((name, SIGNALS) for name in NODES), ("retalis", [signal.SIGINT])]
 )
-def test_during_the_imports(name, numbers):
+def test_signal_while_importing_ends_node(name, numbers):
     script = Path(__file__).resolve().parents[2] / "nodes" / name
     code = f"""
 import sys
@@ -186,10 +186,10 @@ exec(open({str(script)!r}).read())
     for number in numbers:
         with subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
-        ) as it:
-            ready = threading.Thread(target=it.stdout.readline)
+        ) as process:
+            ready = threading.Thread(target=process.stdout.readline)
             ready.start()
-            ready.join(SECONDS)
-            it.send_signal(number)
-            assert it.wait(SECONDS) == -number
-            assert it.stderr.read() == b""
+            ready.join(TIMEOUT_SECONDS)
+            process.send_signal(number)
+            assert process.wait(TIMEOUT_SECONDS) == -number
+            assert process.stderr.read() == b""

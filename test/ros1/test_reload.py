@@ -11,60 +11,69 @@ RULES = "alarm(X) <- smoke(X) seq heat(X).\n"
 
 @pytest.fixture
 def folder(tmp_path):
-    found = tmp_path / "program"
-    found.mkdir()
-    (found / "pub_sub.xml").write_text("<publish_subscribe/>\n")
-    (found / "goalPredicates.txt").write_text(
+    program = tmp_path / "program"
+    program.mkdir()
+    (program / "pub_sub.xml").write_text("<publish_subscribe/>\n")
+    (program / "goalPredicates.txt").write_text(
         "compile_event_file('rules.txt')\nmemorize(alarm(_), [], _, alarms, 5)\n"
     )
-    (found / "rules.txt").write_text(RULES)
-    return found
+    (program / "rules.txt").write_text(RULES)
+    return program
 
 
 def start(space, folder, *words):
     """Start node retalis with a program, on a master of its own."""
     space.start_master()
     space.start("rosrun", "retalis", "retalis_node", f"_program:={folder}", *words)
-    space.expect(lambda found, services: "/retalis/reload" in services)
+    space.expect(lambda nodes, services: "/retalis/reload" in services)
 
 
-def said(space, *words, wrong=False):
-    """Return what a command prints; where something is wrong, the error."""
+def output(space, *words):
+    """Return the standard output of a command."""
+    return run_command(space, words, 0).stdout
+
+
+def error(space, *words):
+    """Return the error of a command that fails."""
+    return run_command(space, words, 1).stderr
+
+
+def run_command(space, words, status):
     command = space.command(*LIVE, *words)
-    done = subprocess.run(command, env=space.env, capture_output=True, text=True, timeout=60)
-    assert done.returncode == int(wrong), done.stderr
-    return done.stderr if wrong else done.stdout
+    process = subprocess.run(command, env=space.env, capture_output=True, text=True, timeout=60)
+    assert process.returncode == status, process.stderr
+    return process
 
 
-def happen(space, *events):
-    """Have events happen, each at a second."""
-    said(space, "query", ", ".join(f"new_event({event}, {second}, 0)" for event, second in events))
+def add_events(space, *events):
+    """Add events, each with a time in seconds."""
+    output(space, "query", ", ".join(f"new_event({event}, {second}, 0)" for event, second in events))
 
 
-def test_a_program_is_read_again(devel, folder):
+def test_changed_program_is_reloaded(devel, folder):
     start(devel, folder)
-    happen(devel, ("smoke(hall)", 1), ("heat(hall)", 2), ("smoke(attic)", 3))
-    assert "rules: 0 new, 0 gone, 1 kept, with 1 partial match\n" in said(devel, "reload")
+    add_events(devel, ("smoke(hall)", 1), ("heat(hall)", 2), ("smoke(attic)", 3))
+    assert "rules: 0 new, 0 gone, 1 kept, with 1 partial match\n" in output(devel, "reload")
     (folder / "rules.txt").write_text(RULES + "fire <- smoke.\nwrong <- a seq.\n")
-    error = said(devel, "reload", wrong=True)
-    assert f"{folder}/rules.txt:3:" in error
-    assert "\nwrong <- a seq.\n" in error
-    assert "^" in error
+    message = error(devel, "reload")
+    assert f"{folder}/rules.txt:3:" in message
+    assert "\nwrong <- a seq.\n" in message
+    assert "^" in message
     (folder / "rules.txt").write_text(RULES + "more(X) <- alarm(X).\n")
     (folder / "pub_sub.xml").write_text(
         '<publish_subscribe><subscribe_to name="a" msg_type="std_msgs/String"/></publish_subscribe>\n'
     )
-    told = json.loads(said(devel, "reload", "--json"))
-    assert told[0] == "rules: 1 new, 0 gone, 1 kept, with 1 partial match"
-    assert "memories: 0 new, 0 gone, 1 kept, with 1 record" in told
-    assert told[-1].startswith("topics: pub_sub.xml has changed")
-    happen(devel, ("heat(attic)", 4))
-    assert said(devel, "query", "memory_counter(alarms, N)") == "N = 2\n"
+    changes = json.loads(output(devel, "reload", "--json"))
+    assert changes[0] == "rules: 1 new, 0 gone, 1 kept, with 1 partial match"
+    assert "memories: 0 new, 0 gone, 1 kept, with 1 record" in changes
+    assert changes[-1].startswith("topics: pub_sub.xml has changed")
+    add_events(devel, ("heat(attic)", 4))
+    assert output(devel, "query", "memory_counter(alarms, N)") == "N = 2\n"
     (folder / "pub_sub.xml").write_text("<publish_subscribe>\n")
-    assert "is not closed" in said(devel, "reload", wrong=True)
+    assert "is not closed" in error(devel, "reload")
 
 
-def test_a_program_that_goals_could_write_is_not_read_again(devel, folder):
+def test_writable_program_is_not_reloaded(devel, folder):
     start(devel, folder, f"_write_folders:=[{folder.parent}]")
-    assert "of ~write_folders" in said(devel, "reload", wrong=True)
-    assert said(devel, "query", "memory_counter(alarms, N)") == "N = 0\n"
+    assert "of ~write_folders" in error(devel, "reload")
+    assert output(devel, "query", "memory_counter(alarms, N)") == "N = 0\n"

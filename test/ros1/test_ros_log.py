@@ -21,13 +21,13 @@ def log():
 
 @pytest.fixture
 def logger(log):
-    made = logging.Logger("test_log", logging.INFO)  # `getLogger` would keep it in the process
-    made.addHandler(RosStreamHandler(colorize=False, stdout=log, stderr=log))
-    made.addFilter(escape_record)
-    return made
+    logger = logging.Logger("test_log", logging.INFO)  # `getLogger` would register it in the process
+    logger.addHandler(RosStreamHandler(colorize=False, stdout=log, stderr=log))
+    logger.addFilter(escape_record)
+    return logger
 
 
-def test_a_text_forges_no_record_and_no_colour(logger, log):
+def test_text_cannot_forge_records_or_colours(logger, log):
     logger.info("heard %s", f"\x1b[31m\u202e\n{FORGED}\r{FORGED}")
     lines = log.getvalue().splitlines()
     assert len(lines) == 2
@@ -36,16 +36,16 @@ def test_a_text_forges_no_record_and_no_colour(logger, log):
 
 
 @pytest.mark.parametrize("text", ["${time:", "${node}", "${walltime: 100%", "100 % ${"])
-def test_a_text_is_no_template_of_the_log(logger, log, text):
+def test_text_is_not_expanded_as_template(logger, log, text):
     logger.warning(text)
     assert log.getvalue().endswith(f"]: {text}\n".replace("${", r"\x24{"))
 
 
-def test_wrong_arguments_of_a_record_raise_nothing_where_it_is_logged(logger, log):
+def test_invalid_arguments_are_logged_without_error(logger, log):
     logger.warning("%d things", "\x1b")
     assert log.getvalue().endswith(r"]: %d things ('\x1b',)" + "\n")
 
 
-def test_an_error_with_its_line_stays_readable(logger, log):
+def test_error_with_source_line_is_readable(logger, log):
     logger.warning("%s", "rules.txt:1:3: wrong\na $ b\n  ^")
     assert log.getvalue().endswith("rules.txt:1:3: wrong\n    a $ b\n      ^\n")

@@ -32,7 +32,7 @@ def warnings(monkeypatch):
     return warnings
 
 
-def test_clock_without_messages_is_warned_of_after_a_while(warnings, monkeypatch):
+def test_clock_without_messages_is_warned_of(warnings, monkeypatch):
     monkeypatch.setattr(rospy, "get_rostime", rospy.Time)
     monkeypatch.setattr(rospy_transport, "_began", time.monotonic())
     assert (ros_now(), warnings) == (0, [])
@@ -61,7 +61,7 @@ class RecordingReceiver:
 
 @pytest.fixture
 def connections(monkeypatch):
-    """Return the connections of a subscription, its receivers, and what reads its messages and its end."""
+    """Return the connections and receivers of a subscription, and its handlers of messages and ends."""
     opened = SimpleNamespace(connections=[], receivers=[], find_handler=None, record_end=None)
 
     def connect(source):
@@ -106,7 +106,7 @@ def test_latched_connection_has_an_address(connections):
     assert connections.subscription.publishers() == ["/thermometer"]
 
 
-def test_equal_headers_of_two_connections_are_two_sources(connections):
+def test_connections_with_equal_headers_are_two_sources(connections):
     for _ in range(2):
         connections.find_handler(dict(HEADER))([b"1"])
     assert len(connections.receivers) == 2
@@ -127,13 +127,13 @@ def test_message_is_filled_from_values():
     assert (message.status[0].name, message.status[0].values[0].value) == ("a", "v")
 
 
-def test_default_program_is_that_of_the_package(monkeypatch):
+def test_default_program_is_found_in_package(monkeypatch):
     assert find_default_program(["node", "/here", "__name:=x"]) == Path("/here/application_source")
     monkeypatch.setattr(rospkg.RosPack, "get_path", lambda self, name: f"/packages/{name}")
     assert find_default_program(["node"]) == Path("/packages/retalis/application_source")
 
 
-def test_unknown_package_is_an_error_with_a_remedy(monkeypatch):
+def test_unknown_package_is_an_error_with_advice(monkeypatch):
     def get_path(self, name):
         raise rospkg.ResourceNotFound(name)
 

@@ -23,7 +23,7 @@ AssertionError: 1 != 2 &amp; 3
 """
 
 
-def test_failures_and_errors_are_listed_with_the_exception_first(tmp_path):
+def test_failures_are_listed_with_exception_first(tmp_path):
     (tmp_path / "retalis").mkdir()
     (tmp_path / "retalis" / "rosunit-services.xml").write_text(RESULTS)
     first, second = failed_cases(tmp_path)
@@ -32,13 +32,13 @@ def test_failures_and_errors_are_listed_with_the_exception_first(tmp_path):
     assert second == "services.ServicesTest.test_node: no answer"
 
 
-def test_an_incomplete_file_is_reported_with_its_name(tmp_path):
+def test_incomplete_file_is_reported_with_name(tmp_path):
     (tmp_path / "rostest-x.xml").write_text("<testsuite><testcase")
     (text,) = failed_cases(tmp_path)
     assert text.startswith("rostest-x.xml: malformed XML: ")
 
 
-def test_the_report_begins_with_the_cases_and_ends_with_the_log(tmp_path):
+def test_report_has_cases_and_log(tmp_path):
     assert failure_report(tmp_path, "the log").splitlines() == [
         "no test case has failed: see the end of the log",
         "",
@@ -47,4 +47,5 @@ def test_the_report_begins_with_the_cases_and_ends_with_the_log(tmp_path):
     ]
     (tmp_path / "a.xml").write_text(RESULTS)
     report = failure_report(tmp_path, "the log")
-    assert report.startswith("services.ServicesTest.test_rule: AssertionError") and report.endswith("the log")
+    assert report.startswith("services.ServicesTest.test_rule: AssertionError")
+    assert report.endswith("the log")

@@ -1,4 +1,4 @@
-"""The transform buffers: that in Python, and that of nodes, give the answers and errors of tf2."""
+"""Transform buffers, in Python and of nodes: same poses and errors as tf2."""
 
 import math
 import sys
@@ -33,7 +33,7 @@ def ros_time(instant):
 
 
 class Reference:
-    """tf2's own buffer, fed and asked as its Python programs do."""
+    """The buffer of tf2, used as in its Python programs."""
 
     def __init__(self, seconds):
         self.core = tf2_py.BufferCore(rospy.Duration(seconds))
@@ -52,15 +52,15 @@ class Reference:
 
     def answer(self, target, source, instant):
         try:
-            found = self.core.lookup_transform_core(target, source, ros_time(instant)).transform
+            transform = self.core.lookup_transform_core(target, source, ros_time(instant)).transform
         except tf2_py.TransformException as error:
             return type(error)
-        t, r = found.translation, found.rotation
-        return (t.x, t.y, t.z), (r.x, r.y, r.z, r.w)
+        translation, rotation = transform.translation, transform.rotation
+        return (translation.x, translation.y, translation.z), (rotation.x, rotation.y, rotation.z, rotation.w)
 
 
 def answer(buffer, target, source, instant):
-    """Return a pose, or the class of tf2's exception."""
+    """Return a pose, or the class of the exception of tf2."""
     pose = buffer.lookup(target, source, instant)
     fault = buffer.find_fault(target, source, instant)
     assert (pose is None) == (fault is not None)
@@ -72,8 +72,8 @@ def equal(first, second):
         return first is second
     return all(
         math.isclose(a, b, rel_tol=0, abs_tol=1e-9)
-        for one, two in zip(first, second)
-        for a, b in zip(one, two)
+        for first_numbers, second_numbers in zip(first, second)
+        for a, b in zip(first_numbers, second_numbers)
     )
 
 
@@ -90,41 +90,43 @@ def play(seed, counts, interrupts=0):
                 counts.get(expected if isinstance(expected, type) else "pose", 0) + 1
             )
             for buffer in buffers:
-                found = answer(buffer, *arguments)
-                assert equal(found, expected), (seed, position, type(buffer), arguments, found, expected)
+                pose = answer(buffer, *arguments)
+                assert equal(pose, expected), (seed, position, type(buffer), arguments, pose, expected)
         else:
             for buffer in (reference, *buffers):
                 getattr(buffer, operation)(*arguments)
 
 
 @pytest.mark.parametrize("part", range(4))
-def test_answers_and_errors_are_those_of_tf2(part, capfd):
+def test_answers_equal_those_of_tf2(part, capfd):
     counts = {}
     for seed in range(part * TREES // 4, (part + 1) * TREES // 4):
         play(seed, counts)
-    # Every kind of answer occurs often.
+    # Each answer occurs often.
     assert all(
-        counts[kind] > 1000 for kind in {"pose", *EXCEPTIONS.values()} - {tf2_py.InvalidArgumentException}
+        counts[answer] > 1000 for answer in {"pose", *EXCEPTIONS.values()} - {tf2_py.InvalidArgumentException}
     )
     assert counts[tf2_py.InvalidArgumentException] > 100
     capfd.readouterr()
 
 
-def test_few_pending_samples_give_the_same_answers(monkeypatch, capfd):
+def test_few_pending_samples_have_same_answers(monkeypatch, capfd):
     monkeypatch.setattr(transform_buffer, "_MAX_PENDING_SAMPLES", 2)
+    counts = {}
     for seed in range(500):
-        play(seed, {})
+        play(seed, counts)
+    assert counts["pose"] > 1000
     capfd.readouterr()
 
 
-def test_a_repaired_buffer_gives_the_same_answers(capfd):
+def test_repaired_buffer_has_same_answers(capfd):
     for seed in range(500):
         play(seed, {}, interrupts=30)
     capfd.readouterr()
 
 
 def set_transform_calls(buffer):
-    """Return the list of the instants that the buffer's core gets from now on, in seconds after its first one."""
+    """Return a list to which each sample of the core of the buffer is added, as its instant in seconds."""
     calls = []
     core = buffer._core  # noqa: SLF001
 
@@ -140,7 +142,7 @@ def set_transform_calls(buffer):
     return calls
 
 
-def test_samples_are_copied_by_the_next_look_up_and_once():
+def test_samples_are_copied_once_by_next_lookup():
     buffer, identity = Tf2Buffer(10), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
     def store(*seconds):
@@ -151,12 +153,12 @@ def test_samples_are_copied_by_the_next_look_up_and_once():
     assert buffer.lookup("map", "base", 100_001 * 10**9)
     calls = set_transform_calls(buffer)
     store(100_003, 100_001, 100_004)
-    # One between samples that are copied cannot wait.
+    # A sample between copied samples is copied at once.
     assert calls == [1]
     assert buffer.lookup("map", "base", 100_004 * 10**9)
     assert buffer.lookup("map", "base", 100_003 * 10**9)
     assert calls == [1, 3, 4]
-    # Those that leave the history before a look-up are not copied.
+    # Samples that leave the history before a look-up are not copied.
     store(*range(100_005, 100_030))
     assert buffer.lookup("map", "base", 100_029 * 10**9)
     assert buffer.lookup("map", "base", 100_018 * 10**9) is None

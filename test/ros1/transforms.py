@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Transforms of tf2's broadcasters in a running node: static, late, and by another parent; queries that wait."""
+"""Transforms of tf2 broadcasters: static, late, and with another parent; pending queries."""
 
 import sys
 import unittest
@@ -32,7 +32,7 @@ class Transforms(unittest.TestCase):
     def setUpClass(cls):
         cls.events = rospy.Publisher("retalisInputEvents", String, queue_size=100)
         cls.outputs = Collector("retalisOutputEvents", String)
-        # One static broadcaster for all: it is latched, and each has one message.
+        # One static broadcaster for all tests: it is latched and stores one message.
         cls.static = tf2_ros.StaticTransformBroadcaster()
         cls.static.sendTransform([stamped("base", "camera", 0, 100.0)])
         cls.moving = tf2_ros.TransformBroadcaster()
@@ -40,24 +40,24 @@ class Transforms(unittest.TestCase):
             lambda: cls.events.get_num_connections() > 0 and cls.outputs.is_connected(), "node retalis"
         )
         wait_until(lambda: cls.moving.pub_tf.get_num_connections() > 0, "the subscriber of /tf")
-        cls.asked = 0
+        cls.request_count = 0
         cls.moving.sendTransform([stamped("map", "odom", START, 0.0)])
 
     def send(self, *transforms):
         self.moving.sendTransform([stamped(*transform) for transform in transforms])
 
     def ask(self, frame, seconds):
-        """Ask where a frame is; return the name of the answer."""
-        type(self).asked += 1
-        name = f"q{self.asked}"
+        """Query the position of a frame; return the name of the answer."""
+        type(self).request_count += 1
+        name = f"q{self.request_count}"
         parts = int(seconds), int(seconds % 1 * 10**9)
         self.events.publish(f"event(ask({name},{frame},{parts[0]},{parts[1]}))")
         return name
 
     def missing(self, frame):
-        """Return the reason why there is no newest transform of a frame; transforms may still be on their way."""
-        type(self).asked += 1
-        name = f"q{self.asked}"
+        """Return the reason why a frame has no newest transform; transforms may not be received yet."""
+        type(self).request_count += 1
+        name = f"q{self.request_count}"
         self.events.publish(f"event(check_now({name},{frame}))")
         prefix = f"event(now({name},"
         (text,) = self.wait_for(prefix)
@@ -73,20 +73,20 @@ class Transforms(unittest.TestCase):
         (text,) = self.wait_for(f"event(found({name},")
         return float(text.split(",")[1].rstrip(")"))
 
-    def nobody(self, name):
-        return not any(f"found({name}," in message.data for message in self.outputs.messages)
+    def has_answer(self, name):
+        return any(f"found({name}," in message.data for message in self.outputs.messages)
 
-    def test_a_query_waits_until_all_frames_have_a_transform(self):
+    def test_query_waits_for_transforms_of_all_frames(self):
         base = START + 1000
         self.send(("map", "odom", base, 1.0), ("odom", "base", base, 10.0))
         name = self.ask("camera", base + 0.5)
         self.send(("map", "odom", base + 1, 2.0))
         wait_until(lambda: self.missing("camera") == "none", "the first transforms", pause=0.1)
-        self.assertTrue(self.nobody(name))
+        self.assertFalse(self.has_answer(name))
         self.send(("odom", "base", base + 1, 20.0))
         self.assertAlmostEqual(self.answer(name), 116.5, 9)
 
-    def test_a_frame_that_comes_later(self):
+    def test_query_waits_for_new_frame(self):
         base = START + 2000
         name = self.ask("lamp", base + 0.25)
         wait_until(lambda: self.missing("lamp") == "unknown(lamp)", "the map", pause=0.1)
@@ -94,22 +94,22 @@ class Transforms(unittest.TestCase):
             self.send(("map", "room", base + second, 1.0), ("room", "lamp", base + second, 4.0 * second))
         self.assertAlmostEqual(self.answer(name), 2.0, 9)
 
-    def test_nanoseconds_count_and_nothing_is_extrapolated(self):
+    def test_nanoseconds_count_without_extrapolation(self):
         base = START + 5000
         self.send(("map", "fine", base, 0.0))
         wait_until(lambda: self.missing("fine") == "none", "the transform", pause=0.1)
         message = stamped("map", "fine", base, 1.0)
         message.header.stamp = rospy.Time(base, 100)
-        type(self).asked += 2
-        names = f"q{self.asked - 1}", f"q{self.asked}"
+        type(self).request_count += 2
+        names = f"q{self.request_count - 1}", f"q{self.request_count}"
         for name, nanoseconds in zip(names, (50, 101)):
             self.events.publish(f"event(ask({name},fine,{base},{nanoseconds}))")
         self.moving.sendTransform([message])
         self.assertAlmostEqual(self.answer(names[0]), 0.5, 9)
         self.assertEqual(self.missing("fine"), "none")
-        self.assertTrue(self.nobody(names[1]))
+        self.assertFalse(self.has_answer(names[1]))
 
-    def test_another_parent(self):
+    def test_query_waits_for_other_parent(self):
         base = START + 3000
         self.send(("table", "cup", base, 1.0), ("map", "hand", base, 50.0), ("map", "hand", base + 4, 50.0))
         name = self.ask("cup", base + 2)
@@ -117,7 +117,7 @@ class Transforms(unittest.TestCase):
         self.send(("hand", "cup", base + 1, 3.0), ("hand", "cup", base + 3, 3.0))
         self.assertAlmostEqual(self.answer(name), 53.0, 9)
 
-    def test_a_static_transform_that_comes_later(self):
+    def test_query_waits_for_static_transform(self):
         base = START + 4000
         name = self.ask("lens", base)
         self.send(("map", "stand", base, 7.0))

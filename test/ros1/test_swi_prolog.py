@@ -37,15 +37,15 @@ def start(space, program, *words):
     return space.start("rosrun", "retalis", "retalis_node", f"_program:={program}", "_direct:=false", *words)
 
 
-def test_its_predicates_are_goals_of_rules_and_services(devel, program):
+def test_swi_predicates_are_goals_of_node(devel, program):
     try:
         find_library()
     except UsageError as error:
         pytest.skip(str(error))
     start(devel, program, "_allow_swi:=true", "_max_seconds:=0.5")
-    devel.expect(lambda found, services: "/retalis/query" in services)
+    devel.expect(lambda nodes, services: "/retalis/query" in services)
     devel.post_events("asked(hall,cellar)")
-    devel.expect(lambda found, services: "reached(cellar)" in devel.query("access_mem(m, R, _)"))
+    devel.expect(lambda nodes, services: "reached(cellar)" in devel.query("access_mem(m, R, _)"))
     assert "kitchen" in devel.query("way(hall, kitchen), X = kitchen")
     assert "seconds" in devel.query("forever")
     assert "cellar" in devel.query("way(kitchen, X)")

@@ -27,7 +27,7 @@ def package_is_built():
 
 @pytest.mark.skipif(not package_is_built(), reason="./install.py test builds the package")
 @pytest.mark.parametrize("path", [pytest.param(path, id=path.stem) for path in TESTS])
-def test_rostest(path, tmp_path, monkeypatch):
+def test_rostest_succeeds(path, tmp_path, monkeypatch):
     monkeypatch.setenv("ROS_HOSTNAME", "localhost")
     monkeypatch.setenv("ROS_HOME", str(tmp_path))
     results = tmp_path / "results"

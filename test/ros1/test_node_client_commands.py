@@ -1,0 +1,226 @@
+"""Commands for a running node."""
+
+import json
+import re
+import signal
+import subprocess
+from xmlrpc.client import ServerProxy
+
+import pytest
+
+LIVE = ("rosrun", "retalis", "retalis")
+
+
+def start_node(space):
+    """Start a master and node retalis in a space; return the space."""
+    space.start_master()
+    space.start("rosrun", "retalis", "retalis_node", "_explain:=true")
+    space.expect(lambda nodes, services: "/retalis/delete_rule" in services)
+    return space
+
+
+@pytest.fixture
+def node(devel):
+    return start_node(devel)
+
+
+@pytest.fixture
+def node_of_space(space):
+    """Return node retalis in each space, for commands that read files of the package."""
+    return start_node(space)
+
+
+def output(space, *words, text=None):
+    """Return the standard output of a command."""
+    return run_command(space, words, 0, text).stdout
+
+
+def error(space, *words):
+    """Return the error of a command that fails."""
+    return run_command(space, words, 1).stderr
+
+
+def run_command(space, words, status, text=None):
+    command = space.command(*LIVE, *words)
+    process = subprocess.run(command, env=space.env, input=text, capture_output=True, text=True, timeout=60)
+    assert process.returncode == status, process.stderr
+    return process
+
+
+def test_missing_master_or_node_is_an_error(space):
+    assert "no master answers at http://localhost" in error(space, "query", "true")
+    space.start_master()
+    assert error(space, "query", "true") == "retalis: no node retalis runs\n"
+
+
+def test_commands_print_answers_of_node(node_of_space):
+    assert output(node_of_space, "query", "member(X, [1, f(_)])") == "X = 1\nX = f(_1)\n"
+    lines = output(
+        node_of_space, "query", "member(X-Y, [a-1, b-[2]])", "--json", "--node", "/retalis"
+    ).splitlines()
+    assert [json.loads(line) for line in lines] == [{"X": "a", "Y": 1}, {"X": "b", "Y": [2]}]
+    assert "column 4" in error(node_of_space, "query", "f(X")
+    assert "those that run are /retalis" in error(node_of_space, "query", "true", "--node", "other")
+    late = error(node_of_space, "query", "true", "--wait-for", "odom_base", "--timeout", "0.01")
+    assert "in memory odom_base (nothing yet) after 0.01 s" in late
+    assert output(node_of_space, "explain", "no_such(1)").startswith("no_such(1) did not happen\n")
+    solutions = output(node_of_space, "console", "--node", "retalis", text="X = 1 ; X = 2.\nfail.\n")
+    assert solutions == "X = 1 ;\nX = 2.\nfalse.\n"
+    console = ("console", "--node", "retalis", "--json", "--goal")
+    assert output(node_of_space, *console, "member(X, [1, a])") == '{"X": 1}\n{"X": "a"}\n'
+    assert error(node_of_space, *console, "fail") == ""
+    listed = json.loads(output(node_of_space, "list", "--json"))
+    assert [memory["id"] for memory in listed["memories"]][:2] == ["odom_base", "base_torso"]
+    assert listed["memories"][0]["oldest"] is None
+    assert listed["inputs"][0]["age"] is None
+    lines = output(node_of_space, "status", "--once", "--every", "0.1").split("\n")
+    assert lines[0].startswith("/retalis  idle  0.0 events/s  0.0 firings/s")
+    assert "memories" in lines
+    assert max(map(len, lines)) <= 80
+    assert not any(re.search(r"\d{9}", line) for line in lines)  # no seconds since the epoch
+
+
+def test_invalid_number_is_an_error_line(node):
+    for stamp in ("1e12", "-1", "nan"):
+        (line,) = error(node, "query", "true", "--stamp", stamp).splitlines()
+        assert line.startswith("retalis: --stamp: expected seconds since the epoch")
+    for every in ("0", "nan", "inf"):
+        (line,) = error(node, "status", "--every", every).splitlines()
+        assert line.startswith("retalis: --every: expected a number above 0")
+
+
+def test_interface_is_listed(node):
+    node.start(
+        "rosrun", "retalis", "retalis_ros_converter.py", "__name:=retalis_ros_interface", "_direct:=false"
+    )
+    node.expect(lambda nodes, services: "/retalis_ros_interface/list" in services)
+    listed = json.loads(output(node, "list", "--json", "--node", "/retalis_ros_interface"))
+    assert "/retalisOutputEvents" in [topic["topic"] for topic in listed["inputs"]]
+    inputs = json.loads(output(node, "list", "--json"))["inputs"]
+    assert {topic["topic"]: topic.get("node") for topic in inputs}["/tf"] == "/retalis_ros_interface"
+    assert re.search(r"\n  /ar_pose_marker .* /retalis_ros_interface\n", output(node, "list"))
+    for command in ("list", "status"):
+        assert error(node, command, "--node", "other") == (
+            "retalis: there is no node /other; those that run are /retalis, /retalis_ros_interface\n"
+        )
+    status = output(node, "status", "--node", "retalis_ros_interface", "--every", "0.1")
+    assert "events/s" not in status
+    assert "/retalisOutputEvents" in status
+    message = error(node, "query", "true", "--node", "/retalis_ros_interface")
+    assert "has no service ~query: it is a ROS interface, or of an older version" in message
+
+
+def test_namespace_selects_node(devel):
+    devel.start_master()
+    for space in ("robot1", "robot2", "robot2/arm"):
+        devel.start("env", f"ROS_NAMESPACE={space}", "rosrun", "retalis", "retalis_node")
+    names = {"/robot1/retalis", "/robot2/retalis", "/robot2/arm/retalis"}
+    devel.expect(lambda nodes, services: {f"{name}/delete_rule" for name in names} <= services)
+    all_names = "/robot1/retalis, /robot2/arm/retalis, /robot2/retalis"
+    expected = {
+        "": f"which node? those that run are {all_names}; choose one by --node",
+        "robot2": "which node? those that run are /robot2/arm/retalis, /robot2/retalis; choose one by --node",
+        "robot3": f"no node retalis runs in namespace /robot3 (ROS_NAMESPACE); those that run are {all_names}",
+    }
+    for space, message in expected.items():
+        devel.env["ROS_NAMESPACE"] = space
+        assert error(devel, "query", "true") == f"retalis: {message}\n"
+    devel.env["ROS_NAMESPACE"] = "robot1"
+    assert json.loads(output(devel, "list", "--json"))["node"] == "/robot1/retalis"
+    assert output(devel, "query", "X = 1") == "X = 1\n"
+    devel.env["ROS_NAMESPACE"] = "/robot2"
+    assert json.loads(output(devel, "list", "--json", "--node", "retalis"))["node"] == "/robot2/retalis"
+    assert (
+        json.loads(output(devel, "list", "--json", "--node", "/robot1/retalis"))["node"] == "/robot1/retalis"
+    )
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_ended_watch_leaves_no_subscription(node, number):
+    watch = subprocess.Popen(
+        node.command(*LIVE, "watch", "--event", "fever_(_)"),
+        env=node.env,
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),  # nohup ignores signals
+    )
+    try:
+        assert any("fever_" in output(node, "list") for _ in range(30))
+        watch.send_signal(number)
+        assert watch.wait(timeout=60) == 128 + number
+    finally:
+        watch.kill()
+    assert "fever_" not in output(node, "list")
+    assert "has no type" not in node.printed()
+
+
+def test_status_and_watch_survive_new_master(node):
+    words = {"env": node.env, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    status = subprocess.Popen(node.command(*LIVE, "status", "--json", "--every", "0.1"), **words)
+    watch = subprocess.Popen(node.command(*LIVE, "watch", "--inputs", "--count", "1"), **words)
+    try:
+        status.stdout.readline()
+        node.expect(lambda nodes, services: any(name.startswith("/retalis_watch") for name in nodes))
+        master = node.started[0]
+        master.send_signal(signal.SIGINT)
+        master.wait(timeout=60)
+        assert "unable to contact master" in status.stderr.readline()
+        node.start_master()
+        status.stdout.readline()
+        node.expect(lambda nodes, services: any(name.startswith("/retalis_watch") for name in nodes))
+        node.start("rostopic", "pub", "-r", "5", "/retalisInputEvents", "std_msgs/String", "event(fever_(1))")
+        assert watch.communicate(timeout=60)[0] == "input: event(fever_(1))\n"
+        status.send_signal(signal.SIGINT)
+        status.communicate(timeout=60)
+        assert status.returncode == 130
+    finally:
+        status.kill()
+        watch.kill()
+
+
+@pytest.mark.parametrize("command", [["watch"], ["status", "--json", "--every", "0.1"]])
+def test_messages_of_rospy_are_not_in_output(node, command):
+    running = subprocess.Popen(
+        node.command(*LIVE, *command), env=node.env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        prefix = f"/retalis_{command[0]}"
+        node.expect(lambda nodes, services: any(name.startswith(prefix) for name in nodes))
+        node_name = next(name for name in node.state()[0] if name.startswith(prefix))
+        address = ServerProxy(node.env["ROS_MASTER_URI"]).lookupNode("/test", node_name)[2]
+        ServerProxy(address).shutdown("/test", "for a test")  # rospy prints this request
+        running.send_signal(signal.SIGINT)
+        output, messages = running.communicate(timeout=60)
+    finally:
+        running.kill()
+    assert "shutdown request: for a test\n" in messages
+    assert all(json.loads(line)["node"] == "/retalis" for line in output.splitlines())
+
+
+def test_events_are_watched(node):
+    watch = subprocess.Popen(
+        node.command(*LIVE, "watch", "--event", "fever_(_)", "--count", "1"),
+        env=node.env,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        node.start(
+            *("rostopic", "pub", "-r", "5", "/retalisInputEvents", "std_msgs/String", "event(fever_('A b'))")
+        )
+        assert watch.communicate(timeout=60)[0] == "event: fever_('A b')\n"
+    finally:
+        watch.kill()
+    assert watch.returncode == 0
+
+
+def test_shell_completes_names(node_of_space):
+    script = (
+        "COMP_WORDS=(retalis query x --wait-for odo); COMP_CWORD=4; _retalis_complete; echo ${COMPREPLY[@]};"
+        "COMP_WORDS=(retalis query --node /re); COMP_CWORD=3; _retalis_complete; echo ${COMPREPLY[@]};"
+        "COMP_WORDS=(retalis exp); COMP_CWORD=1; _retalis_complete; echo ${COMPREPLY[@]};"
+        "COMP_WORDS=(retalis watch --in); COMP_CWORD=2; _retalis_complete; echo ${COMPREPLY[@]}"
+    )
+    words = ["bash", "-c", f'source "$0"; {script}', str(node_of_space.script)]
+    process = subprocess.run(
+        words, env=node_of_space.env, stdout=subprocess.PIPE, text=True, timeout=60, check=True
+    )
+    assert process.stdout == "odom_base\n/retalis\nexplain\n--inputs\n"
