@@ -82,11 +82,11 @@ def test_resumed_engine_continues_from_last_checkpoint(folder):
                 "counter(c, X), memory_counter(m, Y)"
             )
     other = resume_engine(folder)
-    seen = []
-    other.on_event(lambda term, start, end: seen.append(other.show(term)))
+    events = []
+    other.on_event(lambda term, start, end: events.append(other.show(term)))
     other.event("in(x)", 5000)
-    assert "pair(1170,x)" in seen
-    assert "n(1171)" in seen
+    assert "pair(1170,x)" in events
+    assert "n(1171)" in events
 
 
 def test_checkpoint_writes_only_changes(folder):
@@ -141,7 +141,7 @@ def test_random_changes_are_restored(folder, seed):
                 ]
 
 
-def test_checkpoints_are_written_in_background_and_at_stop(folder):
+def test_checkpoints_are_written_until_stop(folder):
     engine = start_engine(folder)
     checkpointer = Checkpointer(engine, CheckpointStorage(folder / "state.db"), folder, Reports(), 0.001)
     checkpointer.start()
@@ -351,7 +351,8 @@ def test_empty_refused_file_is_renamed_with_its_log(folder):
     (folder / "emptied.db-wal").write_bytes(log)
     renamed = rename_refused_file(path)
     assert renamed.read_bytes() == b""
-    assert log and (folder / f"{renamed.name}-wal").read_bytes() == log
+    assert log
+    assert (folder / f"{renamed.name}-wal").read_bytes() == log
 
 
 def test_missing_folder_is_an_error(folder):
@@ -462,24 +463,24 @@ def test_stop_does_not_wait_for_blocked_engine(folder, monkeypatch):
     thread.join()
 
 
-def test_queries_during_checkpoint_bind_no_stored_variables(folder):
+def test_query_during_checkpoint_binds_no_records(folder):
     """A query for a justification temporarily unifies terms of rules."""
     engine = start_engine(folder)
     engine.call("set_etalis_flag(etalis_justification, on)")
     checkpointer = create_checkpointer(engine, folder)
-    asked = threading.Event()
+    answered = threading.Event()
 
     def ask():
         for number in range(60):
             engine.query(f"justify_event(out(x{number}), _, _)")
-        asked.set()
+        answered.set()
 
     thread = threading.Thread(target=ask)
     thread.start()
     while True:
         engine.call("assertz(new(1))")
         checkpointer.write()
-        if asked.is_set():
+        if answered.is_set():
             break
     thread.join()
     restored = resume_engine(folder)
@@ -488,7 +489,7 @@ def test_queries_during_checkpoint_bind_no_stored_variables(folder):
     assert "out(7)" in events
 
 
-def test_pause_is_a_multiple_of_the_work_without_its_waits(folder, monkeypatch):
+def test_pause_is_proportional_to_work(folder, monkeypatch):
     engine = start_engine(folder)
     times = SimpleNamespace(now=0.0, cpu=0.0)
     monkeypatch.setattr(
@@ -540,7 +541,8 @@ def test_database_of_another_program_is_left_untouched(tmp_path):
         CheckpointStorage(path)
     with pytest.raises(UsageError, match="music.db is the database of another program"):
         rename_refused_file(path)
-    assert path.read_bytes() == content and [file.name for file in tmp_path.iterdir()] == ["music.db"]
+    assert path.read_bytes() == content
+    assert [file.name for file in tmp_path.iterdir()] == ["music.db"]
 
 
 def test_other_file_is_left_untouched(tmp_path):
@@ -637,7 +639,7 @@ def test_newest_events_are_explained_after_restart(folder):
     assert explanation_of(other, "pair(399)") == explanation_of(engine, "pair(399)")
 
 
-def test_partial_match_of_older_events_continues_after_restart(folder):
+def test_older_partial_match_continues_after_restart(folder):
     engine, checkpointer = explained(folder, 400)
     checkpointer.write()
     other = resume_engine(folder)
@@ -657,7 +659,7 @@ def test_snapshot_contains_all_recorded_events(folder):
     )
 
 
-def test_checkpoint_contains_all_events_that_may_be_retracted(folder):
+def test_checkpoint_contains_retractable_events(folder):
     engine, checkpointer = explained(folder, 400)
     engine.call("set_etalis_flag(revision_flag, on)")
     checkpointer.write()

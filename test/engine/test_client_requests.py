@@ -1,11 +1,22 @@
-"""Requests of clients: limits, and synchronization with memories."""
+"""Requests of clients: limits, added rules, permission to set flags, and synchronization with memories."""
 
 import threading
 
 import pytest
 
-from retalis import Engine, Limits, PrologError, Settings, SyntaxFault, UsageError, atom
-from retalis.engine.client_requests import ask, wait_for_memories
+from retalis import (
+    Engine,
+    Limits,
+    ProgramErrors,
+    PrologError,
+    RetalisError,
+    Settings,
+    SyntaxFault,
+    UsageError,
+    atom,
+)
+from retalis.engine.client_requests import add_rule, ask, delete_rule, run_restricted, wait_for_memories
+from retalis.prolog.syntax.term_reader import read_term
 
 
 def values(answer):
@@ -37,7 +48,8 @@ def test_failing_goal_has_no_solutions():
 
 def test_number_of_solutions_is_limited():
     answer = ask(Engine(), "repeat", 3)
-    assert len(answer.solutions) == 3 and not answer.complete
+    assert len(answer.solutions) == 3
+    assert not answer.complete
     assert ask(Engine(), "member(X, [1, 2])", 2).complete
 
 
@@ -73,63 +85,291 @@ def test_syntax_error_has_position():
 
 
 @pytest.fixture
-def engine():
+def engine_with_memories():
     engine = Engine()
     engine.load(goals="memorize(v(_), [], _, m, 10)\nmemorize(w(_), [], _, n, 10)")
     return engine
 
 
-def test_available_records_need_no_wait(engine):
-    engine.event("v(1)", 5)
-    wait_for_memories(engine, [atom("m")], 5_000_000_000, 0)
+def test_available_records_need_no_wait(engine_with_memories):
+    engine_with_memories.event("v(1)", 5)
+    wait_for_memories(engine_with_memories, [atom("m")], 5_000_000_000, 0)
 
 
-def test_engine_processes_events_while_request_waits(engine):
-    done = []
+def test_engine_processes_events_while_request_waits(engine_with_memories):
+    results = []
 
     def wait():
-        wait_for_memories(engine, [atom("m"), atom("n")], 5_000_000_000, 60)
-        done.append([solution[0].text for solution in ask(engine, "access_mem(m, v(X), _)").solutions])
+        wait_for_memories(engine_with_memories, [atom("m"), atom("n")], 5_000_000_000, 60)
+        results.append(
+            [solution[0].text for solution in ask(engine_with_memories, "access_mem(m, v(X), _)").solutions]
+        )
 
     thread = threading.Thread(target=wait)
     thread.start()
-    while not engine.query("true") or not waiting(engine):
+    while not engine_with_memories.query("true") or not waiting(engine_with_memories):
         pass
-    engine.event("v(1)", 6)
-    assert waiting(engine) == 1
-    engine.event("w(1)", 7)
+    engine_with_memories.event("v(1)", 6)
+    assert waiting(engine_with_memories) == 1
+    engine_with_memories.event("w(1)", 7)
     thread.join(60)
-    assert done == [["1"]] and waiting(engine) == 0
+    assert results == [["1"]]
+    assert waiting(engine_with_memories) == 0
 
 
 def waiting(engine):
     return len(engine.knowledge.pending_queries)
 
 
-def test_wait_ends_with_error_after_timeout(engine):
-    engine.event("v(1)", 3)
+def test_wait_ends_with_error_after_timeout(engine_with_memories):
+    engine_with_memories.event("v(1)", 3)
     with pytest.raises(UsageError, match=r"in memory m \(2 s too early\), n \(nothing yet\) after 0.01 s"):
-        wait_for_memories(engine, [atom("m"), atom("n")], 5_000_000_000, 0.01)
-    assert waiting(engine) == 0
+        wait_for_memories(engine_with_memories, [atom("m"), atom("n")], 5_000_000_000, 0.01)
+    assert waiting(engine_with_memories) == 0
 
 
-def test_wait_for_unknown_memory_is_an_error(engine):
+def test_wait_for_unknown_memory_is_an_error(engine_with_memories):
     with pytest.raises(UsageError, match="there is no memory x"):
-        wait_for_memories(engine, [atom("x")], 0, 1)
+        wait_for_memories(engine_with_memories, [atom("x")], 0, 1)
 
 
-def test_deleted_memory_ends_wait(engine):
+def test_deleted_memory_ends_wait(engine_with_memories):
     ended = []
 
     def wait():
         with pytest.raises(UsageError, match="deleted"):
-            wait_for_memories(engine, [atom("m")], 5_000_000_000, 60)
+            wait_for_memories(engine_with_memories, [atom("m")], 5_000_000_000, 60)
         ended.append(True)
 
     thread = threading.Thread(target=wait)
     thread.start()
-    while not waiting(engine):
+    while not waiting(engine_with_memories):
         pass
-    engine.delete_memory(atom("m"))
+    engine_with_memories.delete_memory(atom("m"))
     thread.join(60)
-    assert ended and engine.query("true")
+    assert ended
+    assert engine_with_memories.query("true")
+
+
+# ---- added rules
+
+
+@pytest.fixture
+def recording_engine():
+    engine = Engine()
+    engine.recorded = []
+    engine.on_event(lambda term, start, end: engine.recorded.append(engine.show(term)))
+    return engine
+
+
+def test_added_rule_fires_until_deleted(recording_engine):
+    assert add_rule(recording_engine, "b(X) <- a(X).", "mine") == "mine"
+    recording_engine.event("a(1)", 1)
+    delete_rule(recording_engine, "mine")
+    recording_engine.event("a(2)", 2)
+    assert recording_engine.recorded == ["a(1)", "b(1)", "a(2)"]
+
+
+@pytest.mark.parametrize(
+    ("rule", "requested", "label"),
+    [
+        ("own : b <- a", "", "own"),
+        ("own : b <- a", "own", "own"),
+        ("own([property(window, 3)]) : b <- a", "", "own"),
+        ("b <- a % why", "", "added_1"),
+        ("b do true <- a", "it", "it"),
+        ("b <- a", "'two words'", "'two words'"),
+    ],
+)
+def test_rule_is_added_under_its_label(recording_engine, rule, requested, label):
+    assert add_rule(recording_engine, rule, requested) == label
+    recording_engine.event("a", 1)
+    assert recording_engine.recorded == ["a", "b"]
+    delete_rule(recording_engine, label)
+    recording_engine.event("a", 2)
+    assert recording_engine.recorded == ["a", "b", "a"]
+
+
+def test_new_labels_are_unique(recording_engine):
+    assert [add_rule(recording_engine, "b <- a") for _ in range(3)] == ["added_1", "added_2", "added_3"]
+    delete_rule(recording_engine, "added_2")
+    assert add_rule(recording_engine, "b <- a") == "added_2"
+
+
+@pytest.mark.parametrize(
+    ("rule", "label", "message"),
+    [
+        ("b :- a", "", "expected one event rule"),
+        (":- halt", "", "expected one event rule"),
+        ("b <- c", "there", "a rule there already exists"),
+        ("there : b <- c", "", "a rule there already exists"),
+        ("own : b <- c", "other", "the rule has the label own already"),
+        ("b <- c", "f(x)", "label: expected an atom"),
+    ],
+)
+def test_invalid_rule_or_label_is_refused(recording_engine, rule, label, message):
+    recording_engine.load(rules="there : b <- a.")
+    with pytest.raises(UsageError, match=message):
+        add_rule(recording_engine, rule, label)
+
+
+def test_errors_of_added_rule_have_line_and_caret(recording_engine):
+    with pytest.raises(SyntaxFault) as fault:
+        add_rule(recording_engine, "b <- a seq\n  (c where X > )")
+    assert str(fault.value).splitlines()[0].startswith("rule:2:16: ")
+    assert "^" in str(fault.value)
+    with pytest.raises(ProgramErrors) as errors:
+        add_rule(recording_engine, "b <-\n   a ntimes x")
+    assert str(errors.value).startswith(
+        "rule:2:13: ntimes needs a positive integer\n   a ntimes x\n            ^"
+    )
+    recording_engine.event("a", 1)
+    assert recording_engine.recorded == ["a"]
+
+
+def test_deleting_unknown_label_is_an_error(recording_engine):
+    for label in ("none", "", "f(x)", "a b"):
+        with pytest.raises(RetalisError):
+            delete_rule(recording_engine, label)
+
+
+def test_added_rule_cannot_load_files(recording_engine, tmp_path):
+    (tmp_path / "secret.txt").write_text("secret.")
+    add_rule(
+        recording_engine,
+        f"b do (catch(compile_event_file('{tmp_path}/secret.txt'), E, assertz(kept(E)))) <- a",
+    )
+    recording_engine.event("a", 1)
+    assert recording_engine.query("kept(error(permission_error(_, _, _), _))")
+
+
+# ---- flags
+
+SET_FLAG = "set_etalis_flag(event_consumption_policy, unrestricted)"
+PROGRAM = "null do set_etalis_flag(event_consumption_policy, chronological) <- own(_).\n"
+REFUSED = "~allow_flags"
+
+
+def make_engine(rules="", **settings):
+    engine = Engine(settings=Settings(**settings))
+    engine.load(rules=PROGRAM + ":- dynamic helper/0.\n" + rules)
+    return engine
+
+
+def policy(engine):
+    (answer,) = engine.query("get_etalis_flag(event_consumption_policy, X)")
+    return answer["X"].name
+
+
+def terms(engine, *texts):
+    return [read_term(text, engine.operators, "text").term for text in texts]
+
+
+@pytest.mark.parametrize(
+    "goal",
+    [
+        SET_FLAG,
+        "set_prolog_flag(double_quotes, atom)",
+        "set_prolog_flag(mine, 1)",
+        "create_prolog_flag(mine, 1, [])",
+        "unknown(_, fail)",
+        f"G = {SET_FLAG}, call(G)",
+        "G =.. [set_etalis_flag, event_consumption_policy, unrestricted], once((true, G))",
+        f"findall(x, {SET_FLAG}, _)",
+        f"assertz((helper :- {SET_FLAG})), helper",
+        f"compile_event_rules([(:- {SET_FLAG})])",
+        f"event(synchronized(x, {SET_FLAG}, []))",
+    ],
+)
+def test_query_that_sets_flag_is_refused(goal, caplog):
+    engine = make_engine()
+    engine.event("first", 1)
+    before = engine.query("current_prolog_flag(double_quotes, X), current_prolog_flag(unknown, Y)")
+    try:
+        ask(engine, goal)
+        text = caplog.text
+    except PrologError as error:
+        text = error.message
+    assert REFUSED in text
+    assert policy(engine) == "recent"
+    assert engine.query("current_prolog_flag(double_quotes, X), current_prolog_flag(unknown, Y)") == before
+    assert not engine.query("current_prolog_flag(mine, X)")
+
+
+def test_reset_of_changed_program_is_refused():
+    engine = make_engine()
+    engine.call(SET_FLAG)
+    with pytest.raises(PrologError, match=REFUSED):
+        ask(engine, "reset_etalis")
+    engine = make_engine()
+    ask(engine, "reset_etalis")
+
+
+def test_setting_allows_flags_in_queries():
+    engine = make_engine(allow_flags=True)
+    ask(engine, SET_FLAG)
+    assert policy(engine) == "unrestricted"
+
+
+def test_program_and_owner_set_flags():
+    engine = make_engine(":- set_etalis_flag(event_consumption_policy, recent_2).")
+    assert policy(engine) == "recent_2"
+    engine.event("own(1)", 1)
+    assert policy(engine) == "chronological"
+    engine.query(SET_FLAG)
+    assert policy(engine) == "unrestricted"
+    ask(engine, "event(own(2))")
+    assert policy(engine) == "chronological"
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [
+        f"null do {SET_FLAG} <- a(_).",
+        f"x <- a(_) where {SET_FLAG}.",
+        f"x <- a(X) where (X > 0, {SET_FLAG}, X > 0).",
+        f"x <- a(_) event_multiply {SET_FLAG}.",
+        f"synchronized(x, {SET_FLAG}, []) <- a(_).",
+        f"null do (G = {SET_FLAG}, call(G)) <- a(_).",
+        "a2(X) <- a(X). a3(X) <- a2(X).",
+    ],
+)
+def test_added_rule_that_sets_flag_is_refused(rule, caplog):
+    engine = make_engine("".join(f"b{number + 1}(X) <- b{number}(X).\n" for number in range(8)))
+    for text in rule.split(". "):
+        add_rule(engine, text.replace("a(", "b8(") if "null" in text else text)
+    engine.event("a(1)", 1)
+    engine.event("b0(1)", 2)
+    engine.event("a(_)", 3)
+    assert policy(engine) == "recent"
+    assert (REFUSED in caplog.text) == (SET_FLAG in rule)
+
+
+def test_added_rule_is_refused_after_change_of_flags(caplog):
+    engine = make_engine()
+    add_rule(engine, f"synchronized(x, {SET_FLAG}, []) <- a(_).")
+    engine.event("own(1)", 1)  # compiles all rules again
+    engine.event("a(1)", 2)
+    assert policy(engine) == "chronological"
+    assert REFUSED in caplog.text
+
+
+def test_service_condition_that_sets_flag_is_refused(caplog):
+    engine = make_engine()
+    event, condition, free = terms(engine, "a(_)", SET_FLAG, "_")
+    run_restricted(engine, lambda: engine.add_memory(event, [condition], free, atom("m"), 5))
+    run_restricted(engine, lambda: engine.add_subscription(event, [condition], free, atom("out"), atom("s")))
+    engine.event("a(1)", 1)
+    assert policy(engine) == "recent"
+    assert "subscription s" in caplog.text
+    assert "memory m" in caplog.text
+    assert REFUSED in caplog.text
+    engine.load(goals=f"memorize(c(_), [{SET_FLAG}], _, own, 5)")
+    engine.event("c(1)", 2)
+    assert policy(engine) == "unrestricted"
+
+
+def test_allowed_goal_text_sets_flag():
+    engine = make_engine(allow_goals=True)
+    engine.post_text(SET_FLAG)
+    assert policy(engine) == "unrestricted"

@@ -1,15 +1,27 @@
-"""Event input: goals that subscribe to topics, and timestamps that are far ahead of the clock."""
+"""Event input: topics that goals subscribe to, events, event texts, and their times."""
 
 import logging
-from collections import Counter
-from random import Random
 
 import pytest
+from recording_engine import RecordingEngine
 
-from retalis import Definitions, Engine, RetalisError, StreamClock
+from retalis import (
+    Clock,
+    Definitions,
+    Engine,
+    PrologError,
+    Reports,
+    RetalisError,
+    Settings,
+    StreamClock,
+    SyntaxFault,
+    UsageError,
+    atom,
+)
 from retalis.engine.program_check import check_program
 from retalis.events.program.topic_configuration import TopicEvent, Topics, topic_type
-from retalis.prolog.terms.timestamps import SECOND, from_seconds
+from retalis.prolog.terms import timestamps
+from retalis.prolog.terms.timestamps import SECOND
 
 TOPICS = Topics(
     (topic_type("/left", "std_msgs/Bool"), topic_type("said", "std_msgs/String")),
@@ -86,12 +98,12 @@ def test_events_named_by_goal_have_named_slots(engine_with_topics):
     engine, _ = engine_with_topics
     engine.load(goals="subscribe_to(right, 'std_msgs/Bool', right)", rules="hit(X) <- right{data: X}.")
     events = []
-    engine.on_event(lambda term, start, end: events.append(str(term[1])))
+    engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     engine.event("right(true)", 1)
-    assert len(events) == 2
+    assert events == ["right{data: true}", "hit(true)"]
 
 
-def test_reload_subscribes_to_new_topics_and_refuses_other_types(tmp_path, engine_with_topics):
+def test_reload_subscribes_to_new_topics_only(tmp_path, engine_with_topics):
     engine, subscriptions = engine_with_topics
     goals = tmp_path / "goalPredicates.txt"
     goals.write_text("subscribe_to(a, 'std_msgs/Bool', x)\n")
@@ -104,7 +116,7 @@ def test_reload_subscribes_to_new_topics_and_refuses_other_types(tmp_path, engin
     assert subscriptions == [("a", "std_msgs/Bool", "x"), ("b", "std_msgs/Bool", "")]
 
 
-def test_check_knows_events_of_topics_subscribed_by_goals(tmp_path):
+def test_check_knows_events_of_subscribed_topics(tmp_path):
     (tmp_path / "pub_sub.xml").write_text("<publish_subscribe/>")
     (tmp_path / "goalPredicates.txt").write_text(
         "compile_event_file('rules.txt')\nsubscribe_to(left, 'std_msgs/Bool', bump)\n"
@@ -125,336 +137,256 @@ def test_check_knows_events_of_topics_subscribed_by_goals(tmp_path):
     ]
 
 
-# ---- timestamps far ahead ------------------------------------------------------------------------------
-
-YEAR = 365 * 86_400
-START = 1_700_000_000
-
-TIMED_RULES = """
-last_10(N) <- aggregate(count, tick, N, last(10)).
-hopping(N) <- aggregate(count, tick, N, every(5)).
-from_first(N) <- aggregate(count, tick, N, every(5, first)).
-running(N) <- aggregate(count, tick, N, running(every(5))).
-pair <- (left seq right) within 3.
-silent <- left seq absent(never, 0.5).
-"""
+# ---- events and event texts
 
 
-class FarStamps:
-    """An engine with its default clock, its warnings, and counts of its events."""
-
-    def __init__(self, rules=TIMED_RULES):
-        self.engine = Engine()
-        self.warnings = []
-        self.engine.rules.on_warning = lambda warning: self.warnings.append(warning.message)
-        self.engine.load(rules=rules, goals="timer(beat, every(10)).")
-        self.counts = Counter()
-        self.engine.on_event(lambda term, start, end: self.counts.update([functor_name(self.engine, term)]))
-
-    def run(self, seconds, wrong=()):
-        """Feed three events for each second; ``wrong`` maps seconds to the distance of the first one's time."""
-        for second in seconds:
-            self.engine.event("tick", START + second + dict(wrong).get(second, 0))
-            self.engine.event("left", START + second + 0.1)
-            self.engine.event("right", START + second + 0.2)
-        return self.counts
+def test_events_without_time_have_distinct_times():
+    engine = RecordingEngine()
+    engine.clock.move_to(5)
+    engine.event("a")
+    engine.event("b")
+    assert engine.events == [("a", 5, 5), ("b", 6, 6)]
 
 
-def functor_name(engine, term):
-    return engine.show(term).partition("(")[0]
+def test_late_event_does_not_move_clock_back():
+    engine = RecordingEngine("out(X) <- (a(X) seq b(X)) within 60.\nexceptionAlarm(ring(X), 5) <- a(X).")
+    for second in range(200):
+        engine.event(f"a({second})", second)
+    assert engine.clock.now() == 199 * 10**9
+    assert engine.rules.rules[0].stored_match_count == 60
+    assert [event for event, _, _ in engine.events].count("ring(194)") == 1
+    assert ("ring(195)", 195 * 10**9, 200 * 10**9) not in engine.events
+    engine.event("late", 3)
+    assert engine.clock.now() == 199 * 10**9
+    engine.event("b(199)", 201)
+    assert ("out(199)", 199 * 10**9, 201 * 10**9) in engine.events
 
 
-def test_single_stamp_far_ahead_does_not_move_time():
-    expected = FarStamps().run(range(100))
-    run = FarStamps()
-    counts = run.run(range(100), {25: YEAR})
-    assert (counts["last_10"], counts["running"]) == (99, 99)
-    for name in ("pair", "silent", "hopping", "from_first", "beat"):
-        assert counts[name] == expected[name], name
-    (warning,) = run.warnings
-    assert warning.startswith(
-        "event tick: its time is 365.0 days ahead of the clock, which does not follow it"
-    )
-    assert run.engine.status().ahead == 1
+def test_given_clock_is_not_moved_by_events():
+    engine = RecordingEngine(clock=StreamClock(7))
+    engine.event("a", 100)
+    assert engine.clock.now() == 7
 
 
-@pytest.mark.parametrize("distance", [60, 3600, 86_400, 29 * 86_400])
-def test_clock_returns_from_single_stamp_ahead(distance):
-    expected = FarStamps().run(range(1000))
-    run = FarStamps()
-    counts = run.run(range(1000), {250: distance})
-    # Three events show the error; what they belong to is lost, and alarms between the two times ring once more.
-    for name in ("last_10", "running", "pair", "silent"):
-        assert expected[name] - 3 <= counts[name] <= expected[name], name
-    assert counts["hopping"] >= expected["hopping"] - 1
-    assert counts["beat"] >= expected["beat"]
-    assert run.engine.clock.now() == from_seconds(START + 999.2)
-    # One line names the event; the other one is that of a rule with a late event.
-    (warning,) = [text for text in run.warnings if text.startswith("event ")]
-    assert "event tick/0: its time was " in warning
-    assert "ahead of the other events" in warning
-    assert run.engine.status().ahead == 1
+STAMPED = "late(D) <- (s seq e) check (t1(S), t2(E), E - S >= 9.5, E > S, D is E - S)."
 
 
-def test_values_of_windows_are_right_after_clock_has_returned():
-    values = []
-    run = FarStamps("last_10(N) <- aggregate(count, tick, N, last(10)).")
-    run.engine.on_event(lambda term, start, end: values.append((end, run.engine.show(term))))
-    run.run(range(100), {50: 3600})
-    later = [text for end, text in values if 62 <= end / SECOND - START < 100 and "last" in text]
-    assert later == ["last_10(10)"] * 38
+@pytest.mark.parametrize("input_kind", ["event", "post", "text", "datime", "now"])
+def test_stamp_arithmetic_is_equal_for_all_inputs(input_kind):
+    engine = RecordingEngine(STAMPED)
+    for name, seconds in (("s", 5), ("e", 15.25)):
+        instant = int(seconds * 10**9)
+        if input_kind == "event":
+            engine.event(name, seconds)
+        elif input_kind == "post":
+            engine.post(atom(name), instant)
+        elif input_kind == "text":
+            engine.post_text(f"event({name},[{seconds},{seconds}])")
+        elif input_kind == "datime":
+            engine.event(name, timestamps.datime(instant), timestamps.datime(instant))
+        else:
+            engine.clock.move_to(instant)
+            engine.event(name)
+    assert [event for event, _, _ in engine.events] == ["s", "e", "late(10.25)"]
 
 
-@pytest.mark.parametrize("wrong", [{25: 3600, 26: 3601}, {25: 3600, 26: 86_400}, {25: YEAR, 26: YEAR}])
-def test_several_wrong_stamps_of_one_event_are_one_source(wrong):
-    expected = FarStamps().run(range(100))
-    run = FarStamps()
-    counts = run.run(range(100), wrong)
-    assert run.engine.clock.now() == from_seconds(START + 99.2)
-    for name in ("last_10", "running", "pair", "silent"):
-        assert expected[name] - 4 <= counts[name] <= expected[name], name
+def test_event_text_beyond_limit_is_refused(caplog, monkeypatch):
+    engine = RecordingEngine(clock=StreamClock(7))
+    monkeypatch.setattr("retalis.engine.event_input.MAX_EVENT_TEXT_CHARACTERS", 20)
+    with caplog.at_level(logging.WARNING, "retalis"):
+        engine.post_text("event(a(1234567890))")
+        engine.post_text("event(a(12345678901))")
+    assert engine.events == [("a(1234567890)", engine.events[0][1], engine.events[0][2])]
+    (record,) = caplog.records
+    assert "21 characters, at most 20 are allowed" in record.getMessage()
 
 
-def test_burst_of_wrong_stamps_before_other_events():
-    run = FarStamps()
-    run.run(range(20))
-    for hundredth in range(30):
-        run.engine.event("tick", START + 3600 + 20 + hundredth / 100)
-    run.run(range(21, 60))
-    assert run.engine.clock.now() == from_seconds(START + 59.2)
-    assert run.counts["pair"] >= 57
+def test_times_may_be_terms_or_numbers():
+    engine = RecordingEngine()
+    stamp = timestamps.datime(7 * 10**9 + 1)
+    engine.event("a", stamp, stamp)
+    engine.event("b", 1.5, 2)
+    assert engine.events == [("a", 7 * 10**9 + 1, 7 * 10**9 + 1), ("b", 1_500_000_000, 2_000_000_000)]
 
 
-@pytest.mark.parametrize("offset", [3600, YEAR])
-def test_source_with_another_date_does_not_move_clock_beside_others(offset):
-    expected = FarStamps().run(range(100))
-    run = FarStamps()
-    counts = run.run(range(100), dict.fromkeys(range(10, 100), offset))
-    assert run.engine.clock.now() == from_seconds(START + 99.2)
-    assert expected["pair"] - 3 <= counts["pair"] <= expected["pair"]
-    assert run.engine.status().ahead >= 88
-    assert len(run.warnings) < 30, "reports are throttled"
+def test_end_before_start_is_refused():
+    engine = RecordingEngine()
+    with pytest.raises(RetalisError):
+        engine.event("a", 2, 1)
+    with pytest.raises(UsageError):
+        engine.event("a", "soon")
+    assert engine.events == []
 
 
-@pytest.mark.parametrize("distance", [3600, YEAR])
-def test_clock_returns_from_first_stamp_ahead(distance):
-    expected = FarStamps().run(range(100))
-    counts = FarStamps().run(range(100), {0: distance})
-    assert counts["last_10"] >= 99
-    for name in ("pair", "silent", "beat"):
-        assert counts[name] >= expected[name] - 1, name
-
-
-@pytest.mark.parametrize("offset", [3600, 40 * 86_400, 20 * YEAR])
-def test_stream_with_other_date_is_processed(offset):
-    run = FarStamps()
-    shifted = FarStamps()
-    shifted_engine = shifted.engine
-    for second in range(50):
-        for event, fraction in (("tick", 0), ("left", 0.1), ("right", 0.2)):
-            run.engine.event(event, START + second + fraction)
-            shifted_engine.event(event, START + offset + second + fraction)
-    assert {**shifted.counts, "beat": 0} == {**run.counts, "beat": 0}
-    assert shifted.warnings == []
-
-
-@pytest.mark.parametrize("pause", [11, 3600, 20 * 86_400])
-def test_pause_is_no_error(pause):
-    expected, run = FarStamps(), FarStamps()
-    expected.run(range(50))
-    run.run(range(50))
-    expected.run(range(60, 110))
-    # Nothing is refused, and alarms before the first event after the pause ring before it.
-    for second in range(50):
-        for event, fraction in (("tick", 0), ("left", 0.1), ("right", 0.2)):
-            run.engine.event(event, START + 50 + pause // 10 * 10 + second + fraction)
-    for name in ("last_10", "running", "pair", "silent", "hopping", "from_first"):
-        assert run.counts[name] == expected.counts[name], name
-    assert [text for text in run.warnings if not text.startswith("time has jumped")] == []
-    assert run.engine.status().ahead == 0
-
-
-def test_stream_with_rare_events_moves_clock_at_each():
-    run = FarStamps("late(X) <- in(X) seq absent(never, 5).")
-    for hour in range(30):
-        run.engine.event(f"in({hour})", START + 3600 * hour)
-    assert run.counts["late"] == 29
-    assert run.warnings == []
-
-
-def test_other_date_of_all_events_moves_clock_after_ten_seconds():
-    run = FarStamps("late <- left seq absent(never, 1).")
-    run.run(range(5))
-    run.run(range(YEAR + 5, YEAR + 15))
-    assert run.engine.clock.now() < (START + 6) * SECOND
-    run.run(range(YEAR + 15, YEAR + 20))
-    assert run.engine.clock.now() == from_seconds(START + YEAR + 19.2)
-    assert run.counts["late"] == 19
-
-
-def test_late_events_after_pause_move_clock_back_only_until_next_event():
-    run = FarStamps()
-    run.run(range(20))
-    run.engine.event("tick", START + 3600)
-    for _ in range(3):
-        run.engine.event("slow", START + 19)
-    run.run(range(3601, 3620))
-    assert run.engine.clock.now() == from_seconds(START + 3619.2)
-    assert run.counts["pair"] == 39
+def test_event_with_syntax_error_is_refused():
+    with pytest.raises(SyntaxFault):
+        RecordingEngine().event("a(", 1)
 
 
 @pytest.mark.parametrize(
-    "rule",
+    "text",
     [
-        "out(N) <- aggregate(count, tick, N, last(10)).",
-        "out(N) <- aggregate(count, left, N, last(3)).",
-        "out(N) <- aggregate(count, tick, N, every(5)).",
-        "out(N) <- aggregate(count, tick, N, running(every(5))).",
-        "out(N) <- aggregate(count, tick, N, last(10, every(5))).",
-        "out <- tick with debounce(0.5).",
-        "out <- left seq absent(never, 0.5).",
-        "out <- (tick seq right) within 3.",
-        "out <- (tick and right) within 0.5.",
-        "out <- (left seq right seq left) within 5.",
+        "event(a(1),[datime(1970,1,1,0,0,1,0),datime(1970,1,1,0,0,1,0)])",
+        "new_event(a(1),1,0)",
+        "new_event(a(1),1,0,1,0)",
+        "new_event(a(1), [datime(1970,1,1,0,0,1.0,0), datime(1970,1,1,0,0,1,0)]).",
     ],
 )
-def test_rule_is_right_after_clock_has_returned(rule):
-    results = []
-    for wrong in ({}, {50: 3600}):
-        run, outputs = FarStamps(rule), []
-        # The longest window, of 10 s, has only events after the return.
-        run.run(range(63), wrong)
-        run.engine.on_event(
-            lambda term, start, end, run=run, outputs=outputs: outputs.append(
-                (run.engine.show(term), start, end)
-            )
-        )
-        run.run(range(63, 120))
-        results.append(outputs)
-    assert results[0] == results[1]
-    assert any(text.startswith("out") for text, _, _ in results[0])
+def test_event_text_is_processed(text):
+    engine = RecordingEngine()
+    engine.post_text(text)
+    assert engine.events == [("a(1)", 10**9, 10**9)]
 
 
 @pytest.mark.parametrize(
-    "rule",
-    [
-        "out(N) <- aggregate(count, tick, N, every(5, first)).",
-        "out(N) <- aggregate(count, tick, N, running(every(5, first))).",
-        "out <- tick with throttle(5).",
-        "out <- tick with burst(0.5).",
-    ],
+    "text", ["assertz(x)", "event(", "event(X)", "event(1)", "event(a,[2,1])", "new_event(a,x,1)"]
 )
-def test_operator_that_begins_with_event_continues_after_clock_has_returned(rule):
-    """The wrong event may have begun another window, so only the numbers of outputs agree."""
-    counts = []
-    for wrong in ({}, {50: 3600}):
-        run = FarStamps(rule)
-        run.run(range(56), wrong)
-        run.counts.clear()
-        counts.append(run.run(range(56, 120))["out"])
-    assert counts[0] > 10
-    assert abs(counts[0] - counts[1]) <= 1
+def test_other_text_is_refused_with_warning(text, caplog):
+    engine = RecordingEngine()
+    with caplog.at_level(logging.WARNING, "retalis"):
+        engine.post_text(text)
+    assert len(caplog.records) == 1
+    assert engine.events == []
+    assert engine.query("catch(x, _, fail)") == []
 
 
-def test_subscription_continues_after_clock_has_returned():
-    counts = []
-    for wrong in ({}, {50: 3600}):
-        run, sent = FarStamps("pair <- left seq right."), []
-        run.engine.load(goals="subscribe(tick with throttle(5), [], tick, ticks, a)")
-        run.run(range(56), wrong)
-        run.engine.on_output(lambda term, topic, name, sent=sent: sent.append(term))
-        run.run(range(56, 120))
-        counts.append(len(sent))
-    assert counts == [12, 13]
+def test_goal_text_is_called_if_allowed():
+    engine = RecordingEngine(allow_goals=True)
+    engine.post_text("assertz(x(1))")
+    assert engine.query("x(1)") == [{}]
 
 
-def test_memory_and_state_do_not_stay_in_future():
+def test_default_clock_is_stream_clock():
+    assert isinstance(Engine().clock, StreamClock)
+
+
+@pytest.mark.parametrize(
+    "text", ["new_event(a,99999999999999,0)", "event(a,[1.0e20,1.0e20])", "new_event(a,1,0,99999999999999,0)"]
+)
+def test_instant_without_date_is_refused(text, caplog):
     engine = Engine()
-    engine.load(goals="memorize(at(_), [], _, place, 1)")
-    for second, ahead in ((0, 0), (1, 3600), (2, 0), (3, 0), (4, 0), (5, 0)):
-        engine.event(f"at({second})", START + second + ahead)
-    assert engine.query("prev(place, at(Place), _, _, 1700000005)") == [{"Place": 5}]
+    engine.load(goals="memorize(a, [], _, m, 5)")
+    engine.post_text(text)
+    assert "refused" in caplog.text
+    assert not engine.call("access_mem(m, _, _)")
+    if text.startswith("new_event"):
+        with pytest.raises(PrologError):
+            engine.call(text)
 
 
-def test_state_that_begins_ahead_is_removed():
-    engine, states = Engine(), []
-    engine.load(rules=":- state(open, from(opened), until(closed)).")
-    engine.on_event(lambda term, start, end: states.append((engine.show(term), start, end)))
-    for second in range(20):
-        engine.event("tick", START + second)
-    engine.event("opened", START + 3600)
-    for second in range(21, 25):
-        engine.event("tick", START + second)
-    assert not engine.call("holds(open)")
-    engine.event("opened", START + 26)
-    engine.event("closed", START + 28)
-    assert states[-1] == ("open", (START + 26) * SECOND, (START + 28) * SECOND)
+def test_posted_term_and_text_have_same_stamp():
+    shown = []
+    for post in (
+        lambda engine: engine.post(atom("a"), 10**9 + 5),
+        lambda engine: engine.post_text("event(a,[datime(1970,1,1,0,0,1,5),datime(1970,1,1,0,0,1,5)])"),
+    ):
+        engine = Engine()
+        engine.load(goals="memorize(a, [], _, m, 5)")
+        post(engine)
+        shown.append(engine.show(engine.query("access_mem(m, _, I)")[0]["I"]))
+    assert shown == ["[datime(1970,1,1,0,0,1,5),datime(1970,1,1,0,0,1,5)]"] * 2
 
 
-def random_stream(random):
-    """Return events of four names with times in order, some of which are wrong by a minute to a year."""
-    time, events = START, []
-    for _ in range(150):
-        time += random.choice((0.1, 0.5, 1, 1, 3, 15))
-        name = random.choice(("tick", "left", "right", "never"))
-        wrong = random.choice((60, 3600, 86_400, YEAR)) if random.random() < 0.05 else 0
-        events.append((name, time + wrong + random.choice((0, 0, -0.3))))
-    return events
+def test_refused_event_text_is_logged_with_reason(caplog):
+    engine = Engine()
+    for text in ("event(X)", "event(a,[2,1])", "foo", "event(a", "halt(" + "x" * 1000 + ")"):
+        engine.post_text(text)
+    shown = [record.getMessage() for record in caplog.records]
+    assert shown[0] == "event refused: event(X): Arguments are not sufficiently instantiated"
+    assert shown[1] == "event refused: event(a,[2,1]): Type error: `interval' expected, found `[2,1]'"
+    assert shown[2] == "event refused: foo: only event/1,2 and new_event/2,3,5 are accepted"
+    assert shown[3].startswith("event refused: event text:1:8: expected")
+    assert len(shown[4]) < 300
 
 
-def outputs_of(engine):
-    outputs = []
-    engine.on_event(lambda term, start, end: outputs.append((engine.show(term), start, end)))
-    return outputs
+def test_failed_goal_text_is_logged(caplog):
+    engine = Engine(settings=Settings(allow_goals=True))
+    for text in ("fail", "nosuch(1)"):
+        engine.post_text(text)
+    assert [record.getMessage() for record in caplog.records] == [
+        "the goal fail fails",
+        "the goal nosuch(1) ends with an error: Unknown procedure: nosuch/1",
+    ]
 
 
-OTHER_RULES = """
-slow <- tick with throttle(5).
-settled <- tick with debounce(2).
-of_five(N) <- aggregate(count, left, N, last(5)).
-changed(N) <- aggregate(count, tick, N, every(3)) with throttle(2).
-"""
+def test_invalid_instant_of_post_is_refused():
+    engine = Engine()
+    with pytest.raises(ValueError, match="soon"):
+        engine.post(atom("a"), "soon")
 
 
-@pytest.mark.parametrize("has_receipt_clock", [False, True])
-@pytest.mark.parametrize("seed", range(20))
-def test_restored_engine_has_same_outputs(seed, has_receipt_clock):
-    random = Random(seed)
-    clock, restored_clock = (StreamClock(1), StreamClock(1)) if has_receipt_clock else (None, None)
-    engine, restored = Engine(clock), Engine(restored_clock)
-    for program in (engine, restored):
-        program.load(
-            rules=TIMED_RULES + OTHER_RULES,
-            goals="timer(beat, every(10)).\nsubscribe(tick with debounce(2), [], tick, ticks, a).",
+def moved(instant):
+    def clock():
+        moved_clock = StreamClock()
+        moved_clock.move_to(instant)
+        return moved_clock
+
+    return clock
+
+
+def pinned(instant):
+    def clock():
+        pinned_clock = StreamClock()
+        pinned_clock.pin(instant)
+        return pinned_clock
+
+    return clock
+
+
+def test_event_without_time_on_unset_clock_is_refused():
+    """With stamps of 0 s and 1 ns, absences would not end and alarms would not be emitted."""
+    own = Engine()
+    for engine in (own, Engine(StreamClock())):
+        starts = []
+        engine.on_event(lambda term, start, end, starts=starts: starts.append(start))
+        with pytest.raises(UsageError) as error:
+            engine.event("beat")
+        assert str(error.value) == (
+            "event 'beat': it has no time, and the clock of the engine was never set: "
+            "give the event a time, or the engine the computer's clock with Engine(clock=Clock())"
         )
-    outputs, restored_outputs = outputs_of(engine), outputs_of(restored)
-    receipt = 0
-    for name, time in random_stream(random):
-        # The receipt clock has the time of the stream without its errors.
-        receipt = max(receipt, from_seconds(min(time, receipt / SECOND + 3 if receipt else time)))
-        for program in (engine, restored):
-            if has_receipt_clock:
-                program.clock.move_to(receipt)
-            program.event(name, time)
-        if random.random() < 0.3:
-            restored = Engine.restore(restored.snapshot())
-            outputs_before, restored_outputs = restored_outputs, outputs_of(restored)
-            restored_outputs += outputs_before
-    assert restored_outputs == outputs
-    assert restored.clock.now() == engine.clock.now()
-    status, restored_status = engine.status(), restored.status()
-    assert restored_status.ahead == status.ahead
-    assert [rule.ahead for rule in restored_status.rules] == [rule.ahead for rule in status.rules]
-    assert restored_status.subscriptions[0].ahead == status.subscriptions[0].ahead
+        assert starts == []
+        if engine is own:
+            engine.event("first", 5)  # moves the default clock
+        else:
+            engine.clock.move_to(5 * SECOND)
+        engine.event("beat")
+        assert starts[-1] == 5 * SECOND
 
 
-def test_window_on_receipt_clock_reports_stamp_ahead():
-    clock = StreamClock(START * SECOND)
-    engine = Engine(clock)
-    warnings = []
-    engine.rules.on_warning = lambda warning: warnings.append(warning.message)
-    engine.load(rules="n(N) <- aggregate(count, tick, N, every(5, first)).")
-    engine.event("tick", START)
-    engine.event("tick", START + 60)
-    assert len(warnings) == 1
-    assert "event tick is 60.0 s ahead of the clock" in warnings[0]
+@pytest.mark.parametrize("post", ["post", "post_each", "post_text"])
+def test_posted_event_on_unset_clock_is_reported(post):
+    reports, errors_and_events = Reports(), []
+    reports.error = lambda error, *_: errors_and_events.append(str(error)[:30])
+    engine = Engine(None, None, reports)
+    engine.on_event(lambda term, start, end: errors_and_events.append(engine.show(term)))
+    if post == "post":
+        engine.post(atom("beat"))
+    elif post == "post_each":
+        engine.post_each([(atom("beat"), None)])
+    else:
+        engine.post_text("event(beat)")
+    assert errors_and_events == ["event 'beat': it has no time, "]
+
+
+@pytest.mark.parametrize(
+    "clock",
+    [lambda: StreamClock(0), lambda: StreamClock(7), moved(0), pinned(0), lambda: Clock(lambda: 5 * SECOND)],
+)
+def test_set_clock_stamps_events(clock):
+    engine = Engine(clock())
+    starts = []
+    engine.on_event(lambda term, start, end: starts.append(start))
+    engine.event("beat")
+    engine.event("beat")
+    assert starts[1] > starts[0]
+
+
+def test_restored_clock_is_unset_or_set():
+    engine = Engine()
+    with pytest.raises(UsageError, match="has no time"):
+        Engine.restore(engine.snapshot()).event("beat")
+    engine.event("beat", 0)
+    restored = Engine.restore(engine.snapshot())
+    restored.event("beat")
+    assert restored.status().taken == 2

@@ -139,7 +139,8 @@ def test_unchanged_rule_keeps_partial_matches(program):
         .replace("smoke(X) seq heat(Y)", "smoke(A)  seq\n heat(B)")
     )
     assert changes[0] == "rules: 1 new, 1 gone, 1 kept, with 1 partial match"
-    assert changes[1].startswith("  new: rule alarm(X) (") and changes[1].endswith("rules.txt:6)")
+    assert changes[1].startswith("  new: rule alarm(X) (")
+    assert changes[1].endswith("rules.txt:6)")
     assert changes[2] == "  gone: rule alarm(X)"
     assert program.events("fire(cellar)", "heat(2)") == [
         "fire(cellar)",
@@ -328,7 +329,7 @@ def test_deletions_of_services_are_reverted(program):
 
 
 @pytest.mark.parametrize(
-    "goal, part",
+    ("goal", "part"),
     [
         ("memorize(glow, [], _, glows, 3)", "memory glows of the program exists already"),
         ("subscribe(glow, [], _, lights, x)", "subscription x of topic lights of the program exists already"),
@@ -381,7 +382,7 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize("goals, rules, part", WRONG)
+@pytest.mark.parametrize(("goals", "rules", "part"), WRONG)
 def test_wrong_program_leaves_previous_one_running(tmp_path, goals, rules, part):
     program = Program(tmp_path, Settings(limits=Limits(inferences=100_000)))
     program.events("fire(hall)", "smoke(1)")
@@ -416,7 +417,7 @@ HERE_ONLY = "\\+ here\n"
 
 
 @pytest.mark.parametrize(
-    "goals, rules",
+    ("goals", "rules"),
     [
         (HERE_ONLY, "z <- fire(X).\n"),
         (GOALS + HERE_ONLY, RULES),
@@ -592,10 +593,8 @@ class TestTimers:
         timed.write(goals=GOALS)
         other.reload(timed.folder)
         (remaining_timers,) = other.query("timers(L)")
-        assert (
-            other.show(remaining_timers["L"]).startswith("[timer(own,")
-            and other.show(remaining_timers["L"]).count("timer(") == 1
-        )
+        assert other.show(remaining_timers["L"]).startswith("[timer(own,")
+        assert other.show(remaining_timers["L"]).count("timer(") == 1
 
 
 STATE = "state(docked(R), from(dock(R)), until(undock(R)))\n"

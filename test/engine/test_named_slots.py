@@ -1,4 +1,4 @@
-"""Rules, goals and questions with slots by name, and what is said of them."""
+"""Rules, goals, queries, errors and warnings with named slots."""
 
 import struct
 
@@ -24,10 +24,10 @@ subscribe(others__0__Thing{{z: Y}}, [], _, out, q)
 
 @pytest.fixture
 def definitions():
-    known = Definitions(InstalledTypes(packages=[], modules=[], include_rosbags=False))
-    known.add("my_msgs/Point", "float64 x\nfloat64 y\n")
-    known.add("my_msgs/Named", "string name\nPoint point\n")
-    return known
+    types = Definitions(InstalledTypes(packages=[], modules=[], include_rosbags=False))
+    types.add("my_msgs/Point", "float64 x\nfloat64 y\n")
+    types.add("my_msgs/Named", "string name\nPoint point\n")
+    return types
 
 
 @pytest.fixture
@@ -35,13 +35,13 @@ def engine(definitions):
     return Engine(definitions=definitions)
 
 
-def test_rules_memories_and_outputs_take_slots_by_name(engine):
+def test_rules_memories_and_outputs_have_named_slots(engine):
     outputs = []
     engine.on_output(lambda term, topic, name: outputs.append(engine.show(term)))
     engine.load(rules=RULES)
-    with pytest.raises(ProgramErrors) as caught:
+    with pytest.raises(ProgramErrors) as caught_errors:
         engine.call_goals(GOALS, "goals")
-    assert [str(error).split(";")[0] for error in caught.value.errors] == [
+    assert [str(error).split(";")[0] for error in caught_errors.value.errors] == [
         f"goals:4:29: {POINT} has no slot z",
         "goals:5:11: the slots of others/Thing are not known when this is read: no definition of the message type "
         "others/Thing is installed or has been received",
@@ -53,10 +53,10 @@ def test_rules_memories_and_outputs_take_slots_by_name(engine):
         f"my_msgs__0__Named('\"\"',{POINT}(3,0.0))",
     ]
     assert engine.query("access_mem(points, P, _)") == engine.query(f"P = {POINT}(2.0, 0.0)")
-    assert [str(found["X"]) for found in engine.query(f"access_mem(points, {POINT}{{x: X}}, _)")] == ["2.0"]
+    assert [str(answer["X"]) for answer in engine.query(f"access_mem(points, {POINT}{{x: X}}, _)")] == ["2.0"]
 
 
-def test_what_was_written_by_name_is_shown_so(engine, capsys):
+def test_named_slots_are_shown_as_written(engine, capsys):
     record_origins(engine)
     engine.load(rules=RULES, goals=f"memorize({POINT}{{x: X}}, [X > 0], _, points, 5)")
     engine.event(f"{POINT}(2, 1)", 1)
@@ -68,28 +68,26 @@ def test_what_was_written_by_name_is_shown_so(engine, capsys):
         f"{POINT}{{y: X}}<-right(X)",
     ]
     assert [memory.event for memory in status.memories] == [f"{POINT}{{x: _}}"]
-    happened, lines = explain(engine, f"{POINT}(0.0, 2)")
-    assert happened
+    has_happened, lines = explain(engine, f"{POINT}(0.0, 2)")
+    assert has_happened
     assert lines[0].text == f"{POINT}(0.0,2) at 1 by rule {POINT}{{y: X}} <- right(X) (text:3)"
     assert f"right(X) <- {POINT}{{x: X}} where X > 0" in lines[0].below[0].text
-    happened, lines = explain(engine, "right(3)")
+    has_happened, lines = explain(engine, "right(3)")
     assert lines[0].below[0].below[0].text == f"- {POINT}{{x: 3}}: did not happen"
 
 
-def test_an_integer_for_a_slot_of_floats_is_met_by_messages_and_listed_as_written(
-    engine, definitions, capsys
-):
-    seen = []
+def test_integer_for_float_slot_matches_message(engine, definitions, capsys):
+    events = []
     engine.load(rules=f"zero <- {POINT}{{x: 0, y: -2}}.\np :- q({POINT}{{x: 0}}).")
-    engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
+    engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     engine.event(definitions.decoder("my_msgs/Point").decode(struct.pack("<dd", 0, -2)), 1)
-    assert seen[1:] == ["zero"]
+    assert events[1:] == ["zero"]
     engine.call("listing(p/0)")
     assert capsys.readouterr().out == f"p :-\n    q({POINT}{{x: 0}}).\n\n"
 
 
-class Kept(Reports):
-    """Keeps the errors."""
+class RecordedReports(Reports):
+    """Reports that store their errors."""
 
     def __init__(self):
         super().__init__()
@@ -99,22 +97,22 @@ class Kept(Reports):
         self.errors.append(str(error))
 
 
-def test_errors_show_it_so(definitions):
-    kept = Kept()
-    engine = Engine(reports=kept, definitions=definitions)
+def test_error_shows_named_slots(definitions):
+    reports = RecordedReports()
+    engine = Engine(reports=reports, definitions=definitions)
     engine.load(rules=f"{POINT}{{x: X}} <- a(X) where atom_length({POINT}{{y: X}}, 5).")
     engine.event("a(1)", 1)
-    (error,) = kept.errors
+    (error,) = reports.errors
     assert f"rule {POINT}{{x: X}}, at event a(1): goal atom_length({POINT}{{y: X}},5)" in error
 
 
-def test_a_rule_with_a_slot_that_there_is_not_is_refused_at_its_place(engine):
-    with pytest.raises(ProgramErrors) as caught:
+def test_unknown_slot_of_rule_is_refused_with_place(engine):
+    with pytest.raises(ProgramErrors) as caught_errors:
         engine.load(
             rules=f"a <- b.\nc <- {POINT}{{xx: 1}}.\nd <- my_msgs__0__Named{{point: {{yy: 1}}}}.",
             source="rules",
         )
-    assert [str(error).split("\n")[0] for error in caught.value.errors] == [
+    assert [str(error).split("\n")[0] for error in caught_errors.value.errors] == [
         f"rules:2:24: {POINT} has no slot xx; did you mean x?",
         f"rules:3:32: {POINT} has no slot yy; did you mean y?",
     ]
@@ -127,9 +125,7 @@ TOPICS = """<publish_subscribe>
 </publish_subscribe>"""
 
 
-def test_events_with_names_of_their_own_have_slots_by_name_and_are_known_to_warnings(
-    engine, definitions, tmp_path
-):
+def test_named_events_have_named_slots(engine, definitions, tmp_path):
     rules = """a(X) <- left_point{x: X}.
 b <- left_point(_).
 c <- right_point{y: 1}.
@@ -139,16 +135,16 @@ c <- right_point{y: 1}.
     (tmp_path / "rules.txt").write_text(rules)
     engine.load_program(tmp_path)
     warnings = engine.warnings(tmp_path, definitions, read_topics(tmp_path / "pub_sub.xml"))
-    (warning,) = [one for one in warnings if "its type" in one.message]
+    (warning,) = [problem for problem in warnings if "its type" in problem.message]
     assert warning.message == (
         "left_point/1 does not match its type: my_msgs/Point has 2 slots: x, y; "
         "write all of them, or some by name: left_point{x: ...}"
     )
     assert warning.place.line == 2
-    seen = []
-    engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
+    events = []
+    engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     engine.event("left_point{x: 5}", 1)
-    assert seen == ["left_point(5.0,0.0)", "a(5.0)"]
+    assert events == ["left_point(5.0,0.0)", "a(5.0)"]
     (tmp_path / "rules.txt").write_text(rules.replace("left_point(_)", "left_point{}"))
     assert engine.reload(tmp_path)[0] == "rules: 1 new, 1 gone, 2 kept"
     (tmp_path / "rules.txt").write_text(rules.replace("y: 1", "z: 1"))

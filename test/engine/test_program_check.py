@@ -1,4 +1,4 @@
-"""Patterns whose events hardly come, told of while the program runs."""
+"""Checks of a program before it runs, and explanations of missing events and of unsuitable outputs."""
 
 import pytest
 
@@ -11,7 +11,7 @@ TOPICS = Topics((topic_type("said", "std_msgs/String"),))
 
 
 @pytest.mark.parametrize(
-    ("pattern", "said"),
+    ("pattern", "warning"),
     [
         ("alram(_)", "no producer of alram/1: no topic, rule or goal; did you mean alarm/1?"),
         (
@@ -25,14 +25,14 @@ TOPICS = Topics((topic_type("said", "std_msgs/String"),))
         ("sensor_msgs__0__Range(_, _, _, _, _, _)", ""),
     ],
 )
-def test_a_pattern_of_what_nothing_makes(definitions, pattern, said):
+def test_pattern_without_producer_is_explained(definitions, pattern, warning):
     engine = Engine()
     engine.load(rules="alarm(T) <- std_msgs__0__String(T). input_event(button/1).")
     term = engine.query(f"X = ({pattern})")[0]["X"]
-    assert explain_missing_events(engine, term, definitions, TOPICS, ()) == said
+    assert explain_missing_events(engine, term, definitions, TOPICS, ()) == warning
 
 
-def test_findings_are_in_the_order_of_the_files(tmp_path, definitions):
+def test_findings_have_order_of_files(tmp_path, definitions):
     (tmp_path / "pub_sub.xml").write_text(
         '<publish_subscribe><subscribe_to name="s" msg_type="a/B" x="1"/></publish_subscribe>'
     )
@@ -40,23 +40,23 @@ def test_findings_are_in_the_order_of_the_files(tmp_path, definitions):
         "compile_event_file('rules.txt')\nmemorize(d, [], _, m, 5)\nfial\n"
     )
     (tmp_path / "rules.txt").write_text("a <- b within 1000000.\na <- a.\n")
-    found = [
-        (one.problem.place.source.rpartition("/")[2], one.problem.place.line)
-        for one in check_program(tmp_path, definitions)
+    places = [
+        (finding.problem.place.source.rpartition("/")[2], finding.problem.place.line)
+        for finding in check_program(tmp_path, definitions)
     ]
-    assert found == [("goalPredicates.txt", 3), ("pub_sub.xml", 1), ("rules.txt", 1), ("rules.txt", 2)]
+    assert places == [("goalPredicates.txt", 3), ("pub_sub.xml", 1), ("rules.txt", 1), ("rules.txt", 2)]
 
 
-def test_a_program_that_is_not_there_is_one_error_with_its_name(tmp_path, definitions):
+def test_missing_program_is_one_error(tmp_path, definitions):
     for missing in (tmp_path / "none.pl", tmp_path / "none"):
-        (found,) = check_program(missing, definitions)
-        assert found.problem.message == f"cannot read {missing}: there is no such file or folder"
+        (finding,) = check_program(missing, definitions)
+        assert finding.problem.message == f"cannot read {missing}: there is no such file or folder"
         with pytest.raises(RetalisError, match="there is no such file or folder"):
             Engine().load_program(missing)
 
 
 @pytest.mark.parametrize(
-    ("subscription", "fault"),
+    ("subscription", "mismatch"),
     [
         ("subscribe(a(X), [], std_msgs__0__Int32(X), out, 1)", ""),
         ("subscribe(a(X), [], X, out, 1)", ""),
@@ -70,9 +70,9 @@ def test_a_program_that_is_not_there_is_one_error_with_its_name(tmp_path, defini
         ),
     ],
 )
-def test_outputs_that_can_never_be_messages_of_their_topic_are_told(subscription, fault):
+def test_output_of_other_type_is_explained(subscription, mismatch):
     goal = read_term(subscription, Operators.prolog()).term
-    assert explain_output_mismatch(goal, "out", "std_msgs/Int32", Definitions()) == fault
+    assert explain_output_mismatch(goal, "out", "std_msgs/Int32", Definitions()) == mismatch
     assert explain_output_mismatch(goal, "out", "far_msgs/Unknown", Definitions()) == ""
 
 

@@ -1,4 +1,4 @@
-"""Messages beside a clock that goes back: which run each is taken in, and that none is lost or mixed."""
+"""Assignment of messages to the runs of a simulated clock that goes back."""
 
 import struct
 import threading
@@ -15,14 +15,15 @@ from retalis.engine.runtime.clock_skew import ClockSkewMonitor, EarlyMessage, Re
 
 SECOND = 10**9
 HEADER = "\n" + "=" * 80 + "\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
-KNOWN = Definitions()
-SEEN = KNOWN.decoder(KNOWN.add("my_robot/Seen", "Header header" + HEADER))
+DEFINITIONS = Definitions()
+SEEN_DECODER = DEFINITIONS.decoder(DEFINITIONS.add("my_robot/Seen", "Header header" + HEADER))
 
 
-class Node:
-    """What takes messages and texts as the ROS nodes do, with clocks that the test moves and no thread.
+class SimulatedNode:
+    """A receiver of messages and texts like a ROS node, with clocks that the test moves and without threads.
 
-    What is taken is noted by stamp or text, with ``"run"`` where a run begins.
+    Attributes:
+        taken: the stamps and texts of processed messages, with ``"run"`` at the beginning of a run.
     """
 
     def __init__(self):
@@ -50,7 +51,7 @@ class Node:
         self.epochs.update()
 
     def send(self, stamp, publisher="/play", topic="/seen", frame="map"):
-        """Receive a message; one without a stamp is noted by its time of receipt, as a text."""
+        """Receive a message; a message without a stamp is recorded by its time of receipt."""
         data = struct.pack("<IIII", 0, *divmod(round(stamp * SECOND), SECOND), len(frame)) + frame.encode()
         take = self.takers.get((topic, publisher)) or self.taker(topic, publisher)
         if self.epochs.is_buffering and self.epochs.must_buffer(publisher):
@@ -59,12 +60,12 @@ class Node:
             take([data])
 
     def taker(self, topic, publisher):
-        decoder = self.skew.watch(SEEN, topic, publisher)
+        decoder = self.skew.watch(SEEN_DECODER, topic, publisher)
 
         def take(messages):
-            for at, data in enumerate(messages):
+            for index, data in enumerate(messages):
                 try:
-                    decoder.decode(data)  # this looks, or the next
+                    decoder.decode(data)  # raises the errors of the monitor, or the next line does
                     stamp = decoder.stamp(data)
                     self.taken.append(
                         f"at {self.epochs.now() / SECOND:g}" if stamp is None else stamp / SECOND
@@ -72,7 +73,7 @@ class Node:
                 except RefusedMessage:
                     pass
                 except EarlyMessage:
-                    self.epochs.buffer_early(publisher, take, messages[at:])
+                    self.epochs.buffer_early(publisher, take, messages[index:])
                     break
 
         return self.takers.setdefault((topic, publisher), take)
@@ -84,7 +85,7 @@ class Node:
             self.taken.append(text)
 
     def play(self, *stamps, ahead=0.0, **options):
-        """Have the clock and a topic go on together, as a bag that is played."""
+        """Move the clock and publish a topic, as a played bag does."""
         for stamp in stamps:
             self.wall += 0.5
             self.clock(stamp)
@@ -96,26 +97,26 @@ class Node:
 
 @pytest.fixture
 def node():
-    return Node()
+    return SimulatedNode()
 
 
-BAG = (1000, 1001, 1002, 1003, 1004)
+BAG_STAMPS = (1000, 1001, 1002, 1003, 1004)
 
 
-def test_messages_before_the_clock_wait_for_it(node):
-    node.play(*BAG)
+def test_early_messages_wait_for_clock(node):
+    node.play(*BAG_STAMPS)
     for stamp in (1000, 1000.5, 1001):
         node.send(stamp)
         node.pass_time(0.1)
-    assert node.taken == [*BAG]
+    assert node.taken == [*BAG_STAMPS]
     node.clock(1001)
     node.send(1001.5)
-    assert node.taken == [*BAG, "run", 1000, 1000.5, 1001, 1001.5]
+    assert node.taken == [*BAG_STAMPS, "run", 1000, 1000.5, 1001, 1001.5]
     assert node.reports.warnings == 0
 
 
-def test_all_that_its_publisher_sends_waits_with_it(node):
-    node.play(*BAG)
+def test_publisher_of_early_message_waits_entirely(node):
+    node.play(*BAG_STAMPS)
     node.send(1000)
     node.send(1004, topic="/latched")
     node.send(0, topic="/without a stamp")
@@ -126,8 +127,8 @@ def test_all_that_its_publisher_sends_waits_with_it(node):
     assert node.since(7) == ["run", 1000, 1004, "at 1000"]
 
 
-def test_messages_of_the_run_before_are_dropped(node, caplog):
-    node.play(*BAG)
+def test_messages_of_previous_run_are_dropped(node, caplog):
+    node.play(*BAG_STAMPS)
     node.clock(1000)
     for stamp in (1004.1, 1004.2, 1000.1):
         node.send(stamp)
@@ -137,19 +138,19 @@ def test_messages_of_the_run_before_are_dropped(node, caplog):
     assert node.reports.warnings == 2
 
 
-def test_a_run_that_gets_further_than_the_one_before(node):
-    node.play(*BAG)
+def test_longer_run_is_processed_completely(node):
+    node.play(*BAG_STAMPS)
     node.play(1000, 1002, 1004, 1006, 1008)
-    assert node.taken == [*BAG, "run", 1000, 1002, 1004, 1006, 1008]
+    assert node.taken == [*BAG_STAMPS, "run", 1000, 1002, 1004, 1006, 1008]
 
 
 @pytest.mark.parametrize("ahead", [-900.0, -3.0, 7.0, 1e6])
-def test_stamps_that_are_always_off_are_judged_by_how_much(node, ahead):
-    node.play(*BAG, ahead=ahead)
+def test_constant_offset_of_stamps_is_accepted(node, ahead):
+    node.play(*BAG_STAMPS, ahead=ahead)
     node.send(1000 + ahead)
     node.clock(1000)
-    node.play(*BAG[1:], ahead=ahead)
-    assert node.since(5) == ["run", *(stamp + ahead for stamp in BAG)]
+    node.play(*BAG_STAMPS[1:], ahead=ahead)
+    assert node.since(5) == ["run", *(stamp + ahead for stamp in BAG_STAMPS)]
     node.clock(1000)
     node.send(1004.5 + ahead)
     node.send(1000.5 + ahead)
@@ -157,43 +158,43 @@ def test_stamps_that_are_always_off_are_judged_by_how_much(node, ahead):
 
 
 @pytest.fixture(params=[(1000, 1001), (1001, 1002), (1000, 1001, 1002), (1003, 1004)])
-def busy(node, request):
-    """A node to which the clock came on time and some messages late, together, as on a busy machine."""
+def late_node(node, request):
+    """A node that has received the clock on time and some messages late, as on a busy machine."""
     late = request.param
-    for stamp in BAG:
+    for stamp in BAG_STAMPS:
         node.clock(stamp)
         if stamp not in late:
             node.send(stamp)
         elif stamp == late[-1]:
             node.clock(stamp + 0.3)
-            for one in late:
-                node.send(one)
+            for late_stamp in late:
+                node.send(late_stamp)
     return node
 
 
-def test_messages_before_the_clock_wait_for_it_after_some_that_were_held_up(busy):
-    busy.send(1000)
-    busy.clock(1000)
-    assert busy.taken == [*BAG, "run", 1000]
+def test_early_message_waits_after_late_ones(late_node):
+    late_node.send(1000)
+    late_node.clock(1000)
+    assert late_node.taken == [*BAG_STAMPS, "run", 1000]
 
 
-def test_messages_of_the_run_before_are_dropped_after_some_that_were_held_up(busy):
-    busy.clock(1000)
+def test_previous_run_is_dropped_after_late_messages(late_node):
+    late_node.clock(1000)
     for stamp in (1004.1, 1004.2, 1000.1):
-        busy.send(stamp)
-    assert busy.taken == [*BAG, "run", 1000.1]
+        late_node.send(stamp)
+    assert late_node.taken == [*BAG_STAMPS, "run", 1000.1]
 
 
-def test_messages_before_the_first_word_of_the_clock(node):
+def test_messages_before_first_clock_are_accepted(node):
     node.send(1000)
-    node.play(*BAG[1:])
+    node.play(*BAG_STAMPS[1:])
     node.send(1000)
-    assert node.taken == [*BAG]
+    assert node.taken == [*BAG_STAMPS]
     node.clock(1000)
     assert node.since(5) == ["run", 1000]
 
 
-def test_the_first_word_of_the_clock_is_no_time_that_passed(node):
+def test_first_clock_is_no_elapsed_time(node):
     node.send(1000)
     node.clock(1002)
     node.send(1002)
@@ -201,7 +202,7 @@ def test_the_first_word_of_the_clock_is_no_time_that_passed(node):
     assert node.taken == [1000, 1002, 1000.9]
 
 
-STRANGE = {
+UNRELATED_STAMPS = {
     "out of order": (1003, 1007, 1000, 1005, 1001, 1006),
     "all the same": (1000, 1000, 1000, 1000, 1000, 1000),
     "of years ago, standing still": (7, 7, 7, 7, 7, 7),
@@ -209,67 +210,67 @@ STRANGE = {
 }
 
 
-@pytest.mark.parametrize("name", STRANGE)
-def test_stamps_that_follow_no_clock_are_taken_as_they_come(node, name):
+@pytest.mark.parametrize("name", UNRELATED_STAMPS)
+def test_stamps_unrelated_to_clock_are_accepted(node, name):
     expected = []
     for _ in range(2):
-        for at, stamp in enumerate(STRANGE[name]):
+        for index, stamp in enumerate(UNRELATED_STAMPS[name]):
             node.wall += 0.2
-            node.clock(1000 + at * 0.4)
+            node.clock(1000 + index * 0.4)
             node.send(stamp)
-        node.send(STRANGE[name][0])
-        expected += ["run", *STRANGE[name], STRANGE[name][0]]
+        node.send(UNRELATED_STAMPS[name][0])
+        expected += ["run", *UNRELATED_STAMPS[name], UNRELATED_STAMPS[name][0]]
     assert node.taken == expected[1:]
 
 
-def test_latched_messages_are_taken_again(node):
-    node.play(*BAG)
+def test_latched_messages_are_accepted_again(node):
+    node.play(*BAG_STAMPS)
     node.send(900, topic="/tf_static")
     node.clock(1000)
     node.send(900, topic="/tf_static")
     assert node.since(5) == [900, "run", 900]
 
 
-def test_a_clock_that_does_not_go_back(node):
-    node.play(*BAG)
+def test_wait_for_clock_times_out(node):
+    node.play(*BAG_STAMPS)
     node.send(1000)
     node.send(1001)
     node.pass_time(0.9)
     assert node.since(5) == []
     node.pass_time(0.2)
     assert node.since(5) == [1000, 1001]
-    node.send(995)  # and nothing waits for a while
+    node.send(995)  # nothing waits after a timeout
     node.pass_time(clock_epochs.PAUSE_AFTER_TIMEOUT_SECONDS)
-    node.send(985)  # nor by this frame, which follows no clock
+    node.send(985)  # a frame that does not follow the clock
     assert node.since(7) == [995, 985]
 
 
-def test_without_a_simulated_clock_nothing_waits():
-    node = Node()
+def test_nothing_waits_without_simulated_clock():
+    node = SimulatedNode()
     skew = ClockSkewMonitor(Reports(), lambda: round(node.wall * SECOND))
-    take = skew.watch(SEEN, "/seen").stamp
-    for stamp in (*BAG, *BAG):
+    take = skew.watch(SEEN_DECODER, "/seen").stamp
+    for stamp in (*BAG_STAMPS, *BAG_STAMPS):
         node.wall += 1
         assert take(struct.pack("<IIII", 0, stamp, 0, 0)) == stamp * SECOND
 
 
-def test_what_waits_is_bounded(node, monkeypatch):
+def test_number_of_waiting_messages_is_bounded(node, monkeypatch):
     monkeypatch.setattr(clock_epochs, "MAX_BUFFERED_MESSAGES", 10)
-    node.play(*BAG)
-    for at in range(50):
-        node.send(1000 + at / 100)
+    node.play(*BAG_STAMPS)
+    for number in range(50):
+        node.send(1000 + number / 100)
     node.clock(1000)
-    assert node.since(5) == ["run", *(1000 + at / 100 for at in range(40, 50))]
+    assert node.since(5) == ["run", *(1000 + number / 100 for number in range(40, 50))]
     assert node.epochs.dropped == 40
     assert node.reports.warnings == 40
 
 
-# ---- events as text, whose sender has the clock as well
+# ---- event texts, whose senders report their epochs
 
 
-def test_a_sender_of_texts_that_is_late(node):
+def test_run_begins_after_late_sender_of_texts(node):
     node.epochs.report_epoch("interface", 3)
-    node.play(*BAG)
+    node.play(*BAG_STAMPS)
     node.text("old", "interface")
     node.clock(1000)
     node.text("still old", "interface")
@@ -282,9 +283,9 @@ def test_a_sender_of_texts_that_is_late(node):
     assert node.since(7) == ["run", 1000, "by hand", "new"]
 
 
-def test_a_sender_of_texts_that_is_ahead(node):
+def test_texts_of_sender_ahead_wait_for_run(node):
     node.epochs.report_epoch("interface", 0)
-    node.play(*BAG)
+    node.play(*BAG_STAMPS)
     node.epochs.report_epoch("interface", 1)
     node.text("new", "interface")
     node.text("old, by hand", "somebody")
@@ -296,9 +297,9 @@ def test_a_sender_of_texts_that_is_ahead(node):
     assert node.since(7) == ["run", "new", "newer"]
 
 
-def test_a_sender_that_never_tells_is_waited_for_once(node):
+def test_silent_sender_is_awaited_once(node):
     node.epochs.report_epoch("gone", 0)
-    node.play(*BAG)
+    node.play(*BAG_STAMPS)
     node.clock(1000)
     node.send(1000)
     node.pass_time(0.9)
@@ -309,21 +310,21 @@ def test_a_sender_that_never_tells_is_waited_for_once(node):
     assert node.since(7) == [1001, 1002, "run", 1000]
 
 
-def test_a_sender_whose_clock_alone_goes_back(node):
+def test_reset_of_one_sender_only_times_out(node):
     node.epochs.report_epoch("interface", 0)
-    node.play(*BAG)
+    node.play(*BAG_STAMPS)
     node.epochs.report_epoch("interface", 1)
     node.text("one", "interface")
     node.pass_time(1.1)
     node.text("two", "interface")
     assert node.since(5) == ["one", "two"]
-    node.clock(1000)  # later than it is waited for
+    node.clock(1000)  # after the timeout
     assert node.since(7) == ["run"]
 
 
-def test_a_sender_that_comes_again_counts_anew(node):
+def test_epochs_of_new_sender_count_from_its_first(node):
     node.epochs.report_epoch("first", 0)
-    node.play(*BAG)
+    node.play(*BAG_STAMPS)
     node.clock(1000)
     node.pass_time(1.1)
     node.epochs.report_epoch("second", 5)
@@ -335,7 +336,7 @@ def test_a_sender_that_comes_again_counts_anew(node):
     assert node.since(8) == ["run"]
 
 
-def test_the_senders_that_are_remembered_are_bounded(node):
+def test_number_of_senders_is_bounded(node):
     for number in range(10 * clock_epochs.MAX_SENDERS):
         node.epochs.report_epoch(number, 0)
     node.clock(1000)
@@ -344,7 +345,7 @@ def test_the_senders_that_are_remembered_are_bounded(node):
     assert node.taken == ["run"]
 
 
-def test_time_of_a_run_that_is_over_stands_still(node):
+def test_time_of_ended_run_stands_still(node):
     node.epochs.report_epoch("interface", 0)
     node.clock(1000)
     node.clock(900)
@@ -360,48 +361,50 @@ def test_time_of_a_run_that_is_over_stands_still(node):
 
 @settings(max_examples=10, deadline=None)
 @given(st.integers(0, 2**32), st.integers(2, 4), st.booleans(), st.integers(0, 20))
-def test_runs_are_never_mixed(seed, loops, is_late, held_up):
-    """A bag in a loop, in which the clock or the messages come late by as much as they like."""
-    _loop(Node(), Random(seed), loops, is_late, held_up)
+def test_runs_of_looping_bag_are_separate(seed, loops, is_late, held_up):
+    """Either the clock or the messages of a bag that is played in a loop are late by a random time."""
+    play_bag_in_loop(SimulatedNode(), Random(seed), loops, is_late, held_up)
 
 
-def _loop(node, draw, loops, is_late, held_up):
-    """Play a bag of 6 s again and again; the milliseconds of a stamp are the number of the run."""
+def play_bag_in_loop(node, draw, loops, is_late, held_up):
+    """Play a bag of 6 s in a loop; the milliseconds of a stamp are the number of the run."""
     for run in range(loops):
 
-        def at(tenth, run=run):
+        def stamp_at(tenth, run=run):
             return (1_000_000 + 100 * tenth + run) / 1000
 
         early = draw.randrange(1, 10) if run and is_late else 0
         for tenth in range(early):
-            node.send(at(tenth))
+            node.send(stamp_at(tenth))
             node.pass_time(draw.random() / 10)
         if run and not is_late:
             node.clock(1000)
             for tenth in range(draw.randrange(1, 5)):
-                node.send(at(60 + tenth, run - 1))
+                node.send(stamp_at(60 + tenth, run - 1))
         last = draw.randrange(early + held_up, 60)
         for tenth in range(early, 60):
             node.pass_time(draw.random() / 10)
             node.clock(1000 + tenth / 10)
-            if not last - held_up <= tenth < last:  # those come together, late
-                for one in range(tenth - held_up, tenth) if tenth == last else ():
-                    node.send(at(one))
-                node.send(at(tenth))
-        begun = max(place for place, one in enumerate(["run", *node.taken]) if one == "run")
+            if not last - held_up <= tenth < last:  # these messages are late
+                for late_tenth in range(tenth - held_up, tenth) if tenth == last else ():
+                    node.send(stamp_at(late_tenth))
+                node.send(stamp_at(tenth))
+        start = max(
+            position for position, late_tenth in enumerate(["run", *node.taken]) if late_tenth == "run"
+        )
         assert node.taken.count("run") == run
-        assert node.taken[begun:] == [at(tenth) for tenth in range(60)]
+        assert node.taken[start:] == [stamp_at(tenth) for tenth in range(60)]
 
 
-def test_an_error_where_a_run_begins_keeps_neither_others_nor_messages_back():
-    node, told = Node(), []
+def test_failed_callback_of_run_is_reported():
+    node, ends = SimulatedNode(), []
 
-    def fails(end):
+    def fail(end):
         raise ValueError("not now")
 
-    node.epochs.register_callbacks([threading.Lock()], fails, told.append)
+    node.epochs.register_callbacks([threading.Lock()], fail, ends.append)
     node.clock(100)
     node.clock(10)
     node.wall += 60
     node.epochs.update()
-    assert (len(told), node.reports.errors, node.epochs.is_buffering) == (1, 1, False)
+    assert (len(ends), node.reports.errors, node.epochs.is_buffering) == (1, 1, False)

@@ -53,10 +53,10 @@ def engine():
 
 def test_idle_engine_works_in_both_processes(engine):
     def use():
-        seen = []
-        engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
+        events = []
+        engine.on_event(lambda term, start, end: events.append(engine.show(term)))
         engine.event("in(1)", 1)
-        return seen, engine.call("assertz(mine)"), len(engine.status().rules)
+        return events, engine.call("assertz(mine)"), len(engine.status().rules)
 
     assert in_child(use) == "(['in(1)', 'out(1)'], True, 1)"
     assert engine.call("X = 1")
@@ -68,18 +68,18 @@ def test_idle_engine_works_in_both_processes(engine):
 @pytest.fixture
 def busy(engine):
     """An engine that another thread is using."""
-    begun, goes_on = threading.Event(), threading.Event()
+    started, released = threading.Event(), threading.Event()
 
     def wait(*_):
-        begun.set()
-        goes_on.wait(SECONDS)
+        started.set()
+        released.wait(SECONDS)
 
     engine.on_event(wait)
     worker = threading.Thread(target=lambda: engine.event("in(1)", 1))
     worker.start()
-    assert begun.wait(SECONDS)
+    assert started.wait(SECONDS)
     yield engine
-    goes_on.set()
+    released.set()
     worker.join()
 
 
@@ -115,7 +115,7 @@ def test_working_thread_may_fork(engine):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["fork", "multiprocessing"])
-def test_fork_during_query_of_other_thread_does_not_hang(engine, kind):
+def test_fork_during_other_query_does_not_hang(engine, kind):
     ending = threading.Event()
 
     def ask():

@@ -23,7 +23,7 @@ def test_repeated_errors_are_logged_at_powers_of_two(logged):
     assert reports.errors == 100
 
 
-def test_warnings_at_different_places_are_logged_separately(logged):
+def test_warnings_of_places_are_logged_separately(logged):
     reports = Reports()
     for offset in (0, 2):
         reports.warning(RuleError("wrong", place_at_offset("rules", "a\nb", offset)))
@@ -104,7 +104,9 @@ def test_control_characters_are_escaped_in_log(caplog):
     for record in caplog.records:
         text = record.getMessage()
         assert all(character.isprintable() or character == "\n" for character in text)
-        assert "\\x1b]0;title\\x07" in text and "\\u202e\\ud800" in text and "ok é" in text
+        assert "\\x1b]0;title\\x07" in text
+        assert "\\u202e\\ud800" in text
+        assert "ok é" in text
         text.encode("utf-8")
     assert len(caplog.records) == 2
 
@@ -152,7 +154,7 @@ def test_batch_run_logs_first_late_event_and_sum(logged):
     assert logged.records[-1].message.startswith("5 times in all: ")
 
 
-def test_late_and_dropped_events_are_counted_separately(logged):
+def test_late_and_dropped_events_have_own_counts(logged):
     reports = Reports()
     engine = Engine(reports=reports)
     engine.rules.max_stored = 2

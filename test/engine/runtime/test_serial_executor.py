@@ -46,7 +46,7 @@ def test_post_each_executes_in_order_despite_error():
     assert executor.thread is None
 
 
-def test_posts_and_calls_are_executed_between_entries_of_post_each():
+def test_other_work_is_executed_between_entries():
     executor, _, _ = make()
     done = []
 
@@ -105,7 +105,7 @@ def test_post_each_queues_while_another_thread_works(busy):
     assert done == [("a", "1"), ("b", "2"), ("c", "3")]
 
 
-def test_post_each_executes_directly_once_executor_is_idle(busy):
+def test_post_each_executes_directly_when_idle(busy):
     executor, _, _ = make()
     done, seen = [], []
     end = busy(executor)
@@ -141,7 +141,7 @@ def test_post_each_creates_separate_entries(way, busy):
     assert entries == same
 
 
-def test_entry_is_none_while_iterator_creates_next_entry():
+def test_entry_is_none_while_iterator_advances():
     executor, _, _ = make()
     seen = []
 
@@ -278,7 +278,7 @@ def test_full_queue_drops_nothing_while_it_progresses(monkeypatch):
     assert done == [1, 2]
 
 
-def test_full_queue_blocks_posting_threads_without_loss():
+def test_full_queue_blocks_posting_threads():
     executor, drops, _ = make(size=10)
     done = []
 
@@ -378,7 +378,7 @@ def test_interrupt_releases_lock_for_waiting_caller():
     assert answers == [2]
 
 
-def test_state_left_by_interrupt_is_restored_before_next_entry():
+def test_interrupted_state_is_restored_first():
     class Noting(Recovery):
         def restore(self, state, rebuild):
             calls.append((state, rebuild))
@@ -495,7 +495,7 @@ def run_in_thread(name, work):
     thread.join(30)
 
 
-def test_thread_that_posts_in_loop_takes_over_from_caller(at_end_of_turn):
+def test_posting_thread_takes_over_from_caller(at_end_of_turn):
     executor, _, errors = make(10_000)
     workers = []
 
@@ -511,7 +511,8 @@ def test_thread_that_posts_in_loop_takes_over_from_caller(at_end_of_turn):
     assert [number for number, _ in workers] == list(range(1001))
     expected = [threading.current_thread().name] * MAX_ENTRIES_PER_TURN
     assert [name for _, name in workers] == expected + ["loop"] * (1001 - MAX_ENTRIES_PER_TURN)
-    assert not errors and executor.thread is None
+    assert not errors
+    assert executor.thread is None
 
 
 def test_waiting_caller_takes_over_from_posting_thread(at_end_of_turn):
