@@ -1,18 +1,11 @@
 """A running program on a transport in memory."""
 
 import pytest
-from node.memory_transport import MemoryNetwork, MemoryTransport
+from node.hosts import DEFINITIONS, Robot, encode, start_host
+from node.memory_transport import MemoryNetwork
 
-from retalis import Definitions, Reports
-from retalis.messages.message_values import make_message_term, read_message_term
-from retalis.node.host_context import HostContext
-from retalis.node.parameters import read_parameters
-from retalis.node.plain_text_exchange import PlainTextExchange
-from retalis.node.program_host import ProgramHost
 from retalis.node.text_exchange import read_text_message, serialize_text
 
-DEFINITIONS = Definitions()
-STRING = DEFINITIONS.find("std_msgs/String")
 TOPICS = """
 <publish_subscribe>
   <subscribe_to name="scan" msg_type="std_msgs/String" event="scan"/>
@@ -23,43 +16,6 @@ GOALS = """
 compile_event_file('rules.txt')
 subscribe(std_msgs__0__String(_), [], _, alarm, s1)
 """
-
-
-def encode(text):
-    return DEFINITIONS.encoder(STRING).encode(make_message_term(STRING, {"data": text}))
-
-
-def decode(data):
-    return read_message_term(STRING, DEFINITIONS.decoder(STRING).decode(data))["data"]
-
-
-class Robot:
-    """Another node of the network.
-
-    Attributes:
-        received: received texts by topic.
-    """
-
-    def __init__(self, network):
-        self.transport = MemoryTransport(network, "/robot")
-        self.received = {}
-
-    def publish(self, topic, is_latched=False):
-        """Return a publisher of texts."""
-        return self.transport.advertise(topic, STRING, 10, is_latched)
-
-    def subscribe(self, topic):
-        """Receive the texts of a topic."""
-        texts = self.received[topic] = []
-
-        class Receiver:
-            def receive(self, messages):
-                texts.extend(map(decode, messages))
-
-            def close(self, is_incomplete):
-                pass
-
-        self.transport.subscribe(topic, STRING.name, lambda source: Receiver(), 10)
 
 
 @pytest.fixture
@@ -76,13 +32,8 @@ def start(network, tmp_path):
         (tmp_path / "pub_sub.xml").write_text(topics)
         (tmp_path / "goalPredicates.txt").write_text(goals)
         (tmp_path / "rules.txt").write_text(rules)
-        values = {"program": str(tmp_path), "diagnostics": 0, **values}
-        transport = MemoryTransport(network, parameters=values)
-        transports.append(transport)
-        reports = Reports()
-        context = HostContext(transport, read_parameters(transport.parameters(), lambda: tmp_path), reports)
-        host = ProgramHost(context, PlainTextExchange(context))
-        host.transport, host.reports = transport, reports
+        host = start_host(network, tmp_path, **values)
+        transports.append(host.transport)
         return host
 
     yield start

@@ -103,7 +103,7 @@ class Direct(unittest.TestCase):
         self.nodes.start(ENGINE)
         self.send(self.additional)
         wait_until(lambda: count_subscribers(self.numbers) == 0, "the end of the subscription")
-        self.nodes.end(signal.SIGINT, INTERFACE)
+        self.nodes.shut_down(INTERFACE)
         self.nodes.start(INTERFACE)
         self.send(self.numbers)
 

@@ -8,6 +8,7 @@ from http.client import HTTPException
 from xmlrpc.client import Error, ServerProxy
 
 import roslib.packages
+import rosnode
 import rospy
 from std_msgs.msg import String
 
@@ -148,6 +149,12 @@ class NodeProcesses:
             status = self._running.pop(name).wait(TIMEOUT_SECONDS)
             expected = 0 if number == signal.SIGINT else -number
             assert status == expected, f"exit status of node {name}: {status}"
+
+    def shut_down(self, name):
+        """End a node by a request of another node, as `rosnode kill` does, and check its exit status."""
+        assert rosnode.kill_nodes([f"/{name}"]) == ([f"/{name}"], [])
+        status = self._running.pop(name).wait(TIMEOUT_SECONDS)
+        assert status == 0, f"exit status of node {name}: {status}"
 
     def end_all(self):
         """Interrupt the nodes that still run."""

@@ -1,16 +1,15 @@
-"""Small bags for the comparison of node configurations: with and without stamps, repeated, out of order, nested."""
+"""Small bags for the comparison of a node with playback: with and without stamps, repeated, out of order, nested."""
 
 import random
 from typing import NamedTuple, Tuple
 
-from harness import DEFINITIONS
-
-from retalis import BagWriter, Operators
+from retalis import BagWriter, Definitions, Operators
 from retalis.prolog.syntax.term_reader import read_term
 
 SECOND = 10**9
 START = 1_000_000_000 * SECOND
 LINE = "=" * 80
+DEFINITIONS = Definitions()
 
 DEFINITIONS_BY_TOPIC = {
     "notes": DEFINITIONS.add("configuration_msgs/Note", "int32 run\nstring text"),

@@ -1,0 +1,69 @@
+"""Hosts of programs, and another node, on a network in memory."""
+
+from node.memory_transport import MemoryTransport
+
+from retalis import Definitions, Reports
+from retalis.messages.message_values import make_message_term, read_message_term
+from retalis.node.host_context import HostContext
+from retalis.node.parameters import read_parameters
+from retalis.node.plain_text_exchange import PlainTextExchange
+from retalis.node.program_host import ProgramHost
+
+DEFINITIONS = Definitions()
+STRING = DEFINITIONS.find("std_msgs/String")
+
+
+def encode(text):
+    return DEFINITIONS.encoder(STRING).encode(make_message_term(STRING, {"data": text}))
+
+
+def decode(data):
+    return read_message_term(STRING, DEFINITIONS.decoder(STRING).decode(data))["data"]
+
+
+class Robot:
+    """Another node of the network.
+
+    Attributes:
+        received: texts that were received, by topic.
+    """
+
+    def __init__(self, network):
+        self.transport = MemoryTransport(network, "/robot")
+        self.received = {}
+
+    def publish(self, topic, is_latched=False):
+        """Return a publisher of texts."""
+        return self.transport.advertise(topic, STRING, 10, is_latched)
+
+    def subscribe(self, topic):
+        """Receive the texts of a topic."""
+        texts = self.received[topic] = []
+
+        class Receiver:
+            def receive(self, messages):
+                texts.extend(map(decode, messages))
+
+            def close(self, is_incomplete):
+                pass
+
+        self.transport.subscribe(topic, STRING.name, lambda source: Receiver(), 10)
+
+
+def start_host(network, folder, **parameters):
+    """Start the program of a folder on a network.
+
+    Args:
+        network: a `MemoryNetwork`.
+        folder: folder of the program.
+        parameters: parameters of the node.
+
+    Returns:
+        The host, with its transport and its reports as further attributes.
+    """
+    transport = MemoryTransport(network, parameters={"program": str(folder), "diagnostics": 0, **parameters})
+    reports = Reports()
+    context = HostContext(transport, read_parameters(transport.parameters(), lambda: folder), reports)
+    host = ProgramHost(context, PlainTextExchange(context))
+    host.transport, host.reports = transport, reports
+    return host
