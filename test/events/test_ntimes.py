@@ -136,7 +136,9 @@ def outputs_and_match_count(rule, policy, flags, stream, changes):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("group", range(10))
+@pytest.mark.parametrize(
+    "group", [0, 1, *(pytest.param(group, marks=pytest.mark.nightly) for group in range(2, 10))]
+)
 def test_ntimes_equals_written_sequence_on_random_programs(group):
     for number in range(25):
         generator = random.Random(f"{group} {number}")

@@ -58,13 +58,19 @@ def run():
     return partial(Run, engine)
 
 
-def cells():
+NIGHTLY_POLICIES = ("recent_2", "chronological_2")
+"""Policies that differ from others where partners compete, which they do not in these streams."""
+
+
+def cells(nightly=()):
     for name in operator_table.ROWS:
         for policy in POLICIES:
-            yield pytest.param(operator_table.ROWS[name], policy, id=f"{name}-{policy}")
+            marks = [pytest.mark.nightly] if policy in nightly else []
+            yield pytest.param(operator_table.ROWS[name], policy, id=f"{name}-{policy}", marks=marks)
 
 
 each_cell = pytest.mark.parametrize("row, policy", list(cells()))
+each_cell_in_context = pytest.mark.parametrize("row, policy", list(cells(NIGHTLY_POLICIES)))
 
 
 @each_cell
@@ -81,7 +87,7 @@ def nested(row, policy):
 
 
 @pytest.mark.slow
-@each_cell
+@each_cell_in_context
 def test_nested_left(run, row, policy):
     rule = f"out(X) <- ({row.pattern}) and z."
     assert run(rule, (BEFORE, *row.fires), policy).intervals == nested(row, policy)
@@ -90,7 +96,7 @@ def test_nested_left(run, row, policy):
 
 
 @pytest.mark.slow
-@each_cell
+@each_cell_in_context
 def test_nested_right(run, row, policy):
     rule = f"out(X) <- z seq ({row.pattern})."
     assert run(rule, (BEFORE, *row.fires), policy).intervals == nested(row, policy)
@@ -99,7 +105,7 @@ def test_nested_right(run, row, policy):
 
 
 @pytest.mark.slow
-@each_cell
+@each_cell_in_context
 def test_condition(run, row, policy):
     assert run(f"out(X) <- ({row.pattern}) where X =:= 1.", row.fires, policy).intervals == list(row.results)
     assert run(f"out(X) <- ({row.pattern}) where X =:= 1.", row.never, policy).intervals == []
@@ -107,7 +113,7 @@ def test_condition(run, row, policy):
 
 
 @pytest.mark.slow
-@each_cell
+@each_cell_in_context
 def test_within(run, row, policy):
     """Shorter than, not as long as."""
     longest = max(end - start for start, end in row.results)
@@ -119,7 +125,7 @@ def test_within(run, row, policy):
 
 
 @pytest.mark.slow
-@each_cell
+@each_cell_in_context
 def test_window(run, row, policy):
     """As long as, not longer than; each of both names of the property in one direction."""
     longest = max(end - start for start, end in row.results)
@@ -133,7 +139,7 @@ def test_window(run, row, policy):
 
 
 @pytest.mark.slow
-@each_cell
+@each_cell_in_context
 def test_label(run, row, policy):
     rule = f"r : out(X) <- {row.pattern}."
     assert run(rule, row.fires, policy).intervals == list(row.results)
@@ -147,7 +153,7 @@ def test_label(run, row, policy):
 
 
 @pytest.mark.slow
-@each_cell
+@each_cell_in_context
 def test_out_of_order(run, row, policy):
     rule = f"out(X) <- {row.pattern}."
     assert run(rule, row.fires, policy, out_of_order="on").intervals == list(row.results)
@@ -159,7 +165,7 @@ def test_out_of_order(run, row, policy):
 
 
 @pytest.mark.slow
-@each_cell
+@each_cell_in_context
 def test_out_of_order_of_results(run, row, policy):
     """What an operator makes comes too late for z, which waits for it only where the flag says so."""
     rule = f"out(X) <- ({row.pattern}) seq z."
@@ -172,7 +178,7 @@ def test_out_of_order_of_results(run, row, policy):
 
 
 @pytest.mark.slow
-@each_cell
+@each_cell_in_context
 def test_revision(run, row, policy):
     rule = f"out(X) <- {row.pattern}."
     taken = row.fires[0]
@@ -193,7 +199,7 @@ def test_revision(run, row, policy):
 
 
 @pytest.mark.slow
-@each_cell
+@each_cell_in_context
 def test_justification(run, row, policy):
     rule = f"out(X) <- {row.pattern}."
     result = run(rule, row.fires, policy, etalis_justification="on")
@@ -211,7 +217,7 @@ def test_justification(run, row, policy):
 
 
 @pytest.mark.slow
-@each_cell
+@each_cell_in_context
 def test_garbage_control(run, row, policy):
     """A stamp far later is seen by the rule before the last event of the stream arrives."""
     rule = f"out(X) <- {row.pattern}."
@@ -228,7 +234,7 @@ def test_garbage_control(run, row, policy):
 
 
 @pytest.mark.slow
-@each_cell
+@each_cell_in_context
 def test_garbage_control_of_results(run, row, policy):
     """What an operator has made waits for z and y, and goes."""
     rule = f"out(X) <- ({row.pattern}) and (z seq y)."
@@ -249,7 +255,7 @@ def test_garbage_control_of_what_must_not_have_happened(run, operator, policy):
 
 
 @pytest.mark.slow
-@each_cell
+@each_cell_in_context
 def test_all_at_once(run, row, policy):
     """Flags, label, window and condition together change nothing that each alone does not."""
     longest = max(end - start for start, end in row.results)

@@ -160,7 +160,9 @@ def test_fused_join_equals_plain_nodes(batch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("batch", range(10))
+@pytest.mark.parametrize(
+    "batch", [0, 1, *(pytest.param(batch, marks=pytest.mark.nightly) for batch in range(2, 10))]
+)
 def test_fused_join_equals_plain_nodes_on_many_streams(batch):
     for seed in range(1000 + batch * 100, 1100 + batch * 100):
         compare(seed)
