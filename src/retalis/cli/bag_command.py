@@ -252,7 +252,7 @@ def play(
         with redirect_stdout(sys.stderr) if options.json else nullcontext():
             playback = create_playback(options, reporter, bags, state)
         if options.json:
-            redirect_goal_output(playback.engine.logic)
+            redirect_goal_output(playback.engine.program.logic)
         # Recording costs time and memory per event, so it is switched on only for the explanations.
         if options.explain:
             record_origins(playback.engine)

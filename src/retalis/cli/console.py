@@ -33,7 +33,14 @@ from .help_search import all_entries, search
 from .option_values import non_negative
 from .optional_ros_imports import installed_definitions, run_ros_command
 from .stderr_and_progress import StderrReporter
-from .toplevel_io import QUIT_GOALS, PipedInput, TerminalInput, format_bindings, read_clause
+from .toplevel_io import (
+    QUIT_GOALS,
+    PipedInput,
+    TerminalInput,
+    discard_unread_text,
+    format_bindings,
+    read_clause,
+)
 
 PREDICATES_PAGE = "docs/reference/predicates.md"
 MAX_HELP_LINES = 50
@@ -166,7 +173,7 @@ class LoadedFiles:
 
     def _read_file_states(self, path: Path) -> _FileStates:
         # A program may include further files, and a folder may get new ones: all of them count.
-        deployment = self._engine.deployments.get(os.path.realpath(path))
+        deployment = self._engine.loaded_deployments().get(os.path.realpath(path))
         files = set() if deployment is None else {Path(file) for file in deployment.files}
         files |= set(path.iterdir()) if path.is_dir() else {path}
         return tuple(_read_file_state(file) for file in sorted(files))
@@ -305,12 +312,12 @@ class Console:
             self.reports,
             installed_definitions(),
         )
-        self._rules = self.engine.rules
+        self._rules = self.engine.program.rules
         # As in other top levels, singleton variables of loaded clauses are reported.
-        self._rules.warn_singletons = True
+        self._rules.warn_of_singletons()
         self._files = LoadedFiles(self.engine)
         self.engine.on_output(self._print_output)
-        self.logic = self.engine.logic
+        self.logic = self.engine.program.logic
         self.logic.print_to(_write_error if as_json else _write_output, _write_error)
         self._reporter = reporter
         self._max_solutions = max_solutions
@@ -346,7 +353,7 @@ class Console:
         """Read and solve goals until the end of the input or ``halt``."""
         self._input = source
         if source.is_terminal:
-            self.logic.ask = self._read_line
+            self.logic.read_lines_by(self._read_line)
         while True:
             try:
                 clause = read_clause(source, self.logic, "?- ")
@@ -360,12 +367,12 @@ class Console:
                 # At a terminal it ends the goal. With goals of a pipe or of --goal, it ends the command.
                 if not source.is_terminal:
                     raise
-                source.unread_text = ""
+                discard_unread_text(source)
                 print("\n% interrupted", flush=True)
 
     def _read_line(self) -> Optional[str]:
         """Return a line of input for a goal that reads; None at the end."""
-        self.logic.column = 0
+        self.logic.start_line()
         with self.logic.machine.budget.paused():
             return self._input.read_line("|: ")
 
@@ -493,19 +500,17 @@ class Console:
 
     def _print_answers(self, goal: Term, read_goal: ReadTerm, is_traced: bool) -> None:
         logic = self.logic
-        saved_outputs = logic.output, logic.error_output
         # The trace goes to stderr, so that the answers can be piped.
         tracer = Tracer(logic.machine, lambda line: print(line, file=sys.stderr))
         try:
-            with tracer.on() if is_traced else nullcontext():
+            # An interrupt inside with_output_to/2 would leave its stream as output.
+            with logic.keeping_output(), tracer.on() if is_traced else nullcontext():
                 print_solutions = self._print_json_solutions if self._as_json else self._print_solutions
                 print_solutions(goal, read_goal.names)
         except RetalisError as error:
             self._start_new_line()
             self._reporter(error if error.place else RuleError(error.message))
         finally:
-            # An interrupt inside with_output_to/2 would leave its stream as output.
-            logic.output, logic.error_output = saved_outputs
             # Cleanup goals may write after the last answer.
             self._start_new_line()
             sys.stdout.flush()
@@ -535,7 +540,7 @@ class Console:
                     print(" .")
                     return
                 print(" ;", flush=True)
-                self.logic.column = 0
+                self.logic.start_line()
         self._start_new_line()
         if not shown_count:
             self.has_failed_goal = True
@@ -561,7 +566,7 @@ class Console:
         """Start a new line if the goal has written an incomplete one."""
         if self.logic.column:
             self._print_text("")
-            self.logic.column = 0
+            self.logic.start_line()
 
     def _print_output(self, term: Term, topic: str, name: Term) -> None:
         self._print_text(f"% {printable(topic)}: {self.engine.show(term)}")

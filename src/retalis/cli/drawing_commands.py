@@ -7,7 +7,6 @@ from typing import Callable, Dict, List, Optional, Sequence
 
 from ..engine.engine import Engine
 from ..engine.engine_settings import Settings
-from ..engine.event_input import InputTopics
 from ..engine.run_records import open_records
 from ..events.program.topic_configuration import GOALS, TOPICS, Topics, read_topics
 from ..foundation.errors import ProgramErrors, UsageError
@@ -81,16 +80,15 @@ def draw_program(options: argparse.Namespace) -> int:
     if not (folder / GOALS).is_file():
         raise UsageError(f"{folder.resolve()} is not a program: it has no file {GOALS}")
     engine = Engine(settings=apply_limits(Settings(), options), definitions=installed_definitions())
-    input_topics = engine.input_topics
     # Goals may subscribe to topics during loading. They are recorded for the graph, and nothing is subscribed.
-    input_topics.set_subscriber(lambda request: None)
+    engine.on_topic_request(lambda request: None)
     try:
         engine.load_program(folder)
     except ProgramErrors as errors:
         for error in errors.errors:
             reporter(error)
     # A program with errors is drawn as far as it was loaded.
-    graph = program_graph(engine, _collect_topics(folder, input_topics))
+    graph = program_graph(engine, _collect_topics(folder, engine))
     text = dot_text(graph, folder.resolve().name)
     if options.json:
         print_json(_graph_to_json(graph))
@@ -123,9 +121,11 @@ def _get_output_format(path: Optional[Path]) -> str:
     return suffix
 
 
-def _collect_topics(folder: Path, input_topics: InputTopics) -> List[GraphTopic]:
+def _collect_topics(folder: Path, engine: Engine) -> List[GraphTopic]:
     """Return the subscribed topics of pub_sub.xml and of the program's goals, with the names of their events."""
-    topics = input_topics.merge_with(read_topics(folder / TOPICS) if (folder / TOPICS).exists() else Topics())
+    topics = engine.with_requested_topics(
+        read_topics(folder / TOPICS) if (folder / TOPICS).exists() else Topics()
+    )
     return [
         GraphTopic(name, topics.event_name_of(name) or functor_name(type_name))
         for name, type_name in topics.subscribed

@@ -305,14 +305,14 @@ class Session:
             installed_definitions(),
         )
         if options.json:
-            redirect_goal_output(self.engine.logic)
+            redirect_goal_output(self.engine.program.logic)
         # Registered before goals are called, because goals may cause events.
         self.engine.on_event(self._print_event)
         self._occurred: Set[Functor] = set()
         self.engine.on_output(self._print_output)
         self._origin = origin
         self._newest_end = -timestamps.MAX_TIMESTAMP
-        self.engine.logic.define_control("sleep", 1, self._sleep)
+        self.engine.program.logic.define_control("sleep", 1, self._sleep)
         # Before any event: the causes of earlier events cannot be recovered.
         if options.explain:
             record_origins(self.engine)
@@ -373,7 +373,7 @@ class Session:
         if self._options.flush:
             self._clock.move_by(timestamps.from_seconds(self._options.flush))
             self.engine.advance()
-        self.engine.executor.post(self.engine.event_input.end_input)
+        self.engine.end_input()
 
     def _process_terms(self, stream: Iterable[StreamItem]) -> None:
         try:
@@ -410,10 +410,10 @@ class Session:
                     once=True,
                 )
             self._newest_end = max(self._newest_end, event.end)
-        ahead_count = self.engine.event_input.far_ahead_count
+        ahead_count = self.engine.far_ahead_count
         self.engine.event(event.term, *event.interval_terms())
         # The events that follow a wrong stamp do not go back.
-        if self.engine.event_input.far_ahead_count != ahead_count:
+        if self.engine.far_ahead_count != ahead_count:
             self._newest_end = self._clock.reached()
 
     def print_results(self) -> None:

@@ -258,6 +258,11 @@ def find_completions(text: str, names: Iterable[str]) -> List[str]:
     return sorted({name for name in names if name.startswith(text) and _UNQUOTED_ATOM.match(name)})
 
 
+def discard_unread_text(source: Union[PipedInput, TerminalInput]) -> None:
+    """Discard the text after the last term in its line, for example after an interrupt."""
+    source.unread_text = ""
+
+
 def read_clause(
     source: Union[PipedInput, TerminalInput], logic: PrologSystem, prompt: str
 ) -> Optional[ParsedTerm]:

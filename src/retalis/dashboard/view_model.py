@@ -114,8 +114,8 @@ class RecentEvents:
 
     def __init__(self, engine: Engine):
         self._engine = engine
-        self._dispatcher, self._executor = engine.dispatcher, engine.executor
-        self._format_term = engine.logic.show
+        self._dispatcher = engine.program.rules.dispatcher
+        self._format_term = engine.program.logic.show
         self._listener: Optional[Listener] = None
         self._is_requested = False
         self._serial = count(1)
@@ -130,7 +130,7 @@ class RecentEvents:
         """Start or stop to observe events, as soon as the engine executes the request; stored events remain."""
         if observing != self._is_requested:
             self._is_requested = observing
-            self._executor.post(self._apply_observation)
+            self._engine.do_later(self._apply_observation)
 
     def _apply_observation(self) -> None:
         if self._is_requested and self._listener is None:

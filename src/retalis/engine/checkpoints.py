@@ -42,9 +42,8 @@ from ..serialization.state_file_format import (
 from .deployment_contents import Deployment
 from .engine import Engine
 from .engine_settings import Settings
-from .engine_snapshot import EngineSnapshot, convert_errors, records_since
+from .engine_snapshot import convert_errors, records_since
 from .runtime.problem_reports import Reports
-from .runtime.serial_executor import UNNAMED_REQUEST
 
 APPLICATION_ID = 0x72746C73
 """``PRAGMA application_id`` of a checkpoint file, the letters ``rtls``."""
@@ -533,13 +532,13 @@ class Checkpointer:
         self._program = program
         self._reports = reports
         self._interval_seconds = interval_seconds
-        self._snapshot = EngineSnapshot(engine)
+        self._snapshot = engine.incremental_snapshot()
         self._file_positions: Dict[MemoryInstance, _FilePosition] = {}
         self._numbers = count(file.next_number)
         self._deployments: List[Deployment] = []
         self._files: Dict[str, str] = {}
         if files is not None:
-            self._deployments = list(engine.deployments.values())
+            self._deployments = list(engine.loaded_deployments().values())
             self._files = dict(files)
         self._stop_requested = threading.Event()
         self._writer_thread = threading.Thread(target=self._run, name="checkpoints", daemon=True)
@@ -588,7 +587,7 @@ class Checkpointer:
         except Exception as error:
             # The thread continues, because the next attempt may succeed, for example when the disk has space again.
             # The failed attempt has reset the change marks, so the next one writes the complete state.
-            self._snapshot = EngineSnapshot(self._engine)
+            self._snapshot = self._engine.incremental_snapshot()
             self._file_positions = {}
             self._reports.error(error)
             return not isinstance(error, CheckpointFileInUse)
@@ -600,11 +599,8 @@ class Checkpointer:
         Raises:
             UsageError: if the file cannot be written.
         """
-        engine = self._engine
         # Only capturing the state blocks the engine; encoding of clauses and records and the disk access do not.
-        state = engine.executor.call(
-            lambda: engine.dispatcher.run_restoring_context(self._capture_state), (UNNAMED_REQUEST,)
-        )
+        state = self._engine.do(self._capture_state)
         start_time = time.thread_time()
         try:
             self._write_state(*state)
@@ -639,13 +635,15 @@ class Checkpointer:
         After a load or reload all files are read again; otherwise only files that are new.
         """
         engine = self._engine
-        deployments = list(engine.deployments.values())
+        deployments = list(engine.loaded_deployments().values())
         if len(deployments) != len(self._deployments) or any(
             deployment is not known_deployment
             for deployment, known_deployment in zip(deployments, self._deployments)
         ):
             self._deployments, self._files = deployments, {}
-        names = list_program_files(self._program, [str(path) for path in list(engine.rules.files.loaded)])
+        names = list_program_files(
+            self._program, [str(path) for path in list(engine.program.rules.files.loaded)]
+        )
         if any(name not in self._files for name in names):
             self._files = {name: self._files.get(name) or compute_file_digest(name) for name in names}
 
@@ -666,7 +664,7 @@ class Checkpointer:
         sections = {name: to_bytes(data) for name, data in data_by_name.items()}
         file_positions: Dict[MemoryInstance, _FilePosition] = {}
         records = []
-        for instance in self._engine.knowledge.memories:
+        for instance in self._engine.program.knowledge.memories:
             file_position = self._file_positions.get(instance)
             memory = instance.memory
             # `first_changed_position` is the lowest position that an insertion out of order has moved since the
@@ -743,7 +741,7 @@ def resume(
 
     def create_engine() -> Engine:
         engine = Engine(clock, settings, reports, definitions)
-        EngineSnapshot(engine).restore(checkpoint.sections, checkpoint.records, folder)
+        engine.incremental_snapshot().restore(checkpoint.sections, checkpoint.records, folder)
         return engine
 
     return convert_errors(create_engine), checkpoint

@@ -72,13 +72,14 @@ def ask(
     """
     parsed_goal = read_term(goal, engine.operators, "goal")
     names = {name: var for name, var in parsed_goal.names.items() if not name.startswith("_")}
-    logic = engine.logic
+    logic = engine.program.logic
 
     def collect_solutions() -> Answer:
         solution_bindings: List[List[Binding]] = []
         characters_left = max_characters
-        engine_limits = logic.limits
-        logic.limits = _combine_limits(engine_limits, limits or NO_LIMITS)
+        budget = logic.machine.budget
+        engine_limits = budget.limits
+        budget.set_limits(_combine_limits(engine_limits, limits or NO_LIMITS))
         try:
             with closing(logic.solutions(parsed_goal.term)) as solutions:
                 for _ in solutions:
@@ -96,7 +97,7 @@ def ask(
                     characters_left -= sum(len(value.json) for value in bindings)
                     solution_bindings.append(bindings)
         finally:
-            logic.limits = engine_limits
+            budget.set_limits(engine_limits)
         return Answer(solution_bindings, True)
 
     # Executed exclusively, so the changed limits of the logic apply to this goal only.
@@ -110,7 +111,7 @@ def run_restricted(engine: Engine, work: Callable[[], Result], work_name: Term =
     """
 
     def restricted_work() -> Result:
-        with engine.logic.serving_client():
+        with engine.program.logic.serving_client():
             return work()
 
     return engine.do(restricted_work, work_name)
@@ -129,7 +130,7 @@ def read_bindings(
     Raises:
         UsageError: if they are longer.
     """
-    logic = engine.logic
+    logic = engine.program.logic
     # One dictionary for all variables, so that a variable in two values gets the same name.
     variable_names: Dict[Var, str] = {}
     bindings = []
@@ -173,7 +174,7 @@ def wait_for_memories(engine: Engine, memory_ids: Sequence[Term], instant: int, 
     Raises:
         UsageError: for an unknown memory, a memory that is deleted meanwhile, and at the end of the waiting time.
     """
-    knowledge = engine.knowledge
+    knowledge = engine.program.knowledge
     all_reached = Event()
 
     def register() -> Optional[int]:
@@ -204,7 +205,7 @@ def wait_for_memories(engine: Engine, memory_ids: Sequence[Term], instant: int, 
 
 def _describe_missing(engine: Engine, memory_ids: Sequence[Term], instant: int) -> str:
     """Return a description of the memories that have not reached a time, with the missing time."""
-    missing_memories = engine.do(lambda: engine.knowledge.find_missing_memories(memory_ids, instant))
+    missing_memories = engine.do(lambda: engine.program.knowledge.find_missing_memories(memory_ids, instant))
     descriptions = []
     for instance, required_time in missing_memories:
         latest = instance.latest_end
@@ -238,7 +239,7 @@ def add_rule(engine: Engine, text: str, label: str = "") -> str:
     # The label is chosen within the exclusive call: another request could use it in between.
     def add() -> str:
         rule_label = _choose_label(engine, parsed_rule, label)
-        engine.rules.loader.load_read_term(parsed_rule)
+        engine.program.rules.loader.load_read_term(parsed_rule)
         return engine.show(rule_label)
 
     return run_restricted(engine, add)
@@ -254,7 +255,9 @@ def _choose_label(engine: Engine, parsed_rule: ReadTerm, requested: str) -> Term
             f"label: the rule has the label {engine.brief(_strip_properties(existing_label))} already"
         )
     used_keys = {
-        term_key(_strip_properties(rule.label)) for rule in engine.rules.rules if rule.label is not None
+        term_key(_strip_properties(rule.label))
+        for rule in engine.program.rules.rules
+        if rule.label is not None
     }
     if label is None:
         label = next(
@@ -274,7 +277,7 @@ def delete_rule(engine: Engine, label: str) -> None:
         UsageError: if there are none.
     """
     label_term = _parse_label(engine, label)
-    if not engine.do(lambda: engine.rules.delete(label_term), UNNAMED_REQUEST):
+    if not engine.do(lambda: engine.program.rules.delete(label_term), UNNAMED_REQUEST):
         raise UsageError(f"there is no rule {engine.brief(label_term)}")
 
 

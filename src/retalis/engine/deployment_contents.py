@@ -26,6 +26,15 @@ from ..prolog.terms.types import Functor, Term, functor
 
 _CLAUSE_FUNCTOR = functor(":-", 2)
 
+
+class LoadedProgram(NamedTuple):
+    """The program of an engine: its predicates, rules and knowledge."""
+
+    logic: PrologSystem
+    rules: RuleBase
+    knowledge: KnowledgeBase
+
+
 ItemKey = TypeVar("ItemKey", bound=Hashable)
 Clauses = Dict[Predicate, List[Clause]]
 

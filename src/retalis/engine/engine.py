@@ -1,6 +1,5 @@
 """The engine: composition of the components of a running program, and its public interface."""
 
-import os
 from contextlib import closing
 from pathlib import Path
 from typing import (
@@ -21,26 +20,18 @@ from typing import (
 from ..events.checks.check_runner import INFO, run_checks
 from ..events.checks.program_model import ProgramModel
 from ..events.clock.clock import Clock, StreamClock
-from ..events.dispatch.dispatcher import Dispatcher
 from ..events.dispatch.listeners import ListenerPhase
-from ..events.knowledge.knowledge_base import DELETE_MEMORY, MEMORIZE, OWN_EVENTS, SUBSCRIBE, KnowledgeBase
-from ..events.language.rule_head_parser import WATERMARK_DELAY
+from ..events.knowledge.knowledge_base import DELETE_MEMORY, MEMORIZE, SUBSCRIBE
 from ..events.program.topic_configuration import Topics, TopicType
-from ..events.rules.event_flags import MAX_WATERMARK_DELAY
-from ..events.rules.event_input_predicates import define_new_event
-from ..events.rules.rule_base import RuleBase
 from ..foundation.errors import RetalisError, UsageError, format_count
 from ..foundation.garbage_collection import count_records_of
-from ..messages.message_notation import SlotNames
+from ..foundation.ros_names import strip_slashes
+from ..messages.transform_messages import TransformMessage
 from ..messages.type_registry import Definitions
-from ..prolog.files.source_files import SourceFiles
-from ..prolog.machine.resource_limits import MEGABYTE
-from ..prolog.swi.use_swi import define_use_swi
 from ..prolog.syntax.operators import Operators
 from ..prolog.syntax.term_reader import read_term
 from ..prolog.syntax.tokenizer import ReadFlags
-from ..prolog.system.foreign_functions import define_foreign, define_use_foreign
-from ..prolog.system.prolog_system import PrologSystem
+from ..prolog.system.foreign_functions import define_foreign
 from ..prolog.terms import timestamps
 from ..prolog.terms.list_terms import make_list
 from ..prolog.terms.term_traversal import copy, variables
@@ -48,15 +39,15 @@ from ..prolog.terms.timestamps import FloatSeconds
 from ..prolog.terms.types import Frame, Functor, Term, Var
 from ..serialization.state_file_format import pack_sections, read_records, unpack_sections
 from .deployment_contents import Deployment
+from .engine_parts import EngineParts, create_parts
 from .engine_settings import Settings
 from .engine_snapshot import EngineSnapshot, convert_errors, create_clock, decode_sections, encode_state
-from .engine_status import DEFAULT_LISTING_LIMIT, Status, StatusReader, StatusSources
-from .event_input import EventInput, InputTopics, TextInput
+from .engine_status import DEFAULT_LISTING_LIMIT, Status
+from .event_input import Subscribe
 from .hot_reload import NullReports, create_fixed_clock, create_trial_settings, reload_folder
-from .program_loader import ProgramLoader, load_folder
+from .program_loader import load_folder
 from .runtime.problem_reports import Reports
-from .runtime.serial_executor import UNNAMED_REQUEST, EngineRecovery, SerialExecutor
-from .runtime.watchdog import start_watchdog
+from .runtime.serial_executor import UNNAMED_REQUEST
 
 
 class OnOutput(Protocol):
@@ -141,11 +132,12 @@ class Engine:
     Attributes:
         clock: the time of the program.
         settings: limits and sizes.
+        program: predicates, rules and knowledge, for other packages of retalis.
 
-    The components are attributes, too, for the other packages of retalis: ``logic`` (Prolog), ``dispatcher``,
-    ``rules``, ``knowledge`` (memories, queries, subscriptions), ``reports``, ``executor``, ``watchdog``, ``loader``,
-    ``slots`` (field names of messages), ``deployments`` (the loaded folders), ``input_topics`` and ``event_input``.
-    They are not part of the public interface and may change in any version.
+    The parts are attributes, too, for tests: ``logic`` (Prolog), ``dispatcher``, ``rules``, ``knowledge`` (memories,
+    queries, subscriptions), ``reports``, ``executor``, ``watchdog``, ``deployments`` (the loaded folders),
+    ``input_topics`` and ``event_input``. Like ``program``, they are not part of the public interface and may change
+    in any version.
     """
 
     def __init__(
@@ -155,105 +147,28 @@ class Engine:
         reports: Optional[Reports] = None,
         definitions: Optional[Definitions] = None,
     ):
-        self.clock: Clock = StreamClock(follows_events=True) if clock is None else clock
-        self.settings = settings = Settings() if settings is None else settings
-        self.slots = SlotNames(definitions)
-        self._files = SourceFiles()
-        self._files.sandbox.allow(
-            settings.folders, settings.write_folders, settings.max_file_megabytes * MEGABYTE
+        parts = self._parts = create_parts(
+            StreamClock(follows_events=True) if clock is None else clock,
+            Settings() if settings is None else settings,
+            Reports() if reports is None else reports,
+            definitions,
         )
-        self.logic = PrologSystem(
-            Operators.prolog(self.slots),
-            limits=settings.limits,
-            now=self.clock.now,
-            files=self._files,
-            # Python modules can read the environment anyway, so goals may read it, too.
-            environment=os.environ if settings.allow_foreign else None,
-            allow_flags=settings.allow_flags,
-        )
-        budget = self.logic.machine.budget
-        self.dispatcher = Dispatcher(self.logic, max_depth=settings.max_depth)
-        self.reports = reports = Reports() if reports is None else reports
-        self.rules = RuleBase(
-            self.logic,
-            self.dispatcher,
-            self.clock,
-            self._files,
-            on_error=reports.error,
-            on_warning=reports.warning,
-            is_external_event=lambda key: key in OWN_EVENTS or key.name in self.slots.events,
-        )
-        declared = self.rules.declared_events
-        self.knowledge = KnowledgeBase(
-            self.logic,
-            self.dispatcher,
-            self.clock,
-            self._pass_output,
-            reports.warning,
-            self.rules,
-            on_pattern=declared.require_declared,
-            on_conditions=self.rules.warn_unknown_calls,
-            buffer=settings.transform_buffer(settings.tf_cache),
-        )
-        self.rules.flags.on_numeric_change("max_gap", self.knowledge.gaps.set_limit)
-        if settings.max_gap is not None:
-            self.rules.flags.set_default("max_gap", settings.max_gap)
-        if settings.watermark_delay is not None:
-            self.rules.flags.set_default(WATERMARK_DELAY, settings.watermark_delay)
-        self.rules.flags.set_default(MAX_WATERMARK_DELAY, settings.max_watermark_delay)
-        recovery = EngineRecovery(self.logic, self.dispatcher, self.rules, self.knowledge)
-        self.executor = SerialExecutor(
-            settings.queue, self._report_drop, reports.error, recovery, settings.patience
-        )
-        budget.attach_executor(self.executor)
-        self.watchdog = start_watchdog(self.executor, self.logic, self.dispatcher, reports, settings.watchdog)
-        call_goal = self._call_restoring_context if settings.allow_goals else None
-        self.event_input = EventInput(
-            self.logic,
-            self.dispatcher,
-            self.clock,
-            self.rules,
-            self._clear_state,
-            self._return_to,
-            self.knowledge.transforms.store_message,
-            self.executor.report_isolated_error,
-        )
+        self.clock, self.settings = parts.clock, parts.settings
+        self.program = parts.program
+        self.logic, self.rules, self.knowledge = parts.program
+        self.dispatcher, self.executor, self.reports = parts.dispatcher, parts.executor, parts.reports
+        self.event_input, self.input_topics = parts.event_input, parts.input_topics
+        self.deployments, self.watchdog = parts.deployments, parts.watchdog
         # Bound once, which saves an attribute access per event.
-        self._dispatch_event = self.event_input.dispatch_event
-        self._dispatch_message = self.event_input.dispatch_message
-        self._text_input = TextInput(self.logic.operators, self._dispatch_event, call_goal, reports, declared)
-        self._output_callbacks: List[OnOutput] = []
+        self._dispatch_event = parts.event_input.dispatch_event
+        self._dispatch_message = parts.event_input.dispatch_message
         self._has_event_callbacks = False
         # After an error in a file, checks of the whole program would report the absence of its rules.
         self._is_program_complete = True
         self._foreign_sources: List[Tuple[object, ...]] = []
         """Arguments of the calls of `add_foreign`, which are repeated for a trial engine."""
-        self.deployments: Dict[str, Deployment] = {}
-        """Deployments by the real path of the program's folder."""
-        self.loader = ProgramLoader(
-            self.logic, self.rules, self.executor, self.dispatcher, settings.limit_start, self._call_once
-        )
-        self._status_reader = StatusReader(
-            StatusSources(
-                self.logic,
-                self.dispatcher,
-                self.rules,
-                self.knowledge,
-                self.clock,
-                reports,
-                self.executor,
-                self.watchdog,
-                lambda: self.event_input.event_count,
-                lambda: self.event_input.far_ahead_count,
-                settings.queue,
-            )
-        )
         # The garbage collector counts the records as live heap, see `garbage_collection`.
-        count_records_of(self._status_reader)
-        define_new_event(self.logic, self.dispatcher)
-        self.input_topics = InputTopics(self.logic, self.slots, reports)
-        define_use_foreign(self.logic, self.executor, self._files, settings.allow_foreign)
-        define_use_swi(self.logic, self._files, settings.allow_swi, reports.warning)
+        count_records_of(parts.status_reader)
 
     # ---- loading -------------------------------------------------------------------------------------
 
@@ -276,7 +191,7 @@ class Engine:
             ProgramErrors: all errors. Goals before a failed one have been called. If a rule is wrong, no rule of the
                 text is active.
         """
-        self.loader.load(rules, goals, source, folder)
+        self._parts.loader.load(rules, goals, source, folder)
 
     def load_rules(self, text: str, source: str = "text", folder: Optional[Path] = None) -> None:
         """Load the text of an event file; see `load`.
@@ -287,7 +202,7 @@ class Engine:
             ProgramErrors: all errors; nothing of the text is active. In a text without event rules, wrong clauses are
                 omitted with a warning (an `Omission`) if any clause is accepted.
         """
-        self.loader.load_rules(text, source, folder)
+        self._parts.loader.load_rules(text, source, folder)
 
     def load_program(self, folder: Union[str, Path]) -> None:
         """Call the goals of ``goalPredicates.txt`` in a program's folder; these goals name the rule files.
@@ -302,7 +217,7 @@ class Engine:
             UsageError: if the file cannot be read.
         """
         self._is_program_complete = False
-        load_folder(self, Path(folder))
+        load_folder(self._parts, Path(folder))
         self._is_program_complete = True
 
     def reload(self, folder: Union[str, Path]) -> List[str]:
@@ -323,22 +238,22 @@ class Engine:
             ProgramErrors: all errors; the program is unchanged.
             UsageError: if a file cannot be read, or if a goal or callback of this engine calls this method.
         """
-        changes = reload_folder(self, Path(folder), self._create_trial_engine)
+        changes = reload_folder(self._parts, Path(folder), self._create_trial)
         self._is_program_complete = True
         return changes
 
-    def _create_trial_engine(self) -> "Engine":
-        """Return a second engine with the same settings, the same time and the same foreign predicates."""
+    def _create_trial(self) -> EngineParts:
+        """Return the parts of a second engine with the same settings, time and foreign predicates."""
         trial_engine = Engine(
             create_fixed_clock(self.clock.now()),
             create_trial_settings(self.settings),
             NullReports(),
-            self.slots.definitions,
+            self._parts.slots.definitions,
         )
         trial_engine.input_topics.copy_for_trial(self.input_topics)
         for sources in self._foreign_sources:
             trial_engine.add_foreign(*sources)
-        return trial_engine
+        return trial_engine._parts  # noqa: SLF001
 
     def call_goals(self, text: str, source: str, folder: Optional[Path] = None) -> None:
         """Call the goals of a goal file in order; see `load`.
@@ -348,7 +263,7 @@ class Engine:
         Raises:
             ProgramErrors: all goals that have a syntax error, fail or raise; the other goals have been called.
         """
-        self.loader.call_goals(text, source, folder)
+        self._parts.loader.call_goals(text, source, folder)
 
     # ---- events --------------------------------------------------------------------------------------
 
@@ -428,7 +343,23 @@ class Engine:
 
         >>> Engine().post_text("event(fire(kitchen), [1.5,2])")
         """
-        self.executor.post(self._text_input.process_text, text)
+        self.executor.post(self._parts.text_input.process_text, text)
+
+    def post_transforms(
+        self, messages: Iterable[Tuple[Union[Term, TransformMessage], Optional[int]]]
+    ) -> None:
+        """Queue messages, which may be transforms; otherwise as `post_each`.
+
+        >>> Engine().post_transforms([(functor("battery", 1)(87), 1_500_000_000)])
+        """
+        self.executor.post_each(self.event_input.process_input, messages)
+
+    def end_input(self) -> None:
+        """Run the alarms that only wait for late events, because no more events will come.
+
+        >>> Engine().end_input()
+        """
+        self.executor.post(self.event_input.end_input)
 
     def advance(self, move: Optional[Callable[[], object]] = None) -> None:
         """Run the alarms that are due, and clear the state of the program if the clock went back.
@@ -453,7 +384,7 @@ class Engine:
             PrologError: the error that the goal raised.
         """
         term = self._parse_term(goal)
-        return self.do(lambda: self._call_once(term), term)
+        return self.do(lambda: self._parts.goals.call_once(term), term)
 
     def query(self, goal: Union[str, Term], most: Optional[int] = None) -> List[Dict[str, Term]]:
         """Return the solutions of a goal, each a dictionary from variable names to values.
@@ -486,6 +417,14 @@ class Engine:
         """
         return self.executor.call(lambda: self.dispatcher.run_restoring_context(work), (what,))
 
+    def do_later(self, work: Callable[[], object]) -> None:
+        """Queue a function, which is executed exclusively, and return immediately; see `do`.
+
+        >>> Engine().do_later(lambda: print("now"))
+        now
+        """
+        self.executor.post(work)
+
     # ---- callbacks and text --------------------------------------------------------------------------
 
     def on_output(self, callback: OnOutput) -> None:
@@ -497,7 +436,7 @@ class Engine:
         >>> engine.event("fire(hall)", 1)
         alarms fire(hall)
         """
-        self._output_callbacks.append(callback)
+        self._parts.callbacks.on_output.append(callback)
 
     def on_event(self, callback: OnEvent) -> None:
         """Register a callback for all events; it is called with term, start and end in the order of dispatch.
@@ -509,11 +448,40 @@ class Engine:
         """
 
         def observe(term: Term, values: Tuple[Term, ...], start: int, end: int, frame: Frame) -> Frame:
-            self._call_back("a callback of on_event", callback, term, start, end)
+            self._parts.callbacks.call("a callback of on_event", callback, term, start, end)
             return frame
 
         self.dispatcher.listen(ListenerPhase.TRACE, Var(), observe)
         self._has_event_callbacks = True
+
+    def on_topic_request(
+        self,
+        subscribe: Subscribe,
+        topics: Topics = Topics(),  # noqa: B008 - immutable
+        direct: Iterable[TopicType] = (),
+        resolve_name: Callable[[str], str] = strip_slashes,
+    ) -> None:
+        """Set the function that subscribes to the topics that goals request; see `InputTopics.set_subscriber`.
+
+        >>> engine = Engine()
+        >>> engine.on_topic_request(lambda request: print(request.topic))
+        >>> engine.call("subscribe_to(odom, 'nav_msgs/Odometry')")
+        odom
+        True
+        """
+        self.input_topics.set_subscriber(subscribe, topics, direct, resolve_name)
+
+    def with_requested_topics(self, topics: Topics = Topics()) -> Topics:  # noqa: B008 - immutable
+        """Return topics of a program together with those that its goals have requested.
+
+        >>> engine = Engine()
+        >>> engine.on_topic_request(lambda request: None)
+        >>> engine.call("subscribe_to(odom, 'nav_msgs/Odometry')")
+        True
+        >>> engine.with_requested_topics().subscribed
+        (TopicType(topic='odom', type='nav_msgs/Odometry'),)
+        """
+        return self.input_topics.merge_with(topics)
 
     def show(self, term: Term) -> str:
         """Return a term as text that can be read back.
@@ -552,6 +520,18 @@ class Engine:
         ['alarms']
         """
         return sorted({topic for topic, _ in self.knowledge.subscriptions})
+
+    def loaded_deployments(self) -> Dict[str, Deployment]:
+        """Return what each loaded folder has created, by the real path of the folder.
+
+        A reload replaces the object of its folder.
+
+        >>> engine = Engine()
+        >>> engine.load_program(folder)
+        >>> [len(deployment.rules) for deployment in engine.loaded_deployments().values()]
+        [0]
+        """
+        return dict(self.deployments)
 
     def summary(self) -> str:
         """Return the number of rules, memories and subscriptions as text.
@@ -607,7 +587,7 @@ class Engine:
         Args:
             most: limit for the listed rules, memories, subscriptions and queries; ``left_out`` counts the others.
         """
-        return self._status_reader.read(most)
+        return self._parts.status_reader.read(most)
 
     @property
     def dropped(self) -> int:
@@ -617,6 +597,15 @@ class Engine:
         0
         """
         return self.executor.dropped
+
+    @property
+    def far_ahead_count(self) -> int:
+        """Number of events whose times were too far ahead of the clock.
+
+        >>> Engine().far_ahead_count
+        0
+        """
+        return self.event_input.far_ahead_count
 
     # ---- memories and subscriptions ----
 
@@ -735,12 +724,20 @@ class Engine:
         def encode() -> Dict[str, bytes]:
             # The state is encoded within the exclusive call, because the variables of rules may be bound to other
             # values as soon as the engine continues.
-            engine_snapshot = EngineSnapshot(self)
+            engine_snapshot = EngineSnapshot(self._parts)
             return encode_state(engine_snapshot.capture(), engine_snapshot.encode_records())
 
         return pack_sections(
             self.executor.call(lambda: self.dispatcher.run_restoring_context(encode), (UNNAMED_REQUEST,))
         )
+
+    def incremental_snapshot(self) -> EngineSnapshot:
+        """Return a reader of the state for consecutive snapshots, which omit a program that has not changed.
+
+        >>> sorted(Engine().incremental_snapshot().capture())
+        ['clauses', 'matches', 'program', 'run', 'values']
+        """
+        return EngineSnapshot(self._parts)
 
     @classmethod
     def restore(
@@ -784,7 +781,7 @@ class Engine:
             if foreign:
                 engine.add_foreign(*foreign)
             records = [[read_records(data)] for name, data in encoded.items() if name.startswith("memory ")]
-            EngineSnapshot(engine).restore(sections, records, folder)
+            EngineSnapshot(engine._parts).restore(sections, records, folder)  # noqa: SLF001 - the same class
             return engine
 
         return convert_errors(create)
@@ -826,54 +823,6 @@ class Engine:
     def _parse_term(self, term: Union[str, Term], flags: ReadFlags = TERM_FLAGS) -> Term:
         return read_term(term, self.logic.operators, "text", flags).term if isinstance(term, str) else term
 
-    def _call_once(self, goal: Term) -> bool:
-        """Call a goal once.
-
-        The trail is cleared afterwards if no other goal or event is active, because nothing will undo these bindings.
-        """
-        machine = self.logic.machine
-        # Inside another goal or event the trail still belongs to an outer choice point and must stay.
-        is_outermost = not machine.trail and not machine.choices and self.dispatcher.current is None
-        try:
-            return self.logic.once(goal)
-        finally:
-            if is_outermost:
-                machine.trail.clear()
-
-    def _call_restoring_context(self, goal: Term) -> bool:
-        return self.dispatcher.run_restoring_context(lambda: self._call_once(goal))
-
-    def _clear_state(self) -> None:
-        """Clear all memories, transforms, pending queries and partial matches, because time went back."""
-        self.knowledge.clear()
-        self.rules.clear()
-
-    def _return_to(self, instant: int) -> None:
-        """Set the time of all operators back, because the clock had followed a wrong timestamp."""
-        self.knowledge.return_to(instant)
-        self.rules.return_to(instant)
-
-    def _pass_output(self, term: Term, topic: str, name: Term) -> None:
-        for callback in self._output_callbacks:
-            self._call_back("a callback of on_output", callback, term, topic, name)
-
-    def _call_back(self, callback_name: str, callback: Callable[..., object], *arguments: object) -> None:
-        """Call a callback of the user; its errors are reported."""
-        # The executor names this callback in the error of a thread that waits for it; see `patience`.
-        executor = self.executor
-        outer_callback = executor.begin_callback(callback_name)
-        try:
-            callback(*arguments)
-        except Exception as error:
-            # An error in a callback must not prevent the remaining consequences of the event.
-            self.reports.error(error)
-        executor.end_callback(outer_callback)
-
-    def _report_drop(self, dropped: int) -> None:
-        self.reports.warning(
-            f"events come in faster than they can be processed: {dropped} dropped so far", "dropped"
-        )
-
     def _collect_solutions(
         self, term: Term, names: Dict[str, Var], most: Optional[int]
     ) -> List[Dict[str, Term]]:
@@ -892,5 +841,5 @@ class Engine:
 
     def _call_or_raise(self, goal: Term) -> None:
         """Call a goal that must succeed."""
-        if not self.executor.call(lambda: self._call_restoring_context(goal), (goal,)):
+        if not self.executor.call(lambda: self._parts.goals.call_restoring_context(goal), (goal,)):
             raise UsageError(f"{self.logic.brief(goal)} fails")

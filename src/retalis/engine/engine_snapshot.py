@@ -27,7 +27,7 @@ from .deployment_contents import restore_deployments, save_deployments
 from .event_input import TopicRequest
 
 if TYPE_CHECKING:
-    from .engine import Engine
+    from .engine_parts import EngineParts
 
 Sections = Dict[str, Any]
 """Sections of a state by name, as data that `to_bytes` accepts."""
@@ -39,11 +39,11 @@ class EngineSnapshot:
     """Snapshot of an engine: reads its state, or restores a state into it.
 
     Args:
-        engine: the engine. No event or goal may be active during a call.
+        parts: parts of the engine. No event or goal may be active during a call.
     """
 
-    def __init__(self, engine: "Engine"):
-        self._engine = engine
+    def __init__(self, parts: "EngineParts"):
+        self._parts = parts
         self._signature: Any = None
 
     def capture(self, include_program: bool = True, max_explained_events: Optional[int] = None) -> Sections:
@@ -56,23 +56,23 @@ class EngineSnapshot:
         Raises:
             UsageError: if an event or goal is active.
         """
-        engine = self._engine
-        logic, rules, knowledge = engine.logic, engine.rules, engine.knowledge
+        parts = self._parts
+        logic, rules, knowledge = parts.logic, parts.rules, parts.knowledge
         # While a goal runs, choice points and bindings on the trail belong to its state, and they cannot be saved.
-        if engine.dispatcher.current is not None or logic.machine.choices:
+        if parts.dispatcher.current is not None or logic.machine.choices:
             raise UsageError("a goal or callback of an engine cannot take a snapshot of it")
         matches, numbered_rules = snapshot_matches(
-            rules, knowledge, engine.clock, rules.rules, max_explained_events
+            rules, knowledge, parts.clock, rules.rules, max_explained_events
         )
         counters = {
-            "clock": engine.clock.snapshot(),
-            "clock_follows_events": engine.event_input.stream_clock is not None,
-            "stamp_jumps": engine.event_input.stamp_jumps(),
+            "clock": parts.clock.snapshot(),
+            "clock_follows_events": parts.event_input.stream_clock is not None,
+            "stamp_jumps": parts.event_input.stamp_jumps(),
             "lags": rules.watermarks.snapshot(),
-            "event_count": engine.event_input.event_count,
-            "far_ahead_count": engine.event_input.far_ahead_count,
-            "dropped_count": engine.executor.dropped,
-            "next_token_number": engine.dispatcher.next_token_number,
+            "event_count": parts.event_input.event_count,
+            "far_ahead_count": parts.event_input.far_ahead_count,
+            "dropped_count": parts.executor.dropped,
+            "next_token_number": parts.dispatcher.next_token_number,
             "sent_counts": [
                 subscription.sent_counter.count for _, subscription in knowledge.subscriptions.items()
             ],
@@ -90,14 +90,14 @@ class EngineSnapshot:
 
     def _program_signature(self, numbered_rules: List[EventRule]) -> object:
         """Return a value that changes whenever the program changes."""
-        engine = self._engine
-        rules, knowledge = engine.rules, engine.knowledge
+        parts = self._parts
+        rules, knowledge = parts.rules, parts.knowledge
         # Lists of objects are compared by identity: definitions are immutable, so a change replaces an object. The
         # objects stay referenced by the signature, so no new object can get the address of an old one.
         return (
-            engine.logic.database.change_count,
-            len(engine.logic.database.predicates),
-            engine.logic.operators.changes(),
+            parts.logic.database.change_count,
+            len(parts.logic.database.predicates),
+            parts.logic.operators.changes(),
             [rule.serial for rule in numbered_rules],
             len(rules.rules),
             rules.all_properties(),
@@ -105,35 +105,35 @@ class EngineSnapshot:
             list(knowledge.memories),
             knowledge.subscriptions.items(),
             list(knowledge.states),
-            engine.input_topics.snapshot(),
-            dict(engine.slots.events),
+            parts.input_topics.snapshot(),
+            dict(parts.slots.events),
             set(rules.files.loaded),
             rules.files.sandbox.program_folders,
-            list(engine.logic.foreign_modules),
-            list(engine.logic.swi_files),
-            sorted(engine.deployments),
-            list(engine.deployments.values()),
+            list(parts.logic.foreign_modules),
+            list(parts.logic.swi_files),
+            sorted(parts.deployments),
+            list(parts.deployments.values()),
         )
 
     def _collect_program(self, numbered_rules: List[EventRule]) -> Sections:
         """Return section ``program``; see `SECTIONS`."""
-        engine = self._engine
-        knowledge = engine.knowledge
+        parts = self._parts
+        knowledge = parts.knowledge
         return {
-            "rules": snapshot_rules(engine.rules, numbered_rules),
+            "rules": snapshot_rules(parts.rules, numbered_rules),
             "memories": [(instance.definition, instance.active) for instance in knowledge.memories],
             "subscriptions": [subscription.definition for _, subscription in knowledge.subscriptions.items()],
             "states": [state.form.term for state in knowledge.states],
-            "deployments": save_deployments(engine.deployments, engine.logic, knowledge, numbered_rules),
-            "topics": [tuple(item) for item in engine.input_topics.snapshot()],
-            "event_types": dict(engine.slots.events),
-            "foreign_modules": list(engine.logic.foreign_modules),
-            "swi_files": [tuple(item) for item in engine.logic.swi_files.values()],
+            "deployments": save_deployments(parts.deployments, parts.logic, knowledge, numbered_rules),
+            "topics": [tuple(item) for item in parts.input_topics.snapshot()],
+            "event_types": dict(parts.slots.events),
+            "foreign_modules": list(parts.logic.foreign_modules),
+            "swi_files": [tuple(item) for item in parts.logic.swi_files.values()],
         }
 
     def encode_records(self) -> List[Any]:
         """Return the encoded records of each memory."""
-        return [encode_records(records_since(instance)) for instance in self._engine.knowledge.memories]
+        return [encode_records(records_since(instance)) for instance in self._parts.knowledge.memories]
 
     def restore(self, sections: Sections, records: Sequence[Sequence[Any]], folder: Optional[Path]) -> None:
         """Restore a state into a new engine.
@@ -146,16 +146,16 @@ class EngineSnapshot:
         Raises:
             RetalisError: the reason why the state cannot be restored.
         """
-        self._engine.executor.call(lambda: self._restore(sections, records, folder))
+        self._parts.executor.call(lambda: self._restore(sections, records, folder))
 
     def _restore(self, sections: Sections, records: Sequence[Sequence[Any]], folder: Optional[Path]) -> None:
-        engine = self._engine
-        logic, rules, knowledge = engine.logic, engine.rules, engine.knowledge
+        parts = self._parts
+        logic, rules, knowledge = parts.logic, parts.rules, parts.knowledge
         program, counters = sections["program"], sections["run"]
         # The order matters: event types and foreign predicates are needed to compile clauses, clauses to compile
         # rules, and rules and memories to restore partial matches and records. The deployments follow, because they
         # refer to all items by position.
-        engine.slots.events.update(program["event_types"])
+        parts.slots.events.update(program["event_types"])
         self._load_foreign(program["foreign_modules"], folder)
         self._load_swi([SwiFile(*item) for item in program["swi_files"]], folder)
         restore_program(logic, ProgramSnapshot(*sections["clauses"]))
@@ -179,31 +179,31 @@ class EngineSnapshot:
             raise UsageError("the state is damaged: expected records for each memory")
         for instance, batches in zip(memories, records):
             restore_records(instance, batches)
-        restore_matches(rules, knowledge, engine.clock, sections["matches"], numbered_rules)
+        restore_matches(rules, knowledge, parts.clock, sections["matches"], numbered_rules)
         rules.files.set_loaded(map(Path, program["rules"]["loaded_files"]))
         # Each event checks the flag before it looks up a declaration; here it is not known whether there are any.
         rules.declared_events.check_all()
-        engine.deployments.update(
+        parts.deployments.update(
             restore_deployments(program["deployments"], logic, knowledge, rules.timers, numbered_rules)
         )
-        engine.input_topics.restore(TopicRequest(*item) for item in program["topics"])
+        parts.input_topics.restore(TopicRequest(*item) for item in program["topics"])
         # Last, because adding rules and timers above may read the clock or set alarms.
-        engine.clock.restore(counters["clock"])
+        parts.clock.restore(counters["clock"])
         rules.watermarks.restore(counters["lags"])
-        engine.event_input.restore(
+        parts.event_input.restore(
             counters["event_count"], counters["far_ahead_count"], counters["stamp_jumps"]
         )
-        engine.executor.restore(counters["dropped_count"])
-        engine.dispatcher.next_token_number = counters["next_token_number"]
+        parts.executor.restore(counters["dropped_count"])
+        parts.dispatcher.next_token_number = counters["next_token_number"]
 
     def _load_foreign(self, modules: Sequence[str], folder: Optional[Path]) -> None:
         """Load the Python modules of the program again; they must be in its folder."""
-        engine = self._engine
+        parts = self._parts
         for name in modules:
             # The state is data from outside: it must not make the engine execute a module that the settings or the
             # location would not allow.
             path = Path(name)
-            if not engine.settings.allow_foreign:
+            if not parts.settings.allow_foreign:
                 raise UsageError(
                     f"the program has loaded Python from {name}: the setting allow_foreign is off"
                 )
@@ -211,25 +211,25 @@ class EngineSnapshot:
                 raise UsageError(
                     f"the program has loaded Python from {name}, which is not in a folder of its own"
                 )
-            files = engine.rules.files
+            files = parts.rules.files
             with files.loading(folder):
-                define_foreign(engine.logic, engine.executor, load_module(name, files))
-            engine.logic.foreign_modules[name] = None
+                define_foreign(parts.logic, parts.executor, load_module(name, files))
+            parts.logic.foreign_modules[name] = None
 
     def _load_swi(self, files: Sequence[SwiFile], folder: Optional[Path]) -> None:
         """Make SWI-Prolog load the files of the program again; they must be in its folder."""
-        engine = self._engine
+        parts = self._parts
         for file in files:
-            if not engine.settings.allow_swi:
+            if not parts.settings.allow_swi:
                 raise UsageError(f"the program has SWI-Prolog load {file.name}: the setting allow_swi is off")
             if file.is_path and (folder is None or folder.resolve() not in Path(file.name).resolve().parents):
                 raise UsageError(
                     f"the program has SWI-Prolog load {file.name}, which is not in a folder of its own"
                 )
-            with engine.rules.files.loading(folder):
-                use_swi(engine.logic, file, engine.reports.warning)
+            with parts.rules.files.loading(folder):
+                use_swi(parts.logic, file, parts.reports.warning)
             text = f"SWI-Prolog has loaded {file.name} again: facts that its clauses had asserted are not restored"
-            engine.reports.warning(text, ("swi", file.name))
+            parts.reports.warning(text, ("swi", file.name))
 
 
 def records_since(instance: MemoryInstance, position: int = 0) -> MemoryRecords:

@@ -18,6 +18,7 @@ from ..events.rules.timer_service import FIRST_INSTANT
 from ..foundation.errors import shorten
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.types import Term, Var, deref
+from .event_input import EventInput
 from .runtime.problem_reports import Reports
 from .runtime.serial_executor import SerialExecutor
 from .runtime.watchdog import Watchdog, describe_work
@@ -346,8 +347,6 @@ class StatusSources(NamedTuple):
     """The components of an engine that the status is read from.
 
     Attributes:
-        taken: returns the number of events received.
-        ahead: returns the number of events that were too far ahead of a clock that follows events.
         queue: maximum number of queued events.
     """
 
@@ -359,8 +358,7 @@ class StatusSources(NamedTuple):
     reports: Reports
     executor: SerialExecutor
     watchdog: Watchdog
-    taken: Callable[[], int]
-    ahead: Callable[[], int]
+    event_input: EventInput
     queue: int
 
 
@@ -394,7 +392,7 @@ class StatusReader:
         self._texts = texts
         return Status(
             now=int(sources.clock.present()),
-            taken=sources.taken(),
+            taken=sources.event_input.event_count,
             fired=sources.rules.fired,
             queued=len(sources.executor),
             queue=sources.queue,
@@ -415,7 +413,7 @@ class StatusReader:
             lags=tuple(
                 [LagStatus(str(functor), lag) for functor, lag in sources.rules.watermarks.lags()][:limit]
             ),
-            ahead=sources.ahead(),
+            ahead=sources.event_input.far_ahead_count,
         )
 
     def count_records(self) -> int:

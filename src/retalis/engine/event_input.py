@@ -11,12 +11,12 @@ topics itself, so a node or a bag player registers a function that subscribes.
 
 import logging
 from functools import partial
-from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, Union
+from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Union
 
 from ..events.clock.clock import Clock, StreamClock
 from ..events.clock.stamp_jumps import NO_JUMPS, JumpDecision, JumpState, StampJumps
 from ..events.dispatch.dispatcher import Dispatcher
-from ..events.knowledge.transform_buffer import Transform
+from ..events.knowledge.knowledge_base import KnowledgeBase
 from ..events.language.event_declarations import DeclaredEvents, event_name_error
 from ..events.matches.watermarks import functor_of
 from ..events.program.topic_configuration import TopicEvent, Topics, TopicType
@@ -45,9 +45,7 @@ class EventInput:
         dispatcher: dispatches the events.
         clock: the clock of the engine.
         rules: the rules, whose watermarks receive the lags of events behind a clock that they do not move.
-        clear_state: clears memories, pending queries and partial matches; called if time went back.
-        return_to: sets the time of all operators back; called if the clock has followed a wrong timestamp.
-        store_transforms: stores the transforms of a message; the flag is True for static transforms.
+        knowledge: memories, transforms, pending queries, subscriptions and states.
         report_alarm_error: reports an error of an alarm; the flag states whether no event is being dispatched and no
             goal runs.
 
@@ -64,19 +62,16 @@ class EventInput:
         dispatcher: Dispatcher,
         clock: Clock,
         rules: RuleBase,
-        clear_state: Callable[[], None],
-        return_to: Callable[[int], None],
-        store_transforms: Callable[[Sequence[Transform], bool], None],
+        knowledge: KnowledgeBase,
         report_alarm_error: Callable[[Exception, bool], None],
     ):
         self._logic = logic
-        self._store_transforms = store_transforms
+        self._knowledge = knowledge
+        self._store_transforms = knowledge.transforms.store_message
         self._clock = clock
         self.stream_clock = clock if isinstance(clock, StreamClock) and clock.follows_events else None
         self._rules = rules
         self._watermarks = rules.watermarks
-        self._clear_state = clear_state
-        self._return_to = return_to
         self._report_alarm_error = report_alarm_error
         self._dispatcher = dispatcher
         self._dispatch = dispatcher.dispatch_input
@@ -176,7 +171,9 @@ class EventInput:
             stream_clock.now()
             decision = stream_clock.follow_checked(instant, functor_of(term))
             if decision is JumpDecision.RETURNED:
-                self._return_to(stream_clock.reached())
+                # The clock had followed a wrong timestamp: the time of all operators is set back.
+                self._knowledge.return_to(stream_clock.reached())
+                self._rules.return_to(stream_clock.reached())
                 self._report_return(stream_clock.jumps)
         self._read_clock_and_run_alarms()
         return decision is not JumpDecision.HELD
@@ -222,7 +219,8 @@ class EventInput:
         clock = self._clock
         if clock.went_back():
             log.warning("time went back: memories, waiting queries and partial matches are cleared")
-            self._clear_state()
+            self._knowledge.clear()
+            self._rules.clear()
         # Rules that were added or removed may have changed the delays of alarms.
         self._watermarks.update()
         # Only alarms up to the present instant run here. An alarm that becomes due meanwhile runs before the next

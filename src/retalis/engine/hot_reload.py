@@ -49,7 +49,7 @@ from .runtime.problem_reports import Reports
 from .runtime.serial_executor import UNNAMED_REQUEST
 
 if TYPE_CHECKING:
-    from .engine import Engine
+    from .engine_parts import EngineParts
 
 TimersByKey = Dict[Hashable, ProgramTimer]
 
@@ -248,59 +248,56 @@ def create_trial_settings(settings: Settings) -> Settings:
     return settings._replace(limit_start=True, watchdog=None)
 
 
-def reload_folder(engine: "Engine", folder: Path, new_engine: Callable[[], "Engine"]) -> List[str]:
+def reload_folder(parts: "EngineParts", folder: Path, new_engine: Callable[[], "EngineParts"]) -> List[str]:
     """Load a program's folder again; see `Engine.reload`."""
     key = resolve_path(folder)
     # The executor would run the reload inside the goal that requests it, whose own clauses would be removed.
-    if engine.executor.thread == get_ident():
+    if parts.executor.thread == get_ident():
         raise UsageError("a goal or callback of an engine cannot reload its program")
     # An event file may need definitions of other files, so it is not loaded alone into a trial engine.
     if os.path.isfile(folder):
         trial_deployment = program_items(new_engine())
     else:
         trial_deployment = load_into_trial(
-            engine, new_engine(), engine.deployments.get(key, EMPTY_DEPLOYMENT), folder
+            parts, new_engine(), parts.deployments.get(key, EMPTY_DEPLOYMENT), folder
         )
 
     def replace_deployment() -> List[str]:
-        transaction = ReloadTransaction(
-            engine, engine.deployments.get(key, EMPTY_DEPLOYMENT), trial_deployment
-        )
+        transaction = ReloadTransaction(parts, parts.deployments.get(key, EMPTY_DEPLOYMENT), trial_deployment)
         try:
-            with engine.rules.files.reloading(engine.rules.files.omitted):
-                return transaction.run(lambda: load_files(engine, folder))
+            with parts.rules.files.reloading(parts.rules.files.omitted):
+                return transaction.run(lambda: load_files(parts, folder))
         finally:
-            engine.deployments[key] = transaction.deployment
+            parts.deployments[key] = transaction.deployment
 
-    return engine.executor.call(
-        lambda: engine.dispatcher.run_restoring_context(replace_deployment), (UNNAMED_REQUEST,)
+    return parts.executor.call(
+        lambda: parts.dispatcher.run_restoring_context(replace_deployment), (UNNAMED_REQUEST,)
     )
 
 
 def load_into_trial(
-    engine: "Engine", trial_engine: "Engine", old_deployment: Deployment, folder: Path
+    parts: "EngineParts", trial: "EngineParts", old_deployment: Deployment, folder: Path
 ) -> Deployment:
     """Load a program into a trial engine; return the deployment there.
 
     Args:
-        engine: the running engine.
-        trial_engine: the trial engine.
+        parts: parts of the running engine.
+        trial: the trial engine.
         old_deployment: deployment of the folder in the running engine.
         folder: folder of the program.
 
     Raises:
         ProgramErrors: all errors of the program, and ids that services have used for their own items meanwhile.
     """
-    logic = trial_engine.logic
-    logic.output = logic.error_output = lambda text: None
-    with trial_engine.rules.files.reloading(engine.rules.files.omitted):
-        trial_engine.executor.call(lambda: load_files(trial_engine, folder), (_LOADING_WORK,))
-    trial_deployment = program_items(trial_engine)
+    trial.logic.discard_output()
+    with trial.rules.files.reloading(parts.rules.files.omitted):
+        trial.executor.call(lambda: load_files(trial, folder), (_LOADING_WORK,))
+    trial_deployment = program_items(trial)
     # An id that exists in the running engine but not in the deployment was added by a service. Loading the folder
     # would fail on it only after the old program has been set aside, so it is reported here.
-    current_items = engine.executor.call(lambda: program_items(engine))
+    current_items = parts.executor.call(lambda: program_items(parts))
     conflicts = Errors()
-    show = engine.logic.brief
+    show = parts.logic.brief
     for key, instance in trial_deployment.memories.items():
         if key in current_items.memories and key not in old_deployment.memories:
             conflicts.append(
@@ -324,14 +321,14 @@ class ReloadTransaction:
     """Replacement of a folder's old deployment by its new one.
 
     Args:
-        engine: the running engine; it must be idle during `run`.
+        parts: parts of the running engine; it must be idle during `run`.
         old_deployment: the old deployment, as recorded after the last load.
         trial_deployment: the deployment in the trial engine.
     """
 
-    def __init__(self, engine: "Engine", old_deployment: Deployment, trial_deployment: Deployment):
-        self._engine = engine
-        self._previous_items = program_items(engine)
+    def __init__(self, parts: "EngineParts", old_deployment: Deployment, trial_deployment: Deployment):
+        self._parts = parts
+        self._previous_items = program_items(parts)
         # Items of the deployment may have been deleted, replaced or retracted since it was recorded.
         self._old_deployment = self._select_remaining(old_deployment)
         self._recorded_deployment = old_deployment
@@ -345,17 +342,17 @@ class ReloadTransaction:
         Raises:
             RetalisError: the reason of a failure; the old program has been restored.
         """
-        budget = self._engine.logic.machine.budget
+        budget = self._parts.logic.machine.budget
         try:
             self._deactivate_old()
             # The program without the folder. The difference to it after the load is the new deployment.
-            program_without_folder = program_items(self._engine)
+            program_without_folder = program_items(self._parts)
             budget.run_as_entry((_LOADING_WORK,), load)
             # Answers of tabled predicates may depend on clauses that were replaced.
-            self._engine.logic.once(_ABOLISH_TABLES_GOAL)
-            self.deployment = program_items(self._engine).added_since(program_without_folder)
+            self._parts.logic.once(_ABOLISH_TABLES_GOAL)
+            self.deployment = program_items(self._parts).added_since(program_without_folder)
             description = describe_changes(
-                self._engine.logic,
+                self._parts.logic,
                 self._old_deployment,
                 self.deployment,
                 self._pair_unchanged_rules(),
@@ -401,7 +398,7 @@ class ReloadTransaction:
     def _deactivate_old(self) -> None:
         """Set the items of the old deployment aside."""
         # They are not deleted: the load reactivates those with an equal definition, with their state.
-        rules, knowledge, old = self._engine.rules, self._engine.knowledge, self._old_deployment
+        rules, knowledge, old = self._parts.rules, self._parts.knowledge, self._old_deployment
         for rule in old.rules:
             rules.detach(rule)
         for predicate, clauses in old.clauses.items():
@@ -429,14 +426,14 @@ class ReloadTransaction:
         if len(predicate):
             return
         # The predicate starts again as if it had never been loaded: uncompiled, and not dynamic unless declared so.
-        predicate.compile_after = self._engine.logic.database.compile_after
+        predicate.compile_after = self._parts.logic.database.compile_after
         if predicate in self._old_deployment.dynamic:
             predicate.dynamic = False
         key = predicate.functor
-        library = self._engine.logic.database.library.shadowed_predicates.get(key)
+        library = self._parts.logic.database.library.shadowed_predicates.get(key)
         if key in self._old_deployment.replaced and library is not None:
             # The library predicate that the folder had redefined becomes visible again.
-            self._engine.logic.database.restore_library(library)
+            self._parts.logic.database.restore_library(library)
         elif not predicate.dynamic:
             predicate.kind = "undefined"
 
@@ -454,7 +451,7 @@ class ReloadTransaction:
 
     def _restore_unchanged(self, program_without_folder: Deployment) -> None:
         """Replace new rules by the equal old ones, and retract the clauses that had been retracted."""
-        rules = self._engine.rules
+        rules = self._parts.rules
         old_rules = self._pair_unchanged_rules()
         own_rules = []
         for rule in self.deployment.rules:
@@ -498,17 +495,17 @@ class ReloadTransaction:
 
     def _delete_unused(self) -> None:
         """Delete the items that were set aside and not reactivated; emit the events for deleted memories."""
-        knowledge = self._engine.knowledge
+        knowledge = self._parts.knowledge
         knowledge.subscriptions.discard_detached()
-        self._engine.rules.timers.discard_detached()
+        self._parts.rules.timers.discard_detached()
         knowledge.states.discard_detached()
         for instance in knowledge.memories.discard_detached():
             self._report_deleted(instance)
 
     def _report_deleted(self, instance: MemoryInstance) -> None:
-        knowledge, machine = self._engine.knowledge, self._engine.logic.machine
+        knowledge, machine = self._parts.knowledge, self._parts.logic.machine
         if knowledge.memories.find(instance.id) is None:
-            self._engine.dispatcher.run_without_context(
+            self._parts.dispatcher.run_without_context(
                 lambda: machine.run(knowledge.memories.report_deleted(instance, machine.done))
             )
 
@@ -522,7 +519,7 @@ class ReloadTransaction:
         """
         try:
             # The restoration has limits of its own: the failed load may have used up those of the request.
-            self._engine.logic.machine.budget.run_as_entry((_ROLLBACK_WORK,), self._undo)
+            self._parts.logic.machine.budget.run_as_entry((_ROLLBACK_WORK,), self._undo)
         except Exception as undo_error:
             raise UsageError(
                 f"the program does not load ({error}), "
@@ -531,7 +528,7 @@ class ReloadTransaction:
 
     def _undo(self) -> None:
         """Restore flags, rules, memories, subscriptions, timers, states and clauses."""
-        rules, knowledge, before = self._engine.rules, self._engine.knowledge, self._previous_items
+        rules, knowledge, before = self._parts.rules, self._parts.knowledge, self._previous_items
         for name, value in before.flags.items():
             if value is not None:
                 rules.flags.set(name, value)
@@ -543,12 +540,12 @@ class ReloadTransaction:
         rules.timers.restore_all(before.timers)
         knowledge.states.restore_all(before.states)
         self._undo_clauses()
-        self._engine.logic.once(_ABOLISH_TABLES_GOAL)
+        self._parts.logic.once(_ABOLISH_TABLES_GOAL)
 
     def _undo_clauses(self) -> None:
         """Restore the clauses of all predicates; removed clause objects cannot be added again, so they are copied."""
-        database = self._engine.logic.database
-        for predicate, clauses in program_items(self._engine).clauses.items():
+        database = self._parts.logic.database
+        for predicate, clauses in program_items(self._parts).clauses.items():
             if predicate not in self._previous_items.clauses:
                 self._remove_clauses(predicate, clauses)
         copies: Dict[Clause, Clause] = {}
@@ -567,7 +564,7 @@ class ReloadTransaction:
             key: [copies.get(clause, clause) for clause in clause_list]
             for key, clause_list in self._recorded_deployment.clauses.items()
         }
-        present_subscriptions = dict(self._engine.knowledge.subscriptions.items())
+        present_subscriptions = dict(self._parts.knowledge.subscriptions.items())
         subscriptions = {key: present_subscriptions[key] for key in self._old_deployment.subscriptions}
         self.deployment = self._recorded_deployment._replace(
             clauses=restored_clauses, subscriptions=subscriptions

@@ -114,17 +114,17 @@ def check_program(
         has_topics = False
     # The computer's clock, as in a node, so that goals which need the time succeed.
     engine = Engine(Clock(time.time_ns), settings, collector, definitions)
-    engine.logic.output = engine.logic.error_output = lambda text: None
+    engine.program.logic.discard_output()
     direct_types = direct_topics(direct, topics, strip_slashes)
-    engine.input_topics.set_subscriber(lambda topic: None, topics, direct_types)
+    engine.on_topic_request(lambda topic: None, topics, direct_types)
     try:
         engine.load_program(folder)
     except RetalisError as error:
         collector.add_errors(error)
-    topics = engine.input_topics.merge_with(topics)
+    topics = engine.with_requested_topics(topics)
     program = ProgramModel(
-        engine.rules,
-        engine.knowledge,
+        engine.program.rules,
+        engine.program.knowledge,
         definitions,
         topics,
         direct_types,
@@ -150,8 +150,8 @@ def explain_missing_events(
 
     Messages of topics that are subscribed to later are not known.
     """
-    topics = engine.input_topics.merge_with(topics)
-    program = ProgramModel(engine.rules, engine.knowledge, definitions, topics, tuple(direct))
+    topics = engine.with_requested_topics(topics)
+    program = ProgramModel(engine.program.rules, engine.program.knowledge, definitions, topics, tuple(direct))
     return explain_missing_producer(program, pattern)
 
 
@@ -162,7 +162,7 @@ def find_absent_events(engine: Engine, occurred: Collection[Functor]) -> Iterato
         engine: engine that has processed the stream.
         occurred: functors of the events that occurred.
     """
-    program = ProgramModel(engine.rules, engine.knowledge, Definitions(), Topics())
+    program = ProgramModel(engine.program.rules, engine.program.knowledge, Definitions(), Topics())
     producers = EventProducers(program)
     awaited = {subterm.key: subterm for subterm, _ in program.patterns() if subterm.key is not None}
     # An event that the program awaits or emits is not a misspelt one.

@@ -30,7 +30,7 @@ from .deployment_contents import (
 from .runtime.serial_executor import UNNAMED_REQUEST, SerialExecutor
 
 if TYPE_CHECKING:
-    from .engine import Engine
+    from .engine_parts import EngineParts
 
 Result = TypeVar("Result")
 
@@ -133,21 +133,21 @@ class ProgramLoader:
         )
 
 
-def program_items(engine: "Engine") -> Deployment:
+def program_items(parts: "EngineParts") -> Deployment:
     """Return all items of the engine's current program."""
-    return current_deployment(engine.logic, engine.rules, engine.knowledge)
+    return current_deployment(parts.logic, parts.rules, parts.knowledge)
 
 
-def load_folder(engine: "Engine", folder: Path) -> None:
+def load_folder(parts: "EngineParts", folder: Path) -> None:
     """Load a program's folder or an event file, and record its deployment; see `Engine.load_program`."""
-    deployments, key = engine.deployments, resolve_path(folder)
-    before = program_items(engine)
+    deployments, key = parts.deployments, resolve_path(folder)
+    before = program_items(parts)
     try:
-        load_files(engine, folder)
+        load_files(parts, folder)
     finally:
         # Also after an error: what was loaded before the error belongs to the folder, and a reload replaces it.
         deployments[key] = deployments.get(key, EMPTY_DEPLOYMENT).union(
-            program_items(engine).added_since(before)
+            program_items(parts).added_since(before)
         )
 
 
@@ -160,9 +160,9 @@ def resolve_path(folder: Path) -> str:
         raise UsageError(f"cannot read {str(folder)!r}: {error}") from error
 
 
-def load_files(engine: "Engine", folder: Path) -> None:
+def load_files(parts: "EngineParts", folder: Path) -> None:
     """Load a program's folder or an event file, without a record of its deployment."""
-    loader = engine.loader
+    loader = parts.loader
     if os.path.isfile(folder):
         loader.load_rules(read_text(folder), str(folder), folder.parent)
         return
@@ -170,5 +170,5 @@ def load_files(engine: "Engine", folder: Path) -> None:
         raise UsageError(f"cannot read {folder}: there is no such file or folder")
     path = folder / GOALS
     # Types of event names must be known before the goals run: rules in the folder are checked against them.
-    engine.slots.set_events({**engine.input_topics.event_types(), **event_types(folder)})
+    parts.slots.set_events({**parts.input_topics.event_types(), **event_types(folder)})
     loader.call_goals(read_text(path), str(path), folder)

@@ -105,11 +105,11 @@ RECORD_TYPES = {
 
 def open_records(engine: "Engine") -> Iterator[OpenRecord]:
     """Yield the declared states that are open, and the windows that have elements and have not ended."""
-    for declaration in engine.knowledge.states:
+    for declaration in engine.program.knowledge.states:
         for term, start in declaration.open_states(None):
             yield OpenStateRecord(open=canonical_text(term), start=start)
-    show = engine.logic.show
-    for rule in engine.rules.rules:
+    show = engine.program.logic.show
+    for rule in engine.program.rules.rules:
         definition = rule.definition
         title = rule.name if definition.head is None else show(definition.head, names=definition.names)
         for pattern, key, window in rule.open_windows():

@@ -93,13 +93,13 @@ class CheckpointFile:
         log.warning("%s is not restored: %s: the node starts without state; %s", path, error.message, outcome)
 
     def _log_restored(self, engine: Engine, restored: Checkpoint) -> None:
-        records = sum(len(entry.memory) for entry in engine.knowledge.memories)
+        records = sum(len(entry.memory) for entry in engine.program.knowledge.memories)
         log.info(
             "restored from %s, written %.1f s ago: %s with %s, %s, %s",
             self._path,
             time.time() - restored.written_at,
             engine.summary(),
             format_count(records, "record"),
-            format_count(engine.rules.match_count, "partial match", "partial matches"),
-            format_count(len(engine.knowledge.pending_queries), "waiting query", "waiting queries"),
+            format_count(engine.program.rules.match_count, "partial match", "partial matches"),
+            format_count(len(engine.program.knowledge.pending_queries), "waiting query", "waiting queries"),
         )

@@ -105,7 +105,7 @@ class ProgramHost:
             context.definitions,
         )
         self._clock = self._start_clock(checkpoint.is_resumed)
-        print_goal_output(self.engine.logic, transport.on_shutdown)
+        print_goal_output(self.engine.program.logic, transport.on_shutdown)
         if parameters.explain:
             record_origins(self.engine)
 
@@ -311,11 +311,11 @@ class ProgramHost:
 
     def _report_state(self) -> None:
         """Start the warnings after the start, the diagnostics and the dashboard."""
-        transport, parameters, input_topics = self._transport, self._parameters, self.engine.input_topics
+        transport, parameters = self._transport, self._parameters
         StartupWarnings(
             transport,
             self._subscribed.statuses,
-            self._named_topics(input_topics.merge_with(self._topics)),
+            self._named_topics(self.engine.with_requested_topics(self._topics)),
         )
         self._diagnostics = Diagnostics(
             transport,
@@ -337,7 +337,7 @@ class ProgramHost:
             self.engine,
             self._subscribed.statuses,
             [*self._topics.subscribed, *self._program.direct],
-            lambda: input_topics.merge_with(self._topics).events,
+            lambda: self.engine.with_requested_topics(self._topics).events,
         )
 
     def _make_engine_health(self) -> Callable[[], List[Health]]:
@@ -360,7 +360,10 @@ class ProgramHost:
 
     def _make_role_lookup(self) -> Callable[[str], InputRole]:
         """Return a function from a topic to its present role in the program, whose rules may change."""
-        uses_texts, is_read = self._parameters.uses_texts, self.engine.dispatcher.has_listener_for_name
+        uses_texts, is_read = (
+            self._parameters.uses_texts,
+            self.engine.program.rules.dispatcher.has_listener_for_name,
+        )
         resolve_topic = self._transport.resolve_topic
         named_topics = set(map(resolve_topic, self._named_topics(self._topics)))
         # Topics that the node subscribes to by default, with the names of their events.
@@ -371,7 +374,7 @@ class ProgramHost:
             if resolve_topic(topic) not in named_topics
         }
         text_topics = {resolve_topic(INPUT), resolve_topic(OUTPUT)}
-        transforms = self.engine.knowledge.transforms
+        transforms = self.engine.program.knowledge.transforms
         # A robot need not have static transforms.
         transform_roles: Dict[str, InputRole] = dict(
             zip(map(resolve_topic, TRANSFORM_TOPICS), (InputRole.NEEDED, InputRole.OPTIONAL))

@@ -121,7 +121,7 @@ class RunningProgram:
             subscribe: called in the engine's turn; it must not wait for the engine.
         """
         topics = self._context.topics
-        self.engine.input_topics.set_subscriber(subscribe, topics, self.direct, self.subscribed.resolve)
+        self.engine.on_topic_request(subscribe, topics, self.direct, self.subscribed.resolve)
 
     def open_topics(self, may_learn_types: bool = False) -> None:
         """Advertise and subscribe to the topics of ``pub_sub.xml``, except those of ``~direct``. Errors are logged.
@@ -142,17 +142,16 @@ class RunningProgram:
     def start_transforms(self, start_feed: Callable[[], object]) -> None:
         """Call a function once, as soon as the program reads transforms; it calls `subscribe_transforms`."""
         self.require_transforms()
-        self.engine.knowledge.transforms.add_feed(start_feed)
+        self.engine.program.knowledge.transforms.add_feed(start_feed)
 
     def require_transforms(self) -> None:
         """Read transforms if the rules use them."""
-        engine = self.engine
-        engine.knowledge.transforms.require_if_mentioned(engine.rules.terms())
+        _, rules, knowledge = self.engine.program
+        knowledge.transforms.require_if_mentioned(rules.terms())
 
     def subscribe_transforms(self) -> None:
         """Subscribe to the topics of transforms."""
-        process_input, post_each = self.engine.event_input.process_input, self.engine.executor.post_each
-        self.subscribed.subscribe_transforms(lambda messages: post_each(process_input, messages))
+        self.subscribed.subscribe_transforms(self.engine.post_transforms)
 
     def log_mistakes(
         self, program: Path, definitions: Definitions, topics: Optional[Topics] = None

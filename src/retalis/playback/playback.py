@@ -246,7 +246,7 @@ class Playback:
                 states within it end.
         """
         outputs, engine, program = self._outputs, self.engine, self._program
-        transforms = engine.knowledge.transforms
+        transforms = engine.program.knowledge.transforms
         program.require_transforms()
         # A further bag may have been recorded with other clocks.
         self._skew_monitor.reset()
@@ -269,7 +269,7 @@ class Playback:
                 batch = chain((record,), records)
                 messages = self._convert_messages(batch, lambda: progress(next(message_numbers)))
                 if transforms.is_required:
-                    engine.executor.post_each(engine.event_input.process_input, messages)
+                    engine.post_transforms(messages)
                 else:
                     engine.post_each(messages)
                 yield from outputs
@@ -283,7 +283,7 @@ class Playback:
                 self._fire_alarms_until(bag.start, bag.end + flush_time)
                 self.clock.move_to(bag.end + flush_time)
                 self.engine.advance()
-            engine.executor.post(engine.event_input.end_input)
+            engine.end_input()
         yield from outputs
         outputs.clear()
         self._skew_monitor.log_counts()
@@ -486,7 +486,7 @@ class RunRecorder:
 
     def __init__(self, playback: Playback, write_record: Callable[[RunRecord], None]):
         self._engine = playback.engine
-        self._knowledge = playback.engine.knowledge
+        self._knowledge = playback.engine.program.knowledge
         self._read_clock = playback.clock.now
         self._write_record = write_record
         self._waits: Dict[int, _Wait] = {}

@@ -63,12 +63,12 @@ class ProjectionPublisher:
     """Publishes the unread arguments of an engine after each change, in a thread."""
 
     def __init__(self, engine: Engine):
-        self._dispatcher = engine.dispatcher
+        self._dispatcher = engine.program.rules.dispatcher
         self._publisher = rospy.Publisher(UNREAD_ARGUMENTS_TOPIC, String, queue_size=10, latch=True)
         self._last_published: Optional[str] = None
         self._changed = threading.Event()
         self._changed.set()
-        self._dispatcher.on_change = self._changed.set
+        self._dispatcher.on_change.add(self._changed.set)
         threading.Thread(target=self._run, name=UNREAD_ARGUMENTS_TOPIC, daemon=True).start()
 
     def _run(self) -> None:

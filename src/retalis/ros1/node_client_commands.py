@@ -629,7 +629,7 @@ class NodeConsole:
                 # At a terminal it ends the goal; the goals of a pipe and of --goal have nobody to ask others.
                 if not source.is_terminal:
                     raise
-                source.unread_text = ""
+                toplevel_io.discard_unread_text(source)
                 print("\n% interrupted", flush=True)
 
     def _print_error(self, text: str) -> None:

@@ -581,7 +581,7 @@ def restore_matches(
     rules.timers.restore(*checked.timers)
     knowledge.subscriptions.restore_rate_limiters(checked.rate_limiters)
     rules.event_log.restore(checked.stored_events)
-    rules.serial, rules.fired_by_deleted_rules, rules.failed_retraction_count = checked.counts
+    rules.restore_counts(*checked.counts)
 
 
 _check_timeouts = tuple_of(sequence_of(tuple_of(instant, count)), sequence_of(instant))

@@ -389,7 +389,8 @@ def test_interrupted_state_is_restored_first():
         raise KeyboardInterrupt
 
     calls = []
-    executor = SerialExecutor(10, calls.append, calls.append, Noting())
+    executor = SerialExecutor(10, calls.append, calls.append)
+    executor.add_recovery(Noting())
     with pytest.raises(KeyboardInterrupt):
         executor.call(interrupted)
     assert executor.thread == threading.get_ident()  # the recovery was interrupted as well

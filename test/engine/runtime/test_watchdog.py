@@ -32,9 +32,7 @@ def executor():
 @pytest.fixture
 def watched(executor):
     """A watchdog that warns after 1 s and ends entries after 10 s, with its warnings."""
-    budget = Budget()
-    budget.attach_executor(executor)
-    budget.set_limits(Limits(seconds=10.0))
+    budget = Budget(Limits(seconds=10.0), executor)
     warned = []
     dog = Watchdog(executor, budget, 1.0, lambda seconds, entry: warned.append((seconds, entry)))
     dog.warned, dog.budget = warned, budget
@@ -136,8 +134,7 @@ def test_description_names_functor_of_entry(entry, named):
 
 
 def test_watchdog_without_limits_ignores_long_entries(executor):
-    budget = Budget()
-    budget.attach_executor(executor)
+    budget = Budget(executor=executor)
     dog = Watchdog(executor, budget, None, lambda seconds, entry: pytest.fail("warned"))
     executor.begin("a")
     for instant in (0.0, 1e3, 1e6):

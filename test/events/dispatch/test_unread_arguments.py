@@ -82,7 +82,7 @@ def test_storage_of_events_reads_all_arguments():
 def test_changes_are_announced():
     engine = engine_with("seen(H, 1) <- image(H, _, _).")
     changes = []
-    engine.dispatcher.on_change = lambda: changes.append(announced_arguments(engine))
+    engine.dispatcher.on_change.add(lambda: changes.append(announced_arguments(engine)))
     engine.call("memorize(image(_, N, _), [], got(N), m, 10)")
     assert changes[-1] == {3}
     engine.call("delete_memory(m)")

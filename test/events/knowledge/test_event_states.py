@@ -454,15 +454,14 @@ def test_reset_clears_states(goal, keeps_past):
 
 def test_interrupted_deletion_deletes_state():
     engine = load_engine()
-    dispatcher = engine.dispatcher
-    on_change = dispatcher.on_change
+    interrupts = [KeyboardInterrupt]
 
     def interrupt():
-        dispatcher.on_change = on_change
-        raise KeyboardInterrupt
+        if interrupts:
+            raise interrupts.pop()
 
     engine.feed(("dock(1)", 1))
-    dispatcher.on_change = interrupt
+    engine.dispatcher.on_change.add(interrupt)
     with pytest.raises(KeyboardInterrupt):
         engine.call("delete_state(docked(_))")
     with pytest.raises(PrologError, match="docked/1"):

@@ -136,11 +136,10 @@ def executor():
     busy_executor.thread = None  # the entry has ended
 
 
-def test_skipped_pattern_steps_are_counted_once(budget, executor):
+def test_skipped_pattern_steps_are_counted_once(executor):
     reports = []
+    budget = Budget(Limits(inferences=100), executor)
     budget.on_stopped.add(lambda label, limit, steps, entry: reports.append((label, limit, steps)))
-    budget.set_limits(Limits(inferences=100))
-    budget.attach_executor(executor)
     meter = budget.meter("rule")
     while not meter(10):
         pass
@@ -150,9 +149,8 @@ def test_skipped_pattern_steps_are_counted_once(budget, executor):
     assert reports == [("rule", "inferences", 3)]
 
 
-def test_nested_entry_has_its_own_limits(budget, executor):
-    budget.attach_executor(executor)
-    budget.set_limits(Limits(inferences=1000))
+def test_nested_entry_has_its_own_limits(executor):
+    budget = Budget(Limits(inferences=1000), executor)
     budget.goal = outer = object()
     budget.check_limits(900)
 
@@ -169,9 +167,8 @@ def test_nested_entry_has_its_own_limits(budget, executor):
     assert budget.remaining_limits() == RemainingLimits(None, 100, None)
 
 
-def test_output_is_limited_per_entry(budget, executor):
-    budget.attach_executor(executor)
-    budget.set_limits(Limits(output_megabytes=1))
+def test_output_is_limited_per_entry(executor):
+    budget = Budget(Limits(output_megabytes=1), executor)
     budget.count_output(MEGABYTE)
     with pytest.raises(LimitError, match="output") as error:
         budget.count_output(1)
@@ -295,9 +292,8 @@ class BudgetModel:
 @settings(deadline=None, derandomize=True, max_examples=300)
 @given(st.lists(STEPS, max_size=25))
 def test_budget_agrees_with_model_of_limits(steps):
-    model, budget, executor = BudgetModel(), Budget(), Executor()
-    budget.set_limits(BudgetModel.LIMITS)
-    budget.attach_executor(executor)
+    model, executor = BudgetModel(), Executor()
+    budget = Budget(BudgetModel.LIMITS, executor)
     budget.goal = object()
     budget.inner = lambda: budget.run_as_entry(("inner",), lambda: budget.check_limits(0))
     budget.write = budget.count_output

@@ -154,7 +154,6 @@ class SerialExecutor:
             entry is dropped, counted in ``dropped``, and ``on_drop`` is called.
         on_drop: called with the number of dropped entries.
         on_error: called with an exception that a unit of work raised.
-        recovery: returns to a consistent state after an interrupt.
         callback_timeout: seconds for which a call from another thread waits for one callback.
 
     Attributes:
@@ -169,7 +168,6 @@ class SerialExecutor:
         size: int,
         on_drop: Callable[[int], None],
         on_error: Callable[[Exception], None],
-        recovery: Optional[Recovery] = None,
         callback_timeout: float = 10.0,
     ):
         self._size = size
@@ -182,7 +180,7 @@ class SerialExecutor:
         """True if `post` waits for room in the queue; False after a timeout until the queue has been empty."""
         self._on_drop = on_drop
         self._on_error = on_error
-        self._recovery = Recovery() if recovery is None else recovery
+        self._recovery = Recovery()
         self._callback_timeout = callback_timeout
         self.running_callback: Optional[Tuple[str]] = None
         self.entry: object = None
@@ -201,6 +199,10 @@ class SerialExecutor:
     def thread(self) -> Optional[int]:
         """The working thread; None if the executor is idle."""
         return self._working_thread
+
+    def add_recovery(self, recovery: Recovery) -> None:
+        """Set what returns to a consistent state after an error or an interrupt, once the data exists."""
+        self._recovery = recovery
 
     def restore(self, dropped: int) -> None:
         """Set the number of dropped entries to that of another executor."""
@@ -651,10 +653,9 @@ class EngineRecovery(Recovery):
         if rebuild:
             self._rules.files.restore(saved_files)
         dispatcher.restore(*saved_dispatch)
-        self._logic.new_goals = new_goals
+        self._logic.continue_precompiling(new_goals)
         if rebuild and state is None:
             repair_after_interrupt(self._logic)
-            self._logic.is_serving_client = False
             dispatcher.repair()
             self._rules.repair()
             self._knowledge.repair()

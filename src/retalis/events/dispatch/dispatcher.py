@@ -20,6 +20,7 @@ from typing import AbstractSet, Any, Callable, Collection, Dict, Hashable, List,
 from weakref import WeakValueDictionary
 
 from ...foundation.bounded_caches import Cache
+from ...foundation.callbacks import CallbackList
 from ...foundation.errors import UsageError
 from ...prolog.database.compiled_goal import CompiledGoal
 from ...prolog.machine.errors import PrologError
@@ -47,10 +48,6 @@ from .matcher_compiler import Matcher, compile_matcher
 Result = TypeVar("Result")
 
 
-def do_nothing() -> None:
-    """Do nothing."""
-
-
 _MIN_FILTERS_TO_SWEEP = 1000
 """Number of functors with filters above which unused filters are removed."""
 
@@ -68,7 +65,7 @@ class ListenerIndex:
     def __init__(self) -> None:
         self._listeners: Dict[Optional[Functor], Dict[Listener, None]] = {}
         self.projection = ArgumentProjection(self._listeners)
-        self.on_change: Callable[[], object] = do_nothing
+        self.on_change: CallbackList[Callable[[], object]] = CallbackList()
         self._plans: Cache[Functor, Plan] = Cache(10_000, 16 << 20)
         self.fused_actions: Dict[Functor, EventAction] = {}
         self._filters: Dict[Functor, WeakValueDictionary[Tuple[int, ...], PushdownFilter]] = {}
@@ -172,7 +169,8 @@ class ListenerIndex:
 
     def _invalidate_plans(self, functor: Optional[Functor]) -> None:
         """Drop what depends on the listeners of a functor, or of all functors if it is None."""
-        self.on_change()
+        for callback in self.on_change:
+            callback()
         # A listener for all events (functor None) is part of every plan.
         if functor is None:
             self._plans.clear()

@@ -57,10 +57,8 @@ class KnowledgeBase:
         clock: stamps events of the clock, and calls alarms for timeouts.
         deliver: receives the events of subscriptions.
         warn: receives warnings as text.
-        rules: rules of the program; they call subscriptions that send later.
-        on_pattern: called with the patterns of a memory, subscription or state before it is made; may raise.
-        on_conditions: called with the conditions and the name of each memory and subscription that is made.
-        buffer: buffer of the transforms; by default a new one.
+        rules: rules of the program; they check patterns, and call subscriptions that send later.
+        buffer: buffer of the transforms.
     """
 
     def __init__(
@@ -71,26 +69,22 @@ class KnowledgeBase:
         deliver: Deliver,
         warn: Warn,
         rules: RuleBase,
-        on_pattern: Callable[[Term], None] = lambda pattern: None,
-        on_conditions: Callable[[Term, str], None] = lambda conditions, owner: None,
-        buffer: Optional[TransformBuffer] = None,
+        buffer: TransformBuffer,
     ):
         self._logic = logic
         self._dispatcher = dispatcher
         self._rules = rules
         self._warn = warn
-        self._on_pattern = on_pattern
-        self._on_conditions = on_conditions
+        # Checked before a memory, subscription or state is made.
+        self._check_pattern = rules.declared_events.require_declared
         self.gaps = MemoryGaps(logic.brief, warn)
         self.memories = MemoryInstances(logic, dispatcher, clock.stamp, warn, self.gaps.note_gap)
-        self.transforms = Transforms(
-            logic, dispatcher, TransformBuffer() if buffer is None else buffer, self.gaps, warn
-        )
+        self.transforms = Transforms(logic, dispatcher, buffer, self.gaps, warn)
         self.pending_queries = PendingQueries(
             logic, dispatcher, self.memories, self.transforms, warn, clock, rules.watermarks
         )
         self.subscriptions = Subscriptions(logic, dispatcher, deliver, warn, rules)
-        self.states = StateRegistry(logic, dispatcher, clock, rules.watermarks, warn, on_pattern)
+        self.states = StateRegistry(logic, dispatcher, clock, rules.watermarks, warn, self._check_pattern)
         self._define_predicates()
         rules.on_reset.add(self.reset)
         logic.undefined_procedures.other_uses.add(self._describe_other_use)
@@ -206,9 +200,9 @@ class KnowledgeBase:
 
     def _create_memory(self, arguments: Sequence[Term], active: bool, frame: Frame) -> Frame:
         # Checks run before the memory is created, so an error leaves no memory behind.
-        self._on_pattern(arguments[0])
+        self._check_pattern(arguments[0])
         next_frame = self.memories.create((MEMORIZE, *arguments), active, frame)
-        self._on_conditions(arguments[1], f"memory {self._logic.brief(arguments[3])}")
+        self._rules.warn_unknown_calls(arguments[1], f"memory {self._logic.brief(arguments[3])}")
         return next_frame
 
     def _memorize_by_flag(self, machine: Machine, arguments: Sequence[Term], frame: Frame) -> Frame:
@@ -228,9 +222,9 @@ class KnowledgeBase:
             return frame
 
     def _subscribe(self, machine: Machine, *arguments: Term) -> bool:
-        self._on_pattern(subscription_event(arguments[0]))
+        self._check_pattern(subscription_event(arguments[0]))
         self.subscriptions.create((SUBSCRIBE, *arguments))
-        self._on_conditions(arguments[1], f"subscription {self._logic.brief(arguments[4])}")
+        self._rules.warn_unknown_calls(arguments[1], f"subscription {self._logic.brief(arguments[4])}")
         return True
 
     def _delete_subscription(self, machine: Machine, topic: Term, name: Term) -> bool:

@@ -400,6 +400,10 @@ class Declarations:
         self.strict = strict
         self._is_exempt = is_exempt
 
+    def set_strict(self, strict: bool) -> None:
+        """Set whether every event must be declared."""
+        self.strict = strict
+
     def __bool__(self) -> bool:
         return self.strict or bool(self._declarations)
 

@@ -41,6 +41,7 @@ class MatchBuffer:
     Args:
         rule: the rule that owns the buffer.
         shared_positions: positions of the shared variables in the values of a match.
+        on_relink: called after the stored matches were linked again, or replaced.
 
     Attributes:
         rule: the rule that owns the buffer; it counts and limits the stored matches.
@@ -56,13 +57,18 @@ class MatchBuffer:
         is_negated: whether the matches belong to a negated pattern; those are not skipped after a match.
         indices: time indices, by key.
         by_identity: stored matches by identity, by key, for keys with more than a few matches.
-        on_repair: called after the stored matches were linked again, or replaced.
     """
 
     is_negated = False
 
-    def __init__(self, rule: "EventRule", shared_positions: Tuple[int, ...]):
+    def __init__(
+        self,
+        rule: "EventRule",
+        shared_positions: Tuple[int, ...],
+        on_relink: Callable[[], None] = lambda: None,
+    ):
         self.rule = rule
+        self._on_relink = on_relink
         self.compute_key = key_function(shared_positions)
         self.newest: Dict[Hashable, PartialMatch] = {}
         self.retention: Optional[int] = None
@@ -71,7 +77,6 @@ class MatchBuffer:
         self.min_end_for: Optional[Callable[[int], int]] = None
         self.indices: Dict[Hashable, IntervalIndex] = {}
         self.by_identity: Dict[Hashable, Dict[Hashable, PartialMatch]] = {}
-        self.on_repair: Callable[[], None] = lambda: None
 
     def key_of(self, match: PartialMatch) -> Hashable:
         """Return the key of a match; None if a shared value contains variables."""
@@ -168,7 +173,7 @@ class MatchBuffer:
             for match in expanded:
                 match.buffer = None
             self.put_back([expanded.get(match, match) for match in stored])
-            self.on_repair()
+            self._on_relink()
         return expanded
 
     def repair(self) -> List[PartialMatch]:
@@ -187,7 +192,7 @@ class MatchBuffer:
             matches += stored_matches
         self.indices = {}
         self.by_identity = {}
-        self.on_repair()
+        self._on_relink()
         return sorted(matches, key=_order)
 
     def _link(self, key: Hashable, stored_matches: List[PartialMatch]) -> None:

@@ -125,12 +125,12 @@ class NegationBuffer:
         self.is_unbounded = is_unbounded
         self.condition: Optional[Callable[[Values, PartialMatch], bool]] = None
         self.deferred_negations: DeferredNegations = []
-        self.buffer = MatchBuffer(rule, tuple(position for position, _ in self.shared))
+        shared_positions = tuple(position for position, _ in self.shared)
+        self.buffer = MatchBuffer(rule, shared_positions, self._drop_frontiers)
         self.buffer.partner_bounds = BEFORE if is_unbounded else BETWEEN
         self.buffer.is_negated = True
         self.pair_buffer = MatchBuffer(rule, tuple(pair_position for _, pair_position in self.shared))
         self.frontiers: Dict[Hashable, _Frontier] = {}
-        self.buffer.on_repair = self._drop_frontiers
 
     def _drop_frontiers(self) -> None:
         """Drop the frontiers; each is built again at its next use."""

@@ -107,6 +107,10 @@ class RepetitionItems:
         self.item_vars: List[Var] = []
         self.match_vars = match_vars
 
+    def set_item_vars(self, item_vars: List[Var]) -> None:
+        """Set the variables of each repetition, which are known when all conditions on repetitions are."""
+        self.item_vars = item_vars
+
 
 class NegatedPattern:
     """A negated pattern, which is built once for each place that tests it: each has nodes of its own.

@@ -140,7 +140,7 @@ class KleeneValues(NetworkNode):
         result_vars = [*first_vars, *self.fixed_vars]
         if items is not None:
             known_vars = set(result_vars)
-            items.item_vars = [var for var in self.step_vars if var not in known_vars]
+            items.set_item_vars([var for var in self.step_vars if var not in known_vars])
             self._item_positions = [position_in_step[var] for var in items.item_vars]
             result_vars.insert(self._first_computed_position, items.var)
             self._first_computed_position += 1

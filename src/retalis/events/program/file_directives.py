@@ -135,7 +135,7 @@ class FileDeclarations:
                     except UsageError as error:
                         raise RuleError(error.message, place) from error
             elif goal[0] is _SET_FLAG and deref(goal[1]) is UNDECLARED:
-                declarations.strict = deref(goal[2]) is STRICTLY
+                declarations.set_strict(deref(goal[2]) is STRICTLY)
 
     def check_events(
         self,

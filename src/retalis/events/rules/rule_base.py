@@ -186,6 +186,16 @@ class RuleBase:
         self.timers = Timers(self)
         define_predicates(self)
 
+    def warn_of_singletons(self) -> None:
+        """Warn of variables that occur only once in a clause that is loaded from now on."""
+        self.warn_singletons = True
+
+    def restore_counts(self, serial: int, fired_by_deleted_rules: int, failed_retraction_count: int) -> None:
+        """Set the counters to those of another rule base; see the attributes."""
+        self.serial = serial
+        self.fired_by_deleted_rules = fired_by_deleted_rules
+        self.failed_retraction_count = failed_retraction_count
+
     # ---- loading -------------------------------------------------------------------------------------
 
     def load_text(self, text: str, source: str = "text", folder: Optional[Path] = None) -> None:

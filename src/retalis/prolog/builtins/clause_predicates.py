@@ -214,7 +214,7 @@ def retractall(machine: Machine, head: Term) -> bool:
     # As in SWI-Prolog, later calls of an undefined predicate fail then, instead of raising an error.
     if not predicate.is_defined:
         predicate.make_dynamic(by_goal=True)
-        machine.logic.database.change_count += 1
+        machine.logic.database.count_change()
         return True
     trail = machine.trail
     mark = len(trail)
@@ -289,7 +289,7 @@ def _declaration_predicate(attribute: str) -> Callable[[Machine, Term], bool]:
         for item in declared_items(machine.logic.database.modules.resolve_declared_indicators(term)):
             predicate = machine.logic.database.writable(indicator_of(item), "modify")
             setattr(predicate, attribute, True)
-            machine.logic.database.change_count += 1
+            machine.logic.database.count_change()
         return True
 
     return run
@@ -347,7 +347,7 @@ def declare_dynamic(machine: Machine, item: Term, options: Set[str]) -> None:
     predicate.make_dynamic()
     predicate.discontiguous |= "discontiguous" in options
     predicate.multifile |= "multifile" in options
-    database.change_count += 1
+    database.count_change()
     if "incremental" in options:
         tables_of(machine).observe(predicate)
 
@@ -458,7 +458,7 @@ def declare_tabled(machine: Machine, item: Term, options: Values = ()) -> None:
     )
     if is_incremental != predicate.is_incremental:
         predicate.is_incremental = is_incremental
-        machine.logic.database.change_count += 1
+        machine.logic.database.count_change()
         tables.clear()
     # The clauses of a tabled dynamic predicate may change too.
     if is_incremental:

@@ -269,7 +269,7 @@ class OutputCapture:
         self.stream_term: Term = self._streams.new_term()
         self._size = 0
         self._outer_stream, self.stream_output = self._streams.replace_current(None, None)
-        logic.output, logic.column = self, 0
+        logic.redirect(self, 0)
 
     def __call__(self, text: str) -> None:
         """Append a text."""
@@ -279,8 +279,7 @@ class OutputCapture:
 
     def end(self) -> None:
         """Restore the output that was replaced."""
-        logic = self._logic
-        logic.output, logic.column = self.replaced_output.output, self.replaced_output.column
+        self._logic.redirect(self.replaced_output.output, self.replaced_output.column)
         self._streams.replace_current(self._outer_stream, self.stream_output)
 
 
@@ -503,12 +502,12 @@ class ProgramStreams:
         # A stream set before is left first: at most one stream is on the stack between two captures.
         if self.output is not None and self._replaced is not None:
             self.output.column = logic.column
-            logic.output, logic.column = self._replaced.output, self._replaced.column
+            logic.redirect(self._replaced.output, self._replaced.column)
             self.output = self._replaced = None
         if isinstance(stream, OutputStream):
             self._replaced = _ReplacedOutput(logic.output, logic.column)
             self.output = stream
-            logic.output, logic.column = stream.write, stream.column
+            logic.redirect(stream.write, stream.column)
 
     def close(self, stream: OpenStream) -> None:
         """Close a stream; if it was the current input or output, the user's becomes current."""

@@ -200,7 +200,7 @@ class Predicate:
         if clause.retracted_at != NEVER_RETRACTED:
             return False
         self.record_change()
-        self.database.generation += 1
+        self.database.count_retraction()
         clause.retracted_at = self.database.generation
         self.retracted_count += 1
         # Dropping them when half of the clauses are retracted keeps the cost per retraction constant on average.
@@ -241,7 +241,7 @@ class Predicate:
 
     def record_change(self) -> None:
         """Record a change of the clauses and return to interpretation."""
-        self.database.change_count += 1
+        self.database.count_change()
         self._revision += 1
         if self.is_compiled:
             self.is_compiled = self.keeps_choice_points = False
@@ -296,7 +296,7 @@ class Predicate:
             return
         self.is_incremental = True
         self._on_read = on_read
-        self.database.change_count += 1
+        self.database.count_change()
         self._set_run(self.run)
 
     def report_read(self) -> None:

@@ -176,6 +176,14 @@ class Database:
                 predicate.precompile()
                 stack += [clause.body for clause in predicate.active_clauses()]
 
+    def count_change(self) -> None:
+        """Count a change of clauses or declarations."""
+        self.change_count += 1
+
+    def count_retraction(self) -> None:
+        """Count a retracted clause."""
+        self.generation += 1
+
     def function_code(self, key: Functor) -> FunctionCode:
         """Return the function form of a predicate, creating it if there is none."""
         predicate = self.predicate(key)

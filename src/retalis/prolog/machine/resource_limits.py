@@ -1,7 +1,7 @@
 """Resource limits of events and queries: seconds, inferences, memory and output.
 
 An *entry* is a unit of accounting: an event or a query with everything that it starts. Each entry may use what
-`Limits` allows, and `Budget` counts it. An engine announces entries by its executor (`Budget.attach_executor`);
+`Limits` allows, and `Budget` counts it. An engine announces entries by its executor (`EntryExecutor`);
 without an engine, each outermost run of the machine is an entry.
 
 The machine counts steps in slices of `SLICE` and checks the limits after each slice, so counting costs nothing for a
@@ -255,11 +255,12 @@ class EntryExecutor(Protocol):
 class Budget:
     """Resource use and limits of the current entry: an event or query with everything that it starts.
 
-    An engine announces entries by its executor (`attach_executor`). Without an engine, each outermost run of the
+    An engine announces entries by its executor. Without an engine, each outermost run of the
     machine is an entry.
 
     Args:
         limits: the limits of each entry.
+        executor: announces entries: each unit of its work is one, after which the use of resources is reset.
 
     Attributes:
         limits: the limits of each entry.
@@ -285,15 +286,16 @@ class Budget:
         running: whether a run is active for which `enter` has been called.
     """
 
-    def __init__(self, limits: Limits = NO_LIMITS) -> None:
-        self.executor: Optional[EntryExecutor] = None
+    def __init__(self, limits: Limits = NO_LIMITS, executor: Optional[EntryExecutor] = None) -> None:
+        self.executor = executor
         self.goal: object = None
         self.on_reset: CallbackList[Callable[[], None]] = CallbackList()
         self.on_refused: CallbackList[Callable[[int, str, object], None]] = CallbackList()
         self.on_stopped: CallbackList[Callable[[object, str, int, object], None]] = CallbackList()
-        self.meters_patterns = False
         self.pattern_steps = [0]
         self.set_limits(limits)
+        # Patterns are matched in entries of an executor only.
+        self.meters_patterns = executor is not None and self._has_limits
         self.running = False
         self._limit_check = self.check_limits
         self.inferences = 0
@@ -304,6 +306,8 @@ class Budget:
         self._expired_entry: object = None
         self._entry: object = None  # the executor's entry at the first use
         self.reset()
+        if executor is not None:
+            register_budget(self)
 
     def set_limits(self, limits: Limits) -> None:
         """Set the limits of each entry."""
@@ -316,13 +320,6 @@ class Budget:
         steps = len(SLICE) if limits.inferences is None else int(limits.inferences) // 8
         self._pattern_slice = self.pattern_steps[0] = min(len(SLICE), max(1, steps))
         self.limited = limits != NO_LIMITS and self.executor is None
-
-    def attach_executor(self, executor: EntryExecutor) -> None:
-        """Treat each unit of work of an executor as an entry; reset the use of resources after each."""
-        self.executor = executor
-        self.meters_patterns = self._has_limits
-        self.limited = False
-        register_budget(self)
 
     @property
     def is_processing_entry(self) -> bool:

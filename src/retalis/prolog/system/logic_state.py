@@ -174,7 +174,7 @@ def restore_values(logic: PrologSystem, snapshot: ValuesSnapshot) -> None:
     """Load stored values into a Prolog system whose program has been restored."""
     logic.flags.update(restored_flags(snapshot.flags))
     logic.globals.update(snapshot.global_variables)
-    logic.column = snapshot.column
+    logic.start_line(snapshot.column)
     for name in _SAVED_STATE_KEYS:
         if name in snapshot.builtin_state:
             logic.state.setdefault(name, {}).update(snapshot.builtin_state[name])

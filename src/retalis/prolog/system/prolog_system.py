@@ -38,7 +38,7 @@ from ..database.goal_terms import check_body, functor_of, split_clause
 from ..database.predicate import COMPILE_AFTER
 from ..machine.errors import PrologError, permission_error
 from ..machine.machine import Guard, Machine
-from ..machine.resource_limits import NO_LIMITS, Budget, BudgetState, Limits
+from ..machine.resource_limits import NO_LIMITS, Budget, BudgetState, EntryExecutor, Limits
 from ..syntax.operators import Operators
 from ..syntax.term_writer import named_message_portray, write_term
 from ..terms.term_traversal import copy
@@ -89,6 +89,7 @@ def repair_after_interrupt(logic: Any) -> None:
     """Restore the invariants of data that outlives a goal after an interrupt; no goal may be running."""
     end_captures(logic)
     logic.new_goals = None
+    logic.is_serving_client = False
     logic.database.modules.reset_loading()
     logic.control.stop_tracing()
     for predicate in list(logic.database.predicates.values()):
@@ -139,6 +140,7 @@ class PrologSystem(PredicateTable):
         operators: operator table of the program; by default the standard one.
         compile_after: calls of an unchanged predicate after which it is compiled.
         limits: resource limits of goals.
+        executor: executor of the engine, see `Budget`; None without an engine.
         now: returns the current time in nanoseconds.
         files: opens files for goals; None if goals may open none.
         environment: environment variables of the process; None if the program may not read them.
@@ -166,6 +168,7 @@ class PrologSystem(PredicateTable):
         operators: Optional[Operators] = None,
         compile_after: int = COMPILE_AFTER,
         limits: Limits = NO_LIMITS,
+        executor: Optional[EntryExecutor] = None,
         now: Callable[[], int] = time_ns,
         files: "Optional[SourceFiles]" = None,
         environment: Optional[Mapping[str, str]] = None,
@@ -174,7 +177,7 @@ class PrologSystem(PredicateTable):
         super().__init__(
             Operators.prolog() if operators is None else operators,
             compile_after,
-            Budget(limits),
+            Budget(limits, executor),
             self._record_module,
             lambda text: self.message("warning", text),
         )
@@ -394,6 +397,10 @@ class PrologSystem(PredicateTable):
         for goal in goals:
             goal.precompile()
 
+    def continue_precompiling(self, goals: Optional[List[CompiledGoal]]) -> None:
+        """Return to the goals that were compiled before an interrupted load; None outside of `precompiling_goals`."""
+        self.new_goals = goals
+
     def once(self, goal: Term, reported_goal: Optional[Term] = None) -> bool:
         """Run a goal for its first solution, whose bindings remain.
 
@@ -428,6 +435,31 @@ class PrologSystem(PredicateTable):
         """Set the functions that print ``user_output`` and ``user_error``. No goal may be running."""
         budget = self.machine.budget
         self.output, self.error_output = UserStream(budget, write), UserStream(budget, write_error)
+
+    def discard_output(self) -> None:
+        """Discard what goals print to ``user_output`` and ``user_error``. No goal may be running."""
+        self.output = self.error_output = _discard
+
+    def redirect(self, output: Callable[[str], None], column: int) -> None:
+        """Set the current output, and the column of its next text."""
+        self.output, self.column = output, column
+
+    def start_line(self, column: int = 0) -> None:
+        """Record the column of the next text, after another writer has ended the line."""
+        self.column = column
+
+    @contextmanager
+    def keeping_output(self) -> Iterator[None]:
+        """Return a context after which the outputs are those before, also after an interrupt in a redirection."""
+        outputs = self.output, self.error_output
+        try:
+            yield
+        finally:
+            self.output, self.error_output = outputs
+
+    def read_lines_by(self, ask: Callable[[], Optional[str]]) -> None:
+        """Let goals read lines of the user by a function; it returns None at the end of input."""
+        self.ask = ask
 
     def write(self, text: str) -> None:
         """Write to the current output, and track its column."""
@@ -493,6 +525,10 @@ class PrologSystem(PredicateTable):
 
 def _write_stdout(text: str) -> None:
     sys.stdout.write(text)
+
+
+def _discard(text: str) -> None:
+    """Discard a text."""
 
 
 def _write_stderr(text: str) -> None:

@@ -1,0 +1,243 @@
+"""Parts of an engine, and the order in which they are created.
+
+`create_parts` reads from top to bottom: each part is created from parts above it. Where a part reports to a later
+one, the later one adds a callback. The executor comes first, because the limits of goals are those of its units of
+work; what it restores after an error is added when it exists.
+"""
+
+import os
+from functools import partial
+from typing import Any, Callable, Dict, List, NamedTuple, Optional
+
+from ..events.clock.clock import Clock
+from ..events.dispatch.dispatcher import Dispatcher
+from ..events.knowledge.knowledge_base import OWN_EVENTS, KnowledgeBase
+from ..events.language.rule_head_parser import WATERMARK_DELAY
+from ..events.rules.event_flags import MAX_WATERMARK_DELAY, Flags
+from ..events.rules.event_input_predicates import define_new_event
+from ..events.rules.rule_base import RuleBase
+from ..messages.message_notation import SlotNames
+from ..messages.type_registry import Definitions
+from ..prolog.files.source_files import SourceFiles
+from ..prolog.machine.resource_limits import MEGABYTE
+from ..prolog.swi.use_swi import define_use_swi
+from ..prolog.syntax.operators import Operators
+from ..prolog.system.foreign_functions import define_use_foreign
+from ..prolog.system.prolog_system import PrologSystem
+from ..prolog.terms.types import Term
+from .deployment_contents import Deployment, LoadedProgram
+from .engine_settings import Settings
+from .engine_status import StatusReader, StatusSources
+from .event_input import EventInput, InputTopics, TextInput
+from .program_loader import ProgramLoader
+from .runtime.problem_reports import Reports
+from .runtime.serial_executor import EngineRecovery, SerialExecutor
+from .runtime.watchdog import Watchdog, start_watchdog
+
+
+class UserCallbacks:
+    """Calls of callbacks of the user; errors in them are reported.
+
+    Args:
+        executor: names the running callback in the error of a thread that waits for it.
+        reports: receives the errors.
+
+    Attributes:
+        on_output: called with term, topic and subscription id of each output.
+    """
+
+    def __init__(self, executor: SerialExecutor, reports: Reports):
+        self._executor = executor
+        self._reports = reports
+        self.on_output: List[Callable[[Term, str, Term], object]] = []
+
+    def call(self, name: str, callback: Callable[..., object], *arguments: object) -> None:
+        """Call a callback.
+
+        Args:
+            name: its name in errors.
+            callback: the callback.
+            *arguments: its arguments.
+        """
+        outer_callback = self._executor.begin_callback(name)
+        try:
+            callback(*arguments)
+        except Exception as error:
+            # An error in a callback must not prevent the remaining consequences of the event.
+            self._reports.error(error)
+        self._executor.end_callback(outer_callback)
+
+    def pass_output(self, term: Term, topic: str, name: Term) -> None:
+        """Pass an output to the callbacks."""
+        for callback in self.on_output:
+            self.call("a callback of on_output", callback, term, topic, name)
+
+
+class EngineParts(NamedTuple):
+    """Parts of an engine.
+
+    Attributes:
+        slots: slots of messages, and the types of event names.
+        deployments: deployments by the real path of the program's folder.
+        goals: calls goals outside of events.
+    """
+
+    settings: Settings
+    clock: Clock
+    reports: Reports
+    slots: SlotNames
+    executor: SerialExecutor
+    callbacks: UserCallbacks
+    logic: PrologSystem
+    dispatcher: Dispatcher
+    rules: RuleBase
+    knowledge: KnowledgeBase
+    event_input: EventInput
+    text_input: TextInput
+    input_topics: InputTopics
+    goals: "GoalCalls"
+    loader: ProgramLoader
+    deployments: Dict[str, Deployment]
+    status_reader: StatusReader
+    watchdog: Watchdog
+
+    @property
+    def program(self) -> LoadedProgram:
+        """The program."""
+        return LoadedProgram(self.logic, self.rules, self.knowledge)
+
+
+class GoalCalls:
+    """Calls of goals outside of events."""
+
+    def __init__(self, logic: PrologSystem, dispatcher: Dispatcher):
+        self._logic = logic
+        self._dispatcher = dispatcher
+
+    def call_once(self, goal: Term) -> bool:
+        """Call a goal once.
+
+        The trail is cleared afterwards if no other goal or event is active, because nothing will undo these bindings.
+        """
+        machine = self._logic.machine
+        # Inside another goal or event the trail still belongs to an outer choice point and must stay.
+        is_outermost = not machine.trail and not machine.choices and self._dispatcher.current is None
+        try:
+            return self._logic.once(goal)
+        finally:
+            if is_outermost:
+                machine.trail.clear()
+
+    def call_restoring_context(self, goal: Term) -> bool:
+        """Call a goal once; if it raises, the context of the current event is restored."""
+        return self._dispatcher.run_restoring_context(lambda: self.call_once(goal))
+
+
+def create_parts(
+    clock: Clock, settings: Settings, reports: Reports, definitions: Optional[Definitions]
+) -> EngineParts:
+    """Create the parts of an engine; arguments are those of `Engine`."""
+    executor = SerialExecutor(
+        settings.queue, partial(_report_drop, reports), reports.error, callback_timeout=settings.patience
+    )
+    callbacks = UserCallbacks(executor, reports)
+    files = SourceFiles()
+    files.sandbox.allow(settings.folders, settings.write_folders, settings.max_file_megabytes * MEGABYTE)
+    slots = SlotNames(definitions)
+    logic = PrologSystem(
+        Operators.prolog(slots),
+        limits=settings.limits,
+        executor=executor,
+        now=clock.now,
+        files=files,
+        # Python modules can read the environment anyway, so goals may read it, too.
+        environment=os.environ if settings.allow_foreign else None,
+        allow_flags=settings.allow_flags,
+    )
+    dispatcher = Dispatcher(logic, max_depth=settings.max_depth)
+    rules = RuleBase(
+        logic,
+        dispatcher,
+        clock,
+        files,
+        on_error=reports.error,
+        on_warning=reports.warning,
+        is_external_event=lambda key: key in OWN_EVENTS or key.name in slots.events,
+    )
+    knowledge = KnowledgeBase(
+        logic,
+        dispatcher,
+        clock,
+        callbacks.pass_output,
+        reports.warning,
+        rules,
+        buffer=settings.transform_buffer(settings.tf_cache),
+    )
+    executor.add_recovery(EngineRecovery(logic, dispatcher, rules, knowledge))
+    rules.flags.on_numeric_change("max_gap", knowledge.gaps.set_limit)
+    _set_default_flags(rules.flags, settings)
+    watchdog = start_watchdog(executor, logic, dispatcher, reports, settings.watchdog)
+    goals = GoalCalls(logic, dispatcher)
+    event_input = EventInput(logic, dispatcher, clock, rules, knowledge, executor.report_isolated_error)
+    text_input = TextInput(
+        logic.operators,
+        event_input.dispatch_event,
+        goals.call_restoring_context if settings.allow_goals else None,
+        reports,
+        rules.declared_events,
+    )
+    input_topics = InputTopics(logic, slots, reports)
+    loader = ProgramLoader(logic, rules, executor, dispatcher, settings.limit_start, goals.call_once)
+    status_reader = StatusReader(
+        StatusSources(
+            logic,
+            dispatcher,
+            rules,
+            knowledge,
+            clock,
+            reports,
+            executor,
+            watchdog,
+            event_input,
+            settings.queue,
+        )
+    )
+    define_new_event(logic, dispatcher)
+    define_use_foreign(logic, executor, files, settings.allow_foreign)
+    define_use_swi(logic, files, settings.allow_swi, reports.warning)
+    return EngineParts(
+        settings,
+        clock,
+        reports,
+        slots,
+        executor,
+        callbacks,
+        logic,
+        dispatcher,
+        rules,
+        knowledge,
+        event_input,
+        text_input,
+        input_topics,
+        goals,
+        loader,
+        {},
+        status_reader,
+        watchdog,
+    )
+
+
+def _set_default_flags(flags: Flags, settings: Settings) -> None:
+    """Set the defaults of the flags that have settings."""
+    defaults: Dict[str, Any] = {
+        "max_gap": settings.max_gap,
+        WATERMARK_DELAY: settings.watermark_delay,
+        MAX_WATERMARK_DELAY: settings.max_watermark_delay,
+    }
+    for name, value in defaults.items():
+        if value is not None:
+            flags.set_default(name, value)
+
+
+def _report_drop(reports: Reports, dropped: int) -> None:
+    reports.warning(f"events come in faster than they can be processed: {dropped} dropped so far", "dropped")

@@ -1,0 +1,182 @@
+"""Wiring: objects are complete after construction, and state is set by its owner."""
+
+import ast
+from collections import defaultdict
+
+import pytest
+from source import FILES, TREES
+
+ENGINE = "engine/engine.py"
+
+ENGINE_PARTS = {
+    *("deployments", "dispatcher", "event_input", "executor", "input_topics", "knowledge", "loader", "logic"),
+    *("reports", "rules", "slots", "watchdog"),
+}
+"""Parts of `Engine` that other modules do not access."""
+
+SET_BY_OTHERS = {
+    ("Budget", "goal"): "set around each goal: a call would cost more than short goals",
+    ("Budget", "running"): "set around each run, see `goal`",
+    ("Dispatcher", "current"): "set for each event: a call would cost 5 % of a short event",
+    ("Scope", None): "record of the code generator, which its modules share",
+    ("Predicate", None): "record of the predicate table, which declarations and loaders fill",
+    ("Program", "flags"): "read flags, which the directives of an included file pass on",
+    ("EventRule", None): "counters, which the nodes of a rule count",
+    ("EventNode", "rank"): "numbered by the compiler that builds the nodes, when all of them exist",
+    ("ActionNode", "tests_label_window"): "see `rank`",
+    ("FilterNode", "tests_label_window"): "see `rank`",
+    ("LineageTracker", "blocking_match"): "second result of the last test of a node",
+}
+"""Attributes that modules other than the owner's set, with the reason; None for all attributes of a class."""
+
+
+def text_of(node):
+    """Return the dotted name of an expression; calls and other parts are shown as ``()``."""
+    if isinstance(node, ast.Attribute):
+        return f"{text_of(node.value)}.{node.attr}"
+    return node.id if isinstance(node, ast.Name) else "()"
+
+
+def attributes_set_by(cls):
+    """Yield the names of the attributes that a class assigns to itself."""
+    for node in ast.walk(cls):
+        if (
+            isinstance(node, ast.Attribute)
+            and isinstance(node.ctx, ast.Store)
+            and text_of(node.value) == "self"
+        ):
+            yield node.attr
+
+
+def is_record(cls):
+    """Return whether a class is a data record, whose fields any module may set: it declares ``__slots__``."""
+    return any(
+        isinstance(node, ast.Assign)
+        and isinstance(node.targets[0], ast.Name)
+        and node.targets[0].id == "__slots__"
+        for node in cls.body
+    )
+
+
+def find_owners():
+    """Return the classes that set each attribute, as pairs of file and class."""
+    owners = defaultdict(set)
+    for path, tree in TREES.items():
+        for cls in ast.walk(tree):
+            if isinstance(cls, ast.ClassDef):
+                for name in attributes_set_by(cls):
+                    owners[name].add((path, cls.name, is_record(cls)))
+    return owners
+
+
+OWNERS = find_owners()
+
+
+def targets_of(node):
+    """Yield the targets of an assignment, those in tuples as well."""
+    if isinstance(node, ast.Assign):
+        pending = list(node.targets)
+    elif isinstance(node, (ast.AugAssign, ast.AnnAssign)):
+        pending = [node.target]
+    else:
+        return
+    while pending:
+        target = pending.pop()
+        if isinstance(target, (ast.Tuple, ast.List)):
+            pending += target.elts
+        else:
+            yield target
+
+
+def created_in(scope):
+    """Return the texts of the names and attributes to which a function or class assigns the result of a call."""
+    return {
+        text_of(target)
+        for node in ast.walk(scope)
+        if isinstance(getattr(node, "value", None), ast.Call)
+        for target in targets_of(node)
+    }
+
+
+def foreign_assignments(path, node, created):
+    """Yield line and target of each assignment to an attribute of an object that was created elsewhere."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, (ast.ClassDef, ast.FunctionDef)):
+            yield from foreign_assignments(path, child, created | created_in(child))
+            continue
+        for target in targets_of(child):
+            if not isinstance(target, ast.Attribute) or isinstance(target.value, ast.Call):
+                continue
+            owner = text_of(target.value)
+            classes = OWNERS.get(target.attr, ())
+            is_own = (
+                owner in ("self", "cls") or owner in created or any(file == path for file, _, _ in classes)
+            )
+            if is_own or any(is_a_record for _, _, is_a_record in classes):
+                continue
+            names = {name for _, name, _ in classes}
+            if names and not any(
+                (name, field) in SET_BY_OTHERS for name in names for field in (None, target.attr)
+            ):
+                yield f"{path}:{child.lineno}: {text_of(target)}"
+        yield from foreign_assignments(path, child, created)
+
+
+@pytest.mark.parametrize("path", TREES)
+def test_attributes_are_set_by_their_owner(path):
+    assert list(foreign_assignments(path, TREES[path], frozenset())) == []
+
+
+def test_exceptions_are_needed():
+    """Each entry of the list names a class, and an attribute that another module sets."""
+    set_elsewhere = {
+        (name, target.attr)
+        for path, tree in TREES.items()
+        for node in ast.walk(tree)
+        for target in targets_of(node)
+        if isinstance(target, ast.Attribute)
+        for file, name, _ in OWNERS.get(target.attr, ())
+        if file != path
+    }
+    unused = [
+        (name, field)
+        for name, field in SET_BY_OTHERS
+        if not any(other == name and field in (None, attribute) for other, attribute in set_elsewhere)
+    ]
+    assert unused == []
+
+
+def test_constructors_assign_no_placeholder_functions():
+    """A function that is replaced later is passed to the constructor, or added to a `CallbackList`."""
+    set_elsewhere = {
+        target.attr
+        for tree in TREES.values()
+        for node in ast.walk(tree)
+        for target in targets_of(node)
+        if isinstance(target, ast.Attribute) and text_of(target.value) not in ("self", "cls")
+    }
+    placeholders = [
+        f"{path}:{node.lineno}: {text_of(target)}"
+        for path, tree in TREES.items()
+        for constructor in ast.walk(tree)
+        if isinstance(constructor, ast.FunctionDef) and constructor.name == "__init__"
+        for node in ast.walk(constructor)
+        if isinstance(getattr(node, "value", None), ast.Lambda)
+        for target in targets_of(node)
+        if isinstance(target, ast.Attribute)
+        and text_of(target.value) == "self"
+        and target.attr in set_elsewhere
+    ]
+    assert placeholders == []
+
+
+def test_parts_of_engine_are_accessed_by_its_module_only():
+    accesses = [
+        f"{path}:{node.lineno}: {text_of(node)}"
+        for path, module in FILES.items()
+        if path != ENGINE
+        for node in module.nodes
+        if isinstance(node, ast.Attribute) and node.attr in ENGINE_PARTS
+        if text_of(node.value).rpartition(".")[2].endswith("engine")
+    ]
+    assert accesses == []
