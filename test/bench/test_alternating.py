@@ -1,4 +1,4 @@
-"""Two checkouts in turn: what was slower before, what is slower now, and what one of them lacks."""
+"""Comparison of the speed of two checkouts that run alternately."""
 
 import importlib
 import subprocess
@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-MODULES = ("alternating", "engine", "processes", "workload")
+IMPORTED_MODULES = ("alternating", "engine", "processes", "workload")
 SCRIPT = """
 import sys
 from pathlib import Path
@@ -22,15 +22,15 @@ print("case", sys.argv[1], "us_per_event", {figures}["{case}"][len(before) % 2])
 
 @pytest.fixture
 def alternating(monkeypatch):
-    """The module."""
+    """Return the module."""
     monkeypatch.setattr(sys, "path", [str(ROOT / "bench"), str(ROOT / "examples" / "nao"), *sys.path])
     yield importlib.import_module("alternating")
-    for name in MODULES:
+    for name in IMPORTED_MODULES:
         sys.modules.pop(name, None)
 
 
 def write_checkout(folder, first, second, case="nao"):
-    """Make a checkout whose only case takes these microseconds, in turn."""
+    """Write a checkout whose only case takes two times (µs) alternately."""
     script = folder / "bench" / "engine.py"
     script.parent.mkdir(parents=True, exist_ok=True)
     script.write_text(SCRIPT.format(figures={case: [first, second]}, case=case).replace("'", '"'))
@@ -38,8 +38,8 @@ def write_checkout(folder, first, second, case="nao"):
 
 
 def git(folder, *arguments):
-    """Run git as somebody, whatever the machine is set up for."""
-    someone = [
+    """Run git with a fixed identity, independent of the settings of the machine."""
+    settings = [
         "-c",
         "user.name=someone",
         "-c",
@@ -47,17 +47,17 @@ def git(folder, *arguments):
         "-c",
         "commit.gpgsign=false",
     ]
-    subprocess.run(["git", "-C", str(folder), *someone, *arguments], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run(["git", "-C", str(folder), *settings, *arguments], check=True, stdout=subprocess.DEVNULL)
 
 
-def test_the_best_run_of_each_counts(alternating, tmp_path, capsys):
+def test_best_runs_are_compared(alternating, tmp_path, capsys):
     before = write_checkout(tmp_path / "before", 2.0, 9.0)
     now = write_checkout(tmp_path / "now", 5.0, 2.05)
     assert alternating.main([str(before), "--case", "nao", "--runs", "2"], now) == 0
     assert " ".join(capsys.readouterr().out.split()) == "nao before 2.000 now 2.050 us +2.5 %"
 
 
-def test_a_case_that_has_become_slower_is_named(alternating, tmp_path, capsys):
+def test_slower_case_is_reported(alternating, tmp_path, capsys):
     before = write_checkout(tmp_path / "before", 2.0, 2.0)
     now = write_checkout(tmp_path / "now", 2.1, 2.1)
     assert alternating.main([str(before), "--case", "nao", "--runs", "1"], now) == 1
@@ -65,7 +65,7 @@ def test_a_case_that_has_become_slower_is_named(alternating, tmp_path, capsys):
     assert alternating.main([str(before), "--case", "nao", "--runs", "1", "--most", "6"], now) == 0
 
 
-def test_a_case_that_seems_slower_is_run_again(alternating, tmp_path, capsys):
+def test_case_that_seems_slower_is_repeated(alternating, tmp_path, capsys):
     before = write_checkout(tmp_path / "before", 2.0, 2.0)
     now = write_checkout(tmp_path / "now", 3.0, 1.9)
     assert alternating.main([str(before), "--case", "nao", "--runs", "1"], now) == 0
@@ -73,7 +73,7 @@ def test_a_case_that_seems_slower_is_run_again(alternating, tmp_path, capsys):
     assert (now / "bench" / "runs").read_text() == "xx"
 
 
-def test_a_revision_is_taken_out_of_the_repository(alternating, tmp_path, capsys):
+def test_revision_is_checked_out(alternating, tmp_path, capsys):
     git(tmp_path, "init", "--quiet")
     write_checkout(tmp_path, 4.0, 4.0)
     git(tmp_path, "add", ".")
@@ -83,13 +83,13 @@ def test_a_revision_is_taken_out_of_the_repository(alternating, tmp_path, capsys
     assert " ".join(capsys.readouterr().out.split()) == "nao before 4.000 now 2.000 us -50.0 %"
 
 
-def test_a_case_that_was_not_there_is_left_out(alternating, tmp_path, capsys):
+def test_case_missing_before_is_omitted(alternating, tmp_path, capsys):
     before = write_checkout(tmp_path / "before", 2.0, 2.0, "sync_now")
     assert alternating.main([str(before), "--case", "nao"], tmp_path) == 0
     assert " ".join(capsys.readouterr().out.split()) == "nao is not there before"
 
 
-def test_what_is_no_checkout_is_said(alternating, tmp_path):
+def test_invalid_checkout_is_reported(alternating, tmp_path):
     git(tmp_path, "init", "--quiet")
     with pytest.raises(SystemExit, match="^nosuch is neither a folder nor a revision: fatal: "):
         alternating.main(["nosuch"], tmp_path)
@@ -98,7 +98,7 @@ def test_what_is_no_checkout_is_said(alternating, tmp_path):
 
 
 @pytest.mark.slow
-def test_this_checkout_beside_itself(alternating, capsys):
-    """A run of one case is no measurement: what it says of the change is left open."""
+def test_checkout_is_compared_with_itself(alternating, capsys):
+    """The result of a single run is not asserted, since it is no measurement."""
     assert alternating.main([str(ROOT), "--case", "join_seq_1000", "--runs", "1", "--most", "1000"]) == 0
     assert capsys.readouterr().out.startswith("join_seq_1000 ")

@@ -1,4 +1,4 @@
-"""What the benchmarks are called with wrongly is said in one line, before anything is measured."""
+"""Invalid arguments of benchmarks, which are reported in one line before any measurement."""
 
 import subprocess
 import sys
@@ -26,20 +26,20 @@ BENCH = Path(__file__).resolve().parents[2] / "bench"
         ("performance.py --ros nofile", "there is no nofile"),
     ],
 )
-def test_a_wrong_argument_is_named(arguments, problem, tmp_path):
+def test_invalid_argument_is_reported(arguments, problem, tmp_path):
     program, *rest = arguments.split()
-    ran = subprocess.run(
+    process = subprocess.run(
         [sys.executable, str(BENCH / program), *rest], cwd=tmp_path, stderr=subprocess.PIPE, text=True
     )
-    assert ran.returncode == 2
-    assert problem in ran.stderr.splitlines()[-1]
-    assert "Traceback" not in ran.stderr
+    assert process.returncode == 2
+    assert problem in process.stderr.splitlines()[-1]
+    assert "Traceback" not in process.stderr
 
 
 @pytest.mark.slow
-def test_a_file_without_figures_is_named(tmp_path):
+def test_file_without_figures_is_reported(tmp_path):
     (tmp_path / "wrong.json").write_text('{"python": "3.11"}')
     command = [sys.executable, str(BENCH / "events.py"), "--from", "wrong.json"]
-    ran = subprocess.run(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
-    assert ran.returncode == 1
-    assert ran.stderr == "wrong.json has not the figures that --json writes: KeyError('rows')\n"
+    process = subprocess.run(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    assert process.returncode == 1
+    assert process.stderr == "wrong.json has not the figures that --json writes: KeyError('rows')\n"

@@ -1,4 +1,4 @@
-"""The benchmark of the nodes' latency: its options, percentiles and table. Its runs need a ROS master."""
+"""The benchmark of the latency of nodes: options, percentiles and table, without runs on a ROS master."""
 
 import importlib
 import sys
@@ -17,7 +17,7 @@ def new_run(configuration, latencies, rate=100.0, lost=0):
     return {"rate": rate, "configuration": configuration, "lost": lost, "latencies_ms": latencies}
 
 
-def test_all_configurations_run_at_both_rates_by_default():
+def test_default_options_run_all_configurations():
     options = latency.arguments([])
     assert options.nodes == ["relay", "direct", "embedded", "two"]
     assert options.rates == [100.0, 1000.0]
@@ -32,7 +32,7 @@ def test_all_configurations_run_at_both_rates_by_default():
         (["--json", "nofolder/figures.json"], "there is no folder nofolder"),
     ],
 )
-def test_a_wrong_option_is_rejected(arguments, problem, capsys):
+def test_invalid_option_is_refused(arguments, problem, capsys):
     with pytest.raises(SystemExit):
         latency.arguments(arguments)
     assert problem in capsys.readouterr().err.splitlines()[-1]
@@ -41,13 +41,13 @@ def test_a_wrong_option_is_rejected(arguments, problem, capsys):
 @pytest.mark.parametrize(
     ("share", "value"), [(0.5, 500), (0.99, 990), (0.999, 999), (1.0, 999)], ids=["50", "99", "99.9", "100"]
 )
-def test_a_percentile_is_one_of_the_values(share, value):
+def test_percentile_is_one_of_the_values(share, value):
     assert latency.percentile(list(range(1000)), share) == value
     assert latency.percentile([7], share) == 7
     assert latency.percentile([], share) is None
 
 
-def test_runs_of_a_configuration_are_pooled_and_compared_with_the_relay():
+def test_runs_are_pooled_and_compared_with_relay():
     runs = [
         new_run("relay", [1.0, 2.0]),
         new_run("two", [3.0], lost=1),
@@ -60,7 +60,7 @@ def test_runs_of_a_configuration_are_pooled_and_compared_with_the_relay():
     assert alone["of_relay"] is None
 
 
-def test_the_table_has_a_row_for_each_rate_and_configuration():
+def test_table_has_row_per_rate_and_configuration():
     runs = [new_run("relay", [1.0]), new_run("two", [2.5]), new_run("two", [], rate=1000.0, lost=9)]
     assert latency.table(latency.summary(runs)).splitlines()[2:] == [
         "| relay | 100 | 1.00 | 1.00 | 1.00 | 1.00 | 1 | 0 |",

@@ -1,3 +1,5 @@
+"""Benchmarks of the engine, and the page of performance that is written from their figures."""
+
 import importlib
 import json
 import sys
@@ -14,15 +16,15 @@ MODULES = ("curves", "engine", "offline", "performance", "processes", "workload"
 
 @pytest.fixture
 def bench(monkeypatch):
-    """Import a benchmark's module by name."""
+    """Return the function that imports the module of a benchmark."""
     monkeypatch.setattr(sys, "path", [str(ROOT / "bench"), str(ROOT / "examples" / "nao"), *sys.path])
     yield importlib.import_module
     for name in MODULES:
         sys.modules.pop(name, None)
-    stop_limiting_gc_pauses()  # a case limits them as a node does
+    stop_limiting_gc_pauses()  # the benchmark limits them
 
 
-def test_a_case_is_one_line(bench, capsys, monkeypatch):
+def test_case_is_printed_in_one_line(bench, capsys, monkeypatch):
     engine = bench("engine")
     monkeypatch.setattr(sys, "argv", ["engine.py", "join_seq_1000"])
     assert engine.main() == 0
@@ -31,7 +33,7 @@ def test_a_case_is_one_line(bench, capsys, monkeypatch):
     assert (words[1], words[3], words[9]) == ("join_seq_1000", "2000", "1000")
 
 
-def test_other_names_are_the_same_work(bench):
+def test_renamed_stream_has_same_outputs(bench):
     engine, work = bench("engine"), bench("workload")
     streams = [work.nao_stream(3), work.nao_stream(3, other_names=True)]
     assert [work.renamed(item.term) for item in streams[0]] == [item.term for item in streams[1]]
@@ -45,7 +47,7 @@ def test_other_names_are_the_same_work(bench):
     assert counts[0] == counts[1] == 21
 
 
-def test_no_old_name_is_left(bench):
+def test_renamed_program_has_no_original_name(bench):
     work = bench("workload")
     text = "\n".join(
         work.renamed_program((ROOT / "application_source" / "eventRules.txt").read_text(encoding="utf-8"))
@@ -56,23 +58,24 @@ def test_no_old_name_is_left(bench):
 
 
 @pytest.mark.slow
-def test_every_curve_is_measured(bench, tmp_path):
+def test_each_curve_is_measured(bench, tmp_path):
     curves = bench("curves")
     file = tmp_path / "curves.json"
     assert curves.main(["--most", "10", "--runs", "1", "--json", str(file)]) == 0
     rows = json.loads(file.read_text())["rows"]
     assert set(rows) == set(curves.CURVES)
+    assert sum(len(row["points"]) for row in rows.values()) > 0
     assert all(us > 0 for row in rows.values() for _, us in row["points"])
 
 
 @pytest.mark.slow
-def test_a_bag_is_run(bench, capsys):
+def test_offline_benchmark_processes_bag(bench, capsys):
     offline = bench("offline")
     assert offline.main(["--seconds", "1", "--runs", "1"]) == 0
     assert "messages" in capsys.readouterr().out
 
 
-def test_the_page_is_written_between_its_marks(bench, tmp_path):
+def test_page_is_written_between_marks(bench, tmp_path):
     performance = bench("performance")
     page = tmp_path / "page.md"
     page.write_text("before\n<!-- engine -->\nold\n<!-- end of engine -->\nafter\n")
@@ -87,17 +90,18 @@ def test_the_page_is_written_between_its_marks(bench, tmp_path):
     assert "old" not in text
     assert "| `nao` | 2.00 | 10.00 | 1/5.0 |" in text
     assert "A CPU, 2 cores, CPython 3." in text
-    assert text.startswith("before") and text.endswith("after\n")
+    assert text.startswith("before")
+    assert text.endswith("after\n")
 
 
-def test_every_section_of_the_page_has_its_marks(bench):
+def test_sections_of_page_have_marks(bench):
     performance = bench("performance")
     text = performance.PAGE.read_text(encoding="utf-8")
     for name in performance.SECTIONS:
         assert text.count(f"<!-- {name} -->\n") == text.count(f"<!-- end of {name} -->") == 1
 
 
-def test_tables_of_every_benchmark(bench):
+def test_figures_are_shown_in_tables(bench):
     performance = bench("performance")
     machine = {"cpu": "A CPU", "cores": "2", "python": "CPython 3"}
     row = {"start": 0.2, "run": 0.9, "messages": 100_000.0, "outputs": 5.0}
@@ -110,7 +114,7 @@ def test_tables_of_every_benchmark(bench):
     )
 
 
-def test_medians_of_the_nodes_runs(bench):
+def test_runs_of_nodes_are_summarized_by_median(bench):
     live_node = bench("live_node")
     runs = [
         {

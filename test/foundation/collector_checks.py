@@ -24,7 +24,7 @@ def settings():
 
 
 @pytest.fixture(autouse=True)
-def _as_before(monkeypatch):
+def _restored_collector(monkeypatch):
     monkeypatch.setattr(garbage_collection, "gc", gc)
     thresholds = gc.get_threshold()
     gc.unfreeze()
@@ -32,7 +32,7 @@ def _as_before(monkeypatch):
     yield
     restore_gc()
     gc.collect()
-    gc.freeze()  # as all tests begin
+    gc.freeze()  # the state before each test
     gc.set_threshold(*thresholds)
 
 
@@ -41,7 +41,7 @@ def _limited():
     limit_gc_pauses()
 
 
-def test_what_is_loaded_is_not_walked_again():
+def test_loaded_objects_are_frozen():
     before = settings()
     limit_gc_pauses()
     limit_gc_pauses()
@@ -53,7 +53,7 @@ def test_what_is_loaded_is_not_walked_again():
     assert settings() == before
 
 
-def test_an_engine_leaves_the_collector_alone():
+def test_engine_keeps_settings_of_collector():
     before = settings()
     engine = Engine()
     engine.load(rules="fever(X) <- hot(X) seq hot(X).")
@@ -64,25 +64,25 @@ def test_an_engine_leaves_the_collector_alone():
 
 
 @pytest.mark.usefixtures("_limited")
-def test_a_collection_walks_a_bounded_number_of_objects_however_many_are_alive():
-    walked = []
+def test_collection_visits_bounded_number_of_objects():
+    object_counts = []
 
-    def look(phase, info):
+    def count_objects(phase, info):
         if phase == "start" and info["generation"]:
-            walked.append(len(gc.get_objects()))
+            object_counts.append(len(gc.get_objects()))
 
-    gc.callbacks.append(look)
+    gc.callbacks.append(count_objects)
     try:
         alive = [[number] for number in range(300_000)]
     finally:
-        gc.callbacks.remove(look)
+        gc.callbacks.remove(count_objects)
     assert len(alive) == 300_000
-    assert len(walked) > 3
-    assert max(walked) < 70_000
+    assert len(object_counts) > 3
+    assert max(object_counts) < 70_000
 
 
 @pytest.mark.usefixtures("_limited")
-def test_cycles_that_become_garbage_soon_are_collected():
+def test_young_garbage_is_collected():
     freed = []
     for _ in range(1000):
         weakref.finalize(Linked(), freed.append, None)
@@ -94,36 +94,36 @@ def test_cycles_that_become_garbage_soon_are_collected():
 def late_garbage():
     """Return finalizers of cycles that were frozen before they became garbage."""
     frozen = [Linked() for _ in range(100_000)]
-    finalizers = [weakref.finalize(one, int) for one in frozen[:20_000]]
+    finalizers = [weakref.finalize(linked, int) for linked in frozen[:20_000]]
     del frozen
-    assert all(one.alive for one in finalizers)
+    assert all(linked.alive for linked in finalizers)
     return finalizers
 
 
 @pytest.mark.usefixtures("_limited")
-def test_cycles_that_become_garbage_late_are_collected_when_idle(monkeypatch):
+def test_late_garbage_is_collected_when_idle(monkeypatch):
     assert not collect_when_idle()
     finalizers = late_garbage()
     monkeypatch.setattr(YoungCollector, "MAX_GARBAGE_BLOCKS_IDLE", -(10**9))
     assert collect_when_idle()
-    assert not any(one.alive for one in finalizers)
+    assert not any(finalizer.alive for finalizer in finalizers)
     assert gc.get_freeze_count() > 10_000
 
 
 @pytest.mark.usefixtures("_limited")
-def test_cycles_that_become_garbage_late_are_collected_at_work_when_the_heap_has_grown(monkeypatch):
+def test_late_garbage_is_collected_if_heap_grows(monkeypatch):
     finalizers = late_garbage()
     monkeypatch.setattr(YoungCollector, "MAX_GARBAGE_BLOCKS", -(10**9))
     alive = []
-    while any(one.alive for one in finalizers):
+    while any(finalizer.alive for finalizer in finalizers):
         alive += [[number] for number in range(10_000)]
         assert len(alive) < 1_000_000
-    assert gc.get_freeze_count() > 10_000  # what is left is frozen again
+    assert gc.get_freeze_count() > 10_000  # the other objects are frozen again
     assert gc.get_threshold()[2] > 0
 
 
 @pytest.mark.usefixtures("_limited")
-def test_the_records_of_engines_explain_the_growth_of_the_heap(monkeypatch):
+def test_growth_by_records_of_engines_is_accepted(monkeypatch):
     monkeypatch.setattr(YoungCollector, "BLOCKS_PER_RECORD", 40)
     engine = Engine()
     engine.load(rules="fever(X) <- hot(X) seq cold(X).")
@@ -137,7 +137,7 @@ def test_the_records_of_engines_explain_the_growth_of_the_heap(monkeypatch):
     assert collect_when_idle()
 
 
-def test_paused_while_something_is_built_and_as_before_then():
+def test_collector_is_paused_in_context():
     assert gc.isenabled()
     with gc_paused():
         assert not gc.isenabled()

@@ -1,4 +1,4 @@
-"""Caches hold no more than they may, and all caches of the package are known here, with what bounds them."""
+"""Bounds of caches, and the list of all caches of the package with their bounds."""
 
 import ast
 
@@ -7,7 +7,7 @@ from source import NODES, TREES
 
 from retalis.foundation.bounded_caches import ENTRY_BYTES, Cache, TextCache
 
-DECORATED = {
+CACHED_FUNCTIONS = {
     ("explanation/why_not.py", "_compile_interval_join"): "one entry for each operator",
     (
         "events/matches/interval_index.py",
@@ -25,9 +25,9 @@ DECORATED = {
     ("prolog/terms/timestamps.py", "_day_fields"): "64 numbers",
     ("prolog/terms/timestamps.py", "_day_number"): "64 dates",
 }
-"""Functions with a cache of their own, which counts entries and not bytes: why that is a bound of bytes."""
+"""Functions with a cache that counts entries, with the reason why that bounds its bytes."""
 
-HELD = {
+CACHES = {
     ("ros1/rospy_transport.py", "self._receivers"): (1000, 16 << 20),
     ("engine/runtime/clock_skew.py", "frames"): (5000, 4 << 20),  # for each topic
     ("node/published_topics.py", "self._checked"): (1000, 1 << 20),
@@ -54,26 +54,28 @@ HELD = {
     ("messages/decoder.py", "cache"): (
         2048,
         2 << 20,
-    ),  # in its place where what the texts go with is kept too
-    ("messages/decoder.py", "create_text_cache"): (2048, 1 << 20),  # one for all texts, and one for each type
+    ),  # of strings with other values, in place of the next one
+    ("messages/decoder.py", "create_text_cache"): (2048, 1 << 20),  # one for all types, and one for each type
 }
 """Bounds of the caches by file and name: entries and bytes."""
 
 
 def caches():
-    """Yield file, name and bounds of each cache that is made in the package."""
+    """Yield file, name and bounds of each cache that the package creates."""
     for path, tree in TREES.items():
         values = constants(tree)
         for node in NODES[path]:
             for part in ast.iter_child_nodes(node):
-                made = [one for one in ast.walk(part) if is_cache(one)]
-                if made and isinstance(part, (ast.Assign, ast.AnnAssign, ast.Return)):
-                    bounds = KINDS[made[0].func.id] or [bound(one, values) for one in arguments(made[0])]
+                created = [call for call in ast.walk(part) if is_cache(call)]
+                if created and isinstance(part, (ast.Assign, ast.AnnAssign, ast.Return)):
+                    bounds = OWN_BOUNDS[created[0].func.id] or [
+                        bound(call, values) for call in arguments(created[0])
+                    ]
                     yield path, name_of(part, node), bounds
 
 
 def constants(tree):
-    """Return the numbers that have a name in a module."""
+    """Return the numeric constants of a module by name."""
     values = {}
     for node in tree.body:
         if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant):
@@ -82,18 +84,18 @@ def constants(tree):
 
 
 def own_bounds(kind, tree):
-    """Return the bounds that a kind of cache has for all of its kind; None where they are given with each."""
+    """Return the bounds that a class of caches sets for all of its objects; None if they are arguments."""
     for node in ast.walk(kind):
         if isinstance(node, ast.Call) and ast.dump(node.func).startswith(
             "Attribute(value=Call(func=Name(id='super'"
         ):
-            bounds = [bound(one, constants(tree)) for one in node.args]
+            bounds = [bound(argument, constants(tree)) for argument in node.args]
             return bounds if bounds and None not in bounds else None
     return None
 
 
 def is_cache(node):
-    return isinstance(node, ast.Call) and getattr(node.func, "id", None) in KINDS
+    return isinstance(node, ast.Call) and getattr(node.func, "id", None) in OWN_BOUNDS
 
 
 def arguments(call):
@@ -101,16 +103,16 @@ def arguments(call):
     return [*call.args, *(keyword.value for keyword in call.keywords)]
 
 
-def name_of(statement, around):
-    """Return what a cache is assigned to, or the function that returns it."""
+def name_of(statement, function):
+    """Return the name to which a cache is assigned, or of the function that returns it."""
     if isinstance(statement, ast.Return):
-        return around.name
+        return function.name
     target = statement.target if isinstance(statement, ast.AnnAssign) else statement.targets[0]
     return target.id if isinstance(target, ast.Name) else f"self.{target.attr}"
 
 
 def bound(argument, values):
-    """Return the number that an argument is, by the constants of its module; None where it is none."""
+    """Return the number that an argument denotes, given the constants of its module; None if it is not a number."""
     if isinstance(argument, ast.BinOp):
         left, right = bound(argument.left, values), bound(argument.right, values)
         if left is None or right is None:
@@ -119,7 +121,7 @@ def bound(argument, values):
     return argument.value if isinstance(argument, ast.Constant) else values.get(argument.id)
 
 
-KINDS = {
+OWN_BOUNDS = {
     "Cache": None,
     **{
         node.name: own_bounds(node, tree)
@@ -128,10 +130,10 @@ KINDS = {
         if isinstance(node, ast.ClassDef) and any("Cache" in ast.dump(base) for base in node.bases)
     },
 }
-"""The classes of caches, with the bounds of those that have their own."""
+"""The bounds of classes of caches; None for classes whose bounds are arguments."""
 
 
-def test_entries_are_bounded():
+def test_number_of_entries_is_bounded():
     cache = Cache(10, 1 << 20)
     for number in range(100):
         assert cache.store(number, -number, 8) == -number
@@ -139,7 +141,7 @@ def test_entries_are_bounded():
         assert len(cache) <= 10
 
 
-def test_bytes_are_bounded():
+def test_bytes_of_entries_are_bounded():
     cache = Cache(1000, 100_000, 50_000)
     for number in range(1000):
         cache.store(number, "", 9000)
@@ -149,42 +151,44 @@ def test_bytes_are_bounded():
     assert (len(cache), cache.total_bytes) == (0, 0)
 
 
-def test_what_is_too_large_is_not_kept_and_takes_nobodys_place():
+def test_too_large_value_is_not_stored():
     cache = Cache(10, 10_000, 1000)
     cache.store("small", 1, 10)
     assert cache.store("large", 2, 1000) == 2
     assert list(cache) == ["small"]
 
 
-def test_texts_are_made_once_where_they_are_short():
-    made = []
+def test_short_texts_are_computed_once():
+    computed = []
 
-    def make(text):
-        made.append(text)
+    def double(text):
+        computed.append(text)
         return text * 2
 
-    texts = TextCache(make, 10, 1 << 20, 1000)
+    texts = TextCache(double, 10, 1 << 20, 1000)
     for text in ("a", "a", "b" * 1000, "b" * 1000):
         assert texts[text] == text * 2
-    assert made == ["a", "b" * 1000, "b" * 1000]
+    assert computed == ["a", "b" * 1000, "b" * 1000]
 
 
 @pytest.mark.slow
-def test_each_cache_of_a_function_is_known_and_bounded():
-    found = {
+def test_cached_functions_are_listed_with_bound():
+    functions = {
         (path, node.name)
         for path, nodes in NODES.items()
         for node in nodes
-        if isinstance(node, ast.FunctionDef) and any("cache" in ast.dump(one) for one in node.decorator_list)
+        if isinstance(node, ast.FunctionDef)
+        and any("cache" in ast.dump(decorator) for decorator in node.decorator_list)
     }
-    assert found == set(DECORATED)
+    assert functions == set(CACHED_FUNCTIONS)
 
 
 @pytest.mark.slow
-def test_each_cache_is_known_with_its_bounds_of_entries_and_bytes():
-    found = {
-        (path, name): tuple(one for one in bounds if one is not None)[:2] for path, name, bounds in caches()
+def test_caches_are_listed_with_bounds():
+    caches_with_bounds = {
+        (path, name): tuple(limit for limit in bounds if limit is not None)[:2]
+        for path, name, bounds in caches()
     }
-    assert found == HELD
-    made = sum(is_cache(node) for nodes in NODES.values() for node in nodes)
-    assert made == len(HELD)
+    assert caches_with_bounds == CACHES
+    count = sum(is_cache(node) for nodes in NODES.values() for node in nodes)
+    assert count == len(CACHES)

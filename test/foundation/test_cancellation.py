@@ -1,4 +1,4 @@
-"""Work inside one step: pieces of it are counted, and large allocations are announced."""
+"""Checks of limits within long steps: work and allocations are reported to the check."""
 
 import pytest
 
@@ -12,29 +12,29 @@ from retalis.foundation.cancellation import (
 
 
 @pytest.fixture
-def asked():
-    """Return the pairs of pieces of work and bytes that are asked about."""
+def checks():
+    """Return the list of reported pairs of work and bytes."""
     pairs = []
     before = set_limit_check(lambda work, size: pairs.append((work, size)))
     yield pairs
     set_limit_check(before)
 
 
-def test_who_watches_is_told_of_work_and_bytes(asked):
+def test_check_receives_work_and_bytes(checks):
     check_limits()
     check_limits(5, 1 << 20)
-    assert asked == [(len(STEPS_PER_ROUND), 0), (5, 1 << 20)]
+    assert checks == [(len(STEPS_PER_ROUND), 0), (5, 1 << 20)]
 
 
 @pytest.mark.parametrize("parts", ["ab" * 1500, list(range(3000))])
-def test_there_is_a_look_between_bulks(asked, parts):
-    bulks = list(in_checked_slices(parts))
-    assert [len(bulk) for bulk in bulks] == [1024, 1024, 952]
-    assert type(parts)().join(bulks) == parts if isinstance(parts, str) else sum(bulks, []) == parts
-    assert len(asked) == 2
+def test_limits_are_checked_between_slices(checks, parts):
+    slices = list(in_checked_slices(parts))
+    assert [len(bulk) for bulk in slices] == [1024, 1024, 952]
+    assert [item for checked_slice in slices for item in checked_slice] == list(parts)
+    assert len(checks) == 2
 
 
-def test_few_items_are_not_watched(asked):
+def test_few_items_are_not_checked(checks):
     assert list(with_limit_checks([1, 2, 3])) == [1, 2, 3]
     assert list(with_limit_checks([])) == []
-    assert asked == []
+    assert checks == []

@@ -1,4 +1,4 @@
-"""The one place where text becomes code."""
+"""Generation of code: only this module creates code from text, with restricted names."""
 
 import ast
 import gc
@@ -11,8 +11,8 @@ import pytest
 
 from retalis.foundation import codegen
 
-AT_ONCE = getattr(sys, "_is_gil_enabled", lambda: True)()
-"""Whether functions are freed as soon as nothing holds them; threads without a lock leave them to the collector."""
+IS_REFERENCE_COUNTED = getattr(sys, "_is_gil_enabled", lambda: True)()
+"""Whether objects are freed with their last reference; free-threaded Python leaves functions to the collector."""
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = [
@@ -23,14 +23,24 @@ SOURCES = [
     ROOT / "install_shell.py",
     ROOT / "setup.py",
 ]
-FORBIDDEN = {"exec", "eval", "compile", "__import__", "execfile"}
-RUNS_TEXT = {"os.system", "os.popen", "pickle", "marshal", "copyreg", "shelve", "code", "codeop", "runpy"}
+FORBIDDEN_BUILTINS = {"exec", "eval", "compile", "__import__", "execfile"}
+FORBIDDEN_MODULES = {
+    "os.system",
+    "os.popen",
+    "pickle",
+    "marshal",
+    "copyreg",
+    "shelve",
+    "code",
+    "codeop",
+    "runpy",
+}
 
 
-def calls(tree):
-    """Yield the names of what is called, and the modules that are imported."""
+def used_names_of(tree):
+    """Yield the names of forbidden built-ins and attributes in use, and of imported modules."""
     for node in ast.walk(tree):
-        if isinstance(node, ast.Name) and node.id in FORBIDDEN:
+        if isinstance(node, ast.Name) and node.id in FORBIDDEN_BUILTINS:
             yield node.id
         elif isinstance(node, ast.Attribute):
             yield dotted(node)
@@ -47,92 +57,93 @@ def dotted(node):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_nothing_else_makes_code_of_text(path):
+def test_code_is_generated_by_codegen_only(path):
     if path.name == "codegen.py":
         return
-    found = set(calls(ast.parse(path.read_text(encoding="utf-8"))))
-    wrong = found & (FORBIDDEN | RUNS_TEXT | {"builtins." + name for name in FORBIDDEN})
-    assert not wrong
+    used_names = set(used_names_of(ast.parse(path.read_text(encoding="utf-8"))))
+    forbidden_names = used_names & (
+        FORBIDDEN_BUILTINS | FORBIDDEN_MODULES | {"builtins." + name for name in FORBIDDEN_BUILTINS}
+    )
+    assert not forbidden_names
 
 
-def test_the_search_finds_them():
+def test_search_finds_forbidden_names():
     tree = ast.parse("import pickle\nx = eval\nos.system('')\nbuiltins.exec('')\nre.compile('a')")
-    assert {"pickle", "eval", "os.system", "builtins.exec"} <= set(calls(tree))
+    assert {"pickle", "eval", "os.system", "builtins.exec"} <= set(used_names_of(tree))
 
 
-def test_a_function_sees_what_it_was_given():
-    made = codegen.function(["def generated(x):", "    return x + k1"], {"k1": 2}, "sum")
-    assert made(1) == 3
+def test_generated_function_uses_given_names():
+    generated = codegen.function(["def generated(x):", "    return x + k1"], {"k1": 2}, "sum")
+    assert generated(1) == 3
 
 
 @pytest.mark.parametrize(
     "name", ["open", "__import__", "eval", "exec", "compile", "getattr", "globals", "vars"]
 )
-def test_a_function_sees_nothing_else(name):
+def test_generated_function_has_no_builtins(name):
     with pytest.raises(NameError):
-        codegen.function(["def generated():", f"    return {name}"], {}, "what is not given")()
+        codegen.function(["def generated():", f"    return {name}"], {}, "unknown name")()
 
 
 @pytest.mark.parametrize("name", ["a b", "é", "", "x\0", "1x", "a" * 40, "x\n", "\u212a"])
-def test_names_are_our_own(name):
+def test_invalid_name_for_generated_source_is_refused(name):
     for make in (codegen.shared_function, lambda s, n, t: codegen.function([s], n, t)):
         with pytest.raises(ValueError, match="is not a name for generated source"):
-            make("def generated(): return 1\n", {name: 1}, "wrong name")
+            make("def generated(): return 1\n", {name: 1}, "invalid name")
 
 
 @pytest.mark.parametrize("text", ["é", "\ud800", "ª"])
-def test_sources_are_plain(text):
+def test_source_that_is_not_ascii_is_refused(text):
     with pytest.raises(ValueError, match="ASCII"):
-        codegen.function([f"def generated(): return '{text}'"], {}, "strange source")
+        codegen.function([f"def generated(): return '{text}'"], {}, "invalid source")
 
 
 @pytest.mark.parametrize("title", ["p/2", "a\0b", "\ud800", "x\ny", "'é'", "x" * 100_000, ""])
-def test_any_title_will_do_and_tracebacks_show_the_source(title):
-    made = codegen.function(["def generated():", "    return missing_thing"], {}, title)
-    try:
-        made()
-    except NameError:
-        text = traceback.format_exc()
+def test_traceback_shows_generated_source(title):
+    generated = codegen.function(["def generated():", "    return missing_thing"], {}, title)
+    with pytest.raises(NameError) as error:
+        generated()
+    text = "".join(traceback.format_exception(NameError, error.value, error.tb))
     assert "return missing_thing" in text
     assert len(text) < 5000
 
 
-def test_functions_of_one_source_share_their_code():
-    one, two = (
+def test_functions_of_equal_source_share_code():
+    first, second = (
         codegen.shared_function("def generated():\n    return k\n", {"k": k}, "constant") for k in (1, 2)
     )
-    assert (one(), two()) == (1, 2)
-    assert one.__code__ is two.__code__
+    assert (first(), second()) == (1, 2)
+    assert first.__code__ is second.__code__
 
 
-def test_long_sources_are_not_kept():
+def test_long_source_is_not_cached():
     source = "def generated():\n" + "    k\n" * 3000 + "    return k\n"
-    one, two = (codegen.shared_function(source, {"k": k}, "constant") for k in (1, 2))
-    assert (one(), two()) == (1, 2)
-    assert one.__code__ is not two.__code__
+    first, second = (codegen.shared_function(source, {"k": k}, "constant") for k in (1, 2))
+    assert (first(), second()) == (1, 2)
+    assert first.__code__ is not second.__code__
 
 
 @pytest.mark.parametrize("make", ["function", "shared_function"])
-def test_a_function_that_nothing_holds_is_gone_at_once(make):
+def test_unreferenced_function_is_freed_at_once(make):
     gc.disable()
     try:
         if make == "function":
-            made = codegen.function(["def generated(x):", "    return x + k"], {"k": 1}, "test")
+            generated = codegen.function(["def generated(x):", "    return x + k"], {"k": 1}, "test")
         else:
-            made = codegen.shared_function("def generated(x):\n    return x + k\n", {"k": 1}, "test")
-        assert made(1) == 2
-        held = weakref.ref(made)
-        space = made.__globals__
-        assert made not in space.values()
-        del made
-        if not AT_ONCE:
+            generated = codegen.shared_function("def generated(x):\n    return x + k\n", {"k": 1}, "test")
+        assert generated(1) == 2
+        reference = weakref.ref(generated)
+        globals_of_function = generated.__globals__
+        assert generated not in globals_of_function.values()
+        del generated
+        if not IS_REFERENCE_COUNTED:
             gc.collect()
-        assert held() is None
+        assert reference() is None
     finally:
         gc.enable()
 
 
-def test_names_are_new_and_those_of_one_key_the_same():
+def test_new_names_are_unique_per_key():
     names = codegen.BoundNames({"given": 1})
     assert names.name("v") == "v1"
     assert names.name("k", "text") == "k2"

@@ -1,4 +1,4 @@
-"""Places keep a short part of a long line, and show it with a caret at the column."""
+"""Places of errors with a short part of the line, and printable texts."""
 
 import json
 from xml.etree import ElementTree
@@ -19,44 +19,46 @@ from retalis.prolog.syntax.term_reader import read_program
 
 
 @pytest.mark.parametrize(
-    "length,column", [(10, 1), (10, 10), (10, 11), (5000, 1), (5000, 2500), (5000, 5000)]
+    ("length", "column"), [(10, 1), (10, 10), (10, 11), (5000, 1), (5000, 2500), (5000, 5000)]
 )
-def test_the_caret_stands_under_the_column_of_a_line_of_any_length(length, column):
-    line = "".join(chr(ord("a") + at % 26) for at in range(length))
+def test_caret_is_below_column_of_shown_part(length, column):
+    line = "".join(chr(ord("a") + index % 26) for index in range(length))
     for place in (
         place_at_column("file", 3, column, line),
         place_at_offset("file", f"1\n\n{line}\nend", column + 2),
     ):
         assert (place.source, place.line, place.column) == ("file", 3, column)
         shown, caret = place.context().split("\n")
-        assert len(shown) <= MAX_SHOWN_CHARACTERS and len(caret) <= MAX_SHOWN_CHARACTERS + 1
-        assert shown in line and (shown == line or length > MAX_SHOWN_CHARACTERS)
+        assert len(shown) <= MAX_SHOWN_CHARACTERS
+        assert len(caret) <= MAX_SHOWN_CHARACTERS + 1
+        assert shown in line
+        assert shown == line or length > MAX_SHOWN_CHARACTERS
         assert caret.index("^") == len(caret) - 1
         assert shown[len(caret) - 1 : len(caret)] == line[column - 1 : column]
 
 
-def test_a_place_made_of_a_whole_line_shows_it():
+def test_place_shows_short_line_completely():
     assert Place("file", 1, 3, "a\tb").context() == "a\tb\n \t^"
 
 
-def test_texts_are_shown_by_their_beginning():
+def test_long_text_is_shortened():
     assert shorten("a" * MAX_SHOWN_CHARACTERS) == "a" * MAX_SHOWN_CHARACTERS
     assert shorten("a" * 5000) == "a" * MAX_SHOWN_CHARACTERS + "..."
 
 
 @pytest.mark.slow
-def test_what_is_read_of_one_long_line_keeps_little_of_it():
+def test_error_in_long_line_is_short():
     (fault,) = read_program("f(" + "a," * 100_000 + "b c).", Operators.prolog(), "file")
     assert fault.place.column == 200_005
     assert len(str(fault)) < 1000
 
 
-def test_one_thing_is_counted_as_one():
+def test_count_has_singular_or_plural():
     assert [format_count(number, "slot") for number in (0, 1, 2)] == ["0 slots", "1 slot", "2 slots"]
     assert [format_count(number, "memory", "memories") for number in (1, 2)] == ["1 memory", "2 memories"]
 
 
-FORGING = [
+CONTROL_CODES = [
     *range(9),
     *range(11, 32),
     *range(127, 160),
@@ -67,11 +69,11 @@ FORGING = [
     0x200F,
     *range(0x2028, 0x202F),
 ]
-FORGING += [*range(0x2060, 0x2070), 0xFEFF, 0xFFFE, 0xFFFF, 0xD800, 0xDFFF, 0xE0001, 0xE0041]
+CONTROL_CODES += [*range(0x2060, 0x2070), 0xFEFF, 0xFFFE, 0xFFFF, 0xD800, 0xDFFF, 0xE0001, 0xE0041]
 
 
-@pytest.mark.parametrize("code", FORGING, ids=hex)
-def test_what_a_terminal_acts_on_is_shown_as_an_escape(code):
+@pytest.mark.parametrize("code", CONTROL_CODES, ids=hex)
+def test_control_character_is_shown_as_escape(code):
     shown = printable(f"a{chr(code)}b")
     assert shown == f"a{ascii(chr(code))[1:-1]}b"
     ElementTree.fromstring(f"<t>{shown}</t>")
@@ -82,15 +84,15 @@ def test_what_a_terminal_acts_on_is_shown_as_an_escape(code):
     ["", "a\n\tb", "é\xa0日本\u3000", "\u0645\u06cc\u200c\u062e", "\U0001f469\u200d\U0001f680", "\ufffd"],
     ids=ascii,
 )
-def test_text_that_is_read_stays(text):
+def test_printable_text_is_unchanged(text):
     assert printable(text) == text
 
 
 @pytest.mark.parametrize("joiner", "\u200c\u200d", ids=ascii)
-def test_a_joiner_that_joins_nothing_is_shown(joiner):
+def test_joiner_without_neighbor_is_shown_as_escape(joiner):
     assert printable(f"{joiner}a{joiner}b") == f"{ascii(joiner)[1:-1]}a{ascii(joiner)[1:-1]}b"
 
 
-def test_all_texts_of_json_are_printable():
+def test_texts_in_json_are_printable():
     data = {"a\x1b": ["b\u202e", 1, None, ("c\x9b", {"d": 0.5})]}
     assert json.loads(printable_json(data)) == {r"a\x1b": [r"b\u202e", 1, None, [r"c\x9b", {"d": 0.5}]]}

@@ -10,7 +10,7 @@ from python_path import python_path
 
 
 @pytest.mark.slow
-def test_collector_of_small_process():
+def test_collector_checks_pass_in_own_process():
     checks = Path(__file__).with_name("collector_checks.py")
     run = subprocess.run(
         [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", str(checks)],
@@ -31,11 +31,11 @@ del cycle
 stop_collecting()
 print(gc.collect(), gc.isenabled())
 """
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", script],
         check=True,
         stdout=subprocess.PIPE,
         text=True,
         env={**os.environ, "PYTHONPATH": python_path()},
     )
-    assert done.stdout == "0 False\n"
+    assert process.stdout == "0 False\n"

@@ -15,13 +15,18 @@ def names_in(folder):
 def test_exception_leaves_target_unchanged(tmp_path, error):
     target = tmp_path / "run.html"
     target.write_text("old")
-    with pytest.raises(error), replace_file(target) as path:
-        path.write_text("half of the new")
-        raise error
+
+    def write_partially():
+        with replace_file(target) as path:
+            path.write_text("half of the new")
+            raise error
+
+    with pytest.raises(error):
+        write_partially()
     assert (target.read_text(), names_in(tmp_path)) == ("old", ["run.html"])
 
 
-def test_new_file_replaces_target_and_keeps_permissions(tmp_path):
+def test_new_file_keeps_permissions_of_target(tmp_path):
     target = tmp_path / "run.html"
     target.write_text("old")
     target.chmod(0o640)
@@ -42,7 +47,8 @@ def test_target_of_link_is_replaced(tmp_path):
     link.symlink_to(target)
     with replace_file(link) as path:
         path.write_text("new")
-    assert link.is_symlink() and target.read_text() == "new"
+    assert link.is_symlink()
+    assert target.read_text() == "new"
 
 
 def test_pipe_is_written_directly(tmp_path):
@@ -55,18 +61,25 @@ def test_pipe_is_written_directly(tmp_path):
 
 def test_interrupt_keeps_lines_of_log(tmp_path):
     target = tmp_path / "outputs.txt"
-    with pytest.raises(KeyboardInterrupt), open_output(target, keep_on_interrupt=True) as file:
-        file.write("a line\n")
-        raise KeyboardInterrupt
+
+    def write_until_interrupt():
+        with open_output(target, keep_on_interrupt=True) as file:
+            file.write("a line\n")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_until_interrupt()
     assert (target.read_text(), names_in(tmp_path)) == ("a line\n", ["outputs.txt"])
 
 
 def test_full_disk_is_reported_with_name():
-    with pytest.raises(OutputFailed, match="^cannot write /dev/full: No space left on device$"), open_output(
-        "/dev/full"
-    ) as file:
-        file.write("text")
-        file.flush()
+    def write_to_full_disk():
+        with open_output("/dev/full") as file:
+            file.write("text")
+            file.flush()
+
+    with pytest.raises(OutputFailed, match="^cannot write /dev/full: No space left on device$"):
+        write_to_full_disk()
 
 
 def test_missing_folder_is_reported_with_name(tmp_path):

@@ -1,14 +1,14 @@
-"""Names as ROS allows them."""
+"""Names of ROS: topics and message types."""
 
 import pytest
 
 from retalis.foundation.ros_names import name_fault, ros1_type_name, topic_fault, type_fault
 
-STRANGE = ["x²", "ﬁle", "x\0", "\ud800", "x y", "x\n", "1x", "", "a:b", "\u212a", "x" * 256, "x;y", "é"]
+INVALID_NAMES = ["x²", "ﬁle", "x\0", "\ud800", "x y", "x\n", "1x", "", "a:b", "\u212a", "x" * 256, "x;y", "é"]
 
 
-@pytest.mark.parametrize("name", STRANGE)
-def test_strange_names_are_refused(name):
+@pytest.mark.parametrize("name", INVALID_NAMES)
+def test_name_with_other_characters_is_refused(name):
     for fault in (
         name_fault(name),
         topic_fault(name),
@@ -22,12 +22,12 @@ def test_strange_names_are_refused(name):
 
 
 @pytest.mark.parametrize("name", ["a/b/c", "/a", "a/", "//", "ab", "a//b"])
-def test_types_are_a_package_and_a_name(name):
+def test_type_without_package_and_name_is_refused(name):
     assert type_fault(name) is not None
 
 
 @pytest.mark.parametrize("name", ["tf/tfMessage", "a/B", "std_msgs/UInt8MultiArray", "a1_/B2_"])
-def test_types(name):
+def test_valid_type_is_accepted(name):
     assert type_fault(name) is None
 
 
@@ -43,16 +43,16 @@ def test_types(name):
         ("a/msg/b/C", "a/msg/b/C"),
     ],
 )
-def test_types_as_ros_2_names_them(name, plain):
+def test_ros2_type_name_is_shortened(name, plain):
     assert ros1_type_name(name) == plain
 
 
 @pytest.mark.parametrize("name", ["/tf", "tf", "~private", "~", "/a/b_1/C", "a/b", "a/"])
-def test_topics(name):
+def test_valid_topic_is_accepted(name):
     assert topic_fault(name) is None
 
 
-def test_an_error_names_what_is_wrong():
+def test_error_names_invalid_character():
     assert topic_fault("a//b") == "expected a topic name, found 'a//b', which has \"//\" in it"
     assert type_fault('a/b:=__import__("os")').endswith(
         """found 'a/b:=__import__("os")': ':' is not allowed in it"""

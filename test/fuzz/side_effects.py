@@ -49,7 +49,7 @@ _DEFINITION = re.compile(r"(/[\w.+-]+)*/msg/\w+\.msg", re.ASCII)
 _PAGE = os.sysconf("SC_PAGE_SIZE")
 
 
-class Forbidden(RuntimeError):
+class ForbiddenActError(RuntimeError):
     """Raised in the place of what an input may not do."""
 
 
@@ -57,7 +57,7 @@ class Late(BaseException):
     """An input has taken too long or too much; no handler in between may take it for an error of a goal."""
 
 
-class Finding(Exception):
+class FindingError(Exception):
     """Something that an input did, and that counts.
 
     Attributes:
@@ -111,7 +111,7 @@ class Watch:
         """Watch the work on an input.
 
         Raises:
-            Finding: where it does what it must not.
+            FindingError: where it does what it must not.
         """
         del self.actions[:]
         self._before = self.resident()
@@ -130,16 +130,16 @@ class Watch:
         taken = time.process_time() - self._start
         self.slowest = max(self.slowest, taken)
         if self.actions:
-            raise Finding("action", *self.actions[0])
+            raise FindingError("action", *self.actions[0])
         if late is not None:
-            raise Finding(*late.args)
+            raise FindingError(*late.args)
         if raised is not None:
             raise raised
         if taken > self._seconds:
-            raise Finding("time", f"{taken:.1f} s", "in one step")
+            raise FindingError("time", f"{taken:.1f} s", "in one step")
         peak = _peak()
         if peak > self._peak and peak - self._before > self._growth:
-            raise Finding("growth", f"{(peak - self._before) >> 20} MB", "in one step")
+            raise FindingError("growth", f"{(peak - self._before) >> 20} MB", "in one step")
 
     def resident(self):
         """Return the bytes in memory now."""
@@ -174,7 +174,7 @@ class Watch:
             )
         if not allowed:
             self.actions.append((f"{event} {_brief(arguments)}", place(sys._getframe(1))))
-            raise Forbidden(f"{event} {_brief(arguments)}")
+            raise ForbiddenActError(f"{event} {_brief(arguments)}")
 
     def _may_run(self, event, arguments):
         module = sys._getframe(2).f_globals.get("__name__", "")

@@ -1,4 +1,4 @@
-"""Inputs of each kind have no finding: a short campaign in each run of the tests, a long one at night."""
+"""Short fuzz campaigns of each kind of input have no finding."""
 
 import pytest
 
@@ -19,11 +19,11 @@ INPUTS = {
     "names": 10_000,
     "goals": 10_000,
 }
-"""Inputs of long campaigns of the kinds whose inputs take long."""
+"""Numbers of inputs in long campaigns of kinds with slow inputs."""
 
 MIN_SHORT_INPUTS = 10
 SHORT_SHARE = 1 / 40
-"""Share of the inputs of a long campaign that a short one has."""
+"""Inputs of a short campaign as share of those of a long one."""
 
 
 def check_campaign(kind, inputs, jobs):
@@ -43,7 +43,7 @@ def check_campaign(kind, inputs, jobs):
 
 @pytest.fixture(autouse=True)
 def time_limit(monkeypatch):
-    """Extend the time limit of an input, because other work on the machine makes all slower."""
+    """Extend the time limit of an input, because other work on the machine may slow it down."""
     monkeypatch.setenv("FUZZ_SLACK", "2.5")
 
 

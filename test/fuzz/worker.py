@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 
 from .kinds import kind_of
-from .side_effects import Finding, Watch, raised_at
+from .side_effects import FindingError, Watch, raised_at
 
 MAX_ADDRESS_SPACE_BYTES = 3 << 30
 """Maximum address space in bytes: an input that needs more raises `MemoryError`."""
@@ -103,7 +103,7 @@ class Worker:
             growth = resident() - base
             if growth > MAX_LEAK_BYTES:
                 text = f"{growth >> 20} MB in {self.processed_count - WARM_UP_INPUTS} inputs"
-                self.report_finding(numbers[-1], b"", Finding("leak", text, self.name))
+                self.report_finding(numbers[-1], b"", FindingError("leak", text, self.name))
 
     def begin_block(self, number):
         """Begin a block with new objects, so that earlier inputs have no influence."""
@@ -145,12 +145,12 @@ class Worker:
         status = os.waitpid(child, 0)[1]
         if not text:
             what = "time" if os.WTERMSIG(status) == signal.SIGXCPU else "died"
-            return Finding(what, f"status {status}", self.kind.subject(data))
+            return FindingError(what, f"status {status}", self.kind.subject(data))
         finding, (accepted, refused), slowest = json.loads(text)
         self.kind.accepted_count += accepted
         self.kind.refused_count += refused
         self.watch.slowest = max(self.watch.slowest, slowest)
-        return None if finding is None else Finding(*finding)
+        return None if finding is None else FindingError(*finding)
 
     def _process(self, data):
         kind = self.kind
@@ -159,10 +159,10 @@ class Worker:
         try:
             with self.watch.input():
                 kind.run(data)
-        except Finding as finding:
+        except FindingError as finding:
             return finding
         except Exception as error:
-            return Finding(
+            return FindingError(
                 "exception", f"{type(error).__name__}: {error}"[:500], raised_at(error.__traceback__)
             )
         return None

@@ -21,8 +21,8 @@ import time
 from collections import Counter
 from pathlib import Path
 
+import pytest
 from coverage import CoverageData
-from pytest import ExitCode
 
 from .mutants import mutants
 
@@ -175,7 +175,7 @@ class _Copy:
         status, output = self._run(
             [*arguments, *selection, "--ignore", "test/ros1", "--ignore", "test/mutation", *self._paths], None
         )
-        if status != ExitCode.OK:
+        if status != pytest.ExitCode.OK:
             raise SystemExit(f"the tests fail without a mutant:\n{output[-5000:]}")
         print(f"{time.monotonic() - start:.0f} s to record the tests", flush=True)
         data = CoverageData(str(self._root / ".coverage"))
@@ -205,17 +205,17 @@ class _Copy:
                 return "timeout"
             finally:
                 module.write_text(source, encoding="utf-8")
-            if status == ExitCode.USAGE_ERROR:
+            if status == pytest.ExitCode.USAGE_ERROR:
                 # Pytest found a test or conftest.py to be missing or broken: is it so because of the mutant?
                 self._require_tests(some)
-            if status != ExitCode.OK:
+            if status != pytest.ExitCode.OK:
                 return "noticed"
         return "survived"
 
     def _require_tests(self, tests) -> None:
         """Exit unless pytest finds tests without a mutant; otherwise each mutant would count as noticed."""
         status, output = self._run(["--collect-only", "-n", "0", *tests], TIMEOUT_SECONDS)
-        if status != ExitCode.OK:
+        if status != pytest.ExitCode.OK:
             raise SystemExit(f"recorded tests are not found:\n{output[-5000:]}")
 
     def _tests_of(self, path, line):

@@ -1,12 +1,12 @@
-"""Mutants of small sources."""
+"""Mutants of small sources: one change of an operator, constant or statement each."""
 
 import pytest
 
 from .mutants import mutants
 
 
-def changed(body):
-    """Return the mutated versions of a function's body of one line."""
+def mutated_bodies(body):
+    """Return the mutants of the one-line body of a function."""
     source = f"def f(a, b):\n    {body}\n"
     lines = [mutant.apply(source).splitlines()[1].strip() for mutant in mutants(source)]
     assert body not in lines
@@ -14,7 +14,7 @@ def changed(body):
 
 
 @pytest.mark.parametrize(
-    "body, wanted",
+    ("body", "expected"),
     [
         ("x = a < b", {"x = a <= b"}),
         ("x = a <= b", {"x = a < b"}),
@@ -35,22 +35,22 @@ def changed(body):
         ('"""A docstring of 1 line."""', set()),
     ],
 )
-def test_each_operator_changes_one_place(body, wanted):
-    assert changed(body) == wanted
+def test_each_mutant_changes_one_operator(body, expected):
+    assert mutated_bodies(body) == expected
 
 
-def test_conditions_are_negated_and_constants_of_modules_left():
+def test_conditions_and_local_constants_are_mutated():
     source = "LIMIT = 3\n\n\ndef f(a):\n    if a:\n        return 1\n    return None\n"
     described = [mutant.describe(source) for mutant in mutants(source)]
     assert described == ["if a:  =>  if not (a):", "return 1  =>  return None", "return 1  =>  return 2"]
 
 
-def test_a_place_after_characters_of_several_bytes_is_found():
+def test_operator_after_non_ascii_text_is_mutated():
     source = 'def f(a, b):\n    x = ("ä€", a < b)\n'
     assert [mutant.apply(source) for mutant in mutants(source)] == ['def f(a, b):\n    x = ("ä€", a <= b)\n']
 
 
-def test_an_operator_in_a_comment_is_not_changed():
+def test_operator_in_comment_is_not_mutated():
     source = "def f(a, b):\n    return (\n        a  # < not this one\n        < b\n    )\n"
-    found = [mutant for mutant in mutants(source) if mutant.operator == "comparison"]
-    assert [mutant.line for mutant in found] == [4]
+    comparisons = [mutant for mutant in mutants(source) if mutant.operator == "comparison"]
+    assert [mutant.line for mutant in comparisons] == [4]

@@ -1,4 +1,4 @@
-"""The two evaluators of the oracle against each other, where both are defined."""
+"""Comparison of the two evaluators of the oracle, for rules that both support."""
 
 from collections import Counter
 from dataclasses import replace
@@ -14,7 +14,7 @@ from oracle.strategies import cases
 @pytest.mark.slow
 @settings(max_examples=60, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
 @given(cases())
-def test_unrestricted_is_every_combination_once(case):
+def test_unrestricted_policy_has_each_combination_once(case):
     assume(defined_for(case.rules))
     program = Program(case.rules, "unrestricted", case.out_of_order, expiry=False)
     fired = []
@@ -27,11 +27,11 @@ def test_unrestricted_is_every_combination_once(case):
 @pytest.mark.slow
 @settings(max_examples=60, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
 @given(cases())
-def test_without_late_events_expiry_changes_nothing(case):
+def test_expiry_changes_nothing_without_late_events(case):
     assume(case.has_limits())
     in_order = replace(case, stream=tuple(sorted(case.stream, key=lambda event: event[2])))
     try:
         expected = in_order.expected(expiry=True)
-    except RecursionError:  # rules that feed each other without end have no answer
+    except RecursionError:  # endless recursive rules have no answer
         reject()
     assert expected == in_order.expected(expiry=False)

@@ -1,4 +1,4 @@
-"""Long runs of the comparisons: more cases than the other tests have, of each kind."""
+"""Long runs of the comparisons of engine and oracle."""
 
 import os
 import subprocess

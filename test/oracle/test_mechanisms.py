@@ -1,4 +1,4 @@
-"""Each mechanism of the operators on streams, states and timers is noticed where it is switched off."""
+"""Detection of disabled mechanisms of stream operators, states and timers by the comparison with the oracle."""
 
 from itertools import count
 
@@ -9,7 +9,7 @@ from .mechanisms import MECHANISMS, noticing
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(MECHANISMS))
-def test_cases_differ_without_it_and_only_then(name):
-    tried, differing, wrong = noticing(name, count(), 300, enough=1)
+def test_disabled_mechanism_changes_results(name):
+    tried, differing, unexpected = noticing(name, count(), 300, enough=1)
     assert differing == 1, f"{tried} cases did not notice"
-    assert not wrong
+    assert not unexpected

@@ -1,4 +1,4 @@
-"""Revision in the oracle: cases computed by hand, and the two ways against each other."""
+"""Revision in the oracle: results computed by hand, and comparison of its two evaluations."""
 
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
@@ -41,21 +41,22 @@ CASES = [
 
 @pytest.mark.parametrize("policy", ["recent", "chronological", "unrestricted"])
 @pytest.mark.parametrize(("head", "pattern", "events", "expected"), CASES)
-def test_by_hand(head, pattern, events, expected, policy):
+def test_revision_has_computed_results(head, pattern, events, expected, policy):
     steps = run_with_revision([rule(head, pattern)], stream(events), policy, False)
-    for step, wanted in zip(steps, expected):
+    assert len(steps) == len(expected)
+    for step, expected_events in zip(steps, expected):
         derived = sorted(
             f"{t}@{s}" + (f"-{e}" if e != s else "") for t, s, e in step.elements() if "out" in t
         )
-        if wanted is None:
+        if expected_events is None:
             continue
-        if wanted == "*":
+        if expected_events == "*":
             assert set(derived) == {"rev(out(1))@4"}
         else:
-            assert derived == wanted.split()
+            assert derived == expected_events.split()
 
 
-def test_what_has_completed_as_the_right_side_does_not_complete_as_the_left_one_too():
+def test_event_completes_one_side_only():
     events = stream("a(1)@1 d@2 a(2)@3 rev(d)@4")
     steps = run_with_revision([rule("out", "and(fnot(a(X),d),a(Y))")], events, "recent", False)
     assert [sum(n for event, n in step.items() if event[0] == "out") for step in steps] == [0, 0, 1, 0]
@@ -64,7 +65,7 @@ def test_what_has_completed_as_the_right_side_does_not_complete_as_the_left_one_
 @pytest.mark.slow
 @settings(max_examples=50, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
 @given(cases(depth=3, revision=True))
-def test_both_ways_agree_where_there_are_no_partners(case):
+def test_policies_agree_without_partners(case):
     assume(combines(case.rules))
     assume(not any(isinstance(node, (Both, Ntimes)) for node in walk(case.rules[0].pattern)))
     steps = [

@@ -1,4 +1,4 @@
-"""The oracle against recorded scenarios: what is right where the original is not, else what was recorded."""
+"""Comparison of the oracle with recorded scenarios, except those that contradict the definition of the language."""
 
 import os
 from pathlib import Path
@@ -33,14 +33,14 @@ CONTRADICTED = {
     "starts_reversed": "every two-sided pattern but seq takes its sides in either order of arrival",
     "window_subsecond_ignored": "e - s =< V, exactly",
 }
-"""Scenarios that the language's definition contradicts, with the sentence."""
+"""Scenarios that contradict the definition of the language, with the sentence that they contradict."""
 
 OUTSIDE = {"check_nested", "check_single"}
-"""Scenarios that show stamps as terms: the oracle's are numbers."""
+"""Scenarios that show timestamps as terms; those of the oracle are numbers."""
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
-def test_scenario(case):
+def test_recorded_scenario_agrees_unless_contradicted(case):
     if case.name in OUTSIDE:
         pytest.skip("stamps as terms")
     agrees = run(case.rules, case.stream, **case.flags) == case.expected

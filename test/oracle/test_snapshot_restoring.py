@@ -1,4 +1,4 @@
-"""Some random programs whose state is taken half way; the command tries as many as one likes."""
+"""Random programs that are restored between events; the command compares any number of them."""
 
 import pytest
 
@@ -12,13 +12,13 @@ from .snapshot_restoring import clock_difference, cut_case, cut_difference
     ("revision", "streams", "first", "number"),
     [(False, False, 0, 15), (True, False, 50_000, 8), (False, True, 70_000, 8), (True, True, 80_000, 4)],
 )
-def test_goes_on_alike(revision, streams, first, number):
-    cut = 0
+def test_restored_program_has_equal_outputs(revision, streams, first, number):
+    restored_count = 0
     for seed in range(first, first + number):
         case, places = cut_case(seed, 4, revision, seed % 3 == 0, streams)
         assert cut_difference(case, places) is None, (seed, places, case.text())
-        cut += bool(places)
-    assert cut == number
+        restored_count += bool(places)
+    assert restored_count == number
 
 
 @pytest.mark.slow

@@ -331,7 +331,7 @@ def test_wrong_number_of_repetitions_is_refused():
     refused(state, ["objects", 1, "match", 5, longest], parts[longest][:1], "expected")
 
 
-def test_sequences_with_shared_repetitions_are_restored():
+def test_shared_repetitions_are_restored():
     engine = Engine(StreamClock())
     engine.load("p(X) <- (a(X, _) ntimes 5).")
     for now, value in (
@@ -381,7 +381,7 @@ def test_deadline_of_anchored_window_is_computed():
     assert functor("p", 1)(1) in events
 
 
-def test_suppressed_match_that_does_not_fit_its_node_is_refused():
+def test_invalid_suppressed_match_is_refused():
     state = state_of(
         "p(X, Y) <- (a(X) seq c(Y)) cnot b(_).",
         ["a(1)", "b(2)", "c(3)"],

@@ -8,7 +8,7 @@ import numpy  # noqa: F401 - predicates on arrays import it at the first call, a
 from retalis import Engine, Limits, RetalisError, Settings
 
 from ..mutate import to_text
-from ..side_effects import GROWTH, SECONDS, Finding
+from ..side_effects import GROWTH, SECONDS, FindingError
 
 try:  # names of types are looked for in it, and no input may import anything
     from rosbags.typesys import Stores, get_typestore
@@ -123,7 +123,7 @@ class InternalErrorCheck(logging.Handler):
             lines = text.strip().split("\n")
             places = [line.strip() for line in lines if "/retalis/" in line]
             place = places[-1].split("/retalis/")[-1] if places else lines[0]
-            raise Finding("logged", f"{lines[-1]}", place)
+            raise FindingError("logged", f"{lines[-1]}", place)
 
 
 LOGGED = InternalErrorCheck()

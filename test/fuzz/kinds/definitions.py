@@ -5,7 +5,7 @@ from retalis.messages.event_text_writer import make_text_writer
 from retalis.messages.type_registry import InstalledTypes
 
 from ..mutate import mutate_text, random_tokens, to_bytes, to_text
-from ..side_effects import Finding
+from ..side_effects import FindingError
 from .base import Kind
 
 PIECES = (
@@ -72,7 +72,7 @@ class Inputs(Kind):
             return
         again = self.attempt(self.known.add, name, definition.full_text)
         if again is None or again.md5sum != definition.md5sum:
-            raise Finding("difference", "the full text is not that of the same type", "definitions")
+            raise FindingError("difference", "the full text is not that of the same type", "definitions")
         decoder = self.attempt(self.known.decoder, definition)
         encoder = self.attempt(self.known.encoder, definition)
         if decoder is None or encoder is None:
@@ -84,4 +84,4 @@ class Inputs(Kind):
             self.attempt(write, message)
             term = self.attempt(decoder.decode, message)
             if term is not None and encoder.encode(term) != message:
-                raise Finding("difference", "zeros do not come back", "definitions")
+                raise FindingError("difference", "zeros do not come back", "definitions")

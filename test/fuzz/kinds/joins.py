@@ -7,7 +7,7 @@ from events.operator_table import PAIRS
 from retalis import Limits, Settings
 
 from ..mutate import mutate_text, to_bytes, to_text
-from ..side_effects import Finding
+from ..side_effects import FindingError
 from .base import LOGGED, Kind, create_silent_engine
 
 MARK = "\n%%\n"
@@ -150,10 +150,10 @@ class Inputs(Kind):
             self.attempt(self.engine.event, event, instant)
             taken = process_time() - before
             if taken > MAX_EVENT_SECONDS:
-                raise Finding("time", f"{taken:.1f} s for {event[:80]}", "one event")
+                raise FindingError("time", f"{taken:.1f} s for {event[:80]}", "one event")
         del seen[:]
         self.attempt(self.engine.event, "ping_(1)", 1000.0)
         if is_loaded and self.engine.query("X = alive_(1)")[0]["X"] not in seen:
-            raise Finding("difference", "the event after the others fires no rule", "next event")
+            raise FindingError("difference", "the event after the others fires no rule", "next event")
         self.attempt(self.engine.query, "memory_size(_, _)")
         LOGGED.check()

@@ -9,7 +9,7 @@ from retalis.prolog.syntax.event_text import EventReader
 from retalis.prolog.syntax.event_text import to_text as text_of
 
 from ..mutate import mutate_bytes, mutate_text, to_bytes, to_text
-from ..side_effects import Finding
+from ..side_effects import FindingError
 from .base import CORPUS, Kind
 
 SIZES = {"bool": "?", "int8": "b", "byte": "b", "uint8": "B", "char": "B", "int16": "h", "uint16": "H"}
@@ -130,17 +130,19 @@ class Inputs(Kind):
         text = self.attempt(write, data)
         term = self.attempt(decoder.decode, data)
         if (text is None) != (term is None):
-            raise Finding("difference", "text and term do not agree on whether it is a message", "messages")
+            raise FindingError(
+                "difference", "text and term do not agree on whether it is a message", "messages"
+            )
         if term is None:
             return
         if text_of(term) != text:
-            raise Finding("difference", f"{text_of(term)[:100]} is no {text[:100]}", "messages")
+            raise FindingError("difference", f"{text_of(term)[:100]} is no {text[:100]}", "messages")
         read = self.attempt(self.reader.read, text)
         if read is not None:
             made = self.attempt(encoder.encode, read)
             if made is not None and text_of(decoder.decode(made)) != text:
-                raise Finding("difference", "its text does not come back as the message", "messages")
+                raise FindingError("difference", "its text does not come back as the message", "messages")
         lazy = decoder.lazy(data)
         again = encoder.encode(lazy)
         if text_of(decoder.decode(again)) != text:
-            raise Finding("difference", "it does not come back as it was", "messages")
+            raise FindingError("difference", "it does not come back as it was", "messages")

@@ -17,7 +17,7 @@ from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import writeq
 
 from ..mutate import random_tokens, to_bytes, to_text
-from ..side_effects import Finding
+from ..side_effects import FindingError
 from .base import LOGGED, Kind, create_silent_engine
 
 PIECES = (
@@ -172,7 +172,7 @@ class Inputs(Kind):
 
     def same(self, found, name):
         if found != name:
-            raise Finding("difference", f"{name!r} came back as {found!r}", "names")
+            raise FindingError("difference", f"{name!r} came back as {found!r}", "names")
 
     # ---- messages ------------------------------------------------------------------------------------
 
@@ -198,7 +198,7 @@ class Inputs(Kind):
         definition = self.known.add("pkg/Type", f"int32 {name}")
         self._use(definition)
         if definition.fields[0].name not in name:
-            raise Finding("difference", f"{name!r} became {definition.fields[0].name!r}", "names")
+            raise FindingError("difference", f"{name!r} became {definition.fields[0].name!r}", "names")
 
     def in_constant(self, name):
         self._use(self.known.add("pkg/Type", f"int32 x\nint32 {name}=1"))
@@ -257,7 +257,7 @@ class Inputs(Kind):
         read = read_term(f"f(_{name})", self.engine.operators)
         for found in read.names:
             if found not in f"_{name}":
-                raise Finding("difference", f"{name!r} became {found!r}", "names")
+                raise FindingError("difference", f"{name!r} became {found!r}", "names")
         self.engine.query(f"V{name} = 1, X = V{name}")
         self.engine.load(rules=f"v{MARK}(V{name}) <- a(V{name}) where V{name} > 1.")
 
@@ -306,7 +306,7 @@ class Inputs(Kind):
         self.engine.load(goals=f"subscribe(e(_), [], _, {quoted}, id)")
         self.engine.event("e(1)", 1)
         if not self.outputs:
-            raise Finding("difference", f"{name!r} gets no output", "names")
+            raise FindingError("difference", f"{name!r} gets no output", "names")
         self.same(self.outputs.pop()[1], name)
         self.engine.call(f"delete_subscription({quoted}, id)")
 

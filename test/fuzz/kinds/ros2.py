@@ -9,7 +9,7 @@ from retalis.messages.ros2_to_ros1 import parse_ros2_type
 from retalis.prolog.syntax.event_text import to_text as text_of
 
 from ..mutate import mutate_text, random_tokens, to_bytes, to_text
-from ..side_effects import Finding
+from ..side_effects import FindingError
 from .base import Kind
 
 TYPES = (
@@ -194,10 +194,10 @@ class Inputs(Kind):
             # What was converted is a message of the definition, and comes back through text and term.
             term = decoder.decode(message)
             if text_of(term) != write(message):
-                raise Finding("difference", "text and term do not agree", "ros2")
+                raise FindingError("difference", "text and term do not agree", "ros2")
             again = self.attempt(encoder.encode, decoder.lazy(message))
             if again is not None and text_of(decoder.decode(again)) != text_of(term):
-                raise Finding("difference", "it does not come back as it was", "ros2")
+                raise FindingError("difference", "it does not come back as it was", "ros2")
 
     def messages(self, data):
         """Return messages: zeros of all lengths, counts of one, and the bytes of the input itself."""

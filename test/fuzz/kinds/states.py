@@ -8,7 +8,7 @@ from retalis.serialization.codec import Ref, from_bytes, to_bytes
 from retalis.serialization.state_file_format import pack_sections, unpack_sections
 
 from ..mutate import NUMBERS, mutate_bytes
-from ..side_effects import Finding
+from ..side_effects import FindingError
 from .base import LOGGED, SETTINGS, Kind, create_silent_engine
 
 PROGRAMS = (
@@ -234,7 +234,7 @@ class Inputs(Kind):
             again = engine.snapshot()
             Engine.restore(again, settings=SETTINGS)
         except RetalisError as error:
-            raise Finding(
+            raise FindingError(
                 "difference", f"the state of the restored engine: {error}"[:300], "states"
             ) from error
         LOGGED.check()
@@ -248,4 +248,4 @@ class Inputs(Kind):
         for (name, arity), kind in self.shared.items():
             if (kind.name, kind.arity) != (name, arity) or kind is not functor(name, arity):
                 kind.name, kind.arity = name, arity
-                raise Finding("difference", f"the functor {name}/{arity} is another one", "states")
+                raise FindingError("difference", f"the functor {name}/{arity} is another one", "states")

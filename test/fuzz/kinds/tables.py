@@ -5,7 +5,7 @@ import json
 from retalis import Limits, RetalisError, Settings
 
 from ..mutate import to_bytes, to_text
-from ..side_effects import Finding
+from ..side_effects import FindingError
 from .base import LOGGED, Kind, create_silent_engine
 
 SETTINGS = Settings(limits=Limits(seconds=2.0, inferences=300_000, megabytes=40), folders=())
@@ -126,7 +126,7 @@ class Inputs(Kind):
             for goal in goals:
                 one, other = (self.answers(engine, goal) for engine in engines)
                 if one != other:
-                    raise Finding(
+                    raise FindingError(
                         "difference",
                         f"{goal} after {operation}: {one} with tables, {other} without",
                         "tables",

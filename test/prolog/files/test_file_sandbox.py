@@ -262,6 +262,8 @@ def is_permitted(operation, path, *rest):
     try:
         operation(str(path), *rest)
     except PrologError as error:
-        assert "No permission to open source_sink" in str(error)
-        return False
-    return True
+        refusal = str(error)
+    else:
+        return True
+    assert "No permission to open source_sink" in refusal
+    return False
