@@ -1,4 +1,4 @@
-"""Small bags that claim or unpack to much, for tests and for the fuzzer."""
+"""Small bags with large stated or unpacked sizes, for tests and for the fuzzer."""
 
 import bz2
 import sqlite3
@@ -8,9 +8,9 @@ from contextlib import closing
 import lz4.frame
 
 try:
-    import zstandard as ZSTD
+    import zstandard
 except ImportError:
-    from backports import zstd as ZSTD
+    from backports import zstd as zstandard
 
 MEGABYTE = 1_000_000
 TEXT = "string data\n"
@@ -18,8 +18,8 @@ HELLO = b"\0\1\0\0" + struct.pack("<I6s", 6, b"hello\0")
 
 
 def zstd(data):
-    """Return data packed by zstd, by the package that is there."""
-    return ZSTD.compress(data)
+    """Return data packed by zstd, with the installed package."""
+    return zstandard.compress(data)
 
 
 PACK = {"none": bytes, "": bytes, "bz2": bz2.compress, "lz4": lz4.frame.compress, "zstd": zstd}
@@ -99,8 +99,8 @@ def ros1_bag(
         body += record(fields, index)
     infos = range(len(chunks)) if infos is None else infos
     tail = connection * connections
-    for one in infos:
-        place, offsets = places[one]
+    for chunk_number in infos:
+        place, offsets = places[chunk_number]
         fields = {b"op": b"\6", b"ver": number(1), b"chunk_pos": number(place, "Q"), b"count": number(1)}
         fields[b"start_time"] = fields[b"end_time"] = struct.pack("<II", 1, 0)
         tail += record(fields, struct.pack("<II", 0, len(offsets)))

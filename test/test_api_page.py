@@ -1,4 +1,4 @@
-"""``docs/reference/python-api.md``: it has each public name once; ``test_api.py`` runs the examples of the names."""
+"""``docs/reference/python-api.md``: it has each public name once; ``test_api.py`` runs their examples."""
 
 import re
 
@@ -12,6 +12,6 @@ pytestmark = pytest.mark.docs
 PAGE = (ROOT / "docs" / "reference" / "python-api.md").read_text(encoding="utf-8")
 
 
-def test_each_public_name_is_on_the_page_once():
+def test_each_public_name_is_on_page_once():
     names = re.findall(r"^\.\. auto(?:class|function|data):: retalis\.(\w+)$", PAGE, re.MULTILINE)
     assert sorted(names) == sorted(retalis.__all__)

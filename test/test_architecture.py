@@ -1,4 +1,4 @@
-"""The page on how it is built: every file, class and function that it mentions is there."""
+"""Page on the architecture: each file, class and function that it mentions exists."""
 
 import ast
 import re
@@ -10,43 +10,43 @@ pytestmark = pytest.mark.docs
 
 PAGE = ROOT / "docs" / "explanation" / "architecture.md"
 QUOTED = re.compile(r"`([^`\n]+)`")
-NO_NAMES = {
-    *("float", "int", "struct"),  # Python's
-    *("split_tf", "new_event(tf(Parent, Child, V, Q), Sec, NSec)"),  # the example's
+OTHER_NAMES = {
+    *("float", "int", "struct"),  # of Python
+    *("split_tf", "new_event(tf(Parent, Child, V, Q), Sec, NSec)"),  # of the example
     *("synchronized(Event, Query, Conditions)", "geometry_msgs__0__PoseStamped"),
     *("fever", "temperature(anna, 39.5)", "temperature(anna, 38.2)", '("anna", 39.5)', "Who", "T1"),
     *("seq", "within"),
-    *("tf", "retalisInputEvents", "receive_once", "RETALIS_TEST_FUSED=1", "retalis"),  # ROS's
+    *("tf", "retalisInputEvents", "receive_once", "RETALIS_TEST_FUSED=1", "retalis"),  # of ROS
 }
-"""What the page quotes besides."""
+"""Quoted texts that are no names of the package."""
 
 
-def quoted():
-    """Return what the page quotes in its sentences and tables: paths, and the rest."""
+def quoted_paths_and_names():
+    """Return the quoted paths and names in the sentences and tables of the page."""
     text = re.sub(r"^    .*\n", "", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)
-    found = dict.fromkeys(QUOTED.findall(text))
-    paths = [one for one in found if "/" in one or one.endswith(".py")]
-    return paths, [one for one in found if one not in paths and one not in NO_NAMES]
+    quoted = dict.fromkeys(QUOTED.findall(text))
+    paths = [text for text in quoted if "/" in text or text.endswith(".py")]
+    return paths, [text for text in quoted if text not in paths and text not in OTHER_NAMES]
 
 
-PATHS, NAMES = quoted()
+PATHS, NAMES = quoted_paths_and_names()
 
 
 @pytest.fixture(scope="module")
 def names():
-    """Return the names that the package's files define; those of a class also with its name before them."""
-    found = set()
+    """Return the names that the package defines; those in classes also with the name of the class."""
+    names = set()
     for nodes in NODES.values():
         for node in nodes:
             if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
-                found.add(node.name)
+                names.add(node.name)
             if isinstance(node, ast.ClassDef):
-                found |= {f"{node.name}.{name}" for name in own_names(node)}
-    return found
+                names |= {f"{node.name}.{name}" for name in member_names(node)}
+    return names
 
 
-def own_names(node):
-    """Yield the names of a class's methods and attributes."""
+def member_names(node):
+    """Yield the names of the methods and attributes of a class."""
     for inner in ast.walk(node):
         if isinstance(inner, ast.FunctionDef):
             yield inner.name
@@ -55,23 +55,24 @@ def own_names(node):
 
 
 @pytest.mark.parametrize("path", PATHS)
-def test_files_are_there(path):
+def test_path_exists(path):
     assert (SOURCE / path).exists() or (ROOT / path).exists()
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_names_are_there(name, names):
+def test_name_exists(name, names):
     assert name in names
 
 
-def test_what_is_no_name_of_the_code_is_mentioned():
-    assert set(QUOTED.findall(PAGE.read_text(encoding="utf-8"))) >= NO_NAMES
+def test_page_has_all_other_names():
+    assert set(QUOTED.findall(PAGE.read_text(encoding="utf-8"))) >= OTHER_NAMES
 
 
-def test_all_rooms_are_named():
+def test_page_has_all_packages():
     text = PAGE.read_text(encoding="utf-8")
-    rooms = {path.relative_to(SOURCE).parts[0] for path in SOURCE.glob("*/**/*.py")}
-    assert [room for room in rooms if f"| `{room}/` |" not in text] == []
+    package_names = {path.relative_to(SOURCE).parts[0] for path in SOURCE.glob("*/**/*.py")}
+    assert len(package_names) > 10
+    assert [package for package in package_names if f"| `{package}/` |" not in text] == []
 
 
 EXCERPT = re.compile(r"```python\n# (?P<path>[\w/]+\.py), (?P<name>[\w.]+)\n(?P<text>.*?)```", re.DOTALL)

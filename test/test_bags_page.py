@@ -1,4 +1,4 @@
-"""The commands of docs/reference/bags.md, in a copy of what they need of the clone."""
+"""Commands of ``docs/reference/bags.md``, in a folder with copies of the needed sources."""
 
 import os
 import re
@@ -21,7 +21,7 @@ COMMANDS = re.findall(r"^    retalis (.*)$", PAGE, re.MULTILINE)
 
 @pytest.mark.slow
 @pytest.mark.docs
-def test_the_commands_of_the_page_do_what_they_say(tmp_path, monkeypatch, capsys):
+def test_commands_of_page_succeed(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     shutil.copytree(ROOT / "application_source", "application_source")
     shutil.copytree(ROOT / "examples" / "nao", "examples/nao")
@@ -31,7 +31,7 @@ def test_the_commands_of_the_page_do_what_they_say(tmp_path, monkeypatch, capsys
     for command in COMMANDS:
         words, _, file = command.partition(" > ")
         assert main(shlex.split(words)) == 0, command
-        shown = capsys.readouterr()
-        assert shown.err == "", command
+        captured = capsys.readouterr()
+        assert captured.err == "", command
         if file:
-            Path(file).write_text(shown.out, encoding="utf-8")
+            Path(file).write_text(captured.out, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The lists of files in CONTRIBUTING.md: what they name as an example stands in each of these files."""
+"""Lists of files in ``CONTRIBUTING.md``: each listed file contains the example of its list."""
 
 import re
 from pathlib import Path
@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 QUOTED = re.compile(r"`([^`\n]+)`")
 SECTIONS = re.compile(r"^### ([^\n]*)\(([^\n]*)\)\n(.*?)(?=^##)", re.MULTILINE | re.DOTALL)
-NOT_OF_EACH = {
+WITHOUT_EXAMPLE = {
     "src/retalis/prolog/system/predicate_resolution.py",
     "src/retalis/events/language/pattern_parser.py",
     "src/retalis/events/network/rule_compiler.py",
@@ -19,46 +19,52 @@ NOT_OF_EACH = {
     "src/retalis/prolog/builtins/__init__.py",
     "src/retalis/prolog/library/",
 }
-"""Files that say how it is done, or where others of the kind stand."""
+"""Files that define the mechanism, or folders with further files."""
 
 
 def is_path(text):
     return "/" in text and " " not in text
 
 
-def listed():
+def listed_files():
     for title, examples, body in SECTIONS.findall(PAGE):
         names = QUOTED.findall(examples)
-        paths = [one for one in QUOTED.findall(body) if is_path(one) or (ROOT / one).is_file()]
-        assert names and paths, title
+        paths = [text for text in QUOTED.findall(body) if is_path(text) or (ROOT / text).is_file()]
+        assert names, title
+        assert paths, title
         for path in paths:
-            if path not in NOT_OF_EACH:
+            if path not in WITHOUT_EXAMPLE:
                 yield pytest.param(path, names, id=f"{names[0]}-{path}")
 
 
-@pytest.mark.parametrize("path, names", list(listed()))
-def test_the_example_stands_in_each_file_of_its_list(path, names):
-    found = ROOT / path
-    files = [one for one in found.rglob("*") if one.is_file()] if found.is_dir() else [found]
-    texts = [path, *(one.read_text(encoding="utf-8") for one in files)]
-    assert any(re.search(rf"(?<![A-Za-z]){name}(?![A-Za-z])", text) for name in names for text in texts)
+@pytest.mark.parametrize(("path", "names"), list(listed_files()))
+def test_listed_file_contains_example(path, names):
+    listed = ROOT / path
+    files = [file for file in listed.rglob("*") if file.is_file()] if listed.is_dir() else [listed]
+    texts = [path, *(file.read_text(encoding="utf-8") for file in files)]
     assert files
+    assert any(re.search(rf"(?<![A-Za-z]){name}(?![A-Za-z])", text) for name in names for text in texts)
 
 
-def test_all_files_are_there():
-    paths = [one for one in QUOTED.findall(PAGE) if is_path(one)]
-    assert [one for one in paths if not (ROOT / one).exists()] == []
+def test_named_files_exist():
+    paths = [text for text in QUOTED.findall(PAGE) if is_path(text)]
+    assert len(paths) > 20
+    assert [path for path in paths if not (ROOT / path).exists()] == []
 
 
-def test_marks_and_runs_are_those_that_are_named():
-    for mark in re.findall(r'pytest -m "?(?:not )?(\w+)', PAGE):
+def test_named_marks_exist():
+    marks = re.findall(r'pytest -m "?(?:not )?(\w+)', PAGE)
+    assert marks
+    for mark in marks:
         assert f'"{mark}: ' in (ROOT / "pyproject.toml").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("name", ["CONTRIBUTING.md", "noxfile.py", ".pre-commit-config.yaml"])
-def test_options_for_an_old_mypy_are_named_wherever_types_are_checked(name):
+def test_options_of_old_mypy_are_named(name):
     options = re.search(
         r"^MYPY_38_OPTIONS = \((.*)\)$", (ROOT / "install.py").read_text(encoding="utf-8"), re.MULTILINE
     )
-    for option in re.findall(r'"([^"]+)"', options.group(1)):
+    names = re.findall(r'"([^"]+)"', options.group(1))
+    assert names
+    for option in names:
         assert option in (ROOT / name).read_text(encoding="utf-8")

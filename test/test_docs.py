@@ -1,4 +1,4 @@
-"""Every snippet in README and docs is run: what it shows is what happens."""
+"""Snippets in the README and in ``docs``: each is run and compared with the shown output."""
 
 import re
 import shlex
@@ -27,8 +27,8 @@ PAGES = [
 ]
 SNIPPET = re.compile(r"(?:<!-- (?P<name>[\w.]+) -->\n)?```(?P<kind>\w*)\n(?P<text>.*?)```", re.DOTALL)
 EVENT = re.compile(r"(\S.*?) \[([\d.]+),([\d.]+|datime\([^)]*\))\](?:, |$)")
-UNTOLD = ("memory_created(", "null_event", "memory_updated(", "synchronized(")
-"""Events of which a line below a rule does not tell: they are there with every memory and query."""
+OMITTED_EVENTS = ("memory_created(", "null_event", "memory_updated(", "synchronized(")
+"""Events that lines below a rule omit, because each memory and query emits them."""
 
 LINK = re.compile(r"\]\((?!https?:)([^)#]+)")
 LINK_TO_HEADING = re.compile(r"\]\((?!https?:)([^)#]*)#([^)]+)\)")
@@ -39,19 +39,19 @@ def snippets(page):
     return list(SNIPPET.finditer(page.read_text(encoding="utf-8")))
 
 
-def test_the_readme_names_its_files_where_a_reader_sees_them():
+def test_readme_shows_names_of_its_files():
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    named = [found["name"] for found in snippets(ROOT / "README.md") if found["name"]]
-    assert "fever.py" in named
-    assert [name for name in named if name.endswith((".txt", ".py")) and f"`{name}`" not in text] == []
+    names = [snippet["name"] for snippet in snippets(ROOT / "README.md") if snippet["name"]]
+    assert "fever.py" in names
+    assert [name for name in names if name.endswith((".txt", ".py")) and f"`{name}`" not in text] == []
 
 
-def test_the_example_of_the_readme_prints_what_it_says(tmp_path):
+def test_example_of_readme_has_shown_output(tmp_path):
     files = {}
-    for found in snippets(ROOT / "README.md"):
-        if found["name"]:
-            files[found["name"]] = found["text"]
-            (tmp_path / found["name"]).write_text(found["text"], encoding="utf-8")
+    for snippet in snippets(ROOT / "README.md"):
+        if snippet["name"]:
+            files[snippet["name"]] = snippet["text"]
+            (tmp_path / snippet["name"]).write_text(snippet["text"], encoding="utf-8")
     result = subprocess.run(
         [sys.executable, "fever.py"],
         cwd=tmp_path,
@@ -72,12 +72,12 @@ def prolog():
     for page in PAGES:
         if page == MISTAKES:
             continue
-        for number, found in enumerate(snippets(page)):
-            if found["kind"] == "prolog":
-                yield pytest.param(found["text"], id=f"{page.relative_to(ROOT)}-{number}")
+        for number, snippet in enumerate(snippets(page)):
+            if snippet["kind"] == "prolog":
+                yield pytest.param(snippet["text"], id=f"{page.relative_to(ROOT)}-{number}")
 
 
-PARTS = (
+CHECKS_OF_WHOLE_PROGRAMS = (
     "unread-rules",
     "unpublished",
     "never-made",
@@ -87,116 +87,121 @@ PARTS = (
     "retracted",
     "unbounded-keys",
 )
-"""What is found in a part of a program because the rest of it is not there; the number of keys also depends on it."""
+"""Checks with findings in a part of a program without its other parts."""
 
 
 @pytest.mark.parametrize("text", list(prolog()))
-def test_rules_and_goals_in_the_pages_load_and_check_has_nothing_to_say_of_them(text, definitions):
+def test_rules_and_goals_load_without_findings(text, definitions):
     engine = Engine()
     if text.startswith(("memorize(", "subscribe(")):
         engine.call_goals(text, "snippet")
     else:
         assert list(read_program(text, Operators.prolog(), "snippet"))
         engine.load(rules=text)
-    found = run_checks(ProgramModel(engine.rules, engine.knowledge, definitions, Topics()))
-    meant = (*PARTS, "waits-for-ever") if "unrestricted" in text else PARTS  # which is what it shows
-    assert [str(one.problem) for one in found if one.check not in meant] == []
+    findings = run_checks(ProgramModel(engine.rules, engine.knowledge, definitions, Topics()))
+    expected_checks = CHECKS_OF_WHOLE_PROGRAMS
+    if "unrestricted" in text:  # the page shows the finding
+        expected_checks = (*expected_checks, "waits-for-ever")
+    assert [str(finding.problem) for finding in findings if finding.check not in expected_checks] == []
 
 
 def claims():
-    """Yield a snippet and a line of it that says which events it makes of others."""
+    """Yield a snippet and a line of it with input events and emitted events."""
     for page in PAGES:
-        for found in snippets(page):
-            for line in found["text"].splitlines():
-                if found["kind"] == "prolog" and line.startswith("% ") and "=>" in line:
-                    yield pytest.param(found["text"], line, id=re.sub(r"\W+", "_", line[:60]))
+        for snippet in snippets(page):
+            for line in snippet["text"].splitlines():
+                if snippet["kind"] == "prolog" and line.startswith("% ") and "=>" in line:
+                    yield pytest.param(snippet["text"], line, id=re.sub(r"\W+", "_", line[:60]))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("text, line", list(claims()))
-def test_rules_make_the_events_that_the_pages_say(text, line):
+@pytest.mark.parametrize(("text", "line"), list(claims()))
+def test_rules_emit_shown_events(text, line):
     before, after = (part.strip() for part in line[2:].split("=>"))
-    given, wanted = EVENT.findall(before), EVENT.findall(after)
-    assert given and (wanted or after == "nothing")
+    inputs, expected = EVENT.findall(before), EVENT.findall(after)
+    assert inputs
+    assert expected or after == "nothing"
     engine = Engine()
-    seen = []
+    events = []
     engine.load(rules=text)
     by_clock = any(word in text for word in ("timer(", "state(", "aggregate(", "absent(", " with "))
-    as_said = in_seconds if by_clock else shown  # so that people see the distances
-    engine.on_event(lambda term, *interval: seen.append((engine.show(term), *map(as_said, interval))))
-    for term, start, end in given:
+    format_instant = format_seconds if by_clock else format_datime  # seconds show the distances
+    engine.on_event(
+        lambda term, *interval: events.append((engine.show(term), *map(format_instant, interval)))
+    )
+    for term, start, end in inputs:
         engine.clock.move_to(timestamps.from_seconds(float(end)))
         engine.event(term, *(float(stamp) if "." in stamp else int(stamp) for stamp in (start, end)))
-    told = [event for event in seen if event not in given and not event[0].startswith(UNTOLD)]
-    assert told == wanted
+    emitted = [event for event in events if event not in inputs and not event[0].startswith(OMITTED_EVENTS)]
+    assert emitted == expected
 
 
-def shown(instant):
+def format_datime(instant):
     return Engine().show(timestamps.to_term(instant))
 
 
-def in_seconds(instant):
+def format_seconds(instant):
     return f"{instant / 10**9:g}"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_links_lead_somewhere(page):
+def test_targets_of_links_exist(page):
     for target in LINK.findall(page.read_text(encoding="utf-8")):
         assert (page.parent / target).exists(), target
 
 
 def heading_ids(page):
-    """Return the anchors of a page's headings, as the site and repositories in browsers make them."""
+    """Return the anchors of the headings of a page, as the site and web pages of repositories define them."""
     headings = HEADING.findall(page.read_text(encoding="utf-8"))
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_links_to_headings_lead_to_one(page):
+def test_headings_of_links_exist(page):
     for target, heading in LINK_TO_HEADING.findall(page.read_text(encoding="utf-8")):
         assert heading in heading_ids(page.parent / target if target else page), f"{target}#{heading}"
 
 
 @pytest.mark.slow
-def test_commands_of_the_readme_are_commands():
+def test_commands_of_readme_exist():
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     commands = [shlex.split(line, comments=True) for line in re.findall(r"^    (\S.*)$", text, re.MULTILINE)]
-    known = {"./install.py", "source", "roslaunch", "rosservice", "rosrun", "python3", "pip", "retalis"}
-    assert {command[0] for command in commands} <= known
+    programs = {"./install.py", "source", "roslaunch", "rosservice", "rosrun", "python3", "pip", "retalis"}
+    assert {command[0] for command in commands} <= programs
     for command in commands:
         if command[0] == "./install.py":
-            shown = subprocess.run(
+            process = subprocess.run(
                 [sys.executable, str(ROOT / "install.py"), "--help"], capture_output=True, text=True
             )
-            assert command[1] in shown.stdout
+            assert command[1] in process.stdout
         elif command[0] in ("retalis", "rosrun"):
             words = command[1:] if command[0] == "retalis" else command[3:]
-            module = subprocess.run(
+            help_process = subprocess.run(
                 [sys.executable, "-m", "retalis", *words, "--help"],
                 cwd=ROOT,
                 env={"PYTHONPATH": python_path()},
                 capture_output=True,
                 timeout=60,
             )
-            assert module.returncode == 0
+            assert help_process.returncode == 0
 
 
-def test_launch_arguments_that_the_readme_names_exist():
+def test_launch_arguments_of_readme_exist():
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     launch = ElementTree.parse(ROOT / "launch" / "retalis.launch")
     arguments = {arg.get("name") for arg in launch.iter("arg")}
-    named = set(re.findall(r"`(\w+):=", text))
-    assert named
-    assert named <= arguments
+    names = set(re.findall(r"`(\w+):=", text))
+    assert names
+    assert names <= arguments
 
 
 NAMED_TEST = re.compile(r"`(?:test/)?([\w/]+\.(?:py|test))[ `]")
 
 
-def test_the_tests_that_the_page_on_reliability_names_are_there():
+def test_tests_named_on_reliability_page_exist():
     page = ROOT / "docs" / "explanation" / "reliability.md"
-    named = set(NAMED_TEST.findall(page.read_text(encoding="utf-8")))
-    there = {path.relative_to(ROOT / "test").as_posix() for path in (ROOT / "test").rglob("*.*")}
-    missing = {name for name in named if not any(f"/{path}".endswith(f"/{name}") for path in there)}
-    assert len(named) > 15
+    names = set(NAMED_TEST.findall(page.read_text(encoding="utf-8")))
+    test_paths = {path.relative_to(ROOT / "test").as_posix() for path in (ROOT / "test").rglob("*.*")}
+    missing = {name for name in names if not any(f"/{path}".endswith(f"/{name}") for path in test_paths)}
+    assert len(names) > 15
     assert not missing

@@ -1,4 +1,4 @@
-"""``docs/reference/errors.md``: it has each code of ``retalis check``, and its examples give these codes."""
+"""``docs/reference/errors.md``: each code of ``retalis check`` with an example that has this finding."""
 
 import re
 
@@ -16,7 +16,7 @@ SECTIONS = re.findall(
 ROW = re.compile(r"^\| \[`(RT\d{4})`\]\(#[\w-]+\) \| `([\w-]+)` \| ([\w ]+) \| ([^|]+) \|$", re.MULTILINE)
 
 
-def test_each_code_has_a_row_and_a_section():
+def test_each_code_has_row_and_section():
     rows = [
         (code, check, severity) for code, check, severity, _ in ROW.findall(PAGE.read_text(encoding="utf-8"))
     ]
@@ -29,7 +29,7 @@ def test_each_code_has_a_row_and_a_section():
     assert [code for code, _ in SECTIONS] == [code for code, _, _ in rows]
 
 
-def test_rows_have_the_titles_of_their_sections():
+def test_rows_have_titles_of_sections():
     text = PAGE.read_text(encoding="utf-8")
     assert [f"### {code}: {title}" for code, _, _, title in ROW.findall(text)] == re.findall(
         r"^### .*$", text, re.MULTILINE
@@ -37,8 +37,8 @@ def test_rows_have_the_titles_of_their_sections():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("code, section", SECTIONS, ids=[code for code, _ in SECTIONS])
-def test_the_example_gives_the_code_and_the_output_of_the_page(code, section, tmp_path):
+@pytest.mark.parametrize(("code", "section"), SECTIONS, ids=[code for code, _ in SECTIONS])
+def test_example_has_code_and_output_of_page(code, section, tmp_path):
     run = PageRun(tmp_path)
     fences = list(FENCE.finditer(section))
     for fence in fences:

@@ -1,4 +1,4 @@
-"""The table of docs/reference/flags.md against the flags of the code: names, values and defaults."""
+"""Table of ``docs/reference/flags.md``, compared with the flags of the code: names, values and defaults."""
 
 import re
 
@@ -28,22 +28,22 @@ def rows():
 ROWS = list(rows())
 
 
-def test_the_table_has_every_flag_once():
+def test_table_has_each_flag_once():
     assert sorted(name for name, _ in ROWS) == sorted(FLAGS)
 
 
 @pytest.mark.parametrize(("name", "cell"), ROWS)
-def test_values_and_defaults_are_those_of_the_code(name, cell):
-    flag, shown = FLAGS[name], QUOTED.findall(cell)
+def test_values_and_default_equal_those_of_code(name, cell):
+    flag, values = FLAGS[name], QUOTED.findall(cell)
     (answer,) = Engine().query(f"get_etalis_flag({name}, Value)")
-    assert Engine().show(answer["Value"]) == shown[0]
+    assert Engine().show(answer["Value"]) == values[0]
     if flag.values:
-        assert sorted(shown) == sorted(flag.values)
+        assert sorted(values) == sorted(flag.values)
     else:
         assert NUMBERS[cell.partition(", ")[2]] == (flag.is_integer, flag.minimum)
 
 
-def test_the_limit_of_0_seconds_is_a_value():
+def test_limit_of_0_seconds_is_valid():
     # The page says that -1 and 0 mean no limit.
     seconds = [name for name, cell in ROWS if cell == "`-1`, seconds"]
     assert len(seconds) == 4

@@ -1,4 +1,4 @@
-"""The how-to guides: their files are written, and commands, goals and Python print what the page shows."""
+"""How-to guides: commands, goals and Python code have the output on the page."""
 
 import re
 
@@ -12,7 +12,7 @@ MAX_WORDS, MAX_WORDS_OF_PAGE = 10500, 700
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_page_shows_what_happens(page, tmp_path, monkeypatch):
+def test_snippets_have_output_of_page(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     run = PageRun(tmp_path)
     for section in re.split(r"^(?=## )", page.read_text(encoding="utf-8"), flags=re.MULTILINE):
@@ -27,7 +27,7 @@ def test_page_ends_with_links_and_is_short(page):
     assert len(text.split()) <= MAX_WORDS_OF_PAGE
 
 
-def test_all_pages_are_in_the_index_and_short_together():
+def test_index_has_all_pages_and_total_is_limited():
     index = (ROOT / "docs" / "how-to" / "index.md").read_text(encoding="utf-8")
     assert {page.name for page in PAGES} - {"index.md"} == set(re.findall(r"\]\(([\w-]+\.md)\)", index))
     assert sum(len(page.read_text(encoding="utf-8").split()) for page in PAGES) <= MAX_WORDS

@@ -1,3 +1,5 @@
+"""Installation script: platforms, packages, arguments, lint, documentation site, and removal."""
+
 import importlib
 import io
 import os
@@ -23,7 +25,7 @@ def install():
 
 @pytest.fixture(autouse=True)
 def environment():
-    """Restore the environment variables: `install.main` removes those that results must not depend on."""
+    """Restore the environment variables, because `install.main` removes some of them."""
     with patch.dict(os.environ):
         yield os.environ
 
@@ -33,7 +35,7 @@ def apt(install):
     return importlib.import_module("install_apt")
 
 
-def test_os_release_with_and_without_quotes(install):
+def test_os_release_is_parsed(install):
     text = '# made by hand\nID=debian\nVERSION_ID="12"\nPRETTY_NAME="Debian GNU/Linux 12 (bookworm)"\n\n'
     assert install.parse_os_release(text) == {
         "ID": "debian",
@@ -43,17 +45,17 @@ def test_os_release_with_and_without_quotes(install):
 
 
 @pytest.mark.parametrize(
-    "release, name",
+    ("release", "name"),
     [
         ({"ID": "debian", "VERSION_ID": "12"}, "Debian 12"),
         ({"ID": "ubuntu", "VERSION_ID": "20.04"}, "Ubuntu 20.04"),
     ],
 )
-def test_known_platforms(install, release, name):
+def test_known_platform_is_chosen(install, release, name):
     assert install.choose_platform(release).name == name
 
 
-def test_unknown_platform_names_itself_and_the_way_without_ros(install):
+def test_unknown_platform_is_an_error_with_advice(install):
     with pytest.raises(install.Problem, match=r"this is Arch Linux; .*/bin/retalis demo") as raised:
         install.choose_platform({"ID": "arch", "PRETTY_NAME": "Arch Linux"})
     assert "\n" not in str(raised.value)
@@ -65,27 +67,27 @@ def test_platforms_name_each_package_once(install):
         assert len(set(packages)) == len(packages)
 
 
-def test_missing_packages_keeps_the_order_and_counts_removed_ones(install):
+def test_missing_packages_keep_order(install):
     report = "b install ok installed\nc deinstall ok config-files\n"
     assert install.find_missing_packages(["d", "c", "b", "a"], report) == ["d", "c", "a"]
 
 
-def test_sudo_only_where_it_is_needed(install):
+def test_sudo_is_used_without_root_only(install):
     assert install.prefix_sudo(["apt-get", "update"], 0) == ["apt-get", "update"]
     assert install.prefix_sudo(["apt-get", "update"], 1000) == ["sudo", "apt-get", "update"]
 
 
-def test_digest_tells_texts_apart(install):
+def test_digest_depends_on_separation_of_texts(install):
     assert install.short_digest("ab", "c") != install.short_digest("a", "bc")
     assert install.short_digest("ab", "c") == install.short_digest("ab", "c")
 
 
-def test_bash_keeps_arguments_apart(install):
+def test_bash_command_quotes_arguments(install):
     command = install.make_bash_command(["X=1", 'exec "$@"'], ["printf", "%s|", "a b", "$X", "'"])
     assert subprocess.check_output(command) == b"a b|$X|'|"
 
 
-def test_a_sourced_script_does_not_see_the_options_of_the_command(install, tmp_path):
+def test_sourced_script_has_no_arguments(install, tmp_path):
     script = tmp_path / "set up.bash"
     script.write_text('seen="$*"\n', encoding="utf-8")
     command = install.make_bash_command(
@@ -94,7 +96,7 @@ def test_a_sourced_script_does_not_see_the_options_of_the_command(install, tmp_p
     assert subprocess.check_output(command) == b"|--help|a b|"
 
 
-def test_arguments(install):
+def test_arguments_have_defaults_and_are_passed(install):
     options = install.parse_arguments([])
     assert (options.command, options.passed_arguments, options.dry_run) == ("build", [], False)
     assert options.workspace == install.default_workspace(HERE, os.environ).resolve()
@@ -103,24 +105,24 @@ def test_arguments(install):
     assert (options.command, options.passed_arguments) == ("demo", ["--bag", "x.bag", "--seconds", "5"])
 
 
-def test_each_copy_of_the_sources_has_its_own_workspace(install):
+def test_each_clone_has_own_workspace(install):
     home = {"HOME": "/home/me"}
-    one = install.default_workspace(Path("/a/retalis"), home)
-    assert str(one).startswith("/home/me/.cache/retalis/retalis-")
-    assert one != install.default_workspace(Path("/b/retalis"), home)
+    workspace = install.default_workspace(Path("/a/retalis"), home)
+    assert str(workspace).startswith("/home/me/.cache/retalis/retalis-")
+    assert workspace != install.default_workspace(Path("/b/retalis"), home)
     cache = {"HOME": "/home/me", "XDG_CACHE_HOME": "/cache"}
     assert install.default_workspace(Path("/a/retalis"), cache).parent == Path("/cache/retalis")
 
 
-@pytest.mark.parametrize("place", [".", "build/workspace"])
-def test_a_workspace_inside_the_package_is_refused(install, place, capsys):
+@pytest.mark.parametrize("folder", [".", "build/workspace"])
+def test_workspace_within_clone_is_refused(install, folder, capsys):
     with pytest.raises(SystemExit):
-        install.parse_arguments(["--workspace", str(HERE / place)])
+        install.parse_arguments(["--workspace", str(HERE / folder)])
     assert "outside the package" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("argv", [["lint", "--fast"], ["--fast"], ["buidl"]])
-def test_wrong_arguments_are_refused(install, argv, capsys):
+def test_invalid_arguments_are_usage_errors(install, argv, capsys):
     with pytest.raises(SystemExit) as raised:
         install.parse_arguments(argv)
     assert raised.value.code == 2
@@ -128,7 +130,7 @@ def test_wrong_arguments_are_refused(install, argv, capsys):
 
 
 class Recorder:
-    """A shell that only notes what it should run."""
+    """A shell that records commands instead of running them."""
 
     dry = False
 
@@ -144,20 +146,20 @@ class Recorder:
         return 0
 
 
-def nothing_installed(*arguments, **options):
+def report_nothing_installed(*arguments, **options):
     return subprocess.CompletedProcess(arguments, 1, stdout="")
 
 
 @pytest.fixture
 def noetic(install, tmp_path, monkeypatch):
-    """Ubuntu 20.04 without ROS and without root."""
+    """Return an installation on Ubuntu 20.04 without ROS and without root."""
     platform = install.UBUNTU_20_04._replace(setup=str(tmp_path / "no" / "setup.bash"))
-    monkeypatch.setattr(install.subprocess, "run", nothing_installed)
+    monkeypatch.setattr(install.subprocess, "run", report_nothing_installed)
     monkeypatch.setattr(install.os, "getuid", lambda: 1000)
     return install.Installation(platform, tmp_path, Recorder(tmp_path / "log"))
 
 
-def test_noetic_gets_its_source_and_key_before_its_packages(install, apt, noetic, monkeypatch, capsys):
+def test_source_and_key_of_ros_precede_packages(install, apt, noetic, monkeypatch, capsys):
     monkeypatch.setattr(install, "ros_source_lines", list)
     monkeypatch.setattr(
         apt.urllib.request, "urlopen", lambda url, timeout: io.BytesIO(b"key of " + url.encode())
@@ -165,17 +167,20 @@ def test_noetic_gets_its_source_and_key_before_its_packages(install, apt, noetic
     noetic.install_system_packages()
     lines = [" ".join(command) for command in noetic.shell.commands]
     assert lines[0] == "sudo -v"
-    assert lines[1].startswith("sudo install -m 644 ") and lines[1].endswith(install.KEY_FILE)
-    assert lines[2].startswith("sudo install -m 644 ") and lines[2].endswith(install.SOURCE_FILE)
+    assert lines[1].startswith("sudo install -m 644 ")
+    assert lines[1].endswith(install.KEY_FILE)
+    assert lines[2].startswith("sudo install -m 644 ")
+    assert lines[2].endswith(install.SOURCE_FILE)
     assert lines[3] == "sudo env DEBIAN_FRONTEND=noninteractive apt-get update"
     assert "ros-noetic-rospy" in lines[4]
     source = (noetic.shell.logs / Path(install.SOURCE_FILE).name).read_text()
     assert source == f"deb [signed-by={install.KEY_FILE}] http://packages.ros.org/ros/ubuntu focal main\n"
-    said = capsys.readouterr().out
-    assert install.SOURCE_FILE in said and "ros-noetic-rospy" in said
+    output = capsys.readouterr().out
+    assert install.SOURCE_FILE in output
+    assert "ros-noetic-rospy" in output
 
 
-def test_no_key_says_where_to_read_on(install, apt, noetic, monkeypatch):
+def test_missing_key_is_an_error_with_advice(install, apt, noetic, monkeypatch):
     def refuse(url, timeout):
         raise OSError("no route")
 
@@ -185,7 +190,7 @@ def test_no_key_says_where_to_read_on(install, apt, noetic, monkeypatch):
         noetic.install_system_packages()
 
 
-def test_certificates_come_before_the_key(install, apt, noetic, monkeypatch, tmp_path):
+def test_certificates_precede_key(install, apt, noetic, monkeypatch, tmp_path):
     monkeypatch.setattr(install, "ros_source_lines", list)
     monkeypatch.setattr(install, "CERTIFICATES", str(tmp_path / "none"))
     monkeypatch.setattr(apt.urllib.request, "urlopen", lambda url, timeout: io.BytesIO(b"key"))
@@ -212,7 +217,7 @@ IFJPUw==
 
 
 @pytest.mark.parametrize(
-    ("line", "place", "written"),
+    ("line", "key_file", "content"),
     [
         (
             "deb [arch=amd64 signed-by=/k/ros.gpg] http://packages.ros.org/ros/ubuntu f m",
@@ -224,14 +229,14 @@ IFJPUw==
     ],
 )
 @pytest.mark.parametrize("fails", [False, True])
-def test_a_key_that_has_expired_is_replaced(install, apt, noetic, monkeypatch, line, place, written, fails):
+def test_expired_key_is_replaced(install, apt, noetic, monkeypatch, line, key_file, content, fails):
     monkeypatch.setattr(install, "ros_source_lines", lambda: [line])
     monkeypatch.setattr(apt.urllib.request, "urlopen", lambda url, timeout: io.BytesIO(ARMOURED))
     shell = noetic.shell
-    note = shell.run_logged
+    record = shell.run_logged
 
     def run_logged(title, name, command, cwd=None):
-        note(title, name, command, cwd)
+        record(title, name, command, cwd)
         if name == "apt-update":
             shell.logs.mkdir(exist_ok=True)
             first = "again" not in title
@@ -242,15 +247,16 @@ def test_a_key_that_has_expired_is_replaced(install, apt, noetic, monkeypatch, l
     shell.run_logged = run_logged
     noetic.install_system_packages()
     lines = [" ".join(command) for command in shell.commands]
-    place = place or apt.DEFAULT_KEY_FILE
+    key_file = key_file or apt.DEFAULT_KEY_FILE
     assert lines[1].endswith("apt-get update")
-    assert lines[2].startswith("sudo install -m 644 ") and lines[2].endswith(" " + place)
-    assert (shell.logs / Path(place).name).read_bytes() == written
+    assert lines[2].startswith("sudo install -m 644 ")
+    assert lines[2].endswith(" " + key_file)
+    assert (shell.logs / Path(key_file).name).read_bytes() == content
     assert lines[3].endswith("apt-get update")
     assert "ros-noetic-rospy" in lines[4]
 
 
-def test_an_update_that_fails_otherwise_ends_the_run(install, noetic, monkeypatch):
+def test_other_failure_of_update_is_an_error(install, noetic, monkeypatch):
     monkeypatch.setattr(
         install, "ros_source_lines", lambda: ["deb http://packages.ros.org/ros/ubuntu focal main"]
     )
@@ -270,14 +276,14 @@ W: Failed to fetch http://deb.debian.org/debian/dists/bookworm/InRelease  Tempor
 
 
 @pytest.mark.parametrize(
-    "update, log",
+    ("update", "log"),
     [
         (UNREACHABLE, "E: Unable to locate package ros-noetic-catkin\n"),
         (UNREACHABLE, "E: Package 'catkin' has no installation candidate\n"),
         ("", "Err:1 http://deb\n  Temporary failure resolving 'deb.debian.org'\n"),
     ],
 )
-def test_without_a_network_the_network_is_named(install, noetic, monkeypatch, update, log):
+def test_missing_network_is_named(install, noetic, monkeypatch, update, log):
     monkeypatch.setattr(
         install, "ros_source_lines", lambda: ["deb http://packages.ros.org/ros/ubuntu focal main"]
     )
@@ -294,12 +300,12 @@ def test_without_a_network_the_network_is_named(install, noetic, monkeypatch, up
         noetic.install_system_packages()
 
 
-def test_a_failure_that_is_not_of_the_network_stays_what_it_is(apt):
+def test_other_failure_is_no_network_problem(apt):
     assert apt.network_problem("E: You don't have enough free space\n", UNREACHABLE) is None
 
 
 @pytest.mark.parametrize("audit", ["The following packages are only half configured:\n catkin\n", ""])
-def test_an_installation_that_was_interrupted_is_finished_first(install, noetic, monkeypatch, audit):
+def test_interrupted_installation_is_finished_first(install, noetic, monkeypatch, audit):
     def run(command, **options):
         return subprocess.CompletedProcess(command, 0, stdout=audit if "--audit" in command else "")
 
@@ -316,31 +322,31 @@ def test_an_installation_that_was_interrupted_is_finished_first(install, noetic,
 
 @pytest.fixture
 def bare(tmp_path):
-    """Return a function that runs install.py with sh where there are only the given commands, and no Python.
+    """Return a function that runs install.py with sh and the given commands only, without Python.
 
-    Commands note how they were called in a file; apt-get installs a Python that does so too.
+    Commands record their calls in a file; apt-get installs a Python that does so, too.
     """
-    python, notes, folder = tmp_path / "python3", tmp_path / "notes", tmp_path / "bin"
+    python, calls, folder = tmp_path / "python3", tmp_path / "calls", tmp_path / "bin"
     program = tmp_path / "install.py"
     program.write_text((HERE / "install.py").read_text().replace("/usr/bin/python3", str(python)))
-    note = f"""#!/bin/sh
+    record_call = f"""#!/bin/sh
 name=${{0##*/}}
-for word in "$name" "$@"; do printf '%s|' "$word" >> {notes}; done
-echo >> {notes}
+for word in "$name" "$@"; do printf '%s|' "$word" >> {calls}; done
+echo >> {calls}
 """
     bodies = {
         "id": "#!/bin/sh\necho 0\n",
         "user": "#!/bin/sh\necho 1000\n",
         "env": '#!/bin/sh\nshift\nexec "$@"\n',
-        "dpkg": note,
-        "sudo": note + 'exec "$@"\n',
-        "apt-get": f"{note}case $1 in install) cp {folder}/python.txt {python} && chmod +x {python} ;; esac\n",
-        "broken": f"{note}case $1 in install) exit 100 ;; esac\n",
+        "dpkg": record_call,
+        "sudo": record_call + 'exec "$@"\n',
+        "apt-get": f"{record_call}case $1 in install) cp {folder}/python.txt {python} && chmod +x {python} ;; esac\n",
+        "broken": f"{record_call}case $1 in install) exit 100 ;; esac\n",
     }
 
     def run(commands, *arguments):
         folder.mkdir()
-        (folder / "python.txt").write_text(note)
+        (folder / "python.txt").write_text(record_call)
         for name in commands.split():
             command, _, body = name.partition("=")
             (folder / command).write_text(bodies[body or command])
@@ -348,18 +354,18 @@ echo >> {notes}
         for name in ("cp", "chmod"):
             (folder / name).symlink_to(shutil.which(name))
         shell = shutil.which("sh")
-        ran = subprocess.run(
+        process = subprocess.run(
             [shell, str(program), *arguments], env={"PATH": str(folder)}, capture_output=True, text=True
         )
-        return ran.returncode, ran.stderr, notes.read_text().splitlines() if notes.exists() else []
+        return process.returncode, process.stderr, calls.read_text().splitlines() if calls.exists() else []
 
     return run
 
 
-def test_python_is_installed_where_it_is_missing(bare, tmp_path):
-    status, errors, notes = bare("id env dpkg apt-get", "test", "-k", "a or  b", "")
+def test_missing_python_is_installed(bare, tmp_path):
+    status, errors, calls = bare("id env dpkg apt-get", "test", "-k", "a or  b", "")
     assert (status, errors) == (0, "")
-    assert notes == [
+    assert calls == [
         "dpkg|--configure|-a|",
         "apt-get|update|-qq|",
         "apt-get|install|-y|-qq|--no-install-recommends|python3|",
@@ -367,15 +373,15 @@ def test_python_is_installed_where_it_is_missing(bare, tmp_path):
     ]
 
 
-def test_python_is_installed_with_sudo_by_users(bare):
-    status, _, notes = bare("id=user env dpkg apt-get sudo", "demo")
+def test_missing_python_is_installed_with_sudo(bare):
+    status, _, calls = bare("id=user env dpkg apt-get sudo", "demo")
     assert status == 0
-    assert notes[0] == "sudo|env|DEBIAN_FRONTEND=noninteractive|dpkg|--configure|-a|"
-    assert notes[-1].endswith("|demo|")
+    assert calls[0] == "sudo|env|DEBIAN_FRONTEND=noninteractive|dpkg|--configure|-a|"
+    assert calls[-1].endswith("|demo|")
 
 
 @pytest.mark.parametrize(
-    "commands, arguments, message",
+    ("commands", "arguments", "message"),
     [
         ("id=user env dpkg apt-get", [], "python3 is missing: installing it needs root or sudo"),
         ("id env", [], "python3 is missing: install Python 3.8 or later, then run this again"),
@@ -387,48 +393,48 @@ def test_python_is_installed_with_sudo_by_users(bare):
         ),
     ],
 )
-def test_where_python_cannot_be_installed_one_line_says_why(bare, commands, arguments, message):
-    status, errors, notes = bare(commands, *arguments)
+def test_failed_installation_of_python_is_an_error(bare, commands, arguments, message):
+    status, errors, calls = bare(commands, *arguments)
     assert (status, errors) == (1, f"install.py: {message}\n")
-    assert not any(line.startswith("python3") for line in notes)
+    assert not any(line.startswith("python3") for line in calls)
 
 
-def test_a_dry_run_does_not_install_python(bare):
+def test_dry_run_does_not_install_python(bare):
     assert bare("id env dpkg apt-get", "test", "--dry-run") == (0, "", [])
 
 
-def test_sh_and_python_read_the_same_file():
+def test_script_runs_in_sh_and_python():
     for program in ("sh", "/usr/bin/env python3"):
         command = [*program.split(), str(HERE / "install.py"), "--workspace", "/tmp/a b"]
-        ran = subprocess.run(command, stderr=subprocess.PIPE, text=True)
-        assert ran.returncode == 2
-        assert "the workspace '/tmp/a b' has ' ' in its path" in ran.stderr
+        process = subprocess.run(command, stderr=subprocess.PIPE, text=True)
+        assert process.returncode == 2
+        assert "the workspace '/tmp/a b' has ' ' in its path" in process.stderr
 
 
-def test_a_closed_pipe_ends_the_program_without_a_traceback(tmp_path):
+def test_closed_pipe_ends_script_without_traceback(tmp_path):
     reading, writing = os.pipe()
     os.close(reading)
     workspace = str(tmp_path / "workspace")
     command = [sys.executable, str(HERE / "install.py"), "test", "--dry-run", "--workspace", workspace]
-    ran = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True)
+    process = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True)
     os.close(writing)
-    assert ran.returncode == 1
-    assert "Error" not in ran.stderr
+    assert process.returncode == 1
+    assert "Error" not in process.stderr
 
 
 @pytest.mark.parametrize("name", ["mein Büro", "a;b$(c)", "(x)"])
-def test_names_of_workspaces_have_no_special_characters(install, name):
+def test_workspace_has_no_special_characters(install, name):
     workspace = install.default_workspace(Path("/home/me") / name, {"HOME": "/home/me"})
     assert re.fullmatch(r"[\w.-]+", workspace.name, re.ASCII)
     assert workspace != install.default_workspace(Path("/home/me/mein_B_ro"), {"HOME": "/home/me"})
 
 
-def test_what_is_no_key_is_refused(apt):
+def test_invalid_key_is_refused(apt):
     with pytest.raises(apt.Problem, match="is not a key"):
         apt.dearmor(b"<html>")
 
 
-def test_lines_of_ros(apt, tmp_path):
+def test_source_lines_of_ros_are_found(apt, tmp_path):
     (tmp_path / "sources.list.d").mkdir()
     (tmp_path / "sources.list").write_text("# deb http://packages.ros.org/ros/ubuntu x\ndeb http://other y\n")
     assert apt.ros_source_lines(tmp_path) == []
@@ -439,7 +445,7 @@ def test_lines_of_ros(apt, tmp_path):
     assert apt.key_problem("Hit:1 http://packages.ros.org/ros/ubuntu focal InRelease") is None
 
 
-def test_without_system_the_missing_packages_are_named(install, noetic):
+def test_missing_packages_are_named_without_system(install, noetic):
     noetic.system = False
     with pytest.raises(
         install.Problem, match=r"system packages are missing: ca-certificates cmake .*ros-noetic-rospy"
@@ -449,17 +455,17 @@ def test_without_system_the_missing_packages_are_named(install, noetic):
 
 
 @pytest.mark.parametrize(
-    "version, options",
+    ("version", "options"),
     [((3, 8), ["--no-warn-unused-ignores", "--no-warn-return-any"]), ((3, 9), []), ((3, 11), [])],
 )
-def test_lint_checks_types_on_every_python(install, noetic, monkeypatch, version, options):
+def test_lint_checks_types_with_options_of_python(install, noetic, monkeypatch, version, options):
     monkeypatch.setattr(install, "sys", SimpleNamespace(version_info=version))
     assert install.run_lint(noetic) == 0
-    (types,) = [command for command in noetic.shell.commands if "mypy" in command]
-    assert types[types.index("mypy") + 1 :] == options
+    (command,) = [command for command in noetic.shell.commands if "mypy" in command]
+    assert command[command.index("mypy") + 1 :] == options
 
 
-def test_each_dependency_of_the_manifest_is_known(install):
+def test_dependencies_of_manifest_are_known(install):
     manifest = (HERE / "package.xml").read_text()
     assert install.find_dependency_problems(manifest) == []
     names = set(re.findall(r"<\w*depend>([^<]+)<", manifest))
@@ -469,18 +475,16 @@ def test_each_dependency_of_the_manifest_is_known(install):
 
 
 @pytest.mark.parametrize("tag", ["exec_depend", "test_depend", "depend"])
-def test_lint_fails_on_an_unknown_dependency(install, noetic, monkeypatch, tmp_path, capsys, tag):
+def test_unknown_dependency_fails_lint(install, noetic, monkeypatch, tmp_path, capsys, tag):
     manifest = (HERE / "package.xml").read_text()
-    wrong = manifest.replace("</package>", f"<{tag}>rosppy</{tag}></package>")
-    (tmp_path / "package.xml").write_text(wrong)
+    changed_manifest = manifest.replace("</package>", f"<{tag}>rosppy</{tag}></package>")
+    (tmp_path / "package.xml").write_text(changed_manifest)
     monkeypatch.setattr(install, "HERE", tmp_path)
     assert install.run_lint(noetic) == 1
     assert f"package.xml: unknown {tag} 'rosppy': expected a key of rosdep" in capsys.readouterr().out
 
 
-def test_lint_fails_where_the_package_of_a_dependency_is_not_installed(
-    install, monkeypatch, tmp_path, capsys
-):
+def test_missing_package_of_dependency_fails_lint(install, monkeypatch, tmp_path, capsys):
     packages = {*install.DEPENDENCIES.values()} - {"python3-tf2"}
     status = "".join(f"{name} install ok installed\n" for name in packages)
     monkeypatch.setattr(install, "query_installed_packages", lambda names: status)
@@ -490,17 +494,19 @@ def test_lint_fails_where_the_package_of_a_dependency_is_not_installed(
 
 
 @pytest.mark.parametrize("command", ["demo", "test", "lint", "docs", "uninstall"])
-@pytest.mark.parametrize("place", [["--workspace", "/some/where"], ["--workspace=/some/where"]])
-def test_options_may_stand_before_the_command_and_behind_it(install, command, place):
-    before = install.parse_arguments([*place, "--dry-run", command])
-    assert before.workspace == Path("/some/where").resolve() and before.dry_run and not before.no_system
-    assert vars(install.parse_arguments([command, *place, "--dry-run"])) == vars(before)
-    assert vars(install.parse_arguments(["--dry-run", command, *place])) == vars(before)
+@pytest.mark.parametrize("options", [["--workspace", "/some/where"], ["--workspace=/some/where"]])
+def test_options_may_precede_or_follow_command(install, command, options):
+    before = install.parse_arguments([*options, "--dry-run", command])
+    assert before.workspace == Path("/some/where").resolve()
+    assert before.dry_run
+    assert not before.no_system
+    assert vars(install.parse_arguments([command, *options, "--dry-run"])) == vars(before)
+    assert vars(install.parse_arguments(["--dry-run", command, *options])) == vars(before)
 
 
 @pytest.fixture
-def ran(install, environment, monkeypatch, tmp_path):
-    """Return a function that runs install.py up to the command of the tests; it returns the environment of that."""
+def environment_of_tests(install, environment, monkeypatch, tmp_path):
+    """Return a function that runs install.py up to the command of the tests and returns its environment."""
     environment.update(PYTHONUNBUFFERED="1", RETALIS_SCENARIOS="here")
     monkeypatch.setattr(install, "Shell", lambda logs, dry: Recorder(logs))
     for step in ("install_system_packages", "install_python_packages"):
@@ -513,29 +519,29 @@ def ran(install, environment, monkeypatch, tmp_path):
     return run
 
 
-def test_the_tests_run_without_what_the_shell_has(ran, tmp_path):
-    environment = ran("test")
+def test_tests_have_minimal_environment(environment_of_tests, tmp_path):
+    environment = environment_of_tests("test")
     assert "PYTHONUNBUFFERED" not in environment
     assert environment["RETALIS_SCENARIOS"] == "here"
     assert environment["RETALIS_WORKSPACE"] == str(tmp_path / "ws")
 
 
-def test_all_the_tests_say_first_how_long_they_take(ran, capsys):
-    ran("test")
+def test_run_of_all_tests_prints_duration(environment_of_tests, capsys):
+    environment_of_tests("test")
     assert capsys.readouterr().out.startswith("All tests take up to 15 minutes on two cores")
-    ran("test", "test/test_api.py")
+    environment_of_tests("test", "test/test_api.py")
     assert "minutes" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("options", [[], ["test/ros1"], ["-m", "not slow", "--ignore", "test/test_api.py"]])
-def test_both_cores_run_tests(install, options):
+def test_tests_run_on_two_cores(install, options):
     assert install.choose_parallel_options(options) == ("-n", "3", "--dist", "worksteal")
 
 
 @pytest.mark.parametrize(
     "options", [["-n", "4"], ["-n0"], ["--pdb"], ["test/test_api.py"], ["test/test_api.py::test_x"], ["--co"]]
 )
-def test_a_single_file_and_what_the_user_says_are_left_to_pytest(install, options):
+def test_single_file_or_option_disables_parallel_run(install, options):
     assert install.choose_parallel_options(options) == ()
 
 
@@ -543,7 +549,7 @@ def test_a_single_file_and_what_the_user_says_are_left_to_pytest(install, option
 def packages(install, monkeypatch, tmp_path):
     """Return a function that returns the packages that a command installs on a platform."""
 
-    class Stopped(Exception):
+    class StopError(Exception):
         pass
 
     def run(platform, *words):
@@ -551,11 +557,11 @@ def packages(install, monkeypatch, tmp_path):
 
         def stop(platform, *rest):
             installed.extend(platform.packages)
-            raise Stopped
+            raise StopError
 
         monkeypatch.setattr(install, "choose_platform", lambda release: platform)
         monkeypatch.setattr(install, "Installation", stop)
-        with pytest.raises(Stopped):
+        with pytest.raises(StopError):
             install.main(["--workspace", str(tmp_path / "ws"), *words])
         return installed
 
@@ -577,7 +583,7 @@ def test_shells_and_browser_are_installed_for_tests(install, packages):
         assert packages(debian, command) == debian.packages
 
 
-def test_what_is_not_for_the_installation_goes_on(install):
+def test_other_options_are_passed_to_tests(install):
     options = install.parse_arguments(["test", "-k", "a or b", "--dry-run", "--no-summary", "--inst"])
     assert (options.dry_run, options.no_system, options.install) == (True, False, False)
     assert options.passed_arguments == ["-k", "a or b", "--no-summary", "--inst"]
@@ -585,8 +591,8 @@ def test_what_is_not_for_the_installation_goes_on(install):
 
 @pytest.fixture
 def workspace(install, tmp_path):
-    """A workspace as a build leaves it."""
-    there = tmp_path / "retalis" / "clone-1"
+    """Return a built workspace."""
+    workspace = tmp_path / "retalis" / "clone-1"
     for name in (
         "log/catkin_make.log",
         "venv/bin/python3",
@@ -595,27 +601,29 @@ def workspace(install, tmp_path):
         "devel/setup.bash",
         ".catkin_workspace",
     ):
-        (there / name).parent.mkdir(parents=True, exist_ok=True)
-        (there / name).touch()
-    (there / "src").mkdir()
-    (there / "src" / "retalis").symlink_to(install.HERE)
-    (there / "src" / "CMakeLists.txt").symlink_to("/nowhere")
-    return there
+        (workspace / name).parent.mkdir(parents=True, exist_ok=True)
+        (workspace / name).touch()
+    (workspace / "src").mkdir()
+    (workspace / "src" / "retalis").symlink_to(install.HERE)
+    (workspace / "src" / "CMakeLists.txt").symlink_to("/nowhere")
+    return workspace
 
 
-def test_uninstall_removes_what_was_made_and_says_what_is_left(install, workspace, capsys):
+def test_uninstall_removes_workspace(install, workspace, capsys):
     before = sorted(workspace.rglob("*"))
     assert install.main(["uninstall", "--workspace", str(workspace), "--dry-run"]) == 0
     assert f"would remove {workspace}/devel\n" in capsys.readouterr().out
     assert sorted(workspace.rglob("*")) == before
     assert install.main(["uninstall", "--workspace", str(workspace)]) == 0
     assert capsys.readouterr().out.endswith(f"This clone is left: {install.HERE}\n")
-    assert not workspace.parent.exists() and workspace.parent.parent.exists() and install.HERE.exists()
+    assert not workspace.parent.exists()
+    assert workspace.parent.parent.exists()
+    assert install.HERE.exists()
     with pytest.raises(install.Problem, match="nothing is installed in"):
         install.main(["uninstall", "--workspace", str(workspace)])
 
 
-def test_uninstall_names_the_packages_that_it_leaves(install, workspace, capsys, monkeypatch):
+def test_uninstall_names_remaining_packages(install, workspace, capsys, monkeypatch):
     (workspace / install.PACKAGE_RECORD).write_text("python3\ncatkin\ngone\ncatkin\n")
     status = "catkin install ok installed\npython3 install ok installed\ngone deinstall ok config-files\n"
     monkeypatch.setattr(install, "query_installed_packages", lambda names: status)
@@ -628,11 +636,12 @@ def no_address(name):
     raise OSError("Name or service not known")
 
 
-def test_localhost_is_made_known(install, noetic, workspace, monkeypatch, capsys):
+def test_localhost_is_added_to_hosts(install, noetic, workspace, monkeypatch, capsys):
     monkeypatch.setattr(install.socket, "gethostbyname", no_address)
     noetic.add_localhost()
     (command,) = noetic.shell.commands
-    assert command[:3] == ["sudo", "sh", "-c"] and command[4:] == ["127.0.0.1 localhost", "/etc/hosts"]
+    assert command[:3] == ["sudo", "sh", "-c"]
+    assert command[4:] == ["127.0.0.1 localhost", "/etc/hosts"]
     shutil.copy(noetic.workspace / install.PACKAGE_RECORD, workspace)
     install.main(["uninstall", "--workspace", str(workspace)])
     assert "The line '127.0.0.1 localhost' is left in /etc/hosts.\n" in capsys.readouterr().out
@@ -641,13 +650,13 @@ def test_localhost_is_made_known(install, noetic, workspace, monkeypatch, capsys
         noetic.add_localhost()
 
 
-def test_a_localhost_that_is_known_is_left_alone(install, noetic, monkeypatch):
+def test_known_localhost_is_not_added(install, noetic, monkeypatch):
     monkeypatch.setattr(install.socket, "gethostbyname", lambda name: "127.0.0.1")
     noetic.add_localhost()
     assert noetic.shell.commands == []
 
 
-def test_packages_that_are_installed_are_recorded(install, noetic, monkeypatch):
+def test_installed_packages_are_recorded(install, noetic, monkeypatch):
     monkeypatch.setattr(
         install, "ros_source_lines", lambda: ["deb http://packages.ros.org/ros/ubuntu focal main"]
     )
@@ -658,16 +667,22 @@ def test_packages_that_are_installed_are_recorded(install, noetic, monkeypatch):
     assert "RETALIS_INSTALLED" not in os.environ
 
 
-def test_uninstall_leaves_what_is_of_others(install, workspace, capsys):
+def test_uninstall_keeps_other_files(install, workspace, capsys):
     (workspace / "notes.txt").touch()
     (workspace / "src" / "other").mkdir()
     assert install.main(["uninstall", "--workspace", str(workspace)]) == 0
     assert f"{workspace} holds other too: build, devel and install are left" in capsys.readouterr().out
-    kept = {path.relative_to(workspace).as_posix() for path in workspace.rglob("*") if not path.is_dir()}
-    assert kept == {"notes.txt", "build/x", "devel/setup.bash", ".catkin_workspace", "src/CMakeLists.txt"}
+    remaining = {path.relative_to(workspace).as_posix() for path in workspace.rglob("*") if not path.is_dir()}
+    assert remaining == {
+        "notes.txt",
+        "build/x",
+        "devel/setup.bash",
+        ".catkin_workspace",
+        "src/CMakeLists.txt",
+    }
 
 
-def test_uninstall_removes_what_was_only_begun(install, monkeypatch, tmp_path):
+def test_uninstall_removes_incomplete_workspace(install, monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     workspace = install.default_workspace(install.HERE, os.environ)
     (workspace / "venv").mkdir(parents=True)
@@ -675,16 +690,16 @@ def test_uninstall_removes_what_was_only_begun(install, monkeypatch, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_uninstall_keeps_off_workspaces_of_other_copies(install, workspace, tmp_path):
+def test_uninstall_refuses_workspace_of_other_clone(install, workspace, tmp_path):
     (workspace / "src" / "retalis").unlink()
-    for make in (lambda: None, lambda: (workspace / "src" / "retalis").symlink_to(tmp_path)):
-        make()
+    for prepare in (lambda: None, lambda: (workspace / "src" / "retalis").symlink_to(tmp_path)):
+        prepare()
         with pytest.raises(install.Problem, match="was not built from it"):
             install.main(["uninstall", "--workspace", str(workspace)])
     assert (workspace / "venv").exists()
 
 
-def test_where_prints_the_script_to_source_and_nothing_else(install, tmp_path, capsys):
+def test_command_where_prints_script(install, tmp_path, capsys):
     with pytest.raises(install.Problem, match="nothing has been built yet"):
         install.main(["--workspace", str(tmp_path), "where"])
     (tmp_path / "devel").mkdir()
@@ -695,8 +710,8 @@ def test_where_prints_the_script_to_source_and_nothing_else(install, tmp_path, c
     assert capsys.readouterr().out == f"{tmp_path}/devel/setup.zsh\n"
 
 
-def test_a_link_to_a_copy_that_is_gone_is_made_anew(install, tmp_path, monkeypatch):
-    monkeypatch.setattr(install.subprocess, "run", nothing_installed)
+def test_dangling_link_to_clone_is_replaced(install, tmp_path, monkeypatch):
+    monkeypatch.setattr(install.subprocess, "run", report_nothing_installed)
     installation = install.Installation(install.DEBIAN_12, tmp_path, Recorder(tmp_path / "log"))
     installation.package.parent.mkdir()
     installation.package.symlink_to(tmp_path / "gone")
@@ -704,7 +719,7 @@ def test_a_link_to_a_copy_that_is_gone_is_made_anew(install, tmp_path, monkeypat
     assert installation.package.resolve() == install.HERE
 
 
-def test_a_link_to_another_copy_is_refused(install, tmp_path):
+def test_link_to_other_clone_is_refused(install, tmp_path):
     installation = install.Installation(install.DEBIAN_12, tmp_path, Recorder(tmp_path / "log"))
     (tmp_path / "other").mkdir()
     installation.package.parent.mkdir()
@@ -715,12 +730,12 @@ def test_a_link_to_another_copy_is_refused(install, tmp_path):
 
 @pytest.fixture
 def site(install, monkeypatch, tmp_path):
-    """Commands that `install.py docs` runs, with a site of a former build."""
+    """Return the commands of `install.py docs`, with a previously built site."""
     shell = Recorder(tmp_path / "log")
     monkeypatch.setattr(install, "Shell", lambda logs, dry: shell)
     monkeypatch.setattr(install, "SITE_FOLDER", tmp_path / "docs" / "html")
     monkeypatch.setattr(install.importlib.util, "find_spec", lambda name: True)
-    # pip makes the folder in which the note is put that all is installed.
+    # pip creates the folder of the file that marks a complete installation.
     venv = tmp_path / "workspace" / "docs-venv-{}.{}".format(*install.sys.version_info)
     (venv / "bin").mkdir(parents=True)
     install.SITE_FOLDER.mkdir(parents=True)
@@ -728,27 +743,31 @@ def site(install, monkeypatch, tmp_path):
     return shell
 
 
-def test_docs_builds_the_site_in_a_virtual_environment_of_its_own(install, site, tmp_path, capsys):
+def test_docs_builds_site_in_own_environment(install, site, tmp_path, capsys):
     command = ["docs", "--workspace", str(tmp_path / "workspace")]
     assert install.main(command) == 0
-    make, fetch, build = site.commands
-    assert make[1:4] == ["-m", "venv", "--clear"]
-    assert fetch[0] == build[0] == f"{make[4]}/bin/python3"
-    assert [Path(name).name for name in fetch[-3::2]] == ["requirements.txt", "requirements-docs.txt"]
+    create, install_packages, build = site.commands
+    assert create[1:4] == ["-m", "venv", "--clear"]
+    assert install_packages[0] == build[0] == f"{create[4]}/bin/python3"
+    assert [Path(name).name for name in install_packages[-3::2]] == [
+        "requirements.txt",
+        "requirements-docs.txt",
+    ]
     assert {"-W", "--keep-going", "-n"} < set(build)
-    assert build[-2:] == [str(HERE / "docs"), str(install.SITE_FOLDER)] and not install.SITE_FOLDER.exists()
+    assert build[-2:] == [str(HERE / "docs"), str(install.SITE_FOLDER)]
+    assert not install.SITE_FOLDER.exists()
     assert capsys.readouterr().out == f"The documentation site is built: {install.SITE_FOLDER}/index.html\n"
     assert install.main(command) == 0
     assert site.commands[3:] == [build]
 
 
-def test_docs_ends_with_the_status_of_sphinx(install, site, tmp_path, capsys):
+def test_docs_has_exit_status_of_sphinx(install, site, tmp_path, capsys):
     site.run_visible = lambda command, cwd: 2
     assert install.main(["docs", "--workspace", str(tmp_path / "workspace")]) == 2
     assert "is built" not in capsys.readouterr().out
 
 
-def test_docs_installs_what_makes_virtual_environments(install, site, tmp_path, monkeypatch):
+def test_docs_installs_package_for_environments(install, site, tmp_path, monkeypatch):
     monkeypatch.setattr(install.importlib.util, "find_spec", lambda name: None)
     monkeypatch.setattr(install, "parse_os_release", lambda text: {"ID": "debian", "VERSION_ID": "12"})
     monkeypatch.setattr(install, "query_installed_packages", lambda names: "")

@@ -1,4 +1,4 @@
-"""How shell.py runs commands."""
+"""Execution of commands by ``install_shell.py``: logs, failures, interrupts, and the environment."""
 
 import importlib
 import subprocess
@@ -17,19 +17,20 @@ def shell():
         yield importlib.import_module("install_shell")
 
 
-def test_tail_is_the_end_indented(shell):
+def test_tail_is_indented(shell):
     assert shell.tail("1\n2\n3\n\n", 2) == "    2\n    3"
 
 
-def test_step_logs_and_says_so(shell, tmp_path, capfd):
+def test_step_writes_log_and_prints_title(shell, tmp_path, capfd):
     shell.Shell(tmp_path / "log").run_logged("Talking", "talk", [sys.executable, "-c", "print('hello')"])
     assert (tmp_path / "log" / "talk.log").read_text() == "hello\n"
     out, err = capfd.readouterr()
-    assert out.startswith("Talking ... done (") and "hello" not in out
+    assert out.startswith("Talking ... done (")
+    assert "hello" not in out
     assert err == ""
 
 
-def test_failed_step_shows_its_end_and_names_its_log(shell, tmp_path, capfd):
+def test_failed_step_prints_end_of_log(shell, tmp_path, capfd):
     failing = [sys.executable, "-c", "print('reason'); raise SystemExit(3)"]
     with pytest.raises(shell.Problem, match=r"talk failed with exit status 3; .*talk\.log"):
         shell.Shell(tmp_path).run_logged("Talking", "talk", failing)
@@ -38,7 +39,7 @@ def test_failed_step_shows_its_end_and_names_its_log(shell, tmp_path, capfd):
     assert err == "    reason\n"
 
 
-def test_unknown_program_is_one_line(shell, tmp_path):
+def test_unknown_program_is_an_error(shell, tmp_path):
     with pytest.raises(shell.Problem, match="no-such-program is not installed"):
         shell.Shell(tmp_path).run_logged("Talking", "talk", ["no-such-program"])
 
@@ -51,7 +52,7 @@ def test_dry_run_runs_nothing(shell, tmp_path, capsys):
     assert capsys.readouterr().out.startswith("would run: touch '")
 
 
-PATIENT = """
+INTERRUPTIBLE = """
 import signal, sys, time
 signal.signal(signal.SIGINT, signal.default_int_handler)
 try:
@@ -62,42 +63,43 @@ except KeyboardInterrupt:
 """
 
 
-def test_stop_asks_first(shell):
-    process = subprocess.Popen([sys.executable, "-c", PATIENT], stdout=subprocess.PIPE)
+def test_stop_interrupts_process(shell):
+    process = subprocess.Popen([sys.executable, "-c", INTERRUPTIBLE], stdout=subprocess.PIPE)
     process.stdout.readline()
     shell.stop(process)
     process.stdout.close()
     assert process.returncode == 7
 
 
-def test_interrupt_ends_the_command(shell, tmp_path, monkeypatch):
-    ended = []
+def test_interrupt_ends_command(shell, tmp_path, monkeypatch):
+    stopped = []
 
     def stop(process):
-        ended.append(process)
+        stopped.append(process)
         process.kill()
         process.wait()
 
     monkeypatch.setattr(shell, "stop", stop)
 
     class Interrupted(subprocess.Popen):
-        asked = 0
+        wait_count = 0
 
         def wait(self, timeout=None):
-            self.asked += 1
-            if self.asked == 1:
+            self.wait_count += 1
+            if self.wait_count == 1:
                 raise KeyboardInterrupt
-            if self.asked == 2:
+            if self.wait_count == 2:
                 raise subprocess.TimeoutExpired(self.args, timeout)
             return super().wait(timeout)
 
     monkeypatch.setattr(shell.subprocess, "Popen", Interrupted)
     with pytest.raises(KeyboardInterrupt):
         shell.Shell(tmp_path).run_visible([sys.executable, "-c", "import time; time.sleep(60)"])
-    assert len(ended) == 1 and ended[0].returncode is not None
+    assert len(stopped) == 1
+    assert stopped[0].returncode is not None
 
 
-SHELL = {
+KEPT_VARIABLES = {
     "HOME": "/home/me",
     "PATH": "/opt/bin:/usr/bin",
     "LC_ALL": "C.UTF-8",
@@ -108,7 +110,7 @@ SHELL = {
     "RETALIS_TEST_SWI": "1",
     "CI": "true",
 }
-LEAKS = {
+REMOVED_VARIABLES = {
     "PYTHONUNBUFFERED": "1",
     "PYTHONDONTWRITEBYTECODE": "1",
     "PYTHONPATH": "/opt/ros/noetic/lib/python3/dist-packages",
@@ -120,18 +122,20 @@ LEAKS = {
 }
 
 
-def test_the_environment_of_tests_is_what_their_results_may_depend_on(shell):
-    assert shell.minimal_environment({**SHELL, **LEAKS}) == SHELL
+def test_minimal_environment_has_kept_variables_only(shell):
+    assert shell.minimal_environment({**KEPT_VARIABLES, **REMOVED_VARIABLES}) == KEPT_VARIABLES
 
 
-def test_as_a_program_it_runs_a_command_with_that_environment():
+def test_script_runs_command_in_minimal_environment():
     program = [sys.executable, str(HERE / "install_shell.py"), sys.executable, "-c"]
     script = "import os, sys; print(sys.argv[1:], sorted(os.environ.keys() & set(sys.argv[2].split())))"
-    names = " ".join([*SHELL, *LEAKS])
-    output = subprocess.check_output([*program, script, "a b", names], env={**SHELL, **LEAKS}, text=True)
-    assert output == f"{['a b', names]} {sorted(SHELL)}\n"
+    names = " ".join([*KEPT_VARIABLES, *REMOVED_VARIABLES])
+    output = subprocess.check_output(
+        [*program, script, "a b", names], env={**KEPT_VARIABLES, **REMOVED_VARIABLES}, text=True
+    )
+    assert output == f"{['a b', names]} {sorted(KEPT_VARIABLES)}\n"
 
 
-def test_the_search_path_begins_with_the_distribution_and_has_what_root_needs(shell):
+def test_search_path_begins_with_distribution(shell):
     assert shell.search_path("/opt/bin:/usr/bin:/bin") == "/usr/bin:/opt/bin:/bin:/usr/sbin:/sbin"
     assert shell.search_path("") == "/usr/bin:/bin:/usr/sbin:/sbin"

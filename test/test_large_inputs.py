@@ -1,7 +1,7 @@
-"""Patterns, terms, clauses and goals of thousands of parts: read and run in time that grows with their length.
+"""Patterns, terms, clauses and goals of thousands of parts: the time to read and run them is linear.
 
-What is measured is the code that is made for them, not seconds: where Python's compiler is given more and more of it,
-time grows faster than its length does.
+The tests measure the length of the generated code instead of seconds, because the time of Python's compiler grows
+with it.
 """
 
 import re
@@ -15,11 +15,11 @@ from retalis.prolog.database import clause_index, compiled_goal
 
 
 def slots(count):
-    return f"ev({','.join(f'X{at}' for at in range(count))})"
+    return f"ev({','.join(f'X{number}' for number in range(count))})"
 
 
 def items(count):
-    return f"ev([{','.join(f'X{at}' for at in range(count))}])"
+    return f"ev([{','.join(f'X{number}' for number in range(count))}])"
 
 
 def constants(count):
@@ -30,11 +30,11 @@ def nested(count):
     return "ev(" + "f(a," * count + "X" + ")" * (count + 1)
 
 
-def left(count):
+def nested_left(count):
     return "ev(" + "f(" * count + "X" + ",a)" * count + ")"
 
 
-PATTERNS = {"slots": slots, "items": items, "constants": constants, "nested": nested, "left": left}
+PATTERNS = {"slots": slots, "items": items, "constants": constants, "nested": nested, "left": nested_left}
 PROGRAMS = {
     "pattern": ("o <- {0}.", None),
     "sequence": ("o <- a seq {0}.", None),
@@ -51,85 +51,85 @@ PROGRAMS = {
 
 
 @pytest.fixture
-def code(monkeypatch):
-    """Return the lengths of the sources that are compiled, in a list."""
+def code_lengths(monkeypatch):
+    """Return a list to which the length of each compiled source is added."""
     lengths = []
     define = codegen.define
 
-    def counted(source, names, title):
+    def count(source, names, title):
         lengths.append(len(source))
         return define(source, names, title)
 
-    monkeypatch.setattr(codegen, "define", counted)
+    monkeypatch.setattr(codegen, "define", count)
     return lengths
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("pattern", PATTERNS)
 @pytest.mark.parametrize("program", PROGRAMS)
-def test_the_code_for_a_large_term_does_not_grow_faster_than_it(code, program, pattern):
+def test_length_of_code_is_linear(code_lengths, program, pattern):
     rules, goal = PROGRAMS[program]
-    made = {}
+    total_lengths = {}
     for count in (2000, 4000):
-        del code[:]
+        del code_lengths[:]
         term = PATTERNS[pattern](count)
         engine = Engine()
         engine.load(rules=rules.format(term) + "\n", goals=goal and goal.format(term))
         engine.event("a", 1)
-        made[count] = sum(code)
-    assert made[4000] < 2.2 * made[2000] + 1000
-    assert made[4000] < 100 * 4000
+        total_lengths[count] = sum(code_lengths)
+    assert total_lengths[4000] < 2.2 * total_lengths[2000] + 1000
+    assert total_lengths[4000] < 100 * 4000
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("pattern", PATTERNS)
-def test_large_patterns_match(pattern):
+def test_large_pattern_matches(pattern):
     term = PATTERNS[pattern](2000)
     engine = Engine()
     engine.load(
         rules=f"o <- {term}.\nboth <- {term} seq {term}.\n",
         goals="subscribe(o, [], _, t, s)\nsubscribe(both, [], _, t, s2)",
     )
-    seen = []
-    engine.on_output(lambda found, topic, name: seen.append(engine.show(found)))
+    outputs = []
+    engine.on_output(lambda output, topic, name: outputs.append(engine.show(output)))
     event = term.replace("X", "x")
     engine.event(event, 1)
     engine.event(event.replace("ev(", "other("), 2)
     engine.event("ev(nothing)", 2)
     engine.event(event, 3)
-    assert seen == ["o", "o", "both"]
+    assert outputs == ["o", "o", "both"]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["body", "head", "argument", "unify", "either"])
-def test_large_clauses_are_right_when_they_are_called_often(code, kind):
+@pytest.mark.parametrize("form", ["body", "head", "argument", "unify", "either"])
+def test_large_clause_has_answers_in_each_call(code_lengths, form):
     text = {
-        "body": "q(1) :- " + ",".join(f"X{at} = f(X{at + 1})" for at in range(1000)) + ".",
+        "body": "q(1) :- " + ",".join(f"X{number} = f(X{number + 1})" for number in range(1000)) + ".",
         "head": f"q({constants(2000)}) :- true, p.\nq(1) :- q({constants(2000)}).",
         "argument": f"q(1) :- p, r({items(2000)}).\nr(ev([1,1|_])).",
         "unify": f"q(1) :- Y = {items(2000)}, r(Y).\nr(ev([1,1|_])).",
         "either": "q(1) :- " + " ; ".join(["p, fail"] * 1000) + " ; p.",
-    }[kind]
+    }[form]
     engine = Engine()
     engine.load(rules=f"p.\n{text}\n")
     for _ in range(40):
-        assert engine.query("q(Y)") == [{"Y": 1}] if kind != "head" else len(engine.query("q(Y)")) == 2
+        assert engine.query("q(Y)") == [{"Y": 1}] if form != "head" else len(engine.query("q(Y)")) == 2
         assert not engine.call("q(2)")
-    assert max(code, default=0) < 50_000
+    assert max(code_lengths, default=0) < 50_000
 
 
 def run(text, goals, events):
     engine = Engine()
     engine.load(rules=text, goals=goals)
-    seen = []
-    engine.on_output(lambda term, topic, name: seen.append(engine.show(term)))
-    for at, event in enumerate(events):
-        engine.event(event, at)
-    found = [str(engine.query(goal)) for goal in ("r(X)", "s(X, Y)", "t([1,2,3], N)")]
-    return [re.sub("_G[0-9]+", "_", one) for one in (*seen, *found)]
+    outputs = []
+    engine.on_output(lambda term, topic, name: outputs.append(engine.show(term)))
+    for second, event in enumerate(events):
+        engine.event(event, second)
+    answers = [str(engine.query(goal)) for goal in ("r(X)", "s(X, Y)", "t([1,2,3], N)")]
+    return [re.sub("_G[0-9]+", "_", text) for text in (*outputs, *answers)]
 
 
-def test_what_is_run_without_code_of_its_own_does_the_same(monkeypatch):
+def test_terms_without_code_have_same_results(monkeypatch):
     text = """
         o(X, Y) <- a(X, f(Z)) seq b(Z, Y) where (Y > 1 ; X == c, \\+ Y = 1).
         twice(X) <- a(X, f(X)).
@@ -153,15 +153,15 @@ def test_what_is_run_without_code_of_its_own_does_the_same(monkeypatch):
         "b(_, 3)",
         "a(1.0, f(1))",
     ]
-    compiled = run(text, goals_text, events)
+    expected = run(text, goals_text, events)
     for module in (matcher_compiler, clause_index, compiled_goal):
         monkeypatch.setattr(module, "MAX_TERM_ARGUMENTS", 0)
-    assert run(text, goals_text, events) == compiled
-    assert len(compiled) > 8
+    assert len(expected) > 8
+    assert run(text, goals_text, events) == expected
 
 
 @pytest.mark.slow
-def test_grammar_rules_nested_deeply():
+def test_deep_grammar_rule_is_loaded():
     for body in (
         "(a;" * 5000 + "b" + ")" * 5000,
         "\\+ " * 5000 + "a",
@@ -174,11 +174,17 @@ def test_grammar_rules_nested_deeply():
     engine.load(
         rules="s --> (a, b ; \\+ a, b -> [c], {p} ; call(q, 1)), !.\na --> [a].\nb --> [b].\np.\nq(1, [d|T], T).\n"
     )
-    for text, reads in (("[a,b]", True), ("[b,c]", True), ("[d]", True), ("[b]", False), ("[a]", False)):
-        assert engine.call(f"phrase(s, {text})") is reads
+    for text, is_accepted in (
+        ("[a,b]", True),
+        ("[b,c]", True),
+        ("[d]", True),
+        ("[b]", False),
+        ("[a]", False),
+    ):
+        assert engine.call(f"phrase(s, {text})") is is_accepted
 
 
-def test_patterns_nested_too_deeply_are_errors():
+def test_pattern_beyond_depth_limit_is_an_error():
     for pattern in (
         "a seq (" * 5000 + "b" + ")" * 5000,
         " and ".join(["a"] * 5000),
@@ -188,9 +194,13 @@ def test_patterns_nested_too_deeply_are_errors():
             Engine().load(rules=f"o <- {pattern}.\n")
 
 
-def test_an_index_does_not_hold_each_clause_with_a_variable_under_each_key():
+def test_index_stores_variable_clauses_once():
     engine = Engine()
-    engine.load(rules="".join(f"f({at}, a).\nf(_, {at}).\n" for at in range(2000)))
+    engine.load(rules="".join(f"f({number}, a).\nf(_, {number}).\n" for number in range(2000)))
     assert len(engine.query("f(7, a)")) == 1
-    predicate = next(one for one in engine.logic.database.predicates.values() if str(one.functor) == "f/2")
+    predicate = next(
+        predicate
+        for predicate in engine.logic.database.predicates.values()
+        if str(predicate.functor) == "f/2"
+    )
     assert 0 < len(predicate.indexes) < 20 * 4000

@@ -1,4 +1,4 @@
-"""Limits hold for all that an event starts; what it starts behind them is refused, counted and said once."""
+"""Limits of an event: they include derived work; goals beyond them are refused, counted and reported once."""
 
 import pytest
 
@@ -10,34 +10,34 @@ loop :- loop.
 count(0).
 count(N) :- N > 0, M is N - 1, count(M).
 """
-MANY = 200
+SUBSCRIPTION_COUNT = 200
 
 
-def make(rules="", goals="", settings=None, **most):
-    engine = Engine(settings=settings or Settings(limits=Limits(**most)))
+def make(rules="", goals="", settings=None, **limits):
+    engine = Engine(settings=settings or Settings(limits=Limits(**limits)))
     engine.load_rules(RULES + rules)
     engine.load(goals=goals)
-    engine.seen = []
-    engine.on_event(lambda term, start, end: engine.seen.append(engine.show(term)))
-    engine.sent = []
-    engine.on_output(lambda term, topic, name: engine.sent.append(engine.show(term)))
+    engine.events = []
+    engine.on_event(lambda term, start, end: engine.events.append(engine.show(term)))
+    engine.outputs = []
+    engine.on_output(lambda term, topic, name: engine.outputs.append(engine.show(term)))
     return engine
 
 
-def spent(engine, work):
-    """Return the inferences that a piece of work takes."""
+def inferences_of(engine, work):
+    """Return the number of inferences of a function."""
     before = engine.logic.machine.budget.inferences
     work()
     return engine.logic.machine.budget.inferences - before
 
 
-def subscriptions(conditions, number=MANY):
-    return "\n".join(f"subscribe(in(_), [{conditions}], _, out, s{at})" for at in range(number))
+def subscriptions(conditions, count=SUBSCRIPTION_COUNT):
+    return "\n".join(f"subscribe(in(_), [{conditions}], _, out, s{index})" for index in range(count))
 
 
 @pytest.fixture
 def ticking(monkeypatch):
-    """A clock on which a millisecond passes with each look."""
+    """Replace the clock by one that advances by a millisecond with each call; return its time in a list."""
     now = [0.0]
 
     def tick():
@@ -48,36 +48,38 @@ def ticking(monkeypatch):
     return now
 
 
-def test_conditions_that_loop_share_the_inferences_of_their_event(caplog):
+def test_endless_conditions_share_inferences(caplog):
     engine = make(goals=subscriptions("loop"), inferences=100_000)
-    assert spent(engine, lambda: engine.event("in(1)", 1)) < 2 * 100_000
+    assert inferences_of(engine, lambda: engine.event("in(1)", 1)) < 2 * 100_000
     assert caplog.text.count("Not enough resources: inferences") == 1
     assert "subscription s0" in caplog.text
-    assert f"in/1 has exceeded its limit of inferences; goals refused: {MANY - 1}" in caplog.text
+    assert (
+        f"in/1 has exceeded its limit of inferences; goals refused: {SUBSCRIPTION_COUNT - 1}" in caplog.text
+    )
 
 
-def test_conditions_that_loop_share_the_seconds_of_their_event(ticking, caplog):
+def test_endless_conditions_share_seconds(ticking, caplog):
     engine = make(goals=subscriptions("loop"), seconds=0.5)
     engine.event("in(1)", 1)
-    assert ticking[0] < 4 * 0.5  # threads that are left of other tests may look at this clock too
-    assert f"in/1 has exceeded its limit of seconds; goals refused: {MANY - 1}" in caplog.text
+    assert ticking[0] < 4 * 0.5  # other threads may read this clock, too
+    assert f"in/1 has exceeded its limit of seconds; goals refused: {SUBSCRIPTION_COUNT - 1}" in caplog.text
 
 
 @pytest.mark.parametrize("condition", ["catch(loop, _, true)", "\\+ catch(loop, _, fail)", "ignore(loop)"])
-def test_conditions_that_catch_their_limit_share_it_too(condition, caplog):
+def test_conditions_that_catch_limit_share_it(condition, caplog):
     engine = make(goals=subscriptions(condition), inferences=100_000)
-    assert spent(engine, lambda: engine.event("in(1)", 1)) < 2 * 100_000
+    assert inferences_of(engine, lambda: engine.event("in(1)", 1)) < 2 * 100_000
     assert "in/1 has exceeded its limit of inferences; goals refused: " in caplog.text
 
 
-def test_many_short_goals_share_the_inferences_of_their_event(caplog):
+def test_short_goals_share_inferences_of_event(caplog):
     engine = make(goals=subscriptions("count(300)"), inferences=20_000)
-    assert spent(engine, lambda: engine.event("in(1)", 1)) < 2 * 20_000
-    assert 10 < len(engine.sent) < 100
+    assert inferences_of(engine, lambda: engine.event("in(1)", 1)) < 2 * 20_000
+    assert 10 < len(engine.outputs) < 100
     assert "in/1 has exceeded its limit of inferences; goals refused: " in caplog.text
 
 
-def test_the_next_event_has_its_own_limits(caplog):
+def test_next_event_has_own_limits(caplog):
     engine = make(goals=subscriptions("(loop ; true)", 3), inferences=50_000)
     for _ in range(2):
         caplog.clear()
@@ -89,14 +91,14 @@ def test_the_next_event_has_its_own_limits(caplog):
     assert caplog.text == ""
 
 
-def test_posted_events_have_their_own_limits_each():
+def test_each_posted_event_has_own_limits():
     engine = make(goals=subscriptions("count(10000)", 1), inferences=30_000)
     for number in range(5):
         engine.post(functor("in", 1)(number), number)
-    assert len(engine.sent) == 5
+    assert len(engine.outputs) == 5
 
 
-def test_derived_events_queries_and_actions_share_the_limits_of_the_event(caplog):
+def test_derived_work_shares_limits_of_event(caplog):
     engine = make(
         rules="""
         a(X) <- in(X) where count(30000).
@@ -108,31 +110,32 @@ def test_derived_events_queries_and_actions_share_the_limits_of_the_event(caplog
         inferences=100_000,
     )
     engine.event("in(1)", 1)
-    assert "a(1)" in engine.seen and "b(1)" in engine.seen
-    assert "d(1)" not in engine.seen
+    assert "a(1)" in engine.events
+    assert "b(1)" in engine.events
+    assert "d(1)" not in engine.events
     assert caplog.text.count("Not enough resources: inferences") == 1
 
 
-def test_goals_of_long_chains_of_events_are_refused_too(caplog):
+def test_goals_of_long_chain_are_refused(caplog):
     engine = make(
         rules="tick(N) <- tick(M) where (N is M + 1, M < 20).\n" + "x(M) <- tick(M) where loop.\n" * 3,
         inferences=50_000,
     )
-    assert spent(engine, lambda: engine.event("tick(0)", 1)) < 2 * 50_000
+    assert inferences_of(engine, lambda: engine.event("tick(0)", 1)) < 2 * 50_000
     assert caplog.text.count("Not enough resources") == 1
     assert "tick/1 has exceeded its limit of inferences; goals refused" in caplog.text
 
 
 @pytest.mark.slow
-def test_a_chain_without_goals_that_branches_without_end_ends(caplog):
+def test_endless_branching_without_goals_ends(caplog):
     engine = make(rules="tick <- tick.\ntick <- tick.", inferences=50_000)
     engine.event("tick", 1)
     assert "tick has exceeded its limit of inferences while patterns were matched" in caplog.text
     engine.event("other", 2)
-    assert engine.seen[-1] == "other"
+    assert engine.events[-1] == "other"
 
 
-def test_patterns_go_on_where_goals_are_refused(caplog):
+def test_patterns_match_after_goals_are_refused(caplog):
     engine = make(
         rules="bad(X) <- in(X) where loop.\nworse(X) <- in(X) where loop.\npair(X, Y) <- in(X) seq in(Y).",
         goals="memorize(in(X), [], in(X), m, 10)",
@@ -140,12 +143,12 @@ def test_patterns_go_on_where_goals_are_refused(caplog):
     )
     for number in (1, 2):
         engine.event(f"in({number})", number)
-    assert "pair(1,2)" in engine.seen
+    assert "pair(1,2)" in engine.events
     assert engine.call("memory_counter(m, 2)")
     assert caplog.text.count("goals refused: 1") == 2
 
 
-def test_a_limit_that_a_goal_has_set_for_itself_leaves_the_others_alone(caplog):
+def test_limit_set_by_goal_does_not_affect_others(caplog):
     engine = make(
         goals="subscribe(in(_), [call_with_inference_limit(loop, 5000, _)], _, out, a)\n"
         "subscribe(in(_), [catch(call_with_time_limit(0.01, loop), _, true)], _, out, b)\n"
@@ -153,11 +156,11 @@ def test_a_limit_that_a_goal_has_set_for_itself_leaves_the_others_alone(caplog):
         inferences=100_000_000,
     )
     engine.event("in(1)", 1)
-    assert engine.sent == ["in(1)"] * 3
+    assert engine.outputs == ["in(1)"] * 3
     assert caplog.text == ""
 
 
-def test_an_alarm_has_limits_of_its_own(caplog):
+def test_alarm_has_own_limits(caplog):
     engine = make(
         rules="exceptionAlarm(late(X), 5) <- start(X).\nout(X) <- late(X) where count(15000).\n"
         "out(X) <- in(X) where count(15000).",
@@ -166,11 +169,11 @@ def test_an_alarm_has_limits_of_its_own(caplog):
     engine.event("start(1)", 1)
     engine.clock.move_to(10 * 10**9)
     engine.event("in(2)", 10)
-    assert [one for one in engine.seen if one.startswith("out")] == ["out(1)", "out(2)"]
+    assert [event for event in engine.events if event.startswith("out")] == ["out(1)", "out(2)"]
     assert caplog.text == ""
 
 
-def test_an_alarm_inside_a_goal_takes_nothing_from_it(caplog):
+def test_alarm_within_goal_does_not_use_its_limit(caplog):
     engine = make(
         rules="exceptionAlarm(late(X), 5) <- start(X).\nout(X) <- late(X) where loop.",
         inferences=20_000,
@@ -187,24 +190,24 @@ def test_an_alarm_inside_a_goal_takes_nothing_from_it(caplog):
     assert caplog.text.count("Not enough resources: inferences") == 1
 
 
-def test_goals_at_the_start_may_be_exempt(tmp_path):
+def test_initial_goals_may_have_no_limit(tmp_path):
     (tmp_path / "rules.txt").write_text(RULES)
     (tmp_path / "goalPredicates.txt").write_text("compile_event_file('rules.txt')\ncount(50000)\n")
-    most = Limits(inferences=20_000)
-    engine = Engine(settings=Settings(limits=most, limit_start=False))
+    limits = Limits(inferences=20_000)
+    engine = Engine(settings=Settings(limits=limits, limit_start=False))
     engine.load_program(tmp_path)
-    assert engine.logic.limits == most
+    assert engine.logic.limits == limits
     with pytest.raises(PrologError, match="inferences"):
         engine.call("count(50000)")
 
 
-def test_a_program_that_throws_again_and_again_has_limits_too():
+def test_repeated_exceptions_are_limited():
     engine = make(rules="again :- catch(throw(x), _, true), again.", inferences=50_000)
     with pytest.raises(PrologError, match="inferences"):
         engine.call("again")
 
 
-def test_an_interrupt_leaves_the_next_event_its_limits():
+def test_interrupt_does_not_use_limit_of_next_event():
     engine = make(goals=subscriptions("count(10000)", 1), inferences=30_000)
 
     def interrupt(machine):
@@ -215,7 +218,7 @@ def test_an_interrupt_leaves_the_next_event_its_limits():
         with pytest.raises(KeyboardInterrupt):
             engine.call("count(20000), interrupt")
         engine.event(f"in({number})", number)
-    assert len(engine.sent) == 3
+    assert len(engine.outputs) == 3
     assert engine.logic.machine.budget.goal is None
 
 
@@ -236,7 +239,7 @@ written(N) :- N > 0, M is N - 1, format("~@~@", [written(M), written(M)]).
 @pytest.mark.parametrize(
     "goal", ["tidy_in_vain", "deep(100)", "catch(deep(100), _, true), loop", "print(30)", "written(30)"]
 )
-def test_a_goal_inside_a_step_that_swallows_its_limit_gains_nothing(goal):
+def test_nested_goal_cannot_extend_limit(goal):
     engine = make(NESTED, inferences=20_000)
     engine.logic.output = engine.logic.error_output = lambda text: None
     with pytest.raises(PrologError, match="resources: inferences"):
@@ -244,7 +247,7 @@ def test_a_goal_inside_a_step_that_swallows_its_limit_gains_nothing(goal):
     assert engine.logic.machine.budget.inferences < 10 * 20_000
 
 
-def test_many_short_cleanups_inside_each_other_have_limits():
+def test_nested_short_cleanups_are_limited():
     engine = make(NESTED, inferences=20_000)
     warnings = []
     engine.logic.error_output = warnings.append
@@ -252,7 +255,7 @@ def test_many_short_cleanups_inside_each_other_have_limits():
     assert "".join(warnings) == "Warning: cleanup: Not enough resources: inferences\n"
 
 
-def test_short_cleanups_run_after_a_limit_that_is_final():
+def test_short_cleanups_run_after_final_limit():
     engine = make(
         ":- dynamic(tidied/1). in(0) :- loop. in(N) :- M is N - 1, call_cleanup(in(M), assertz(tidied(N))).",
         inferences=20_000,
@@ -262,7 +265,7 @@ def test_short_cleanups_run_after_a_limit_that_is_final():
     assert len(engine.query("tidied(_)")) == 20
 
 
-def test_what_is_caught_of_a_goal_inside_a_step_has_a_largest_size():
+def test_captured_output_of_nested_goal_is_limited():
     engine = make()
     with pytest.raises(PrologError, match="resources: memory"):
         engine.call("format(atom(A), '~*c', [1000000, 0'a]), format('~@', [(repeat, write(A), fail)])")

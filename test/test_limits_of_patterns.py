@@ -1,4 +1,4 @@
-"""Pattern work stops at the limits: what was derived stands, the rest is reported once, the next event works."""
+"""Limits of pattern matching: derived events remain, and omitted ones are reported once."""
 
 import resource
 import time
@@ -8,7 +8,9 @@ import pytest
 from retalis import Engine, Limits, PrologError, Reports, Settings
 
 UNRESTRICTED = ":- set_etalis_flag(event_consumption_policy, unrestricted).\n"
-CHAIN = UNRESTRICTED + "".join(f"e{at + 1}(X) <- e{at}(X) and e{at}(Y).\n" for at in range(30))
+CHAIN = UNRESTRICTED + "".join(
+    f"e{number + 1}(X) <- e{number}(X) and e{number}(Y).\n" for number in range(30)
+)
 GROWING = UNRESTRICTED + "a(f(X)) <- a(X) seq a(Y).\n"
 FIVE = UNRESTRICTED + "b <- a(A) and a(B) and a(C) and a(D) and a(E).\n"
 PAIRS = UNRESTRICTED + "p(X) <- a(X) seq b(_).\n"
@@ -16,8 +18,8 @@ REPORT = "while patterns were matched"
 LIMIT = 2000
 
 
-class Counting(Reports):
-    """Keeps what is reported, logged or not."""
+class RecordingReports(Reports):
+    """Reports that record their warnings."""
 
     def __init__(self):
         super().__init__()
@@ -27,34 +29,36 @@ class Counting(Reports):
         self.texts.append(str(problem))
         super().warning(problem, *more)
 
-    def said(self):
-        """Return how often pattern work was stopped since the last call."""
-        number = sum(REPORT in text for text in self.texts)
+    def take_stop_count(self):
+        """Return the number of stops of pattern matching since the last call."""
+        count = sum(REPORT in text for text in self.texts)
         self.texts.clear()
-        return number
+        return count
 
 
 def make(rules, inferences=LIMIT, **settings):
     limits = settings.pop("limits", Limits(inferences=inferences))
-    engine = Engine(settings=Settings(limits=limits, limit_start=False, **settings), reports=Counting())
+    engine = Engine(
+        settings=Settings(limits=limits, limit_start=False, **settings), reports=RecordingReports()
+    )
     engine.load(rules=rules + "alive(X) <- ping(X).\n")
-    engine.said = engine.reports.said
-    engine.seen = []
-    engine.on_event(lambda term, start, end: engine.seen.append(engine.brief(term)))
+    engine.take_stop_count = engine.reports.take_stop_count
+    engine.events = []
+    engine.on_event(lambda term, start, end: engine.events.append(engine.brief(term)))
     return engine
 
 
 def send(engine, *events):
-    """Send events, one a second; return what was dispatched for the last."""
+    """Send one event per second; return the events that are dispatched for the last one."""
     for event in events:
-        engine.seen.clear()
+        engine.events.clear()
         engine.now = getattr(engine, "now", 0) + 1
         engine.event(event, engine.now)
-    return list(engine.seen)
+    return list(engine.events)
 
 
 def is_alive(engine):
-    engine.seen.clear()
+    engine.events.clear()
     return send(engine, "ping(1)") == ["ping(1)", "alive(1)"] and engine.query("X = 1") == [{"X": 1}]
 
 
@@ -62,44 +66,44 @@ def is_alive(engine):
     ("rules", "events", "name"),
     [
         (CHAIN, ["e0(1)", "e0(2)", "e0(3)"], "rule e"),
-        (GROWING, [f"a({at})" for at in range(14)], "rule a(f(X))"),
-        (FIVE, [f"a({at})" for at in range(14)], "rule b"),
+        (GROWING, [f"a({number})" for number in range(14)], "rule a(f(X))"),
+        (FIVE, [f"a({number})" for number in range(14)], "rule b"),
         ("t <- t.\n" * 2, ["t"], "rule t"),
     ],
 )
-def test_explosions_stop_at_the_limit(rules, events, name, caplog):
+def test_explosion_of_matches_stops_at_limit(rules, events, name, caplog):
     engine = make(rules)
     for event in events:
-        seen = send(engine, event)
-        assert len(seen) <= LIMIT
-        stopped = engine.said()
-        assert stopped <= 1
-    assert stopped
+        dispatched = send(engine, event)
+        assert len(dispatched) <= LIMIT
+        stop_count = engine.take_stop_count()
+        assert stop_count <= 1
+    assert stop_count
     assert name in caplog.text
-    assert len(seen) > 100  # what was derived stands
+    assert len(dispatched) > 100  # derived events remain
     assert is_alive(engine)
     assert engine.status().warnings
 
 
-def test_the_report_names_the_rule_its_place_the_limit_and_what_was_left_out(caplog):
+def test_report_names_rule_position_and_limit(caplog):
     engine = make("")
     engine.load_rules(CHAIN, "rules.txt")
     send(engine, "e0(1)", "e0(2)")
     assert REPORT not in caplog.text
     send(engine, "e0(3)")
-    (report,) = [one.getMessage() for one in caplog.records if REPORT in one.getMessage()]
+    (report,) = [record.getMessage() for record in caplog.records if REPORT in record.getMessage()]
     assert report.startswith("rules.txt:")
     assert "rule e" in report
     assert "e0/1 has exceeded its limit of inferences" in report
     assert "derived events were omitted" in report
 
 
-def test_events_have_what_they_had_without_limits_below_them():
+def test_events_below_limit_equal_those_without():
     engines = make(CHAIN, 1_000_000), make(CHAIN, limits=Limits())
     for event in ("e0(1)", "e0(2)"):
-        one, other = (send(engine, event) for engine in engines)
-        assert one == other
-    assert len(one) > 30
+        limited, unlimited = (send(engine, event) for engine in engines)
+        assert limited == unlimited
+    assert len(limited) > 30
 
 
 @pytest.mark.parametrize(
@@ -125,71 +129,71 @@ def test_events_have_what_they_had_without_limits_below_them():
 @pytest.mark.parametrize(
     "flag", ["true", "set_etalis_flag(out_of_order, on)", "set_etalis_flag(revision_flag, on)"]
 )
-def test_all_operators_count(rule, flag):
-    few = 200
+def test_work_of_each_operator_is_limited(rule, flag):
+    limit = 200
     engine = make(f":- {flag}.\n" + PAIRS + rule + "\n", 1_000_000)
-    send(engine, *[f"a({at})" for at in range(300)])
-    engine.logic.limits = Limits(inferences=few)
+    send(engine, *[f"a({number})" for number in range(300)])
+    engine.logic.limits = Limits(inferences=limit)
     budget = engine.logic.machine.budget
     before = budget.inferences
     for _ in range(3):
-        assert len(send(engine, "b(1)")) <= few
-        assert engine.said() == 1
-    assert budget.inferences - before < 3 * 2 * few
+        assert len(send(engine, "b(1)")) <= limit
+        assert engine.take_stop_count() == 1
+    assert budget.inferences - before < 3 * 2 * limit
     assert is_alive(engine)
 
 
-def test_repetitions_without_end_count():
+def test_work_of_repetitions_is_limited():
     engine = make(UNRESTRICTED + "q <- p(_) ntimes 5.\n")
     for number in range(30):
         send(engine, f"p({number})")
-    assert engine.said()
+    assert engine.take_stop_count()
     assert is_alive(engine)
 
 
-def test_steps_with_many_ways_count():
+def test_work_of_steps_is_limited():
     steps = "steps([x(0, many) where X > 0, later(y(1, 2, reluctant)) where X > 1, z where X < 0])"
     engine = make(f"q(N) <- aggregate(count, p(X), N, {steps}).\nr <- q(_).\n{PAIRS}", 1_000_000)
-    send(engine, *[f"a({at})" for at in range(1, 100)])
+    send(engine, *[f"a({number})" for number in range(1, 100)])
     engine.logic.limits = Limits(inferences=LIMIT // 10)
     send(engine, "b(1)")
-    assert engine.said() == 1
+    assert engine.take_stop_count() == 1
     assert is_alive(engine)
 
 
-def test_windows_of_many_keys_count_what_they_give_on():
+def test_results_of_many_keys_are_limited():
     engine = make("q(X, N) <- aggregate(count, p(X), N, every(10)).\n", 1_000_000)
     for number in range(3000):
         engine.event(f"p({number})", 1 + number / 1000)
     engine.logic.limits = Limits(inferences=LIMIT)
     engine.now = 20
     send(engine, "ping(1)")
-    assert engine.said() == 1
+    assert engine.take_stop_count() == 1
     assert is_alive(engine)
 
 
 REVISED = ":- set_etalis_flag(revision_flag, on).\n" + PAIRS + "q(X, Y) <- p(X) seq c(Y).\n"
 
 
-def test_taking_events_back_counts_and_leaves_nothing_of_what_is_gone(caplog):
+def test_retraction_is_limited_and_consistent(caplog):
     engine = make(REVISED, 1_000_000)
-    send(engine, *[f"a({at})" for at in range(1000)], "b(1)")
-    engine.logic.limits = Limits(inferences=2500)  # enough to take out 1000 events that wait once
-    seen = send(engine, "rev(b(1))")
-    assert 10 < len(seen) < 600
-    assert engine.said() == 1
+    send(engine, *[f"a({number})" for number in range(1000)], "b(1)")
+    engine.logic.limits = Limits(inferences=2500)  # enough to remove 1000 buffered events once
+    events = send(engine, "rev(b(1))")
+    assert 10 < len(events) < 600
+    assert engine.take_stop_count() == 1
     assert "rule p(X): rev/1 has exceeded its limit of inferences" in caplog.text
     assert send(engine, "c(1)") == ["c(1)"]
     assert is_alive(engine)
 
 
 @pytest.mark.slow
-def test_an_event_with_too_many_consequences_is_not_taken_back(caplog):
+def test_event_with_many_results_is_not_retracted(caplog):
     engine = make(REVISED, 1_000_000)
-    send(engine, *[f"a({at})" for at in range(1000)], "b(1)")
+    send(engine, *[f"a({number})" for number in range(1000)], "b(1)")
     engine.logic.limits = Limits(inferences=500)
     assert send(engine, "rev(b(1))") == ["rev(b(1))"]
-    assert engine.said() == 1
+    assert engine.take_stop_count() == 1
     assert "rule p(X): rev/1 has exceeded its limit of inferences" in caplog.text
     engine.logic.limits = Limits()
     assert len(send(engine, "c(1)")) == 1 + 1000
@@ -198,45 +202,45 @@ def test_an_event_with_too_many_consequences_is_not_taken_back(caplog):
 
 
 @pytest.mark.parametrize(
-    ("rule", "most", "total"),
+    ("rule", "limit", "total"),
     [
         ("s(S) <- aggregate(sum(X), d(X), S, last(5, events)).", 500, 11),
         ("s(S) <- k seq aggregate(sum(X), d(X), S).", 2500, 1007),
     ],
 )
-def test_a_window_or_run_that_is_computed_again_stops_at_the_limit(rule, most, total, caplog):
+def test_recomputation_of_window_or_run_is_limited(rule, limit, total, caplog):
     engine = make(":- set_etalis_flag(revision_flag, on).\n" + rule + "\n", 1_000_000)
     send(engine, "k", "d(5)", *["d(1)"] * 1000)
-    engine.logic.limits = Limits(inferences=most)
+    engine.logic.limits = Limits(inferences=limit)
     send(engine, "rev(d(5))")
-    assert engine.said() == 1
+    assert engine.take_stop_count() == 1
     assert "rule s(S): rev/1 has exceeded its limit of inferences" in caplog.text
     engine.logic.limits = Limits()
-    (made,) = [one for one in send(engine, "d(7)") if one.startswith("s(")]
-    assert 7 <= int(made[2:-1]) < total  # a window is empty after that; a run has the first repetitions
+    (result,) = [event for event in send(engine, "d(7)") if event.startswith("s(")]
+    assert 7 <= int(result[2:-1]) < total  # the window is empty; the run has the first repetitions
     assert is_alive(engine)
 
 
-def test_an_event_that_takes_all_repetitions_of_a_run_back_one_by_one_stops_at_the_limit():
+def test_retraction_of_repetitions_is_limited():
     rules = UNRESTRICTED + ":- set_etalis_flag(revision_flag, on).\n"
     rules += "s(S) <- k seq aggregate(sum(X), d(X), S).\nrev(d(X)) <- d(X) seq stop.\n"
     engine = make(rules, 1_000_000)
-    send(engine, "k", *[f"d({at})" for at in range(300)])
+    send(engine, "k", *[f"d({number})" for number in range(300)])
     engine.logic.limits = Limits(inferences=5000)
     assert len(send(engine, "stop")) < 5000  # there would be 300 times 300 / 2 results
-    assert engine.said() == 1
+    assert engine.take_stop_count() == 1
     assert is_alive(engine)
 
 
-def test_many_events_are_taken_back_from_a_long_history():
+def test_many_events_are_retracted_from_long_history():
     engine = make(REVISED + "s(S) <- aggregate(sum(X), p(X), S, last(5000, events)).\n", limits=Limits())
-    send(engine, *[f"a({at})" for at in range(300)], "b(1)")
-    seen = send(engine, "rev(b(1))")
-    assert sum(one.startswith("rev(p(") for one in seen) == 300
+    send(engine, *[f"a({number})" for number in range(300)], "b(1)")
+    events = send(engine, "rev(b(1))")
+    assert sum(event.startswith("rev(p(") for event in events) == 300
     assert send(engine, "c(1)") == ["c(1)"]
 
 
-def test_a_goal_that_makes_events_ends_when_their_patterns_have_used_up_its_limit():
+def test_goal_shares_limit_with_its_events():
     engine = make(CHAIN)
     send(engine, "e0(1)", "e0(2)")
     with pytest.raises(PrologError, match="inferences"):
@@ -244,23 +248,23 @@ def test_a_goal_that_makes_events_ends_when_their_patterns_have_used_up_its_limi
     assert is_alive(engine)
 
 
-def test_memories_and_subscriptions_have_all_that_was_derived():
+def test_memories_and_outputs_have_derived_events():
     engine = make(CHAIN)
     engine.load(goals="memorize(e30(X), [], e30(X), m, 100000)\nsubscribe(e30(X), [], _, out, s)")
-    sent = []
-    engine.on_output(lambda term, topic, name: sent.append(term))
+    outputs = []
+    engine.on_output(lambda term, topic, name: outputs.append(term))
     send(engine, "e0(1)", "e0(2)")
-    sent.clear()
+    outputs.clear()
     engine.call("delete_memory(m)")
     engine.load(goals="memorize(e30(X), [], e30(X), m, 100000)")
-    seen = send(engine, "e0(3)")
-    number = sum(one.startswith("e30(") for one in seen)
-    assert number == len(sent) > 10
-    assert engine.query("memory_counter(m, N)") == [{"N": number}]
+    events = send(engine, "e0(3)")
+    count = sum(event.startswith("e30(") for event in events)
+    assert count == len(outputs) > 10
+    assert engine.query("memory_counter(m, N)") == [{"N": count}]
 
 
 @pytest.mark.slow
-def test_seconds_stop_patterns():
+def test_limit_of_seconds_stops_patterns():
     engine = make(CHAIN, limits=Limits(seconds=2.0), watchdog=1.0)
     send(engine, "e0(1)", "e0(2)")
     began = time.monotonic()
@@ -270,7 +274,7 @@ def test_seconds_stop_patterns():
 
 
 @pytest.mark.slow
-def test_megabytes_stop_patterns(caplog):
+def test_limit_of_memory_stops_patterns(caplog):
     def used():
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 

@@ -57,22 +57,22 @@ TESTED_ELSEWHERE = ("bench", "examples", "oracle", "fuzz", "interrupts", "leaks"
 """Folders of tests without a package of their own."""
 
 
-def test_packages_are_those_of_the_order():
+def test_order_has_all_packages():
     assert sorted(ORDER) == packages.PACKAGES
 
 
 @pytest.mark.parametrize("package", ORDER)
-def test_imports_go_one_way_between_packages(package):
+def test_packages_import_lower_packages_only(package):
     below = ORDER[: ORDER.index(package)]
-    wrong = [
+    upward_imports = [
         f"{module.path}: {target.name}"
         for module, target in CROSS_PACKAGE_IMPORTS
         if module.package == package and target.name and target.package not in below
     ]
-    assert not wrong, "\n".join(wrong)
+    assert not upward_imports, "\n".join(upward_imports)
 
 
-def test_modules_do_not_import_each_other():
+def test_imports_of_modules_have_no_cycle():
     imported = {module.name: set(module.own_imports()) - {module.name} for module in MODULES.values()}
     while True:
         free = {name for name, others in imported.items() if not others}
@@ -86,7 +86,7 @@ def test_packages_are_two_levels_deep_at_most():
     assert [name for name in packages.PACKAGES if name.count(".") > 1] == []
 
 
-def test_no_module_name_is_used_twice():
+def test_module_names_are_unique():
     names = Counter(module.path.stem for module in MODULES.values())
     assert [name for name, count in names.items() if count > 1 and name not in REPEATED_NAMES] == []
 
@@ -98,23 +98,23 @@ def test_no_module_is_too_long():
     assert {name: length for name, length in lengths.items() if length > MAX_LINES} == {}
 
 
-def test_init_files_contain_a_docstring_only():
-    wrong = [
+def test_init_files_contain_docstring_only():
+    other_modules = [
         module.name
         for module in MODULES.values()
         if module.path.name == "__init__.py" and module.name and len(module.tree.body) != 1
     ]
-    assert wrong == []
+    assert other_modules == []
 
 
 def test_private_names_are_not_imported():
-    wrong = [
+    private_imports = [
         f"{module.path}: {name}"
         for module in MODULES.values()
         for base, name in module.imports
         if base.startswith("retalis") and name is not None and name.startswith("_")
     ]
-    assert wrong == []
+    assert private_imports == []
 
 
 def test_only_the_nodes_import_ros():
@@ -127,8 +127,8 @@ def test_only_the_nodes_import_ros():
     assert importing == {"ros1"}
 
 
-def test_one_module_compiles_and_none_builds_syntax_trees():
-    """CPython fails if two threads build syntax trees at once, and every connection of a node has a thread."""
+def test_one_module_compiles_source():
+    """No module builds syntax trees: CPython fails if two threads do, and each connection of a node has a thread."""
     compiling = {
         module.name
         for module in MODULES.values()
@@ -139,19 +139,19 @@ def test_one_module_compiles_and_none_builds_syntax_trees():
     assert not [module.name for module in MODULES.values() for base, _ in module.imports if base == "ast"]
 
 
-def test_tests_mirror_the_packages():
-    wrong = []
+def test_tests_mirror_packages():
+    misplaced = []
     for path in sorted((ROOT / "test").rglob("test_*.py")):
         folder, name = path.parent.relative_to(ROOT / "test"), path.name[len("test_") :]
         if folder.as_posix() in TESTED_ELSEWHERE:
             continue
         package = packages.SOURCE / folder
         if not package.is_dir() or (not (package / name).exists() and list(package.glob(f"*/**/{name}"))):
-            wrong.append(path.relative_to(ROOT).as_posix())
-    assert wrong == []
+            misplaced.append(path.relative_to(ROOT).as_posix())
+    assert misplaced == []
 
 
-def test_picture_shows_the_imports():
+def test_picture_shows_imports():
     assert packages.PICTURE.read_text(encoding="utf-8") == packages.picture(), "run docs/packages.py"
 
 

@@ -1,4 +1,4 @@
-"""What is built for pip: a source archive, a wheel made of it, and an installation that needs no checkout."""
+"""Packages for pip: a source archive, a wheel built from it, and an installation without the clone."""
 
 import os
 import re
@@ -22,31 +22,33 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 def run(*command, cwd, **variables):
-    """Run a command that sees nothing of this clone and of a ROS; return what it prints."""
-    kept = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "CATKIN"))}
-    done = subprocess.run(
+    """Run a command without variables of this clone and of ROS; return its output."""
+    inherited = {
+        name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "CATKIN"))
+    }
+    process = subprocess.run(
         [str(word) for word in command],
         cwd=cwd,
-        env={**kept, **variables},
+        env={**inherited, **variables},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
         timeout=300,
         check=False,
     )
-    assert done.returncode == 0, done.stdout
-    return done.stdout
+    assert process.returncode == 0, process.stdout
+    return process.stdout
 
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
-    """The source archive of what is under version control, and a wheel made of that archive, by this Python.
+    """Return the source archive of the clone, and a wheel that this Python builds from that archive.
 
-    Where it has catkin's packages, they change nothing.
+    Installed packages of catkin make no difference.
     """
-    there = tmp_path_factory.mktemp("built")
-    sources = there / "sources"
-    for folder in (
+    folder = tmp_path_factory.mktemp("built")
+    sources = folder / "sources"
+    for name in (
         "src",
         "application_source",
         "docs",
@@ -58,40 +60,40 @@ def built(tmp_path_factory):
         "env-hooks",
     ):
         shutil.copytree(
-            ROOT / folder, sources / folder, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info")
+            ROOT / name, sources / name, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info")
         )
     for path in ROOT.iterdir():
         if path.is_file() and not path.name.startswith("."):
             shutil.copy(path, sources)
-    # Instead of a site that Sphinx has built: two pages, and what Sphinx keeps for its next build.
+    # Two pages and a file of the cache of Sphinx replace a built site.
     shutil.rmtree(sources / "docs" / "_build", ignore_errors=True)
     for page in ("html/index.html", "html/reference/index.html", "doctrees/index.doctree"):
         (sources / "docs" / "_build" / page).parent.mkdir(parents=True, exist_ok=True)
         (sources / "docs" / "_build" / page).write_text(page)
-    seen = os.pathsep.join(place for place in sys.path if place)  # where setuptools and wheel are
-    run(sys.executable, "setup.py", "-q", "sdist", "-d", there, cwd=sources, PYTHONPATH=seen)
-    (archive,) = there.glob("*.tar.gz")
-    with tarfile.open(archive) as found:
-        found.extractall(there / "unpacked")
-    (unpacked,) = (there / "unpacked").iterdir()
-    run(sys.executable, "setup.py", "-q", "bdist_wheel", "-d", there, cwd=unpacked, PYTHONPATH=seen)
-    (wheel,) = there.glob("*.whl")
+    search_path = os.pathsep.join(filter(None, sys.path))  # has setuptools and wheel
+    run(sys.executable, "setup.py", "-q", "sdist", "-d", folder, cwd=sources, PYTHONPATH=search_path)
+    (archive,) = folder.glob("*.tar.gz")
+    with tarfile.open(archive) as file:
+        file.extractall(folder / "unpacked")
+    (unpacked,) = (folder / "unpacked").iterdir()
+    run(sys.executable, "setup.py", "-q", "bdist_wheel", "-d", folder, cwd=unpacked, PYTHONPATH=search_path)
+    (wheel,) = folder.glob("*.whl")
     return SimpleNamespace(archive=archive, wheel=wheel)
 
 
 @pytest.fixture(scope="module")
 def installed(built, tmp_path_factory):
-    """A virtual environment with the wheel; what it needs is that of this Python."""
-    there = tmp_path_factory.mktemp("installed")
-    run(sys.executable, "-m", "venv", "--without-pip", there, cwd=there)
-    (packages,) = there.glob("lib/*/site-packages")
-    others = [
-        place for place in sys.path if place.endswith("-packages") and not Path(place, "retalis").exists()
+    """Return a virtual environment with the wheel, and with the dependencies of this Python."""
+    folder = tmp_path_factory.mktemp("installed")
+    run(sys.executable, "-m", "venv", "--without-pip", folder, cwd=folder)
+    (packages,) = folder.glob("lib/*/site-packages")
+    other_folders = [
+        path for path in sys.path if path.endswith("-packages") and not Path(path, "retalis").exists()
     ]
-    (packages / "others.pth").write_text("".join(f"{place}\n" for place in others))
+    (packages / "others.pth").write_text("".join(f"{path}\n" for path in other_folders))
     install = ("-m", "pip", "install", "-q", "--no-index", "--no-deps", "--ignore-installed", built.wheel)
-    run(there / "bin" / "python", *install, cwd=there, PYTHONPATH=os.pathsep.join(others))
-    return there
+    run(folder / "bin" / "python", *install, cwd=folder, PYTHONPATH=os.pathsep.join(other_folders))
+    return folder
 
 
 def test_metadata_agrees_with_package_manifest():
@@ -109,9 +111,9 @@ def test_metadata_agrees_with_package_manifest():
         assert f'{url.get("type").capitalize()} = "{url.text}"' in metadata
 
 
-def test_the_archive_has_what_it_is_built_from(built):
-    with tarfile.open(built.archive) as found:
-        names = {name.partition("/")[2] for name in found.getnames()}
+def test_archive_has_files_for_build(built):
+    with tarfile.open(built.archive) as archive:
+        names = {name.partition("/")[2] for name in archive.getnames()}
     assert names >= {
         "package.xml",
         "requirements.txt",
@@ -122,14 +124,14 @@ def test_the_archive_has_what_it_is_built_from(built):
         "install_apt.py",
         "examples/cookbook/door/eventRules.txt",
     }
-    assert not [name for name in names if name.startswith("docs/cookbook")]  # a link, when the site is built
+    assert not [name for name in names if name.startswith("docs/cookbook")]  # a link in a built site
 
 
-def test_the_wheel_has_the_package_and_the_example(built):
-    with zipfile.ZipFile(built.wheel) as found:
-        names = found.namelist()
-        (about,) = [name for name in names if name.endswith("/METADATA")]
-        told = Parser().parsestr(found.read(about).decode())
+def test_wheel_has_package_and_examples(built):
+    with zipfile.ZipFile(built.wheel) as wheel:
+        names = wheel.namelist()
+        (metadata_name,) = [name for name in names if name.endswith("/METADATA")]
+        metadata = Parser().parsestr(wheel.read(metadata_name).decode())
     for path in (ROOT / "src" / "retalis").rglob("*"):
         if path.is_file() and "__pycache__" not in path.parts:
             assert path.relative_to(ROOT / "src").as_posix() in names
@@ -137,35 +139,38 @@ def test_the_wheel_has_the_package_and_the_example(built):
         for path in (ROOT / folder).iterdir():
             if path.is_file() and path.suffix != ".bag":
                 assert any(name.endswith(f"/share/retalis/{folder}/{path.name}") for name in names)
-    assert told["Author"] and told["Maintainer-email"] and told["Description-Content-Type"] == "text/markdown"
-    assert (told.get_payload() or told["Description"]).lstrip().startswith("# retalis")
-    assert set(told.get_all("Provides-Extra")) == {"dashboard", "dask", "parquet", "plot", "s3"}
-    assert told["Requires-Python"] == ">=3.8"
-    assert told["Project-URL"] == "Website, http://wiki.ros.org/retalis"
-    assert {"ROS", "Prolog"} <= set(told["Keywords"].split(","))
-    assert "Programming Language :: Python :: 3.8" in told.get_all("Classifier")
-    assert "Typing :: Typed" in told.get_all("Classifier")
-    page = told.get_payload() or told["Description"]
-    assert re.findall(r"\]\((?!https?://)[^)]*\)", page) == []  # there are no files beside it
-    assert "*(Image: A map: the robot's path" in page and "Start at docs/index.md." in page
+    assert metadata["Author"]
+    assert metadata["Maintainer-email"]
+    assert metadata["Description-Content-Type"] == "text/markdown"
+    assert (metadata.get_payload() or metadata["Description"]).lstrip().startswith("# retalis")
+    assert set(metadata.get_all("Provides-Extra")) == {"dashboard", "dask", "parquet", "plot", "s3"}
+    assert metadata["Requires-Python"] == ">=3.8"
+    assert metadata["Project-URL"] == "Website, http://wiki.ros.org/retalis"
+    assert {"ROS", "Prolog"} <= set(metadata["Keywords"].split(","))
+    assert "Programming Language :: Python :: 3.8" in metadata.get_all("Classifier")
+    assert "Typing :: Typed" in metadata.get_all("Classifier")
+    page = metadata.get_payload() or metadata["Description"]
+    assert re.findall(r"\]\((?!https?://)[^)]*\)", page) == []  # it has no files beside it
+    assert "*(Image: A map: the robot's path" in page
+    assert "Start at docs/index.md." in page
 
 
-def test_the_archive_and_the_wheel_have_the_documentation_site(built):
-    with tarfile.open(built.archive) as found:
+def test_archive_and_wheel_have_site(built):
+    with tarfile.open(built.archive) as file:
         names = {
-            name.partition("/docs/_build/")[2] for name in found.getnames() if found.getmember(name).isfile()
+            name.partition("/docs/_build/")[2] for name in file.getnames() if file.getmember(name).isfile()
         }
     assert names == {"", "html/index.html", "html/reference/index.html"}
-    with zipfile.ZipFile(built.wheel) as found:
-        pages = [name for name in found.namelist() if "/share/retalis/docs/html/" in name]
+    with zipfile.ZipFile(built.wheel) as file:
+        pages = [name for name in file.namelist() if "/share/retalis/docs/html/" in name]
     assert [name.partition("/docs/")[2] for name in pages] == ["html/index.html", "html/reference/index.html"]
 
 
-def test_a_wheel_is_built_without_a_site(tmp_path):
+def test_wheel_is_built_without_site(tmp_path):
     shutil.copytree(
         ROOT, tmp_path / "sources", ignore=shutil.ignore_patterns(".*", "_build", "test", "bench", "build")
     )
-    seen = os.pathsep.join(place for place in sys.path if place)
+    search_path = os.pathsep.join(place for place in sys.path if place)
     run(
         sys.executable,
         "setup.py",
@@ -174,19 +179,20 @@ def test_a_wheel_is_built_without_a_site(tmp_path):
         "-d",
         tmp_path,
         cwd=tmp_path / "sources",
-        PYTHONPATH=seen,
+        PYTHONPATH=search_path,
     )
     (wheel,) = tmp_path.glob("*.whl")
-    with zipfile.ZipFile(wheel) as found:
-        assert not [name for name in found.namelist() if "/docs/html" in name]
+    with zipfile.ZipFile(wheel) as file:
+        assert not [name for name in file.namelist() if "/docs/html" in name]
 
 
-def test_an_installation_is_a_command_with_the_example_and_completion(installed, tmp_path):
+def test_installed_command_is_complete(installed, tmp_path):
     command = installed / "bin" / "retalis"
     assert run(command, "--version", cwd=tmp_path) == "retalis 1.0.0\n"
     assert "4x4_1" in run(command, "demo", "--seconds", "3", cwd=tmp_path)
     site = installed / "share" / "retalis" / "docs" / "html" / "index.html"
-    assert run(command, "docs", "--print-path", cwd=tmp_path) == f"{site}\n" and site.exists()
+    assert run(command, "docs", "--print-path", cwd=tmp_path) == f"{site}\n"
+    assert site.exists()
     assert "followed by the list" in run(command, "console", "--goal", "help(append)", cwd=tmp_path)
     script = (
         "source <(retalis complete bash);"
@@ -198,5 +204,5 @@ def test_an_installation_is_a_command_with_the_example_and_completion(installed,
     assert (installed / "share" / "fish" / "vendor_completions.d" / "retalis.fish").is_file()
     assert run(command, "complete", "zsh", cwd=tmp_path).startswith("#compdef retalis\n")
     path = f"{command.parent}{os.pathsep}{os.environ['PATH']}"
-    said = run("bash", "-c", script, cwd=tmp_path, PATH=path)
-    assert said == "events\n--max-skew --max-seconds\n\n"
+    output = run("bash", "-c", script, cwd=tmp_path, PATH=path)
+    assert output == "events\n--max-skew --max-seconds\n\n"

@@ -1,4 +1,4 @@
-"""Tutorials and pages that explain: their files, commands, goals and rules give what the page shows.
+"""Tutorials and explanations: commands, goals and rules have the output on the page.
 
 A test with a master runs the tutorial about a live robot: ``test/ros1/test_live_robot_tutorial.py``.
 """
@@ -18,6 +18,6 @@ PAGES = [
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_page_shows_what_happens(page, tmp_path, monkeypatch):
+def test_snippets_have_output_of_page(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     PageRun(tmp_path).check_fences(page.read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""The page of predicates against the code: all are there, no other is, and the examples answer as shown."""
+"""Page of predicates, compared with the code: it has exactly the defined ones, with the answers of their examples."""
 
 import re
 from pathlib import Path
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.docs
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "predicates.md"
 CODE = re.compile(r"`` (.+?) ``")
-MOST = 3
+MAX_ANSWERS = 3
 
 
 def rows():
@@ -30,9 +30,9 @@ def rows():
 
 
 ROWS = list(rows())
-OF_SYSTEM = {str(key) for key in PrologSystem().names()}
-TRANSFORMS = {str(key) for key in Engine().logic.names() if key.name.startswith("tf_")} - OF_SYSTEM
-"""Predicates of an engine that are on this page. The others have pages of their own."""
+PROLOG_PREDICATES = {str(key) for key in PrologSystem().names()}
+TRANSFORMS = {str(key) for key in Engine().logic.names() if key.name.startswith("tf_")} - PROLOG_PREDICATES
+"""Predicates of an engine on this page; the others are on other pages."""
 
 
 def system_for(keys):
@@ -40,40 +40,40 @@ def system_for(keys):
     return Engine().logic if TRANSFORMS.issuperset(keys) else PrologSystem()
 
 
-def test_every_predicate_is_on_the_page_and_no_other():
-    defined = {key for key in OF_SYSTEM if not key.startswith("$")} | TRANSFORMS
+def test_page_has_exactly_the_defined_predicates():
+    defined = {key for key in PROLOG_PREDICATES if not key.startswith("$")} | TRANSFORMS
     assert len(TRANSFORMS) == 5
-    named = [key for keys, *_ in ROWS for key in keys]
-    assert sorted(defined - set(named)) == []
-    assert sorted(set(named) - defined) == []
-    assert len(named) == len(set(named))
+    names = [key for keys, *_ in ROWS for key in keys]
+    assert sorted(defined - set(names)) == []
+    assert sorted(set(names) - defined) == []
+    assert len(names) == len(set(names))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("keys", "errors", "example", "answer"), ROWS, ids=[row[0][0] for row in ROWS])
-def test_example(keys, errors, example, answer):
+def test_example_has_answer_of_page(keys, errors, example, answer):
     assert keys[0].rpartition("/")[0] in example or keys[0][:2] in (",/", ">>"), (
         "the example shows another predicate"
     )
-    logic, written = system_for(keys), []
+    logic, outputs = system_for(keys), []
     logic.limits = Limits(inferences=500_000)
-    logic.output = logic.error_output = written.append
-    read = read_term(example, logic.operators)
+    logic.output = logic.error_output = outputs.append
+    parsed = read_term(example, logic.operators)
     answers = []
-    for _ in logic.solutions(read.term):
-        answers.append(format_bindings(read.names, logic.operators).replace(",\n", ", ") or "true")
-        if len(answers) == MOST:
+    for _ in logic.solutions(parsed.term):
+        answers.append(format_bindings(parsed.names, logic.operators).replace(",\n", ", ") or "true")
+        if len(answers) == MAX_ANSWERS:
             break
-    shown = " ; ".join(answers) or "false"
-    text = "".join(written)
-    assert (f"writes {text!r}; " if text else "") + shown == answer
+    answer_text = " ; ".join(answers) or "false"
+    text = "".join(outputs)
+    assert (f"writes {text!r}; " if text else "") + answer_text == answer
 
 
-WRONG = [Var, lambda: (functor("foo", 1), 1), lambda: 1]
+INVALID_ARGUMENTS = [Var, lambda: (functor("foo", 1), 1), lambda: 1]
 
 
 @pytest.mark.slow
-def test_errors_of_wrong_arguments_are_listed():
+def test_errors_of_invalid_arguments_are_listed():
     systems = PrologSystem(), Engine().logic
     for logic in systems:
         logic.limits = Limits(inferences=20_000)
@@ -81,17 +81,18 @@ def test_errors_of_wrong_arguments_are_listed():
     for keys, errors, _, _ in ROWS:
         logic = systems[TRANSFORMS.issuperset(keys)]
         name, _, arity = keys[0].rpartition("/")
-        listed = {f"{kind}({first})" if first else kind for kind, first in errors}
-        for wrong in WRONG if int(arity) else []:
+        listed = {f"{error_name}({first})" if first else error_name for error_name, first in errors}
+        for make_argument in INVALID_ARGUMENTS if int(arity) else []:
             try:
-                logic.once((functor(name, int(arity)), *[wrong() for _ in range(int(arity))]))
+                logic.once((functor(name, int(arity)), *[make_argument() for _ in range(int(arity))]))
             except PrologError as error:
-                kind = _kind(error.term)
-                if kind and not kind.startswith(("existence", "resource", "syntax")):
-                    assert kind in listed, keys
+                error_name = _error_name(error.term)
+                if error_name and not error_name.startswith(("existence", "resource", "syntax")):
+                    assert error_name in listed, keys
 
 
-def _kind(ball):
+def _error_name(ball):
+    """Return the name of an error term, with its first argument unless that is compound."""
     formal = ball[1] if ball.__class__ is tuple and ball[0] is functor("error", 2) else functor("", 0)
     if formal.__class__ is not tuple:
         return formal.name

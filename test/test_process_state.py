@@ -1,4 +1,4 @@
-"""The comparison of the process before and after each test, in a run of pytest with tests that leave changes."""
+"""Comparison of the process before and after each test, in a run of pytest with tests that leave changes."""
 
 import os
 import re
@@ -142,13 +142,13 @@ def output(tmp_path_factory):
 
 
 @pytest.mark.parametrize("name", CHANGES)
-def test_change_is_error_and_is_restored(output, name):
+def test_change_is_an_error_and_restored(output, name):
     place = rf"test_changes\.py::test_{name}"
     message = "the test leaves the process changed: a test restores what it changes:"
     assert re.search(rf"^{place}: {message}\n  {CHANGES[name][1]}\n(?!  )", output, re.MULTILINE), output
     assert re.search(rf"^PASSED {place}_is_restored$", output, re.MULTILINE), output
 
 
-def test_other_tests_pass(output):
+def test_tests_without_change_pass(output):
     count = 2 * len(CHANGES) + 4
     assert re.search(rf"= {count} passed, {len(CHANGES)} errors in ", output), output

@@ -1,4 +1,4 @@
-"""The page on the two Prologs: its program does what the page says."""
+"""Page on SWI-Prolog: its program has the events and answers on the page."""
 
 import re
 from pathlib import Path
@@ -24,26 +24,28 @@ def engine(request, tmp_path_factory):
     folder.mkdir(exist_ok=True)
     for name, text in FILES.items():
         (folder / name).write_text(text, encoding="utf-8")
-    made = Engine(settings=Settings(allow_swi=True))
-    asks = ":- use_swi('paths.pl').\n"
+    engine = Engine(settings=Settings(allow_swi=True))
+    directive = ":- use_swi('paths.pl').\n"
     if request.param == "rules":
-        made.load_rules(FILES["rules.txt"], "rules.txt", folder)
+        engine.load_rules(FILES["rules.txt"], "rules.txt", folder)
     else:
-        made.load(rules=FILES["rules.txt"].replace(asks, ""), goals="use_swi('paths.pl')", folder=folder)
-    return made
+        engine.load(
+            rules=FILES["rules.txt"].replace(directive, ""), goals="use_swi('paths.pl')", folder=folder
+        )
+    return engine
 
 
-def test_the_example(engine):
-    said = []
-    engine.on_event(lambda term, start, end: said.append(engine.show(term)))
+def test_example_emits_events_of_page(engine):
+    events = []
+    engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     engine.event("wanted(nao, hall, cellar)", 1)
     engine.event("late(nao, 7)", 2)
     text = " ".join(PAGE.read_text(encoding="utf-8").split())
-    for one in said:
-        assert f"`{one}`" in text or f"`{one.replace(',', ', ')}`" in text
-    assert len(said) == 4
+    for event in events:
+        assert f"`{event}`" in text or f"`{event.replace(',', ', ')}`" in text
+    assert len(events) == 4
 
 
-def test_the_error_that_is_caught(engine):
+def test_caught_error_has_no_solution(engine):
     goal = re.search(r"`(catch\(reach.*?true\))`", PAGE.read_text(encoding="utf-8")).group(1)
     assert engine.query(goal) == []

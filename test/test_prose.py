@@ -21,7 +21,7 @@ MAX_WORDS = 51_000
 """Words of all pages together."""
 
 UNBOUNDED = "docs/reference/predicates.md"
-"""The page that is searched and not read: its words do not count."""
+"""The page that is searched instead of read: its words do not count."""
 
 OPENING = re.compile(r"(?:What|Who|Whom|Whose|Where|How|When|Which|Whether|For how long)\b")
 """Words with which a docstring does not begin."""
@@ -48,16 +48,16 @@ def words(text):
 
 
 @pytest.mark.parametrize("page", sorted(set(PAGES) - {UNBOUNDED}))
-def test_a_page_is_short(page):
+def test_page_is_short(page):
     assert len(words(PAGES[page])) <= MAX_WORDS_OF_PAGE
 
 
-def test_all_pages_together_are_short():
+def test_total_length_of_pages_is_limited():
     assert sum(len(words(text)) for page, text in PAGES.items() if page != UNBOUNDED) <= MAX_WORDS
 
 
 @pytest.mark.parametrize("page", sorted(PAGES))
-def test_a_page_has_no_banned_phrase(page):
+def test_page_has_no_banned_phrase(page):
     assert BANNED.findall(CODE.sub("", PAGES[page])) == []
 
 
@@ -71,7 +71,7 @@ def docstrings():
                     yield f"{path}:{getattr(node, 'lineno', 1)}", text
 
 
-def test_no_docstring_begins_with_a_question_word():
+def test_docstrings_begin_with_no_question_word():
     assert [place for place, text in docstrings() if OPENING.match(text)] == []
 
 

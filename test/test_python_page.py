@@ -1,4 +1,4 @@
-"""``docs/reference/python.md``: the session is run as it stands, and names all that the package offers."""
+"""``docs/reference/python.md``: the session is run, and it has all public names."""
 
 import doctest
 import re
@@ -16,13 +16,13 @@ PAGE = (Path(__file__).resolve().parent.parent / "docs" / "reference" / "python.
 
 
 @pytest.mark.slow
-def test_the_session_runs(tmp_path):
-    found = doctest.DocTestParser().get_doctest(PAGE, {"folder": tmp_path}, "python.md", "python.md", 0)
-    assert len(found.examples) > 50
-    said = []
-    doctest.DocTestRunner(verbose=False).run(found, out=said.append)
-    assert not said, "".join(said)
+def test_session_has_output_of_page(tmp_path):
+    session = doctest.DocTestParser().get_doctest(PAGE, {"folder": tmp_path}, "python.md", "python.md", 0)
+    assert len(session.examples) > 50
+    failures = []
+    doctest.DocTestRunner(verbose=False).run(session, out=failures.append)
+    assert not failures, "".join(failures)
 
 
-def test_all_names_are_there():
+def test_page_has_all_public_names():
     assert set(retalis.__all__) <= set(re.findall(r"\w+", PAGE))

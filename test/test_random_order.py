@@ -1,4 +1,4 @@
-"""The random order of tests, in runs of pytest with two modules."""
+"""Random order of tests, in runs of pytest with two modules."""
 
 import os
 import re
@@ -54,9 +54,10 @@ def test_seed_repeats_order(run):
     assert len(tests) == 40
 
 
-def test_other_seed_gives_other_order(run):
+def test_other_seed_has_other_order(run):
     first, second = run(seed="1")[1], run(seed="2")[1]
-    assert first != second and sorted(first) == sorted(second)
+    assert first != second
+    assert sorted(first) == sorted(second)
 
 
 def test_part_of_tests_keeps_order(run):
@@ -66,15 +67,16 @@ def test_part_of_tests_keeps_order(run):
     assert len(part) == 10
 
 
-def test_modules_and_classes_stay_together(run):
+def test_modules_and_classes_are_not_mixed(run):
     tests = run(seed="4")[1]
     for node, count in [("test_a.py", 20), ("test_b.py::TestTogether", 10)]:
-        places = [place for place, test in enumerate(tests) if test.startswith(f"{node}::")]
-        assert places == list(range(places[0], places[0] + count))
+        positions = [position for position, test in enumerate(tests) if test.startswith(f"{node}::")]
+        assert positions == list(range(positions[0], positions[0] + count))
 
 
 def test_failed_run_ends_with_seed(run, tmp_path):
     (tmp_path / "test_c.py").write_text("def test_false():\n    assert False\n")
     output, _ = run("test_c.py", seed="5")
     line = "random order of tests: RETALIS_ORDER_SEED=5 repeats it\n"
-    assert output.count(line) == 2 and output.index("AssertionError") < output.rindex(line)
+    assert output.count(line) == 2
+    assert output.index("AssertionError") < output.rindex(line)

@@ -1,9 +1,9 @@
-"""Every regular expression of the package, with its worst case: none takes more than linear time.
+"""Regular expressions of the package with their worst cases: none takes more than linear time.
 
-A pattern that is new has to be entered here, or the test fails: write it so that over the same characters there is
-only one way (alternatives and what follows a repetition begin with different characters), and say what its worst
-case is. Each is run over texts of 100,000 characters that begin as it does, go on in a way that it likes, and end in
-what it does not like: a pattern that begins anew at each character would take minutes of the processor's time.
+A new pattern requires an entry here. Write patterns so that each text has only one match (alternatives, and the
+expression after a repetition, begin with different characters), and describe the worst case. Each pattern is run over
+texts of 100,000 characters that have a matching beginning, repeat a matching part, and end without a match: a pattern
+that starts again at each character would take minutes of processor time.
 """
 
 import ast
@@ -21,11 +21,11 @@ from retalis.prolog.syntax import tokenizer
 
 SIZE = 100_000
 SECONDS = 20.0
-"""Of processor time for all texts of a pattern; the slowest takes a tenth of a second."""
+"""Processor time for all texts of a pattern; the slowest pattern takes a tenth of a second."""
 
 
 class Case(NamedTuple):
-    """How a pattern is run, what its worst case is, and texts: first part, part that is repeated, last part."""
+    """Method of a pattern, its worst case, and parts of texts: first, repeated and last parts."""
 
     method: str
     worst: str
@@ -304,24 +304,24 @@ CASES: Dict[str, Case] = {
 
 USES = frozenset(("compile", "match", "fullmatch", "search", "sub", "subn", "split", "findall", "finditer"))
 TOKENS = "prolog/syntax/tokenizer.py"
-"""It compiles the patterns of the tokens as one; here each is tested alone."""
+"""The module that compiles the patterns of all tokens as one; they are tested one by one."""
 
 
 def calls_of_re(path: str) -> List[ast.Call]:
-    """Return where a file calls a function of ``re`` that takes a pattern."""
+    """Return the calls of functions of ``re`` with a pattern in a file."""
     file = FILES[path]
     names = [name for base, name in file.imports if base == "re"]
     assert not any(names), path
     if not names:
         return []
     return [
-        one
-        for one in file.nodes
-        if isinstance(one, ast.Call)
-        and isinstance(one.func, ast.Attribute)
-        and isinstance(one.func.value, ast.Name)
-        and one.func.value.id == "re"
-        and one.func.attr in USES
+        node
+        for node in file.nodes
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Attribute)
+        and isinstance(node.func.value, ast.Name)
+        and node.func.value.id == "re"
+        and node.func.attr in USES
     ]
 
 
@@ -330,54 +330,54 @@ def patterns_in(value: Any) -> Iterator[str]:
     if isinstance(value, re.Pattern):
         yield value.pattern if isinstance(value.pattern, str) else value.pattern.decode()
     elif isinstance(value, dict):
-        for one in value.values():
-            yield from patterns_in(one)
+        for item in value.values():
+            yield from patterns_in(item)
     elif isinstance(value, (list, tuple, set, frozenset)):
-        for one in value:
-            yield from patterns_in(one)
+        for item in value:
+            yield from patterns_in(item)
 
 
 def patterns_of(path: str) -> Set[str]:
-    """Return the patterns of a file: those of calls that name them, and those that its module holds."""
+    """Return the patterns of a file: literals in calls, and values of the module."""
     calls = calls_of_re(path)
     if not calls:
         return set()
     module = importlib.import_module(f"retalis.{path[: -len('.py')].replace('/', '.')}")
-    held = [one for value in vars(module).values() for one in patterns_in(value)]
-    found = set(held)
-    unnamed = 0
+    module_patterns = [pattern for value in vars(module).values() for pattern in patterns_in(value)]
+    patterns = set(module_patterns)
+    unread_count = 0
     for call in calls:
         try:
             value = ast.literal_eval(call.args[0])
         except ValueError:
-            unnamed += 1
+            unread_count += 1
         else:
-            found.add(value if isinstance(value, str) else value.decode())
-    assert unnamed <= len(held), f"{path}: a pattern that is made by a function cannot be looked at"
-    return found
+            patterns.add(value if isinstance(value, str) else value.decode())
+    assert unread_count <= len(module_patterns), f"{path}: a pattern that a function returns cannot be tested"
+    return patterns
 
 
 def all_patterns() -> Dict[str, Any]:
     """Return every pattern of the package by its text, or by its name if it is that of a token."""
-    found: Dict[str, Any] = {}
+    patterns: Dict[str, Any] = {}
     for path in sorted(FILES):
         if path != TOKENS:
             for text in patterns_of(path):
                 verbose = re.VERBOSE if "\n " in text else 0
-                found[text] = re.compile(text, verbose | (re.MULTILINE if text[0] == "^" else 0))
+                patterns[text] = re.compile(text, verbose | (re.MULTILINE if text[0] == "^" else 0))
     for name, pattern in tokenizer.TOKEN_PATTERNS.items():
-        found[name] = re.compile(pattern)
-    return found
+        patterns[name] = re.compile(pattern)
+    return patterns
 
 
 PATTERNS = all_patterns()
 
 
-def test_each_pattern_is_looked_at():
+def test_each_pattern_has_a_case():
     assert set(PATTERNS) == set(CASES)
 
 
-def test_the_patterns_of_tokens_are_compiled_nowhere_else():
+def test_patterns_of_tokens_are_compiled_once():
     assert len(calls_of_re(TOKENS)) == 1
 
 
@@ -386,18 +386,18 @@ def texts(case: Case, size: int) -> Iterator[str]:
         yield first + repeated * (size // len(repeated)) + last
 
 
-class TooSlow(Exception):
+class TooSlowError(Exception):
     pass
 
 
 @contextmanager
 def at_most(seconds: float) -> Iterator[None]:
-    """Raise `TooSlow` past some seconds of the processor's time, however busy the machine is."""
+    """Raise `TooSlowError` after some seconds of processor time, which does not depend on other processes."""
 
-    def late(number: int, frame: Any) -> None:
-        raise TooSlow
+    def stop(number: int, frame: Any) -> None:
+        raise TooSlowError
 
-    before = signal.signal(signal.SIGPROF, late)
+    before = signal.signal(signal.SIGPROF, stop)
     signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         yield
@@ -417,16 +417,16 @@ def run(pattern: Any, method: str, text: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(CASES))
-def test_long_texts(name):
+def test_long_text_takes_linear_time(name):
     with at_most(SECONDS):
         for text in texts(CASES[name], SIZE):
             run(PATTERNS[name], CASES[name].method, text)
 
 
 @pytest.mark.parametrize("name", sorted(CASES))
-def test_what_others_like(name):
-    """Short texts are enough to see that a pattern tries all ways: of 200 characters that would take for ever."""
-    repeated = {one for case in CASES.values() for one in case.repeated}
+def test_parts_of_other_patterns_take_linear_time(name):
+    """Short texts show exponential time: 200 characters would take forever."""
+    repeated = {part for case in CASES.values() for part in case.repeated}
     case = CASES[name]._replace(repeated=tuple(sorted(repeated)))
     with at_most(SECONDS):
         for text in texts(case, 200):
@@ -435,13 +435,13 @@ def test_what_others_like(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "pattern,text",
+    ("pattern", "text"),
     [
         (r"'(?:''|\\x[0-9a-f]+|\\[\s\S]|[^'\\])*'", "'" + "\\x41" * 50),
         (r"\[\s*\d*\s*\]", "[" + " " * SIZE),
     ],
 )
-def test_that_a_slow_one_is_found(pattern, text):
-    """Two as they once stood in the package."""
-    with pytest.raises(TooSlow), at_most(0.5):
+def test_slow_pattern_is_detected(pattern, text):
+    """A pattern with exponential and one with quadratic time."""
+    with pytest.raises(TooSlowError), at_most(0.5):
         run(re.compile(pattern), "match", text)

@@ -1,5 +1,5 @@
 # ruff: noqa: E501 - texts of the page
-"""The limits that docs/explanation/security.md and the launch file state are those of the code."""
+"""Limits on the page about security and in the launch file, compared with those of the code."""
 
 import ast
 from math import log10
@@ -39,7 +39,7 @@ def millions(number):
 
 
 STATES = f"{event_states.MAX_STATES:,} declarations; of each {state_parser.DEFAULT_MAX_OPEN:,} open and {state_parser.DEFAULT_MAX_PAST:,} past ones"
-FIXED = {
+FIXED_LIMITS = {
     "names of packages, types, slots": f"beginning with a letter; {ros_names.MAX_NAME_CHARACTERS} characters",
     "text of an event": f"{millions(MAX_EVENT_TEXT_CHARACTERS)} characters",
     "type definitions that publishers send": (
@@ -58,45 +58,45 @@ FIXED = {
 }
 
 
-@pytest.mark.parametrize("what", FIXED)
-def test_a_fixed_limit_is_what_the_page_says(what):
-    (limit,) = table("| what | limit |")[what]
-    assert FIXED[what] in limit
+@pytest.mark.parametrize("name", FIXED_LIMITS)
+def test_page_has_fixed_limit(name):
+    (limit,) = table("| what | limit |")[name]
+    assert FIXED_LIMITS[name] in limit
 
 
 def node_limits():
-    """Return the node's defaults of the limits, as they stand in the module of its parameters."""
+    """Return the default limits of a node from the module of its parameters."""
     (path,) = [path for path in TREES if path.endswith("node/parameters.py")]
     for statement in TREES[path].body:
         if isinstance(statement, ast.Assign) and statement.targets[0].id == "DEFAULT_LIMITS":
-            return {one.arg: one.value.value for one in statement.value.keywords}
+            return {keyword.arg: keyword.value.value for keyword in statement.value.keywords}
     raise AssertionError(path)
 
 
-LAUNCHED = {
-    one.get("name"): one.get("default")
-    for one in ElementTree.parse(ROOT / "launch" / "retalis.launch").getroot().iter("arg")
+LAUNCH_DEFAULTS = {
+    argument.get("name"): argument.get("default")
+    for argument in ElementTree.parse(ROOT / "launch" / "retalis.launch").getroot().iter("arg")
 }
 NONE = "none"
 ENGINE = Settings()
-OF_NODE = {"output_megabytes": ENGINE.limits.output_megabytes, **node_limits()}
+NODE_LIMITS = {"output_megabytes": ENGINE.limits.output_megabytes, **node_limits()}
 
 
 @pytest.mark.parametrize(
     ("parameter", "node", "engine", "unit"),
     [
-        ("max_seconds", OF_NODE["seconds"], ENGINE.limits.seconds, " s"),
-        ("max_megabytes", OF_NODE["megabytes"], ENGINE.limits.megabytes, " MB"),
-        ("max_output_megabytes", OF_NODE["output_megabytes"], ENGINE.limits.output_megabytes, " MB"),
-        ("max_inferences", OF_NODE.get("inferences"), ENGINE.limits.inferences, ""),
+        ("max_seconds", NODE_LIMITS["seconds"], ENGINE.limits.seconds, " s"),
+        ("max_megabytes", NODE_LIMITS["megabytes"], ENGINE.limits.megabytes, " MB"),
+        ("max_output_megabytes", NODE_LIMITS["output_megabytes"], ENGINE.limits.output_megabytes, " MB"),
+        ("max_inferences", NODE_LIMITS.get("inferences"), ENGINE.limits.inferences, ""),
         ("max_file_megabytes", ENGINE.max_file_megabytes, ENGINE.max_file_megabytes, " MB"),
         ("queue", ENGINE.queue, ENGINE.queue, ""),
         ("max_depth", ENGINE.max_depth, ENGINE.max_depth, ""),
     ],
 )
-def test_a_setting_has_the_default_that_the_page_says(parameter, node, engine, unit):
+def test_page_and_launch_file_have_default(parameter, node, engine, unit):
     rows = {cells[0]: cells[1:] for cells in table("| what | node |").values()}
-    shown = [NONE if value is None else f"{value:g}{unit}" for value in (node, engine)]
-    assert rows[f"`~{parameter}`"] == shown
-    launched = LAUNCHED[parameter]
-    assert launched == NONE or float(launched) == (node or 0)
+    texts = [NONE if value is None else f"{value:g}{unit}" for value in (node, engine)]
+    assert rows[f"`~{parameter}`"] == texts
+    launch_default = LAUNCH_DEFAULTS[parameter]
+    assert launch_default == NONE or float(launch_default) == (node or 0)

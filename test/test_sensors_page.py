@@ -1,4 +1,4 @@
-"""The page about clouds, images and maps: its goals answer as is shown."""
+"""Page about clouds, images and maps: its goals have the answers on the page."""
 
 import pytest
 from doc_pages import ROOT, PageRun
@@ -8,6 +8,6 @@ pytestmark = pytest.mark.docs
 PAGE = ROOT / "docs" / "reference" / "sensors.md"
 
 
-def test_page_shows_what_happens(tmp_path):
+def test_goals_have_answers_of_page(tmp_path):
     pytest.importorskip("numpy")
     PageRun(tmp_path).check_fences(PAGE.read_text(encoding="utf-8"))

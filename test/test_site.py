@@ -1,4 +1,4 @@
-"""The documentation site: its start page, and the index pages of its sections."""
+"""Documentation site: its start page, and the index pages of its sections."""
 
 import re
 
@@ -22,7 +22,7 @@ def links(page):
 
 
 @pytest.mark.slow
-def test_the_example_of_the_start_page_prints_what_the_page_shows(tmp_path):
+def test_example_of_start_page_has_shown_output(tmp_path):
     run = PageRun(tmp_path)
     fences = list(FENCE.finditer((DOCS / "index.md").read_text(encoding="utf-8")))
     assert [fence["kind"] for fence in fences] == ["prolog", "text", "console"]
@@ -30,20 +30,21 @@ def test_the_example_of_the_start_page_prints_what_the_page_shows(tmp_path):
         assert run.result(fence) == fence["text"]
 
 
-def test_the_start_page_links_to_all_sections():
+def test_start_page_links_to_all_sections():
     sections = {DOCS / section / "index.md" for section in SECTIONS if "/" not in section}
-    others = {ROOT / "examples" / "cookbook" / "README.md", ROOT / "CONTRIBUTING.md"}
-    assert sections | others <= links(DOCS / "index.md")
+    other_pages = {ROOT / "examples" / "cookbook" / "README.md", ROOT / "CONTRIBUTING.md"}
+    assert sections | other_pages <= links(DOCS / "index.md")
 
 
 @pytest.mark.parametrize("section", SECTIONS)
-def test_the_index_page_of_a_section_links_to_all_of_its_pages(section):
-    # The contents of the site are made of these links.
+def test_index_of_section_links_to_all_pages(section):
+    # Sphinx builds the table of contents from these links.
     folder = DOCS / section
     pages = {*folder.glob("*.md"), *folder.glob("*/index.md")}
+    assert len(pages) > 1
     assert pages - {folder / "index.md"} <= links(folder / "index.md")
 
 
-def test_ci_builds_the_site():
+def test_ci_builds_site():
     script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
     assert '"$python" install.py docs ||' in script

@@ -51,7 +51,7 @@ def open_page(browser, page):
 
 
 @pytest.mark.parametrize("program", PROGRAMS)
-def test_page_of_a_program_has_all_of_its_files(browser, program):
+def test_page_of_program_has_all_files(browser, program):
     open_page(browser, f"cookbook/{program}/README")
     files = {
         path.name: path.read_text(encoding="utf-8")
@@ -59,13 +59,13 @@ def test_page_of_a_program_has_all_of_its_files(browser, program):
         if path.suffix in (".txt", ".xml", ".py")
     }
     assert len(files) == 6
-    shown = dict(browser.ask(CAPTIONED_BLOCKS))
-    assert {name: text.strip() for name, text in shown.items()} == {
+    captioned_blocks = dict(browser.ask(CAPTIONED_BLOCKS))
+    assert {name: text.strip() for name, text in captioned_blocks.items()} == {
         name: text.strip() for name, text in files.items()
     }
 
 
-def test_index_of_the_cookbook_says_what_each_program_shows(browser):
+def test_index_of_cookbook_has_all_programs(browser):
     open_page(browser, "cookbook/README")
     rows = browser.ask(
         """[...document.querySelectorAll("article tbody tr")].map(row => [
@@ -76,13 +76,13 @@ def test_index_of_the_cookbook_says_what_each_program_shows(browser):
     assert all(situation for _, situation in rows)
 
 
-def test_links_to_programs_stay_in_the_site(browser):
+def test_links_to_programs_are_within_site(browser):
     open_page(browser, "how-to/debounce")
     links = browser.ask("[...document.querySelectorAll('article a')].map(link => link.getAttribute('href'))")
     assert {"../cookbook/debounce/README.html", "../cookbook/door/README.html"} <= set(links)
 
 
-def test_contributing_is_a_page_with_links_to_other_pages(browser):
+def test_contributing_page_has_links(browser):
     open_page(browser, "contributing")
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     headings = browser.ask("[...document.querySelectorAll('h1, h2, h3')].map(heading => heading.textContent)")
@@ -97,16 +97,16 @@ def test_contributing_is_a_page_with_links_to_other_pages(browser):
 
 
 @pytest.mark.parametrize("page", PAGES_WITH_FILES, ids=lambda page: page.stem)
-def test_captions_name_the_files_of_code_blocks(browser, page):
+def test_captions_name_files_of_code_blocks(browser, page):
     open_page(browser, page.relative_to(DOCS).with_suffix("").as_posix())
     fences = [fence for fence in FENCE.finditer(page.read_text(encoding="utf-8")) if fence["name"]]
-    shown = [(name, text.strip("\n")) for name, text in browser.ask(CAPTIONED_BLOCKS)]
-    assert shown == [(fence["name"], fence["text"].strip("\n")) for fence in fences]
+    captioned_blocks = [(name, text.strip("\n")) for name, text in browser.ask(CAPTIONED_BLOCKS)]
+    assert captioned_blocks == [(fence["name"], fence["text"].strip("\n")) for fence in fences]
 
 
 @pytest.mark.parametrize(("width", "column"), [(1920, 1100), (1400, 800)])
 @pytest.mark.parametrize("page", WIDE_PAGES)
-def test_wide_screen_shows_tables_and_code_whole(browser, page, width, column):
+def test_wide_screen_cuts_no_table_or_code(browser, page, width, column):
     browser.resize(width, 900)
     open_page(browser, page)
     layout = browser.ask(LAYOUT)
@@ -116,7 +116,7 @@ def test_wide_screen_shows_tables_and_code_whole(browser, page, width, column):
 
 
 @pytest.mark.parametrize("page", WIDE_PAGES)
-def test_phone_shows_text_without_scrolling_sideways(browser, page):
+def test_narrow_screen_does_not_scroll_sideways(browser, page):
     browser.resize(400, 900)
     open_page(browser, page)
     layout = browser.ask(LAYOUT)
@@ -132,7 +132,7 @@ def test_sentences_are_narrower_than_tables(browser):
     assert max(sentences) < max(browser.ask(widths.format("article table")))
 
 
-def test_start_page_has_picture_sentences_commands_and_example(browser):
+def test_start_page_has_picture_and_example(browser):
     open_page(browser, "index")
     parts = browser.ask(
         "[...document.querySelectorAll('article :is(h1, h2, img, pre)')].map(part => part.tagName)"
@@ -141,7 +141,8 @@ def test_start_page_has_picture_sentences_commands_and_example(browser):
     picture = browser.ask(
         "(() => { const {alt, naturalWidth} = document.querySelector('article img'); return [alt, naturalWidth]; })()"
     )
-    assert len(picture[0]) > 20 and picture[1] > 400
+    assert len(picture[0]) > 20
+    assert picture[1] > 400
     paragraphs = browser.ask("[...document.querySelectorAll('article h1 ~ p')].map(part => part.innerText)")
     introduction = " ".join(paragraphs).strip()
     assert len(re.findall(r"\.(?:\s|$)", introduction)) == 2
@@ -149,7 +150,7 @@ def test_start_page_has_picture_sentences_commands_and_example(browser):
     assert [heading.rstrip("#¶") for heading in headings][:2] == ["Two commands", "An example"]
 
 
-def test_site_without_a_repository_has_no_links_to_sources(browser):
+def test_site_without_repository_has_no_source_links(browser):
     assert "repository" not in (ROOT / "package.xml").read_text(encoding="utf-8")
     open_page(browser, "how-to/debounce")
     assert browser.ask(SOURCE_LINKS) == []
@@ -181,7 +182,7 @@ def build_copy_with_repository(folder, address):
     return folder / "docs" / "_build" / "html"
 
 
-def test_site_with_a_repository_links_to_it_and_to_sources(browser, tmp_path):
+def test_site_with_repository_has_source_links(browser, tmp_path):
     address = "https://github.com/example/retalis"
     site = build_copy_with_repository(tmp_path / "retalis", address)
     for page, source in (

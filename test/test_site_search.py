@@ -1,4 +1,4 @@
-"""Search of the documentation site in a browser: the words of a task lead to its guide, and hits have excerpts."""
+"""Search of the documentation site in a browser: guides are found by words of their task, and hits have excerpts."""
 
 import re
 from urllib.parse import quote
@@ -47,20 +47,20 @@ def queries():
 
 
 @pytest.mark.parametrize(("query", "guide"), list(queries()))
-def test_a_guide_is_among_the_first_hits(browser, query, guide):
+def test_guide_is_among_first_hits(browser, query, guide):
     search(browser, query)
     pages = list(dict.fromkeys(browser.ask(FOUND_PAGES)))
     assert f"how-to/{guide}.html" in pages[:MAX_HITS]
 
 
-def test_programs_of_the_cookbook_are_found(browser):
+def test_programs_of_cookbook_are_found(browser):
     for program in ("debounce", "docking", "slip"):
         assert (COOKBOOK / program).is_dir()
         search(browser, program)
         assert f"cookbook/{program}/README.html" in browser.ask(FOUND_PAGES)
 
 
-def test_hits_have_excerpts_with_the_searched_words(browser):
+def test_hits_have_excerpts_with_searched_words(browser):
     search(browser, "heartbeats of robots")
     hits = browser.ask(EXCERPTS)
     assert len(hits) > MAX_HITS
@@ -72,7 +72,7 @@ def test_hits_have_excerpts_with_the_searched_words(browser):
     assert {word.rstrip("s") for word in hits[0]["marked"]} == {"heartbeat", "robot"}
 
 
-def test_excerpt_of_a_hit_in_a_section_is_from_this_section(browser):
+def test_excerpt_is_from_section_of_hit(browser):
     search(browser, "The instant of a match")
     (hit,) = [hit for hit in browser.ask(EXCERPTS) if "The instant of a match" in hit["title"]]
     assert "emits another event at the instant of its end" in hit["excerpt"]
@@ -84,7 +84,7 @@ def test_excerpts_show_markup_as_text(browser):
     assert any("<publish_subscribe>" in excerpt for excerpt in excerpts)
 
 
-def test_page_marks_the_words_of_the_last_search(browser):
+def test_page_marks_words_of_last_search(browser):
     # The words are also those of titles of the theme's icons, which a browser cannot mark.
     search(browser, "light mode")
     browser.open(f"{SITE.as_uri()}/how-to/count-changes.html")
@@ -98,5 +98,6 @@ def test_page_marks_the_words_of_the_last_search(browser):
 def test_comments_of_pages_are_not_searched():
     page = (DOCS / "reference" / "situations.md").read_text(encoding="utf-8")
     texts = (SITE / "_static" / "search_texts.js").read_text(encoding="utf-8")
-    assert "hysteresis threshold noise noisy schmitt" in page and "schmitt" not in texts
+    assert "hysteresis threshold noise noisy schmitt" in page
+    assert "schmitt" not in texts
     assert "switch at two limits without flicker" in texts

@@ -1,4 +1,4 @@
-"""One word for a thing, and one thing for a word: class names, and the glossary that explains them."""
+"""Terminology: unique class names, and the glossary that explains them."""
 
 import ast
 import re
@@ -9,63 +9,64 @@ from source import NODES, ROOT, TREES
 
 GLOSSARY = ROOT / "docs" / "reference" / "glossary.md"
 
-# Names that are defined more than once, each with the reason.
-TWICE: "dict[str, str]" = {}
+# Class names that are defined more than once, each with the reason.
+REPEATED: "dict[str, str]" = {}
 
 
 @lru_cache(maxsize=None)
 def classes():
     """Return the files that define each class, by its name without a leading underscore."""
-    found = defaultdict(list)
+    paths_by_class = defaultdict(list)
     for path, nodes in NODES.items():
         for node in nodes:
             if isinstance(node, ast.ClassDef):
-                found[node.name.lstrip("_")].append(path)
-    return dict(found)
+                paths_by_class[node.name.lstrip("_")].append(path)
+    return dict(paths_by_class)
 
 
 def aliases():
-    """Return the files that give each class name to a type."""
-    found = defaultdict(list)
+    """Return the files that define each type alias, by its name."""
+    paths_by_alias = defaultdict(list)
     for path, tree in TREES.items():
         for node in tree.body:
             if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
                 name = node.targets[0].id.lstrip("_")
                 if name[:1].isupper() and not name.isupper():
-                    found[name].append(path)
-    return found
+                    paths_by_alias[name].append(path)
+    return paths_by_alias
 
 
-def named():
+def glossary_classes():
     """Return the classes in the third column of the glossary."""
     rows = [line for line in GLOSSARY.read_text(encoding="utf-8").splitlines() if line.startswith("| ")]
     return [name for row in rows for name in re.findall(r"`(\w+)`", row.split("|")[3])]
 
 
-def test_no_class_name_is_defined_twice():
-    assert {name: files for name, files in classes().items() if len(files) > 1 and name not in TWICE} == {}
+def test_class_names_are_unique():
+    assert {name: files for name, files in classes().items() if len(files) > 1 and name not in REPEATED} == {}
 
 
-def test_no_type_alias_has_the_name_of_a_class():
+def test_no_alias_has_name_of_class():
     names = classes()
     assert {name: files for name, files in aliases().items() if name in names} == {}
 
 
-def test_exceptions_are_still_needed():
-    assert [name for name in TWICE if len(classes().get(name, ())) < 2] == []
+def test_repeated_names_exist():
+    assert [name for name in REPEATED if len(classes().get(name, ())) < 2] == []
 
 
-def test_the_glossary_names_classes_that_exist():
+def test_classes_of_glossary_exist():
     names = classes()
-    assert len(named()) > 50
-    assert [name for name in named() if name not in names] == []
+    assert len(glossary_classes()) > 50
+    assert [name for name in glossary_classes() if name not in names] == []
 
 
-def test_the_glossary_explains_a_term_once():
+def test_terms_of_glossary_are_unique():
     terms = [
         term.strip()
         for line in GLOSSARY.read_text(encoding="utf-8").splitlines()
         if line.startswith("| ") and not line.startswith(("| ---", "| term |"))
         for term in line.split("|")[1].split(",")
     ]
+    assert len(terms) > 50
     assert sorted(set(terms)) == sorted(terms)

@@ -1,4 +1,4 @@
-"""Positions that programs compute, against tf2 and against the truth."""
+"""Computed positions, compared with tf2 and with the truth."""
 
 import sys
 from pathlib import Path
@@ -32,7 +32,7 @@ def vector(term):
 
 
 class Pose:
-    """A published PoseStamped, taken apart."""
+    """Fields of a published PoseStamped."""
 
     def __init__(self, output):
         header, pose = deref(output.term[1]), deref(output.term[2])
@@ -56,17 +56,18 @@ def poses(nao):
     return [Pose(output) for output in nao[2] if output.topic.startswith("marker")]
 
 
-def test_each_observation_that_can_be_computed_leads_to_one_pose(nao, poses):
-    expected = sorted((one.marker, one.stamp) for one in nao[1].complete)
+def test_each_complete_observation_has_one_pose(nao, poses):
+    expected = sorted((observation.marker, observation.stamp) for observation in nao[1].complete)
     assert sorted((pose.marker, pose.stamp) for pose in poses) == expected
     assert len(expected) > 50
 
 
-def test_each_marker_has_its_topic(poses):
+def test_each_marker_has_topic(poses):
     assert {(pose.marker, pose.topic) for pose in poses} == {(f"4x4_{i}", f"marker{i}") for i in range(1, 9)}
 
 
-def test_positions_are_the_true_ones_within_two_centimetres(nao, poses):
+def test_positions_equal_truth_within_2_cm(nao, poses):
+    assert poses
     for pose in poses:
         true = nao[1].markers[pose.marker][0]
         assert sum((a - b) ** 2 for a, b in zip(pose.position, true)) ** 0.5 < nao_truth.TOLERANCE
@@ -78,6 +79,7 @@ def test_positions_agree_with_tf2(nao, poses):
 
     reference = tf2.Reference(nao[0])
     relative = observations(nao[0])
+    assert poses
     for pose in poses:
         camera = reference.pose("odom", "CameraTop_frame", pose.stamp)
         position, rotation = tf2.compose(camera, relative[pose.marker, pose.stamp])
@@ -88,28 +90,28 @@ def test_positions_agree_with_tf2(nao, poses):
 def observations(path):
     """Return the pose of each observation relative to the camera, by marker and stamp."""
     definitions = Definitions()
-    found = {}
+    poses_by_key = {}
     with BagReader(path) as bag:
         for record in bag.records(["/ar_pose_marker"]):
-            kind = definitions.add(record.topic.type, record.topic.definition)
-            message = definitions.decoder(kind).decode(record.data)
+            definition = definitions.add(record.topic.type, record.topic.definition)
+            message = definitions.decoder(definition).decode(record.data)
             for marker in list_items(deref(message)[2]):
                 marker = deref(marker)
                 header, pose = deref(marker[1]), deref(deref(marker[3])[1])
                 seconds, nanoseconds = (deref(part) for part in list_items(header[2]))
                 key = deref(header[3]).name.strip('"'), seconds * 10**9 + nanoseconds
-                found[key] = vector(pose[1]), vector(pose[2])
-    return found
+                poses_by_key[key] = vector(pose[1]), vector(pose[2])
+    return poses_by_key
 
 
-def test_a_known_face_by_a_marker_is_published(nao):
+def test_known_face_near_marker_is_published(nao):
     texts = [deref(output.term[1]).name for output in nao[2] if output.topic == "face_by_marker"]
     assert texts
     assert all(" by 4x4_" in text for text in texts)
 
 
-@pytest.mark.skipif(not PR2.exists(), reason="the PR2's bag is not there")
-def test_the_head_of_a_pr2_agrees_with_tf2():
+@pytest.mark.skipif(not PR2.exists(), reason="needs a recorded bag of a PR2")
+def test_head_of_pr2_agrees_with_tf2():
     import tf2_reference as tf2  # noqa: PLC0415 - needs numpy
 
     engine, _ = play(HERE / "data" / "pr2", PR2)

@@ -1,4 +1,4 @@
-"""The timelines of the language reference are drawn from the examples on its pages, and are up to date."""
+"""Timelines of the language reference, drawn from the examples on its pages."""
 
 import pytest
 from doc_pages import load_script
@@ -15,20 +15,22 @@ EXAMPLES = [example for page in PAGES for example in timelines.examples(page)]
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.path.stem)
-def test_picture_shows_the_events_of_its_example(example):
+def test_picture_shows_events_of_example(example):
     assert timelines.description(example.path) == example.text, "run docs/timelines.py"
     texts = timelines.texts(example.path)
-    for lane in timelines.run_example(example.text):
+    lanes = list(timelines.run_example(example.text))
+    assert lanes
+    for lane in lanes:
         assert lane.name in texts
         assert {label for _, _, label in lane.marks} - {""} <= set(texts)
 
 
-def test_every_page_of_an_operator_has_a_picture():
+def test_each_page_of_operator_has_picture():
     with_pictures = {page.stem for page in PAGES if any(timelines.examples(page))}
     assert {page.stem for page in PAGES} - with_pictures == WITHOUT_PICTURES
 
 
-def test_pictures_are_small_and_none_is_left_over():
+def test_pictures_are_small_and_all_used():
     pictures = set((timelines.PAGES / "pictures").iterdir())
     assert pictures == {example.path for example in EXAMPLES}
     assert len(EXAMPLES) == len(pictures)

@@ -1,4 +1,4 @@
-"""What tf2 says: the judge of positions, where it is installed."""
+"""Reference of transforms: a buffer of tf2, if it is installed."""
 
 import math
 
@@ -24,7 +24,7 @@ def stamp(header):
 
 
 class Reference:
-    """A tf2 buffer, filled from the /tf messages of a bag where it has one, leading slashes of frames stripped."""
+    """A tf2 buffer with the /tf messages of a bag, if one is given, without leading slashes of frames."""
 
     def __init__(self, path=None):
         self.buffer = tf2_py.BufferCore(genpy.Duration(100_000))
@@ -35,8 +35,8 @@ class Reference:
         definitions = Definitions()
         with BagReader(path) as bag:
             for record in bag.records(["/tf"]):
-                kind = definitions.add(record.topic.type, record.topic.definition)
-                message = definitions.decoder(kind).decode(record.data)
+                definition = definitions.add(record.topic.type, record.topic.definition)
+                message = definitions.decoder(definition).decode(record.data)
                 for transform in list_items(deref(message)[1]):
                     self._add(deref(transform))
 
@@ -48,23 +48,23 @@ class Reference:
         self.add(name(header[3]), name(transform[2]), instant, translation, rotation)
 
     def add(self, parent, child, instant, translation, rotation):
-        """Have the transform between two frames at an instant (ns)."""
-        made = geometry_msgs.TransformStamped()
-        made.header.stamp = genpy.Time(*divmod(instant, 10**9))
-        made.header.frame_id = parent
-        made.child_frame_id = child
-        made.transform.translation = geometry_msgs.Vector3(*translation)
-        made.transform.rotation = geometry_msgs.Quaternion(*rotation)
-        self.buffer.set_transform(made, "test")
+        """Add the transform between two frames at an instant (ns)."""
+        message = geometry_msgs.TransformStamped()
+        message.header.stamp = genpy.Time(*divmod(instant, 10**9))
+        message.header.frame_id = parent
+        message.child_frame_id = child
+        message.transform.translation = geometry_msgs.Vector3(*translation)
+        message.transform.rotation = geometry_msgs.Quaternion(*rotation)
+        self.buffer.set_transform(message, "test")
 
     def pose(self, target, source, instant):
-        """Return translation and rotation from source to target at an instant (ns); None where tf2 has no data."""
+        """Return translation and rotation from source to target at an instant (ns); None if tf2 has no data."""
         try:
-            found = self.buffer.lookup_transform_core(target, source, genpy.Time(*divmod(instant, 10**9)))
+            result = self.buffer.lookup_transform_core(target, source, genpy.Time(*divmod(instant, 10**9)))
         except tf2_py.ExtrapolationException:
             return None
-        t, r = found.transform.translation, found.transform.rotation
-        return (t.x, t.y, t.z), (r.x, r.y, r.z, r.w)
+        translation, rotation = result.transform.translation, result.transform.rotation
+        return (translation.x, translation.y, translation.z), (rotation.x, rotation.y, rotation.z, rotation.w)
 
 
 def compose(left, right):
@@ -85,7 +85,7 @@ def compose(left, right):
 
 
 def distance(left, right):
-    """Return how far apart two points are."""
+    """Return the distance between two points."""
     return math.dist(left, right)
 
 
@@ -94,7 +94,7 @@ def angle(left, right):
     dot = abs(sum(a * b for a, b in zip(left, right)))
     norm = math.sqrt(sum(a * a for a in left) * sum(b * b for b in right))
     cross = min(1.0, dot / norm)
-    # Near 1 the arc cosine has lost its digits; the chord has not.
+    # Near 1 the arc cosine is inexact; the chord is not.
     sign = 1 if sum(a * b for a, b in zip(left, right)) > 0 else -1
     chord = math.sqrt(sum((a - sign * b) ** 2 for a, b in zip(left, right)))
     return 2 * math.acos(cross) if cross < 0.99 else 4 * math.asin(min(1.0, chord / 2))

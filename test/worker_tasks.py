@@ -10,11 +10,11 @@ def run_task(task, scratch):
 
     `die NAME` kills it each time. Any other task kills it at the first attempt and is returned at the second.
     """
-    kind, _, name = task.partition(" ")
-    if kind == "pid":
+    action, _, name = task.partition(" ")
+    if action == "pid":
         return os.getpid()
     has_failed_before = Path(scratch, name).exists()
-    if kind == "die" or not has_failed_before:
+    if action == "die" or not has_failed_before:
         Path(scratch, name).touch()
         os.kill(os.getpid(), signal.SIGKILL)
     return task

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from python_path import python_path
 
 from .cases import CASES
 
@@ -29,7 +30,7 @@ NAMES = [name for name in CASES if name not in EXPECTED_LEAKS]
 @pytest.fixture(scope="module")
 def remaining():
     """Return the number of objects that each case leaves behind."""
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(TEST.parent / "src"), str(TEST)])}
+    environment = {**os.environ, "PYTHONPATH": python_path(TEST)}
     command = [sys.executable, "-m", "leaks", *NAMES]
     return json.loads(
         subprocess.run(command, check=True, capture_output=True, text=True, env=environment).stdout

@@ -1,4 +1,4 @@
-"""Strings of messages that are not ASCII: a rule that names one fires, whichever way the message takes."""
+"""Strings of messages that are not ASCII: rules match them in each form of input."""
 
 import json
 import struct
@@ -31,12 +31,12 @@ def message(text, raw=b"bytes"):
     return struct.pack("<I", len(data)) + data + struct.pack("<I", len(raw)) + raw
 
 
-def decoded(data):
+def decode(data):
     return DEFINITIONS.decoder(NOTE).decode(data)
 
 
 def from_message(engine, data):
-    engine.post(decoded(data))
+    engine.post(decode(data))
 
 
 def from_lazy_message(engine, data):
@@ -44,47 +44,47 @@ def from_lazy_message(engine, data):
 
 
 def from_text(engine, data):
-    engine.post_text(f"event({to_text(decoded(data))})")
+    engine.post_text(f"event({to_text(decode(data))})")
 
 
 def from_shown_text(engine, data):
-    engine.event(engine.show(decoded(data)))
+    engine.event(engine.show(decode(data)))
 
 
 @pytest.mark.parametrize("feed", [from_message, from_lazy_message, from_text, from_shown_text])
 @pytest.mark.parametrize("text", ["Jürgen", LONG], ids=["short", "long"])
-def test_a_rule_that_names_a_text_fires_and_sends_it_byte_for_byte(feed, text):
+def test_rule_matches_and_sends_unicode_text(feed, text):
     engine = Engine(StreamClock(0))
     engine.load(rules=RULES, goals=GOALS)
     published = []
     encode = DEFINITIONS.encoder(NOTE).encode
     engine.on_output(lambda term, topic, name: published.append((engine.show(name), encode(term))))
-    for _ in range(4):  # texts that come again are read and sent by shorter ways
+    for _ in range(4):  # repeated texts are read and sent by faster paths
         feed(engine, message(text))
     expected = ["met", "hello"] if text == "Jürgen" else ["hello"]
     assert sorted(published) == sorted((name, message(text)) for name in expected * 4)
 
 
-def test_strings_and_byte_arrays_of_the_same_bytes_differ():
-    term = decoded(message("Jürgen", "Jürgen".encode()))
+def test_strings_and_byte_arrays_differ():
+    term = decode(message("Jürgen", "Jürgen".encode()))
     assert to_text(term) == "my_msgs__0__Note('\"Jürgen\"','\"FFFFFFFFFFSsO8cmdlbg==////\"')"
     assert DEFINITIONS.encoder(NOTE).encode(term) == message("Jürgen", "Jürgen".encode())
 
 
-def test_such_texts_are_in_snapshots_and_on_the_dashboard():
+def test_snapshot_and_dashboard_have_unicode_text():
     engine = Engine(StreamClock(0))
     engine.load(rules=RULES, goals=GOALS)
     recent = RecentEvents(engine)
     recent.set_observing(True)
-    engine.post(decoded(message("Jürgen")), SECOND)
+    engine.post(decode(message("Jürgen")), SECOND)
     assert "my_msgs__0__Note('\"Jürgen\"','\"bytes\"')" in [event.text for event in recent.take_latest()]
-    other = Engine.restore(engine.snapshot())
-    assert other.query("access_mem(memory, met(_, '\"Jürgen\"'), _)")
-    other.post(decoded(message("Jürgen")), 2 * SECOND)
-    assert len(other.query("access_mem(memory, met(_, '\"Jürgen\"'), _)")) == 2
+    restored = Engine.restore(engine.snapshot())
+    assert restored.query("access_mem(memory, met(_, '\"Jürgen\"'), _)")
+    restored.post(decode(message("Jürgen")), 2 * SECOND)
+    assert len(restored.query("access_mem(memory, met(_, '\"Jürgen\"'), _)")) == 2
 
 
-def test_a_bag_gives_and_takes_such_texts(tmp_path, capsys):
+def test_bag_stores_unicode_text(tmp_path, capsys):
     program = tmp_path / "program"
     program.mkdir()
     (program / "eventRules.txt").write_text(RULES, encoding="utf-8")
@@ -96,9 +96,9 @@ def test_a_bag_gives_and_takes_such_texts(tmp_path, capsys):
         f'<publish_to name="greeting" msg_type="{NOTE}"/></publish_subscribe>'
     )
     with BagWriter(tmp_path / "in.bag") as bag:
-        heard = bag.add("/heard", DEFINITIONS.find(NOTE))
-        bag.write(heard, SECOND, message("Jürgen"))
-        bag.write(heard, 2 * SECOND, message(LONG))
+        connection = bag.add("/heard", DEFINITIONS.find(NOTE))
+        bag.write(connection, SECOND, message("Jürgen"))
+        bag.write(connection, 2 * SECOND, message(LONG))
     out = str(tmp_path / "out.bag")
     options = ["--program", str(program), "--output", out, "--json", "--events"]
     assert main(["bag", str(tmp_path / "in.bag"), *options]) == 0
