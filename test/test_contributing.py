@@ -18,6 +18,8 @@ WITHOUT_EXAMPLE = {
     "src/retalis/prolog/builtins/builtin_registry.py",
     "src/retalis/prolog/builtins/__init__.py",
     "src/retalis/prolog/library/",
+    "src/retalis/serialization/field_types.py",
+    "src/retalis/serialization/state_file_format.py",
 }
 """Files that define the mechanism, or folders with further files."""
 

@@ -12,6 +12,7 @@ MODULES, CROSS_PACKAGE_IMPORTS = packages.MODULES, packages.CROSS_PACKAGE_IMPORT
 ORDER = (
     "foundation",
     "prolog.terms",
+    "serialization",
     "prolog.syntax",
     "prolog.machine",
     "prolog.compiler",
@@ -34,7 +35,6 @@ ORDER = (
     "events.knowledge",
     "events.checks",
     "engine.runtime",
-    "serialization",
     "engine",
     "explanation",
     "visualization",

@@ -188,10 +188,10 @@ def test_program_in_other_folder_is_refused(folder):
         resume(folder / "state.db", folder / "other", StreamClock(), Settings(), Reports())
 
 
-def test_other_layout_is_refused(folder, monkeypatch):
-    monkeypatch.setattr("retalis.engine.checkpoints.LAYOUT_CHECKSUM", 7)
+def test_other_byte_order_is_refused(folder, monkeypatch):
     create_checkpointer(start_engine(folder), folder).write()
-    with pytest.raises(UsageError, match="another version of the package"):
+    monkeypatch.setattr("sys.byteorder", "other")
+    with pytest.raises(UsageError, match="another byte order: little"):
         resume_engine(folder)
 
 
@@ -257,12 +257,15 @@ def test_other_database_is_refused(folder, statements, message):
     [
         (lambda old: b"\x80\x04}\x94.", "format 5 or older, a pickle, which is never read"),
         (
-            lambda old: to_bytes({**old, "written_at": "abc"}),
+            lambda old: to_bytes(list({**old, "written_at": "abc"}.items())),
             "written_at: 'abc': expected a number of seconds",
         ),
-        (lambda old: to_bytes({**old, "files": [["x"]]}), "files: .*expected 2 items"),
-        (lambda old: to_bytes({**old, "format": 99}), "format 99: this version reads format 10"),
-        (lambda old: to_bytes({**old, "memories": old["memories"] * 2}), "two memories"),
+        (lambda old: to_bytes(list({**old, "files": [["x"]]}.items())), "files: .*expected 2 items"),
+        (
+            lambda old: to_bytes(list({**old, "format": 99}.items())),
+            "format 99: this version reads format 11",
+        ),
+        (lambda old: to_bytes(list({**old, "memories": old["memories"] * 2}.items())), "two memories"),
     ],
 )
 def test_invalid_description_is_refused(folder, about, message):
@@ -559,7 +562,8 @@ from pathlib import Path
 from retalis.engine.checkpoints import read_checkpoint
 path = Path(sys.argv[1])
 assert not os.access(path.parent, os.W_OK)
-print(read_checkpoint(path).sections["run"]["event_count"], sorted(os.listdir(path.parent)))
+run = dict(read_checkpoint(path).sections["run"])
+print(dict(run["event_input"])["event_count"], sorted(os.listdir(path.parent)))
 """
 
 

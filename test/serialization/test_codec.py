@@ -12,7 +12,7 @@ from retalis.prolog.terms.term_traversal import term_key
 from retalis.prolog.terms.timestamps import FloatSeconds, Stamp
 from retalis.prolog.terms.types import Lazy
 from retalis.serialization.codec import from_bytes, to_bytes
-from retalis.serialization.decoded_value_checks import FlatKey, key
+from retalis.serialization.field_types import KEY, FlatKey
 
 ATOMS = st.text(max_size=5).map(atom)
 LEAVES = st.one_of(
@@ -44,7 +44,7 @@ def test_tuples_and_mappings_are_decoded_as_lists(data):
 
 @given(TERMS)
 def test_keys_of_terms_are_decoded(term):
-    assert key(from_bytes(to_bytes([term_key(term)]))[0]) == term_key(term)
+    assert KEY.check(from_bytes(to_bytes([term_key(term)]))[0]) == term_key(term)
 
 
 def test_shared_variable_is_decoded_once():

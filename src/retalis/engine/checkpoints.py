@@ -13,6 +13,7 @@ own files are the same as when the checkpoint was written.
 
 import os
 import sqlite3
+import sys
 import threading
 import time
 from itertools import count
@@ -28,21 +29,26 @@ from ..foundation.errors import UsageError
 from ..foundation.read_only_database import open_without_locks
 from ..messages.type_registry import Definitions
 from ..serialization.codec import from_bytes, to_bytes
-from ..serialization.columns import MemoryRecords, encode_records
-from ..serialization.decoded_value_checks import any_value, dict_of, text
-from ..serialization.state_file_format import (
-    FORMAT_NUMBER,
-    LAYOUT_CHECKSUM,
-    SECTIONS,
-    check_version,
-    checkpoint_header,
-    read_records,
-    read_section,
+from ..serialization.columns import DecodedRecords, MemoryRecords, decode_records, encode_records
+from ..serialization.field_types import (
+    ANYTHING,
+    COUNT,
+    PATH,
+    SECONDS,
+    TEXT,
+    ReadContext,
+    compact_record_of,
+    mapping_of,
+    sequence_of,
+    tuple_of,
+    with_path,
 )
+from ..serialization.state_fields import record_of
+from ..serialization.state_file_format import FORMAT_NUMBER, changes_since, check_version
 from .deployment_contents import Deployment
 from .engine import Engine
 from .engine_settings import Settings
-from .engine_snapshot import convert_errors, records_since
+from .engine_snapshot import convert_errors, decode_sections, records_since
 from .runtime.problem_reports import Reports
 
 APPLICATION_ID = 0x72746C73
@@ -110,12 +116,58 @@ class Checkpoint(NamedTuple):
         records: for each memory its batches of records.
         files: files that the program was read from.
         written_at: time at which the checkpoint was written, in seconds since the epoch.
+        format_number: format of the file.
     """
 
     sections: Dict[str, Any]
-    records: List[List[Any]]
+    records: List[List[DecodedRecords]]
     files: ProgramFiles
     written_at: float
+    format_number: int
+
+
+class StoredMemoryPosition(NamedTuple):
+    """Records of a memory in a checkpoint file.
+
+    Attributes:
+        number: number of the memory in the file.
+        dropped_count: number of records that were stored before its oldest one.
+        end: an empty batch, encoded, positioned after its newest record.
+    """
+
+    number: int
+    dropped_count: int
+    end: object
+
+
+class CheckpointHeader(NamedTuple):
+    """Contents of section ``about``.
+
+    Attributes:
+        format: number of the format.
+        byte_order: byte order of packed numbers.
+        files: files that the program was read from.
+        memories: the memories, in order.
+        written_at: time of writing, in seconds since the epoch.
+    """
+
+    format: int
+    byte_order: str
+    files: ProgramFiles
+    memories: List[StoredMemoryPosition]
+    written_at: float
+
+
+_HEADER = record_of(
+    CheckpointHeader,
+    format=COUNT,
+    byte_order=TEXT,
+    files=sequence_of(tuple_of(PATH, TEXT)),
+    memories=sequence_of(
+        compact_record_of(StoredMemoryPosition, number=COUNT, dropped_count=COUNT, end=ANYTHING)
+    ),
+    written_at=SECONDS,
+)
 
 
 class CheckpointStorage:
@@ -362,17 +414,15 @@ def _read_contents(database: sqlite3.Connection, size: int) -> Optional[Checkpoi
     if "about" not in data_by_name:
         raise UsageError("it is damaged: it has no section about")
     header = _read_header(data_by_name.pop("about"))
-    missing = SECTIONS.keys() - data_by_name.keys()
-    if missing:
-        raise UsageError(f"it is damaged: it has no section {', '.join(sorted(missing))}")
-    sections = {name: read_section(name, data) for name, data in data_by_name.items()}
-    if len({number for number, _, _ in header["memories"]}) != len(header["memories"]):
+    sections = decode_sections(data_by_name)
+    if len({memory.number for memory in header.memories}) != len(header.memories):
         raise UsageError("it is damaged: two memories have the same records")
-    records = [_read_batches(database, *memory) for memory in header["memories"]]
-    return Checkpoint(sections, records, header["files"], header["written_at"])
+    context = ReadContext(changes=changes_since(header.format))
+    records = [_read_batches(database, memory, context) for memory in header.memories]
+    return Checkpoint(sections, records, header.files, header.written_at, header.format)
 
 
-def _read_header(data: bytes) -> Dict[str, Any]:
+def _read_header(data: bytes) -> CheckpointHeader:
     """Return the decoded section ``about`` of a file.
 
     Raises:
@@ -385,9 +435,10 @@ def _read_header(data: bytes) -> Dict[str, Any]:
         )
     fields = from_bytes(data)
     # The version is checked before the full schema: a file of another version has other fields.
-    unchecked = dict_of(text, any_value)(fields)
-    check_version(unchecked.get("format"), unchecked.get("layout"))
-    header: Dict[str, Any] = checkpoint_header(fields)
+    unchecked = mapping_of(TEXT, ANYTHING).check(fields)
+    check_version(unchecked.get("format"), unchecked.get("byte_order"))
+    context = ReadContext(changes=changes_since(unchecked["format"]))
+    header: CheckpointHeader = with_path("section about", _HEADER.checker(context))(fields)
     return header
 
 
@@ -400,46 +451,32 @@ def _query_value(database: sqlite3.Connection, query: str) -> Any:
     return value
 
 
-def _read_batches(database: sqlite3.Connection, number: int, dropped_count: int, end_batch: Any) -> List[Any]:
-    """Return the batches of records of a memory.
+def _read_batches(
+    database: sqlite3.Connection, memory: StoredMemoryPosition, context: ReadContext
+) -> List[DecodedRecords]:
+    """Return the batches of records of a memory, and its end.
 
     Args:
         database: the open file.
-        number: number of the memory in the file.
-        dropped_count: number of records that were stored before the oldest one of the memory.
-        end_batch: an empty batch, positioned after the newest record.
+        memory: the memory.
+        context: has the changes from the format of the file.
     """
+    end = decode_records(memory.end, context)
     query = "SELECT data, checked FROM records WHERE memory = ? ORDER BY first"
-    batches = [read_records(_verify_checksum(*row)) for row in database.execute(query, (number,))]
-    earlier_count, *_ = batches[0] if batches else end_batch
-    if earlier_count > dropped_count:
+    batches = [
+        decode_records(from_bytes(_verify_checksum(*row)), context)
+        for row in database.execute(query, (memory.number,))
+    ]
+    first = batches[0] if batches else end
+    if first.earlier_count > memory.dropped_count:
         raise UsageError("it is damaged: records of a memory are missing")
-    return [*batches, end_batch]
+    return [*batches, end]
 
 
 def _verify_checksum(data: bytes, checksum: int) -> bytes:
     if not isinstance(data, bytes) or crc32(data) != checksum:
         raise UsageError("it is damaged: a checksum is wrong")
     return data
-
-
-def make_header(files: ProgramFiles, memories: List[Any], written_at: float) -> Dict[str, Any]:
-    """Return the contents of section ``about``.
-
-    Args:
-        files: files that the program was read from.
-        memories: for each memory, in order: its number in the file, the number of records that were stored before its
-            oldest one, and an empty batch positioned after its newest record.
-        written_at: time of writing, in seconds since the epoch.
-    """
-    file_rows = [list(file) for file in files]
-    return {
-        "format": FORMAT_NUMBER,
-        "layout": LAYOUT_CHECKSUM,
-        "files": file_rows,
-        "memories": memories,
-        "written_at": written_at,
-    }
 
 
 def rename_refused_file(path: Path) -> Path:
@@ -620,10 +657,13 @@ class Checkpointer:
         self._update_digests()
         batches = [batch for number, unwritten in records for batch in _encode_batches(number, unwritten)]
         memories = [
-            (number, unwritten.dropped_count, encode_records(unwritten.empty_end()))
+            StoredMemoryPosition(number, unwritten.dropped_count, encode_records(unwritten.empty_end()))
             for number, unwritten in records
         ]
-        sections["about"] = to_bytes(make_header(list(self._files.items()), memories, time.time()))
+        header = CheckpointHeader(
+            FORMAT_NUMBER, sys.byteorder, list(self._files.items()), memories, time.time()
+        )
+        sections["about"] = to_bytes(_HEADER.encode(header))
         self._file.write(
             sections, batches, {number: unwritten.dropped_count for number, unwritten in records}
         )
@@ -741,7 +781,9 @@ def resume(
 
     def create_engine() -> Engine:
         engine = Engine(clock, settings, reports, definitions)
-        engine.incremental_snapshot().restore(checkpoint.sections, checkpoint.records, folder)
+        engine.incremental_snapshot().restore(
+            checkpoint.sections, checkpoint.records, folder, changes_since(checkpoint.format_number)
+        )
         return engine
 
     return convert_errors(create_engine), checkpoint

@@ -7,7 +7,7 @@ states are positions in the program's lists; all other items are saved by value.
 """
 
 from pathlib import Path
-from typing import Any, Callable, Dict, Hashable, List, NamedTuple, Optional, Sequence, Set, Tuple, TypeVar
+from typing import Callable, Dict, Hashable, List, NamedTuple, Optional, Sequence, Set, Tuple, TypeVar
 
 from ..events.knowledge.event_states import DeclaredState
 from ..events.knowledge.knowledge_base import KnowledgeBase
@@ -19,10 +19,23 @@ from ..events.rules.rule_base import RuleBase
 from ..events.rules.timer_service import ProgramTimer, Timers
 from ..prolog.database.clause_index import Clause
 from ..prolog.database.predicate import Predicate
-from ..prolog.system.logic_state import program_predicates
+from ..prolog.system.logic_state import CLAUSES, StoredClause, program_predicates
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.term_traversal import term_key
 from ..prolog.terms.types import Functor, Term, functor
+from ..serialization.field_types import (
+    COUNT,
+    FUNCTOR,
+    PATH,
+    TERM,
+    TEXT,
+    mapping_of,
+    optional,
+    sequence_of,
+    tuple_of,
+)
+from ..serialization.state_fields import record_of
+from .network_state import PROPERTIES
 
 _CLAUSE_FUNCTOR = functor(":-", 2)
 
@@ -178,12 +191,62 @@ def _select_new(items: Dict[ItemKey, Item], before: Dict[ItemKey, Item]) -> Dict
     return {key: item for key, item in items.items() if before.get(key) is not item}
 
 
+class StoredDeployment(NamedTuple):
+    """Stored form of a `Deployment`; numbers are positions in the lists of the program.
+
+    Attributes:
+        rules: positions of its rules.
+        clauses: by predicate, positions of its clauses.
+        retracted: by predicate, clauses that are no longer part of it.
+        memories, subscriptions, states: positions.
+        properties, flags, replaced: as in `Deployment`.
+        dynamic: functors of predicates.
+        files: paths.
+        timers: events and schedules.
+    """
+
+    rules: List[int]
+    clauses: List[Tuple[Functor, List[int]]]
+    retracted: List[Tuple[Functor, List[StoredClause]]]
+    memories: List[int]
+    subscriptions: List[int]
+    properties: List[Property]
+    flags: Dict[str, Optional[Term]]
+    dynamic: List[Functor]
+    replaced: List[Functor]
+    files: List[str]
+    states: List[int]
+    timers: List[Tuple[Term, Term]]
+
+
+_POSITIONS = sequence_of(COUNT)
+
+DEPLOYMENTS = mapping_of(
+    PATH,
+    record_of(
+        StoredDeployment,
+        rules=_POSITIONS,
+        clauses=sequence_of(tuple_of(FUNCTOR, _POSITIONS)),
+        retracted=sequence_of(tuple_of(FUNCTOR, CLAUSES)),
+        memories=_POSITIONS,
+        subscriptions=_POSITIONS,
+        properties=PROPERTIES,
+        flags=mapping_of(TEXT, optional(TERM)),
+        dynamic=sequence_of(FUNCTOR),
+        replaced=sequence_of(FUNCTOR),
+        files=sequence_of(PATH),
+        states=_POSITIONS,
+        timers=sequence_of(tuple_of(TERM, TERM)),
+    ),
+)
+
+
 def save_deployments(
     deployments: Dict[str, Deployment],
     logic: PrologSystem,
     knowledge: KnowledgeBase,
     numbered_rules: List[EventRule],
-) -> Dict[str, Any]:
+) -> Dict[str, StoredDeployment]:
     """Return the deployments as data for a saved state.
 
     Args:
@@ -206,47 +269,47 @@ def save_deployments(
     }
     states = {id(state): position for position, state in enumerate(knowledge.states)}
     return {
-        folder: {
-            "rules": [rules[id(rule)] for rule in deployment.rules if id(rule) in rules],
-            "clauses": [
+        folder: StoredDeployment(
+            rules=[rules[id(rule)] for rule in deployment.rules if id(rule) in rules],
+            clauses=[
                 (predicate.functor, [clauses[id(clause)] for clause in clause_list if id(clause) in clauses])
                 for predicate, clause_list in deployment.clauses.items()
             ],
             # A retracted clause has no position in its predicate. It is saved in full, because a reload needs it to
             # omit the same clauses, see `ReloadTransaction._remove_retracted`.
-            "retracted": [
+            retracted=[
                 (
                     predicate.functor,
                     [
-                        (clause.head, clause.body, clause.place)
+                        StoredClause(clause.head, clause.body, clause.place)
                         for clause in clause_list
                         if id(clause) not in clauses
                     ],
                 )
                 for predicate, clause_list in deployment.clauses.items()
             ],
-            "memories": [
+            memories=[
                 memories[id(memory)] for memory in deployment.memories.values() if id(memory) in memories
             ],
-            "subscriptions": [
+            subscriptions=[
                 subscriptions[id(subscription)]
                 for subscription in deployment.subscriptions.values()
                 if id(subscription) in subscriptions
             ],
-            "properties": [item for items in deployment.properties.values() for item in items],
-            "flags": deployment.flags,
-            "dynamic": [predicate.functor for predicate in deployment.dynamic],
-            "replaced": list(deployment.replaced),
-            "files": sorted(map(str, deployment.files)),
-            "states": [states[id(state)] for state in deployment.states.values() if id(state) in states],
-            "timers": [(timer.event, timer.schedule.term) for timer in deployment.timers.values()],
-        }
+            properties=[item for items in deployment.properties.values() for item in items],
+            flags=deployment.flags,
+            dynamic=[predicate.functor for predicate in deployment.dynamic],
+            replaced=list(deployment.replaced),
+            files=sorted(map(str, deployment.files)),
+            states=[states[id(state)] for state in deployment.states.values() if id(state) in states],
+            timers=[(timer.event, timer.schedule.term) for timer in deployment.timers.values()],
+        )
         for folder, deployment in deployments.items()
     }
 
 
 def restore_deployments(
-    saved_state: Dict[str, Any],
+    saved_state: Dict[str, StoredDeployment],
     logic: PrologSystem,
     knowledge: KnowledgeBase,
     timers: Timers,
@@ -263,24 +326,20 @@ def restore_deployments(
     deployments = {}
     for folder, saved in saved_state.items():
         properties: Dict[Hashable, List[Property]] = {}
-        for item in saved["properties"]:
+        for item in saved.properties:
             properties.setdefault(term_key(item.label), []).append(item)
         deployments[folder] = Deployment(
-            [numbered_rules[position] for position in saved["rules"]],
+            [numbered_rules[position] for position in saved.rules],
             _restore_clauses(logic, saved),
-            dict(memories[position] for position in saved["memories"]),
-            dict(subscriptions[position] for position in saved["subscriptions"]),
+            dict(memories[position] for position in saved.memories),
+            dict(subscriptions[position] for position in saved.subscriptions),
             properties,
-            saved["flags"],
-            {_find_predicate(logic, functor) for functor in saved["dynamic"]},
-            set(saved["replaced"]),
-            set(map(Path, saved["files"])),
-            {
-                timer.key: timer
-                for timer in (timers.find(*key) for key in saved["timers"])
-                if timer is not None
-            },
-            dict(states[position] for position in saved["states"]),
+            saved.flags,
+            {_find_predicate(logic, functor) for functor in saved.dynamic},
+            set(saved.replaced),
+            set(map(Path, saved.files)),
+            {timer.key: timer for timer in (timers.find(*key) for key in saved.timers) if timer is not None},
+            dict(states[position] for position in saved.states),
         )
     return deployments
 
@@ -290,14 +349,14 @@ def _find_predicate(logic: PrologSystem, functor: Functor) -> Predicate:
     return predicate.hidden_predicate or predicate
 
 
-def _restore_clauses(logic: PrologSystem, saved: Dict[str, Any]) -> Dict[Predicate, List[Clause]]:
+def _restore_clauses(logic: PrologSystem, saved: StoredDeployment) -> Dict[Predicate, List[Clause]]:
     """Return a deployment's clauses by predicate: existing clauses first, then retracted ones."""
     clauses: Dict[Predicate, List[Clause]] = {}
-    for predicate_functor, positions in saved["clauses"]:
+    for predicate_functor, positions in saved.clauses:
         predicate = _find_predicate(logic, predicate_functor)
         live_clauses = list(predicate.active_clauses())
         clauses[predicate] = [live_clauses[position] for position in positions]
-    for predicate_functor, retracted_clauses in saved["retracted"]:
+    for predicate_functor, retracted_clauses in saved.retracted:
         predicate = _find_predicate(logic, predicate_functor)
         for head, body, place in retracted_clauses:
             clause = Clause(predicate, head, body, place)

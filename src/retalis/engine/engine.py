@@ -37,7 +37,10 @@ from ..prolog.terms.list_terms import make_list
 from ..prolog.terms.term_traversal import copy, variables
 from ..prolog.terms.timestamps import FloatSeconds
 from ..prolog.terms.types import Frame, Functor, Term, Var
-from ..serialization.state_file_format import pack_sections, read_records, unpack_sections
+from ..serialization.codec import from_bytes
+from ..serialization.columns import decode_records
+from ..serialization.field_types import ReadContext
+from ..serialization.state_file_format import changes_since, pack_sections, unpack_sections
 from .deployment_contents import Deployment
 from .engine_parts import EngineParts, create_parts
 from .engine_settings import Settings
@@ -773,15 +776,22 @@ class Engine:
         Raises:
             UsageError: if the data is not a snapshot, is damaged, or has another format version.
         """
-        encoded = convert_errors(lambda: unpack_sections(data))
-        sections = convert_errors(lambda: decode_sections(encoded))
+        file = convert_errors(lambda: unpack_sections(data))
+        sections = convert_errors(lambda: decode_sections(file.sections))
+        changes = changes_since(file.format_number)
 
         def create() -> EngineType:
             engine = cls(clock or create_clock(sections["run"]), settings, reports, definitions)
             if foreign:
                 engine.add_foreign(*foreign)
-            records = [[read_records(data)] for name, data in encoded.items() if name.startswith("memory ")]
-            EngineSnapshot(engine._parts).restore(sections, records, folder)  # noqa: SLF001 - the same class
+            records = [
+                [decode_records(from_bytes(data), ReadContext(changes=changes))]
+                for name, data in file.sections.items()
+                if name.startswith("memory ")
+            ]
+            EngineSnapshot(engine._parts).restore(  # noqa: SLF001 - the same class
+                sections, records, folder, changes
+            )
             return engine
 
         return convert_errors(create)

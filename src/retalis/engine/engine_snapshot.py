@@ -2,15 +2,30 @@
 
 from operator import gt, itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Sequence, Tuple, TypeVar
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Callable,
+    Dict,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+    TypeVar,
+)
 
 from ..events.clock.clock import StreamClock
+from ..events.knowledge.knowledge_base import MEMORIZE, SUBSCRIBE
 from ..events.knowledge.memory import MemoryInstance
 from ..events.network.event_rule import EventRule
 from ..foundation.errors import RetalisError, UsageError
 from ..prolog.swi.use_swi import SwiFile, use_swi
 from ..prolog.system.foreign_functions import define_foreign, load_module
 from ..prolog.system.logic_state import (
+    PROGRAM,
+    VALUES,
     ProgramSnapshot,
     ValuesSnapshot,
     restore_program,
@@ -18,13 +33,40 @@ from ..prolog.system.logic_state import (
     snapshot_program,
     snapshot_values,
 )
-from ..prolog.terms.types import Term
-from ..serialization.codec import to_bytes
+from ..prolog.terms.types import Functor, Term
+from ..serialization.codec import from_bytes, to_bytes
 from ..serialization.columns import DecodedRecords, MemoryRecords, encode_records
-from ..serialization.network_state import restore_matches, restore_rules, snapshot_matches, snapshot_rules
-from ..serialization.state_file_format import SECTIONS, read_section
-from .deployment_contents import restore_deployments, save_deployments
+from ..serialization.field_types import (
+    ANYTHING,
+    BOOLEAN,
+    CALLABLE_TERM,
+    COUNT,
+    NO_OBJECTS,
+    PATH,
+    TERM,
+    TEXT,
+    FieldChange,
+    FieldType,
+    PlainType,
+    ReadContext,
+    invalid_value,
+    mapping_of,
+    sequence_of,
+    with_path,
+)
+from ..serialization.state_fields import StateFields, StateOwner, constraint, field, part, record_of, rows_of
+from .deployment_contents import DEPLOYMENTS, StoredDeployment, restore_deployments, save_deployments
 from .event_input import TopicRequest
+from .network_state import (
+    NETWORK,
+    RULES,
+    NetworkState,
+    StoredRules,
+    restore_matches,
+    restore_rules,
+    snapshot_matches,
+    stored_rules,
+)
 
 if TYPE_CHECKING:
     from .engine_parts import EngineParts
@@ -33,6 +75,135 @@ Sections = Dict[str, Any]
 """Sections of a state by name, as data that `to_bytes` accepts."""
 
 Result = TypeVar("Result")
+
+SECTION_NAMES = ("values", "matches", "run", "program", "clauses")
+"""Sections of a state, besides the records of memories."""
+
+
+def _definition_type(expected: Functor) -> PlainType:
+    """Return the type of the defining term of a memory or subscription."""
+
+    def check(value: object) -> Term:
+        if not isinstance(value, tuple) or value[0] is not expected:
+            raise invalid_value(value, f"a term of {expected}")
+        return value
+
+    return PlainType(f"a term of {expected}", check)
+
+
+class StoredMemory(NamedTuple):
+    """Definition of a memory, and whether it is active."""
+
+    definition: Term
+    is_active: bool
+
+
+class StoredProgram(NamedTuple):
+    """Program of an engine without clauses.
+
+    Attributes:
+        rules: the rules.
+        memories: the memories.
+        subscriptions: definitions of the subscriptions.
+        states: terms of the declared states.
+        deployments: the deployments by folder.
+        topics: topics that goals have subscribed to.
+        event_types: message types of events, by name.
+        foreign_modules: names of modules with foreign predicates.
+        swi_files: files that SWI-Prolog has loaded.
+    """
+
+    rules: StoredRules
+    memories: List[StoredMemory]
+    subscriptions: List[Term]
+    states: List[Term]
+    deployments: Dict[str, StoredDeployment]
+    topics: List[TopicRequest]
+    event_types: Dict[str, str]
+    foreign_modules: List[str]
+    swi_files: List[SwiFile]
+
+
+_STORED_PROGRAM = record_of(
+    StoredProgram,
+    rules=RULES,
+    memories=rows_of(StoredMemory, definition=_definition_type(MEMORIZE), is_active=BOOLEAN),
+    subscriptions=sequence_of(_definition_type(SUBSCRIBE)),
+    states=sequence_of(CALLABLE_TERM),
+    deployments=DEPLOYMENTS,
+    topics=rows_of(TopicRequest, topic=TEXT, message_type=TEXT, event=TEXT),
+    event_types=mapping_of(TEXT, TEXT),
+    foreign_modules=sequence_of(PATH),
+    swi_files=rows_of(SwiFile, name=PATH, source=TERM, imports=TERM),
+)
+
+
+class RunState(StateOwner):
+    """Clock and counters of an parts.
+
+    Args:
+        parts: parts of the parts.
+    """
+
+    STATE = StateFields(
+        field("clock_follows_events", BOOLEAN),
+        field("sent_counts", sequence_of(COUNT)),
+        # The clock is restored late, because adding rules and timers may read it or set alarms.
+        part("clock"),
+        part("watermarks"),
+        part("event_input"),
+        field("dropped_count", COUNT),
+        field("next_token_number", COUNT),
+        constraint(
+            "a count of outputs for each subscription",
+            lambda run, state: len(state["sent_counts"]) == len(run.sent_counts),
+        ),
+    )
+
+    def __init__(self, parts: "EngineParts"):
+        self._parts = parts
+        self.clock = parts.clock
+        self.watermarks = parts.rules.watermarks
+        self.event_input = parts.event_input
+
+    @property
+    def clock_follows_events(self) -> bool:
+        """True if the clock follows the timestamps of events; it decides how an engine is created."""
+        return self._parts.event_input.stream_clock is not None
+
+    @clock_follows_events.setter
+    def clock_follows_events(self, follows: bool) -> None:
+        """Ignore the value: an engine can be restored with another clock."""
+
+    @property
+    def sent_counts(self) -> List[int]:
+        """Number of events that each subscription has sent."""
+        return [
+            subscription.sent_counter.count for _, subscription in self._parts.knowledge.subscriptions.items()
+        ]
+
+    @sent_counts.setter
+    def sent_counts(self, counts: Sequence[int]) -> None:
+        for (_, subscription), count in zip(self._parts.knowledge.subscriptions.items(), counts):
+            subscription.sent_counter.count = count
+
+    @property
+    def dropped_count(self) -> int:
+        """Number of requests that the executor has dropped."""
+        return self._parts.executor.dropped
+
+    @dropped_count.setter
+    def dropped_count(self, count: int) -> None:
+        self._parts.executor.restore(count)
+
+    @property
+    def next_token_number(self) -> int:
+        """Number of the next token of an event."""
+        return self._parts.dispatcher.next_token_number
+
+    @next_token_number.setter
+    def next_token_number(self, number: int) -> None:
+        self._parts.dispatcher.next_token_number = number
 
 
 class EngineSnapshot:
@@ -62,30 +233,22 @@ class EngineSnapshot:
         if parts.dispatcher.current is not None or logic.machine.choices:
             raise UsageError("a goal or callback of an engine cannot take a snapshot of it")
         matches, numbered_rules = snapshot_matches(
-            rules, knowledge, parts.clock, rules.rules, max_explained_events
+            NetworkState(rules, knowledge, parts.clock), max_explained_events
         )
-        counters = {
-            "clock": parts.clock.snapshot(),
-            "clock_follows_events": parts.event_input.stream_clock is not None,
-            "stamp_jumps": parts.event_input.stamp_jumps(),
-            "lags": rules.watermarks.snapshot(),
-            "event_count": parts.event_input.event_count,
-            "far_ahead_count": parts.event_input.far_ahead_count,
-            "dropped_count": parts.executor.dropped,
-            "next_token_number": parts.dispatcher.next_token_number,
-            "sent_counts": [
-                subscription.sent_counter.count for _, subscription in knowledge.subscriptions.items()
-            ],
+        run = RunState(parts)
+        sections = {
+            "values": VALUES.encode(snapshot_values(logic)),
+            "matches": NETWORK.encode(matches),
+            "run": encode_state_alone(run),
         }
-        sections = {"values": tuple(snapshot_values(logic)), "matches": matches, "run": counters}
         # The program rarely changes, so checkpoints omit it while its signature stays the same.
         signature = self._program_signature(numbered_rules)
         if include_program or signature != self._signature:
             self._signature = signature
-            sections["program"] = self._collect_program(numbered_rules)
+            sections["program"] = _STORED_PROGRAM.encode(self._stored_program(numbered_rules))
             # Clauses are a separate section, because it is large, and its variables are never bound: the caller can
             # encode it after the engine has continued.
-            sections["clauses"] = tuple(snapshot_program(logic))
+            sections["clauses"] = PROGRAM.encode(snapshot_program(logic))
         return sections
 
     def _program_signature(self, numbered_rules: List[EventRule]) -> object:
@@ -115,86 +278,98 @@ class EngineSnapshot:
             list(parts.deployments.values()),
         )
 
-    def _collect_program(self, numbered_rules: List[EventRule]) -> Sections:
-        """Return section ``program``; see `SECTIONS`."""
+    def _stored_program(self, numbered_rules: List[EventRule]) -> StoredProgram:
+        """Return section ``program``."""
         parts = self._parts
         knowledge = parts.knowledge
-        return {
-            "rules": snapshot_rules(parts.rules, numbered_rules),
-            "memories": [(instance.definition, instance.active) for instance in knowledge.memories],
-            "subscriptions": [subscription.definition for _, subscription in knowledge.subscriptions.items()],
-            "states": [state.form.term for state in knowledge.states],
-            "deployments": save_deployments(parts.deployments, parts.logic, knowledge, numbered_rules),
-            "topics": [tuple(item) for item in parts.input_topics.snapshot()],
-            "event_types": dict(parts.slots.events),
-            "foreign_modules": list(parts.logic.foreign_modules),
-            "swi_files": [tuple(item) for item in parts.logic.swi_files.values()],
-        }
+        return StoredProgram(
+            rules=stored_rules(parts.rules, numbered_rules),
+            memories=[StoredMemory(instance.definition, instance.active) for instance in knowledge.memories],
+            subscriptions=[subscription.definition for _, subscription in knowledge.subscriptions.items()],
+            states=[state.form.term for state in knowledge.states],
+            deployments=save_deployments(parts.deployments, parts.logic, knowledge, numbered_rules),
+            topics=parts.input_topics.snapshot(),
+            event_types=dict(parts.slots.events),
+            foreign_modules=list(parts.logic.foreign_modules),
+            swi_files=[SwiFile(*file) for file in parts.logic.swi_files.values()],
+        )
 
     def encode_records(self) -> List[Any]:
         """Return the encoded records of each memory."""
         return [encode_records(records_since(instance)) for instance in self._parts.knowledge.memories]
 
-    def restore(self, sections: Sections, records: Sequence[Sequence[Any]], folder: Optional[Path]) -> None:
+    def restore(
+        self,
+        sections: Sections,
+        records: Sequence[Sequence[DecodedRecords]],
+        folder: Optional[Path],
+        changes: Mapping[str, Sequence[FieldChange]],
+    ) -> None:
         """Restore a state into a new engine.
 
         Args:
-            sections: a result of `capture`.
+            sections: a result of `capture`, decoded.
             records: the records of each memory, in batches.
             folder: folder from which Python modules of the program may be loaded.
+            changes: changes of records since the format of the sections, see `changes_since`.
 
         Raises:
             RetalisError: the reason why the state cannot be restored.
         """
-        self._parts.executor.call(lambda: self._restore(sections, records, folder))
+        context = ReadContext(changes=changes)
+        self._parts.executor.call(lambda: self._restore(sections, records, folder, context))
 
-    def _restore(self, sections: Sections, records: Sequence[Sequence[Any]], folder: Optional[Path]) -> None:
+    def _restore(
+        self,
+        sections: Sections,
+        records: Sequence[Sequence[DecodedRecords]],
+        folder: Optional[Path],
+        context: ReadContext,
+    ) -> None:
         parts = self._parts
         logic, rules, knowledge = parts.logic, parts.rules, parts.knowledge
-        program, counters = sections["program"], sections["run"]
+        program: StoredProgram = _read_section("program", _STORED_PROGRAM, sections, context)
+        clauses: ProgramSnapshot = _read_section("clauses", PROGRAM, sections, context)
+        values: ValuesSnapshot = _read_section("values", VALUES, sections, context)
         # The order matters: event types and foreign predicates are needed to compile clauses, clauses to compile
         # rules, and rules and memories to restore partial matches and records. The deployments follow, because they
         # refer to all items by position.
-        parts.slots.events.update(program["event_types"])
-        self._load_foreign(program["foreign_modules"], folder)
-        self._load_swi([SwiFile(*item) for item in program["swi_files"]], folder)
-        restore_program(logic, ProgramSnapshot(*sections["clauses"]))
-        restore_values(logic, ValuesSnapshot(*sections["values"]))
+        parts.slots.events.update(program.event_types)
+        self._load_foreign(program.foreign_modules, folder)
+        self._load_swi(program.swi_files, folder)
+        restore_program(logic, clauses)
+        restore_values(logic, values)
         with logic.precompiling_goals(lambda: [rule.definition.term for rule in rules.rules]):
-            numbered_rules = restore_rules(rules, program["rules"])
+            numbered_rules = restore_rules(rules, program.rules)
             # Memories are created without emitting events.
             memories = [
                 knowledge.memories.create_unreported(definition, is_active)
-                for definition, is_active in program["memories"]
+                for definition, is_active in program.memories
             ]
-            for definition in program["subscriptions"]:
+            for definition in program.subscriptions:
                 knowledge.subscriptions.create(definition)
-            for definition in program["states"]:
+            for definition in program.states:
                 knowledge.states.declare(definition)
-        if len(counters["sent_counts"]) != len(knowledge.subscriptions.items()):
-            raise UsageError("the state is damaged: expected a count of outputs for each subscription")
-        for (_, subscription), sent_count in zip(knowledge.subscriptions.items(), counters["sent_counts"]):
-            subscription.sent_counter.count = sent_count
+        run = RunState(parts)
+        read_run = with_path("section run", lambda value: run.STATE.check_state(value, run, context))
+        run_state = read_run(sections["run"])
         if len(memories) != len(records):
             raise UsageError("the state is damaged: expected records for each memory")
         for instance, batches in zip(memories, records):
             restore_records(instance, batches)
-        restore_matches(rules, knowledge, parts.clock, sections["matches"], numbered_rules)
-        rules.files.set_loaded(map(Path, program["rules"]["loaded_files"]))
+        network = NetworkState(rules, knowledge, parts.clock)
+        with_path(
+            "section matches",
+            lambda value: restore_matches(network, NETWORK.checker(context)(value), numbered_rules, context),
+        )(sections["matches"])
+        rules.files.set_loaded(map(Path, program.rules.loaded_files))
         # Each event checks the flag before it looks up a declaration; here it is not known whether there are any.
         rules.declared_events.check_all()
         parts.deployments.update(
-            restore_deployments(program["deployments"], logic, knowledge, rules.timers, numbered_rules)
+            restore_deployments(program.deployments, logic, knowledge, rules.timers, numbered_rules)
         )
-        parts.input_topics.restore(TopicRequest(*item) for item in program["topics"])
-        # Last, because adding rules and timers above may read the clock or set alarms.
-        parts.clock.restore(counters["clock"])
-        rules.watermarks.restore(counters["lags"])
-        parts.event_input.restore(
-            counters["event_count"], counters["far_ahead_count"], counters["stamp_jumps"]
-        )
-        parts.executor.restore(counters["dropped_count"])
-        parts.dispatcher.next_token_number = counters["next_token_number"]
+        parts.input_topics.restore(program.topics)
+        run.restore(run_state)
 
     def _load_foreign(self, modules: Sequence[str], folder: Optional[Path]) -> None:
         """Load the Python modules of the program again; they must be in its folder."""
@@ -266,16 +441,17 @@ def restore_records(instance: MemoryInstance, batches: Sequence[DecodedRecords])
     instance.memory.restore(dropped_count + surplus_count, late_count, record_ends, records)
 
 
-def create_clock(counters: Dict[str, Any]) -> Optional[StreamClock]:
+def create_clock(run_section: object) -> Optional[StreamClock]:
     """Return the clock with which an engine must be created to restore its state.
 
     Args:
-        counters: section ``run`` of the state.
+        run_section: section ``run`` of the state, decoded.
 
     Returns:
         A `StreamClock`, or None for the default clock of an engine, which follows the timestamps of events.
     """
-    return None if counters["clock_follows_events"] else StreamClock()
+    fields = with_path("section run", mapping_of(TEXT, ANYTHING).check)(run_section)
+    return None if BOOLEAN.check(fields.get("clock_follows_events", False)) else StreamClock()
 
 
 def encode_state(sections: Sections, records: Sequence[Any]) -> Dict[str, bytes]:
@@ -287,12 +463,25 @@ def encode_state(sections: Sections, records: Sequence[Any]) -> Dict[str, bytes]
 
 def decode_sections(encoded: Dict[str, bytes]) -> Sections:
     """Return the decoded sections, without records."""
-    missing = SECTIONS.keys() - encoded.keys()
+    missing = set(SECTION_NAMES) - encoded.keys()
     if missing:
         raise UsageError(f"the state is damaged: it has no section {', '.join(sorted(missing))}")
-    return {
-        name: read_section(name, data) for name, data in encoded.items() if not name.startswith("memory ")
-    }
+    sections = {}
+    for name, data in encoded.items():
+        if name in SECTION_NAMES:
+            sections[name] = from_bytes(data)
+        elif not name.startswith("memory "):
+            raise UsageError(f"section '{name[:40]}' is unknown")
+    return sections
+
+
+def encode_state_alone(owner: StateOwner) -> List[object]:
+    """Return the encoding of the state of an object that refers to no others."""
+    return owner.STATE.encode_state(owner.snapshot(), owner, NO_OBJECTS)
+
+
+def _read_section(name: str, content: FieldType, sections: Sections, context: ReadContext) -> Any:
+    return with_path(f"section {name}", content.checker(context))(sections[name])
 
 
 def convert_errors(restore: Callable[[], Result]) -> Result:

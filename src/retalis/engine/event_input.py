@@ -14,7 +14,7 @@ from functools import partial
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Union
 
 from ..events.clock.clock import Clock, StreamClock
-from ..events.clock.stamp_jumps import NO_JUMPS, JumpDecision, JumpState, StampJumps
+from ..events.clock.stamp_jumps import JumpDecision, StampJumps
 from ..events.dispatch.dispatcher import Dispatcher
 from ..events.knowledge.knowledge_base import KnowledgeBase
 from ..events.language.event_declarations import DeclaredEvents, event_name_error
@@ -32,12 +32,14 @@ from ..prolog.syntax.operators import Operators
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.timestamps import format_distance
 from ..prolog.terms.types import Atom, String, Term, Var, deref
+from ..serialization.field_types import COUNT
+from ..serialization.state_fields import StateFields, StateOwner, field, part
 from .runtime.problem_reports import Reports
 
 log = logging.getLogger("retalis")
 
 
-class EventInput:
+class EventInput(StateOwner):
     """Dispatch of single events, in step with the clock.
 
     Args:
@@ -55,6 +57,12 @@ class EventInput:
             those from which it returned.
         stream_clock: the clock if timestamps of events move it.
     """
+
+    STATE = StateFields(
+        field("event_count", COUNT),
+        field("far_ahead_count", COUNT),
+        part("stamp_jumps"),
+    )
 
     def __init__(
         self,
@@ -243,15 +251,10 @@ class EventInput:
             except Exception as error:
                 self._report_alarm_error(error, is_idle)
 
-    def stamp_jumps(self) -> JumpState:
-        """Return the state of the checks of timestamps ahead; see `StampJumps.snapshot`."""
-        return NO_JUMPS if self.stream_clock is None else self.stream_clock.jumps.snapshot()
-
-    def restore(self, event_count: int, far_ahead_count: int, jumps: JumpState) -> None:
-        """Set the counters and the checks of timestamps ahead to those of another engine."""
-        self.event_count, self.far_ahead_count = event_count, far_ahead_count
-        if self.stream_clock is not None:
-            self.stream_clock.jumps.restore(jumps)
+    @property
+    def stamp_jumps(self) -> Optional[StampJumps]:
+        """The checks of timestamps ahead; None if the clock does not follow events."""
+        return None if self.stream_clock is None else self.stream_clock.jumps
 
     def end_input(self) -> None:
         """Run the alarms that the clock has reached and that only wait for late events: no more events will come."""

@@ -54,6 +54,7 @@ from ..events.network.stream_node import StreamNode
 from ..events.provenance.occurrences import Occurrence
 from ..events.streams.aggregates import SequenceAggregate
 from ..events.streams.rate_operators import RATE_OPERATORS
+from ..events.streams.row_pattern import RowPatternWindow
 from ..events.streams.stream_operators import StreamElement, StreamOutput
 from ..foundation import codegen
 from ..foundation.cancellation import check_limits
@@ -710,12 +711,12 @@ class _WindowEvaluation:
         return [output for output in self._outputs if output.error is None]
 
     def _update_progress(self) -> None:
-        # Only a row pattern has steps. Its snapshot ends with the partitions, whose states list the elements taken.
-        *_, partitions = self._stream.snapshot()
-        for _, _, states, _ in partitions:
-            for _, _, _, _, steps_taken, *_ in states:
+        # Only a row pattern has steps.
+        assert isinstance(self._stream, RowPatternWindow)
+        for partition in self._stream.partitions:
+            for state in partition.states:
                 counts = [0] * len(self.progress)
-                for _, step in steps_taken:
+                for _, step in state.assignments:
                     counts[step] += 1
                 self.progress = max(self.progress, counts, key=_get_progress_key)
 

@@ -9,7 +9,7 @@ written inline: an extension type refers to it by its number. References only po
 never cyclic, and its size is bounded by the number of bytes.
 
 Decoded data consists of numbers, strings, bytes, lists, and terms. A tuple is always a well-formed compound term, so
-that a check of `decoded_value_checks` need not inspect its arguments. All other sequences are lists, except keys of
+that a check of `state_fields` need not inspect its arguments. All other sequences are lists, except keys of
 terms (`FlatKey`).
 """
 
@@ -19,11 +19,10 @@ from typing import Any, Callable, Dict, List, Tuple
 
 import msgpack
 
-from ..events.network.condition_placement import ITEM_FUNCTOR_NAME
 from ..foundation.errors import UsageError
 from ..prolog.terms.timestamps import FloatSeconds, Stamp
 from ..prolog.terms.types import Atom, Functor, Lazy, String, Var, atom, deref, functor
-from .decoded_value_checks import FlatKey
+from .field_types import ITEM_FUNCTOR_NAME, FlatKey
 
 _ATOM, _FUNCTOR, _VARIABLE, _STRING, _REF, _NODE, _LONG_INTEGER, _MARKER, _INSTANT, _STAMP = range(10)
 """Codes of the extension types."""

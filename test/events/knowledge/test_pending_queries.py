@@ -469,10 +469,10 @@ def test_pending_queries_are_restored(make_engine):
     first, second = make_engine(rules, memories), make_engine(rules, memories)
     for number, instant in ((1, 1.0), (2, 2.0)):
         first.event(f"ask({number}, {instant})", instant)
-    order, queries = first.knowledge.pending_queries.snapshot()
-    second.knowledge.pending_queries.restore(order, queries)
+    state = first.knowledge.pending_queries.snapshot()
+    second.knowledge.pending_queries.restore(state)
     assert len(second.knowledge.pending_queries) == 2
-    assert second.knowledge.pending_queries.snapshot() == (order, queries)
+    assert second.knowledge.pending_queries.snapshot() == state
     second.event("v(7)", 1)
     second.event("w", 1)
     second.event("v(8)", 3)

@@ -13,7 +13,7 @@ from python_path import python_path
 
 import retalis
 from retalis.events.language.event_operators import EVENT_OPERATORS, PAIR_OPERATORS, OperatorKind
-from retalis.events.streams.aggregates import SEQUENCE_AGGREGATES
+from retalis.events.streams.aggregates import sequence_aggregates
 
 SOURCE = Path(retalis.__file__).parent
 PAGES = Path(__file__).resolve().parents[3] / "docs" / "reference" / "language"
@@ -68,7 +68,7 @@ def test_page_names_aggregates():
     page = (PAGES / "repetition.md").read_text(encoding="utf-8")
     (aggregates,) = re.findall(r"The kinds of aggregate are (.*)\. `", page)
     assert re.findall(r"`([^`]+)`", aggregates) == [
-        aggregate.notation for aggregate in SEQUENCE_AGGREGATES.values()
+        aggregate.notation for aggregate in sequence_aggregates().values()
     ]
 
 
@@ -80,7 +80,7 @@ def test_tests_cover_all_operators():
         if operator.kind not in (OperatorKind.RULE, OperatorKind.UNSUPPORTED)
     }
     assert set(PAIR_OPERATORS) == set(operator_table.PAIRS)
-    assert set(SEQUENCE_AGGREGATES) == set(operator_table.AGGREGATES)
+    assert set(sequence_aggregates()) == set(operator_table.AGGREGATES)
     assert names <= {re.sub(r"\W.*", "", row) for row in operator_table.ROWS} | {
         "do",
         "aggregate",

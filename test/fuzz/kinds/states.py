@@ -115,7 +115,7 @@ class Inputs(Kind):
                 engine.event(event, now)
             for number in range(60 if "tfs" in goals else 0):  # so many are kept by columns
                 engine.event(f"tf(a{number % 3}, v({number}.5, {number}))", 8 + number / 100)
-            self.states.append(unpack_sections(engine.snapshot()))
+            self.states.append(unpack_sections(engine.snapshot()).sections)
         LOGGED.logged_error = None
         self.whole = [pack_sections(state) for state in self.states]
         self.sections = [(state, name) for state in self.states for name in state]

@@ -59,10 +59,6 @@ _MESSAGE_PREDICATES = {
 }
 """Predicates whose first argument is a message, with its type."""
 
-_NUMERIC_AGGREGATES = frozenset(
-    functor(name, function.arity) for name, function in AGGREGATES.items() if function.is_numeric
-)
-_ELEMENTWISE_AGGREGATES = frozenset(name for name, function in AGGREGATES.items() if function.accepts_arrays)
 _AGGREGATE, *_ = names_of_kind(OperatorKind.AGGREGATE)
 _WINDOW = functor(_AGGREGATE, 4)
 
@@ -207,7 +203,7 @@ def _check_goals(
         else:
             if key in _EQUALITIES:
                 yield from _check_compared_terms(subterm, slots, names)
-            elif key in _NUMERIC_AGGREGATES:
+            elif _is_numeric_aggregate(key):
                 yield from _check_aggregated_terms(subterm, slots, names)
             continue
         while operands:
@@ -293,13 +289,19 @@ def _check_aggregated_terms(
         occurrence is not None
         and occurrence.description == "a list"
         and subterm.parent[0] is _WINDOW
-        and subterm.term[0].name in _ELEMENTWISE_AGGREGATES
+        and subterm.term[0].name in AGGREGATES
+        and AGGREGATES[subterm.term[0].name].accepts_arrays
     ):
         return
     if occurrence is not None and occurrence.description in _NUMBER_ADVICE and not occurrence.is_created:
         source = f"{occurrence.description} ({occurrence.slot})"
         text = f"{_name_variable(value, names)} is {source}: {subterm.term[0].name} collects numbers"
         yield RuleError(text, subterm.place_of(subterm.term, position))
+
+
+def _is_numeric_aggregate(key: Optional[Functor]) -> bool:
+    function = None if key is None else AGGREGATES.get(key.name)
+    return key is not None and function is not None and function.is_numeric and function.arity == key.arity
 
 
 def _check_compared_terms(

@@ -12,9 +12,11 @@ engine clears all state that depends on time. Smaller steps back, as by NTP corr
 import heapq
 import time
 from itertools import count
-from typing import Callable, List, Optional, Sequence, Tuple
+from typing import Callable, List, Optional, Tuple
 
 from ...prolog.terms.timestamps import SECOND
+from ...serialization.field_types import BOOLEAN, CLOCK_INSTANT, COUNT, optional
+from ...serialization.state_fields import StateFields, StateOwner, field
 from .stamp_jumps import MAX_STEP, EventName, JumpDecision, StampJumps
 
 Alarm = Callable[[int], None]
@@ -23,7 +25,7 @@ JUMP = SECOND
 """Minimum step back in ns that starts a new clock epoch, for example when a bag is played again."""
 
 
-class Clock:
+class Clock(StateOwner):
     """A clock with alarms over a source of time.
 
     The clock has no thread: its owner calls `due` whenever time may have passed.
@@ -42,6 +44,15 @@ class Clock:
         ringing: instant of the alarm that is being called; None between alarms.
         behind: whether a step back was detected and `went_back` has not been called since.
     """
+
+    STATE = StateFields(
+        field("_last_stamp", CLOCK_INSTANT),
+        field("_newest", CLOCK_INSTANT),
+        field("behind", BOOLEAN),
+        field("next_order", COUNT),
+        field("stream_time", optional(CLOCK_INSTANT)),
+        field("pinned_time", optional(CLOCK_INSTANT)),
+    )
 
     is_set = True
 
@@ -67,28 +78,35 @@ class Clock:
         finally:
             self.ringing = None
 
-    def snapshot(self) -> List[int]:
-        """Return the state of the clock without its source and its alarms; see `restore`.
-
-        >>> Clock(lambda: 5_000_000_000).snapshot()
-        [-1, 0, 0, 0]
-        """
+    @property
+    def next_order(self) -> int:
+        """Order of the next alarm; later alarms come after those that are set again with their old order."""
         # `count` has no way to read its next value without taking it.
         order = next(self._order)
         self._order = count(order)
-        return [self._last_stamp, self._newest, int(self.behind), order]
+        return order
 
-    def restore(self, saved: Sequence[int]) -> None:
-        """Restore the state of another clock; later alarms come after those that are set again with their old order.
-
-        >>> clock, other = StreamClock(7), StreamClock()
-        >>> other.restore(clock.snapshot())
-        >>> other.now()
-        7
-        """
-        self._last_stamp, self._newest, behind, order = saved[:4]
-        self.behind = bool(behind)
+    @next_order.setter
+    def next_order(self, order: int) -> None:
         self._order = count(order)
+
+    @property
+    def stream_time(self) -> Optional[int]:
+        """None: the time of this clock comes from its source."""
+        return None
+
+    @stream_time.setter
+    def stream_time(self, time: Optional[int]) -> None:
+        """Ignore the time of another clock."""
+
+    @property
+    def pinned_time(self) -> Optional[int]:
+        """None: the time of this clock comes from its source."""
+        return None
+
+    @pinned_time.setter
+    def pinned_time(self, time: Optional[int]) -> None:
+        """Ignore the time of another clock."""
 
     def now(self) -> int:
         """Return the present time, and detect a step back by more than `JUMP`.
@@ -330,42 +348,31 @@ class StreamClock(Clock):
     def _present(self) -> int:
         return self._time if self._pinned is None else self._pinned
 
-    def ring(self, instant: int, call_alarm: Callable[[], object]) -> None:
-        """Call the alarm of an instant, which is `ringing` meanwhile.
-
-        >>> clock = Clock(lambda: 5_000_000_000)
-        >>> clock.ring(4_000_000_000, lambda: print(clock.ringing))
-        4000000000
-        """
-        self.ringing = instant
-        try:
-            call_alarm()
-        finally:
-            self.ringing = None
-
-    def snapshot(self) -> List[int]:
-        """Return the state of the clock; see `Clock.snapshot`.
-
-        >>> StreamClock(7).snapshot()
-        [-1, 0, 0, 0, 7]
-        """
-        if not self.is_set:
-            return super().snapshot()
-        return [*super().snapshot(), self._time, *([] if self._pinned is None else [self._pinned])]
-
-    def restore(self, saved: Sequence[int]) -> None:
-        """Restore the state of another clock; see `Clock.restore`.
+    @property
+    def stream_time(self) -> Optional[int]:
+        """The time of the stream in ns; None before it is set.
 
         >>> clock, other = StreamClock(7), StreamClock()
         >>> other.restore(clock.snapshot())
         >>> other.now()
         7
         """
-        super().restore(saved)
-        if len(saved) > 4:
-            self._time, self.is_set = saved[4], True
-        if len(saved) > 5:
-            self._pinned = saved[5]
+        return self._time if self.is_set else None
+
+    @stream_time.setter
+    def stream_time(self, time: Optional[int]) -> None:
+        if time is not None:
+            self._time, self.is_set = time, True
+
+    @property
+    def pinned_time(self) -> Optional[int]:
+        """The constant time of the clock in ns, if it is pinned."""
+        return self._pinned if self.is_set else None
+
+    @pinned_time.setter
+    def pinned_time(self, time: Optional[int]) -> None:
+        if time is not None:
+            self._pinned = time
 
     def pin(self, instant: int) -> None:
         """Make the clock return a constant time, independent of the stream's time.

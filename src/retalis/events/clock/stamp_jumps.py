@@ -17,9 +17,11 @@ events only, so that they are the same live, from a file, and after a restore.
 """
 
 from enum import Enum
-from typing import Dict, Hashable, List, Optional, Sequence, Tuple
+from typing import Dict, Hashable, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS, SECOND
+from ...serialization.field_types import BOOLEAN, CLOCK_INSTANT, COUNT, FUNCTOR, optional, sequence_of
+from ...serialization.state_fields import StateFields, StateOwner, field, rows_of
 
 MAX_STEP = 10 * SECOND
 """Step in ns up to which a timestamp always moves the clock."""
@@ -45,17 +47,24 @@ MAX_SUSPECTS = 1000
 EventName = Hashable
 """Name and arity of events; None for an event that is a variable."""
 
-TrialRow = Tuple[Optional[int], int, int, int, Sequence[EventName]]
-"""Fields of a `_Trial`."""
 
-SuspectRow = Tuple[EventName, Optional[int], int, int]
-"""Name and fields of a `_Suspect`."""
+class StoredTrial(NamedTuple):
+    """Stored form of a `_Trial`, with the same attributes."""
 
-JumpState = Tuple[bool, Optional[int], Sequence[TrialRow], Sequence[SuspectRow]]
-"""State of a `StampJumps`: whether an event has set the time, the beginning of steady times, trials and suspects."""
+    base: Optional[int]
+    ahead: int
+    earlier_count: int
+    earlier_end: int
+    sources: Sequence[EventName]
 
-NO_JUMPS: JumpState = (False, None, (), ())
-"""State of a clock that does not follow events."""
+
+class StoredSuspect(NamedTuple):
+    """Stored form of a `_Suspect`, with its source."""
+
+    source: EventName
+    first: Optional[int]
+    last: int
+    clock: int
 
 
 class JumpDecision(Enum):
@@ -121,18 +130,40 @@ class _Trial:
         # A timestamp long before the step is that of a late event, and proves nothing.
         return self.base is None or (self.base - MAX_STEP <= stamp and stamp - self.base < self.ahead - stamp)
 
-    def row(self) -> TrialRow:
-        """Return the fields as data."""
-        return self.base, self.ahead, self.earlier_count, self.earlier_end, list(self.sources)
 
-
-class StampJumps:
+class StampJumps(StateOwner):
     """Trials of steps ahead, and the sources whose timestamps are ahead.
 
     Attributes:
         sources: names of the events from which the clock has returned last; the first one made the step.
         step: distance in ns of the first of them from the time to which the clock has returned.
     """
+
+    STATE = StateFields(
+        field("_has_time", BOOLEAN),
+        field("_steady_since", optional(CLOCK_INSTANT)),
+        field(
+            "trials",
+            rows_of(
+                StoredTrial,
+                base=optional(CLOCK_INSTANT),
+                ahead=CLOCK_INSTANT,
+                earlier_count=COUNT,
+                earlier_end=CLOCK_INSTANT,
+                sources=sequence_of(optional(FUNCTOR)),
+            ),
+        ),
+        field(
+            "suspects",
+            rows_of(
+                StoredSuspect,
+                source=optional(FUNCTOR),
+                first=optional(CLOCK_INSTANT),
+                last=CLOCK_INSTANT,
+                clock=CLOCK_INSTANT,
+            ),
+        ),
+    )
 
     def __init__(self) -> None:
         self.sources: List[EventName] = []
@@ -265,15 +296,26 @@ class StampJumps:
         self._trials.clear()
         self._has_time = False
 
-    def snapshot(self) -> JumpState:
-        """Return the state; see `restore`."""
-        suspects = [
-            (source, suspect.first, suspect.last, suspect.clock) for source, suspect in self._suspects.items()
+    @property
+    def trials(self) -> List[StoredTrial]:
+        """The steps that are on trial."""
+        return [
+            StoredTrial(trial.base, trial.ahead, trial.earlier_count, trial.earlier_end, list(trial.sources))
+            for trial in self._trials
         ]
-        return self._has_time, self._steady_since, [trial.row() for trial in self._trials], suspects
 
-    def restore(self, saved: JumpState) -> None:
-        """Set the state that `snapshot` has returned."""
-        self._has_time, self._steady_since, trials, suspects = saved
-        self._trials = [_Trial(*row) for row in trials]
+    @trials.setter
+    def trials(self, trials: Sequence[StoredTrial]) -> None:
+        self._trials = [_Trial(*trial) for trial in trials]
+
+    @property
+    def suspects(self) -> List[StoredSuspect]:
+        """The sources whose timestamps are ahead."""
+        return [
+            StoredSuspect(source, suspect.first, suspect.last, suspect.clock)
+            for source, suspect in self._suspects.items()
+        ]
+
+    @suspects.setter
+    def suspects(self, suspects: Sequence[StoredSuspect]) -> None:
         self._suspects = {source: _Suspect(first, last, clock) for source, first, last, clock in suspects}

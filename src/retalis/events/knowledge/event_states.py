@@ -51,15 +51,18 @@ from ...prolog.terms.term_traversal import copy, freeze, term_key, variables
 from ...prolog.terms.timestamps import lazy_term
 from ...prolog.terms.types import Frame, Functor, Term, Values, Var, atom, deref, functor
 from ...prolog.terms.unification import may_unify
+from ...serialization.field_types import CALLABLE_TERM, COUNT, INSTANT, KEY, State, sequence_of, tuple_of
+from ...serialization.state_fields import StateFields, StateOwner, constraint, field, part, rows_of
 from ..clock.clock import Clock
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import Listener, ListenerPhase
 from ..dispatch.matcher_compiler import compile_builder
 from ..language.state_parser import StateForm, parse_state_declaration
+from ..matches.match_types import OPTIONAL_EVENT
 from ..matches.watermarks import PatternWatermark, Watermarks, functor_of
 from ..provenance.occurrences import Occurrence
 from .memory import Warn
-from .timeouts import Timeouts, TimeoutsState
+from .timeouts import Timeouts, are_increasing_orders
 
 # Versions are unique among all declarations, so a table that depends on one declaration can compare numbers only.
 _VERSIONS = count()
@@ -70,11 +73,15 @@ _MAX_OPENINGS = 100
 Opening = Tuple[int, Optional[Occurrence]]
 """End of an event with which a state may have begun, and the occurrence of that event if events are tracked."""
 
-OpenStateRow = Tuple[int, Hashable, Term, Hashable, List[Opening]]
-"""Order, key, term, key of the shared values, and openings of an open state."""
 
-DeclarationState = Tuple[int, List[OpenStateRow], List[Tuple[Any, ...]], int, TimeoutsState]
-"""Next order, open states, past states, number of dropped states, and deadlines."""
+class StoredOpenState(NamedTuple):
+    """Stored form of an `OpenState`, with the same attributes."""
+
+    order: int
+    key: Hashable
+    term: Term
+    shared_key: Hashable
+    openings: List[Opening]
 
 
 class OpenState:
@@ -124,7 +131,7 @@ class PastState(NamedTuple):
         return self.token is not None and self.token.retracted
 
 
-class DeclaredState:
+class DeclaredState(StateOwner):
     """One declaration with its open and past states.
 
     As the code of a frame ``(self, ended states, next frame)`` it dispatches the events of states that have ended.
@@ -144,6 +151,51 @@ class DeclaredState:
         dropped_count: number of states that were dropped because too many were open.
         version: changes with each change of the states; unique among all declarations.
     """
+
+    STATE = StateFields(
+        field("next_order", COUNT),
+        field(
+            "stored_open_states",
+            rows_of(
+                StoredOpenState,
+                order=COUNT,
+                key=KEY,
+                term=CALLABLE_TERM,
+                shared_key=KEY,
+                openings=sequence_of(tuple_of(INSTANT, OPTIONAL_EVENT), min_count=1),
+            ),
+        ),
+        field(
+            "stored_past_states",
+            rows_of(
+                PastState,
+                key=KEY,
+                term=CALLABLE_TERM,
+                start=INSTANT,
+                end=INSTANT,
+                token=OPTIONAL_EVENT,
+            ),
+        ),
+        field("dropped_count", COUNT),
+        part("timeouts"),
+        constraint(
+            "states with increasing orders",
+            lambda declaration, state: are_increasing_orders(
+                state["stored_open_states"], state["next_order"]
+            ),
+        ),
+        constraint(
+            "declared states that have begun",
+            lambda declaration, state: all(map(declaration.has_begun, state["stored_open_states"])),
+        ),
+        constraint(
+            "distinct states",
+            lambda declaration, state: (
+                len({open_state.key for open_state in state["stored_open_states"]})
+                == len(state["stored_open_states"])
+            ),
+        ),
+    )
 
     def __init__(
         self,
@@ -438,29 +490,49 @@ class DeclaredState:
         for state in open_states:
             self._add_open_state(state)
 
-    def snapshot(self) -> DeclarationState:
-        """Return open and past states as data; see `restore`."""
+    @property
+    def next_order(self) -> int:
+        """The order of the next state that begins."""
         # `count` has no way to read its next value without taking it.
-        next_order = next(self._next_order)
-        self._next_order = count(next_order)
-        # A state whose beginning was retracted does not hold, and is left out.
-        open_rows = [
-            (state.order, state.key, state.term, state.shared_key, list(state.openings))
+        order = next(self._next_order)
+        self._next_order = count(order)
+        return order
+
+    @next_order.setter
+    def next_order(self, order: int) -> None:
+        self._next_order = count(order)
+
+    @property
+    def stored_open_states(self) -> List[StoredOpenState]:
+        """The open states; one whose beginning was retracted does not hold, and is left out."""
+        return [
+            StoredOpenState(state.order, state.key, state.term, state.shared_key, list(state.openings))
             for state in self.open.values()
             if state.start is not None
         ]
-        past_rows = [tuple(state) for state in self.past]
-        return next_order, open_rows, past_rows, self.dropped_count, self.timeouts.snapshot()
 
-    def restore(self, saved: DeclarationState) -> None:
-        """Set the states from `snapshot` of an equal declaration; the clock restores their alarms."""
-        next_order, open_rows, past, self.dropped_count, timeouts = saved
-        self.version = next(_VERSIONS)
-        self._next_order = count(next_order)
-        for order, key, term, shared_key, openings in open_rows:
+    @stored_open_states.setter
+    def stored_open_states(self, states: Sequence[StoredOpenState]) -> None:
+        for order, key, term, shared_key, openings in states:
             self._index_open_state(OpenState(key, term, shared_key, order, list(openings)))
-        self.past.extend([PastState(*fields) for fields in past])
-        self.timeouts.restore(*timeouts)
+
+    @property
+    def stored_past_states(self) -> List[PastState]:
+        """The past states."""
+        return list(self.past)
+
+    @stored_past_states.setter
+    def stored_past_states(self, states: Sequence[PastState]) -> None:
+        self.past.extend(states)
+
+    def restore(self, saved: State) -> None:
+        """Set the states of an equal declaration; the clock restores their alarms."""
+        self.version = next(_VERSIONS)
+        super().restore(saved)
+
+    def has_begun(self, state: StoredOpenState) -> bool:
+        """Return whether a restored state is of this declaration, and its key is that of its term."""
+        return state.key == term_key(state.term) and may_unify(self.form.state, state.term)
 
 
 MAX_STATES = 1000
@@ -641,15 +713,6 @@ class StateRegistry:
             listener for declaration in self._declarations.values() for listener in declaration.listeners
         }
         self._dispatcher.remove_all_except(ListenerPhase.STATES, owned_listeners)
-
-    def snapshot(self) -> List[Any]:
-        """Return the states of each declaration, in order; see `restore`."""
-        return [declaration.snapshot() for declaration in self._declarations.values()]
-
-    def restore(self, saved: Sequence[Any]) -> None:
-        """Set the states from `snapshot` of a registry with equal declarations."""
-        for declaration, state in zip(self._declarations.values(), saved):
-            declaration.restore(state)
 
 
 class _StatePredicates:

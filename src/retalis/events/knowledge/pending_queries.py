@@ -44,16 +44,19 @@ from ...prolog.terms import timestamps
 from ...prolog.terms.list_terms import list_items, make_list
 from ...prolog.terms.term_traversal import copy, positions, variables
 from ...prolog.terms.types import CONS, MINUS, TRUE, EventAction, Frame, Term, Values, Var, deref, functor
+from ...serialization.field_types import CALLABLE_TERM, COUNT, INSTANT, TERM, sequence_of, tuple_of
+from ...serialization.state_fields import StateFields, StateOwner, constraint, field, part, rows_of
 from ..clock.clock import Clock
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import ListenerPhase
 from ..dispatch.matcher_compiler import compile_builder
 from ..fused.fused_single_event import compile_query_action
+from ..matches.match_types import TOKEN
 from ..matches.watermarks import PatternWatermark, Watermarks, functor_of
 from ..network.event_rule import EventRule
 from .memory import MemoryInstance, Warn, key_of
 from .memory_registry import MemoryInstances
-from .timeouts import Timeouts, timeout_of
+from .timeouts import Timeouts, are_increasing_orders, timeout_of
 from .transform_predicates import AwaitedTransform, ReachedTransforms, Transforms
 
 AwaitedSource = Union[MemoryInstance, AwaitedTransform]
@@ -466,15 +469,29 @@ The unique order comes first, so that sorted queries are in order of registratio
 """
 
 
-QueryRow = Tuple[int, Term, Term, int, int, List[Tuple[Term, int]], object]
-"""A pending query as data.
+class StoredQuery(NamedTuple):
+    """Stored form of a pending query.
 
-Its order, event and query, start and end, ids of memories with the instants that they have to reach, and the
-occurrence that its event is derived from, or None.
-"""
+    Attributes:
+        order: its order.
+        event: its event.
+        query: its query.
+        start: start of the event in ns.
+        end: end of the event in ns.
+        awaited: ids of memories, with the instants that they have to reach.
+        cause: the occurrence that its event is derived from, or None.
+    """
+
+    order: int
+    event: Term
+    query: Term
+    start: int
+    end: int
+    awaited: List[Tuple[Term, int]]
+    cause: object
 
 
-class PendingQueries:
+class PendingQueries(StateOwner):
     """All pending synchronized queries of a program.
 
     Two spellings are accepted: ``synchronized`` and ``syncronized``. With ``[timeout(Seconds)]`` as a fourth
@@ -484,6 +501,32 @@ class PendingQueries:
         limit: maximum number of pending queries.
         timeouts: deadlines of the queries with a timeout.
     """
+
+    STATE = StateFields(
+        field("next_order", COUNT),
+        field(
+            "stored_queries",
+            rows_of(
+                StoredQuery,
+                order=COUNT,
+                event=CALLABLE_TERM,
+                query=TERM,
+                start=INSTANT,
+                end=INSTANT,
+                awaited=sequence_of(tuple_of(TERM, INSTANT), min_count=1),
+                cause=TOKEN,
+            ),
+        ),
+        part("timeouts"),
+        constraint(
+            "queries with increasing orders",
+            lambda queries, state: are_increasing_orders(state["stored_queries"], state["next_order"]),
+        ),
+        constraint(
+            "queries that wait for memories of the program",
+            lambda queries, state: all(map(queries.is_pending, state["stored_queries"])),
+        ),
+    )
 
     def __init__(
         self,
@@ -559,12 +602,23 @@ class PendingQueries:
         """
         return self._register(QueryNotifier(client_name, notify), (), now, now, missing)
 
-    def snapshot(self) -> Tuple[int, List[QueryRow]]:
-        """Return the next order and the pending queries as data, for `restore`; waiting clients are not included."""
+    @property
+    def next_order(self) -> int:
+        """The order of the next query."""
         order = next(self._next_order)
         # Reading the counter advances it, so it is set back.
         self._next_order = count(order)
-        queries: List[QueryRow] = []
+        return order
+
+    @next_order.setter
+    def next_order(self, order: int) -> None:
+        self._next_order = count(order)
+        self._oldest_order = order
+
+    @property
+    def stored_queries(self) -> List[StoredQuery]:
+        """The pending queries; waiting clients are not included."""
+        queries: List[StoredQuery] = []
         for query_order, compiled_query, values, start, end, missing in self._queries_by_order.values():
             if isinstance(compiled_query, QueryNotifier):
                 continue
@@ -576,14 +630,14 @@ class PendingQueries:
                 for source, instant in missing
                 if isinstance(source, AwaitedTransform) or not source.has_reached(instant)
             ]
-            queries.append((query_order, event, query, start, end, awaited, cause))
-        return order, queries
+            queries.append(StoredQuery(query_order, event, query, start, end, awaited, cause))
+        return queries
 
-    def restore(self, order: int, queries: Sequence[QueryRow]) -> None:
-        """Replace the pending queries by those of `snapshot`."""
+    @stored_queries.setter
+    def stored_queries(self, queries: Sequence[StoredQuery]) -> None:
         self._watch_sources()
-        self._next_order = count(order)
-        self._oldest_order = queries[0][0] if queries else order
+        if queries:
+            self._oldest_order = queries[0].order
         for query_order, event, query, start, end, awaited, cause in queries:
             missing: Any = [
                 (self._memories.find(source_id) or self._transforms.awaited_transform(source_id), instant)
@@ -605,6 +659,22 @@ class PendingQueries:
             # Queries are registered with the last memory that is missing, as in `_register`.
             source, instant = missing[-1]
             source.add_query(instant, query_order, pending)
+
+    def is_pending(self, query: StoredQuery) -> bool:
+        """Return whether a restored query waits for memories of the program that have not reached its instants.
+
+        Otherwise it would never be run.
+        """
+        for name, instant in query.awaited:
+            memory = self._memories.find(name)
+            # The transform buffer is not saved, so a restored query may wait for any transform.
+            if (
+                self._transforms.awaited_transform(name) is None
+                if memory is None
+                else memory.has_reached(instant)
+            ):
+                return False
+        return True
 
     def is_waiting(self, order: int) -> bool:
         """Return whether a client is still waiting: neither notified nor dropped."""

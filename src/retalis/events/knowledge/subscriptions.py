@@ -26,11 +26,13 @@ from ...prolog.machine.errors import domain_error, permission_error
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.term_traversal import copy, term_key, variables
 from ...prolog.terms.types import MINUS, Atom, EventAction, Frame, Term, Values, deref
+from ...serialization.field_types import COUNT, State, invalid_value
+from ...serialization.state_fields import StateFields, StateOwner, field, part
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import Listener, ListenerPhase
 from ..language.pattern_tree import RatePattern
 from ..language.stream_parser import subscription_event, subscription_rate_operator
-from ..matches.match_types import NetworkOptions
+from ..matches.match_types import EventMatch, NetworkOptions
 from ..matches.watermarks import PatternWatermark, functor_of
 from ..network.stream_compiler import compile_rate_spec
 from ..rules.rule_base import RuleBase
@@ -47,16 +49,13 @@ from .memory import (
 
 _NOTATION = "subscribe(Pattern, Conditions, Template, Topic, Id)"
 
-RateLimiterState = Tuple[Any, int, int, int]
-"""State of the operator, and numbers of late events, of dropped events, and of events ahead of the clock."""
-
 
 def terms_of_rate_operator(rate_pattern: RatePattern) -> Tuple[Term, ...]:
     """Return the terms of a pattern that a rate operator uses."""
     return rate_pattern.keys if rate_pattern.value is None else (rate_pattern.value, *rate_pattern.keys)
 
 
-class OutputRateLimiter:
+class OutputRateLimiter(StateOwner):
     """Rate operator of a subscription, which forwards some of the events.
 
     The clock calls it at its alarms as it calls the nodes of rules, but before these: subscribers receive an event
@@ -81,6 +80,13 @@ class OutputRateLimiter:
         ahead_count: number of events that were too far ahead of the clock to advance the time of the operator.
         value_counts: number of values in its key, and number of other values that it uses.
     """
+
+    STATE = StateFields(
+        part("_stream", "check_element"),
+        field("late_count", COUNT),
+        field("dropped_count", COUNT),
+        field("ahead_count", COUNT),
+    )
 
     serial = 0
 
@@ -232,17 +238,25 @@ class OutputRateLimiter:
         """Repair the operator after an interrupt."""
         self.restore(self.snapshot())
 
-    def snapshot(self) -> RateLimiterState:
-        """Return the state; see `restore`."""
-        return self._stream.snapshot(), self.late_count, self.dropped_count, self.ahead_count
-
-    def restore(self, saved: RateLimiterState) -> None:
+    def restore(self, saved: State) -> None:
         """Set the state of an equal rate limiter."""
-        stream_state, self.late_count, self.dropped_count, self.ahead_count = saved
         self._stream = self._create_stream()
-        self._stream.restore(stream_state)
+        super().restore(saved)
         self.alarm_instant = None
         self._set_alarm()
+
+    def check_element(self, element: StreamElement, channel: int) -> None:
+        """Check an element of a restored state.
+
+        Raises:
+            UsageError: if it is not one of an event of the subscription.
+        """
+        key_count, value_count = self.value_counts
+        if len(element.key_values) != key_count or len(element.values) != value_count:
+            expected = f"an element with {key_count} key values and {value_count} measured values"
+            raise invalid_value((element.key_values, element.values), expected)
+        if isinstance(element.match, EventMatch):
+            raise invalid_value(element.match, "an element with the event of a subscription")
 
 
 Deliver = Callable[[Term, str, Term], None]
@@ -460,7 +474,7 @@ class Subscriptions:
         self._dispatcher.remove_all_except(
             ListenerPhase.SUBSCRIPTIONS, {subscription.listener for subscription in self._all.values()}
         )
-        for rate_limiter in self._rate_limiters():
+        for rate_limiter in self.rate_limiters():
             rate_limiter.repair()
 
     def has(self, topic: Term, subscription_id: Term) -> bool:
@@ -482,28 +496,16 @@ class Subscriptions:
 
     def clear(self) -> None:
         """Reset all rate operators, because the clock went back or the program requires it."""
-        for rate_limiter in self._rate_limiters():
+        for rate_limiter in self.rate_limiters():
             rate_limiter.clear()
 
     def return_to(self, instant: int) -> None:
         """Set the time of all rate operators back."""
-        for rate_limiter in self._rate_limiters():
+        for rate_limiter in self.rate_limiters():
             rate_limiter.return_to(instant)
 
-    def snapshot(self) -> List[Optional[RateLimiterState]]:
-        """Return the state of each rate limiter, None for subscriptions without one; see `restore_rate_limiters`."""
-        return [
-            None if subscription.rate_limiter is None else subscription.rate_limiter.snapshot()
-            for subscription in self._all.values()
-        ]
-
-    def restore_rate_limiters(self, saved: Sequence[Optional[RateLimiterState]]) -> None:
-        """Set the states of the rate limiters of equal subscriptions."""
-        for subscription, saved_state in zip(self._all.values(), saved):
-            if subscription.rate_limiter is not None and saved_state is not None:
-                subscription.rate_limiter.restore(saved_state)
-
-    def _rate_limiters(self) -> List[OutputRateLimiter]:
+    def rate_limiters(self) -> List[OutputRateLimiter]:
+        """Return the rate limiters of the subscriptions that have one, in order."""
         return [
             subscription.rate_limiter
             for subscription in self._all.values()

@@ -7,17 +7,39 @@ is due when the watermark reaches it, that is when the clock has passed it by th
 """
 
 from heapq import heapify, heappop, heappush
-from typing import Callable, Container, List, Set, Tuple
+from typing import (
+    Callable,
+    Container,
+    Iterable,
+    List,
+    NamedTuple,
+    Protocol,
+    Sequence,
+    Set,
+    Tuple,
+)
 
 from ...foundation.errors import UsageError
 from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.timestamps import from_seconds
 from ...prolog.terms.types import Term, deref, functor
+from ...serialization.field_types import COUNT, INSTANT, sequence_of
+from ...serialization.state_fields import StateFields, StateOwner, field, rows_of
 from ..clock.clock import Clock
 from ..matches.watermarks import PatternWatermark, Watermarks
 
-TimeoutsState = Tuple[List[Tuple[int, int]], List[int]]
-"""Deadlines (instant, order), and instants for which an alarm is set."""
+
+class Deadline(NamedTuple):
+    """Deadline of a query or state.
+
+    Attributes:
+        instant: the deadline in ns.
+        order: order of the query or state.
+    """
+
+    instant: int
+    order: int
+
 
 TIMEOUT = functor("timeout", 1)
 _STALE_TOLERANCE = 16
@@ -39,7 +61,21 @@ def timeout_of(options: Term, brief: Callable[[Term], str]) -> int:
     raise UsageError(f"expected [timeout(Seconds)], found {brief(options)}")
 
 
-class Timeouts:
+class Ordered(Protocol):
+    """Row with an order."""
+
+    @property
+    def order(self) -> int:
+        """The order."""
+
+
+def are_increasing_orders(rows: Sequence[Ordered], next_order: int) -> bool:
+    """Return whether the orders of rows increase, and are below the next one."""
+    orders = [row.order for row in rows]
+    return orders == sorted(set(orders)) and all(order < next_order for order in orders)
+
+
+class Timeouts(StateOwner):
     """Deadlines of queries or states; an *order* is the number that identifies one.
 
     Args:
@@ -49,6 +85,11 @@ class Timeouts:
         watermarks: the watermarks of the program.
         watermark: the watermark that has to reach a deadline.
     """
+
+    STATE = StateFields(
+        field("pending_deadlines", rows_of(Deadline, instant=INSTANT, order=COUNT)),
+        field("alarm_instants", sequence_of(INSTANT)),
+    )
 
     def __init__(
         self,
@@ -120,17 +161,49 @@ class Timeouts:
         finally:  # `on_timeout` may raise
             self._set_alarm()
 
-    def snapshot(self) -> TimeoutsState:
-        """Return the deadlines of pending queries, and the instants of alarms; see `restore`."""
-        return [entry for entry in self._deadlines if entry[1] in self._pending_orders], sorted(
-            self._alarm_instants
-        )
+    @property
+    def pending_deadlines(self) -> List[Deadline]:
+        """The deadlines of pending queries or states."""
+        return [Deadline(*entry) for entry in self._deadlines if entry[1] in self._pending_orders]
 
-    def restore(self, deadlines: List[Tuple[int, int]], alarms: List[int]) -> None:
-        """Set deadlines and instants of alarms; the alarms are set in the clock already."""
-        self._deadlines = list(deadlines)
+    @pending_deadlines.setter
+    def pending_deadlines(self, deadlines: Sequence[Deadline]) -> None:
+        self._deadlines = [(deadline.instant, deadline.order) for deadline in deadlines]
         heapify(self._deadlines)
-        self._alarm_instants = set(alarms)
+
+    @property
+    def alarm_instants(self) -> List[int]:
+        """The instants of alarms; a snapshot has the alarms of the clock themselves, too."""
+        return sorted(self._alarm_instants)
+
+    @alarm_instants.setter
+    def alarm_instants(self, instants: Iterable[int]) -> None:
+        self._alarm_instants = set(instants)
+
+
+class StoredTimeoutAlarm(NamedTuple):
+    """Stored form of a `TimeoutAlarm` in the clock.
+
+    Attributes:
+        due_at: instant of the alarm in ns.
+        order: order of the alarm among those of the same instant.
+        owner_number: number of its `Timeouts`: 0 for those of pending queries, then those of each declared state.
+        alarm_instant: as in `TimeoutAlarm`.
+    """
+
+    due_at: int
+    order: int
+    owner_number: int
+    alarm_instant: int
+
+
+TIMEOUT_ALARMS = rows_of(
+    StoredTimeoutAlarm,
+    due_at=INSTANT,
+    order=COUNT,
+    owner_number=COUNT,
+    alarm_instant=INSTANT,
+)
 
 
 class TimeoutAlarm:

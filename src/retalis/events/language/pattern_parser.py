@@ -27,7 +27,7 @@ from ...prolog.terms.types import (
     functor,
     functor_name,
 )
-from ..streams.aggregates import AGGREGATES, SEQUENCE_AGGREGATES
+from ..streams.aggregates import AGGREGATES, sequence_aggregates
 from .called_predicates import Subgoal, calls, required_interval_calls
 from .event_operators import (
     ARROWS,
@@ -231,8 +231,9 @@ class PatternReader:
         function_term = deref(term[1])
         name = functor_name(function_term)
         arity = len(function_term) - 1 if function_term.__class__ is tuple else 0
-        if name not in SEQUENCE_AGGREGATES or SEQUENCE_AGGREGATES[name].arity != arity:
-            forms = ", ".join(function.notation for function in SEQUENCE_AGGREGATES.values())
+        functions = sequence_aggregates()
+        if name not in functions or functions[name].arity != arity:
+            forms = ", ".join(function.notation for function in functions.values())
             raise self.create_error(
                 f"there is no such aggregate; the aggregates are {forms}", function_term if arity else term
             )

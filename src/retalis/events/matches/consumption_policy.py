@@ -39,14 +39,17 @@ from typing import (
     List,
     NamedTuple,
     Optional,
+    Sequence,
     Tuple,
     TypeVar,
 )
 
 from ...prolog.machine.resource_limits import Meter
 from ...prolog.terms.types import Frame
+from ...serialization.field_types import sequence_of
+from ...serialization.state_fields import StateFields, StateOwner, constraint, field
 from .match_buffer import MatchBuffer, has_equal_key
-from .match_types import PartialMatch, arrival_number_of, lineage_sources, unify_sides
+from .match_types import MATCH_REFERENCE, PartialMatch, arrival_number_of, lineage_sources, unify_sides
 
 if TYPE_CHECKING:
     from ..provenance.lineage import LineageTracker
@@ -335,20 +338,35 @@ def is_valid(match: Optional[PartialMatch]) -> bool:
     )
 
 
-class RetainedMatches:
-    """Second operands that are retained in a buffer; if there are too many, the oldest is removed."""
+class RetainedMatches(StateOwner):
+    """Second operands that are retained in a buffer; if there are too many, the oldest is removed.
 
-    def __init__(self, buffer: MatchBuffer):
+    Args:
+        buffer: the buffer.
+        accepts: returns whether a restored match is one of the operand.
+    """
+
+    STATE = StateFields(
+        field("stored_matches", sequence_of(MATCH_REFERENCE)),
+        constraint(
+            "matches that its pattern can have",
+            lambda retained, state: all(map(retained.accepts, state["stored_matches"])),
+        ),
+    )
+
+    def __init__(self, buffer: MatchBuffer, accepts: Callable[[PartialMatch], bool]):
         self.buffer = buffer
+        self.accepts = accepts
         self._retained: Deque[PartialMatch] = deque()
 
-    def snapshot(self) -> List[PartialMatch]:
-        """Return the retained matches, oldest first; see `restore`."""
+    @property
+    def stored_matches(self) -> List[PartialMatch]:
+        """The retained matches, oldest first; restored ones are stored in the buffer already."""
         return [match for match in self._retained if match.buffer is not None]
 
-    def restore(self, saved: List[PartialMatch]) -> None:
-        """Set the retained matches; they are stored in the buffer already."""
-        self._retained = deque(saved)
+    @stored_matches.setter
+    def stored_matches(self, matches: Sequence[PartialMatch]) -> None:
+        self._retained = deque(matches)
 
     def add(self, match: PartialMatch, key: Hashable) -> None:
         """Store and retain a match; see `MatchBuffer.add`."""

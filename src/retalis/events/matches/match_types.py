@@ -29,12 +29,118 @@ from typing import (
 
 from ...foundation.errors import UsageError
 from ...prolog.terms.term_traversal import copy, resolve, term_key
-from ...prolog.terms.types import Term, Trail, Values, Var
+from ...prolog.terms.types import Functor, Term, Trail, Values, Var
 from ...prolog.terms.unification import undo, unify
+from ...serialization.field_types import (
+    BOOLEAN,
+    COMPOUND_TERM,
+    COUNT,
+    INSTANT,
+    KEY,
+    MATCH_VALUE,
+    TERM,
+    Encode,
+    FieldType,
+    PlainType,
+    ReadContext,
+    ValueCheck,
+    objects_of,
+    optional,
+    parts_of,
+    reference,
+    sequence_of,
+    tuple_of,
+)
+from ...serialization.state_fields import ObjectFields, constraint, field
+from ..streams.stream_operators import MATCH_KINDS
 
 if TYPE_CHECKING:
+    from ...serialization.object_graph import ObjectWriter
     from .match_buffer import MatchBuffer
     from .shared_run_buffer import RunGroup
+
+
+REPETITION_KINDS = ("repetition chain", "no repetitions")
+"""Kinds of `RepetitionChain`; `NO_REPETITIONS` is an external object."""
+
+MATCH_VALUES = sequence_of(MATCH_VALUE, tuple)
+"""Values of the variables of a match."""
+
+TOKEN = reference("event", is_source=True, accepts=optional(COUNT))
+"""Identity of an event: a number, or the event itself if lineage is recorded."""
+
+MATCH_REFERENCE = reference(*MATCH_KINDS)
+OPTIONAL_EVENT = reference("event", is_optional=True)
+
+
+def _check_part(value: object) -> "Union[int, ComputedValues]":
+    if isinstance(value, list):
+        (values,) = _STORED_VALUES.check(value)
+        return ComputedValues(values)
+    number: int = COUNT.check(value)
+    return number
+
+
+_STORED_VALUES = tuple_of(MATCH_VALUES)
+_PART = PlainType("a number of a branch, or computed values", _check_part)
+
+_DEPENDENT = reference(
+    *MATCH_KINDS,
+    accepts=tuple_of(
+        reference("node"), reference("run", "node", "run group"), reference(*MATCH_KINDS, accepts=COUNT)
+    ),
+)
+"""See `Dependent`. A buffer entry is named by a number in repeat nodes, and by the match itself elsewhere."""
+
+
+def _are_buffer_entries(source: Any) -> bool:
+    return all(
+        node.has_entry(owner, entry)
+        for dependent in source.dependents
+        if dependent.__class__ is tuple
+        for node, owner, entry in (dependent,)
+    )
+
+
+LINEAGE_FIELDS = (
+    field("derived", sequence_of(reference("event", "repetition chain"))),
+    field("dependents", sequence_of(_DEPENDENT)),
+    field("retracted", BOOLEAN),
+    field("reported", BOOLEAN),
+    field("suppressed", sequence_of(reference("suppressed"))),
+    constraint("dependents that are matches, or buffer entries of nodes", _are_buffer_entries),
+)
+"""Stored links of the nodes of a lineage."""
+
+
+class TokenKeys(FieldType):
+    """Keys that consist of terms, or of identities of events."""
+
+    name = "a key of terms or identities of events"
+
+    def checker(self, context: ReadContext) -> ValueCheck:
+        """See `FieldType.checker`."""
+        check_token = TOKEN.checker(context)
+        is_reference = objects_of(context).is_reference
+
+        def check_key(value: object) -> Hashable:
+            if isinstance(value, list) and any(map(is_reference, value)):
+                return tuple([check_key(item) for item in value])
+            key: Hashable = check_token(value) if is_reference(value) else KEY.check(value)
+            return key
+
+        return check_key
+
+    def encoder(self, graph: "ObjectWriter") -> Encode:
+        """See `FieldType.encoder`."""
+
+        def encode(key: Any) -> object:
+            if graph.is_object(key):
+                return graph.reference_to(key)
+            is_sequence = key.__class__ is tuple and not (key and key[0].__class__ is Functor)
+            return [encode(item) for item in key] if is_sequence else key
+
+        return encode
 
 
 class EventMatch:
@@ -62,6 +168,15 @@ class EventMatch:
     """
 
     __slots__ = ("start", "term", "buffer", "key", "older", "newer")
+
+    STATE = ObjectFields(
+        "event match",
+        field("start", INSTANT),
+        field("end", INSTANT, same_as="start"),
+        field("term", COMPOUND_TERM),
+        # The order of a restored match is set when it is stored, which a slot for three values does not allow.
+        restored_kind="match",
+    )
 
     start: int
     # Declared as Any: code that reads it knows that the match is of a single event.
@@ -105,6 +220,13 @@ class EventMatch:
     def repair(self) -> None:
         """Repair the match after an interrupt."""
 
+    def after_restore(self) -> None:
+        """Set the attributes that follow from the event, or are not used."""
+        # A restored match has the attributes of a `PartialMatch`, see `STATE`.
+        match: Any = self
+        match.values = self.term[1:]
+        match.event = match.parts = match.consumed_by = match.buffer = match.identity = None
+
     def discard(self) -> None:
         """Remove the match from the buffer where it is stored, if any."""
         if self.buffer is not None:
@@ -147,6 +269,22 @@ class PartialMatch(OrderedEventMatch):
     """
 
     __slots__ = ("values", "event", "parts", "identity", "consumed_by")
+
+    STATE = ObjectFields(
+        "match",
+        field("values", MATCH_VALUES),
+        field("start", INSTANT),
+        field("end", INSTANT, same_as="start"),
+        field("event", TOKEN),
+        field("term", optional(TERM)),
+        field("parts", parts_of(*MATCH_KINDS, *REPETITION_KINDS, "buffer slice", accepts=_PART)),
+        field("consumed_by", reference(*MATCH_KINDS, is_optional=True)),
+        constraint("an event or parts", lambda match: match.term is not None or match.parts is not None),
+    )
+
+    def after_restore(self) -> None:
+        """Set the attributes that are not stored."""
+        self.buffer = self.identity = None
 
     def __init__(
         self,
@@ -194,6 +332,19 @@ class RepetitionChain:
     )
 
     forgotten = False
+
+    STATE = ObjectFields(
+        "repetition chain",
+        field("match", reference(*MATCH_KINDS, is_optional=True, is_source=True)),
+        field("earlier", reference(*REPETITION_KINDS, is_optional=True, is_source=True)),
+        field("number", COUNT),
+        field("linked", BOOLEAN),
+        *LINEAGE_FIELDS,
+        constraint(
+            "a beginning, and a match after it",
+            lambda chain: (chain.earlier is None) == (chain.match is None),
+        ),
+    )
 
     def __init__(self, match: Optional[PartialMatch], earlier: Optional["RepetitionChain"]):
         self.match = match

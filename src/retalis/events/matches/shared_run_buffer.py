@@ -29,9 +29,33 @@ from typing import (
 )
 
 from ...prolog.terms.types import NIL, Term, Values, Var
-from .match_types import NO_REPETITIONS, IdentifyingRepetitions, PartialMatch, Parts, identity
+from ...serialization.field_types import (
+    COUNT,
+    INSTANT,
+    KEY,
+    MATCH_ORDER,
+    TERM,
+    VARIABLE,
+    optional,
+    reference,
+    sequence_of,
+    tuple_of,
+)
+from ...serialization.state_fields import ObjectFields, constraint, field
+from ..streams.stream_operators import MATCH_KINDS
+from .match_types import (
+    MATCH_REFERENCE,
+    MATCH_VALUES,
+    NO_REPETITIONS,
+    REPETITION_KINDS,
+    IdentifyingRepetitions,
+    PartialMatch,
+    Parts,
+    identity,
+)
 
 if TYPE_CHECKING:
+    from ..network.kleene_node import KleeneNode
     from ..network.repeat_node import RepeatNode
 
 
@@ -42,6 +66,11 @@ class SharedLog:
     """Repetitions in order; it only grows, so slices of it remain valid."""
 
     __slots__ = ("items", "_sums")
+
+    STATE = ObjectFields(
+        "log",
+        field("items", sequence_of(reference(*MATCH_KINDS, is_source=True))),
+    )
 
     def __init__(self, items: List[PartialMatch]):
         self.items = items
@@ -73,9 +102,24 @@ class BufferSlice(IdentifyingRepetitions):
 
     __slots__ = ("pieces", "length")
 
+    STATE = ObjectFields(
+        "buffer slice",
+        field("pieces", sequence_of(tuple_of(reference("log", is_source=True), COUNT, COUNT), tuple)),
+        constraint(
+            "slices within their logs",
+            lambda buffer_slice: all(
+                start <= end <= len(log.items) for log, start, end in buffer_slice.pieces
+            ),
+        ),
+    )
+
     def __init__(self, pieces: Tuple[LogSlice, ...]):
         self.pieces = pieces
-        self.length = sum(end - start for _, start, end in pieces)
+        self.after_restore()
+
+    def after_restore(self) -> None:
+        """Compute the number of repetitions."""
+        self.length = sum(end - start for _, start, end in self.pieces)
 
     @property
     def matches(self) -> List[PartialMatch]:
@@ -151,7 +195,24 @@ class RunCursor(PartialMatch):
 
     __slots__ = ("first", "prefix_length", "log", "log_position", "first_number")
 
+    STATE = ObjectFields(
+        "run cursor",
+        *PartialMatch.STATE.extended(
+            field("first", reference(*MATCH_KINDS, is_source=True)),
+            field("prefix_length", COUNT),
+            field("log", reference("log")),
+            field("log_position", COUNT),
+            field("first_number", COUNT),
+            field("buffer", reference("run group", is_optional=True)),
+            constraint("a position in its log", lambda cursor: cursor.log_position <= len(cursor.log.items)),
+        ),
+    )
+
     buffer: "Optional[RunGroup]"
+
+    def after_restore(self) -> None:
+        """Set the attributes that are not stored."""
+        self.identity = None
 
     def __init__(self, first: PartialMatch, prefix_length: int, group: "RunGroup"):
         super().__init__(first.values, first.start, first.end, None, None, (first,))
@@ -193,6 +254,18 @@ class RunGroup:
         "cursor_count",
     )
 
+    STATE = ObjectFields(
+        "run group",
+        field("node", reference("node")),
+        field("key", KEY),
+        field("cursors", sequence_of(reference("run cursor", is_optional=True), deque)),
+        field("end", INSTANT),
+        field("order", MATCH_ORDER),
+        field("log", reference("log")),
+        field("repetition_count", COUNT),
+        constraint("runs of its node", lambda group: group.node.accepts_group(group)),
+    )
+
     def __init__(self, node: "RepeatNode", key: Hashable):
         self.node = node
         self.key = key
@@ -204,8 +277,8 @@ class RunGroup:
         self.cursor_count = 0
 
     def after_restore(self) -> None:
-        """Convert the restored list of cursors."""
-        self.cursors = deque(self.cursors)
+        """Count the stored sequences."""
+        self.cursor_count = sum(cursor is not None and cursor.buffer is self for cursor in self.cursors)
 
     @property
     def retention(self) -> Optional[int]:
@@ -340,6 +413,7 @@ class Run(PartialMatch):
     """One execution of a Kleene closure: a first match and the repetitions that have extended it.
 
     Attributes:
+        node: the node that it belongs to.
         last: largest end so far.
         fixed_values: values, set by the first repetition, of variables that also occur elsewhere in the rule; or
             None.
@@ -361,17 +435,36 @@ class Run(PartialMatch):
         "step_values",
         "first",
         "free_vars",
+        "node",
         "_next",
     )
 
-    def __init__(self, first: PartialMatch, state: object, free_var_count: int):
+    STATE = ObjectFields(
+        "run",
+        *PartialMatch.STATE.extended(
+            field("node", reference("node")),
+            field("first", reference(*MATCH_KINDS, is_source=True)),
+            field("last", INSTANT),
+            field("fixed_values", optional(MATCH_VALUES)),
+            field("state", lambda run: run.node.run_state_type()),
+            field("items", TERM),
+            field("repetitions", sequence_of(MATCH_REFERENCE)),
+            field("tracked", reference(*REPETITION_KINDS, is_source=True)),
+            field("step_values", sequence_of(tuple_of(MATCH_VALUES, MATCH_VALUES))),
+            field("free_vars", sequence_of(VARIABLE, tuple)),
+            constraint("the values that its node requires", lambda run: run.node.accepts_run(run)),
+        ),
+    )
+
+    def __init__(self, node: "KleeneNode", first: PartialMatch):
         super().__init__(first.values, first.start, first.end, first.event, None, (first,))
+        self.node = node
         self.first = first
-        self.free_vars = tuple([Var() for _ in range(free_var_count)])
+        self.free_vars = tuple([Var() for _ in node.free_vars])
         self._next: Optional[Tuple[int, Optional[Values], Term, Values, object]] = None
         self.fixed_values: Optional[Values] = None
         self.items: Term = NO_ITEMS
-        self.restart(state)
+        self.restart(node.initial_state)
 
     @property
     def latest_end(self) -> int:
@@ -384,7 +477,8 @@ class Run(PartialMatch):
         return self.first.values
 
     def after_restore(self) -> None:
-        """Set the attributes that are not stored in a state file."""
+        """Set the attributes that are not stored."""
+        super().after_restore()
         self._next = None
 
     def commit(

@@ -12,12 +12,14 @@ names. The delay changes only if an event arrives, so equal events with equal re
 and from a bag. The flag ``watermark_delay`` and the property of that name set a fixed delay instead.
 """
 
-from typing import Callable, Dict, FrozenSet, Iterable, List, Optional, Set, Tuple
+from typing import Callable, Dict, FrozenSet, Iterable, List, NamedTuple, Optional, Set, Tuple
 from weakref import WeakMethod, WeakSet
 
 from ...foundation.errors import UsageError
 from ...prolog.terms.timestamps import SECOND
 from ...prolog.terms.types import Atom, Functor, Term, deref
+from ...serialization.field_types import CLOCK_INSTANT, COUNT, FUNCTOR
+from ...serialization.state_fields import StateFields, StateOwner, field, rows_of
 from ..language.pattern_tree import EventPattern, Pattern, RuleDefinition, walk
 from ..language.rule_head_parser import event_raised_by
 
@@ -33,8 +35,14 @@ DelaySetting = Optional[int]
 Functors = FrozenSet[Optional[Functor]]
 """Functors of the events that a pattern names; None stands for an event that may have any functor."""
 
-LagRow = Tuple[Functor, int, int, int]
-"""Functor and fields of a `TopicLag`."""
+
+class StoredLag(NamedTuple):
+    """Stored form of a `TopicLag`, with the functor of its events."""
+
+    functor: Functor
+    period_end: int
+    period_max: int
+    previous_max: int
 
 
 def functor_of(event: Term) -> Optional[Functor]:
@@ -106,7 +114,7 @@ class PatternWatermark:
         self.delay = 0
 
 
-class Watermarks:
+class Watermarks(StateOwner):
     """Lags of input events, and the watermarks of all patterns that alarms end.
 
     Args:
@@ -117,6 +125,19 @@ class Watermarks:
         setting: delay of patterns without a setting of their own.
         max_delay: upper bound in ns for delays that follow the lags.
     """
+
+    STATE = StateFields(
+        field(
+            "stored_lags",
+            rows_of(
+                StoredLag,
+                functor=FUNCTOR,
+                period_end=CLOCK_INSTANT,
+                period_max=COUNT,
+                previous_max=COUNT,
+            ),
+        ),
+    )
 
     def __init__(self, definitions: Callable[[], Iterable[RuleDefinition]]):
         self._definitions = definitions
@@ -265,15 +286,17 @@ class Watermarks:
         self._lags.clear()
         self._is_outdated = True
 
-    def snapshot(self) -> List[LagRow]:
-        """Return the lags as data; see `restore`."""
+    @property
+    def stored_lags(self) -> List[StoredLag]:
+        """The lags of all topics."""
         return [
-            (functor, lag.period_end, lag.period_max, lag.previous_max) for functor, lag in self._lags.items()
+            StoredLag(functor, lag.period_end, lag.period_max, lag.previous_max)
+            for functor, lag in self._lags.items()
         ]
 
-    def restore(self, rows: Iterable[LagRow]) -> None:
-        """Replace the lags by those that `snapshot` returned."""
-        self._lags = {functor: TopicLag(*fields) for functor, *fields in rows}
+    @stored_lags.setter
+    def stored_lags(self, lags: Iterable[StoredLag]) -> None:
+        self._lags = {functor: TopicLag(*fields) for functor, *fields in lags}
         self._is_outdated = True
         self.update()
 

@@ -12,9 +12,11 @@ the next event is dispatched. Rules may emit events while an event is dispatched
 (`EventInProgress`) distinguishes a nested event, which belongs to the same step, from the next event.
 """
 
-from typing import TYPE_CHECKING, Any, Dict, Hashable, Iterable, List, NamedTuple, Optional, Set, Tuple
+from typing import TYPE_CHECKING, Dict, Hashable, Iterable, List, NamedTuple, Optional, Set
 
 from ...prolog.terms.types import Frame
+from ...serialization.field_types import INSTANT, sequence_of
+from ...serialization.state_fields import StateFields, StateOwner, field
 from ..dispatch.listeners import DEPTH
 from ..matches.consumption_policy import Emit
 from ..matches.expiration import ExpirationQueue
@@ -44,7 +46,7 @@ class EventInProgress(NamedTuple):
     starts: Set[int]
 
 
-class AfterMatchSkip:
+class AfterMatchSkip(StateOwner):
     """Skip state of a rule: an index of its partial matches by start, and the starts and ends of recent matches.
 
     Args:
@@ -56,6 +58,11 @@ class AfterMatchSkip:
         skipped_until: value of ``last_match_end`` when the dispatch of the current event began; events that start at
             or before it cannot be part of a match.
     """
+
+    STATE = StateFields(
+        field("last_match_end", INSTANT),
+        field("skipped_starts", sequence_of(INSTANT)),
+    )
 
     def __init__(self, rule: "EventRule", strategy: AfterMatchSkipStrategy):
         self._rule = rule
@@ -83,14 +90,14 @@ class AfterMatchSkip:
         self.last_match_end = min(self.last_match_end, instant)
         self.skipped_until = min(self.skipped_until, instant)
 
-    def snapshot(self) -> Tuple[Any, ...]:
-        """Return the state besides the stored matches; see `restore`."""
-        return self.last_match_end, tuple(sorted(self._skipped_starts))
+    @property
+    def skipped_starts(self) -> List[int]:
+        """Starts of matches that are discarded when the next event is dispatched."""
+        return sorted(self._skipped_starts)
 
-    def restore(self, saved: Tuple[Any, ...]) -> None:
-        """Restore the state; skipped matches are discarded when the next event is dispatched."""
-        self.last_match_end, skipped_starts = saved
-        self._skipped_starts = set(skipped_starts)
+    @skipped_starts.setter
+    def skipped_starts(self, starts: Iterable[int]) -> None:
+        self._skipped_starts = set(starts)
 
     @property
     def entry_count(self) -> int:

@@ -30,6 +30,7 @@ from typing import (
 
 from ...prolog.terms.term_traversal import positions, variables
 from ...prolog.terms.types import Term, Values, Var, deref, functor
+from ...serialization.field_types import ITEM_FUNCTOR_NAME
 from ..language.pattern_tree import (
     AbsencePattern,
     AggregatePattern,
@@ -54,8 +55,6 @@ if TYPE_CHECKING:
 
 
 _ITEMS = functor("items", 2)
-ITEM_FUNCTOR_NAME = "item of a run"
-"""Functor name of the values of one repetition; a zero precedes these, because there may be none."""
 
 
 class BuiltPattern(NamedTuple):
@@ -223,6 +222,7 @@ def split_testable(
 
 def append_item(items: Term, values: Values) -> Term:
     """Return the list of repetition values with one more item."""
+    # A zero precedes the values, because there may be none.
     return (_ITEMS, (functor(ITEM_FUNCTOR_NAME, len(values) + 1), 0, *values), items)
 
 

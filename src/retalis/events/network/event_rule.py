@@ -19,6 +19,7 @@ nor tracking needs the match, its values go directly to generated code (`compile
 """
 
 from collections import deque
+from itertools import chain
 from typing import (
     TYPE_CHECKING,
     Any,
@@ -30,6 +31,7 @@ from typing import (
     List,
     NamedTuple,
     Optional,
+    Sequence,
     Tuple,
 )
 
@@ -38,6 +40,26 @@ from ...foundation.errors import RuleError, UsageError
 from ...prolog.terms.term_traversal import is_larger
 from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS
 from ...prolog.terms.types import Atom, EventAction, Frame, Functor, Term, Values, Var, deref
+from ...serialization.field_types import (
+    COUNT,
+    INSTANT,
+    MATCH_ORDER,
+    State,
+    integer,
+    optional,
+    references,
+    sequence_of,
+)
+from ...serialization.state_fields import (
+    StateFields,
+    StateOwner,
+    constraint,
+    field,
+    part,
+    record_of,
+    rows_of,
+    states_of,
+)
 from ..dispatch.listeners import Listener, ListenerPhase
 from ..dispatch.matcher_compiler import compile_builder
 from ..fused.fused_join import STALE_ARRIVALS_TOLERANCE
@@ -53,8 +75,15 @@ from ..matches.expiration import (
     smaller_bound,
 )
 from ..matches.match_buffer import MatchBuffer
-from ..matches.match_types import NetworkOptions, PartialMatch, check_policy
+from ..matches.match_types import (
+    MATCH_REFERENCE,
+    TOKEN,
+    NetworkOptions,
+    PartialMatch,
+    check_policy,
+)
 from ..matches.negation import RuledOutSweep
+from ..streams.stream_operators import MATCH_KINDS
 from ..streams.windows import OpenWindow, Window
 from .after_match_skip import AfterMatchSkip, select_skip_state
 from .pattern_nodes import EventNode
@@ -65,7 +94,7 @@ if TYPE_CHECKING:
     from ..rules.rule_base import RuleBase
 
 
-class RuleMetrics:
+class RuleMetrics(StateOwner):
     """Counters of a rule; a separate object, because they change with most events.
 
     Attributes:
@@ -76,34 +105,41 @@ class RuleMetrics:
 
     __slots__ = ("error_count", "last_end", "firing_count")
 
+    STATE = StateFields(
+        field("firing_count", COUNT),
+        field("last_end", optional(INSTANT)),
+        field("error_count", COUNT),
+    )
+
     def __init__(self) -> None:
         self.firing_count = self.error_count = 0
         self.last_end: Optional[int] = None
 
 
-class RuleState(NamedTuple):
-    """State of a rule for checkpoints and reloads.
+class Arrivals(NamedTuple):
+    """Stored matches of a rule in order of arrival.
 
     Attributes:
-        counts: number of firings, end of the last one, number of errors, of dropped matches, of dropped alarms, of
-            alarms for the past, and of late matches.
-        times: the clock, the largest order of its matches, and the time of the last garbage collection.
-        nodes: class and state of each node.
-        arrivals: stored matches in order of arrival, the positions of their buffers (-1: in a run group), and their
-            orders.
-        deferred_matches: matches that are stored when the next event is dispatched: position of the buffer, and the
-            match.
-        deferring_event: the event after which that happens.
-        skipped: state of the after-match skip strategy; None if nothing is skipped.
+        matches: the matches.
+        buffer_numbers: positions of their buffers among those of all nodes; -1 for a sequence in a run group.
+        orders: their orders.
     """
 
-    counts: Tuple[Any, ...]
-    times: Tuple[Any, ...]
-    nodes: List[Any]
-    arrivals: Tuple[List[PartialMatch], List[int], List[int]]
-    deferred_matches: List[Tuple[int, PartialMatch]]
-    deferring_event: object
-    skipped: Any
+    matches: List[PartialMatch]
+    buffer_numbers: List[int]
+    orders: List[int]
+
+
+class DeferredMatch(NamedTuple):
+    """A match that is stored when the next event is dispatched.
+
+    Attributes:
+        buffer_number: position of the buffer.
+        match: the match.
+    """
+
+    buffer_number: int
+    match: PartialMatch
 
 
 _NO_SWEEP = 1 << 62
@@ -116,7 +152,7 @@ _MATCHES_PER_SWEEP_STEP = 250
 """Number of further stored matches after which a sweep visits its next slice."""
 
 
-class EventRule:
+class EventRule(StateOwner):
     """One event rule of the program.
 
     Attributes:
@@ -145,6 +181,56 @@ class EventRule:
         sweep_threshold: number of stored matches above which `remove_excess` continues to remove matches that are
             ruled out.
     """
+
+    STATE = StateFields(
+        part("metrics"),
+        field("dropped_count", COUNT),
+        field("dropped_alarm_count", COUNT),
+        field("past_alarm_count", COUNT),
+        field("late_count", COUNT),
+        field("ahead_count", COUNT),
+        field("clock", INSTANT),
+        field("last_order", MATCH_ORDER),
+        field("_last_collection", optional(INSTANT)),
+        part("skip_state"),
+        # A rule with the same text can be compiled to other nodes by another version of the package.
+        field(
+            "node_states",
+            lambda rule: states_of(
+                [node for node, _, _ in rule.nodes], "its nodes differ from those in the state"
+            ),
+        ),
+        field(
+            "stored_arrivals",
+            record_of(
+                Arrivals,
+                matches=references(*MATCH_KINDS),
+                buffer_numbers=sequence_of(integer(-1)),
+                orders=sequence_of(MATCH_ORDER),
+            ),
+        ),
+        field(
+            "stored_deferred_matches",
+            rows_of(DeferredMatch, buffer_number=COUNT, match=MATCH_REFERENCE),
+        ),
+        field("_deferring_event", TOKEN),
+        constraint(
+            "a buffer and an order for each partial match",
+            lambda rule, state: len(set(map(len, state["stored_arrivals"]))) == 1,
+        ),
+        # Orders reproduce the order in which partial matches arrived.
+        constraint(
+            "partial matches with distinct orders that have been assigned",
+            lambda rule, state: (
+                len(set(state["stored_arrivals"].orders)) == len(state["stored_arrivals"].orders)
+                and max(state["stored_arrivals"].orders, default=0) <= state["last_order"]
+            ),
+        ),
+        constraint(
+            "partial matches with the values and the event that their node requires",
+            lambda rule, state: rule.can_store(state),
+        ),
+    )
 
     def __init__(self, network: "RuleBase", definition: RuleDefinition, serial: int, name: str):
         self.network = network
@@ -290,51 +376,43 @@ class EventRule:
     def _buffers(self) -> List[Any]:
         return [buffer for node, _, _ in self.nodes for buffer in node.buffers()]
 
-    def snapshot(self) -> RuleState:
-        """Return the state, for `restore` of another rule with the same definition."""
+    # ---- state -----------------------------------------------------------------------------------------
+
+    @property
+    def last_order(self) -> int:
+        """The largest order as a plain integer; it may be an instant of another class."""
+        return int(self.order)
+
+    @last_order.setter
+    def last_order(self, order: int) -> None:
+        self.order = order
+
+    @property
+    def node_states(self) -> List[State]:
+        """The state of each node."""
+        return [node.snapshot() for node, _, _ in self.nodes]
+
+    @node_states.setter
+    def node_states(self, states: Sequence[State]) -> None:
+        for (node, _, _), state in zip(self.nodes, states):
+            node.restore(state)
+
+    @property
+    def stored_arrivals(self) -> Arrivals:
+        """The stored matches."""
         buffer_positions = {id(buffer): position for position, buffer in enumerate(self._buffers())}
         stored = [match for match in self.arrivals if match.buffer is not None]
-        metrics = self.metrics
-        return RuleState(
-            (
-                *(metrics.firing_count, metrics.last_end, metrics.error_count),
-                *(self.dropped_count, self.dropped_alarm_count, self.past_alarm_count),
-                *(self.late_count, self.ahead_count),
-            ),
-            (self.clock, int(self.order), self._last_collection),
-            [(type(node).__name__, node.snapshot()) for node, _, _ in self.nodes],
-            (
-                stored,
-                [buffer_positions.get(id(match.buffer), -1) for match in stored],
-                [int(match.order) for match in stored],
-            ),
-            [(buffer_positions[id(buffer)], match) for buffer, match, _ in self.deferred_matches],
-            self._deferring_event,
-            None if self.skip_state is None else self.skip_state.snapshot(),
+        return Arrivals(
+            stored,
+            [buffer_positions.get(id(match.buffer), -1) for match in stored],
+            [int(match.order) for match in stored],
         )
 
-    def restore(self, state: RuleState) -> None:
-        """Set the state that another rule with the same definition returned, after the nodes were connected."""
-        metrics = self.metrics
-        metrics.firing_count, metrics.last_end, metrics.error_count = state.counts[:3]
-        self.dropped_count, self.dropped_alarm_count, self.past_alarm_count = state.counts[3:6]
-        self.late_count, self.ahead_count = state.counts[6:]
-        self.clock, self.order, self._last_collection = state.times
-        if self.skip_state is not None and state.skipped is not None:
-            self.skip_state.restore(state.skipped)
-        class_names = [type(node).__name__ for node, _, _ in self.nodes]
-        # A newer version of the package may compile the same rule to other nodes.
-        if class_names != [class_name for class_name, _ in state.nodes]:
-            raise UsageError(
-                f"{self.name}: the saved state does not fit: it belongs to other nodes than the rule has now"
-            )
-        for (node, _, _), (_, saved) in zip(self.nodes, state.nodes):
-            if saved is not None:
-                node.restore(saved)
+    @stored_arrivals.setter
+    def stored_arrivals(self, arrivals: Arrivals) -> None:
         buffers = self._buffers()
         matches_by_buffer: Dict[int, Dict[PartialMatch, None]] = {}
-        stored, positions, orders = state.arrivals
-        for match, position, order in zip(stored, positions, orders):
+        for match, position, order in zip(*arrivals):
             # Orders are set before the matches are put back: buffers link them in this order.
             match.order = order
             matches_by_buffer.setdefault(position, {})[match] = None
@@ -342,14 +420,43 @@ class EventRule:
             # The node has restored the matches of its run groups (position -1).
             if position >= 0:
                 buffers[position].put_back(list(matches))
-        self._reset_arrivals(stored)
+        self._reset_arrivals(arrivals.matches)
         self.stored_match_count = len(set(self.arrivals))
+
+    @property
+    def stored_deferred_matches(self) -> List[DeferredMatch]:
+        """The matches that are stored when the next event is dispatched."""
+        buffer_positions = {id(buffer): position for position, buffer in enumerate(self._buffers())}
+        return [
+            DeferredMatch(buffer_positions[id(buffer)], match) for buffer, match, _ in self.deferred_matches
+        ]
+
+    @stored_deferred_matches.setter
+    def stored_deferred_matches(self, deferred_matches: Sequence[DeferredMatch]) -> None:
+        buffers = self._buffers()
         self.deferred_matches = [
             (buffers[position], match, buffers[position].key_of(match))
-            for position, match in state.deferred_matches
+            for position, match in deferred_matches
         ]
-        self._deferring_event = state.deferring_event
+
+    def restore(self, saved: State) -> None:
+        """Set the state that another rule with the same definition returned, after the nodes were connected."""
+        super().restore(saved)
         self._enqueue_all_expirations()
+
+    def can_store(self, state: State) -> bool:
+        """Return whether the stored and deferred matches of a state fit the buffers that they are put into."""
+        checks = [
+            check
+            for (node, _, _), node_state in zip(self.nodes, state["node_states"])
+            for check in node.buffer_checks(node_state)
+        ]
+        matches, buffer_numbers, _ = state["stored_arrivals"]
+        deferred = [(match, number) for number, match in state["stored_deferred_matches"]]
+        return all(
+            number < len(checks) and (checks[number](match) if number >= 0 else match.buffer is not None)
+            for match, number in chain(zip(matches, buffer_numbers), deferred)
+        )
 
     def repair(self) -> None:
         """Repair the stored matches after an interrupt."""

@@ -23,6 +23,8 @@ from typing import TYPE_CHECKING, AbstractSet, Any, Callable, Dict, Hashable, Li
 from ...foundation.codegen import shared_function
 from ...prolog.terms.term_traversal import positions
 from ...prolog.terms.types import Frame, Var
+from ...serialization.field_types import State, sequence_of
+from ...serialization.state_fields import StateFields, field, part
 from ..fused.fused_join import FusedPair, PartnerChoice, compile_fused_negation, compile_fused_operand
 from ..language.event_operators import EventOperator
 from ..matches.consumption_policy import (
@@ -40,15 +42,18 @@ from ..matches.consumption_policy import (
 from ..matches.expiration import retention_for_late
 from ..matches.interval_index import interval_bounds
 from ..matches.match_buffer import MatchBuffer
-from ..matches.match_types import ComputedValues, NetworkOptions, PartialMatch, is_retracted
+from ..matches.match_types import ComputedValues, NetworkOptions, PartialMatch, TokenKeys, is_retracted
 from ..matches.negation import DeferredNegations, NegationBuffer, RuledOutSweep
+from ..provenance.occurrences import MatchOrPair
 from .goal_evaluation import Test
 from .pattern_nodes import (
     EventNode,
     Fuse,
     IdentityFunction,
+    MatchCheck,
     NetworkNode,
     OperandBuffer,
+    checks_of_negations,
     computed_values_getter,
 )
 
@@ -74,6 +79,11 @@ class JoinNode(NetworkNode):
         left_can_be_revived: whether a match of the left operand can be revived by a retraction.
         right_can_be_revived: whether a match of the right operand can be revived by a retraction.
     """
+
+    STATE = StateFields(
+        field("completed_keys", sequence_of(TokenKeys())),
+        part("retained_matches"),
+    )
 
     left_can_be_revived = False
     right_can_be_revived = False
@@ -129,7 +139,7 @@ class JoinNode(NetworkNode):
         self.completed: Dict[Hashable, None] = {}
         self.shares_events = shares_events
         self.span: Optional[int] = None
-        self.retained_matches = RetainedMatches(self.right_buffer)
+        self.retained_matches = RetainedMatches(self.right_buffer, right.accepts)
 
     def add_test(self, test: Test, value_vars: Sequence[Var]) -> None:
         """Add a condition; ``value_vars`` are the variables after it."""
@@ -170,15 +180,26 @@ class JoinNode(NetworkNode):
         for negation in self.negations:
             negation.buffer.retention = retention_for_late(span, retention) if accepts_late else retention
 
-    def snapshot(self) -> Any:
-        """Return the state of the node; see `NetworkNode.snapshot`."""
-        return (list(self.completed), self.retained_matches.snapshot())
+    @property
+    def completed_keys(self) -> List[Hashable]:
+        """The keys of `completed`."""
+        return list(self.completed)
 
-    def restore(self, saved: Any) -> None:
-        """Set the state of the node; see `NetworkNode.restore`."""
-        completed, retained = saved
-        self.completed.update(dict.fromkeys(completed))
-        self.retained_matches.restore(retained)
+    @completed_keys.setter
+    def completed_keys(self, keys: Sequence[Hashable]) -> None:
+        self.completed.update(dict.fromkeys(keys))
+
+    def buffer_checks(self, saved: State) -> List[MatchCheck]:
+        """See `NetworkNode.buffer_checks`."""
+        negations = [*zip(self.negations, self.negated_nodes), *self.deferred_negations]
+        return [self.left.accepts, self.right.accepts, *checks_of_negations(negations)]
+
+    def can_retry(self, match_or_pair: MatchOrPair) -> bool:
+        """See `NetworkNode.can_retry`."""
+        if not isinstance(match_or_pair, tuple):
+            return False
+        left_match, right_match = match_or_pair
+        return self.left.accepts(left_match) and self.right.accepts(right_match)
 
     def bind(self, emit: Emit, options: NetworkOptions) -> None:
         """Connect the node, and the join nodes on its left; see `NetworkNode.bind`."""

@@ -36,6 +36,8 @@ from ...foundation.errors import RuleError
 from ...prolog.terms.term_traversal import positions, resolve, variables
 from ...prolog.terms.types import Frame, Term, Trail, Values, Var
 from ...prolog.terms.unification import undo, unify
+from ...serialization.field_types import NOTHING, FieldType, State
+from ...serialization.state_fields import StateFields, part
 from ..dispatch.matcher_compiler import compile_builder
 from ..language.pattern_tree import SEQ
 from ..matches.consumption_policy import (
@@ -51,6 +53,7 @@ from ..matches.interval_index import interval_bounds
 from ..matches.match_buffer import MatchBuffer, has_equal_key
 from ..matches.match_types import (
     ComputedValues,
+    EventMatch,
     NetworkOptions,
     PartialMatch,
     RepetitionChain,
@@ -61,10 +64,18 @@ from ..matches.match_types import (
 )
 from ..matches.negation import DeferredNegations
 from ..matches.shared_run_buffer import NO_ITEMS, Run, identity_by_start, identity_by_start_interval
+from ..provenance.occurrences import MatchOrPair
 from ..streams.aggregates import SequenceAggregate
 from .condition_placement import RepetitionItems, append_item
 from .goal_evaluation import Test
-from .pattern_nodes import IdentityFunction, NetworkNode, OperandBuffer, computed_values_getter
+from .pattern_nodes import (
+    IdentityFunction,
+    MatchCheck,
+    NetworkNode,
+    OperandBuffer,
+    checks_of_negations,
+    computed_values_getter,
+)
 
 if TYPE_CHECKING:
     from .event_rule import EventRule
@@ -267,6 +278,10 @@ class KleeneNode(KleeneValues):
         repeated_can_be_revived: whether a match of Q can be revived by a retraction.
     """
 
+    STATE = StateFields(
+        part("retained_matches"),
+    )
+
     first_can_be_revived = False
     repeated_can_be_revived = False
 
@@ -299,7 +314,7 @@ class KleeneNode(KleeneValues):
         self._step_positions = [
             position for position, var in enumerate(repeated.vars) if var not in position_in_first
         ]
-        self.retained_matches = RetainedMatches(self.repetition_buffer)
+        self.retained_matches = RetainedMatches(self.repetition_buffer, repeated.accepts)
 
     def buffers(self) -> Sequence[OperandBuffer]:
         """Return the buffers of the node."""
@@ -312,13 +327,41 @@ class KleeneNode(KleeneValues):
         self.buffer.retention = retention
         self.repetition_buffer.retention = retention
 
-    def snapshot(self) -> Any:
-        """Return the state of the node; see `NetworkNode.snapshot`."""
-        return self.retained_matches.snapshot()
+    def buffer_checks(self, saved: State) -> List[MatchCheck]:
+        """See `NetworkNode.buffer_checks`."""
+        return [self._owns, self.repeated.accepts, *checks_of_negations(self.deferred_negations)]
 
-    def restore(self, saved: Any) -> None:
-        """Set the state of the node; see `NetworkNode.restore`."""
-        self.retained_matches.restore(saved)
+    def _owns(self, run: PartialMatch) -> bool:
+        # The values of each run have been checked against its node.
+        return isinstance(run, Run) and run.node is self and run.start <= run.end
+
+    def run_state_type(self) -> FieldType:
+        """See `NetworkNode.run_state_type`."""
+        return NOTHING if self.aggregate is None else self.aggregate.state_type
+
+    def accepts_run(self, run: Run) -> bool:
+        """See `NetworkNode.accepts_run`."""
+        width, step_width = len(self.first.vars), len(self.step_vars)
+        return (
+            self.first.accepts(run.first)
+            and len(run.values) == width
+            and (run.fixed_values is None or len(run.fixed_values) == len(self.fixed_vars))
+            and len(run.free_vars) == len(self.free_vars)
+            and len(run.repetitions) == len(run.step_values)
+            and all(map(self.repeated.accepts, run.repetitions))
+            and all(len(values) == width and len(step) >= step_width for values, step in run.step_values)
+        )
+
+    def has_entry(self, owner: object, entry: object) -> bool:
+        """See `NetworkNode.has_entry`."""
+        return isinstance(owner, Run) and owner.node is self and isinstance(entry, EventMatch)
+
+    def can_retry(self, match_or_pair: MatchOrPair) -> bool:
+        """See `NetworkNode.can_retry`."""
+        if not isinstance(match_or_pair, tuple):
+            return False
+        run, match = match_or_pair
+        return self._owns(run) and self.repeated.accepts(match)
 
     def bind(self, emit: Emit, options: NetworkOptions) -> None:
         """Connect the node; see `NetworkNode.bind`."""
@@ -366,7 +409,7 @@ class KleeneNode(KleeneValues):
         emits_empty_result = aggregate is None or aggregate.empty_result is not None
 
         def on_match(match: PartialMatch, frame: Frame) -> Frame:
-            run = Run(match, self.initial_state, len(self.free_vars))
+            run = Run(self, match)
             key = buffer.key_of(run)
             older = buffer.find_identical(run, key)
             # The same occurrence may arrive twice, for example by two branches of an `or`; it must not reset its

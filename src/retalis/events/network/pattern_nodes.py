@@ -24,15 +24,19 @@ from typing import (
     Dict,
     FrozenSet,
     Hashable,
+    Iterable,
     List,
     Optional,
     Sequence,
     Set,
+    Tuple,
     Union,
 )
 
 from ...prolog.terms.term_traversal import positions, term_key, variables
 from ...prolog.terms.types import EventAction, Frame, Term, Values, Var
+from ...serialization.field_types import NOTHING, FieldType, State
+from ...serialization.state_fields import StateOwner
 from ..dispatch.discrimination_tree import matches_all_events
 from ..fused.fused_single_event import Continuation
 from ..language.pattern_tree import (
@@ -54,7 +58,8 @@ from ..matches.match_types import (
     identity,
 )
 from ..matches.negation import DeferredNegations, NegationBuffer, RuledOutSweep
-from ..matches.shared_run_buffer import RunGroupBuffer
+from ..matches.shared_run_buffer import Run, RunGroup, RunGroupBuffer
+from ..provenance.occurrences import MatchOrPair
 from .goal_evaluation import RuleGoal, Test
 
 if TYPE_CHECKING:
@@ -145,12 +150,32 @@ def computed_values_getter(
     return lambda values: tuple([values[position] for position in hidden_positions])
 
 
+def checks_of_negations(negations: Iterable[Tuple[NegationBuffer, "NetworkNode"]]) -> List["MatchCheck"]:
+    """Return the check of each of `NegationBuffer.buffers`, for negations with their negated nodes."""
+    return [
+        check
+        for negation, node in negations
+        for check in (node.accepts, *checks_of_negations(negation.deferred_negations))
+    ]
+
+
 Fuse = Callable[[EventAction], EventAction]
 """Returns a fused action, given the plain one that it replaces; see `ListenerIndex.listen`."""
 
 
-class NetworkNode:
+MatchCheck = Callable[[PartialMatch], bool]
+"""Returns whether a match is one that a buffer can store."""
+
+
+def accepts_none(match: PartialMatch) -> bool:
+    """Return False: no matches are restored into the buffer."""
+    return False
+
+
+class NetworkNode(StateOwner):
     """Node for one part of a rule's pattern.
+
+    Its state is that of the node itself, besides the matches in its buffers, which are restored later.
 
     Attributes:
         position: position among the nodes of the rule; a node follows those below it.
@@ -158,6 +183,8 @@ class NetworkNode:
         retention: retention time of matches below, in ns; None for no bound.
     """
 
+    rule: "EventRule"
+    """The rule that it belongs to; nodes that only test or convert matches have none."""
     vars: List[Var]
     position = 0
     tests_label_window = True
@@ -213,11 +240,42 @@ class NetworkNode:
         """Return an estimate of the memory of the state of the node itself."""
         return 0
 
-    def snapshot(self) -> Any:
-        """Return the state of the node itself besides the matches in its buffers; see `restore`."""
+    # ---- constraints of restored objects -------------------------------------------------------------
 
-    def restore(self, saved: Any) -> None:
-        """Set the state that an equal node returned, before the stored matches are put back."""
+    # Generated functions read values of a match by position, and the arguments of its event, without any test.
+    # A match from a file must therefore have a value for each variable of the node, and an event that it receives.
+
+    def accepts(self, match: PartialMatch) -> bool:
+        """Return whether a restored match is one that the node emits."""
+        return (
+            match.__class__ is PartialMatch
+            and match.start <= match.end
+            and len(match.values) == len(self.vars)
+        )
+
+    def buffer_checks(self, saved: State) -> List[MatchCheck]:
+        """Return the check of each buffer that the node has after it has restored a state; see `buffers`."""
+        return [accepts_none for _ in self.buffers()]
+
+    def accepts_run(self, run: Run) -> bool:
+        """Return whether a run is one of this node."""
+        return False
+
+    def run_state_type(self) -> FieldType:
+        """Return the type of the states of aggregates in runs."""
+        return NOTHING
+
+    def accepts_group(self, group: RunGroup) -> bool:
+        """Return whether a run group is one of this node, with at least one run."""
+        return False
+
+    def has_entry(self, owner: object, entry: object) -> bool:
+        """Return whether an entry of a run, run group or node can be removed if an event is retracted."""
+        return False
+
+    def can_retry(self, match_or_pair: MatchOrPair) -> bool:
+        """Return whether ``retry`` accepts a match, or two matches, that a negated match has prevented."""
+        return False
 
 
 class EventNode(NetworkNode):
@@ -230,6 +288,21 @@ class EventNode(NetworkNode):
         self.values_are_arguments = matches_all_events(term)
         self.rank = 0
         self.vars = variables(term)
+
+    def accepts(self, match: PartialMatch) -> bool:
+        """See `NetworkNode.accepts`."""
+        return super().accepts(match) and self._receives(match)
+
+    def _receives(self, match: PartialMatch) -> bool:
+        pattern: Any = self.term
+        event: Any = match.term
+        if event is None or match.parts is not None:
+            return False
+        if pattern.__class__ is Var:
+            return True
+        if pattern.__class__ is tuple and event.__class__ is tuple:
+            return bool(pattern[0] is event[0])
+        return bool(pattern == event)
 
     def bind(self, emit: Emit, options: NetworkOptions, fuse: Optional[Fuse] = None) -> None:
         """Listen to events.
@@ -540,6 +613,14 @@ class NotNode(NetworkNode):
         """Return the buffers of the node."""
         return self.negation.buffers()
 
+    def buffer_checks(self, saved: State) -> List[MatchCheck]:
+        """See `NetworkNode.buffer_checks`."""
+        return checks_of_negations([(self.negation, self.negated)])
+
+    def can_retry(self, match_or_pair: MatchOrPair) -> bool:
+        """See `NetworkNode.can_retry`."""
+        return isinstance(match_or_pair, PartialMatch) and self.child.accepts(match_or_pair)
+
 
 class EarlyTestNode(NetworkNode):
     """Tests a deferred negation on the matches that bind all of its variables; others are tested further up.
@@ -580,6 +661,14 @@ class EarlyTestNode(NetworkNode):
     def buffers(self) -> Sequence[OperandBuffer]:
         """Return the buffers of the node."""
         return [buffer for negation, _ in self.deferred_negations for buffer in negation.buffers()]
+
+    def buffer_checks(self, saved: State) -> List[MatchCheck]:
+        """See `NetworkNode.buffer_checks`."""
+        return checks_of_negations(self.deferred_negations)
+
+    def can_retry(self, match_or_pair: MatchOrPair) -> bool:
+        """See `NetworkNode.can_retry`."""
+        return isinstance(match_or_pair, PartialMatch) and self.child.accepts(match_or_pair)
 
 
 def _ignore_skipped(node: Union[NotNode, EarlyTestNode], emit: Emit) -> Emit:

@@ -15,6 +15,7 @@ variables. Otherwise the node creates the join nodes and forwards its matches to
 (`RepeatNode._switch_to_joins`). Both forms have the same results; `test_ntimes` compares them.
 """
 
+from functools import partial
 from typing import (
     TYPE_CHECKING,
     AbstractSet,
@@ -32,6 +33,8 @@ from typing import (
 
 from ...prolog.terms.term_traversal import positions
 from ...prolog.terms.types import Frame, Values, Var
+from ...serialization.field_types import BOOLEAN, KEY, State, integer, mapping_of, reference, sequence_of
+from ...serialization.state_fields import StateFields, constraint, field
 from ..language.event_operators import PAIR_OPERATORS
 from ..language.pattern_tree import SEQ
 from ..matches.consumption_policy import Emit, emit_each, metered
@@ -50,7 +53,7 @@ from ..matches.shared_run_buffer import (
 )
 from ..provenance.occurrences import lineage_nodes_of
 from .join_node import JoinNode
-from .pattern_nodes import IdentityFunction, NetworkNode, OperandBuffer
+from .pattern_nodes import IdentityFunction, MatchCheck, NetworkNode, OperandBuffer, accepts_none
 
 if TYPE_CHECKING:
     from .event_rule import EventRule
@@ -93,6 +96,18 @@ class RepeatNode(NetworkNode):
         visit_count: number of sequences, or lengths of sequences, that were visited one by one; read only by tests of
             the complexity.
     """
+
+    STATE = StateFields(
+        field("is_grouped", BOOLEAN),
+        # Complete sequences are not stored.
+        field("buffer_lengths", lambda node: sequence_of(integer(1, node.times - 1))),
+        field("run_groups", sequence_of(reference("run group"))),
+        field("separate_lengths", lambda node: mapping_of(KEY, sequence_of(integer(1, node.times - 1)))),
+        constraint(
+            "run groups of this node",
+            lambda node, state: all(group.node is node for group in state["run_groups"]),
+        ),
+    )
 
     def __init__(
         self,
@@ -157,32 +172,100 @@ class RepeatNode(NetworkNode):
                     self._separate_lengths_by_key.setdefault(key, {})[length] = None
         self.child.bind(self._on_match, options)
 
-    def snapshot(self) -> Any:
-        """Return the state of the node; see `NetworkNode.snapshot`."""
-        separate_lengths = [(key, list(lengths)) for key, lengths in self._separate_lengths_by_key.items()]
-        return self._is_grouped, list(self._buffers), list(self.groups.values()), separate_lengths
+    @property
+    def is_grouped(self) -> bool:
+        """True if run groups are in use, and not join nodes."""
+        return self._is_grouped
 
-    def restore(self, saved: Any) -> None:
-        """Set the state of the node; see `NetworkNode.restore`."""
-        was_grouped, lengths, groups, separate_lengths = saved
+    @is_grouped.setter
+    def is_grouped(self, was_grouped: bool) -> None:
         if self._is_grouped and not was_grouped:
             self._switch_to_joins()
+
+    @property
+    def buffer_lengths(self) -> List[int]:
+        """Numbers of repetitions of the sequences in the buffers of separately stored ones."""
+        return list(self._buffers)
+
+    @buffer_lengths.setter
+    def buffer_lengths(self, lengths: Sequence[int]) -> None:
         # A state file refers to buffers by position, so they have the order in which the former node created them.
         self._buffers = {length: self._buffer(length) for length in [*lengths, *self._buffers]}
+
+    @property
+    def run_groups(self) -> List[RunGroup]:
+        """The run groups."""
+        return list(self.groups.values())
+
+    @run_groups.setter
+    def run_groups(self, groups: Sequence[RunGroup]) -> None:
         self.groups = {group.key: group for group in groups}
-        self._separate_lengths_by_key = {key: dict.fromkeys(lengths) for key, lengths in separate_lengths}
 
-    def buffer_lengths(self, saved: Any) -> List[int]:
-        """Return the number of repetitions of the matches in each buffer, in the order of `buffers`.
+    @property
+    def separate_lengths(self) -> Dict[Hashable, List[int]]:
+        """By key, the numbers of repetitions of the sequences that are stored separately."""
+        return {key: list(lengths) for key, lengths in self._separate_lengths_by_key.items()}
 
-        The buffers are those that the node has after ``restore(saved)``. The number is 0 for the buffer of the run
-        groups, whose sequences have any length.
-        """
-        was_grouped, lengths, _, _ = saved
-        if self._is_grouped and was_grouped:
-            return [0, *dict.fromkeys([*lengths, *self._buffers])]
-        known_lengths = dict.fromkeys([*lengths, *self._buffers, *range(1, self.times)])
-        return [0, *known_lengths, *[1] * (self.times - 1)]
+    @separate_lengths.setter
+    def separate_lengths(self, lengths_by_key: Dict[Hashable, List[int]]) -> None:
+        self._separate_lengths_by_key = {
+            key: dict.fromkeys(lengths) for key, lengths in lengths_by_key.items()
+        }
+
+    def buffer_checks(self, saved: State) -> List[MatchCheck]:
+        """See `NetworkNode.buffer_checks`."""
+        lengths = dict.fromkeys([*saved["buffer_lengths"], *self._buffers])
+        uses_joins = not (self._is_grouped and saved["is_grouped"])
+        if uses_joins:
+            lengths.update(dict.fromkeys(range(1, self.times)))
+        # The runs of groups are not stored in a buffer: they belong to the state of the node.
+        checks: List[MatchCheck] = [
+            accepts_none,
+            *(partial(self._accepts_sequence, length) for length in lengths),
+        ]
+        return [*checks, *[self.child.accepts] * (self.times - 1)] if uses_joins else checks
+
+    def _accepts_sequence(self, length: int, match: PartialMatch) -> bool:
+        """Return whether a restored match has a number of repetitions; see `repetitions`."""
+        if length == 1:
+            return self.child.accepts(match)
+        if not self.accepts(match):
+            return False
+        while length > 1:
+            parts: Any = match.parts or ()
+            if parts and parts[0].__class__ is BufferSlice:
+                return len(parts) == 1 and parts[0].length == length
+            if len(parts) != 2 or not all(isinstance(part, PartialMatch) for part in parts):
+                return False
+            match = parts[0]
+            length -= 1
+        return True
+
+    def accepts_group(self, group: RunGroup) -> bool:
+        """See `NetworkNode.accepts_group`."""
+        numbered_cursors = [
+            (number, cursor)
+            for number, cursor in enumerate(group.cursors, 1)
+            if cursor is not None and cursor.buffer is group
+        ]
+        return (
+            len(group.cursors) < self.times
+            and bool(numbered_cursors)
+            and all(self._accepts_cursor(number, cursor) for number, cursor in numbered_cursors)
+            and all(map(self.child.accepts, group.log.items))
+        )
+
+    def _accepts_cursor(self, number: int, cursor: RunCursor) -> bool:
+        length = max(cursor.prefix_length, 1)
+        return (
+            cursor.prefix_length <= number
+            and self._accepts_sequence(length, cursor.first)
+            and len(cursor.values) == len(cursor.first.values)
+        )
+
+    def has_entry(self, owner: object, entry: object) -> bool:
+        """See `NetworkNode.has_entry`."""
+        return isinstance(owner, RunGroup) and owner.node is self and entry.__class__ is int
 
     def values_of(self, cursor: RunCursor) -> Values:
         """Return the values of a sequence."""

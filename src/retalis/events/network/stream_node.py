@@ -36,6 +36,25 @@ from ...prolog.machine.resource_limits import Meter
 from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.timestamps import FloatSeconds
 from ...prolog.terms.types import EventAction, Frame, Term, Values, Var
+from ...serialization.field_types import (
+    COUNT,
+    INSTANT,
+    TERM,
+    State,
+    invalid_value,
+    optional,
+    reference,
+    sequence_of,
+)
+from ...serialization.state_fields import (
+    StateFields,
+    StateOwner,
+    constraint,
+    field,
+    part,
+    part_state,
+    rows_of,
+)
 from ..dispatch.dispatcher import Dispatcher
 from ..fused.fused_single_event import Continuation
 from ..fused.fused_window import FusedWindow, compile_fused_window
@@ -45,6 +64,7 @@ from ..matches.expiration import smaller_bound
 from ..matches.match_types import (
     NO_REPETITIONS,
     ComputedValues,
+    EventMatch,
     NetworkOptions,
     PartialMatch,
     RepetitionChain,
@@ -55,9 +75,9 @@ from ..matches.negation import DeferredNegations
 from ..matches.watermarks import PatternWatermark, functors_of
 from ..provenance.occurrences import lineage_nodes_of
 from ..streams.row_pattern import MAX_STATES_PER_START
-from ..streams.stream_operators import KeyBounds, OperatorState, StreamElement, StreamOperator, StreamOutput
+from ..streams.stream_operators import ELEMENT, KeyBounds, StreamElement, StreamOperator, StreamOutput
 from ..streams.windows import KeyedWindow
-from .pattern_nodes import NetworkNode, OperandBuffer
+from .pattern_nodes import MatchCheck, NetworkNode, OperandBuffer, checks_of_negations
 
 if TYPE_CHECKING:
     from .event_rule import EventRule
@@ -120,18 +140,67 @@ MAX_REPLAYED_ELEMENTS = 10_000
 """Elements that are remembered in one node; older ones are final, except those in the operator's state."""
 
 
-class Replay:
+class ReceivedElement(NamedTuple):
+    """An element that an operator has received.
+
+    Attributes:
+        channel: its channel.
+        element: the element as it was received.
+        instant: the present instant then, in ns.
+    """
+
+    channel: int
+    element: StreamElement
+    instant: int
+
+
+class StoredOutput(NamedTuple):
+    """Stored form of a `StreamOutput` without an error.
+
+    Attributes:
+        elements, start, end, results: as in `StreamOutput`.
+        repetition_chain: the object that represents it in the lineage.
+    """
+
+    elements: Sequence[StreamElement]
+    start: int
+    end: int
+    results: Values
+    repetition_chain: RepetitionChain
+
+
+class Replay(StateOwner):
     """Log of the elements that an operator has received and of its outputs, to run it again after a retraction.
 
     Args:
         create_operator: creates the operator.
-        operator_state: its state so far, which is final.
+        operator_state: its state so far, which is final; None if it is new.
     """
 
-    def __init__(self, create_operator: Callable[[], StreamOperator], operator_state: OperatorState = ()):
-        self._create_operator = create_operator
-        self._initial_state: OperatorState = _copy_state(operator_state)
-        self._elements: List[Tuple[int, StreamElement, int]] = []
+    STATE = StateFields(
+        field("_initial_state", lambda replay: optional(part_state(replay.create_operator()))),
+        field(
+            "_elements",
+            rows_of(ReceivedElement, channel=COUNT, element=reference("element"), instant=INSTANT),
+        ),
+        field(
+            "stored_outputs",
+            rows_of(
+                StoredOutput,
+                # A replay identifies outputs by their last element.
+                elements=sequence_of(ELEMENT, min_count=1),
+                start=INSTANT,
+                end=INSTANT,
+                results=sequence_of(TERM, tuple),
+                repetition_chain=reference("repetition chain"),
+            ),
+        ),
+    )
+
+    def __init__(self, create_operator: Callable[[], StreamOperator], operator_state: Optional[State] = None):
+        self.create_operator = create_operator
+        self._initial_state: Optional[State] = _copy_state(operator_state)
+        self._elements: List[ReceivedElement] = []
         self._outputs: List[Tuple[StreamOutput, RepetitionChain]] = []
         self._new_outputs: List[StreamOutput] = []
         self._excluded_matches: Dict[int, PartialMatch] = {}
@@ -150,7 +219,7 @@ class Replay:
 
     def record_element(self, channel: int, element: StreamElement, now: int) -> None:
         """Record an element."""
-        self._elements.append((channel, _fresh_element(element), now))
+        self._elements.append(ReceivedElement(channel, _fresh_element(element), now))
 
     def record_output(self, output: StreamOutput, repetition_chain: RepetitionChain) -> None:
         """Record an output, and the object that represents it in the lineage."""
@@ -176,10 +245,12 @@ class Replay:
             retracted.
         """
         excluded_matches = self._excluded_matches
-        self._elements = [entry for entry in self._elements if id(entry[1].match) not in excluded_matches]
+        self._elements = [
+            entry for entry in self._elements if id(entry.element.match) not in excluded_matches
+        ]
         self._excluded_matches = {}
-        stream = self._create_operator()
-        if self._initial_state:
+        stream = self.create_operator()
+        if self._initial_state is not None:
             stream.restore(_without_retracted(_copy_state(self._initial_state)))
         outputs: List[StreamOutput] = []
         for channel, element, instant in metered(self._elements, meter):
@@ -223,24 +294,27 @@ class Replay:
         outputs, self._new_outputs = self._new_outputs, []
         return outputs
 
-    def snapshot(self) -> Tuple[Any, ...]:
-        """Return the log; see `restore`."""
-        outputs_and_matches = [
-            ((list(output.elements), *output[1:]), repetition_chain)
+    @property
+    def stored_outputs(self) -> List[StoredOutput]:
+        """The outputs."""
+        return [
+            StoredOutput(output.elements, output.start, output.end, output.results, repetition_chain)
             for output, repetition_chain in self._outputs
         ]
-        return (self._initial_state, self._elements, outputs_and_matches)
 
-    def restore(self, saved: Tuple[Any, ...]) -> None:
-        """Set the log that another one returned."""
-        self._initial_state, self._elements, outputs_and_matches = saved
+    @stored_outputs.setter
+    def stored_outputs(self, outputs: Sequence[StoredOutput]) -> None:
         self._outputs = [
-            (StreamOutput(tuple(elements), *other_fields), repetition_chain)
-            for (elements, *other_fields), repetition_chain in outputs_and_matches
+            (StreamOutput(tuple(elements), start, end, results), repetition_chain)
+            for elements, start, end, results, repetition_chain in outputs
         ]
+
+    def restore(self, saved: State) -> None:
+        """Set the log that another one returned."""
+        super().restore(saved)
         # A state that cannot be restored must fail now, not at a retraction.
-        if self._initial_state:
-            self._create_operator().restore(_copy_state(self._initial_state))
+        if self._initial_state is not None:
+            self.create_operator().restore(_copy_state(self._initial_state))
 
 
 def _fresh_element(element: StreamElement) -> StreamElement:
@@ -256,8 +330,10 @@ def _copy_state(data: Any) -> Any:
         return copy
     if data.__class__ is list:
         return [_copy_state(element) for element in data]
-    if data.__class__ is tuple and any(element.__class__ in (list, tuple, StreamElement) for element in data):
-        return tuple([_copy_state(element) for element in data])
+    if data.__class__ is dict:
+        return {name: _copy_state(value) for name, value in data.items()}
+    if hasattr(data, "_fields"):
+        return data._replace(**{name: _copy_state(value) for name, value in data._asdict().items()})
     return data
 
 
@@ -273,8 +349,10 @@ def _without_retracted(data: Any) -> Any:
                 and is_retracted(element.match)
             )
         ]
-    if data.__class__ is tuple and any(element.__class__ in (list, tuple) for element in data):
-        return tuple([_without_retracted(element) for element in data])
+    if data.__class__ is dict:
+        return {name: _without_retracted(value) for name, value in data.items()}
+    if hasattr(data, "_fields"):
+        return data._replace(**{name: _without_retracted(value) for name, value in data._asdict().items()})
     return data
 
 
@@ -337,6 +415,16 @@ class StreamNode(NetworkNode):
         position: position among the nodes of the rule.
         deferred_negations: negation buffers in the conditions of a negated pattern, with their negated nodes.
     """
+
+    STATE = StateFields(
+        part("stream", "check_element"),
+        field("late_count", COUNT),
+        part("replay", "check_element"),
+        constraint(
+            "received elements that its patterns can have",
+            lambda node, state: state["replay"] is None or node.can_receive(state["replay"]["elements"]),
+        ),
+    )
 
     def __init__(
         self,
@@ -760,20 +848,48 @@ class StreamNode(NetworkNode):
         """Return an estimate of the memory of the state."""
         return self.stream.bytes
 
-    def snapshot(self) -> Any:
-        """Return the state of the node; see `NetworkNode.snapshot`."""
-        return (
-            self.stream.snapshot(),
-            self.late_count,
-            None if self.replay is None else self.replay.snapshot(),
-        )
-
-    def restore(self, saved: Any) -> None:
+    def restore(self, saved: State) -> None:
         """Set the state of the node; see `NetworkNode.restore`."""
-        operator_state, self.late_count, replay_state = saved
-        self.stream.restore(operator_state)
+        super().restore(saved)
         # Not all operators have it in their states; a difference would be reported as a late element.
         self.stream.late_count = self.late_count
-        if self.replay is not None and replay_state is not None:
-            self.replay.restore(replay_state)
         self._set_alarm()
+
+    def check_element(self, element: StreamElement, channel: int) -> None:
+        """Check an element of a restored state.
+
+        Raises:
+            UsageError: if it is not one that the pattern of a channel makes.
+        """
+        keys, values = self.spec.key_and_values((1,) * len(self.children[0].vars))
+        if (
+            len(element.key_values) != len(keys)
+            or len(element.values) != len(values)
+            or any(measured is None for measured in element.values)
+        ):
+            expected = f"an element with {len(keys)} key values and {len(values)} measured values"
+            raise invalid_value((element.key_values, element.values), expected)
+        match = element.match
+        needs_match = self.spec.build_match_values is None and self.stream.emits_stored_elements
+        if needs_match if match is None else not self.children[channel].accepts(match):
+            raise invalid_value(match, "an element with a match of its pattern")
+
+    def can_receive(self, received_elements: Sequence[ReceivedElement]) -> bool:
+        """Return whether elements belong to their channels.
+
+        Raises:
+            UsageError: if one does not match the pattern of its channel.
+        """
+        for received in received_elements:
+            if received.channel >= len(self.children):
+                return False
+            self.check_element(received.element, received.channel)
+        return True
+
+    def buffer_checks(self, saved: State) -> List[MatchCheck]:
+        """See `NetworkNode.buffer_checks`."""
+        return checks_of_negations(self.deferred_negations)
+
+    def has_entry(self, owner: object, entry: object) -> bool:
+        """See `NetworkNode.has_entry`."""
+        return owner is self and isinstance(entry, EventMatch)

@@ -3,7 +3,7 @@
 import logging
 import os
 from collections import deque
-from typing import TYPE_CHECKING, Deque, Iterator, List, Optional, Tuple
+from typing import TYPE_CHECKING, Deque, Iterable, Iterator, List, NamedTuple, Optional
 
 from ...foundation.errors import RetalisError, UsageError
 from ...prolog.database.goal_terms import functor_of
@@ -13,6 +13,8 @@ from ...prolog.terms.term_traversal import copy
 from ...prolog.terms.timestamps import interval_term
 from ...prolog.terms.types import SLASH, Atom, Frame, Functor, Term, Trail, Values, Var, deref, functor
 from ...prolog.terms.unification import undo, unify
+from ...serialization.field_types import CALLABLE_TERM, INSTANT
+from ...serialization.state_fields import StateFields, StateOwner, field, rows_of
 from ..dispatch.listeners import Listener, ListenerPhase
 
 if TYPE_CHECKING:
@@ -43,15 +45,27 @@ class EventSelector(Predicate):
         self._log.start_recording()
 
 
-class EventLog:
+class StoredEvent(NamedTuple):
+    """An event that the flag ``store_fired_events`` has stored, with its interval in ns."""
+
+    term: Term
+    start: int
+    end: int
+
+
+class EventLog(StateOwner):
     """Log of all events.
 
     A listener exists only while a flag or fact requires it; without one, the log costs nothing.
     """
 
+    STATE = StateFields(
+        field("stored_events", rows_of(StoredEvent, term=CALLABLE_TERM, start=INSTANT, end=INSTANT)),
+    )
+
     def __init__(self, rules: "RuleBase"):
         self._rules = rules
-        self._events: Deque[Tuple[Term, int, int]] = deque(maxlen=_MAX_STORED_EVENTS)
+        self._events: Deque[StoredEvent] = deque(maxlen=_MAX_STORED_EVENTS)
         self._storing_listener: Optional[Listener] = None
         self._recording_listener: Optional[Listener] = None
         self._failed_write_count = 0
@@ -66,15 +80,16 @@ class EventLog:
             self._storing_listener = None
 
     def _store_event(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
-        self._events.append((term, start, end))
+        self._events.append(StoredEvent(term, start, end))
         return frame
 
-    def stored_events(self) -> List[Tuple[Term, int, int]]:
-        """Return the stored events, the oldest first."""
+    @property
+    def stored_events(self) -> List[StoredEvent]:
+        """The stored events, the oldest first."""
         return list(self._events)
 
-    def restore(self, events: List[Tuple[Term, int, int]]) -> None:
-        """Set the stored events."""
+    @stored_events.setter
+    def stored_events(self, events: Iterable[StoredEvent]) -> None:
         self._events.extend(events)
 
     def clear(self) -> None:
@@ -143,7 +158,7 @@ def _is_selected_by(pattern: Term, event: Term) -> bool:
 
 
 def enumerate_stored_events(
-    stored_events: List[Tuple[Term, int, int]], machine: Machine, event: Term, interval: Term
+    stored_events: List[StoredEvent], machine: Machine, event: Term, interval: Term
 ) -> Iterator[bool]:
     """Unify an event and its interval with each stored event."""
     for term, start, end in stored_events:

@@ -11,6 +11,7 @@ removed.
 """
 
 from collections import deque
+from copy import copy as shallow_copy
 from functools import partial
 from itertools import count
 from operator import attrgetter
@@ -21,6 +22,7 @@ from typing import (
     Deque,
     Dict,
     Hashable,
+    Iterable,
     Iterator,
     List,
     Optional,
@@ -32,6 +34,8 @@ from typing import (
 from ...prolog.machine.resource_limits import Meter
 from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.types import Frame, Term, Values, Var, functor
+from ...serialization.field_types import COUNT, references
+from ...serialization.state_fields import StateFields, StateOwner, field
 from ..dispatch.listeners import CAUSE, END, PARENT, START, TERM, TOKEN, Context, Listener, ListenerPhase
 from ..language.rule_head_parser import SYNCHRONIZED
 from ..matches.consumption_policy import metered
@@ -72,13 +76,19 @@ RetractionStep = Callable[[Frame], Frame]
 """Function that dispatches or retries something; it takes and returns the next frame."""
 
 
-class LineageTracker:
+class LineageTracker(StateOwner):
     """Recorder of events and their lineage; executes retractions.
 
     Attributes:
         listeners: the listeners of the tracker; none if events are not tracked.
         blocking_match: the negated match that made the last test of a node fail; None if another test failed.
     """
+
+    STATE = StateFields(
+        field("stored_events", references("event")),
+        field("next_suppressed_number", COUNT),
+        field("next_event_number", COUNT),
+    )
 
     def __init__(self, rules: "RuleBase"):
         self._rules = rules
@@ -116,18 +126,37 @@ class LineageTracker:
                     if isinstance(match, PartialMatch):
                         match.discard()
 
-    def snapshot(self) -> Tuple[List[Occurrence], int, int]:
-        """Return the remembered events, and the counters of suppressed matches and of events; see `restore`."""
-        # Reading a counter consumes its value, so both are replaced.
-        suppressed_number, event_number = next(self._next_suppressed_number), next(self._next_event_number)
-        self._next_suppressed_number, self._next_event_number = count(suppressed_number), count(event_number)
-        return list(self._remembered_events), suppressed_number, event_number
+    @property
+    def next_suppressed_number(self) -> int:
+        """Number of the next suppressed match."""
+        number = next(self._next_suppressed_number)
+        # Reading a counter consumes its value, so it is replaced.
+        self._next_suppressed_number = count(number)
+        return number
 
-    def restore(self, saved: Tuple[List[Occurrence], int, int]) -> None:
-        """Set the state that another tracker returned from `snapshot`."""
-        remembered_events, suppressed_number, event_number = saved
-        self._remembered_events = deque(remembered_events if self._rules.options.tracks_events else ())
-        self._next_suppressed_number, self._next_event_number = count(suppressed_number), count(event_number)
+    @next_suppressed_number.setter
+    def next_suppressed_number(self, number: int) -> None:
+        self._next_suppressed_number = count(number)
+
+    @property
+    def next_event_number(self) -> int:
+        """Number of the next event."""
+        number = next(self._next_event_number)
+        self._next_event_number = count(number)
+        return number
+
+    @next_event_number.setter
+    def next_event_number(self, number: int) -> None:
+        self._next_event_number = count(number)
+
+    @property
+    def stored_events(self) -> List[Occurrence]:
+        """The events that are remembered for retractions and explanations."""
+        return list(self._remembered_events)
+
+    @stored_events.setter
+    def stored_events(self, events: Iterable[Occurrence]) -> None:
+        self._remembered_events = deque(events if self._rules.options.tracks_events else ())
         self.repair()
 
     def clear(self) -> None:
@@ -442,3 +471,34 @@ class _RetractionSteps:
             if next_frame is not frame:
                 return next_frame
         return frame[1]  # type: ignore[no-any-return]
+
+
+class LineageCut:
+    """Removal of the links to old events from what is written to a checkpoint.
+
+    Without it, the links would lead from one event to all that are remembered.
+
+    Args:
+        first_number: number of the first event whose lineage is written. Older events that partial matches use are
+            written without what they were derived from and without what was derived from them.
+    """
+
+    def __init__(self, first_number: int):
+        self._first_number = first_number
+
+    def _is_old(self, item: object) -> bool:
+        # The number of an event that was not dispatched, such as a pending alarm, is 0.
+        return isinstance(item, Occurrence) and 0 < item.number < self._first_number
+
+    def __call__(self, item: object) -> object:
+        """Return an object, or its copy without links to events that are too old."""
+        if isinstance(item, RepetitionChain) and any(map(self._is_old, item.derived)):
+            chain = shallow_copy(item)
+            chain.derived = [derived for derived in item.derived if not self._is_old(derived)]
+            return chain
+        if not isinstance(item, Occurrence) or not self._is_old(item):
+            return item
+        event = Occurrence(item.term, item.start, item.end, item.rule, None)
+        event.number, event.retracted, event.reported = item.number, item.retracted, item.reported
+        event.forgotten = True
+        return event

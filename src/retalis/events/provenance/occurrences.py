@@ -12,7 +12,20 @@ graph as well, so an occurrence has one link for all results of a run, not one p
 from typing import TYPE_CHECKING, Any, Iterator, List, Optional, Sequence, Tuple, Union
 
 from ...prolog.terms.types import Term
+from ...serialization.field_types import (
+    BOOLEAN,
+    COUNT,
+    INSTANT,
+    TERM,
+    optional,
+    reference,
+    sequence_of,
+    tuple_of,
+)
+from ...serialization.state_fields import ObjectFields, constraint, field
 from ..matches.match_types import (
+    LINEAGE_FIELDS,
+    MATCH_REFERENCE,
     Dependent,
     PartialMatch,
     RepetitionChain,
@@ -20,6 +33,7 @@ from ..matches.match_types import (
     is_retracted,
     lineage_sources,
 )
+from ..streams.stream_operators import MATCH_KINDS
 
 if TYPE_CHECKING:
     from ..network.event_rule import EventRule
@@ -62,6 +76,19 @@ class Occurrence:
         "reported",
         "retracts",
         "suppressed",
+    )
+
+    STATE = ObjectFields(
+        "event",
+        field("number", COUNT),
+        field("term", TERM),
+        field("start", INSTANT),
+        field("end", INSTANT, same_as="start"),
+        field("rule", reference("rule", is_optional=True)),
+        field("match", reference(*MATCH_KINDS, is_optional=True, is_source=True)),
+        field("forgotten", BOOLEAN),
+        field("retracts", optional(sequence_of(reference("event")))),
+        *LINEAGE_FIELDS,
     )
 
     def __init__(
@@ -125,6 +152,18 @@ class Suppressed:
     """
 
     __slots__ = ("node", "match_or_pair", "number", "is_released")
+
+    STATE = ObjectFields(
+        "suppressed",
+        field("node", reference("node")),
+        field("match_or_pair", reference(*MATCH_KINDS, accepts=tuple_of(MATCH_REFERENCE, MATCH_REFERENCE))),
+        field("number", COUNT),
+        field("is_released", BOOLEAN),
+        constraint(
+            "a suppressed match that its node can try again",
+            lambda suppressed: suppressed.node.can_retry(suppressed.match_or_pair),
+        ),
+    )
 
     def __init__(self, node: "SuppressingNode", match_or_pair: MatchOrPair, number: int):
         self.node = node

@@ -287,10 +287,10 @@ class _QueryPredicates:
         return interval is not None and bool(machine.unify(instant, lazy_term(interval[position])))
 
     def enumerate_fired_events(self, machine: Machine, event: Term, interval: Term) -> Iterator[bool]:
-        return enumerate_stored_events(self.rules.event_log.stored_events(), machine, event, interval)
+        return enumerate_stored_events(self.rules.event_log.stored_events, machine, event, interval)
 
     def enumerate_stored_events(self, machine: Machine, event: Term) -> Iterator[bool]:
-        events = self.rules.event_log.stored_events()
+        events = self.rules.event_log.stored_events
         solutions = [((EVENT2, term, interval_term(start, end)),) for term, start, end in events]
         return _unify_each_solution(machine, (event,), iter(solutions))
 

@@ -20,6 +20,8 @@ from ...prolog.terms.term_traversal import copy, term_key, variables
 from ...prolog.terms.timestamps import SECOND, format_distance, from_seconds
 from ...prolog.terms.types import Functor, Term, Trail, Values, atom, deref
 from ...prolog.terms.unification import unify
+from ...serialization.field_types import COUNT
+from ...serialization.state_fields import StateFields, StateOwner, field
 from ..clock.clock import Clock
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import TERM, ListenerPhase
@@ -113,7 +115,7 @@ _NETWORK_FLAGS = frozenset(
 """Flags that change the options of network nodes."""
 
 
-class RuleBase:
+class RuleBase(StateOwner):
     """The event rules of a program.
 
     Args:
@@ -141,6 +143,12 @@ class RuleBase:
         fired_by_deleted_rules: number of complete matches of deleted rules.
         failed_retraction_count: number of events ``rev(E)`` without an event E.
     """
+
+    STATE = StateFields(
+        field("serial", COUNT),
+        field("fired_by_deleted_rules", COUNT),
+        field("failed_retraction_count", COUNT),
+    )
 
     def __init__(
         self,
@@ -189,12 +197,6 @@ class RuleBase:
     def warn_of_singletons(self) -> None:
         """Warn of variables that occur only once in a clause that is loaded from now on."""
         self.warn_singletons = True
-
-    def restore_counts(self, serial: int, fired_by_deleted_rules: int, failed_retraction_count: int) -> None:
-        """Set the counters to those of another rule base; see the attributes."""
-        self.serial = serial
-        self.fired_by_deleted_rules = fired_by_deleted_rules
-        self.failed_retraction_count = failed_retraction_count
 
     # ---- loading -------------------------------------------------------------------------------------
 

@@ -24,6 +24,7 @@ from typing import (
     Iterator,
     List,
     Mapping,
+    NamedTuple,
     Optional,
     Sequence,
     Tuple,
@@ -39,7 +40,10 @@ from ...prolog.terms.term_traversal import copy, freeze, term_key
 from ...prolog.terms.timestamps import SECOND, lazy_term
 from ...prolog.terms.types import Term, Var, atom, deref, functor
 from ...prolog.terms.unification import may_unify
+from ...serialization.field_types import CALLABLE_TERM, COUNT, INSTANT, TERM, optional, reference
+from ...serialization.state_fields import StateFields, StateOwner, field, rows_of
 from ..language.rule_head_parser import TIMER, Schedule, parse_schedule
+from ..matches.match_types import OPTIONAL_EVENT
 from ..network.goal_evaluation import TimedNode
 from ..provenance.occurrences import Occurrence
 
@@ -174,6 +178,36 @@ def _is_current(entry: _TimerEntry) -> bool:
     return entry[-1].alarm_instant == entry[-2]
 
 
+class StoredRuleAlarm(NamedTuple):
+    """Stored form of a `RuleAlarm` in the clock.
+
+    Attributes:
+        due_at: instant of the alarm in ns.
+        order: order of the alarm among those of the same instant.
+        rule, term, start, instant, token: as in `RuleAlarm`.
+    """
+
+    due_at: int
+    order: int
+    rule: "EventRule"
+    term: Term
+    start: int
+    instant: int
+    token: Optional[Occurrence]
+
+
+RULE_ALARMS = rows_of(
+    StoredRuleAlarm,
+    due_at=INSTANT,
+    order=COUNT,
+    rule=reference("rule"),
+    term=CALLABLE_TERM,
+    start=INSTANT,
+    instant=INSTANT,
+    token=OPTIONAL_EVENT,
+)
+
+
 class RuleAlarm:
     """An event of a rule that is emitted when the clock reaches an instant.
 
@@ -230,8 +264,23 @@ FIRST_INSTANT = 1
 _STALE_MARGIN = 16
 """Stale alarms are removed from the clock if they outnumber the others by this number."""
 
-TimerRow = Tuple[Term, Term, Optional[int], int, int]
-"""Event, schedule, next instant, and instant and order of the alarm in the clock."""
+
+class StoredTimer(NamedTuple):
+    """Stored form of a `ProgramTimer`.
+
+    Attributes:
+        event: its event.
+        schedule: term of its schedule.
+        instant: its next instant in ns; None if it waits for the first time of the clock.
+        alarm_instant: instant of its alarm in the clock.
+        order: order of the alarm.
+    """
+
+    event: Term
+    schedule: Term
+    instant: Optional[int]
+    alarm_instant: int
+    order: int
 
 
 class ProgramTimer:
@@ -299,7 +348,7 @@ class TimerTable:
         return timers + [timer for timer in timers_of_variable_events if may_unify(timer.event, event)]
 
 
-class Timers:
+class Timers(StateOwner):
     """The timers of a program.
 
     Each timer has at most one valid alarm in the clock. If a timer is set to a later instant, its alarm stays and
@@ -309,6 +358,21 @@ class Timers:
     Attributes:
         omitted_count: number of events omitted because of jumps of time.
     """
+
+    STATE = StateFields(
+        field(
+            "stored_timers",
+            rows_of(
+                StoredTimer,
+                event=CALLABLE_TERM,
+                schedule=TERM,
+                instant=optional(INSTANT),
+                alarm_instant=INSTANT,
+                order=COUNT,
+            ),
+        ),
+        field("omitted_count", COUNT),
+    )
 
     def __init__(self, rules: "RuleBase"):
         self._rules = rules
@@ -545,18 +609,20 @@ class Timers:
             self._invalidate_alarm(timer)
         self.repair()
 
-    def snapshot(self) -> List[TimerRow]:
-        """Return all timers as data; see `restore`."""
+    @property
+    def stored_timers(self) -> List[StoredTimer]:
+        """All timers, with their alarms."""
         return [
-            (alarm.timer.event, alarm.timer.schedule.term, alarm.timer.instant, alarm.alarm_instant, order)
+            StoredTimer(
+                alarm.timer.event, alarm.timer.schedule.term, alarm.timer.instant, alarm.alarm_instant, order
+            )
             for _, order, alarm in sorted(self._rules.clock.alarms, key=lambda entry: entry[:2])
             if isinstance(alarm, TimerAlarm) and self.is_valid_alarm(alarm)
         ]
 
-    def restore(self, saved: Sequence[TimerRow], omitted_count: int) -> None:
-        """Restore timers and their alarms from data."""
-        self.omitted_count = omitted_count
-        for event, schedule_term, instant, alarm_instant, order in saved:
+    @stored_timers.setter
+    def stored_timers(self, timers: Sequence[StoredTimer]) -> None:
+        for event, schedule_term, instant, alarm_instant, order in timers:
             timer = ProgramTimer(event, parse_schedule(schedule_term))
             timer.instant, timer.alarm_instant = instant, alarm_instant
             self._active.add(timer)

@@ -12,15 +12,19 @@ dropped earlier if its neighbours in time cancel every pending element that it w
 """
 
 import heapq
-from typing import Any, Callable, Dict, Hashable, Iterator, List, NamedTuple, Optional
+from typing import Any, Callable, Dict, Hashable, Iterator, List, NamedTuple, Optional, Sequence
 
 from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS
+from ...serialization.field_types import COUNT, INSTANT
+from ...serialization.state_fields import StateFields, constraint, field
 from .stream_operators import (
+    ELEMENTS,
+    FORBIDDEN_ELEMENTS,
     DeadlineOperator,
     ElementHeap,
-    OperatorState,
     StreamElement,
     StreamOutput,
+    have_distinct_orders,
     push_element,
 )
 
@@ -102,6 +106,19 @@ class AbsenceTimeout(DeadlineOperator):
         correlation: correlation of pending and forbidden elements.
     """
 
+    STATE = StateFields(
+        field("_order", COUNT),
+        field("_latest_now", INSTANT),
+        field("pending_elements", ELEMENTS),
+        field("forbidden_elements", FORBIDDEN_ELEMENTS),
+        constraint(
+            "elements with distinct orders",
+            lambda operator, state: have_distinct_orders(
+                [*state["pending_elements"], *state["forbidden_elements"]], state["order"]
+            ),
+        ),
+    )
+
     # Measured as in `StreamOperator`.
     KEY_BYTES, ELEMENT_BYTES = 300, 1100
 
@@ -158,32 +175,37 @@ class AbsenceTimeout(DeadlineOperator):
         self._update_deadline()
         return []
 
-    def snapshot(self) -> OperatorState:
-        """See `StreamOperator.snapshot`."""
-        pending = [element for _, _, element in self._deadlines if not element.is_removed]
-        forbidden = [element for _, _, element in self._forbidden_by_start if not element.is_removed]
-        return (
-            self._order,
-            self._latest_now,
-            sorted(pending, key=_arrival_order),
-            sorted(forbidden, key=_arrival_order),
+    @property
+    def pending_elements(self) -> List[StreamElement]:
+        """The pending elements in order of arrival."""
+        return sorted(
+            [element for _, _, element in self._deadlines if not element.is_removed], key=_arrival_order
         )
 
-    def restore(self, saved: OperatorState) -> None:
-        """See `StreamOperator.restore`."""
-        self._order, self._latest_now, pending, forbidden = saved
-        self._pending, self._forbidden = {}, {}
-        self._deadlines, self._forbidden_by_start, self._stored_count = [], [], 0
-        for element in [*pending, *forbidden]:
-            # Keys are not part of the saved state: they follow from the values.
-            element.restore_key()
-        for element in pending:
+    @pending_elements.setter
+    def pending_elements(self, elements: Sequence[StreamElement]) -> None:
+        self._pending, self._deadlines = {}, []
+        self._stored_count = sum(forbidden.element_count for forbidden in self._forbidden.values())
+        for element in elements:
             self._set_pending_key(element, self.correlation.key_of(element.match, 0))
             self._add_pending(element)
-        for element in forbidden:
+        self._update_deadline()
+
+    @property
+    def forbidden_elements(self) -> List[StreamElement]:
+        """The forbidden elements in order of arrival."""
+        return sorted(
+            [element for _, _, element in self._forbidden_by_start if not element.is_removed],
+            key=_arrival_order,
+        )
+
+    @forbidden_elements.setter
+    def forbidden_elements(self, elements: Sequence[StreamElement]) -> None:
+        self._forbidden, self._forbidden_by_start = {}, []
+        self._stored_count = sum(map(len, self._pending.values()))
+        for element in elements:
             element.key = self.correlation.key_of(element.match, 1)
             self._store_forbidden(element, element.key)
-        self._update_deadline()
 
     def _set_pending_key(self, element: StreamElement, key: Hashable) -> bool:
         """Set the key of an element and drop the pending ones that it replaces.

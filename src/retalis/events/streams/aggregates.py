@@ -44,6 +44,16 @@ from ...prolog.terms.list_terms import list_items, make_list
 from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.timestamps import SECOND
 from ...prolog.terms.types import CONS, NIL, Term, Values, deref
+from ...serialization.field_types import (
+    COUNT,
+    FINITE,
+    ORDERED,
+    TERM,
+    FieldType,
+    nested_pairs_of,
+    optional,
+    tuple_of,
+)
 from .running_statistics import ExactSum, LazyMinHeap, QuantileHeaps, standard_deviation
 from .stream_operators import StreamElement
 
@@ -644,12 +654,14 @@ class Fold(NamedTuple):
 
     Attributes:
         initial_state: state without any value.
+        state_type: type of the states, for state files.
         empty_result: result without any value; None if there is none.
         add: returns the state with one more value.
         result: returns the result of a state; raises RuleError if it is too large for a float.
     """
 
     initial_state: Any
+    state_type: FieldType
     empty_result: Optional[Term]
     add: Callable[[Any, Term], Any]
     result: Callable[[Any], Term]
@@ -752,23 +764,61 @@ AGGREGATES: Dict[str, AggregateFunction] = {
             "count",
             "count",
             _CountAccumulator,
-            Fold(0, 0, lambda count, value: count + 1, _get_state),
+            Fold(
+                initial_state=0,
+                state_type=COUNT,
+                empty_result=0,
+                add=lambda count, value: count + 1,
+                result=_get_state,
+            ),
             has_value=False,
         ),
-        AggregateFunction("sum", "sum(X)", _SumAccumulator, Fold(0, 0, _add_finite, _get_state)),
         AggregateFunction(
-            "min", "min(X)", _MinimumAccumulator, Fold(None, None, _choose_smaller, _get_state)
+            "sum",
+            "sum(X)",
+            _SumAccumulator,
+            Fold(
+                initial_state=0,
+                state_type=FINITE,
+                empty_result=0,
+                add=_add_finite,
+                result=_get_state,
+            ),
         ),
-        AggregateFunction("max", "max(X)", _MaximumAccumulator, Fold(None, None, _choose_larger, _get_state)),
+        AggregateFunction(
+            "min",
+            "min(X)",
+            _MinimumAccumulator,
+            Fold(
+                initial_state=None,
+                state_type=optional(ORDERED),
+                empty_result=None,
+                add=_choose_smaller,
+                result=_get_state,
+            ),
+        ),
+        AggregateFunction(
+            "max",
+            "max(X)",
+            _MaximumAccumulator,
+            Fold(
+                initial_state=None,
+                state_type=optional(ORDERED),
+                empty_result=None,
+                add=_choose_larger,
+                result=_get_state,
+            ),
+        ),
         AggregateFunction(
             "avg",
             "avg(X)",
             _AverageAccumulator,
             Fold(
-                (0, 0),
-                None,
-                lambda state, value: (_add_finite(state[0], value), state[1] + 1),
-                _compute_average,
+                initial_state=(0, 0),
+                state_type=tuple_of(FINITE, COUNT),
+                empty_result=None,
+                add=lambda state, value: (_add_finite(state[0], value), state[1] + 1),
+                result=_compute_average,
             ),
         ),
         AggregateFunction("stddev", "stddev(X)", _DeviationAccumulator),
@@ -780,7 +830,13 @@ AGGREGATES: Dict[str, AggregateFunction] = {
             "list",
             "list(X)",
             _ListAccumulator,
-            Fold((), NIL, lambda state, value: (state, value), _make_list_of_state),
+            Fold(
+                initial_state=(),
+                state_type=nested_pairs_of(TERM),
+                empty_result=NIL,
+                add=lambda state, value: (state, value),
+                result=_make_list_of_state,
+            ),
         ),
         AggregateFunction("distinct", "distinct(X)", _DistinctAccumulator),
         AggregateFunction("count_distinct", "count_distinct(X)", _CountDistinctAccumulator),
@@ -789,15 +845,18 @@ AGGREGATES: Dict[str, AggregateFunction] = {
     )
 }
 """All aggregate functions by name."""
-SEQUENCE_AGGREGATES = {name: function for name, function in AGGREGATES.items() if function.fold is not None}
-"""Aggregate functions of repeated events, by name."""
+
+
+def sequence_aggregates() -> Dict[str, AggregateFunction]:
+    """Return the aggregate functions of repeated events, by name."""
+    return {name: function for name, function in AGGREGATES.items() if function.fold is not None}
 
 
 class SequenceAggregate:
     """Aggregate over the repeated events of one rule: the function, and the access to the value in a match.
 
     Args:
-        name: name of the function, in `SEQUENCE_AGGREGATES`.
+        name: name of the function, in `sequence_aggregates`.
         build_value: returns the aggregated term from the values of a match.
         evaluate: returns the number that an arithmetic expression has with the values of the match.
     """
@@ -805,37 +864,14 @@ class SequenceAggregate:
     def __init__(
         self, name: str, build_value: Callable[[Values], Term], evaluate: Callable[[Term, Values], Term]
     ):
-        function = SEQUENCE_AGGREGATES[name]
-        # The table contains only functions with a fold.
+        function = AGGREGATES[name]
+        # The parser accepts only functions with a fold.
         assert function.fold is not None
         self.name = name
-        self.initial_state, self.empty_result, self._add, self.result = function.fold
+        self.initial_state, self.state_type, self.empty_result, self._add, self.result = function.fold
         self._check = function.value_rule.check
         self._build_value = build_value
         self._evaluate = evaluate
-
-    def is_state(self, state: Any) -> bool:
-        """Return whether a value is a valid state of the aggregate; used for states that are read from a file."""
-        try:
-            if self._check is None:
-                if self.name == "count":
-                    return state.__class__ is int
-                # A list is stored as nested pairs, which end in the empty tuple.
-                while state.__class__ is tuple and len(state) == 2:
-                    state = state[0]
-                return state == ()  # type: ignore[no-any-return]
-            # The state of ``avg`` is the sum and the count.
-            if self.initial_state == (0, 0):
-                if state.__class__ is not tuple or len(state) != 2:
-                    return False
-                state, count = state
-                if count.__class__ is not int or count < 0:
-                    return False
-            if state is not self.initial_state:
-                self._check(state, self.name)
-        except RuleError:
-            return False
-        return True
 
     def add(self, state: Any, values: Values) -> Any:
         """Return the state with the value of one more match.

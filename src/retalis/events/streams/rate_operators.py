@@ -7,15 +7,19 @@ table of those that the event language has.
 
 import heapq
 from collections import OrderedDict
-from typing import Callable, Dict, Hashable, List, NamedTuple, Tuple
+from typing import Callable, Dict, Hashable, List, NamedTuple, Sequence, Tuple
 
 from ...prolog.terms.term_traversal import SELF_KEYED, term_key
+from ...serialization.field_types import COUNT, INSTANT
+from ...serialization.state_fields import StateFields, constraint, field, rows_of
 from .stream_operators import (
+    ELEMENT,
+    ELEMENTS,
     DeadlineOperator,
-    OperatorState,
     StreamElement,
     StreamOperator,
     StreamOutput,
+    have_distinct_orders,
     push_element,
 )
 
@@ -27,6 +31,13 @@ class Throttle(StreamOperator):
         span: the time in ns.
         is_debounce: whether blocked elements extend the time, so that only the first element of each burst passes.
     """
+
+    STATE = StateFields(
+        field("clock", INSTANT),
+        field("stored_elements", ELEMENTS),
+    )
+
+    emits_stored_elements = False
 
     def __init__(self, span: int, is_debounce: bool):
         super().__init__()
@@ -86,17 +97,16 @@ class Throttle(StreamOperator):
             if self.states.get(element.key) is element:
                 del self.states[element.key]
 
-    def snapshot(self) -> OperatorState:
-        """See `StreamOperator.snapshot`."""
-        return (self.clock, list(self.states.values()))
+    @property
+    def stored_elements(self) -> List[StreamElement]:
+        """The last element of each key."""
+        return list(self.states.values())
 
-    def restore(self, saved: OperatorState) -> None:
-        """See `StreamOperator.restore`."""
-        self.clock, stored_elements = saved
+    @stored_elements.setter
+    def stored_elements(self, elements: Sequence[StreamElement]) -> None:
         self.states.clear()
         self._by_end = []
-        for element in stored_elements:
-            element.restore_key()
+        for element in elements:
             self._store(element)
 
 
@@ -111,9 +121,26 @@ class _LastValue:
         self.reference_time = reference_time
 
 
+class LastElement(NamedTuple):
+    """Stored form of a `_LastValue`.
+
+    Attributes:
+        reference_time: clock at the last element of the key.
+        element: the element that introduced the value.
+    """
+
+    reference_time: int
+    element: StreamElement
+
+
 class DistinctUntilChanged(StreamOperator):
     """Operator that passes the first element of a key, and each element whose value differs from the previous one."""
 
+    STATE = StateFields(
+        field("last_elements", rows_of(LastElement, reference_time=INSTANT, element=ELEMENT)),
+    )
+
+    emits_stored_elements = False
     KEY_BYTES, ELEMENT_BYTES = 950, 0
 
     def drop_oldest(self) -> List[StreamOutput]:
@@ -152,16 +179,15 @@ class DistinctUntilChanged(StreamOperator):
         if len(self.states) > self._max_keys:
             self._evict_keys()
 
-    def snapshot(self) -> OperatorState:
-        """See `StreamOperator.snapshot`: clocks of the last uses and elements, the least recently used key first."""
-        last_values = self.states.values()
-        return ([state.reference_time for state in last_values], [state.element for state in last_values])
+    @property
+    def last_elements(self) -> List[LastElement]:
+        """The last value of each key, the least recently used key first."""
+        return [LastElement(state.reference_time, state.element) for state in self.states.values()]
 
-    def restore(self, saved: OperatorState) -> None:
-        """See `StreamOperator.restore`."""
+    @last_elements.setter
+    def last_elements(self, last_elements: Sequence[LastElement]) -> None:
         self.states.clear()
-        for self.clock, element in zip(*saved):
-            element.restore_key()
+        for self.clock, element in last_elements:
             self._store(term_key(element.values[0]), element)
 
 
@@ -170,6 +196,16 @@ class Debounce(DeadlineOperator):
 
     Several elements of one key can be pending if their ends are ahead of the clock and at least ``span`` ns apart.
     """
+
+    STATE = StateFields(
+        field("_order", COUNT),
+        field("_latest_now", INSTANT),
+        field("pending_elements", ELEMENTS),
+        constraint(
+            "elements with distinct orders",
+            lambda operator, state: have_distinct_orders(state["pending_elements"], state["order"]),
+        ),
+    )
 
     def __init__(self, span: int):
         super().__init__(span)
@@ -237,17 +273,16 @@ class Debounce(DeadlineOperator):
         if not pending:
             del self.pending[element.key]
 
-    def snapshot(self) -> OperatorState:
-        """See `StreamOperator.snapshot`."""
+    @property
+    def pending_elements(self) -> List[StreamElement]:
+        """The pending elements in order of arrival."""
         pending = [element for elements in self.pending.values() for element in elements]
-        return (self._order, self._latest_now, sorted(pending, key=lambda element: element.order))
+        return sorted(pending, key=lambda element: element.order)
 
-    def restore(self, saved: OperatorState) -> None:
-        """See `StreamOperator.restore`."""
-        self._order, self._latest_now, pending = saved
+    @pending_elements.setter
+    def pending_elements(self, elements: Sequence[StreamElement]) -> None:
         self.pending, self._deadlines, self._pending_count = {}, [], 0
-        for element in pending:
-            element.restore_key()
+        for element in elements:
             self._add_pending(element)
         self._update_deadline()
 

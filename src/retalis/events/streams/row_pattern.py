@@ -16,13 +16,16 @@ partition; a partition without elements for that time is dropped as a whole.
 """
 
 from collections import OrderedDict, deque
-from typing import Any, Callable, Deque, Dict, Hashable, List, NamedTuple, Optional, Sequence, Tuple, Union
+from operator import itemgetter
+from typing import Callable, Deque, Dict, Hashable, List, NamedTuple, Optional, Sequence, Tuple, Union
 
 from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS
 from ...prolog.terms.types import Values
+from ...serialization.field_types import COUNT, INSTANT, FieldType, integer, optional, sequence_of, tuple_of
+from ...serialization.state_fields import StateFields, constraint, field, rows_of
 from .aggregates import Accumulator
-from .stream_operators import OperatorState, StreamElement, StreamOperator, StreamOutput
-from .windows import MAX_TRACKED_ELEMENTS, results_or_error
+from .stream_operators import ELEMENT, StreamElement, StreamOperator, StreamOutput, have_distinct_orders
+from .windows import MAX_TRACKED_ELEMENTS, have_distinct_keys, results_or_error
 
 NavigatedElements = Sequence[StreamElement]
 """Elements that the navigations of a condition refer to."""
@@ -280,6 +283,44 @@ class ComputationState:
         )
 
 
+_Assignments = Tuple[Tuple[int, int], ...]
+"""Order and step of each element of a match."""
+
+
+class StoredState(NamedTuple):
+    """Stored form of a `ComputationState`, which refers to elements by their order.
+
+    Attributes:
+        step, element_count, remaining_steps, preceding_matches: as in `ComputationState`; `element_count` is
+            ``count`` there.
+        targets: order of the element of each navigation, or None if there is none yet.
+        assignments: order and step of each element of the match.
+    """
+
+    step: int
+    element_count: int
+    remaining_steps: Optional[Tuple[int, ...]]
+    targets: Tuple[Optional[int], ...]
+    assignments: _Assignments
+    preceding_matches: int
+
+
+class StoredPartition(NamedTuple):
+    """Stored form of a `PartitionState`.
+
+    Attributes:
+        reference_time: the clock at its last element.
+        elements: its elements.
+        states: its computation states in order of preference.
+        completed: assignments of the waiting matches, the oldest first.
+    """
+
+    reference_time: int
+    elements: List[StreamElement]
+    states: List[StoredState]
+    completed: List[_Assignments]
+
+
 class PartitionState:
     """State of one partition: its computation states, waiting matches, and the elements that they use.
 
@@ -371,6 +412,30 @@ class RowPatternWindow(StreamOperator):
         scopes: for each measure the step that it is restricted to, or None.
         nfa: the automaton.
     """
+
+    STATE = StateFields(
+        field("late_count", COUNT),
+        field("_order", COUNT),
+        field("clock", INSTANT),
+        field("partitions", lambda window: window.partitions_type()),
+        constraint(
+            "elements with distinct orders",
+            lambda window, state: have_distinct_orders(
+                [element for partition in state["partitions"] for element in partition.elements],
+                state["order"],
+            ),
+        ),
+        constraint(
+            "distinct partitions, each with one key",
+            lambda window, state: have_distinct_keys(
+                [partition.elements for partition in state["partitions"]]
+            ),
+        ),
+        constraint(
+            "valid computation states of a row pattern",
+            lambda window, state: all(map(window.can_continue, state["partitions"])),
+        ),
+    )
 
     KEY_BYTES, ELEMENT_BYTES = 1600, 1100
 
@@ -638,41 +703,96 @@ class RowPatternWindow(StreamOperator):
             results.append(result)
         return tuple(results)
 
-    def snapshot(self) -> OperatorState:
-        """See `StreamOperator.snapshot`; states and waiting matches refer to elements by their order."""
-        partitions = [
-            (
+    @property
+    def partitions(self) -> List[StoredPartition]:
+        """The partitions, the least recently used one first; states and matches refer to elements by their order."""
+        return [
+            StoredPartition(
                 partition.reference_time,
                 list(partition.elements),
-                tuple([_state_fields(state) for state in partition.states]),
-                tuple([_to_orders(_list_assignments(match.matched)) for match in partition.completed]),
+                [_stored_state(state) for state in partition.states],
+                [_to_orders(_list_assignments(match.matched)) for match in partition.completed],
             )
             for partition in self.states.values()
         ]
-        return (self.late_count, self._order, self.clock, partitions)
 
-    def restore(self, saved: OperatorState) -> None:
-        """See `StreamOperator.restore`; if elements are missing, the remaining ones are processed again."""
-        self.late_count, self._order, self.clock, partitions = saved
+    @partitions.setter
+    def partitions(self, partitions: Sequence[StoredPartition]) -> None:
+        # If elements are missing, the remaining ones are processed again.
         self.states.clear()
         self._element_count = self._state_count = 0
         for reference_time, elements, states, completed in partitions:
             if elements:
                 self._restore_partition(reference_time, elements, states, completed)
 
+    def partitions_type(self) -> FieldType:
+        """Return the type of `partitions`, which depends on the number of steps."""
+        step = integer(0, len(self.nfa.steps) - 1)
+        assignments = sequence_of(tuple_of(COUNT, step), tuple)
+        states = rows_of(
+            StoredState,
+            step=integer(SCANNING, len(self.nfa.steps) - 1),
+            element_count=COUNT,
+            remaining_steps=optional(sequence_of(step, tuple, min_count=1)),
+            targets=sequence_of(optional(COUNT), tuple),
+            assignments=assignments,
+            preceding_matches=COUNT,
+        )
+        return rows_of(
+            StoredPartition,
+            reference_time=INSTANT,
+            elements=sequence_of(ELEMENT, min_count=1),
+            states=states,
+            completed=sequence_of(assignments),
+        )
+
+    def can_continue(self, partition: StoredPartition) -> bool:
+        """Return whether the computation states of a partition are consistent.
+
+        The operator relies on these invariants: computation states and completed matches refer to elements of their
+        partition, in order, and each state has an element for each navigation.
+        """
+        _, elements, states, completed = partition
+        orders = [element.order for element in elements]
+        targets = [order for state in states for order in state.targets if order is not None]
+        assigned = [
+            order for pairs in (*(state.assignments for state in states), *completed) for order, _ in pairs
+        ]
+        preceding_matches = [state.preceding_matches for state in states]
+        return (
+            bool(states)
+            and all(completed)
+            and orders == sorted(orders)
+            and {*targets, *assigned} <= set(orders)
+            and all(len(state.targets) == len(self.nfa.navigations) for state in states)
+            and all(bool(state.assignments) == (state.step != SCANNING) for state in states)
+            and all(
+                list(state.assignments) == sorted(state.assignments, key=itemgetter(0)) for state in states
+            )
+            and preceding_matches == sorted(preceding_matches)
+            and len(completed) == preceding_matches[-1] - preceding_matches[0]
+            # Otherwise all states of the partition could fail, and no state would remain to process the next element.
+            and any(state.step == SCANNING or self._is_certain(state) for state in states)
+        )
+
+    def _is_certain(self, state: StoredState) -> bool:
+        """Return whether a computation state is certain to complete."""
+        steps = state.remaining_steps
+        if steps is None:
+            steps = self.nfa.transitions_after(state.step, state.element_count).steps
+        return bool(steps) and self.nfa.can_never_fail(steps)
+
     def _restore_partition(
         self,
         reference_time: int,
         elements: List[StreamElement],
-        states: Sequence[Tuple[object, ...]],
-        completed: Sequence[Sequence[Tuple[int, int]]],
+        states: Sequence[StoredState],
+        completed: Sequence[_Assignments],
     ) -> None:
         element_by_order = {element.order: element for element in elements}
         partition = PartitionState([self._scanning_state()])
         partition.reference_time = reference_time
-        for element in elements:
-            element.restore_key()
-            partition.elements.append(element)
+        partition.elements.extend(elements)
         self._element_count += len(elements)
         try:
             partition.completed.extend(
@@ -692,11 +812,9 @@ class RowPatternWindow(StreamOperator):
                 partition.advance(successors.states, successors.completed)
         self._store_partition(partition, elements[0].key)
 
-    def _state_of(
-        self, fields: Tuple[Any, ...], element_by_order: Dict[int, StreamElement]
-    ) -> ComputationState:
-        """Return the state that `_state_fields` has described."""
-        step, count, remaining_steps, target_orders, assignments, preceding_matches = fields
+    def _state_of(self, stored: StoredState, element_by_order: Dict[int, StreamElement]) -> ComputationState:
+        """Return the state whose stored form `_stored_state` has returned."""
+        step, count, remaining_steps, target_orders, assignments, preceding_matches = stored
         targets = tuple([None if order is None else element_by_order[order] for order in target_orders])
         if not assignments:
             return ComputationState(step, count, remaining_steps, targets, None, 0, 0, preceding_matches)
@@ -734,18 +852,17 @@ def _list_assignments(matched: Optional[_MatchedElements]) -> _StepAssignments:
     return tuple(reversed(assignments))
 
 
-def _state_fields(state: ComputationState) -> Tuple[Any, ...]:
-    """Return the fields of a state, with elements replaced by their orders."""
-    targets = tuple([None if element is None else element.order for element in state.targets])
-    return (
+def _stored_state(state: ComputationState) -> StoredState:
+    """Return the stored form of a state."""
+    return StoredState(
         state.step,
         state.count,
         state.remaining_steps,
-        targets,
+        tuple([None if element is None else element.order for element in state.targets]),
         _to_orders(_list_assignments(state.matched)),
         state.preceding_matches,
     )
 
 
-def _to_orders(assignments: _StepAssignments) -> Tuple[Tuple[int, int], ...]:
+def _to_orders(assignments: _StepAssignments) -> _Assignments:
     return tuple([(element.order, step) for element, step in assignments])

@@ -10,13 +10,33 @@ of processing. Rate operators, windows, row patterns and timeouts for absent eve
 
 import heapq
 from collections import OrderedDict
-from typing import Any, Callable, Hashable, List, NamedTuple, Optional, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Hashable, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...foundation.errors import RuleError
 from ...prolog.machine.resource_limits import Meter
 from ...prolog.terms.term_traversal import SELF_KEYED, term_key
 from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS
 from ...prolog.terms.types import Values
+from ...serialization.field_types import (
+    COUNT,
+    INSTANT,
+    MATCH_VALUE,
+    TERM,
+    Encode,
+    FieldType,
+    ReadContext,
+    ValueCheck,
+    optional,
+    reference,
+    sequence_of,
+)
+from ...serialization.state_fields import ObjectFields, StateOwner, constraint, field
+
+if TYPE_CHECKING:
+    from ...serialization.object_graph import ObjectWriter
+
+MATCH_KINDS = ("event match", "match", "run", "run cursor")
+"""Kinds of stored matches, see `ObjectFields`."""
 
 
 class StreamElement:
@@ -35,6 +55,18 @@ class StreamElement:
 
     __slots__ = ("match", "start", "end", "key_values", "key", "values", "order", "is_removed")
 
+    STATE = ObjectFields(
+        "element",
+        # A subscription's elements have the event itself.
+        field("match", reference(*MATCH_KINDS, accepts=optional(TERM))),
+        field("start", INSTANT),
+        field("end", INSTANT, same_as="start"),
+        field("key_values", sequence_of(MATCH_VALUE, tuple)),
+        field("values", sequence_of(optional(TERM), tuple)),
+        field("order", COUNT),
+        constraint("a start before the end", lambda element: element.start <= element.end),
+    )
+
     def __init__(self, match: Any, start: int, end: int, key_values: Values, values: Tuple[Any, ...]):
         self.match = match
         self.start = start
@@ -50,7 +82,7 @@ class StreamElement:
         else:
             self.key = tuple([term_key(value) for value in key_values])
 
-    def restore_key(self) -> None:
+    def after_restore(self) -> None:
         """Mark the element as present, and compute its key from ``key_values``."""
         self.is_removed = False
         key_values = self.key_values
@@ -79,8 +111,48 @@ class StreamOutput(NamedTuple):
     error: Optional[RuleError] = None
 
 
-OperatorState = Tuple[Any, ...]
-"""State of an operator: a tuple of numbers, terms, elements and lists of these."""
+class _ElementType(FieldType):
+    """Elements in the state of an operator.
+
+    Args:
+        channel: channel of the elements, see `StreamOperator.process`.
+    """
+
+    def __init__(self, channel: int = 0):
+        self.name = f"an element of channel {channel}"
+        self._channel = channel
+        self._reference = reference("element")
+
+    def checker(self, context: ReadContext) -> ValueCheck:
+        """See `FieldType.checker`."""
+        check_reference, check_item, channel = (
+            self._reference.checker(context),
+            context.check_item,
+            self._channel,
+        )
+
+        def check(value: object) -> StreamElement:
+            element: StreamElement = check_reference(value)
+            # The owner of the operator knows the patterns that its elements match.
+            check_item(element, channel)
+            return element
+
+        return check
+
+    def encoder(self, graph: "ObjectWriter") -> Optional[Encode]:
+        """See `FieldType.encoder`."""
+        return self._reference.encoder(graph)
+
+
+ELEMENT = _ElementType()
+ELEMENTS = sequence_of(ELEMENT)
+FORBIDDEN_ELEMENTS = sequence_of(_ElementType(1))
+
+
+def have_distinct_orders(elements: Sequence[StreamElement], last_order: int) -> bool:
+    """Return whether elements are distinct and have distinct orders from 1."""
+    orders = {element.order for element in elements}
+    return len(orders) == len(elements) and all(1 <= order <= last_order for order in orders)
 
 
 class KeyBounds(NamedTuple):
@@ -101,7 +173,7 @@ def _no_time_limit() -> int:
     return 1 << 64
 
 
-class StreamOperator:
+class StreamOperator(StateOwner):
     """Base class of stream operators: state machines that take elements and instants, and return outputs.
 
     An operator has no access to rules, events and their dispatch. It is deterministic: the same elements and instants
@@ -125,6 +197,8 @@ class StreamOperator:
             attribute ``reference_time`` of a state is the clock at that use.
     """
 
+    emits_stored_elements = True
+    """True if an element that is stored may be emitted later, so that it has its match."""
     KEY_BYTES = 450
     """Memory of a key without its elements; measured with tracemalloc on CPython 3.11."""
     ELEMENT_BYTES = 450
@@ -198,14 +272,6 @@ class StreamOperator:
         """Limit the last uses of keys to the clock; otherwise keys with later ones would never become idle."""
         for state in self.states.values():
             state.reference_time = min(state.reference_time, self.clock)
-
-    def snapshot(self) -> OperatorState:
-        """Return the state; see `restore`."""
-        raise NotImplementedError
-
-    def restore(self, saved: OperatorState) -> None:
-        """Set the state to one that an equal operator returned from `snapshot`."""
-        raise NotImplementedError
 
     def _is_too_far_ahead(self, end: int) -> bool:
         """Return whether an end is too far in the future to advance the time of the stream."""

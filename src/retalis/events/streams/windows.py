@@ -23,9 +23,18 @@ from typing import Callable, Deque, Dict, Hashable, List, NamedTuple, Optional, 
 from ...foundation.errors import RuleError
 from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS
 from ...prolog.terms.types import Values
+from ...serialization.field_types import COUNT, INSTANT, NOTHING, State, optional, sequence_of
+from ...serialization.state_fields import StateFields, constraint, field, rows_of
 from .aggregates import Accumulator, present_elements, value_error
 from .running_statistics import LazyMinHeap
-from .stream_operators import OperatorState, StreamElement, StreamOperator, StreamOutput
+from .stream_operators import (
+    ELEMENT,
+    ELEMENTS,
+    StreamElement,
+    StreamOperator,
+    StreamOutput,
+    have_distinct_orders,
+)
 
 MAX_TRACKED_ELEMENTS = 100
 """Maximum number of elements in a tracked output, the newest ones, so that long windows stay cheap."""
@@ -192,6 +201,32 @@ class OpenWindow(NamedTuple):
     end: Optional[int]
 
 
+class StoredWindow(NamedTuple):
+    """Stored form of a `KeyedWindow`, whose accumulators follow from its elements.
+
+    Attributes:
+        reference_time: see `KeyedWindow`.
+        elements: the elements in order of arrival.
+    """
+
+    reference_time: int
+    elements: List[StreamElement]
+
+
+def elements_of_windows(state: State) -> List[StreamElement]:
+    """Return the elements in the state of a window."""
+    return [
+        *(element for stored_window in state["keyed_windows"] for element in stored_window.elements),
+        *state.get("future_elements", ()),
+    ]
+
+
+def have_distinct_keys(partitions: Sequence[Sequence[StreamElement]]) -> bool:
+    """Return whether the elements of a partition have one key, and those of two partitions have different ones."""
+    keys = [{element.key for element in elements} for elements in partitions]
+    return all(len(partition_keys) == 1 for partition_keys in keys) and len(set().union(*keys)) == len(keys)
+
+
 AccumulatorFactory = Callable[[], Sequence[Accumulator]]
 
 
@@ -206,7 +241,35 @@ class Window(StreamOperator):
         last_order: order of the newest element.
     """
 
+    STATE = StateFields(
+        field("clock", INSTANT),
+        # Only some windows emit when the clock reaches an instant.
+        field("next_deadline", lambda window: optional(INSTANT) if window.emits_at_deadlines else NOTHING),
+        field("late_count", COUNT),
+        field("last_order", COUNT),
+        field(
+            "keyed_windows",
+            rows_of(StoredWindow, reference_time=INSTANT, elements=sequence_of(ELEMENT, min_count=1)),
+        ),
+        constraint(
+            "elements with distinct orders",
+            lambda window, state: have_distinct_orders(elements_of_windows(state), state["last_order"]),
+        ),
+        constraint(
+            "distinct partitions, each with one key",
+            lambda window, state: have_distinct_keys(
+                [stored_window.elements for stored_window in state["keyed_windows"]]
+            ),
+        ),
+        constraint(
+            "values that the aggregates accept",
+            lambda window, state: window.accepts_values(elements_of_windows(state)),
+        ),
+    )
+
     KEY_BYTES, ELEMENT_BYTES = 1350, 800
+    emits_at_deadlines = False
+    """True if the window emits results when the clock reaches `next_deadline`."""
 
     def __init__(self, make_accumulators: AccumulatorFactory):
         super().__init__()
@@ -235,29 +298,37 @@ class Window(StreamOperator):
     def _compact(self) -> None:
         """Compact the containers that index elements by time, if most of their entries were removed."""
 
-    def snapshot(self) -> OperatorState:
-        """See `StreamOperator.snapshot`."""
-        keyed_windows = [
-            (
+    @property
+    def keyed_windows(self) -> List[StoredWindow]:
+        """The windows of all keys, the least recently used one first."""
+        return [
+            StoredWindow(
                 keyed_window.reference_time,
                 [element for element in keyed_window.elements if not element.is_removed],
             )
             for keyed_window in self.states.values()
         ]
-        return (self.clock, self.next_deadline, self.late_count, self.last_order, keyed_windows)
 
-    def restore(self, saved: OperatorState) -> None:
-        """See `StreamOperator.restore`."""
-        # Subclasses append their own fields.
-        self.clock, self.next_deadline, self.late_count, self.last_order, keyed_windows = saved[:5]
+    @keyed_windows.setter
+    def keyed_windows(self, stored_windows: Sequence[StoredWindow]) -> None:
         self.states.clear()
         self.element_count = 0
-        for reference_time, elements in keyed_windows:
+        for reference_time, elements in stored_windows:
             keyed_window = KeyedWindow(self.make_accumulators(), reference_time)
             for element in elements:
-                element.restore_key()
                 self._insert(element, keyed_window)
                 self._schedule_removal(element)
+
+    def accepts_values(self, elements: Sequence[StreamElement]) -> bool:
+        """Return True if the aggregates accept the values of elements.
+
+        Raises:
+            RuleError: if one does not.
+        """
+        for measure in self._measures_of_new_window:
+            for element in elements:
+                measure.check(element)
+        return True
 
     def _schedule_removal(self, element: StreamElement) -> None:
         """Index a new element by the time at which it is to be removed."""
@@ -528,6 +599,10 @@ class AnchoredTumblingWindow(Window):
     element.
     """
 
+    STATE = StateFields(*Window.STATE.extended(field("_latest_now", INSTANT)))
+
+    emits_at_deadlines = True
+
     def __init__(self, make_accumulators: AccumulatorFactory, span: int, running: bool):
         super().__init__(make_accumulators)
         self.span = span
@@ -584,10 +659,9 @@ class AnchoredTumblingWindow(Window):
                 self._clear_key(keyed_window, key)
         self._index_open_windows()
 
-    def restore(self, saved: OperatorState) -> None:
-        """See `StreamOperator.restore`."""
+    def restore(self, saved: State) -> None:
+        """See `StateOwner.restore`."""
         super().restore(saved)
-        (self._latest_now,) = saved[5:]
         self._index_open_windows()
 
     def _index_open_windows(self) -> None:
@@ -598,10 +672,6 @@ class AnchoredTumblingWindow(Window):
         ]
         heapq.heapify(self._open)
         self._update_deadline()
-
-    def snapshot(self) -> OperatorState:
-        """See `StreamOperator.snapshot`."""
-        return (*super().snapshot(), self._latest_now)
 
     def advance_to(self, instant: int) -> List[StreamOutput]:
         """See `StreamOperator.advance_to`."""
@@ -701,6 +771,16 @@ def _get_order(entry: Tuple[int, int, StreamElement]) -> int:
 class HoppingWindow(Window):
     """Window of the elements that ended in the last ``span`` ns; emits at multiples of ``slide`` ns since 1970."""
 
+    STATE = StateFields(
+        *Window.STATE.extended(
+            field("_latest_now", INSTANT),
+            field("future_elements", ELEMENTS),
+            constraint("the end of the next window", lambda window, state: window.can_end_next(state)),
+        )
+    )
+
+    emits_at_deadlines = True
+
     def __init__(self, make_accumulators: AccumulatorFactory, span: int, slide: int):
         super().__init__(make_accumulators)
         self.span = span
@@ -719,22 +799,31 @@ class HoppingWindow(Window):
         heapq.heappop(self._future_elements)
         return []
 
-    def snapshot(self) -> OperatorState:
-        """See `StreamOperator.snapshot`."""
-        return (
-            *super().snapshot(),
-            self._latest_now,
-            [element for _, _, element in sorted(self._future_elements, key=lambda entry: entry[:2])],
-        )
+    @property
+    def future_elements(self) -> List[StreamElement]:
+        """The elements that no window has contained yet, by their ends."""
+        return [element for _, _, element in sorted(self._future_elements, key=lambda entry: entry[:2])]
 
-    def restore(self, saved: OperatorState) -> None:
-        """See `StreamOperator.restore`."""
-        super().restore(saved)
-        self._latest_now, future_elements = saved[5:]
-        for element in future_elements:
-            element.restore_key()
-        self._future_elements = [(element.end, element.order, element) for element in future_elements]
+    @future_elements.setter
+    def future_elements(self, elements: Sequence[StreamElement]) -> None:
+        self._future_elements = [(element.end, element.order, element) for element in elements]
         heapq.heapify(self._future_elements)
+
+    def can_end_next(self, state: State) -> bool:
+        """Return whether the end of the next window in a state is a multiple of the step and follows its elements.
+
+        If the window is empty, the first element of a later window must end before it. Otherwise the clock would have
+        to close many empty windows.
+        """
+        next_end, future_elements = state["next_deadline"], state["future_elements"]
+        elements = [element for stored_window in state["keyed_windows"] for element in stored_window.elements]
+        if next_end is None:
+            return not elements and not future_elements
+        if next_end % self.slide:
+            return False
+        if elements:
+            return all(element.end < next_end for element in elements)
+        return not future_elements or min(element.end for element in future_elements) < next_end
 
     def process(self, element: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.process`."""

@@ -5,22 +5,55 @@ goals have stored: flags, global variables, counters, and answers of tables. Bot
 contain no code: compiled code is generated again by the system that restores them.
 """
 
-from typing import Any, Dict, List, NamedTuple, Optional, Tuple
+from typing import TYPE_CHECKING, Any, Dict, List, NamedTuple, Optional, Tuple
 
 from ...foundation.errors import Place
+from ...serialization.field_types import (
+    ANYTHING,
+    BOOLEAN,
+    CALLABLE_TERM,
+    COUNT,
+    FUNCTOR,
+    KEY,
+    TERM,
+    TEXT,
+    Encode,
+    FieldType,
+    PlainType,
+    ReadContext,
+    ValueCheck,
+    compact_record_of,
+    integer,
+    invalid_value,
+    mapping_of,
+    one_of,
+    optional,
+    sequence_of,
+    tuple_of,
+    with_path,
+)
+from ...serialization.state_fields import record_of
 from ..builtins.clause_predicates import declare_tabled
 from ..builtins.flags_operators_modules import restored_flags
 from ..builtins.tabling import tables_of
 from ..database.clause_index import Clause
 from ..database.predicate import Predicate
+from ..syntax.operators import TYPES
 from ..terms.types import Functor, Term
 from .prolog_system import PrologSystem
+
+if TYPE_CHECKING:
+    from ...serialization.object_graph import ObjectWriter
 
 _SAVED_STATE_KEYS = ("counters", "flags", "flag", "gensym", "counters of events", "flags of events")
 """Keys of `PrologSystem.state` whose values are saved, under the same keys, in `ValuesSnapshot.builtin_state`."""
 
 _MODULES, _META_ARGUMENTS = "modules", "arguments of predicates"
 """Keys of `ValuesSnapshot.builtin_state` for the data of the module system."""
+
+
+def _check_argument_kind(value: object) -> Any:
+    return value if isinstance(value, str) else integer(0, 100).check(value)
 
 
 class PredicateProperties(NamedTuple):
@@ -41,8 +74,75 @@ class PredicateProperties(NamedTuple):
     is_user_defined: bool
 
 
-PredicateSnapshot = Tuple[Functor, PredicateProperties, List[Tuple[Term, Term, Optional[Place]]]]
-"""Functor of a predicate, its properties, and the head, body and place of each clause."""
+class StoredClause(NamedTuple):
+    """Clause of a predicate.
+
+    Attributes:
+        head: its head.
+        body: its body.
+        place: its place in a file, or None.
+    """
+
+    head: Term
+    body: Term
+    place: Optional[Place]
+
+
+class PredicateSnapshot(NamedTuple):
+    """Predicate with its clauses.
+
+    Attributes:
+        functor: its functor.
+        properties: its properties.
+        clauses: its clauses, in order.
+    """
+
+    functor: Functor
+    properties: PredicateProperties
+    clauses: List[StoredClause]
+
+
+PLACE = compact_record_of(
+    Place,
+    source=TEXT,
+    line=COUNT,
+    column=COUNT,
+    text=TEXT,
+    before=COUNT,
+)
+CLAUSES = sequence_of(
+    compact_record_of(
+        StoredClause,
+        head=CALLABLE_TERM,
+        body=TERM,
+        place=optional(PLACE),
+    )
+)
+_PREDICATE_FIELDS = compact_record_of(
+    PredicateSnapshot,
+    functor=FUNCTOR,
+    properties=compact_record_of(
+        PredicateProperties,
+        is_dynamic=BOOLEAN,
+        is_dynamic_by_goal=BOOLEAN,
+        is_discontiguous=BOOLEAN,
+        is_multifile=BOOLEAN,
+        is_user_defined=BOOLEAN,
+    ),
+    clauses=CLAUSES,
+)
+
+
+def _check_predicate(value: object) -> PredicateSnapshot:
+    predicate: PredicateSnapshot = _PREDICATE_FIELDS.check(value)
+    for head, body, _ in predicate.clauses:
+        arity = len(head) - 1 if isinstance(head, tuple) else 0
+        # A clause in the wrong predicate would be called with missing arguments.
+        if arity != predicate.functor.arity:
+            raise invalid_value(head, f"a clause of {predicate.functor}")
+        if body.__class__ in (int, float):
+            raise invalid_value(body, "the body of a clause")
+    return predicate
 
 
 class ProgramSnapshot(NamedTuple):
@@ -64,6 +164,16 @@ class ProgramSnapshot(NamedTuple):
     empty_dynamic: List[Functor]
 
 
+PROGRAM = record_of(
+    ProgramSnapshot,
+    operators=sequence_of(tuple_of(integer(0, 1200), one_of(*TYPES), TEXT)),
+    table_declarations=sequence_of(TERM),
+    predicates=sequence_of(PlainType("a predicate with its clauses", _check_predicate)),
+    observed_predicates=sequence_of(FUNCTOR),
+    empty_dynamic=sequence_of(FUNCTOR),
+)
+
+
 class ValuesSnapshot(NamedTuple):
     """Values that goals have stored, without clauses.
 
@@ -80,6 +190,59 @@ class ValuesSnapshot(NamedTuple):
     column: int
     builtin_state: Dict[str, Dict[Any, Any]]
     table_answers: Any
+
+
+_BUILTIN_STATE: Dict[str, FieldType] = {
+    "counters": mapping_of(TEXT, integer()),
+    "flags": mapping_of(TEXT, TERM),
+    "flag": mapping_of(TEXT, TERM),
+    "gensym": mapping_of(TEXT, COUNT),
+    "counters of events": mapping_of(KEY, integer()),
+    "flags of events": mapping_of(KEY, TERM),
+    _MODULES: mapping_of(
+        TEXT, tuple_of(sequence_of(FUNCTOR), sequence_of(FUNCTOR), sequence_of(TEXT), sequence_of(TEXT))
+    ),
+    _META_ARGUMENTS: mapping_of(
+        FUNCTOR, sequence_of(PlainType("the kind of an argument", _check_argument_kind), tuple)
+    ),
+}
+"""Types of `ValuesSnapshot.builtin_state` by key."""
+
+
+class _BuiltinState(FieldType):
+    """Data of built-in predicates by key; a key without data is omitted."""
+
+    name = "data of built-in predicates"
+
+    def checker(self, context: ReadContext) -> ValueCheck:
+        """See `FieldType.checker`."""
+
+        def check(value: object) -> Dict[str, Dict[Any, Any]]:
+            data_by_key = mapping_of(TEXT, ANYTHING).check(value)
+            for name in data_by_key:
+                if name not in _BUILTIN_STATE:
+                    raise invalid_value(name, "a kind of state of built-in predicates")
+            return {
+                name: with_path(name, _BUILTIN_STATE[name].check)(data) for name, data in data_by_key.items()
+            }
+
+        return check
+
+    def encoder(self, graph: "ObjectWriter") -> Encode:
+        """See `FieldType.encoder`."""
+        return lambda data_by_key: [
+            [name, _BUILTIN_STATE[name].encode(data)] for name, data in data_by_key.items()
+        ]
+
+
+VALUES = record_of(
+    ValuesSnapshot,
+    flags=mapping_of(TEXT, TERM),
+    global_variables=mapping_of(TEXT, TERM),
+    column=COUNT,
+    builtin_state=_BuiltinState(),
+    table_answers=sequence_of(tuple_of(KEY, sequence_of(sequence_of(TERM, tuple)), BOOLEAN)),
+)
 
 
 def snapshot_program(logic: PrologSystem) -> ProgramSnapshot:
@@ -127,8 +290,8 @@ def program_predicates(logic: PrologSystem) -> List[Predicate]:
 
 
 def _snapshot_predicate(predicate: Predicate) -> PredicateSnapshot:
-    clauses = [(clause.head, clause.body, clause.place) for clause in predicate.active_clauses()]
-    return (
+    clauses = [StoredClause(clause.head, clause.body, clause.place) for clause in predicate.active_clauses()]
+    return PredicateSnapshot(
         predicate.functor,
         PredicateProperties(
             predicate.dynamic,

@@ -1,0 +1,856 @@
+"""Types of stored fields: how values are checked when they are read, and how they are encoded.
+
+State files are not trusted. A type checks each value before it reaches its owner, and returns it in the form that the
+owner uses. An error is a `UsageError` whose text begins with the path of the value. Types of sequences, tuples and
+records combine those of their items. Values of many objects are stored in columns, which a type can check and encode
+faster than one by one.
+"""
+
+from math import isfinite
+from struct import error as StructError
+from struct import pack, unpack
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Callable,
+    Dict,
+    FrozenSet,
+    Iterable,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+    Type,
+)
+
+from ..foundation.errors import RetalisError, UsageError
+from ..prolog.terms.timestamps import MAX_TIMESTAMP, FloatSeconds, Stamp
+from ..prolog.terms.types import Atom, Functor, String, Var
+
+if TYPE_CHECKING:
+    from .object_graph import ObjectReader, ObjectWriter
+
+Untyped = Any
+"""A stored value, whose type only its declaration says."""
+
+ValueCheck = Callable[[object], Untyped]
+"""Returns a decoded value in the form that its owner uses, or raises a `UsageError`."""
+
+Encode = Callable[[Untyped], object]
+"""Returns the value of a field as data that the codec accepts."""
+
+ColumnCheck = Callable[[object, Sequence[int]], Sequence[Untyped]]
+"""Returns the values of a column, given the numbers of the objects or rows that have them."""
+
+State = Dict[str, Untyped]
+"""Values of the fields of an object, by name."""
+
+MAX_INSTANT = 1 << 80
+"""Limit of instants in ns: larger than any value by which the engine itself represents "never"."""
+
+MAX_COUNT = (1 << 63) - 1
+"""Maximum of counts."""
+
+MAX_KEY_DEPTH = 8
+"""Maximum nesting of keys: hashing a deeply nested tuple would overflow the stack of the process."""
+
+ITEM_FUNCTOR_NAME = "item of a run"
+"""Name of terms that hold the values of one repetition, and so may contain instants."""
+
+
+class FlatKey(tuple):  # type: ignore[type-arg]
+    """A dictionary key of a term, see `term_key`, which is not a term itself."""
+
+    __slots__ = ()
+
+
+_SEQUENCES = (list, tuple)
+_TERMS: FrozenSet[type] = frozenset((int, float, Atom, String, Var, tuple))
+_INSTANTS: FrozenSet[type] = frozenset((int, FloatSeconds, Stamp))
+_KEYS: FrozenSet[type] = frozenset((int, Atom, String, Functor))
+
+
+def invalid_value(value: object, expected: str) -> UsageError:
+    """Return the error for an invalid value."""
+    try:
+        text_of_value = value if isinstance(value, str) else repr(value)
+    except (ValueError, RecursionError):  # an integer with too many digits, or a deeply nested sequence
+        text_of_value = type(value).__name__
+    return UsageError(f"'{text_of_value[:80]}': expected {expected}")
+
+
+def items_of(value: object) -> Sequence[object]:
+    """Return the items of a sequence."""
+    if isinstance(value, _SEQUENCES):
+        return value
+    raise invalid_value(value, "a sequence")
+
+
+def with_path(name: str, check: ValueCheck) -> ValueCheck:
+    """Return a check whose error texts begin with a name."""
+
+    def check_named(value: object) -> Untyped:
+        try:
+            return check(value)
+        except RetalisError as error:
+            raise UsageError(f"{name}: {error.message}") from None
+
+    return check_named
+
+
+# ---- types -------------------------------------------------------------------------------------------
+
+
+class FieldChange(NamedTuple):
+    """Change of the fields of a record from one format to the next.
+
+    Attributes:
+        renamed: new names by former names.
+        added: values of new fields by name, as they are stored.
+        removed: names of fields that are dropped.
+        convert: returns the stored fields by name from those with the new names; None if no value changes.
+    """
+
+    renamed: Mapping[str, str] = {}
+    added: Mapping[str, object] = {}
+    removed: Sequence[str] = ()
+    convert: Optional[Callable[[Dict[str, object]], Dict[str, object]]] = None
+
+
+class SameForAll(NamedTuple):
+    """A column of an added field: one value for all rows."""
+
+    value: object
+
+
+class ReadContext(NamedTuple):
+    """Context of the checks of a state.
+
+    Attributes:
+        objects: the objects that the state can refer to; None if it has no references.
+        changes: by name of a record, the changes from the format of the file to the present one, oldest first.
+        check_item: check of an object in the state of a part, set by the owner of the part; see `part_state`.
+    """
+
+    objects: "Optional[ObjectReader]" = None
+    changes: Mapping[str, Sequence[FieldChange]] = {}
+    check_item: Callable[[Untyped, int], None] = lambda item, channel: None
+
+
+NO_CONTEXT = ReadContext()
+NO_OBJECTS: "ObjectWriter" = None  # type: ignore[assignment]
+
+
+class FieldType:
+    """Type of the values of a field: how they are checked and encoded, one by one and as a column.
+
+    Attributes:
+        name: description in `StateFields.describe`.
+    """
+
+    name = ""
+
+    @property
+    def has_sources(self) -> bool:
+        """True if values can have references to what an object consists of, see `reference`."""
+        return False
+
+    def checker(self, context: ReadContext) -> ValueCheck:
+        """Return the check of a value."""
+        raise NotImplementedError
+
+    def check(self, value: object) -> Untyped:
+        """Check a value of a type without references.
+
+        Raises:
+            UsageError: if the value is invalid.
+        """
+        return self.checker(NO_CONTEXT)(value)
+
+    def encoder(self, graph: "ObjectWriter") -> Optional[Encode]:
+        """Return the encoding of a value; None if it is stored unchanged."""
+        return None
+
+    def encode(self, value: Untyped) -> object:
+        """Return the encoding of a value of a type without references."""
+        encode = self.encoder(NO_OBJECTS)
+        return value if encode is None else encode(value)
+
+    def column_checker(self, context: ReadContext) -> ColumnCheck:
+        """Return the check of a column."""
+        check = self.checker(context)
+        if not self.has_sources:
+            return lambda column, numbers: check_items(items_of(column), check)
+        objects = objects_of(context)
+
+        def check_column(column: object, numbers: Sequence[int]) -> Sequence[Untyped]:
+            values = []
+            for number, value in zip(numbers, items_of(column)):
+                objects.current_sources = objects.sources_of(number)
+                values.append(check(value))
+            return values
+
+        return check_column
+
+    def encode_column(self, graph: "ObjectWriter", values: List[Untyped]) -> object:
+        """Return the encoding of a column."""
+        encode = self.encoder(graph)
+        return values if encode is None else list(map(encode, values))
+
+
+def check_items(values: Iterable[object], check: ValueCheck) -> List[Untyped]:
+    """Return checked values; the error text of an invalid one begins with its index."""
+    checked: List[Untyped] = []
+    try:
+        # If a value is rejected, those before it remain in the list, which gives its index.
+        checked += map(check, values)
+    except RetalisError as error:
+        raise UsageError(f"item {len(checked)}: {error.message}") from None
+    return checked
+
+
+class PlainType(FieldType):
+    """Type whose check needs no context and whose values are stored unchanged.
+
+    Args:
+        name: description.
+        check: see `Check`.
+        classes: if given, `check` returns values of exactly these classes unchanged, and rejects all others.
+    """
+
+    def __init__(self, name: str, check: ValueCheck, classes: FrozenSet[type] = frozenset()):
+        self.name = name
+        self.classes = classes
+        self._check = check
+
+    def check(self, value: object) -> Untyped:
+        """See `FieldType.check`."""
+        return self._check(value)
+
+    def checker(self, context: ReadContext) -> ValueCheck:
+        """See `FieldType.checker`."""
+        return self._check
+
+    def column_checker(self, context: ReadContext) -> ColumnCheck:
+        """See `FieldType.column_checker`."""
+        check, classes = self._check, self.classes
+
+        def check_column(column: object, numbers: Sequence[int]) -> Sequence[Untyped]:
+            values = items_of(column)
+            # Columns have thousands of values: their classes are compared by functions that are implemented in C.
+            return values if classes.issuperset(map(type, values)) else check_items(values, check)
+
+        return check_column
+
+
+def instances(expected_class: type, expected: str) -> PlainType:
+    """Return the type of the instances of exactly one class; ``expected`` describes it in the error."""
+
+    def check(value: object) -> Untyped:
+        if type(value) is not expected_class:
+            raise invalid_value(value, expected)
+        return value
+
+    return PlainType(expected, check, frozenset((expected_class,)))
+
+
+def _check_nothing(value: object) -> None:
+    if value is not None:
+        raise invalid_value(value, "nothing")
+
+
+def _check_path(value: object) -> str:
+    if type(value) is not str or "\0" in value:
+        raise invalid_value(value, "a path")
+    return value
+
+
+def _check_seconds(value: object) -> float:
+    if type(value) not in (int, float) or not isfinite(value):  # type: ignore[arg-type]
+        raise invalid_value(value, "a number of seconds")
+    return value  # type: ignore[return-value]
+
+
+def _check_term(value: object) -> Untyped:
+    # The arguments were checked when the term was decoded.
+    if type(value) not in _TERMS:
+        raise invalid_value(value, "a term")
+    return value
+
+
+def _check_match_value(value: object) -> Untyped:
+    # An integer is a term; the start or end of a part of a match is an instant of another class.
+    return INSTANT.check(value) if type(value) in (FloatSeconds, Stamp) else _check_term(value)
+
+
+def _check_callable_term(value: object) -> Untyped:
+    if type(value) is not tuple and type(value) is not Atom:
+        raise invalid_value(value, "an atom or a compound term")
+    return value
+
+
+def _check_compound_term(value: object) -> Untyped:
+    if type(value) is not tuple:
+        raise invalid_value(value, "a compound term")
+    return value
+
+
+def _check_key(value: object, depth: int = MAX_KEY_DEPTH) -> Untyped:
+    value_class = type(value)
+    if value is None or value_class in _KEYS or value_class is str:
+        return value
+    if isinstance(value, FlatKey):
+        return tuple(value)
+    if isinstance(value, tuple):
+        if all(type(item) in _KEYS for item in value):
+            return value
+    elif isinstance(value, list) and depth:
+        return tuple([_check_key(item, depth - 1) for item in value])
+    raise invalid_value(value, "a key")
+
+
+def _check_number(value: object) -> Untyped:
+    if type(value) not in (int, float):
+        raise invalid_value(value, "a number")
+    return value
+
+
+def _check_finite_number(value: object) -> Untyped:
+    if not isfinite(_check_number(value)) if type(value) is float else _check_number(value) != value:
+        raise invalid_value(value, "a finite number")
+    return value
+
+
+def _check_comparable_number(value: object) -> Untyped:
+    if _check_number(value) != value:
+        raise invalid_value(value, "a number with an order")
+    return value
+
+
+ANYTHING = PlainType("any data, which its owner checks", lambda value: value)
+BOOLEAN = instances(bool, "true or false")
+TEXT = instances(str, "a text")
+ATOM = instances(Atom, "an atom")
+FUNCTOR = instances(Functor, "a functor")
+VARIABLE = instances(Var, "a variable")
+NOTHING = PlainType("nothing", _check_nothing)
+PATH = PlainType("a path", _check_path)
+SECONDS = PlainType("a number of seconds", _check_seconds)
+TERM = PlainType("a term", _check_term, _TERMS)
+MATCH_VALUE = PlainType("a term, or an instant of a part of a match", _check_match_value)
+CALLABLE_TERM = PlainType("an atom or a compound term", _check_callable_term)
+COMPOUND_TERM = PlainType("a compound term", _check_compound_term, frozenset((tuple,)))
+KEY = PlainType("a key of constants, terms of constants, and tuples of such keys", _check_key)
+NUMBER = PlainType("a number", _check_number)
+FINITE = PlainType("a finite number", _check_finite_number)
+ORDERED = PlainType("a number with an order", _check_comparable_number)
+
+
+class _IntegerType(PlainType):
+    """Integers in a range."""
+
+    def __init__(self, minimum: int, maximum: int):
+        def check(value: object) -> int:
+            if type(value) is not int or not minimum <= value <= maximum:
+                raise invalid_value(value, f"an integer from {minimum} to {maximum}")
+            return value
+
+        super().__init__(f"an integer from {minimum} to {maximum}", check)
+        self._minimum = minimum
+        self._maximum = maximum
+
+    def column_checker(self, context: ReadContext) -> ColumnCheck:
+        """See `FieldType.column_checker`."""
+
+        def check_column(column: object, numbers: Sequence[int]) -> Sequence[Untyped]:
+            values: Sequence[Untyped] = items_of(column)
+            if (
+                set(map(type, values)) == {int}
+                and self._minimum <= min(values)
+                and max(values) <= self._maximum
+            ):
+                return values
+            return check_items(values, self.check)
+
+        return check_column
+
+
+def integer(minimum: int = -MAX_COUNT, maximum: int = MAX_COUNT) -> PlainType:
+    """Return the type of the integers in a range."""
+    return _IntegerType(minimum, maximum)
+
+
+COUNT = integer(0)
+MATCH_ORDER = integer(0, 2 * MAX_INSTANT)
+"""The order of a match, which is a timestamp or a number that follows one."""
+
+
+def one_of(*values: object) -> PlainType:
+    """Return the type of some constants."""
+    expected = f"one of {', '.join(map(str, values))}"
+
+    def check(value: object) -> object:
+        # Classes are compared as well, because True equals 1.
+        for allowed in values:
+            if type(value) is type(allowed) and value == allowed:
+                return allowed
+        raise invalid_value(value, expected)
+
+    return PlainType(expected, check)
+
+
+_CLASS_CODES: Dict[type, int] = {int: 0, FloatSeconds: 1, Stamp: 2}
+"""Codes of the classes of instants, which print differently."""
+
+
+def encode_instants(instants: Sequence[Untyped]) -> Tuple[object, ...]:
+    """Return columns of instants: nanoseconds as 64-bit integers if they fit, class codes, terms of stamps."""
+    classes = set(map(type, instants))
+    # Integers, float seconds and stamps with their own text print differently. Usually all instants are alike.
+    if len(classes) == 1:
+        class_codes = bytes([_CLASS_CODES[classes.pop()]]) * len(instants)
+    else:
+        class_codes = bytes(map(_CLASS_CODES.__getitem__, map(type, instants)))
+    stamps = [instant.term for instant in instants if instant.__class__ is Stamp] if 2 in class_codes else []
+    try:
+        return pack(f"{len(instants)}q", *instants), class_codes, stamps
+    except StructError:
+        return [int(instant) for instant in instants], class_codes, stamps
+
+
+def decode_instants(value: object, expected_count: Optional[int] = None) -> List[int]:
+    """Return instants from their columns, checked.
+
+    Args:
+        value: the columns.
+        expected_count: expected number of instants, if it is known.
+
+    Raises:
+        UsageError: if the columns are invalid.
+    """
+    if len(items_of(value)) != 3:
+        raise invalid_value(value, "3 columns of instants")
+    numbers, class_codes, stamps = items_of(value)
+    terms = TERM.column_checker(NO_CONTEXT)(stamps, ())
+    if (
+        type(class_codes) is not bytes
+        or class_codes.translate(None, b"\0\1\2")
+        or class_codes.count(2) != len(terms)
+    ):
+        raise invalid_value(class_codes, "the forms of instants")
+    if expected_count not in (None, len(class_codes)):
+        raise invalid_value(len(class_codes), f"{expected_count} instants")
+    integers: Sequence[int]
+    if type(numbers) is bytes:
+        if len(numbers) != 8 * len(class_codes):
+            raise invalid_value(len(numbers), f"{len(class_codes)} instants")
+        integers = unpack(f"{len(class_codes)}q", numbers)
+    else:
+        integers = check_items(items_of(numbers), INSTANT.check)
+        if len(integers) != len(class_codes):
+            raise invalid_value(numbers, f"{len(class_codes)} instants")
+    if not any(class_codes):
+        return list(integers)
+    if class_codes.count(1) == len(class_codes):
+        return list(map(FloatSeconds, integers))
+    next_term = iter(terms)
+    return [
+        number
+        if class_code == 0
+        else FloatSeconds(number)
+        if class_code == 1
+        else Stamp.of(number, next(next_term))
+        for number, class_code in zip(integers, class_codes)
+    ]
+
+
+class _InstantType(PlainType):
+    """Instants in nanoseconds, in any of their forms."""
+
+    def column_checker(self, context: ReadContext) -> ColumnCheck:
+        """See `FieldType.column_checker`."""
+
+        def check_column(column: object, numbers: Sequence[int]) -> Sequence[int]:
+            instants = decode_instants(column, len(numbers))
+            return instants if self is INSTANT else check_items(instants, self.check)
+
+        return check_column
+
+    def encode_column(self, graph: "ObjectWriter", values: List[Untyped]) -> object:
+        """See `FieldType.encode_column`."""
+        return encode_instants(values)
+
+
+def _check_instant(value: object) -> int:
+    if type(value) not in _INSTANTS or not -MAX_INSTANT <= value <= MAX_INSTANT:  # type: ignore[operator]
+        raise invalid_value(value, "an instant")
+    return value  # type: ignore[return-value]
+
+
+def _check_clock_instant(value: object) -> int:
+    # A clock nearer to the largest instant of the format would leave no room for the events after a restore.
+    instant = _check_instant(value)
+    if abs(instant) > _MAX_CLOCK_INSTANT:
+        raise invalid_value(value, "an instant that a clock can reach")
+    return instant
+
+
+_MAX_CLOCK_INSTANT = MAX_TIMESTAMP + (1 << 60)
+"""Largest instant in ns that a clock reaches: each event without a timestamp advances it by 1 ns."""
+
+INSTANT = _InstantType("an instant", _check_instant)
+CLOCK_INSTANT = _InstantType("an instant that a clock can reach", _check_clock_instant)
+
+
+class optional(FieldType):  # noqa: N801 - reads as a function, as all types do
+    """Values of a type, or None."""
+
+    def __init__(self, content: FieldType):
+        self.name = f"{content.name}, or nothing"
+        self._content = content
+
+    @property
+    def has_sources(self) -> bool:
+        """See `FieldType.has_sources`."""
+        return self._content.has_sources
+
+    def checker(self, context: ReadContext) -> ValueCheck:
+        """See `FieldType.checker`."""
+        check = self._content.checker(context)
+        return lambda value: None if value is None else check(value)
+
+    def encoder(self, graph: "ObjectWriter") -> Optional[Encode]:
+        """See `FieldType.encoder`."""
+        encode = self._content.encoder(graph)
+        return None if encode is None else lambda value: None if value is None else encode(value)
+
+
+class sequence_of(FieldType):  # noqa: N801
+    """Sequences of values of one type.
+
+    Args:
+        content: type of the items.
+        make: makes the owner's form from the list of items; the values are stored in its order of iteration.
+        min_count: minimum number of items.
+    """
+
+    def __init__(
+        self, content: FieldType, make: Callable[[List[Untyped]], Untyped] = list, min_count: int = 0
+    ):
+        self.name = f"a sequence of [{content.name}]"
+        self._content = content
+        self._make = make
+        self._min_count = min_count
+
+    @property
+    def has_sources(self) -> bool:
+        """See `FieldType.has_sources`."""
+        return self._content.has_sources
+
+    def checker(self, context: ReadContext) -> ValueCheck:
+        """See `FieldType.checker`."""
+        content, make, min_count = self._content, self._make, self._min_count
+        check = content.checker(context)
+        classes = content.classes if isinstance(content, PlainType) else frozenset()
+
+        def check_sequence(value: object) -> Untyped:
+            values = items_of(value)
+            if len(values) < min_count:
+                raise invalid_value(value, f"at least {min_count} items")
+            # Items of these classes are known to be valid; others are checked one by one.
+            if not classes.issuperset(map(type, values)):
+                values = check_items(values, check)
+            return values if make is type(values) else make(values)  # type: ignore[arg-type]
+
+        return check_sequence
+
+    def encoder(self, graph: "ObjectWriter") -> Optional[Encode]:
+        """See `FieldType.encoder`."""
+        encode = self._content.encoder(graph)
+        if encode is not None:
+            return lambda values: list(map(encode, values))
+        return None if self._make in (list, tuple) else list
+
+
+class tuple_of(FieldType):  # noqa: N801
+    """Tuples with one type for each item."""
+
+    def __init__(self, *contents: FieldType):
+        self.name = f"({', '.join(content.name for content in contents)})"
+        self._contents = contents
+
+    @property
+    def has_sources(self) -> bool:
+        """See `FieldType.has_sources`."""
+        return any(content.has_sources for content in self._contents)
+
+    def checker(self, context: ReadContext) -> ValueCheck:
+        """See `FieldType.checker`."""
+        checks = [content.checker(context) for content in self._contents]
+        length = len(checks)
+
+        def check_tuple(value: object) -> Tuple[Untyped, ...]:
+            values = items_of(value)
+            if len(values) != length:
+                raise invalid_value(value, f"{length} items")
+            return tuple([check(item) for check, item in zip(checks, values)])
+
+        return check_tuple
+
+    def encoder(self, graph: "ObjectWriter") -> Optional[Encode]:
+        """See `FieldType.encoder`."""
+        encodings = [content.encoder(graph) for content in self._contents]
+        if not any(encodings):
+            return None
+        return lambda values: [
+            value if encode is None else encode(value) for encode, value in zip(encodings, values)
+        ]
+
+
+class mapping_of(FieldType):  # noqa: N801
+    """Mappings, stored as pairs, without duplicate keys."""
+
+    def __init__(self, key: FieldType, content: FieldType):
+        self.name = f"a mapping from [{key.name}] to [{content.name}]"
+        self._pairs = sequence_of(tuple_of(key, content))
+
+    def checker(self, context: ReadContext) -> ValueCheck:
+        """See `FieldType.checker`."""
+        check_pairs = self._pairs.checker(context)
+
+        def check_mapping(value: object) -> Dict[Untyped, Untyped]:
+            pairs = check_pairs(value)
+            result = dict(pairs)
+            if len(result) != len(pairs):
+                raise invalid_value(value, "each key once")
+            return result
+
+        return check_mapping
+
+    def encoder(self, graph: "ObjectWriter") -> Optional[Encode]:
+        """See `FieldType.encoder`."""
+        encode = self._pairs.encoder(graph) or list
+        return lambda mapping: encode(list(mapping.items()))
+
+
+class nested_pairs_of(FieldType):  # noqa: N801
+    """Linked lists ``((((), first), second), third)``, stored as sequences: nested data would be as deep as long."""
+
+    def __init__(self, content: FieldType):
+        self.name = f"nested pairs of [{content.name}]"
+        self._content = sequence_of(content)
+
+    def checker(self, context: ReadContext) -> ValueCheck:
+        """See `FieldType.checker`."""
+        check = self._content.checker(context)
+
+        def check_pairs(value: object) -> Untyped:
+            pairs: Untyped = ()
+            for item in check(value):
+                pairs = (pairs, item)
+            return pairs
+
+        return check_pairs
+
+    def encoder(self, graph: "ObjectWriter") -> Encode:
+        """See `FieldType.encoder`."""
+
+        def encode(pairs: Untyped) -> List[object]:
+            values: List[object] = []
+            while pairs:
+                pairs, item = pairs
+                values.append(item)
+            values.reverse()
+            return values
+
+        return encode
+
+
+# ---- references to objects -------------------------------------------------------------------------------
+
+
+class reference(FieldType):  # noqa: N801
+    """References to objects of some kinds.
+
+    Args:
+        kinds: names of `ObjectFields`, or of external objects, see `ObjectWriter`.
+        is_optional: whether the value can be None.
+        is_source: whether an object with this field consists of the object that it refers to. No object consists of
+            itself, because the engine follows such references recursively.
+        accepts: type of values other than references; None if there are none.
+    """
+
+    def __init__(
+        self,
+        *kinds: str,
+        is_optional: bool = False,
+        is_source: bool = False,
+        accepts: Optional[FieldType] = None,
+    ):
+        self.name = f"a reference to {' or '.join(kinds)}"
+        if is_optional:
+            self.name += ", or nothing"
+        if accepts is not None:
+            self.name += f", or {accepts.name}"
+        self._kinds = kinds
+        self._is_optional = is_optional
+        self._is_source = is_source
+        self._accepts = accepts
+
+    @property
+    def has_sources(self) -> bool:
+        """See `FieldType.has_sources`."""
+        return self._is_source
+
+    def checker(self, context: ReadContext) -> ValueCheck:
+        """See `FieldType.checker`."""
+        read = objects_of(context).reference_reader(self._kinds, self._is_source)
+        if self._accepts is None:
+            return (lambda value: None if value is None else read(value)) if self._is_optional else read
+        check_other = self._accepts.checker(context)
+        is_reference = objects_of(context).is_reference
+        return lambda value: read(value) if is_reference(value) else check_other(value)
+
+    def encoder(self, graph: "ObjectWriter") -> Encode:
+        """See `FieldType.encoder`."""
+        to_reference, is_object = graph.reference_to, graph.is_object
+        encode_other = None if self._accepts is None else self._accepts.encoder(graph)
+
+        def encode(value: Untyped) -> object:
+            if value is None:
+                return None
+            if is_object(value):
+                return to_reference(value)
+            return value if encode_other is None else encode_other(value)
+
+        return encode
+
+    def column_checker(self, context: ReadContext) -> ColumnCheck:
+        """See `FieldType.column_checker`."""
+        if self._accepts is not None:
+            return super().column_checker(context)
+        objects = objects_of(context)
+        kinds, is_source, is_optional = self._kinds, self._is_source, self._is_optional
+
+        def check_column(column: object, numbers: Sequence[int]) -> Sequence[Untyped]:
+            referenced = items_of(column)
+            present = [number for number in referenced if number is not None]
+            found = objects.objects_by_number(present, kinds)
+            if is_source:
+                for number, source in zip(numbers, referenced):
+                    if isinstance(source, int):
+                        objects.sources_of(number).append(source)
+            if len(present) == len(referenced):
+                return found
+            if not is_optional:
+                raise invalid_value(None, self.name)
+            remaining = iter(found)
+            return [None if number is None else next(remaining) for number in referenced]
+
+        return check_column
+
+    def encode_column(self, graph: "ObjectWriter", values: List[Untyped]) -> object:
+        """See `FieldType.encode_column`."""
+        # A column has numbers, which need less space than references.
+        if self._accepts is not None:
+            return super().encode_column(graph, values)
+        number_of = graph.number_of
+        return [None if value is None else number_of(value) for value in values]
+
+
+class references(FieldType):  # noqa: N801
+    """Sequences of many objects, stored as their numbers."""
+
+    def __init__(self, *kinds: str):
+        self.name = f"references to {' or '.join(kinds)}"
+        self._kinds = kinds
+
+    def checker(self, context: ReadContext) -> ValueCheck:
+        """See `FieldType.checker`."""
+        objects = objects_of(context)
+        return lambda value: objects.objects_by_number(items_of(value), self._kinds)
+
+    def encoder(self, graph: "ObjectWriter") -> Encode:
+        """See `FieldType.encoder`."""
+        return lambda values: list(map(graph.number_of, values))
+
+
+class parts_of(FieldType):  # noqa: N801
+    """Parts that an object consists of: objects as their numbers, other values as sequences of one item.
+
+    Args:
+        kinds: kinds of the objects.
+        accepts: type of the other values.
+    """
+
+    def __init__(self, *kinds: str, accepts: FieldType):
+        self.name = f"objects, {' or '.join(kinds)}, or {accepts.name}"
+        self._kinds = kinds
+        self._accepts = accepts
+
+    @property
+    def has_sources(self) -> bool:
+        """See `FieldType.has_sources`."""
+        return True
+
+    def checker(self, context: ReadContext) -> ValueCheck:
+        """See `FieldType.checker`."""
+        objects = objects_of(context)
+        kinds, check_other = self._kinds, self._accepts.checker(context)
+
+        def check_part(part: object) -> Untyped:
+            if type(part) is int:
+                (found,) = objects.objects_by_number([part], kinds)
+                objects.current_sources.append(part)
+                return found
+            if len(items_of(part)) != 1:
+                raise invalid_value(part, "1 item")
+            return check_other(items_of(part)[0])
+
+        return lambda value: None if value is None else tuple(check_items(items_of(value), check_part))
+
+    def encoder(self, graph: "ObjectWriter") -> Encode:
+        """See `FieldType.encoder`."""
+        number_of, is_object = graph.number_of, graph.is_object
+
+        def encode_part(part: Untyped) -> object:
+            # A number of an object and a number that is a part itself must differ.
+            return number_of(part) if is_object(part) else [part]
+
+        return lambda parts: None if parts is None else list(map(encode_part, parts))
+
+
+def objects_of(context: ReadContext) -> "ObjectReader":
+    """Return the objects that a state refers to."""
+    assert context.objects is not None
+    return context.objects
+
+
+class compact_record_of(FieldType):  # noqa: N801
+    """Named tuples, stored as sequences, for records that occur often; their fields do not change.
+
+    Args:
+        record_class: class of the record.
+        fields: type of each of its fields.
+    """
+
+    def __init__(self, record_class: Type[NamedTuple], **fields: FieldType):
+        contents = ", ".join(f"{name}: {content.name}" for name, content in fields.items())
+        self.name = f"{record_class.__name__}: ({contents})"
+        assert tuple(fields) == record_class._fields, record_class
+        self._make: Callable[..., Untyped] = record_class
+        self._fields = fields
+
+    def checker(self, context: ReadContext) -> ValueCheck:
+        """See `FieldType.checker`."""
+        checks = [with_path(name, content.checker(context)) for name, content in self._fields.items()]
+
+        def check(value: object) -> Untyped:
+            values = items_of(value)
+            if len(values) != len(checks):
+                raise invalid_value(value, f"{len(checks)} items")
+            return self._make(*[check_value(item) for check_value, item in zip(checks, values)])
+
+        return check

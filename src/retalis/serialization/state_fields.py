@@ -1,0 +1,445 @@
+"""Declarations of stored state: fields, constraints, and the objects that have them.
+
+A class whose objects are in a snapshot has an attribute ``STATE``, which names its stored attributes and their types,
+one a line. An object of a graph (`ObjectFields`) is written in columns by `object_graph`, because there may be
+millions. The state of any other object (`StateFields`) is a mapping from names to values, which `StateOwner` reads
+from attributes and sets again. `rows_of` declares the rows of a table, which is stored in columns, too.
+
+A constraint is a named condition on several fields, or on fields and their owner. A type can depend on the owner: it
+is then declared as a function of the owner. This is how the number of values of a match follows from its node, and
+the state of an operator from its class.
+"""
+
+from typing import (
+    TYPE_CHECKING,
+    Callable,
+    Dict,
+    List,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+    Type,
+    Union,
+)
+
+from ..foundation.errors import UsageError
+from .field_types import (
+    ANYTHING,
+    COUNT,
+    TEXT,
+    Encode,
+    FieldType,
+    PlainType,
+    ReadContext,
+    SameForAll,
+    State,
+    Untyped,
+    ValueCheck,
+    invalid_value,
+    mapping_of,
+    optional,
+    sequence_of,
+    tuple_of,
+    with_path,
+)
+
+if TYPE_CHECKING:
+    from .object_graph import ObjectWriter
+
+# ---- fields and their owners -------------------------------------------------------------------------------
+
+OwnerType = Callable[[Untyped], FieldType]
+"""Returns the type of a field, given its owner."""
+
+
+class StoredField(NamedTuple):
+    """Stored attribute of an object.
+
+    Attributes:
+        name: name in the file.
+        type: its type, or a function of the owner that returns it.
+        attribute: name of the attribute, or of a property with a setter.
+        same_as: name of an earlier field with the same values for most objects: such a column is not stored.
+        is_part: whether the attribute is a `StateOwner`, or None, whose state is stored.
+    """
+
+    name: str
+    type: Union[FieldType, OwnerType]
+    attribute: str
+    same_as: Optional[str] = None
+    is_part: bool = False
+
+    def type_for(self, owner: object) -> FieldType:
+        """Return the type of the field of an object."""
+        return self.type if isinstance(self.type, FieldType) else self.type(owner)
+
+
+def field(name: str, type: Union[FieldType, OwnerType], same_as: Optional[str] = None) -> StoredField:  # noqa: A002
+    """Return a field; the name of a private attribute is stored without its underscore."""
+    return StoredField(name.lstrip("_"), type, name, same_as)
+
+
+def part(name: str, check_item: str = "") -> StoredField:
+    """Return a field for the state of a part: an attribute that is a `StateOwner`, or None.
+
+    Args:
+        name: name of the attribute.
+        check_item: name of the owner's method that checks the objects in the state; see `ReadContext.check_item`.
+    """
+
+    def type_for(owner: object) -> FieldType:
+        state_owner: Optional[StateOwner] = getattr(owner, name)
+        if state_owner is None:
+            return _NO_PART
+        return optional(part_state(state_owner, getattr(owner, check_item) if check_item else None))
+
+    return StoredField(name.lstrip("_"), type_for, name, is_part=True)
+
+
+class Constraint(NamedTuple):
+    """Named condition on the fields of an object.
+
+    Attributes:
+        expected: description for the error.
+        holds: returns whether it holds, given the object; for a `StateFields`, given the owner and the new state.
+    """
+
+    expected: str
+    holds: Callable[..., bool]
+
+
+def constraint(expected: str, holds: Callable[..., bool]) -> Constraint:
+    """Return a constraint."""
+    return Constraint(expected, holds)
+
+
+class FieldList:
+    """Fields and constraints of a record; the base class of the three kinds of declarations.
+
+    Args:
+        declared: the fields, in the order in which they are set, and the constraints.
+
+    Attributes:
+        record_name: name of the record in migrations: that of the class that has the declaration, or of the rows.
+    """
+
+    record_name = ""
+
+    def __init__(self, *declared: Union[StoredField, Constraint]):
+        self.fields = [entry for entry in declared if isinstance(entry, StoredField)]
+        self.constraints = [entry for entry in declared if isinstance(entry, Constraint)]
+
+    def __set_name__(self, owner: Type[object], name: str) -> None:
+        self.record_name = owner.__name__
+
+    def extended(self, *declared: Union[StoredField, Constraint]) -> Sequence[Union[StoredField, Constraint]]:
+        """Return the fields and constraints together with further ones, for the declaration of a subclass."""
+        return (*self.fields, *self.constraints, *declared)
+
+    def describe(self) -> List[str]:
+        """Return the names and types of the fields."""
+        return [
+            f"{entry.name}: {entry.type.name if isinstance(entry.type, FieldType) else 'depends on its owner'}"
+            for entry in self.fields
+        ]
+
+    def mapping_of(self, value: object, context: ReadContext) -> Dict[str, object]:
+        """Return stored fields by name, migrated to the present format.
+
+        Raises:
+            UsageError: if they are not exactly the declared ones.
+        """
+        mapping = dict(_PAIRS.check(value))
+        for change in context.changes.get(self.record_name, ()):
+            mapping = {
+                change.renamed.get(name, name): stored
+                for name, stored in mapping.items()
+                if name not in change.removed
+            }
+            mapping.update({name: SameForAll(stored) for name, stored in change.added.items()})
+            mapping = mapping if change.convert is None else change.convert(mapping)
+        names = [entry.name for entry in self.fields]
+        if len(mapping) != len(names) or any(name not in mapping for name in names):
+            raise invalid_value(list(mapping), f"the fields {', '.join(names)}")
+        return mapping
+
+    def check_constraints(self, *arguments: object) -> None:
+        """Check all constraints.
+
+        Raises:
+            UsageError: if one does not hold.
+        """
+        for entry in self.constraints:
+            if not entry.holds(*arguments):
+                raise UsageError(f"{self.record_name}: expected {entry.expected}")
+
+
+_PAIRS = mapping_of(TEXT, PlainType("any value", lambda value: value))
+
+
+def check_column(
+    content: FieldType, column: object, numbers: Sequence[int], context: ReadContext
+) -> Sequence[Untyped]:
+    """Return the values of a column for objects or rows with the given numbers."""
+    if isinstance(column, SameForAll):
+        return [content.checker(context)(column.value)] * len(numbers) if numbers else []
+    values = content.column_checker(context)(column, numbers)
+    if len(values) != len(numbers):
+        raise invalid_value(len(values), f"{len(numbers)} values")
+    return values
+
+
+class StateFields(FieldList):
+    """Fields of the state of one object, whose class is a `StateOwner`."""
+
+    def check_state(self, value: object, owner: object, context: ReadContext) -> State:
+        """Return the values of the fields by name.
+
+        Args:
+            value: the stored state.
+            owner: the object that the state will be set to.
+            context: see `ReadContext`.
+
+        Raises:
+            UsageError: if a value is invalid; its text begins with the path of the field.
+        """
+        mapping = self.mapping_of(value, context)
+        state: State = {}
+        for entry in self.fields:
+            stored = mapping[entry.name]
+            if isinstance(stored, SameForAll):
+                stored = stored.value
+            state[entry.name] = with_path(entry.name, entry.type_for(owner).checker(context))(stored)
+        self.check_constraints(owner, state)
+        return state
+
+    def encode_state(self, state: State, owner: object, graph: "ObjectWriter") -> List[object]:
+        """Return the encoding of a state."""
+        pairs: List[object] = []
+        for entry in self.fields:
+            encode = entry.type_for(owner).encoder(graph)
+            value = state[entry.name]
+            pairs.append([entry.name, value if encode is None else encode(value)])
+        return pairs
+
+
+class StateOwner:
+    """Base class of objects with a state; its fields are attributes, properties with setters, or parts."""
+
+    __slots__ = ()
+
+    STATE = StateFields()
+
+    def snapshot(self) -> State:
+        """Return the state: the values of the declared fields by name."""
+        state: State = {}
+        for entry in self.STATE.fields:
+            value = getattr(self, entry.attribute)
+            state[entry.name] = value.snapshot() if entry.is_part and value is not None else value
+        return state
+
+    def restore(self, saved: State) -> None:
+        """Set the state that an equal object has returned from `snapshot`."""
+        for entry in self.STATE.fields:
+            value = saved[entry.name]
+            if not entry.is_part:
+                setattr(self, entry.attribute, value)
+            elif value is not None:
+                getattr(self, entry.attribute).restore(value)
+
+
+class part_state(FieldType):  # noqa: N801
+    """States of a part of an object; the type depends on the object.
+
+    Args:
+        part: the part.
+        check_item: check of the objects in its state, given the object and a channel; see `ReadContext.check_item`.
+    """
+
+    name = "the state of a part"
+
+    def __init__(self, part: StateOwner, check_item: Optional[Callable[[Untyped, int], None]] = None):
+        self._part = part
+        self._check_item = check_item
+
+    def checker(self, context: ReadContext) -> ValueCheck:
+        """See `FieldType.checker`."""
+        part = self._part
+        inner_context = context if self._check_item is None else context._replace(check_item=self._check_item)
+        return lambda value: part.STATE.check_state(value, part, inner_context)
+
+    def encoder(self, graph: "ObjectWriter") -> Encode:
+        """See `FieldType.encoder`."""
+        part = self._part
+        return lambda state: part.STATE.encode_state(state, part, graph)
+
+
+class states_of(FieldType):  # noqa: N801
+    """States of several objects, each with the name of its class.
+
+    Args:
+        owners: the objects, in order.
+        expected: text of the error if the classes are others.
+        title: returns the name of an object in error texts; by default its class.
+    """
+
+    name = "the states of several objects"
+
+    def __init__(
+        self,
+        owners: Sequence[StateOwner],
+        expected: str,
+        title: Callable[[Untyped], str] = lambda owner: type(owner).__name__,
+    ):
+        self._owners = owners
+        self._expected = expected
+        self._title = title
+
+    def checker(self, context: ReadContext) -> ValueCheck:
+        """See `FieldType.checker`."""
+
+        def check(value: object) -> List[State]:
+            named_states = _NAMED_STATES.check(value)
+            if [name for name, _ in named_states] != [type(owner).__name__ for owner in self._owners]:
+                raise UsageError(self._expected)
+            return [
+                with_path(self._title(owner), part_state(owner).checker(context))(state)
+                for owner, (_, state) in zip(self._owners, named_states)
+            ]
+
+        return check
+
+    def encoder(self, graph: "ObjectWriter") -> Encode:
+        """See `FieldType.encoder`."""
+        return lambda states: [
+            [type(owner).__name__, owner.STATE.encode_state(state, owner, graph)]
+            for owner, state in zip(self._owners, states)
+        ]
+
+
+_NAMED_STATES = sequence_of(tuple_of(TEXT, ANYTHING))
+_NO_PART = PlainType("nothing, because there is no such part", lambda value: None)
+
+
+class rows_of(FieldType, FieldList):  # noqa: N801
+    """Tables: sequences of named tuples, stored in columns.
+
+    Args:
+        row_class: class of the rows.
+        fields: type of each of its fields.
+    """
+
+    def __init__(self, row_class: Type[NamedTuple], **fields: FieldType):
+        FieldList.__init__(self, *(field(name, content) for name, content in fields.items()))
+        self.record_name = row_class.__name__
+        self.name = f"rows of {self.record_name}: ({', '.join(self.describe())})"
+        assert tuple(fields) == row_class._fields, row_class
+        self._make: Callable[..., Untyped] = row_class
+
+    def checker(self, context: ReadContext) -> ValueCheck:
+        """See `FieldType.checker`."""
+
+        def check(value: object) -> List[Untyped]:
+            row_count, stored = _TABLE.check(value)
+            mapping = self.mapping_of(stored, context)
+            columns: Dict[str, Sequence[Untyped]] = {}
+            # Columns of the file first: their lengths are checked before a value is repeated for an added field.
+            for entry in sorted(self.fields, key=lambda entry: isinstance(mapping[entry.name], SameForAll)):
+                content = entry.type_for(None)
+                columns[entry.name] = with_path(
+                    entry.name,
+                    lambda column, content=content: check_column(content, column, range(row_count), context),  # type: ignore[misc]
+                )(mapping[entry.name])
+            return list(map(self._make, *(columns[entry.name] for entry in self.fields)))
+
+        return check
+
+    def encoder(self, graph: "ObjectWriter") -> Encode:
+        """See `FieldType.encoder`."""
+
+        def encode(rows: Sequence[Untyped]) -> List[object]:
+            columns = list(zip(*rows)) if rows else [()] * len(self.fields)
+            return [
+                len(rows),
+                [
+                    [entry.name, entry.type_for(None).encode_column(graph, list(column))]
+                    for entry, column in zip(self.fields, columns)
+                ],
+            ]
+
+        return encode
+
+
+_TABLE = tuple_of(COUNT, ANYTHING)
+"""A table: number of rows, and columns."""
+
+
+class record_of(FieldType, FieldList):  # noqa: N801
+    """Named tuples, stored as mappings from names to values.
+
+    Args:
+        record_class: class of the record.
+        fields: type of each of its fields.
+    """
+
+    def __init__(self, record_class: Callable[..., Untyped], **fields: FieldType):
+        FieldList.__init__(self, *(field(name, content) for name, content in fields.items()))
+        self.record_name = record_class.__name__
+        self.name = f"{self.record_name}: ({', '.join(self.describe())})"
+        self._make = record_class
+
+    def checker(self, context: ReadContext) -> ValueCheck:
+        """See `FieldType.checker`."""
+        checks = [
+            (entry.name, with_path(entry.name, entry.type_for(None).checker(context)))
+            for entry in self.fields
+        ]
+
+        def check(value: object) -> Untyped:
+            mapping = self.mapping_of(value, context)
+            return self._make(
+                **{name: check_value(_unwrapped(mapping[name])) for name, check_value in checks}
+            )
+
+        return check
+
+    def encoder(self, graph: "ObjectWriter") -> Encode:
+        """See `FieldType.encoder`."""
+        encodings = [(entry.name, entry.type_for(None).encoder(graph)) for entry in self.fields]
+
+        def encode(record: Untyped) -> List[object]:
+            values = record if isinstance(record, dict) else record._asdict()
+            return [
+                [name, values[name] if encode is None else encode(values[name])] for name, encode in encodings
+            ]
+
+        return encode
+
+
+def _unwrapped(stored: object) -> object:
+    return stored.value if isinstance(stored, SameForAll) else stored
+
+
+KINDS: Dict[str, Tuple[Type[object], "ObjectFields"]] = {}
+"""Class and fields of each kind of object of a graph."""
+
+
+class ObjectFields(FieldList):
+    """Fields of the objects of a graph, which refer to each other in cycles; see `object_graph`.
+
+    Args:
+        kind: name of the kind.
+        declared: see `FieldList`. Constraints get the object, after the fields of all objects have been set. A field
+            whose type depends on its owner is set after the fields before it.
+        restored_kind: kind whose class restored objects have; by default the same.
+    """
+
+    def __init__(self, kind: str, *declared: Union[StoredField, Constraint], restored_kind: str = ""):
+        super().__init__(*declared)
+        self.kind = kind
+        self.restored_kind = restored_kind or kind
+
+    def __set_name__(self, owner: Type[object], name: str) -> None:
+        super().__set_name__(owner, name)
+        KINDS[self.kind] = owner, self
