@@ -10,7 +10,7 @@ omitted. Imports for annotations only (``if TYPE_CHECKING:``) are ignored.
 import ast
 from html import escape
 from pathlib import Path
-from typing import Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
+from typing import Dict, Iterable, Iterator, List, NamedTuple, Optional, Set, Tuple
 
 HERE = Path(__file__).resolve().parent
 SOURCE = HERE.parent / "src" / "retalis"
@@ -30,6 +30,7 @@ class Module:
         tree: its syntax tree.
         nodes: all nodes of the tree.
         imports: ``(module, name)`` of each import at run time, in functions too; name is None for whole modules.
+        annotation_imports: the same for imports that only annotations use (``if TYPE_CHECKING:``).
     """
 
     def __init__(self, path: Path):
@@ -40,10 +41,12 @@ class Module:
         self.package = ".".join(parts[:-1])
         self.tree = ast.parse(path.read_text(encoding="utf-8"))
         self.nodes = list(ast.walk(self.tree))
-        self.imports = list(self._imports())
+        nodes_at_run_time = list(_nodes_at_run_time(self.tree))
+        self.imports = list(self._imports(nodes_at_run_time))
+        self.annotation_imports = list(self._imports(set(self.nodes).difference(nodes_at_run_time)))
 
-    def _imports(self) -> Iterator[Tuple[str, Optional[str]]]:
-        for node in _nodes_at_run_time(self.tree):
+    def _imports(self, nodes: Iterable[ast.AST]) -> Iterator[Tuple[str, Optional[str]]]:
+        for node in nodes:
             if isinstance(node, ast.ImportFrom):
                 base = node.module or ""
                 if node.level:
@@ -56,9 +59,9 @@ class Module:
                 for alias in node.names:
                     yield alias.name, None
 
-    def own_imports(self) -> Iterator[str]:
-        """Yield the name of each imported module of ``retalis``."""
-        for base, name in self.imports:
+    def own_imports(self, for_annotations: bool = False) -> Iterator[str]:
+        """Yield the name of each module of ``retalis`` that is imported, at run time or for annotations only."""
+        for base, name in self.annotation_imports if for_annotations else self.imports:
             if base != "retalis" and not base.startswith("retalis."):
                 continue
             module = base[len("retalis.") :]

@@ -72,6 +72,20 @@ def test_packages_import_lower_packages_only(package):
     assert not upward_imports, "\n".join(upward_imports)
 
 
+@pytest.mark.parametrize("package", ORDER)
+def test_annotations_name_no_package_above(package):
+    """Within a top package, a part may refer to its owner in annotations; between top packages nothing refers up."""
+    upward_imports = [
+        f"{module.path}: {target}"
+        for module in MODULES.values()
+        if module.package == package
+        for target in module.own_imports(for_annotations=True)
+        if target.split(".")[0] != package.split(".")[0]
+        and MODULES[target].package not in ORDER[: ORDER.index(package)]
+    ]
+    assert not upward_imports, "\n".join(upward_imports)
+
+
 def test_imports_of_modules_have_no_cycle():
     imported = {module.name: set(module.own_imports()) - {module.name} for module in MODULES.values()}
     while True:

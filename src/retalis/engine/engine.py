@@ -42,10 +42,10 @@ from ..serialization.columns import decode_records
 from ..serialization.field_types import ReadContext
 from ..serialization.state_file_format import changes_since, pack_sections, unpack_sections
 from .deployment_contents import Deployment
-from .engine_parts import EngineParts, create_parts
+from .engine_parts import EngineParts
 from .engine_settings import Settings
 from .engine_snapshot import EngineSnapshot, convert_errors, create_clock, decode_sections, encode_state
-from .engine_status import DEFAULT_LISTING_LIMIT, Status
+from .engine_status import DEFAULT_LISTING_LIMIT, Status, StatusReader
 from .event_input import Subscribe
 from .hot_reload import NullReports, create_fixed_clock, create_trial_settings, reload_folder
 from .program_loader import load_folder
@@ -150,7 +150,7 @@ class Engine:
         reports: Optional[Reports] = None,
         definitions: Optional[Definitions] = None,
     ):
-        parts = self._parts = create_parts(
+        parts = self._parts = EngineParts(
             StreamClock(follows_events=True) if clock is None else clock,
             Settings() if settings is None else settings,
             Reports() if reports is None else reports,
@@ -165,13 +165,14 @@ class Engine:
         # Bound once, which saves an attribute access per event.
         self._dispatch_event = parts.event_input.dispatch_event
         self._dispatch_message = parts.event_input.dispatch_message
+        self._status_reader = StatusReader(parts)
         self._has_event_callbacks = False
         # After an error in a file, checks of the whole program would report the absence of its rules.
         self._is_program_complete = True
         self._foreign_sources: List[Tuple[object, ...]] = []
         """Arguments of the calls of `add_foreign`, which are repeated for a trial engine."""
         # The garbage collector counts the records as live heap, see `garbage_collection`.
-        count_records_of(parts.status_reader)
+        count_records_of(self._status_reader)
 
     # ---- loading -------------------------------------------------------------------------------------
 
@@ -590,7 +591,7 @@ class Engine:
         Args:
             most: limit for the listed rules, memories, subscriptions and queries; ``left_out`` counts the others.
         """
-        return self._parts.status_reader.read(most)
+        return self._status_reader.read(most)
 
     @property
     def dropped(self) -> int:

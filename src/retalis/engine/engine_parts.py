@@ -1,13 +1,8 @@
-"""Parts of an engine, and the order in which they are created.
-
-`create_parts` reads from top to bottom: each part is created from parts above it. Where a part reports to a later
-one, the later one adds a callback. The executor comes first, because the limits of goals are those of its units of
-work; what it restores after an error is added when it exists.
-"""
+"""Parts of an engine, in the order of their construction."""
 
 import os
 from functools import partial
-from typing import Any, Callable, Dict, List, NamedTuple, Optional
+from typing import Any, Callable, Dict, List, Optional
 
 from ..events.clock.clock import Clock
 from ..events.dispatch.dispatcher import Dispatcher
@@ -27,12 +22,11 @@ from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.types import Term
 from .deployment_contents import Deployment, LoadedProgram
 from .engine_settings import Settings
-from .engine_status import StatusReader, StatusSources
 from .event_input import EventInput, InputTopics, TextInput
 from .program_loader import ProgramLoader
 from .runtime.problem_reports import Reports
 from .runtime.serial_executor import EngineRecovery, SerialExecutor
-from .runtime.watchdog import Watchdog, start_watchdog
+from .runtime.watchdog import start_watchdog
 
 
 class UserCallbacks:
@@ -73,40 +67,6 @@ class UserCallbacks:
             self.call("a callback of on_output", callback, term, topic, name)
 
 
-class EngineParts(NamedTuple):
-    """Parts of an engine.
-
-    Attributes:
-        slots: slots of messages, and the types of event names.
-        deployments: deployments by the real path of the program's folder.
-        goals: calls goals outside of events.
-    """
-
-    settings: Settings
-    clock: Clock
-    reports: Reports
-    slots: SlotNames
-    executor: SerialExecutor
-    callbacks: UserCallbacks
-    logic: PrologSystem
-    dispatcher: Dispatcher
-    rules: RuleBase
-    knowledge: KnowledgeBase
-    event_input: EventInput
-    text_input: TextInput
-    input_topics: InputTopics
-    goals: "GoalCalls"
-    loader: ProgramLoader
-    deployments: Dict[str, Deployment]
-    status_reader: StatusReader
-    watchdog: Watchdog
-
-    @property
-    def program(self) -> LoadedProgram:
-        """The program."""
-        return LoadedProgram(self.logic, self.rules, self.knowledge)
-
-
 class GoalCalls:
     """Calls of goals outside of events."""
 
@@ -133,98 +93,82 @@ class GoalCalls:
         return self._dispatcher.run_restoring_context(lambda: self.call_once(goal))
 
 
-def create_parts(
-    clock: Clock, settings: Settings, reports: Reports, definitions: Optional[Definitions]
-) -> EngineParts:
-    """Create the parts of an engine; arguments are those of `Engine`."""
-    executor = SerialExecutor(
-        settings.queue, partial(_report_drop, reports), reports.error, callback_timeout=settings.patience
-    )
-    callbacks = UserCallbacks(executor, reports)
-    files = SourceFiles()
-    files.sandbox.allow(settings.folders, settings.write_folders, settings.max_file_megabytes * MEGABYTE)
-    slots = SlotNames(definitions)
-    logic = PrologSystem(
-        Operators.prolog(slots),
-        limits=settings.limits,
-        executor=executor,
-        now=clock.now,
-        files=files,
-        # Python modules can read the environment anyway, so goals may read it, too.
-        environment=os.environ if settings.allow_foreign else None,
-        allow_flags=settings.allow_flags,
-    )
-    dispatcher = Dispatcher(logic, max_depth=settings.max_depth)
-    rules = RuleBase(
-        logic,
-        dispatcher,
-        clock,
-        files,
-        on_error=reports.error,
-        on_warning=reports.warning,
-        is_external_event=lambda key: key in OWN_EVENTS or key.name in slots.events,
-    )
-    knowledge = KnowledgeBase(
-        logic,
-        dispatcher,
-        clock,
-        callbacks.pass_output,
-        reports.warning,
-        rules,
-        buffer=settings.transform_buffer(settings.tf_cache),
-    )
-    executor.add_recovery(EngineRecovery(logic, dispatcher, rules, knowledge))
-    rules.flags.on_numeric_change("max_gap", knowledge.gaps.set_limit)
-    _set_default_flags(rules.flags, settings)
-    watchdog = start_watchdog(executor, logic, dispatcher, reports, settings.watchdog)
-    goals = GoalCalls(logic, dispatcher)
-    event_input = EventInput(logic, dispatcher, clock, rules, knowledge, executor.report_isolated_error)
-    text_input = TextInput(
-        logic.operators,
-        event_input.dispatch_event,
-        goals.call_restoring_context if settings.allow_goals else None,
-        reports,
-        rules.declared_events,
-    )
-    input_topics = InputTopics(logic, slots, reports)
-    loader = ProgramLoader(logic, rules, executor, dispatcher, settings.limit_start, goals.call_once)
-    status_reader = StatusReader(
-        StatusSources(
+class EngineParts:
+    """Parts of an engine. Arguments are those of `Engine`.
+
+    The constructor reads from top to bottom: each part is created from parts above it. Where a part reports to a
+    later one, the later one adds a callback. The executor comes first, because the limits of goals are those of its
+    units of work; what it restores after an error is added when it exists.
+
+    Attributes:
+        slots: slots of messages, and the types of event names.
+        goals: calls goals outside of events.
+        program: predicates, rules and knowledge.
+        deployments: deployments by the real path of the program's folder.
+    """
+
+    def __init__(
+        self, clock: Clock, settings: Settings, reports: Reports, definitions: Optional[Definitions]
+    ):
+        self.clock, self.settings, self.reports = clock, settings, reports
+        self.executor = executor = SerialExecutor(
+            settings.queue, partial(_report_drop, reports), reports.error, callback_timeout=settings.patience
+        )
+        self.callbacks = callbacks = UserCallbacks(executor, reports)
+        files = SourceFiles()
+        files.sandbox.allow(settings.folders, settings.write_folders, settings.max_file_megabytes * MEGABYTE)
+        self.slots = slots = SlotNames(definitions)
+        self.logic = logic = PrologSystem(
+            Operators.prolog(slots),
+            limits=settings.limits,
+            executor=executor,
+            now=clock.now,
+            files=files,
+            # Python modules can read the environment anyway, so goals may read it, too.
+            environment=os.environ if settings.allow_foreign else None,
+            allow_flags=settings.allow_flags,
+        )
+        self.dispatcher = dispatcher = Dispatcher(logic, max_depth=settings.max_depth)
+        self.rules = rules = RuleBase(
             logic,
             dispatcher,
-            rules,
-            knowledge,
             clock,
-            reports,
-            executor,
-            watchdog,
-            event_input,
-            settings.queue,
+            files,
+            on_error=reports.error,
+            on_warning=reports.warning,
+            is_external_event=lambda key: key in OWN_EVENTS or key.name in slots.events,
         )
-    )
-    define_new_event(logic, dispatcher)
-    define_use_foreign(logic, executor, files, settings.allow_foreign)
-    define_use_swi(logic, files, settings.allow_swi, reports.warning)
-    return EngineParts(
-        settings,
-        clock,
-        reports,
-        slots,
-        executor,
-        callbacks,
-        logic,
-        dispatcher,
-        rules,
-        knowledge,
-        event_input,
-        text_input,
-        input_topics,
-        goals,
-        loader,
-        {},
-        status_reader,
-        watchdog,
-    )
+        self.knowledge = knowledge = KnowledgeBase(
+            logic,
+            dispatcher,
+            clock,
+            callbacks.pass_output,
+            reports.warning,
+            rules,
+            buffer=settings.transform_buffer(settings.tf_cache),
+        )
+        executor.add_recovery(EngineRecovery(logic, dispatcher, rules, knowledge))
+        rules.flags.on_numeric_change("max_gap", knowledge.gaps.set_limit)
+        _set_default_flags(rules.flags, settings)
+        self.watchdog = start_watchdog(executor, logic, dispatcher, reports, settings.watchdog)
+        self.goals = goals = GoalCalls(logic, dispatcher)
+        self.event_input = event_input = EventInput(
+            logic, dispatcher, clock, rules, knowledge, executor.report_isolated_error
+        )
+        self.text_input = TextInput(
+            logic.operators,
+            event_input.dispatch_event,
+            goals.call_restoring_context if settings.allow_goals else None,
+            reports,
+            rules.declared_events,
+        )
+        self.input_topics = InputTopics(logic, slots, reports)
+        self.loader = ProgramLoader(logic, rules, executor, dispatcher, settings.limit_start, goals.call_once)
+        self.program = LoadedProgram(logic, rules, knowledge)
+        self.deployments: Dict[str, Deployment] = {}
+        define_new_event(logic, dispatcher)
+        define_use_foreign(logic, executor, files, settings.allow_foreign)
+        define_use_swi(logic, files, settings.allow_swi, reports.warning)
 
 
 def _set_default_flags(flags: Flags, settings: Settings) -> None:

@@ -9,19 +9,15 @@ import time
 from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, TypeVar, Union
 
 from ..events.clock.clock import Clock
-from ..events.dispatch.dispatcher import Dispatcher
 from ..events.knowledge.knowledge_base import KnowledgeBase
 from ..events.knowledge.pending_queries import AwaitedSource
 from ..events.knowledge.transform_predicates import AwaitedTransform, Transforms
 from ..events.rules.rule_base import RuleBase
 from ..events.rules.timer_service import FIRST_INSTANT
 from ..foundation.errors import shorten
-from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.types import Term, Var, deref
-from .event_input import EventInput
-from .runtime.problem_reports import Reports
-from .runtime.serial_executor import SerialExecutor
-from .runtime.watchdog import Watchdog, describe_work
+from .engine_parts import EngineParts
+from .runtime.watchdog import describe_work
 
 DEFAULT_LISTING_LIMIT = 100
 """Default limit for the listed rules, memories, subscriptions and queries."""
@@ -343,33 +339,14 @@ _CachedTexts = Dict[int, Tuple[Term, str]]
 """Texts of terms by the id of the term; the entry keeps the term, so that its id is not reused."""
 
 
-class StatusSources(NamedTuple):
-    """The components of an engine that the status is read from.
-
-    Attributes:
-        queue: maximum number of queued events.
-    """
-
-    logic: PrologSystem
-    dispatcher: Dispatcher
-    rules: RuleBase
-    knowledge: KnowledgeBase
-    clock: Clock
-    reports: Reports
-    executor: SerialExecutor
-    watchdog: Watchdog
-    event_input: EventInput
-    queue: int
-
-
 class StatusReader:
     """Reads the status of an engine from any thread.
 
     Texts of rules and patterns are cached between calls, as long as their items are listed.
     """
 
-    def __init__(self, sources: StatusSources):
-        self._sources = sources
+    def __init__(self, parts: EngineParts):
+        self._parts = parts
         self._texts: _CachedTexts = {}
 
     def read(self, limit: int) -> Status:
@@ -378,66 +355,64 @@ class StatusReader:
         Args:
             limit: limit for the listed items of each kind.
         """
-        sources = self._sources
+        parts = self._parts
         texts: _CachedTexts = {}
         format_term = self._make_term_formatter(texts)
-        format_brief = sources.logic.brief
-        rules, omitted_rules = _list_rules(sources.rules, format_term, format_brief, limit)
-        memories, omitted_memories = _list_memories(sources.knowledge, format_term, format_brief, limit)
+        format_brief = parts.logic.brief
+        rules, omitted_rules = _list_rules(parts.rules, format_term, format_brief, limit)
+        memories, omitted_memories = _list_memories(parts.knowledge, format_term, format_brief, limit)
         subscriptions, omitted_subscriptions = _list_subscriptions(
-            sources.knowledge, format_term, format_brief, limit
+            parts.knowledge, format_term, format_brief, limit
         )
-        waiting, omitted_queries = _list_queries(sources.knowledge, format_brief, limit)
+        waiting, omitted_queries = _list_queries(parts.knowledge, format_brief, limit)
         # Replaced and not extended, so that texts of deleted rules are not kept.
         self._texts = texts
         return Status(
-            now=int(sources.clock.present()),
-            taken=sources.event_input.event_count,
-            fired=sources.rules.fired,
-            queued=len(sources.executor),
-            queue=sources.queue,
-            callers=sources.executor.callers,
-            dropped=sources.executor.dropped,
-            errors=sources.reports.errors,
-            warnings=sources.reports.warnings,
-            matches=sources.rules.match_count,
-            alarms=len(sources.clock.alarms),
-            next_alarm=_find_next_alarm(sources.clock),
+            now=int(parts.clock.present()),
+            taken=parts.event_input.event_count,
+            fired=parts.rules.fired,
+            queued=len(parts.executor),
+            queue=parts.settings.queue,
+            callers=parts.executor.callers,
+            dropped=parts.executor.dropped,
+            errors=parts.reports.errors,
+            warnings=parts.reports.warnings,
+            matches=parts.rules.match_count,
+            alarms=len(parts.clock.alarms),
+            next_alarm=_find_next_alarm(parts.clock),
             work=self._read_work(),
             rules=rules,
             memories=memories,
             subscriptions=subscriptions,
             waiting=waiting,
             left_out=LeftOut(omitted_rules, omitted_memories, omitted_subscriptions, omitted_queries),
-            transforms=_read_transforms(sources.knowledge.transforms),
+            transforms=_read_transforms(parts.knowledge.transforms),
             lags=tuple(
-                [LagStatus(str(functor), lag) for functor, lag in sources.rules.watermarks.lags()][:limit]
+                [LagStatus(str(functor), lag) for functor, lag in parts.rules.watermarks.lags()][:limit]
             ),
-            ahead=sources.event_input.far_ahead_count,
+            ahead=parts.event_input.far_ahead_count,
         )
 
     def count_records(self) -> int:
         """Return the number of partial matches and of records in memories."""
         # Called during garbage collections, so it adds up counters and does not visit records. A memory removes old
         # records in blocks, so `ends` can be longer than `size`.
-        memories = [instance.memory for instance in list(self._sources.knowledge.memories)]
-        return self._sources.rules.match_count + sum(
-            min(len(memory.ends), memory.size) for memory in memories
-        )
+        memories = [instance.memory for instance in list(self._parts.knowledge.memories)]
+        return self._parts.rules.match_count + sum(min(len(memory.ends), memory.size) for memory in memories)
 
     def _read_work(self) -> Optional[Work]:
         # The watchdog keeps the start time of the entry, which the engine itself does not record.
-        running = self._sources.watchdog.find_running_entry(time.monotonic())
+        running = self._parts.watchdog.find_running_entry(time.monotonic())
         if running is None:
             return None
         entry, seconds = running
-        work = describe_work(self._sources.logic, self._sources.dispatcher, entry)
+        work = describe_work(self._parts.logic, self._parts.dispatcher, entry)
         place = "" if work.place is None else str(work.place)
         return Work(work.entry, round(seconds, 3), work.goal, work.event, place)
 
     def _make_term_formatter(self, texts: _CachedTexts) -> _FormatTerm:
         """Return a function that converts terms to text with a cache, and stores the used texts in ``texts``."""
-        cached_texts, format_brief = self._texts, self._sources.logic.brief
+        cached_texts, format_brief = self._texts, self._parts.logic.brief
 
         def format_term(term: Term, names: Optional[Mapping[Var, str]] = None) -> str:
             key = id(term)
