@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Attacks on the ports of live nodes from the loopback address: malformed XML-RPC requests and large service calls.
+"""Attacks on the ports of running nodes from the loopback address: malformed XML-RPC requests, large service calls.
 
 rostest retalis attacks.test requests:=20000 seed:=2 characters:=10000000
 """
@@ -28,16 +28,16 @@ from retalis import srv  # noqa: E402
 HOST = "127.0.0.1"
 NODES = ("/retalis", "/retalis_ros_interface")
 
-PAUSE = 0.05
+PAUSE_SECONDS = 0.05
 """Seconds between two calls of other clients during a large service call."""
 
-ANSWERED = 10.0
+ANSWER_TIMEOUT_SECONDS = 10.0
 """Seconds after which a call has failed."""
 
-GROWTH = 30 << 10
+MAX_GROWTH_KILOBYTES = 30 << 10
 """kB by which a node may grow in an attack."""
 
-LARGE_ANSWERED = 60.0
+LARGE_ANSWER_TIMEOUT_SECONDS = 60.0
 """Seconds after which a service call with large texts has failed."""
 
 
@@ -92,10 +92,10 @@ METHODS = (
     "reg_man.cleanup",
     "",
 )
-"""All of the slave API but ``shutdown``, which ends the node, as it is meant to."""
+"""Methods of the slave API without ``shutdown``, which ends the node by design."""
 
-NOBODY = f"http://{HOST}:1/"
-"""The URI of a publisher that does not answer: the node may try to connect to it."""
+UNREACHABLE_URI = f"http://{HOST}:1/"
+"""URI of a publisher that does not answer; the node may try to connect to it."""
 
 
 def value(chance, depth=0):
@@ -103,14 +103,16 @@ def value(chance, depth=0):
     deeper = depth < 5
     return chance.choice(
         (
-            lambda: chance.choice(("", "/tf", "/fuzz", "/retalisInputEvents", "é\0", "x" * 10_000, NOBODY)),
+            lambda: chance.choice(
+                ("", "/tf", "/fuzz", "/retalisInputEvents", "é\0", "x" * 10_000, UNREACHABLE_URI)
+            ),
             lambda: chance.choice((0, -1, 2**31 - 1, True)),
             lambda: chance.choice((0.5, float("nan"), 1e300)),
             lambda: Binary(b"\0\xff"),
             lambda: None,
             lambda: [value(chance, depth + 1) for _ in range(chance.randrange(4))] if deeper else [],
             lambda: {"k": value(chance, depth + 1)} if deeper else {},
-            lambda: [NOBODY] * chance.choice((1, 2, 20)),
+            lambda: [UNREACHABLE_URI] * chance.choice((1, 2, 20)),
             lambda: [["TCPROS"]],
             lambda: [[], "TCPROS", 1],
         )
@@ -126,16 +128,16 @@ def request(chance):
 
 
 VALID = [
-    dumps(("/attacks", "/nobody", [NOBODY]), "publisherUpdate").encode(),
+    dumps(("/attacks", "/nobody", [UNREACHABLE_URI]), "publisherUpdate").encode(),
     dumps(("/attacks", "/nobody", [["TCPROS"]]), "requestTopic").encode(),
     dumps(("/attacks", "/nobody", {"a": [1, 2.5, "x"]}), "paramUpdate").encode(),
     dumps(("/attacks",), "getBusInfo").encode(),
 ]
-"""Requests to be damaged: their topic has no subscriber, so no damaged address is connected to."""
+"""Requests to damage: their topic has no subscriber, so that the node connects to no damaged address."""
 
 NESTED = b"<value><array><data>" * 5_000
 
-WHOLE = (
+FIXED_BODIES = (
     b"",
     b"\0" * 1000,
     b"<" * 100_000,
@@ -160,22 +162,22 @@ class Attacks(unittest.TestCase):
         wait_until(cls.log.is_connected, "the nodes' log")
         cls.nodes = [Node(name) for name in NODES]
 
-    def assert_flat(self, node, before, what):
-        """Wait until a node has the threads and files that it had, and print what it has."""
+    def assert_flat(self, node, before, attack):
+        """Wait until a node has the previous numbers of threads and files, and log them."""
 
-        def few():
+        def is_flat():
             _, threads, files = usage(node.pid)
             return threads <= before[1] + 5 and files <= before[2] + 5
 
-        wait_until(few, f"the threads and files of {node.name} to go after {what}", pause=0.1)
-        rospy.loginfo(f"{node.name}: {what}: kB, threads, files: {before} before, {usage(node.pid)} after")
+        wait_until(is_flat, f"the end of threads and files of {node.name} after {attack}", pause=0.1)
+        rospy.loginfo(f"{node.name}: {attack}: kB, threads, files: {before} before, {usage(node.pid)} after")
 
-    def test_xmlrpc(self):
+    def test_malformed_xmlrpc_requests_are_refused(self):
         for node in self.nodes:
             chance = random.Random(f"xmlrpc {self.seed} {node.name}")
             before = usage(node.pid)
             slowest = 0.0
-            bodies = [*WHOLE]
+            bodies = [*FIXED_BODIES]
             for number in range(self.requests):
                 if number >= len(bodies):
                     body = (
@@ -191,20 +193,20 @@ class Attacks(unittest.TestCase):
                 if number % 100 == 0:
                     node.ask_api()
                     node.call()
-            self.assertLess(usage(node.pid)[0] - before[0], GROWTH, node.name)
+            self.assertLess(usage(node.pid)[0] - before[0], MAX_GROWTH_KILOBYTES, node.name)
             self.assert_flat(node, before, f"{self.requests} XML-RPC requests, the slowest {slowest:.3f} s")
 
     def post(self, node, body):
-        connection = HTTPConnection(HOST, node.api, timeout=ANSWERED)
+        connection = HTTPConnection(HOST, node.api, timeout=ANSWER_TIMEOUT_SECONDS)
         try:
             connection.request("POST", "/RPC2", body, {"Content-Type": "text/xml"})
             self.assertIn(connection.getresponse().status, (200, 400, 413, 500), body[:500])
         except (HTTPException, ConnectionError):
-            pass  # closed in the middle of a request that is refused
+            pass  # the node closes the connection of a refused request
         finally:
             connection.close()
 
-    def test_services_with_large_texts(self):
+    def test_large_service_calls_are_answered(self):
         size = self.characters
         texts = (size * "a", size * "(", "'" + size * "a", "[" + "1," * (size // 2) + "1]")
         names = {
@@ -223,52 +225,52 @@ class Attacks(unittest.TestCase):
         self.call_all_large(names, texts)
         settled = [usage(node.pid) for node in self.nodes]
         self.call_all_large(names, texts)
-        for node, then, at_first in zip(self.nodes, settled, before):
+        for node, settled_usage, first_usage in zip(self.nodes, settled, before):
             node.call()
-            self.assertLess(usage(node.pid)[0] - then[0], GROWTH, node.name)
-            self.assert_flat(node, at_first, f"services with {size} characters")
-        self.assertEqual((), self.wrong)
+            self.assertLess(usage(node.pid)[0] - settled_usage[0], MAX_GROWTH_KILOBYTES, node.name)
+            self.assert_flat(node, first_usage, f"services with {size} characters")
+        self.assertEqual((), self.invalid_answers)
 
     def call_all_large(self, names, texts):
-        """Call each service with each text, and see how long others wait meanwhile."""
+        """Call each service with each text, and measure the waits of other calls meanwhile."""
         for name, fields in names.items():
-            kind = getattr(srv, "".join(word.capitalize() for word in name.rpartition("/")[2].split("_")))
-            proxy = wait_for_service(name, kind)
+            class_name = "".join(word.capitalize() for word in name.rpartition("/")[2].split("_"))
+            proxy = wait_for_service(name, getattr(srv, class_name))
             for text in texts:
                 call = threading.Thread(target=self.call_large, args=(name, proxy, fields(text)), daemon=True)
                 began, waits = time.monotonic(), []
                 call.start()
                 while call.is_alive():
-                    self.assertLess(time.monotonic() - began, LARGE_ANSWERED, (name, text[:10]))
+                    self.assertLess(time.monotonic() - began, LARGE_ANSWER_TIMEOUT_SECONDS, (name, text[:10]))
                     for node in self.nodes:
-                        asked = time.monotonic()
+                        call_start = time.monotonic()
                         node.ask_api()
-                        waits.append(time.monotonic() - asked)
-                    call.join(PAUSE)
-                took = time.monotonic() - began
+                        waits.append(time.monotonic() - call_start)
+                    call.join(PAUSE_SECONDS)
+                duration = time.monotonic() - began
                 rospy.loginfo(
-                    f"{name} {text[:3]}: {took:.2f} s, others up to {max(waits, default=0.0):.2f} s"
+                    f"{name} {text[:3]}: {duration:.2f} s, others up to {max(waits, default=0.0):.2f} s"
                 )
-                self.assertLess(max(waits, default=0.0), ANSWERED, (name, text[:10]))
+                self.assertLess(max(waits, default=0.0), ANSWER_TIMEOUT_SECONDS, (name, text[:10]))
 
-    wrong = ()
+    invalid_answers = ()
 
     def call_large(self, name, proxy, fields):
-        """Call a service; its answer has to be an error, or "ok" for what is long and right."""
+        """Call a service; its answer must be an error, or "ok" for a valid text."""
         try:
             result = proxy(*fields).result
         except (rospy.ServiceException, Fault, Error) as error:
             result = f"exception: {error}"
         if not result.startswith(("error: ", "ok")) or len(result) > 20_000:
-            type(self).wrong = (*self.wrong, (name, result[:500]))
+            type(self).invalid_answers = (*self.invalid_answers, (name, result[:500]))
 
     def tearDown(self):
         for node in self.nodes:
             node.call()
             with node.proxy() as proxy:
                 self.assertEqual(proxy.getPid("/attacks")[2], node.pid)
-        traces = [one.msg for one in self.log.messages if "internal error" in one.msg]
-        self.assertEqual(traces, [])
+        errors = [record.msg for record in self.log.messages if "internal error" in record.msg]
+        self.assertEqual(errors, [])
 
 
 if __name__ == "__main__":

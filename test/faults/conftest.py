@@ -1,4 +1,4 @@
-"""The workspace's space of the sources, as the tests on ROS have it."""
+"""Fixtures of the tests on ROS: a port and the devel space of the workspace."""
 
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path

@@ -1,57 +1,58 @@
-"""What the nodes say on /diagnostics that they have dropped, and during which part of the stream."""
+"""Numbers of dropped messages on /diagnostics, with the parts of the stream in which they are dropped."""
 
-from typing import Dict, NamedTuple, Tuple
+from typing import Dict, List, NamedTuple, Tuple
 
 COUNTERS = ("dropped", "refused", "missing", "dropped events")
 """The values of a status that count messages or events."""
 
-APART = "input /camera", "input /input_"
-"""The beginnings of statuses of topics that no pose needs."""
+IGNORED_STATUSES = "input /camera", "input /input_"
+"""Beginnings of statuses of topics that no pose needs."""
 
 
 class Drop(NamedTuple):
-    """A counter that has grown.
+    """A growth of a counter.
 
     Attributes:
-        what: the node and the status.
-        number: by how many.
-        first: the stream's stamp, in seconds, before which nothing of what was dropped was sent.
-        last: the one after which nothing of it was.
+        status: the node and the status.
+        number: the growth.
+        first: earliest stamp of a dropped message in the stream, in seconds.
+        last: latest stamp of a dropped message.
     """
 
-    what: str
+    status: str
     number: int
     first: float
     last: float
 
 
 class Drops:
-    """Follows the counters of the nodes, over all their lives.
+    """The counters of the nodes, including their restarts.
 
-    What is dropped between two looks had not come through at the first of them: there is where a `Drop` begins.
+    A message that is dropped between two messages of /diagnostics has no pose at the first of them, so that a `Drop`
+    begins there.
 
     Attributes:
-        found: each growth of a counter.
-        looks: how often each node has told.
+        growths: each growth of a counter.
+        report_counts: the number of messages of each node.
     """
 
     def __init__(self) -> None:
-        self.found = []
-        self.looks: Dict[str, int] = {}
+        self.growths: List[Drop] = []
+        self.report_counts: Dict[str, int] = {}
         self._counts: Dict[Tuple[str, str], int] = {}
         self._through: Dict[str, float] = {}
 
     @property
     def total(self) -> int:
-        return sum(one.number for one in self.found)
+        return sum(drop.number for drop in self.growths)
 
-    def take(self, stamp: float, through: float, statuses) -> None:
-        """Take the statuses of a message.
+    def add(self, stamp: float, through: float, statuses) -> None:
+        """Add the statuses of a message.
 
         Args:
-            stamp: what is sent now.
-            through: up to where poses have come.
-            statuses: of each, its name and pairs of keys and values.
+            stamp: the stamp that is sent now.
+            through: the newest stamp of a received pose.
+            statuses: the name of each status, and its pairs of keys and values.
         """
         nodes = set()
         for name, values in statuses:
@@ -61,14 +62,14 @@ class Drops:
                 if key in COUNTERS:
                     self._count(stamp, node, name, key, int(value))
         for node in nodes:
-            self.looks[node] = self.looks.get(node, 0) + 1
+            self.report_counts[node] = self.report_counts.get(node, 0) + 1
             self._through[node] = through
 
     def _count(self, stamp: float, node: str, name: str, key: str, value: int) -> None:
-        if name[len(node) + 2 :].startswith(APART):
+        if name[len(node) + 2 :].startswith(IGNORED_STATUSES):
             return
         before = self._counts.get((name, key), 0)
         self._counts[name, key] = value
-        grown = value - before if value >= before else value  # smaller: the node or the topic is a new one
-        if grown:
-            self.found.append(Drop(name, grown, self._through.get(node, 0.0), stamp))
+        growth = value - before if value >= before else value  # smaller: the node or the topic is restarted
+        if growth:
+            self.growths.append(Drop(name, growth, self._through.get(node, 0.0), stamp))

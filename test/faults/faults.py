@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""What goes wrong on a robot, to live nodes: receivers that stop, bursts, publishers that change their type."""
+"""Faults of other nodes: receivers that stop, bursts, and publishers that change the type of a topic."""
 
 import signal
 import subprocess
@@ -20,15 +20,15 @@ from harness import DEFINITIONS, Collector, RawPublisher, wait_for_message_path,
 
 from retalis import srv  # noqa: E402
 
-BURST = 50_000
-LONG = 2000
-"""Characters of a text of which few fit into a connection."""
+BURST_MESSAGES = 50_000
+TEXT_CHARACTERS = 2000
+"""Length of a text: the buffers of a connection hold few of them."""
 
-TEXTS = 8000
-"""More of them than the connection and the queue (5,000) for a receiver hold."""
+TEXT_COUNT = 8000
+"""Number of texts: more than the connection and the queue (5,000) of a receiver hold."""
 
-GROWTH = 60 << 10
-"""kB by which a node may grow for what it keeps for a receiver that has stopped."""
+MAX_GROWTH_KILOBYTES = 60 << 10
+"""kB by which a node may grow for the queue of a stopped receiver."""
 
 LISTENER = """
 import rospy
@@ -53,8 +53,8 @@ def resident(name):
     return int(Path(f"/proc/{pid}/status").read_text().split("VmRSS:")[1].split()[0])
 
 
-def received(topic):
-    """Return how many messages of a topic node retalis has received."""
+def received_count(topic):
+    """Return the number of messages of a topic that node retalis has received."""
     links = dict(node("/retalis").getBusStats("/faults")[2][1])[topic]
     return sum(link[2] for link in links)
 
@@ -84,7 +84,7 @@ class Faults(unittest.TestCase):
         self.assertEqual(added.result, "ok")
         self.addCleanup(self.unsubscribe, "face_by_marker", key)
 
-    def test_a_receiver_that_stops_holds_up_nobody(self):
+    def test_stopped_receiver_does_not_block_others(self):
         texts = self.input("before_stop")
         self.output("X", "all")
         other = Collector("face_by_marker", String)
@@ -96,21 +96,21 @@ class Faults(unittest.TestCase):
                 wait_until(lambda: self.listeners() == 2, "the one that will stop")
                 listener.send_signal(signal.SIGSTOP)
                 before = resident("/retalis_ros_interface")
-                sent = [f"{number} ".ljust(LONG, "x") for number in range(TEXTS)]
-                for text in sent:
-                    texts.publish(encoded(text))
-                other.wait_for(lambda found: len(found) >= TEXTS, "all texts")
-                self.assertEqual([message.data for message in other.messages], sent)
-                self.assertLess(resident("/retalis_ros_interface") - before, GROWTH)
-                self.reported("does not keep up with topic /face_by_marker")
+                expected = [f"{number} ".ljust(TEXT_CHARACTERS, "x") for number in range(TEXT_COUNT)]
+                for text in expected:
+                    texts.publish(encode(text))
+                other.wait_for(lambda messages: len(messages) >= TEXT_COUNT, "all texts")
+                self.assertEqual([message.data for message in other.messages], expected)
+                self.assertLess(resident("/retalis_ros_interface") - before, MAX_GROWTH_KILOBYTES)
+                self.wait_for_report("does not keep up with topic /face_by_marker")
                 listener.send_signal(signal.SIGCONT)
-                texts.publish(encoded("the last"))
+                texts.publish(encode("the last"))
                 self.assertEqual(listener.stdout.readline(), "the last\n")
             finally:
                 listener.kill()
         other.close()
 
-    def test_a_burst_arrives_whole_and_in_order(self):
+    def test_burst_is_complete(self):
         texts = self.input("burst")
         self.output("'\"last\"'", "last")
         last = Collector("face_by_marker", String)
@@ -118,57 +118,63 @@ class Faults(unittest.TestCase):
         wait_until(
             lambda: "/retalisInputEvents" in dict(node("/retalis").getBusStats("/faults")[2][1]), "texts"
         )
-        before = received("/retalisInputEvents")
-        frame = framed("burst")
+        before = received_count("/retalisInputEvents")
+        frame = frame_of("burst")
         (link,) = texts.publisher.impl.connections
-        for _ in range(BURST // 1000):
+        for _ in range(BURST_MESSAGES // 1000):
             getattr(link, "_connection", link).socket.sendall(frame * 1000)
-        texts.publish(encoded("last"))
-        last.wait_for(lambda found: found, "the end of the burst")
-        wait_until(lambda: received("/retalisInputEvents") - before > BURST, "all that was counted")
+        texts.publish(encode("last"))
+        last.wait_for(lambda messages: messages, "the end of the burst")
+        wait_until(
+            lambda: received_count("/retalisInputEvents") - before > BURST_MESSAGES, "all that was counted"
+        )
         last.close()
 
-    def test_publishers_that_change_the_type_of_a_topic(self):
+    def test_changed_type_of_topic_is_refused_and_restored(self):
         self.assertEqual(self.add_input("changing", "std_msgs/String").result, "ok")
         self.output("X", "changing")
-        back = Collector("face_by_marker", String)
-        wait_until(back.is_connected, "the receiver")
+        outputs = Collector("face_by_marker", String)
+        wait_until(outputs.is_connected, "the receiver")
         numbers = DEFINITIONS.find("std_msgs/Int32")
         for turn in range(3):
-            wrong = self.published("changing", numbers)
-            for _ in range(2**turn // 2 or 1):  # reports come the 1st, 2nd and 4th time
-                wrong.publish(pack("<i", turn))
-            self.reported("topic /changing: ", "a message of /faults is dropped")
-            wrong.publisher.unregister()
-            right = self.published("changing", self.strings)
-            right.publish(encoded(f"turn {turn}"))
-            back.wait_for(lambda found: found[-1:] and found[-1].data == f"turn {turn}", "the text")  # noqa: B023
-            right.publisher.unregister()
-        back.close()
+            number_publisher = self.make_publisher("changing", numbers)
+            for _ in range(2**turn // 2 or 1):  # the 1st, 2nd and 4th occurrence are reported
+                number_publisher.publish(pack("<i", turn))
+            self.wait_for_report("topic /changing: ", "a message of /faults is dropped")
+            number_publisher.publisher.unregister()
+            text_publisher = self.make_publisher("changing", self.strings)
+            text = f"turn {turn}"
+            text_publisher.publish(encode(text))
+            outputs.wait_for(
+                lambda messages, text=text: messages[-1:] and messages[-1].data == text, "the text"
+            )
+            text_publisher.publisher.unregister()
+        outputs.close()
 
-    def published(self, topic, definition):
+    def make_publisher(self, topic, definition):
         publisher = RawPublisher(topic, definition)
         wait_until(publisher.is_connected, f"a subscriber of {topic}")
         return publisher
 
     def listeners(self):
-        found = node("/retalis_ros_interface").getBusStats("/faults")[2][0]
-        return sum(len(links) for topic, _, links in found if topic == "/face_by_marker")
+        statistics = node("/retalis_ros_interface").getBusStats("/faults")[2][0]
+        return sum(len(links) for topic, _, links in statistics if topic == "/face_by_marker")
 
-    def reported(self, *parts):
-        """Wait until a report has all these parts, and forget it."""
+    def wait_for_report(self, *parts):
+        """Wait for a report with all parts, and delete it."""
         self.log.wait_for(
-            lambda found: any(all(part in one.msg for part in parts) for one in found), f"a report: {parts}"
+            lambda records: any(all(part in record.msg for part in parts) for record in records),
+            f"a report: {parts}",
         )
         del self.log.messages[:]
 
 
-def encoded(text):
+def encode(text):
     return pack("<I", len(text)) + text.encode()
 
 
-def framed(text):
-    data = encoded(text)
+def frame_of(text):
+    data = encode(text)
     return pack("<I", len(data)) + data
 
 

@@ -1,4 +1,4 @@
-"""The NAO's messages without an end: a bag again and again, its stamps moved on each time; images beside it."""
+"""Endless messages of the NAO: a bag that is repeated with later stamps, and images."""
 
 import struct
 import threading
@@ -12,34 +12,35 @@ from make_bag import START, make_bag
 
 from retalis import BagReader, Playback
 
-SECONDS = 20
+BAG_SECONDS = 20
 """Length of the bag."""
 
-TICK = 0.002
+MIN_PAUSE_SECONDS = 0.002
 
-HELD = 15.0
-"""Seconds that messages wait in queues and connections at most; what is dropped later has no excuse."""
+MAX_QUEUE_SECONDS = 15.0
+"""Maximum time of messages in queues and connections; later drops do not excuse a missing pose."""
 
-RECONNECT = 0.2
-"""Seconds from one look to the next who is connected."""
+CONNECTION_CHECK_SECONDS = 0.2
+"""Time between two checks of the connections."""
 
 
 class Stream:
-    """What is sent, and the poses that come back.
+    """Sent messages and received poses.
 
     Attributes:
-        step: seconds by which the stamps move on each time the bag is sent.
-        stamp: seconds since the beginning, in the stamps of what is sent now.
-        through: the newest stamp of a pose that came, but at most `HELD` seconds' worth before what is sent now.
-        late: by how many seconds it was sent too late at most: a node that does not keep up holds up who sends to it.
-        turns: how often the bag has been sent.
-        poses: how often each came, by marker and stamp (of the whole stream), and what it was.
+        step: seconds added to the stamps with each repetition of the bag.
+        stamp: stamp that is sent now, in seconds since the start.
+        through: newest stamp of a received pose, but at most `MAX_QUEUE_SECONDS` before `stamp`.
+        late: maximum delay of a sent message in seconds; a slow node blocks its senders.
+        turns: number of repetitions of the bag.
+        poses: received poses by marker and stamp of the stream.
+        times: number of times that each pose is received.
     """
 
-    step = SECONDS + 2
+    step = BAG_SECONDS + 2
 
     def __init__(self, path, speed, rate, size):
-        self.truth = make_bag(path, seconds=SECONDS, seed=1)
+        self.truth = make_bag(path, seconds=BAG_SECONDS, seed=1)
         self._speed, self._rate = speed, rate
         self.sent = self.images = self.received = 0
         self.stamp = 0.0
@@ -66,12 +67,14 @@ class Stream:
             rospy.Subscriber(f"marker{number}", PoseStamped, self._take, queue_size=10_000)
 
     def is_connected(self):
-        return all(one.is_connected() for one in self._publishers.values())
+        return all(publisher.is_connected() for publisher in self._publishers.values())
 
     def _connect(self):
-        """Look anew who is connected."""
+        """Update the sockets of the connections."""
         self._links = {
-            topic: [getattr(one, "_connection", one).socket for one in publisher.publisher.impl.connections]
+            topic: [
+                getattr(link, "_connection", link).socket for link in publisher.publisher.impl.connections
+            ]
             for topic, publisher in self._publishers.items()
         }
 
@@ -79,15 +82,15 @@ class Stream:
         """Send until ``ended`` is set."""
         began, connected = time.monotonic(), 0.0
         while not self.ended:
-            for topic, at, frame, places in self._records:
-                if time.monotonic() > connected + RECONNECT:
+            for topic, second, frame, positions in self._records:
+                if time.monotonic() > connected + CONNECTION_CHECK_SECONDS:
                     connected = time.monotonic()
                     self._connect()
-                self.stamp = self.turns * self.step + at
+                self.stamp = self.turns * self.step + second
                 while (wait := began + self.stamp / self._speed - time.monotonic()) > 0:
-                    time.sleep(max(wait, TICK))
+                    time.sleep(max(wait, MIN_PAUSE_SECONDS))
                 self.late = max(self.late, -wait)
-                self._send(topic, _moved(frame, places, self.turns * self.step))
+                self._send(topic, _with_later_stamps(frame, positions, self.turns * self.step))
                 self.sent += 1
                 if self.images < (time.monotonic() - began) * self._rate:
                     self.images += 1
@@ -98,7 +101,7 @@ class Stream:
         for link in self._links[topic]:
             try:
                 link.sendall(frame)
-            except (OSError, AttributeError):  # the node has just been ended; the verdict knows when
+            except (OSError, AttributeError):  # the node has ended; the evaluation knows the time
                 pass
 
     def _take(self, message):
@@ -111,51 +114,53 @@ class Stream:
 
     @property
     def behind(self):
-        """By how many seconds the newest pose is behind what is sent."""
+        """Delay of the newest pose in seconds."""
         return max(0.0, self.stamp - self._newest) / self._speed
 
     @property
     def through(self):
-        return max(self._newest, self.stamp - HELD * self._speed)
+        return max(self._newest, self.stamp - MAX_QUEUE_SECONDS * self._speed)
 
 
 def reference(path, program):
-    """Return the poses that the engine gives offline, by marker and stamp."""
+    """Return the poses of an offline playback, by marker and stamp."""
 
     def fail(error):
         raise error
 
-    found = {}
+    poses = {}
     with BagReader(path) as bag:
         for output in Playback(program, report=fail).run(bag):
             if output.topic.startswith("marker"):
                 message = PoseStamped().deserialize(output.data)
-                found[message.header.frame_id, message.header.stamp.to_nsec()] = numbers(message.pose)
-    return found
+                poses[message.header.frame_id, message.header.stamp.to_nsec()] = numbers(message.pose)
+    return poses
 
 
 def numbers(pose):
-    place, turn = pose.position, pose.orientation
-    return place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w
+    position, rotation = pose.position, pose.orientation
+    return position.x, position.y, position.z, rotation.x, rotation.y, rotation.z, rotation.w
 
 
 def _framed(data):
-    """Return a message as on the wire, and where stamps are in it: the seconds of this bag are found nowhere else."""
+    """Return a message as on the wire, and the positions of its stamps, found by the seconds of this bag."""
     frame = struct.pack("<I", len(data)) + data
-    last = START + SECONDS + 1
-    places = [at for at in range(4, len(frame) - 7) if START - 1 <= _seconds(frame, at) <= last]
-    return frame, places
+    last = START + BAG_SECONDS + 1
+    positions = [
+        position for position in range(4, len(frame) - 7) if START - 1 <= _seconds(frame, position) <= last
+    ]
+    return frame, positions
 
 
-def _seconds(frame, at):
-    return struct.unpack_from("<I", frame, at)[0]
+def _seconds(frame, position):
+    return struct.unpack_from("<I", frame, position)[0]
 
 
-def _moved(frame, places, seconds):
-    moved = bytearray(frame)
-    for at in places:
-        struct.pack_into("<I", moved, at, _seconds(frame, at) + seconds)
-    return moved
+def _with_later_stamps(frame, positions, seconds):
+    changed = bytearray(frame)
+    for position in positions:
+        struct.pack_into("<I", changed, position, _seconds(frame, position) + seconds)
+    return changed
 
 
 def _image(width, height):

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Both nodes for a long time: the NAO's messages beside images, services at random, and restarts of all there is.
+"""Long run of both nodes: messages of the NAO, images, random service calls, and restarts of nodes and master.
 
     test/faults/soak.py [--minutes N] [--speed N] [--images RATE] [--size WIDTHxHEIGHT] [--restarts SECONDS]
                         [--seed N] [--log FILE.csv] [--plot FILE.png]
@@ -7,20 +7,19 @@
 Needs ROS and the built package on the path (``source devel/setup.bash``), and matplotlib for the plot, which
 ``soak_plot.py`` draws from the log as well. Starts a master of its own on a free port.
 
-The stream is a bag of the simulated NAO, played again and again with its stamps moved on, at ``--speed`` times its
-rate; all of it goes as text from one node to the other unless ``--direct`` is given. Every ``--restarts`` seconds a
-node, or the master, is ended by SIGKILL or SIGTERM and started again. The log has a line each second: the memory of
-both nodes, what was sent, received and, as the nodes say on /diagnostics, dropped, and by how many seconds the poses
-are behind.
+The stream is a bag of the simulated NAO that is repeated with later stamps, at ``--speed`` times its rate; all
+messages are exchanged as text between the nodes unless ``--direct`` is given. Every ``--restarts`` seconds a node or
+the master is ended by SIGKILL or SIGTERM and restarted. The log has a line per second: the memory of both nodes, the
+numbers of sent, received and (from /diagnostics) dropped messages, and the delay of the poses in seconds.
 
-The exit status is 0 where all of this holds:
+The exit status is 0 if all of these conditions hold:
 
-* Every pose that can be computed came, once, and is exact: what the engine gives offline for the same messages.
-  Excused are those for which messages were sent while a node was down, or were still under way to it when it was
-  ended (the master's restarts lose nothing), and those for which messages were under way when a node counted a drop.
-  The summary says how many of each there are. A machine that is fast enough and does nothing else drops nothing.
-* Every service call was answered while the nodes were up.
-* The memory of each node does not grow any more after minute 5 (a third of the time in shorter runs).
+* Every pose that can be computed is received once and equals that of an offline playback of the same messages.
+  Exempt are poses for which messages were sent while a node was down, or were in transit to a node when it ended (a
+  restart of the master loses nothing), and poses for which messages were in transit when a node counted a drop. The
+  summary has the number of each. A fast machine without other load drops nothing.
+* Every service call was answered while the nodes were running.
+* The memory of each node does not grow after minute 5 (a third of the time in shorter runs).
 """
 
 import argparse
@@ -52,20 +51,20 @@ from retalis import srv  # noqa: E402
 from retalis.ros1.master_watch import MasterWatch  # noqa: E402
 
 NODES = {"retalis": "retalis_node", "retalis_ros_interface": "retalis_ros_converter.py"}
-IMAGES = '<subscribe_to name="camera" msg_type="sensor_msgs/Image"/>'
-SEEN = "memorize(sensor_msgs__0__Image(H, _, _, _, _, _, _), [], seen(H), seen, 100)\n"
-PATIENCE = 60.0
+IMAGE_SUBSCRIPTION = '<subscribe_to name="camera" msg_type="sensor_msgs/Image"/>'
+IMAGE_MEMORY = "memorize(sensor_msgs__0__Image(H, _, _, _, _, _, _), [], seen(H), seen, 100)\n"
+TIMEOUT_SECONDS = 60.0
 
 
 def program(folder):
-    """Make the example's program, with the camera as one more input."""
+    """Write the program of the example with the camera as an additional input."""
     source = ROOT / "application_source"
     for path in source.iterdir():
         text = path.read_text()
         if path.name == "pub_sub.xml":
-            text = text.replace("</publish_subscribe>", f"{IMAGES}</publish_subscribe>")
+            text = text.replace("</publish_subscribe>", f"{IMAGE_SUBSCRIPTION}</publish_subscribe>")
         if path.name == "goalPredicates.txt":
-            text += "\n" + SEEN
+            text += "\n" + IMAGE_MEMORY
         (folder / path.name).write_text(text)
     return folder
 
@@ -97,18 +96,18 @@ class Processes:
     def restart(self, name, number):
         process = self.running[name]
         process.send_signal(number)
-        process.wait(PATIENCE)
+        process.wait(TIMEOUT_SECONDS)
         self.start(name)
 
     def memory(self):
-        """Return the memory of each node in MB, 0 where it is just starting."""
-        found = {}
+        """Return the memory of each node in MB, 0 for a node that is starting."""
+        sizes = {}
         for name in NODES:
             try:
-                found[name] = resident(self.running[name].pid)
+                sizes[name] = resident(self.running[name].pid)
             except (OSError, ValueError, IndexError):
-                found[name] = 0.0
-        return found
+                sizes[name] = 0.0
+        return sizes
 
     def end(self):
         for name in (*NODES, "master"):
@@ -122,7 +121,7 @@ class Processes:
 
 
 def wait_until(condition):
-    end = time.monotonic() + PATIENCE
+    end = time.monotonic() + TIMEOUT_SECONDS
     while not condition():
         if time.monotonic() > end:
             raise TimeoutError("the nodes are not connected")
@@ -130,7 +129,7 @@ def wait_until(condition):
 
 
 class Caller(threading.Thread):
-    """Calls services at random, and notes what was no answer."""
+    """Calls random services and records invalid answers."""
 
     def __init__(self, seed):
         super().__init__(daemon=True, name="services")
@@ -177,14 +176,14 @@ def call(name, *fields):
 
 
 class Soak:
-    """One run."""
+    """A run with its options."""
 
     def __init__(self, options, folder):
         self.options = options
         (folder / "program").mkdir()
         port = int(os.environ["ROS_MASTER_URI"].rsplit(":", 1)[1])
-        said = options.log.with_suffix(".nodes.log")
-        self.processes = Processes(folder / "program", port, said, options.direct)
+        output = options.log.with_suffix(".nodes.log")
+        self.processes = Processes(folder / "program", port, output, options.direct)
         rospy.init_node("soak", disable_signals=True)
         MasterWatch().start()
         self.stream = Stream(folder / "nao.bag", options.speed, options.images, options.size)
@@ -194,11 +193,13 @@ class Soak:
         self.rows = []
         self.drops = Drops()
         self._random = random.Random(options.seed)
-        rospy.Subscriber("/diagnostics", DiagnosticArray, self._look, queue_size=100)
+        rospy.Subscriber("/diagnostics", DiagnosticArray, self._add_statuses, queue_size=100)
 
-    def _look(self, message):
-        statuses = [(one.name, [(value.key, value.value) for value in one.values]) for one in message.status]
-        self.drops.take(self.stream.stamp, self.stream.through, statuses)
+    def _add_statuses(self, message):
+        statuses = [
+            (status.name, [(value.key, value.value) for value in status.values]) for status in message.status
+        ]
+        self.drops.add(self.stream.stamp, self.stream.through, statuses)
 
     def run(self):
         self.wait_for_nodes()
@@ -214,13 +215,13 @@ class Soak:
                 self.restart(began)
                 restart_at = time.monotonic() + self.options.restarts
         self.caller.ended = self.stream.ended = True
-        sending.join(PATIENCE)
+        sending.join(TIMEOUT_SECONDS)
         self.settle()
         self.note(time.monotonic() - began)
         self.processes.end()
 
     def settle(self):
-        """Wait until nothing more comes, for longer than it takes the nodes to tell how they are."""
+        """Wait until no pose is received for longer than the period of the diagnostics."""
         last, since = -1, time.monotonic()
         while time.monotonic() - since < 5:
             time.sleep(0.1)
@@ -230,7 +231,7 @@ class Soak:
     def wait_for_nodes(self):
         wait_until(self.stream.is_connected)
         for service in ("add_memory", "add_input_subscription"):
-            wait_until(lambda: offered(service))  # noqa: B023
+            wait_until(lambda: is_offered(service))  # noqa: B023
 
     def restart(self, began):
         name = self._random.choice(("master", *NODES))
@@ -243,7 +244,7 @@ class Soak:
         wait_until(lambda: self.stream.received > before + 8)
         self.caller.paused = False
         self.restarts.append(Restart(time.monotonic() - began, name, number.name, first, self.stream.stamp))
-        print(f"{time.monotonic() - began:6.0f} s: {name} ended by {number.name}, started again", flush=True)
+        print(f"{time.monotonic() - began:6.0f} s: {name} ended by {number.name}, restarted", flush=True)
 
     def note(self, seconds):
         row = {
@@ -260,8 +261,8 @@ class Soak:
         self.rows.append(row)
 
 
-def offered(service):
-    """Tell whether a service answers: a master that was not told of an end still names the old one."""
+def is_offered(service):
+    """Return whether a service answers; the master may still have that of a killed node."""
     try:
         rospy.wait_for_service(service, 1)
     except rospy.ROSException:
@@ -300,9 +301,9 @@ def main():
         writer.writerows(soak.rows)
     if options.plot:
         draw(options.log, options.plot)
-    good, lines = verdict(soak)
+    is_good, lines = verdict(soak)
     print("\n".join(lines))
-    return 0 if good else 1
+    return 0 if is_good else 1
 
 
 if __name__ == "__main__":

@@ -1,27 +1,30 @@
-"""Whether a soak has gone as it should."""
+"""Evaluation of a long run: poses, service calls, and memory."""
 
 from typing import List, NamedTuple, Tuple
 
-NEED = 0.5
-"""Seconds of the stream before and after a picture from which its poses may need messages."""
+POSE_MARGIN_SECONDS = 0.5
+"""Seconds of the stream before and after an image in which its poses may need messages."""
 
-SLACK = 1.0
-"""Seconds before a node is ended, and after it is up again, in which messages are under way or not yet sent to it."""
+RESTART_MARGIN_SECONDS = 1.0
+"""Seconds before the end of a node and after its restart in which messages are in transit or not sent to it."""
 
-MEMORY = 1.1, 10.0
-"""By which factor, and how many MB, the highest memory may be above what it was before."""
+MAX_MEMORY_FACTOR_AND_MEGABYTES = 1.1, 10.0
+"""Factor and MB by which the maximum memory may exceed the previous maximum."""
 
-CLOSE = 1e-9
+POSE_TOLERANCE = 1e-9
 
 NODES = "retalis", "retalis_ros_interface"
 
 
 class Restart(NamedTuple):
-    """When a process was ended, and how.
+    """The restart of a process.
 
     Attributes:
-        first: the stream's stamp, in seconds, up to which poses had come by then.
-        last: what was sent when all was up again.
+        seconds: time since the start.
+        name: the process.
+        signal: the signal that ended it.
+        first: newest stamp of a received pose before the end, in seconds of the stream.
+        last: stamp that was sent when all processes were running again.
     """
 
     seconds: float
@@ -32,19 +35,19 @@ class Restart(NamedTuple):
 
 
 class Poses:
-    """What became of the poses: lists of a marker and its stamp in seconds of the stream.
+    """Poses by outcome: lists of a marker and its stamp in seconds of the stream.
 
     Attributes:
-        came: how many came.
-        near: those that are missing or wrong near a restart of a node.
-        dropped: those that are missing or wrong where a node has counted a drop.
-        lost: all others that are missing.
-        wrong: all others that are not what they have to be.
-        twice: those that came more than once.
+        received: the number of received poses.
+        near: missing or wrong poses near a restart of a node.
+        dropped: missing or wrong poses at a drop that a node has counted.
+        lost: other missing poses.
+        wrong: other wrong poses.
+        twice: poses that are received more than once.
     """
 
     def __init__(self) -> None:
-        self.came = 0
+        self.received = 0
         self.near: List[Tuple[str, float]] = []
         self.dropped: List[Tuple[str, float]] = []
         self.lost: List[Tuple[str, float]] = []
@@ -53,78 +56,82 @@ class Poses:
 
 
 def verdict(soak):
-    """Return whether all is well, and lines that tell."""
+    """Return whether all checks succeed, and a line for each of them."""
     stream, drops = soak.stream, soak.drops
-    poses = judge(stream, soak.expected, soak.restarts, drops.found, soak.options.speed)
-    silent = [node for node in NODES if not drops.looks.get(node)]
+    poses = judge(stream, soak.expected, soak.restarts, drops.growths, soak.options.speed)
+    silent = [node for node in NODES if not drops.report_counts.get(node)]
     checks = [
-        (poses.came > 0, f"{poses.came} poses came"),
+        (poses.received > 0, f"{poses.received} poses received"),
         (not poses.lost, f"{len(poses.lost)} poses are lost without a reason{_where(poses.lost)}"),
         (
             not poses.wrong,
-            f"{len(poses.wrong)} poses are not what the engine gives offline, without a reason"
+            f"{len(poses.wrong)} poses differ from those of the playback without a reason"
             f"{_where(poses.wrong)}",
         ),
-        (not poses.twice, f"{len(poses.twice)} poses came twice{_where(poses.twice)}"),
-        (not silent, f"both nodes counted what they dropped{': not ' if silent else ''}{', '.join(silent)}"),
+        (not poses.twice, f"{len(poses.twice)} poses received twice{_where(poses.twice)}"),
+        (not silent, f"both nodes counted dropped messages{': not ' if silent else ''}{', '.join(silent)}"),
         (
             not soak.caller.failures,
             f"{soak.caller.calls} calls of services, {len(soak.caller.failures)} failed {soak.caller.failures[:3]}",
         ),
         *_memory(soak.rows, 60 * soak.options.minutes),
     ]
-    kinds = ", ".join(f"{one.name} by {one.signal} at {one.seconds:.0f} s" for one in soak.restarts)
+    restarts = ", ".join(
+        f"{restart.name} by {restart.signal} at {restart.seconds:.0f} s" for restart in soak.restarts
+    )
     lines = [
         f"{stream.sent} messages and {stream.images} images sent, at most {stream.late:.1f} s late; "
         f"poses at most {max((row['behind'] for row in soak.rows), default=0.0):.1f} s behind; "
         f"{drops.total} counted as dropped",
-        f"restarts: {kinds or 'none'}",
+        f"restarts: {restarts or 'none'}",
         f"missing or wrong with a reason: {len(poses.near)} poses near a restart of a node, "
         f"{len(poses.dropped)} where a drop was counted",
-        *(f"{'good' if good else 'BAD '} {text}" for good, text in checks),
+        *(f"{'good' if is_good else 'BAD '} {text}" for is_good, text in checks),
     ]
     lines += [
-        f"     dropped: {one.number} at {one.what}, sent from {one.first:.1f} to {one.last:.1f}"
-        for one in drops.found[:20]
+        f"     dropped: {drop.number} at {drop.status}, sent from {drop.first:.1f} to {drop.last:.1f}"
+        for drop in drops.growths[:20]
     ]
-    return all(good for good, _ in checks), lines
+    return all(is_good for is_good, _ in checks), lines
 
 
 def judge(stream, expected, restarts, drops, speed):
-    """Return what became of the poses.
+    """Return the poses by outcome.
 
-    A pose is excused only where what it needs was under way to a node that was ended, or sent while it was down; or
-    where it was under way while a node counted drops. A restart of the master excuses nothing.
+    A missing or wrong pose has a reason only if its messages were in transit to a node that was ended, were sent
+    while it was down, or were in transit while a node counted drops. A restart of the master is no reason.
     """
-    slack = SLACK * speed
-    down = [(one.first - slack, one.last + slack) for one in restarts if one.name != "master"]
-    lossy = [(one.first, one.last) for one in drops]
-    found = Poses()
+    margin = RESTART_MARGIN_SECONDS * speed
+    down = [
+        (restart.first - margin, restart.last + margin) for restart in restarts if restart.name != "master"
+    ]
+    lossy = [(drop.first, drop.last) for drop in drops]
+    poses = Poses()
     for turn in range(stream.turns):
-        for one in stream.truth.complete:
-            key = one.marker, one.stamp + turn * stream.step * 10**9
-            seconds = turn * stream.step + (one.stamp - stream.truth.start) / 1e9
+        for view in stream.truth.complete:
+            key = view.marker, view.stamp + turn * stream.step * 10**9
+            seconds = turn * stream.step + (view.stamp - stream.truth.start) / 1e9
             pose = stream.poses.get(key)
-            found.came += pose is not None
-            name = one.marker, round(seconds, 2)
+            poses.received += pose is not None
+            name = view.marker, round(seconds, 2)
             if stream.times[key] > 1:
-                found.twice.append(name)
-            exact = expected[one.marker, one.stamp]
-            if pose is not None and max(abs(a - b) for a, b in zip(pose, exact)) <= CLOSE:
+                poses.twice.append(name)
+            exact = expected[view.marker, view.stamp]
+            if pose is not None and max(abs(a - b) for a, b in zip(pose, exact)) <= POSE_TOLERANCE:
                 continue
             if _within(seconds, down):
-                found.near.append(name)
+                poses.near.append(name)
             elif _within(seconds, lossy):
-                found.dropped.append(name)
+                poses.dropped.append(name)
             elif pose is None:
-                found.lost.append(name)
+                poses.lost.append(name)
             else:
-                found.wrong.append(name)
-    return found
+                poses.wrong.append(name)
+    return poses
 
 
 def _within(seconds, spans):
-    return any(first - NEED <= seconds <= last + NEED for first, last in spans)
+    return any(first - POSE_MARGIN_SECONDS <= seconds <= last + POSE_MARGIN_SECONDS for first, last in spans)
 
 
 def _where(poses):
@@ -132,13 +139,16 @@ def _where(poses):
 
 
 def _memory(rows, seconds):
-    """Compare the highest memory in the two halves of the time after minute 5."""
+    """Compare the maximum memory in the two halves of the time after minute 5."""
     settled = min(300.0, seconds / 3)
     middle = (settled + seconds) / 2
     for name in NODES:
         before = [row[name] for row in rows if settled <= row["seconds"] < middle]
         after = [row[name] for row in rows if row["seconds"] >= middle]
-        most, more = max(before, default=0.0), max(after, default=0.0)
-        factor, extra = MEMORY
-        text = f"node {name} holds at most {most:.0f} MB from second {settled:.0f}, {more:.0f} MB from {middle:.0f}"
-        yield more <= factor * most + extra, text
+        old_size, new_size = max(before, default=0.0), max(after, default=0.0)
+        factor, extra = MAX_MEMORY_FACTOR_AND_MEGABYTES
+        text = (
+            f"node {name} holds at most {old_size:.0f} MB from second {settled:.0f}, "
+            f"{new_size:.0f} MB from {middle:.0f}"
+        )
+        yield new_size <= factor * old_size + extra, text

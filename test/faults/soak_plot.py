@@ -1,19 +1,19 @@
 #!/usr/bin/env python3
-"""Draw the log of a soak: ``soak_plot.py FILE.csv FILE.png``. Needs matplotlib, no ROS."""
+"""Draw the log of a long run: ``soak_plot.py FILE.csv FILE.png``. Needs matplotlib, no ROS."""
 
 import csv
 import sys
 
 
 def draw(log, picture):
-    """Draw memory above, what was sent and received below, over the minutes."""
-    import matplotlib as mpl  # noqa: PLC0415 - not there with every Python that has ROS
+    """Draw memory above, and numbers of messages below, over the minutes."""
+    import matplotlib as mpl  # noqa: PLC0415 - not installed with every Python that has ROS
 
     mpl.use("Agg")
     from matplotlib import pyplot  # noqa: PLC0415
 
-    with open(log, newline="") as given:
-        rows = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(given)]
+    with open(log, newline="") as file:
+        rows = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
     minutes = [row["seconds"] / 60 for row in rows]
     figure, (above, below) = pyplot.subplots(2, 1, sharex=True, figsize=(8, 6))
     for name in ("retalis", "retalis_ros_interface"):

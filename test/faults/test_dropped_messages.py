@@ -1,4 +1,4 @@
-"""What is counted as dropped, from what two nodes tell."""
+"""Counts of dropped messages in the diagnostics of two nodes."""
 
 import pytest
 from faults.dropped_messages import Drop, Drops
@@ -10,23 +10,23 @@ def topic(name, dropped=0, refused=0):
 
 @pytest.fixture
 def drops():
-    found = Drops()
-    found.take(5.0, 3.0, [topic("retalis: input /tf")])
-    found.take(10.0, 8.0, [topic("retalis: input /tf")])
-    return found
+    drops = Drops()
+    drops.add(5.0, 3.0, [topic("retalis: input /tf")])
+    drops.add(10.0, 8.0, [topic("retalis: input /tf")])
+    return drops
 
 
-def test_nothing_is_dropped(drops):
-    assert drops.found == []
+def test_constant_counters_are_no_drop(drops):
+    assert drops.growths == []
     assert drops.total == 0
-    assert drops.looks == {"retalis": 2}
+    assert drops.report_counts == {"retalis": 2}
 
 
-def test_a_growth_counts_since_what_had_come_through_at_the_last_look(drops):
-    drops.take(15.0, 13.0, [topic("retalis: input /tf", dropped=3)])
-    drops.take(20.0, 18.0, [topic("retalis: input /tf", dropped=3)])
-    drops.take(25.0, 23.0, [topic("retalis: input /tf", dropped=4, refused=2)])
-    assert drops.found == [
+def test_growth_begins_at_previous_report(drops):
+    drops.add(15.0, 13.0, [topic("retalis: input /tf", dropped=3)])
+    drops.add(20.0, 18.0, [topic("retalis: input /tf", dropped=3)])
+    drops.add(25.0, 23.0, [topic("retalis: input /tf", dropped=4, refused=2)])
+    assert drops.growths == [
         Drop("retalis: input /tf", 3, 8.0, 15.0),
         Drop("retalis: input /tf", 1, 18.0, 25.0),
         Drop("retalis: input /tf", 2, 18.0, 25.0),
@@ -34,27 +34,27 @@ def test_a_growth_counts_since_what_had_come_through_at_the_last_look(drops):
     assert drops.total == 6
 
 
-def test_what_is_dropped_before_the_first_look_counts_from_the_beginning():
+def test_growth_of_first_report_begins_at_start():
     drops = Drops()
-    drops.take(7.0, 5.0, [("retalis: queue", [("dropped events", "12"), ("queued events", "3 of 5000")])])
-    assert drops.found == [Drop("retalis: queue", 12, 0.0, 7.0)]
+    drops.add(7.0, 5.0, [("retalis: queue", [("dropped events", "12"), ("queued events", "3 of 5000")])])
+    assert drops.growths == [Drop("retalis: queue", 12, 0.0, 7.0)]
 
 
-def test_a_node_that_was_started_again_counts_from_zero(drops):
-    drops.take(15.0, 13.0, [topic("retalis: input /tf", dropped=9)])
-    drops.take(20.0, 18.0, [topic("retalis: input /tf", dropped=2)])
-    drops.take(25.0, 23.0, [topic("retalis: input /tf", dropped=2)])
-    assert [one.number for one in drops.found] == [9, 2]
+def test_restarted_node_counts_from_zero(drops):
+    drops.add(15.0, 13.0, [topic("retalis: input /tf", dropped=9)])
+    drops.add(20.0, 18.0, [topic("retalis: input /tf", dropped=2)])
+    drops.add(25.0, 23.0, [topic("retalis: input /tf", dropped=2)])
+    assert [drop.number for drop in drops.growths] == [9, 2]
 
 
-def test_each_node_has_its_own_looks(drops):
-    drops.take(12.0, 10.0, [("retalis_ros_interface: output /retalisInputEvents", [("dropped", "0")])])
-    drops.take(17.0, 15.0, [("retalis_ros_interface: output /retalisInputEvents", [("dropped", "1")])])
-    assert [(one.number, one.first, one.last) for one in drops.found] == [(1, 10.0, 17.0)]
-    assert drops.looks == {"retalis": 2, "retalis_ros_interface": 1 + 1}
+def test_each_node_has_own_reports(drops):
+    drops.add(12.0, 10.0, [("retalis_ros_interface: output /retalisInputEvents", [("dropped", "0")])])
+    drops.add(17.0, 15.0, [("retalis_ros_interface: output /retalisInputEvents", [("dropped", "1")])])
+    assert [(drop.number, drop.first, drop.last) for drop in drops.growths] == [(1, 10.0, 17.0)]
+    assert drops.report_counts == {"retalis": 2, "retalis_ros_interface": 2}
 
 
 @pytest.mark.parametrize("name", ["/camera", "/input_key7"])
-def test_topics_that_no_pose_needs_do_not_count(drops, name):
-    drops.take(15.0, 13.0, [topic(f"retalis_ros_interface: input {name}", dropped=5, refused=5)])
+def test_unneeded_topics_are_ignored(drops, name):
+    drops.add(15.0, 13.0, [topic(f"retalis_ros_interface: input {name}", dropped=5, refused=5)])
     assert drops.total == 0

@@ -1,4 +1,4 @@
-"""The soak, for half a minute; by itself it takes as long as it is told."""
+"""A long run, shortened to half a minute."""
 
 import subprocess
 import sys
@@ -10,10 +10,10 @@ SOAK = Path(__file__).with_name("soak.py")
 
 
 @pytest.mark.slow
-def test_nothing_is_lost_but_what_is_counted(devel, tmp_path):
+def test_short_run_loses_no_uncounted_message(devel, tmp_path):
     command = [sys.executable, str(SOAK), "--minutes", "0.5", "--speed", "2", "--restarts", "12"]
     log = tmp_path / "soak.csv"
-    done = subprocess.run(
+    process = subprocess.run(
         devel.command(*command, "--size", "160x120", "--log", str(log)),
         env=devel.env,
         stdout=subprocess.PIPE,
@@ -21,5 +21,5 @@ def test_nothing_is_lost_but_what_is_counted(devel, tmp_path):
         text=True,
         timeout=600,
     )
-    assert done.returncode == 0, done.stdout
+    assert process.returncode == 0, process.stdout
     assert len(log.read_text().splitlines()) > 20
