@@ -384,8 +384,32 @@ _WideSlots = FrozenSet[Tuple[str, str]]
 _CODES = {1: "B", 2: "H", 4: "I", 8: "Q"}
 """Codes by which numbers are copied, by size: integers, because they preserve every bit of a float."""
 
-_SECONDS = -4
-"""Size of the seconds of a time, four bytes: negative ones of ROS 2 would be a time after 2106 in ROS 1."""
+
+class _RunItem(NamedTuple):
+    """Bytes of a fixed number that are copied together with those around them.
+
+    Attributes:
+        size: number of bytes.
+        is_in_cdr: whether CDR has them.
+        is_in_ros1: whether ROS 1 has them.
+        is_seconds: whether they are the seconds of a time; negative ones would be a time after 2106 in ROS 1.
+    """
+
+    size: int
+    is_in_cdr: bool = True
+    is_in_ros1: bool = True
+    is_seconds: bool = False
+
+    @property
+    def is_number(self) -> bool:
+        """True if the bytes are a number that is copied; otherwise they are skipped, or written as zeros."""
+        return self.is_in_cdr and self.is_in_ros1
+
+
+_SECONDS = _RunItem(4, is_seconds=True)
+_HEADER_SEQ = _RunItem(4, is_in_cdr=False)
+_EMPTY_MESSAGE = _RunItem(1, is_in_ros1=False)
+"""The byte that CDR has for a type without slots."""
 
 _MAX_SECONDS = (1 << 31) - 1
 
@@ -465,11 +489,8 @@ class _ConverterGenerator:
                 "wide": _make_wide_string_converter(order, width),
             }
         )
-        self.run_sizes: List[int] = []
-        """Sizes of the numbers of the run, or `_SECONDS`.
-
-        0 stands for four bytes that only ROS 1 has, -1 for a byte that only CDR has.
-        """
+        self.run: List[_RunItem] = []
+        """Numbers since the last value of variable size."""
 
     def compile(self, definition: Definition) -> _Converter:
         """Return the function for a type: from bytes and an offset, to the offset after the message."""
@@ -489,10 +510,9 @@ class _ConverterGenerator:
         """Add a message."""
         fields = definition.fields
         if not fields:
-            self.run_sizes.append(-1)
-        # `seq` exists in ROS 1 only: four zero bytes are written and nothing is read.
+            self.run.append(_EMPTY_MESSAGE)
         if definition.name == HEADER:
-            self.run_sizes.append(0)
+            self.run.append(_HEADER_SEQ)
             fields = fields[1:]
         for slot in fields:
             is_wide = (definition.name, slot.name) in self.wide_slots
@@ -509,7 +529,7 @@ class _ConverterGenerator:
             self.end_run()
             self.lines.append(self.copy_string(is_wide))
         else:
-            self.run_sizes += _list_number_sizes(slot)
+            self.run += _list_numbers(slot)
 
     @staticmethod
     def copy_string(is_wide: bool) -> str:
@@ -518,9 +538,9 @@ class _ConverterGenerator:
 
     def add_array(self, slot: Field, is_wide: bool, length: int) -> None:
         """Add an array."""
-        numbers = _list_number_sizes(slot)
+        numbers = _list_numbers(slot)
         if numbers and 0 <= length <= _MAX_INLINE_NUMBERS:
-            self.run_sizes += numbers * length
+            self.run += numbers * length
             return
         self.end_run()
         count = str(length)
@@ -543,87 +563,86 @@ class _ConverterGenerator:
             name = self.bound_names.name("element", element)
             self.lines += [f"for _ in range({count}):", f"  offset = {name}(data, offset, write)"]
 
-    def add_numbers(self, count: str, sizes: List[int]) -> None:
-        """Add an array of numbers of equal size, between which there is no padding."""
-        size = abs(sizes[0])
-        seconds = [index for index, element_size in enumerate(sizes) if element_size == _SECONDS]
+    def add_numbers(self, count: str, numbers: List[_RunItem]) -> None:
+        """Add an array, given the numbers of an element, which have equal sizes: there is no padding between them."""
+        size = numbers[0].size
         self.lines += [
             f"if {count}:",
             f"  offset = offset + {size - 1} & -{size}",
-            f"  end = offset + {size * len(sizes)} * {count}",
+            f"  end = offset + {size * len(numbers)} * {count}",
             "  if end > len(data): raise StructError",
-            *(f"  check_seconds(data[offset:end], {index}, {len(sizes)})" for index in seconds),
+            *(
+                f"  check_seconds(data[offset:end], {index}, {len(numbers)})"
+                for index in _find_seconds(numbers)
+            ),
             f"  write({f'swapped(data[offset:end], {size})' if self.order == '>' else 'data[offset:end]'})",
             "  offset = end",
         ]
 
     def end_run(self) -> None:
         """End the run: add the statements that copy it."""
-        if not self.run_sizes:
+        if not self.run:
             return
+        output_layout = Struct("<" + _make_output_format(self.run))
         # Padding depends on the offset modulo 8 at which the run begins, which is only known when a message is read.
-        seconds = [
-            index
-            for index, size in enumerate(size for size in self.run_sizes if size not in (0, -1))
-            if size == _SECONDS
-        ]
-        self.run_sizes = [4 if size == _SECONDS else size for size in self.run_sizes]
-        output_layout = Struct(
-            "<" + "".join("4x" if not size else _CODES.get(size, "") for size in self.run_sizes)
-        )
-        input_layouts = [Struct(self.order + _make_input_format(self.run_sizes, phase)) for phase in range(8)]
+        input_layouts = [Struct(self.order + _make_input_format(self.run, phase)) for phase in range(8)]
         layouts = self.bound_names.name(
             "layouts", [(layout.unpack_from, layout.size) for layout in input_layouts]
         )
         pack = self.bound_names.name("pack", output_layout.pack)
+        values = [item for item in self.run if item.is_number]
         self.lines += [
             f"read, size = {layouts}[offset & 7]",
             "values = read(data, offset)",
             *(
                 f"if values[{index}] > {_MAX_SECONDS}: raise NegativeTimeError(values[{index}])"
-                for index in seconds
+                for index in _find_seconds(values)
             ),
             f"write({pack}(*values))",
             "offset += size",
         ]
-        self.run_sizes = []
+        self.run = []
 
 
-def _list_number_sizes(slot: Field) -> List[int]:
-    """Return the sizes of the numbers in one element if all are equal, otherwise an empty list.
+def _find_seconds(numbers: List[_RunItem]) -> List[int]:
+    """Return the indexes of the seconds of times."""
+    return [index for index, number in enumerate(numbers) if number.is_seconds]
 
-    `_SECONDS` stands for the size 4.
-    """
+
+def _list_numbers(slot: Field) -> List[_RunItem]:
+    """Return the numbers in one element of a slot if all have the same size, otherwise an empty list."""
     if slot.definition is None:
         if slot.type in TIMES:
-            return [_SECONDS if slot.type == "time" else 4, 4]
-        return [] if slot.type == "string" else [measure_of(slot).min_size]
-    sizes: List[int] = []
+            return [_SECONDS if slot.type == "time" else _RunItem(4), _RunItem(4)]
+        return [] if slot.type == "string" else [_RunItem(measure_of(slot).min_size)]
+    numbers: List[_RunItem] = []
     if slot.definition.name == HEADER:
-        return sizes
+        return numbers
     for inner in slot.definition.fields:
-        element_sizes = (
-            _list_number_sizes(inner)
-            if inner.length is None or 0 < inner.length <= _MAX_INLINE_NUMBERS
-            else []
+        inner_numbers = (
+            _list_numbers(inner) if inner.length is None or 0 < inner.length <= _MAX_INLINE_NUMBERS else []
         )
-        if not element_sizes or abs(element_sizes[0]) != abs((sizes or element_sizes)[0]):
+        if not inner_numbers or inner_numbers[0].size != (numbers or inner_numbers)[0].size:
             return []
-        sizes += element_sizes * (inner.length or 1)
-    return sizes if len(sizes) <= _MAX_INLINE_NUMBERS else []
+        numbers += inner_numbers * (inner.length or 1)
+    return numbers if len(numbers) <= _MAX_INLINE_NUMBERS else []
 
 
-def _make_input_format(sizes: List[int], phase: int) -> str:
-    """Return the `struct` format of numbers that begin at an offset, given modulo 8."""
+def _make_output_format(run: List[_RunItem]) -> str:
+    """Return the `struct` format of a run in ROS 1, without its byte order; a pad byte is written as zero."""
+    return "".join(
+        _CODES[item.size] if item.is_in_cdr else f"{item.size}x" for item in run if item.is_in_ros1
+    )
+
+
+def _make_input_format(run: List[_RunItem], phase: int) -> str:
+    """Return the `struct` format of a run in CDR that begins at an offset, given modulo 8, without its byte order."""
     codes, offset = [], phase
-    for size in sizes:
-        if size > 0:
-            padding = -offset % size
-            codes.append(f"{padding}x{_CODES[size]}")
-            offset += padding + size
-        elif size < 0:
-            codes.append("x")
-            offset += 1
+    for item in run:
+        if item.is_in_cdr:
+            padding = -offset % item.size
+            codes.append(f"{padding}x{_CODES[item.size]}" if item.is_in_ros1 else f"{padding + item.size}x")
+            offset += padding + item.size
     return "".join(codes)
 
 
