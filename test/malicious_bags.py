@@ -148,6 +148,7 @@ def mcap(
     profile="ros2",
     has_counts=True,
     topic=TOPIC,
+    indexed_channels=None,
 ):
     """Return an mcap file with a topic /a of strings.
 
@@ -162,6 +163,7 @@ def mcap(
         profile: the profile that the header names.
         has_counts: whether the summary has the number of messages of the topic.
         topic: the records of the topic, as `mcap_topic` returns them.
+        indexed_channels: for each chunk the bytes of the channels in its index entry; by default there are none.
     """
     body = MAGIC + op(1, text(profile) + text("test")) + topic
     index = b""
@@ -171,7 +173,8 @@ def mcap(
         content = PACK[compression](data) if packed is None else packed
         chunk = struct.pack("<QQQI", first, last, len(data) if stated is None else stated, 0)
         body += op(6, chunk + text(compression) + struct.pack("<Q", len(content)) + content)
-        entry = struct.pack("<QQQQ", first, last, place, len(body) - place) + struct.pack("<I", 0)
+        channels = struct.pack("<I", 0) if indexed_channels is None else indexed_channels[number]
+        entry = struct.pack("<QQQQ", first, last, place, len(body) - place) + channels
         entry += struct.pack("<Q", 0) + text(compression) + struct.pack("<QQ", len(content), len(data))
         index += op(8, entry) * repeated
     summary = 0

@@ -36,6 +36,26 @@ def test_chunks_are_merged_by_time(tmp_path, compression, has_index):
     assert [time for time, _ in read(path)] == [1, 3, 5, 9, 10, 12]
 
 
+INDEX_OF_CHANNEL_1, INDEX_OF_CHANNEL_2 = (struct.pack("<IHQ", 10, channel, 0) for channel in (1, 2))
+DAMAGED_INDEX = struct.pack("<I", 1_000_000)
+
+
+def test_chunks_without_requested_channels_are_not_read(tmp_path):
+    path = tmp_path / "a.mcap"
+    content = mcap(CHUNKS, indexed_channels=[INDEX_OF_CHANNEL_1, INDEX_OF_CHANNEL_2, INDEX_OF_CHANNEL_1])
+    # A record that states too many bytes would be an error.
+    damaged = content.index(CHUNKS[1]) + 1
+    path.write_bytes(content[:damaged] + b"\xff" * 8 + content[damaged + 8 :])
+    assert [time for time, _ in read(path)] == [1, 5, 10, 12]
+
+
+@pytest.mark.parametrize("index", [struct.pack("<I", 0), DAMAGED_INDEX, struct.pack("<I3s", 3, b"abc")])
+def test_chunks_without_valid_index_of_channels_are_read(tmp_path, index):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(mcap(CHUNKS, indexed_channels=[INDEX_OF_CHANNEL_1, index, INDEX_OF_CHANNEL_1]))
+    assert [time for time, _ in read(path)] == [1, 3, 5, 9, 10, 12]
+
+
 def mcap_without_chunks(seconds, chunks=(), profile="ros2"):
     """Return a file with messages outside of chunks, each with its number as data."""
     data = mcap(chunks, has_index=False, profile=profile)

@@ -70,7 +70,7 @@ def unpack(compression: str, packed: bytes, size: int) -> bytes:
     if compression in ("", "none"):
         data = packed
     elif compression == "zstd":
-        data = read_up_to(zstd_reader(BytesIO(packed)), size + 1)
+        data = _unpack_zstd(packed, size + 1)
     else:
         if compression == "bz2":
             decompressor = bz2.BZ2Decompressor()
@@ -89,6 +89,18 @@ def unpack(compression: str, packed: bytes, size: int) -> bytes:
     if len(data) < size or not is_complete:
         raise ValueError(f"it ends after {len(data)} bytes: its header states {size}")
     return data
+
+
+def _unpack_zstd(packed: bytes, max_size: int) -> bytes:
+    """Return at most ``max_size`` bytes of decompressed zstd frames."""
+    zstd = _find_zstd()
+    if zstd is not None:
+        # Most chunks are one frame, which is decompressed in a seventh of the time of a file object.
+        decompressor = zstd.ZstdDecompressor()
+        data: bytes = decompressor.decompress(packed, max_length=max_size)
+        if len(data) == max_size or (decompressor.eof and not decompressor.unused_data):
+            return data
+    return read_up_to(zstd_reader(BytesIO(packed)), max_size)
 
 
 def read_up_to(source: BinaryIO, size: int) -> bytes:
@@ -118,14 +130,21 @@ def copy_up_to(source: BinaryIO, target: BinaryIO, size: int) -> int:
 
 def zstd_reader(packed: BinaryIO) -> Any:
     """Return a decompressing reader, based on the zstd package that the installed version of ``rosbags`` imports."""
-    from rosbags.rosbag2 import reader  # noqa: PLC0415 - an optional package
-
-    zstd = getattr(reader, "zstd", None)
+    zstd = _find_zstd()
     if zstd is not None:
         return zstd.open(packed, "rb")
+    from rosbags.rosbag2 import reader  # noqa: PLC0415 - an optional package
+
     # Before version 0.11, rosbags imported the package `zstandard`.
     zstandard: Any = vars(reader)["zstandard"]
     return zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True)
+
+
+def _find_zstd() -> Any:
+    """Return the module of Python 3.14 or of its backport that ``rosbags`` imports; None before version 0.11."""
+    from rosbags.rosbag2 import reader  # noqa: PLC0415 - an optional package
+
+    return getattr(reader, "zstd", None)
 
 
 def describe_error(error: BaseException) -> str:

@@ -4,7 +4,8 @@ A file consists of a header, records, a summary, and a footer. A record is an op
 are in chunks, which may be compressed, or directly in the file. The summary repeats schemas and channels, and has an
 index entry with the time range of each chunk. A file without a summary is scanned from its start.
 
-Chunks are merged by time, and only chunks that overlap in time are in memory. Messages outside of chunks have no
+Chunks are merged by time, and only chunks that overlap in time are in memory. A chunk is not read if its index entry
+has none of the requested channels. Messages outside of chunks have no
 index: if the scan has found them in order of time, they are read one after the other. Otherwise the positions of the
 requested ones are sorted by time, which takes 32 bytes of memory a message; the limit of a chunk bounds it.
 
@@ -17,9 +18,10 @@ from binascii import crc32
 from collections import Counter
 from contextlib import ExitStack
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from struct import Struct
-from typing import Callable, Collection, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
+from typing import Callable, Collection, Dict, FrozenSet, Iterator, List, NamedTuple, Optional, Set, Tuple
 
 from ..foundation.errors import format_count
 from .decompression import ChunkLimit, describe_error, unpack
@@ -37,6 +39,7 @@ _CHUNK_STRUCT = Struct("<QQQI")
 _INDEX_STRUCT = Struct("<QQQQ")
 _STATISTICS_STRUCT = Struct("<QHIIIIQQ")
 _COUNT_STRUCT = Struct("<HQ")
+"""Channel, and the number of its messages or the position of its index."""
 
 (
     _HEADER_OPCODE,
@@ -53,17 +56,32 @@ _COUNT_STRUCT = Struct("<HQ")
 
 _TRUNCATED_MESSAGE = "it does not end as an mcap file: it is truncated: repair it with 'mcap recover'"
 
+_MAX_CHUNK_HEADER_BYTES = 256
+"""Number of bytes that are read of a chunk for the fields before its data; without a long name they have 44."""
+
 _BYTES_PER_POSITION = 32
 """Memory for the time, position, length and rank of a message whose position is sorted."""
 
 
 class _McapChunk(NamedTuple):
-    """Index entry of a chunk: time range, offset, and length including the record's header."""
+    """Index entry of a chunk.
+
+    Attributes:
+        start, end: times of the first and the last message in nanoseconds.
+        position: offset of the record.
+        length: length of the record, including its header.
+        channels: ids of the channels that have messages in the chunk; empty if the file does not state them.
+    """
 
     start: int
     end: int
     position: int
     length: int
+    channels: FrozenSet[int] = frozenset()
+
+    def may_have(self, channels: Set[int]) -> bool:
+        """Return whether the chunk may have messages of one of the channels."""
+        return not self.channels or not self.channels.isdisjoint(channels)
 
 
 class McapFile:
@@ -159,8 +177,10 @@ class McapFile:
             if opcode in (_SCHEMA_OPCODE, _CHANNEL_OPCODE):
                 self._add_schema_or_channel(opcode, self._read_bytes(position, length))
             elif opcode == _CHUNK_INDEX_OPCODE:
+                body = self._read_bytes(position, length)
+                start, end, chunk_position, chunk_length = _INDEX_STRUCT.unpack_from(body)
                 self._chunks.append(
-                    _McapChunk(*_INDEX_STRUCT.unpack_from(self._read_bytes(position, length)))
+                    _McapChunk(start, end, chunk_position, chunk_length, _read_indexed_channels(body))
                 )
             elif opcode == _STATISTICS_OPCODE:
                 body = self._read_bytes(position, length)
@@ -242,7 +262,12 @@ class McapFile:
             yield from _read_messages(data, wanted, start, stop)
             bytes_in_memory -= len(data)
 
-        chunks = sorted(chunk for chunk in self._chunks if chunk.end >= start and chunk.start < stop)
+        chunks = [
+            chunk
+            for chunk in self._chunks
+            if chunk.end >= start and chunk.start < stop and chunk.may_have(wanted)
+        ]
+        chunks.sort(key=attrgetter("start", "end", "position"))
         return [(chunk.start, partial(read, chunk)) for chunk in chunks]
 
     def _read_in_order(self, wanted: Set[int], start: int, stop: int) -> Iterator[Message]:
@@ -286,13 +311,16 @@ class McapFile:
         opcode, length = self._read_record_header(chunk.position, self._size)
         if opcode != _CHUNK_OPCODE or length + _RECORD_STRUCT.size != chunk.length:
             raise ValueError(f"the index names {location}: there is none of {chunk.length} bytes")
-        body = self._read_bytes(chunk.position + _RECORD_STRUCT.size, length)
-        _, _, size, checksum = _CHUNK_STRUCT.unpack_from(body)
-        compression, offset = _read_text(body, _CHUNK_STRUCT.size)
-        (packed_size,) = _SIZE_STRUCT.unpack_from(body, offset)
-        packed = body[offset + _SIZE_STRUCT.size :][:packed_size]
-        if len(packed) != packed_size:
+        # The data is read separately, because copies of large chunks take as long as their decompression.
+        position = chunk.position + _RECORD_STRUCT.size
+        header = self._read_bytes(position, min(length, _MAX_CHUNK_HEADER_BYTES))
+        _, _, size, checksum = _CHUNK_STRUCT.unpack_from(header)
+        compression, offset = _read_text(header, _CHUNK_STRUCT.size)
+        (packed_size,) = _SIZE_STRUCT.unpack_from(header, offset)
+        offset += _SIZE_STRUCT.size
+        if packed_size > length - offset:
             raise ValueError(f"{location} is truncated")
+        packed = self._read_bytes(position + offset, packed_size)
         self._limit.check(size, f"{location} states")
         try:
             data = unpack(compression, packed, size)
@@ -331,6 +359,15 @@ def _read_text(body: bytes, offset: int) -> Tuple[str, int]:
     if start + size > len(body):
         raise ValueError(f"a string states {size} bytes: there are fewer")
     return body[start : start + size].decode(), start + size
+
+
+def _read_indexed_channels(body: bytes) -> FrozenSet[int]:
+    """Return the channels of a chunk from its index entry; an empty set if they are missing or damaged."""
+    (size,) = _LENGTH_STRUCT.unpack_from(body, _INDEX_STRUCT.size)
+    offsets = body[_INDEX_STRUCT.size + _LENGTH_STRUCT.size :][:size]
+    if len(offsets) != size or size % _COUNT_STRUCT.size:
+        return frozenset()
+    return frozenset(channel for channel, _ in _COUNT_STRUCT.iter_unpack(offsets))
 
 
 def _scan_chunk_records(data: bytes) -> Iterator[Tuple[int, int, int]]:
