@@ -2,11 +2,13 @@
 
 import bz2
 import threading
+from contextlib import closing
 from io import BytesIO
 
 import pytest
+from malicious_bags import record, ros1_bag
 
-from retalis import BagReader
+from retalis import BagError, BagReader
 from retalis.playback import rosbag1 as module
 from retalis.playback.decompression import ChunkLimit
 from retalis.playback.rosbag1 import MAX_CHUNKS_AHEAD, MAX_REPEATS, Chunk, read_chunks
@@ -129,3 +131,52 @@ def test_compressed_bag_has_same_records(tmp_path):
             )
     assert records_by_compression[0] == records_by_compression[1]
     assert len(records_by_compression[0]) == 285
+
+
+def write_bag(path, times_by_topic, chunk_size=1):
+    """Write one topic after the other, each message in a chunk of its own by default."""
+    rosbag1 = pytest.importorskip("rosbags.rosbag1")
+    writer = rosbag1.Writer(path)
+    writer.chunk_threshold = chunk_size
+    writer.open()
+    for topic, times in times_by_topic.items():
+        connection = writer.add_connection(
+            topic, "std_msgs/msg/String", msgdef="string data\n", md5sum="0" * 32
+        )
+        for time in times:
+            writer.write(connection, time, bytes(100))
+    writer.close()
+    return path
+
+
+def read_times(path):
+    with BagReader(path) as bag:
+        return [(record.topic.name, record.time) for record in bag.records()]
+
+
+def test_topics_written_one_after_the_other_are_merged(tmp_path):
+    times = {"/a": range(1, 100, 2), "/b": range(2, 101, 2)}
+    path = write_bag(tmp_path / "a.bag", times, chunk_size=1_000_000)
+    assert read_times(path) == [("/a" if time % 2 else "/b", time) for time in range(1, 101)]
+
+
+def test_messages_of_equal_time_are_in_order_of_their_topics(tmp_path):
+    path = write_bag(tmp_path / "a.bag", {"/a": [1, 2], "/b": [1, 2]})
+    assert read_times(path) == [("/a", 1), ("/b", 1), ("/a", 2), ("/b", 2)]
+
+
+def test_passes_over_one_bag_are_independent(tmp_path):
+    path = write_bag(tmp_path / "a.bag", {"/a": [1, 3, 5], "/b": [2, 4, 6]})
+    with BagReader(path) as bag, closing(bag.records(["/a"])) as first, closing(bag.records()) as second:
+        pairs = [(one.time, other.time) for one, other in zip(first, second)]
+    assert pairs == [(1, 1), (3, 2), (5, 3)]
+
+
+def test_message_inside_another_one_is_an_error(tmp_path):
+    header = {b"op": b"\2", b"conn": bytes(4), b"time": (2).to_bytes(4, "little") + bytes(4)}
+    inner = record(header, b"\2\0\0\0hi")
+    offset = len(record(header, bytes(4)))
+    path = tmp_path / "a.bag"
+    path.write_bytes(ros1_bag([[inner]], entries=[0, offset]))
+    with pytest.raises(BagError, match="the index names a message in the chunk at byte 4109 more than once"):
+        read_times(path)
