@@ -3,6 +3,7 @@
 import pytest
 
 from retalis import Engine, Limits, PrologError, Settings, functor
+from retalis.foundation.interrupts import Interrupt, postpone
 from retalis.prolog.machine import resource_limits
 
 RULES = """
@@ -209,14 +210,10 @@ def test_repeated_exceptions_are_limited():
 
 def test_interrupt_does_not_use_limit_of_next_event():
     engine = make(goals=subscriptions("count(10000)", 1), inferences=30_000)
-
-    def interrupt(machine):
-        raise KeyboardInterrupt
-
-    engine.logic.define("interrupt", 0, interrupt)
+    engine.logic.define("interrupt", 0, lambda machine: postpone(Interrupt()) is None)
     for number in range(3):
-        with pytest.raises(KeyboardInterrupt):
-            engine.call("count(20000), interrupt")
+        with pytest.raises(Interrupt):
+            engine.call("count(20000), interrupt, repeat, fail")
         engine.event(f"in({number})", number)
     assert len(engine.outputs) == 3
     assert engine.logic.machine.budget.goal is None

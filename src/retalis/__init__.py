@@ -45,6 +45,7 @@ if TYPE_CHECKING:  # for type checkers; a program gets them by `__getattr__`
         UsageError,
     )
     from .foundation.garbage_collection import collect_when_idle, limit_gc_pauses, restore_gc
+    from .foundation.interrupts import deferred_interrupts
     from .messages.decoder import Decoder
     from .messages.encoder import Encoder
     from .messages.type_definition import Definition
@@ -73,6 +74,7 @@ __all__ = [
     "collect_when_idle",
     "Compound",
     "Decoder",
+    "deferred_interrupts",
     "Definition",
     "Definitions",
     "deref",
@@ -135,6 +137,7 @@ _MODULES = {
     "collect_when_idle": "foundation.garbage_collection",
     "Compound": "prolog.system.value_conversion",
     "Decoder": "messages.decoder",
+    "deferred_interrupts": "foundation.interrupts",
     "Definition": "messages.type_definition",
     "Definitions": "messages.type_registry",
     "deref": "prolog.terms.types",

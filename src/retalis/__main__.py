@@ -14,29 +14,24 @@ def main() -> int:
     _open_closed_streams()
     # Before and after the command there is nothing to clean up after ctrl-C. A process that ignores it, as one in the
     # background of a script, continues to ignore it.
-    handles_interrupts = signal.getsignal(signal.SIGINT) is not signal.SIG_IGN
-    if handles_interrupts:
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, _exit_at_once)
     # While modules are imported, there is no garbage to collect.
     gc.disable()
     from .cli.command_line import import_commands  # noqa: PLC0415
     from .cli.command_line import main as command_line  # noqa: PLC0415
     from .foundation.garbage_collection import stop_collecting  # noqa: PLC0415
-    from .foundation.lost_interrupts import repeat_lost_interrupts  # noqa: PLC0415
+    from .foundation.interrupts import deferred_interrupts  # noqa: PLC0415
 
     import_commands(sys.argv[1:])
     stop_collecting()  # modules stay: later collections, and those at the exit, do not visit them
     gc.enable()
     try:
-        if handles_interrupts:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
-        with repeat_lost_interrupts():
+        with deferred_interrupts():
             return command_line()
     except KeyboardInterrupt:
         return _INTERRUPTED
     finally:
-        if handles_interrupts:
-            signal.signal(signal.SIGINT, _exit_at_once)
         stop_collecting()
 
 

@@ -26,6 +26,7 @@ from ..events.program.topic_configuration import TopicType, topic_type
 from ..explanation.event_explanations import explain, record_origins
 from ..foundation.errors import RetalisError, UsageError, quote_shortened
 from ..foundation.garbage_collection import limit_gc_pauses, restore_gc
+from ..foundation.interrupts import check_interrupt, interruptible
 from ..foundation.output_files import print_json
 from ..playback.bag_locations import (
     BagLocation,
@@ -263,6 +264,7 @@ def play(
         limit_gc_pauses()
         flush_time = timestamps.from_seconds(options.flush)
         for output in playback.run(bags, printer.advance, is_last, flush_time):
+            check_interrupt()
             printer.print_output(output)
             if writer is not None:
                 writer.write(output)
@@ -272,7 +274,8 @@ def play(
 
 def open_bags(options: argparse.Namespace) -> MergedBag:
     """Open the bags of the options."""
-    return MergedBag(options.bags, options.start, options.duration, options.max_chunk_megabytes)
+    with interruptible():
+        return MergedBag(options.bags, options.start, options.duration, options.max_chunk_megabytes)
 
 
 def create_playback(

@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 
 from ..foundation.errors import RetalisError, quote_shortened
 from ..foundation.garbage_collection import stop_limiting_gc_pauses
+from ..foundation.interrupts import EXIT_STATUS, interruptible
 from ..foundation.output_files import GuardedOutput, OutputFailed
 from ..foundation.similar_names import did_you_mean
 from .command_parser import CommandParser
@@ -78,6 +79,9 @@ COMMANDS = {
     "complete": "completion.add_parser",
 }
 """The module of each command, and its function that adds the parser of the command."""
+
+_KEEP_ENGINE = frozenset(("bag", "console", "events", "plot"))
+"""Commands that run an engine, or process its results, and are interrupted at safe points only."""
 
 _NEEDS_ALL = "complete"
 """The command that needs the parsers of all others."""
@@ -149,13 +153,18 @@ def _run_command(words: List[str]) -> int:
         options, unknown_words = parser.parse_known_args(join_times_option(words))
         if unknown_words:
             command_parsers[options.command].reject_unknown(unknown_words)
-        status: int = options.run(options)
+        if options.command in _KEEP_ENGINE:
+            status: int = options.run(options)
+        else:
+            # No engine is used after an interrupt of these commands.
+            with interruptible():
+                status = options.run(options)
         return status
     except RetalisError as error:
         print(f"retalis: {error}", file=sys.stderr)
         return error.exit_status
     except KeyboardInterrupt:
-        return 130
+        return EXIT_STATUS
     finally:
         # A caller in the same process keeps its loggers and its garbage collector.
         detach_reporters()

@@ -23,6 +23,7 @@ from ..events.clock.clock import Clock
 from ..events.rules.event_input_predicates import event_of
 from ..foundation.errors import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError, printable
 from ..foundation.garbage_collection import limit_gc_pauses
+from ..foundation.interrupts import is_interrupted
 from ..foundation.output_files import print_json
 from ..prolog.builtins.tracer import Tracer
 from ..prolog.syntax.term_reader import ReadTerm
@@ -508,8 +509,10 @@ class Console:
                 print_solutions = self._print_json_solutions if self._as_json else self._print_solutions
                 print_solutions(goal, read_goal.names)
         except RetalisError as error:
-            self._start_new_line()
-            self._reporter(error if error.place else RuleError(error.message))
+            # An interrupt ends the goal with an error, and is raised when this method has returned.
+            if not is_interrupted():
+                self._start_new_line()
+                self._reporter(error if error.place else RuleError(error.message))
         finally:
             # Cleanup goals may write after the last answer.
             self._start_new_line()

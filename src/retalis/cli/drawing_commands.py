@@ -11,6 +11,7 @@ from ..engine.run_records import open_records
 from ..events.program.topic_configuration import GOALS, TOPICS, Topics, read_topics
 from ..foundation.errors import ProgramErrors, UsageError
 from ..foundation.garbage_collection import limit_gc_pauses
+from ..foundation.interrupts import interruptible
 from ..foundation.output_files import open_output, print_json
 from ..messages.type_definition import functor_name
 from ..playback.playback import RunRecorder
@@ -180,17 +181,20 @@ def draw_run(options: argparse.Namespace) -> int:
     if options.run_file is not None:
         if options.bags:
             options.reject_usage("give bags or --from, not both")
-        timeline, title = _read_timeline(options.run_file), options.run_file.name
+        with interruptible():
+            timeline = _read_timeline(options.run_file)
+        title = options.run_file.name
     else:
         if not options.bags or options.program is None:
             options.reject_usage("give bags with --program, or --from")
         # An error in the program does not prevent the drawing; it determines the exit status.
         timeline = _record_timeline(options, reporter)
         title = f"{options.program.resolve().name} over {', '.join(Path(bag).name for bag in options.bags)}"
-    if suffix in PAGE_SUFFIXES:
-        _write_file(path, timeline_page(timeline, title))
-    else:
-        draw_timeline(timeline, title, path)
+    with interruptible():
+        if suffix in PAGE_SUFFIXES:
+            _write_file(path, timeline_page(timeline, title))
+        else:
+            draw_timeline(timeline, title, path)
     return 1 if reporter.errors else 0
 
 

@@ -35,6 +35,7 @@ from ..foundation.errors import (
     place_at_column,
 )
 from ..foundation.garbage_collection import limit_gc_pauses
+from ..foundation.interrupts import check_interrupt, interruptible
 from ..foundation.output_files import open_output
 from ..prolog.machine.machine import Machine
 from ..prolog.syntax.event_text import EventReader
@@ -103,7 +104,12 @@ def read_stream(file: IO[str], operators: Operators, source: str) -> Iterator[St
 def _read_lines(file: IO[str], source: str) -> Iterator[str]:
     """Yield the lines of a file; an error of the operating system names the file."""
     try:
-        yield from file
+        while True:
+            with interruptible():
+                line = file.readline()
+            if not line:
+                return
+            yield line
     except OSError as error:
         raise UsageError(f"cannot read {source}: {error.strerror}") from error
 
@@ -378,6 +384,7 @@ class Session:
     def _process_terms(self, stream: Iterable[StreamItem]) -> None:
         try:
             for item in stream:
+                check_interrupt()
                 if isinstance(item, SyntaxFault):
                     self._reporter(item)
                 else:
@@ -421,6 +428,7 @@ class Session:
         if self._options.queries is not None:
             path = self._options.queries
             for goal in read_goals(read_text(path), self.engine.operators, str(path)):
+                check_interrupt()
                 if isinstance(goal, SyntaxFault):
                     self._reporter(goal)
                 else:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import IO, Callable, Dict, Iterable, Iterator, List, NamedTuple, Optional, Union
 
 from ..foundation.errors import SyntaxFault
+from ..foundation.interrupts import interruptible
 from ..prolog.syntax.operators import Operators
 from ..prolog.syntax.term_reader import ReadTerm, read_program
 from ..prolog.syntax.term_writer import write_term
@@ -161,7 +162,8 @@ class PipedInput:
 
     def read_line(self, prompt: str) -> Optional[str]:
         """Return the next line, or None at the end."""
-        return self._file.readline() or None
+        with interruptible():
+            return self._file.readline() or None
 
     def wants_more(self) -> bool:
         """Return True: with a pipe, all solutions are requested."""
@@ -208,7 +210,8 @@ class TerminalInput:
     def read_line(self, prompt: str) -> Optional[str]:
         """Return the next line, or None at the end (ctrl-D)."""
         try:
-            return input(prompt) + "\n"
+            with interruptible():
+                return input(prompt) + "\n"
         except EOFError:
             print()
             return None
@@ -246,7 +249,8 @@ def _read_key() -> str:
         # TCSADRAIN keeps input that was typed ahead; the default TCSAFLUSH would discard it.
         tty.setcbreak(stdin, termios.TCSADRAIN)
         sys.stdout.flush()
-        return sys.stdin.read(1)
+        with interruptible():
+            return sys.stdin.read(1)
     finally:
         termios.tcsetattr(stdin, termios.TCSADRAIN, settings)
 

@@ -111,9 +111,9 @@ class Engine:
     callback must not wait for another thread that calls the engine, because that thread waits for the callback. If it
     does, the other thread gets a `UsageError` after the callback has taken ``settings.patience`` seconds.
 
-    An interrupt (Ctrl-C) may arrive at any time. It ends the current event or goal: effects that have occurred
-    remain, consequences that have not been derived are omitted, and the engine's data structures are made consistent.
-    Later events are processed normally.
+    Ctrl-C while the engine works leaves it half changed, and it then refuses all further calls. Within
+    `deferred_interrupts` Ctrl-C ends the current event or goal at a safe point: effects that have occurred remain,
+    consequences that have not been derived are omitted, and later events are processed normally.
 
     In a forked process (``os.fork``, ``multiprocessing``) the engine continues independently. If another thread was
     using it at the time of the fork, calls raise a `UsageError` in the new process.

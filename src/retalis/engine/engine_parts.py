@@ -14,7 +14,7 @@ from ..events.rules.rule_base import RuleBase
 from ..messages.message_notation import SlotNames
 from ..messages.type_registry import Definitions
 from ..prolog.files.source_files import SourceFiles
-from ..prolog.machine.resource_limits import MEGABYTE
+from ..prolog.machine.resource_limits import MEGABYTE, Budget
 from ..prolog.swi.use_swi import define_use_swi
 from ..prolog.syntax.operators import Operators
 from ..prolog.system.foreign_functions import define_use_foreign
@@ -34,14 +34,16 @@ class UserCallbacks:
 
     Args:
         executor: names the running callback in the error of a thread that waits for it.
+        budget: ends the event after an exception that is no error.
         reports: receives the errors.
 
     Attributes:
         on_output: called with term, topic and subscription id of each output.
     """
 
-    def __init__(self, executor: SerialExecutor, reports: Reports):
+    def __init__(self, executor: SerialExecutor, budget: Budget, reports: Reports):
         self._executor = executor
+        self._budget = budget
         self._reports = reports
         self.on_output: List[Callable[[Term, str, Term], object]] = []
 
@@ -59,6 +61,9 @@ class UserCallbacks:
         except Exception as error:
             # An error in a callback must not prevent the remaining consequences of the event.
             self._reports.error(error)
+        except BaseException as exception:
+            # The event ends at a safe point: an exception that passed here would leave it half processed.
+            self._budget.end_entry(exception)
         self._executor.end_callback(outer_callback)
 
     def pass_output(self, term: Term, topic: str, name: Term) -> None:
@@ -114,7 +119,6 @@ class EngineParts:
         self.executor = executor = SerialExecutor(
             settings.queue, partial(_report_drop, reports), reports.error, callback_timeout=settings.patience
         )
-        self.callbacks = callbacks = UserCallbacks(executor, reports)
         files = SourceFiles()
         files.sandbox.allow(settings.folders, settings.write_folders, settings.max_file_megabytes * MEGABYTE)
         self.slots = slots = SlotNames(definitions)
@@ -128,6 +132,7 @@ class EngineParts:
             environment=os.environ if settings.allow_foreign else None,
             allow_flags=settings.allow_flags,
         )
+        self.callbacks = callbacks = UserCallbacks(executor, logic.machine.budget, reports)
         self.dispatcher = dispatcher = Dispatcher(logic, max_depth=settings.max_depth)
         self.rules = rules = RuleBase(
             logic,
@@ -147,7 +152,7 @@ class EngineParts:
             rules,
             buffer=settings.transform_buffer(settings.tf_cache),
         )
-        executor.add_recovery(EngineRecovery(logic, dispatcher, rules, knowledge))
+        executor.add_recovery(EngineRecovery(logic, dispatcher, files))
         rules.flags.on_numeric_change("max_gap", knowledge.gaps.set_limit)
         _set_default_flags(rules.flags, settings)
         self.watchdog = start_watchdog(executor, logic, dispatcher, reports, settings.watchdog)

@@ -23,6 +23,7 @@ from ..events.program.topic_configuration import TopicEvent, Topics, TopicType
 from ..events.rules.event_input_predicates import InputReader
 from ..events.rules.rule_base import RuleBase
 from ..foundation.errors import RetalisError, UsageError, shorten
+from ..foundation.interrupts import PENDING, is_interrupted
 from ..foundation.ros_names import ros1_type_name, strip_slashes, topic_fault, type_fault
 from ..messages.message_notation import SlotNames
 from ..messages.transform_messages import TransformMessage
@@ -237,7 +238,8 @@ class EventInput(StateOwner):
         is_idle = self._dispatcher.current is None and not self._logic.machine.choices
         run_as_entry = self._logic.machine.budget.run_as_entry
         while True:
-            due_alarm = clock.due(until)
+            # After an interrupt, the remaining alarms stay due.
+            due_alarm = None if PENDING and is_interrupted() else clock.due(until)
             if due_alarm is None:
                 return
             instant, alarm = due_alarm

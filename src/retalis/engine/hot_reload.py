@@ -31,6 +31,7 @@ from ..foundation.errors import (
     UsageError,
     format_count,
 )
+from ..prolog.builtins.tabling import tables_of
 from ..prolog.database.clause_index import Clause
 from ..prolog.database.predicate import Predicate
 from ..prolog.system.prolog_system import PrologSystem
@@ -57,7 +58,6 @@ _MAX_NAMED_CHANGES = 20
 """Maximum number of changes that are listed per kind of item."""
 
 
-_ABOLISH_TABLES_GOAL = atom("abolish_all_tables")
 _LOADING_WORK = atom("the program's folder")
 _ROLLBACK_WORK = atom("putting the old program back")
 """Names of work in warnings of the watchdog and of limits."""
@@ -349,7 +349,7 @@ class ReloadTransaction:
             program_without_folder = program_items(self._parts)
             budget.run_as_entry((_LOADING_WORK,), load)
             # Answers of tabled predicates may depend on clauses that were replaced.
-            self._parts.logic.once(_ABOLISH_TABLES_GOAL)
+            tables_of(self._parts.logic.machine).clear()
             self.deployment = program_items(self._parts).added_since(program_without_folder)
             description = describe_changes(
                 self._parts.logic,
@@ -540,7 +540,7 @@ class ReloadTransaction:
         rules.timers.restore_all(before.timers)
         knowledge.states.restore_all(before.states)
         self._undo_clauses()
-        self._parts.logic.once(_ABOLISH_TABLES_GOAL)
+        tables_of(self._parts.logic.machine).clear()
 
     def _undo_clauses(self) -> None:
         """Restore the clauses of all predicates; removed clause objects cannot be added again, so they are copied."""

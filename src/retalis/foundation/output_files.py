@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import IO, Any, Iterator, Optional, Union, cast
 from uuid import uuid4
 
+from .interrupts import SafeExit, interruptible
+
 _INCOMPLETE_MARK = ".incomplete."
 
 
@@ -63,7 +65,7 @@ def target_name_of(path: Path) -> str:
     return name if mark and path.name.startswith(".") else ""
 
 
-class OutputFailed(BaseException):
+class OutputFailed(SafeExit):
     """Raised if an output cannot be written: the disk is full, or the reader of a pipe has ended.
 
     It is not an `Exception`, because the engine reports exceptions of callbacks and continues.
@@ -100,14 +102,17 @@ class GuardedOutput:
     def write(self, text: str) -> int:
         """Write a text."""
         try:
-            return self._file.write(text)
+            # The reader of a pipe may let the process wait.
+            with interruptible():
+                return self._file.write(text)
         except OSError as error:
             raise OutputFailed(self._name, error) from None
 
     def flush(self) -> None:
         """Write the buffered text."""
         try:
-            self._file.flush()
+            with interruptible():
+                self._file.flush()
         except OSError as error:
             raise OutputFailed(self._name, error) from None
 

@@ -24,6 +24,7 @@ from struct import Struct
 from typing import Callable, Collection, Dict, FrozenSet, Iterator, List, NamedTuple, Optional, Set, Tuple
 
 from ..foundation.errors import format_count
+from ..foundation.interrupts import check_interrupt
 from .decompression import ChunkLimit, describe_error, unpack
 from .ros2_storage import MAX_TIME, Connection, Message, merge_by_time
 
@@ -256,6 +257,7 @@ class McapFile:
 
         def read(chunk: _McapChunk) -> Iterator[Message]:
             nonlocal bytes_in_memory
+            check_interrupt()
             data = self._unpack_chunk(chunk)
             bytes_in_memory += len(data)
             self._limit.check(bytes_in_memory, "chunks that overlap in time have")
@@ -334,6 +336,7 @@ class McapFile:
     def _scan_records(self, position: int, end: int) -> Iterator[Tuple[int, int, int]]:
         """Yield opcode, offset, and length of the records between two offsets."""
         while position < end:
+            check_interrupt()
             opcode, length = self._read_record_header(position, end)
             position += _RECORD_STRUCT.size
             yield opcode, position, length

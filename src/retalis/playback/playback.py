@@ -61,6 +61,7 @@ from ..foundation.errors import (
     format_count,
     quote_shortened,
 )
+from ..foundation.interrupts import check_interrupt, interruptible
 from ..foundation.ros_names import ros1_type_name, topic_fault, type_fault
 from ..messages.transform_messages import TRANSFORM_TOPICS
 from ..messages.type_definition import Definition
@@ -256,7 +257,9 @@ class Playback:
         self._report_refused(refused)
         # The bag may have defined types that the program publishes.
         program.published.advertise_learned_types()
-        program.log_mistakes(self._folder, self.definitions)
+        with interruptible():
+            # The checks read the program, and import what reads installed message types.
+            program.log_mistakes(self._folder, self.definitions)
         if transforms.is_required and not self._transport.has_transforms():
             log.warning(
                 "%s has no transforms on %s, which the program reads", bag.path, " or ".join(TRANSFORM_TOPICS)
@@ -308,6 +311,7 @@ class Playback:
         for record in records:
             if record is None:
                 return
+            check_interrupt()
             topic, time, data = record
             # `back`: the clocks of several bags, or a bag with unordered times, may go back.
             move_clock(time, back=True)

@@ -25,6 +25,7 @@ from typing import (
 )
 
 from ..foundation.errors import UsageError, install_hint
+from ..foundation.interrupts import interruptible
 from .decompression import describe_error
 
 MAX_WORKER_DEATHS = 4
@@ -83,7 +84,9 @@ def run_in_processes(
                 worker = idle.pop() if idle else _Worker(function, scratch)
                 busy[worker.connection] = worker
                 worker.send_task(pending.popleft(), tasks)
-            for connection in wait([worker.connection for worker in busy.values()]):
+            with interruptible():
+                ready_connections = wait([worker.connection for worker in busy.values()])
+            for connection in ready_connections:
                 worker = busy.pop(connection)
                 index, result = worker.task_index, worker.receive_result()
                 if not isinstance(result, _WorkerDeath):
@@ -210,7 +213,8 @@ def run_on_cluster(
                 future = client.submit(_run_on_worker, function, tasks[pending[0]], pure=False)
                 indexes[future] = pending.popleft()
                 finished.add(future)
-            future = next(finished)
+            with interruptible():
+                future = next(finished)
             result = _get_result(future)
             # A future that is not released would be computed again if its worker dies later.
             future.release()

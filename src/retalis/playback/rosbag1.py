@@ -43,6 +43,7 @@ from typing import (
 )
 
 from ..foundation.errors import RetalisError
+from ..foundation.interrupts import check_interrupt
 from ..foundation.output_files import replace_file
 from ..foundation.ros_names import strip_slashes
 from ..messages.type_definition import Definition
@@ -139,6 +140,7 @@ class _ChunkReader:
         """Yield the contents of all chunks, while the next ones are decompressed."""
         pending: Deque[Future[bytes]] = deque()
         for index, position in enumerate(self._position_order):
+            check_interrupt()
             if self.is_slow(position):
                 pending.append(self.start_reading(index, submit))
                 if len(pending) > MAX_CHUNKS_AHEAD:

@@ -14,6 +14,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Collection, Dict, Iterator, List, Optional, Tuple
 
+from ..foundation.interrupts import check_interrupt, is_interrupted
 from ..foundation.read_only_database import open_without_locks
 from .decompression import ChunkLimit, describe_error
 from .ros2_storage import Connection, Message
@@ -108,13 +109,14 @@ class SqliteFile:
             for row in self._database.execute(query, arguments):  # noqa: UP028
                 yield row
         except sqlite3.OperationalError as error:
+            check_interrupt()
             if self._steps >= 0:
                 raise
             raise ValueError("its tables have more rows than a file of its size can hold") from error
 
     def _count_steps(self) -> bool:
         self._steps -= _STEPS_PER_CALLBACK
-        return self._steps < 0  # True interrupts the query
+        return self._steps < 0 or is_interrupted()  # True interrupts the query
 
     def _read_connections(self) -> List[Connection]:
         """Return the topics, with the definitions and the number of their messages."""

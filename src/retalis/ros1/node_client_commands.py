@@ -38,6 +38,7 @@ from .. import srv
 from ..cli import node_status_tables, toplevel_io
 from ..engine.client_requests import decode_bindings
 from ..foundation.errors import RetalisError, SyntaxFault, UsageError, printable
+from ..foundation.interrupts import interruptible
 from ..foundation.output_files import print_json
 from ..node.services import NO_DURATION
 from ..node.text_exchange import INPUT, OUTPUT, WATCH
@@ -622,7 +623,8 @@ class NodeConsole:
                 goal = deref(parsed.term)
                 if isinstance(goal, Atom) and goal.name in toplevel_io.QUIT_GOALS:
                     return
-                self._solve(parsed, source)
+                with interruptible():
+                    self._solve(parsed, source)
             except UsageError as error:
                 self._print_error(str(error))
             except KeyboardInterrupt:

@@ -1,12 +1,20 @@
 import threading
 import time
+from contextlib import nullcontext
 from types import SimpleNamespace
 
 import pytest
 
 from retalis import UsageError
 from retalis.engine.runtime import serial_executor
-from retalis.engine.runtime.serial_executor import MAX_ENTRIES_PER_TURN, QueuedCall, Recovery, SerialExecutor
+from retalis.engine.runtime.serial_executor import (
+    HALF_CHANGED,
+    MAX_ENTRIES_PER_TURN,
+    QueuedCall,
+    Recovery,
+    SerialExecutor,
+)
+from retalis.foundation.interrupts import Interrupt, postpone
 
 
 def make(size=100, **options):
@@ -337,22 +345,80 @@ def test_posts_of_many_threads_are_all_executed():
     assert total[0] == 8000
 
 
+def end_with(exception):
+    """Return work that an exception ends."""
+
+    def work():
+        raise exception
+
+    return work
+
+
 def test_interrupt_of_call_is_raised_to_caller():
     executor, _, errors = make()
-
-    def interrupted():
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        executor.call(interrupted)
+    with pytest.raises(Interrupt):
+        executor.call(end_with(Interrupt()))
     assert executor.call(lambda: 1) == 1
     assert errors == []
 
 
-def test_interrupt_releases_lock_for_waiting_caller():
+@pytest.mark.parametrize("way", ["post", "post_each", "call"])
+def test_postponed_exception_is_raised_after_work(way):
+    executor, _, errors = make()
+    done = []
+
+    def work(*entry):
+        done.append(entry)
+        if len(done) == 1:
+            postpone(Interrupt())
+
+    ways = {
+        "post": lambda: executor.post(work, 1, 2),
+        "post_each": lambda: executor.post_each(work, [(1, 2), (3, 4)]),
+        "call": lambda: executor.call(work),
+    }
+    with pytest.raises(Interrupt):
+        ways[way]()
+    assert done == [() if way == "call" else (1, 2)]
+    ways[way]()
+    assert len(done) == (3 if way == "post_each" else 2)
+    assert errors == []
+
+
+def test_postponed_exception_is_raised_after_outermost_call():
+    executor, _, _ = make()
+    done = []
+
+    def outer():
+        postpone(Interrupt())
+        executor.call(lambda: done.append("nested"))
+        executor.post(done.append, "posted")
+        done.append("outer")
+
+    with pytest.raises(Interrupt):
+        executor.call(outer)
+    assert done == ["nested", "outer", "posted"]
+
+
+@pytest.mark.parametrize("exception", [KeyboardInterrupt, SystemExit])
+def test_exception_within_work_makes_executor_unusable(exception):
+    executor, _, errors = make()
+    with pytest.raises(exception):
+        executor.call(end_with(exception()))
+    for use in (
+        lambda: executor.call(lambda: 1),
+        lambda: executor.post(errors.append, 1),
+        lambda: executor.post_each(lambda first, second: errors.append(first), [(1, 2)]),
+    ):
+        with pytest.raises(UsageError, match="continue with a new engine"):
+            use()
+    assert errors == []
+
+
+def test_exception_within_work_is_an_error_of_waiting_caller():
     executor, _, _ = make()
     is_working, resume = threading.Event(), threading.Event()
-    answers = []
+    refusals = []
 
     def interrupted():
         is_working.set()
@@ -364,7 +430,9 @@ def test_interrupt_releases_lock_for_waiting_caller():
             executor.call(interrupted)
 
     def second():
-        answers.append(executor.call(lambda: 2))
+        with pytest.raises(UsageError) as error:
+            executor.call(lambda: 2)
+        refusals.append(str(error.value))
 
     threads = [threading.Thread(target=first), threading.Thread(target=second)]
     threads[0].start()
@@ -375,37 +443,20 @@ def test_interrupt_releases_lock_for_waiting_caller():
     resume.set()
     for thread in threads:
         thread.join(10)
-    assert answers == [2]
+    assert refusals == [HALF_CHANGED]
 
 
-def test_interrupted_state_is_restored_first():
-    class Noting(Recovery):
-        def restore(self, state, rebuild):
-            calls.append((state, rebuild))
-            if len(calls) == 1:
-                raise KeyboardInterrupt
+def test_exception_while_error_is_handled_makes_executor_unusable():
+    class Interrupted(Recovery):
+        def restore(self, state):
+            raise KeyboardInterrupt
 
-    def interrupted():
-        raise KeyboardInterrupt
-
-    calls = []
-    executor = SerialExecutor(10, calls.append, calls.append)
-    executor.add_recovery(Noting())
+    executor = SerialExecutor(10, str, str)
+    executor.add_recovery(Interrupted())
     with pytest.raises(KeyboardInterrupt):
-        executor.call(interrupted)
-    assert executor.thread == threading.get_ident()  # the recovery was interrupted as well
-    assert calls == [(None, True)]
-    calls.clear()
-    calls.append("first entry")
-    done = []
-    executor.post(done.append, 1)
-    assert executor.call(lambda: 2) == 2
-    assert done == [1]
-    assert calls == ["first entry", (None, True)]
-    thread = threading.Thread(target=executor.post, args=(done.append, 3))
-    thread.start()
-    thread.join(10)
-    assert done == [1, 3]
+        executor.call(end_with(ValueError()))
+    with pytest.raises(UsageError, match="continue with a new engine"):
+        executor.call(lambda: 1)
 
 
 def test_timed_out_call_is_not_executed_later():
@@ -442,14 +493,13 @@ def test_queued_call_is_executed_once_and_keeps_result():
     assert call.result() == 7
 
 
-def test_interrupt_of_queued_call_is_raised_by_result():
-    def interrupted():
-        raise KeyboardInterrupt
-
-    call = QueuedCall(interrupted)
-    with pytest.raises(KeyboardInterrupt):
+@pytest.mark.parametrize(("exception", "expected"), [(Interrupt, Interrupt), (KeyboardInterrupt, UsageError)])
+def test_exception_of_queued_call_is_raised_by_result(exception, expected):
+    call = QueuedCall(end_with(exception()))
+    # An exception at any point ends the thread that works, too; an interrupt is only for the waiting caller.
+    with pytest.raises(exception) if expected is UsageError else nullcontext():
         call()
-    with pytest.raises(KeyboardInterrupt):  # for the waiting caller, which may be another thread
+    with pytest.raises(expected):
         call.result()
 
 
@@ -459,20 +509,6 @@ def test_cancelled_call_is_not_executed():
     assert call.claim()
     call()
     assert (done, call.claim()) == ([], False)
-
-
-def test_interrupted_call_wakes_waiting_caller():
-    call = QueuedCall(lambda: None)
-    waiting = threading.Thread(target=call.wait, args=(10,))
-    waiting.start()
-    call.finish_if_interrupted()
-    assert not call.is_finished  # it has not begun
-    call.claim()
-    call.finish_if_interrupted()
-    waiting.join(10)
-    assert not waiting.is_alive()
-    with pytest.raises(KeyboardInterrupt):
-        call.result()
 
 
 @pytest.fixture

@@ -211,7 +211,7 @@ def test_events_with_variables_begin_no_state(caplog):
     assert "state docked(_): dock(_" in caplog.text and "has variables: it begins no state" in caplog.text
 
 
-# ---- clock that goes back, restored engines, interrupts ------------------------------------------
+# ---- clock that goes back, restored engines ------------------------------------------------------
 
 
 def test_clock_that_goes_back_clears_states():
@@ -241,15 +241,6 @@ def test_states_are_restored(revision):
     events = [("bump(f(1.5))", 5), ("undock('B')", 6), ("rev(dock('B', x))", 7), ("e", 100)]
     assert engine.feed(*events) == other.feed(*events) != []
     assert engine.values_of_x("holds_at(X, 2)") == other.values_of_x("holds_at(X, 2)")
-
-
-def test_repair_rebuilds_index_of_open_states():
-    engine = load_engine()
-    engine.feed(("dock(a)", 1))
-    (state,) = engine.knowledge.states
-    state._open_by_shared_key.clear()  # noqa: SLF001  (as if an interrupt had occurred between two steps)
-    engine.knowledge.repair()
-    assert engine.feed(("undock(a)", 2)) == [("docked(a)", 1, 2)]
 
 
 # ---- revision ----------------------------------------------------------------------------------------
@@ -450,25 +441,6 @@ def test_reset_clears_states(goal, keeps_past):
     for text, second in (("b(2)", 4), ("a(3)", 5), ("tick", 20)):
         engine.event(text, second)
     assert events == ["a(1)", "b(1)", "on(1)", "a(2)", "b(2)", "a(3)", "on(3)", "tick"]
-
-
-def test_interrupted_deletion_deletes_state():
-    engine = load_engine()
-    interrupts = [KeyboardInterrupt]
-
-    def interrupt():
-        if interrupts:
-            raise interrupts.pop()
-
-    engine.feed(("dock(1)", 1))
-    engine.dispatcher.on_change.add(interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        engine.call("delete_state(docked(_))")
-    with pytest.raises(PrologError, match="docked/1"):
-        engine.query("holds(docked(X))")
-    assert engine.call("state(docked(R), from(dock(R)), until(undock(R)))")
-    engine.feed(("dock(2)", 2))
-    assert engine.values_of_x("holds(docked(X))") == ["2"]
 
 
 def test_deleted_or_detached_state_is_unknown():

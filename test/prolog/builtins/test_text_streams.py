@@ -12,7 +12,6 @@ from retalis.prolog.machine.errors import existence_error, permission_error
 from retalis.prolog.syntax.term_reader import read_program
 from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.syntax.tokenizer import ReadFlags
-from retalis.prolog.system.prolog_system import repair_after_interrupt
 
 
 class FileStore:
@@ -263,14 +262,6 @@ def test_number_of_open_streams_is_limited(logic):
     goal = "forall(between(1, {}, _), open(facts, read, _))"
     assert answers(logic, goal.format(MAX_OPEN_STREAMS)) == [{}]
     assert answers(logic, goal.format(1)) == ["resource_error(streams)"]
-
-
-def test_interrupt_closes_streams(logic):
-    answers(logic, "open(facts, read, _, [alias(in)]), tell(out), write(a)")
-    repair_after_interrupt(logic)
-    assert answers(logic, "write(b), stream_property(_, file_name(_))") == []
-    assert answers(logic, "read(in, _)") == ["existence_error(stream,in)"]
-    assert logic.written == ["b"]
 
 
 def test_terminal_input_is_read_until_term_ends(logic):

@@ -8,6 +8,7 @@ from prolog.support import first, prolog
 
 from retalis import Engine, Limits, ProgramErrors, PrologError, Settings, UsageError, Var, atom, functor
 from retalis.foundation.cancellation import check_limits
+from retalis.foundation.interrupts import Interrupt, postpone
 from retalis.prolog.syntax.term_writer import writeq
 
 PROGRAM = """
@@ -278,14 +279,10 @@ def test_second_limit_is_final_after_rule_goal():
 def test_interrupt_removes_limits_of_calls():
     engine = Engine()
     budget = engine.logic.machine.budget
-
-    def interrupt(machine):
-        raise KeyboardInterrupt
-
-    engine.logic.define("interrupt", 0, interrupt)
-    for goal in ("call_with_time_limit(60, interrupt)", "call_with_inference_limit(interrupt, 10000, _)"):
-        with pytest.raises(KeyboardInterrupt):
-            engine.call(goal)
+    engine.logic.define("interrupt", 0, lambda machine: postpone(Interrupt()) is None)
+    for call in ("call_with_time_limit(60, {})", "call_with_inference_limit({}, 10000, _)"):
+        with pytest.raises(Interrupt):
+            engine.call(call.format("(interrupt, repeat, fail)"))
         assert not budget.alarms
         assert not budget.ceilings
 
@@ -293,13 +290,9 @@ def test_interrupt_removes_limits_of_calls():
 @pytest.mark.parametrize("limits", [Limits(), Limits(inferences=1000)])
 def test_interrupt_undoes_bindings(limits):
     engine = Engine(settings=Settings(limits=limits))
-
-    def interrupt(machine, term):
-        raise KeyboardInterrupt
-
-    engine.logic.define("interrupt", 1, interrupt)
-    engine.load(rules="b <- a(X) where (Y = f(X, Z), Z = 3, interrupt(Y)).")
-    with pytest.raises(KeyboardInterrupt):
+    engine.logic.define("interrupt", 1, lambda machine, term: postpone(Interrupt()) is None)
+    engine.load(rules="b <- a(X) where (Y = f(X, Z), Z = 3, interrupt(Y), repeat, fail).")
+    with pytest.raises(Interrupt):
         engine.event("a(1)", 1)
     assert not engine.logic.machine.trail
 

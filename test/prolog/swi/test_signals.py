@@ -1,14 +1,13 @@
 """Signals that Python handles in a process that uses SWI-Prolog."""
 
-import contextlib
 import ctypes
 import gc
 import signal
 import threading
 
 import pytest
-from interrupts.idle_engine_checks import faults
-from interrupts.injection import AtBytecode, Interrupt
+
+from retalis.foundation.interrupts import Interrupt, deferred_interrupts
 
 
 class Stack(ctypes.Structure):
@@ -26,14 +25,9 @@ def signal_stack():
 
 @pytest.fixture
 def alarms():
-    """Have the signal of alarms raise an `Interrupt`."""
-
-    def take(number, frame):
-        raise Interrupt
-
-    before = signal.signal(signal.SIGALRM, take)
-    yield
-    signal.signal(signal.SIGALRM, before)
+    """Have the signal of alarms interrupt at safe points."""
+    with deferred_interrupts(signal.SIGALRM):
+        yield
 
 
 @pytest.mark.parametrize("goal", ["upto(3, X)", "engines(X)"])
@@ -73,29 +67,3 @@ def test_signal_after_callback_ends_goal(engine, alarms):
     with pytest.raises(Interrupt):
         engine.query("pokes_later(X)")
     assert len(engine.query("upto(2, A), inc(A, X)")) == 2
-
-
-class AtSession(AtBytecode):
-    """Raises an interrupt before the n-th bytecode of what has goals open in SWI-Prolog."""
-
-    def _call(self, frame, event, argument):
-        if not frame.f_code.co_filename.endswith(("swi/swi_session.py", "swi/swi_terms.py")):
-            return None
-        return super()._call(frame, event, argument)
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # as solutions are let go
-@pytest.mark.parametrize("goal", ["upto(2, X), inc(X, Y)", "asks(upto(1, _), X)", "catch(bad(X), _, true)"])
-def test_interrupt_closes_goals(engine, goal):
-    expected = len(engine.query(goal))
-    position = 0
-    where = True
-    while where is not None:
-        position += 3
-        with contextlib.suppress(Interrupt), AtSession(position) as injected:
-            engine.query(goal)
-        where = injected.where
-        assert len(engine.query(goal)) == expected, where
-        assert faults(engine) == [], where
-    assert position > 300

@@ -8,10 +8,9 @@ While one thread posts in a loop, the queue may never be empty, and the thread t
 It therefore releases the lock after `MAX_ENTRIES_PER_TURN` entries and lets other threads run: a thread that posts or
 waits for a call then takes over.
 
-An interrupt, usually a signal, can end this code between any two steps. The steps are therefore not required to leave
-a consistent state. Instead, the state is repaired: the interrupted thread, or the next one that enters, returns to
-the idle state (`Recovery`). Every component that outlives an event can rebuild its derived data from its primary
-data.
+An interrupt is raised when the work of a thread has ended (`foundation.interrupts`). An exception that ends the work
+itself, such as the `KeyboardInterrupt` of Python's own handler of SIGINT, may leave data half changed: the thread id
+in `_working_thread` remains, and the executor refuses all further work.
 
 A forked process contains only the thread that forked. If another thread was working at that moment, its work stays
 unfinished in the child, so the executor of the child refuses all work. An idle executor continues in both processes.
@@ -23,23 +22,32 @@ import threading
 import time
 from collections import deque
 from types import FrameType
-from typing import Any, Callable, Deque, Iterable, Iterator, Optional, Tuple, TypeVar
+from typing import Any, Callable, Deque, Iterable, Iterator, NoReturn, Optional, Tuple, TypeVar
 from weakref import WeakSet
 
 from ...events.dispatch.dispatcher import Dispatcher
-from ...events.knowledge.knowledge_base import KnowledgeBase
-from ...events.rules.rule_base import RuleBase
 from ...foundation.errors import RetalisError, UsageError
-from ...prolog.system.prolog_system import (
-    PrologSystem,
-    machine_state,
-    repair_after_interrupt,
-    restore_machine,
-)
+from ...foundation.interrupts import PENDING, SafeExit, interruptible, raise_pending
+from ...prolog.files.source_files import SourceFiles
+from ...prolog.system.prolog_system import PrologSystem, machine_state, restore_machine
 from ...prolog.terms.types import atom
 
 UNNAMED_REQUEST = atom("a request")
 """Name, in warnings about its duration, of work that has no name of its own."""
+
+
+FORKED_IN_USE = (
+    "the engine cannot be used in this process, which was forked while another thread was using it:"
+    " make an engine in the forked process, or fork while the engine is idle"
+)
+"""Reason for which the engine of a forked process refuses all work."""
+
+HALF_CHANGED = (
+    "the engine cannot be used any more, because an exception that may come at any point, as that of Ctrl-C, has"
+    " ended its work: continue with a new engine, for example of `Engine.restore`; within"
+    " `retalis.deferred_interrupts()` Ctrl-C leaves engines usable"
+)
+"""Reason for which an engine refuses all work after an exception that is no error."""
 
 
 class QueuedCall:
@@ -67,10 +75,10 @@ class QueuedCall:
             return
         try:
             self._result = self._work()
-        except Exception as error:  # raised again in the waiting caller, by `result`
+        except (Exception, SafeExit) as error:  # raised again in the waiting caller, by `result`
             self.error = error
-        except BaseException as error:  # an interrupt is an error for the waiting caller, too
-            self.error = error
+        except BaseException:
+            self.error = UsageError(HALF_CHANGED)
             raise
         finally:
             self.finish()
@@ -92,12 +100,6 @@ class QueuedCall:
     def is_running(self) -> bool:
         """True while the work is in progress."""
         return not self._ticket and not self.is_finished
-
-    def finish_if_interrupted(self) -> None:
-        """Mark the call as done if its work has begun, because an interrupt has ended it."""
-        if self.is_running:
-            self.error = self.error or KeyboardInterrupt()
-            self.finish()
 
     def wake(self) -> None:
         """Wake the waiting caller, so that it checks the state again."""
@@ -132,18 +134,13 @@ MAX_ENTRIES_PER_TURN = 100
 
 
 class Recovery:
-    """Restoration of an earlier state after an error or an interrupt. This base class is for work without state."""
+    """Restoration of an earlier state after an error. This base class is for work without state."""
 
     def state(self) -> object:
         """Return the current state, for `restore`."""
 
-    def restore(self, state: object, rebuild: bool) -> None:
-        """Return to a state, or to the idle state if it is None.
-
-        Args:
-            state: from `state`, or None.
-            rebuild: whether derived data may be inconsistent and must be rebuilt.
-        """
+    def restore(self, state: object) -> None:
+        """Return to a state of `state`, or to the idle state if it is None."""
 
 
 class SerialExecutor:
@@ -161,6 +158,7 @@ class SerialExecutor:
             can be told apart by identity; None if none runs.
         entry: identity of the current work: the arguments of a posted event, or the ``entry`` of a call.
         dropped: number of entries that were dropped because the queue was full.
+        refusal: reason for which all work is refused; empty while the executor can be used.
     """
 
     def __init__(
@@ -175,7 +173,7 @@ class SerialExecutor:
         self._calls: Deque[QueuedCall] = deque()
         self._lock = threading.RLock()
         self._working_thread: Optional[int] = None
-        """The working thread. If it is set although the lock is free, the last work was interrupted."""
+        """The working thread. If it is set although the lock is free, an exception has ended the last work."""
         self._waits_for_room = True
         """True if `post` waits for room in the queue; False after a timeout until the queue has been empty."""
         self._on_drop = on_drop
@@ -185,6 +183,7 @@ class SerialExecutor:
         self.running_callback: Optional[Tuple[str]] = None
         self.entry: object = None
         self.dropped = 0
+        self.refusal = ""
         _EXECUTORS.add(self)
 
     def __len__(self) -> int:
@@ -201,7 +200,7 @@ class SerialExecutor:
         return self._working_thread
 
     def add_recovery(self, recovery: Recovery) -> None:
-        """Set what returns to a consistent state after an error or an interrupt, once the data exists."""
+        """Set what returns to an earlier state after an error, once the data exists."""
         self._recovery = recovery
 
     def restore(self, dropped: int) -> None:
@@ -231,7 +230,7 @@ class SerialExecutor:
         try:
             if not self._queue and not self._calls and self._lock.acquire(False):
                 if self._working_thread is not None:
-                    self._restore(True)
+                    self._refuse_work()
                 self.entry = arguments
                 self._working_thread = this_thread
                 work(*arguments)
@@ -243,9 +242,11 @@ class SerialExecutor:
                 self._process_if_free()
         except Exception as error:  # a failing event must not affect the others
             self._handle_failed_work(error, self._on_error)
-        except BaseException:
-            self._return_to_idle()
+        except BaseException as exception:
+            self._abandon_work(exception)
             raise
+        if PENDING:
+            raise_pending()
 
     def post_each(
         self,
@@ -265,20 +266,23 @@ class SerialExecutor:
             return
         try:
             while self._post_under_lock(work, remaining):
-                pass
+                if PENDING:
+                    raise_pending()
         except Exception as error:  # raised by the iterator: all entries before it are done
             self._handle_failed_work(error, _ignore_error)
             raise
-        except BaseException:
-            self._return_to_idle()
+        except BaseException as exception:
+            self._abandon_work(exception)
             raise
+        if PENDING:
+            raise_pending()
 
     def _post_under_lock(
         self,
         work: Callable[[_Argument1, _Argument2], object],
         remaining: Iterator[Tuple[_Argument1, _Argument2]],
     ) -> bool:
-        """Do entries until another thread posts or calls, or queue one if another thread works.
+        """Do entries until another thread posts or calls, or an interrupt comes; queue one if another thread works.
 
         Returns:
             Whether entries may remain.
@@ -292,7 +296,7 @@ class SerialExecutor:
             self._process_if_free()
             return entry is not None
         if self._working_thread is not None:
-            self._restore(True)
+            self._refuse_work()
         self._working_thread = _thread_id()
         entries_remain = False
         for first, second in remaining:
@@ -301,7 +305,7 @@ class SerialExecutor:
                 work(first, second)
             except Exception as error:  # a failing event must not affect the others
                 self._handle_entry_error(error)
-            if queue or calls:
+            if queue or calls or PENDING:
                 entries_remain = True
                 break
             self.entry = None  # the iterator runs outside of any entry
@@ -328,28 +332,32 @@ class SerialExecutor:
             if self._calls or not self._lock.acquire(False):
                 return self._wait_for_call(work, entry)
             if self._working_thread is not None:
-                self._restore(True)
+                self._refuse_work()
             self.entry = (work,) if entry is None else entry
             self._working_thread = this_thread
             result = work()
             self._release()
-            return result
         except Exception as error:
             self._handle_failed_work(error, _ignore_error)
+            if PENDING:
+                raise_pending()
             raise
-        except BaseException:
-            self._return_to_idle()
+        except BaseException as exception:
+            self._abandon_work(exception)
             raise
+        if PENDING:
+            raise_pending()
+        return result
 
     def report_isolated_error(self, error: Exception, is_idle: bool) -> None:
         """Report an error of a part of the current work that does not affect the rest.
 
         Args:
             error: the error.
-            is_idle: whether no event is being dispatched and no goal runs, so that data can be rebuilt.
+            is_idle: whether no event is being dispatched and no goal runs.
         """
         if is_idle and is_unexpected(error):
-            self._recovery.restore(None, True)
+            self._recovery.restore(None)
         self._on_error(error)
 
     def _handle_failed_work(self, error: Exception, report: Callable[[Exception], None]) -> None:
@@ -357,14 +365,15 @@ class SerialExecutor:
 
         If this thread does not work, the error was raised before its work began, and there is nothing to restore.
         """
-        # A second `try` inside the calling methods would have a gap between both, in which an interrupt is lost.
         try:
+            if self.refusal:
+                raise error
             if self._working_thread == _thread_id():
-                self._restore(is_unexpected(error))
+                self._restore()
                 report(error)
                 self._release()
-        except BaseException:
-            self._return_to_idle()
+        except BaseException as exception:
+            self._abandon_work(exception)
             raise
 
     def _call_nested(self, work: Callable[[], _Result]) -> _Result:
@@ -373,7 +382,9 @@ class SerialExecutor:
         try:
             return work()
         except BaseException as error:
-            self._recovery.restore(state, is_unexpected(error))
+            # A `RetalisError` leaves the engine in a consistent state, so there is nothing to restore.
+            if is_unexpected(error):
+                self._recovery.restore(state)
             raise
 
     def call_next(self, work: Callable[[], object]) -> None:
@@ -391,13 +402,11 @@ class SerialExecutor:
             self._process_if_free()
             while not call.is_finished:
                 callback = self.running_callback
-                if (
-                    not call.wait(self._callback_timeout)
-                    and callback is not None
-                    and self.running_callback is callback
-                ):
+                with interruptible():
+                    was_signalled = call.wait(self._callback_timeout)
+                if not was_signalled and callback is not None and self.running_callback is callback:
                     self._fail_waiting_call(call, callback)
-                self._process_if_free()  # the working thread may have been interrupted
+                self._process_if_free()  # an exception may have ended the work of the other thread
         except BaseException:
             call.claim()
             raise
@@ -415,16 +424,15 @@ class SerialExecutor:
     def _is_nested(self) -> bool:
         """Return whether a caller of this method already runs work of this executor.
 
-        If not, the thread id in `_working_thread` remains from interrupted work, and the executor returns to the idle
-        state.
+        Raises:
+            UsageError: if not. The thread id in `_working_thread` then remains from work that an exception has ended.
         """
         frame: Optional[FrameType] = sys._getframe(2)
         while frame is not None:
             if frame.f_code in _CODE_OF_WORKING_METHODS and frame.f_locals.get("self") is self:
                 return True
             frame = frame.f_back
-        self._return_to_idle()
-        return False
+        return self._refuse_work()
 
     def _append(self, work: Callable[..., object], arguments: Tuple[object, ...]) -> None:
         if len(self._queue) >= self._size:
@@ -440,7 +448,9 @@ class SerialExecutor:
         if self._waits_for_room and self._working_thread != _thread_id():
             while len(self._queue) >= self._size:
                 oldest = self._oldest_entry()
-                if self._lock.acquire(timeout=FULL_QUEUE_WAIT_SECONDS):
+                with interruptible():
+                    is_free = self._lock.acquire(timeout=FULL_QUEUE_WAIT_SECONDS)
+                if is_free:
                     self._process_queue()
                     return
                 # A whole queue can take longer on a busy machine; progress means a new oldest entry.
@@ -487,7 +497,7 @@ class SerialExecutor:
     def _process_queue(self) -> None:
         """Do at most `MAX_ENTRIES_PER_TURN` pieces of work and release the lock, which the caller has acquired."""
         if self._working_thread is not None:
-            self._restore(True)
+            self._refuse_work()
         self._working_thread = _thread_id()
         queue, calls = self._queue, self._calls
         remaining = MAX_ENTRIES_PER_TURN
@@ -498,7 +508,7 @@ class SerialExecutor:
                 self.entry = calls[0].entry
                 calls[0]()
                 if calls[0].error is not None:
-                    self._restore(is_unexpected(calls[0].error))
+                    self._restore()
                 # Removed last: during its work, `call_next` recognizes the running call by its place in the queue.
                 calls.popleft()
                 continue
@@ -520,7 +530,7 @@ class SerialExecutor:
             next_call.wake()
 
     def _handle_entry_error(self, error: Exception) -> None:
-        self._restore(is_unexpected(error))
+        self._restore()
         self._on_error(error)
 
     def reset_in_child(self) -> None:
@@ -530,43 +540,53 @@ class SerialExecutor:
                 self._calls.remove(call)
         if not self._lock.acquire(False):
             # The thread that holds the lock does not exist in this process, so the lock is never released.
-            self.__class__ = _UnusableExecutor
+            self._make_unusable(FORKED_IN_USE)
         elif self._working_thread == _thread_id():
             self._lock.release()  # the work that called fork continues
         else:
-            # After an interrupt, this thread may hold the lock more than once.
-            self._lock = threading.RLock()
+            self._lock.release()
 
-    def _restore(self, rebuild: bool) -> None:
+    def _restore(self) -> None:
+        """Return to the idle state after an error."""
         self.running_callback = None
-        self._recovery.restore(None, rebuild)
+        self._recovery.restore(None)
 
-    def _return_to_idle(self) -> None:
-        """Return to the idle state after an interrupt and release the lock; may be called again."""
-        if not self._lock.acquire(False):
-            return  # another thread holds the lock
-        if self._working_thread is not None or self._calls:
-            self._restore(self._working_thread is not None)
-            for call in tuple(self._calls):
-                call.finish_if_interrupted()
-                if call.is_finished or call.is_follow_up:  # the recovery has done the scheduled work
-                    self._calls.remove(call)
-            self._working_thread = None
+    def _abandon_work(self, exception: BaseException) -> None:
+        """End the work of this thread after an exception that is no error, and release the lock."""
+        if self._working_thread == _thread_id():
+            if isinstance(exception, SafeExit):
+                self._restore()
+                self._release()
+                return
+            self._make_unusable(HALF_CHANGED)
         try:
-            while True:
-                self._lock.release()
-        except RuntimeError:  # released as often as it was acquired
+            # Also if the exception came between the acquisition of the lock and the start of the work.
+            self._lock.release()
+        except RuntimeError:  # this thread does not hold the lock
             pass
         for call in tuple(self._calls):
             call.wake()
 
+    def _refuse_work(self) -> NoReturn:
+        """Refuse all work from now on, because an exception has ended the last work at any point.
+
+        Raises:
+            UsageError: the error that all further callers get, too.
+        """
+        self._make_unusable(HALF_CHANGED)
+        raise UsageError(self.refusal)
+
+    def _make_unusable(self, refusal: str) -> None:
+        self.refusal = refusal
+        self.__class__ = _UnusableExecutor
+
 
 class _UnusableExecutor(SerialExecutor):
-    """The executor of a forked process in whose parent another thread was working."""
+    """An executor that refuses all work, because data may be half changed; see `refusal`."""
 
     def post(self, work: Callable[..., object], *arguments: object) -> None:
         """Refuse the work."""
-        raise _make_refusal()
+        raise UsageError(self.refusal)
 
     def post_each(
         self,
@@ -574,18 +594,15 @@ class _UnusableExecutor(SerialExecutor):
         entries: Iterable[Tuple[_Argument1, _Argument2]],
     ) -> None:
         """Refuse the work."""
-        raise _make_refusal()
+        raise UsageError(self.refusal)
 
     def call(self, work: Callable[[], _Result], entry: object = None) -> _Result:
         """Refuse the work."""
-        raise _make_refusal()
+        raise UsageError(self.refusal)
 
-
-def _make_refusal() -> UsageError:
-    return UsageError(
-        "the engine cannot be used in this process, which was forked while another thread was using it:"
-        " make an engine in the forked process, or fork while the engine is idle"
-    )
+    def _process_if_free(self) -> None:
+        """Refuse the work that threads have queued before."""
+        raise UsageError(self.refusal)
 
 
 _EXECUTORS: "WeakSet[SerialExecutor]" = WeakSet()
@@ -617,45 +634,33 @@ def _ignore_error(error: Exception) -> None:
 
 
 def is_unexpected(error: BaseException) -> bool:
-    """Return whether an error may have left an inconsistent state: an interrupt or an internal error."""
+    """Return whether an error has skipped the end of goals: an internal error, or an exception that is no error."""
     return not isinstance(error, RetalisError)
 
 
 class EngineRecovery(Recovery):
     """Recovery of an engine: to the state at the start of a nested call, or to the idle state."""
 
-    def __init__(
-        self, logic: PrologSystem, dispatcher: Dispatcher, rules: RuleBase, knowledge: KnowledgeBase
-    ):
+    def __init__(self, logic: PrologSystem, dispatcher: Dispatcher, files: SourceFiles):
         self._logic = logic
         self._dispatcher = dispatcher
-        self._rules = rules
-        self._knowledge = knowledge
+        self._files = files
 
     def state(self) -> Any:
         """Return the states of machine, files, dispatcher and compiler, for `restore`."""
         return (
             machine_state(self._logic.machine),
-            self._rules.files.state(),
+            self._files.state(),
             self._dispatcher.state(),
             self._logic.new_goals,
         )
 
-    def restore(self, state: Any, rebuild: bool) -> None:
-        """Return to a state, or to the idle state if it is None; rebuild derived data if ``rebuild`` is true."""
-        if state is not None and not rebuild:
-            return  # a `RetalisError` leaves the engine in a consistent state, so there is nothing to restore
-        dispatcher = self._dispatcher
+    def restore(self, state: Any) -> None:
+        """Return to a state of `state`, or to the idle state if it is None."""
         saved_machine, saved_files, saved_dispatch, new_goals = (
             (None, None, (None, None), None) if state is None else state
         )
         restore_machine(self._logic.machine, saved_machine)
-        if rebuild:
-            self._rules.files.restore(saved_files)
-        dispatcher.restore(*saved_dispatch)
+        self._files.restore(saved_files)
+        self._dispatcher.restore(*saved_dispatch)
         self._logic.continue_precompiling(new_goals)
-        if rebuild and state is None:
-            repair_after_interrupt(self._logic)
-            dispatcher.repair()
-            self._rules.repair()
-            self._knowledge.repair()

@@ -293,6 +293,7 @@ class EventFileLoader:
     def _read(self, program: Program, state: _ReadingState) -> None:
         """Read the terms of a text; the terms of included files take the place of the ``include`` directive."""
         for read_term in program:
+            self._rules.logic.machine.budget.check_interrupt()
             if isinstance(read_term, SyntaxFault):
                 if not state.conditions.is_skipping:
                     state.errors.append(read_term)
@@ -361,6 +362,7 @@ class EventFileLoader:
         entries: List[Union[FileEntry, PrologSource, CheckedProgram]] = []
         defined_predicates = predicates_defined_in(checker.entries)
         for entry in checker.entries:
+            logic.machine.budget.check_interrupt()
             if entry.kind is EntryKind.CLAUSE:
                 problem = clause_error(logic, entry.term) or fact_error(logic, entry.term, defined_predicates)
                 if problem is not None:
@@ -387,6 +389,7 @@ class EventFileLoader:
     def _compile_rules(self, definitions: List[RuleDefinition], errors: Errors) -> List[EventRule]:
         rules = []
         for definition in definitions:
+            self._rules.logic.machine.budget.check_interrupt()
             try:
                 rules.append(self._rules.compile(definition))
             except RetalisError as error:
@@ -481,6 +484,7 @@ class EventFileLoader:
     def _process_entries(self, checked: CheckedProgram) -> None:
         rules, final_entries = self._rules, []
         for entry in checked.entries:
+            rules.logic.machine.budget.check_interrupt()
             if isinstance(entry, CheckedProgram):
                 module = "" if entry.path is None else self._files.module(entry.path)
                 # A file that precedes this one may have loaded it meanwhile.

@@ -179,6 +179,7 @@ class _FileConsultation:
     def _process_terms(self, program: Program) -> None:
         """Process the terms of a text; the terms of included files take the place of the ``include`` directive."""
         for read_term in program:
+            self._logic.machine.budget.check_interrupt()
             if isinstance(read_term, SyntaxFault):
                 if not self._conditions.is_skipping:
                     self._omitted.append(read_term)

@@ -318,7 +318,13 @@ class ProgramStreams:
 
     def _read_user_line(self) -> Optional[str]:
         ask = self._logic.ask
-        return None if ask is None else ask()
+        try:
+            return None if ask is None else ask()
+        except Exception:
+            raise
+        except BaseException as exception:
+            # An interrupt while the user is typing ends the goal that reads.
+            raise self._logic.machine.budget.end_entry(exception) from exception
 
     def open(
         self,

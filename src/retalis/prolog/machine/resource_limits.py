@@ -17,6 +17,9 @@ If an entry exceeds a limit:
 4. Pattern matching is not interrupted by an exception, which would leave a partial match half joined. It stops at the
    points where it counts its work (`Budget.meter`).
 
+An interrupt (`foundation.interrupts`) acts like a limit whose first error is final: the goal ends, further goals are
+refused, and pattern matching stops. The executor raises it at the end of the entry.
+
 Limits of a single call (``call_with_time_limit/2`` and similar) are *alarms* (instants) and *ceilings* (counts of
 inferences) in the budget; they throw `CallLimitError`.
 """
@@ -44,6 +47,7 @@ from typing import (
 from ...foundation.callbacks import CallbackList
 from ...foundation.cancellation import CURRENT_CHECK, register_budget
 from ...foundation.errors import UsageError, quote_shortened
+from ...foundation.interrupts import PENDING, are_deferred, is_interrupted, postpone, raise_pending
 from ..terms.types import Term
 from .errors import PrologError, resource_error
 
@@ -209,6 +213,9 @@ def record_caught_error(error: Exception) -> bool:
     return True
 
 
+INTERRUPT = "interrupt"
+"""Name in place of a limit's, if the entry ends because an exception has to leave the engine."""
+
 _MEMORY_CHECK_INTERVAL_SECONDS = 0.005
 """Time between two measurements of resident memory."""
 
@@ -294,8 +301,8 @@ class Budget:
         self.on_stopped: CallbackList[Callable[[object, str, int, object], None]] = CallbackList()
         self.pattern_steps = [0]
         self.set_limits(limits)
-        # Patterns are matched in entries of an executor only.
-        self.meters_patterns = executor is not None and self._has_limits
+        # Patterns are matched in entries of an executor only. Interrupts act where limits are checked.
+        self.meters_patterns = executor is not None and (self._has_limits or are_deferred())
         self.running = False
         self._limit_check = self.check_limits
         self.inferences = 0
@@ -377,7 +384,7 @@ class Budget:
         return self.running, CURRENT_CHECK.check, self.goal, len(self.alarms), tuple(self.ceilings)
 
     def restore(self, state: Optional[BudgetState]) -> None:
-        """Restore the running goals after an interrupt; None means that nothing was running."""
+        """Restore the running goals after an internal error; None means that nothing was running."""
         if state is None:
             self.running = False
             self.goal = None
@@ -385,8 +392,8 @@ class Budget:
                 CURRENT_CHECK.check = None
             self.end()
             return
-        # An interrupt may have skipped the cleanup of inner calls: their alarms and ceilings would throw later, in
-        # goals that have no limit.
+        # The error may have skipped the cleanup of inner calls: their alarms and ceilings would throw later, in goals
+        # that have no limit.
         self.running, CURRENT_CHECK.check, self.goal, alarms, ceilings = state
         del self.alarms[alarms:]
         self.ceilings = {ceiling: error for ceiling, error in self.ceilings.items() if ceiling in ceilings}
@@ -413,10 +420,10 @@ class Budget:
 
     def _report(self) -> None:
         """Report the refused goals and the skipped pattern matching of the entry."""
-        if self.refused_count and self._refusal_limit is not None:
+        if self.refused_count and self._refusal_limit is not None and self._refusal_limit != INTERRUPT:
             for report_refusal in self.on_refused:
                 report_refusal(self.refused_count, self._refusal_limit, self._entry)
-        if self.pattern_stop is not None:
+        if self.pattern_stop is not None and self.pattern_stop[1] != INTERRUPT:
             for report_stop in self.on_stopped:
                 report_stop(*self.pattern_stop, self.skipped_pattern_steps, self._entry)
 
@@ -446,6 +453,9 @@ class Budget:
                 # `_reset_use` has reset the counter. The outer entry must not continue to match patterns.
                 if self.pattern_stop is not None:
                     self.pattern_steps[0] = -1
+            if PENDING:
+                # The interrupt of the inner entry ends the outer one, too.
+                self._stop_soon()
 
     @contextmanager
     def paused(self) -> Iterator[None]:
@@ -496,6 +506,36 @@ class Budget:
         if self.goal is None:
             self.pattern_steps[0] = -1
 
+    def end_entry(self, exception: BaseException) -> PrologError:
+        """End the entry because of an exception that no code of the engine may handle.
+
+        A callback has raised it, for example a `KeyboardInterrupt` or `SystemExit`. The executor raises it again at
+        the end of the entry. Outside of an entry this method raises it.
+
+        Returns:
+            The error for a goal that has called the callback; no program can catch it.
+        """
+        if not self.is_processing_entry:
+            raise exception
+        postpone(exception)
+        self._stop_soon()
+        return self._exceeded_error(INTERRUPT)
+
+    def check_interrupt(self) -> None:
+        """Raise an error if an interrupt has to end the entry; called between the parts of long work without goals.
+
+        Raises:
+            LimitError: which nothing reports, and no program can catch.
+        """
+        if PENDING and is_interrupted():
+            raise self._exceeded_error(INTERRUPT)
+
+    def _stop_soon(self) -> None:
+        """Have goals and pattern matching check the limits at their next step."""
+        self._mark_used()
+        self.needs_check = True
+        self.pattern_steps[0] = -1
+
     # Pattern work of entries
 
     def meter(self, rule: object) -> Optional[Meter]:
@@ -521,7 +561,7 @@ class Budget:
             # The counter is negative here: the difference is the number of steps since the last check.
             self._steps += max(0, self._pattern_slice - self.pattern_steps[0])
             self._count_steps()
-            exceeded_limit = self._exceeded_limit(monotonic()) if self._has_limits else None
+            exceeded_limit = self._exceeded_limit(monotonic())
             if exceeded_limit is None:
                 self.pattern_steps[0] = self._pattern_slice
                 return False
@@ -574,7 +614,7 @@ class Budget:
         self._steps += steps
         if self._steps >= len(SLICE):
             self._count_steps()
-            if self._has_limits and self._exceeded_limit(monotonic()) is not None:
+            if (self._has_limits or PENDING) and self._exceeded_limit(monotonic()) is not None:
                 self.needs_check = True
 
     def count_output(self, size: int) -> None:
@@ -634,7 +674,10 @@ class Budget:
             for ceiling, error in self.ceilings.items():
                 if self.inferences > ceiling:
                     raise error
-        if not self._has_limits and not self.alarms:
+        if PENDING and not self.is_processing_entry:
+            # There is no entry at whose end the exception could be raised.
+            raise_pending()
+        if not (self._has_limits or self.alarms or PENDING):
             return
         # Limits of calls are checked first: an inner limit that is reached at the same time must end the inner call,
         # and not the whole entry.
@@ -655,6 +698,8 @@ class Budget:
     def _exceeded_limit(self, now: float, size: int = 0) -> Optional[str]:
         """Return the limit that the entry exceeds, or would exceed with ``size`` more bytes; None if none."""
         self._mark_used()
+        if PENDING and is_interrupted():
+            return INTERRUPT
         limits = self.limits
         if limits.inferences is not None and self._entry_inferences > limits.inferences:
             return "inferences"
@@ -683,6 +728,11 @@ class Budget:
 
     def _exceeded_error(self, resource: str) -> LimitError:
         error = self._limit_error(resource)
+        if resource == INTERRUPT:
+            # Nothing is reported, because the executor raises the exception.
+            error.is_final = error.was_refused = True
+            self.needs_check = True
+            return error
         error.is_final = self.allowance_count > 1
         self.needs_check = (
             self._refusal_limit is not None

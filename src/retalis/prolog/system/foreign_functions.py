@@ -213,6 +213,8 @@ def _deterministic_function(
         except Exception as error:
             # Any exception of a user's function is an error of the goal and must not end the program.
             raise _goal_error(error, key) from error
+        except BaseException as exception:
+            raise machine.budget.end_entry(exception) from exception
         finally:
             executor.end_callback(outer_callback)
 
@@ -243,6 +245,8 @@ def _generator_function(
                     return
                 except Exception as error:  # an error of the goal, see `_deterministic_function`
                     raise _goal_error(error, key) from error
+                except BaseException as exception:
+                    raise machine.budget.end_entry(exception) from exception
                 finally:
                     executor.end_callback(outer_callback)
                 if is_solution:

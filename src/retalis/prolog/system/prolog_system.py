@@ -1,7 +1,7 @@
 """Prolog system: the interface of a Prolog to Python.
 
-`PrologSystem` adds clauses, runs directives and goals, compiles goals for Python, and prints terms. `machine_state`,
-`restore_machine` and `repair_after_interrupt` return a machine to an earlier state after an interrupt at any point.
+`PrologSystem` adds clauses, runs directives and goals, compiles goals for Python, and prints terms. `machine_state`
+and `restore_machine` return a machine to an earlier state after an internal error.
 """
 
 import sys
@@ -30,7 +30,6 @@ from ..builtins.grammar_and_ssu_rules import (
     translate_rule,
     translate_single_sided,
 )
-from ..builtins.text_streams import end_captures
 from ..compiler.clause_nodes import CALL
 from ..database.clause_index import Clause
 from ..database.compiled_goal import CompiledGoal
@@ -75,28 +74,11 @@ def restore_machine(machine: Machine, state: Optional[MachineState]) -> None:
     height, mark = machine.idle_lengths if state is None else state[:2]
     budget, choices = machine.budget, machine.choices
     while len(choices) > height:
-        entry = choices[-1]
-        # The entry is deleted after its guard has run: an interrupt in between repeats the guard and does not lose
-        # it.
+        entry = choices.pop()
         if entry[0].__class__ is Guard:
             entry[0].unwind(entry)
-        del choices[-1:]
     undo(machine.trail, mark)
     budget.restore(None if state is None else state.budget)
-
-
-def repair_after_interrupt(logic: Any) -> None:
-    """Restore the invariants of data that outlives a goal after an interrupt; no goal may be running."""
-    end_captures(logic)
-    logic.new_goals = None
-    logic.is_serving_client = False
-    logic.database.modules.reset_loading()
-    logic.control.stop_tracing()
-    for predicate in list(logic.database.predicates.values()):
-        predicate.repair()
-    for value in list(logic.state.values()):
-        if hasattr(value, "repair"):
-            value.repair()
 
 
 _DIRECTIVE = functor(":-", 1)
@@ -121,7 +103,8 @@ class UserStream:
         """Write a text.
 
         Raises:
-            LimitError: if the text exceeds the limit of output; none of it is written.
+            LimitError: if the text exceeds the limit of output; none of it is written. Also if an interrupt ends the
+                output.
         """
         # Counted before it is processed, so that a text that is too long costs nothing. Escapes and multibyte
         # characters are added once they are known.
@@ -130,7 +113,12 @@ class UserStream:
         added_bytes = len(escaped.encode()) - len(text)
         if added_bytes:
             self._budget.count_output(added_bytes)
-        self._write(escaped)
+        try:
+            self._write(escaped)
+        except Exception:
+            raise
+        except BaseException as exception:
+            raise self._budget.end_entry(exception) from exception
 
 
 class PrologSystem(PredicateTable):

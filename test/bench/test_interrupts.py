@@ -1,0 +1,30 @@
+"""Response of the commands to Ctrl-C: the cases of the benchmark."""
+
+import importlib
+import sys
+from pathlib import Path
+
+import pytest
+
+_path = list(sys.path)
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "bench"))
+interrupts = importlib.import_module("interrupts")
+sys.path[:] = _path  # the benchmark adds to it as well, and its modules' names are those of test packages
+
+SECONDS = 20
+"""Far above the time that the benchmark measures, for a machine that is busy."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("interrupts")
+    interrupts.make_files(folder)
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", interrupts.CASES)
+def test_interrupt_ends_command(name, folder):
+    seconds, status, errors = interrupts.measure(interrupts.CASES[name], folder)
+    assert (status, errors) == (130, "")
+    assert seconds < SECONDS
