@@ -384,7 +384,7 @@ class _RunPrinter:
             self._recorder.record_final_state()
         if self._options.prints_open:
             self._clear_bar()
-            self._printer.print_open(open_records(self._engine))
+            self._printer.print_open(open_records(self._engine.program))
         for query in self._options.explain:
             term = read_term(query, self._engine.operators, "--explain").term
             self._clear_bar()

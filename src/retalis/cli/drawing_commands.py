@@ -227,7 +227,7 @@ def _record_timeline(options: argparse.Namespace, reporter: StderrReporter) -> T
                 recorder.record_output(output)
         recorder.record_final_state()
         if options.prints_open:
-            for record in open_records(playback.engine):
+            for record in open_records(playback.engine.program):
                 builder.add_record(record)
     return builder.build()
 

@@ -434,7 +434,7 @@ class Session:
                 else:
                     self._call_reporting_errors(self._print_solutions, goal)
         if self._options.prints_open:
-            self._printer.print_open(open_records(self.engine))
+            self._printer.print_open(open_records(self.engine.program))
         for term in self._options.explain:
             self._call_reporting_errors(self._print_explanation, term)
 

@@ -4,14 +4,12 @@ The name of the first field is the type of the record. Times are nanoseconds sin
 and readers use these types, so that mypy finds a name that they do not share.
 """
 
-from typing import TYPE_CHECKING, Dict, Iterator, List, Optional, TypedDict, Union
+from typing import Dict, Iterator, List, Optional, TypedDict, Union
 
 from ..events.language.stream_parser import window_term
 from ..prolog.syntax.term_writer import canonical_text
 from ..prolog.terms import timestamps
-
-if TYPE_CHECKING:
-    from .engine import Engine
+from .deployment_contents import LoadedProgram
 
 
 class EventRecord(TypedDict):
@@ -103,13 +101,13 @@ RECORD_TYPES = {
 """Type of a record by the name of its first field."""
 
 
-def open_records(engine: "Engine") -> Iterator[OpenRecord]:
+def open_records(program: LoadedProgram) -> Iterator[OpenRecord]:
     """Yield the declared states that are open, and the windows that have elements and have not ended."""
-    for declaration in engine.program.knowledge.states:
+    for declaration in program.knowledge.states:
         for term, start in declaration.open_states(None):
             yield OpenStateRecord(open=canonical_text(term), start=start)
-    show = engine.program.logic.show
-    for rule in engine.program.rules.rules:
+    show = program.logic.show
+    for rule in program.rules.rules:
         definition = rule.definition
         title = rule.name if definition.head is None else show(definition.head, names=definition.names)
         for pattern, key, window in rule.open_windows():

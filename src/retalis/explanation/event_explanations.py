@@ -12,6 +12,7 @@ from contextlib import closing
 from time import monotonic
 from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple, Union
 
+from ..engine.deployment_contents import LoadedProgram
 from ..engine.engine import Engine
 from ..events.checks.program_model import MIN_SIMILARITY
 from ..events.knowledge.event_states import DeclaredState, OpenState
@@ -279,11 +280,11 @@ def explain(
 
     def create_explanation() -> Explanation:
         if seconds is None:
-            return _Explainer(engine, origin).explain(term)
+            return _Explainer(engine.program, origin).explain(term)
         # Unification and conditions call `check_limits` in between, which calls the function that is registered here.
         previous = set_limit_check(_create_time_check(monotonic() + seconds, seconds))
         try:
-            return _Explainer(engine, origin).explain(term)
+            return _Explainer(engine.program, origin).explain(term)
         finally:
             set_limit_check(previous)
 
@@ -305,17 +306,17 @@ class _Explainer:
     """Creates the explanation of one call of `explain`.
 
     Args:
-        engine: the engine.
+        program: the program of the engine.
         reference_time: as ``origin`` of `explain`.
     """
 
-    def __init__(self, engine: Engine, reference_time: Optional[int]):
-        self._engine = engine
+    def __init__(self, program: LoadedProgram, reference_time: Optional[int]):
+        self._program = program
         self._reference_time = reference_time
-        self._occurrences = self._engine.program.rules.tracker.remembered_events()
+        self._occurrences = self._program.rules.tracker.remembered_events()
         self._times = TimeFormat(self._show, reference_time, self._occurrences)
         self._why_not_sent = WhyNotSent(
-            self._engine.program.logic, self._engine.program.knowledge.subscriptions.items(), self._show
+            self._program.logic, self._program.knowledge.subscriptions.items(), self._show
         )
         self._expanded_ids: Set[int] = set()
         """Ids of the occurrences whose causes have been shown."""
@@ -348,7 +349,7 @@ class _Explainer:
         # One event, as the dashboard asks for it, is found by its term in an index. The search below takes a second
         # if 100,000 events are recorded.
         candidates: Sequence[Occurrence] = (
-            () if interval is None else self._engine.program.rules.tracker.occurrences_of(term)
+            () if interval is None else self._program.rules.tracker.occurrences_of(term)
         ) or [occurrence for occurrence in self._occurrences if _unifies(occurrence.term, term)]
         if interval is None:
             return list(candidates)
@@ -397,7 +398,7 @@ class _Explainer:
         return ExplanationLine(f"{text} by {self._format_rule(occurrence.rule)}", sources)
 
     def _is_state(self, occurrence: Occurrence) -> bool:
-        return bool(self._engine.program.knowledge.states.declarations_with_functor_of(occurrence.term))
+        return bool(self._program.knowledge.states.declarations_with_functor_of(occurrence.term))
 
     def _explain_missing(
         self, term: Term, interval: Optional[Tuple[int, int]], above: Tuple[_EventSource, ...]
@@ -411,14 +412,14 @@ class _Explainer:
                 event of the request.
         """
         lines = []
-        for rule in self._engine.program.rules.rules:
+        for rule in self._program.rules.rules:
             head = rule.definition.head
             # Rules above are skipped: a recursive rule would explain its event by itself forever.
             if head is None or rule in above:
                 continue
             trail: Trail = []
             if unify(_get_head_event(head), copy(term), trail):
-                why_not = WhyNot(self._engine.program.logic, self._occurrences, rule, self._reference_time)
+                why_not = WhyNot(self._program.logic, self._occurrences, rule, self._reference_time)
                 part = why_not.evaluate(rule.definition.pattern)
                 lines.append(
                     ExplanationLine(self._format_rule(rule), [self._explain_part(part, (*above, rule))])
@@ -442,7 +443,7 @@ class _Explainer:
     def _explain_states(self, term: Term, above: Tuple[_EventSource, ...]) -> List[ExplanationLine]:
         """Return which declared states are open for an event at the end of a state, or why none has begun."""
         lines = []
-        for declaration in self._engine.program.knowledge.states.declarations_with_functor_of(term):
+        for declaration in self._program.knowledge.states.declarations_with_functor_of(term):
             # Two states can begin with the ends of each other.
             if declaration in above:
                 continue
@@ -483,12 +484,10 @@ class _Explainer:
     def _collect_event_names(self) -> List[str]:
         """Return the names of the events that the program receives or raises, or that happened."""
         heads = [
-            rule.definition.head
-            for rule in self._engine.program.rules.rules
-            if rule.definition.head is not None
+            rule.definition.head for rule in self._program.rules.rules if rule.definition.head is not None
         ]
         terms = [*map(_get_head_event, heads), *(occurrence.term for occurrence in self._occurrences)]
-        listened_names = self._engine.program.rules.dispatcher.listened_names()
+        listened_names = self._program.rules.dispatcher.listened_names()
         return [*listened_names, *(functor_name(deref(term)) for term in terms)]
 
     def _explain_missing_messages(self, term: Term) -> List[ExplanationLine]:
@@ -546,7 +545,7 @@ class _Explainer:
         label = "" if rule.label is None else f"{self._show(rule.label)}: "
         names = rule.definition.names
         text = show_term(
-            rule.definition.term, self._engine.program.logic.operators, names_of_bound_variables(names), names
+            rule.definition.term, self._program.logic.operators, names_of_bound_variables(names), names
         )
         return f"rule {label}{text}{place}"
 
@@ -556,7 +555,7 @@ class _Explainer:
         )
 
     def _show(self, term: Term) -> str:
-        return show_term(term, self._engine.program.logic.operators, {})
+        return show_term(term, self._program.logic.operators, {})
 
 
 def _parse_request(request: Term) -> Tuple[Term, Optional[Tuple[int, int]]]:

@@ -27,6 +27,7 @@ from typing import (
     Tuple,
 )
 
+from ..engine.deployment_contents import LoadedProgram
 from ..engine.engine import Engine
 from ..events.knowledge.transform_predicates import TF, TRANSFORM_PREDICATES
 from ..events.language.pattern_tree import EventPattern, own_terms, walk
@@ -132,11 +133,12 @@ class GraphTopic(NamedTuple):
 
 def graph_key(engine: Engine, topics: Iterable[GraphTopic]) -> Hashable:
     """Return a key that changes when the graph of the program changes."""
+    _, rules, knowledge = engine.program
     return (
-        tuple([rule.serial for rule in engine.program.rules.rules]),
-        tuple([id(memory) for memory in list(engine.program.knowledge.memories)]),
-        tuple([id(subscription) for _, subscription in engine.program.knowledge.subscriptions.items()]),
-        tuple([id(state) for state in engine.program.knowledge.states]),
+        tuple([rule.serial for rule in rules.rules]),
+        tuple([id(memory) for memory in list(knowledge.memories)]),
+        tuple([id(subscription) for _, subscription in knowledge.subscriptions.items()]),
+        tuple([id(state) for state in knowledge.states]),
         tuple(topics),
     )
 
@@ -146,28 +148,28 @@ def program_graph(engine: Engine, topics: Iterable[GraphTopic] = ()) -> Graph:
 
     Like `Engine.status`, this reads without the engine's lock.
     """
-    return _GraphBuilder(engine).build(list(topics))
+    return _GraphBuilder(engine.program).build(list(topics))
 
 
 class _GraphBuilder:
     """Builder of the graph of an engine's program."""
 
-    def __init__(self, engine: Engine):
-        self._engine = engine
+    def __init__(self, program: LoadedProgram):
+        self._program = program
         self._nodes: Dict[str, GraphNode] = {}
         self._edges: Dict[Tuple[str, str, str], GraphEdge] = {}
         self._omitted_node_ids: Set[str] = set()
         self._remaining_terms = MAX_TERMS_VISITED
 
     def build(self, topics: List[GraphTopic]) -> Graph:
-        for index, rule in enumerate(self._engine.program.rules.rules):
+        for index, rule in enumerate(self._program.rules.rules):
             self._add_rule(index, rule)
-        for instance in list(self._engine.program.knowledge.memories):
+        for instance in list(self._program.knowledge.memories):
             self._add_memory(instance)
-        for (topic, _), subscription in self._engine.program.knowledge.subscriptions.items():
+        for (topic, _), subscription in self._program.knowledge.subscriptions.items():
             output = self._add_node("output", topic, topic)
             self._add_edge(self._add_event(subscription.listener.pattern), output, f"output:{shorten(topic)}")
-        for state in self._engine.program.knowledge.states:
+        for state in self._program.knowledge.states:
             event = self._add_event(state.form.state)
             self._add_edge(self._add_event(state.form.begin_event), event, "")
             self._add_edge(self._add_event(state.form.end_event), event, "")
@@ -214,7 +216,7 @@ class _GraphBuilder:
     def _format_term(self, term: Term, names: Mapping[Var, str] = MappingProxyType({})) -> str:
         """Return the shortened text of a term. Unnamed variables become ``_``, so that drawings are stable."""
         names = {**dict.fromkeys(variables(term), "_"), **names}
-        return self._engine.program.logic.show(term, names=names, longest=MAX_SHOWN_CHARACTERS, spacing=True)
+        return self._program.logic.show(term, names=names, longest=MAX_SHOWN_CHARACTERS, spacing=True)
 
     def _add_head(self, node: str, index: int, head: Term) -> None:
         """Add the edges from a rule to the events that it fires."""
@@ -247,11 +249,9 @@ class _GraphBuilder:
             if isinstance(name, Atom):
                 sources.append(_make_node_id("memory", name.name))
             elif _get_functor(name) is TF:
-                is_memory = (
-                    not variables(name) and self._engine.program.knowledge.memories.find(name) is not None
-                )
+                is_memory = not variables(name) and self._program.knowledge.memories.find(name) is not None
                 sources.append(
-                    _make_node_id("memory", self._engine.program.logic.brief(name))
+                    _make_node_id("memory", self._program.logic.brief(name))
                     if is_memory
                     else self._add_transforms()
                 )
@@ -264,7 +264,7 @@ class _GraphBuilder:
     def _add_memory(self, memory_instance: Any) -> None:
         # Ids can be compound terms, so the text is used if there is no name. It is the text in the status of the
         # engine, because the edge names the counter of the memory.
-        name = self._engine.program.logic.brief(memory_instance.id)
+        name = self._program.logic.brief(memory_instance.id)
         plain_name = getattr(memory_instance.id, "name", name)
         memory = self._add_node("memory", plain_name, f"memory {name}", name)
         self._add_edge(self._add_event(memory_instance.recorder.pattern), memory, f"memory:{name}")
@@ -298,7 +298,7 @@ class _GraphBuilder:
         """Add an edge if a goal reads, adds or removes facts of the program."""
         is_storing = term.__class__ is tuple and term[0] in _FACT_STORING_GOALS
         key = _get_functor(deref(term[1]) if is_storing else term)
-        predicate = None if key is None else self._engine.program.logic.database.predicates.get(key)
+        predicate = None if key is None else self._program.logic.database.predicates.get(key)
         if predicate is None or not (is_storing or _has_facts_only(predicate)):
             return
         facts = self._add_node("facts", str(key), f"facts of {key}")
@@ -309,7 +309,7 @@ class _GraphBuilder:
 
     def _find_called_terms(self, goals: List[Term]) -> Iterator[Any]:
         """Yield all atoms and compound terms in goals, and in the bodies of the program's clauses that they call."""
-        predicates = self._engine.program.logic.database.predicates
+        predicates = self._program.logic.database.predicates
         # Each predicate is expanded once, because clauses may be recursive.
         expanded: Set[Functor] = set()
         pending = list(goals)

@@ -12,7 +12,6 @@ that exclude each other are reported, because no event can satisfy both.
 """
 
 from typing import (
-    TYPE_CHECKING,
     Any,
     Callable,
     Dict,
@@ -65,9 +64,6 @@ from .event_operators import (
 from .pattern_parser import EventTerm, PlaceLookup, no_place
 from .rule_head_parser import ALARMS, SYNCHRONIZED, makes_event
 from .state_parser import declares_state
-
-if TYPE_CHECKING:
-    from ..rules.event_flags import Flags
 
 _RESERVED_NAMES = frozenset(
     (
@@ -616,7 +612,7 @@ class DeclaredEvents:
 
     Args:
         logic: stores the declarations, and defines ``declare_event/1``.
-        flags: the flag ``undeclared_events`` determines whether each event must be declared.
+        is_strict: returns whether each event must be declared, as flag ``undeclared_events`` determines.
         is_external_event: returns whether events of a functor need no declaration, because they are messages or
             events of the package itself.
 
@@ -624,9 +620,11 @@ class DeclaredEvents:
         checks_events: whether events are checked: something was declared, or the flag requires declarations.
     """
 
-    def __init__(self, logic: PrologSystem, flags: "Flags", is_external_event: Callable[[Functor], bool]):
+    def __init__(
+        self, logic: PrologSystem, is_strict: Callable[[], bool], is_external_event: Callable[[Functor], bool]
+    ):
         self._logic = logic
-        self._flags = flags
+        self._is_strict = is_strict
         self._clauses: List[Clause] = _NO_CLAUSES
         self._clause_count = self._retracted_count = 0
         self._parsed_clauses: Dict[Clause, List[Declaration]] = {}
@@ -645,7 +643,7 @@ class DeclaredEvents:
         return Declarations(
             self._logic.brief,
             self._parse_clauses(),
-            self._flags.get(UNDECLARED.name) is STRICTLY,
+            self._is_strict(),
             self._needs_no_declaration,
         )
 
@@ -687,7 +685,7 @@ class DeclaredEvents:
         clauses, retracted_count = (
             (_NO_CLAUSES, 0) if predicate is None else (predicate.clauses, predicate.retracted_count)
         )
-        strict = self._flags.get(UNDECLARED.name) is STRICTLY
+        strict = self._is_strict()
         # The declarations are parsed again if the clauses have changed. A list of clauses only grows, or is replaced
         # by another list, so its identity and length, the number of dead clauses and the flag identify its contents.
         clause_count = len(clauses)

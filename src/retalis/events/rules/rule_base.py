@@ -26,7 +26,7 @@ from ..clock.clock import Clock
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import TERM, ListenerPhase
 from ..language.called_predicates import calls_in_goals
-from ..language.event_declarations import UNDECLARED, DeclaredEvents
+from ..language.event_declarations import STRICTLY, UNDECLARED, DeclaredEvents
 from ..language.pattern_parser import no_place
 from ..language.pattern_tree import RuleDefinition
 from ..language.rule_head_parser import WATERMARK_DELAY, Property, has_timeout, is_absolute_alarm, is_rule
@@ -177,7 +177,7 @@ class RuleBase(StateOwner):
         self._rule_index = RuleIndex()
         self.watermarks = Watermarks(lambda: (rule.definition for rule in self._rule_index))
         self.flags = Flags(self._apply_flag)
-        self.declared_events = DeclaredEvents(logic, self.flags, is_external_event)
+        self.declared_events = DeclaredEvents(logic, self._requires_declarations, is_external_event)
         self.options: NetworkOptions = self.flags.network_options()
         self.key_bounds = self.flags.key_bounds()
         self.tracker = LineageTracker(self)
@@ -456,6 +456,10 @@ class RuleBase(StateOwner):
         elif name == UNDECLARED.name:
             # The flag makes undeclared events errors, so each event must be checked even if nothing is declared.
             self.declared_events.check_all()
+
+    def _requires_declarations(self) -> bool:
+        """Return whether the flag makes undeclared events errors."""
+        return self.flags.get(UNDECLARED.name) is STRICTLY
 
     def compute_max_timestamp(self) -> int:
         """Return the latest timestamp that may advance the windows of a rule: ``future`` ns after the present time.
