@@ -84,30 +84,30 @@ class PageRun:
 
     def result(self, fence):
         """Run a fence; return the text that the page should show in it."""
-        kind, text, printed = fence["kind"], fence["text"], self.printed
+        language, text, printed = fence["kind"], fence["text"], self.printed
         self.printed = None
         if fence["name"]:
             path = self.folder / fence["name"]
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text, encoding="utf-8")
-        elif kind == "console":
+        elif language == "console":
             return (
                 call_goals(text, self.engine) if text.startswith("?- ") else run_commands(text, self.folder)
             )
-        elif kind == "prolog":
+        elif language == "prolog":
             self.engine.load(rules=text)
-        elif kind == "goals":
+        elif language == "goals":
             self.engine.load(goals=text)
-        elif kind == "stream":
+        elif language == "stream":
             for parsed in read_program(text, self.engine.operators):
                 self.engine.call(parsed.term)
-        elif kind == "outputs":
+        elif language == "outputs":
             return "".join(self.outputs)
-        elif kind == "python":
+        elif language == "python":
             with contextlib.redirect_stdout(io.StringIO()) as output:
                 exec(compile(text, "page", "exec"), self.names)
             self.printed = output.getvalue()
-        elif kind == "text" and printed:
+        elif language == "text" and printed:
             return printed
         return text
 

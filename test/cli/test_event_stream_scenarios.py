@@ -52,12 +52,12 @@ class Run:
             self.outputs = [term_text(term) for term in terms(file.read())]
 
     def _sort(self, term):
-        kind = term[0].name if term.__class__ is tuple else ""
-        if kind not in ("event", "memory_event"):
+        functor_name = term[0].name if term.__class__ is tuple else ""
+        if functor_name not in ("event", "memory_event"):
             self.printed.append(term_text(term))
             return
         start, end = (from_term(stamp) for stamp in list_items(term[2]))
-        events = self.events if kind == "event" else self.memory_events
+        events = self.events if functor_name == "event" else self.memory_events
         events.append((term_text(deref(term[1])), start, end))
 
 

@@ -130,7 +130,7 @@ class Faults(unittest.TestCase):
         )
         last.close()
 
-    def test_changed_type_of_topic_is_refused_and_restored(self):
+    def test_changed_type_of_topic_is_refused(self):
         self.assertEqual(self.add_input("changing", "std_msgs/String").result, "ok")
         self.output("X", "changing")
         outputs = Collector("face_by_marker", String)

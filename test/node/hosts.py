@@ -25,7 +25,7 @@ class Robot:
     """Another node of the network.
 
     Attributes:
-        received: texts that were received, by topic.
+        received: received texts by topic.
     """
 
     def __init__(self, network):

@@ -1,4 +1,4 @@
-"""Ten bags to a node on a network in memory: the outputs are those of playback, in the same order."""
+"""Ten bags on a network in memory: the outputs of the node equal those of playback, in the same order."""
 
 from pathlib import Path
 
@@ -36,7 +36,7 @@ def run_offline(path):
 
 
 def run_on_network(path):
-    """Return the same for a node that receives the messages of a bag."""
+    """Return the outputs of a node that receives the messages of a bag, as texts and as messages by topic."""
     with BagReader(path) as bag:
         records = list(bag.records())
         network = MemoryNetwork(bag.start)

@@ -97,7 +97,7 @@ def test_engine_time_follows_begun_epoch(clock, monkeypatch):
 
 def test_resumed_clock_waits_for_first_time(clock):
     host_clock = HostClock(clock.transport, clock.time.epochs)
-    host_clock.restore([-1, 5 * SECOND, 0, 0])
+    host_clock.restore({**host_clock.snapshot(), "newest": 5 * SECOND})
     host_clock.start(lambda: None, is_resumed=True)
     assert (host_clock.now(), host_clock.went_back()) == (5 * SECOND, False)
     clock.move(9)

@@ -12,7 +12,7 @@ from retalis.node.latched_deduplication import (
 MAP = ("/map", "/map_server", "http://robot:4711/")
 
 
-def test_last_message_in_new_connection_is_repetition():
+def test_last_message_is_repeated_by_connection():
     inputs = LatchedMessageDeduplicator()
     first, second, third = LatchedConnection(*MAP), LatchedConnection(*MAP), LatchedConnection(*MAP)
     assert not inputs.record_message(first.describe_message(b"a"))

@@ -104,7 +104,7 @@ def test_source_of_other_type_is_refused(subscribe, network, caplog, message_typ
     assert "a message of /talker is dropped" in texts(caplog)[0]
 
 
-def test_misspelt_type_is_named_if_publisher_connects(subscribe, publish, caplog):
+def test_misspelt_type_is_named_at_connection(subscribe, publish, caplog):
     results = subscribe("lab/Temperatur")
     publish("lab/Temperature", WARM)
     assert [term[0].name for term in results] == ["lab__0__Temperatur"]

@@ -77,7 +77,7 @@ def test_stream_is_read_and_copied_up_to_size():
 
 def bombs(folder):
     """Write small files that contain or state 200 MB; return each path with a part of its error message."""
-    zeros = {kind: packed_zeros(kind, 200) for kind in ("bz2", "lz4", "zstd")}
+    zeros = {compression: packed_zeros(compression, 200) for compression in ("bz2", "lz4", "zstd")}
     size = 200 * MEGABYTE
     expected_errors = []
 
@@ -85,24 +85,32 @@ def bombs(folder):
         (folder / name).write_bytes(data)
         expected_errors.append((folder / name, expected))
 
-    for kind in ("bz2", "lz4"):
-        chunk = {"compression": kind, "packed": zeros[kind]}
-        write(f"more-{kind}.bag", ros1_bag([[b"hello"]], **chunk), "has more than the 55 bytes")
+    for compression in ("bz2", "lz4"):
+        chunk = {"compression": compression, "packed": zeros[compression]}
+        write(f"more-{compression}.bag", ros1_bag([[b"hello"]], **chunk), "has more than the 55 bytes")
         write(
-            f"much-{kind}.bag",
+            f"much-{compression}.bag",
             ros1_bag([[b"hello"]], **chunk, stated=size),
             f"states {size} bytes: expected at",
         )
-    for kind in ("lz4", "zstd"):
+    for compression in ("lz4", "zstd"):
         for index in (True, False):
-            chunk = {"compression": kind, "packed": zeros[kind], "has_index": index}
+            chunk = {"compression": compression, "packed": zeros[compression], "has_index": index}
             message = [mcap_message(1)]
-            write(f"more-{kind}-{index}.mcap", mcap(message, **chunk), "has more than the 45 bytes")
-            write(f"much-{kind}-{index}.mcap", mcap(message, **chunk, stated=size), f"states {size} bytes")
+            write(f"more-{compression}-{index}.mcap", mcap(message, **chunk), "has more than the 45 bytes")
+            write(
+                f"much-{compression}-{index}.mcap",
+                mcap(message, **chunk, stated=size),
+                f"states {size} bytes",
+            )
     several = [mcap_message(1) + mcap_message(second, b"\0" * 4 * MEGABYTE) for second in range(9, 29)]
     write("overlapping.mcap", mcap(several, "zstd"), "chunks that overlap in time have")
-    for kind in (".mcap.zstd", ".db3.zstd"):
-        write(f"whole{kind}", zeros["zstd"], "is too large: unpacked it would have more than 20000000 bytes")
+    for suffix in (".mcap.zstd", ".db3.zstd"):
+        write(
+            f"whole{suffix}",
+            zeros["zstd"],
+            "is too large: unpacked it would have more than 20000000 bytes",
+        )
     file = folder_bag(folder / "file", "whole.mcap.zstd", "mcap", "file")
     (file / "whole.mcap.zstd").write_bytes(zeros["zstd"])
     expected_errors.append((file, "is too large: unpacked"))

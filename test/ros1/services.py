@@ -109,7 +109,7 @@ class Services(unittest.TestCase):
         wait_until(lambda: number.get_num_connections() == 0, "the end of the subscription")
         self.call("delete_output_subscription", topic="t", id="n")
 
-    def test_query_waits_for_memories_while_events_are_processed(self):
+    def test_query_waits_while_events_are_processed(self):
         self.call("add_memory", event="late(X)", conditions="", format="_", id="late", size="5")
         answers = []
         fields = {"wait_for": ["late"], "stamp": rospy.Time(10), "timeout": 60}

@@ -121,7 +121,7 @@ def test_late_receiver_gets_messages_in_order(make_writer, link, reports):
     assert reports.warnings == 0
 
 
-def test_oldest_messages_are_dropped_if_receiver_is_slow(make_writer, link, reports, caplog):
+def test_slow_receiver_loses_oldest_messages(make_writer, link, reports, caplog):
     writer = make_writer(queue=5)
     for number in range(100):
         writer.send(numbered_message(number))

@@ -104,7 +104,7 @@ def start_wait(monkeypatch):
     return start
 
 
-def test_topic_without_subscribers_is_released_at_once(writer, queue, start_wait):
+def test_topic_without_subscribers_is_released(writer, queue, start_wait):
     queue.send(b"1")
     assert start_wait({"/topic": queue}, make_master({}, {})) == 0
     assert writer.written == [b"1"]

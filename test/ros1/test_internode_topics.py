@@ -40,7 +40,7 @@ def receive_control_message(interface, text, header=HEADER):
     interface.projection._receive(SimpleNamespace(data=text, _connection_header=header))  # noqa: SLF001
 
 
-def test_no_arguments_are_unread_before_first_message(interface):
+def test_all_arguments_are_read_initially(interface):
     assert interface.projection.of(IMAGE) == set()
 
 
@@ -54,7 +54,7 @@ def test_newest_message_defines_unread_arguments(interface):
     assert interface.projection.of(IMAGE) == set()
 
 
-def test_other_subscribers_of_texts_need_all_arguments(interface):
+def test_other_subscribers_need_all_arguments(interface):
     receive_control_message(interface, '{"image/3": [3]}')
     interface.texts.append(SimpleNamespace(endpoint_id="/rostopic_1"))
     assert interface.projection.of(IMAGE) == set()
@@ -205,7 +205,7 @@ def test_list_of_changes_replaces_previous_one(receiver):
     assert apply_changes(receiver, {}, []) == {"/a": A, "/b": B}
 
 
-def test_deleted_topic_is_restored_with_its_event_name(receiver):
+def test_deleted_topic_is_restored_with_event_name(receiver):
     assert apply_changes(receiver, {}, ["/a", "/unknown"]) == {"/b": B}
     assert apply_changes(receiver, {"/a": "std_msgs/Int16"}, ["/a"]) == {
         "/a": ("std_msgs/Int16", ""),

@@ -55,7 +55,7 @@ def make_buffer(topic_writer, reports):
     return lambda queue=100, epoch=lambda: 0: LateJoinerBuffer(topic_writer, ENGINE, queue, reports, epoch)
 
 
-def test_texts_before_connection_are_buffered_in_order(topic_writer, make_buffer):
+def test_texts_before_connection_are_buffered(topic_writer, make_buffer):
     buffer = make_buffer()
     buffer.send(b"1", 1)
     buffer.send(b"2", 1)
@@ -67,7 +67,7 @@ def test_texts_before_connection_are_buffered_in_order(topic_writer, make_buffer
     assert engine.received == [b"123", b"4"]
 
 
-def test_other_subscribers_get_texts_after_connection(topic_writer, make_buffer):
+def test_other_subscribers_get_later_texts(topic_writer, make_buffer):
     buffer = make_buffer()
     buffer.send(b"1", 1)
     other = topic_writer.connect()
@@ -104,7 +104,7 @@ def test_each_peer_gets_newest_latched_messages_once(topic_writer, make_buffer):
     assert second.received == [b"B3"]
 
 
-def test_peer_identified_late_gets_missing_texts_once(topic_writer, make_buffer):
+def test_late_identified_peer_gets_missing_texts(topic_writer, make_buffer):
     buffer = make_buffer()
     buffer.latch("map", lambda: b"A", 1)
     buffer.send(b"a", 1)

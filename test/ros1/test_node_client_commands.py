@@ -11,6 +11,11 @@ import pytest
 LIVE = ("rosrun", "retalis", "retalis")
 
 
+def restore_sigint():
+    """Let SIGINT end a process, because a shell starts background processes with the signal ignored."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def start_node(space):
     """Start a master and node retalis in a space; return the space."""
     space.start_master()
@@ -154,6 +159,7 @@ def test_ended_watch_leaves_no_subscription(node, number):
 
 def test_status_and_watch_survive_new_master(node):
     words = {"env": node.env, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    words["preexec_fn"] = restore_sigint
     status = subprocess.Popen(node.command(*LIVE, "status", "--json", "--every", "0.1"), **words)
     watch = subprocess.Popen(node.command(*LIVE, "watch", "--inputs", "--count", "1"), **words)
     try:
@@ -179,7 +185,12 @@ def test_status_and_watch_survive_new_master(node):
 @pytest.mark.parametrize("command", [["watch"], ["status", "--json", "--every", "0.1"]])
 def test_messages_of_rospy_are_not_in_output(node, command):
     running = subprocess.Popen(
-        node.command(*LIVE, *command), env=node.env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        node.command(*LIVE, *command),
+        env=node.env,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=restore_sigint,
     )
     try:
         prefix = f"/retalis_{command[0]}"

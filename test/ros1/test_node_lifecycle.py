@@ -185,7 +185,11 @@ exec(open({str(script)!r}).read())
     command = [sys.executable, "-c", code]
     for number in numbers:
         with subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
         ) as process:
             ready = threading.Thread(target=process.stdout.readline)
             ready.start()

@@ -106,7 +106,7 @@ def test_latched_connection_has_an_address(connections):
     assert connections.subscription.publishers() == ["/thermometer"]
 
 
-def test_connections_with_equal_headers_are_two_sources(connections):
+def test_equal_headers_are_separate_sources(connections):
     for _ in range(2):
         connections.find_handler(dict(HEADER))([b"1"])
     assert len(connections.receivers) == 2

@@ -62,7 +62,7 @@ def test_malformed_epoch_mark_is_an_event(text, processed, epochs):
     assert processed == [text]
 
 
-def test_epoch_mark_without_simulated_time_is_an_event(processed):
+def test_epoch_mark_in_wall_time_is_an_event(processed):
     make_text_handler_factory(processed.append)(None, "/texts", None)(message(format_epoch_mark(3)))
     assert processed == [format_epoch_mark(3)]
 
@@ -81,7 +81,7 @@ def test_malformed_latched_mark_is_an_event(text):
     assert processed == [text]
 
 
-def test_last_text_repeated_by_next_connection_is_dropped():
+def test_repeated_text_of_connection_is_dropped():
     processed = []
     make_handler = make_text_handler_factory(processed.append, None, LatchedMessageDeduplicator())
     for _ in range(2):  # an interface, and its successor after a kill
@@ -98,7 +98,7 @@ def test_last_text_repeated_by_next_connection_is_dropped():
     assert len(processed) == 12
 
 
-def test_buffered_latched_text_is_processed_once_per_epoch():
+def test_latched_text_is_processed_once_per_epoch():
     processed = []
     epochs = ClockEpochs(Reports(), lambda: 0, lambda: None)
     epochs.update_clock(9_000_000_000)
