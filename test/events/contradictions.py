@@ -1,19 +1,19 @@
-"""Recorded scenarios that the language reference is not to follow: the line that says so, and what it asks for.
+"""Recorded scenarios that contradict the language reference, with the sentence and the results that it requires.
 
-All else of such a scenario is to be as it was recorded.
+All other results of such a scenario are those of the recording.
 """
 
 from typing import Dict, List, NamedTuple, Optional
 
 
 class Contradiction(NamedTuple):
-    """Where a scenario is not to be followed.
+    """A contradiction between a scenario and the reference.
 
     Attributes:
-        line: what the reference says.
-        events: the events that it asks for, as ``term@start-end`` in seconds of the minute; None: as recorded.
-        answers: the solutions of those queries that have other ones, by the number of the query.
-        outputs: what subscribers get; None: as recorded.
+        line: the sentence of the reference.
+        events: the required events, as ``term@start-end`` in seconds of the minute; None: as recorded.
+        answers: the required solutions by the number of the query; other queries as recorded.
+        outputs: the required outputs; None: as recorded.
         errors: whether there is an error; None: as recorded.
     """
 

@@ -1,6 +1,6 @@
-"""Meaning of each operator as data, written by hand from the language reference.
+"""Definitions of the operators as data, written by hand from the language reference.
 
-`test_operator_table` takes the examples from here, the oracle the definitions of pairs, and the fuzzer the names.
+`test_operator_table` uses the examples, the oracle the definitions of pairs, and the fuzzer the names.
 Times are seconds. Every pattern binds X; the streams that fire do so with X = 1.
 """
 
@@ -15,14 +15,14 @@ class Row(NamedTuple):
     Attributes:
         pattern: the pattern, whose variable X joins its parts.
         fires: a stream for which it fires.
-        results: the intervals with which it fires then, in order.
-        never: a stream for which it must not fire.
+        results: the intervals of the results, in order.
+        never: a stream for which it does not fire.
         late: the events of `fires` with a late first side, where the pattern has two sides.
-        either: whether it takes the sides in either order of arrival.
-        waits: whether what the last event completes had to wait for it.
-        back: how many of the results come from the first event.
-        tick: an event that moves the rule's clock and fits nothing.
-        expires: whether what waits is of no use when that has come.
+        either: whether the sides may arrive in either order.
+        waits: whether the last event completes a partial match.
+        back: number of results that the retraction of the first event retracts; -1: all.
+        tick: an event that moves the clock of the rule and matches no pattern.
+        expires: whether partial matches have expired after that event.
     """
 
     pattern: str
@@ -38,7 +38,7 @@ class Row(NamedTuple):
 
     @property
     def derived(self) -> int:
-        """How many results come from the first event: all, if nothing else is said."""
+        """Number of results that the retraction of the first event retracts."""
         return len(self.results) if self.back < 0 else self.back
 
 
@@ -211,10 +211,10 @@ ROWS = {
     ),
 }
 
-# ---- several partners at once -----------------------------------------------------------------------------
+# ---- competing partners -----------------------------------------------------------------------------
 
 CONTESTS = {
-    # operator: intervals of a(1), a(2), a(1) again; of b(1), b(2), b(3); whether the result begins with a
+    # operator: intervals of a(1), a(2), a(1); of b(1), b(2), b(3); whether the result begins with a
     "seq": (((1, 2), (2, 3), (3, 4)), ((5, 6), (6, 7), (7, 8)), True),
     "and": (((1, 2), (2, 3), (3, 4)), ((5, 6), (6, 7), (7, 8)), True),
     "par": (((1, 10), (2, 11), (3, 12)), ((4, 13), (5, 14), (6, 15)), True),
@@ -226,8 +226,8 @@ CONTESTS = {
 }
 
 TAKEN = {
-    # policy: which a goes with which b
-    "recent": ((3, 1), (2, 2)),  # the third a took the place of the first
+    # policy: pairs of the numbers of a and b
+    "recent": ((3, 1), (2, 2)),  # the third a replaces the first
     "recent_2": ((3, 1), (2, 2), (1, 3)),
     "chronological": ((1, 1), (2, 2), (3, 3)),
     "chronological_2": ((1, 1), (2, 2), (3, 3)),
@@ -235,7 +235,7 @@ TAKEN = {
 }
 
 EXTENDED = {
-    # policy: which of the starts 1 and 2 (and 1 again) a repetition goes to
+    # policy: numbers of the first events whose repetition is extended
     "recent": (3,),
     "recent_2": (3,),
     "chronological": (1,),

@@ -1,6 +1,6 @@
-"""The engine against the oracle on random rules and streams, and against itself where nothing may change.
+"""Comparison of the engine with the oracle on random rules and streams, and with itself after neutral changes.
 
-The oracle (``test/oracle``) is an evaluator of its own; `test_long_runs` compares more cases.
+The oracle (``test/oracle``) is an independent evaluator; `test_long_runs` compares more cases.
 """
 
 import re
@@ -25,16 +25,16 @@ from retalis.prolog.terms.timestamps import SECOND, datime, datime6, to_term
 quick = settings(max_examples=20, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
 
 
-MOST = 16
-"""Events of a stream under a policy that keeps all combinations: of 25 some rules make too many."""
+MAX_EVENTS = 16
+"""Maximum length of streams under ``unrestricted``: with 25 events, some rules have too many matches."""
 
 
-def affordable(case):
-    """Return a case with a stream that is worked off in a moment."""
-    return replace(case, stream=case.stream[:MOST]) if "unrestricted" in case.policies() else case
+def limit_stream(case):
+    """Return a case whose stream is short enough for its policies."""
+    return replace(case, stream=case.stream[:MAX_EVENTS]) if "unrestricted" in case.policies() else case
 
 
-def of_engine(case, texts=None, goals="", events=None):
+def events_of_engine(case, texts=None, goals="", events=None):
     texts = texts or [case.text()]
     return engine_events(texts, case.goals() + goals, case.stream if events is None else events)
 
@@ -49,8 +49,8 @@ def garbage_control(window):
 @pytest.mark.slow
 @settings(quick, max_examples=100)
 @given(cases())
-def test_oracle(case):
-    case = affordable(case)
+def test_random_rules_equal_oracle(case):
+    case = limit_stream(case)
     if difference(case) is not None:
         pytest.fail(report(shrink(case, lambda smaller: difference(smaller) is not None)), pytrace=False)
 
@@ -58,21 +58,21 @@ def test_oracle(case):
 @pytest.mark.slow
 @settings(quick, max_examples=30)
 @given(cases(unsure=True))
-def test_oracle_with_conditions_over_what_may_be_open(case):
-    assert difference(affordable(case)) is None
+def test_conditions_on_open_variables_equal_oracle(case):
+    assert difference(limit_stream(case)) is None
 
 
 @pytest.mark.slow
 @settings(quick, max_examples=30)
 @given(cases(streams=True))
-def test_oracle_with_operators_on_streams(case):
-    assert difference(affordable(case)) is None
+def test_stream_operators_equal_oracle(case):
+    assert difference(limit_stream(case)) is None
 
 
 @pytest.mark.slow
 @settings(quick, max_examples=30)
 @given(cases())
-def test_oracle_with_every_partner_looked_up_by_time(case):
+def test_partner_lookup_by_time_equals_oracle(case):
     with patch.multiple(match_buffer, MAX_MISSES_BEFORE_INDEX=0, MAX_MISSES_WITH_INDEX=0), patch.object(
         interval_index, "MAX_NODE_KEYS", 4
     ):
@@ -82,15 +82,15 @@ def test_oracle_with_every_partner_looked_up_by_time(case):
 @pytest.mark.slow
 @quick
 @given(drawn_cases())
-def test_oracle_drawn_piece_by_piece(case):
-    assert of_engine(case) == answer(case)
+def test_drawn_rules_equal_oracle(case):
+    assert events_of_engine(case) == answer(case)
 
 
 @pytest.mark.slow
 @quick
 @given(cases(depth=3), st.integers(1, 6))
-def test_garbage_control_leaves_what_is_young(case, window):
-    """Nothing fires that would not have, and everything does of which no part is older than the window."""
+def test_garbage_control_keeps_young_matches(case, window):
+    """The results include those without parts older than the window, and no others than without garbage control."""
     case = replace(case, policy="unrestricted")
     assume(defined_for(case.rules) and not case.has_limits())
     rule = case.rules[0]
@@ -98,8 +98,8 @@ def test_garbage_control_leaves_what_is_young(case, window):
     steps = engine_steps([case.text()], case.goals() + garbage_control(window), case.stream)
     most = firings(rule, case.stream, case.out_of_order)
     least = firings(rule, case.stream, case.out_of_order, youngest=window)
-    for got, maximum, minimum in zip(steps, most, least):
-        fired = Counter((term, start / 10**9, end / 10**9) for term, start, end in got[1:])
+    for derived, maximum, minimum in zip(steps, most, least):
+        fired = Counter((term, start / 10**9, end / 10**9) for term, start, end in derived[1:])
         assert minimum - fired == Counter()
         assert fired - maximum == Counter()
 
@@ -108,7 +108,7 @@ def test_garbage_control_leaves_what_is_young(case, window):
     "pattern",
     ["a seq b", "a and b", "(a seq c) seq b", "a forall_seq b", "a seq b star_times", "(a or c) seq b"],
 )
-def test_garbage_control_drops_what_is_old(pattern):
+def test_garbage_control_removes_old_matches(pattern):
     policy = "set_etalis_flag(event_consumption_policy,unrestricted).\n"
     events = stream("a@1 c@2 c@9 c@10 c@11 b@12")
     old = ("out", 10**9, 12 * 10**9)
@@ -119,7 +119,7 @@ def test_garbage_control_drops_what_is_old(pattern):
 @pytest.mark.slow
 @settings(quick, max_examples=30)
 @given(cases(depth=3, revision=True))
-def test_revision(case):
+def test_revision_equals_oracle(case):
     if difference(case) is not None:
         pytest.fail(report(shrink(case, lambda smaller: difference(smaller) is not None)), pytrace=False)
 
@@ -127,25 +127,25 @@ def test_revision(case):
 @pytest.mark.slow
 @quick
 @given(cases(), st.integers(1, 10**4))
-def test_shifted_in_time(case, seconds):
+def test_shifted_stream_has_shifted_results(case, seconds):
     assume(not any(isinstance(node, Check) for rule in case.rules for node in walk(rule.pattern)))
     later = [(term, start + seconds, end + seconds) for term, start, end in case.stream]
-    shifted = of_engine(case, events=later)
+    shifted = events_of_engine(case, events=later)
     by = seconds * 10**9
-    assert [(term, start - by, end - by) for term, start, end in shifted] == of_engine(case)
+    assert [(term, start - by, end - by) for term, start, end in shifted] == events_of_engine(case)
 
 
 def in_forms(stream):
-    """Return a stream with its stamps in one form after the other."""
+    """Return a stream whose timestamps have alternating forms."""
     forms = cycle((datime, to_term, datime6))
     return [(term, *(next(forms)(round(stamp * SECOND)) for stamp in interval)) for term, *interval in stream]
 
 
 def as_numbers(fired):
-    """Return events with the stamps in their terms as numbers of seconds."""
+    """Return events with the timestamps in their terms as seconds."""
     stamp = re.compile(r"datime\(1970,1,1,0,(\d+),([\d.]+)(?:,0)?\)")
     return [
-        (stamp.sub(lambda found: str(int(found[1]) * 60 + int(float(found[2]))), term), *interval)
+        (stamp.sub(lambda match: str(int(match[1]) * 60 + int(float(match[2]))), term), *interval)
         for term, *interval in fired
     ]
 
@@ -153,41 +153,41 @@ def as_numbers(fired):
 @pytest.mark.slow
 @settings(quick, max_examples=15)
 @given(cases())
-def test_stamps_in_all_forms(case):
-    """What check does with t1 and t2 is the same for numbers and datimes."""
-    fired = of_engine(case, events=in_forms(case.stream))
-    assert as_numbers(fired) == [(term, *interval) for term, *interval in of_engine(case)]
+def test_forms_of_timestamps_have_equal_results(case):
+    """Conditions on t1 and t2 have equal results for numbers and datimes."""
+    fired = events_of_engine(case, events=in_forms(case.stream))
+    assert as_numbers(fired) == [(term, *interval) for term, *interval in events_of_engine(case)]
 
 
 @pytest.mark.slow
 @quick
 @given(cases())
-def test_variables_renamed(case):
-    assert of_engine(case, [case.text("_Other{}x")]) == of_engine(case)
+def test_renamed_variables_have_equal_results(case):
+    assert events_of_engine(case, [case.text("_Other{}x")]) == events_of_engine(case)
 
 
 @pytest.mark.slow
 @quick
 @given(cases(), cases(depth=2))
-def test_rules_that_do_not_matter(case, other):
-    """Rules of other heads, the same patterns among them, take nothing away."""
+def test_other_rules_do_not_change_results(case, other):
+    """Rules with other heads, also of the same patterns, do not consume partners of a rule."""
     extra = []
-    for at, rule in enumerate((*case.rules, *other.rules)):
+    for number, rule in enumerate((*case.rules, *other.rules)):
         if any(isinstance(node, Sub) for node in walk(rule.pattern)):
-            continue  # what it defines by the way is no rule of another head
+            continue  # a sub-pattern defines an event of its own
         arguments = rule.head[1:] if rule.head.__class__ is tuple else ()
         head = functor("elsewhere", len(arguments))(*arguments) if arguments else atom("elsewhere")
-        extra.append(write_rule(replace(rule, head=head, label=rule.label and f"other{at}")))
+        extra.append(write_rule(replace(rule, head=head, label=rule.label and f"other{number}")))
     text = "\n".join([*extra[:1], case.text(), *extra[1:]])
-    events = [event for event in of_engine(case, [text]) if not event[0].startswith("elsewhere")]
-    assert events == of_engine(case)
+    events = [event for event in events_of_engine(case, [text]) if not event[0].startswith("elsewhere")]
+    assert events == events_of_engine(case)
 
 
 @pytest.mark.slow
 @quick
 @given(cases())
-def test_file_split(case):
-    assert of_engine(case, [write_rule(rule) for rule in case.rules]) == of_engine(case)
+def test_rules_in_several_files_have_equal_results(case):
+    assert events_of_engine(case, [write_rule(rule) for rule in case.rules]) == events_of_engine(case)
 
 
 @pytest.mark.slow
@@ -203,5 +203,5 @@ def test_file_split(case):
 )
 @quick
 @given(case=cases())
-def test_flags_that_change_no_event(flags, case):
-    assert of_engine(case, goals=flags) == of_engine(case)
+def test_neutral_flags_do_not_change_results(flags, case):
+    assert events_of_engine(case, goals=flags) == events_of_engine(case)

@@ -139,7 +139,7 @@ def outputs_and_match_count(rule, policy, flags, stream, changes):
 @pytest.mark.parametrize(
     "group", [0, 1, *(pytest.param(group, marks=pytest.mark.nightly) for group in range(2, 10))]
 )
-def test_ntimes_equals_written_sequence_on_random_programs(group):
+def test_random_ntimes_equal_written_sequences(group):
     for number in range(25):
         generator = random.Random(f"{group} {number}")
         policy, has_late_events, has_retractions = (
@@ -268,7 +268,7 @@ def test_thousand_repetitions_of_sequence_are_loaded():
         (("event_consumption_policy", "chronological"), "a(1)@1 a(1)@2 a(1)@3 a(_)@4", None),
     ],
 )
-def test_snapshot_after_change_of_evaluation_is_restored(former_flag, stream, later_flag):
+def test_snapshot_of_other_evaluation_is_restored(former_flag, stream, later_flag):
     program = ProgramRunner("out(X) <- (a(X) ntimes 5) and d.", [former_flag], "chronological")
     program.feed(stream)
     if later_flag is not None:

@@ -46,7 +46,7 @@ POSTPONED_CONDITIONS = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize("policy", POLICIES)
-@pytest.mark.parametrize("pattern, events", [*DISTINCT_MATCHES, *POSTPONED_CONDITIONS])
+@pytest.mark.parametrize(("pattern", "events"), [*DISTINCT_MATCHES, *POSTPONED_CONDITIONS])
 def test_open_variables_equal_oracle(pattern, events, policy):
     case = Case((rule("out(X)" if "X" in pattern else "out", pattern),), policy, False, tuple(stream(events)))
     assert difference(case) is None

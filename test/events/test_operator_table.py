@@ -1,4 +1,4 @@
-"""Each operator with each policy in each context of a rule: one stream that fires, and one that must not."""
+"""Each operator with each policy in each context: a stream for which its rule fires, and one without results."""
 
 from functools import partial
 
@@ -10,21 +10,21 @@ from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.terms.timestamps import SECOND
 
 POLICIES = ("recent", "recent_2", "chronological", "chronological_2", "unrestricted")
-BEFORE = ("z", 0, 0.2)
+PARTNER = ("z", 0, 0.2)
 
 
-class Run:
-    """One program over one stream, by an engine from which other programs have been removed.
+class ProgramRun:
+    """A program executed on a stream, by an engine whose former programs are removed.
 
     Attributes:
         engine: The engine.
-        seen: Derived events, each as text with its start and end in seconds.
+        derived: Derived events, each as text with its start and end in seconds.
     """
 
     def __init__(self, engine, rules, stream, policy, **flags):
         self.engine = engine
         self.engine.rules.reset()
-        self.seen = engine.seen = []
+        self.derived = engine.derived = []
         self._flag("event_consumption_policy", policy)
         for name, value in flags.items():
             self._flag(name, value)
@@ -40,26 +40,26 @@ class Run:
 
     @property
     def intervals(self):
-        return [(start, end) for text, start, end in self.seen if text == "out(1)"]
+        return [(start, end) for text, start, end in self.derived if text == "out(1)"]
 
 
 @pytest.fixture
 def run():
-    """Return a function that runs a program; the engine is that of one test."""
+    """Return a function that runs a program; all runs of a test share the engine."""
     engine = Engine(clock=StreamClock(1000 * SECOND))
-    engine.seen = []
+    engine.derived = []
 
     def record(term, start, end):
         text = engine.show(term)
         if text.startswith(("out", "rev")):
-            engine.seen.append((text, int(start) / SECOND, int(end) / SECOND))
+            engine.derived.append((text, int(start) / SECOND, int(end) / SECOND))
 
     engine.on_event(record)
-    return partial(Run, engine)
+    return partial(ProgramRun, engine)
 
 
 NIGHTLY_POLICIES = ("recent_2", "chronological_2")
-"""Policies that differ from others where partners compete, which they do not in these streams."""
+"""Policies that differ from others only for competing partners, which these streams do not have."""
 
 
 def cells(nightly=()):
@@ -69,44 +69,44 @@ def cells(nightly=()):
             yield pytest.param(operator_table.ROWS[name], policy, id=f"{name}-{policy}", marks=marks)
 
 
-each_cell = pytest.mark.parametrize("row, policy", list(cells()))
-each_cell_in_context = pytest.mark.parametrize("row, policy", list(cells(NIGHTLY_POLICIES)))
+each_cell = pytest.mark.parametrize(("row", "policy"), list(cells()))
+each_cell_in_context = pytest.mark.parametrize(("row", "policy"), list(cells(NIGHTLY_POLICIES)))
 
 
 @each_cell
-def test_alone(run, row, policy):
+def test_operator_fires_by_its_definition(run, row, policy):
     rule = f"out(X) <- {row.pattern}."
     assert run(rule, row.fires, policy).intervals == list(row.results)
     assert run(rule, row.never, policy).intervals == []
 
 
 def nested(row, policy):
-    """The results when each needs z, which is used up by the first of them."""
-    results = [(BEFORE[1], end) for _, end in row.results]
+    """Return the results that are joined with z, which the first of them consumes."""
+    results = [(PARTNER[1], end) for _, end in row.results]
     return results if policy == "unrestricted" else results[:1]
 
 
 @pytest.mark.slow
 @each_cell_in_context
-def test_nested_left(run, row, policy):
+def test_operator_is_left_side_of_and(run, row, policy):
     rule = f"out(X) <- ({row.pattern}) and z."
-    assert run(rule, (BEFORE, *row.fires), policy).intervals == nested(row, policy)
-    assert run(rule, (BEFORE, *row.never), policy).intervals == []
+    assert run(rule, (PARTNER, *row.fires), policy).intervals == nested(row, policy)
+    assert run(rule, (PARTNER, *row.never), policy).intervals == []
     assert run(rule, row.fires, policy).intervals == []
 
 
 @pytest.mark.slow
 @each_cell_in_context
-def test_nested_right(run, row, policy):
+def test_operator_is_right_side_of_seq(run, row, policy):
     rule = f"out(X) <- z seq ({row.pattern})."
-    assert run(rule, (BEFORE, *row.fires), policy).intervals == nested(row, policy)
-    assert run(rule, (BEFORE, *row.never), policy).intervals == []
+    assert run(rule, (PARTNER, *row.fires), policy).intervals == nested(row, policy)
+    assert run(rule, (PARTNER, *row.never), policy).intervals == []
     assert run(rule, row.fires, policy).intervals == []
 
 
 @pytest.mark.slow
 @each_cell_in_context
-def test_condition(run, row, policy):
+def test_condition_rejects_results(run, row, policy):
     assert run(f"out(X) <- ({row.pattern}) where X =:= 1.", row.fires, policy).intervals == list(row.results)
     assert run(f"out(X) <- ({row.pattern}) where X =:= 1.", row.never, policy).intervals == []
     assert run(f"out(X) <- ({row.pattern}) where X =\\= 1.", row.fires, policy).intervals == []
@@ -114,8 +114,8 @@ def test_condition(run, row, policy):
 
 @pytest.mark.slow
 @each_cell_in_context
-def test_within(run, row, policy):
-    """Shorter than, not as long as."""
+def test_within_excludes_equal_duration(run, row, policy):
+    """The duration must be less than the limit."""
     longest = max(end - start for start, end in row.results)
     assert run(f"out(X) <- ({row.pattern}) within {longest + 0.001}.", row.fires, policy).intervals == list(
         row.results
@@ -126,8 +126,8 @@ def test_within(run, row, policy):
 
 @pytest.mark.slow
 @each_cell_in_context
-def test_window(run, row, policy):
-    """As long as, not longer than; each of both names of the property in one direction."""
+def test_window_includes_equal_duration(run, row, policy):
+    """The duration may equal the window; each of both names of the property is tested once."""
     longest = max(end - start for start, end in row.results)
     rule = "r([property({},{})]) : out(X) <- {}."
     assert run(rule.format("window", longest, row.pattern), row.fires, policy).intervals == list(row.results)
@@ -140,21 +140,21 @@ def test_window(run, row, policy):
 
 @pytest.mark.slow
 @each_cell_in_context
-def test_label(run, row, policy):
+def test_labelled_rule_is_deleted(run, row, policy):
     rule = f"r : out(X) <- {row.pattern}."
     assert run(rule, row.fires, policy).intervals == list(row.results)
     assert run(rule, row.never, policy).intervals == []
-    for label, left in (("other", list(row.results)), ("r", [])):
+    for label, remaining in (("other", list(row.results)), ("r", [])):
         result = run(rule, (), policy)
         result.engine.call(f"del_event_rule({label})")
         for event in row.fires:
             result.take(*event)
-        assert result.intervals == left
+        assert result.intervals == remaining
 
 
 @pytest.mark.slow
 @each_cell_in_context
-def test_out_of_order(run, row, policy):
+def test_late_event_matches_with_out_of_order(run, row, policy):
     rule = f"out(X) <- {row.pattern}."
     assert run(rule, row.fires, policy, out_of_order="on").intervals == list(row.results)
     assert run(rule, row.never, policy, out_of_order="on").intervals == []
@@ -166,77 +166,79 @@ def test_out_of_order(run, row, policy):
 
 @pytest.mark.slow
 @each_cell_in_context
-def test_out_of_order_of_results(run, row, policy):
-    """What an operator makes comes too late for z, which waits for it only where the flag says so."""
+def test_late_result_matches_with_out_of_order(run, row, policy):
+    """Results of an operator are late for z, and match it only if the flag is set."""
     rule = f"out(X) <- ({row.pattern}) seq z."
     stream = (("z", 90, 91), *row.fires)
-    late = [] if row.expires else [(start, 91) for start, _ in row.results]  # z has moved the rule's clock
-    on = run(rule, stream, policy, out_of_order="on").intervals
-    assert on == (late if policy == "unrestricted" else late[:1])
+    late_results = (
+        [] if row.expires else [(start, 91) for start, _ in row.results]
+    )  # z moves the clock of the rule
+    results = run(rule, stream, policy, out_of_order="on").intervals
+    assert results == (late_results if policy == "unrestricted" else late_results[:1])
     assert run(rule, (("z", 90, 91), *row.never), policy, out_of_order="on").intervals == []
     assert run(rule, stream, policy, out_of_order="off").intervals == []
 
 
 @pytest.mark.slow
 @each_cell_in_context
-def test_revision(run, row, policy):
+def test_retraction_retracts_results(run, row, policy):
     rule = f"out(X) <- {row.pattern}."
-    taken = row.fires[0]
-    all_back = [(f"rev({taken[0]})", 50, 50)] + [("rev(out(1))", 50, 50)] * row.derived
+    first_event = row.fires[0]
+    retractions = [(f"rev({first_event[0]})", 50, 50)] + [("rev(out(1))", 50, 50)] * row.derived
     result = run(rule, row.fires, policy, revision_flag="on")
     assert result.intervals == list(row.results)
-    result.seen.clear()
+    result.derived.clear()
     result.take("rev(nothing)", 49, 49)
-    assert result.seen == [("rev(nothing)", 49, 49)]
-    result.take(f"rev({taken[0]})", 50, 50)
-    assert [one for one in result.seen[1:] if one[0] != "rev(s(1))"] == all_back
-    result.seen.clear()
-    result.take(f"rev({taken[0]})", 51, 51)
-    assert result.seen == [(f"rev({taken[0]})", 51, 51)]
+    assert result.derived == [("rev(nothing)", 49, 49)]
+    result.take(f"rev({first_event[0]})", 50, 50)
+    assert [event for event in result.derived[1:] if event[0] != "rev(s(1))"] == retractions
+    result.derived.clear()
+    result.take(f"rev({first_event[0]})", 51, 51)
+    assert result.derived == [(f"rev({first_event[0]})", 51, 51)]
     assert run(rule, row.never, policy, revision_flag="on").intervals == []
-    off = run(rule, (*row.fires, (f"rev({taken[0]})", 50, 50)), policy)
-    assert ("rev(out(1))", 50, 50) not in off.seen
+    off = run(rule, (*row.fires, (f"rev({first_event[0]})", 50, 50)), policy)
+    assert ("rev(out(1))", 50, 50) not in off.derived
 
 
 @pytest.mark.slow
 @each_cell_in_context
-def test_justification(run, row, policy):
+def test_justification_explains_results(run, row, policy):
     rule = f"out(X) <- {row.pattern}."
     result = run(rule, row.fires, policy, etalis_justification="on")
     assert result.intervals == list(row.results)
-    asked = read_term("out(1)", Operators.prolog()).term
-    answer = explain(result.engine, asked)
+    event_term = read_term("out(1)", Operators.prolog()).term
+    answer = explain(result.engine, event_term)
     assert answer.happened
     assert len(answer.lines) == len(row.results)
-    said = "\n".join(answer.lines[0].indented())
-    assert row.fires[0][0] in said
+    explanation = "\n".join(answer.lines[0].indented())
+    assert row.fires[0][0] in explanation
     never = run(rule, row.never, policy, etalis_justification="on")
     assert never.intervals == []
-    assert not explain(never.engine, asked).happened
-    assert not explain(run(rule, row.fires, policy).engine, asked).happened
+    assert not explain(never.engine, event_term).happened
+    assert not explain(run(rule, row.fires, policy).engine, event_term).happened
 
 
 @pytest.mark.slow
 @each_cell_in_context
-def test_garbage_control(run, row, policy):
-    """A stamp far later is seen by the rule before the last event of the stream arrives."""
+def test_garbage_control_removes_old_matches(run, row, policy):
+    """An event with a much later timestamp precedes the last event of the stream."""
     rule = f"out(X) <- {row.pattern}."
     stream = (*row.fires[:-1], (row.tick, 500, 501), row.fires[-1])
     control = {"garbage_control": "general", "garbage_window": 100, "garbage_window_step": 1}
     assert run(rule, row.fires, policy, **control).intervals == list(row.results)
     assert run(rule, row.never, policy, **control).intervals == []
-    left = list(row.results[:-1]) if row.waits else list(row.results)
-    assert run(rule, stream, policy).intervals == (left if row.expires else list(row.results))
-    assert run(rule, stream, policy, **control).intervals == left
+    remaining = list(row.results[:-1]) if row.waits else list(row.results)
+    assert run(rule, stream, policy).intervals == (remaining if row.expires else list(row.results))
+    assert run(rule, stream, policy, **control).intervals == remaining
     pattern = f"r([property(window,100),property(window_step,1)]) : {rule}"
     assert run(pattern, row.fires, policy, garbage_control="pattern").intervals == list(row.results)
-    assert run(pattern, stream, policy, garbage_control="pattern").intervals == left
+    assert run(pattern, stream, policy, garbage_control="pattern").intervals == remaining
 
 
 @pytest.mark.slow
 @each_cell_in_context
-def test_garbage_control_of_results(run, row, policy):
-    """What an operator has made waits for z and y, and goes."""
+def test_garbage_control_removes_old_results(run, row, policy):
+    """Results of an operator wait for z and y, and are removed."""
     rule = f"out(X) <- ({row.pattern}) and (z seq y)."
     stream = (*row.fires, ("z", 500, 501), ("y", 502, 503))
     control = {"garbage_control": "general", "garbage_window": 100, "garbage_window_step": 1}
@@ -246,7 +248,7 @@ def test_garbage_control_of_results(run, row, policy):
 
 @pytest.mark.parametrize("policy", POLICIES)
 @pytest.mark.parametrize("operator", ["cnot", "fnot"])
-def test_garbage_control_of_what_must_not_have_happened(run, operator, policy):
+def test_garbage_control_removes_negated_events(run, operator, policy):
     rule = f"out(X) <- a(X) {operator} c(X)."
     stream = (("c(1)", 1, 2), ("a(9)", 500, 501), ("a(1)", 502, 503))
     control = {"garbage_control": "general", "garbage_window": 100, "garbage_window_step": 1}
@@ -256,8 +258,8 @@ def test_garbage_control_of_what_must_not_have_happened(run, operator, policy):
 
 @pytest.mark.slow
 @each_cell_in_context
-def test_all_at_once(run, row, policy):
-    """Flags, label, window and condition together change nothing that each alone does not."""
+def test_flags_and_window_do_not_interfere(run, row, policy):
+    """Flags, label, window and condition together do not change the results."""
     longest = max(end - start for start, end in row.results)
     rule = f"r([property(window,{longest})]) : out(X) <- ({row.pattern}) where X =:= 1."
     flags = {
@@ -273,44 +275,44 @@ def test_all_at_once(run, row, policy):
     assert run(rule, row.never, policy, **flags).intervals == []
 
 
-# ---- several partners at once ---------------------------------------------------------------------------
+# ---- competing partners ---------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("policy", POLICIES)
 @pytest.mark.parametrize("operator", operator_table.CONTESTS)
-def test_which_partners_a_policy_takes(run, operator, policy):
+def test_policy_selects_partners(run, operator, policy):
     firsts, seconds, with_first = operator_table.CONTESTS[operator]
-    stream = [(f"a({name})", *at) for name, at in zip((1, 2, 1), firsts)]
-    stream += [(f"b({name})", *at) for name, at in zip((1, 2, 3), seconds)]
-    wanted = []
+    stream = [(f"a({name})", *interval) for name, interval in zip((1, 2, 1), firsts)]
+    stream += [(f"b({name})", *interval) for name, interval in zip((1, 2, 3), seconds)]
+    expected = []
     for first, second in operator_table.TAKEN[policy]:
         start = firsts[first - 1][0] if with_first else seconds[second - 1][0]
-        wanted.append((f"out({(1, 2, 1)[first - 1]},{second})", start, seconds[second - 1][1]))
-    assert run(f"out(X,Y) <- a(X) {operator} b(Y).", stream, policy).seen == wanted
+        expected.append((f"out({(1, 2, 1)[first - 1]},{second})", start, seconds[second - 1][1]))
+    assert run(f"out(X,Y) <- a(X) {operator} b(Y).", stream, policy).derived == expected
 
 
 @pytest.mark.parametrize("policy", POLICIES)
-def test_forall_seq_takes_all_and_uses_them_up(run, policy):
+def test_forall_seq_consumes_all_partners(run, policy):
     stream = [("a(1)", 1, 1), ("a(2)", 2, 2), ("a(1)", 3, 3), ("b(1)", 4, 4), ("b(2)", 5, 5)]
-    seen = run("out(X,Y) <- a(X) forall_seq b(Y).", stream, policy).seen
-    assert seen == [("out(1,1)", 1, 4), ("out(2,1)", 2, 4), ("out(1,1)", 3, 4)]
+    derived = run("out(X,Y) <- a(X) forall_seq b(Y).", stream, policy).derived
+    assert derived == [("out(1,1)", 1, 4), ("out(2,1)", 2, 4), ("out(1,1)", 3, 4)]
 
 
 @pytest.mark.parametrize("policy", POLICIES)
 @pytest.mark.parametrize("pattern", ["b star_times", "aggregate(list(Y), b(Y), _)"])
-def test_which_runs_a_policy_extends(run, pattern, policy):
+def test_policy_selects_extended_runs(run, pattern, policy):
     event = "b" if pattern.startswith("b") else "b(7)"
     starts = (("a(1)", 1, 2), ("a(2)", 2, 3), ("a(1)", 3, 4))
     stream = [*starts, (event, 5, 6), (event, 7, 8)]
-    wanted = [(f"out({text[2]})", start, end) for text, start, end in starts]
+    expected = [(f"out({text[2]})", start, end) for text, start, end in starts]
     for end in (6, 8):
         for number in operator_table.EXTENDED[policy]:
             text, start, _ = starts[number - 1]
-            wanted.append((f"out({text[2]})", start, end))
-    assert run(f"out(X) <- a(X) seq ({pattern}).", stream, policy).seen == wanted
+            expected.append((f"out({text[2]})", start, end))
+    assert run(f"out(X) <- a(X) seq ({pattern}).", stream, policy).derived == expected
 
 
 @pytest.mark.parametrize("policy", POLICIES)
-def test_one_negated_event_rules_out_all_that_wait(run, policy):
+def test_negated_event_excludes_all_partial_matches(run, policy):
     stream = [("a(1)", 1, 1), ("a(2)", 2, 2), ("c", 3, 3), ("a(3)", 4, 4), ("b", 5, 5)]
-    assert run("out(X) <- (a(X) seq b) cnot c.", stream, policy).seen == [("out(3)", 4, 5)]
+    assert run("out(X) <- (a(X) seq b) cnot c.", stream, policy).derived == [("out(3)", 4, 5)]

@@ -285,7 +285,7 @@ def test_alarm_without_delay_is_reported():
     assert "positive number" in str(program.errors[0])
 
 
-def test_forgotten_event_does_not_collect_derived_events(monkeypatch):
+def test_forgotten_event_collects_no_derived_events(monkeypatch):
     monkeypatch.setattr(lineage, "MAX_REMEMBERED_EVENTS", 20)
     program = ProgramRunner("c <- a seq b.", ["revision_flag"], "unrestricted")
     program.feed("a@1")
@@ -297,7 +297,7 @@ def test_forgotten_event_does_not_collect_derived_events(monkeypatch):
     assert program.feed("rev(a)@50") == ""
 
 
-def test_forgotten_events_do_not_keep_events_they_were_derived_from(monkeypatch):
+def test_forgotten_events_keep_no_sources(monkeypatch):
     monkeypatch.setattr(lineage, "MAX_REMEMBERED_EVENTS", 20)
     program = ProgramRunner("n(M) <- n(N) seq tick where M is N + 1.", ["etalis_justification"], "recent")
     program.feed("n(0)@0 tick@1")
@@ -333,7 +333,7 @@ def test_forgotten_events_of_a_chain_are_freed(monkeypatch):
         "c <- e fnot (a seq b(_)).",
     ],
 )
-def test_forgotten_event_does_not_gather_its_dependents(rule, monkeypatch):
+def test_forgotten_event_has_no_dependents(rule, monkeypatch):
     monkeypatch.setattr(lineage, "MAX_REMEMBERED_EVENTS", 20)
     program = ProgramRunner(rule, ["revision_flag"], "unrestricted")
     program.feed("e@0 a@1")

@@ -1,6 +1,6 @@
-"""Recorded programs of the original engine (``test/data/scenarios``, see its README for what counts).
+"""Recorded programs of the original engine (``test/data/scenarios``, whose README lists the compared results).
 
-`contradictions` names those that the language reference is not to follow.
+`contradictions` lists the scenarios that contradict the language reference.
 """
 
 import json
@@ -25,8 +25,8 @@ BASE = from_term(read_term("datime(2001,1,1,0,0,0)", Operators.prolog()).term)
 NOW = from_term(read_term("datime(2001,1,1,1,0,0)", Operators.prolog()).term)
 
 
-class Run:
-    """One scenario run by the engine."""
+class ScenarioRun:
+    """A scenario executed by the engine."""
 
     def __init__(self, data, folder):
         now = NOW if "Absolute" in str(data["rules"]) else BASE
@@ -48,8 +48,8 @@ class Run:
 
     def _event(self, term, start, end):
         name = term[0].name if term.__class__ is tuple else term.name
-        into = self.memory_events if name in MEMORY_EVENTS else self.events
-        into.append((term_text(term), start, end))
+        events_of_kind = self.memory_events if name in MEMORY_EVENTS else self.events
+        events_of_kind.append((term_text(term), start, end))
 
     def _run(self, data, folder):
         for goal in data["goals"]:
@@ -87,16 +87,16 @@ class Run:
             self.errors.append(str(error))
 
 
-def wanted_events(data, name):
-    found = data.get(name + "_sane", data[name])
+def expected_events(data, name):
+    rows = data.get(name + "_sane", data[name])
     return [
         (term_text(parse_term(term)), from_term(parse_term(start)), from_term(parse_term(end)))
-        for term, start, end in found
+        for term, start, end in rows
     ]
 
 
 def event_table(events):
-    """Return events with their stamps as terms: they keep the form that they came in."""
+    """Return events with their timestamps as terms, which preserves the form of the timestamps."""
     return [(term, write_term(to_term(start)), write_term(to_term(end))) for term, start, end in events]
 
 
@@ -111,29 +111,29 @@ def short(events):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
-def test_scenario(path, tmp_path, monkeypatch):
+def test_scenario_has_recorded_results(path, tmp_path, monkeypatch):
     data = json.loads(path.read_text())
     for name, text in (data.get("files") or {}).items():
         (tmp_path / name).write_text(text)
     monkeypatch.chdir(tmp_path)
-    run = Run(data, tmp_path)
-    wanted = wanted_of(path.stem, data)
-    if wanted.short is not None:
-        assert short(run.events) == wanted.short
+    run = ScenarioRun(data, tmp_path)
+    expected = expected_results(path.stem, data)
+    if expected.short is not None:
+        assert short(run.events) == expected.short
     else:
-        assert event_table(run.events) == event_table(wanted.events)
-    assert run.outputs == wanted.outputs
-    assert [term for term, _, _ in run.memory_events] == [term for term, _, _ in wanted.memory_events]
-    assert [("an error" if answer.__class__ is str else answer) for answer in run.answers] == wanted.answers
-    assert bool(run.errors) == wanted.errors
+        assert event_table(run.events) == event_table(expected.events)
+    assert run.outputs == expected.outputs
+    assert [term for term, _, _ in run.memory_events] == [term for term, _, _ in expected.memory_events]
+    assert [("an error" if answer.__class__ is str else answer) for answer in run.answers] == expected.answers
+    assert bool(run.errors) == expected.errors
 
 
-class Wanted(NamedTuple):
-    """What a scenario is to give: as it was recorded, but where that is wrong.
+class ExpectedResults(NamedTuple):
+    """Expected results of a scenario: those of the recording, unless it contradicts the reference.
 
     Attributes:
-        short: the events that the language reference asks for against the recording, or None.
-        events: events with their stamps, where there is no ``short``.
+        short: the events that the reference requires against the recording, or None.
+        events: events with their timestamps, if ``short`` is None.
         answers: the solutions of each query, or "an error".
     """
 
@@ -145,26 +145,30 @@ class Wanted(NamedTuple):
     errors: bool
 
 
-def wanted_of(name, data):
-    other = CONTRADICTED.get(name, Contradiction(""))
+def expected_results(name, data):
+    contradiction = CONTRADICTED.get(name, Contradiction(""))
     outputs = [
-        f"output({one},{topic},{given})" for one, topic, given in data.get("outputs_sane", data["outputs"])
+        f"output({term},{topic},{identifier})"
+        for term, topic, identifier in data.get("outputs_sane", data["outputs"])
     ]
     sane = data.get("queries_sane")
     answers = []
-    for at, result in enumerate(data.get("query_results") or ()):
-        found = other.answers.get(at, result["solutions"] if sane is None else sane[at])
-        failed = found and found[0].startswith("error: ")
-        answers.append("an error" if failed else [term_text(parse_term(text)) for text in found])
-    return Wanted(
-        other.events,
-        wanted_events(data, "expected"),
-        wanted_events(data, "memory_events"),
-        [term_text(parse_term(text)) for text in (outputs if other.outputs is None else other.outputs)],
+    for number, result in enumerate(data.get("query_results") or ()):
+        solutions = contradiction.answers.get(number, result["solutions"] if sane is None else sane[number])
+        failed = solutions and solutions[0].startswith("error: ")
+        answers.append("an error" if failed else [term_text(parse_term(text)) for text in solutions])
+    return ExpectedResults(
+        contradiction.events,
+        expected_events(data, "expected"),
+        expected_events(data, "memory_events"),
+        [
+            term_text(parse_term(text))
+            for text in (outputs if contradiction.outputs is None else contradiction.outputs)
+        ],
         answers,
-        bool(data.get("errors")) if other.errors is None else other.errors,
+        bool(data.get("errors")) if contradiction.errors is None else contradiction.errors,
     )
 
 
-def test_contradictions_are_known():
+def test_contradictions_are_scenarios():
     assert set(CONTRADICTED) <= {path.stem for path in SCENARIOS}

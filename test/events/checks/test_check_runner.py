@@ -36,7 +36,7 @@ def test_each_finding_has_a_code(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "comment, codes",
+    ("comment", "codes"),
     [
         ("% retalis: ignore=RT1201", []),
         ("% on purpose; retalis: ignore=RT1201", ["RT1201"]),

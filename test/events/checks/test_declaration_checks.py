@@ -11,7 +11,7 @@ INPUT_EVENT = "input_event(near/2).\n"
 
 
 @pytest.mark.parametrize(
-    "program, positions",
+    ("program", "positions"),
     [
         ({"rule": "alarm('\"a\"') <- near(_, far).\n" + INPUT_EVENT + DECLARATION}, ["eventRules.txt:3:25"]),
         ({"rule": "alarm('\"a\"') do event(near(1, 2)) <- hit." + DECLARATION}, ["eventRules.txt:3:28"]),
@@ -45,7 +45,7 @@ def test_rule_before_declaration_is_checked(tmp_path, definitions, program, posi
 
 
 @pytest.mark.parametrize(
-    "rule, message",
+    ("rule", "message"),
     [
         ("alarm(T) <- near(T, _) and std_msgs__0__String(T).", ""),
         (
@@ -84,7 +84,7 @@ def test_earlier_added_rule_is_checked(tmp_path, definitions):
 
 
 @pytest.mark.parametrize(
-    "arguments, message",
+    ("arguments", "message"),
     [
         (
             "temperature:number, variance:number",

@@ -73,7 +73,7 @@ def test_possible_record_is_not_reported(tmp_path, goal, rules):
 
 
 @pytest.mark.parametrize(
-    "size, messages", [(0, ["memory m keeps 0 records: write a size of 1 or more"]), (1, [])]
+    ("size", "messages"), [(0, ["memory m keeps 0 records: write a size of 1 or more"]), (1, [])]
 )
 def test_memory_of_size_zero_is_reported(tmp_path, size, messages):
     engine = Engine()

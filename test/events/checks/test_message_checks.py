@@ -57,7 +57,7 @@ def test_message_that_does_not_match_type_is_reported(definitions, tmp_path, rul
     assert text.startswith(f"text:1:1: {warning} [RT1104]\n")
 
 
-def test_memories_and_subscriptions_without_file_are_named(definitions, tmp_path):
+def test_memories_and_subscriptions_are_named(definitions, tmp_path):
     goals = "memorize(my_msgs__0__Warm(_), [], _, m, 5)\nsubscribe(my_msgs__0__Warm(_, _, _), [], _, out, s)"
     slots = (
         "does not match its type: my_msgs/Warm has 2 slots: header, warmth; "
@@ -203,7 +203,7 @@ def test_topics_with_one_event_are_reported(tmp_path, definitions):
 
 
 @pytest.mark.parametrize(
-    "topics, rules",
+    ("topics", "rules"),
     [
         (TWO_FLAGS, "opened <- other(true)."),
         (TWO_FLAGS.replace('Flag"/><', 'Flag" event="door"/><'), "opened <- my_msgs__0__Flag(true)."),
@@ -218,7 +218,7 @@ def test_distinguishable_topics_are_not_reported(tmp_path, definitions, topics, 
     assert shared_events(tmp_path, definitions, topics, rules) == []
 
 
-def test_exchanged_topic_and_id_of_subscription_are_named(tmp_path, definitions):
+def test_exchanged_topic_and_id_are_named(tmp_path, definitions):
     (tmp_path / "pub_sub.xml").write_text(
         '<publish_subscribe><publish_to name="warn" msg_type="my_msgs/Flag"/></publish_subscribe>'
     )
@@ -229,7 +229,7 @@ def test_exchanged_topic_and_id_of_subscription_are_named(tmp_path, definitions)
 
 
 @pytest.mark.parametrize(
-    "rules, message",
+    ("rules", "message"),
     [
         (
             "a <- my_msgs__0__Warm(_, w).",

@@ -71,7 +71,7 @@ def findings_of_rules(folder, rules, code, definitions):
 
 
 @pytest.mark.parametrize(
-    "rules, name",
+    ("rules", "name"),
     [
         ("hot(m) <- temp(m, T) where T > 40.", "m"),
         ("hot(m) <- temp(m, T) where T > 40. cold(N) <- temp(N, T) where T < 4.", "m"),

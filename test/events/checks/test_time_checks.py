@@ -69,7 +69,7 @@ def missed(rules, topics=TWO_TOPICS):
     ]
 
 
-def test_pairs_of_messages_under_the_default_policy_are_named():
+def test_message_pairs_under_default_policy_are_named():
     (message,) = missed(PAIR)
     assert message.startswith("under the policy recent a message is used for one pair only")
 
@@ -133,12 +133,12 @@ def test_state_of_keys_that_no_time_ends_is_named(rule):
         "p(K) <- (s(K) seq aggregate(count, q(K, V), _, last(3, events))) within 5.",
     ],
 )
-def test_state_that_is_bounded_or_not_by_keys_is_not_named(rule):
+def test_bounded_state_is_not_named(rule):
     assert unbounded(rule) == []
 
 
 @pytest.mark.parametrize(
-    "pattern, count",
+    ("pattern", "count"),
     [
         ("temp(M, T) with throttle(10, M) where T > 40", 1),
         ("(temp(M, T) where T > 40) with throttle(10, M)", 0),
@@ -163,7 +163,7 @@ def milliseconds(rules, recorded=()):
 
 
 @pytest.mark.parametrize(
-    "rule, message",
+    ("rule", "message"),
     [
         ("x <- a seq absent(b, 5000).", "5000 is 83.3 minutes"),
         ("x <- (a seq b) within 500.", "500 is 8.33 minutes"),
@@ -174,7 +174,7 @@ def milliseconds(rules, recorded=()):
         ("x <- a do timer(t, after(1700)).", "1700 is 28.3 minutes"),
     ],
 )
-def test_round_span_that_is_no_whole_minute_is_reported(rule, message):
+def test_span_of_no_whole_minute_is_reported(rule, message):
     (finding,) = milliseconds(rule)
     assert finding.startswith(f"{message}, because spans are in seconds: for milliseconds write ")
 
@@ -197,7 +197,7 @@ def test_likely_seconds_are_not_reported(rule):
 
 
 @pytest.mark.parametrize(
-    "span, period, count",
+    ("span", "period", "count"),
     [(3000, 0.1, 1), (250, 0.1, 1), (250, 0.5, 0), (600, 0.1, 0), (30, 0.001, 0), (3000, None, 0)],
 )
 def test_span_is_compared_with_the_rate_of_a_bag(span, period, count, definitions):
@@ -219,7 +219,7 @@ def unkeyed(rules):
 
 
 @pytest.mark.parametrize(
-    "pattern, advice",
+    ("pattern", "advice"),
     [
         ("temp(R, T) where T > 30 with throttle(10)", "write throttle(10, R)"),
         ("temp(R, T) with throttle(2.5)", "write throttle(2.5, R)"),

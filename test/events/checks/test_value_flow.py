@@ -39,7 +39,7 @@ QUOTES = "a text keeps its quotes in events, write '\"anna\"'"
 
 
 @pytest.mark.parametrize(
-    "rules, message",
+    ("rules", "message"),
     [
         (
             BOOL + "d <- flag(1).",
@@ -68,7 +68,7 @@ QUOTES = "a text keeps its quotes in events, write '\"anna\"'"
         ),
     ],
 )
-def test_constant_that_no_event_has_is_reported_with_advice(definitions, rules, message):
+def test_constant_of_no_event_is_reported_with_advice(definitions, rules, message):
     assert impossible_values(definitions, rules) == [message]
     assert type_conflicts(definitions, rules) == []
 
@@ -118,7 +118,7 @@ def test_values_flow_to_an_event(definitions, rules):
 
 
 @pytest.mark.parametrize(
-    "rules, message",
+    ("rules", "message"),
     [
         (
             "ok(N) <- std_msgs__0__String(N) where allowed(N). allowed(anna). allowed(bob).",
@@ -239,11 +239,11 @@ def test_values_flow_to_a_goal(definitions, rules):
         "p(X) :- p(X). ok <- go where p(3).",
     ],
 )
-def test_values_that_are_possible_or_unknown_are_not_reported(definitions, rules):
+def test_possible_and_unknown_values_are_not_reported(definitions, rules):
     assert impossible_values(definitions, rules) + type_conflicts(definitions, rules) == []
 
 
-def test_use_in_the_rule_of_the_message_is_reported_once(check):
+def test_use_in_rule_of_message_is_reported_once(check):
     assert [finding.problem.code for finding in check("ok <- std_msgs__0__String(X) where X == anna.")] == [
         "RT1106"
     ]
@@ -262,14 +262,14 @@ def check(tmp_path, definitions):
     return run
 
 
-def test_finding_has_the_place_of_the_constant_and_is_suppressed_by_a_comment(check):
+def test_comment_suppresses_finding_of_constant(check):
     (finding,) = check(TEXT + "d <- go seq text(anna).")
     assert (finding.check, finding.problem.code) == ("values", "RT1105")
     assert (finding.problem.place.line, finding.problem.place.column) == (2, 18)
     assert check(TEXT + "d <- go seq text(anna). % retalis: ignore=RT1105") == []
 
 
-def test_constant_of_another_file_is_shown_with_its_file(tmp_path, check):
+def test_constant_of_other_file_has_its_place(tmp_path, check):
     (tmp_path / "people.pl").write_text("allowed(anna).\n")
     (finding,) = check(":- consult('people.pl').\nok(N) <- std_msgs__0__String(N) where allowed(N).")
     assert finding.problem.code == "RT1106"
@@ -302,7 +302,7 @@ def test_values_flow_through_long_chains_in_any_order(definitions):
 
 
 @pytest.mark.slow
-def test_events_of_the_examples_have_the_computed_kinds(definitions):
+def test_events_of_examples_have_kinds(definitions):
     checked = 0
     for page in sorted((ROOT / "docs").rglob("*.md")):
         for text in FENCE.findall(page.read_text(encoding="utf-8")):

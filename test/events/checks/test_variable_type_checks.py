@@ -107,7 +107,7 @@ def test_array_as_number_is_reported(definitions):
     )
 
 
-def test_predicates_on_arrays_and_messages_are_built_in():
+def test_array_and_message_predicates_are_known():
     assert {name for name, _ in ENTRIES} >= _ARRAY_PREDICATES
     assert {f"{name}/{arity}" for name, arity in ENTRIES} >= {
         predicate for predicates in SENSOR_PREDICATES.values() for predicate in predicates
@@ -142,7 +142,7 @@ def test_windows_accept_arrays(definitions, pattern, message):
 
 
 @pytest.mark.parametrize(
-    "rule, message",
+    ("rule", "message"),
     [
         (
             "a <- geometry_msgs__0__Point(X, _, _) where X =:= 11.6.",

@@ -18,7 +18,7 @@ def messages_of(rules):
 
 
 @pytest.mark.parametrize(
-    "rules, cause",
+    ("rules", "cause"),
     [
         ("long <- a seq b.", "long/0, emitted by a rule with seq"),
         ("long <- a seq absent(b, 5).", "long/0, emitted by a rule with absent"),
@@ -31,7 +31,7 @@ def messages_of(rules):
         (":- state(long, from(a), until(b)).", "long/0, a declared state"),
     ],
 )
-def test_window_of_an_event_with_a_duration_is_reported(rules, cause):
+def test_window_of_event_with_duration_is_reported(rules, cause):
     (message,) = messages_of(f"{rules}\nn(N) <- aggregate(count, long, N, last(60)).")
     assert f"({cause})" in message
     assert message.startswith("last(60) selects its elements by their start")
@@ -62,7 +62,7 @@ def test_other_windows_are_not_reported(rules):
     assert messages_of(rules) == []
 
 
-def test_finding_has_the_place_of_its_window_and_is_suppressed_by_a_comment(tmp_path):
+def test_comment_suppresses_finding_of_window(tmp_path):
     path = tmp_path / "rules.txt"
     rule = "n(X, N) <- aggregate(count, a(X), _, last(1)) seq aggregate(count, long(X), N, last(2))."
     path.write_text(f"long(X) <- a(X) seq b(X).\n{rule}\n")

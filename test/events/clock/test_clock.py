@@ -84,7 +84,8 @@ def confirmed_clock(instant):
     clock = StreamClock()
     for second in (-11, -5, 0):
         clock.follow_checked(instant + second * SECOND, "a")
-    assert clock.now() == instant and not clock.jumps.is_on_trial
+    assert clock.now() == instant
+    assert not clock.jumps.is_on_trial
     return clock
 
 
@@ -115,7 +116,7 @@ def test_alarms_of_pinned_clock_follow_stream_time(is_quiet):
     assert not is_quiet(clock)
 
 
-def test_engine_with_pinned_clock_emits_alarms_by_stream_time():
+def test_pinned_clock_emits_alarms_by_stream_time():
     clock = StreamClock()
     clock.pin(SECOND)
     engine = Engine(clock)
@@ -130,10 +131,15 @@ def test_engine_with_pinned_clock_emits_alarms_by_stream_time():
 
 def test_clock_follows_events_until_alarm_is_due():
     clock = confirmed_clock(0)
-    assert clock.follow(50) and clock.now() == 50
-    assert clock.follow(40) and clock.now() == 50, "an event that is late moves nothing"
+    assert clock.follow(50)
+    assert clock.now() == 50
+    # A late event does not move the clock.
+    assert clock.follow(40)
+    assert clock.now() == 50
     clock.call_at(60, lambda instant: None)
-    assert not clock.follow(60) and clock.now() == 50, "the alarm is looked at first"
+    # The due alarm comes first.
+    assert not clock.follow(60)
+    assert clock.now() == 50
     clock.due(60)
     clock.pin(70)
     assert not clock.follow(80), "a pinned clock does not show the time of the stream"
@@ -144,7 +150,8 @@ def test_reset_of_followed_clock_is_detected():
     assert clock.follow(5 * SECOND)
     clock.move_to(0, back=True)
     assert not clock.follow(6 * SECOND)
-    assert clock.now() == 0 and clock.went_back()
+    assert clock.now() == 0
+    assert clock.went_back()
 
 
 def test_pending_alarm_adds_no_reads_of_time_source():

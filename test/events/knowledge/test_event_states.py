@@ -58,7 +58,7 @@ def test_open_state_holds_immediately():
 
 
 @pytest.mark.parametrize(
-    "events, expected",
+    ("events", "expected"),
     [
         ([("undock(a)", 1)], []),
         ([("dock(a)", 1), ("dock(a)", 2), ("undock(a)", 3), ("undock(a)", 4)], [("docked(a)", 1, 3)]),
@@ -122,7 +122,8 @@ def test_states_are_queried_at_present_and_past():
     )
     assert engine.values_of_x("holds(docked(X))") == ["b"]
     assert engine.values_of_x("holds(docked(b), X)") == ["3"]
-    assert engine.query("holds(docked(a))") == [] and engine.query("holds(docked(a), _)") == []
+    assert engine.query("holds(docked(a))") == []
+    assert engine.query("holds(docked(a), _)") == []
     assert [
         engine.query(f"holds_at(docked(a), {instant})") != [] for instant in (0.5, 1.5, 2, 3, 4, 4.5)
     ] == [
@@ -155,7 +156,8 @@ def test_goal_declares_state_once():
     assert engine.values_of_x("holds(docked(X))") == ["a"]
     with pytest.raises(PrologError, match="declared otherwise"):
         engine.call("state(docked(X), from(dock(X)), until(out))")
-    assert engine.call("delete_state(docked(_))") and not engine.call("delete_state(docked(_))")
+    assert engine.call("delete_state(docked(_))")
+    assert not engine.call("delete_state(docked(_))")
     assert engine.feed(("undock(a)", 2)) == []
     assert engine.call("state(docked(X), from(dock(X)), until(out))")
     assert engine.feed(("dock(a)", 3), ("undock(a)", 4), ("out", 5)) == [("docked(a)", 3, 5)]
@@ -167,7 +169,7 @@ def test_invalid_declaration_is_error_of_file():
 
 
 @pytest.mark.parametrize("invalid_term", ["docked(R, 1)", "dock(R, 1)", "undock(1)"])
-def test_events_of_state_are_checked_against_declarations(invalid_term):
+def test_events_of_state_match_declarations(invalid_term):
     declarations = ":- event docked(r:atom).\n:- event dock(r:atom).\n:- event undock(r:atom).\n"
     valid_goal = "state(docked(R), from(dock(R)), until(undock(R)))"
     invalid_goal = valid_goal.replace(
@@ -198,9 +200,9 @@ def test_oldest_open_states_are_dropped(caplog):
     engine.feed(*((f"dock({number})", number) for number in range(10)))
     assert engine.values_of_x("holds(docked(X))") == ["7", "8", "9"]
     assert engine.feed(("undock(2)", 11), ("undock(8)", 11)) == [("docked(8)", 8, 11)]
-    assert (
-        len(caplog.records) == 3 and "7 of the oldest" not in caplog.text and "4 of the oldest" in caplog.text
-    )
+    assert len(caplog.records) == 3
+    assert "7 of the oldest" not in caplog.text
+    assert "4 of the oldest" in caplog.text
 
 
 def test_events_with_variables_begin_no_state(caplog):
@@ -208,13 +210,14 @@ def test_events_with_variables_begin_no_state(caplog):
     derived = engine.feed(("dock(_)", 1), ("dock(a)", 2), ("undock(_)", 3))
     assert not any(event.startswith("docked") for event, _, _ in derived)
     assert engine.values_of_x("holds(docked(X))") == ["a"]
-    assert "state docked(_): dock(_" in caplog.text and "has variables: it begins no state" in caplog.text
+    assert "state docked(_): dock(_" in caplog.text
+    assert "has variables: it begins no state" in caplog.text
 
 
 # ---- clock that goes back, restored engines ------------------------------------------------------
 
 
-def test_clock_that_goes_back_clears_states():
+def test_clock_moved_back_clears_states():
     clock = StreamClock()
     engine = load_engine(":- state(docked(R), from(dock(R)), until(undock(R)), [within(50)]).", clock)
     clock.move_to(10 * SECOND)
@@ -452,7 +455,8 @@ def test_deleted_or_detached_state_is_unknown():
         if declared_again:
             states.detach(list(states_by_key))
         else:
-            assert engine.call("delete_state(docked(_))") and not engine.call("delete_state(docked(_))")
+            assert engine.call("delete_state(docked(_))")
+            assert not engine.call("delete_state(docked(_))")
         with pytest.raises(PrologError, match="docked/1"):
             engine.query("holds(docked(X))")
         states.restore_all(states_by_key)

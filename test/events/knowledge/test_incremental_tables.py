@@ -118,7 +118,7 @@ def test_recreated_memory_is_new_dependency():
     assert program.values_of_x("m(X)") == ["b"]
 
 
-def test_clock_that_goes_back_clears_tables():
+def test_clock_moved_back_clears_tables():
     program = TableEngine()
     program.feed("pos(a)")
     assert program.values_of_x("m(X)") == ["a"]

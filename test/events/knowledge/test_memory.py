@@ -124,7 +124,9 @@ def test_gap_is_wide_from_ten_times_the_mean(gap, steps_before):
         assert look_up(start + 5)
         assert widths == ([gap] if gap >= 100 else [])
     del widths[:]
-    assert memory.around(start) and memory.at_or_after(start) and memory.at_or_after(start + gap + 1)
+    assert memory.around(start)
+    assert memory.at_or_after(start)
+    assert memory.at_or_after(start + gap + 1)
     assert widths == []
 
 
@@ -147,10 +149,8 @@ def test_positions_of_records(size, ends, instant, sequence_number):
     assert memory.oldest_number == memory.added_count - stored_count
     first, newer_records = memory.records_since(sequence_number)
     assert first == max(memory.oldest_number, min(sequence_number, memory.added_count))
-    assert (
-        len(newer_records) == memory.added_count - first
-        and newer_records == records[len(records) - len(newer_records) :]
-    )
+    assert len(newer_records) == memory.added_count - first
+    assert newer_records == records[len(records) - len(newer_records) :]
     assert memory.added_count + memory.late_count == len(ends)
 
 
@@ -181,4 +181,5 @@ def test_changes_have_positions_and_versions(size, ends):
     assert restored.version not in versions
     added = memory.added_count
     memory.clear()
-    assert (memory.added_count, len(memory)) == (added, 0) and memory.version not in versions
+    assert (memory.added_count, len(memory)) == (added, 0)
+    assert memory.version not in versions

@@ -151,7 +151,7 @@ def test_update_beyond_depth_limit_is_reported(caplog):
 
 
 @pytest.mark.parametrize("memory", ["m", "n"])
-def test_memories_of_all_events_do_not_record_updates_of_each_other(memory):
+def test_memories_of_all_events_ignore_updates(memory):
     goals = "memorize(v(_), [], _, v, 9), memorize(_, [], _, m, 100), memorize(_, [], _, n, 100)"
     engine = RecordingEngine(goals=goals)
     engine.event("v(1)", 1)
@@ -169,7 +169,7 @@ def test_memory_of_all_events_ignores_own_updates():
     assert "a" in records(engine)
 
 
-def test_deletion_of_unknown_memory_succeeds_with_warning(caplog):
+def test_deleting_unknown_memory_gives_warning(caplog):
     engine = RecordingEngine()
     with caplog.at_level(logging.WARNING, "retalis"):
         assert engine.call("delete_memory(nothing)")
@@ -299,7 +299,7 @@ def test_memories_before_instant_are_missing():
 
 
 @pytest.mark.parametrize(
-    "goal, advice",
+    ("goal", "advice"),
     [
         ("memorize(n, v(X), [], X, 3)", "the conditions are a list of goals, as in [V < 11] or []"),
         ("memorize(v(X), X > 1, X, n, 3)", "the conditions are a list of goals, as in [V < 11] or []"),
@@ -307,7 +307,7 @@ def test_memories_before_instant_are_missing():
         ("memorize(v(X), [], X, 3, n)", "the size is a number of records"),
     ],
 )
-def test_error_of_misplaced_argument_shows_the_notation(goal, advice):
+def test_error_of_misplaced_argument_shows_notation(goal, advice):
     with pytest.raises(PrologError) as caught:
         RecordingEngine().call(goal)
     assert f"{advice}: write memorize(Pattern, Conditions, Template, Id, Size)" in str(caught.value)

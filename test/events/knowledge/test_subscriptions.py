@@ -57,7 +57,8 @@ def test_topic_is_shown_without_quotes():
     engine.event("a", 1)
     assert engine.outputs == [("a", "Front Left/Camera", "1")]
     subscriptions = engine.knowledge.subscriptions
-    assert subscriptions.has(atom("Front Left/Camera"), 1) and not subscriptions.has(atom("Front Left"), 1)
+    assert subscriptions.has(atom("Front Left/Camera"), 1)
+    assert not subscriptions.has(atom("Front Left"), 1)
 
 
 def test_subscriptions_are_restored_in_order():

@@ -114,9 +114,11 @@ def test_static_transforms_are_valid_at_any_time():
     buffer = buffer_of(("a", "b", 5, transform_at(1), True), ("b", "c", SECOND, transform_at(1)))
     assert buffer.lookup("a", "c", SECOND)[0][0] == 2.0
     assert buffer.lookup("a", "b", 77 * SECOND)[0][0] == 1.0
-    assert buffer.latest_common("a", "b") == 0 and buffer.latest_common("a", "c") == SECOND
+    assert buffer.latest_common("a", "b") == 0
+    assert buffer.latest_common("a", "c") == SECOND
     buffer.clear()
-    assert buffer.lookup("a", "b", 1) and not buffer.lookup("a", "c", SECOND)
+    assert buffer.lookup("a", "b", 1)
+    assert not buffer.lookup("a", "c", SECOND)
     assert buffer.sample_count == 1
 
 
@@ -136,7 +138,8 @@ def test_memory_of_buffer_is_bounded():
     for number in range(5000):
         buffer.store("a", "b", number * SECOND // 100, transform_at(number))
     (frame,) = [frame for frame in buffer.frames() if frame.name == "b"]
-    assert buffer.sample_count == 101 and len(frame.stamps) < 1000
+    assert buffer.sample_count == 101
+    assert len(frame.stamps) < 1000
     assert buffer.lookup("a", "b", 4950 * SECOND // 100)[0][0] == 4950
 
 
@@ -234,7 +237,7 @@ def test_loop_blocks_no_available_transform():
 
 
 @given(st.integers(0, 10**6))
-def test_lookup_without_blocking_frame_has_no_later_result(seed):
+def test_failed_lookup_has_no_later_result(seed):
     buffer = TransformBuffer()
     for operation, *arguments in random_transforms.scenario(seed):
         if operation != "ask":

@@ -22,7 +22,7 @@ def engine():
 
 
 @pytest.mark.parametrize(
-    "goal, message",
+    ("goal", "message"),
     [
         ("memorize(temperature(_), [], _, m, 5)", ARITY),
         ("memorize(temperature(_, hot), [], _, m, 5, 1)", VALUE),
@@ -44,11 +44,9 @@ def test_goal_against_declaration_is_refused(engine, goal, message):
         assert message.replace("a <- temperature(_): ", "") in str(caught.value)
     else:
         engine.call(goal)
-    assert (
-        engine.events == []
-        and not list(engine.knowledge.memories)
-        and not list(engine.knowledge.subscriptions)
-    )
+    assert engine.events == []
+    assert not list(engine.knowledge.memories)
+    assert not list(engine.knowledge.subscriptions)
 
 
 def test_event_against_declaration_is_refused(engine):

@@ -91,11 +91,12 @@ def test_rules_that_follow_declarations_have_no_errors(data, declarations):
     checker = FileChecker(declarations=Declarations(str))
     for clause in read_program(rules, OPERATORS):
         checker.check_read_term(clause)
-    assert list(checker.errors) == [] and len(checker.rules) == 2
+    assert list(checker.errors) == []
+    assert len(checker.rules) == 2
 
 
 @pytest.mark.parametrize(
-    "text, message",
+    ("text", "message"),
     [
         ("t(a)", "an argument is declared by its name and type, as in temperature(motor:atom, value:number)"),
         (
@@ -124,7 +125,8 @@ def test_invalid_declaration_is_refused(text, message):
 def test_second_declaration_of_name_is_refused():
     declarations = Declarations(str)
     (first,), (second,) = declarations_of("t(a:atom)"), declarations_of("t(a:number)")
-    assert declarations.add(first) and not declarations.add(*declarations_of("t(a:atom)"))
+    assert declarations.add(first)
+    assert not declarations.add(*declarations_of("t(a:atom)"))
     with pytest.raises(UsageError, match="t is declared already"):
         declarations.add(second)
 

@@ -10,7 +10,7 @@ STARS = "s(L) <- aggregate(list(X), e(X), L, steps([{}]))."
 
 
 @pytest.mark.parametrize(
-    "steps, expected",
+    ("steps", "expected"),
     [
         ("a(2) where X < 5", "s([1,2])@0-1 s([3,4])@2-3 s([1,2])@5-6"),
         ("a(1, many) where X < 4", "s([1,2,3])@0-3"),

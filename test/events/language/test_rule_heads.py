@@ -78,10 +78,8 @@ def test_alarm_in_the_past_is_reported_seldom():
     program.feed(" ".join(f"a@{second}" for second in range(1, 11)))
     messages = [str(warning).split("\n")[0] for warning in program.warnings]
     assert [text.rsplit(" ", 3)[1] for text in messages] == ["1", "2", "4", "8"]
-    assert (
-        "so it fires at once; 2 so far" in messages[1]
-        and "so it is an ordinary event; 8 so far" in messages[3]
-    )
+    assert "so it fires at once; 2 so far" in messages[1]
+    assert "so it is an ordinary event; 8 so far" in messages[3]
     assert messages[0].startswith(
         "text:1:1: rule exceptionAlarmAbsoluteDatime(e,3): the instant of its alarm is in the past"
     )
@@ -99,7 +97,7 @@ def test_alarm_in_the_future_is_not_reported():
     assert program.warnings == []
 
 
-def test_retraction_of_unknown_event_is_reported_seldom():
+def test_retraction_of_unknown_event_is_throttled():
     program = ProgramRunner("rev(a(X)) <- b(X). c(X) <- a(X).", ["revision_flag"])
     program.feed("a(1)@1 b(1)@2")
     assert program.warnings == []

@@ -17,13 +17,14 @@ def test_next_instant_is_first_multiple_after_present(milliseconds, now, aligned
     period = milliseconds * 10**6
     schedule = parse_schedule(parse_term(f"every({milliseconds / 1000}{'' if aligned else ', from_now'})"))
     next_instant = schedule.next_instant(now)
-    assert schedule.repeats and schedule.period == period
+    assert schedule.repeats
+    assert schedule.period == period
     assert now < next_instant <= now + period
     assert next_instant % period == 0 if aligned else next_instant == now + period
 
 
 @pytest.mark.parametrize(
-    "text, now, expected",
+    ("text", "now", "expected"),
     [
         ("at(8,30,0)", 0, 8.5 * 3600),
         ("at(8,30,0)", 8.5 * 3600, DAY + 8.5 * 3600),
@@ -41,7 +42,7 @@ def test_next_instant_of_day_and_of_single_schedules(text, now, expected):
 
 
 @pytest.mark.parametrize(
-    "text, message",
+    ("text", "message"),
     [
         ("evry(5)", "expected every(Seconds), every(Seconds, from_now), at("),
         ("every(5, soon)", "expected every(Seconds), every(Seconds, from_now), at("),
@@ -74,7 +75,7 @@ def test_schedule_with_variables_is_no_error(text):
 
 
 @pytest.mark.parametrize(
-    "text, is_schedule",
+    ("text", "is_schedule"),
     [("timer(a, every(1))", True), ("timer(a, W)", True), ("timer(a, 5)", False), ("timer", False)],
 )
 def test_timer_goals_are_distinguished_from_facts(text, is_schedule):

@@ -21,7 +21,7 @@ def test_declaration_names_begin_and_end():
 
 
 @pytest.mark.parametrize(
-    "text, message",
+    ("text", "message"),
     [
         ("state(s, b, c)", "expected state(S, from(Event), until(Event))"),
         ("state(s, from(b), till(c))", "expected state(S, from(Event), until(Event))"),
@@ -48,7 +48,7 @@ def test_error_of_declaration_names_expected_form(text, message):
 
 
 @pytest.mark.parametrize(
-    "text, expected",
+    ("text", "expected"),
     [
         ("state(a, from(b), c)", True),
         ("state(a, b, c)", False),
@@ -61,7 +61,7 @@ def test_declarations_are_distinguished_from_facts(text, expected):
 
 
 @pytest.mark.parametrize(
-    "text, expected",
+    ("text", "expected"),
     [("holds(a)", "a/0"), ("holds_at(a(X), 1)", "a/1"), ("holds(X, T)", None), ("held(a)", None)],
 )
 def test_query_goals_name_state(text, expected):

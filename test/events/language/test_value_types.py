@@ -59,7 +59,9 @@ def test_forms_of_types_are_forms_of_terms():
 
 def test_message_types_exclude_each_other():
     first, second = (parse_value_type(parse_term(f"std_msgs__0__{name}")) for name in ("Bool", "Empty"))
-    assert first.excludes(second) and not first.excludes(first) and not first.excludes(VALUE_TYPES["event"])
+    assert first.excludes(second)
+    assert not first.excludes(first)
+    assert not first.excludes(VALUE_TYPES["event"])
 
 
 def test_list_types_may_be_nested():
@@ -67,7 +69,7 @@ def test_list_types_may_be_nested():
 
 
 @pytest.mark.parametrize(
-    "text, message",
+    ("text", "message"),
     [
         ("nubmer", "there is no type nubmer; did you mean number?"),
         ("text", "there is no type text: a type is any, atom, "),

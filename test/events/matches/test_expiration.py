@@ -77,7 +77,7 @@ def fill(queue, add, match_count):
 @pytest.mark.parametrize(
     ("queue", "add"), [(ExpirationQueue(), add_by_instant), (StartExpirationQueue(10), add_by_start)]
 )
-def test_removed_matches_are_dropped_in_slices(queue, add):
+def test_unordered_matches_are_dropped_in_slices(queue, add):
     match_count = 20 * SLICE_ENTRIES
     matches = fill(queue, add, match_count)
     waiting = len(matches) // 4
@@ -107,10 +107,10 @@ def add_by_start_out_of_order(queue, match, waiting):
 
 
 @pytest.mark.parametrize(
-    "queue, add",
+    ("queue", "add"),
     [(ExpirationQueue(), add_by_instant_out_of_order), (StartExpirationQueue(10), add_by_start_out_of_order)],
 )
-def test_unordered_removed_matches_are_dropped_in_slices(queue, add):
+def test_removed_matches_are_dropped_in_slices(queue, add):
     match_count = 40 * HEAP_SLICE_ENTRIES
     matches = fill(queue, add, match_count)
     waiting = match_count // 4
@@ -165,7 +165,7 @@ def test_removed_matches_are_dropped(step):
 
 
 @pytest.mark.parametrize(
-    "queue, add", [(ExpirationQueue(), add_by_instant), (StartExpirationQueue(10), add_by_start)]
+    ("queue", "add"), [(ExpirationQueue(), add_by_instant), (StartExpirationQueue(10), add_by_start)]
 )
 def test_matches_removed_after_visit_are_dropped(queue, add):
     stored = deque()

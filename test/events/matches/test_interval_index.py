@@ -115,7 +115,8 @@ def test_search_compares_few_matches(by_end, limits, newest, beyond):
     CountingInt.comparison_count = 0
     orders = [match.order for match in index.search(limits, newest, beyond)]
     assert CountingInt.comparison_count < 250
-    assert orders == linear_search(matches, limits, newest, beyond) and len(orders) == 3
+    assert orders == linear_search(matches, limits, newest, beyond)
+    assert len(orders) == 3
 
 
 @pytest.mark.parametrize("initial_count", [1, 1000, 2000])
@@ -146,4 +147,5 @@ def test_index_without_searches_is_idle():
         ]
     for _ in range(15):
         index.remove(matches.pop())
-    assert index.size == 15 and index.is_idle
+    assert index.size == 15
+    assert index.is_idle

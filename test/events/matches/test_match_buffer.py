@@ -59,7 +59,8 @@ def test_partners_have_key_and_time(buffer, match_count):
 def test_index_is_created_after_many_misses(buffer):
     for position in range(1000):
         store_match(buffer, 0, position, position)
-    assert ends(buffer.partners(0, 999, 999, True)) == [999] and reachable(buffer, IntervalIndex)
+    assert ends(buffer.partners(0, 999, 999, True)) == [999]
+    assert reachable(buffer, IntervalIndex)
     assert ends(buffer.partners(0, 500, 500, False)) == [500]
     for match in buffer.stored_matches()[:999]:
         match.discard()
@@ -82,7 +83,8 @@ def test_key_without_matches_is_removed(buffer):
     matches = [store_match(buffer, 0, position, position) for position in range(3)]
     for match in (matches[1], matches[0], matches[2]):
         match.discard()
-    assert buffer.newest == {} and buffer.stored_matches() == []
+    assert buffer.newest == {}
+    assert buffer.stored_matches() == []
 
 
 @pytest.mark.parametrize("max_misses", [0, 32])

@@ -61,7 +61,7 @@ def test_untracked_match_has_arrival_number_zero():
     assert arrival_number_of(nested_match(3, "a")) == 0
 
 
-@pytest.mark.parametrize("short_class, saved_slots", ((EventMatch, 7), (OrderedEventMatch, 5)))
+@pytest.mark.parametrize(("short_class", "saved_slots"), [(EventMatch, 7), (OrderedEventMatch, 5)])
 def test_match_of_event_takes_less_memory(short_class, saved_slots):
     event, full = short_class(), PartialMatch((1,), 5, 5, None, ("a", 1), None)
     event.start = event.end = event.order = 5
@@ -100,4 +100,5 @@ def test_match_of_instant_is_short():
     instant = 2 * 10**9
     engine.event_at(functor("a", 2)(1, 2), instant, instant)
     [match] = engine.rules.rules[0].arrivals
-    assert match.__class__ is EventMatch and match.start is match.end
+    assert match.__class__ is EventMatch
+    assert match.start is match.end

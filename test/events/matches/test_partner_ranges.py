@@ -48,7 +48,7 @@ def test_partners_of_and_are_bounded_by_window_only():
 
 
 @pytest.mark.parametrize(
-    "name, left, by_end",
+    ("name", "left", "by_end"),
     [
         ("seq", False, True),
         ("seq", True, False),

@@ -102,7 +102,7 @@ def test_delay_is_bounded():
     ],
     ids=["by a rule", "by a goal"],
 )
-def test_lag_of_topic_delays_patterns_of_derived_events(rules):
+def test_lag_of_topic_delays_derived_patterns(rules):
     driver = EngineDriver(rules)
     driver.receive("in(no)", 10 * SECOND, 30 * MILLISECOND)
     driver.receive("in(yes)", 10 * SECOND + 490 * MILLISECOND, 25 * MILLISECOND)
@@ -130,7 +130,7 @@ def test_clock_that_follows_events_measures_no_lag():
     assert outputs == ["in(no)", "in(other)", "alarm", "in(other)"]
 
 
-def test_restored_engine_continues_with_lags_and_waiting_alarm():
+def test_restored_engine_keeps_lags_and_alarm():
     driver = EngineDriver(ALARM)
     driver.receive("in(no)", 10 * SECOND, 30 * MILLISECOND)
     driver.advance(10 * SECOND + 510 * MILLISECOND)
@@ -173,7 +173,7 @@ def test_timeout_without_lag_is_as_written():
 STATE = "state(open(X), from(in(X, on)), until(in(X, off)), [within(1)])."
 
 
-def test_event_after_end_of_state_by_itself_does_not_extend_it():
+def test_late_event_does_not_extend_ended_state():
     driver = EngineDriver("closed(X) <- open(X).", STATE)
     driver.receive("in(a, on)", 10 * SECOND, 300 * MILLISECOND)
     # Received while the end of the state waits for late events.
@@ -271,7 +271,7 @@ IN_ORDER_PROGRAMS = {
 @pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(stamped_events)
-def test_results_in_order_with_lags_equal_those_at_stamps(program, events):
+def test_ordered_results_with_lags_are_equal(program, events):
     all_events = with_beacons(events)
     expected = sorted(receive_at_stamps(EngineDriver(*program, watermark_delay=0), all_events))
     outputs = receive_with_lags(EngineDriver(*program), all_events, in_order=True)
@@ -298,7 +298,7 @@ def test_restored_run_equals_continued_run(events, instant):
     assert restored.derived == continued.receive_all(arrivals)
 
 
-def test_event_after_deadline_does_not_replace_waiting_one():
+def test_event_after_deadline_replaces_nothing():
     driver = EngineDriver(ALARM, watermark_delay=1)
     driver.receive("in(no)", 10 * SECOND)
     driver.receive("in(no)", 10 * SECOND + 600 * MILLISECOND)
@@ -318,7 +318,7 @@ def test_event_after_deadline_does_not_replace_waiting_one():
         ([0, 999, 500], [0, 999]),
     ],
 )
-def test_later_event_replaces_earlier_one_in_any_order_of_receipt(arrivals, starts):
+def test_later_event_replaces_earlier_received_one(arrivals, starts):
     driver = EngineDriver(ALARM, watermark_delay=2)
     for stamp in arrivals:
         driver.receive("in(no)", 10 * SECOND + stamp * MILLISECOND, (1000 - stamp) * MILLISECOND)
@@ -344,6 +344,7 @@ def test_lags_of_oldest_names_are_dropped():
     for number in range(MAX_TOPICS):
         driver.engine.event(f"name{number}(1)")
     names = {lag.event for lag in driver.engine.status(2 * MAX_TOPICS).lags}
-    assert len(names) == MAX_TOPICS and "beat/0" not in names
+    assert len(names) == MAX_TOPICS
+    assert "beat/0" not in names
     driver.receive("beat", 2 * SECOND, MAX_LAG)
     assert driver.engine.status().rules[0].delay == MAX_LAG

@@ -84,7 +84,7 @@ def test_condition_of_row_pattern_is_deferred(goal, outputs):
 
 
 @pytest.mark.parametrize("goal", ["del_event_rule(own)", "reset_etalis"])
-def test_rule_deleted_by_own_goal_emits_earlier_matches(goal):
+def test_self_deleted_rule_emits_earlier_matches(goal):
     engine, derived, _ = load_engine("own : " + FOLD.format(window="last(10)", goal=goal).lstrip())
     for number in (1, 2, 3):
         engine.event(f"a({number})", number)

@@ -110,4 +110,5 @@ def test_output_of_long_window_has_limited_sources():
         for event in engine.rules.tracker.remembered_events()
         if engine.show(event.term).startswith("out")
     ]
-    assert len(outputs) == 300 and max(len(event.sources()) for event in outputs) == 100
+    assert len(outputs) == 300
+    assert max(len(event.sources()) for event in outputs) == 100

@@ -63,7 +63,9 @@ def test_facts_named_as_loader_forms_are_stored():
         assert engine.call(goal), goal
 
 
-@pytest.mark.parametrize("text, is_reported", [("hot(X) - t(X).", True), ("a - b.", True), ("a - 1.", False)])
+@pytest.mark.parametrize(
+    ("text", "is_reported"), [("hot(X) - t(X).", True), ("a - b.", True), ("a - 1.", False)]
+)
 def test_dash_instead_of_arrow_is_reported(text, is_reported):
     warnings = warnings_of(f"b <- a.\n{text}")
     assert [(line, column) for line, column, _ in warnings] == [(2, text.index("-") + 1)] * is_reported

@@ -229,7 +229,7 @@ def _warnings_of_persistent_rule(write_folders=(), **settings):
 EXPECTED_FILE = "".join(f"event(b({number}),[{number},{number}]).\n" for number in range(4))
 
 
-def test_unrestricted_persistent_events_are_in_working_folder(tmp_path, monkeypatch):
+def test_unrestricted_events_are_in_working_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert _warnings_of_persistent_rule(None) == []
     assert (tmp_path / "persistent.txt").read_text() == EXPECTED_FILE
@@ -322,8 +322,10 @@ def test_names_are_relative_to_loaded_file_or_program(tmp_path, monkeypatch):
     def is_relative_to(folder):
         assert files.absolute("../x") == str(tmp_path / "x")
         assert files.absolute("x") == str(tmp_path / folder / "x")
-        assert files.is_folder(f"../{folder}") and not files.is_folder("x")
-        assert files.is_readable(f"{folder}.pl") and not files.is_readable("x.pl")
+        assert files.is_folder(f"../{folder}")
+        assert not files.is_folder("x")
+        assert files.is_readable(f"{folder}.pl")
+        assert not files.is_readable("x.pl")
         assert files.to_read(atom(f"{folder}.pl")) == (str(files.find(atom(folder))), "")
         for operation in (files.absolute, files.is_readable, files.is_folder, files.resolve):
             with pytest.raises(PrologError, match="source_sink"):
@@ -344,7 +346,7 @@ def test_names_are_relative_to_loaded_file_or_program(tmp_path, monkeypatch):
     assert is_relative_to("here")
 
 
-def test_an_interrupted_load_is_restored(tmp_path):
+def test_interrupted_load_is_restored(tmp_path):
     """An interrupt may leave the contexts at any point; the state before tells which ones to restore."""
     files = SourceFiles()
     for folder in ("one", "two"):
@@ -389,7 +391,8 @@ def test_second_file_of_module_is_reported(tmp_path):
     warning = f"Warning: {first} is module m as well; what {second} has of it is added to that\n"
     assert warnings == ["", "", "", warning]
     assert files.module(tmp_path / "none.pl") == ""
-    assert files.has_loaded(first) and not files.has_loaded(tmp_path / "none.pl")
+    assert files.has_loaded(first)
+    assert not files.has_loaded(tmp_path / "none.pl")
     files.loaded.clear()
     assert files.module(first) == ""
     with files.loading_file(second):
@@ -397,7 +400,7 @@ def test_second_file_of_module_is_reported(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name, hint",
+    ("name", "hint"),
     [
         ("eventrules.txt", ": did you mean eventRules.txt?"),
         ("event_rules.txt", ": did you mean eventRules.txt?"),

@@ -63,4 +63,5 @@ def test_expansions_apply_to_later_files():
 @pytest.mark.parametrize("dynamic", [":- dynamic term_expansion/2. ", ":- multifile term_expansion/2. "])
 def test_declaration_of_expansion_replaces_nothing(dynamic):
     program = ProgramRunner(f"{dynamic}p(1).")
-    assert program.warnings == [] and program.engine.call("p(1)")
+    assert program.warnings == []
+    assert program.engine.call("p(1)")

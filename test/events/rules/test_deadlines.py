@@ -185,6 +185,7 @@ def test_deleted_rule_has_no_alarms():
     program.feed("in(1)@1")
     assert rule.active
     assert program.engine.call("del_event_rule(l)")
-    assert not rule.active and not rules.rules
+    assert not rule.active
+    assert not rules.rules
     program.feed("other@9")
     assert format_events(program.events) == "other@9-9"

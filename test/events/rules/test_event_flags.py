@@ -129,7 +129,7 @@ def test_pattern_garbage_control_needs_both_properties():
         assert engine_and_outputs(PATTERN.format(properties), stream, garbage_control=control)[1] == expected
 
 
-def test_pattern_garbage_control_removes_negated_events():
+def test_pattern_control_removes_negated_events():
     rules = "r([property(window,10),property(window_step,{})]) : out(X) <- e(X) fnot g(X)."
     stream = [(f"g({second})", second) for second in range(100)]
     waiting = [
@@ -153,7 +153,7 @@ def test_infinite_value_of_flag_is_refused(name, number):
 # ---- kept events, sharing -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("flag, expected", [("on", ["a(1)", "a(9)", "b(1)", "out(1)"]), ("off", [])])
+@pytest.mark.parametrize(("flag", "expected"), [("on", ["a(1)", "a(9)", "b(1)", "out(1)"]), ("off", [])])
 def test_events_are_stored_if_flag_is_on(flag, expected):
     engine, _ = engine_and_outputs(RULE, store_fired_events=flag)
     assert [engine.show(answer["E"]) for answer in engine.query("stored_event(event(E,_))")] == expected

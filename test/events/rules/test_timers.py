@@ -40,7 +40,7 @@ def load_engine(goals="", rules="", clock=None):
 
 
 @pytest.mark.parametrize(
-    "schedule, expected_instants",
+    ("schedule", "expected_instants"),
     [
         ("every(2)", [2, 4, 6]),
         ("every(2, from_now)", [3, 5]),
@@ -111,7 +111,8 @@ def test_cancel_removes_unifying_timers():
     assert engine.feed(1, 9) == [("e", 1), ("b", 5), ("e", 9)]
     assert engine.timers() == "[timer(b,every(5),datime(1970,1,1,0,0,10,0))]"
     engine.call("reset_etalis")
-    assert engine.timers() == "[]" and engine.feed(30) == [("e", 30)]
+    assert engine.timers() == "[]"
+    assert engine.feed(30) == [("e", 30)]
 
 
 def test_cancel_compares_candidates_only(monkeypatch):
@@ -205,7 +206,8 @@ def test_periodic_timer_fires_boundedly_after_jump(caplog, monkeypatch):
     monkeypatch.setattr(timer_service, "MAX_FIRINGS_PER_JUMP", 100)
     engine = load_engine("timer(t, every(1))")
     engine.feed(0.5)
-    assert len(engine.feed(100.5)) == 101 and not caplog.records
+    assert len(engine.feed(100.5)) == 101
+    assert not caplog.records
     assert engine.feed(1000) == [("t", 1000), ("e", 1000)]
     (record,) = caplog.records
     assert "899 events of timer t, every(1) left out; 899 of all timers so far" in record.getMessage()
@@ -287,12 +289,14 @@ def test_status_counts_timers_with_alarms():
 @pytest.mark.parametrize("timer", ["timer(tick(left), every(1))", "timer(tick, every(1))"])
 def test_event_of_timer_is_checked_against_declaration(timer):
     declared = ":- event tick(count:number).\n"
-    for load in ({"rules": f"{declared}:- {timer}."}, {"rules": declared, "goals": timer}):
-        engine = TimerEngine()
-        with pytest.raises(ProgramErrors, match="tick"):
-            engine.load(rules=load["rules"])
-            engine.load(goals=load["goals"])
-        assert engine.timers() == "[]"
+    engine = TimerEngine()
+    with pytest.raises(ProgramErrors, match="tick"):
+        engine.load(rules=f"{declared}:- {timer}.")
+    assert engine.timers() == "[]"
+    engine.load(rules=declared)
+    with pytest.raises(ProgramErrors, match="tick"):
+        engine.load(goals=timer)
+    assert engine.timers() == "[]"
 
 
 class TestNames:
@@ -310,4 +314,5 @@ class TestNames:
         with caplog.at_level(logging.WARNING):
             engine = load_engine(rules="out(X) <- timer(X, 5).")
         engine.event("timer(a, 5)", 1)
-        assert engine.events[1] == ("out(a)", 1) and not caplog.records
+        assert engine.events[1] == ("out(a)", 1)
+        assert not caplog.records

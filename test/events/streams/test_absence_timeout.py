@@ -144,11 +144,13 @@ def test_forbidden_elements_with_condition_expire():
         operator.process(element_of(arrival), arrival.clock_time, arrival.channel)
         assert len(operator) == min(arrival.number + 1, 300)
     (frontier,) = operator._forbidden.values()  # noqa: SLF001
-    assert frontier.element_count == 300 and len(frontier.elements) <= 600
+    assert frontier.element_count == 300
+    assert len(frontier.elements) <= 600
     operator.process(element_of(arrivals[0]), 2270, 0)
     assert len(operator) == len(frontier.elements) == 29
     operator.process(element_of(arrivals[0]), 9000, 0)
-    assert len(operator) == 0 and not operator._forbidden  # noqa: SLF001
+    assert len(operator) == 0
+    assert not operator._forbidden  # noqa: SLF001
 
 
 def test_cancelled_elements_leave_the_heap():

@@ -82,12 +82,16 @@ def test_nan_stays_in_sums_but_not_in_extremes():
     results.clear()
     send(engine, array_term(np.array([1, 1, 1, 1, 1.0])), 2)
     total, mean, least, greatest, middle, deviation = (result.tolist() for result in results)
-    assert np.isnan(total[0]) and total[1:] == [np.inf, 2, 3, 4]
-    assert np.isnan(mean[0]) and mean[1:] == [np.inf, 1, 1.5, 2]
+    assert np.isnan(total[0])
+    assert total[1:] == [np.inf, 2, 3, 4]
+    assert np.isnan(mean[0])
+    assert mean[1:] == [np.inf, 1, 1.5, 2]
     assert least == [1] * 5
     assert greatest == [1, np.inf, 1, 2, 3]
-    assert np.isnan(middle[0]) and middle[1:] == [np.inf, 1, 1.5, 2]
-    assert np.isnan(deviation[:2]).all() and deviation[2:] == [0, 0.5**0.5, 2**0.5]
+    assert np.isnan(middle[0])
+    assert middle[1:] == [np.inf, 1, 1.5, 2]
+    assert np.isnan(deviation[:2]).all()
+    assert deviation[2:] == [0, 0.5**0.5, 2**0.5]
 
 
 def test_median_of_infinite_elements():

@@ -109,7 +109,7 @@ def test_times_of_windows_and_rates_evict_keys(operator):
 
 
 @pytest.mark.parametrize(
-    "operator, events, outputs_if_kept, outputs_if_evicted",
+    ("operator", "events", "outputs_if_kept", "outputs_if_evicted"),
     [
         ("steps", "a-up@1 b-x@{0} a-down@{0}", "a,[up,down]", ""),
         ("last", "a-1@1 a-2@{0}", "a,[1] a,[1,2]", "a,[1] a,[2]"),

@@ -70,7 +70,7 @@ def test_outputs_equal_those_of_exhaustive_search(steps, readings, restore_befor
     assert outputs_of_rule(rule, readings, restore_before) == expected_outputs(steps, readings), rule
 
 
-def test_matches_waiting_for_preferred_one_are_restored():
+def test_postponed_matches_are_restored():
     """Several partial matches begin at the same reading; later readings decide between them."""
     steps = "p where V == 0, later(y(0, 1, until(V == 8))) where V == 9, later(z(0, 1, until(V == 7))) where V == 6"
     rule = f"found(K, L) <- aggregate(list(V), reading(K, V), L, steps([{steps}]))."

@@ -13,7 +13,7 @@ CONFLICT = "V is a number (value of temperature/2) and, here, an atom (motor of 
 
 
 @pytest.mark.parametrize(
-    "rule, column, message",
+    ("rule", "column", "message"),
     [
         ("a <- b seq temperature(X).", 12, ARITY),
         ("temperature(X) <- b(X).", 1, ARITY),
@@ -92,7 +92,7 @@ def test_declaration_may_be_earlier_or_included(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "text, line, column, message",
+    ("text", "line", "column", "message"),
     [
         (":- event t(a:nubmer).", 1, 12, "there is no type nubmer; did you mean number?"),
         (":- event t(a:atom).\n:- event t(b:atom).", 2, 10, "t is declared already, as t(a:atom)"),

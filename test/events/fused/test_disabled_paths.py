@@ -21,7 +21,7 @@ SHARED = ["-n", str(os.cpu_count() or 1)] if find_spec("xdist") else []
 
 @pytest.mark.slow
 @pytest.mark.parametrize("off", [[*PATHS], *([path] for path in PATHS if WHOLE)], ids=" ".join)
-def test_tests_of_rules_pass_without_path(off):
+def test_rule_tests_pass_without_fused_path(off):
     command = [
         sys.executable,
         "-m",
