@@ -504,8 +504,7 @@ class Console:
         # The trace goes to stderr, so that the answers can be piped.
         tracer = Tracer(logic.machine, lambda line: print(line, file=sys.stderr))
         try:
-            # An interrupt inside with_output_to/2 would leave its stream as output.
-            with logic.keeping_output(), tracer.on() if is_traced else nullcontext():
+            with tracer.on() if is_traced else nullcontext():
                 print_solutions = self._print_json_solutions if self._as_json else self._print_solutions
                 print_solutions(goal, read_goal.names)
         except RetalisError as error:

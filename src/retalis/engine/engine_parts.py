@@ -134,6 +134,7 @@ class EngineParts:
         )
         self.callbacks = callbacks = UserCallbacks(executor, logic.machine.budget, reports)
         self.dispatcher = dispatcher = Dispatcher(logic, max_depth=settings.max_depth)
+        executor.add_recovery(EngineRecovery(logic, dispatcher, files))
         self.rules = rules = RuleBase(
             logic,
             dispatcher,
@@ -152,7 +153,6 @@ class EngineParts:
             rules,
             buffer=settings.transform_buffer(settings.tf_cache),
         )
-        executor.add_recovery(EngineRecovery(logic, dispatcher, files))
         rules.flags.on_numeric_change("max_gap", knowledge.gaps.set_limit)
         _set_default_flags(rules.flags, settings)
         self.watchdog = start_watchdog(executor, logic, dispatcher, reports, settings.watchdog)

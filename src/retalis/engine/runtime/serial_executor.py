@@ -29,7 +29,7 @@ from ...events.dispatch.dispatcher import Dispatcher
 from ...foundation.errors import RetalisError, UsageError
 from ...foundation.interrupts import PENDING, SafeExit, interruptible, raise_pending
 from ...prolog.files.source_files import SourceFiles
-from ...prolog.system.prolog_system import PrologSystem, machine_state, restore_machine
+from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.types import atom
 
 UNNAMED_REQUEST = atom("a request")
@@ -649,7 +649,7 @@ class EngineRecovery(Recovery):
     def state(self) -> Any:
         """Return the states of machine, files, dispatcher and compiler, for `restore`."""
         return (
-            machine_state(self._logic.machine),
+            self._logic.machine.state(),
             self._files.state(),
             self._dispatcher.state(),
             self._logic.new_goals,
@@ -660,7 +660,7 @@ class EngineRecovery(Recovery):
         saved_machine, saved_files, saved_dispatch, new_goals = (
             (None, None, (None, None), None) if state is None else state
         )
-        restore_machine(self._logic.machine, saved_machine)
+        self._logic.machine.restore(saved_machine)
         self._files.restore(saved_files)
         self._dispatcher.restore(*saved_dispatch)
         self._logic.continue_precompiling(new_goals)

@@ -10,7 +10,7 @@ The current output is a stack: a goal that captures its output (``with_output_to
 
 from typing import TYPE_CHECKING, Any, Callable, Dict, Iterator, List, Optional, Tuple, Union
 
-from ...foundation.errors import SyntaxFault
+from ...foundation.errors import SyntaxFault, printable
 from ..machine.errors import (
     ERROR,
     PrologError,
@@ -21,6 +21,7 @@ from ..machine.errors import (
     resource_error,
 )
 from ..machine.machine import Machine
+from ..machine.resource_limits import Budget
 from ..syntax.operators import Operators
 from ..syntax.term_reader import Program, ReadTerm, read_program
 from ..syntax.tokenizer import ReadFlags
@@ -223,6 +224,40 @@ class OutputStream:
             self._append_to_file(text)
 
 
+class UserStream:
+    """Stream ``user_output`` or ``user_error``, which escapes control characters that terminals and logs interpret.
+
+    Args:
+        budget: limits the output of an entry.
+        write: prints a text.
+    """
+
+    def __init__(self, budget: Budget, write: Callable[[str], None]):
+        self._budget = budget
+        self._write = write
+
+    def __call__(self, text: str) -> None:
+        """Write a text.
+
+        Raises:
+            LimitError: if the text exceeds the limit of output; none of it is written. Also if an interrupt ends the
+                output.
+        """
+        # Counted before it is processed, so that a text that is too long costs nothing. Escapes and multibyte
+        # characters are added once they are known.
+        self._budget.count_output(len(text))
+        escaped = printable(text)
+        added_bytes = len(escaped.encode()) - len(text)
+        if added_bytes:
+            self._budget.count_output(added_bytes)
+        try:
+            self._write(escaped)
+        except Exception:
+            raise
+        except BaseException as exception:
+            raise self._budget.end_entry(exception) from exception
+
+
 class _ReplacedOutput:
     """An output that has been replaced by a stream or a capture, with its column."""
 
@@ -281,15 +316,6 @@ class OutputCapture:
         """Restore the output that was replaced."""
         self._logic.redirect(self.replaced_output.output, self.replaced_output.column)
         self._streams.replace_current(self._outer_stream, self.stream_output)
-
-
-def end_captures(logic: "PrologSystem") -> None:
-    """End all captures and reset the current output to the user's, when no goal runs."""
-    while True:
-        _streams(logic).set_output("user_output")
-        if not isinstance(logic.output, OutputCapture):
-            return
-        logic.output.end()
 
 
 OpenStream = Union[InputStream, OutputStream, OutputCapture]

@@ -133,9 +133,9 @@ class Control:
         self.solve = solve  # type: ignore[method-assign, assignment]
         return previous
 
-    def stop_tracing(self, solve: Optional[SolveFunction] = None) -> None:
-        """Stop tracing if goals are run by a tracer's function; by default by any."""
-        if "solve" in vars(self) and solve in (None, self.solve):
+    def stop_tracing(self, solve: SolveFunction) -> None:
+        """Stop tracing if goals are run by a tracer's function."""
+        if self.solve == solve:
             del self.solve
 
     def call(self, goal: Term, continuation: Frame) -> Optional[Frame]:

@@ -264,11 +264,6 @@ class ModuleNames:
             f"{module.name}:{key.name}(...) calls it\n"
         )
 
-    def reset_loading(self) -> None:
-        """Reset the loading state after an interrupted load."""
-        self.loading_module = None
-        self._files.clear()
-
     def find_module(self, term: Term) -> Optional[Module]:
         """Return the module whose name a term is; None if there is no such module."""
         term = deref(term)

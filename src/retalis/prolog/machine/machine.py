@@ -21,7 +21,7 @@ run, without a nested loop.
 """
 
 from sys import getrefcount
-from typing import TYPE_CHECKING, Any, Callable, Generator, List, Optional, Protocol, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Generator, List, NamedTuple, Optional, Protocol, Tuple
 
 from ...foundation.cancellation import set_limit_check
 from ...foundation.errors import RetalisError, TermTooLarge
@@ -29,7 +29,7 @@ from ..terms.term_traversal import copy
 from ..terms.types import Frame, Functor, Step, Term, Trail, Values, Var
 from ..terms.unification import undo, unify
 from .errors import CONTEXT, ERROR, PrologError, first_goal_functor, from_python, indicator, resource_error
-from .resource_limits import SLICE, Budget
+from .resource_limits import SLICE, Budget, BudgetState
 
 if TYPE_CHECKING:
     from ..database.compiled_goal import CompiledGoal
@@ -185,6 +185,20 @@ _CALL_WITH_OUTPUTS = Code("go on", lambda frame: frame[1](frame[2]))
 """Code of a frame that calls a function with the outputs of a goal to get the next frame."""
 
 
+class MachineState(NamedTuple):
+    """Position of a machine, to which `Machine.restore` returns it.
+
+    Attributes:
+        height: height of the choice point stack.
+        mark: length of the trail.
+        budget: state of the budget.
+    """
+
+    height: int
+    mark: int
+    budget: BudgetState
+
+
 class Machine:
     """Executes frames.
 
@@ -198,7 +212,6 @@ class Machine:
         done: the frame that ends a run, the continuation of the first frame of each `run`.
         budget: resource limits of goals, and their use.
         logic: the program that it runs.
-        idle_lengths: lengths of choices and trail while no goal runs; see `recovery`.
     """
 
     def __init__(self, logic: "PrologSystem", budget: Budget):
@@ -206,7 +219,7 @@ class Machine:
         self.budget = budget
         self.trail: Trail = []
         self.choices: List[Frame] = []
-        self.idle_lengths = (0, 0)
+        self._idle_lengths = (0, 0)
         finish = self.choices.append
         self.done: Frame = (Code("done", lambda frame: finish(_FINISHED)),)
         self._compact_at = MIN_COMPACTED_ENTRIES
@@ -214,6 +227,23 @@ class Machine:
         self._attempt_code = Code("attempt", self._attempt_failed, True)
         self._exit_code = _AttemptExit(self)
         self.catch_code = Code("catch", fail, True)
+
+    def state(self) -> MachineState:
+        """Return the current position, for `restore`."""
+        return MachineState(len(self.choices), len(self.trail), self.budget.snapshot())
+
+    def restore(self, state: Optional[MachineState]) -> None:
+        """Return to an earlier position after an internal error, and unwind the guards above it.
+
+        None is the position while no goal runs: only choices and bindings of solutions that Python iterates over.
+        """
+        height, mark = self._idle_lengths if state is None else state[:2]
+        while len(self.choices) > height:
+            entry = self.choices.pop()
+            if entry[0].__class__ is Guard:
+                entry[0].unwind(entry)
+        undo(self.trail, mark)
+        self.budget.restore(None if state is None else state.budget)
 
     def unify(self, left: Term, right: Term) -> bool:
         """Make two terms equal by binding variables; return whether they unify. If not, nothing is bound."""
@@ -354,10 +384,10 @@ class Machine:
             while self._loop(frame, base) if inside else self._run_outermost(frame, goal):
                 height = len(choices)
                 if not inside:
-                    self.idle_lengths = (height, len(self.trail))
+                    self._idle_lengths = (height, len(self.trail))
                 yield None
                 if not inside:
-                    self.idle_lengths = (0, 0)
+                    self._idle_lengths = (0, 0)
                 if len(choices) != height or choices[base] is not stop:
                     raise RetalisError(
                         "solutions of an outer goal were requested while an inner goal is still open"
@@ -370,7 +400,7 @@ class Machine:
                 del choices[base:]
                 undo(self.trail, mark)
                 if not inside:
-                    self.idle_lengths = (0, 0)
+                    self._idle_lengths = (0, 0)
                     budget.running = False
                 if not (inside or budget.is_processing_entry):
                     budget.reset()

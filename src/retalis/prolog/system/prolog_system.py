@@ -1,7 +1,6 @@
 """Prolog system: the interface of a Prolog to Python.
 
-`PrologSystem` adds clauses, runs directives and goals, compiles goals for Python, and prints terms. `machine_state`
-and `restore_machine` return a machine to an earlier state after an internal error.
+`PrologSystem` adds clauses, runs directives and goals, compiles goals for Python, and prints terms.
 """
 
 import sys
@@ -17,32 +16,30 @@ from typing import (
     Iterator,
     List,
     Mapping,
-    NamedTuple,
     Optional,
     Sequence,
     Tuple,
 )
 
-from ...foundation.errors import MAX_SHOWN_CHARACTERS, Place, printable
+from ...foundation.errors import MAX_SHOWN_CHARACTERS, Place
 from ..builtins.grammar_and_ssu_rules import (
     SINGLE_SIDED,
     is_error_clause_body,
     translate_rule,
     translate_single_sided,
 )
+from ..builtins.text_streams import UserStream
 from ..compiler.clause_nodes import CALL
 from ..database.clause_index import Clause
 from ..database.compiled_goal import CompiledGoal
 from ..database.goal_terms import check_body, functor_of, split_clause
 from ..database.predicate import COMPILE_AFTER
 from ..machine.errors import PrologError, permission_error
-from ..machine.machine import Guard, Machine
-from ..machine.resource_limits import NO_LIMITS, Budget, BudgetState, EntryExecutor, Limits
+from ..machine.resource_limits import NO_LIMITS, Budget, EntryExecutor, Limits
 from ..syntax.operators import Operators
 from ..syntax.term_writer import named_message_portray, write_term
 from ..terms.term_traversal import copy
 from ..terms.types import COLON, CompoundTerm, Functor, Term, Var, deref, functor
-from ..terms.unification import undo
 from .predicate_resolution import PredicateTable
 from .undefined_procedures import find_similar
 
@@ -50,75 +47,10 @@ if TYPE_CHECKING:
     from ..files.source_files import SourceFiles
 
 
-class MachineState(NamedTuple):
-    """Position of a machine, to which `restore_machine` returns it.
-
-    Attributes:
-        height: height of the choice point stack.
-        mark: length of the trail.
-        budget: state of the budget.
-    """
-
-    height: int
-    mark: int
-    budget: BudgetState
-
-
-def machine_state(machine: Machine) -> MachineState:
-    """Return the current position of a machine."""
-    return MachineState(len(machine.choices), len(machine.trail), machine.budget.snapshot())
-
-
-def restore_machine(machine: Machine, state: Optional[MachineState]) -> None:
-    """Return a machine to an earlier position, or to its idle one if it is None, and unwind the guards above it."""
-    height, mark = machine.idle_lengths if state is None else state[:2]
-    budget, choices = machine.budget, machine.choices
-    while len(choices) > height:
-        entry = choices.pop()
-        if entry[0].__class__ is Guard:
-            entry[0].unwind(entry)
-    undo(machine.trail, mark)
-    budget.restore(None if state is None else state.budget)
-
-
 _DIRECTIVE = functor(":-", 1)
 _QUERY = functor("?-", 1)
 _GRAMMAR_RULE = functor("-->", 2)
 _FLAGS_LOCKED = "goals of services and the dashboard may not change flags: set the parameter ~allow_flags"
-
-
-class UserStream:
-    """Stream ``user_output`` or ``user_error``, which escapes control characters that terminals and logs interpret.
-
-    Args:
-        budget: limits the output of an entry.
-        write: prints a text.
-    """
-
-    def __init__(self, budget: Budget, write: Callable[[str], None]):
-        self._budget = budget
-        self._write = write
-
-    def __call__(self, text: str) -> None:
-        """Write a text.
-
-        Raises:
-            LimitError: if the text exceeds the limit of output; none of it is written. Also if an interrupt ends the
-                output.
-        """
-        # Counted before it is processed, so that a text that is too long costs nothing. Escapes and multibyte
-        # characters are added once they are known.
-        self._budget.count_output(len(text))
-        escaped = printable(text)
-        added_bytes = len(escaped.encode()) - len(text)
-        if added_bytes:
-            self._budget.count_output(added_bytes)
-        try:
-            self._write(escaped)
-        except Exception:
-            raise
-        except BaseException as exception:
-            raise self._budget.end_entry(exception) from exception
 
 
 class PrologSystem(PredicateTable):
@@ -435,15 +367,6 @@ class PrologSystem(PredicateTable):
     def start_line(self, column: int = 0) -> None:
         """Record the column of the next text, after another writer has ended the line."""
         self.column = column
-
-    @contextmanager
-    def keeping_output(self) -> Iterator[None]:
-        """Return a context after which the outputs are those before, also after an interrupt in a redirection."""
-        outputs = self.output, self.error_output
-        try:
-            yield
-        finally:
-            self.output, self.error_output = outputs
 
     def read_lines_by(self, ask: Callable[[], Optional[str]]) -> None:
         """Let goals read lines of the user by a function; it returns None at the end of input."""
