@@ -51,24 +51,24 @@ def test_launch_file_starts_nodes_and_services(space):
     assert space.run("rosparam", "get", "/use_sim_time").strip() == "true"
 
 
-def test_embedded_node_has_all_services(space):
-    space.start_master()
-    space.start("roslaunch", "-p", str(space.port), "retalis", "retalis.launch", "embedded:=true")
+def test_embedded_node_has_all_services(devel):
+    devel.start_master()
+    devel.start("roslaunch", "-p", str(devel.port), "retalis", "retalis.launch", "embedded:=true")
     expected = {"/" + name for name in SERVICES}
-    space.expect(lambda nodes, services: "/retalis" in nodes and expected <= services)
-    assert "/retalis_ros_interface" not in space.state()[0]
+    devel.expect(lambda nodes, services: "/retalis" in nodes and expected <= services)
+    assert "/retalis_ros_interface" not in devel.state()[0]
 
 
-def test_killed_nodes_are_respawned_on_request(space):
-    space.start_master()
-    space.start("roslaunch", "-p", str(space.port), "retalis", "retalis.launch", "respawn:=true")
+def test_killed_nodes_are_respawned_on_request(devel):
+    devel.start_master()
+    devel.start("roslaunch", "-p", str(devel.port), "retalis", "retalis.launch", "respawn:=true")
     expected = {"/retalis", "/retalis_ros_interface"}
-    space.expect(lambda nodes, services: expected <= nodes)
-    before = {node: space.pid(node) for node in expected}
+    devel.expect(lambda nodes, services: expected <= nodes)
+    before = {node: devel.pid(node) for node in expected}
     for pid in before.values():
         os.kill(pid, signal.SIGKILL)
-    space.expect(
-        lambda nodes, services: all(space.pid(node) not in (None, before[node]) for node in expected)
+    devel.expect(
+        lambda nodes, services: all(devel.pid(node) not in (None, before[node]) for node in expected)
     )
 
 
@@ -105,7 +105,7 @@ persistent_event(refused(_)).
 """
 
 
-def test_goals_open_files_in_allowed_folders_only(space, tmp_path):
+def test_goals_open_files_in_allowed_folders_only(devel, tmp_path):
     program, data, out, other = (tmp_path / name for name in ("program", "data", "out", "other"))
     for folder in (program, data, out, other):
         folder.mkdir()
@@ -113,21 +113,21 @@ def test_goals_open_files_in_allowed_folders_only(space, tmp_path):
     (program / "pub_sub.xml").write_text("<publish_subscribe/>\n")
     (program / "goalPredicates.txt").write_text("compile_event_file('rules.txt')\nconsult('../other/some')\n")
     (program / "rules.txt").write_text(RULES)
-    space.env["ROS_HOME"] = str(tmp_path / "home")
-    space.start_master()
-    space.start(
-        *("roslaunch", "-p", str(space.port), "retalis", "retalis.launch", f"program:={program}"),
+    devel.env["ROS_HOME"] = str(tmp_path / "home")
+    devel.start_master()
+    devel.start(
+        *("roslaunch", "-p", str(devel.port), "retalis", "retalis.launch", f"program:={program}"),
         *("use_sim_time:=false", f"folders:=[{data}]", f"write_folders:=[{out}]"),
     )
-    space.expect(lambda nodes, services: "/add_memory" in services)
+    devel.expect(lambda nodes, services: "/add_memory" in services)
     names = ["some", str(data / "some"), str(out / "some"), str(other / "some")]
-    space.post_events(*(f"file('{name}'),[1,1]" for name in names))
+    devel.post_events(*(f"file('{name}'),[1,1]" for name in names))
     event_file = out / "persistent.txt"
     expected = [
         *(f"event(read({name}),[1,1])." for name in ("some", *(f"'{name}'" for name in names[1:3]))),
         "event(refused(open),[1,1]).",
     ]
-    space.expect(
+    devel.expect(
         lambda nodes, services: event_file.exists() and event_file.read_text().split("\n")[:-1] == expected
     )
     assert not list(tmp_path.glob("home/persistent.txt"))
