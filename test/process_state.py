@@ -30,6 +30,9 @@ Those of a worker that a cluster has restarted last as long as the cluster, whic
 long computations and of a client that has not reached its scheduler last as long as the process.
 """
 
+FOLDER_OF_DISTRIBUTED = "dask-scratch-space"
+"""Name of the folder that distributed adds to ``sys.path`` for a cluster, and removes in a thread after its end."""
+
 THREADS_OF_PROCESS = ("retalis guard of SWI-Prolog",)
 """Names of threads that the first use of a library starts, and that last as long as the process by design."""
 
@@ -122,7 +125,7 @@ def restore_working_folder(before: Optional[str], after: Optional[str]) -> None:
 
 
 def read_module_path() -> List[str]:
-    return list(sys.path)
+    return [folder for folder in sys.path if not folder.endswith(FOLDER_OF_DISTRIBUTED)]
 
 
 def describe_module_path(before: List[str], after: List[str]) -> Iterator[str]:

@@ -94,6 +94,10 @@ def test_unchanged_by_library(process):
     logging.getLogger("library").addHandler(logging.NullHandler())
 
 
+def test_unchanged_by_cluster(process):
+    sys.path.append("/tmp/dask-scratch-space")
+
+
 def test_unchanged_after_thread_has_ended(process):
     start_thread(0.01, daemon=False)
 
@@ -150,5 +154,5 @@ def test_change_is_an_error_and_restored(output, name):
 
 
 def test_tests_without_change_pass(output):
-    count = 2 * len(CHANGES) + 4
+    count = 2 * len(CHANGES) + 5
     assert re.search(rf"= {count} passed, {len(CHANGES)} errors in ", output), output
