@@ -144,6 +144,12 @@ def format_seconds(instant):
     return f"{instant / 10**9:g}"
 
 
+def test_pages_have_links():
+    texts = [page.read_text(encoding="utf-8") for page in PAGES]
+    assert sum(len(LINK.findall(text)) for text in texts) > 300
+    assert sum(len(LINK_TO_HEADING.findall(text)) for text in texts) > 30
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_targets_of_links_exist(page):
     for target in LINK.findall(page.read_text(encoding="utf-8")):

@@ -19,7 +19,9 @@ SECTIONS = re.split(r"^## ", TEXT, flags=re.MULTILINE)[1:]
 @pytest.mark.parametrize("section", SECTIONS, ids=lambda section: section.split("\n", 1)[0])
 def test_goals_have_answers_of_page(section, tmp_path):
     run = PageRun(tmp_path)
-    for fence in FENCE.finditer(section):
+    fences = list(FENCE.finditer(section))
+    assert fences
+    for fence in fences:
         assert fence["kind"] in ("goals", "prolog", "stream", "outputs", "console")
         assert run.result(fence) == fence["text"]
 

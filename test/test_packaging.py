@@ -107,7 +107,9 @@ def test_metadata_agrees_with_package_manifest():
         manifest.find("maintainer").get("email"),
     ):
         assert f'"{fact}"' in metadata
-    for url in manifest.iterfind("url"):
+    urls = manifest.findall("url")
+    assert urls
+    for url in urls:
         assert f'{url.get("type").capitalize()} = "{url.text}"' in metadata
 
 

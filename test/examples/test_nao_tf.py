@@ -49,6 +49,7 @@ def test_poses_equal_those_of_memories(tmp_path):
     for pose, expected_pose in zip(poses, expected):
         assert pose[:3] == expected_pose[:3]
         assert pose[2]
+        assert len(pose[3]) == len(expected_pose[3])
         for value, expected_value in zip(pose[3], expected_pose[3]):
             if isinstance(value, float):
                 assert abs(value - expected_value) < 1e-9

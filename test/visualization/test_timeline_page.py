@@ -219,7 +219,9 @@ def test_tutorial_draws_its_run(browser, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     run = PageRun(tmp_path)
     page = (ROOT / "docs" / "tutorials" / "robot-program.md").read_text(encoding="utf-8")
-    for fence in FENCE.finditer(page):
+    fences = list(FENCE.finditer(page))
+    assert fences
+    for fence in fences:
         assert run.result(fence) == fence["text"]
     browser.open((tmp_path / "run.html").as_uri())
     assert browser.ask("run.lanes.map((lane) => [lane.kind, lane.name, lane.total])") == [
