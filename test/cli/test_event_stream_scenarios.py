@@ -4,7 +4,7 @@ import json
 
 import pytest
 from events.stream_programs import term_text
-from events.test_scenarios import BASE, SCENARIOS, short, wanted_of
+from events.test_scenarios import BASE, SCENARIOS, expected_results, short
 
 from retalis import Operators, SyntaxFault, deref, list_items
 from retalis.cli.command_line import main
@@ -103,7 +103,7 @@ def test_recorded_scenario_is_reproduced(path, tmp_path, monkeypatch, capsys):
     for name, text in (data.get("files") or {}).items():
         (tmp_path / name).write_text(text, encoding="utf-8")
     run = Run(data, capsys)
-    expected = wanted_of(path.stem, data)
+    expected = expected_results(path.stem, data)
     if expected.short is None or path.stem in STAMPED:
         assert agree(run.events, expected.events)
     else:
