@@ -54,11 +54,15 @@ subscribe((a(X) with debounce(4, X)), [], _, topic, second)
 timer(tick(1), every(7))
 timer(once(1), after(20))
 """
+CLOCK_OF_EVENTS = "clock_of_events"
+"""Name of the state whose clock follows the timestamps of events."""
+
 FLAGS = {
     "plain": "",
     "out_of_order": "set_etalis_flag(out_of_order, on)\n",
     "revised": "set_etalis_flag(revision_flag, on)\nset_etalis_flag(store_fired_events, on)\n",
     "unrestricted": "set_etalis_flag(event_consumption_policy, unrestricted)\n",
+    CLOCK_OF_EVENTS: "",
 }
 BEFORE = (
     *("a(1)", "b(1, 3)", "c(5)", "a(2)", "b(2, 0.5)", "opened(x)"),
@@ -70,7 +74,7 @@ QUERIES = ("seen(X)", "nb_getval(count, X)", "memory_size(m, N)", "holds(open(X)
 
 def engine_with_state(flags):
     """Return an engine in the middle of matches of all kinds."""
-    engine = Engine(StreamClock())
+    engine = Engine() if flags == CLOCK_OF_EVENTS else Engine(StreamClock())
     engine.load(RULES, FLAGS[flags] + GOALS)
     emit(engine, BEFORE, 1)
     return engine
@@ -79,8 +83,9 @@ def engine_with_state(flags):
 def emit(engine, events, first_second):
     """Emit one event per second, with alarms that are due before."""
     for second, event in enumerate(events, first_second):
-        engine.clock.move_to(second * SECOND)
-        engine.advance()
+        if engine.event_input.stream_clock is None:
+            engine.clock.move_to(second * SECOND)
+            engine.advance()
         engine.event(event, second)
 
 

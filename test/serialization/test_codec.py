@@ -39,7 +39,7 @@ def test_terms_are_decoded(term):
     )
 )
 def test_tuples_and_mappings_are_decoded_as_lists(data):
-    assert from_bytes(to_bytes([data, tuple(data), {"x": data}])) == [data, data, [["x", data]]]
+    assert from_bytes(to_bytes([data, tuple(data), [["x", data]]])) == [data, data, [["x", data]]]
 
 
 @given(TERMS)
@@ -82,7 +82,7 @@ def test_deep_terms_are_decoded(is_left_nested):
     if is_left_nested:
         for number in range(5_000):
             term = functor("s", 2)(term, number)
-    decoded = from_bytes(to_bytes({"x": [term, (term, 1)]}))[0][1][0]
+    decoded = from_bytes(to_bytes([["x", [term, (term, 1)]]]))[0][1][0]
     assert term_key(decoded) == term_key(term)
 
 

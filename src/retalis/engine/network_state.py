@@ -12,7 +12,7 @@ from ..events.clock.clock import Clock
 from ..events.knowledge.knowledge_base import KnowledgeBase
 from ..events.knowledge.timeouts import TIMEOUT_ALARMS, StoredTimeoutAlarm, TimeoutAlarm, Timeouts
 from ..events.language.rule_head_parser import Property
-from ..events.matches.match_types import NO_REPETITIONS
+from ..events.matches.match_types import NO_REPETITIONS, RepetitionChain
 from ..events.network.event_rule import EventRule
 from ..events.network.pattern_nodes import NetworkNode
 from ..events.program.event_file_checker import reread_rule
@@ -222,11 +222,13 @@ class _RulesAndNodes(ExternalObjects):
                 self._node_keys[id(node)] = number, node_number
         return number
 
+    def may_contain(self, item_class: type) -> bool:
+        """See `ExternalObjects.may_contain`."""
+        return issubclass(item_class, (EventRule, NetworkNode, RepetitionChain))
+
     def kind_of(self, item: object) -> Optional[str]:
         """See `ExternalObjects.kind_of`."""
         if isinstance(item, EventRule):
-            # Numbers are assigned here, because those of deleted rules are not known before.
-            self._number_of(item)
             return "rule"
         if isinstance(item, NetworkNode):
             return "node"
@@ -235,6 +237,7 @@ class _RulesAndNodes(ExternalObjects):
     def key_of(self, item: object) -> ExternalKey:
         """See `ExternalObjects.key_of`."""
         if isinstance(item, EventRule):
+            # Numbers are assigned here, because those of deleted rules are not known before.
             return (self._number_of(item),)
         if isinstance(item, NetworkNode):
             if id(item) not in self._node_keys:

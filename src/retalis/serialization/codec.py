@@ -151,8 +151,6 @@ def to_bytes(data: Any) -> bytes:
         UsageError: if the data contains a cyclic term.
     """
     nodes: List[Any] = []
-    # Maps are not part of the encoding, since their keys can be terms, which the reader could not hash safely.
-    data = _replace_mappings(data, _ENGINE_LEVELS)
     # The general encoder visits every item in Python, and is needed for few states.
     if not _is_simple(data):
         data = _extract_nodes(data, nodes)
@@ -160,20 +158,6 @@ def to_bytes(data: Any) -> bytes:
     packer = msgpack.Packer(default=table.__getitem__, use_bin_type=True, unicode_errors="surrogatepass")
     body = [packer.pack(item) for item in (*nodes, data)]
     return b"".join((packer.pack((table.atoms, table.names, table.arities, len(nodes))), *body))
-
-
-def _replace_mappings(data: Any, depth: int) -> Any:
-    """Return data with mappings as lists of pairs, where they occur in short sequences that the engine creates."""
-    if data.__class__ is dict:
-        return [[key, _replace_mappings(value, depth - 1)] for key, value in data.items()]
-    if (
-        data.__class__ in (tuple, list)
-        and depth
-        and 0 < len(data) <= _SHORT_SEQUENCE
-        and data[0].__class__ is not Functor
-    ):
-        return [_replace_mappings(item, depth - 1) for item in data]
-    return data
 
 
 def _is_simple(data: Any) -> bool:
@@ -212,22 +196,13 @@ def _is_simple(data: Any) -> bool:
 
 
 def _list_children(container: Any) -> List[Any]:
-    """Return the items of a sequence, the pairs of a mapping, or the term of a stamp."""
-    if isinstance(container, dict):
-        children: List[Any] = [[key, value] for key, value in container.items()]
-    elif container.__class__ is Stamp:
-        children = [container.term]
-    else:
-        children = container
+    """Return the items of a sequence, or the term of a stamp."""
+    children: List[Any] = [container.term] if container.__class__ is Stamp else container
     return [deref(item) if item.__class__ in (Var, Lazy) else item for item in children]
 
 
 def _is_container(value: Any) -> bool:
-    return (
-        (isinstance(value, (tuple, list)) and bool(value))
-        or isinstance(value, dict)
-        or value.__class__ is Stamp
-    )
+    return (isinstance(value, (tuple, list)) and bool(value)) or value.__class__ is Stamp
 
 
 def _extract_nodes(data: Any, nodes: List[Any]) -> Any:

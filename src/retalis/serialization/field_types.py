@@ -6,6 +6,8 @@ records combine those of their items. Values of many objects are stored in colum
 faster than one by one.
 """
 
+from __future__ import annotations
+
 from math import isfinite
 from struct import error as StructError
 from struct import pack, unpack
@@ -134,13 +136,13 @@ class ReadContext(NamedTuple):
         check_item: check of an object in the state of a part, set by the owner of the part; see `part_state`.
     """
 
-    objects: "Optional[ObjectReader]" = None
+    objects: Optional[ObjectReader] = None
     changes: Mapping[str, Sequence[FieldChange]] = {}
     check_item: Callable[[Untyped, int], None] = lambda item, channel: None
 
 
 NO_CONTEXT = ReadContext()
-NO_OBJECTS: "ObjectWriter" = None  # type: ignore[assignment]
+NO_OBJECTS: ObjectWriter = None  # type: ignore[assignment]
 
 
 class FieldType:
@@ -169,7 +171,7 @@ class FieldType:
         """
         return self.checker(NO_CONTEXT)(value)
 
-    def encoder(self, graph: "ObjectWriter") -> Optional[Encode]:
+    def encoder(self, graph: ObjectWriter) -> Optional[Encode]:
         """Return the encoding of a value; None if it is stored unchanged."""
         return None
 
@@ -194,7 +196,7 @@ class FieldType:
 
         return check_column
 
-    def encode_column(self, graph: "ObjectWriter", values: List[Untyped]) -> object:
+    def encode_column(self, graph: ObjectWriter, values: List[Untyped]) -> object:
         """Return the encoding of a column."""
         encode = self.encoder(graph)
         return values if encode is None else list(map(encode, values))
@@ -233,16 +235,14 @@ class PlainType(FieldType):
         """See `FieldType.checker`."""
         return self._check
 
+    def check_all(self, values: Sequence[object]) -> Sequence[Untyped]:
+        """Return checked values."""
+        # Columns have thousands of values: their classes are compared by functions that are implemented in C.
+        return values if self.classes.issuperset(map(type, values)) else check_items(values, self._check)
+
     def column_checker(self, context: ReadContext) -> ColumnCheck:
         """See `FieldType.column_checker`."""
-        check, classes = self._check, self.classes
-
-        def check_column(column: object, numbers: Sequence[int]) -> Sequence[Untyped]:
-            values = items_of(column)
-            # Columns have thousands of values: their classes are compared by functions that are implemented in C.
-            return values if classes.issuperset(map(type, values)) else check_items(values, check)
-
-        return check_column
+        return lambda column, numbers: self.check_all(items_of(column))
 
 
 def instances(expected_class: type, expected: str) -> PlainType:
@@ -361,20 +361,11 @@ class _IntegerType(PlainType):
         self._minimum = minimum
         self._maximum = maximum
 
-    def column_checker(self, context: ReadContext) -> ColumnCheck:
-        """See `FieldType.column_checker`."""
-
-        def check_column(column: object, numbers: Sequence[int]) -> Sequence[Untyped]:
-            values: Sequence[Untyped] = items_of(column)
-            if (
-                set(map(type, values)) == {int}
-                and self._minimum <= min(values)
-                and max(values) <= self._maximum
-            ):
-                return values
-            return check_items(values, self.check)
-
-        return check_column
+    def check_all(self, values: Sequence[Untyped]) -> Sequence[Untyped]:
+        """See `PlainType.check_all`."""
+        if set(map(type, values)) == {int} and self._minimum <= min(values) and max(values) <= self._maximum:
+            return values
+        return check_items(values, self.check)
 
 
 def integer(minimum: int = -MAX_COUNT, maximum: int = MAX_COUNT) -> PlainType:
@@ -478,7 +469,7 @@ class _InstantType(PlainType):
 
         return check_column
 
-    def encode_column(self, graph: "ObjectWriter", values: List[Untyped]) -> object:
+    def encode_column(self, graph: ObjectWriter, values: List[Untyped]) -> object:
         """See `FieldType.encode_column`."""
         return encode_instants(values)
 
@@ -521,7 +512,7 @@ class optional(FieldType):  # noqa: N801 - reads as a function, as all types do
         check = self._content.checker(context)
         return lambda value: None if value is None else check(value)
 
-    def encoder(self, graph: "ObjectWriter") -> Optional[Encode]:
+    def encoder(self, graph: ObjectWriter) -> Optional[Encode]:
         """See `FieldType.encoder`."""
         encode = self._content.encoder(graph)
         return None if encode is None else lambda value: None if value is None else encode(value)
@@ -553,20 +544,18 @@ class sequence_of(FieldType):  # noqa: N801
         """See `FieldType.checker`."""
         content, make, min_count = self._content, self._make, self._min_count
         check = content.checker(context)
-        classes = content.classes if isinstance(content, PlainType) else frozenset()
+        check_all = content.check_all if isinstance(content, PlainType) else None
 
         def check_sequence(value: object) -> Untyped:
             values = items_of(value)
             if len(values) < min_count:
                 raise invalid_value(value, f"at least {min_count} items")
-            # Items of these classes are known to be valid; others are checked one by one.
-            if not classes.issuperset(map(type, values)):
-                values = check_items(values, check)
+            values = check_items(values, check) if check_all is None else check_all(values)
             return values if make is type(values) else make(values)  # type: ignore[arg-type]
 
         return check_sequence
 
-    def encoder(self, graph: "ObjectWriter") -> Optional[Encode]:
+    def encoder(self, graph: ObjectWriter) -> Optional[Encode]:
         """See `FieldType.encoder`."""
         encode = self._content.encoder(graph)
         if encode is not None:
@@ -599,7 +588,7 @@ class tuple_of(FieldType):  # noqa: N801
 
         return check_tuple
 
-    def encoder(self, graph: "ObjectWriter") -> Optional[Encode]:
+    def encoder(self, graph: ObjectWriter) -> Optional[Encode]:
         """See `FieldType.encoder`."""
         encodings = [content.encoder(graph) for content in self._contents]
         if not any(encodings):
@@ -629,7 +618,7 @@ class mapping_of(FieldType):  # noqa: N801
 
         return check_mapping
 
-    def encoder(self, graph: "ObjectWriter") -> Optional[Encode]:
+    def encoder(self, graph: ObjectWriter) -> Optional[Encode]:
         """See `FieldType.encoder`."""
         encode = self._pairs.encoder(graph) or list
         return lambda mapping: encode(list(mapping.items()))
@@ -654,7 +643,7 @@ class nested_pairs_of(FieldType):  # noqa: N801
 
         return check_pairs
 
-    def encoder(self, graph: "ObjectWriter") -> Encode:
+    def encoder(self, graph: ObjectWriter) -> Encode:
         """See `FieldType.encoder`."""
 
         def encode(pairs: Untyped) -> List[object]:
@@ -713,7 +702,7 @@ class reference(FieldType):  # noqa: N801
         is_reference = objects_of(context).is_reference
         return lambda value: read(value) if is_reference(value) else check_other(value)
 
-    def encoder(self, graph: "ObjectWriter") -> Encode:
+    def encoder(self, graph: ObjectWriter) -> Encode:
         """See `FieldType.encoder`."""
         to_reference, is_object = graph.reference_to, graph.is_object
         encode_other = None if self._accepts is None else self._accepts.encoder(graph)
@@ -751,7 +740,7 @@ class reference(FieldType):  # noqa: N801
 
         return check_column
 
-    def encode_column(self, graph: "ObjectWriter", values: List[Untyped]) -> object:
+    def encode_column(self, graph: ObjectWriter, values: List[Untyped]) -> object:
         """See `FieldType.encode_column`."""
         # A column has numbers, which need less space than references.
         if self._accepts is not None:
@@ -772,7 +761,7 @@ class references(FieldType):  # noqa: N801
         objects = objects_of(context)
         return lambda value: objects.objects_by_number(items_of(value), self._kinds)
 
-    def encoder(self, graph: "ObjectWriter") -> Encode:
+    def encoder(self, graph: ObjectWriter) -> Encode:
         """See `FieldType.encoder`."""
         return lambda values: list(map(graph.number_of, values))
 
@@ -811,7 +800,7 @@ class parts_of(FieldType):  # noqa: N801
 
         return lambda value: None if value is None else tuple(check_items(items_of(value), check_part))
 
-    def encoder(self, graph: "ObjectWriter") -> Encode:
+    def encoder(self, graph: ObjectWriter) -> Encode:
         """See `FieldType.encoder`."""
         number_of, is_object = graph.number_of, graph.is_object
 
@@ -822,7 +811,7 @@ class parts_of(FieldType):  # noqa: N801
         return lambda parts: None if parts is None else list(map(encode_part, parts))
 
 
-def objects_of(context: ReadContext) -> "ObjectReader":
+def objects_of(context: ReadContext) -> ObjectReader:
     """Return the objects that a state refers to."""
     assert context.objects is not None
     return context.objects

@@ -13,6 +13,8 @@ A state file is not trusted: every column has a type, references are only accept
 the graph of what objects consist of must be acyclic, because the engine traverses it recursively.
 """
 
+from __future__ import annotations
+
 from collections import defaultdict
 from operator import attrgetter, is_
 from typing import Callable, DefaultDict, Dict, FrozenSet, List, Mapping, Optional, Sequence, Tuple
@@ -44,6 +46,10 @@ ExternalKey = Tuple[int, ...]
 class ExternalObjects:
     """Objects that a state refers to and does not contain."""
 
+    def may_contain(self, item_class: type) -> bool:
+        """Return whether objects of a class can be external."""
+        raise NotImplementedError
+
     def kind_of(self, item: object) -> Optional[str]:
         """Return the kind of an object; None if it is not external."""
         raise NotImplementedError
@@ -66,10 +72,11 @@ class ObjectWriter:
 
     Args:
         external: the external objects.
-        replace: returns the object that is written in place of another one, such as a copy without some links.
+        replace: returns the object that is written in place of another one, such as a copy without some links; None
+            if each is written itself.
     """
 
-    def __init__(self, external: ExternalObjects, replace: Callable[[Untyped], object] = lambda item: item):
+    def __init__(self, external: ExternalObjects, replace: Optional[Callable[[Untyped], object]] = None):
         self._external = external
         self._replace = replace
         self._numbers: Dict[int, int] = {}
@@ -80,6 +87,7 @@ class ObjectWriter:
         self._objects: DefaultDict[str, List[object]] = defaultdict(list)
         self._columns: DefaultDict[Tuple[str, str], List[object]] = defaultdict(list)
         self._is_object_class: Dict[type, bool] = {}
+        self._kind_by_class: Dict[type, str] = {}
 
     def is_object(self, item: Untyped) -> bool:
         """Return whether a value is an object of the graph, and not data."""
@@ -87,7 +95,7 @@ class ObjectWriter:
         known = self._is_object_class.get(item_class)
         if known is None:
             has_fields = isinstance(getattr(item_class, "STATE", None), ObjectFields)
-            known = self._is_object_class[item_class] = has_fields or self._external.kind_of(item) is not None
+            known = self._is_object_class[item_class] = has_fields or self._external.may_contain(item_class)
         return known
 
     def number_of(self, item: object) -> int:
@@ -113,14 +121,14 @@ class ObjectWriter:
 
     def _collect_unexplored(self) -> None:
         """Collect the objects that were numbered last, and assign numbers to the objects that they refer to."""
-        reached, self._unexplored = list(map(self._replace, self._unexplored)), []
+        reached, self._unexplored = self._unexplored, []
+        if self._replace is not None:
+            reached = list(map(self._replace, reached))
+        known_kinds = self._kind_by_class
+        kinds = [known_kinds.get(type(item)) or self._find_kind(item) for item in reached]
+        self._codes += bytes(map(self._code_by_kind.__getitem__, kinds))
         by_kind: DefaultDict[str, List[object]] = defaultdict(list)
-        for item in reached:
-            kind = self._external.kind_of(item)
-            if kind is None:
-                state_fields: ObjectFields = type(item).STATE  # type: ignore[attr-defined]
-                kind = state_fields.kind
-            self._codes.append(self._code_by_kind.setdefault(kind, len(self._code_by_kind)))
+        for kind, item in zip(kinds, reached):
             by_kind[kind].append(item)
         for kind, objects in by_kind.items():
             self._objects[kind] += objects
@@ -129,6 +137,18 @@ class ObjectWriter:
                 if _may_have_references(entry, self):
                     column = _encode_values(entry, objects, self)
                     self._columns[kind, entry.name] += items_of(column)
+
+    def _find_kind(self, item: object) -> str:
+        """Return the kind of an object; that of a class without external objects is stored."""
+        item_class = type(item)
+        kind = self._external.kind_of(item) if self._external.may_contain(item_class) else None
+        if kind is None:
+            state_fields: ObjectFields = item_class.STATE  # type: ignore[attr-defined]
+            kind = state_fields.kind
+            if not self._external.may_contain(item_class):
+                self._kind_by_class[item_class] = kind
+        self._code_by_kind.setdefault(kind, len(self._code_by_kind))
+        return kind
 
     def _encode_columns(self, kind: str) -> object:
         """Return the columns of all objects of a kind by name; for external objects, their keys."""

@@ -10,6 +10,8 @@ is then declared as a function of the owner. This is how the number of values of
 the state of an operator from its class.
 """
 
+from __future__ import annotations
+
 from typing import (
     TYPE_CHECKING,
     Callable,
@@ -193,6 +195,18 @@ def check_column(
 class StateFields(FieldList):
     """Fields of the state of one object, whose class is a `StateOwner`."""
 
+    def __init__(self, *declared: Union[StoredField, Constraint]):
+        super().__init__(*declared)
+        # Checkpoints write all states twice a second, so what does not depend on the owner is computed once.
+        self._names = [entry.name for entry in self.fields]
+        self._attributes = [entry.attribute for entry in self.fields]
+        self._part_positions = [position for position, entry in enumerate(self.fields) if entry.is_part]
+        self._encoded_fields = [
+            (position, entry)
+            for position, entry in enumerate(self.fields)
+            if not isinstance(entry.type, PlainType)
+        ]
+
     def check_state(self, value: object, owner: object, context: ReadContext) -> State:
         """Return the values of the fields by name.
 
@@ -214,14 +228,22 @@ class StateFields(FieldList):
         self.check_constraints(owner, state)
         return state
 
-    def encode_state(self, state: State, owner: object, graph: "ObjectWriter") -> List[object]:
+    def values_of(self, owner: object) -> State:
+        """Return the values of the fields of an object by name."""
+        values = [getattr(owner, attribute) for attribute in self._attributes]
+        for position in self._part_positions:
+            if values[position] is not None:
+                values[position] = values[position].snapshot()
+        return dict(zip(self._names, values))
+
+    def encode_state(self, state: State, owner: object, graph: ObjectWriter) -> List[object]:
         """Return the encoding of a state."""
-        pairs: List[object] = []
-        for entry in self.fields:
+        values = list(map(state.__getitem__, self._names))
+        for position, entry in self._encoded_fields:
             encode = entry.type_for(owner).encoder(graph)
-            value = state[entry.name]
-            pairs.append([entry.name, value if encode is None else encode(value)])
-        return pairs
+            if encode is not None:
+                values[position] = encode(values[position])
+        return list(zip(self._names, values))
 
 
 class StateOwner:
@@ -233,11 +255,7 @@ class StateOwner:
 
     def snapshot(self) -> State:
         """Return the state: the values of the declared fields by name."""
-        state: State = {}
-        for entry in self.STATE.fields:
-            value = getattr(self, entry.attribute)
-            state[entry.name] = value.snapshot() if entry.is_part and value is not None else value
-        return state
+        return self.STATE.values_of(self)
 
     def restore(self, saved: State) -> None:
         """Set the state that an equal object has returned from `snapshot`."""
@@ -269,7 +287,7 @@ class part_state(FieldType):  # noqa: N801
         inner_context = context if self._check_item is None else context._replace(check_item=self._check_item)
         return lambda value: part.STATE.check_state(value, part, inner_context)
 
-    def encoder(self, graph: "ObjectWriter") -> Encode:
+    def encoder(self, graph: ObjectWriter) -> Encode:
         """See `FieldType.encoder`."""
         part = self._part
         return lambda state: part.STATE.encode_state(state, part, graph)
@@ -310,7 +328,7 @@ class states_of(FieldType):  # noqa: N801
 
         return check
 
-    def encoder(self, graph: "ObjectWriter") -> Encode:
+    def encoder(self, graph: ObjectWriter) -> Encode:
         """See `FieldType.encoder`."""
         return lambda states: [
             [type(owner).__name__, owner.STATE.encode_state(state, owner, graph)]
@@ -342,6 +360,8 @@ class rows_of(FieldType, FieldList):  # noqa: N801
 
         def check(value: object) -> List[Untyped]:
             row_count, stored = _TABLE.check(value)
+            if not row_count and not stored:
+                return []
             mapping = self.mapping_of(stored, context)
             columns: Dict[str, Sequence[Untyped]] = {}
             # Columns of the file first: their lengths are checked before a value is repeated for an added field.
@@ -355,11 +375,13 @@ class rows_of(FieldType, FieldList):  # noqa: N801
 
         return check
 
-    def encoder(self, graph: "ObjectWriter") -> Encode:
+    def encoder(self, graph: ObjectWriter) -> Encode:
         """See `FieldType.encoder`."""
 
         def encode(rows: Sequence[Untyped]) -> List[object]:
-            columns = list(zip(*rows)) if rows else [()] * len(self.fields)
+            if not rows:
+                return [0, []]
+            columns = list(zip(*rows))
             return [
                 len(rows),
                 [
@@ -404,7 +426,7 @@ class record_of(FieldType, FieldList):  # noqa: N801
 
         return check
 
-    def encoder(self, graph: "ObjectWriter") -> Encode:
+    def encoder(self, graph: ObjectWriter) -> Encode:
         """See `FieldType.encoder`."""
         encodings = [(entry.name, entry.type_for(None).encoder(graph)) for entry in self.fields]
 
@@ -421,7 +443,7 @@ def _unwrapped(stored: object) -> object:
     return stored.value if isinstance(stored, SameForAll) else stored
 
 
-KINDS: Dict[str, Tuple[Type[object], "ObjectFields"]] = {}
+KINDS: Dict[str, Tuple[Type[object], ObjectFields]] = {}
 """Class and fields of each kind of object of a graph."""
 
 
