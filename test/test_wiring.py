@@ -21,7 +21,13 @@ SET_BY_OTHERS = {
     ("Scope", None): "record of the code generator, which its modules share",
     ("Predicate", None): "record of the predicate table, which declarations and loaders fill",
     ("Program", "flags"): "read flags, which the directives of an included file pass on",
-    ("EventRule", None): "counters, which the nodes of a rule count",
+    ("EventRule", "order"): "counter of matches, which buffers advance for each match",
+    ("EventRule", "stored_match_count"): "counter, see `order`",
+    ("EventRule", "dropped_count"): "counter, see `order`",
+    ("EventRule", "dropped_alarm_count"): "counter, see `order`",
+    ("EventRule", "late_count"): "counter, see `order`",
+    ("EventRule", "ahead_count"): "counter, see `order`",
+    ("EventRule", "past_alarm_count"): "counter, see `order`",
     ("EventNode", "rank"): "numbered by the compiler that builds the nodes, when all of them exist",
     ("ActionNode", "tests_label_window"): "see `rank`",
     ("FilterNode", "tests_label_window"): "see `rank`",
@@ -48,24 +54,23 @@ def attributes_set_by(cls):
             yield node.attr
 
 
-def is_record(cls):
-    """Return whether a class is a data record, whose fields any module may set: it declares ``__slots__``."""
-    return any(
-        isinstance(node, ast.Assign)
-        and isinstance(node.targets[0], ast.Name)
-        and node.targets[0].id == "__slots__"
-        for node in cls.body
-    )
+def slots_of(cls):
+    """Return the names in ``__slots__`` of a class, which is a record that any module may fill; None without."""
+    for node in cls.body:
+        if isinstance(node, ast.Assign) and text_of(node.targets[0]) == "__slots__":
+            return {part.value for part in ast.walk(node.value) if isinstance(part, ast.Constant)}
+    return None
 
 
 def find_owners():
-    """Return the classes that set each attribute, as pairs of file and class."""
+    """Return the classes that have each attribute, as file, name, and whether it is a record."""
     owners = defaultdict(set)
     for path, tree in TREES.items():
         for cls in ast.walk(tree):
             if isinstance(cls, ast.ClassDef):
-                for name in attributes_set_by(cls):
-                    owners[name].add((path, cls.name, is_record(cls)))
+                slots = slots_of(cls)
+                for name in {*attributes_set_by(cls), *(slots or ())}:
+                    owners[name].add((path, cls.name, slots is not None))
     return owners
 
 

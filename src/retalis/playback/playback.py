@@ -150,9 +150,8 @@ class Playback:
         self._folder = folder = Path(program)
         self._transport = BagTransport()
         self.clock = self._transport.clock
-        self._reports = Reports()
         # A bag can contain a million messages with the same problem.
-        self._reports.once = True
+        self._reports = Reports(once=True)
         self._skew_monitor = ClockSkewMonitor(self._reports, self.clock.now, self.clock.now, max_skew)
         self.definitions = Definitions() if definitions is None else definitions
         self._on_error = report

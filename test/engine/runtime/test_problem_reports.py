@@ -146,8 +146,7 @@ def test_sum_of_late_events_is_logged_at_the_end(logged):
 
 
 def test_batch_run_logs_first_late_event_and_sum(logged):
-    reports = Reports()
-    reports.once = True
+    reports = Reports(once=True)
     feed_late_events(reports, 5)
     assert len(logged.records) == 1
     reports.sum_up()

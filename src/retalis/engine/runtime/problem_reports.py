@@ -31,16 +31,19 @@ class Reports:
     >>> reports.errors, reports.warnings
     (1, 0)
 
+    Args:
+        once: whether only first occurrences are logged; for batch runs, which call `sum_up` at the end.
+
     Attributes:
         errors: number of errors, logged or not.
         warnings: number of warnings, logged or not.
-        once: whether only first occurrences are logged; for batch runs, which call `sum_up` at the end.
+        once: see above.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, once: bool = False) -> None:
         self.errors = 0
         self.warnings = 0
-        self.once = False
+        self.once = once
         self._problems: Dict[int, _RecurringProblem] = {}
         """Problems by the hash of their kind, because kinds may be large objects."""
         self._evicted_count = 0
