@@ -47,10 +47,15 @@ def test_signal_is_raised_at_safe_point():
 
 def test_signal_in_wait_is_raised_at_once():
     steps = []
-    with deferred_interrupts():
-        with pytest.raises(KeyboardInterrupt), interruptible():
+
+    def wait():
+        with interruptible():
             interrupt()
             steps.append("after the signal")
+
+    with deferred_interrupts():
+        with pytest.raises(KeyboardInterrupt):
+            wait()
         # The block has ended, so the next signal is recorded.
         interrupt()
         steps.append("recorded")
@@ -80,10 +85,15 @@ def test_nested_waits_are_interruptible_until_outer_end():
 def test_pending_signal_is_raised_at_end_of_context():
     with pytest.raises(Interrupt), deferred_interrupts():
         interrupt()
-    with pytest.raises(Interrupt), deferred_interrupts():
+
+    def interrupt_inner_context():
         with deferred_interrupts():
-            interrupt()
-        assert is_interrupted()  # the outer context raises it
+            with deferred_interrupts():
+                interrupt()
+            assert is_interrupted()  # the outer context raises it
+
+    with pytest.raises(Interrupt):
+        interrupt_inner_context()
 
 
 def test_signal_in_callback_of_reference_is_not_lost():
