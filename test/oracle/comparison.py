@@ -239,6 +239,7 @@ def main() -> int:
     logging.disable(logging.CRITICAL)
     if options.index:
         match_buffer.MAX_MISSES_BEFORE_INDEX = match_buffer.MAX_MISSES_WITH_INDEX = 0
+        match_buffer.MAX_COMPARED_IDENTITIES = 0
         interval_index.MAX_NODE_KEYS = 4
     begin = time.time()
     kinds: Any = Counter()

@@ -161,7 +161,7 @@ CHANGES = st.one_of(
 def test_buffer_equals_linear_search(operator, identity_count):
     """The thresholds are small here, so that indexes by time and by identity are created."""
     bounds = None if operator is None else interval_bounds(operator, None, True)
-    max_misses = patch.multiple(match_buffer, MAX_MISSES_BEFORE_INDEX=3, MAX_MISSES_WITH_INDEX=1)
+    limits = {"MAX_MISSES_BEFORE_INDEX": 3, "MAX_MISSES_WITH_INDEX": 1, "MAX_COMPARED_IDENTITIES": 1}
 
     @settings(deadline=None, derandomize=True, max_examples=60)
     @given(st.lists(CHANGES, min_size=10, max_size=50))
@@ -196,7 +196,7 @@ def test_buffer_equals_linear_search(operator, identity_count):
             assert buffer.rule.stored_match_count == len(matches)
         assert buffer.stored_matches() == matches
 
-    with max_misses:
+    with patch.multiple(match_buffer, **limits):
         check()
 
 

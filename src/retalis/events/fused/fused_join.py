@@ -310,7 +310,7 @@ class _ActionGenerator:
                 "if is_only_match:",
                 ["match.buffer = own_buffer", "match.older = match.newer = own_newest[key] = match"],
             ),
-            Block("else:", ["own_buffer.link(match)"]),
+            Block("else:", ["own_buffer.add_to_ring(match)"]),
             "rule.stored_match_count = stored_count = rule.stored_match_count + 1",
             "arrivals.append(match)",
             *expiration_statements,

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 MAX_MISSES_BEFORE_INDEX, MAX_MISSES_WITH_INDEX = 32, 4
 """Matches outside of the time bounds that a search skips before it creates an index, and before it uses one."""
+MAX_COMPARED_IDENTITIES = 4
+"""Matches of a key that are compared before the key gets a dictionary by identity."""
 _PARTNERS_PER_STEP = 16
 """Partners that can be listed in the time of one step of pattern work."""
 _UNBOUNDED: TimeBounds = (MIN_VALUE, MAX_VALUE, MIN_VALUE, MAX_VALUE)
@@ -103,21 +105,21 @@ class MatchBuffer:
             match.buffer = self
             match.older = match.newer = self.newest[key] = match
         else:
-            self.link(match)
+            self.add_to_ring(match)
         rule.count_stored(match, self.retention)
 
-    def link(self, match: PartialMatch) -> None:
-        """Link a match that has a key and an order to the matches of its key, replacing one of the same identity."""
+    def add_to_ring(self, match: PartialMatch) -> None:
+        """Add a match that has a key and an order to the ring of its key, replacing a match of the same identity."""
         key = match.key
         if self.identity_of is not None:
             by_identity = self.by_identity.get(key)
             if by_identity is None:
-                older = self.find_identical(match, key)
+                replaced = self.find_identical(match, key)
             else:
                 match.identity = identity = self.identity_of(match)
-                older = by_identity.get(identity)
-            if older is not None:
-                self.remove(older)
+                replaced = by_identity.get(identity)
+            if replaced is not None:
+                self.remove(replaced)
         match.buffer = self
         newest = self.newest
         # `remove` may have removed the only match of the key, so the ring is looked up again.
@@ -188,15 +190,15 @@ class MatchBuffer:
             if not stored_matches:
                 del self.newest[key]
                 continue
-            self._link(key, stored_matches)
+            self._build_ring(key, stored_matches)
             matches += stored_matches
         self.indices = {}
         self.by_identity = {}
         self._on_relink()
         return sorted(matches, key=_order)
 
-    def _link(self, key: Hashable, stored_matches: List[PartialMatch]) -> None:
-        """Link the matches of a key, given oldest first, to a ring."""
+    def _build_ring(self, key: Hashable, stored_matches: List[PartialMatch]) -> None:
+        """Build the ring of a key from its matches, which are given oldest first."""
         for older, newer in zip(stored_matches, [*stored_matches[1:], stored_matches[0]]):
             older.newer, newer.older = newer, older
         self.newest[key] = stored_matches[-1]
@@ -214,7 +216,7 @@ class MatchBuffer:
                 self._identify_match(match)
             groups.setdefault(match.key, []).append(match)
         for key, group in groups.items():
-            self._link(key, group)
+            self._build_ring(key, group)
 
     def find_identical(self, match: PartialMatch, key: Hashable) -> Optional[PartialMatch]:
         """Return the stored match that a match with a key replaces; matches with one identity have the same key."""
@@ -227,7 +229,7 @@ class MatchBuffer:
         if by_identity is None:
             candidate = newest_match
             # A dictionary is created only for keys with more matches than a short scan visits.
-            for _ in range(MAX_MISSES_WITH_INDEX):
+            for _ in range(MAX_COMPARED_IDENTITIES):
                 if (candidate.identity or self._identify_match(candidate)) == identity:
                     return candidate
                 candidate = candidate.older

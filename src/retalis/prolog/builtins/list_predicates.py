@@ -413,6 +413,50 @@ def keysort(machine: Machine, pairs: Term, result: Term) -> bool:
     return unify(result, make_list(sorted_pairs), machine.trail)
 
 
+class _Merge:
+    """State of the merge of two sorted lists for ``predsort/3``, which advances in place.
+
+    Attributes:
+        call: the predicate and the first arguments of the comparison goal.
+        first: the first list.
+        position: number of merged items of the first list.
+        second: the second list.
+        second_position: number of merged items of the second list.
+        merged: the items merged so far.
+        result: the term that is unified with the merged list.
+        continuation: the frame after the merge.
+    """
+
+    __slots__ = (
+        "call",
+        "first",
+        "position",
+        "second",
+        "second_position",
+        "merged",
+        "result",
+        "continuation",
+    )
+
+    def __init__(self, call: Frame, first: List[Term], second: List[Term], result: Term, continuation: Frame):
+        self.call = call
+        self.first = first
+        self.position = 0
+        self.second = second
+        self.second_position = 0
+        self.merged: List[Term] = []
+        self.result = result
+        self.continuation = continuation
+
+    def copy(self) -> "_Merge":
+        """Return a copy that advances independently."""
+        copied = _Merge(self.call, self.first, self.second, self.result, self.continuation)
+        copied.position = self.position
+        copied.second_position = self.second_position
+        copied.merged = list(self.merged)
+        return copied
+
+
 @control("$predmerge/4")
 def predmerge(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Merge two sorted lists for ``predsort/3``: a goal compares two items, and of equal ones the first is kept."""
@@ -420,91 +464,45 @@ def predmerge(machine: Machine, args: Values, continuation: Frame) -> Optional[F
     # The predicate is resolved once, not for each comparison; the arguments are replaced in `_merge`.
     goal: Any = add_arguments(closure, (NIL, NIL, NIL), machine.logic.database.modules)
     call = (machine.logic.database.predicate(goal[0]), *goal[1:-3])
-    return _merge(machine, call, items(first), 0, items(second), 0, [], result, continuation)
+    return _merge(machine, _Merge(call, items(first), items(second), result, continuation))
 
 
-def _merge(
-    machine: Machine,
-    call: Frame,
-    first: List[Term],
-    position: int,
-    second: List[Term],
-    second_position: int,
-    merged: List[Term],
-    result: Term,
-    continuation: Frame,
-) -> Optional[Frame]:
-    """Return the frame that compares the next items of both lists, or the continuation if one list has ended.
-
-    ``call`` is the predicate and the first arguments of the comparison goal, ``merged`` the items merged so far.
-    """
+def _merge(machine: Machine, state: _Merge) -> Optional[Frame]:
+    """Return the frame that compares the next items of both lists, or the continuation if one list has ended."""
+    first, position = state.first, state.position
+    second, second_position = state.second, state.second_position
     if position == len(first) or second_position == len(second):
-        merged_list = make_list([*merged, *first[position:], *second[second_position:]])
-        return continuation if unify(result, merged_list, machine.trail) else None
+        merged_list = make_list([*state.merged, *first[position:], *second[second_position:]])
+        return state.continuation if unify(state.result, merged_list, machine.trail) else None
     order = Var()
-    height = len(machine.choices)
-    after_comparison = (
-        _COMPARED,
-        machine,
-        call,
-        first,
-        position,
-        second,
-        second_position,
-        merged,
-        result,
-        continuation,
-        order,
-        height,
-    )
-    return (*call, order, first[position], second[second_position], after_comparison)
+    after_comparison = (_COMPARED, machine, state, order, len(machine.choices))
+    return (*state.call, order, first[position], second[second_position], after_comparison)
 
 
 def _merge_next(frame: Frame) -> Optional[Frame]:
     """Append the item that is first by the result of the comparison goal, which is cut."""
     machine: Machine
-    (
-        _,
-        machine,
-        call,
-        first,
-        position,
-        second,
-        second_position,
-        merged,
-        result,
-        continuation,
-        order,
-        height,
-    ) = frame
+    state: _Merge
+    _, machine, state, order, height = frame
     # Cuts the comparison goal, which is called once.
     del machine.choices[height:]
     order = deref(order)
     # An unbound order unifies with all three results, in this sequence on backtracking.
     if order.__class__ is Var:
         for index, alternative_order in enumerate((_GREATER, _SAME)):
-            retry_frame = (*frame[:7], list(merged), *frame[8:10], alternative_order, height + index)
+            retry_frame = (_COMPARED, machine, state.copy(), alternative_order, height + index)
             machine.choices.append((RESUME, retry_frame, len(machine.trail)))
         order = _LESS
     if order is _GREATER:
-        merged.append(second[second_position])
-        return _merge(
-            machine, call, first, position, second, second_position + 1, merged, result, continuation
-        )
-    if order is not _LESS and order is not _SAME:
+        state.merged.append(state.second[state.second_position])
+        state.second_position += 1
+    elif order is _LESS or order is _SAME:
+        state.merged.append(state.first[state.position])
+        state.position += 1
+        state.second_position += order is _SAME
+    else:
         return None
-    merged.append(first[position])
-    return _merge(
-        machine,
-        call,
-        first,
-        position + 1,
-        second,
-        second_position + (order is _SAME),
-        merged,
-        result,
-        continuation,
-    )
+    return _merge(machine, state)
 
 
 _LESS, _SAME, _GREATER = atom("<"), atom("="), atom(">")
