@@ -1,4 +1,4 @@
-"""How-to guides: commands, goals and Python code have the output on the page."""
+"""Guides of ``how-to``: commands, goals and Python code have the output on the page."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""Wording of pages, docstrings and messages: the rules of style that a program can check, and lengths of pages."""
+"""Wording of pages, docstrings, messages and names of tests: rules of style that a program can check, and lengths."""
 
 import ast
 import re
@@ -61,9 +61,17 @@ def test_page_has_no_banned_phrase(page):
     assert BANNED.findall(CODE.sub("", PAGES[page])) == []
 
 
+TESTS = {
+    path.relative_to(ROOT).as_posix(): ast.parse(path.read_text(encoding="utf-8"))
+    for path in sorted((ROOT / "test").rglob("*.py"))
+}
+"""Syntax trees of the tests."""
+
+
 def docstrings():
-    """Yield the file and line, and the docstring, of each module, class and function."""
-    for path, nodes in NODES.items():
+    """Yield the file and line, and the docstring, of each module, class and function of package and tests."""
+    nodes_by_path = {**NODES, **{path: list(ast.walk(tree)) for path, tree in TESTS.items()}}
+    for path, nodes in nodes_by_path.items():
         for node in nodes:
             if isinstance(node, (ast.FunctionDef, ast.ClassDef, ast.Module)):
                 text = ast.get_docstring(node)
@@ -71,12 +79,33 @@ def docstrings():
                     yield f"{path}:{getattr(node, 'lineno', 1)}", text
 
 
+DOCSTRINGS = list(docstrings())
+
+
 def test_docstrings_begin_with_no_question_word():
-    assert [place for place, text in docstrings() if OPENING.match(text)] == []
+    assert [place for place, text in DOCSTRINGS if OPENING.match(text)] == []
 
 
 def test_docstrings_have_no_banned_phrase():
-    assert [place for place, text in docstrings() if BANNED.search(text)] == []
+    assert [place for place, text in DOCSTRINGS if BANNED.search(text)] == []
+
+
+BANNED_NAME = re.compile(
+    r"test_(?:what|whatever|who|how|where|that|when|which|whether|an?|the)_|"
+    r"\w*_(?:said|told|comes?|goes|made|nobody|somebody)(?:_|$)"
+)
+"""Names of tests that are questions or sentences of everyday language."""
+
+
+def test_names_of_tests_have_no_banned_word():
+    names = {
+        node.name
+        for tree in TESTS.values()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef) and node.name.startswith("test_")
+    }
+    assert len(names) > 2_000
+    assert [name for name in sorted(names) if BANNED_NAME.match(name)] == []
 
 
 def test_messages_and_help_have_no_banned_phrase():

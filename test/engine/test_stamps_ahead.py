@@ -273,7 +273,7 @@ def test_state_that_begins_ahead_is_removed():
 
 
 def random_stream(random):
-    """Return events of four names with times in order, some of which are wrong by a minute to a year."""
+    """Return events of four names with times in order, except some that are wrong by a minute to a year."""
     time, events = START, []
     for _ in range(150):
         time += random.choice((0.1, 0.5, 1, 1, 3, 15))

@@ -39,7 +39,7 @@ FLAGS = {
 
 
 def stream(seed, number=60):
-    """Return events with times in steps of 0.25 s, some of which are late."""
+    """Return events with times in steps of 0.25 s, except some late ones."""
     generator = random.Random(seed)
     events = []
     now = 8

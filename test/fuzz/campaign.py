@@ -156,7 +156,7 @@ class _Process:
         self._killed = ""
 
     def wait(self):
-        """Read what it tells until it ends; return the number of the input of which it has died, or None."""
+        """Read its output until it ends; return the number of the input that has killed it, or None."""
         guard = threading.Thread(target=self._guard, daemon=True)
         guard.start()
         for text in self._process.stdout:

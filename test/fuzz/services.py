@@ -95,7 +95,7 @@ PIECES = (
 
 
 class Inputs:
-    """What is sent to a node; kind, seed and number alone say what it is."""
+    """Inputs of a node, determined by kind, seed and number."""
 
     def __init__(self, seed=1):
         self.seed = seed

@@ -1,4 +1,4 @@
-"""What an input may not do: take a second, take 50 MB, open a file, start a process, run or import code."""
+"""Side effects that no input may have: a second, 50 MB, an open file, a process, executed or imported code."""
 
 import os
 import re
@@ -103,7 +103,7 @@ class Watch:
         self.start_timer()
 
     def start_timer(self):
-        """Look at the input now and then; a process that was forked needs a timer of its own."""
+        """Check the input periodically; a forked process needs its own timer."""
         signal.setitimer(signal.ITIMER_PROF, LOOKS, LOOKS)
 
     @contextmanager

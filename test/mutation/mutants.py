@@ -1,4 +1,4 @@
-"""Mutants of a module: small changes of its source, each of which some test should notice.
+"""Mutants of a module: small changes of its source that tests should detect.
 
 A mutant replaces a range of the source text, found by the positions that ``ast`` gives. Annotations, docstrings, type
 aliases and module constants are left alone: a change there alters nothing, or only a limit's exact value.

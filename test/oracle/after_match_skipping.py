@@ -1,4 +1,4 @@
-"""What a match that has fired skips: after_match of a rule's label.
+"""Events that a fired match skips: `after_match` in the label of a rule.
 
 Comments name the sentence of the language's definition that the code next to them realises.
 """
@@ -10,7 +10,7 @@ from .patterns import Rule
 
 
 class Skipping:
-    """What the matches of one rule have skipped so far."""
+    """Events that the matches of a rule have skipped."""
 
     def __init__(self, rule: Rule):
         self.kind = rule.after_match

@@ -184,7 +184,7 @@ def smaller(case: Case) -> Iterator[Case]:
 
 
 def shrink(case: Case, fails: Callable[[Case], bool]) -> Case:
-    """Return a case that still fails and of which nothing can be left out."""
+    """Return a minimal case that still fails."""
     while True:
         for candidate in smaller(case):
             if fails(candidate):

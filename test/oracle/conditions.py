@@ -69,7 +69,7 @@ class Conditions:
             self._note_limits(child, [] if own else limits)
 
     def outside(self, node: Pattern) -> Set[Var]:
-        """Return the variables that stand in the rule outside of a pattern."""
+        """Return the variables of the rule outside of a pattern."""
         found = set(variables(self.rule.head))
         if self.rule.do is not None:
             found |= set(variables(self.rule.do))

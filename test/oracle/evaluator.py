@@ -1,4 +1,4 @@
-"""The evaluator: an arriving event is handed to the whole pattern, which looks at plain lists of what waits.
+"""Evaluator: the whole pattern processes each event with plain lists of its buffered matches.
 
 Nothing here is fast and nothing is shared: no index, no expiry unless it is asked for, one list for each
 operand place. Comments name the sentence of the language's definition that the code next to them realises.
@@ -110,9 +110,9 @@ class RuleState(Streams):
         return fired
 
     def skip(self) -> None:
-        """After match: when the event has been served, what waits and is skipped goes.
+        """Delete the skipped buffered matches after an event has been processed.
 
-        What a cnot or fnot forbids stays, and so does what waits within that.
+        Events that cnot or fnot forbids, and matches within them, remain.
         """
         for (node, side), waiting in self.waiting.items():
             if side != "absent" and node not in self.below_absent:

@@ -1,4 +1,4 @@
-"""What the oracle works with: events, matches of patterns, and the tables of times.
+"""Data of the oracle: events, matches of patterns, and the tables of times.
 
 Times are any exact numbers, in seconds.
 """
@@ -32,7 +32,7 @@ class Pending:
 
 @dataclass(frozen=True, eq=False)
 class Gap:
-    """What cnot or fnot forbids, where that has variables of patterns to the left that are still to be bound."""
+    """Events that cnot or fnot forbids, with variables that patterns to the left have not bound yet."""
 
     node: Any
     """The cnot or fnot."""

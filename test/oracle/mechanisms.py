@@ -49,7 +49,7 @@ Notices = Callable[[int], Optional[bool]]
 
 
 class Mechanism(NamedTuple):
-    """What can be switched off, and the cases that are to notice it."""
+    """Mechanisms that can be disabled, and the cases that detect it."""
 
     off: Callable[[], ContextManager[Any]]
     notices: Notices
@@ -292,7 +292,7 @@ def later_steps_first(window: Any, way: Any, item: StreamElement) -> Any:
 
 
 def never_reluctant(plan: Any, at: int, enough: bool, more: bool) -> Any:
-    """Have all steps take as many as they can."""
+    """Let all steps match the maximum number of events."""
     own = plan.steps
     plan.steps = tuple([one._replace(reluctant=False) for one in own])
     try:

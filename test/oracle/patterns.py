@@ -312,7 +312,7 @@ def with_own(rule: Rule) -> Rule:
 
 
 def _terms(node: Pattern) -> List[Term]:
-    """Return the terms that stand in a pattern."""
+    """Return the terms in a pattern."""
     return [
         part
         for one in walk(node)

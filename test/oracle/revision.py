@@ -64,7 +64,7 @@ def defined_for(rules: Sequence[Rule], policy: str, out_of_order: bool) -> bool:
 
 
 def coming_back(rule: Rule) -> Iterator[Pattern]:
-    """Yield the parts of a rule of which something may come back when an event is taken back."""
+    """Yield the parts of a rule whose results may return when an event is retracted."""
     for node in walk(rule.pattern):
         if isinstance(node, (Cnot, Fnot, Star, Aggregate)):
             yield node
@@ -173,7 +173,7 @@ class RevisedState(RuleState):
     def _once_more(
         self, node: Pattern, run: Run, conditions: List[Pattern], numbers: FrozenSet[int]
     ) -> List[Match]:
-        """Extend a run anew without the events that are gone; return the results that held one of them."""
+        """Extend a run again without the retracted events; return the results that contain such an event."""
         taken, run.taken = run.taken, []
         run.now, run.values = run.start, []
         results: List[Match] = []
@@ -204,7 +204,7 @@ class RevisedState(RuleState):
         return again + super().repetition(node, starts, repetitions, conditions)
 
     def _extended(self, node: Any, run: Run, q: Match, conditions: List[Pattern]) -> Optional[List[Match]]:
-        """As always, but in the order of arrival also where revision has set one of them free."""
+        """Process matches in the order of arrival, also those that a revision has released."""
         if self.reviving and not self.came_before(run.start, q):
             return None
         fired = super()._extended(node, run, q, conditions)

@@ -67,7 +67,7 @@ class Trial:
         return self._try(self._before(0), at, ())
 
     def _before(self, step: int) -> List[Any]:
-        """What may come before a step has taken any: None is the end."""
+        """Steps that may precede a step without events; None is the end."""
         if step == len(self.steps):
             return [None]
         return self._order(step, self.steps[step].least == 0, True)

@@ -184,7 +184,7 @@ class Generator:
         return bool(self.choice([False] * (100 - percent) + [True] * percent))
 
     def known(self, node: Pattern) -> List[Var]:
-        """Return variables of a pattern for conditions to look at."""
+        """Return variables of a pattern for conditions."""
         return bindable(node) if self.unsure and self.chance(60) else certain_in_order(node)
 
     # Patterns. ``left`` are the variables that patterns to the left are certain to bind, or may bind.
@@ -258,7 +258,7 @@ class Generator:
         return Where(below, goal)
 
     def revived(self, depth: int) -> Pattern:
-        """Draw a sequence of which a side may be there after all, when something is taken back."""
+        """Draw a sequence with a side that may return when an event is retracted."""
         below = self.pattern(min(depth - 1, 1)) if depth > 1 else self.leaf()
         kind = self.choice(["fnot", "cnot", "star", "aggregate"])
         if kind in ("star", "aggregate"):
@@ -311,7 +311,7 @@ class Generator:
         return Windowed(" ".join(kinds), below, values, results, window, span, step)
 
     def steps(self, sure: List[Var]) -> List[Term]:
-        """Draw the steps of a window, by conditions that look at some variables."""
+        """Draw the steps of a window with conditions of some variables."""
         names = ["one", "two", "three"][: self.choice([1, 1, 2, 2, 3])]
         found: List[Any] = []
         for name in names:
@@ -359,7 +359,7 @@ class Generator:
         return functor(",", 2)(goal, self.look(sure, names)) if self.chance(20) else goal
 
     def shaped(self, depth: int, left: Tuple[Var, ...]) -> Pattern:
-        """Draw a pattern of which only some matches go on."""
+        """Draw a pattern with matches that only partly continue."""
         below = self.pattern(self.choice([0, 0, min(depth - 1, 1)]))
         sure = certain_in_order(below)
         by = make_list([self.choice(sure)] if sure and self.chance(50) else [])

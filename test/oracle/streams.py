@@ -58,7 +58,7 @@ class Streams(IdentifyingRepetitions):
         raise NotImplementedError
 
     def streamed(self, node: Any, event: Event) -> List[Match]:
-        """Return what an operator on streams gives on."""
+        """Return the results of an operator on streams."""
         results: List[Match] = []
         if self.ringing is not None and self.ringing[0] == self.rank[node]:
             results += self._rung(node, self.ringing[1])
@@ -106,7 +106,7 @@ class Streams(IdentifyingRepetitions):
         return []
 
     def reached(self, node: Pattern) -> Any:
-        """Return the last instant at which windows of an operator were given on."""
+        """Return the last instant at which an operator has emitted windows."""
         return self.newest.get(node, 0)
 
     @staticmethod
@@ -248,7 +248,7 @@ class Streams(IdentifyingRepetitions):
         self.taken[node].append(one)
 
     def _close(self, node: Windowed, instant: Any) -> List[Match]:
-        """Give on the windows that are over, the one that began first before the others."""
+        """Emit the ended windows in the order of their starts."""
         begins = self.begins.setdefault(node, {})
         open_ones = [one for one in self.taken[node] if not one.over]
         keys = list(dict.fromkeys(one.key for one in open_ones))
@@ -327,7 +327,7 @@ class Streams(IdentifyingRepetitions):
         return results
 
     def _by_first(self, inside: List[Taken]) -> List[Taken]:
-        """Groups are given on in the order in which their first ones came."""
+        """Groups are emitted in the order of their first elements."""
         order = {id(one): at for taken in self.taken.values() for at, one in enumerate(taken)}
         firsts: Dict[Any, Taken] = {}
         for one in inside:

@@ -19,7 +19,7 @@ from retalis.playback.bag_locations import (
 
 @pytest.fixture
 def fleet(tmp_path):
-    """Return a folder with bags of two robots, one of them a ROS 2 bag, and with other files."""
+    """Return a folder with bags of two robots, including a ROS 2 bag, and with other files."""
     names = (
         "r2/day.bag",
         "r1/night.mcap",

@@ -24,7 +24,7 @@ def registry():
 
 @pytest.fixture
 def bag(tmp_path):
-    """Return a bag of two topics, one of them with two publishers."""
+    """Return a bag of two topics; the second has two publishers."""
     path = tmp_path / "some.bag"
     definitions = registry()
     string_type = definitions.add("std_msgs/String", "string data\n")

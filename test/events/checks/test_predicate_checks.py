@@ -36,7 +36,7 @@ def test_file_that_is_not_read_is_reported(tmp_path):
 
 
 def test_folder_without_permission_is_no_error(tmp_path, monkeypatch):
-    """Who is root may enter all of them: here the system says no."""
+    """The system call is replaced, because root may enter all folders."""
     real_stat, real_path_stat = os.stat, Path.stat
 
     def refuse(path):

@@ -28,7 +28,7 @@ def test_due_alarms_are_returned_in_order():
     assert clock.next_alarm() is None
 
 
-def test_stream_clock_goes_back_only_on_request():
+def test_stream_clock_moves_back_on_request_only():
     clock = StreamClock(100)
     clock.move_to(50)
     assert clock.now() == 100

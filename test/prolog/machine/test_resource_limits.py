@@ -69,7 +69,7 @@ def test_earliest_alarm_limits_seconds(budget):
     assert budget.remaining_limits() == RemainingLimits(1e11, None, None)
 
 
-def test_equal_ceilings_are_made_distinct(budget):
+def test_equal_ceilings_become_distinct(budget):
     ceilings = []
     for _ in range(3):
         ceilings.append(budget.ceiling_after(10))
