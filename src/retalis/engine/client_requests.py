@@ -199,7 +199,7 @@ def wait_for_memories(engine: Engine, memory_ids: Sequence[Term], instant: int, 
             if monotonic() >= deadline:
                 raise UsageError(f"{_describe_missing(engine, memory_ids, instant)} after {seconds:g} s")
     finally:
-        # Withdrawn also after an interrupt: otherwise requests would accumulate in the index of the memory.
+        # Also after an interrupt: otherwise requests would accumulate in the index of the memory.
         engine.do(lambda: knowledge.pending_queries.withdraw(request_number))
 
 

@@ -134,7 +134,7 @@ class EngineParts:
         )
         self.callbacks = callbacks = UserCallbacks(executor, logic.machine.budget, reports)
         self.dispatcher = dispatcher = Dispatcher(logic, max_depth=settings.max_depth)
-        executor.add_recovery(EngineRecovery(logic, dispatcher, files))
+        executor.add_recovery(EngineRecovery(logic, dispatcher))
         self.rules = rules = RuleBase(
             logic,
             dispatcher,

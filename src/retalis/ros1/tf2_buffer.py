@@ -102,12 +102,6 @@ class Tf2Buffer(TransformBuffer):
             self._core.clear()
         self._set_origin(None)
 
-    def repair(self) -> None:
-        """Repair the samples after an interrupt."""
-        super().repair()
-        if self._core is not None:
-            self._refill(self._origin)
-
     def lookup(self, target: str, source: str, instant: int) -> Optional[Pose]:
         """Return the pose of the source frame in the target frame at an instant; None if there is none."""
         if target == source:

@@ -63,7 +63,7 @@ def run_program(text, goals, events, max_stored, restore_before, change, posted)
         goals: goals to call first.
         events: the stream.
         max_stored: limit of the number of stored matches.
-        restore_before: position before which the matches are repaired, and restored from a snapshot.
+        restore_before: position before which the matches are restored from a snapshot.
         change: a goal to call at this position.
         posted: whether events of an instant are posted, so that fused actions may process them.
     """
@@ -87,8 +87,6 @@ def run_program(text, goals, events, max_stored, restore_before, change, posted)
     engine.rules.max_stored = max_stored
     for position, (term, start, end) in enumerate(events):
         if position == restore_before:
-            for rule in engine.rules.rules:
-                rule.repair()
             if change:
                 engine.load(goals=change)
             if not change:

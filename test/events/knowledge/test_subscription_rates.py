@@ -191,18 +191,6 @@ def test_unchanged_rates_survive_reload(tmp_path):
     assert outputs == [("a(1)", "2"), ("a(3)", "2"), ("a(3)", "1")]
 
 
-def test_repair_restores_timer_of_rate():
-    engine = RecordingEngine(goals="subscribe(a(X) with debounce(2), [], _, t, 1)")
-    engine.event("a(1)", 1)
-    rate = engine.knowledge.subscriptions.items()[0][1].rate_limiter
-    engine.rules.node_timers.clear()
-    rate.alarm_instant = None
-    engine.rules.repair()
-    engine.knowledge.repair()
-    engine.event("b", 9)
-    assert [term for term, _, _ in engine.outputs] == ["a(1)"]
-
-
 def test_event_of_rate_is_checked_against_declaration():
     engine = RecordingEngine(rules=":- event in(x:integer).\nb(X) <- in(X).")
     with pytest.raises(PrologError, match="in/2 does not match its declaration"):

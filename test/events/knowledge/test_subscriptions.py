@@ -6,7 +6,6 @@ import pytest
 from recording_engine import RecordingEngine
 
 from retalis import Engine, PrologError, atom
-from retalis.events.dispatch.listeners import ListenerPhase
 from retalis.events.knowledge import memory
 
 
@@ -72,14 +71,6 @@ def test_subscriptions_are_restored_in_order():
     engine.event("a", 3)
     assert [term for term, _, _ in engine.outputs] == ["one", "two", "two", "three", "one", "two"]
     assert [subscription.sent for subscription in engine.status().subscriptions] == [2, 3]
-
-
-def test_repair_removes_stale_listener():
-    engine = RecordingEngine(goals="subscribe(a, [], one, t, 1)")
-    engine.dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, atom("a"), lambda *event: pytest.fail("delivered"))
-    engine.knowledge.subscriptions.repair()
-    engine.event("a", 1)
-    assert [term for term, _, _ in engine.outputs] == ["one"]
 
 
 def test_deletion_of_unknown_subscription_succeeds(caplog):

@@ -327,17 +327,6 @@ def test_incremental_table_depends_on_transforms():
     assert program.answers("where(X)") == [{"X": "5.0"}]
 
 
-def test_repair_registers_queries_again():
-    program = TransformEngine()
-    program.transform("map", "camera", 1, 0)
-    program.event("marker(a, 5)", 5)
-    program.event("marker(b, 6)", 5)
-    program.engine.knowledge.repair()
-    assert len(program.waiting()) == 2
-    program.transform("map", "camera", 7, 6)
-    assert [text[:6] for text in program.events] == ["seen(a", "seen(b"]
-
-
 def test_timed_out_queries_leave_frames():
     program = TransformEngine()
     program.transform("map", "camera", 1, 0)

@@ -30,16 +30,6 @@ def test_keys_without_matches_are_removed():
     assert program.feed("a(1)@3000 a(2)@3000 c(1)@3001 b(1)@3002 b(2)@3002") == "d(2)@3000-3002"
 
 
-def test_repair_rebuilds_frontiers():
-    program = ProgramRunner("d(X) <- (a(X) seq b(X)) cnot c(X).")
-    assert program.feed("a(1)@1 c(1)@2 c(1)@3 c(1)@4") == ""
-    negation = _negations(program)[0]
-    for frontier in negation.frontiers.values():
-        del frontier.ends[:], frontier.starts[1:]
-    negation.buffer.repair()
-    assert program.feed("b(1)@5 a(1)@6 b(1)@7") == "d(1)@6-7"
-
-
 def test_nested_negation_uses_outer_variables():
     rule = "s(Y) <- (p(Y) seq b) cnot (x fnot q(Y))."
     assert outputs_of(rule, "p(1)@1 b@5") == "s(1)@1-5"

@@ -130,8 +130,6 @@ def test_deferred_work_runs_in_order():
     with pytest.raises(KeyboardInterrupt):
         queue.run_operator(_interrupt)
     assert not queue.is_running
-    queue.clear()
-    assert queue.prepend_deferred_work(end_frame) is end_frame
 
 
 def _interrupt():

@@ -447,33 +447,6 @@ def test_timestamp_far_ahead_delays_no_output(rate):
     assert [event for event in events if event.startswith("d")] == ["d(1)", "d(2)"]
 
 
-@pytest.mark.parametrize(
-    "window", ["last(2, events)", "last(5)", "every(2, events)", "every(3, first)", "every(2)"]
-)
-def test_repair_restores_counters(window):
-    engine = Engine()
-    engine.load(rules=f"w(S, N, M) <- aggregate([sum(X), count, median(X)], a(X), [S, N, M], {window}).")
-    uninterrupted = Engine()
-    uninterrupted.load(
-        rules=f"w(S, N, M) <- aggregate([sum(X), count, median(X)], a(X), [S, N, M], {window})."
-    )
-    for number in range(1, 9):
-        for current in (engine, uninterrupted):
-            current.event(f"a({number})", number)
-        engine.rules.repair()  # no operation is incomplete, so the state stays the same
-    outputs, expected = recorded_events(engine), recorded_events(uninterrupted)
-    for number in range(9, 20):
-        for current in (engine, uninterrupted):
-            current.event(f"a({number})", number)
-    assert outputs == expected
-    for rule in engine.rules.rules:  # wrong counters are computed again
-        for node, _, _ in rule.nodes:
-            if hasattr(node, "stream"):
-                node.stream.element_count += 7
-    engine.rules.repair()
-    assert engine.rules.match_count == uninterrupted.rules.match_count
-
-
 @pytest.mark.parametrize("flags", [(), ("revision_flag",), ("etalis_justification",)])
 @pytest.mark.parametrize("steps", ["high(1, many) where X > 0", "one, two(1, many) where X > 0"])
 def test_row_pattern_completes_at_deciding_event(steps, flags):

@@ -1,7 +1,5 @@
 """Source files of a program: modules, files loaded once, included files, libraries, permissions."""
 
-import os
-
 import pytest
 from events.stream_programs import ProgramRunner, format_events
 
@@ -344,29 +342,6 @@ def test_names_are_relative_to_loaded_file_or_program(tmp_path, monkeypatch):
     with files.loading(tmp_path / "sub"):
         assert is_relative_to("sub")
     assert is_relative_to("here")
-
-
-def test_interrupted_load_is_restored(tmp_path):
-    """An interrupt may leave the contexts at any point; the state before tells which ones to restore."""
-    files = SourceFiles()
-    for folder in ("one", "two"):
-        (tmp_path / folder).mkdir()
-    with files.loading(tmp_path / "one"), files.loading_file(tmp_path / "one" / "one.pl"):
-        state = files.state()
-        inner = files.relative_to(tmp_path / "two"), files.loading_file(tmp_path / "two" / "two.pl")
-        for context in inner:
-            context.__enter__()
-        files.sandbox.is_loading = False
-        assert files.absolute("x") == str(tmp_path / "two" / "x")
-        assert files.innermost_file == tmp_path / "two" / "two.pl"
-        files.restore(state)
-        assert files.absolute("x") == str(tmp_path / "one" / "x")
-        assert files.innermost_file == tmp_path / "one" / "one.pl"
-        assert files.sandbox.is_loading
-        files.restore(None)
-        assert files.absolute("x") == os.path.abspath("x")
-        assert files.innermost_file is None
-        assert not files.sandbox.is_loading
 
 
 def test_written_file_is_emptied_or_appended(tmp_path):

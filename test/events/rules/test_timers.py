@@ -271,14 +271,6 @@ def test_timers_are_restored():
     assert restored_later.feed(9, 30) == events
 
 
-def test_repair_restores_alarms_of_timers():
-    engine = load_engine("timer(a, every(2))")
-    engine.feed(1)
-    engine.clock.alarms.clear()
-    engine.rules.repair()
-    assert engine.feed(3) == [("a", 2), ("e", 3)]
-
-
 def test_status_counts_timers_with_alarms():
     engine = load_engine("timer(a, every(2))")
     assert (engine.status().alarms, engine.status().next_alarm) == (1, None)

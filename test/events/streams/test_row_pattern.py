@@ -110,26 +110,6 @@ def test_memory_for_element_is_independent_of_matches():
     assert peaks[1] < 2 * peaks[0]
 
 
-def test_interrupted_move_of_match_is_repaired():
-    """A match that an interrupt lost between the partial matches and the queue of completed ones is found again."""
-    interrupted, uninterrupted = [Engine(), Engine()]
-    outputs = {}
-    for engine in (interrupted, uninterrupted):
-        engine.load(rules=f"found(L) <- aggregate(list(V), reading(V), L, steps([{WAITING}])).")
-        outputs[engine] = terms = []
-        engine.on_event(lambda term, *_, engine=engine, terms=terms: terms.append(engine.show(term)))
-        for second in range(5):
-            engine.event("reading(0)", second)
-    (group,) = pattern_operator(interrupted).states.values()
-    group.completed.popleft()
-    interrupted.rules.repair()
-    for engine in (interrupted, uninterrupted):
-        for second, value in enumerate([8, 7, 7], 5):
-            engine.event(f"reading({value})", second)
-    assert outputs[interrupted] == outputs[uninterrupted]
-    assert outputs[uninterrupted].count("found([0])") == 5
-
-
 @pytest.mark.parametrize(
     ("aggregate", "result"), [("avg(V)", "2"), ("max(V)", "2"), ("median(V)", "2.0"), ("sum(V * 1)", "4")]
 )

@@ -28,7 +28,6 @@ from weakref import WeakSet
 from ...events.dispatch.dispatcher import Dispatcher
 from ...foundation.errors import RetalisError, UsageError
 from ...foundation.interrupts import PENDING, SafeExit, interruptible, raise_pending
-from ...prolog.files.source_files import SourceFiles
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.types import atom
 
@@ -641,26 +640,21 @@ def is_unexpected(error: BaseException) -> bool:
 class EngineRecovery(Recovery):
     """Recovery of an engine: to the state at the start of a nested call, or to the idle state."""
 
-    def __init__(self, logic: PrologSystem, dispatcher: Dispatcher, files: SourceFiles):
+    def __init__(self, logic: PrologSystem, dispatcher: Dispatcher):
         self._logic = logic
         self._dispatcher = dispatcher
-        self._files = files
 
     def state(self) -> Any:
-        """Return the states of machine, files, dispatcher and compiler, for `restore`."""
+        """Return the states of machine, dispatcher and compiler, for `restore`."""
         return (
             self._logic.machine.state(),
-            self._files.state(),
             self._dispatcher.state(),
             self._logic.new_goals,
         )
 
     def restore(self, state: Any) -> None:
         """Return to a state of `state`, or to the idle state if it is None."""
-        saved_machine, saved_files, saved_dispatch, new_goals = (
-            (None, None, (None, None), None) if state is None else state
-        )
+        saved_machine, saved_dispatch, new_goals = (None, (None, None), None) if state is None else state
         self._logic.machine.restore(saved_machine)
-        self._files.restore(saved_files)
         self._dispatcher.restore(*saved_dispatch)
         self._logic.continue_precompiling(new_goals)

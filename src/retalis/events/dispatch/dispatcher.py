@@ -12,11 +12,11 @@ depth are dispatched by recursive calls, deeper ones by the loop of the machine,
 Python stack.
 
 `Dispatcher.current` is the context of the event that is being dispatched, `Dispatcher.cause` the rule or event that
-events created now follow from. Both must be restored on every exit, including errors and interrupts.
+events created now follow from. Both must be restored on every exit, including errors.
 """
 
 from itertools import count
-from typing import AbstractSet, Any, Callable, Collection, Dict, Hashable, List, Optional, Tuple, TypeVar
+from typing import AbstractSet, Any, Callable, Dict, Hashable, List, Optional, Tuple, TypeVar
 from weakref import WeakValueDictionary
 
 from ...foundation.bounded_caches import Cache
@@ -129,13 +129,6 @@ class ListenerIndex:
                 del self._listeners[listener.functor]
             self._invalidate_plans(listener.functor)
 
-    def remove_all_except(self, phase: ListenerPhase, kept: Collection[Listener]) -> None:
-        """Remove all listeners of a phase except those in ``kept``."""
-        for group in list(self._listeners.values()):
-            for listener in list(group):
-                if listener.order[0] == phase and listener not in kept:
-                    self.remove(listener)
-
     def event_filter(self, functor: Functor, positions: Tuple[int, ...] = ()) -> PushdownFilter:
         """Return a filter that decides whether an event can match a listener, see `PushdownFilter`.
 
@@ -236,11 +229,6 @@ class Dispatcher(ListenerIndex):
         self._create_token: Optional[Callable[[Context], Any]] = None
         self.tracks_lineage = False
         self.retractions = 0
-
-    def repair(self) -> None:
-        """Clear all plans and reset the context, after an interrupt."""
-        self._invalidate_plans(None)
-        self.restore(None, None)
 
     def track_lineage(self, create_token: Optional[Callable[[Context], Any]]) -> None:
         """Let a function create the tokens of events, which record their lineage; None stops tracking."""

@@ -190,7 +190,7 @@ def _goal_source(input_count: int) -> str:
                 "return frame",
             ],
         ),
-        # Interrupts arrive as BaseException at any point; bindings must not survive them.
+        # Bindings must not survive an exception.
         Block("except BaseException:", ["undo(trail, mark)", "raise"]),
         Block("finally:", ["budget.goal = outer_goal"]),
         Block("if not solved_goal:", ["return frame"]),

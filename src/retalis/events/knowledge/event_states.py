@@ -480,16 +480,6 @@ class DeclaredState(StateOwner):
         if includes_past:
             self.past.clear()
 
-    def repair(self) -> None:
-        """Build all indices again after an interrupt."""
-        open_states = list(self.open.values())
-        self.open.clear()
-        self._open_by_shared_key.clear()
-        self._open_by_order.clear()
-        self.timeouts.clear()
-        for state in open_states:
-            self._add_open_state(state)
-
     @property
     def next_order(self) -> int:
         """The order of the next state that begins."""
@@ -702,17 +692,6 @@ class StateRegistry:
         for declaration in saved_declarations.values():
             self.declare(declaration.form.term)
         self.discard_detached()
-
-    def repair(self) -> None:
-        """Repair the declarations after an interrupt."""
-        self._index_by_functor()
-        for declaration in self._declarations.values():
-            declaration.repair()
-        # An interrupt may leave listeners of a declaration that was not completed.
-        owned_listeners = {
-            listener for declaration in self._declarations.values() for listener in declaration.listeners
-        }
-        self._dispatcher.remove_all_except(ListenerPhase.STATES, owned_listeners)
 
 
 class _StatePredicates:

@@ -1,7 +1,7 @@
 """Knowledge base of a program: memories, transforms, pending queries, subscriptions, and event states.
 
 `KnowledgeBase` creates these parts, connects them to each other, and defines the predicates ``memorize``,
-``subscribe`` and their counterparts. The engine uses it to clear, repair and inspect all of them.
+``subscribe`` and their counterparts. The engine uses it to clear and inspect all of them.
 """
 
 from operator import attrgetter
@@ -139,15 +139,6 @@ class KnowledgeBase:
         """
         self.subscriptions.clear()
         self.states.close(includes_past)
-
-    def repair(self) -> None:
-        """Repair all parts after an interrupt."""
-        # The memories drop their registered queries, and then the pending queries register again.
-        self.memories.repair()
-        self.transforms.repair()
-        self.pending_queries.repair()
-        self.subscriptions.repair()
-        self.states.repair()
 
     def find_missing_memories(self, names: Sequence[Term], instant: int) -> MissingSources:
         """Return the memories that have received no event that ends at an instant or later.

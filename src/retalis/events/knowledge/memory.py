@@ -304,7 +304,6 @@ class Memory:
         "first_changed_position",
         "_epoch",
         "_removed_count",
-        "_next",
     )
 
     def __init__(self, size: int, on_wide_gap: Callable[[int, int], object] = lambda start, end: None):
@@ -314,8 +313,6 @@ class Memory:
         self._removed_count = 0
         self._epoch = next(_EPOCHS)
         self.first_changed_position = NO_POSITION
-        self._next: Optional[Tuple[int, List[int], List[MemoryRecord]]] = None
-        """The next lists, while they are being replaced: an interrupt may come between the assignments."""
         self.ends: List[int] = []
         self.records: List[MemoryRecord] = []
         self.indices: Dict[int, RecordIndex] = {}
@@ -335,11 +332,8 @@ class Memory:
             self._replace_records(self._removed_count, self.ends[:position], self.records[:position])
 
     def _replace_records(self, removed_count: int, ends: List[int], records: List[MemoryRecord]) -> None:
-        # A write-ahead record: after an interrupt between the assignments, `repair` repeats them.
-        self._next = removed_count, ends, records
         self.indices = {}
         self._removed_count, self.ends, self.records = removed_count, ends, records
-        self._next = None
 
     @property
     def oldest_number(self) -> int:
@@ -356,13 +350,6 @@ class Memory:
         self._epoch = next(_EPOCHS)
         self.late_count = late
         self._replace_records(removed_count, ends, records)
-
-    def repair(self) -> None:
-        """Complete a change that was interrupted."""
-        if self._next is not None:
-            self._replace_records(*self._next)
-        # `add` appends to `ends` first; an interrupt may have prevented the record from following.
-        del self.ends[len(self.records) :]
 
     def __len__(self) -> int:
         return min(len(self.ends), self.size)
@@ -626,13 +613,6 @@ class MemoryInstance(QueryQueue):
         """Return whether the watermark has reached an instant: an event that ends then or later was recorded."""
         ends = self.memory.ends
         return bool(ends) and ends[-1] >= instant
-
-    def repair(self) -> None:
-        """Repair the records after an interrupt; `PendingQueries.repair` registers the queries again."""
-        self.memory.repair()
-        self.clear_queries()
-        if self not in self.recorder.instances:
-            self.recorder.add(self)
 
 
 _NO_QUERIES: Dict[int, QueryEntry] = {}

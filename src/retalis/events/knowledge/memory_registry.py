@@ -22,7 +22,6 @@ from ...prolog.terms.term_traversal import copy, freeze, term_key
 from ...prolog.terms.types import MINUS, NIL, Atom, Frame, Functor, Lazy, Term, Var, deref, functor
 from ..dispatch.discrimination_tree import NO_LISTENERS
 from ..dispatch.dispatcher import Dispatcher
-from ..dispatch.listeners import ListenerPhase
 from .memory import (
     RECORDS_PER_CHECK,
     UPDATED,
@@ -225,20 +224,6 @@ class MemoryInstances:
         self._detached[key_of(name)] = instance
         self.create(definition, active, self._logic.machine.done)
         return instance
-
-    def repair(self) -> None:
-        """Repair the memories after an interrupt: each has both a name and a recorder, or is removed."""
-        for key, instance in list(self.instances.items()):
-            if hasattr(instance, "recorder"):
-                instance.repair()
-            else:
-                del self.instances[key]
-        recorders = {instance.recorder for instance in self.instances.values()}
-        for recorder in recorders:
-            recorder.retain(lambda candidate: self.find(candidate.id) is candidate)
-        self._dispatcher.remove_all_except(
-            ListenerPhase.MEMORIES, {recorder.listener for recorder in recorders}
-        )
 
     def _find_or_create_recorder(
         self, pattern: Term, conditions: Term, template: Term, name: Term

@@ -803,7 +803,6 @@ class PendingQueries(StateOwner):
         if len(self._queries_by_order) >= self.limit:
             self._drop_oldest()
         order = next(self._next_order)
-        # Added to the dictionary first: after an interrupt, `repair` registers every query of the dictionary.
         pending = self._queries_by_order[order] = (order, compiled_query, values, start, end, missing)
         source, instant = missing[-1]
         source.add_query(instant, order, pending)
@@ -860,31 +859,6 @@ class PendingQueries(StateOwner):
             if result is not frame:
                 return result
         return frame[2]  # type: ignore[no-any-return]
-
-    def repair(self) -> None:
-        """Register all pending queries again after an interrupt; queries that are ready run with the next event."""
-        instances = set(self._memories)
-        for order in sorted(self._queries_by_order):
-            pending = self._queries_by_order[order]
-            _, query, values, _, _, missing = pending
-            if any(source not in instances for source, _ in missing if isinstance(source, MemoryInstance)):
-                self._queries_by_order.pop(order)
-                event = query.create_event(values)
-                self._warn(
-                    f"{self._logic.brief(event)} is dropped: its memory was deleted", ("deleted", None)
-                )
-                continue
-            # The last condition remains even if it is fulfilled: the next event of its memory calls the query.
-            while len(missing) > 1:
-                source, instant = missing[-1]
-                if not source.has_reached(instant):
-                    break
-                missing.pop()
-            if missing:
-                source, instant = missing[-1]
-                source.add_query(instant, order, pending)
-            else:
-                del self._queries_by_order[order]
 
     def _drop_oldest(self) -> None:
         oldest = self._oldest_order

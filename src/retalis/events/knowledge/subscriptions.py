@@ -234,10 +234,6 @@ class OutputRateLimiter(StateOwner):
         self._stream.return_to(instant)
         self._set_alarm()
 
-    def repair(self) -> None:
-        """Repair the operator after an interrupt."""
-        self.restore(self.snapshot())
-
     def restore(self, saved: State) -> None:
         """Set the state of an equal rate limiter."""
         self._stream = self._create_stream()
@@ -466,16 +462,6 @@ class Subscriptions:
         for _, subscription in saved_subscriptions:
             self.create(subscription.definition)
         self.discard_detached()
-
-    def repair(self) -> None:
-        """Repair the subscriptions after an interrupt."""
-        # An interrupt may leave a listener without a subscription. It would deliver events of a subscription that
-        # does not exist.
-        self._dispatcher.remove_all_except(
-            ListenerPhase.SUBSCRIPTIONS, {subscription.listener for subscription in self._all.values()}
-        )
-        for rate_limiter in self.rate_limiters():
-            rate_limiter.repair()
 
     def has(self, topic: Term, subscription_id: Term) -> bool:
         """Return whether there is a subscription with this topic and id."""

@@ -201,14 +201,6 @@ class CoordinateFrame(QueryQueue):
         self.copied_until = -1
         return count
 
-    def repair(self) -> None:
-        """Drop the samples if an interrupt came between the changes of the lists; later ones replace them."""
-        count = len(self.stamps)
-        if not count == len(self.parents) == len(self.poses) or self.first >= count:
-            self.poses, self.parents, self.stamps, self.first = [], [], [], 0
-            self.is_child = self.is_child and not self.is_static
-            self.is_static = False
-
 
 class TransformFault(NamedTuple):
     """The reason why there is no transform.
@@ -255,7 +247,7 @@ class TransformBuffer:
         topology: queue of the queries about frames that are unknown or not connected.
         sample_count: number of samples.
         refused: number of transforms that were refused, without repetitions.
-        version: increases with each change, except a repair.
+        version: increases with each change.
         topology_version: increases if a frame gets its first sample, or another parent.
     """
 
@@ -290,12 +282,6 @@ class TransformBuffer:
         self.version += 1
         for frame in self._frames.values():
             self.sample_count -= frame.clear()
-
-    def repair(self) -> None:
-        """Repair the samples after an interrupt, which may have come between the changes of parallel lists."""
-        for frame in self._frames.values():
-            frame.repair()
-        self.sample_count = sum(frame.sample_count for frame in self._frames.values())
 
     def store(  # noqa: C901 - on the path of every transform
         self, parent: str, child: str, instant: int, numbers: Numbers, is_static: bool = False
@@ -357,7 +343,6 @@ class TransformBuffer:
                 return f"there are {MAX_SAMPLES} transforms already"
             self.sample_count += 1
             if is_newest:
-                # An interrupt may come between these steps: `repair` relies on the stamp being appended last.
                 frame.poses.append(numbers)
                 frame.parents.append(parent_frame)
                 stamps.append(instant)

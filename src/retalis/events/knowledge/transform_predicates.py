@@ -240,8 +240,7 @@ class Transforms:
         """Register a condition with a frame that has not reached the instant."""
         frame = self.buffer.find_blocking(awaited.target, awaited.source, instant)
         if frame is None:
-            # All frames have reached the instant, which happens only after an interrupt. The condition is registered
-            # with `topology`, so that the next transform calls its queries.
+            # All frames have reached the instant: the next transform calls the queries.
             frame = self.buffer.topology
             self._seen_topology_version = -1
         frame.add_query(instant, awaited, (awaited, instant))
@@ -272,11 +271,6 @@ class Transforms:
         self.buffer.topology.clear_queries()
         for frame in self.buffer.frames():
             frame.clear_queries()
-
-    def repair(self) -> None:
-        """Repair the samples after an interrupt; `PendingQueries.repair` registers the queries again."""
-        self.buffer.repair()
-        self.clear_queries()
 
     # ---- conditions ----------------------------------------------------------------------------------
 

@@ -14,7 +14,7 @@ every partner.
 """
 
 import heapq
-from typing import TYPE_CHECKING, Callable, Dict, Hashable, Iterator, List, Optional, Sequence, Set, Tuple
+from typing import TYPE_CHECKING, Callable, Dict, Hashable, Iterator, List, Optional, Sequence, Tuple
 
 from ...prolog.terms.term_traversal import SELF_KEYED, freeze
 from ...prolog.terms.types import Values
@@ -177,25 +177,6 @@ class MatchBuffer:
             self.put_back([expanded.get(match, match) for match in stored])
             self._on_relink()
         return expanded
-
-    def repair(self) -> List[PartialMatch]:
-        """Repair the links of stored matches after an interrupt; return the matches, oldest first."""
-        matches = []
-        for key, newest_match in list(self.newest.items()):
-            # An interrupt may come between any two assignments. The attribute `buffer` decides whether a match is
-            # stored; rings and indices are derived from it.
-            stored_matches = sorted(
-                (match for match in _reachable(newest_match) if match.buffer is self), key=_order
-            )
-            if not stored_matches:
-                del self.newest[key]
-                continue
-            self._build_ring(key, stored_matches)
-            matches += stored_matches
-        self.indices = {}
-        self.by_identity = {}
-        self._on_relink()
-        return sorted(matches, key=_order)
 
     def _build_ring(self, key: Hashable, stored_matches: List[PartialMatch]) -> None:
         """Build the ring of a key from its matches, which are given oldest first."""
@@ -376,19 +357,6 @@ class MatchBuffer:
         if identity_of is not None:
             for match in self.stored_matches():
                 self._identify_match(match)
-
-
-def _reachable(match: PartialMatch) -> Set[PartialMatch]:
-    """Return all matches that can be reached from a match by either link."""
-    reached = {match}
-    stack = [match]
-    while stack:
-        current = stack.pop()
-        for linked in (getattr(current, "older", None), getattr(current, "newer", None)):
-            if linked is not None and linked not in reached:
-                reached.add(linked)
-                stack.append(linked)
-    return reached
 
 
 def _expanded(match: EventMatch) -> PartialMatch:

@@ -217,9 +217,6 @@ class EventMatch:
         """Values from which the key in a buffer is computed."""
         return self.values
 
-    def repair(self) -> None:
-        """Repair the match after an interrupt."""
-
     def after_restore(self) -> None:
         """Set the attributes that follow from the event, or are not used."""
         # A restored match has the attributes of a `PartialMatch`, see `STATE`.

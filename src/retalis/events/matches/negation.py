@@ -346,8 +346,6 @@ class RuledOutSweep:
         latest_end: Dict[Hashable, int] = {}
         for match in surplus:
             latest_end[match.key] = max(match.start, latest_end.get(match.key, match.start))
-        # First operands leave before the negated matches: an interrupt in between must not make a prevented pair
-        # possible.
         if surplus:
             for match in self._ruled_out:
                 if (

@@ -393,17 +393,6 @@ class RunGroupBuffer:
         """Retention time of the sequences in ns; None for no bound."""
         return self._node.retention
 
-    def repair(self) -> List[PartialMatch]:
-        """Repair the groups after an interrupt; return the stored sequences, oldest first."""
-        sequences = []
-        for key, group in list(self._node.groups.items()):
-            cursors = [cursor for _, cursor in group.cursors_by_length()]
-            group.cursor_count = len(cursors)
-            if not cursors:
-                del self._node.groups[key]
-            sequences += cursors
-        return sorted(sequences, key=lambda cursor: cursor.order)
-
 
 NO_ITEMS = NIL
 """End of the list of items of a run; see `RepetitionItems`."""
@@ -436,7 +425,6 @@ class Run(PartialMatch):
         "first",
         "free_vars",
         "node",
-        "_next",
     )
 
     STATE = ObjectFields(
@@ -461,7 +449,6 @@ class Run(PartialMatch):
         self.node = node
         self.first = first
         self.free_vars = tuple([Var() for _ in node.free_vars])
-        self._next: Optional[Tuple[int, Optional[Values], Term, Values, object]] = None
         self.fixed_values: Optional[Values] = None
         self.items: Term = NO_ITEMS
         self.restart(node.initial_state)
@@ -476,28 +463,17 @@ class Run(PartialMatch):
         """The values of the key; see `PartialMatch.values_with_key`."""
         return self.first.values
 
-    def after_restore(self) -> None:
-        """Set the attributes that are not stored."""
-        super().after_restore()
-        self._next = None
-
     def commit(
         self, last: int, fixed_values: Optional[Values], items: Term, values: Values, state: object
     ) -> None:
-        """Extend the run, completely or not at all, even if an interrupt occurs."""
-        # A write-ahead record: an interrupt between the assignments below leaves `_next` set, and `repair` repeats
-        # them.
-        self._next = last, fixed_values, items, values, state
-        self.last, self.fixed_values, self.items, self.values, self.state = self._next
-        self._next = None
-
-    def repair(self) -> None:
-        """Complete an extension that was interrupted."""
-        if self._next is not None:
-            self.commit(*self._next)
-        # An interrupt during unification may leave these variables bound.
-        for var in self.free_vars:
-            var.ref = None
+        """Extend the run by a repetition."""
+        self.last, self.fixed_values, self.items, self.values, self.state = (
+            last,
+            fixed_values,
+            items,
+            values,
+            state,
+        )
 
     def restart(self, state: object) -> None:
         """Reset the run to no repetitions, with the initial state of an accumulator."""

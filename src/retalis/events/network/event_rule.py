@@ -165,8 +165,6 @@ class EventRule(StateOwner):
         window: longest interval that its label allows, in ns; None for no bound.
         idle: time in ns after which the state of a key without new events is dropped; None for no bound.
         listeners: the listeners of its event nodes.
-        is_connected: whether its nodes are connected for the current options; false after an interrupt during
-            `configure`.
         stored_match_count: number of matches that are stored in buffers and run groups.
         arrivals: these, oldest first, together with stale entries. Never assigned again, because generated code
             binds it.
@@ -245,7 +243,6 @@ class EventRule(StateOwner):
         self.skip_state: Optional[AfterMatchSkip] = None
         self.window: Optional[int] = None
         self.idle: Optional[int] = None
-        self.is_connected = False
         self.stored_match_count = 0
         self.dropped_count = 0
         self.metrics = RuleMetrics()
@@ -296,8 +293,6 @@ class EventRule(StateOwner):
         """
         check_policy(options.policy)
         root: Any = self.root
-        # If an interrupt prevents the rest, the rule is configured again before it is used.
-        self.is_connected = False
         self.store_deferred()
         self.options = options
         self.skip_state = skip_state = select_skip_state(self, options)
@@ -347,7 +342,6 @@ class EventRule(StateOwner):
             root.bind_values(completion)
         else:
             root.bind(complete_root, options)
-        self.is_connected = True
 
     def _expand_matches(self) -> None:
         """Replace stored matches that cannot hold all attributes, which tracking sets."""
@@ -457,21 +451,6 @@ class EventRule(StateOwner):
             number < len(checks) and (checks[number](match) if number >= 0 else match.buffer is not None)
             for match, number in chain(zip(matches, buffer_numbers), deferred)
         )
-
-    def repair(self) -> None:
-        """Repair the stored matches after an interrupt."""
-        # The buffers decide which matches are stored; counters and queues are derived from them.
-        stored_matches = [
-            match for node, _, _ in self.nodes for buffer in node.buffers() for match in buffer.repair()
-        ]
-        stored_matches.sort(key=lambda match: match.order)
-        for match in stored_matches:
-            match.repair()
-        self.stored_match_count = len(stored_matches)
-        self._reset_arrivals(stored_matches)
-        self._enqueue_all_expirations()
-        for node, _, _ in self.nodes:
-            node.repair()
 
     def _reset_arrivals(self, stored_matches: List[PartialMatch]) -> None:
         self.arrivals.clear()
@@ -611,10 +590,8 @@ class EventRule(StateOwner):
         for entry in list(self.deferred_matches):
             buffer, match, key = entry
             if only_in is None or buffer is only_in:
-                # Not None if an interrupt came between the next two lines.
-                if match.buffer is None:
-                    buffer.add(match, key)
                 self.deferred_matches.remove(entry)
+                buffer.add(match, key)
 
     def is_ahead(self, end: int) -> bool:
         """Return whether an end is too far ahead of the engine's clock to advance that of the rule."""

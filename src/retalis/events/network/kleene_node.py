@@ -592,7 +592,7 @@ class KleeneNode(KleeneValues):
             except RuleError as error:
                 self.rule.network.report_rule_error(self.rule, error)
                 return False, None
-        # All tests have passed. From here on, an interrupt must not leave the run half extended, see `Run.commit`.
+        # All tests have passed.
         run.commit(last, fixed_values, items, values, state)
         if self.tracks_events:
             run.repetitions.append(match)

@@ -225,9 +225,6 @@ class NetworkNode(StateOwner):
     def clear(self) -> None:
         """Reset the state of the node itself."""
 
-    def repair(self) -> None:
-        """Repair the state of the node itself after an interrupt."""
-
     def stored_count(self) -> int:
         """Return the number of matches in the state of the node itself, besides those in buffers."""
         return 0

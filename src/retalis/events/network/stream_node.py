@@ -102,11 +102,6 @@ class ReentrancyQueue:
         self._deferred_work: Deque[Tuple[Any, DeferredWork]] = deque()
         self.is_running = False
 
-    def clear(self) -> None:
-        """Drop all deferred work, after an interrupt."""
-        self.is_running = False
-        self._deferred_work.clear()
-
     def defer(self, work: DeferredWork) -> None:
         """Defer work."""
         self._deferred_work.append((self._dispatcher.current, work))
@@ -552,21 +547,11 @@ class StreamNode(NetworkNode):
         return True
 
     def _recreate_operator(self) -> None:
-        """Replace the operator by a new one with the same state: for other options, or after an interrupt."""
+        """Replace the operator by a new one with the same state, for other options."""
         saved = self.stream.snapshot()
         self.stream = self._create_operator(self._options or NetworkOptions(), self.rule.meter)
         self.stream.restore(saved)
         self.stream.late_count, self.stream.evicted_count = self.late_count, self.evicted_count
-
-    def repair(self) -> None:
-        """Repair the operator after an interrupt: its state is counted and indexed again."""
-        if self._reentrancy is not None:
-            self._reentrancy.clear()
-            if self._options not in (None, self.rule.options):
-                self._set_options(self.rule.options)
-        self._recreate_operator()
-        self.alarm_instant = None
-        self._set_alarm()
 
     def buffers(self) -> Sequence[OperandBuffer]:
         """Return the buffers of the node."""

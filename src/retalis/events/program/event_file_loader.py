@@ -1,4 +1,4 @@
-"""Loader of event files: read, check, then act, with rollback of a load that fails or is interrupted.
+"""Loader of event files: read, check, then act, with rollback of a load that fails.
 
 1. Read: terms are read and expanded; included files take the place of their directives. Operators are declared in a
    copy of the operator table.
@@ -421,10 +421,27 @@ class EventFileLoader:
     def _check_and_activate(self, check_program: Callable[[Errors], CheckedProgram], errors: Errors) -> None:
         """Check the whole program, then make it take effect; undo everything after an error."""
         loaded = set(self._files.loaded)
+        if self._rollbacks:
+            self._check_then_activate(check_program, errors, loaded)
+            return
+        self._rollbacks = [LoadSavepoint(self._rules, loaded)]
+        try:
+            self._check_then_activate(check_program, errors, loaded)
+        except ProgramErrors:
+            raise
+        except BaseException:
+            # An internal error may come at any step. The first two entries undo nested loads, too.
+            for savepoint in self._rollbacks[:2]:
+                savepoint.restore()
+            raise
+        finally:
+            self._rollbacks = []
+
+    def _check_then_activate(
+        self, check_program: Callable[[Errors], CheckedProgram], errors: Errors, loaded: Set[Path]
+    ) -> None:
+        """Check a program and make it take effect; after an error, restore the state, with the loaded files."""
         rollback: Optional[LoadRollback] = None
-        outermost = not self._rollbacks
-        if outermost:
-            self._rollbacks = [LoadSavepoint(self._rules, loaded)]
         try:
             checked = check_program(errors)
             if errors:
@@ -439,27 +456,14 @@ class EventFileLoader:
                 rollback.restore()
             # Necessary even if nothing took effect, because reading has marked the files as loaded.
             self._files.set_loaded(loaded)
-            if outermost:
-                self._rollbacks = []
             if isinstance(error, ProgramErrors):
                 raise
             raise ProgramErrors([error]) from error
-        if outermost:
-            self._rollbacks = []
 
     @property
     def is_loading(self) -> bool:
         """True while a load is in progress."""
         return bool(self._rollbacks or self._active_files)
-
-    def repair(self) -> None:
-        """Undo a load that was interrupted."""
-        self._active_files.clear()
-        # The first two entries belong to the outermost load; restoring its state undoes nested loads, too.
-        for rollback in self._rollbacks[:2]:
-            rollback.restore()
-        self._rollbacks = []
-        self._deferred_calls = None
 
     def _activate(self, checked: CheckedProgram) -> None:
         self._active_files.append(checked)

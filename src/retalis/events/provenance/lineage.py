@@ -115,17 +115,6 @@ class LineageTracker(StateOwner):
         if self._rules.flags.is_on("revision_flag"):
             self.listeners.append(dispatcher.listen(ListenerPhase.RULES, (REV, Var()), self._retract, (-1,)))
 
-    def repair(self) -> None:
-        """Rebuild the index by term after an interrupt, and complete an interrupted retraction."""
-        self._occurrences_by_term.clear()
-        for occurrence in self._remembered_events:
-            self._occurrences_by_term.setdefault(term_key(occurrence.term), []).append(occurrence)
-            if occurrence.retracted:
-                # A retraction may have been interrupted after marking and before removal.
-                for match in occurrence.dependents:
-                    if isinstance(match, PartialMatch):
-                        match.discard()
-
     @property
     def next_suppressed_number(self) -> int:
         """Number of the next suppressed match."""
@@ -157,7 +146,9 @@ class LineageTracker(StateOwner):
     @stored_events.setter
     def stored_events(self, events: Iterable[Occurrence]) -> None:
         self._remembered_events = deque(events if self._rules.options.tracks_events else ())
-        self.repair()
+        self._occurrences_by_term.clear()
+        for occurrence in self._remembered_events:
+            self._occurrences_by_term.setdefault(term_key(occurrence.term), []).append(occurrence)
 
     def clear(self) -> None:
         """Drop all remembered events."""

@@ -84,7 +84,6 @@ class Flags:
         self._defaults: Dict[str, Term] = {name: flag.default for name, flag in FLAGS.items()}
         self._values = dict(self._defaults)
         self._callbacks: Dict[str, Callable[[float], None]] = {}
-        self._changing: Optional[str] = None
 
     def get(self, name: str) -> Optional[Term]:
         """Return the value of a flag, or None if the flag does not exist."""
@@ -115,11 +114,10 @@ class Flags:
         ):
             raise UsageError(f"{name} takes {flag.description}")
         if value != self._values[name]:
-            # If an interrupt comes before the callbacks have been called, `repair` calls them.
-            self._changing = name
             self._values[name] = value
-            self._notify(name)
-            self._changing = None
+            self._on_change(name)
+            if name in self._callbacks:
+                self._callbacks[name](self.number(name))
 
     def set_default(self, name: str, value: Term) -> None:
         """Set a flag and make the value its default."""
@@ -133,17 +131,6 @@ class Flags:
     def changed_flags(self) -> Dict[str, Term]:
         """Return the flags whose values differ from their defaults."""
         return {name: value for name, value in self._values.items() if value != self._defaults[name]}
-
-    def _notify(self, name: str) -> None:
-        self._on_change(name)
-        if name in self._callbacks:
-            self._callbacks[name](self.number(name))
-
-    def repair(self) -> None:
-        """Call the callbacks of a flag that was being changed when an interrupt came."""
-        if self._changing is not None:
-            self._notify(self._changing)
-            self._changing = None
 
     def reset(self) -> None:
         """Reset all flags to their defaults."""

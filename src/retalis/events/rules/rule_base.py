@@ -24,7 +24,7 @@ from ...serialization.field_types import COUNT
 from ...serialization.state_fields import StateFields, StateOwner, field
 from ..clock.clock import Clock
 from ..dispatch.dispatcher import Dispatcher
-from ..dispatch.listeners import TERM, ListenerPhase
+from ..dispatch.listeners import TERM
 from ..language.called_predicates import calls_in_goals
 from ..language.event_declarations import STRICTLY, UNDECLARED, DeclaredEvents
 from ..language.pattern_parser import no_place
@@ -65,7 +65,8 @@ class RuleIndex:
     def add(self, rule: EventRule) -> None:
         """Add a rule at the end."""
         self._all[rule] = None
-        self._add_to_indexes(rule)
+        self._by_label.setdefault(term_key(label_of(rule)), {})[rule] = None
+        self._by_key.setdefault(rule.definition.key, {})[rule] = None
 
     def discard(self, rule: EventRule) -> bool:
         """Remove a rule; return whether it was present."""
@@ -82,16 +83,6 @@ class RuleIndex:
     def find_equal(self, key: Hashable) -> List[EventRule]:
         """Return the rules with an equal definition; see `RuleDefinition.key`."""
         return list(self._by_key.get(key, ()))
-
-    def repair(self) -> None:
-        """Rebuild the indexes after an interrupt, which may have come between two of their updates."""
-        self._by_label, self._by_key = {}, {}
-        for rule in self._all:
-            self._add_to_indexes(rule)
-
-    def _add_to_indexes(self, rule: EventRule) -> None:
-        self._by_label.setdefault(term_key(label_of(rule)), {})[rule] = None
-        self._by_key.setdefault(rule.definition.key, {})[rule] = None
 
 
 def label_of(rule: EventRule) -> Term:
@@ -332,26 +323,6 @@ class RuleBase(StateOwner):
             self.serial += 1
             rule.serial = self.serial
             self.activate(rule)
-
-    def repair(self) -> None:
-        """Restore consistency after an interrupt: each rule is in all indexes and listens, or does neither."""
-        # The rollback of an interrupted load uses and changes the index, so the index is repaired before and after.
-        self._rule_index.repair()
-        self.loader.repair()
-        self._rule_index.repair()
-        self.flags.repair()
-        # All listeners that no rule owns are removed: an interrupt may have left those of a half-removed rule.
-        owned_listeners = set(self.tracker.listeners)
-        # Each node sets its timeout again.
-        self.node_timers.clear()
-        for rule in self.rules:
-            rule.repair()
-            if not rule.is_connected:
-                self._configure(rule)
-            owned_listeners.update(rule.listeners)
-        self.dispatcher.remove_all_except(ListenerPhase.RULES, owned_listeners)
-        self.tracker.repair()
-        self.timers.repair()
 
     def _rules_equal_to(self, term: Term) -> List[EventRule]:
         checker = FileChecker()

@@ -169,7 +169,7 @@ class NodeTimers:
             raise
         except RetalisError as error:
             node.report_alarm_error(error)
-        # Also after an error or interrupt, otherwise no later alarm would run.
+        # Also after an error, otherwise no later alarm would run.
         finally:
             self._set_alarm()
 
@@ -571,11 +571,8 @@ class Timers(StateOwner):
                 timer.instant -= (timer.instant - instant - 1) // period * period
                 self._set_alarm(timer)
 
-    def repair(self) -> None:
-        """Make each timer have its alarm again, after an interrupt."""
-        # An interrupt may have come between two assignments of `TimerTable.add` or `remove`, so the indexes are
-        # rebuilt.
-        self._active = TimerTable(self)
+    def _set_missing_alarms(self) -> None:
+        """Set the alarm of each timer that has none."""
         alarms = {
             alarm.timer: alarm
             for _, _, alarm in self._rules.clock.alarms
@@ -607,7 +604,7 @@ class Timers(StateOwner):
         self._active, self._inactive = TimerTable(timers.values()), {}
         for timer in removed:
             self._invalidate_alarm(timer)
-        self.repair()
+        self._set_missing_alarms()
 
     @property
     def stored_timers(self) -> List[StoredTimer]:

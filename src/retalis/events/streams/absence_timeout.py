@@ -253,7 +253,7 @@ class AbsenceTimeout(DeadlineOperator):
         """Drop all pending elements that a forbidden one cancels."""
         pending = list(self._find_candidates(key))
         if self.meter is not None:
-            # The work is counted before the loop: an interrupt within it would leave cancelled elements pending.
+            # Counted before the loop: a limit that stopped it would leave cancelled elements pending.
             self.meter(len(pending))
         for element in pending:
             if self._cancels(forbidden, element):

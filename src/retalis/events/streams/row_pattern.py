@@ -803,7 +803,7 @@ class RowPatternWindow(StreamOperator):
             is_consistent = len(partition.completed) == partition.waiting_count()
         except KeyError:
             is_consistent = False
-        # Elements are missing, or an interrupt came between two updates.
+        # Elements are missing.
         if not is_consistent:
             partition.completed.clear()
             partition.states = [self._scanning_state()]

@@ -11,9 +11,6 @@ they are removed, and when a result is emitted:
 
 Elements are removed by lazy deletion: `StreamElement.is_removed` is set, and queues and heaps that index the element
 skip it. `Window._compact` compacts them when more than half of their entries were removed.
-
-An interrupt may stop a method between two statements. Counts are changed before or after a loop such that the next
-call repairs what was not finished.
 """
 
 import heapq
@@ -425,11 +422,9 @@ class Window(StreamOperator):
             del self.states[element.key]
 
     def _clear_key(self, keyed_window: KeyedWindow, key: Hashable) -> None:
-        """Remove all elements of a key at once, in an order that is safe against interrupts."""
+        """Remove all elements of a key at once."""
         del self.states[key]
         self.element_count -= keyed_window.element_count
-        # The key is removed and the count adjusted first: an interrupt in this loop then leaves unmarked elements of
-        # a window that nothing refers to.
         for element in keyed_window.elements:
             element.is_removed = True
 
@@ -540,8 +535,7 @@ class SlidingCountWindow(Window):
         keyed_window = self._most_recent_window(element)
         self._number_element(element)
         self._insert(element, keyed_window)
-        # If an earlier call was interrupted, several elements are removed.
-        while keyed_window.element_count > self.size:
+        if keyed_window.element_count > self.size:
             self.remove(keyed_window.elements[0])
         return self._emit(keyed_window)
 
@@ -565,10 +559,6 @@ class TumblingCountWindow(Window):
     def process(self, element: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.process`."""
         keyed_window = self._most_recent_window(element)
-        # An earlier call was interrupted before it cleared the full window.
-        if keyed_window.element_count >= self.size:
-            self._clear_key(keyed_window, element.key)
-            keyed_window = self._most_recent_window(element)
         self._number_element(element)
         self._insert(element, keyed_window)
         is_full = keyed_window.element_count >= self.size

@@ -321,7 +321,6 @@ def b_setval(machine: Machine, name: Term, value: Term) -> bool:
     """Set a global variable until backtracking."""
     values = machine.logic.globals
     key = atom_of(name).name
-    # The old value is on the trail before the change, so that no interrupt in between can lose it.
     machine.trail.append(_GlobalVariableTrailEntry(values, key))
     values[key] = deref(value)
     return True

@@ -315,16 +315,6 @@ class Tables:
             for key, item in self.declarations_by_functor.items()
         ]
 
-    def repair(self) -> None:
-        """Discard all incomplete evaluations, after an interrupt has ended the goals that ran them."""
-        self.active.clear()
-        self.waiting_tables.clear()
-        self.ready_consumers.clear()
-        self._earlier_members.clear()
-        for table in self.by_call.values():
-            if table.state != "complete":
-                table.reset()
-
     def snapshot(self) -> List[Tuple[Hashable, List[Values], bool]]:
         """Return the complete tables as ``(key, answers, ground)``, without incremental ones; see `restore`."""
         complete = [(key, table) for key, table in self.by_call.items() if table.state == "complete"]

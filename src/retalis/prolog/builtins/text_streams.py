@@ -1,7 +1,7 @@
 """Text streams of Prolog programs: input files, output files, captured output, and their properties.
 
 An input file is read as a whole when it is opened, up to the size limit of files. An output file is opened and closed
-for each write of complete lines. So no file descriptor stays open if a goal is interrupted, and no complete line is
+for each write of complete lines. So no file descriptor stays open if a goal is abandoned, and no complete line is
 lost.
 
 The current output is a stack: a goal that captures its output (``with_output_to/2``) or a stream that is set with
@@ -556,13 +556,6 @@ class ProgramStreams:
                 self.aliases = {alias: index for alias, index in self.aliases.items() if index != number}
         if isinstance(stream, OutputStream):
             stream.flush()
-
-    def repair(self) -> None:
-        """Close all streams, after the goal that opened them has been interrupted."""
-        self.set_output("user_output")
-        self.input = self.user_input
-        self.open_streams.clear()
-        self.aliases.clear()
 
 
 def _read_file(files: "SourceFiles", name: Term, encoding: str) -> Tuple[str, str]:

@@ -252,18 +252,6 @@ class Predicate:
         if self.function_code is not None:
             self.function_code.reset(self)
 
-    def repair(self) -> None:
-        """Rebuild the state derived from the clauses, which an interrupt may have left inconsistent."""
-        if self.is_library_predicate or not (self.kind == "user" or self.clauses):
-            return
-        self.kind = "user"
-        self._drop_retracted_clauses()
-        self.has_only_ground_facts = self.functor.arity > 0 and all(
-            clause.is_ground_fact for clause in self.clauses
-        )
-        self.indexes.clear()
-        self.discard_compiled_code()
-
     def set_tabled(self, hidden: "Predicate", run: Step) -> None:
         """Make the predicate tabled: a step answers calls from tables, and the hidden predicate owns the clauses."""
         self.hidden_predicate = hidden

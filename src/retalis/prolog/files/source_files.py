@@ -17,9 +17,6 @@ from .library_names import file_name
 _OPTIONAL_SUFFIXES = (".pl", ".prolog", ".pro")
 """Suffixes that may be omitted in names of files."""
 
-FilesState = Tuple[Optional[Path], int, bool]
-"""Base folder of relative paths, number of files that are being loaded, and whether they are the program's own."""
-
 
 class SourceFiles:
     """Files of a program.
@@ -75,15 +72,6 @@ class SourceFiles:
         self.omitted.pop(source, None)
         if count:
             self.omitted[source] = count
-
-    def state(self) -> FilesState:
-        """Return the state for `restore`."""
-        return self._base_folder, len(self._open_files), self.sandbox.is_loading
-
-    def restore(self, state: "Optional[FilesState]") -> None:
-        """Restore a state; with None, the state in which nothing is being loaded."""
-        self._base_folder, count, self.sandbox.is_loading = state or (None, 0, False)
-        del self._open_files[count:]
 
     def resolve(self, name: Union[str, "os.PathLike[str]"]) -> Path:
         """Return a path relative to the file that contains the name, or to the base folder of goals.
@@ -220,14 +208,12 @@ class SourceFiles:
         path = _resolve_links(path)
         if path in self._open_files:
             raise UsageError(f"{path.name} loads itself")
-        # The list is cut to its previous length, because an interrupt may come before the entry is added.
-        depth = len(self._open_files)
         self._open_files.append(path)
         self.loaded.add(path)
         try:
             yield
         finally:
-            del self._open_files[depth:]
+            self._open_files.pop()
 
 
 def _resolve_links(path: Path) -> Path:

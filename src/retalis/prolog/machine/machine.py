@@ -377,7 +377,7 @@ class Machine:
         budget.running = budget.running or budget.limited
         mark = len(self.trail)
         # This object marks the position of the run among the choice points: if the caller lets runs overlap, or an
-        # interrupt resets the machine, the position holds another object.
+        # internal error resets the machine, the position holds another object.
         stop = (STOP, mark)
         choices.append(stop)
         try:
@@ -394,7 +394,7 @@ class Machine:
                     )
                 frame = None
         finally:
-            # Otherwise an interrupt has reset the machine, and newer runs may own the choice points.
+            # Otherwise an internal error has reset the machine, and newer runs may own the choice points.
             if len(choices) > base and choices[base] is stop:
                 self._leave(base)
                 del choices[base:]
@@ -409,13 +409,11 @@ class Machine:
         """Notify the guards of a run that it has ended, also for exceptions that no program can catch."""
         choices = self.choices
         while len(choices) > base + 1:
-            entry = choices[-1]
+            entry = choices.pop()
             if entry[0].__class__ is Guard:
                 entry[0].unwind(entry)
             elif entry[0] is self._attempt_code:
                 self.budget.goal = entry[1]
-            # Removed after its notification: an interrupt before it must not lose the entry.
-            del choices[-1:]
 
     def _run_outermost(self, frame: Optional[Frame], goal: Optional[Term]) -> bool:
         """Continue an outermost run; long steps within it check the limits as well."""
@@ -493,8 +491,7 @@ class Machine:
         is_final = getattr(error, "is_final", False)
         while len(choices) > base + 1:
             # Removed before it is handled: the handler may run goals, which push choice points.
-            entry = choices[-1]
-            del choices[-1:]
+            entry = choices.pop()
             code = entry[0]
             if code is self.catch_code:
                 if entry[1].ref is None and not is_final and self._catches(entry, ball):

@@ -318,7 +318,7 @@ class PrologSystem(PredicateTable):
             goal.precompile()
 
     def continue_precompiling(self, goals: Optional[List[CompiledGoal]]) -> None:
-        """Return to the goals that were compiled before an interrupted load; None outside of `precompiling_goals`."""
+        """Return to the goals that were compiled before a failed load; None outside of `precompiling_goals`."""
         self.new_goals = goals
 
     def once(self, goal: Term, reported_goal: Optional[Term] = None) -> bool:
