@@ -15,7 +15,7 @@ terms (`FlatKey`).
 
 from functools import lru_cache
 from itertools import chain
-from typing import Any, Callable, Dict, List, Tuple
+from typing import Any, Callable, Dict, Iterable, List, Sequence, Tuple
 
 import msgpack
 
@@ -87,7 +87,7 @@ def _encode_signed(number: int) -> bytes:
 
 
 @lru_cache(maxsize=1024)
-def _make_extension(code: int, number: int) -> Any:
+def _make_extension(code: int, number: int) -> object:
     """Return an extension type. Low numbers occur in every state, and msgpack checks each new object."""
     return msgpack.ExtType(code, _encode_index(number))
 
@@ -95,7 +95,7 @@ def _make_extension(code: int, number: int) -> Any:
 # ---- encoding ----------------------------------------------------------------------------------------
 
 
-class _SymbolTable(Dict[Any, Any]):
+class _SymbolTable(Dict[object, object]):
     """Extension types of atoms, functors and the like, created on first lookup."""
 
     def __init__(self) -> None:
@@ -105,37 +105,36 @@ class _SymbolTable(Dict[Any, Any]):
         self.arities: List[int] = []
         self._variable_count = 0
 
-    def __missing__(self, value: Any) -> Any:
+    def __missing__(self, value: object) -> object:
         # MessagePack looks up each value that it cannot encode; this is called on the first lookup only.
-        value_class = value.__class__
-        if value_class is Atom:
+        if isinstance(value, Atom):
             extension = _make_extension(_ATOM, len(self.atoms))
             self.atoms.append(value.name)
-        elif value_class is Functor:
+        elif isinstance(value, Functor):
             extension = _make_extension(_FUNCTOR, len(self.names))
             self.names.append(value.name)
             self.arities.append(value.arity)
-        elif value_class is Ref:
+        elif isinstance(value, Ref):
             extension = msgpack.ExtType(_REF, _encode_index(value.number))
-        elif value_class is Var and value.ref is None:
+        elif isinstance(value, Var) and value.ref is None:
             extension = _make_extension(_VARIABLE, self._variable_count)
             self._variable_count += 1
-        elif value_class is String:
+        elif isinstance(value, String):
             return msgpack.ExtType(_STRING, value.text.encode("utf-8", "surrogatepass"))
-        elif value_class is int:
+        elif isinstance(value, int):
             # MessagePack encodes integers of at most 64 bits.
             return msgpack.ExtType(_LONG_INTEGER, _encode_signed(value))
         # A bound variable is not stored: it may be bound to another value in the next term.
-        elif value_class is Var or value_class is Lazy:
+        elif isinstance(value, (Var, Lazy)):
             return self.lookup(deref(value))
         elif value in _MARKERS:
             extension = msgpack.ExtType(_MARKER, _encode_index(_MARKERS.index(value)))
         else:
-            raise TypeError(f"{value_class.__name__} cannot be stored in a state")
+            raise TypeError(f"{type(value).__name__} cannot be stored in a state")
         self[value] = extension
         return extension
 
-    def lookup(self, value: Any) -> Any:
+    def lookup(self, value: object) -> object:
         """Return the value that MessagePack encodes for a dereferenced value."""
         if value.__class__ in (Atom, Functor, String, Var) or (
             value.__class__ is int and value.bit_length() > 63
@@ -144,13 +143,13 @@ class _SymbolTable(Dict[Any, Any]):
         return value
 
 
-def to_bytes(data: Any) -> bytes:
+def to_bytes(data: object) -> bytes:
     """Return the encoding of data.
 
     Raises:
         UsageError: if the data contains a cyclic term.
     """
-    nodes: List[Any] = []
+    nodes: List[object] = []
     # The general encoder visits every item in Python, and is needed for few states.
     if not _is_simple(data):
         data = _extract_nodes(data, nodes)
@@ -160,13 +159,13 @@ def to_bytes(data: Any) -> bytes:
     return b"".join((packer.pack((table.atoms, table.names, table.arities, len(nodes))), *body))
 
 
-def _is_simple(data: Any) -> bool:
+def _is_simple(data: object) -> bool:
     """Return whether data can be encoded inline: shallow, with little repeated use, and without formatted instants.
 
     Memories have thousands of records, so items are examined level by level with functions that are implemented in C.
     Repeated use is estimated from the first `_SHARING_SAMPLE` sequences of each level.
     """
-    level: List[Any] = [[data]]
+    level: List[Sequence[object]] = [[data]]
     max_items = _MAX_UNSHARED_ITEMS
     for depth in range(_MAX_NESTING):
         size = sum(map(len, level))
@@ -179,33 +178,32 @@ def _is_simple(data: Any) -> bool:
         if classes <= _LEAVES:
             return True
         if classes <= _IN_TERMS:
-            level = [item for item in chain.from_iterable(level) if item.__class__ is tuple and item]
+            level = [item for item in chain.from_iterable(level) if type(item) is tuple and item]
         else:
-            items: Any = chain.from_iterable(level)
+            items: Iterable[object] = chain.from_iterable(level)
             if Var in classes or Lazy in classes:
-                items = [deref(item) if item.__class__ in (Var, Lazy) else item for item in items]
+                items = [deref(item) if isinstance(item, (Var, Lazy)) else item for item in items]
                 classes = set(map(type, items)) - {Var}
             if not all(issubclass(item_class, tuple) for item_class in classes - _PLAIN):
                 return False
-            sequences = {item_class for item_class in classes if issubclass(item_class, (tuple, list))}
-            level = [item for item in items if item.__class__ in sequences and item]
+            level = [item for item in items if isinstance(item, (tuple, list)) and item]
         sample = level if depth < _ENGINE_LEVELS else level[:_SHARING_SAMPLE]
         if len(sample) > _SHORT_SEQUENCE and 10 * len(set(map(id, sample))) < 9 * len(sample):
             return False
     return False
 
 
-def _list_children(container: Any) -> List[Any]:
+def _list_children(container: Any) -> List[object]:
     """Return the items of a sequence, or the term of a stamp."""
-    children: List[Any] = [container.term] if container.__class__ is Stamp else container
+    children: Sequence[Any] = [container.term] if container.__class__ is Stamp else container
     return [deref(item) if item.__class__ in (Var, Lazy) else item for item in children]
 
 
-def _is_container(value: Any) -> bool:
+def _is_container(value: object) -> bool:
     return (isinstance(value, (tuple, list)) and bool(value)) or value.__class__ is Stamp
 
 
-def _extract_nodes(data: Any, nodes: List[Any]) -> Any:
+def _extract_nodes(data: object, nodes: List[object]) -> object:
     """Return data in which sequences that are used repeatedly or nested too deeply are references to nodes.
 
     Args:
@@ -218,11 +216,11 @@ def _extract_nodes(data: Any, nodes: List[Any]) -> Any:
     if not _is_container(data):
         return data
     # The replacement of each sequence by its id; None while its items are being processed, which detects cycles.
-    replacements: Dict[int, Any] = {}
+    replacements: Dict[int, object] = {}
     depths: Dict[int, int] = {}
     uses, children_of = _count_uses(data)
     # An explicit stack: lists in Prolog are nested as deeply as they are long.
-    stack: List[Tuple[Any, bool]] = [(data, False)]
+    stack: List[Tuple[object, bool]] = [(data, False)]
     while stack:
         sequence, items_are_done = stack.pop()
         children = children_of[id(sequence)]
@@ -257,7 +255,7 @@ def _extract_nodes(data: Any, nodes: List[Any]) -> Any:
     return replacements[id(data)]
 
 
-def _replace_children(sequence: Any, parts: List[Any], replacements: Dict[int, Any]) -> List[Any]:
+def _replace_children(sequence: object, parts: List[object], replacements: Dict[int, object]) -> List[object]:
     """Return the items of a sequence with nested sequences replaced; instants in terms become integers."""
     if sequence.__class__ is tuple and parts[0].__class__ is Functor and parts[0].name != ITEM_FUNCTOR_NAME:
         parts = [int(part) if part.__class__ in (FloatSeconds, Stamp) else part for part in parts]
@@ -271,10 +269,10 @@ def _replace_children(sequence: Any, parts: List[Any], replacements: Dict[int, A
     ]
 
 
-def _count_uses(data: Any) -> Tuple[Dict[int, int], Dict[int, List[Any]]]:
+def _count_uses(data: object) -> Tuple[Dict[int, int], Dict[int, List[object]]]:
     """Return the number of uses and the items of each sequence, by its id."""
     uses: Dict[int, int] = {}
-    parts: Dict[int, List[Any]] = {}
+    parts: Dict[int, List[object]] = {}
     stack = [data]
     while stack:
         sequence = stack.pop()
@@ -298,9 +296,9 @@ class _StateReader:
         self._functors: Dict[bytes, Functor] = {}
         self._variables: Dict[int, Var] = {}
         self._refs: Dict[int, Ref] = {}
-        self._nodes: List[Any] = []
+        self._nodes: List[object] = []
 
-    def read(self, data: bytes) -> Any:
+    def read(self, data: bytes) -> object:
         """Return the decoded data."""
         # Counted first, see `_count_objects`.
         object_count = _count_objects(data)
@@ -326,27 +324,27 @@ class _StateReader:
             self._nodes.append(unpacker.unpack())
         return unpacker.unpack()
 
-    def _decode_sequence(self, items: Any) -> Any:
+    def _decode_sequence(self, items: List[object]) -> object:
         """Return a compound term as a tuple, a key of a term as a `FlatKey`, and any other sequence as a list."""
         if not items:
             return items
-        first = items[0].__class__
-        if first is Functor:
+        first = items[0]
+        if isinstance(first, Functor):
             # A functor with another number of arguments would break code that relies on the arity.
-            if len(items) == items[0].arity + 1 and (
+            if len(items) == first.arity + 1 and (
                 _TERMS.issuperset(map(type, items[1:]))
-                or (items[0].name == ITEM_FUNCTOR_NAME and _VALUES.issuperset(map(type, items[1:])))
+                or (first.name == ITEM_FUNCTOR_NAME and _VALUES.issuperset(map(type, items[1:])))
             ):
                 return tuple(items)
             if _IN_KEYS.issuperset(map(type, items)):
                 return FlatKey(items)
-        elif first is type and (
-            _IN_KEYS.issuperset(map(type, items)) if items[0] is Var else len(items) == 2
+        elif isinstance(first, type) and (
+            _IN_KEYS.issuperset(map(type, items)) if first is Var else len(items) == 2
         ):
             return FlatKey(items)
         return items
 
-    def _decode_extension(self, code: int, data: bytes) -> Any:
+    def _decode_extension(self, code: int, data: bytes) -> object:
         """Return the value of an extension type."""
         if code == _ATOM:
             return self._atoms[data]
@@ -364,7 +362,7 @@ class _StateReader:
             return Stamp.of(int.from_bytes(data[4:], "little", signed=True), term)
         return self._decode_numbered(code, int.from_bytes(data, "little"))
 
-    def _decode_numbered(self, code: int, number: int) -> Any:
+    def _decode_numbered(self, code: int, number: int) -> object:
         """Return the value of an extension type with a number."""
         if code == _NODE:
             return self._nodes[number]
@@ -378,7 +376,7 @@ class _StateReader:
         raise UsageError(f"extension type {code} is unknown")
 
 
-def _create_unpacker(data: bytes, sequence_hook: Any = None, extension_hook: Any = None) -> Any:
+def _create_unpacker(data: bytes, sequence_hook: object = None, extension_hook: object = None) -> Any:
     """Return a MessagePack decoder for untrusted data."""
     # No object can be larger than the data. Without these limits, a false length would allocate memory.
     max_size = max(len(data), 1)
@@ -415,7 +413,7 @@ def _count_objects(data: bytes) -> int:
     return count
 
 
-def from_bytes(data: bytes) -> Any:
+def from_bytes(data: bytes) -> object:
     """Return decoded data; the module docstring describes its types.
 
     Raises:

@@ -9,7 +9,7 @@ dictionary encoding of Apache Parquet. Columns are created and read with functio
 from itertools import chain, repeat
 from operator import is_, itemgetter
 from struct import pack, unpack
-from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from ..prolog.terms.timestamps import FloatSeconds, Stamp
 from ..prolog.terms.types import Atom, Term
@@ -22,7 +22,6 @@ from .field_types import (
     TERM,
     PlainType,
     ReadContext,
-    Untyped,
     decode_instants,
     encode_instants,
     invalid_value,
@@ -61,7 +60,7 @@ def encode_terms(terms: List[Term]) -> List[object]:
 
 def _encode_part(
     terms: List[Term], depth: int = 0, column_budget: Optional[List[None]] = None
-) -> List[Untyped]:
+) -> List[object]:
     """Return the encoding of terms: as columns of their arguments if all have the same functor.
 
     Columns of floats are packed. A column with repeated objects, such as atoms, is encoded as indexes into a list of
@@ -70,7 +69,7 @@ def _encode_part(
     column_budget = [None] * _MAX_COLUMNS if column_budget is None else column_budget
     if len(terms) < _MIN_COLUMN_TERMS:
         return _encode_list(terms)
-    column: Untyped = terms
+    column: Any = terms
     first_class = column[0].__class__
     if first_class is float:
         if set(map(type, column)) == {float}:
@@ -98,7 +97,7 @@ def _encode_part(
     return _encode_list(terms)
 
 
-def _encode_list(terms: List[Term]) -> List[Untyped]:
+def _encode_list(terms: List[Term]) -> List[object]:
     """Return terms as a list, with instants as integers."""
     classes = set(map(type, terms))
     if FloatSeconds in classes or Stamp in classes:
@@ -107,8 +106,8 @@ def _encode_list(terms: List[Term]) -> List[Untyped]:
 
 
 def _encode_indexed(
-    terms: List[Term], distinct: Dict[Untyped, Untyped], keys: Optional[List[int]] = None
-) -> List[Untyped]:
+    terms: List[Term], distinct: Dict[Any, Any], keys: Optional[List[int]] = None
+) -> List[object]:
     """Return terms as positions in the list of distinct terms.
 
     Args:
@@ -126,7 +125,7 @@ def _encode_indexed(
     return ["indexed", _encode_list(list(distinct.values() if keys else distinct))[1], packed]
 
 
-def _flatten_terms(terms: Sequence[Untyped]) -> Optional[List[Untyped]]:
+def _flatten_terms(terms: Sequence[Any]) -> Optional[List[Any]]:
     """Return functors and arguments of compound terms in one list, or None if the functors differ.
 
     Functors only occur as the first item of a term. Therefore all terms have the functor that is found at each
@@ -224,7 +223,7 @@ class MemoryRecords(NamedTuple):
         return self.slice(len(self.records), len(self.records))
 
 
-def are_same_instants(first: Sequence[Untyped], second: Sequence[Untyped]) -> bool:
+def are_same_instants(first: Sequence[object], second: Sequence[object]) -> bool:
     """Return whether two columns of instants are equal and print alike."""
     # Stamps print their own terms, so equal times do not suffice.
     return first == second and (

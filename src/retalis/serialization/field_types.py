@@ -187,7 +187,7 @@ class FieldType:
             return lambda column, numbers: check_items(items_of(column), check)
         objects = objects_of(context)
 
-        def check_column(column: object, numbers: Sequence[int]) -> Sequence[Untyped]:
+        def check_column(column: object, numbers: Sequence[int]) -> Sequence[object]:
             values = []
             for number, value in zip(numbers, items_of(column)):
                 objects.current_sources = objects.sources_of(number)
@@ -196,7 +196,7 @@ class FieldType:
 
         return check_column
 
-    def encode_column(self, graph: ObjectWriter, values: List[Untyped]) -> object:
+    def encode_column(self, graph: ObjectWriter, values: List[object]) -> object:
         """Return the encoding of a column."""
         encode = self.encoder(graph)
         return values if encode is None else list(map(encode, values))
@@ -235,7 +235,7 @@ class PlainType(FieldType):
         """See `FieldType.checker`."""
         return self._check
 
-    def check_all(self, values: Sequence[object]) -> Sequence[Untyped]:
+    def check_all(self, values: Sequence[object]) -> Sequence[object]:
         """Return checked values."""
         # Columns have thousands of values: their classes are compared by functions that are implemented in C.
         return values if self.classes.issuperset(map(type, values)) else check_items(values, self._check)
@@ -361,7 +361,7 @@ class _IntegerType(PlainType):
         self._minimum = minimum
         self._maximum = maximum
 
-    def check_all(self, values: Sequence[Untyped]) -> Sequence[Untyped]:
+    def check_all(self, values: Sequence[Untyped]) -> Sequence[object]:
         """See `PlainType.check_all`."""
         if set(map(type, values)) == {int} and self._minimum <= min(values) and max(values) <= self._maximum:
             return values
@@ -469,7 +469,7 @@ class _InstantType(PlainType):
 
         return check_column
 
-    def encode_column(self, graph: ObjectWriter, values: List[Untyped]) -> object:
+    def encode_column(self, graph: ObjectWriter, values: List[object]) -> object:
         """See `FieldType.encode_column`."""
         return encode_instants(values)
 
@@ -528,7 +528,7 @@ class sequence_of(FieldType):  # noqa: N801
     """
 
     def __init__(
-        self, content: FieldType, make: Callable[[List[Untyped]], Untyped] = list, min_count: int = 0
+        self, content: FieldType, make: Callable[[List[object]], Untyped] = list, min_count: int = 0
     ):
         self.name = f"a sequence of [{content.name}]"
         self._content = content
@@ -609,7 +609,7 @@ class mapping_of(FieldType):  # noqa: N801
         """See `FieldType.checker`."""
         check_pairs = self._pairs.checker(context)
 
-        def check_mapping(value: object) -> Dict[Untyped, Untyped]:
+        def check_mapping(value: object) -> Dict[object, object]:
             pairs = check_pairs(value)
             result = dict(pairs)
             if len(result) != len(pairs):
@@ -723,7 +723,7 @@ class reference(FieldType):  # noqa: N801
         objects = objects_of(context)
         kinds, is_source, is_optional = self._kinds, self._is_source, self._is_optional
 
-        def check_column(column: object, numbers: Sequence[int]) -> Sequence[Untyped]:
+        def check_column(column: object, numbers: Sequence[int]) -> Sequence[object]:
             referenced = items_of(column)
             present = [number for number in referenced if number is not None]
             found = objects.objects_by_number(present, kinds)
@@ -740,7 +740,7 @@ class reference(FieldType):  # noqa: N801
 
         return check_column
 
-    def encode_column(self, graph: ObjectWriter, values: List[Untyped]) -> object:
+    def encode_column(self, graph: ObjectWriter, values: List[object]) -> object:
         """See `FieldType.encode_column`."""
         # A column has numbers, which need less space than references.
         if self._accepts is not None:

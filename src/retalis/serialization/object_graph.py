@@ -29,7 +29,6 @@ from .field_types import (
     FieldChange,
     FieldType,
     ReadContext,
-    Untyped,
     ValueCheck,
     check_items,
     invalid_value,
@@ -76,7 +75,7 @@ class ObjectWriter:
             if each is written itself.
     """
 
-    def __init__(self, external: ExternalObjects, replace: Optional[Callable[[Untyped], object]] = None):
+    def __init__(self, external: ExternalObjects, replace: Optional[Callable[[object], object]] = None):
         self._external = external
         self._replace = replace
         self._numbers: Dict[int, int] = {}
@@ -89,7 +88,7 @@ class ObjectWriter:
         self._is_object_class: Dict[type, bool] = {}
         self._kind_by_class: Dict[type, str] = {}
 
-    def is_object(self, item: Untyped) -> bool:
+    def is_object(self, item: object) -> bool:
         """Return whether a value is an object of the graph, and not data."""
         item_class = type(item)
         known = self._is_object_class.get(item_class)
@@ -215,7 +214,7 @@ class ObjectReader:
         self.current_sources: List[int] = []
         self._external = external
         self._context = ReadContext(self, changes)
-        self._objects: List[Untyped] = []
+        self._objects: List[object] = []
         self._sources: DefaultDict[int, List[int]] = defaultdict(list)
         kinds, codes, columns_by_kind = _HEAD.check(value)
         if type(codes) is not bytes or (codes and max(codes) >= len(kinds)) or len(set(kinds)) != len(kinds):
@@ -265,7 +264,7 @@ class ObjectReader:
 
         return check
 
-    def objects_by_number(self, values: Sequence[object], kinds: Sequence[str]) -> List[Untyped]:
+    def objects_by_number(self, values: Sequence[object], kinds: Sequence[str]) -> List[object]:
         """Return the objects of some kinds with the given numbers."""
         numbers: Sequence[int] = COUNT.column_checker(NO_CONTEXT)(values, ())
         is_in_range = max(numbers, default=-1) < len(self._codes)
@@ -303,11 +302,11 @@ class ObjectReader:
         return numbers_by_kind
 
     def _set_attributes(
-        self, kind: str, objects: Sequence[Untyped], numbers: Sequence[int], stored: object
+        self, kind: str, objects: Sequence[object], numbers: Sequence[int], stored: object
     ) -> None:
         """Check the columns of a kind and set the attributes of its objects."""
         _, state_fields = KINDS[kind]
-        columns: Dict[str, Sequence[Untyped]] = {}
+        columns: Dict[str, Sequence[object]] = {}
         try:
             mapping = state_fields.mapping_of(stored, self._context)
         except UsageError as error:
@@ -327,8 +326,8 @@ class ObjectReader:
         column: object,
         objects: Sequence[object],
         numbers: Sequence[int],
-        earlier_columns: Mapping[str, Sequence[Untyped]],
-    ) -> Sequence[Untyped]:
+        earlier_columns: Mapping[str, Sequence[object]],
+    ) -> Sequence[object]:
         """Return the values of a field; its type may depend on fields that have been set before."""
         if column is None and entry.same_as is not None:
             return earlier_columns[entry.same_as]
@@ -341,7 +340,7 @@ class ObjectReader:
         if len(values) != len(objects):
             raise invalid_value(len(values), f"{len(objects)} values")
         type_for = entry.type
-        checked: List[Untyped] = check_items(
+        checked: List[object] = check_items(
             zip(objects, values),
             lambda pair: type_for(pair[0]).checker(self._context)(pair[1]),  # type: ignore[index]
         )

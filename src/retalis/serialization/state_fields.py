@@ -182,7 +182,7 @@ _PAIRS = mapping_of(TEXT, PlainType("any value", lambda value: value))
 
 def check_column(
     content: FieldType, column: object, numbers: Sequence[int], context: ReadContext
-) -> Sequence[Untyped]:
+) -> Sequence[object]:
     """Return the values of a column for objects or rows with the given numbers."""
     if isinstance(column, SameForAll):
         return [content.checker(context)(column.value)] * len(numbers) if numbers else []
@@ -358,12 +358,12 @@ class rows_of(FieldType, FieldList):  # noqa: N801
     def checker(self, context: ReadContext) -> ValueCheck:
         """See `FieldType.checker`."""
 
-        def check(value: object) -> List[Untyped]:
+        def check(value: object) -> List[object]:
             row_count, stored = _TABLE.check(value)
             if not row_count and not stored:
                 return []
             mapping = self.mapping_of(stored, context)
-            columns: Dict[str, Sequence[Untyped]] = {}
+            columns: Dict[str, Sequence[object]] = {}
             # Columns of the file first: their lengths are checked before a value is repeated for an added field.
             for entry in sorted(self.fields, key=lambda entry: isinstance(mapping[entry.name], SameForAll)):
                 content = entry.type_for(None)
@@ -378,7 +378,7 @@ class rows_of(FieldType, FieldList):  # noqa: N801
     def encoder(self, graph: ObjectWriter) -> Encode:
         """See `FieldType.encoder`."""
 
-        def encode(rows: Sequence[Untyped]) -> List[object]:
+        def encode(rows: Sequence[object]) -> List[object]:
             if not rows:
                 return [0, []]
             columns = list(zip(*rows))
