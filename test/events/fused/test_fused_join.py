@@ -117,7 +117,7 @@ def rule_state(engine, rule):
             order,
             node_position,
         )
-        for match, node_position, order in zip(*rule.snapshot().arrivals)
+        for match, node_position, order in zip(*rule.stored_arrivals)
     ]
     return (
         matches,

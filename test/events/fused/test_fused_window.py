@@ -62,7 +62,7 @@ def run_program(text, events, max_stored):
         now += step
         engine.event_at(X(key, x, y), (now - length) * SECOND, now * SECOND)
     [event_rule] = rules.rules
-    clock, following, late_count, order, groups = window_of(rules).snapshot()[0]
+    clock, following, late_count, order, groups = window_of(rules).snapshot()["stream"].values()
     elements = [
         [(element.start, element.end, str(element.values), element.order) for element in members]
         for _, members in groups
