@@ -80,7 +80,13 @@ class Clock(StateOwner):
 
     @property
     def next_order(self) -> int:
-        """Order of the next alarm; later alarms come after those that are set again with their old order."""
+        """Order of the next alarm; later alarms come after those that are set again with their old order.
+
+        >>> clock = Clock()
+        >>> clock.call_at(2_000_000_000, print)
+        >>> clock.next_order
+        1
+        """
         # `count` has no way to read its next value without taking it.
         order = next(self._order)
         self._order = count(order)
@@ -92,7 +98,11 @@ class Clock(StateOwner):
 
     @property
     def stream_time(self) -> Optional[int]:
-        """None: the time of this clock comes from its source."""
+        """None: the time of this clock comes from its source.
+
+        >>> Clock().stream_time is None
+        True
+        """
         return None
 
     @stream_time.setter
@@ -101,7 +111,11 @@ class Clock(StateOwner):
 
     @property
     def pinned_time(self) -> Optional[int]:
-        """None: the time of this clock comes from its source."""
+        """None: the time of this clock comes from its source.
+
+        >>> Clock().pinned_time is None
+        True
+        """
         return None
 
     @pinned_time.setter
@@ -366,7 +380,13 @@ class StreamClock(Clock):
 
     @property
     def pinned_time(self) -> Optional[int]:
-        """The constant time of the clock in ns, if it is pinned."""
+        """The constant time of the clock in ns, if it is pinned.
+
+        >>> clock = StreamClock(7)
+        >>> clock.pin(1_000_000_000)
+        >>> clock.pinned_time
+        1000000000
+        """
         return self._pinned if self.is_set else None
 
     @pinned_time.setter
