@@ -157,9 +157,12 @@ def with_replaced(data, name, value):
     """Return data in which the fields of a name have another value."""
     if not isinstance(data, list):
         return data
-    if len(data) == 2 and data[0] == name:
-        return [name, value]
-    return [with_replaced(item, name, value) for item in data]
+    items = [with_replaced(item, name, value) for item in data]
+    # Names and values are stored in turn.
+    for position in range(0, len(data) - 1, 2):
+        if data[position] == name:
+            items[position + 1] = value
+    return items
 
 
 @pytest.mark.usefixtures("extensions")

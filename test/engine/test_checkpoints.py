@@ -12,6 +12,7 @@ from zlib import crc32
 
 import pytest
 from python_path import python_path
+from serialization.stored_fields import fields_of, to_fields
 
 from retalis import Engine, Reports, Settings, StreamClock, UsageError, explain
 from retalis.engine.checkpoints import (
@@ -259,15 +260,15 @@ def test_other_database_is_refused(folder, statements, message):
     [
         (lambda old: b"\x80\x04}\x94.", "format 5 or older, a pickle, which is never read"),
         (
-            lambda old: to_bytes(list({**old, "written_at": "abc"}.items())),
+            lambda old: to_bytes(to_fields({**old, "written_at": "abc"})),
             "written_at: 'abc': expected a number of seconds",
         ),
-        (lambda old: to_bytes(list({**old, "files": [["x"]]}.items())), "files: .*expected 2 items"),
+        (lambda old: to_bytes(to_fields({**old, "files": [["x"]]})), "files: .*expected 2 items"),
         (
-            lambda old: to_bytes(list({**old, "format": 99}.items())),
+            lambda old: to_bytes(to_fields({**old, "format": 99})),
             "format 99: this version reads format 11",
         ),
-        (lambda old: to_bytes(list({**old, "memories": old["memories"] * 2}.items())), "two memories"),
+        (lambda old: to_bytes(to_fields({**old, "memories": old["memories"] * 2})), "two memories"),
     ],
 )
 def test_invalid_description_is_refused(folder, about, message):
@@ -275,7 +276,7 @@ def test_invalid_description_is_refused(folder, about, message):
     checkpointer.stop()
     base = sqlite3.connect(str(folder / "state.db"), isolation_level=None)
     ((old,),) = base.execute("SELECT data FROM sections WHERE name = 'about'").fetchall()
-    data = about(dict(from_bytes(old)))
+    data = about(fields_of(from_bytes(old)))
     base.execute("UPDATE sections SET data = ?, checked = ? WHERE name = 'about'", (data, crc32(data)))
     base.close()
     with pytest.raises(UsageError, match=message):
@@ -564,8 +565,9 @@ from pathlib import Path
 from retalis.engine.checkpoints import read_checkpoint
 path = Path(sys.argv[1])
 assert not os.access(path.parent, os.W_OK)
-run = dict(read_checkpoint(path).sections["run"])
-print(dict(run["event_input"])["event_count"], sorted(os.listdir(path.parent)))
+run = read_checkpoint(path).sections["run"]
+event_input = run[run.index("event_input") + 1]
+print(event_input[event_input.index("event_count") + 1], sorted(os.listdir(path.parent)))
 """
 
 

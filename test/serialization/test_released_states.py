@@ -4,6 +4,7 @@ import json
 
 import pytest
 from serialization.released_states import FLAGS, FOLDER, continued_outputs, engine_with_state
+from serialization.stored_fields import fields_of
 
 from retalis import Engine, UsageError
 from retalis.serialization.codec import from_bytes, to_bytes
@@ -53,7 +54,7 @@ def test_states_of_release_have_all_records(monkeypatch):
     for flags in FLAGS:
         data = state_of(RELEASES[-1], flags)
         Engine.restore(data)
-        kinds.update(dict(from_bytes(unpack_sections(data).sections["matches"]))["objects"][0])
+        kinds.update(fields_of(from_bytes(unpack_sections(data).sections["matches"]))["objects"][0])
     assert kinds >= set(KINDS)
     assert {owner.STATE.record_name for owner in state_owners()} - checked == set()
 
@@ -91,8 +92,8 @@ OLDER_FORMATS = {
 
 def with_older_fields(fields):
     """Return stored fields as the oldest of the made-up formats would have them."""
-    names = [name for name, _ in fields]
-    older = dict(fields)
+    older = fields_of(fields)
+    names = list(older)
     if "dropped_alarm_count" in names:
         older["lost_alarms"] = older.pop("dropped_alarm_count")
         older["colour"] = "red"
@@ -105,15 +106,16 @@ def with_older_fields(fields):
         del older["consumed_by"]
     if "behind" in names:
         older["behind"] = int(older["behind"])
-    return [[name, as_older(value)] for name, value in older.items()]
+    return [item for name, value in older.items() for item in (name, as_older(value))]
 
 
 def as_older(data):
     """Return the data of a section as the oldest of the made-up formats would have it."""
     if not isinstance(data, list):
         return data
-    has_fields = all(isinstance(item, list) and len(item) == 2 and isinstance(item[0], str) for item in data)
-    if has_fields and len(dict(data)) == len(data):
+    names = data[::2]
+    has_fields = 2 * len(names) == len(data) and all(isinstance(name, str) for name in names)
+    if has_fields and len(set(names)) == len(names):
         return with_older_fields(data)
     return [as_older(item) for item in data]
 

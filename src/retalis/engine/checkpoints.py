@@ -38,12 +38,11 @@ from ..serialization.field_types import (
     TEXT,
     ReadContext,
     compact_record_of,
-    mapping_of,
     sequence_of,
     tuple_of,
     with_path,
 )
-from ..serialization.state_fields import record_of
+from ..serialization.state_fields import read_named_values, record_of
 from ..serialization.state_file_format import FORMAT_NUMBER, changes_since, check_version
 from .deployment_contents import Deployment
 from .engine import Engine
@@ -435,9 +434,9 @@ def _read_header(data: bytes) -> CheckpointHeader:
         )
     fields = from_bytes(data)
     # The version is checked before the full schema: a file of another version has other fields.
-    unchecked = mapping_of(TEXT, ANYTHING).check(fields)
-    check_version(unchecked.get("format"), unchecked.get("byte_order"))
-    context = ReadContext(changes=changes_since(unchecked["format"]))
+    unchecked = read_named_values(fields)
+    format_number = check_version(unchecked.get("format"), unchecked.get("byte_order"))
+    context = ReadContext(changes=changes_since(format_number))
     header: CheckpointHeader = with_path("section about", _HEADER.checker(context))(fields)
     return header
 

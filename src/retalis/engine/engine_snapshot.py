@@ -37,7 +37,6 @@ from ..prolog.terms.types import Functor, Term
 from ..serialization.codec import from_bytes, to_bytes
 from ..serialization.columns import DecodedRecords, MemoryRecords, encode_records
 from ..serialization.field_types import (
-    ANYTHING,
     BOOLEAN,
     CALLABLE_TERM,
     COUNT,
@@ -54,7 +53,16 @@ from ..serialization.field_types import (
     sequence_of,
     with_path,
 )
-from ..serialization.state_fields import StateFields, StateOwner, constraint, field, part, record_of, rows_of
+from ..serialization.state_fields import (
+    StateFields,
+    StateOwner,
+    constraint,
+    field,
+    part,
+    read_named_values,
+    record_of,
+    rows_of,
+)
 from .deployment_contents import DEPLOYMENTS, StoredDeployment, restore_deployments, save_deployments
 from .event_input import TopicRequest
 from .network_state import (
@@ -450,7 +458,7 @@ def create_clock(run_section: object) -> Optional[StreamClock]:
     Returns:
         A `StreamClock`, or None for the default clock of an engine, which follows the timestamps of events.
     """
-    fields = with_path("section run", mapping_of(TEXT, ANYTHING).check)(run_section)
+    fields = with_path("section run", read_named_values)(run_section)
     return None if BOOLEAN.check(fields.get("clock_follows_events", False)) else StreamClock()
 
 

@@ -28,7 +28,7 @@ from .field_types import (
     items_of,
     with_path,
 )
-from .state_fields import record_of
+from .state_fields import named_values, record_of
 
 _MIN_COLUMN_TERMS, _MAX_COLUMN_DEPTH, _MAX_COLUMNS = 50, 4, 64
 """Minimum number of terms that are encoded in columns; maximum nesting and total number of columns."""
@@ -237,15 +237,16 @@ def encode_records(batch: MemoryRecords) -> List[object]:
     # One flat list of all items, sliced by column, is faster than a loop over the records.
     flat_items = list(chain.from_iterable(batch.records))
     terms, starts, ends = flat_items[0::3], flat_items[1::3], flat_items[2::3]
-    return [
-        ["earlier_count", batch.earlier_count],
-        ["late_count", batch.late_count],
-        ["has_variables", batch.has_variables],
-        ["terms", encode_terms(terms)],
-        ["ends", encode_instants(ends)],
+    fields = {
+        "earlier_count": batch.earlier_count,
+        "late_count": batch.late_count,
+        "has_variables": batch.has_variables,
+        "terms": encode_terms(terms),
+        "ends": encode_instants(ends),
         # Most events have no duration.
-        ["starts", None if are_same_instants(starts, ends) else encode_instants(starts)],
-    ]
+        "starts": None if are_same_instants(starts, ends) else encode_instants(starts),
+    }
+    return named_values(list(fields), list(fields.values()))
 
 
 class DecodedRecords(NamedTuple):

@@ -36,7 +36,7 @@ from .field_types import (
     sequence_of,
     tuple_of,
 )
-from .state_fields import KINDS, ObjectFields, StoredField, check_column
+from .state_fields import KINDS, ObjectFields, StoredField, check_column, named_values
 
 ExternalKey = Tuple[int, ...]
 """Numbers that name an external object."""
@@ -154,16 +154,17 @@ class ObjectWriter:
         objects = self._objects[kind]
         if kind not in KINDS:
             return [self._external.key_of(item) for item in objects]
+        fields = _fields_of(kind)
         columns: List[object] = []
-        for entry in _fields_of(kind):
+        for entry in fields:
             column: object = self._columns.get((kind, entry.name))
             if column is None:
                 column = _encode_values(entry, objects, self)
             # A column in which all values are None takes no space.
             if isinstance(column, list) and all(value is None for value in column):
                 column = None
-            columns.append([entry.name, column])
-        return columns
+            columns.append(column)
+        return named_values([entry.name for entry in fields], columns)
 
 
 def _fields_of(kind: str) -> Sequence[StoredField]:

@@ -12,6 +12,7 @@ the state of an operator from its class.
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import (
     TYPE_CHECKING,
     Callable,
@@ -39,7 +40,7 @@ from .field_types import (
     Untyped,
     ValueCheck,
     invalid_value,
-    mapping_of,
+    items_of,
     optional,
     sequence_of,
     tuple_of,
@@ -152,7 +153,7 @@ class FieldList:
         Raises:
             UsageError: if they are not exactly the declared ones.
         """
-        mapping = dict(_PAIRS.check(value))
+        mapping = read_named_values(value)
         for change in context.changes.get(self.record_name, ()):
             mapping = {
                 change.renamed.get(name, name): stored
@@ -177,7 +178,23 @@ class FieldList:
                 raise UsageError(f"{self.record_name}: expected {entry.expected}")
 
 
-_PAIRS = mapping_of(TEXT, PlainType("any value", lambda value: value))
+def named_values(names: Sequence[str], values: Sequence[object]) -> List[object]:
+    """Return names and values in turn: checkpoints are encoded level by level, and pairs would be one level more."""
+    return list(chain.from_iterable(zip(names, values)))
+
+
+def read_named_values(value: object) -> Dict[str, object]:
+    """Return the values of `named_values` by name.
+
+    Raises:
+        UsageError: if they are something else, or a name is repeated.
+    """
+    items = items_of(value)
+    names, values = items[::2], items[1::2]
+    mapping = {name: stored for name, stored in zip(names, values) if isinstance(name, str)}
+    if 2 * len(mapping) != len(items):
+        raise invalid_value(value, "names and values in turn, each name once")
+    return mapping
 
 
 def check_column(
@@ -243,7 +260,7 @@ class StateFields(FieldList):
             encode = entry.type_for(owner).encoder(graph)
             if encode is not None:
                 values[position] = encode(values[position])
-        return list(zip(self._names, values))
+        return named_values(self._names, values)
 
 
 class StateOwner:
@@ -381,14 +398,11 @@ class rows_of(FieldType, FieldList):  # noqa: N801
         def encode(rows: Sequence[object]) -> List[object]:
             if not rows:
                 return [0, []]
-            columns = list(zip(*rows))
-            return [
-                len(rows),
-                [
-                    [entry.name, entry.type_for(None).encode_column(graph, list(column))]
-                    for entry, column in zip(self.fields, columns)
-                ],
+            columns = [
+                entry.type_for(None).encode_column(graph, list(column))
+                for entry, column in zip(self.fields, zip(*rows))
             ]
+            return [len(rows), named_values([entry.name for entry in self.fields], columns)]
 
         return encode
 
@@ -428,13 +442,15 @@ class record_of(FieldType, FieldList):  # noqa: N801
 
     def encoder(self, graph: ObjectWriter) -> Encode:
         """See `FieldType.encoder`."""
+        names = [entry.name for entry in self.fields]
         encodings = [(entry.name, entry.type_for(None).encoder(graph)) for entry in self.fields]
 
         def encode(record: Untyped) -> List[object]:
-            values = record if isinstance(record, dict) else record._asdict()
-            return [
-                [name, values[name] if encode is None else encode(values[name])] for name, encode in encodings
-            ]
+            stored = record if isinstance(record, dict) else record._asdict()
+            return named_values(
+                names,
+                [stored[name] if encode is None else encode(stored[name]) for name, encode in encodings],
+            )
 
         return encode
 

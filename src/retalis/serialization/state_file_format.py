@@ -41,8 +41,8 @@ def changes_since(format_number: int) -> Dict[str, List[FieldChange]]:
     return changes
 
 
-def check_version(format_number: object, byte_order: object) -> None:
-    """Check the format and the byte order of a state.
+def check_version(format_number: object, byte_order: object) -> int:
+    """Check the format and the byte order of a state; return the format.
 
     Raises:
         UsageError: if this version of the package cannot read it.
@@ -60,6 +60,7 @@ def check_version(format_number: object, byte_order: object) -> None:
         raise UsageError(f"the state is of format {format_number}{explanation}: this version reads {formats}")
     if byte_order != sys.byteorder:
         raise UsageError(f"the state was written on a machine with another byte order: {byte_order}")
+    return format_number
 
 
 class StateFile(NamedTuple):

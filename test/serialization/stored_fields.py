@@ -1,0 +1,11 @@
+"""Fields of a decoded state: names and values in turn."""
+
+
+def fields_of(data):
+    """Return the values of stored fields by name."""
+    return dict(zip(data[::2], data[1::2]))
+
+
+def to_fields(values):
+    """Return stored fields, given their values by name."""
+    return [item for pair in values.items() for item in pair]
