@@ -124,10 +124,13 @@ def prepare(case: Case, folder: Path) -> Tuple[List[str], str]:
 def measure(case: Case, folder: Path) -> Tuple[float, int, str]:
     """Return seconds from the signal to the end, the exit status, and what was written to standard error."""
     arguments, text = prepare(case, folder)
+    # Users do not set PYTHONUNBUFFERED. Packages such as rosbags may be in a folder that only PYTHONPATH names.
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    environment["PYTHONPATH"] = os.pathsep.join([str(ROOT / "src"), environment.get("PYTHONPATH", "")])
     command = subprocess.Popen(
         [sys.executable, "-m", "retalis", *arguments],
         cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
+        env=environment,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

@@ -4,9 +4,13 @@ import gc
 import os
 import signal
 import sys
+import threading
 
 _INTERRUPTED = 130
 """Exit status after ctrl-C."""
+
+_MAX_WRITE_SECONDS = 0.1
+"""Time that the reader of a full pipe has to read the rest of the output after ctrl-C."""
 
 
 def main() -> int:
@@ -28,11 +32,22 @@ def main() -> int:
     gc.enable()
     try:
         with deferred_interrupts():
-            return command_line()
+            status = command_line()
     except KeyboardInterrupt:
-        return _INTERRUPTED
-    finally:
-        stop_collecting()
+        status = _INTERRUPTED
+    stop_collecting()
+    if status == _INTERRUPTED:
+        _write_buffered_output()
+    return status
+
+
+def _write_buffered_output() -> None:
+    """Write the buffered output after ctrl-C, or end the process if nobody reads it."""
+    writer = threading.Thread(target=sys.stdout.flush, daemon=True)
+    writer.start()
+    writer.join(_MAX_WRITE_SECONDS)
+    if writer.is_alive():
+        os._exit(_INTERRUPTED)
 
 
 def _exit_at_once(*signal_arguments: object) -> None:

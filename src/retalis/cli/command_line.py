@@ -95,13 +95,16 @@ def main(arguments: Optional[List[str]] = None) -> int:
     """
     output = sys.stdout
     sys.stdout = GuardedOutput(output, "standard output")
+    status = None
     try:
         try:
-            return _run_command(sys.argv[1:] if arguments is None else arguments)
+            status = _run_command(sys.argv[1:] if arguments is None else arguments)
+            return status
         finally:
             # Also after --help, which raises SystemExit. Text that is left would be written at exit, where an error
-            # is a traceback.
-            sys.stdout.flush()
+            # is a traceback. After ctrl-C, the reader of a pipe may not read any more.
+            if status != EXIT_STATUS:
+                sys.stdout.flush()
     except OutputFailed as failure:
         # A reader that has ended, such as `head`, is no error that the user needs to know.
         if not isinstance(failure.error, BrokenPipeError):

@@ -513,9 +513,10 @@ class Console:
                 self._start_new_line()
                 self._reporter(error if error.place else RuleError(error.message))
         finally:
-            # Cleanup goals may write after the last answer.
-            self._start_new_line()
-            sys.stdout.flush()
+            # Cleanup goals may write after the last answer. After an interrupt, the reader of a pipe may not read it.
+            if not is_interrupted():
+                self._start_new_line()
+                sys.stdout.flush()
 
     def _print_solutions(self, goal: Term, names: Dict[str, Var]) -> None:
         choices = self.logic.machine.choices

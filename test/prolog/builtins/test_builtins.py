@@ -118,6 +118,14 @@ def test_listing_lays_out_clauses():
     )
 
 
+def test_negated_conjunction_is_in_parentheses():
+    logic = prolog()
+    written = []
+    logic.output = written.append
+    assert answers(logic, "portray_clause((p :- \\+ (a, b), c))") == [{}]
+    assert "".join(written) == "p :-\n    \\+ (   a,\n        b\n    ),\n    c.\n"
+
+
 def test_messages_are_sent_by_kind():
     logic = prolog()
     messages = []

@@ -182,7 +182,7 @@ class _BodyLayout:
         """Append a body. Conjunctions are written iteratively, as they may have any length."""
         goal = deref(goal)
         while goal.__class__ is tuple and goal[0] is COMMA:
-            self.append_body(goal[1], depth)
+            self._append_argument(goal[1], depth)
             self.append(f",\n{'    ' * depth}")
             goal = deref(goal[2])
         # Deeper control constructs are written on one line, which limits the recursion.
@@ -196,7 +196,19 @@ class _BodyLayout:
             self.append(f"\n{'    ' * depth})")
         elif goal.__class__ is tuple and goal[0] is NOT and depth < _MAX_LAYOUT_DEPTH:
             self.append("\\+ ")
-            self.append_body(goal[1], depth)
+            self._append_argument(goal[1], depth)
+        else:
+            self.append(self.format_term(goal, 999))
+
+    def _append_argument(self, goal: Term, depth: int) -> None:
+        """Append a goal of a conjunction, or a negated one; a conjunction needs parentheses there."""
+        goal = deref(goal)
+        if goal.__class__ is not tuple or goal[0] is not COMMA:
+            self.append_body(goal, depth)
+        elif depth < _MAX_LAYOUT_DEPTH:
+            self.append("(   ")
+            self.append_body(goal, depth + 1)
+            self.append(f"\n{'    ' * depth})")
         else:
             self.append(self.format_term(goal, 999))
 

@@ -37,7 +37,13 @@ from .text_arguments import (
     text_of,
     whole_text,
 )
-from .text_streams import OutputCapture, OutputStream, is_stream_term, streams_of
+from .text_streams import (
+    OutputCapture,
+    OutputStream,
+    flush_standard_streams,
+    is_stream_term,
+    streams_of,
+)
 
 _ELLIPSIS = atom("...")
 _MAX_TERM_DEPTH = 200
@@ -226,7 +232,9 @@ def put_char_to(machine: Machine, stream: Term, char: Term) -> bool:
 def flush_output(machine: Machine) -> bool:
     """Write the buffered text of the current output to its file."""
     output = streams_of(machine).output
-    if output is not None:
+    if output is None:
+        flush_standard_streams(machine.budget)
+    else:
         output.flush()
     return True
 

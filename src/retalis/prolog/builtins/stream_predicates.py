@@ -23,7 +23,7 @@ from .argument_checks import atom_of, natural, option_values
 from .builtin_registry import deterministic
 from .output_predicates import character_of
 from .text_arguments import MAX_CODE, end_of_file, flags_of, unify_options
-from .text_streams import InputStream, OutputStream, streams_of, syntax_error_in
+from .text_streams import InputStream, OutputStream, flush_standard_streams, streams_of, syntax_error_in
 
 _END_OF_FILE = atom("end_of_file")
 
@@ -217,6 +217,8 @@ def flush_output_of(machine: Machine, stream: Term) -> bool:
     open_stream = streams_of(machine).find_output(stream)
     if isinstance(open_stream, OutputStream):
         open_stream.flush()
+    else:
+        flush_standard_streams(machine.budget)
     return True
 
 

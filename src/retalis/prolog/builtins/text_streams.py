@@ -8,6 +8,7 @@ The current output is a stack: a goal that captures its output (``with_output_to
 ``set_output/1`` replaces the output below it, which is stored with its column until the replacement ends.
 """
 
+import sys
 from typing import TYPE_CHECKING, Any, Callable, Dict, Iterator, List, Optional, Tuple, Union
 
 from ...foundation.errors import SyntaxFault, printable
@@ -222,6 +223,21 @@ class OutputStream:
         self._buffer, self._size = [], 0
         if text:
             self._append_to_file(text)
+
+
+def flush_standard_streams(budget: Budget) -> None:
+    """Write the text of the user's streams to the standard streams, which Python buffers except on terminals.
+
+    Args:
+        budget: ends the goal if an interrupt ends the output.
+    """
+    try:
+        sys.stdout.flush()
+        sys.stderr.flush()
+    except Exception:
+        raise
+    except BaseException as exception:
+        raise budget.end_entry(exception) from exception
 
 
 class UserStream:
