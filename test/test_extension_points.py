@@ -158,7 +158,7 @@ def with_replaced(data, name, value):
     if not isinstance(data, list):
         return data
     items = [with_replaced(item, name, value) for item in data]
-    # Names and values are stored in turn.
+    # Names and values alternate.
     for position in range(0, len(data) - 1, 2):
         if data[position] == name:
             items[position + 1] = value

@@ -1,4 +1,4 @@
-"""Fields of a decoded state: names and values in turn."""
+"""Fields of a decoded state: alternating names and values."""
 
 
 def fields_of(data):

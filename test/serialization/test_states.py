@@ -77,7 +77,7 @@ def test_unchanged_state_is_restored(state):
             "section run: event_input: event_count: 'x': expected an integer",
         ),
         ("run", ["event_input", "event_count"], True, "expected an integer"),
-        ("run", ["clock"], [1], "clock: '[1]': expected names and values in turn"),
+        ("run", ["clock"], [1], "clock: '[1]': expected alternating names and values"),
         ("run", ["clock", "newest"], 1 << 100, "clock: newest: '1267650600228229401496703205376': expected"),
         ("run", ["clock", "newest"], 1 << 80, "expected an instant that a clock can reach"),
         ("run", ["sent_counts"], [], "expected a count of outputs"),

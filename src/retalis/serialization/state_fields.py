@@ -179,7 +179,7 @@ class FieldList:
 
 
 def named_values(names: Sequence[str], values: Sequence[object]) -> List[object]:
-    """Return names and values in turn: checkpoints are encoded level by level, and pairs would be one level more."""
+    """Return alternating names and values. Checkpoints are encoded by level; pairs would be one level more."""
     return list(chain.from_iterable(zip(names, values)))
 
 
@@ -193,7 +193,7 @@ def read_named_values(value: object) -> Dict[str, object]:
     names, values = items[::2], items[1::2]
     mapping = {name: stored for name, stored in zip(names, values) if isinstance(name, str)}
     if 2 * len(mapping) != len(items):
-        raise invalid_value(value, "names and values in turn, each name once")
+        raise invalid_value(value, "alternating names and values, each name once")
     return mapping
 
 
