@@ -207,7 +207,8 @@ class RunState(StateOwner):
     @property
     def next_token_number(self) -> int:
         """Number of the next token of an event."""
-        return self._parts.dispatcher.next_token_number
+        number: int = self._parts.dispatcher.next_token_number
+        return number
 
     @next_token_number.setter
     def next_token_number(self, number: int) -> None:

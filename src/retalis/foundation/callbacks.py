@@ -1,4 +1,4 @@
-"""CallbackList of an occurrence."""
+"""Callbacks that several objects add to one list."""
 
 from typing import Generic, Iterator, List, TypeVar
 

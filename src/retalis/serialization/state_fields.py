@@ -12,7 +12,7 @@ the state of an operator from its class.
 
 from __future__ import annotations
 
-from itertools import chain
+from itertools import chain, count
 from typing import (
     TYPE_CHECKING,
     Callable,
@@ -282,6 +282,32 @@ class StateOwner:
                 setattr(self, entry.attribute, value)
             elif value is not None:
                 getattr(self, entry.attribute).restore(value)
+
+
+class NextNumber:
+    """Property for the next number of a counter, which is stored in place of the counter.
+
+    Args:
+        attribute: name of the attribute with the counter, an `itertools.count`.
+        doc: docstring of the property.
+    """
+
+    def __init__(self, attribute: str, doc: str):
+        self._attribute = attribute
+        self.__doc__ = doc
+
+    def __get__(self, owner: object, owner_class: Optional[type] = None) -> Untyped:
+        """Return the next number, or the property itself if it is read from the class."""
+        if owner is None:
+            return self
+        # Reading the next number of a counter consumes it, so the counter is replaced.
+        number = next(getattr(owner, self._attribute))
+        self.__set__(owner, number)
+        return number
+
+    def __set__(self, owner: object, number: int) -> None:
+        """Make the counter continue with a number."""
+        setattr(owner, self._attribute, count(number))
 
 
 class part_state(FieldType):  # noqa: N801

@@ -16,7 +16,7 @@ from typing import Callable, List, Optional, Tuple
 
 from ...prolog.terms.timestamps import SECOND
 from ...serialization.field_types import BOOLEAN, CLOCK_INSTANT, COUNT, optional
-from ...serialization.state_fields import StateFields, StateOwner, field
+from ...serialization.state_fields import NextNumber, StateFields, StateOwner, field
 from .stamp_jumps import MAX_STEP, EventName, JumpDecision, StampJumps
 
 Alarm = Callable[[int], None]
@@ -78,23 +78,16 @@ class Clock(StateOwner):
         finally:
             self.ringing = None
 
-    @property
-    def next_order(self) -> int:
+    next_order = NextNumber(
+        "_order",
         """Order of the next alarm; later alarms come after those that are set again with their old order.
 
         >>> clock = Clock()
         >>> clock.call_at(2_000_000_000, print)
         >>> clock.next_order
         1
-        """
-        # `count` has no way to read its next value without taking it.
-        order = next(self._order)
-        self._order = count(order)
-        return order
-
-    @next_order.setter
-    def next_order(self, order: int) -> None:
-        self._order = count(order)
+        """,
+    )
 
     @property
     def stream_time(self) -> Optional[int]:

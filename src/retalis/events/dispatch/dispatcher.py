@@ -28,6 +28,7 @@ from ...prolog.machine.resource_limits import Budget, record_caught_error
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.term_traversal import copy, has_no_variables, is_ground, term_key
 from ...prolog.terms.types import Atom, EventAction, Frame, Functor, Term, Values, Var, deref
+from ...serialization.state_fields import NextNumber
 from .discrimination_tree import Plan, PushdownFilter, SwitchNode, make_plan, matches_all_events
 from .listeners import (
     CALL_LISTENERS,
@@ -424,17 +425,9 @@ class Dispatcher(ListenerIndex):
             on_failure,
         )
 
-    @property
-    def next_token_number(self) -> int:
-        """The number of the next event, if events are identified by numbers."""
-        # Reading the next value of a counter consumes it, so the counter is replaced.
-        number = next(self._tokens)
-        self._tokens = count(number)
-        return number
-
-    @next_token_number.setter
-    def next_token_number(self, number: int) -> None:
-        self._tokens = count(number)
+    next_token_number = NextNumber(
+        "_tokens", "The number of the next event, if events are identified by numbers."
+    )
 
     def state(self) -> Tuple[Any, Any]:
         """Return the current context and cause, for `restore`."""

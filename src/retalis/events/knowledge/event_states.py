@@ -52,7 +52,15 @@ from ...prolog.terms.timestamps import lazy_term
 from ...prolog.terms.types import Frame, Functor, Term, Values, Var, atom, deref, functor
 from ...prolog.terms.unification import may_unify
 from ...serialization.field_types import CALLABLE_TERM, COUNT, INSTANT, KEY, State, sequence_of, tuple_of
-from ...serialization.state_fields import StateFields, StateOwner, constraint, field, part, rows_of
+from ...serialization.state_fields import (
+    NextNumber,
+    StateFields,
+    StateOwner,
+    constraint,
+    field,
+    part,
+    rows_of,
+)
 from ..clock.clock import Clock
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import Listener, ListenerPhase
@@ -480,17 +488,7 @@ class DeclaredState(StateOwner):
         if includes_past:
             self.past.clear()
 
-    @property
-    def next_order(self) -> int:
-        """The order of the next state that begins."""
-        # `count` has no way to read its next value without taking it.
-        order = next(self._next_order)
-        self._next_order = count(order)
-        return order
-
-    @next_order.setter
-    def next_order(self, order: int) -> None:
-        self._next_order = count(order)
+    next_order = NextNumber("_next_order", "The order of the next state that begins.")
 
     @property
     def stored_open_states(self) -> List[StoredOpenState]:

@@ -45,7 +45,15 @@ from ...prolog.terms.list_terms import list_items, make_list
 from ...prolog.terms.term_traversal import copy, positions, variables
 from ...prolog.terms.types import CONS, MINUS, TRUE, EventAction, Frame, Term, Values, Var, deref, functor
 from ...serialization.field_types import CALLABLE_TERM, COUNT, INSTANT, TERM, sequence_of, tuple_of
-from ...serialization.state_fields import StateFields, StateOwner, constraint, field, part, rows_of
+from ...serialization.state_fields import (
+    NextNumber,
+    StateFields,
+    StateOwner,
+    constraint,
+    field,
+    part,
+    rows_of,
+)
 from ..clock.clock import Clock
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import ListenerPhase
@@ -602,18 +610,7 @@ class PendingQueries(StateOwner):
         """
         return self._register(QueryNotifier(client_name, notify), (), now, now, missing)
 
-    @property
-    def next_order(self) -> int:
-        """The order of the next query."""
-        order = next(self._next_order)
-        # Reading the counter advances it, so it is set back.
-        self._next_order = count(order)
-        return order
-
-    @next_order.setter
-    def next_order(self, order: int) -> None:
-        self._next_order = count(order)
-        self._oldest_order = order
+    next_order = NextNumber("_next_order", "The order of the next query.")
 
     @property
     def stored_queries(self) -> List[StoredQuery]:
@@ -636,8 +633,7 @@ class PendingQueries(StateOwner):
     @stored_queries.setter
     def stored_queries(self, queries: Sequence[StoredQuery]) -> None:
         self._watch_sources()
-        if queries:
-            self._oldest_order = queries[0].order
+        self._oldest_order = queries[0].order if queries else self.next_order
         for query_order, event, query, start, end, awaited, cause in queries:
             missing: Any = [
                 (self._memories.find(source_id) or self._transforms.awaited_transform(source_id), instant)

@@ -35,7 +35,7 @@ from ...prolog.machine.resource_limits import Meter
 from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.types import Frame, Term, Values, Var, functor
 from ...serialization.field_types import COUNT, references
-from ...serialization.state_fields import StateFields, StateOwner, field
+from ...serialization.state_fields import NextNumber, StateFields, StateOwner, field
 from ..dispatch.listeners import CAUSE, END, PARENT, START, TERM, TOKEN, Context, Listener, ListenerPhase
 from ..language.rule_head_parser import SYNCHRONIZED
 from ..matches.consumption_policy import metered
@@ -115,28 +115,9 @@ class LineageTracker(StateOwner):
         if self._rules.flags.is_on("revision_flag"):
             self.listeners.append(dispatcher.listen(ListenerPhase.RULES, (REV, Var()), self._retract, (-1,)))
 
-    @property
-    def next_suppressed_number(self) -> int:
-        """Number of the next suppressed match."""
-        number = next(self._next_suppressed_number)
-        # Reading a counter consumes its value, so it is replaced.
-        self._next_suppressed_number = count(number)
-        return number
+    next_suppressed_number = NextNumber("_next_suppressed_number", "Number of the next suppressed match.")
 
-    @next_suppressed_number.setter
-    def next_suppressed_number(self, number: int) -> None:
-        self._next_suppressed_number = count(number)
-
-    @property
-    def next_event_number(self) -> int:
-        """Number of the next event."""
-        number = next(self._next_event_number)
-        self._next_event_number = count(number)
-        return number
-
-    @next_event_number.setter
-    def next_event_number(self, number: int) -> None:
-        self._next_event_number = count(number)
+    next_event_number = NextNumber("_next_event_number", "Number of the next event.")
 
     @property
     def stored_events(self) -> List[Occurrence]:

@@ -231,13 +231,9 @@ def flush_standard_streams(budget: Budget) -> None:
     Args:
         budget: ends the goal if an interrupt ends the output.
     """
-    try:
+    with budget.ending_entry():
         sys.stdout.flush()
         sys.stderr.flush()
-    except Exception:
-        raise
-    except BaseException as exception:
-        raise budget.end_entry(exception) from exception
 
 
 class UserStream:
@@ -266,12 +262,8 @@ class UserStream:
         added_bytes = len(escaped.encode()) - len(text)
         if added_bytes:
             self._budget.count_output(added_bytes)
-        try:
+        with self._budget.ending_entry():
             self._write(escaped)
-        except Exception:
-            raise
-        except BaseException as exception:
-            raise self._budget.end_entry(exception) from exception
 
 
 class _ReplacedOutput:
@@ -360,13 +352,9 @@ class ProgramStreams:
 
     def _read_user_line(self) -> Optional[str]:
         ask = self._logic.ask
-        try:
+        # An interrupt while the user is typing ends the goal that reads.
+        with self._logic.machine.budget.ending_entry():
             return None if ask is None else ask()
-        except Exception:
-            raise
-        except BaseException as exception:
-            # An interrupt while the user is typing ends the goal that reads.
-            raise self._logic.machine.budget.end_entry(exception) from exception
 
     def open(
         self,

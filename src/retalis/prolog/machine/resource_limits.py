@@ -521,6 +521,20 @@ class Budget:
         self._stop_soon()
         return self._exceeded_error(INTERRUPT)
 
+    @contextmanager
+    def ending_entry(self) -> Iterator[None]:
+        """Return a context in which an exception that no code of the engine may handle ends the entry.
+
+        Raises:
+            LimitError: the result of `end_entry`, in place of such an exception.
+        """
+        try:
+            yield
+        except Exception:
+            raise
+        except BaseException as exception:
+            raise self.end_entry(exception) from exception
+
     def check_interrupt(self) -> None:
         """Raise an error if an interrupt has to end the entry; called between the parts of long work without goals.
 
