@@ -22,18 +22,8 @@ def folder(tmp_path_factory):
     return folder
 
 
-UNRELIABLE = {"bag_without_match", "plot_bag", "bag_output"}
-"""Cases in which Python may ignore an interrupt that comes within a callback of a weak reference during a wait."""
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=pytest.mark.nightly if name in UNRELIABLE else ())
-        for name in interrupts.CASES
-    ],
-)
+@pytest.mark.parametrize("name", interrupts.CASES)
 def test_interrupt_ends_command(name, folder):
     seconds, status, errors = interrupts.measure(interrupts.CASES[name], folder)
     assert (status, errors) == (130, "")

@@ -107,6 +107,20 @@ def test_signal_in_callback_of_reference_is_not_lost():
             check_interrupt()
 
 
+def test_signal_in_callback_during_wait_is_not_lost():
+    class Item:
+        def __del__(self):
+            interrupt()
+
+    hook = sys.unraisablehook
+    with deferred_interrupts():
+        with interruptible():
+            Item()
+        with pytest.raises(Interrupt):
+            check_interrupt()
+    assert sys.unraisablehook is hook
+
+
 def test_handlers_are_installed_within_context_only():
     handler = signal.getsignal(signal.SIGTERM)
     with deferred_interrupts(signal.SIGTERM):

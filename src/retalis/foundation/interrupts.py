@@ -10,19 +10,20 @@ bag, between two lines of output. A long goal, or long matching of patterns, end
 executor raises the interrupt after the end of the event (see `prolog.machine.resource_limits`).
 
 Where the process only waits, for input, for a lock or for time to pass, no data is half changed at any step. Such
-code is marked with `interruptible`, and the handler raises the interrupt at once.
+code is marked by `interruptible`, and the handler raises the interrupt at once. It is pending if Python ignores it.
 
 If the process is in code without safe points, a second signal ends it after `MAX_RESPONSE_SECONDS`.
 """
 
 import os
 import signal
+import sys
 import threading
 from contextlib import contextmanager
 from threading import get_ident
 from time import monotonic
 from types import FrameType
-from typing import Dict, Iterator, Optional
+from typing import Any, Dict, Iterator, Optional
 
 from .errors import UsageError
 
@@ -93,9 +94,20 @@ def deferred_interrupts(*signals: int) -> Iterator[None]:
         if signal.getsignal(number) not in (signal.SIG_IGN, None)
     }
     outer_thread, _HandlerState.thread = _HandlerState.thread, get_ident()
+    outer_hook = sys.unraisablehook
+
+    def postpone_ignored(unraisable: Any) -> None:
+        # Python ignores exceptions in callbacks of weak references, which also run while the process waits.
+        if isinstance(unraisable.exc_value, Interrupt):
+            postpone(unraisable.exc_value)
+        else:
+            outer_hook(unraisable)
+
+    sys.unraisablehook = postpone_ignored
     try:
         yield
     finally:
+        sys.unraisablehook = outer_hook
         for number, handler in previous_handlers.items():
             signal.signal(number, handler)
         _HandlerState.thread = outer_thread
