@@ -26,8 +26,8 @@ def state_of(release, flags):
 
 def state_owners(base=StateOwner):
     """Return the classes of the package that declare fields."""
-    found = [base] if base.STATE.fields and base.__module__.startswith("retalis.") else []
-    return [*found, *(owner for subclass in base.__subclasses__() for owner in state_owners(subclass))]
+    owners = [base] if base.STATE.fields and base.__module__.startswith("retalis.") else []
+    return [*owners, *(owner for subclass in base.__subclasses__() for owner in state_owners(subclass))]
 
 
 def test_state_of_each_release_is_stored():

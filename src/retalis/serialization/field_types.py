@@ -726,16 +726,16 @@ class reference(FieldType):  # noqa: N801
         def check_column(column: object, numbers: Sequence[int]) -> Sequence[object]:
             referenced = items_of(column)
             present = [number for number in referenced if number is not None]
-            found = objects.objects_by_number(present, kinds)
+            present_objects = objects.objects_by_number(present, kinds)
             if is_source:
                 for number, source in zip(numbers, referenced):
                     if isinstance(source, int):
                         objects.sources_of(number).append(source)
             if len(present) == len(referenced):
-                return found
+                return present_objects
             if not is_optional:
                 raise invalid_value(None, self.name)
-            remaining = iter(found)
+            remaining = iter(present_objects)
             return [None if number is None else next(remaining) for number in referenced]
 
         return check_column
