@@ -437,8 +437,7 @@ def _read_header(data: bytes) -> CheckpointHeader:
     unchecked = read_named_values(fields)
     format_number = check_version(unchecked.get("format"), unchecked.get("byte_order"))
     context = ReadContext(changes=changes_since(format_number))
-    header: CheckpointHeader = with_path("section about", _HEADER.checker(context))(fields)
-    return header
+    return with_path("section about", _HEADER.checker(context))(fields)
 
 
 def _query_value(database: sqlite3.Connection, query: str) -> Any:

@@ -26,8 +26,6 @@ from ..prolog.system.foreign_functions import define_foreign, load_module
 from ..prolog.system.logic_state import (
     PROGRAM,
     VALUES,
-    ProgramSnapshot,
-    ValuesSnapshot,
     restore_program,
     restore_values,
     snapshot_program,
@@ -48,6 +46,7 @@ from ..serialization.field_types import (
     FieldType,
     PlainType,
     ReadContext,
+    Value,
     invalid_value,
     mapping_of,
     sequence_of,
@@ -88,7 +87,7 @@ SECTION_NAMES = ("values", "matches", "run", "program", "clauses")
 """Sections of a state, besides the records of memories."""
 
 
-def _definition_type(expected: Functor) -> PlainType:
+def _definition_type(expected: Functor) -> PlainType[Term]:
     """Return the type of the defining term of a memory or subscription."""
 
     def check(value: object) -> Term:
@@ -207,8 +206,7 @@ class RunState(StateOwner):
     @property
     def next_token_number(self) -> int:
         """Number of the next token of an event."""
-        number: int = self._parts.dispatcher.next_token_number
-        return number
+        return self._parts.dispatcher.next_token_number
 
     @next_token_number.setter
     def next_token_number(self, number: int) -> None:
@@ -337,9 +335,9 @@ class EngineSnapshot:
     ) -> None:
         parts = self._parts
         logic, rules, knowledge = parts.logic, parts.rules, parts.knowledge
-        program: StoredProgram = _read_section("program", _STORED_PROGRAM, sections, context)
-        clauses: ProgramSnapshot = _read_section("clauses", PROGRAM, sections, context)
-        values: ValuesSnapshot = _read_section("values", VALUES, sections, context)
+        program = _read_section("program", _STORED_PROGRAM, sections, context)
+        clauses = _read_section("clauses", PROGRAM, sections, context)
+        values = _read_section("values", VALUES, sections, context)
         # The order matters: event types and foreign predicates are needed to compile clauses, clauses to compile
         # rules, and rules and memories to restore partial matches and records. The deployments follow, because they
         # refer to all items by position.
@@ -489,7 +487,7 @@ def encode_state_alone(owner: StateOwner) -> List[object]:
     return owner.STATE.encode_state(owner.snapshot(), owner, NO_OBJECTS)
 
 
-def _read_section(name: str, content: FieldType, sections: Sections, context: ReadContext) -> Any:
+def _read_section(name: str, content: FieldType[Value], sections: Sections, context: ReadContext) -> Value:
     return with_path(f"section {name}", content.checker(context))(sections[name])
 
 

@@ -31,9 +31,11 @@ from ..serialization.field_types import (
     TERM,
     TEXT,
     VARIABLE,
-    PlainType,
+    Encode,
+    FieldType,
     ReadContext,
     State,
+    ValueCheck,
     invalid_value,
     mapping_of,
     optional,
@@ -98,19 +100,26 @@ class StoredRules(NamedTuple):
 _PROPERTY_FIELDS = record_of(Property, label=TERM, name=TEXT, value=TERM)
 
 
-def _check_property(value: object) -> Property:
-    label_property: Property = _PROPERTY_FIELDS.check(value)
-    if not isinstance(label_property.label, Atom) or label_property.error_text is not None:
-        raise invalid_value(value, label_property.error_text or "a property of a label")
-    return label_property
-
-
-class _PropertyType(PlainType):
+class _PropertyType(FieldType[Property]):
     """Properties of labels."""
 
-    def __init__(self) -> None:
-        super().__init__("a property of a label", _check_property)
-        self.encoder = _PROPERTY_FIELDS.encoder  # type: ignore[method-assign]
+    name = "a property of a label"
+
+    def checker(self, context: ReadContext) -> ValueCheck[Property]:
+        """See `FieldType.checker`."""
+        check_fields = _PROPERTY_FIELDS.checker(context)
+
+        def check(value: object) -> Property:
+            label_property = check_fields(value)
+            if not isinstance(label_property.label, Atom) or label_property.error_text is not None:
+                raise invalid_value(value, label_property.error_text or self.name)
+            return label_property
+
+        return check
+
+    def encoder(self, graph: ObjectWriter) -> Encode[Property]:
+        """See `FieldType.encoder`."""
+        return _PROPERTY_FIELDS.encoder(graph)
 
 
 PROPERTIES = sequence_of(_PropertyType())

@@ -15,14 +15,14 @@ terms (`FlatKey`).
 
 from functools import lru_cache
 from itertools import chain
-from typing import Any, Callable, Dict, Iterable, List, Sequence, Tuple
+from typing import Callable, Dict, Iterable, List, Sequence, Tuple
 
 import msgpack
 
 from ..foundation.errors import UsageError
 from ..prolog.terms.timestamps import FloatSeconds, Stamp
 from ..prolog.terms.types import Atom, Functor, Lazy, String, Var, atom, deref, functor
-from .field_types import ITEM_FUNCTOR_NAME, FlatKey
+from .field_types import ITEM_FUNCTOR_NAME, TERM, FlatKey, items_of
 
 _ATOM, _FUNCTOR, _VARIABLE, _STRING, _REF, _NODE, _LONG_INTEGER, _MARKER, _INSTANT, _STAMP = range(10)
 """Codes of the extension types."""
@@ -193,10 +193,10 @@ def _is_simple(data: object) -> bool:
     return False
 
 
-def _list_children(container: Any) -> List[object]:
+def _list_children(container: object) -> List[object]:
     """Return the items of a sequence, or the term of a stamp."""
-    children: Sequence[Any] = [container.term] if container.__class__ is Stamp else container
-    return [deref(item) if item.__class__ in (Var, Lazy) else item for item in children]
+    children = [container.term] if isinstance(container, Stamp) else items_of(container)
+    return [deref(item) if isinstance(item, (Var, Lazy)) else item for item in children]
 
 
 def _is_container(value: object) -> bool:
@@ -355,10 +355,7 @@ class _StateReader:
         if code in _SIGNED_NUMBERS:
             return _SIGNED_NUMBERS[code](int.from_bytes(data, "little", signed=True))
         if code == _STAMP:
-            term: Any = self._nodes[int.from_bytes(data[:4], "little")]
-            term_class = term.__class__
-            if term_class not in _TERMS:
-                raise UsageError("the text of an instant is not a term")
+            term = TERM.check(self._nodes[int.from_bytes(data[:4], "little")])
             return Stamp.of(int.from_bytes(data[4:], "little", signed=True), term)
         return self._decode_numbered(code, int.from_bytes(data, "little"))
 
@@ -376,7 +373,9 @@ class _StateReader:
         raise UsageError(f"extension type {code} is unknown")
 
 
-def _create_unpacker(data: bytes, sequence_hook: object = None, extension_hook: object = None) -> Any:
+def _create_unpacker(
+    data: bytes, sequence_hook: object = None, extension_hook: object = None
+) -> msgpack.Unpacker:
     """Return a MessagePack decoder for untrusted data."""
     # No object can be larger than the data. Without these limits, a false length would allocate memory.
     max_size = max(len(data), 1)

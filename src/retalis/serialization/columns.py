@@ -9,7 +9,7 @@ dictionary encoding of Apache Parquet. Columns are created and read with functio
 from itertools import chain, repeat
 from operator import is_, itemgetter
 from struct import pack, unpack
-from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Hashable, List, NamedTuple, Optional, Sequence, Tuple
 
 from ..prolog.terms.timestamps import FloatSeconds, Stamp
 from ..prolog.terms.types import Atom, Term
@@ -69,20 +69,19 @@ def _encode_part(
     column_budget = [None] * _MAX_COLUMNS if column_budget is None else column_budget
     if len(terms) < _MIN_COLUMN_TERMS:
         return _encode_list(terms)
-    column: Any = terms
-    first_class = column[0].__class__
-    if first_class is float:
-        if set(map(type, column)) == {float}:
-            return ["floats", pack(f"{len(column)}d", *column)]
+    first = terms[0]
+    if first.__class__ is float:
+        if set(map(type, terms)) == {float}:
+            return ["floats", pack(f"{len(terms)}d", *terms)]
         return _encode_list(terms)
-    if first_class is Atom and set(map(type, column)) == {Atom}:
-        return _encode_indexed(column, dict.fromkeys(column))
+    if first.__class__ is Atom and set(map(type, terms)) == {Atom}:
+        return _encode_indexed(terms, terms)
     # A sample decides between columns and positions: comparing all objects would cost as much as encoding them.
-    mostly_distinct = 10 * len(set(map(id, column[:_SAMPLE_SIZE]))) >= 9 * min(len(column), _SAMPLE_SIZE)
-    if first_class is tuple and mostly_distinct:
+    mostly_distinct = 10 * len(set(map(id, terms[:_SAMPLE_SIZE]))) >= 9 * min(len(terms), _SAMPLE_SIZE)
+    if first.__class__ is tuple and mostly_distinct:
         # Deeper arguments are rare in messages, and many short columns would cost more than they save.
-        flat_terms = _flatten_terms(column) if depth < _MAX_COLUMN_DEPTH else None
-        width = len(column[0])
+        flat_terms = _flatten_terms(terms) if depth < _MAX_COLUMN_DEPTH else None
+        width = len(first)
         if flat_terms is not None and width <= len(column_budget) + 1:
             # The list is a mutable counter that nested calls share: one item per column that may still be created.
             del column_budget[: width - 1]
@@ -90,10 +89,10 @@ def _encode_part(
                 _encode_part(flat_terms[position::width], depth + 1, column_budget)
                 for position in range(1, width)
             ]
-            return ["columns", column[0][0], encoded_columns]
-    elif first_class is not int and not mostly_distinct:
-        keys = list(map(id, column))
-        return _encode_indexed(column, dict(zip(keys, column)), keys)
+            return ["columns", first[0], encoded_columns]
+    elif first.__class__ is not int and not mostly_distinct:
+        # Hashing a compound term would visit its arguments.
+        return _encode_indexed(terms, list(map(id, terms)))
     return _encode_list(terms)
 
 
@@ -105,37 +104,35 @@ def _encode_list(terms: List[Term]) -> List[object]:
     return ["terms", terms]
 
 
-def _encode_indexed(
-    terms: List[Term], distinct: Dict[Any, Any], keys: Optional[List[int]] = None
-) -> List[object]:
+def _encode_indexed(terms: List[Term], keys: Sequence[Hashable]) -> List[object]:
     """Return terms as positions in the list of distinct terms.
 
     Args:
         terms: the terms.
-        distinct: the distinct terms; atoms as keys, other terms as values of their ids.
-        keys: ids of terms other than atoms, because hashing a compound term would visit its arguments.
+        keys: a key of each term; terms with equal keys are stored once.
     """
+    distinct = dict(zip(keys, terms))
     positions = dict(zip(distinct, range(len(distinct))))
-    term_indexes = itemgetter(*(keys or terms))(positions)
+    term_indexes = itemgetter(*keys)(positions)
     packed = (
         bytes(term_indexes)
         if len(distinct) <= _MAX_BYTE_POSITIONS
         else pack(f"{len(term_indexes)}H", *term_indexes)
     )
-    return ["indexed", _encode_list(list(distinct.values() if keys else distinct))[1], packed]
+    return ["indexed", _encode_list(list(distinct.values()))[1], packed]
 
 
-def _flatten_terms(terms: Sequence[Any]) -> Optional[List[Any]]:
+def _flatten_terms(terms: Sequence[Term]) -> Optional[List[Term]]:
     """Return functors and arguments of compound terms in one list, or None if the functors differ.
 
     Functors only occur as the first item of a term. Therefore all terms have the functor that is found at each
     multiple of the width.
     """
     try:
-        flat_terms = list(chain.from_iterable(terms))
+        flat_terms = list(chain.from_iterable(terms))  # type: ignore[arg-type]
     except TypeError:  # a term that is not compound
         return None
-    width = len(terms[0])
+    width = len(flat_terms) // len(terms)
     if len(flat_terms) != width * len(terms) or flat_terms[::width].count(flat_terms[0]) != len(terms):
         return None
     return flat_terms
@@ -235,7 +232,7 @@ def are_same_instants(first: Sequence[object], second: Sequence[object]) -> bool
 def encode_records(batch: MemoryRecords) -> List[object]:
     """Return the encoding of records."""
     # One flat list of all items, sliced by column, is faster than a loop over the records.
-    flat_items = list(chain.from_iterable(batch.records))
+    flat_items: List[Any] = list(chain.from_iterable(batch.records))
     terms, starts, ends = flat_items[0::3], flat_items[1::3], flat_items[2::3]
     fields = {
         "earlier_count": batch.earlier_count,
@@ -284,8 +281,8 @@ def decode_records(value: object, context: ReadContext = NO_CONTEXT) -> DecodedR
     Raises:
         UsageError: if it is invalid.
     """
-    records: DecodedRecords = _RECORDS.checker(context)(value)
-    ends: List[int] = records.ends
+    records = _RECORDS.checker(context)(value)
+    ends = records.ends
     count = len(ends)
     stored_starts: object = records.starts
     # The numbers of terms and of starts follow from that of the ends.

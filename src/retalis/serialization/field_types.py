@@ -17,6 +17,8 @@ from typing import (
     Callable,
     Dict,
     FrozenSet,
+    Generic,
+    Hashable,
     Iterable,
     List,
     Mapping,
@@ -25,29 +27,36 @@ from typing import (
     Sequence,
     Tuple,
     Type,
+    TypeVar,
+    Union,
 )
 
 from ..foundation.errors import RetalisError, UsageError
 from ..prolog.terms.timestamps import MAX_TIMESTAMP, FloatSeconds, Stamp
-from ..prolog.terms.types import Atom, Functor, String, Var
+from ..prolog.terms.types import Atom, CompoundTerm, Functor, String, Term, Var
 
 if TYPE_CHECKING:
     from .object_graph import ObjectReader, ObjectWriter
 
-Untyped = Any
-"""A stored value, whose type only its declaration says."""
+Value = TypeVar("Value")
+Key = TypeVar("Key", bound=Hashable)
+Item = TypeVar("Item")
+Row = TypeVar("Row", bound=NamedTuple)
 
-ValueCheck = Callable[[object], Untyped]
+ValueCheck = Callable[[object], Value]
 """Returns a decoded value in the form that its owner uses, or raises a `UsageError`."""
 
-Encode = Callable[[Untyped], object]
+Encode = Callable[[Value], object]
 """Returns the value of a field as data that the codec accepts."""
 
-ColumnCheck = Callable[[object, Sequence[int]], Sequence[Untyped]]
+ColumnCheck = Callable[[object, Sequence[int]], Sequence[Value]]
 """Returns the values of a column, given the numbers of the objects or rows that have them."""
 
-State = Dict[str, Untyped]
-"""Values of the fields of an object, by name."""
+State = Dict[str, Any]
+"""Values of the fields of an object, by name. Their types are declared beside the class of the object."""
+
+NestedPairs = Union[Tuple[()], Tuple["NestedPairs[Item]", Item]]
+"""Linked list ``((((), first), second), third)``."""
 
 MAX_INSTANT = 1 << 80
 """Limit of instants in ns: larger than any value by which the engine itself represents "never"."""
@@ -90,10 +99,10 @@ def items_of(value: object) -> Sequence[object]:
     raise invalid_value(value, "a sequence")
 
 
-def with_path(name: str, check: ValueCheck) -> ValueCheck:
+def with_path(name: str, check: ValueCheck[Value]) -> ValueCheck[Value]:
     """Return a check whose error texts begin with a name."""
 
-    def check_named(value: object) -> Untyped:
+    def check_named(value: object) -> Value:
         try:
             return check(value)
         except RetalisError as error:
@@ -138,14 +147,14 @@ class ReadContext(NamedTuple):
 
     objects: Optional[ObjectReader] = None
     changes: Mapping[str, Sequence[FieldChange]] = {}
-    check_item: Callable[[Untyped, int], None] = lambda item, channel: None
+    check_item: Callable[[object, int], None] = lambda item, channel: None
 
 
 NO_CONTEXT = ReadContext()
 NO_OBJECTS: ObjectWriter = None  # type: ignore[assignment]
 
 
-class FieldType:
+class FieldType(Generic[Value]):
     """Type of the values of a field: how they are checked and encoded, one by one and as a column.
 
     Attributes:
@@ -159,11 +168,11 @@ class FieldType:
         """True if values can have references to what an object consists of, see `reference`."""
         return False
 
-    def checker(self, context: ReadContext) -> ValueCheck:
+    def checker(self, context: ReadContext) -> ValueCheck[Value]:
         """Return the check of a value."""
         raise NotImplementedError
 
-    def check(self, value: object) -> Untyped:
+    def check(self, value: object) -> Value:
         """Check a value of a type without references.
 
         Raises:
@@ -171,23 +180,23 @@ class FieldType:
         """
         return self.checker(NO_CONTEXT)(value)
 
-    def encoder(self, graph: ObjectWriter) -> Optional[Encode]:
+    def encoder(self, graph: ObjectWriter) -> Optional[Encode[Value]]:
         """Return the encoding of a value; None if it is stored unchanged."""
         return None
 
-    def encode(self, value: Untyped) -> object:
+    def encode(self, value: Value) -> object:
         """Return the encoding of a value of a type without references."""
         encode = self.encoder(NO_OBJECTS)
         return value if encode is None else encode(value)
 
-    def column_checker(self, context: ReadContext) -> ColumnCheck:
+    def column_checker(self, context: ReadContext) -> ColumnCheck[Value]:
         """Return the check of a column."""
         check = self.checker(context)
         if not self.has_sources:
             return lambda column, numbers: check_items(items_of(column), check)
         objects = objects_of(context)
 
-        def check_column(column: object, numbers: Sequence[int]) -> Sequence[object]:
+        def check_column(column: object, numbers: Sequence[int]) -> Sequence[Value]:
             values = []
             for number, value in zip(numbers, items_of(column)):
                 objects.current_sources = objects.sources_of(number)
@@ -196,15 +205,15 @@ class FieldType:
 
         return check_column
 
-    def encode_column(self, graph: ObjectWriter, values: List[object]) -> object:
+    def encode_column(self, graph: ObjectWriter, values: List[Value]) -> object:
         """Return the encoding of a column."""
         encode = self.encoder(graph)
         return values if encode is None else list(map(encode, values))
 
 
-def check_items(values: Iterable[object], check: ValueCheck) -> List[Untyped]:
+def check_items(values: Iterable[object], check: ValueCheck[Value]) -> List[Value]:
     """Return checked values; the error text of an invalid one begins with its index."""
-    checked: List[Untyped] = []
+    checked: List[Value] = []
     try:
         # If a value is rejected, those before it remain in the list, which gives its index.
         checked += map(check, values)
@@ -213,7 +222,7 @@ def check_items(values: Iterable[object], check: ValueCheck) -> List[Untyped]:
     return checked
 
 
-class PlainType(FieldType):
+class PlainType(FieldType[Value]):
     """Type whose check needs no context and whose values are stored unchanged.
 
     Args:
@@ -222,33 +231,35 @@ class PlainType(FieldType):
         classes: if given, `check` returns values of exactly these classes unchanged, and rejects all others.
     """
 
-    def __init__(self, name: str, check: ValueCheck, classes: FrozenSet[type] = frozenset()):
+    def __init__(self, name: str, check: ValueCheck[Value], classes: FrozenSet[type] = frozenset()):
         self.name = name
         self.classes = classes
         self._check = check
 
-    def check(self, value: object) -> Untyped:
+    def check(self, value: object) -> Value:
         """See `FieldType.check`."""
         return self._check(value)
 
-    def checker(self, context: ReadContext) -> ValueCheck:
+    def checker(self, context: ReadContext) -> ValueCheck[Value]:
         """See `FieldType.checker`."""
         return self._check
 
-    def check_all(self, values: Sequence[object]) -> Sequence[object]:
+    def check_all(self, values: Sequence[object]) -> Sequence[Value]:
         """Return checked values."""
         # Columns have thousands of values: their classes are compared by functions that are implemented in C.
-        return values if self.classes.issuperset(map(type, values)) else check_items(values, self._check)
+        if self.classes.issuperset(map(type, values)):
+            return values  # type: ignore[return-value]
+        return check_items(values, self._check)
 
-    def column_checker(self, context: ReadContext) -> ColumnCheck:
+    def column_checker(self, context: ReadContext) -> ColumnCheck[Value]:
         """See `FieldType.column_checker`."""
         return lambda column, numbers: self.check_all(items_of(column))
 
 
-def instances(expected_class: type, expected: str) -> PlainType:
+def instances(expected_class: Type[Value], expected: str) -> PlainType[Value]:
     """Return the type of the instances of exactly one class; ``expected`` describes it in the error."""
 
-    def check(value: object) -> Untyped:
+    def check(value: object) -> Value:
         if type(value) is not expected_class:
             raise invalid_value(value, expected)
         return value
@@ -268,36 +279,36 @@ def _check_path(value: object) -> str:
 
 
 def _check_seconds(value: object) -> float:
-    if type(value) not in (int, float) or not isfinite(value):  # type: ignore[arg-type]
-        raise invalid_value(value, "a number of seconds")
-    return value  # type: ignore[return-value]
+    if (type(value) is int or type(value) is float) and isfinite(value):
+        return value
+    raise invalid_value(value, "a number of seconds")
 
 
-def _check_term(value: object) -> Untyped:
+def _check_term(value: object) -> Term:
     # The arguments were checked when the term was decoded.
     if type(value) not in _TERMS:
         raise invalid_value(value, "a term")
-    return value
+    return value  # type: ignore[return-value]
 
 
-def _check_match_value(value: object) -> Untyped:
+def _check_match_value(value: object) -> Term:
     # An integer is a term; the start or end of a part of a match is an instant of another class.
     return INSTANT.check(value) if type(value) in (FloatSeconds, Stamp) else _check_term(value)
 
 
-def _check_callable_term(value: object) -> Untyped:
-    if type(value) is not tuple and type(value) is not Atom:
-        raise invalid_value(value, "an atom or a compound term")
-    return value
+def _check_callable_term(value: object) -> Union[Atom, CompoundTerm]:
+    if type(value) is tuple or type(value) is Atom:
+        return value
+    raise invalid_value(value, "an atom or a compound term")
 
 
-def _check_compound_term(value: object) -> Untyped:
+def _check_compound_term(value: object) -> CompoundTerm:
     if type(value) is not tuple:
         raise invalid_value(value, "a compound term")
     return value
 
 
-def _check_key(value: object, depth: int = MAX_KEY_DEPTH) -> Untyped:
+def _check_key(value: object, depth: int = MAX_KEY_DEPTH) -> Hashable:
     value_class = type(value)
     if value is None or value_class in _KEYS or value_class is str:
         return value
@@ -311,25 +322,28 @@ def _check_key(value: object, depth: int = MAX_KEY_DEPTH) -> Untyped:
     raise invalid_value(value, "a key")
 
 
-def _check_number(value: object) -> Untyped:
-    if type(value) not in (int, float):
-        raise invalid_value(value, "a number")
-    return value
+def _check_number(value: object) -> float:
+    if type(value) is int or type(value) is float:
+        return value
+    raise invalid_value(value, "a number")
 
 
-def _check_finite_number(value: object) -> Untyped:
-    if not isfinite(_check_number(value)) if type(value) is float else _check_number(value) != value:
+def _check_finite_number(value: object) -> float:
+    number = _check_number(value)
+    # An integer can be too large for a float, and is finite.
+    if type(number) is float and not isfinite(number):
         raise invalid_value(value, "a finite number")
-    return value
+    return number
 
 
-def _check_comparable_number(value: object) -> Untyped:
-    if _check_number(value) != value:
+def _check_comparable_number(value: object) -> float:
+    number = _check_number(value)
+    if number != number:  # not a number
         raise invalid_value(value, "a number with an order")
-    return value
+    return number
 
 
-ANYTHING = PlainType("any data, which its owner checks", lambda value: value)
+ANYTHING: PlainType[object] = PlainType("any data, which its owner checks", lambda value: value)
 BOOLEAN = instances(bool, "true or false")
 TEXT = instances(str, "a text")
 ATOM = instances(Atom, "an atom")
@@ -348,7 +362,7 @@ FINITE = PlainType("a finite number", _check_finite_number)
 ORDERED = PlainType("a number with an order", _check_comparable_number)
 
 
-class _IntegerType(PlainType):
+class _IntegerType(PlainType[int]):
     """Integers in a range."""
 
     def __init__(self, minimum: int, maximum: int):
@@ -361,14 +375,16 @@ class _IntegerType(PlainType):
         self._minimum = minimum
         self._maximum = maximum
 
-    def check_all(self, values: Sequence[Untyped]) -> Sequence[object]:
+    def check_all(self, values: Sequence[object]) -> Sequence[int]:
         """See `PlainType.check_all`."""
-        if set(map(type, values)) == {int} and self._minimum <= min(values) and max(values) <= self._maximum:
-            return values
+        if set(map(type, values)) == {int}:
+            integers: Sequence[int] = values  # type: ignore[assignment]
+            if self._minimum <= min(integers) and max(integers) <= self._maximum:
+                return integers
         return check_items(values, self.check)
 
 
-def integer(minimum: int = -MAX_COUNT, maximum: int = MAX_COUNT) -> PlainType:
+def integer(minimum: int = -MAX_COUNT, maximum: int = MAX_COUNT) -> PlainType[int]:
     """Return the type of the integers in a range."""
     return _IntegerType(minimum, maximum)
 
@@ -378,11 +394,11 @@ MATCH_ORDER = integer(0, 2 * MAX_INSTANT)
 """The order of a match, which is a timestamp or a number that follows one."""
 
 
-def one_of(*values: object) -> PlainType:
+def one_of(*values: Value) -> PlainType[Value]:
     """Return the type of some constants."""
     expected = f"one of {', '.join(map(str, values))}"
 
-    def check(value: object) -> object:
+    def check(value: object) -> Value:
         # Classes are compared as well, because True equals 1.
         for allowed in values:
             if type(value) is type(allowed) and value == allowed:
@@ -396,7 +412,7 @@ _CLASS_CODES: Dict[type, int] = {int: 0, FloatSeconds: 1, Stamp: 2}
 """Codes of the classes of instants, which print differently."""
 
 
-def encode_instants(instants: Sequence[Untyped]) -> Tuple[object, ...]:
+def encode_instants(instants: Sequence[int]) -> Tuple[object, ...]:
     """Return columns of instants: nanoseconds as 64-bit integers if they fit, class codes, terms of stamps."""
     classes = set(map(type, instants))
     # Integers, float seconds and stamps with their own text print differently. Usually all instants are alike.
@@ -404,7 +420,7 @@ def encode_instants(instants: Sequence[Untyped]) -> Tuple[object, ...]:
         class_codes = bytes([_CLASS_CODES[classes.pop()]]) * len(instants)
     else:
         class_codes = bytes(map(_CLASS_CODES.__getitem__, map(type, instants)))
-    stamps = [instant.term for instant in instants if instant.__class__ is Stamp] if 2 in class_codes else []
+    stamps = [instant.term for instant in instants if isinstance(instant, Stamp)] if 2 in class_codes else []
     try:
         return pack(f"{len(instants)}q", *instants), class_codes, stamps
     except StructError:
@@ -457,10 +473,10 @@ def decode_instants(value: object, expected_count: Optional[int] = None) -> List
     ]
 
 
-class _InstantType(PlainType):
+class _InstantType(PlainType[int]):
     """Instants in nanoseconds, in any of their forms."""
 
-    def column_checker(self, context: ReadContext) -> ColumnCheck:
+    def column_checker(self, context: ReadContext) -> ColumnCheck[int]:
         """See `FieldType.column_checker`."""
 
         def check_column(column: object, numbers: Sequence[int]) -> Sequence[int]:
@@ -469,7 +485,7 @@ class _InstantType(PlainType):
 
         return check_column
 
-    def encode_column(self, graph: ObjectWriter, values: List[object]) -> object:
+    def encode_column(self, graph: ObjectWriter, values: List[int]) -> object:
         """See `FieldType.encode_column`."""
         return encode_instants(values)
 
@@ -495,10 +511,10 @@ INSTANT = _InstantType("an instant", _check_instant)
 CLOCK_INSTANT = _InstantType("an instant that a clock can reach", _check_clock_instant)
 
 
-class optional(FieldType):  # noqa: N801 - reads as a function, as all types do
+class optional(FieldType[Optional[Item]]):  # noqa: N801 - reads as a function, as all types do
     """Values of a type, or None."""
 
-    def __init__(self, content: FieldType):
+    def __init__(self, content: FieldType[Item]):
         self.name = f"{content.name}, or nothing"
         self._content = content
 
@@ -507,28 +523,31 @@ class optional(FieldType):  # noqa: N801 - reads as a function, as all types do
         """See `FieldType.has_sources`."""
         return self._content.has_sources
 
-    def checker(self, context: ReadContext) -> ValueCheck:
+    def checker(self, context: ReadContext) -> ValueCheck[Optional[Item]]:
         """See `FieldType.checker`."""
         check = self._content.checker(context)
         return lambda value: None if value is None else check(value)
 
-    def encoder(self, graph: ObjectWriter) -> Optional[Encode]:
+    def encoder(self, graph: ObjectWriter) -> Optional[Encode[Optional[Item]]]:
         """See `FieldType.encoder`."""
         encode = self._content.encoder(graph)
         return None if encode is None else lambda value: None if value is None else encode(value)
 
 
-class sequence_of(FieldType):  # noqa: N801
+class sequence_of(FieldType[Sequence[Item]]):  # noqa: N801
     """Sequences of values of one type.
 
     Args:
         content: type of the items.
-        make: makes the owner's form from the list of items; the values are stored in its order of iteration.
+        make: makes the owner's form from the sequence of items; the values are stored in its order of iteration.
         min_count: minimum number of items.
     """
 
     def __init__(
-        self, content: FieldType, make: Callable[[List[object]], Untyped] = list, min_count: int = 0
+        self,
+        content: FieldType[Item],
+        make: Callable[[Sequence[Item]], Sequence[Item]] = list,
+        min_count: int = 0,
     ):
         self.name = f"a sequence of [{content.name}]"
         self._content = content
@@ -540,22 +559,22 @@ class sequence_of(FieldType):  # noqa: N801
         """See `FieldType.has_sources`."""
         return self._content.has_sources
 
-    def checker(self, context: ReadContext) -> ValueCheck:
+    def checker(self, context: ReadContext) -> ValueCheck[Sequence[Item]]:
         """See `FieldType.checker`."""
         content, make, min_count = self._content, self._make, self._min_count
         check = content.checker(context)
         check_all = content.check_all if isinstance(content, PlainType) else None
 
-        def check_sequence(value: object) -> Untyped:
+        def check_sequence(value: object) -> Sequence[Item]:
             values = items_of(value)
             if len(values) < min_count:
                 raise invalid_value(value, f"at least {min_count} items")
-            values = check_items(values, check) if check_all is None else check_all(values)
-            return values if make is type(values) else make(values)  # type: ignore[arg-type]
+            checked = check_items(values, check) if check_all is None else check_all(values)
+            return checked if make is type(checked) else make(checked)
 
         return check_sequence
 
-    def encoder(self, graph: ObjectWriter) -> Optional[Encode]:
+    def encoder(self, graph: ObjectWriter) -> Optional[Encode[Sequence[Item]]]:
         """See `FieldType.encoder`."""
         encode = self._content.encoder(graph)
         if encode is not None:
@@ -563,10 +582,10 @@ class sequence_of(FieldType):  # noqa: N801
         return None if self._make in (list, tuple) else list
 
 
-class tuple_of(FieldType):  # noqa: N801
+class tuple_of(FieldType[Tuple[Any, ...]]):  # noqa: N801
     """Tuples with one type for each item."""
 
-    def __init__(self, *contents: FieldType):
+    def __init__(self, *contents: FieldType[Any]):
         self.name = f"({', '.join(content.name for content in contents)})"
         self._contents = contents
 
@@ -575,12 +594,12 @@ class tuple_of(FieldType):  # noqa: N801
         """See `FieldType.has_sources`."""
         return any(content.has_sources for content in self._contents)
 
-    def checker(self, context: ReadContext) -> ValueCheck:
+    def checker(self, context: ReadContext) -> ValueCheck[Tuple[object, ...]]:
         """See `FieldType.checker`."""
         checks = [content.checker(context) for content in self._contents]
         length = len(checks)
 
-        def check_tuple(value: object) -> Tuple[Untyped, ...]:
+        def check_tuple(value: object) -> Tuple[object, ...]:
             values = items_of(value)
             if len(values) != length:
                 raise invalid_value(value, f"{length} items")
@@ -588,7 +607,7 @@ class tuple_of(FieldType):  # noqa: N801
 
         return check_tuple
 
-    def encoder(self, graph: ObjectWriter) -> Optional[Encode]:
+    def encoder(self, graph: ObjectWriter) -> Optional[Encode[Tuple[object, ...]]]:
         """See `FieldType.encoder`."""
         encodings = [content.encoder(graph) for content in self._contents]
         if not any(encodings):
@@ -598,18 +617,18 @@ class tuple_of(FieldType):  # noqa: N801
         ]
 
 
-class mapping_of(FieldType):  # noqa: N801
+class mapping_of(FieldType[Dict[Key, Item]]):  # noqa: N801
     """Mappings, stored as pairs, without duplicate keys."""
 
-    def __init__(self, key: FieldType, content: FieldType):
+    def __init__(self, key: FieldType[Key], content: FieldType[Item]):
         self.name = f"a mapping from [{key.name}] to [{content.name}]"
         self._pairs = sequence_of(tuple_of(key, content))
 
-    def checker(self, context: ReadContext) -> ValueCheck:
+    def checker(self, context: ReadContext) -> ValueCheck[Dict[Key, Item]]:
         """See `FieldType.checker`."""
         check_pairs = self._pairs.checker(context)
 
-        def check_mapping(value: object) -> Dict[object, object]:
+        def check_mapping(value: object) -> Dict[Key, Item]:
             pairs = check_pairs(value)
             result = dict(pairs)
             if len(result) != len(pairs):
@@ -618,36 +637,36 @@ class mapping_of(FieldType):  # noqa: N801
 
         return check_mapping
 
-    def encoder(self, graph: ObjectWriter) -> Optional[Encode]:
+    def encoder(self, graph: ObjectWriter) -> Encode[Dict[Key, Item]]:
         """See `FieldType.encoder`."""
         encode = self._pairs.encoder(graph) or list
         return lambda mapping: encode(list(mapping.items()))
 
 
-class nested_pairs_of(FieldType):  # noqa: N801
+class nested_pairs_of(FieldType[NestedPairs[Item]]):  # noqa: N801
     """Linked lists ``((((), first), second), third)``, stored as sequences: nested data would be as deep as long."""
 
-    def __init__(self, content: FieldType):
+    def __init__(self, content: FieldType[Item]):
         self.name = f"nested pairs of [{content.name}]"
         self._content = sequence_of(content)
 
-    def checker(self, context: ReadContext) -> ValueCheck:
+    def checker(self, context: ReadContext) -> ValueCheck[NestedPairs[Item]]:
         """See `FieldType.checker`."""
         check = self._content.checker(context)
 
-        def check_pairs(value: object) -> Untyped:
-            pairs: Untyped = ()
+        def check_pairs(value: object) -> NestedPairs[Item]:
+            pairs: NestedPairs[Item] = ()
             for item in check(value):
                 pairs = (pairs, item)
             return pairs
 
         return check_pairs
 
-    def encoder(self, graph: ObjectWriter) -> Encode:
+    def encoder(self, graph: ObjectWriter) -> Encode[NestedPairs[Item]]:
         """See `FieldType.encoder`."""
 
-        def encode(pairs: Untyped) -> List[object]:
-            values: List[object] = []
+        def encode(pairs: NestedPairs[Item]) -> List[Item]:
+            values: List[Item] = []
             while pairs:
                 pairs, item = pairs
                 values.append(item)
@@ -660,7 +679,7 @@ class nested_pairs_of(FieldType):  # noqa: N801
 # ---- references to objects -------------------------------------------------------------------------------
 
 
-class reference(FieldType):  # noqa: N801
+class reference(FieldType[object]):  # noqa: N801
     """References to objects of some kinds.
 
     Args:
@@ -676,7 +695,7 @@ class reference(FieldType):  # noqa: N801
         *kinds: str,
         is_optional: bool = False,
         is_source: bool = False,
-        accepts: Optional[FieldType] = None,
+        accepts: Optional[FieldType[Any]] = None,
     ):
         self.name = f"a reference to {' or '.join(kinds)}"
         if is_optional:
@@ -693,7 +712,7 @@ class reference(FieldType):  # noqa: N801
         """See `FieldType.has_sources`."""
         return self._is_source
 
-    def checker(self, context: ReadContext) -> ValueCheck:
+    def checker(self, context: ReadContext) -> ValueCheck[object]:
         """See `FieldType.checker`."""
         read = objects_of(context).reference_reader(self._kinds, self._is_source)
         if self._accepts is None:
@@ -702,12 +721,12 @@ class reference(FieldType):  # noqa: N801
         is_reference = objects_of(context).is_reference
         return lambda value: read(value) if is_reference(value) else check_other(value)
 
-    def encoder(self, graph: ObjectWriter) -> Encode:
+    def encoder(self, graph: ObjectWriter) -> Encode[object]:
         """See `FieldType.encoder`."""
         to_reference, is_object = graph.reference_to, graph.is_object
         encode_other = None if self._accepts is None else self._accepts.encoder(graph)
 
-        def encode(value: Untyped) -> object:
+        def encode(value: object) -> object:
             if value is None:
                 return None
             if is_object(value):
@@ -716,7 +735,7 @@ class reference(FieldType):  # noqa: N801
 
         return encode
 
-    def column_checker(self, context: ReadContext) -> ColumnCheck:
+    def column_checker(self, context: ReadContext) -> ColumnCheck[object]:
         """See `FieldType.column_checker`."""
         if self._accepts is not None:
             return super().column_checker(context)
@@ -749,24 +768,24 @@ class reference(FieldType):  # noqa: N801
         return [None if value is None else number_of(value) for value in values]
 
 
-class references(FieldType):  # noqa: N801
+class references(FieldType[Sequence[object]]):  # noqa: N801
     """Sequences of many objects, stored as their numbers."""
 
     def __init__(self, *kinds: str):
         self.name = f"references to {' or '.join(kinds)}"
         self._kinds = kinds
 
-    def checker(self, context: ReadContext) -> ValueCheck:
+    def checker(self, context: ReadContext) -> ValueCheck[Sequence[object]]:
         """See `FieldType.checker`."""
         objects = objects_of(context)
         return lambda value: objects.objects_by_number(items_of(value), self._kinds)
 
-    def encoder(self, graph: ObjectWriter) -> Encode:
+    def encoder(self, graph: ObjectWriter) -> Encode[Sequence[object]]:
         """See `FieldType.encoder`."""
         return lambda values: list(map(graph.number_of, values))
 
 
-class parts_of(FieldType):  # noqa: N801
+class parts_of(FieldType[Optional[Tuple[object, ...]]]):  # noqa: N801
     """Parts that an object consists of: objects as their numbers, other values as sequences of one item.
 
     Args:
@@ -774,7 +793,7 @@ class parts_of(FieldType):  # noqa: N801
         accepts: type of the other values.
     """
 
-    def __init__(self, *kinds: str, accepts: FieldType):
+    def __init__(self, *kinds: str, accepts: FieldType[Any]):
         self.name = f"objects, {' or '.join(kinds)}, or {accepts.name}"
         self._kinds = kinds
         self._accepts = accepts
@@ -784,12 +803,12 @@ class parts_of(FieldType):  # noqa: N801
         """See `FieldType.has_sources`."""
         return True
 
-    def checker(self, context: ReadContext) -> ValueCheck:
+    def checker(self, context: ReadContext) -> ValueCheck[Optional[Tuple[object, ...]]]:
         """See `FieldType.checker`."""
         objects = objects_of(context)
         kinds, check_other = self._kinds, self._accepts.checker(context)
 
-        def check_part(part: object) -> Untyped:
+        def check_part(part: object) -> object:
             if type(part) is int:
                 (found,) = objects.objects_by_number([part], kinds)
                 objects.current_sources.append(part)
@@ -800,11 +819,11 @@ class parts_of(FieldType):  # noqa: N801
 
         return lambda value: None if value is None else tuple(check_items(items_of(value), check_part))
 
-    def encoder(self, graph: ObjectWriter) -> Encode:
+    def encoder(self, graph: ObjectWriter) -> Encode[Optional[Tuple[object, ...]]]:
         """See `FieldType.encoder`."""
         number_of, is_object = graph.number_of, graph.is_object
 
-        def encode_part(part: Untyped) -> object:
+        def encode_part(part: object) -> object:
             # A number of an object and a number that is a part itself must differ.
             return number_of(part) if is_object(part) else [part]
 
@@ -817,7 +836,7 @@ def objects_of(context: ReadContext) -> ObjectReader:
     return context.objects
 
 
-class compact_record_of(FieldType):  # noqa: N801
+class compact_record_of(FieldType[Row]):  # noqa: N801
     """Named tuples, stored as sequences, for records that occur often; their fields do not change.
 
     Args:
@@ -825,18 +844,18 @@ class compact_record_of(FieldType):  # noqa: N801
         fields: type of each of its fields.
     """
 
-    def __init__(self, record_class: Type[NamedTuple], **fields: FieldType):
+    def __init__(self, record_class: Type[Row], **fields: FieldType[Any]):
         contents = ", ".join(f"{name}: {content.name}" for name, content in fields.items())
         self.name = f"{record_class.__name__}: ({contents})"
         assert tuple(fields) == record_class._fields, record_class
-        self._make: Callable[..., Untyped] = record_class
+        self._make: Callable[..., Row] = record_class
         self._fields = fields
 
-    def checker(self, context: ReadContext) -> ValueCheck:
+    def checker(self, context: ReadContext) -> ValueCheck[Row]:
         """See `FieldType.checker`."""
         checks = [with_path(name, content.checker(context)) for name, content in self._fields.items()]
 
-        def check(value: object) -> Untyped:
+        def check(value: object) -> Row:
             values = items_of(value)
             if len(values) != len(checks):
                 raise invalid_value(value, f"{len(checks)} items")

@@ -38,7 +38,7 @@ from .field_types import (
 )
 from .state_fields import KINDS, ObjectFields, StoredField, check_column, named_values
 
-ExternalKey = Tuple[int, ...]
+ExternalKey = Sequence[int]
 """Numbers that name an external object."""
 
 
@@ -248,7 +248,7 @@ class ObjectReader:
         """Return whether a decoded value is a reference."""
         return type(value) is Ref
 
-    def reference_reader(self, kinds: Sequence[str], is_source: bool) -> ValueCheck:
+    def reference_reader(self, kinds: Sequence[str], is_source: bool) -> ValueCheck[object]:
         """Return a check of references to objects of some kinds; the result is the object."""
         codes = self._codes_of(kinds)
 

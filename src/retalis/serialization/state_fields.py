@@ -15,15 +15,19 @@ from __future__ import annotations
 from itertools import chain, count
 from typing import (
     TYPE_CHECKING,
+    Any,
     Callable,
     Dict,
+    Generic,
     List,
     NamedTuple,
     Optional,
     Sequence,
     Tuple,
     Type,
+    TypeVar,
     Union,
+    overload,
 )
 
 from ..foundation.errors import UsageError
@@ -35,9 +39,10 @@ from .field_types import (
     FieldType,
     PlainType,
     ReadContext,
+    Row,
     SameForAll,
     State,
-    Untyped,
+    Value,
     ValueCheck,
     invalid_value,
     items_of,
@@ -50,10 +55,12 @@ from .field_types import (
 if TYPE_CHECKING:
     from .object_graph import ObjectWriter
 
+Owner = TypeVar("Owner", bound="StateOwner")
+
 # ---- fields and their owners -------------------------------------------------------------------------------
 
-OwnerType = Callable[[Untyped], FieldType]
-"""Returns the type of a field, given its owner."""
+DeclaredType = Union[FieldType[Any], Callable[[Any], FieldType[Any]]]
+"""Type of a field, or a function that returns it, given the owner."""
 
 
 class StoredField(NamedTuple):
@@ -68,17 +75,17 @@ class StoredField(NamedTuple):
     """
 
     name: str
-    type: Union[FieldType, OwnerType]
+    type: DeclaredType
     attribute: str
     same_as: Optional[str] = None
     is_part: bool = False
 
-    def type_for(self, owner: object) -> FieldType:
+    def type_for(self, owner: object) -> FieldType[Any]:
         """Return the type of the field of an object."""
         return self.type if isinstance(self.type, FieldType) else self.type(owner)
 
 
-def field(name: str, type: Union[FieldType, OwnerType], same_as: Optional[str] = None) -> StoredField:  # noqa: A002
+def field(name: str, type: DeclaredType, same_as: Optional[str] = None) -> StoredField:  # noqa: A002
     """Return a field; the name of a private attribute is stored without its underscore."""
     return StoredField(name.lstrip("_"), type, name, same_as)
 
@@ -91,7 +98,7 @@ def part(name: str, check_item: str = "") -> StoredField:
         check_item: name of the owner's method that checks the objects in the state; see `ReadContext.check_item`.
     """
 
-    def type_for(owner: object) -> FieldType:
+    def type_for(owner: object) -> FieldType[Optional[State]]:
         state_owner: Optional[StateOwner] = getattr(owner, name)
         if state_owner is None:
             return _NO_PART
@@ -198,8 +205,8 @@ def read_named_values(value: object) -> Dict[str, object]:
 
 
 def check_column(
-    content: FieldType, column: object, numbers: Sequence[int], context: ReadContext
-) -> Sequence[object]:
+    content: FieldType[Value], column: object, numbers: Sequence[int], context: ReadContext
+) -> Sequence[Value]:
     """Return the values of a column for objects or rows with the given numbers."""
     if isinstance(column, SameForAll):
         return [content.checker(context)(column.value)] * len(numbers) if numbers else []
@@ -296,12 +303,18 @@ class NextNumber:
         self._attribute = attribute
         self.__doc__ = doc
 
-    def __get__(self, owner: object, owner_class: Optional[type] = None) -> Untyped:
+    @overload
+    def __get__(self, owner: None, owner_class: type) -> NextNumber: ...
+
+    @overload
+    def __get__(self, owner: object, owner_class: Optional[type] = None) -> int: ...
+
+    def __get__(self, owner: object, owner_class: Optional[type] = None) -> Union[int, NextNumber]:
         """Return the next number, or the property itself if it is read from the class."""
         if owner is None:
             return self
         # Reading the next number of a counter consumes it, so the counter is replaced.
-        number = next(getattr(owner, self._attribute))
+        number: int = next(getattr(owner, self._attribute))
         self.__set__(owner, number)
         return number
 
@@ -310,7 +323,7 @@ class NextNumber:
         setattr(owner, self._attribute, count(number))
 
 
-class part_state(FieldType):  # noqa: N801
+class part_state(FieldType[State]):  # noqa: N801
     """States of a part of an object; the type depends on the object.
 
     Args:
@@ -320,23 +333,23 @@ class part_state(FieldType):  # noqa: N801
 
     name = "the state of a part"
 
-    def __init__(self, part: StateOwner, check_item: Optional[Callable[[Untyped, int], None]] = None):
+    def __init__(self, part: StateOwner, check_item: Optional[Callable[[object, int], None]] = None):
         self._part = part
         self._check_item = check_item
 
-    def checker(self, context: ReadContext) -> ValueCheck:
+    def checker(self, context: ReadContext) -> ValueCheck[State]:
         """See `FieldType.checker`."""
         part = self._part
         inner_context = context if self._check_item is None else context._replace(check_item=self._check_item)
         return lambda value: part.STATE.check_state(value, part, inner_context)
 
-    def encoder(self, graph: ObjectWriter) -> Encode:
+    def encoder(self, graph: ObjectWriter) -> Encode[State]:
         """See `FieldType.encoder`."""
         part = self._part
         return lambda state: part.STATE.encode_state(state, part, graph)
 
 
-class states_of(FieldType):  # noqa: N801
+class states_of(FieldType[List[State]], Generic[Owner]):  # noqa: N801
     """States of several objects, each with the name of its class.
 
     Args:
@@ -349,15 +362,15 @@ class states_of(FieldType):  # noqa: N801
 
     def __init__(
         self,
-        owners: Sequence[StateOwner],
+        owners: Sequence[Owner],
         expected: str,
-        title: Callable[[Untyped], str] = lambda owner: type(owner).__name__,
+        title: Callable[[Owner], str] = lambda owner: type(owner).__name__,
     ):
         self._owners = owners
         self._expected = expected
         self._title = title
 
-    def checker(self, context: ReadContext) -> ValueCheck:
+    def checker(self, context: ReadContext) -> ValueCheck[List[State]]:
         """See `FieldType.checker`."""
 
         def check(value: object) -> List[State]:
@@ -371,7 +384,7 @@ class states_of(FieldType):  # noqa: N801
 
         return check
 
-    def encoder(self, graph: ObjectWriter) -> Encode:
+    def encoder(self, graph: ObjectWriter) -> Encode[List[State]]:
         """See `FieldType.encoder`."""
         return lambda states: [
             [type(owner).__name__, owner.STATE.encode_state(state, owner, graph)]
@@ -380,10 +393,10 @@ class states_of(FieldType):  # noqa: N801
 
 
 _NAMED_STATES = sequence_of(tuple_of(TEXT, ANYTHING))
-_NO_PART = PlainType("nothing, because there is no such part", lambda value: None)
+_NO_PART: PlainType[Optional[State]] = PlainType("nothing, because there is no such part", lambda value: None)
 
 
-class rows_of(FieldType, FieldList):  # noqa: N801
+class rows_of(FieldType[List[Row]], FieldList):  # noqa: N801
     """Tables: sequences of named tuples, stored in columns.
 
     Args:
@@ -391,17 +404,17 @@ class rows_of(FieldType, FieldList):  # noqa: N801
         fields: type of each of its fields.
     """
 
-    def __init__(self, row_class: Type[NamedTuple], **fields: FieldType):
+    def __init__(self, row_class: Type[Row], **fields: FieldType[Any]):
         FieldList.__init__(self, *(field(name, content) for name, content in fields.items()))
+        assert tuple(fields) == row_class._fields, row_class
         self.record_name = row_class.__name__
         self.name = f"rows of {self.record_name}: ({', '.join(self.describe())})"
-        assert tuple(fields) == row_class._fields, row_class
-        self._make: Callable[..., Untyped] = row_class
+        self._make: Callable[..., Row] = row_class
 
-    def checker(self, context: ReadContext) -> ValueCheck:
+    def checker(self, context: ReadContext) -> ValueCheck[List[Row]]:
         """See `FieldType.checker`."""
 
-        def check(value: object) -> List[object]:
+        def check(value: object) -> List[Row]:
             row_count, stored = _TABLE.check(value)
             if not row_count and not stored:
                 return []
@@ -418,10 +431,10 @@ class rows_of(FieldType, FieldList):  # noqa: N801
 
         return check
 
-    def encoder(self, graph: ObjectWriter) -> Encode:
+    def encoder(self, graph: ObjectWriter) -> Encode[List[Row]]:
         """See `FieldType.encoder`."""
 
-        def encode(rows: Sequence[object]) -> List[object]:
+        def encode(rows: List[Row]) -> List[object]:
             if not rows:
                 return [0, []]
             columns = [
@@ -437,7 +450,7 @@ _TABLE = tuple_of(COUNT, ANYTHING)
 """A table: number of rows, and columns."""
 
 
-class record_of(FieldType, FieldList):  # noqa: N801
+class record_of(FieldType[Row], FieldList):  # noqa: N801
     """Named tuples, stored as mappings from names to values.
 
     Args:
@@ -445,20 +458,21 @@ class record_of(FieldType, FieldList):  # noqa: N801
         fields: type of each of its fields.
     """
 
-    def __init__(self, record_class: Callable[..., Untyped], **fields: FieldType):
+    def __init__(self, record_class: Type[Row], **fields: FieldType[Any]):
         FieldList.__init__(self, *(field(name, content) for name, content in fields.items()))
+        assert tuple(fields) == record_class._fields, record_class
         self.record_name = record_class.__name__
         self.name = f"{self.record_name}: ({', '.join(self.describe())})"
-        self._make = record_class
+        self._make: Callable[..., Row] = record_class
 
-    def checker(self, context: ReadContext) -> ValueCheck:
+    def checker(self, context: ReadContext) -> ValueCheck[Row]:
         """See `FieldType.checker`."""
         checks = [
             (entry.name, with_path(entry.name, entry.type_for(None).checker(context)))
             for entry in self.fields
         ]
 
-        def check(value: object) -> Untyped:
+        def check(value: object) -> Row:
             mapping = self.mapping_of(value, context)
             return self._make(
                 **{name: check_value(_unwrapped(mapping[name])) for name, check_value in checks}
@@ -466,19 +480,13 @@ class record_of(FieldType, FieldList):  # noqa: N801
 
         return check
 
-    def encoder(self, graph: ObjectWriter) -> Encode:
+    def encoder(self, graph: ObjectWriter) -> Encode[Row]:
         """See `FieldType.encoder`."""
         names = [entry.name for entry in self.fields]
-        encodings = [(entry.name, entry.type_for(None).encoder(graph)) for entry in self.fields]
-
-        def encode(record: Untyped) -> List[object]:
-            stored = record if isinstance(record, dict) else record._asdict()
-            return named_values(
-                names,
-                [stored[name] if encode is None else encode(stored[name]) for name, encode in encodings],
-            )
-
-        return encode
+        encodings = [entry.type_for(None).encoder(graph) for entry in self.fields]
+        return lambda record: named_values(
+            names, [value if encode is None else encode(value) for encode, value in zip(encodings, record)]
+        )
 
 
 def _unwrapped(stored: object) -> object:

@@ -8,7 +8,7 @@ Files of older formats are migrated when they are read: `MIGRATIONS` has the cha
 
 import json
 import sys
-from typing import Any, Dict, List, Mapping, NamedTuple, Tuple
+from typing import Dict, List, Mapping, NamedTuple, Tuple
 from zlib import crc32
 
 from ..foundation.errors import UsageError
@@ -63,6 +63,22 @@ def check_version(format_number: object, byte_order: object) -> int:
     return format_number
 
 
+class _Section(NamedTuple):
+    """Entry of a section in the header."""
+
+    name: str
+    length: int
+    checksum: int
+
+
+class _Header(NamedTuple):
+    """Header of a state file."""
+
+    format_number: object
+    byte_order: object
+    sections: List[_Section]
+
+
 class StateFile(NamedTuple):
     """Contents of a state file.
 
@@ -89,19 +105,19 @@ def unpack_sections(data: bytes) -> StateFile:
         UsageError: if the data is not a state file, is of another version, or is damaged.
     """
     header, offset = _read_header(data)
-    check_version(header.get("format"), header.get("byte_order"))
+    format_number = check_version(header.format_number, header.byte_order)
     sections = {}
-    for name, length, checksum in header["sections"]:
+    for name, length, checksum in header.sections:
         section = sections[name] = data[offset : offset + length]
         offset += length
         if len(section) != length or crc32(section) != checksum:
             raise UsageError(f"the state is damaged: the checksum of section {name} is wrong")
     if offset != len(data):
         raise UsageError("the state is damaged: it is longer than its header states")
-    return StateFile(sections, header["format"])
+    return StateFile(sections, format_number)
 
 
-def _read_header(data: bytes) -> Tuple[Dict[str, Any], int]:
+def _read_header(data: bytes) -> Tuple[_Header, int]:
     """Return the header of a state file, and the offset of the first section."""
     if not data.startswith(MAGIC):
         raise UsageError("this is not a state file")
@@ -112,18 +128,19 @@ def _read_header(data: bytes) -> Tuple[Dict[str, Any], int]:
             raise ValueError
         # Decoded first: the JSON module would guess the encoding of bytes, and import its codec.
         header = json.loads(str(data[end + 1 : end + 1 + length], "utf-8"), parse_int=_parse_header_integer)
+        sections = [_Section(*entry) for entry in header["sections"]]
         # Negative lengths would pass the checksum of an empty section, and shift those that follow.
-        names = [name for name, length, checksum in header["sections"] if length >= 0 and checksum >= 0]
+        names = [section.name for section in sections if section.length >= 0 and section.checksum >= 0]
         memory_names = [name for name in names if name.startswith("memory ")]
         if (
-            not all(number.__class__ is int for _, *numbers in header["sections"] for number in numbers)
-            or len(set(names)) != len(header["sections"])
+            not all(type(number) is int for _, *numbers in sections for number in numbers)
+            or len(set(names)) != len(sections)
             or memory_names != [f"memory {index}" for index in range(len(memory_names))]
         ):
             raise ValueError
     except Exception as error:  # any error of malformed JSON, including excessive nesting
         raise UsageError("the state is damaged: its header is malformed") from error
-    return header, end + 1 + length
+    return _Header(header.get("format"), header.get("byte_order"), sections), end + 1 + length
 
 
 def _parse_header_integer(digits: str) -> int:

@@ -77,8 +77,7 @@ def _check_part(value: object) -> "Union[int, ComputedValues]":
     if isinstance(value, list):
         (values,) = _STORED_VALUES.check(value)
         return ComputedValues(values)
-    number: int = COUNT.check(value)
-    return number
+    return COUNT.check(value)
 
 
 _STORED_VALUES = tuple_of(MATCH_VALUES)
@@ -113,12 +112,12 @@ LINEAGE_FIELDS = (
 """Stored links of the nodes of a lineage."""
 
 
-class TokenKeys(FieldType):
+class TokenKeys(FieldType[Hashable]):
     """Keys that consist of terms, or of identities of events."""
 
     name = "a key of terms or identities of events"
 
-    def checker(self, context: ReadContext) -> ValueCheck:
+    def checker(self, context: ReadContext) -> ValueCheck[Hashable]:
         """See `FieldType.checker`."""
         check_token = TOKEN.checker(context)
         is_reference = objects_of(context).is_reference
@@ -126,12 +125,11 @@ class TokenKeys(FieldType):
         def check_key(value: object) -> Hashable:
             if isinstance(value, list) and any(map(is_reference, value)):
                 return tuple([check_key(item) for item in value])
-            key: Hashable = check_token(value) if is_reference(value) else KEY.check(value)
-            return key
+            return check_token(value) if is_reference(value) else KEY.check(value)
 
         return check_key
 
-    def encoder(self, graph: "ObjectWriter") -> Encode:
+    def encoder(self, graph: "ObjectWriter") -> Encode[Hashable]:
         """See `FieldType.encoder`."""
 
         def encode(key: Any) -> object:

@@ -335,7 +335,7 @@ class KleeneNode(KleeneValues):
         # The values of each run have been checked against its node.
         return isinstance(run, Run) and run.node is self and run.start <= run.end
 
-    def run_state_type(self) -> FieldType:
+    def run_state_type(self) -> FieldType[Any]:
         """See `NetworkNode.run_state_type`."""
         return NOTHING if self.aggregate is None else self.aggregate.state_type
 

@@ -258,7 +258,7 @@ class NetworkNode(StateOwner):
         """Return whether a run is one of this node."""
         return False
 
-    def run_state_type(self) -> FieldType:
+    def run_state_type(self) -> FieldType[Any]:
         """Return the type of the states of aggregates in runs."""
         return NOTHING
 

@@ -661,7 +661,7 @@ class Fold(NamedTuple):
     """
 
     initial_state: Any
-    state_type: FieldType
+    state_type: FieldType[Any]
     empty_result: Optional[Term]
     add: Callable[[Any, Term], Any]
     result: Callable[[Any], Term]

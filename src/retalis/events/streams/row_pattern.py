@@ -725,7 +725,7 @@ class RowPatternWindow(StreamOperator):
             if elements:
                 self._restore_partition(reference_time, elements, states, completed)
 
-    def partitions_type(self) -> FieldType:
+    def partitions_type(self) -> FieldType[List[StoredPartition]]:
         """Return the type of `partitions`, which depends on the number of steps."""
         step = integer(0, len(self.nfa.steps) - 1)
         assignments = sequence_of(tuple_of(COUNT, step), tuple)

@@ -111,7 +111,7 @@ class StreamOutput(NamedTuple):
     error: Optional[RuleError] = None
 
 
-class _ElementType(FieldType):
+class _ElementType(FieldType[StreamElement]):
     """Elements in the state of an operator.
 
     Args:
@@ -123,7 +123,7 @@ class _ElementType(FieldType):
         self._channel = channel
         self._reference = reference("element")
 
-    def checker(self, context: ReadContext) -> ValueCheck:
+    def checker(self, context: ReadContext) -> ValueCheck[StreamElement]:
         """See `FieldType.checker`."""
         check_reference, check_item, channel = (
             self._reference.checker(context),
@@ -132,14 +132,15 @@ class _ElementType(FieldType):
         )
 
         def check(value: object) -> StreamElement:
-            element: StreamElement = check_reference(value)
+            element = check_reference(value)
+            assert isinstance(element, StreamElement)
             # The owner of the operator knows the patterns that its elements match.
             check_item(element, channel)
             return element
 
         return check
 
-    def encoder(self, graph: "ObjectWriter") -> Optional[Encode]:
+    def encoder(self, graph: "ObjectWriter") -> Optional[Encode[StreamElement]]:
         """See `FieldType.encoder`."""
         return self._reference.encoder(graph)
 

@@ -5,7 +5,7 @@ goals have stored: flags, global variables, counters, and answers of tables. Bot
 contain no code: compiled code is generated again by the system that restores them.
 """
 
-from typing import TYPE_CHECKING, Any, Dict, List, NamedTuple, Optional, Tuple
+from typing import TYPE_CHECKING, Any, Dict, List, NamedTuple, Optional, Tuple, Union
 
 from ...foundation.errors import Place
 from ...serialization.field_types import (
@@ -52,7 +52,7 @@ _MODULES, _META_ARGUMENTS = "modules", "arguments of predicates"
 """Keys of `ValuesSnapshot.builtin_state` for the data of the module system."""
 
 
-def _check_argument_kind(value: object) -> Any:
+def _check_argument_kind(value: object) -> Union[str, int]:
     return value if isinstance(value, str) else integer(0, 100).check(value)
 
 
@@ -134,7 +134,7 @@ _PREDICATE_FIELDS = compact_record_of(
 
 
 def _check_predicate(value: object) -> PredicateSnapshot:
-    predicate: PredicateSnapshot = _PREDICATE_FIELDS.check(value)
+    predicate = _PREDICATE_FIELDS.check(value)
     for head, body, _ in predicate.clauses:
         arity = len(head) - 1 if isinstance(head, tuple) else 0
         # A clause in the wrong predicate would be called with missing arguments.
@@ -192,7 +192,7 @@ class ValuesSnapshot(NamedTuple):
     table_answers: Any
 
 
-_BUILTIN_STATE: Dict[str, FieldType] = {
+_BUILTIN_STATE: Dict[str, FieldType[Any]] = {
     "counters": mapping_of(TEXT, integer()),
     "flags": mapping_of(TEXT, TERM),
     "flag": mapping_of(TEXT, TERM),
@@ -209,12 +209,12 @@ _BUILTIN_STATE: Dict[str, FieldType] = {
 """Types of `ValuesSnapshot.builtin_state` by key."""
 
 
-class _BuiltinState(FieldType):
+class _BuiltinState(FieldType[Dict[str, Dict[Any, Any]]]):
     """Data of built-in predicates by key; a key without data is omitted."""
 
     name = "data of built-in predicates"
 
-    def checker(self, context: ReadContext) -> ValueCheck:
+    def checker(self, context: ReadContext) -> ValueCheck[Dict[str, Dict[Any, Any]]]:
         """See `FieldType.checker`."""
 
         def check(value: object) -> Dict[str, Dict[Any, Any]]:
@@ -228,7 +228,7 @@ class _BuiltinState(FieldType):
 
         return check
 
-    def encoder(self, graph: "ObjectWriter") -> Encode:
+    def encoder(self, graph: "ObjectWriter") -> Encode[Dict[str, Dict[Any, Any]]]:
         """See `FieldType.encoder`."""
         return lambda data_by_key: [
             [name, _BUILTIN_STATE[name].encode(data)] for name, data in data_by_key.items()
