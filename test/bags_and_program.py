@@ -1,6 +1,7 @@
 """Bags and a program for tests of many bags: it publishes each received text, and texts that are received twice."""
 
 import struct
+from typing import Any
 
 from retalis import BagWriter, Definitions
 
@@ -8,7 +9,7 @@ SECOND = 10**9
 STRING = Definitions().add("std_msgs/String", "string data")
 
 
-def make_program(folder):
+def make_program(folder: Any) -> Any:
     """Write the program; return its folder."""
     folder.mkdir()
     message_type = 'msg_type="std_msgs/String"'
@@ -27,7 +28,7 @@ def make_program(folder):
     return folder
 
 
-def make_bag(path, *texts, start=1):
+def make_bag(path: Any, *texts: Any, start: int = 1) -> Any:
     """Write a bag with texts, one per second from the second ``start`` on; return its path."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with BagWriter(path) as bag:

@@ -14,9 +14,10 @@ import subprocess
 import tempfile
 import time
 from pathlib import Path
+from typing import Any, Callable, Dict, List, Optional
 from urllib.request import ProxyHandler, build_opener
 
-from tornado.websocket import websocket_connect
+from tornado.websocket import WebSocketClientConnection, websocket_connect
 
 COMMANDS = ("chromium", "chromium-browser", "google-chrome")
 OPTIONS = (
@@ -61,7 +62,7 @@ STRICT_JSON = """
 """Script that makes objects from JSON strict, before the scripts of a page run."""
 
 
-def chromium():
+def chromium() -> Optional[str]:
     """Return the path of an installed Chromium, or None."""
     return next(filter(None, map(shutil.which, COMMANDS)), None)
 
@@ -79,16 +80,16 @@ class Browser:
         problems: errors and warnings of the console, exceptions, and failed requests.
     """
 
-    def __init__(self, width=1280, height=900, dark=False):
+    def __init__(self, width: int = 1280, height: int = 900, dark: bool = False) -> None:
         self._folder = tempfile.mkdtemp(prefix="browser-")
         self._socket = None
         command = [chromium(), *OPTIONS, f"--user-data-dir={self._folder}", "about:blank"]
         self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         self._loop = asyncio.new_event_loop()
         self._last_id = 0
-        self._urls = {}
-        self.console = []
-        self.problems = []
+        self._urls: Dict[str, str] = {}
+        self.console: List[str] = []
+        self.problems: List[str] = []
         try:
             self._socket = self._loop.run_until_complete(self._connect())
             for domain in ("Page", "Runtime", "Log", "Network"):
@@ -101,12 +102,14 @@ class Browser:
             self.close()
             raise
 
-    async def _connect(self):
+    async def _connect(self) -> WebSocketClientConnection:
         port_file = Path(self._folder) / "DevToolsActivePort"
-        port = await self._wait_until(lambda: port_file.exists() and port_file.read_text().split("\n")[0])
+        port = await self._wait_until(
+            lambda: port_file.read_text().split("\n")[0] if port_file.exists() else None
+        )
         opener = build_opener(ProxyHandler({}))
 
-        def find_page():
+        def find_page() -> Optional[str]:
             with opener.open(f"http://127.0.0.1:{port}/json/list", timeout=TIMEOUT_SECONDS) as response:
                 targets = json.load(response)
             return next(
@@ -115,7 +118,7 @@ class Browser:
 
         return await websocket_connect(await self._wait_until(find_page), max_message_size=1 << 28)
 
-    async def _wait_until(self, condition):
+    async def _wait_until(self, condition: Callable[[], Optional[str]]) -> str:
         deadline = time.monotonic() + TIMEOUT_SECONDS
         while time.monotonic() < deadline:
             value = condition()
@@ -124,13 +127,13 @@ class Browser:
             await asyncio.sleep(0.05)
         raise AssertionError("the browser does not start")
 
-    def call(self, method, **parameters):
+    def call(self, method: str, **parameters: Any) -> Any:
         """Call a method of the protocol and return its result."""
         return self._loop.run_until_complete(
             asyncio.wait_for(self._call(method, parameters), TIMEOUT_SECONDS)
         )
 
-    async def _call(self, method, parameters):
+    async def _call(self, method: str, parameters: Dict[str, Any]) -> Any:
         self._last_id += 1
         request = {"id": self._last_id, "method": method, "params": parameters}
         await self._socket.write_message(json.dumps(request))
@@ -141,7 +144,7 @@ class Browser:
                 return message["result"]
             self._record(message.get("method"), message.get("params", {}))
 
-    def _record(self, event, details):
+    def _record(self, event: Any, details: Any) -> None:
         """Record a message of the console, an exception, or a request."""
         if event == "Runtime.consoleAPICalled":
             text = " ".join(str(argument.get("value")) for argument in details["args"])
@@ -166,19 +169,19 @@ class Browser:
             url = self._urls.get(details["requestId"], "")
             self._add_problem(f"{details['errorText']} {url}")
 
-    def _add_problem(self, text):
+    def _add_problem(self, text: str) -> None:
         # A page that is updated in a loop repeats its problem.
         if text not in self.problems:
             self.problems.append(text)
 
-    def take_problems(self):
+    def take_problems(self) -> Any:
         """Return the problems so far, and forget them."""
         # Messages are read during a call only.
         self.ask("0")
         problems, self.problems = self.problems, []
         return problems
 
-    def reset(self):
+    def reset(self) -> None:
         """Leave the page, forget messages and problems, and restore the default size and colours."""
         self.call("Page.navigate", url="about:blank")
         self.take_problems()
@@ -186,7 +189,7 @@ class Browser:
         self.resize(1280, 900)
         self.set_dark(False)
 
-    def resize(self, width, height):
+    def resize(self, width: int, height: int) -> None:
         """Set the size of the page in pixels; a narrow page is shown as on a phone."""
         self.call(
             "Emulation.setDeviceMetricsOverride",
@@ -196,23 +199,23 @@ class Browser:
             mobile=width < MAX_MOBILE_WIDTH,
         )
 
-    def set_dark(self, dark):
+    def set_dark(self, dark: Any) -> None:
         """Show the page in dark or in light colours."""
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.call("Emulation.setEmulatedMedia", features=[scheme])
 
-    def open(self, url):
+    def open(self, url: str) -> None:
         """Open a page, and wait until its scripts have run."""
         self.call("Page.navigate", url=url)
         self.wait_for("document.readyState === 'complete'")
 
-    def ask(self, expression):
+    def ask(self, expression: str) -> Any:
         """Return the value of an expression in the page."""
         result = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
         assert "exceptionDetails" not in result, result["exceptionDetails"]
         return result["result"].get("value")
 
-    def wait_for(self, expression, allow_problems=False):
+    def wait_for(self, expression: str, allow_problems: bool = False) -> Any:
         """Return the value of an expression as soon as it is true; fail at the first problem unless it is allowed."""
         deadline = time.monotonic() + TIMEOUT_SECONDS
         while time.monotonic() < deadline:
@@ -224,32 +227,32 @@ class Browser:
             self._loop.run_until_complete(asyncio.sleep(0.05))
         raise AssertionError(f"{expression} is not true; problems: {self.problems}")
 
-    def send_mouse_event(self, event, x, y, **details):
+    def send_mouse_event(self, event: Any, x: Any, y: Any, **details: Any) -> None:
         """Send an event of the mouse, such as ``mouseMoved``, at a position in pixels."""
         self.call("Input.dispatchMouseEvent", type=event, x=x, y=y, **details)
 
-    def click(self, x, y, count=1):
+    def click(self, x: Any, y: Any, count: int = 1) -> None:
         """Click at a position in pixels; a double click has the count 2."""
         for number in range(1, count + 1):
             for event in ("mousePressed", "mouseReleased"):
                 self.send_mouse_event(event, x, y, button="left", clickCount=number)
 
-    def press(self, key):
+    def press(self, key: Any) -> None:
         """Press and release a key, such as ``ArrowLeft``."""
         text = {"text": key} if len(key) == 1 else {}
         self.call("Input.dispatchKeyEvent", type="keyDown", key=key, **text)
         self.call("Input.dispatchKeyEvent", type="keyUp", key=key)
 
-    def picture(self, whole=True):
+    def picture(self, whole: bool = True) -> Any:
         """Return the page as PNG, or only the visible part of it."""
         result = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
         return base64.b64decode(result["data"])
 
-    def height(self):
+    def height(self) -> Any:
         """Return the height of the whole page in pixels."""
         return self.ask("document.documentElement.scrollHeight")
 
-    def close(self):
+    def close(self) -> None:
         """End the browser."""
         if self._socket is not None:
             self._socket.close()
@@ -265,7 +268,7 @@ class Browser:
         shutil.rmtree(self._folder, ignore_errors=True)
 
 
-async def _cancel_other_tasks():
+async def _cancel_other_tasks() -> None:
     """Cancel the tasks that read from the browser, and wait for their end."""
     current = asyncio.current_task()
     others = [task for task in asyncio.all_tasks() if task is not current]

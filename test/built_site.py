@@ -1,5 +1,7 @@
 """The documentation site that ``./install.py docs`` has built, for tests that open its pages in a browser."""
 
+from typing import Any, List
+
 import pytest
 from doc_pages import ROOT
 
@@ -9,7 +11,7 @@ COOKBOOK = ROOT / "examples" / "cookbook"
 SOURCE_SUFFIXES = (".md", ".py", ".css", ".js", ".txt", ".xml")
 
 
-def source_files():
+def source_files() -> List[Any]:
     """Return the files that the site is built from, without the docstrings of the package."""
     files = [
         path
@@ -20,7 +22,7 @@ def source_files():
     return [*files, *programs, ROOT / "CONTRIBUTING.md", ROOT / "package.xml"]
 
 
-def site_is_built():
+def site_is_built() -> Any:
     """Return whether ``./install.py docs`` has built the site from the present pages."""
     search = SITE / "searchindex.js"
     return search.exists() and search.stat().st_mtime > max(path.stat().st_mtime for path in source_files())

@@ -9,6 +9,7 @@ requests it: some of them measure memory, and those of ROS start many processes 
 
 import gc
 import os
+from typing import Any, Iterator
 
 import pytest
 
@@ -35,13 +36,13 @@ class FrozenCollector:
     of the process. The tests of the garbage collector use the real one.
     """
 
-    def __getattr__(self, name):
+    def __getattr__(self, name: Any) -> Any:
         return getattr(gc, name)
 
-    def collect(self):
+    def collect(self) -> int:
         return 0
 
-    def freeze(self):
+    def freeze(self) -> None:
         pass
 
     unfreeze = freeze
@@ -64,7 +65,7 @@ else:
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_cmdline_main(config):
+def pytest_cmdline_main(config: Any) -> None:
     option = config.option
     if "PYTEST_XDIST_WORKER" in os.environ:  # a process of xdist, or started by one, starts no further ones
         return
@@ -73,7 +74,7 @@ def pytest_cmdline_main(config):
 
 
 @pytest.hookimpl(hookwrapper=True)
-def pytest_collection(session):
+def pytest_collection(session: Any) -> Iterator[None]:
     """Exempt the objects of the collection from the garbage collector.
 
     A million objects of modules, syntax trees and tests stay until the end. Each full collection would visit them, in
@@ -89,13 +90,13 @@ def pytest_collection(session):
 
 
 @pytest.fixture(scope="module")
-def definitions():
+def definitions() -> Any:
     """Return the installed message definitions."""
     return Definitions()
 
 
 @pytest.fixture(scope="module")
-def module_browser():
+def module_browser() -> Iterator[Any]:
     """Return a browser for the tests of a module; its start takes a second."""
     pytest.importorskip("tornado", reason="the browser is controlled through tornado")
     from browser import Browser, chromium  # noqa: PLC0415 - tornado is optional
@@ -108,7 +109,7 @@ def module_browser():
 
 
 @pytest.fixture
-def browser(module_browser):
+def browser(module_browser: Any) -> Iterator[Any]:
     """Return a browser with an empty page; fail if a problem is left at the end of the test."""
     module_browser.reset()
     yield module_browser
@@ -116,7 +117,7 @@ def browser(module_browser):
 
 
 @pytest.fixture(scope="module", autouse=True)
-def freeze_caches():
+def freeze_caches() -> Iterator[None]:
     """Exempt the objects that a module of tests has left in caches, too: some tests collect all garbage."""
     yield
     gc.collect()

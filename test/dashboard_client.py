@@ -5,6 +5,7 @@ import json
 import socket
 import time
 from contextlib import contextmanager
+from typing import Any, Iterator, Tuple
 
 from retalis import Engine, record_origins
 from retalis.dashboard.page_server import Dashboard
@@ -15,7 +16,7 @@ RULES = "alarm(X) <- smoke(X) seq heat(X). synchronized(seen(X), true, [[fires, 
 GOALS = "memorize(smoke(_), [], _, fires, 10)\nsubscribe(alarm(_), [], _, alarms, a)"
 
 
-def engine():
+def engine() -> Any:
     """Return an engine with a small program."""
     program = Engine()
     record_origins(program)
@@ -24,7 +25,7 @@ def engine():
 
 
 @contextmanager
-def serving(program=None, port=0, **source):
+def serving(program: Any = None, port: int = 0, **source: Any) -> Iterator[Any]:
     """Serve a page on a port, by default on a free one."""
     page = Dashboard(DashboardSource(program or engine(), "/retalis", **source), port, period=0.05)
     try:
@@ -36,10 +37,10 @@ def serving(program=None, port=0, **source):
 class Visitor:
     """Client of a page."""
 
-    def __init__(self, page):
+    def __init__(self, page: Any) -> None:
         self.port = page.port
 
-    def ask(self, path, method="GET", body=None, **headers):
+    def ask(self, path: Any, method: str = "GET", body: Any = None, **headers: Any) -> Tuple[Any, ...]:
         """Return the status, the headers and the body of a response."""
         link = http.client.HTTPConnection("127.0.0.1", self.port, timeout=TIMEOUT_SECONDS)
         try:
@@ -50,7 +51,7 @@ class Visitor:
         finally:
             link.close()
 
-    def post(self, path, request, **headers):
+    def post(self, path: Any, request: Any, **headers: Any) -> Any:
         """Return the response to a request in JSON."""
         status, _, body = self.ask(
             path, "POST", json.dumps(request), Content_Type="application/json", **headers
@@ -59,7 +60,7 @@ class Visitor:
         return json.loads(body)
 
     @contextmanager
-    def stream(self, path="/stream"):
+    def stream(self, path: str = "/stream") -> Iterator[Any]:
         """Open the stream of events."""
         link = socket.create_connection(("127.0.0.1", self.port), timeout=TIMEOUT_SECONDS)
         file = link.makefile("rb")
@@ -77,11 +78,11 @@ class Visitor:
 class Stream:
     """A stream of server-sent events."""
 
-    def __init__(self, status, file):
+    def __init__(self, status: Any, file: Any) -> None:
         self.status = status
         self._file = file
 
-    def next(self, name="snapshot"):
+    def next(self, name: str = "snapshot") -> Any:
         """Return the data of the next event of a name."""
         while True:
             line = self._file.readline()
@@ -90,7 +91,7 @@ class Stream:
                 data = self._file.readline()
                 return json.loads(data[len("data: ") :])
 
-    def until(self, condition):
+    def until(self, condition: Any) -> Any:
         """Return the first snapshot for which a condition holds."""
         end = time.monotonic() + TIMEOUT_SECONDS
         while time.monotonic() < end:

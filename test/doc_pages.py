@@ -8,6 +8,7 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any, List
 
 from python_path import python_path
 
@@ -24,9 +25,9 @@ PROGRAMS = {"retalis": [sys.executable, "-m", "retalis"], "python3": [sys.execut
 """The command line of each program that pages call."""
 
 
-def run_commands(text, folder):
+def run_commands(text: Any, folder: Any) -> str:
     """Run the commands of a console block; return the block with their present output."""
-    blocks = []
+    blocks: List[Any] = []
     for line in text.splitlines():
         if line.startswith("$ "):
             program, *arguments = shlex.split(line[2:])
@@ -43,9 +44,9 @@ def run_commands(text, folder):
     return "".join(blocks)
 
 
-def call_goals(text, engine):
+def call_goals(text: Any, engine: Any) -> str:
     """Call the goals of a console block; return the block with the present answers of the engine."""
-    blocks = []
+    blocks: List[Any] = []
     for block in text.strip().split("\n\n"):
         goal = block.partition("\n")[0]
         assert goal.startswith("?- ")
@@ -65,24 +66,24 @@ def call_goals(text, engine):
 class PageRun:
     """The state of a page while its fences are run: an engine, its outputs, and Python names."""
 
-    def __init__(self, folder):
+    def __init__(self, folder: Any) -> None:
         self.folder = folder
         self.names = {}
         self.printed = None
         self.start_section()
 
-    def start_section(self):
+    def start_section(self) -> None:
         self.engine, self.outputs = Engine(), []
         self.engine.on_output(
             lambda term, topic, name: self.outputs.append(f"{self.engine.show(term)} to {topic}\n")
         )
 
-    def check_fences(self, text):
+    def check_fences(self, text: Any) -> None:
         """Run all fences of a text, and compare each with what happens."""
         for fence in FENCE.finditer(text):
             assert self.result(fence) == fence["text"]
 
-    def result(self, fence):
+    def result(self, fence: Any) -> Any:
         """Run a fence; return the text that the page should show in it."""
         language, text, printed = fence["kind"], fence["text"], self.printed
         self.printed = None
@@ -112,7 +113,7 @@ class PageRun:
         return text
 
 
-def load_script(name):
+def load_script(name: Any) -> Any:
     """Return a script of the documentation as a module."""
     spec = importlib.util.spec_from_file_location(name, str(ROOT / "docs" / f"{name}.py"))
     module = importlib.util.module_from_spec(spec)

@@ -4,6 +4,7 @@ import bz2
 import sqlite3
 import struct
 from contextlib import closing
+from typing import Any
 
 import lz4.frame
 
@@ -17,7 +18,7 @@ TEXT = "string data\n"
 HELLO = b"\0\1\0\0" + struct.pack("<I6s", 6, b"hello\0")
 
 
-def zstd(data):
+def zstd(data: Any) -> Any:
     """Return data packed by zstd, with the installed package."""
     return zstandard.compress(data)
 
@@ -25,7 +26,7 @@ def zstd(data):
 PACK = {"none": bytes, "": bytes, "bz2": bz2.compress, "lz4": lz4.frame.compress, "zstd": zstd}
 
 
-def packed_zeros(compression, megabytes):
+def packed_zeros(compression: Any, megabytes: Any) -> Any:
     """Return packed zeros, made without memory for them."""
     block = b"\0" * MEGABYTE
     if compression == "zstd":
@@ -40,7 +41,7 @@ def packed_zeros(compression, megabytes):
 # ---- ROS 1 -------------------------------------------------------------------------------------------
 
 
-def record(fields, data):
+def record(fields: Any, data: bytes) -> Any:
     """Return a record of a ROS 1 bag."""
     header = b"".join(
         struct.pack("<I", len(name) + 1 + len(value)) + name + b"=" + value for name, value in fields.items()
@@ -48,20 +49,20 @@ def record(fields, data):
     return struct.pack("<I", len(header)) + header + struct.pack("<I", len(data)) + data
 
 
-def number(value, code="I"):
+def number(value: int, code: str = "I") -> Any:
     return struct.pack(f"<{code}", value)
 
 
 def ros1_bag(
-    chunks,
-    entries=None,
-    connections=1,
-    infos=None,
-    compression="none",
-    stated=None,
-    packed=None,
-    index_count=None,
-):
+    chunks: Any,
+    entries: Any = None,
+    connections: int = 1,
+    infos: Any = None,
+    compression: str = "none",
+    stated: Any = None,
+    packed: Any = None,
+    index_count: Any = None,
+) -> Any:
     """Return a bag with a topic /a of strings.
 
     Args:
@@ -116,19 +117,19 @@ def ros1_bag(
 MAGIC = b"\x89MCAP0\r\n"
 
 
-def op(code, body):
+def op(code: int, body: Any) -> Any:
     return struct.pack("<BQ", code, len(body)) + body
 
 
-def text(value):
+def text(value: str) -> Any:
     return struct.pack("<I", len(value)) + value.encode()
 
 
-def mcap_message(second, data=HELLO):
+def mcap_message(second: Any, data: Any = HELLO) -> Any:
     return op(5, struct.pack("<HIQQ", 1, 0, second * 10**9, second * 10**9) + data)
 
 
-def mcap_topic(type_name, encoding, definition, message_format="cdr"):
+def mcap_topic(type_name: str, encoding: str, definition: Any, message_format: str = "cdr") -> Any:
     """Return the records of a schema and of the topic /a."""
     schema = op(3, struct.pack("<H", 1) + text(type_name) + text(encoding) + text(definition))
     return schema + op(4, struct.pack("<HH", 1, 1) + text("/a") + text(message_format) + struct.pack("<I", 0))
@@ -138,18 +139,18 @@ TOPIC = mcap_topic("std_msgs/msg/String", "ros2msg", TEXT)
 
 
 def mcap(
-    chunks,
-    compression="",
-    stated=None,
-    packed=None,
-    has_index=True,
-    times=None,
-    repeated=1,
-    profile="ros2",
-    has_counts=True,
-    topic=TOPIC,
-    indexed_channels=None,
-):
+    chunks: Any,
+    compression: str = "",
+    stated: Any = None,
+    packed: Any = None,
+    has_index: bool = True,
+    times: Any = None,
+    repeated: int = 1,
+    profile: str = "ros2",
+    has_counts: bool = True,
+    topic: Any = TOPIC,
+    indexed_channels: Any = None,
+) -> Any:
     """Return an mcap file with a topic /a of strings.
 
     Args:
@@ -205,7 +206,9 @@ INSERT INTO message_definitions VALUES(1, 'std_msgs/msg/String', 'ros2msg', 'str
 """
 
 
-def sqlite_bag(path, tables=TABLES, rows=ROWS, messages=((1, HELLO),), after=""):
+def sqlite_bag(
+    path: Any, tables: Any = TABLES, rows: Any = ROWS, messages: Any = ((1, HELLO),), after: str = ""
+) -> Any:
     """Write a database with a topic /a of strings; `after` is SQL that changes it."""
     with closing(sqlite3.connect(str(path))) as database:
         database.executescript(tables + rows)
@@ -218,7 +221,7 @@ def sqlite_bag(path, tables=TABLES, rows=ROWS, messages=((1, HELLO),), after="")
     return path
 
 
-def folder_bag(folder, name, storage, mode="none", topics=()):
+def folder_bag(folder: Any, name: Any, storage: Any, mode: str = "none", topics: Any = ()) -> Any:
     """Write the metadata of a bag of ROS 2 with one file."""
     folder.mkdir(exist_ok=True)
     (folder / "metadata.yaml").write_text(

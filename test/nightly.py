@@ -4,19 +4,21 @@ Nightly tests are the long forms of searches for errors, and tests of wording. T
 the command line names their file.
 """
 
+from typing import Any
+
 import pytest
 
 MARKER = "nightly"
 
 
-def is_requested(item, config):
+def is_requested(item: Any, config: Any) -> bool:
     """Return whether the command line names the file of a test."""
     folder = config.invocation_params.dir
     return any((folder / argument.partition("::")[0]).resolve() == item.path for argument in config.args)
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(config, items):
+def pytest_collection_modifyitems(config: Any, items: Any) -> None:
     """Deselect the nightly tests unless they are requested."""
     if MARKER in config.option.markexpr:
         return

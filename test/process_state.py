@@ -203,7 +203,7 @@ def read_loggers() -> Dict[str, LoggerState]:
     Packages create loggers when they are imported, which may be in any test. Such loggers have default settings, and
     some a `NullHandler`, which does nothing.
     """
-    loggers = {}
+    loggers: Dict[Any, Any] = {}
     for name, logger in [("root", logging.root), *logging.root.manager.loggerDict.items()]:
         # A placeholder stands for the parent of a logger that has not been created itself.
         if isinstance(logger, logging.PlaceHolder):
@@ -330,7 +330,7 @@ def restore_process_state(before: List[Any]) -> List[str]:
 
 
 @pytest.fixture(autouse=True)
-def unchanged_process(request):
+def unchanged_process(request: pytest.FixtureRequest) -> Iterator[None]:
     """Fail a test that leaves the process in another state than it found it in.
 
     Fixtures of modules and sessions are set up before, so what they hold is not a change.

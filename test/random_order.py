@@ -8,6 +8,7 @@ tests therefore has the order that it has among all of them.
 import hashlib
 import os
 import random
+from typing import Any, Dict, List
 
 import pytest
 
@@ -15,41 +16,41 @@ SEED_VARIABLE = "RETALIS_ORDER_SEED"
 """Environment variable with the seed; a run without it chooses one and prints it."""
 
 
-def format_seed():
+def format_seed() -> str:
     return f"random order of tests: {SEED_VARIABLE}={os.environ[SEED_VARIABLE]} repeats it"
 
 
-def pytest_configure():
+def pytest_configure() -> None:
     # The processes of pytest-xdist inherit the variable: all of them need the same order.
     os.environ.setdefault(SEED_VARIABLE, str(random.SystemRandom().randrange(1_000_000)))
 
 
 @pytest.hookimpl(trylast=True)
-def pytest_sessionstart(session):
+def pytest_sessionstart(session: Any) -> None:
     # The option -q omits what `pytest_report_header` returns. Processes of pytest-xdist have no reporter.
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     if reporter is not None:
         reporter.write_line(format_seed())
 
 
-def pytest_terminal_summary(terminalreporter, exitstatus):
+def pytest_terminal_summary(terminalreporter: Any, exitstatus: Any) -> None:
     # Again where tests have failed: a log may be cut to its end.
     if exitstatus == pytest.ExitCode.TESTS_FAILED:
         terminalreporter.write_line(format_seed())
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items):
+def pytest_collection_modifyitems(items: Any) -> None:
     """Shuffle the tests; pytest itself then groups those that share a fixture of a module with parameters."""
     seed = os.environ[SEED_VARIABLE]
-    ranks = {}
+    ranks: Dict[Any, Any] = {}
 
-    def rank(node):
+    def rank(node: Any) -> Any:
         if node not in ranks:
             ranks[node] = hashlib.sha256(f"{seed} {node.nodeid}".encode()).digest()
         return ranks[node]
 
-    def place(item):
+    def place(item: Any) -> List[Any]:
         return [
             rank(node)
             for node in item.listchain()

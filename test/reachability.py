@@ -2,12 +2,13 @@
 
 import gc
 from types import CodeType, FunctionType, ModuleType
+from typing import Any
 
 SHARED_TYPES = (type, ModuleType, CodeType)
 """Types of objects that the whole process shares. Nearly everything is reachable from them: they are not followed."""
 
 
-def reachable(root, object_type):
+def reachable(root: Any, object_type: Any) -> Any:
     """Return the objects of a type that are reachable from a root, without weak references."""
     visited_ids, instances, pending = set(), [], [root]
     while pending:
@@ -24,6 +25,6 @@ def reachable(root, object_type):
     return instances
 
 
-def count_entries(root):
+def count_entries(root: Any) -> Any:
     """Return the number of entries of all dictionaries that are reachable from a root."""
     return sum(map(len, reachable(root, dict)))

@@ -1,5 +1,7 @@
 """An engine for tests that records its events and outputs."""
 
+from typing import Any, List
+
 from retalis import Engine, Settings
 
 
@@ -11,7 +13,7 @@ class RecordingEngine(Engine):
         outputs: Tuples of an output's text, its topic and the text of the subscription's name.
     """
 
-    def __init__(self, rules="", goals="", clock=None, **settings):
+    def __init__(self, rules: str = "", goals: str = "", clock: Any = None, **settings: Any) -> None:
         super().__init__(clock, Settings(**settings))
         self.outputs, self.events = [], []
         self.on_output(
@@ -21,6 +23,6 @@ class RecordingEngine(Engine):
         self.load(rules=rules, goals=goals)
 
     @property
-    def event_texts(self):
+    def event_texts(self) -> List[Any]:
         """The texts of the events alone."""
         return [text for text, _, _ in self.events]

@@ -7,7 +7,7 @@ import inspect
 import subprocess
 import sys
 from pathlib import Path
-from typing import Iterator
+from typing import Any, Dict, Iterator, List
 
 import pytest
 
@@ -23,7 +23,7 @@ PROGRAM = """\
 
 
 @pytest.fixture
-def folder(tmp_path):
+def folder(tmp_path: Path) -> Any:
     """Return a folder with a program that publishes received texts, and with a bag."""
     (tmp_path / "pub_sub.xml").write_text(PROGRAM)
     (tmp_path / "goalPredicates.txt").write_text("subscribe(std_msgs__0__String(_), [], _, echo, e)\n")
@@ -48,7 +48,7 @@ WITH_CLASS_EXAMPLES = {name for name in PUBLIC if name != "Engine"}
 """Classes whose own examples may show their methods."""
 
 
-def docstring(name, public):
+def docstring(name: Any, public: Any) -> Any:
     """Return the docstring of a name; that of a type alias is below it in its file."""
     if inspect.isclass(public) or inspect.isroutine(public):
         return inspect.getdoc(public)
@@ -60,23 +60,23 @@ def docstring(name, public):
     return ""
 
 
-def run(name, text, folder):
+def run(name: Any, text: Any, folder: Any) -> None:
     example = doctest.DocTestParser().get_doctest(
         text or "", {**PUBLIC, "folder": folder, "Iterator": Iterator}, name, None, None
     )
     assert example.examples, "no example"
-    failures = []
+    failures: List[Any] = []
     doctest.DocTestRunner(verbose=False).run(example, out=failures.append)
     assert not failures, "".join(failures)
 
 
 @pytest.mark.parametrize("name", retalis.__all__)
-def test_each_name_has_valid_example(name, folder):
+def test_each_name_has_valid_example(name: Any, folder: Any) -> None:
     run(name, docstring(name, PUBLIC[name]), folder)
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_each_method_has_valid_example(name, folder):
+def test_each_method_has_valid_example(name: Any, folder: Any) -> None:
     class_name, _, member = name.partition(".")
     text = inspect.getdoc(METHODS[name]) or ""
     if class_name in WITH_CLASS_EXAMPLES and ">>>" not in text:
@@ -90,7 +90,7 @@ def test_each_method_has_valid_example(name, folder):
         run(name, text, folder)
 
 
-def test_imports_for_type_checkers_equal_names():
+def test_imports_for_type_checkers_equal_names() -> None:
     """The imports under `TYPE_CHECKING` are never executed."""
     tree = ast.parse(Path(retalis.__file__).read_text(encoding="utf-8"))
     (block,) = [node for node in tree.body if isinstance(node, ast.If)]
@@ -103,7 +103,7 @@ def test_imports_for_type_checkers_equal_names():
     assert [name for name, value in names.items() if getattr(retalis, name) is not value] == []
 
 
-def test_names_are_imported_when_used():
+def test_names_are_imported_when_used() -> None:
     script = "import sys, retalis; print(*[name for name in sys.modules if name.startswith('retalis.')])"
     process = subprocess.run(
         [sys.executable, "-c", script],
@@ -115,7 +115,7 @@ def test_names_are_imported_when_used():
     assert process.stdout.split() == []
 
 
-def test_engine_imports_few_modules():
+def test_engine_imports_few_modules() -> None:
     script = (
         "import gc, sys, retalis\n"
         "assert retalis.Engine and gc.isenabled()\n"
@@ -127,13 +127,13 @@ def test_engine_imports_few_modules():
     subprocess.run([sys.executable, "-c", script], cwd=Path(retalis.__file__).parent.parent, check=True)
 
 
-def test_names_are_sorted_and_others_are_errors():
+def test_names_are_sorted_and_others_are_errors() -> None:
     assert retalis.__all__ == sorted(retalis.__all__, key=str.lower)
     with pytest.raises(AttributeError, match="has no attribute 'Nothing'"):
         retalis.Nothing  # noqa: B018
 
 
-def test_engine_has_summary_and_operators():
+def test_engine_has_summary_and_operators() -> None:
     engine = retalis.Engine()
     engine.load(goals="memorize(a, [], _, m, 3)\nsubscribe(a, [], _, out, s)", rules="b <- a.")
     topic, name, memory = (engine.query(f"X = {text}")[0]["X"] for text in ("out", "s", "m"))
@@ -151,8 +151,8 @@ def test_engine_has_summary_and_operators():
 
 
 @pytest.mark.slow
-def test_dir_and_star_import_have_names():
+def test_dir_and_star_import_have_names() -> None:
     assert {*retalis.__all__} <= {*dir(retalis)}
-    names = {}
+    names: Dict[Any, Any] = {}
     exec("from retalis import *", names)
     assert {*retalis.__all__} <= {*names}

@@ -12,6 +12,6 @@ pytestmark = pytest.mark.docs
 PAGE = (ROOT / "docs" / "reference" / "python-api.md").read_text(encoding="utf-8")
 
 
-def test_each_public_name_is_on_page_once():
+def test_each_public_name_is_on_page_once() -> None:
     names = re.findall(r"^\.\. auto(?:class|function|data):: retalis\.(\w+)$", PAGE, re.MULTILINE)
     assert sorted(names) == sorted(retalis.__all__)

@@ -2,6 +2,7 @@
 
 import ast
 import re
+from typing import Any, Iterator, List, Set, Tuple
 
 import pytest
 from source import NODES, ROOT, SOURCE
@@ -21,7 +22,7 @@ OTHER_NAMES = {
 """Quoted texts that are no names of the package."""
 
 
-def quoted_paths_and_names():
+def quoted_paths_and_names() -> Tuple[Any, ...]:
     """Return the quoted paths and names in the sentences and tables of the page."""
     text = re.sub(r"^    .*\n", "", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)
     quoted = dict.fromkeys(QUOTED.findall(text))
@@ -33,9 +34,9 @@ PATHS, NAMES = quoted_paths_and_names()
 
 
 @pytest.fixture(scope="module")
-def names():
+def names() -> Any:
     """Return the names that the package defines; those in classes also with the name of the class."""
-    names = set()
+    names: Set[Any] = set()
     for nodes in NODES.values():
         for node in nodes:
             if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
@@ -45,7 +46,7 @@ def names():
     return names
 
 
-def member_names(node):
+def member_names(node: Any) -> Iterator[Any]:
     """Yield the names of the methods and attributes of a class."""
     for inner in ast.walk(node):
         if isinstance(inner, ast.FunctionDef):
@@ -55,20 +56,20 @@ def member_names(node):
 
 
 @pytest.mark.parametrize("path", PATHS)
-def test_path_exists(path):
+def test_path_exists(path: Any) -> None:
     assert (SOURCE / path).exists() or (ROOT / path).exists()
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_name_exists(name, names):
+def test_name_exists(name: Any, names: Any) -> None:
     assert name in names
 
 
-def test_page_has_all_other_names():
+def test_page_has_all_other_names() -> None:
     assert set(QUOTED.findall(PAGE.read_text(encoding="utf-8"))) >= OTHER_NAMES
 
 
-def test_page_has_all_packages():
+def test_page_has_all_packages() -> None:
     text = PAGE.read_text(encoding="utf-8")
     package_names = {path.relative_to(SOURCE).parts[0] for path in SOURCE.glob("*/**/*.py")}
     assert len(package_names) > 10
@@ -78,14 +79,14 @@ def test_page_has_all_packages():
 EXCERPT = re.compile(r"```python\n# (?P<path>[\w/]+\.py), (?P<name>[\w.]+)\n(?P<text>.*?)```", re.DOTALL)
 
 
-def excerpts():
+def excerpts() -> List[Tuple[Any, ...]]:
     """Return the path, function and lines of each excerpt of the source."""
     text = PAGE.read_text(encoding="utf-8")
     assert len(EXCERPT.findall(text)) == text.count("```python")
     return [(match["path"], match["name"], match["text"].splitlines()) for match in EXCERPT.finditer(text)]
 
 
-def find_definition(path, name):
+def find_definition(path: Any, name: Any) -> Any:
     """Return the syntax node of a function or method."""
     node = ast.parse((SOURCE / path).read_text(encoding="utf-8"))
     for part in name.split("."):
@@ -94,7 +95,7 @@ def find_definition(path, name):
 
 
 @pytest.mark.parametrize(("path", "name", "lines"), excerpts())
-def test_excerpts_are_lines_of_the_source(path, name, lines):
+def test_excerpts_are_lines_of_the_source(path: Any, name: Any, lines: Any) -> None:
     node = find_definition(path, name)
     source = (SOURCE / path).read_text(encoding="utf-8").splitlines()[node.lineno - 1 : node.end_lineno]
     remaining = iter([line.strip() for line in source])

@@ -11,7 +11,7 @@ PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "arrays.m
 FENCES = list(FENCE.finditer(PAGE.read_text(encoding="utf-8")))
 
 
-def test_examples_have_output_of_page(tmp_path):
+def test_examples_have_output_of_page(tmp_path: Path) -> None:
     run = PageRun(tmp_path)
     assert FENCES
     for fence in FENCES:

@@ -21,7 +21,9 @@ COMMANDS = re.findall(r"^    retalis (.*)$", PAGE, re.MULTILINE)
 
 @pytest.mark.slow
 @pytest.mark.docs
-def test_commands_of_page_succeed(tmp_path, monkeypatch, capsys):
+def test_commands_of_page_succeed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     shutil.copytree(ROOT / "application_source", "application_source")
     shutil.copytree(ROOT / "examples" / "nao", "examples/nao")

@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any, Tuple
 
 import pytest
 
@@ -37,14 +38,14 @@ SWI = "install.py test --with-swi -n 0 test/prolog/swi"
 OLD_TESTS = "python3.8 -m pytest -n 2 --dist worksteal -m not slow --ignore test/ros1"
 
 
-def write_program(path, text):
+def write_program(path: Any, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text)
     path.chmod(0o755)
 
 
 @pytest.fixture
-def run(tmp_path):
+def run(tmp_path: Path) -> Any:
     """Return a function that runs `.ci/run`; it returns exit status, output lines and calls."""
     folder, home, calls = tmp_path / "clone", tmp_path / "home", tmp_path / "calls"
     script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
@@ -54,7 +55,7 @@ def run(tmp_path):
     shutil.copy(ROOT / "install_shell.py", folder)
     write_program(home / ".pyenv" / "versions" / "3.8.18" / "bin" / "python3", OLD_PYTHON)
 
-    def run(*stages, failure=""):
+    def run(*stages: Any, failure: str = "") -> Tuple[Any, ...]:
         environment = {
             "PATH": os.environ["PATH"],
             "HOME": str(home),
@@ -76,7 +77,7 @@ def run(tmp_path):
     return run
 
 
-def test_run_without_stage_runs_each_test_once(run):
+def test_run_without_stage_runs_each_test_once(run: Any) -> None:
     status, lines, calls = run()
     assert (status, lines[-1]) == (0, "passed: test")
     foreground = [line for line in calls if line not in (OLD_TESTS, "bare")]
@@ -86,14 +87,14 @@ def test_run_without_stage_runs_each_test_once(run):
 
 
 @pytest.mark.parametrize("failure", ["test", "test --with-swi -n 0 test/prolog/swi"])
-def test_last_line_is_summary_of_failed_run(run, failure):
+def test_last_line_is_summary_of_failed_run(run: Any, failure: str) -> None:
     status, lines, calls = run(failure=failure)
     assert (status, lines[-1]) == (1, "1 failed in 2.00s")
     assert "FAILED test/test_x.py::test_x" in lines[lines.index("== results") :]
     assert "install.py test" in calls
 
 
-def test_stages_run_parts(run):
+def test_stages_run_parts(run: Any) -> None:
     status, lines, calls = run("fast", "ros", "slow")
     assert (status, lines[-1]) == (0, "passed: test -m slow --ignore test/ros1")
     assert sorted(line for line in calls if line.startswith("install.py")) == [
@@ -106,10 +107,10 @@ def test_stages_run_parts(run):
     ]
 
 
-def test_nightly_stage_runs_nightly_tests(run):
+def test_nightly_stage_runs_nightly_tests(run: Any) -> None:
     assert run("nightly")[2] == ["install.py test -m nightly"]
 
 
-def test_unknown_stage_is_refused(run):
+def test_unknown_stage_is_refused(run: Any) -> None:
     message = ".ci/run: unknown stage 'quick': expected fast, ros, slow or nightly"
     assert run("fast", "quick") == (2, [message], [])

@@ -11,11 +11,11 @@ PAGE = (ROOT / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
 commands = load_script("commands")
 
 
-def test_page_equals_text_of_parsers():
+def test_page_equals_text_of_parsers() -> None:
     assert commands.page_text() == PAGE, "run docs/commands.py"
 
 
-def test_each_command_has_section():
+def test_each_command_has_section() -> None:
     assert [f"## retalis {name}" for name in COMMANDS] == [
         line for line in PAGE.splitlines() if line.startswith("## retalis ")
     ]

@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import Any, Iterator
 
 import pytest
 
@@ -24,11 +25,11 @@ WITHOUT_EXAMPLE = {
 """Files that define the mechanism, or folders with further files."""
 
 
-def is_path(text):
+def is_path(text: Any) -> Any:
     return "/" in text and " " not in text
 
 
-def listed_files():
+def listed_files() -> Iterator[Any]:
     for title, examples, body in SECTIONS.findall(PAGE):
         names = QUOTED.findall(examples)
         paths = [text for text in QUOTED.findall(body) if is_path(text) or (ROOT / text).is_file()]
@@ -40,7 +41,7 @@ def listed_files():
 
 
 @pytest.mark.parametrize(("path", "names"), list(listed_files()))
-def test_listed_file_contains_example(path, names):
+def test_listed_file_contains_example(path: Any, names: Any) -> None:
     listed = ROOT / path
     files = [file for file in listed.rglob("*") if file.is_file()] if listed.is_dir() else [listed]
     texts = [path, *(file.read_text(encoding="utf-8") for file in files)]
@@ -48,13 +49,13 @@ def test_listed_file_contains_example(path, names):
     assert any(re.search(rf"(?<![A-Za-z]){name}(?![A-Za-z])", text) for name in names for text in texts)
 
 
-def test_named_files_exist():
+def test_named_files_exist() -> None:
     paths = [text for text in QUOTED.findall(PAGE) if is_path(text)]
     assert len(paths) > 20
     assert [path for path in paths if not (ROOT / path).exists()] == []
 
 
-def test_named_marks_exist():
+def test_named_marks_exist() -> None:
     marks = re.findall(r'pytest -m "?(?:not )?(\w+)', PAGE)
     assert marks
     for mark in marks:
@@ -62,7 +63,7 @@ def test_named_marks_exist():
 
 
 @pytest.mark.parametrize("name", ["CONTRIBUTING.md", "noxfile.py", ".pre-commit-config.yaml"])
-def test_options_of_old_mypy_are_named(name):
+def test_options_of_old_mypy_are_named(name: str) -> None:
     options = re.search(
         r"^MYPY_38_OPTIONS = \((.*)\)$", (ROOT / "install.py").read_text(encoding="utf-8"), re.MULTILINE
     )

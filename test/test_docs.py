@@ -5,6 +5,7 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any, Dict, Iterator, List, Set
 from xml.etree import ElementTree
 
 import pytest
@@ -35,19 +36,19 @@ LINK_TO_HEADING = re.compile(r"\]\((?!https?:)([^)#]*)#([^)]+)\)")
 HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
 
 
-def snippets(page):
+def snippets(page: Any) -> List[Any]:
     return list(SNIPPET.finditer(page.read_text(encoding="utf-8")))
 
 
-def test_readme_shows_names_of_its_files():
+def test_readme_shows_names_of_its_files() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     names = [snippet["name"] for snippet in snippets(ROOT / "README.md") if snippet["name"]]
     assert "fever.py" in names
     assert [name for name in names if name.endswith((".txt", ".py")) and f"`{name}`" not in text] == []
 
 
-def test_example_of_readme_has_shown_output(tmp_path):
-    files = {}
+def test_example_of_readme_has_shown_output(tmp_path: Path) -> None:
+    files: Dict[Any, Any] = {}
     for snippet in snippets(ROOT / "README.md"):
         if snippet["name"]:
             files[snippet["name"]] = snippet["text"]
@@ -68,7 +69,7 @@ MISTAKES = DOCS / "reference" / "errors.md"
 """The page whose rules have mistakes, see ``test_errors_page.py``."""
 
 
-def prolog():
+def prolog() -> Iterator[Any]:
     for page in PAGES:
         if page == MISTAKES:
             continue
@@ -91,7 +92,7 @@ CHECKS_OF_WHOLE_PROGRAMS = (
 
 
 @pytest.mark.parametrize("text", list(prolog()))
-def test_rules_and_goals_load_without_findings(text, definitions):
+def test_rules_and_goals_load_without_findings(text: Any, definitions: Any) -> None:
     engine = Engine()
     if text.startswith(("memorize(", "subscribe(")):
         engine.call_goals(text, "snippet")
@@ -105,7 +106,7 @@ def test_rules_and_goals_load_without_findings(text, definitions):
     assert [str(finding.problem) for finding in findings if finding.check not in expected_checks] == []
 
 
-def claims():
+def claims() -> Iterator[Any]:
     """Yield a snippet and a line of it with input events and emitted events."""
     for page in PAGES:
         for snippet in snippets(page):
@@ -116,13 +117,13 @@ def claims():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("text", "line"), list(claims()))
-def test_rules_emit_shown_events(text, line):
+def test_rules_emit_shown_events(text: Any, line: Any) -> None:
     before, after = (part.strip() for part in line[2:].split("=>"))
     inputs, expected = EVENT.findall(before), EVENT.findall(after)
     assert inputs
     assert expected or after == "nothing"
     engine = Engine()
-    events = []
+    events: List[Any] = []
     engine.load(rules=text)
     by_clock = any(word in text for word in ("timer(", "state(", "aggregate(", "absent(", " with "))
     format_instant = format_seconds if by_clock else format_datime  # seconds show the distances
@@ -136,40 +137,40 @@ def test_rules_emit_shown_events(text, line):
     assert emitted == expected
 
 
-def format_datime(instant):
+def format_datime(instant: Any) -> Any:
     return Engine().show(timestamps.to_term(instant))
 
 
-def format_seconds(instant):
+def format_seconds(instant: Any) -> str:
     return f"{instant / 10**9:g}"
 
 
-def test_pages_have_links():
+def test_pages_have_links() -> None:
     texts = [page.read_text(encoding="utf-8") for page in PAGES]
     assert sum(len(LINK.findall(text)) for text in texts) > 300
     assert sum(len(LINK_TO_HEADING.findall(text)) for text in texts) > 30
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_targets_of_links_exist(page):
+def test_targets_of_links_exist(page: Any) -> None:
     for target in LINK.findall(page.read_text(encoding="utf-8")):
         assert (page.parent / target).exists(), target
 
 
-def heading_ids(page):
+def heading_ids(page: Any) -> Set[Any]:
     """Return the anchors of the headings of a page, as the site and web pages of repositories define them."""
     headings = HEADING.findall(page.read_text(encoding="utf-8"))
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_headings_of_links_exist(page):
+def test_headings_of_links_exist(page: Any) -> None:
     for target, heading in LINK_TO_HEADING.findall(page.read_text(encoding="utf-8")):
         assert heading in heading_ids(page.parent / target if target else page), f"{target}#{heading}"
 
 
 @pytest.mark.slow
-def test_commands_of_readme_exist():
+def test_commands_of_readme_exist() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     commands = [shlex.split(line, comments=True) for line in re.findall(r"^    (\S.*)$", text, re.MULTILINE)]
     programs = {"./install.py", "source", "roslaunch", "rosservice", "rosrun", "python3", "pip", "retalis"}
@@ -192,7 +193,7 @@ def test_commands_of_readme_exist():
             assert help_process.returncode == 0
 
 
-def test_launch_arguments_of_readme_exist():
+def test_launch_arguments_of_readme_exist() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     launch = ElementTree.parse(ROOT / "launch" / "retalis.launch")
     arguments = {arg.get("name") for arg in launch.iter("arg")}
@@ -204,7 +205,7 @@ def test_launch_arguments_of_readme_exist():
 NAMED_TEST = re.compile(r"`(?:test/)?([\w/]+\.(?:py|test))[ `]")
 
 
-def test_tests_named_on_reliability_page_exist():
+def test_tests_named_on_reliability_page_exist() -> None:
     page = ROOT / "docs" / "explanation" / "reliability.md"
     names = set(NAMED_TEST.findall(page.read_text(encoding="utf-8")))
     test_paths = {path.relative_to(ROOT / "test").as_posix() for path in (ROOT / "test").rglob("*.*")}

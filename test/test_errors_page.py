@@ -1,6 +1,8 @@
 """``docs/reference/errors.md``: each code of ``retalis check`` with an example that has this finding."""
 
 import re
+from pathlib import Path
+from typing import Any
 
 import pytest
 from doc_pages import FENCE, ROOT, PageRun
@@ -16,7 +18,7 @@ SECTIONS = re.findall(
 ROW = re.compile(r"^\| \[`(RT\d{4})`\]\(#[\w-]+\) \| `([\w-]+)` \| ([\w ]+) \| ([^|]+) \|$", re.MULTILINE)
 
 
-def test_each_code_has_row_and_section():
+def test_each_code_has_row_and_section() -> None:
     rows = [
         (code, check, severity) for code, check, severity, _ in ROW.findall(PAGE.read_text(encoding="utf-8"))
     ]
@@ -29,7 +31,7 @@ def test_each_code_has_row_and_section():
     assert [code for code, _ in SECTIONS] == [code for code, _, _ in rows]
 
 
-def test_rows_have_titles_of_sections():
+def test_rows_have_titles_of_sections() -> None:
     text = PAGE.read_text(encoding="utf-8")
     assert [f"### {code}: {title}" for code, _, _, title in ROW.findall(text)] == re.findall(
         r"^### .*$", text, re.MULTILINE
@@ -38,7 +40,7 @@ def test_rows_have_titles_of_sections():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("code", "section"), SECTIONS, ids=[code for code, _ in SECTIONS])
-def test_example_has_code_and_output_of_page(code, section, tmp_path):
+def test_example_has_code_and_output_of_page(code: Any, section: Any, tmp_path: Path) -> None:
     run = PageRun(tmp_path)
     fences = list(FENCE.finditer(section))
     for fence in fences:

@@ -1,5 +1,7 @@
 """An aggregate, a stream operator and a node type, each added in one place, are saved in the middle of a match."""
 
+from typing import Any, List, Set
+
 import pytest
 
 from retalis import Engine, UsageError
@@ -27,12 +29,12 @@ class RangeAccumulator(Accumulator):
     value_rule = COMPARABLE_NUMBER
     scans_window = True
 
-    def result(self, elements, count):
+    def result(self, elements: Any, count: Any) -> Any:
         values = [element.values[self.index] for element in present_elements(elements)]
         return max(values) - min(values)
 
 
-def extended(extremes, value):
+def extended(extremes: Any, value: Any) -> Any:
     """Return the smallest and the largest value with one more."""
     return (value, value) if extremes is None else (min(extremes[0], value), max(extremes[1], value))
 
@@ -61,11 +63,11 @@ class EveryThird(StreamOperator):
 
     emits_stored_elements = False
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__()
         self.counts = {}
 
-    def process(self, element, now, channel):
+    def process(self, element: Any, now: Any, channel: Any) -> Any:
         count = self.counts.get(element.key, 0) + 1
         self.counts[element.key] = count % 3
         return [] if count < 3 else [StreamOutput((element,), element.start, element.end)]
@@ -91,12 +93,12 @@ class SecondMatchNode(FilterNode):
         ),
     )
 
-    def __init__(self, *arguments):
+    def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
         self.waiting_match = None
 
-    def bind(self, emit, options):
-        def on_match(match, frame):
+    def bind(self, emit: Any, options: Any) -> None:
+        def on_match(match: Any, frame: Any) -> Any:
             if self.waiting_match is None:
                 self.waiting_match = match
                 return frame
@@ -107,7 +109,7 @@ class SecondMatchNode(FilterNode):
 
 
 @pytest.fixture
-def extensions(monkeypatch):
+def extensions(monkeypatch: pytest.MonkeyPatch) -> None:
     """Add the three extensions."""
     monkeypatch.setitem(AGGREGATES, "range", RANGE)
     monkeypatch.setitem(RATE_OPERATORS, "every_third", EVERY_THIRD)
@@ -128,9 +130,9 @@ RULES = {
 }
 
 
-def emitted_events(engine, events, first_second):
+def emitted_events(engine: Any, events: Any, first_second: int) -> Any:
     """Return the events that rules emit when an engine gets one event per second."""
-    emitted = []
+    emitted: List[Any] = []
     engine.on_event(lambda term, start, end: emitted.append((engine.show(term), int(start), int(end))))
     for second, event in enumerate(events, first_second):
         engine.event(event, second)
@@ -139,8 +141,8 @@ def emitted_events(engine, events, first_second):
 
 @pytest.mark.usefixtures("extensions")
 @pytest.mark.parametrize("name", RULES)
-def test_extension_is_restored_in_middle_of_match(name):
-    outputs = set()
+def test_extension_is_restored_in_middle_of_match(name: Any) -> None:
+    outputs: Set[Any] = set()
     for position in range(len(EVENTS)):
         original = Engine()
         original.load(RULES[name])
@@ -153,7 +155,7 @@ def test_extension_is_restored_in_middle_of_match(name):
     assert any(text.startswith("p(") for text, _, _ in outputs)
 
 
-def with_replaced(data, name, value):
+def with_replaced(data: Any, name: Any, value: Any) -> Any:
     """Return data in which the fields of a name have another value."""
     if not isinstance(data, list):
         return data
@@ -186,7 +188,7 @@ def with_replaced(data, name, value):
         ),
     ],
 )
-def test_damaged_state_of_extension_is_refused(rule, name, value, message):
+def test_damaged_state_of_extension_is_refused(rule: str, name: str, value: Any, message: str) -> None:
     engine = Engine()
     engine.load(RULES[rule])
     emitted_events(engine, EVENTS[:3], 0)

@@ -1,6 +1,7 @@
 """Table of ``docs/reference/flags.md``, compared with the flags of the code: names, values and defaults."""
 
 import re
+from typing import Any, Iterator
 
 import pytest
 from source import ROOT
@@ -16,7 +17,7 @@ NUMBERS = {"seconds": (False, 0), "a number": (True, 1)}
 """Words for the values of numeric flags: whether they must be integers, and their minimum."""
 
 
-def rows():
+def rows() -> Iterator[Any]:
     """Yield each flag of the table with the cell of its values."""
     for line in PAGE.splitlines():
         if line.startswith("| `"):
@@ -28,12 +29,12 @@ def rows():
 ROWS = list(rows())
 
 
-def test_table_has_each_flag_once():
+def test_table_has_each_flag_once() -> None:
     assert sorted(name for name, _ in ROWS) == sorted(FLAGS)
 
 
 @pytest.mark.parametrize(("name", "cell"), ROWS)
-def test_values_and_default_equal_those_of_code(name, cell):
+def test_values_and_default_equal_those_of_code(name: Any, cell: Any) -> None:
     flag, values = FLAGS[name], QUOTED.findall(cell)
     (answer,) = Engine().query(f"get_etalis_flag({name}, Value)")
     assert Engine().show(answer["Value"]) == values[0]
@@ -43,7 +44,7 @@ def test_values_and_default_equal_those_of_code(name, cell):
         assert NUMBERS[cell.partition(", ")[2]] == (flag.is_integer, flag.minimum)
 
 
-def test_limit_of_0_seconds_is_valid():
+def test_limit_of_0_seconds_is_valid() -> None:
     # The page says that -1 and 0 mean no limit.
     seconds = [name for name, cell in ROWS if cell == "`-1`, seconds"]
     assert len(seconds) == 4

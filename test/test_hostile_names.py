@@ -5,6 +5,8 @@ it must be returned unchanged; where ROS defines the form of names, it must be r
 """
 
 import re
+from pathlib import Path
+from typing import Any, Iterator, List
 
 import pytest
 from reachability import reachable
@@ -63,12 +65,12 @@ every_name = pytest.mark.parametrize("name", NAMES, ids=ids)
 
 
 @pytest.fixture(autouse=True)
-def sources(monkeypatch):
+def sources(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """Collect all generated sources; none may contain a part of the names."""
-    generated = []
+    generated: List[Any] = []
     define = codegen.define
 
-    def collect(source, names, title):
+    def collect(source: Any, names: Any, title: Any) -> Any:
         generated.append(source)
         assert "harm" not in source
         assert not any("harm" in key for key in names)
@@ -81,7 +83,7 @@ def sources(monkeypatch):
     assert "harm" not in "".join(generated)
 
 
-def quote(name):
+def quote(name: Any) -> Any:
     return writeq(atom(name))
 
 
@@ -90,7 +92,7 @@ def quote(name):
 
 @every_name
 @pytest.mark.parametrize("form", ["{}/Type", "pkg/{}", "{}", "a/b:={}"])
-def test_hostile_type_is_refused(name, form, tmp_path):
+def test_hostile_type_is_refused(name: Any, form: str, tmp_path: Path) -> None:
     type_name = form.format(name)
     definitions = Definitions()
     with pytest.raises(MessageError):
@@ -107,14 +109,14 @@ def test_hostile_type_is_refused(name, form, tmp_path):
 
 
 @every_name
-def test_hostile_topic_is_refused(name, tmp_path):
+def test_hostile_topic_is_refused(name: Any, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="expected a topic name"):
         topic_type(name, "std_msgs/String")
 
 
 @every_name
 @pytest.mark.parametrize("attribute", ["name", "msg_type"])
-def test_hostile_xml_is_refused_with_position(name, attribute, tmp_path):
+def test_hostile_xml_is_refused_with_position(name: Any, attribute: str, tmp_path: Path) -> None:
     values = {"name": "topic", "msg_type": "std_msgs/String", attribute: name}
     attributes = " ".join(
         '{}="{}"'.format(
@@ -132,7 +134,9 @@ def test_hostile_xml_is_refused_with_position(name, attribute, tmp_path):
 
 @every_name
 @pytest.mark.parametrize("line", ["int32 {}", "{} x", "int32 {}=1", "{} X=1", "int32[{}] x", "int32 X={}"])
-def test_hostile_definition_is_refused_with_position(name, line, caplog):
+def test_hostile_definition_is_refused_with_position(
+    name: Any, line: str, caplog: pytest.LogCaptureFixture
+) -> None:
     definitions = Definitions()
     text = "int8 first\n" + line.format(name) + "\n"
     try:
@@ -152,7 +156,7 @@ def test_hostile_definition_is_refused_with_position(name, line, caplog):
 
 
 @every_name
-def test_hostile_nested_type_is_refused(name):
+def test_hostile_nested_type_is_refused(name: Any) -> None:
     for text in (f"{name}/Other x\n", f"{name} x\n", f"Other x\n{'=' * 80}\nMSG: {name}\nint8 x\n"):
         with pytest.raises(MessageError):
             Definitions(InstalledTypes(packages=(), modules=(), include_rosbags=False)).add("pkg/Type", text)
@@ -162,7 +166,7 @@ def test_hostile_nested_type_is_refused(name):
 
 @every_name
 @pytest.mark.parametrize("line", ["int32 {}", "{} x", "{} X=1", "int32[<={}] x", "string<={} x"])
-def test_hostile_ros2_definition_is_refused(name, line):
+def test_hostile_ros2_definition_is_refused(name: Any, line: str) -> None:
     with pytest.raises(MessageError) as raised:
         parse_ros2_type("pkg/msg/Type", "int8 first\n" + line.format(name) + "\n", lambda type_name: None)
     assert len(raised.value.message) < 1000
@@ -170,13 +174,13 @@ def test_hostile_ros2_definition_is_refused(name, line):
 
 @every_name
 @pytest.mark.parametrize("type_name", ["{}", "{}/msg/Type", "pkg/msg/{}"])
-def test_hostile_ros2_type_is_refused(name, type_name):
+def test_hostile_ros2_type_is_refused(name: Any, type_name: str) -> None:
     with pytest.raises(MessageError):
         parse_ros2_type(type_name.format(name), "int8 x\n", lambda type_name: None)
 
 
 @every_name
-def test_value_of_constant_is_unchanged(name):
+def test_value_of_constant_is_unchanged(name: Any) -> None:
     line = name.split("\n")[0].split("\u2028")[0]
     definition = Definitions().add("pkg/Type", f"string X={line}\nint32 x\n")
     assert definition.constants[0].value == line.strip()
@@ -184,7 +188,7 @@ def test_value_of_constant_is_unchanged(name):
     assert writeq(decoder.decode(b"\1\0\0\0")) == "pkg__0__Type(1)"
 
 
-def test_slots_may_have_names_of_python():
+def test_slots_may_have_names_of_python() -> None:
     words = ["import", "None", "def", "data", "o", "k1", "v1", "S1", "trail", "__class__"[2:7], "term"]
     definitions = Definitions()
     text = "".join(f"int8 {word}\n" for word in dict.fromkeys(words))
@@ -196,7 +200,7 @@ def test_slots_may_have_names_of_python():
 
 
 @every_name
-def test_text_of_message_is_unchanged(name):
+def test_text_of_message_is_unchanged(name: Any) -> None:
     raw = name.encode("utf-8")
     definitions = Definitions()
     definition = definitions.add("pkg/Type", "int32 x\nstring text\nint32 y\n")
@@ -211,12 +215,12 @@ def test_text_of_message_is_unchanged(name):
 
 
 @every_name
-def test_names_in_rules_and_memories_are_unchanged(name):
+def test_names_in_rules_and_memories_are_unchanged(name: Any) -> None:
     quoted = quote(name)
     engine = Engine()
-    events = []
+    events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append(engine.show(term)))
-    outputs = []
+    outputs: List[Any] = []
     engine.on_output(lambda term, topic, key: outputs.append((engine.show(term), topic, engine.show(key))))
     rules = f"""
         {quoted}(X, {quoted}) <- ({quoted}(X) seq other({quoted}, X)) where ({quoted}(X, Y), Y == {quoted}).
@@ -247,7 +251,7 @@ def test_names_in_rules_and_memories_are_unchanged(name):
 
 
 @every_name
-def test_hostile_operator_is_applied(name):
+def test_hostile_operator_is_applied(name: Any) -> None:
     engine = Engine()
     quoted = quote(name)
     engine.load(rules=f":- op(700, xfx, {quoted}).\nlikes(a {quoted} b).\np(X) :- X = (1 {quoted} 2).\n")
@@ -269,7 +273,7 @@ ERRORS_BY_GOAL = {
 
 @every_name
 @pytest.mark.parametrize("goal", ERRORS_BY_GOAL)
-def test_hostile_flag_module_or_file_is_refused(name, goal):
+def test_hostile_flag_module_or_file_is_refused(name: Any, goal: Any) -> None:
     engine = Engine()
     with pytest.raises(PrologError) as raised:
         engine.query(goal.format(it=quote(name)))
@@ -279,7 +283,7 @@ def test_hostile_flag_module_or_file_is_refused(name, goal):
 
 
 @every_name
-def test_goal_returns_hostile_name(name, capsys):
+def test_goal_returns_hostile_name(name: Any, capsys: pytest.CaptureFixture[str]) -> None:
     engine = Engine()
     quoted = quote(name)
     assert engine.query(f"set_prolog_flag({quoted}, on), current_prolog_flag({quoted}, X)") == [
@@ -293,7 +297,7 @@ def test_goal_returns_hostile_name(name, capsys):
 @pytest.mark.parametrize(
     "goal", ["read_term_from_atom({it}, T, [])", "term_to_atom(T, {it})", "T = (\n{name}\n)"]
 )
-def test_text_with_hostile_name_is_term_or_error(name, goal):
+def test_text_with_hostile_name_is_term_or_error(name: Any, goal: str) -> None:
     engine = Engine()
     try:
         expected = writeq(read_term(name, Operators.prolog()).term)
@@ -309,7 +313,7 @@ def test_text_with_hostile_name_is_term_or_error(name, goal):
 
 
 @every_name
-def test_foreign_predicate_may_have_hostile_name(name):
+def test_foreign_predicate_may_have_hostile_name(name: Any) -> None:
     engine = Engine()
 
     @foreign(name=name)
@@ -324,7 +328,7 @@ def test_foreign_predicate_may_have_hostile_name(name):
 
 
 @every_name
-def test_goal_unifies_terms_of_hostile_name(name):
+def test_goal_unifies_terms_of_hostile_name(name: Any) -> None:
     engine = Engine()
     key = functor(name, 2)
     goal = (functor("=", 2), (key, atom(name), Var()), (key, Var(), make_list([atom(name)])))

@@ -1,6 +1,8 @@
 """Guides of ``how-to``: commands, goals and Python code have the output on the page."""
 
 import re
+from pathlib import Path
+from typing import Any
 
 import pytest
 from doc_pages import ROOT, PageRun
@@ -12,7 +14,7 @@ MAX_WORDS, MAX_WORDS_OF_PAGE = 10500, 700
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_snippets_have_output_of_page(page, tmp_path, monkeypatch):
+def test_snippets_have_output_of_page(page: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     run = PageRun(tmp_path)
     for section in re.split(r"^(?=## )", page.read_text(encoding="utf-8"), flags=re.MULTILINE):
@@ -21,13 +23,13 @@ def test_snippets_have_output_of_page(page, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_page_ends_with_links_and_is_short(page):
+def test_page_ends_with_links_and_is_short(page: Any) -> None:
     text = page.read_text(encoding="utf-8")
     assert text.rstrip().splitlines()[-1].startswith("**See also**: ")
     assert len(text.split()) <= MAX_WORDS_OF_PAGE
 
 
-def test_index_has_all_pages_and_total_is_limited():
+def test_index_has_all_pages_and_total_is_limited() -> None:
     index = (ROOT / "docs" / "how-to" / "index.md").read_text(encoding="utf-8")
     assert {page.name for page in PAGES} - {"index.md"} == set(re.findall(r"\]\(([\w-]+\.md)\)", index))
     assert sum(len(page.read_text(encoding="utf-8").split()) for page in PAGES) <= MAX_WORDS

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any, Dict, Iterator, List, Optional, Tuple
 from unittest.mock import patch
 
 import pytest
@@ -17,25 +18,25 @@ HERE = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope="module")
-def install():
+def install() -> Iterator[Any]:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(HERE))
         yield importlib.import_module("install")
 
 
 @pytest.fixture(autouse=True)
-def environment():
+def environment() -> Iterator[Any]:
     """Restore the environment variables, because `install.main` removes some of them."""
     with patch.dict(os.environ):
         yield os.environ
 
 
 @pytest.fixture(scope="module")
-def apt(install):
+def apt(install: Any) -> Any:
     return importlib.import_module("install_apt")
 
 
-def test_os_release_is_parsed(install):
+def test_os_release_is_parsed(install: Any) -> None:
     text = '# made by hand\nID=debian\nVERSION_ID="12"\nPRETTY_NAME="Debian GNU/Linux 12 (bookworm)"\n\n'
     assert install.parse_os_release(text) == {
         "ID": "debian",
@@ -51,43 +52,43 @@ def test_os_release_is_parsed(install):
         ({"ID": "ubuntu", "VERSION_ID": "20.04"}, "Ubuntu 20.04"),
     ],
 )
-def test_known_platform_is_chosen(install, release, name):
+def test_known_platform_is_chosen(install: Any, release: Dict[str, Any], name: str) -> None:
     assert install.choose_platform(release).name == name
 
 
-def test_unknown_platform_is_an_error_with_advice(install):
+def test_unknown_platform_is_an_error_with_advice(install: Any) -> None:
     with pytest.raises(install.Problem, match=r"this is Arch Linux; .*/bin/retalis demo") as raised:
         install.choose_platform({"ID": "arch", "PRETTY_NAME": "Arch Linux"})
     assert "\n" not in str(raised.value)
 
 
-def test_platforms_name_each_package_once(install):
+def test_platforms_name_each_package_once(install: Any) -> None:
     for platform in install.PLATFORMS.values():
         packages = [*platform.packages, *platform.test_packages, install.SWI_PACKAGE]
         assert len(set(packages)) == len(packages)
 
 
-def test_missing_packages_keep_order(install):
+def test_missing_packages_keep_order(install: Any) -> None:
     report = "b install ok installed\nc deinstall ok config-files\n"
     assert install.find_missing_packages(["d", "c", "b", "a"], report) == ["d", "c", "a"]
 
 
-def test_sudo_is_used_without_root_only(install):
+def test_sudo_is_used_without_root_only(install: Any) -> None:
     assert install.prefix_sudo(["apt-get", "update"], 0) == ["apt-get", "update"]
     assert install.prefix_sudo(["apt-get", "update"], 1000) == ["sudo", "apt-get", "update"]
 
 
-def test_digest_depends_on_separation_of_texts(install):
+def test_digest_depends_on_separation_of_texts(install: Any) -> None:
     assert install.short_digest("ab", "c") != install.short_digest("a", "bc")
     assert install.short_digest("ab", "c") == install.short_digest("ab", "c")
 
 
-def test_bash_command_quotes_arguments(install):
+def test_bash_command_quotes_arguments(install: Any) -> None:
     command = install.make_bash_command(["X=1", 'exec "$@"'], ["printf", "%s|", "a b", "$X", "'"])
     assert subprocess.check_output(command) == b"a b|$X|'|"
 
 
-def test_sourced_script_has_no_arguments(install, tmp_path):
+def test_sourced_script_has_no_arguments(install: Any, tmp_path: Path) -> None:
     script = tmp_path / "set up.bash"
     script.write_text('seen="$*"\n', encoding="utf-8")
     command = install.make_bash_command(
@@ -96,7 +97,7 @@ def test_sourced_script_has_no_arguments(install, tmp_path):
     assert subprocess.check_output(command) == b"|--help|a b|"
 
 
-def test_arguments_have_defaults_and_are_passed(install):
+def test_arguments_have_defaults_and_are_passed(install: Any) -> None:
     options = install.parse_arguments([])
     assert (options.command, options.passed_arguments, options.dry_run) == ("build", [], False)
     assert options.workspace == install.default_workspace(HERE, os.environ).resolve()
@@ -105,7 +106,7 @@ def test_arguments_have_defaults_and_are_passed(install):
     assert (options.command, options.passed_arguments) == ("demo", ["--bag", "x.bag", "--seconds", "5"])
 
 
-def test_each_clone_has_own_workspace(install):
+def test_each_clone_has_own_workspace(install: Any) -> None:
     home = {"HOME": "/home/me"}
     workspace = install.default_workspace(Path("/a/retalis"), home)
     assert str(workspace).startswith("/home/me/.cache/retalis/retalis-")
@@ -115,14 +116,18 @@ def test_each_clone_has_own_workspace(install):
 
 
 @pytest.mark.parametrize("folder", [".", "build/workspace"])
-def test_workspace_within_clone_is_refused(install, folder, capsys):
+def test_workspace_within_clone_is_refused(
+    install: Any, folder: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit):
         install.parse_arguments(["--workspace", str(HERE / folder)])
     assert "outside the package" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("argv", [["lint", "--fast"], ["--fast"], ["buidl"]])
-def test_invalid_arguments_are_usage_errors(install, argv, capsys):
+def test_invalid_arguments_are_usage_errors(
+    install: Any, argv: List[str], capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as raised:
         install.parse_arguments(argv)
     assert raised.value.code == 2
@@ -134,24 +139,24 @@ class Recorder:
 
     dry = False
 
-    def __init__(self, logs):
+    def __init__(self, logs: Any) -> None:
         self.logs = logs
         self.commands = []
 
-    def run_logged(self, title, name, command, cwd=None):
+    def run_logged(self, title: Any, name: Any, command: Any, cwd: Any = None) -> None:
         self.commands.append(command)
 
-    def run_visible(self, command, cwd=None):
+    def run_visible(self, command: Any, cwd: Any = None) -> int:
         self.commands.append(command)
         return 0
 
 
-def report_nothing_installed(*arguments, **options):
+def report_nothing_installed(*arguments: Any, **options: Any) -> Any:
     return subprocess.CompletedProcess(arguments, 1, stdout="")
 
 
 @pytest.fixture
-def noetic(install, tmp_path, monkeypatch):
+def noetic(install: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     """Return an installation on Ubuntu 20.04 without ROS and without root."""
     platform = install.UBUNTU_20_04._replace(setup=str(tmp_path / "no" / "setup.bash"))
     monkeypatch.setattr(install.subprocess, "run", report_nothing_installed)
@@ -159,7 +164,9 @@ def noetic(install, tmp_path, monkeypatch):
     return install.Installation(platform, tmp_path, Recorder(tmp_path / "log"))
 
 
-def test_source_and_key_of_ros_precede_packages(install, apt, noetic, monkeypatch, capsys):
+def test_source_and_key_of_ros_precede_packages(
+    install: Any, apt: Any, noetic: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(install, "ros_source_lines", list)
     monkeypatch.setattr(
         apt.urllib.request, "urlopen", lambda url, timeout: io.BytesIO(b"key of " + url.encode())
@@ -180,8 +187,10 @@ def test_source_and_key_of_ros_precede_packages(install, apt, noetic, monkeypatc
     assert "ros-noetic-rospy" in output
 
 
-def test_missing_key_is_an_error_with_advice(install, apt, noetic, monkeypatch):
-    def refuse(url, timeout):
+def test_missing_key_is_an_error_with_advice(
+    install: Any, apt: Any, noetic: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(url: Any, timeout: Any) -> None:
         raise OSError("no route")
 
     monkeypatch.setattr(install, "ros_source_lines", list)
@@ -190,7 +199,9 @@ def test_missing_key_is_an_error_with_advice(install, apt, noetic, monkeypatch):
         noetic.install_system_packages()
 
 
-def test_certificates_precede_key(install, apt, noetic, monkeypatch, tmp_path):
+def test_certificates_precede_key(
+    install: Any, apt: Any, noetic: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setattr(install, "ros_source_lines", list)
     monkeypatch.setattr(install, "CERTIFICATES", str(tmp_path / "none"))
     monkeypatch.setattr(apt.urllib.request, "urlopen", lambda url, timeout: io.BytesIO(b"key"))
@@ -229,13 +240,22 @@ IFJPUw==
     ],
 )
 @pytest.mark.parametrize("fails", [False, True])
-def test_expired_key_is_replaced(install, apt, noetic, monkeypatch, line, key_file, content, fails):
+def test_expired_key_is_replaced(
+    install: Any,
+    apt: Any,
+    noetic: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    line: str,
+    key_file: Optional[str],
+    content: Any,
+    fails: bool,
+) -> None:
     monkeypatch.setattr(install, "ros_source_lines", lambda: [line])
     monkeypatch.setattr(apt.urllib.request, "urlopen", lambda url, timeout: io.BytesIO(ARMOURED))
     shell = noetic.shell
     record = shell.run_logged
 
-    def run_logged(title, name, command, cwd=None):
+    def run_logged(title: Any, name: Any, command: Any, cwd: Any = None) -> None:
         record(title, name, command, cwd)
         if name == "apt-update":
             shell.logs.mkdir(exist_ok=True)
@@ -256,12 +276,14 @@ def test_expired_key_is_replaced(install, apt, noetic, monkeypatch, line, key_fi
     assert "ros-noetic-rospy" in lines[4]
 
 
-def test_other_failure_of_update_is_an_error(install, noetic, monkeypatch):
+def test_other_failure_of_update_is_an_error(
+    install: Any, noetic: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(
         install, "ros_source_lines", lambda: ["deb http://packages.ros.org/ros/ubuntu focal main"]
     )
 
-    def run_logged(title, name, command, cwd=None):
+    def run_logged(title: Any, name: Any, command: Any, cwd: Any = None) -> None:
         raise install.Problem(f"{name} failed")
 
     noetic.shell.run_logged = run_logged
@@ -283,13 +305,15 @@ W: Failed to fetch http://deb.debian.org/debian/dists/bookworm/InRelease  Tempor
         ("", "Err:1 http://deb\n  Temporary failure resolving 'deb.debian.org'\n"),
     ],
 )
-def test_missing_network_is_named(install, noetic, monkeypatch, update, log):
+def test_missing_network_is_named(
+    install: Any, noetic: Any, monkeypatch: pytest.MonkeyPatch, update: Any, log: str
+) -> None:
     monkeypatch.setattr(
         install, "ros_source_lines", lambda: ["deb http://packages.ros.org/ros/ubuntu focal main"]
     )
     noetic.shell.logs.mkdir()
 
-    def run_logged(title, name, command, cwd=None):
+    def run_logged(title: Any, name: Any, command: Any, cwd: Any = None) -> None:
         (noetic.shell.logs / f"{name}.log").write_text(update if name == "apt-update" else log)
         if name == "apt-install":
             raise install.Problem("apt-install failed")
@@ -300,13 +324,15 @@ def test_missing_network_is_named(install, noetic, monkeypatch, update, log):
         noetic.install_system_packages()
 
 
-def test_other_failure_is_no_network_problem(apt):
+def test_other_failure_is_no_network_problem(apt: Any) -> None:
     assert apt.network_problem("E: You don't have enough free space\n", UNREACHABLE) is None
 
 
 @pytest.mark.parametrize("audit", ["The following packages are only half configured:\n catkin\n", ""])
-def test_interrupted_installation_is_finished_first(install, noetic, monkeypatch, audit):
-    def run(command, **options):
+def test_interrupted_installation_is_finished_first(
+    install: Any, noetic: Any, monkeypatch: pytest.MonkeyPatch, audit: str
+) -> None:
+    def run(command: Any, **options: Any) -> Any:
         return subprocess.CompletedProcess(command, 0, stdout=audit if "--audit" in command else "")
 
     monkeypatch.setattr(
@@ -321,7 +347,7 @@ def test_interrupted_installation_is_finished_first(install, noetic, monkeypatch
 
 
 @pytest.fixture
-def bare(tmp_path):
+def bare(tmp_path: Path) -> Any:
     """Return a function that runs install.py with sh and the given commands only, without Python.
 
     Commands record their calls in a file; apt-get installs a Python that does so, too.
@@ -344,7 +370,7 @@ echo >> {calls}
         "broken": f"{record_call}case $1 in install) exit 100 ;; esac\n",
     }
 
-    def run(commands, *arguments):
+    def run(commands: Any, *arguments: Any) -> Tuple[Any, ...]:
         folder.mkdir()
         (folder / "python.txt").write_text(record_call)
         for name in commands.split():
@@ -362,7 +388,7 @@ echo >> {calls}
     return run
 
 
-def test_missing_python_is_installed(bare, tmp_path):
+def test_missing_python_is_installed(bare: Any, tmp_path: Path) -> None:
     status, errors, calls = bare("id env dpkg apt-get", "test", "-k", "a or  b", "")
     assert (status, errors) == (0, "")
     assert calls == [
@@ -373,7 +399,7 @@ def test_missing_python_is_installed(bare, tmp_path):
     ]
 
 
-def test_missing_python_is_installed_with_sudo(bare):
+def test_missing_python_is_installed_with_sudo(bare: Any) -> None:
     status, _, calls = bare("id=user env dpkg apt-get sudo", "demo")
     assert status == 0
     assert calls[0] == "sudo|env|DEBIAN_FRONTEND=noninteractive|dpkg|--configure|-a|"
@@ -393,17 +419,19 @@ def test_missing_python_is_installed_with_sudo(bare):
         ),
     ],
 )
-def test_failed_installation_of_python_is_an_error(bare, commands, arguments, message):
+def test_failed_installation_of_python_is_an_error(
+    bare: Any, commands: str, arguments: Any, message: str
+) -> None:
     status, errors, calls = bare(commands, *arguments)
     assert (status, errors) == (1, f"install.py: {message}\n")
     assert not any(line.startswith("python3") for line in calls)
 
 
-def test_dry_run_does_not_install_python(bare):
+def test_dry_run_does_not_install_python(bare: Any) -> None:
     assert bare("id env dpkg apt-get", "test", "--dry-run") == (0, "", [])
 
 
-def test_script_runs_in_sh_and_python():
+def test_script_runs_in_sh_and_python() -> None:
     for program in ("sh", "/usr/bin/env python3"):
         command = [*program.split(), str(HERE / "install.py"), "--workspace", "/tmp/a b"]
         process = subprocess.run(command, stderr=subprocess.PIPE, text=True)
@@ -411,7 +439,7 @@ def test_script_runs_in_sh_and_python():
         assert "the workspace '/tmp/a b' has ' ' in its path" in process.stderr
 
 
-def test_closed_pipe_ends_script_without_traceback(tmp_path):
+def test_closed_pipe_ends_script_without_traceback(tmp_path: Path) -> None:
     reading, writing = os.pipe()
     os.close(reading)
     workspace = str(tmp_path / "workspace")
@@ -423,18 +451,18 @@ def test_closed_pipe_ends_script_without_traceback(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["mein Büro", "a;b$(c)", "(x)"])
-def test_workspace_has_no_special_characters(install, name):
+def test_workspace_has_no_special_characters(install: Any, name: str) -> None:
     workspace = install.default_workspace(Path("/home/me") / name, {"HOME": "/home/me"})
     assert re.fullmatch(r"[\w.-]+", workspace.name, re.ASCII)
     assert workspace != install.default_workspace(Path("/home/me/mein_B_ro"), {"HOME": "/home/me"})
 
 
-def test_invalid_key_is_refused(apt):
+def test_invalid_key_is_refused(apt: Any) -> None:
     with pytest.raises(apt.Problem, match="is not a key"):
         apt.dearmor(b"<html>")
 
 
-def test_source_lines_of_ros_are_found(apt, tmp_path):
+def test_source_lines_of_ros_are_found(apt: Any, tmp_path: Path) -> None:
     (tmp_path / "sources.list.d").mkdir()
     (tmp_path / "sources.list").write_text("# deb http://packages.ros.org/ros/ubuntu x\ndeb http://other y\n")
     assert apt.ros_source_lines(tmp_path) == []
@@ -445,7 +473,7 @@ def test_source_lines_of_ros_are_found(apt, tmp_path):
     assert apt.key_problem("Hit:1 http://packages.ros.org/ros/ubuntu focal InRelease") is None
 
 
-def test_missing_packages_are_named_without_system(install, noetic):
+def test_missing_packages_are_named_without_system(install: Any, noetic: Any) -> None:
     noetic.system = False
     with pytest.raises(
         install.Problem, match=r"system packages are missing: ca-certificates cmake .*ros-noetic-rospy"
@@ -458,14 +486,16 @@ def test_missing_packages_are_named_without_system(install, noetic):
     ("version", "options"),
     [((3, 8), ["--no-warn-unused-ignores", "--no-warn-return-any"]), ((3, 9), []), ((3, 11), [])],
 )
-def test_lint_checks_types_with_options_of_python(install, noetic, monkeypatch, version, options):
+def test_lint_checks_types_with_options_of_python(
+    install: Any, noetic: Any, monkeypatch: pytest.MonkeyPatch, version: Tuple[Any, ...], options: Any
+) -> None:
     monkeypatch.setattr(install, "sys", SimpleNamespace(version_info=version))
     assert install.run_lint(noetic) == 0
     (command,) = [command for command in noetic.shell.commands if "mypy" in command]
     assert command[command.index("mypy") + 1 :] == options
 
 
-def test_dependencies_of_manifest_are_known(install):
+def test_dependencies_of_manifest_are_known(install: Any) -> None:
     manifest = (HERE / "package.xml").read_text()
     assert install.find_dependency_problems(manifest) == []
     names = set(re.findall(r"<\w*depend>([^<]+)<", manifest))
@@ -475,7 +505,14 @@ def test_dependencies_of_manifest_are_known(install):
 
 
 @pytest.mark.parametrize("tag", ["exec_depend", "test_depend", "depend"])
-def test_unknown_dependency_fails_lint(install, noetic, monkeypatch, tmp_path, capsys, tag):
+def test_unknown_dependency_fails_lint(
+    install: Any,
+    noetic: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    tag: str,
+) -> None:
     manifest = (HERE / "package.xml").read_text()
     changed_manifest = manifest.replace("</package>", f"<{tag}>rosppy</{tag}></package>")
     (tmp_path / "package.xml").write_text(changed_manifest)
@@ -484,7 +521,9 @@ def test_unknown_dependency_fails_lint(install, noetic, monkeypatch, tmp_path, c
     assert f"package.xml: unknown {tag} 'rosppy': expected a key of rosdep" in capsys.readouterr().out
 
 
-def test_missing_package_of_dependency_fails_lint(install, monkeypatch, tmp_path, capsys):
+def test_missing_package_of_dependency_fails_lint(
+    install: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     packages = {*install.DEPENDENCIES.values()} - {"python3-tf2"}
     status = "".join(f"{name} install ok installed\n" for name in packages)
     monkeypatch.setattr(install, "query_installed_packages", lambda names: status)
@@ -495,7 +534,7 @@ def test_missing_package_of_dependency_fails_lint(install, monkeypatch, tmp_path
 
 @pytest.mark.parametrize("command", ["demo", "test", "lint", "docs", "uninstall"])
 @pytest.mark.parametrize("options", [["--workspace", "/some/where"], ["--workspace=/some/where"]])
-def test_options_may_precede_or_follow_command(install, command, options):
+def test_options_may_precede_or_follow_command(install: Any, command: str, options: List[str]) -> None:
     before = install.parse_arguments([*options, "--dry-run", command])
     assert before.workspace == Path("/some/where").resolve()
     assert before.dry_run
@@ -505,28 +544,32 @@ def test_options_may_precede_or_follow_command(install, command, options):
 
 
 @pytest.fixture
-def environment_of_tests(install, environment, monkeypatch, tmp_path):
+def environment_of_tests(
+    install: Any, environment: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> Any:
     """Return a function that runs install.py up to the command of the tests and returns its environment."""
     environment.update(PYTHONUNBUFFERED="1", RETALIS_SCENARIOS="here")
     monkeypatch.setattr(install, "Shell", lambda logs, dry: Recorder(logs))
     for step in ("install_system_packages", "install_python_packages"):
         monkeypatch.setattr(install.Installation, step, lambda *_: None)
 
-    def run(*argv):
+    def run(*argv: Any) -> Any:
         assert install.main(["--workspace", str(tmp_path / "ws"), *argv]) == 0
         return environment
 
     return run
 
 
-def test_tests_have_minimal_environment(environment_of_tests, tmp_path):
+def test_tests_have_minimal_environment(environment_of_tests: Any, tmp_path: Path) -> None:
     environment = environment_of_tests("test")
     assert "PYTHONUNBUFFERED" not in environment
     assert environment["RETALIS_SCENARIOS"] == "here"
     assert environment["RETALIS_WORKSPACE"] == str(tmp_path / "ws")
 
 
-def test_run_of_all_tests_prints_duration(environment_of_tests, capsys):
+def test_run_of_all_tests_prints_duration(
+    environment_of_tests: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
     environment_of_tests("test")
     assert capsys.readouterr().out.startswith("All tests take up to 15 minutes on two cores")
     environment_of_tests("test", "test/test_api.py")
@@ -534,28 +577,28 @@ def test_run_of_all_tests_prints_duration(environment_of_tests, capsys):
 
 
 @pytest.mark.parametrize("options", [[], ["test/ros1"], ["-m", "not slow", "--ignore", "test/test_api.py"]])
-def test_tests_run_on_two_cores(install, options):
+def test_tests_run_on_two_cores(install: Any, options: Any) -> None:
     assert install.choose_parallel_options(options) == ("-n", "3", "--dist", "worksteal")
 
 
 @pytest.mark.parametrize(
     "options", [["-n", "4"], ["-n0"], ["--pdb"], ["test/test_api.py"], ["test/test_api.py::test_x"], ["--co"]]
 )
-def test_single_file_or_option_disables_parallel_run(install, options):
+def test_single_file_or_option_disables_parallel_run(install: Any, options: List[str]) -> None:
     assert install.choose_parallel_options(options) == ()
 
 
 @pytest.fixture
-def packages(install, monkeypatch, tmp_path):
+def packages(install: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
     """Return a function that returns the packages that a command installs on a platform."""
 
     class StopError(Exception):
         pass
 
-    def run(platform, *words):
-        installed = []
+    def run(platform: Any, *words: Any) -> Any:
+        installed: List[Any] = []
 
-        def stop(platform, *rest):
+        def stop(platform: Any, *rest: Any) -> None:
             installed.extend(platform.packages)
             raise StopError
 
@@ -568,13 +611,13 @@ def packages(install, monkeypatch, tmp_path):
     return run
 
 
-def test_swi_prolog_is_installed_on_request(install, packages):
+def test_swi_prolog_is_installed_on_request(install: Any, packages: Any) -> None:
     for platform in install.PLATFORMS.values():
         assert packages(platform, "--with-swi") == [*platform.packages, "swi-prolog-nox"]
         assert packages(platform) == platform.packages
 
 
-def test_shells_and_browser_are_installed_for_tests(install, packages):
+def test_shells_and_browser_are_installed_for_tests(install: Any, packages: Any) -> None:
     debian, ubuntu = install.DEBIAN_12, install.UBUNTU_20_04
     assert packages(debian, "test") == [*debian.packages, "chromium", "fish", "zsh"]
     assert packages(debian, "test", "--with-swi")[-2:] == ["zsh", "swi-prolog-nox"]
@@ -583,14 +626,14 @@ def test_shells_and_browser_are_installed_for_tests(install, packages):
         assert packages(debian, command) == debian.packages
 
 
-def test_other_options_are_passed_to_tests(install):
+def test_other_options_are_passed_to_tests(install: Any) -> None:
     options = install.parse_arguments(["test", "-k", "a or b", "--dry-run", "--no-summary", "--inst"])
     assert (options.dry_run, options.no_system, options.install) == (True, False, False)
     assert options.passed_arguments == ["-k", "a or b", "--no-summary", "--inst"]
 
 
 @pytest.fixture
-def workspace(install, tmp_path):
+def workspace(install: Any, tmp_path: Path) -> Any:
     """Return a built workspace."""
     workspace = tmp_path / "retalis" / "clone-1"
     for name in (
@@ -609,7 +652,9 @@ def workspace(install, tmp_path):
     return workspace
 
 
-def test_uninstall_removes_workspace(install, workspace, capsys):
+def test_uninstall_removes_workspace(
+    install: Any, workspace: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
     before = sorted(workspace.rglob("*"))
     assert install.main(["uninstall", "--workspace", str(workspace), "--dry-run"]) == 0
     assert f"would remove {workspace}/devel\n" in capsys.readouterr().out
@@ -623,7 +668,9 @@ def test_uninstall_removes_workspace(install, workspace, capsys):
         install.main(["uninstall", "--workspace", str(workspace)])
 
 
-def test_uninstall_names_remaining_packages(install, workspace, capsys, monkeypatch):
+def test_uninstall_names_remaining_packages(
+    install: Any, workspace: Any, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     (workspace / install.PACKAGE_RECORD).write_text("python3\ncatkin\ngone\ncatkin\n")
     status = "catkin install ok installed\npython3 install ok installed\ngone deinstall ok config-files\n"
     monkeypatch.setattr(install, "query_installed_packages", lambda names: status)
@@ -632,11 +679,17 @@ def test_uninstall_names_remaining_packages(install, workspace, capsys, monkeypa
     assert not workspace.exists()
 
 
-def no_address(name):
+def no_address(name: Any) -> None:
     raise OSError("Name or service not known")
 
 
-def test_localhost_is_added_to_hosts(install, noetic, workspace, monkeypatch, capsys):
+def test_localhost_is_added_to_hosts(
+    install: Any,
+    noetic: Any,
+    workspace: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     monkeypatch.setattr(install.socket, "gethostbyname", no_address)
     noetic.add_localhost()
     (command,) = noetic.shell.commands
@@ -650,13 +703,13 @@ def test_localhost_is_added_to_hosts(install, noetic, workspace, monkeypatch, ca
         noetic.add_localhost()
 
 
-def test_known_localhost_is_not_added(install, noetic, monkeypatch):
+def test_known_localhost_is_not_added(install: Any, noetic: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(install.socket, "gethostbyname", lambda name: "127.0.0.1")
     noetic.add_localhost()
     assert noetic.shell.commands == []
 
 
-def test_installed_packages_are_recorded(install, noetic, monkeypatch):
+def test_installed_packages_are_recorded(install: Any, noetic: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         install, "ros_source_lines", lambda: ["deb http://packages.ros.org/ros/ubuntu focal main"]
     )
@@ -667,7 +720,9 @@ def test_installed_packages_are_recorded(install, noetic, monkeypatch):
     assert "RETALIS_INSTALLED" not in os.environ
 
 
-def test_uninstall_keeps_other_files(install, workspace, capsys):
+def test_uninstall_keeps_other_files(
+    install: Any, workspace: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
     (workspace / "notes.txt").touch()
     (workspace / "src" / "other").mkdir()
     assert install.main(["uninstall", "--workspace", str(workspace)]) == 0
@@ -682,7 +737,9 @@ def test_uninstall_keeps_other_files(install, workspace, capsys):
     }
 
 
-def test_uninstall_removes_incomplete_workspace(install, monkeypatch, tmp_path):
+def test_uninstall_removes_incomplete_workspace(
+    install: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     workspace = install.default_workspace(install.HERE, os.environ)
     (workspace / "venv").mkdir(parents=True)
@@ -690,7 +747,7 @@ def test_uninstall_removes_incomplete_workspace(install, monkeypatch, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_uninstall_refuses_workspace_of_other_clone(install, workspace, tmp_path):
+def test_uninstall_refuses_workspace_of_other_clone(install: Any, workspace: Any, tmp_path: Path) -> None:
     (workspace / "src" / "retalis").unlink()
     for prepare in (lambda: None, lambda: (workspace / "src" / "retalis").symlink_to(tmp_path)):
         prepare()
@@ -699,7 +756,9 @@ def test_uninstall_refuses_workspace_of_other_clone(install, workspace, tmp_path
     assert (workspace / "venv").exists()
 
 
-def test_command_where_prints_script(install, tmp_path, capsys):
+def test_command_where_prints_script(
+    install: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(install.Problem, match="nothing has been built yet"):
         install.main(["--workspace", str(tmp_path), "where"])
     (tmp_path / "devel").mkdir()
@@ -710,7 +769,9 @@ def test_command_where_prints_script(install, tmp_path, capsys):
     assert capsys.readouterr().out == f"{tmp_path}/devel/setup.zsh\n"
 
 
-def test_dangling_link_to_clone_is_replaced(install, tmp_path, monkeypatch):
+def test_dangling_link_to_clone_is_replaced(
+    install: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(install.subprocess, "run", report_nothing_installed)
     installation = install.Installation(install.DEBIAN_12, tmp_path, Recorder(tmp_path / "log"))
     installation.package.parent.mkdir()
@@ -719,7 +780,7 @@ def test_dangling_link_to_clone_is_replaced(install, tmp_path, monkeypatch):
     assert installation.package.resolve() == install.HERE
 
 
-def test_link_to_other_clone_is_refused(install, tmp_path):
+def test_link_to_other_clone_is_refused(install: Any, tmp_path: Path) -> None:
     installation = install.Installation(install.DEBIAN_12, tmp_path, Recorder(tmp_path / "log"))
     (tmp_path / "other").mkdir()
     installation.package.parent.mkdir()
@@ -729,7 +790,7 @@ def test_link_to_other_clone_is_refused(install, tmp_path):
 
 
 @pytest.fixture
-def site(install, monkeypatch, tmp_path):
+def site(install: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
     """Return the commands of `install.py docs`, with a previously built site."""
     shell = Recorder(tmp_path / "log")
     monkeypatch.setattr(install, "Shell", lambda logs, dry: shell)
@@ -743,7 +804,9 @@ def site(install, monkeypatch, tmp_path):
     return shell
 
 
-def test_docs_builds_site_in_own_environment(install, site, tmp_path, capsys):
+def test_docs_builds_site_in_own_environment(
+    install: Any, site: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     command = ["docs", "--workspace", str(tmp_path / "workspace")]
     assert install.main(command) == 0
     create, install_packages, build = site.commands
@@ -761,13 +824,17 @@ def test_docs_builds_site_in_own_environment(install, site, tmp_path, capsys):
     assert site.commands[3:] == [build]
 
 
-def test_docs_has_exit_status_of_sphinx(install, site, tmp_path, capsys):
+def test_docs_has_exit_status_of_sphinx(
+    install: Any, site: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     site.run_visible = lambda command, cwd: 2
     assert install.main(["docs", "--workspace", str(tmp_path / "workspace")]) == 2
     assert "is built" not in capsys.readouterr().out
 
 
-def test_docs_installs_package_for_environments(install, site, tmp_path, monkeypatch):
+def test_docs_installs_package_for_environments(
+    install: Any, site: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(install.importlib.util, "find_spec", lambda name: None)
     monkeypatch.setattr(install, "parse_os_release", lambda text: {"ID": "debian", "VERSION_ID": "12"})
     monkeypatch.setattr(install, "query_installed_packages", lambda names: "")

@@ -4,6 +4,7 @@ import importlib
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any, Iterator, List
 
 import pytest
 
@@ -11,17 +12,19 @@ HERE = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope="module")
-def shell():
+def shell() -> Iterator[Any]:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(HERE))
         yield importlib.import_module("install_shell")
 
 
-def test_tail_is_indented(shell):
+def test_tail_is_indented(shell: Any) -> None:
     assert shell.tail("1\n2\n3\n\n", 2) == "    2\n    3"
 
 
-def test_step_writes_log_and_prints_title(shell, tmp_path, capfd):
+def test_step_writes_log_and_prints_title(
+    shell: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     shell.Shell(tmp_path / "log").run_logged("Talking", "talk", [sys.executable, "-c", "print('hello')"])
     assert (tmp_path / "log" / "talk.log").read_text() == "hello\n"
     out, err = capfd.readouterr()
@@ -30,7 +33,7 @@ def test_step_writes_log_and_prints_title(shell, tmp_path, capfd):
     assert err == ""
 
 
-def test_failed_step_prints_end_of_log(shell, tmp_path, capfd):
+def test_failed_step_prints_end_of_log(shell: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     failing = [sys.executable, "-c", "print('reason'); raise SystemExit(3)"]
     with pytest.raises(shell.Problem, match=r"talk failed with exit status 3; .*talk\.log"):
         shell.Shell(tmp_path).run_logged("Talking", "talk", failing)
@@ -39,12 +42,12 @@ def test_failed_step_prints_end_of_log(shell, tmp_path, capfd):
     assert err == "    reason\n"
 
 
-def test_unknown_program_is_an_error(shell, tmp_path):
+def test_unknown_program_is_an_error(shell: Any, tmp_path: Path) -> None:
     with pytest.raises(shell.Problem, match="no-such-program is not installed"):
         shell.Shell(tmp_path).run_logged("Talking", "talk", ["no-such-program"])
 
 
-def test_dry_run_runs_nothing(shell, tmp_path, capsys):
+def test_dry_run_runs_nothing(shell: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     runs = shell.Shell(tmp_path / "log", dry=True)
     runs.run_logged("Talking", "talk", ["touch", str(tmp_path / "a b")])
     assert runs.run_visible(["touch", str(tmp_path / "c")]) == 0
@@ -63,7 +66,7 @@ except KeyboardInterrupt:
 """
 
 
-def test_stop_interrupts_process(shell):
+def test_stop_interrupts_process(shell: Any) -> None:
     process = subprocess.Popen([sys.executable, "-c", INTERRUPTIBLE], stdout=subprocess.PIPE)
     process.stdout.readline()
     shell.stop(process)
@@ -71,10 +74,10 @@ def test_stop_interrupts_process(shell):
     assert process.returncode == 7
 
 
-def test_interrupt_ends_command(shell, tmp_path, monkeypatch):
-    stopped = []
+def test_interrupt_ends_command(shell: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stopped: List[Any] = []
 
-    def stop(process):
+    def stop(process: Any) -> None:
         stopped.append(process)
         process.kill()
         process.wait()
@@ -84,7 +87,7 @@ def test_interrupt_ends_command(shell, tmp_path, monkeypatch):
     class Interrupted(subprocess.Popen):
         wait_count = 0
 
-        def wait(self, timeout=None):
+        def wait(self, timeout: Any = None) -> Any:
             self.wait_count += 1
             if self.wait_count == 1:
                 raise KeyboardInterrupt
@@ -122,11 +125,11 @@ REMOVED_VARIABLES = {
 }
 
 
-def test_minimal_environment_has_kept_variables_only(shell):
+def test_minimal_environment_has_kept_variables_only(shell: Any) -> None:
     assert shell.minimal_environment({**KEPT_VARIABLES, **REMOVED_VARIABLES}) == KEPT_VARIABLES
 
 
-def test_script_runs_command_in_minimal_environment():
+def test_script_runs_command_in_minimal_environment() -> None:
     program = [sys.executable, str(HERE / "install_shell.py"), sys.executable, "-c"]
     script = "import os, sys; print(sys.argv[1:], sorted(os.environ.keys() & set(sys.argv[2].split())))"
     names = " ".join([*KEPT_VARIABLES, *REMOVED_VARIABLES])
@@ -136,6 +139,6 @@ def test_script_runs_command_in_minimal_environment():
     assert output == f"{['a b', names]} {sorted(KEPT_VARIABLES)}\n"
 
 
-def test_search_path_begins_with_distribution(shell):
+def test_search_path_begins_with_distribution(shell: Any) -> None:
     assert shell.search_path("/opt/bin:/usr/bin:/bin") == "/usr/bin:/opt/bin:/bin:/usr/sbin:/sbin"
     assert shell.search_path("") == "/usr/bin:/bin:/usr/sbin:/sbin"

@@ -5,6 +5,7 @@ with it.
 """
 
 import re
+from typing import Any, Dict, List
 
 import pytest
 
@@ -14,23 +15,23 @@ from retalis.foundation import codegen
 from retalis.prolog.database import clause_index, compiled_goal
 
 
-def slots(count):
+def slots(count: Any) -> str:
     return f"ev({','.join(f'X{number}' for number in range(count))})"
 
 
-def items(count):
+def items(count: int) -> str:
     return f"ev([{','.join(f'X{number}' for number in range(count))}])"
 
 
-def constants(count):
+def constants(count: int) -> str:
     return f"ev([{','.join(map(str, range(count)))}])"
 
 
-def nested(count):
+def nested(count: Any) -> str:
     return "ev(" + "f(a," * count + "X" + ")" * (count + 1)
 
 
-def nested_left(count):
+def nested_left(count: Any) -> str:
     return "ev(" + "f(" * count + "X" + ",a)" * count + ")"
 
 
@@ -51,12 +52,12 @@ PROGRAMS = {
 
 
 @pytest.fixture
-def code_lengths(monkeypatch):
+def code_lengths(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Return a list to which the length of each compiled source is added."""
-    lengths = []
+    lengths: List[Any] = []
     define = codegen.define
 
-    def count(source, names, title):
+    def count(source: Any, names: Any, title: Any) -> Any:
         lengths.append(len(source))
         return define(source, names, title)
 
@@ -67,9 +68,9 @@ def code_lengths(monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("pattern", PATTERNS)
 @pytest.mark.parametrize("program", PROGRAMS)
-def test_length_of_code_is_linear(code_lengths, program, pattern):
+def test_length_of_code_is_linear(code_lengths: Any, program: Any, pattern: Any) -> None:
     rules, goal = PROGRAMS[program]
-    total_lengths = {}
+    total_lengths: Dict[Any, Any] = {}
     for count in (2000, 4000):
         del code_lengths[:]
         term = PATTERNS[pattern](count)
@@ -83,14 +84,14 @@ def test_length_of_code_is_linear(code_lengths, program, pattern):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("pattern", PATTERNS)
-def test_large_pattern_matches(pattern):
+def test_large_pattern_matches(pattern: Any) -> None:
     term = PATTERNS[pattern](2000)
     engine = Engine()
     engine.load(
         rules=f"o <- {term}.\nboth <- {term} seq {term}.\n",
         goals="subscribe(o, [], _, t, s)\nsubscribe(both, [], _, t, s2)",
     )
-    outputs = []
+    outputs: List[Any] = []
     engine.on_output(lambda output, topic, name: outputs.append(engine.show(output)))
     event = term.replace("X", "x")
     engine.event(event, 1)
@@ -102,7 +103,7 @@ def test_large_pattern_matches(pattern):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("form", ["body", "head", "argument", "unify", "either"])
-def test_large_clause_has_answers_in_each_call(code_lengths, form):
+def test_large_clause_has_answers_in_each_call(code_lengths: Any, form: str) -> None:
     text = {
         "body": "q(1) :- " + ",".join(f"X{number} = f(X{number + 1})" for number in range(1000)) + ".",
         "head": f"q({constants(2000)}) :- true, p.\nq(1) :- q({constants(2000)}).",
@@ -118,10 +119,10 @@ def test_large_clause_has_answers_in_each_call(code_lengths, form):
     assert max(code_lengths, default=0) < 50_000
 
 
-def run(text, goals, events):
+def run(text: Any, goals: Any, events: Any) -> List[Any]:
     engine = Engine()
     engine.load(rules=text, goals=goals)
-    outputs = []
+    outputs: List[Any] = []
     engine.on_output(lambda term, topic, name: outputs.append(engine.show(term)))
     for second, event in enumerate(events):
         engine.event(event, second)
@@ -129,7 +130,7 @@ def run(text, goals, events):
     return [re.sub("_G[0-9]+", "_", text) for text in (*outputs, *answers)]
 
 
-def test_terms_without_code_have_same_results(monkeypatch):
+def test_terms_without_code_have_same_results(monkeypatch: pytest.MonkeyPatch) -> None:
     text = """
         o(X, Y) <- a(X, f(Z)) seq b(Z, Y) where (Y > 1 ; X == c, \\+ Y = 1).
         twice(X) <- a(X, f(X)).
@@ -161,7 +162,7 @@ def test_terms_without_code_have_same_results(monkeypatch):
 
 
 @pytest.mark.slow
-def test_deep_grammar_rule_is_loaded():
+def test_deep_grammar_rule_is_loaded() -> None:
     for body in (
         "(a;" * 5000 + "b" + ")" * 5000,
         "\\+ " * 5000 + "a",
@@ -184,7 +185,7 @@ def test_deep_grammar_rule_is_loaded():
         assert engine.call(f"phrase(s, {text})") is is_accepted
 
 
-def test_pattern_beyond_depth_limit_is_an_error():
+def test_pattern_beyond_depth_limit_is_an_error() -> None:
     for pattern in (
         "a seq (" * 5000 + "b" + ")" * 5000,
         " and ".join(["a"] * 5000),
@@ -194,7 +195,7 @@ def test_pattern_beyond_depth_limit_is_an_error():
             Engine().load(rules=f"o <- {pattern}.\n")
 
 
-def test_index_stores_variable_clauses_once():
+def test_index_stores_variable_clauses_once() -> None:
     engine = Engine()
     engine.load(rules="".join(f"f({number}, a).\nf(_, {number}).\n" for number in range(2000)))
     assert len(engine.query("f(7, a)")) == 1

@@ -1,5 +1,8 @@
 """Limits of an event: they include derived work; goals beyond them are refused, counted and reported once."""
 
+from pathlib import Path
+from typing import Any, List
+
 import pytest
 
 from retalis import Engine, Limits, PrologError, Settings, functor
@@ -14,7 +17,7 @@ count(N) :- N > 0, M is N - 1, count(M).
 SUBSCRIPTION_COUNT = 200
 
 
-def make(rules="", goals="", settings=None, **limits):
+def make(rules: str = "", goals: str = "", settings: Any = None, **limits: Any) -> Any:
     engine = Engine(settings=settings or Settings(limits=Limits(**limits)))
     engine.load_rules(RULES + rules)
     engine.load(goals=goals)
@@ -25,23 +28,23 @@ def make(rules="", goals="", settings=None, **limits):
     return engine
 
 
-def inferences_of(engine, work):
+def inferences_of(engine: Any, work: Any) -> Any:
     """Return the number of inferences of a function."""
     before = engine.logic.machine.budget.inferences
     work()
     return engine.logic.machine.budget.inferences - before
 
 
-def subscriptions(conditions, count=SUBSCRIPTION_COUNT):
+def subscriptions(conditions: str, count: Any = SUBSCRIPTION_COUNT) -> str:
     return "\n".join(f"subscribe(in(_), [{conditions}], _, out, s{index})" for index in range(count))
 
 
 @pytest.fixture
-def ticking(monkeypatch):
+def ticking(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Replace the clock by one that advances by a millisecond with each call; return its time in a list."""
     now = [0.0]
 
-    def tick():
+    def tick() -> Any:
         now[0] += 0.001
         return now[0]
 
@@ -49,7 +52,7 @@ def ticking(monkeypatch):
     return now
 
 
-def test_endless_conditions_share_inferences(caplog):
+def test_endless_conditions_share_inferences(caplog: pytest.LogCaptureFixture) -> None:
     engine = make(goals=subscriptions("loop"), inferences=100_000)
     assert inferences_of(engine, lambda: engine.event("in(1)", 1)) < 2 * 100_000
     assert caplog.text.count("Not enough resources: inferences") == 1
@@ -59,7 +62,7 @@ def test_endless_conditions_share_inferences(caplog):
     )
 
 
-def test_endless_conditions_share_seconds(ticking, caplog):
+def test_endless_conditions_share_seconds(ticking: Any, caplog: pytest.LogCaptureFixture) -> None:
     engine = make(goals=subscriptions("loop"), seconds=0.5)
     engine.event("in(1)", 1)
     assert ticking[0] < 4 * 0.5  # other threads may read this clock, too
@@ -67,20 +70,20 @@ def test_endless_conditions_share_seconds(ticking, caplog):
 
 
 @pytest.mark.parametrize("condition", ["catch(loop, _, true)", "\\+ catch(loop, _, fail)", "ignore(loop)"])
-def test_conditions_that_catch_limit_share_it(condition, caplog):
+def test_conditions_that_catch_limit_share_it(condition: str, caplog: pytest.LogCaptureFixture) -> None:
     engine = make(goals=subscriptions(condition), inferences=100_000)
     assert inferences_of(engine, lambda: engine.event("in(1)", 1)) < 2 * 100_000
     assert "in/1 has exceeded its limit of inferences; goals refused: " in caplog.text
 
 
-def test_short_goals_share_inferences_of_event(caplog):
+def test_short_goals_share_inferences_of_event(caplog: pytest.LogCaptureFixture) -> None:
     engine = make(goals=subscriptions("count(300)"), inferences=20_000)
     assert inferences_of(engine, lambda: engine.event("in(1)", 1)) < 2 * 20_000
     assert 10 < len(engine.outputs) < 100
     assert "in/1 has exceeded its limit of inferences; goals refused: " in caplog.text
 
 
-def test_next_event_has_own_limits(caplog):
+def test_next_event_has_own_limits(caplog: pytest.LogCaptureFixture) -> None:
     engine = make(goals=subscriptions("(loop ; true)", 3), inferences=50_000)
     for _ in range(2):
         caplog.clear()
@@ -92,14 +95,14 @@ def test_next_event_has_own_limits(caplog):
     assert caplog.text == ""
 
 
-def test_each_posted_event_has_own_limits():
+def test_each_posted_event_has_own_limits() -> None:
     engine = make(goals=subscriptions("count(10000)", 1), inferences=30_000)
     for number in range(5):
         engine.post(functor("in", 1)(number), number)
     assert len(engine.outputs) == 5
 
 
-def test_derived_work_shares_limits_of_event(caplog):
+def test_derived_work_shares_limits_of_event(caplog: pytest.LogCaptureFixture) -> None:
     engine = make(
         rules="""
         a(X) <- in(X) where count(30000).
@@ -117,7 +120,7 @@ def test_derived_work_shares_limits_of_event(caplog):
     assert caplog.text.count("Not enough resources: inferences") == 1
 
 
-def test_goals_of_long_chain_are_refused(caplog):
+def test_goals_of_long_chain_are_refused(caplog: pytest.LogCaptureFixture) -> None:
     engine = make(
         rules="tick(N) <- tick(M) where (N is M + 1, M < 20).\n" + "x(M) <- tick(M) where loop.\n" * 3,
         inferences=50_000,
@@ -128,7 +131,7 @@ def test_goals_of_long_chain_are_refused(caplog):
 
 
 @pytest.mark.slow
-def test_endless_branching_without_goals_ends(caplog):
+def test_endless_branching_without_goals_ends(caplog: pytest.LogCaptureFixture) -> None:
     engine = make(rules="tick <- tick.\ntick <- tick.", inferences=50_000)
     engine.event("tick", 1)
     assert "tick has exceeded its limit of inferences while patterns were matched" in caplog.text
@@ -136,7 +139,7 @@ def test_endless_branching_without_goals_ends(caplog):
     assert engine.events[-1] == "other"
 
 
-def test_patterns_match_after_goals_are_refused(caplog):
+def test_patterns_match_after_goals_are_refused(caplog: pytest.LogCaptureFixture) -> None:
     engine = make(
         rules="bad(X) <- in(X) where loop.\nworse(X) <- in(X) where loop.\npair(X, Y) <- in(X) seq in(Y).",
         goals="memorize(in(X), [], in(X), m, 10)",
@@ -149,7 +152,7 @@ def test_patterns_match_after_goals_are_refused(caplog):
     assert caplog.text.count("goals refused: 1") == 2
 
 
-def test_limit_set_by_goal_does_not_affect_others(caplog):
+def test_limit_set_by_goal_does_not_affect_others(caplog: pytest.LogCaptureFixture) -> None:
     engine = make(
         goals="subscribe(in(_), [call_with_inference_limit(loop, 5000, _)], _, out, a)\n"
         "subscribe(in(_), [catch(call_with_time_limit(0.01, loop), _, true)], _, out, b)\n"
@@ -161,7 +164,7 @@ def test_limit_set_by_goal_does_not_affect_others(caplog):
     assert caplog.text == ""
 
 
-def test_alarm_has_own_limits(caplog):
+def test_alarm_has_own_limits(caplog: pytest.LogCaptureFixture) -> None:
     engine = make(
         rules="exceptionAlarm(late(X), 5) <- start(X).\nout(X) <- late(X) where count(15000).\n"
         "out(X) <- in(X) where count(15000).",
@@ -174,7 +177,7 @@ def test_alarm_has_own_limits(caplog):
     assert caplog.text == ""
 
 
-def test_alarm_within_goal_does_not_use_its_limit(caplog):
+def test_alarm_within_goal_does_not_use_its_limit(caplog: pytest.LogCaptureFixture) -> None:
     engine = make(
         rules="exceptionAlarm(late(X), 5) <- start(X).\nout(X) <- late(X) where loop.",
         inferences=20_000,
@@ -182,7 +185,7 @@ def test_alarm_within_goal_does_not_use_its_limit(caplog):
     engine.event("start(1)", 1)
     engine.clock.move_to(10 * 10**9)
 
-    def ring(machine):
+    def ring(machine: Any) -> bool:
         engine.event("tick", 10)
         return True
 
@@ -191,7 +194,7 @@ def test_alarm_within_goal_does_not_use_its_limit(caplog):
     assert caplog.text.count("Not enough resources: inferences") == 1
 
 
-def test_initial_goals_may_have_no_limit(tmp_path):
+def test_initial_goals_may_have_no_limit(tmp_path: Path) -> None:
     (tmp_path / "rules.txt").write_text(RULES)
     (tmp_path / "goalPredicates.txt").write_text("compile_event_file('rules.txt')\ncount(50000)\n")
     limits = Limits(inferences=20_000)
@@ -202,13 +205,13 @@ def test_initial_goals_may_have_no_limit(tmp_path):
         engine.call("count(50000)")
 
 
-def test_repeated_exceptions_are_limited():
+def test_repeated_exceptions_are_limited() -> None:
     engine = make(rules="again :- catch(throw(x), _, true), again.", inferences=50_000)
     with pytest.raises(PrologError, match="inferences"):
         engine.call("again")
 
 
-def test_interrupt_does_not_use_limit_of_next_event():
+def test_interrupt_does_not_use_limit_of_next_event() -> None:
     engine = make(goals=subscriptions("count(10000)", 1), inferences=30_000)
     engine.logic.define("interrupt", 0, lambda machine: postpone(Interrupt()) is None)
     for number in range(3):
@@ -236,7 +239,7 @@ written(N) :- N > 0, M is N - 1, format("~@~@", [written(M), written(M)]).
 @pytest.mark.parametrize(
     "goal", ["tidy_in_vain", "deep(100)", "catch(deep(100), _, true), loop", "print(30)", "written(30)"]
 )
-def test_nested_goal_cannot_extend_limit(goal):
+def test_nested_goal_cannot_extend_limit(goal: str) -> None:
     engine = make(NESTED, inferences=20_000)
     engine.logic.output = engine.logic.error_output = lambda text: None
     with pytest.raises(PrologError, match="resources: inferences"):
@@ -244,15 +247,15 @@ def test_nested_goal_cannot_extend_limit(goal):
     assert engine.logic.machine.budget.inferences < 10 * 20_000
 
 
-def test_nested_short_cleanups_are_limited():
+def test_nested_short_cleanups_are_limited() -> None:
     engine = make(NESTED, inferences=20_000)
-    warnings = []
+    warnings: List[Any] = []
     engine.logic.error_output = warnings.append
     engine.call("twice(30)")
     assert "".join(warnings) == "Warning: cleanup: Not enough resources: inferences\n"
 
 
-def test_short_cleanups_run_after_final_limit():
+def test_short_cleanups_run_after_final_limit() -> None:
     engine = make(
         ":- dynamic(tidied/1). in(0) :- loop. in(N) :- M is N - 1, call_cleanup(in(M), assertz(tidied(N))).",
         inferences=20_000,
@@ -262,7 +265,7 @@ def test_short_cleanups_run_after_final_limit():
     assert len(engine.query("tidied(_)")) == 20
 
 
-def test_captured_output_of_nested_goal_is_limited():
+def test_captured_output_of_nested_goal_is_limited() -> None:
     engine = make()
     with pytest.raises(PrologError, match="resources: memory"):
         engine.call("format(atom(A), '~*c', [1000000, 0'a]), format('~@', [(repeat, write(A), fail)])")

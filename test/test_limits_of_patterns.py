@@ -2,6 +2,7 @@
 
 import resource
 import time
+from typing import Any, List
 
 import pytest
 
@@ -21,22 +22,22 @@ LIMIT = 2000
 class RecordingReports(Reports):
     """Reports that record their warnings."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__()
         self.texts = []
 
-    def warning(self, problem, *more):
+    def warning(self, problem: Any, *more: Any) -> None:
         self.texts.append(str(problem))
         super().warning(problem, *more)
 
-    def take_stop_count(self):
+    def take_stop_count(self) -> Any:
         """Return the number of stops of pattern matching since the last call."""
         count = sum(REPORT in text for text in self.texts)
         self.texts.clear()
         return count
 
 
-def make(rules, inferences=LIMIT, **settings):
+def make(rules: str, inferences: Any = LIMIT, **settings: Any) -> Any:
     limits = settings.pop("limits", Limits(inferences=inferences))
     engine = Engine(
         settings=Settings(limits=limits, limit_start=False, **settings), reports=RecordingReports()
@@ -48,7 +49,7 @@ def make(rules, inferences=LIMIT, **settings):
     return engine
 
 
-def send(engine, *events):
+def send(engine: Any, *events: Any) -> List[Any]:
     """Send one event per second; return the events that are dispatched for the last one."""
     for event in events:
         engine.events.clear()
@@ -57,7 +58,7 @@ def send(engine, *events):
     return list(engine.events)
 
 
-def is_alive(engine):
+def is_alive(engine: Any) -> Any:
     engine.events.clear()
     return send(engine, "ping(1)") == ["ping(1)", "alive(1)"] and engine.query("X = 1") == [{"X": 1}]
 
@@ -71,7 +72,9 @@ def is_alive(engine):
         ("t <- t.\n" * 2, ["t"], "rule t"),
     ],
 )
-def test_explosion_of_matches_stops_at_limit(rules, events, name, caplog):
+def test_explosion_of_matches_stops_at_limit(
+    rules: Any, events: List[str], name: str, caplog: pytest.LogCaptureFixture
+) -> None:
     engine = make(rules)
     for event in events:
         dispatched = send(engine, event)
@@ -85,7 +88,7 @@ def test_explosion_of_matches_stops_at_limit(rules, events, name, caplog):
     assert engine.status().warnings
 
 
-def test_report_names_rule_position_and_limit(caplog):
+def test_report_names_rule_position_and_limit(caplog: pytest.LogCaptureFixture) -> None:
     engine = make("")
     engine.load_rules(CHAIN, "rules.txt")
     send(engine, "e0(1)", "e0(2)")
@@ -98,7 +101,7 @@ def test_report_names_rule_position_and_limit(caplog):
     assert "derived events were omitted" in report
 
 
-def test_events_below_limit_equal_those_without():
+def test_events_below_limit_equal_those_without() -> None:
     engines = make(CHAIN, 1_000_000), make(CHAIN, limits=Limits())
     for event in ("e0(1)", "e0(2)"):
         limited, unlimited = (send(engine, event) for engine in engines)
@@ -129,7 +132,7 @@ def test_events_below_limit_equal_those_without():
 @pytest.mark.parametrize(
     "flag", ["true", "set_etalis_flag(out_of_order, on)", "set_etalis_flag(revision_flag, on)"]
 )
-def test_work_of_each_operator_is_limited(rule, flag):
+def test_work_of_each_operator_is_limited(rule: str, flag: str) -> None:
     limit = 200
     engine = make(f":- {flag}.\n" + PAIRS + rule + "\n", 1_000_000)
     send(engine, *[f"a({number})" for number in range(300)])
@@ -143,7 +146,7 @@ def test_work_of_each_operator_is_limited(rule, flag):
     assert is_alive(engine)
 
 
-def test_work_of_repetitions_is_limited():
+def test_work_of_repetitions_is_limited() -> None:
     engine = make(UNRESTRICTED + "q <- p(_) ntimes 5.\n")
     for number in range(30):
         send(engine, f"p({number})")
@@ -151,7 +154,7 @@ def test_work_of_repetitions_is_limited():
     assert is_alive(engine)
 
 
-def test_work_of_steps_is_limited():
+def test_work_of_steps_is_limited() -> None:
     steps = "steps([x(0, many) where X > 0, later(y(1, 2, reluctant)) where X > 1, z where X < 0])"
     engine = make(f"q(N) <- aggregate(count, p(X), N, {steps}).\nr <- q(_).\n{PAIRS}", 1_000_000)
     send(engine, *[f"a({number})" for number in range(1, 100)])
@@ -161,7 +164,7 @@ def test_work_of_steps_is_limited():
     assert is_alive(engine)
 
 
-def test_results_of_many_keys_are_limited():
+def test_results_of_many_keys_are_limited() -> None:
     engine = make("q(X, N) <- aggregate(count, p(X), N, every(10)).\n", 1_000_000)
     for number in range(3000):
         engine.event(f"p({number})", 1 + number / 1000)
@@ -175,7 +178,7 @@ def test_results_of_many_keys_are_limited():
 REVISED = ":- set_etalis_flag(revision_flag, on).\n" + PAIRS + "q(X, Y) <- p(X) seq c(Y).\n"
 
 
-def test_retraction_is_limited_and_consistent(caplog):
+def test_retraction_is_limited_and_consistent(caplog: pytest.LogCaptureFixture) -> None:
     engine = make(REVISED, 1_000_000)
     send(engine, *[f"a({number})" for number in range(1000)], "b(1)")
     engine.logic.limits = Limits(inferences=2500)  # enough to remove 1000 buffered events once
@@ -188,7 +191,7 @@ def test_retraction_is_limited_and_consistent(caplog):
 
 
 @pytest.mark.slow
-def test_event_with_many_results_is_not_retracted(caplog):
+def test_event_with_many_results_is_not_retracted(caplog: pytest.LogCaptureFixture) -> None:
     engine = make(REVISED, 1_000_000)
     send(engine, *[f"a({number})" for number in range(1000)], "b(1)")
     engine.logic.limits = Limits(inferences=500)
@@ -208,7 +211,9 @@ def test_event_with_many_results_is_not_retracted(caplog):
         ("s(S) <- k seq aggregate(sum(X), d(X), S).", 2500, 1007),
     ],
 )
-def test_recomputation_of_window_or_run_is_limited(rule, limit, total, caplog):
+def test_recomputation_of_window_or_run_is_limited(
+    rule: str, limit: int, total: int, caplog: pytest.LogCaptureFixture
+) -> None:
     engine = make(":- set_etalis_flag(revision_flag, on).\n" + rule + "\n", 1_000_000)
     send(engine, "k", "d(5)", *["d(1)"] * 1000)
     engine.logic.limits = Limits(inferences=limit)
@@ -221,7 +226,7 @@ def test_recomputation_of_window_or_run_is_limited(rule, limit, total, caplog):
     assert is_alive(engine)
 
 
-def test_retraction_of_repetitions_is_limited():
+def test_retraction_of_repetitions_is_limited() -> None:
     rules = UNRESTRICTED + ":- set_etalis_flag(revision_flag, on).\n"
     rules += "s(S) <- k seq aggregate(sum(X), d(X), S).\nrev(d(X)) <- d(X) seq stop.\n"
     engine = make(rules, 1_000_000)
@@ -232,7 +237,7 @@ def test_retraction_of_repetitions_is_limited():
     assert is_alive(engine)
 
 
-def test_many_events_are_retracted_from_long_history():
+def test_many_events_are_retracted_from_long_history() -> None:
     engine = make(REVISED + "s(S) <- aggregate(sum(X), p(X), S, last(5000, events)).\n", limits=Limits())
     send(engine, *[f"a({number})" for number in range(300)], "b(1)")
     events = send(engine, "rev(b(1))")
@@ -240,7 +245,7 @@ def test_many_events_are_retracted_from_long_history():
     assert send(engine, "c(1)") == ["c(1)"]
 
 
-def test_goal_shares_limit_with_its_events():
+def test_goal_shares_limit_with_its_events() -> None:
     engine = make(CHAIN)
     send(engine, "e0(1)", "e0(2)")
     with pytest.raises(PrologError, match="inferences"):
@@ -248,10 +253,10 @@ def test_goal_shares_limit_with_its_events():
     assert is_alive(engine)
 
 
-def test_memories_and_outputs_have_derived_events():
+def test_memories_and_outputs_have_derived_events() -> None:
     engine = make(CHAIN)
     engine.load(goals="memorize(e30(X), [], e30(X), m, 100000)\nsubscribe(e30(X), [], _, out, s)")
-    outputs = []
+    outputs: List[Any] = []
     engine.on_output(lambda term, topic, name: outputs.append(term))
     send(engine, "e0(1)", "e0(2)")
     outputs.clear()
@@ -264,7 +269,7 @@ def test_memories_and_outputs_have_derived_events():
 
 
 @pytest.mark.slow
-def test_limit_of_seconds_stops_patterns():
+def test_limit_of_seconds_stops_patterns() -> None:
     engine = make(CHAIN, limits=Limits(seconds=2.0), watchdog=1.0)
     send(engine, "e0(1)", "e0(2)")
     began = time.monotonic()
@@ -274,8 +279,8 @@ def test_limit_of_seconds_stops_patterns():
 
 
 @pytest.mark.slow
-def test_limit_of_memory_stops_patterns(caplog):
-    def used():
+def test_limit_of_memory_stops_patterns(caplog: pytest.LogCaptureFixture) -> None:
+    def used() -> Any:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
     growing = "q(L) <- aggregate(list(X), p(X), L, last(5000, events)).\n"

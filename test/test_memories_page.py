@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 from doc_pages import FENCE, PageRun
@@ -17,7 +18,7 @@ SECTIONS = re.split(r"^## ", TEXT, flags=re.MULTILINE)[1:]
 
 
 @pytest.mark.parametrize("section", SECTIONS, ids=lambda section: section.split("\n", 1)[0])
-def test_goals_have_answers_of_page(section, tmp_path):
+def test_goals_have_answers_of_page(section: Any, tmp_path: Path) -> None:
     run = PageRun(tmp_path)
     fences = list(FENCE.finditer(section))
     assert fences
@@ -26,7 +27,7 @@ def test_goals_have_answers_of_page(section, tmp_path):
         assert run.result(fence) == fence["text"]
 
 
-def test_each_predicate_of_engine_is_on_a_page():
+def test_each_predicate_of_engine_is_on_a_page() -> None:
     """The predicates of Prolog are tested with their own page."""
     added = {str(key) for key in Engine().logic.names()} - {str(key) for key in PrologSystem().names()}
     pages = " ".join(

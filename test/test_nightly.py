@@ -3,6 +3,8 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
+from typing import Any, List, Tuple
 
 import pytest
 from python_path import ROOT, python_path
@@ -23,13 +25,13 @@ def test_short():
 
 
 @pytest.fixture
-def run(tmp_path):
+def run(tmp_path: Path) -> Any:
     """Return a function that runs the modules and returns the names of the tests that passed."""
     (tmp_path / "pytest.ini").write_text(CONFIGURATION)
     for name in "ab":
         (tmp_path / f"test_{name}.py").write_text(MODULE)
 
-    def run(*arguments):
+    def run(*arguments: Any) -> List[Any]:
         options = ["-p", "nightly", "-p", "no:cacheprovider", "-p", "no:xdist", "-v", *arguments]
         process = subprocess.run(
             [sys.executable, "-m", "pytest", *options],
@@ -44,14 +46,14 @@ def run(tmp_path):
 
 
 @pytest.mark.parametrize("arguments", [(), ("-m", "not slow"), (".",)])
-def test_nightly_tests_are_omitted(run, arguments):
+def test_nightly_tests_are_omitted(run: Any, arguments: Tuple[Any, ...]) -> None:
     assert run(*arguments) == ["test_a.py::test_short", "test_b.py::test_short"]
 
 
-def test_marker_selects_nightly_tests(run):
+def test_marker_selects_nightly_tests(run: Any) -> None:
     assert run("-m", "nightly") == ["test_a.py::test_long", "test_b.py::test_long"]
 
 
-def test_named_file_includes_nightly_tests(run):
+def test_named_file_includes_nightly_tests(run: Any) -> None:
     assert run("test_a.py") == ["test_a.py::test_long", "test_a.py::test_short"]
     assert run("test_a.py::test_long") == ["test_a.py::test_long"]

@@ -3,6 +3,7 @@
 import ast
 import re
 from collections import Counter
+from typing import Any, Iterator, List
 
 import pytest
 from source import ROOT, packages
@@ -57,12 +58,12 @@ TESTED_ELSEWHERE = ("bench", "examples", "oracle", "fuzz", "leaks", "faults", "m
 """Folders of tests without a package of their own."""
 
 
-def test_order_has_all_packages():
+def test_order_has_all_packages() -> None:
     assert sorted(ORDER) == packages.PACKAGES
 
 
 @pytest.mark.parametrize("package", ORDER)
-def test_packages_import_lower_packages_only(package):
+def test_packages_import_lower_packages_only(package: Any) -> None:
     below = ORDER[: ORDER.index(package)]
     upward_imports = [
         f"{module.path}: {target.name}"
@@ -73,7 +74,7 @@ def test_packages_import_lower_packages_only(package):
 
 
 @pytest.mark.parametrize("package", ORDER)
-def test_annotations_name_no_package_above(package):
+def test_annotations_name_no_package_above(package: Any) -> None:
     """Within a top package, a part may refer to its owner in annotations; between top packages nothing refers up."""
     upward_imports = [
         f"{module.path}: {target}"
@@ -86,7 +87,7 @@ def test_annotations_name_no_package_above(package):
     assert not upward_imports, "\n".join(upward_imports)
 
 
-def test_imports_of_modules_have_no_cycle():
+def test_imports_of_modules_have_no_cycle() -> None:
     imported = {module.name: set(module.own_imports()) - {module.name} for module in MODULES.values()}
     while True:
         free = {name for name, others in imported.items() if not others}
@@ -96,23 +97,23 @@ def test_imports_of_modules_have_no_cycle():
     assert not imported
 
 
-def test_packages_are_two_levels_deep_at_most():
+def test_packages_are_two_levels_deep_at_most() -> None:
     assert [name for name in packages.PACKAGES if name.count(".") > 1] == []
 
 
-def test_module_names_are_unique():
+def test_module_names_are_unique() -> None:
     names = Counter(module.path.stem for module in MODULES.values())
     assert [name for name, count in names.items() if count > 1 and name not in REPEATED_NAMES] == []
 
 
-def test_no_module_is_too_long():
+def test_no_module_is_too_long() -> None:
     lengths = {
         name: len(module.path.read_text(encoding="utf-8").splitlines()) for name, module in MODULES.items()
     }
     assert {name: length for name, length in lengths.items() if length > MAX_LINES} == {}
 
 
-def test_init_files_contain_docstring_only():
+def test_init_files_contain_docstring_only() -> None:
     other_modules = [
         module.name
         for module in MODULES.values()
@@ -121,7 +122,7 @@ def test_init_files_contain_docstring_only():
     assert other_modules == []
 
 
-def test_private_names_are_not_imported():
+def test_private_names_are_not_imported() -> None:
     private_imports = [
         f"{module.path}: {name}"
         for module in MODULES.values()
@@ -131,7 +132,7 @@ def test_private_names_are_not_imported():
     assert private_imports == []
 
 
-def test_only_the_nodes_import_ros():
+def test_only_the_nodes_import_ros() -> None:
     importing = {
         module.package
         for module in MODULES.values()
@@ -141,7 +142,7 @@ def test_only_the_nodes_import_ros():
     assert importing == {"ros1"}
 
 
-def test_one_module_compiles_source():
+def test_one_module_compiles_source() -> None:
     """No module builds syntax trees: CPython fails if two threads do, and each connection of a node has a thread."""
     compiling = {
         module.name
@@ -153,8 +154,8 @@ def test_one_module_compiles_source():
     assert not [module.name for module in MODULES.values() for base, _ in module.imports if base == "ast"]
 
 
-def test_tests_mirror_packages():
-    misplaced = []
+def test_tests_mirror_packages() -> None:
+    misplaced: List[Any] = []
     for path in sorted((ROOT / "test").rglob("test_*.py")):
         folder, name = path.parent.relative_to(ROOT / "test"), path.name[len("test_") :]
         if folder.as_posix() in TESTED_ELSEWHERE:
@@ -165,11 +166,11 @@ def test_tests_mirror_packages():
     assert misplaced == []
 
 
-def test_picture_shows_imports():
+def test_picture_shows_imports() -> None:
     assert packages.PICTURE.read_text(encoding="utf-8") == packages.picture(), "run docs/packages.py"
 
 
-def imports_of_scripts():
+def imports_of_scripts() -> Iterator[Any]:
     """Yield the imports of the package by files outside it: file, module and name."""
     scripts = [
         path for folder in ("bench", "docs", "examples", "nodes") for path in (ROOT / folder).rglob("*")
@@ -182,7 +183,7 @@ def imports_of_scripts():
                         yield path.relative_to(ROOT).as_posix(), node.module, alias.name
 
 
-def is_python(path):
+def is_python(path: Any) -> Any:
     """Return whether a file is a Python script."""
     if path.suffix:
         return path.suffix == ".py"
@@ -192,14 +193,14 @@ def is_python(path):
 SCRIPT_IMPORTS = sorted(set(imports_of_scripts()))
 
 
-def test_imports_of_nodes_are_checked():
+def test_imports_of_nodes_are_checked() -> None:
     assert {path for path, _, _ in SCRIPT_IMPORTS} >= {
         f"nodes/{name}" for name in ("retalis", "retalis_node")
     }
 
 
 @pytest.mark.parametrize(("path", "module", "name"), SCRIPT_IMPORTS)
-def test_names_imported_by_scripts_exist(path, module, name):
+def test_names_imported_by_scripts_exist(path: Any, module: Any, name: Any) -> None:
     folder = ROOT / "src" / module.replace(".", "/")
     source = folder / "__init__.py" if folder.is_dir() else folder.with_suffix(".py")
     is_submodule = (folder / name).is_dir() or (folder / f"{name}.py").is_file()

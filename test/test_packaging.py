@@ -10,6 +10,7 @@ import zipfile
 from email.parser import Parser
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 from xml.etree import ElementTree
 
 import pytest
@@ -21,7 +22,7 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parent.parent
 
 
-def run(*command, cwd, **variables):
+def run(*command: Any, cwd: Any, **variables: Any) -> Any:
     """Run a command without variables of this clone and of ROS; return its output."""
     inherited = {
         name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "CATKIN"))
@@ -41,7 +42,7 @@ def run(*command, cwd, **variables):
 
 
 @pytest.fixture(scope="module")
-def built(tmp_path_factory):
+def built(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Return the source archive of the clone, and a wheel that this Python builds from that archive.
 
     Installed packages of catkin make no difference.
@@ -82,7 +83,7 @@ def built(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def installed(built, tmp_path_factory):
+def installed(built: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Return a virtual environment with the wheel, and with the dependencies of this Python."""
     folder = tmp_path_factory.mktemp("installed")
     run(sys.executable, "-m", "venv", "--without-pip", folder, cwd=folder)
@@ -96,7 +97,7 @@ def installed(built, tmp_path_factory):
     return folder
 
 
-def test_metadata_agrees_with_package_manifest():
+def test_metadata_agrees_with_package_manifest() -> None:
     manifest = ElementTree.parse(ROOT / "package.xml").getroot()
     metadata = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     for name in ("name", "version"):
@@ -113,7 +114,7 @@ def test_metadata_agrees_with_package_manifest():
         assert f'{url.get("type").capitalize()} = "{url.text}"' in metadata
 
 
-def test_archive_has_files_for_build(built):
+def test_archive_has_files_for_build(built: Any) -> None:
     with tarfile.open(built.archive) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
     assert names >= {
@@ -129,7 +130,7 @@ def test_archive_has_files_for_build(built):
     assert not [name for name in names if name.startswith("docs/cookbook")]  # a link in a built site
 
 
-def test_wheel_has_package_and_examples(built):
+def test_wheel_has_package_and_examples(built: Any) -> None:
     with zipfile.ZipFile(built.wheel) as wheel:
         names = wheel.namelist()
         (metadata_name,) = [name for name in names if name.endswith("/METADATA")]
@@ -157,7 +158,7 @@ def test_wheel_has_package_and_examples(built):
     assert "Start at docs/index.md." in page
 
 
-def test_archive_and_wheel_have_site(built):
+def test_archive_and_wheel_have_site(built: Any) -> None:
     with tarfile.open(built.archive) as file:
         names = {
             name.partition("/docs/_build/")[2] for name in file.getnames() if file.getmember(name).isfile()
@@ -168,7 +169,7 @@ def test_archive_and_wheel_have_site(built):
     assert [name.partition("/docs/")[2] for name in pages] == ["html/index.html", "html/reference/index.html"]
 
 
-def test_wheel_is_built_without_site(tmp_path):
+def test_wheel_is_built_without_site(tmp_path: Path) -> None:
     shutil.copytree(
         ROOT, tmp_path / "sources", ignore=shutil.ignore_patterns(".*", "_build", "test", "bench", "build")
     )
@@ -188,7 +189,7 @@ def test_wheel_is_built_without_site(tmp_path):
         assert not [name for name in file.namelist() if "/docs/html" in name]
 
 
-def test_installed_command_is_complete(installed, tmp_path):
+def test_installed_command_is_complete(installed: Any, tmp_path: Path) -> None:
     command = installed / "bin" / "retalis"
     assert run(command, "--version", cwd=tmp_path) == "retalis 1.0.0\n"
     assert "4x4_1" in run(command, "demo", "--seconds", "3", cwd=tmp_path)

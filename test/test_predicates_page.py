@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import Any, Iterator, List
 
 import pytest
 
@@ -18,7 +19,7 @@ CODE = re.compile(r"`` (.+?) ``")
 MAX_ANSWERS = 3
 
 
-def rows():
+def rows() -> Iterator[Any]:
     for line in PAGE.read_text(encoding="utf-8").split("\n"):
         if line.startswith("| ``"):
             keys, _, _, errors, example, answer = re.split(r"(?<!\\) (?<!\\)\| ", line[2:-2])
@@ -35,12 +36,12 @@ TRANSFORMS = {str(key) for key in Engine().logic.names() if key.name.startswith(
 """Predicates of an engine on this page; the others are on other pages."""
 
 
-def system_for(keys):
+def system_for(keys: Any) -> Any:
     """Return a new system that defines the predicates of a row."""
     return Engine().logic if TRANSFORMS.issuperset(keys) else PrologSystem()
 
 
-def test_page_has_exactly_the_defined_predicates():
+def test_page_has_exactly_the_defined_predicates() -> None:
     defined = {key for key in PROLOG_PREDICATES if not key.startswith("$")} | TRANSFORMS
     assert len(TRANSFORMS) == 5
     names = [key for keys, *_ in ROWS for key in keys]
@@ -51,7 +52,7 @@ def test_page_has_exactly_the_defined_predicates():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("keys", "errors", "example", "answer"), ROWS, ids=[row[0][0] for row in ROWS])
-def test_example_has_answer_of_page(keys, errors, example, answer):
+def test_example_has_answer_of_page(keys: Any, errors: Any, example: Any, answer: Any) -> None:
     assert keys[0].rpartition("/")[0] in example or keys[0][:2] in (",/", ">>"), (
         "the example shows another predicate"
     )
@@ -59,7 +60,7 @@ def test_example_has_answer_of_page(keys, errors, example, answer):
     logic.limits = Limits(inferences=500_000)
     logic.output = logic.error_output = outputs.append
     parsed = read_term(example, logic.operators)
-    answers = []
+    answers: List[Any] = []
     for _ in logic.solutions(parsed.term):
         answers.append(format_bindings(parsed.names, logic.operators).replace(",\n", ", ") or "true")
         if len(answers) == MAX_ANSWERS:
@@ -73,7 +74,7 @@ INVALID_ARGUMENTS = [Var, lambda: (functor("foo", 1), 1), lambda: 1]
 
 
 @pytest.mark.slow
-def test_errors_of_invalid_arguments_are_listed():
+def test_errors_of_invalid_arguments_are_listed() -> None:
     systems = PrologSystem(), Engine().logic
     for logic in systems:
         logic.limits = Limits(inferences=20_000)
@@ -91,7 +92,7 @@ def test_errors_of_invalid_arguments_are_listed():
                     assert error_name in listed, keys
 
 
-def _error_name(ball):
+def _error_name(ball: Any) -> Any:
     """Return the name of an error term, with its first argument unless that is compound."""
     formal = ball[1] if ball.__class__ is tuple and ball[0] is functor("error", 2) else functor("", 0)
     if formal.__class__ is not tuple:

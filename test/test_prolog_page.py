@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import Any, List
 
 import pytest
 
@@ -15,7 +16,7 @@ FILES = dict(re.findall(r"<!-- (\S+) -->\n```text\n(.*?)```", PAGE.read_text(enc
 
 
 @pytest.fixture(params=["rules", "goals"])
-def engine(request, tmp_path_factory):
+def engine(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
     try:
         find_library()
     except UsageError as error:
@@ -35,8 +36,8 @@ def engine(request, tmp_path_factory):
     return engine
 
 
-def test_example_emits_events_of_page(engine):
-    events = []
+def test_example_emits_events_of_page(engine: Any) -> None:
+    events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     engine.event("wanted(nao, hall, cellar)", 1)
     engine.event("late(nao, 7)", 2)
@@ -46,6 +47,6 @@ def test_example_emits_events_of_page(engine):
     assert len(events) == 4
 
 
-def test_caught_error_has_no_solution(engine):
+def test_caught_error_has_no_solution(engine: Any) -> None:
     goal = re.search(r"`(catch\(reach.*?true\))`", PAGE.read_text(encoding="utf-8")).group(1)
     assert engine.query(goal) == []

@@ -2,6 +2,7 @@
 
 import ast
 import re
+from typing import Any, Iterator
 
 import pytest
 from source import NODES, ROOT
@@ -41,23 +42,23 @@ BANNED = re.compile(
 """Phrases for which the style has plain words."""
 
 
-def words(text):
+def words(text: Any) -> Any:
     """Return the words of a page, which contain a letter, without code (in fences or indented)."""
     prose = re.sub(r"^```.*?^```|<!--.*?-->|^    [^\n]*", "", text, flags=re.DOTALL | re.MULTILINE)
     return re.findall(r"\S*[^\W\d_]\S*", prose)
 
 
 @pytest.mark.parametrize("page", sorted(set(PAGES) - {UNBOUNDED}))
-def test_page_is_short(page):
+def test_page_is_short(page: Any) -> None:
     assert len(words(PAGES[page])) <= MAX_WORDS_OF_PAGE
 
 
-def test_total_length_of_pages_is_limited():
+def test_total_length_of_pages_is_limited() -> None:
     assert sum(len(words(text)) for page, text in PAGES.items() if page != UNBOUNDED) <= MAX_WORDS
 
 
 @pytest.mark.parametrize("page", sorted(PAGES))
-def test_page_has_no_banned_phrase(page):
+def test_page_has_no_banned_phrase(page: Any) -> None:
     assert BANNED.findall(CODE.sub("", PAGES[page])) == []
 
 
@@ -68,7 +69,7 @@ TESTS = {
 """Syntax trees of the tests."""
 
 
-def docstrings():
+def docstrings() -> Iterator[Any]:
     """Yield the file and line, and the docstring, of each module, class and function of package and tests."""
     nodes_by_path = {**NODES, **{path: list(ast.walk(tree)) for path, tree in TESTS.items()}}
     for path, nodes in nodes_by_path.items():
@@ -82,11 +83,11 @@ def docstrings():
 DOCSTRINGS = list(docstrings())
 
 
-def test_docstrings_begin_with_no_question_word():
+def test_docstrings_begin_with_no_question_word() -> None:
     assert [place for place, text in DOCSTRINGS if OPENING.match(text)] == []
 
 
-def test_docstrings_have_no_banned_phrase():
+def test_docstrings_have_no_banned_phrase() -> None:
     assert [place for place, text in DOCSTRINGS if BANNED.search(text)] == []
 
 
@@ -97,7 +98,7 @@ BANNED_NAME = re.compile(
 """Names of tests that are questions or sentences of everyday language."""
 
 
-def test_names_of_tests_have_no_banned_word():
+def test_names_of_tests_have_no_banned_word() -> None:
     names = {
         node.name
         for tree in TESTS.values()
@@ -108,7 +109,7 @@ def test_names_of_tests_have_no_banned_word():
     assert [name for name in sorted(names) if BANNED_NAME.match(name)] == []
 
 
-def test_messages_and_help_have_no_banned_phrase():
+def test_messages_and_help_have_no_banned_phrase() -> None:
     texts = (
         (f"{path}:{node.lineno}", node.value)
         for path, nodes in NODES.items()

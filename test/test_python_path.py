@@ -3,11 +3,13 @@
 import re
 import subprocess
 import sys
+from pathlib import Path
 
+import pytest
 from python_path import ROOT, python_path
 
 
-def test_process_finds_packages_of_python_path(tmp_path, monkeypatch):
+def test_process_finds_packages_of_python_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "elsewhere" / "elsewhere_only.py").write_text("PLACE = 'elsewhere'\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path / "elsewhere"))
@@ -22,7 +24,7 @@ def test_process_finds_packages_of_python_path(tmp_path, monkeypatch):
         assert output.split() == [place, str(ROOT / "src" / "retalis" / "__init__.py")]
 
 
-def test_tests_extend_search_path():
+def test_tests_extend_search_path() -> None:
     """A test that replaces it fails if rosbags and others are in a folder that only ``PYTHONPATH`` names."""
     replacing = {
         path.relative_to(ROOT).as_posix()

@@ -4,6 +4,8 @@ import os
 import re
 import subprocess
 import sys
+from pathlib import Path
+from typing import Any, Tuple
 
 import pytest
 from python_path import ROOT, python_path
@@ -25,12 +27,12 @@ class TestTogether:
 
 
 @pytest.fixture
-def run(tmp_path):
+def run(tmp_path: Path) -> Any:
     """Return a function that runs the modules with a seed; it returns the output and the tests in their order."""
     for name in "ab":
         (tmp_path / f"test_{name}.py").write_text(MODULE)
 
-    def run(*arguments, seed=None):
+    def run(*arguments: Any, seed: Any = None) -> Tuple[Any, ...]:
         environment = {**os.environ, "PYTHONPATH": python_path(ROOT / "test")}
         environment.pop("RETALIS_ORDER_SEED", None)
         if seed is not None:
@@ -45,7 +47,7 @@ def run(tmp_path):
     return run
 
 
-def test_seed_repeats_order(run):
+def test_seed_repeats_order(run: Any) -> None:
     output, tests = run()
     (seed,) = re.findall(
         r"^random order of tests: RETALIS_ORDER_SEED=(\d+) repeats it$", output, re.MULTILINE
@@ -54,27 +56,27 @@ def test_seed_repeats_order(run):
     assert len(tests) == 40
 
 
-def test_other_seed_has_other_order(run):
+def test_other_seed_has_other_order(run: Any) -> None:
     first, second = run(seed="1")[1], run(seed="2")[1]
     assert first != second
     assert sorted(first) == sorted(second)
 
 
-def test_part_of_tests_keeps_order(run):
+def test_part_of_tests_keeps_order(run: Any) -> None:
     tests = run(seed="3")[1]
     part = run("test_b.py", "-k", "test_method", seed="3")[1]
     assert part == [test for test in tests if test.startswith("test_b.py") and "test_method" in test]
     assert len(part) == 10
 
 
-def test_modules_and_classes_are_not_mixed(run):
+def test_modules_and_classes_are_not_mixed(run: Any) -> None:
     tests = run(seed="4")[1]
     for node, count in [("test_a.py", 20), ("test_b.py::TestTogether", 10)]:
         positions = [position for position, test in enumerate(tests) if test.startswith(f"{node}::")]
         assert positions == list(range(positions[0], positions[0] + count))
 
 
-def test_failed_run_ends_with_seed(run, tmp_path):
+def test_failed_run_ends_with_seed(run: Any, tmp_path: Path) -> None:
     (tmp_path / "test_c.py").write_text("def test_false():\n    assert False\n")
     output, _ = run("test_c.py", seed="5")
     line = "random order of tests: RETALIS_ORDER_SEED=5 repeats it\n"

@@ -373,11 +373,11 @@ def all_patterns() -> Dict[str, Any]:
 PATTERNS = all_patterns()
 
 
-def test_each_pattern_has_a_case():
+def test_each_pattern_has_a_case() -> None:
     assert set(PATTERNS) == set(CASES)
 
 
-def test_patterns_of_tokens_are_compiled_once():
+def test_patterns_of_tokens_are_compiled_once() -> None:
     assert len(calls_of_re(TOKENS)) == 1
 
 
@@ -417,14 +417,14 @@ def run(pattern: Any, method: str, text: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(CASES))
-def test_long_text_takes_linear_time(name):
+def test_long_text_takes_linear_time(name: Any) -> None:
     with at_most(SECONDS):
         for text in texts(CASES[name], SIZE):
             run(PATTERNS[name], CASES[name].method, text)
 
 
 @pytest.mark.parametrize("name", sorted(CASES))
-def test_parts_of_other_patterns_take_linear_time(name):
+def test_parts_of_other_patterns_take_linear_time(name: Any) -> None:
     """Short texts show exponential time: 200 characters would take forever."""
     repeated = {part for case in CASES.values() for part in case.repeated}
     case = CASES[name]._replace(repeated=tuple(sorted(repeated)))
@@ -441,7 +441,7 @@ def test_parts_of_other_patterns_take_linear_time(name):
         (r"\[\s*\d*\s*\]", "[" + " " * SIZE),
     ],
 )
-def test_slow_pattern_is_detected(pattern, text):
+def test_slow_pattern_is_detected(pattern: str, text: str) -> None:
     """A pattern with exponential and one with quadratic time."""
     with pytest.raises(TooSlowError), at_most(0.5):
         run(re.compile(pattern), "match", text)

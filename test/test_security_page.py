@@ -3,6 +3,7 @@
 
 import ast
 from math import log10
+from typing import Any, Dict
 from xml.etree import ElementTree
 
 import pytest
@@ -25,14 +26,14 @@ PAGE = (ROOT / "docs" / "explanation" / "security.md").read_text(encoding="utf-8
 MILLION = 1_000_000
 
 
-def table(heading):
+def table(heading: str) -> Dict[Any, Any]:
     """Return the rows of the table whose first line begins with a cell, by their first cells."""
     lines = PAGE[PAGE.index(heading) :].split("\n\n", 1)[0].splitlines()[2:]
     rows = [[cell.strip() for cell in line.strip("| ").split(" | ")] for line in lines]
     return {row[0]: row[1:] for row in rows}
 
 
-def millions(number):
+def millions(number: Any) -> str:
     """Return a number of millions in words."""
     assert number % MILLION == 0
     return f"{number // MILLION} million"
@@ -59,12 +60,12 @@ FIXED_LIMITS = {
 
 
 @pytest.mark.parametrize("name", FIXED_LIMITS)
-def test_page_has_fixed_limit(name):
+def test_page_has_fixed_limit(name: Any) -> None:
     (limit,) = table("| what | limit |")[name]
     assert FIXED_LIMITS[name] in limit
 
 
-def node_limits():
+def node_limits() -> Dict[Any, Any]:
     """Return the default limits of a node from the module of its parameters."""
     (path,) = [path for path in TREES if path.endswith("node/parameters.py")]
     for statement in TREES[path].body:
@@ -94,7 +95,7 @@ NODE_LIMITS = {"output_megabytes": ENGINE.limits.output_megabytes, **node_limits
         ("max_depth", ENGINE.max_depth, ENGINE.max_depth, ""),
     ],
 )
-def test_page_and_launch_file_have_default(parameter, node, engine, unit):
+def test_page_and_launch_file_have_default(parameter: str, node: Any, engine: Any, unit: str) -> None:
     rows = {cells[0]: cells[1:] for cells in table("| what | node |").values()}
     texts = [NONE if value is None else f"{value:g}{unit}" for value in (node, engine)]
     assert rows[f"`~{parameter}`"] == texts

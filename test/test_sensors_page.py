@@ -1,5 +1,7 @@
 """Page about clouds, images and maps: its goals have the answers on the page."""
 
+from pathlib import Path
+
 import pytest
 from doc_pages import ROOT, PageRun
 
@@ -8,6 +10,6 @@ pytestmark = pytest.mark.docs
 PAGE = ROOT / "docs" / "reference" / "sensors.md"
 
 
-def test_goals_have_answers_of_page(tmp_path):
+def test_goals_have_answers_of_page(tmp_path: Path) -> None:
     pytest.importorskip("numpy")
     PageRun(tmp_path).check_fences(PAGE.read_text(encoding="utf-8"))

@@ -1,6 +1,8 @@
 """Documentation site: its start page, and the index pages of its sections."""
 
 import re
+from pathlib import Path
+from typing import Any, Set
 
 import pytest
 from doc_pages import FENCE, ROOT, PageRun
@@ -12,7 +14,7 @@ SECTIONS = ("tutorials", "how-to", "reference", "reference/language", "explanati
 LINK = re.compile(r"\]\(([^)#]+\.md)")
 
 
-def links(page):
+def links(page: Any) -> Set[Any]:
     """Return the Markdown files that a page links to."""
     return {
         (page.parent / target).resolve()
@@ -22,7 +24,7 @@ def links(page):
 
 
 @pytest.mark.slow
-def test_example_of_start_page_has_shown_output(tmp_path):
+def test_example_of_start_page_has_shown_output(tmp_path: Path) -> None:
     run = PageRun(tmp_path)
     fences = list(FENCE.finditer((DOCS / "index.md").read_text(encoding="utf-8")))
     assert [fence["kind"] for fence in fences] == ["prolog", "text", "console"]
@@ -30,14 +32,14 @@ def test_example_of_start_page_has_shown_output(tmp_path):
         assert run.result(fence) == fence["text"]
 
 
-def test_start_page_links_to_all_sections():
+def test_start_page_links_to_all_sections() -> None:
     sections = {DOCS / section / "index.md" for section in SECTIONS if "/" not in section}
     other_pages = {ROOT / "examples" / "cookbook" / "README.md", ROOT / "CONTRIBUTING.md"}
     assert sections | other_pages <= links(DOCS / "index.md")
 
 
 @pytest.mark.parametrize("section", SECTIONS)
-def test_index_of_section_links_to_all_pages(section):
+def test_index_of_section_links_to_all_pages(section: Any) -> None:
     # Sphinx builds the table of contents from these links.
     folder = DOCS / section
     pages = {*folder.glob("*.md"), *folder.glob("*/index.md")}
@@ -45,6 +47,6 @@ def test_index_of_section_links_to_all_pages(section):
     assert pages - {folder / "index.md"} <= links(folder / "index.md")
 
 
-def test_ci_builds_site():
+def test_ci_builds_site() -> None:
     script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
     assert '"$python" install.py docs ||' in script

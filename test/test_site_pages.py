@@ -6,6 +6,8 @@ import re
 import shutil
 import subprocess
 import sys
+from pathlib import Path
+from typing import Any
 
 import pytest
 from built_site import COOKBOOK, DOCS, NEEDS_SITE, SITE
@@ -45,13 +47,13 @@ SOURCE_LINKS = (
 )
 
 
-def open_page(browser, page):
+def open_page(browser: Any, page: str) -> None:
     """Open a page of the site by its name."""
     browser.open(f"{SITE.as_uri()}/{page}.html")
 
 
 @pytest.mark.parametrize("program", PROGRAMS)
-def test_page_of_program_has_all_files(browser, program):
+def test_page_of_program_has_all_files(browser: Any, program: Any) -> None:
     open_page(browser, f"cookbook/{program}/README")
     files = {
         path.name: path.read_text(encoding="utf-8")
@@ -65,7 +67,7 @@ def test_page_of_program_has_all_files(browser, program):
     }
 
 
-def test_index_of_cookbook_has_all_programs(browser):
+def test_index_of_cookbook_has_all_programs(browser: Any) -> None:
     open_page(browser, "cookbook/README")
     rows = browser.ask(
         """[...document.querySelectorAll("article tbody tr")].map(row => [
@@ -76,13 +78,13 @@ def test_index_of_cookbook_has_all_programs(browser):
     assert all(situation for _, situation in rows)
 
 
-def test_links_to_programs_are_within_site(browser):
+def test_links_to_programs_are_within_site(browser: Any) -> None:
     open_page(browser, "how-to/debounce")
     links = browser.ask("[...document.querySelectorAll('article a')].map(link => link.getAttribute('href'))")
     assert {"../cookbook/debounce/README.html", "../cookbook/door/README.html"} <= set(links)
 
 
-def test_contributing_page_has_links(browser):
+def test_contributing_page_has_links(browser: Any) -> None:
     open_page(browser, "contributing")
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     headings = browser.ask("[...document.querySelectorAll('h1, h2, h3')].map(heading => heading.textContent)")
@@ -97,7 +99,7 @@ def test_contributing_page_has_links(browser):
 
 
 @pytest.mark.parametrize("page", PAGES_WITH_FILES, ids=lambda page: page.stem)
-def test_captions_name_files_of_code_blocks(browser, page):
+def test_captions_name_files_of_code_blocks(browser: Any, page: Any) -> None:
     open_page(browser, page.relative_to(DOCS).with_suffix("").as_posix())
     fences = [fence for fence in FENCE.finditer(page.read_text(encoding="utf-8")) if fence["name"]]
     captioned_blocks = [(name, text.strip("\n")) for name, text in browser.ask(CAPTIONED_BLOCKS)]
@@ -106,7 +108,7 @@ def test_captions_name_files_of_code_blocks(browser, page):
 
 @pytest.mark.parametrize(("width", "column"), [(1920, 1100), (1400, 800)])
 @pytest.mark.parametrize("page", WIDE_PAGES)
-def test_wide_screen_cuts_no_table_or_code(browser, page, width, column):
+def test_wide_screen_cuts_no_table_or_code(browser: Any, page: Any, width: int, column: int) -> None:
     browser.resize(width, 900)
     open_page(browser, page)
     layout = browser.ask(LAYOUT)
@@ -116,7 +118,7 @@ def test_wide_screen_cuts_no_table_or_code(browser, page, width, column):
 
 
 @pytest.mark.parametrize("page", WIDE_PAGES)
-def test_narrow_screen_does_not_scroll_sideways(browser, page):
+def test_narrow_screen_does_not_scroll_sideways(browser: Any, page: Any) -> None:
     browser.resize(400, 900)
     open_page(browser, page)
     layout = browser.ask(LAYOUT)
@@ -124,7 +126,7 @@ def test_narrow_screen_does_not_scroll_sideways(browser, page):
     assert 350 <= layout["column"] <= 400
 
 
-def test_sentences_are_narrower_than_tables(browser):
+def test_sentences_are_narrower_than_tables(browser: Any) -> None:
     browser.resize(1920, 900)
     open_page(browser, "reference/commands")
     widths = "[...document.querySelectorAll('{}')].map(box => box.getBoundingClientRect().width)"
@@ -132,7 +134,7 @@ def test_sentences_are_narrower_than_tables(browser):
     assert max(sentences) < max(browser.ask(widths.format("article table")))
 
 
-def test_start_page_has_picture_and_example(browser):
+def test_start_page_has_picture_and_example(browser: Any) -> None:
     open_page(browser, "index")
     parts = browser.ask(
         "[...document.querySelectorAll('article :is(h1, h2, img, pre)')].map(part => part.tagName)"
@@ -150,14 +152,14 @@ def test_start_page_has_picture_and_example(browser):
     assert [heading.rstrip("#¶") for heading in headings][:2] == ["Two commands", "An example"]
 
 
-def test_site_without_repository_has_no_source_links(browser):
+def test_site_without_repository_has_no_source_links(browser: Any) -> None:
     assert "repository" not in (ROOT / "package.xml").read_text(encoding="utf-8")
     open_page(browser, "how-to/debounce")
     assert browser.ask(SOURCE_LINKS) == []
     assert "Repository" not in browser.ask("document.querySelector('.sidebar-tree').innerText")
 
 
-def build_copy_with_repository(folder, address):
+def build_copy_with_repository(folder: Any, address: Any) -> Any:
     """Copy the sources, set the repository in package.xml, build the site of the copy, and return the site."""
     ignored = shutil.ignore_patterns(".*", "_build", "__pycache__")
     shutil.copytree(ROOT, folder, ignore=ignored, symlinks=True)
@@ -182,7 +184,7 @@ def build_copy_with_repository(folder, address):
     return folder / "docs" / "_build" / "html"
 
 
-def test_site_with_repository_has_source_links(browser, tmp_path):
+def test_site_with_repository_has_source_links(browser: Any, tmp_path: Path) -> None:
     address = "https://github.com/example/retalis"
     site = build_copy_with_repository(tmp_path / "retalis", address)
     for page, source in (

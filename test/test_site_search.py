@@ -1,6 +1,7 @@
 """Search of the documentation site in a browser: guides are found by words of their task, and hits have excerpts."""
 
 import re
+from typing import Any, Iterator
 from urllib.parse import quote
 
 import pytest
@@ -31,13 +32,13 @@ EXCERPTS = """
 MAX_EXCERPT_LETTERS = 260
 
 
-def search(browser, query):
+def search(browser: Any, query: str) -> None:
     """Open the hits of a query."""
     browser.open(f"{SITE.as_uri()}/search.html?q={quote(query)}")
     browser.wait_for(SEARCH_IS_FINISHED.format(query=repr(query)))
 
 
-def queries():
+def queries() -> Iterator[Any]:
     """Yield words that people search for, with the guide that they look for: its heading, and its first words."""
     table = (DOCS / "how-to" / "index.md").read_text(encoding="utf-8")
     for words, title, guide in GUIDE_ROW.findall(table):
@@ -47,20 +48,20 @@ def queries():
 
 
 @pytest.mark.parametrize(("query", "guide"), list(queries()))
-def test_guide_is_among_first_hits(browser, query, guide):
+def test_guide_is_among_first_hits(browser: Any, query: Any, guide: Any) -> None:
     search(browser, query)
     pages = list(dict.fromkeys(browser.ask(FOUND_PAGES)))
     assert f"how-to/{guide}.html" in pages[:MAX_HITS]
 
 
-def test_programs_of_cookbook_are_found(browser):
+def test_programs_of_cookbook_are_found(browser: Any) -> None:
     for program in ("debounce", "docking", "slip"):
         assert (COOKBOOK / program).is_dir()
         search(browser, program)
         assert f"cookbook/{program}/README.html" in browser.ask(FOUND_PAGES)
 
 
-def test_hits_have_excerpts_with_searched_words(browser):
+def test_hits_have_excerpts_with_searched_words(browser: Any) -> None:
     search(browser, "heartbeats of robots")
     hits = browser.ask(EXCERPTS)
     assert len(hits) > MAX_HITS
@@ -72,19 +73,19 @@ def test_hits_have_excerpts_with_searched_words(browser):
     assert {word.rstrip("s") for word in hits[0]["marked"]} == {"heartbeat", "robot"}
 
 
-def test_excerpt_is_from_section_of_hit(browser):
+def test_excerpt_is_from_section_of_hit(browser: Any) -> None:
     search(browser, "The instant of a match")
     (hit,) = [hit for hit in browser.ask(EXCERPTS) if "The instant of a match" in hit["title"]]
     assert "emits another event at the instant of its end" in hit["excerpt"]
 
 
-def test_excerpts_show_markup_as_text(browser):
+def test_excerpts_show_markup_as_text(browser: Any) -> None:
     search(browser, "publish_subscribe")
     excerpts = [hit["excerpt"] for hit in browser.ask(EXCERPTS)]
     assert any("<publish_subscribe>" in excerpt for excerpt in excerpts)
 
 
-def test_page_marks_words_of_last_search(browser):
+def test_page_marks_words_of_last_search(browser: Any) -> None:
     # The words are also those of titles of the theme's icons, which a browser cannot mark.
     search(browser, "light mode")
     browser.open(f"{SITE.as_uri()}/how-to/count-changes.html")
@@ -95,7 +96,7 @@ def test_page_marks_words_of_last_search(browser):
     assert {word.lower() for word in marked} == {"mode"}
 
 
-def test_comments_of_pages_are_not_searched():
+def test_comments_of_pages_are_not_searched() -> None:
     page = (DOCS / "reference" / "situations.md").read_text(encoding="utf-8")
     texts = (SITE / "_static" / "search_texts.js").read_text(encoding="utf-8")
     assert "hysteresis threshold noise noisy schmitt" in page

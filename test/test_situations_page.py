@@ -3,6 +3,7 @@
 import re
 import shlex
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,7 +18,7 @@ ROS_COMMANDS = {"source", "roslaunch"}
 """Commands of ROS in examples."""
 
 
-def test_each_row_of_the_page_is_a_situation():
+def test_each_row_of_the_page_is_a_situation() -> None:
     rows = [line for line in PAGE.splitlines() if line.startswith("| ")]
     tables = re.findall(
         r"^\| I want to \.\.\. \| take \| example \|\n\| --- \| --- \| --- \|$", PAGE, re.MULTILINE
@@ -27,7 +28,7 @@ def test_each_row_of_the_page_is_a_situation():
 
 
 @pytest.mark.parametrize("situation", SITUATIONS, ids=lambda situation: situation.need)
-def test_example_loads_and_page_exists(situation):
+def test_example_loads_and_page_exists(situation: Any) -> None:
     assert (DOCS.parent / situation.page).is_file()
     example = situation.example
     if example.startswith("?- "):
@@ -39,13 +40,13 @@ def test_example_loads_and_page_exists(situation):
         Engine().load(rules=example)
 
 
-def test_each_guide_has_a_situation():
+def test_each_guide_has_a_situation() -> None:
     guides = {path.name for path in (DOCS / "how-to").glob("*.md")} - {"index.md"}
     assert guides <= {situation.page.rpartition("/")[2] for situation in SITUATIONS}
     operator_pages = {situation.page for situation in SITUATIONS if "/language/" in situation.page}
     assert len(operator_pages) > 10
 
 
-def test_keywords_are_lower_case():
+def test_keywords_are_lower_case() -> None:
     assert all(split_words(situation.keywords) for situation in SITUATIONS)
     assert all(situation.keywords == situation.keywords.lower() for situation in SITUATIONS)

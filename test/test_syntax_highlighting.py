@@ -4,22 +4,23 @@ import json
 import re
 import runpy
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 SCRIPT = runpy.run_path(str(ROOT / "docs" / "editors" / "make.py"))
 
 
-def test_files_equal_those_of_script():
+def test_files_equal_those_of_script() -> None:
     for path, text in SCRIPT["texts"]().items():
         assert path.read_text(encoding="utf-8") == text, "run docs/editors/make.py"
 
 
-def test_rule_has_colours():
+def test_rule_has_colours() -> None:
     grammar = json.loads((ROOT / "docs/editors/vscode/syntaxes/retalis.tmLanguage.json").read_text("utf-8"))
     patterns = {rule["name"].rpartition(".")[0]: rule.get("match") for rule in grammar["patterns"]}
     rule = "fast(W) <- (go(W) SEQ Seq_ seq sequence(W)) within 60 where (W > 3.5 mod 0'a)."
 
-    def matches(scope):
+    def matches(scope: str) -> Any:
         return re.findall(patterns[scope], rule)
 
     assert matches("keyword.control.event") == ["SEQ", "seq", "within", "where"]
@@ -30,7 +31,7 @@ def test_rule_has_colours():
     assert matches("entity.name.function") == ["fast", "go", "sequence"]
 
 
-def test_vim_has_words_of_tables():
+def test_vim_has_words_of_tables() -> None:
     text = (ROOT / "docs" / "editors" / "vim" / "syntax" / "retalis.vim").read_text(encoding="utf-8")
     words = dict(re.findall(r"^syn keyword (\w+) (.*)$", text, re.MULTILINE))
     assert words["retalisOperator"].split() == SCRIPT["words_of_events"]()

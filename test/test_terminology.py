@@ -4,6 +4,7 @@ import ast
 import re
 from collections import defaultdict
 from functools import lru_cache
+from typing import Any, List
 
 from source import NODES, ROOT, TREES
 
@@ -14,7 +15,7 @@ REPEATED: "dict[str, str]" = {}
 
 
 @lru_cache(maxsize=None)
-def classes():
+def classes() -> Any:
     """Return the files that define each class, by its name without a leading underscore."""
     paths_by_class = defaultdict(list)
     for path, nodes in NODES.items():
@@ -24,7 +25,7 @@ def classes():
     return dict(paths_by_class)
 
 
-def aliases():
+def aliases() -> Any:
     """Return the files that define each type alias, by its name."""
     paths_by_alias = defaultdict(list)
     for path, tree in TREES.items():
@@ -36,32 +37,32 @@ def aliases():
     return paths_by_alias
 
 
-def glossary_classes():
+def glossary_classes() -> List[Any]:
     """Return the classes in the third column of the glossary."""
     rows = [line for line in GLOSSARY.read_text(encoding="utf-8").splitlines() if line.startswith("| ")]
     return [name for row in rows for name in re.findall(r"`(\w+)`", row.split("|")[3])]
 
 
-def test_class_names_are_unique():
+def test_class_names_are_unique() -> None:
     assert {name: files for name, files in classes().items() if len(files) > 1 and name not in REPEATED} == {}
 
 
-def test_no_alias_has_name_of_class():
+def test_no_alias_has_name_of_class() -> None:
     names = classes()
     assert {name: files for name, files in aliases().items() if name in names} == {}
 
 
-def test_repeated_names_exist():
+def test_repeated_names_exist() -> None:
     assert [name for name in REPEATED if len(classes().get(name, ())) < 2] == []
 
 
-def test_classes_of_glossary_exist():
+def test_classes_of_glossary_exist() -> None:
     names = classes()
     assert len(glossary_classes()) > 50
     assert [name for name in glossary_classes() if name not in names] == []
 
 
-def test_terms_of_glossary_are_unique():
+def test_terms_of_glossary_are_unique() -> None:
     terms = [
         term.strip()
         for line in GLOSSARY.read_text(encoding="utf-8").splitlines()

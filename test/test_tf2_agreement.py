@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from typing import Any, Dict, List, Tuple
 
 import pytest
 
@@ -18,8 +19,8 @@ from make_bag import make_bag  # noqa: E402
 pytestmark = pytest.mark.slow
 
 
-def play(program, path):
-    problems = []
+def play(program: Any, path: Any) -> Tuple[Any, ...]:
+    problems: List[Any] = []
     playback = Playback(program, problems.append)
     with BagReader(path) as bag:
         outputs = list(playback.run(bag))
@@ -27,14 +28,14 @@ def play(program, path):
     return playback.engine, outputs
 
 
-def vector(term):
+def vector(term: Any) -> Any:
     return tuple(deref(value) for value in deref(term)[1:])
 
 
 class Pose:
     """Fields of a published PoseStamped."""
 
-    def __init__(self, output):
+    def __init__(self, output: Any) -> None:
         header, pose = deref(output.term[1]), deref(output.term[2])
         seconds, nanoseconds = (deref(part) for part in list_items(header[2]))
         self.stamp = seconds * 10**9 + nanoseconds
@@ -44,7 +45,7 @@ class Pose:
 
 
 @pytest.fixture(scope="module")
-def nao(tmp_path_factory):
+def nao(tmp_path_factory: pytest.TempPathFactory) -> Tuple[Any, ...]:
     path = tmp_path_factory.mktemp("nao") / "nao.bag"
     truth = make_bag(path, seconds=10.0, seed=7)
     _, outputs = play(HERE.parent / "application_source", path)
@@ -52,21 +53,21 @@ def nao(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def poses(nao):
+def poses(nao: Tuple[Any, ...]) -> List[Pose]:
     return [Pose(output) for output in nao[2] if output.topic.startswith("marker")]
 
 
-def test_each_complete_observation_has_one_pose(nao, poses):
+def test_each_complete_observation_has_one_pose(nao: Tuple[Any, ...], poses: List[Pose]) -> None:
     expected = sorted((observation.marker, observation.stamp) for observation in nao[1].complete)
     assert sorted((pose.marker, pose.stamp) for pose in poses) == expected
     assert len(expected) > 50
 
 
-def test_each_marker_has_topic(poses):
+def test_each_marker_has_topic(poses: List[Pose]) -> None:
     assert {(pose.marker, pose.topic) for pose in poses} == {(f"4x4_{i}", f"marker{i}") for i in range(1, 9)}
 
 
-def test_positions_equal_truth_within_2_cm(nao, poses):
+def test_positions_equal_truth_within_2_cm(nao: Tuple[Any, ...], poses: List[Pose]) -> None:
     assert poses
     for pose in poses:
         true = nao[1].markers[pose.marker][0]
@@ -74,7 +75,7 @@ def test_positions_equal_truth_within_2_cm(nao, poses):
 
 
 @pytest.mark.slow
-def test_positions_agree_with_tf2(nao, poses):
+def test_positions_agree_with_tf2(nao: Tuple[Any, ...], poses: List[Pose]) -> None:
     import tf2_reference as tf2  # noqa: PLC0415 - needs numpy
 
     reference = tf2.Reference(nao[0])
@@ -87,10 +88,10 @@ def test_positions_agree_with_tf2(nao, poses):
         assert tf2.angle(pose.rotation, rotation) < 1e-6
 
 
-def observations(path):
+def observations(path: Any) -> Any:
     """Return the pose of each observation relative to the camera, by marker and stamp."""
     definitions = Definitions()
-    poses_by_key = {}
+    poses_by_key: Dict[Any, Any] = {}
     with BagReader(path) as bag:
         for record in bag.records(["/ar_pose_marker"]):
             definition = definitions.add(record.topic.type, record.topic.definition)
@@ -104,14 +105,14 @@ def observations(path):
     return poses_by_key
 
 
-def test_known_face_near_marker_is_published(nao):
+def test_known_face_near_marker_is_published(nao: Tuple[Any, ...]) -> None:
     texts = [deref(output.term[1]).name for output in nao[2] if output.topic == "face_by_marker"]
     assert texts
     assert all(" by 4x4_" in text for text in texts)
 
 
 @pytest.mark.skipif(not PR2.exists(), reason="needs a recorded bag of a PR2")
-def test_head_of_pr2_agrees_with_tf2():
+def test_head_of_pr2_agrees_with_tf2() -> None:
     import tf2_reference as tf2  # noqa: PLC0415 - needs numpy
 
     engine, _ = play(HERE / "data" / "pr2", PR2)

@@ -1,5 +1,7 @@
 """Timelines of the language reference, drawn from the examples on its pages."""
 
+from typing import Any
+
 import pytest
 from doc_pages import load_script
 
@@ -15,7 +17,7 @@ EXAMPLES = [example for page in PAGES for example in timelines.examples(page)]
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.path.stem)
-def test_picture_shows_events_of_example(example):
+def test_picture_shows_events_of_example(example: Any) -> None:
     assert timelines.description(example.path) == example.text, "run docs/timelines.py"
     texts = timelines.texts(example.path)
     lanes = list(timelines.run_example(example.text))
@@ -25,12 +27,12 @@ def test_picture_shows_events_of_example(example):
         assert {label for _, _, label in lane.marks} - {""} <= set(texts)
 
 
-def test_each_page_of_operator_has_picture():
+def test_each_page_of_operator_has_picture() -> None:
     with_pictures = {page.stem for page in PAGES if any(timelines.examples(page))}
     assert {page.stem for page in PAGES} - with_pictures == WITHOUT_PICTURES
 
 
-def test_pictures_are_small_and_all_used():
+def test_pictures_are_small_and_all_used() -> None:
     pictures = set((timelines.PAGES / "pictures").iterdir())
     assert pictures == {example.path for example in EXAMPLES}
     assert len(EXAMPLES) == len(pictures)

@@ -2,6 +2,8 @@
 
 import json
 import struct
+from pathlib import Path
+from typing import Any, List
 
 import pytest
 
@@ -26,37 +28,37 @@ subscribe(hello(Text), [], my_msgs__0__Note(Text, '"bytes"'), greeting, hello).
 LONG = "Grüße, 日本 🤖 'quoted' \"twice\" \\ \n" * 100
 
 
-def message(text, raw=b"bytes"):
+def message(text: str, raw: bytes = b"bytes") -> Any:
     data = text.encode()
     return struct.pack("<I", len(data)) + data + struct.pack("<I", len(raw)) + raw
 
 
-def decode(data):
+def decode(data: Any) -> str:
     return DEFINITIONS.decoder(NOTE).decode(data)
 
 
-def from_message(engine, data):
+def from_message(engine: Any, data: Any) -> None:
     engine.post(decode(data))
 
 
-def from_lazy_message(engine, data):
+def from_lazy_message(engine: Any, data: Any) -> None:
     engine.post(DEFINITIONS.decoder(NOTE).lazy(data))
 
 
-def from_text(engine, data):
+def from_text(engine: Any, data: Any) -> None:
     engine.post_text(f"event({to_text(decode(data))})")
 
 
-def from_shown_text(engine, data):
+def from_shown_text(engine: Any, data: Any) -> None:
     engine.event(engine.show(decode(data)))
 
 
 @pytest.mark.parametrize("feed", [from_message, from_lazy_message, from_text, from_shown_text])
 @pytest.mark.parametrize("text", ["Jürgen", LONG], ids=["short", "long"])
-def test_rule_matches_and_sends_unicode_text(feed, text):
+def test_rule_matches_and_sends_unicode_text(feed: Any, text: Any) -> None:
     engine = Engine(StreamClock(0))
     engine.load(rules=RULES, goals=GOALS)
-    published = []
+    published: List[Any] = []
     encode = DEFINITIONS.encoder(NOTE).encode
     engine.on_output(lambda term, topic, name: published.append((engine.show(name), encode(term))))
     for _ in range(4):  # repeated texts are read and sent by faster paths
@@ -65,13 +67,13 @@ def test_rule_matches_and_sends_unicode_text(feed, text):
     assert sorted(published) == sorted((name, message(text)) for name in expected * 4)
 
 
-def test_strings_and_byte_arrays_differ():
+def test_strings_and_byte_arrays_differ() -> None:
     term = decode(message("Jürgen", "Jürgen".encode()))
     assert to_text(term) == "my_msgs__0__Note('\"Jürgen\"','\"FFFFFFFFFFSsO8cmdlbg==////\"')"
     assert DEFINITIONS.encoder(NOTE).encode(term) == message("Jürgen", "Jürgen".encode())
 
 
-def test_snapshot_and_dashboard_have_unicode_text():
+def test_snapshot_and_dashboard_have_unicode_text() -> None:
     engine = Engine(StreamClock(0))
     engine.load(rules=RULES, goals=GOALS)
     recent = RecentEvents(engine)
@@ -84,7 +86,7 @@ def test_snapshot_and_dashboard_have_unicode_text():
     assert len(restored.query("access_mem(memory, met(_, '\"Jürgen\"'), _)")) == 2
 
 
-def test_bag_stores_unicode_text(tmp_path, capsys):
+def test_bag_stores_unicode_text(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     program = tmp_path / "program"
     program.mkdir()
     (program / "eventRules.txt").write_text(RULES, encoding="utf-8")

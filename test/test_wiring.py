@@ -2,6 +2,7 @@
 
 import ast
 from collections import defaultdict
+from typing import Any, Iterator, Optional, Set
 
 import pytest
 from source import FILES, TREES
@@ -36,14 +37,14 @@ SET_BY_OTHERS = {
 """Attributes that modules other than the owner's set, with the reason; None for all attributes of a class."""
 
 
-def text_of(node):
+def text_of(node: Any) -> Any:
     """Return the dotted name of an expression; calls and other parts are shown as ``()``."""
     if isinstance(node, ast.Attribute):
         return f"{text_of(node.value)}.{node.attr}"
     return node.id if isinstance(node, ast.Name) else "()"
 
 
-def attributes_set_by(cls):
+def attributes_set_by(cls: Any) -> Iterator[Any]:
     """Yield the names of the attributes that a class assigns to itself."""
     for node in ast.walk(cls):
         if (
@@ -54,7 +55,7 @@ def attributes_set_by(cls):
             yield node.attr
 
 
-def slots_of(cls):
+def slots_of(cls: Any) -> Optional[Set[Any]]:
     """Return the names in ``__slots__`` of a class, which is a record that any module may fill; None without."""
     for node in cls.body:
         if isinstance(node, ast.Assign) and text_of(node.targets[0]) == "__slots__":
@@ -62,7 +63,7 @@ def slots_of(cls):
     return None
 
 
-def find_owners():
+def find_owners() -> Any:
     """Return the classes that have each attribute, as file, name, and whether it is a record."""
     owners = defaultdict(set)
     for path, tree in TREES.items():
@@ -77,7 +78,7 @@ def find_owners():
 OWNERS = find_owners()
 
 
-def targets_of(node):
+def targets_of(node: Any) -> Iterator[Any]:
     """Yield the targets of an assignment, those in tuples as well."""
     if isinstance(node, ast.Assign):
         pending = list(node.targets)
@@ -93,7 +94,7 @@ def targets_of(node):
             yield target
 
 
-def created_in(scope):
+def created_in(scope: Any) -> Set[Any]:
     """Return the texts of the names and attributes to which a function or class assigns the result of a call."""
     return {
         text_of(target)
@@ -103,7 +104,7 @@ def created_in(scope):
     }
 
 
-def foreign_assignments(path, node, created):
+def foreign_assignments(path: Any, node: Any, created: Any) -> Iterator[Any]:
     """Yield line and target of each assignment to an attribute of an object that was created elsewhere."""
     for child in ast.iter_child_nodes(node):
         if isinstance(child, (ast.ClassDef, ast.FunctionDef)):
@@ -128,11 +129,11 @@ def foreign_assignments(path, node, created):
 
 
 @pytest.mark.parametrize("path", TREES)
-def test_attributes_are_set_by_their_owner(path):
+def test_attributes_are_set_by_their_owner(path: Any) -> None:
     assert list(foreign_assignments(path, TREES[path], frozenset())) == []
 
 
-def test_exceptions_are_needed():
+def test_exceptions_are_needed() -> None:
     """Each entry of the list names a class, and an attribute that another module sets."""
     set_elsewhere = {
         (name, target.attr)
@@ -151,7 +152,7 @@ def test_exceptions_are_needed():
     assert unused == []
 
 
-def test_constructors_assign_no_placeholder_functions():
+def test_constructors_assign_no_placeholder_functions() -> None:
     """A function that is replaced later is passed to the constructor, or added to a `CallbackList`."""
     set_elsewhere = {
         target.attr
@@ -175,7 +176,7 @@ def test_constructors_assign_no_placeholder_functions():
     assert placeholders == []
 
 
-def test_parts_of_engine_are_accessed_by_its_module_only():
+def test_parts_of_engine_are_accessed_by_its_module_only() -> None:
     accesses = [
         f"{path}:{node.lineno}: {text_of(node)}"
         for path, module in FILES.items()

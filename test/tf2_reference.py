@@ -1,6 +1,7 @@
 """Reference of transforms: a buffer of tf2, if it is installed."""
 
 import math
+from typing import Any, List, Optional, Tuple
 
 import pytest
 
@@ -11,27 +12,27 @@ geometry_msgs = pytest.importorskip("geometry_msgs.msg")
 from retalis import BagReader, Definitions, deref, list_items  # noqa: E402
 
 
-def name(atom):
+def name(atom: Any) -> Any:
     return deref(atom).name.strip('"').lstrip("/")
 
 
-def numbers(term):
+def numbers(term: Any) -> List[Any]:
     return [deref(value) for value in deref(term)[1:]]
 
 
-def stamp(header):
+def stamp(header: Any) -> List[Any]:
     return [deref(part) for part in list_items(deref(header)[2])]
 
 
 class Reference:
     """A tf2 buffer with the /tf messages of a bag, if one is given, without leading slashes of frames."""
 
-    def __init__(self, path=None):
+    def __init__(self, path: Any = None) -> None:
         self.buffer = tf2_py.BufferCore(genpy.Duration(100_000))
         if path is not None:
             self._add_bag(path)
 
-    def _add_bag(self, path):
+    def _add_bag(self, path: Any) -> None:
         definitions = Definitions()
         with BagReader(path) as bag:
             for record in bag.records(["/tf"]):
@@ -40,14 +41,14 @@ class Reference:
                 for transform in list_items(deref(message)[1]):
                     self._add(deref(transform))
 
-    def _add(self, transform):
+    def _add(self, transform: Any) -> None:
         header = deref(transform[1])
         seconds, nanoseconds = stamp(header)
         translation, rotation = (numbers(part) for part in deref(transform[3])[1:])
         instant = seconds * 10**9 + nanoseconds
         self.add(name(header[3]), name(transform[2]), instant, translation, rotation)
 
-    def add(self, parent, child, instant, translation, rotation):
+    def add(self, parent: Any, child: Any, instant: Any, translation: Any, rotation: Any) -> None:
         """Add the transform between two frames at an instant (ns)."""
         message = geometry_msgs.TransformStamped()
         message.header.stamp = genpy.Time(*divmod(instant, 10**9))
@@ -57,7 +58,7 @@ class Reference:
         message.transform.rotation = geometry_msgs.Quaternion(*rotation)
         self.buffer.set_transform(message, "test")
 
-    def pose(self, target, source, instant):
+    def pose(self, target: Any, source: Any, instant: Any) -> Optional[Tuple[Any, ...]]:
         """Return translation and rotation from source to target at an instant (ns); None if tf2 has no data."""
         try:
             result = self.buffer.lookup_transform_core(target, source, genpy.Time(*divmod(instant, 10**9)))
@@ -67,7 +68,7 @@ class Reference:
         return (translation.x, translation.y, translation.z), (rotation.x, rotation.y, rotation.z, rotation.w)
 
 
-def compose(left, right):
+def compose(left: Any, right: Any) -> Tuple[Any, ...]:
     """Return the product of two poses (translation, quaternion x y z w)."""
     (t, q), (s, r) = left, right
     x, y, z, w = q
@@ -84,12 +85,12 @@ def compose(left, right):
     return place, turn
 
 
-def distance(left, right):
+def distance(left: Any, right: Any) -> Any:
     """Return the distance between two points."""
     return math.dist(left, right)
 
 
-def angle(left, right):
+def angle(left: Any, right: Any) -> Any:
     """Return the angle between two rotations in radians."""
     dot = abs(sum(a * b for a, b in zip(left, right)))
     norm = math.sqrt(sum(a * a for a in left) * sum(b * b for b in right))

@@ -3,9 +3,10 @@
 import os
 import signal
 from pathlib import Path
+from typing import Any
 
 
-def run_task(task, scratch):
+def run_task(task: Any, scratch: Any) -> Any:
     """Return this process's number for `pid`; otherwise kill the process.
 
     `die NAME` kills it each time. Any other task kills it at the first attempt and is returned at the second.
@@ -20,7 +21,7 @@ def run_task(task, scratch):
     return task
 
 
-def run_task_in_folder(task, scratch):
+def run_task_in_folder(task: Any, scratch: Any) -> Any:
     """Run a task `TASK in FOLDER` with a folder that all workers share instead of the one for this worker."""
     task, _, folder = task.partition(" in ")
     return run_task(task, folder)

@@ -4,6 +4,7 @@ import importlib
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any, Iterator
 
 import pytest
 
@@ -21,7 +22,7 @@ print("case", sys.argv[1], "us_per_event", {figures}["{case}"][len(before) % 2])
 
 
 @pytest.fixture
-def alternating(monkeypatch):
+def alternating(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """Return the module."""
     monkeypatch.setattr(sys, "path", [str(ROOT / "bench"), str(ROOT / "examples" / "nao"), *sys.path])
     yield importlib.import_module("alternating")
@@ -29,7 +30,7 @@ def alternating(monkeypatch):
         sys.modules.pop(name, None)
 
 
-def write_checkout(folder, first, second, case="nao"):
+def write_checkout(folder: Any, first: float, second: float, case: str = "nao") -> Any:
     """Write a checkout whose only case takes two times (µs) alternately."""
     script = folder / "bench" / "engine.py"
     script.parent.mkdir(parents=True, exist_ok=True)
@@ -37,7 +38,7 @@ def write_checkout(folder, first, second, case="nao"):
     return folder
 
 
-def git(folder, *arguments):
+def git(folder: Any, *arguments: Any) -> None:
     """Run git with a fixed identity, independent of the settings of the machine."""
     settings = [
         "-c",
@@ -50,14 +51,16 @@ def git(folder, *arguments):
     subprocess.run(["git", "-C", str(folder), *settings, *arguments], check=True, stdout=subprocess.DEVNULL)
 
 
-def test_best_runs_are_compared(alternating, tmp_path, capsys):
+def test_best_runs_are_compared(alternating: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = write_checkout(tmp_path / "before", 2.0, 9.0)
     now = write_checkout(tmp_path / "now", 5.0, 2.05)
     assert alternating.main([str(before), "--case", "nao", "--runs", "2"], now) == 0
     assert " ".join(capsys.readouterr().out.split()) == "nao before 2.000 now 2.050 us +2.5 %"
 
 
-def test_slower_case_is_reported(alternating, tmp_path, capsys):
+def test_slower_case_is_reported(
+    alternating: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     before = write_checkout(tmp_path / "before", 2.0, 2.0)
     now = write_checkout(tmp_path / "now", 2.1, 2.1)
     assert alternating.main([str(before), "--case", "nao", "--runs", "1"], now) == 1
@@ -65,7 +68,9 @@ def test_slower_case_is_reported(alternating, tmp_path, capsys):
     assert alternating.main([str(before), "--case", "nao", "--runs", "1", "--most", "6"], now) == 0
 
 
-def test_case_that_seems_slower_is_repeated(alternating, tmp_path, capsys):
+def test_case_that_seems_slower_is_repeated(
+    alternating: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     before = write_checkout(tmp_path / "before", 2.0, 2.0)
     now = write_checkout(tmp_path / "now", 3.0, 1.9)
     assert alternating.main([str(before), "--case", "nao", "--runs", "1"], now) == 0
@@ -73,7 +78,9 @@ def test_case_that_seems_slower_is_repeated(alternating, tmp_path, capsys):
     assert (now / "bench" / "runs").read_text() == "xx"
 
 
-def test_revision_is_checked_out(alternating, tmp_path, capsys):
+def test_revision_is_checked_out(
+    alternating: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     git(tmp_path, "init", "--quiet")
     write_checkout(tmp_path, 4.0, 4.0)
     git(tmp_path, "add", ".")
@@ -83,13 +90,15 @@ def test_revision_is_checked_out(alternating, tmp_path, capsys):
     assert " ".join(capsys.readouterr().out.split()) == "nao before 4.000 now 2.000 us -50.0 %"
 
 
-def test_case_missing_before_is_omitted(alternating, tmp_path, capsys):
+def test_case_missing_before_is_omitted(
+    alternating: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     before = write_checkout(tmp_path / "before", 2.0, 2.0, "sync_now")
     assert alternating.main([str(before), "--case", "nao"], tmp_path) == 0
     assert " ".join(capsys.readouterr().out.split()) == "nao is not there before"
 
 
-def test_invalid_checkout_is_reported(alternating, tmp_path):
+def test_invalid_checkout_is_reported(alternating: Any, tmp_path: Path) -> None:
     git(tmp_path, "init", "--quiet")
     with pytest.raises(SystemExit, match="^nosuch is neither a folder nor a revision: fatal: "):
         alternating.main(["nosuch"], tmp_path)
@@ -98,7 +107,7 @@ def test_invalid_checkout_is_reported(alternating, tmp_path):
 
 
 @pytest.mark.slow
-def test_checkout_is_compared_with_itself(alternating, capsys):
+def test_checkout_is_compared_with_itself(alternating: Any, capsys: pytest.CaptureFixture[str]) -> None:
     """The result of a single run is not asserted, since it is no measurement."""
     assert alternating.main([str(ROOT), "--case", "join_seq_1000", "--runs", "1", "--most", "1000"]) == 0
     assert capsys.readouterr().out.startswith("join_seq_1000 ")

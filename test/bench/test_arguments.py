@@ -26,7 +26,7 @@ BENCH = Path(__file__).resolve().parents[2] / "bench"
         ("performance.py --ros nofile", "there is no nofile"),
     ],
 )
-def test_invalid_argument_is_reported(arguments, problem, tmp_path):
+def test_invalid_argument_is_reported(arguments: str, problem: str, tmp_path: Path) -> None:
     program, *rest = arguments.split()
     process = subprocess.run(
         [sys.executable, str(BENCH / program), *rest], cwd=tmp_path, stderr=subprocess.PIPE, text=True
@@ -37,7 +37,7 @@ def test_invalid_argument_is_reported(arguments, problem, tmp_path):
 
 
 @pytest.mark.slow
-def test_file_without_figures_is_reported(tmp_path):
+def test_file_without_figures_is_reported(tmp_path: Path) -> None:
     (tmp_path / "wrong.json").write_text('{"python": "3.11"}')
     command = [sys.executable, str(BENCH / "events.py"), "--from", "wrong.json"]
     process = subprocess.run(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)

@@ -5,6 +5,7 @@ import json
 import math
 import sys
 from pathlib import Path
+from typing import Any, Iterator, List
 
 import pytest
 
@@ -12,7 +13,7 @@ BENCH = Path(__file__).resolve().parents[2] / "bench"
 
 
 @pytest.fixture
-def events(monkeypatch):
+def events(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     monkeypatch.syspath_prepend(str(BENCH))
     monkeypatch.delitem(sys.modules, "events", raising=False)
     module = importlib.import_module("events")
@@ -26,7 +27,7 @@ def events(monkeypatch):
 
 
 @pytest.mark.slow
-def test_each_cell_has_figures(events, tmp_path, capsys):
+def test_each_cell_has_figures(events: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "figures.json"
     assert events.main(["--most", "100", "--json", str(file)]) == 0
     rows = json.loads(file.read_text())["rows"]
@@ -40,8 +41,10 @@ def test_each_cell_has_figures(events, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_figures_of_runs_are_merged_into_table(events, tmp_path, capsys):
-    files = []
+def test_figures_of_runs_are_merged_into_table(
+    events: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files: List[Any] = []
     for name, policy in (("seq", "unrestricted"), ("seq", "recent"), ("and", "recent")):
         files.append(str(tmp_path / f"{name}_{policy}.json"))
         selection = ["--operator", name, "--policy", policy, "--setting", "alike", "--most", "10"]
@@ -56,7 +59,7 @@ def test_figures_of_runs_are_merged_into_table(events, tmp_path, capsys):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("setting", ["values", "alike", "times", "shuffled"])
-def test_completing_events_complete_matches(events, setting):
+def test_completing_events_complete_matches(events: Any, setting: str) -> None:
     for name, policy, _ in events.cells(arguments(setting)):
         if name in events.CASES:
             (row,) = events.measure(name, policy, setting, 10, 1.0)
@@ -70,7 +73,7 @@ def test_completing_events_complete_matches(events, setting):
 
 
 @pytest.mark.slow
-def test_stream_rows_fire_as_declared(events):
+def test_stream_rows_fire_as_declared(events: Any) -> None:
     streams = events.event_streams
     for name, row in streams.STREAMS.items():
         bench = streams.StreamBench(row, 10)
@@ -82,7 +85,7 @@ def test_stream_rows_fire_as_declared(events):
 
 
 @pytest.mark.slow
-def test_table_of_streams_has_exponents(events, capsys):
+def test_table_of_streams_has_exponents(events: Any, capsys: pytest.CaptureFixture[str]) -> None:
     selection = [
         "--setting",
         "streams",
@@ -101,7 +104,7 @@ def test_table_of_streams_has_exponents(events, capsys):
         assert -1 < float(line.split(" | ")[-1].strip(" |")) < 1
 
 
-def arguments(setting):
+def arguments(setting: Any) -> Any:
     class Options:
         operator = policy = None
 
@@ -109,14 +112,14 @@ def arguments(setting):
     return Options
 
 
-def test_partners_wait_again_after_batch(events):
+def test_partners_wait_again_after_batch(events: Any) -> None:
     bench = events.Bench("seq", "recent", "values")
     bench.grow(10)
     bench.batch(5)
     assert bench.engine.rules.match_count == 10
 
 
-def test_exponent_is_fitted_to_points(events):
+def test_exponent_is_fitted_to_points(events: Any) -> None:
     assert events.exponent([(100, 10.0), (1000, 100.0), (10000, 1000.0)]) == pytest.approx(1.0)
     assert events.exponent([(1, 5.0), (10, 5.0)]) == pytest.approx(0.0)
     assert math.isnan(events.exponent([(1, 5.0)]))

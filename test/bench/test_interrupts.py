@@ -3,6 +3,7 @@
 import importlib
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -16,7 +17,7 @@ SECONDS = 20
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Any:
     folder = tmp_path_factory.mktemp("interrupts")
     interrupts.make_files(folder)
     return folder
@@ -24,7 +25,7 @@ def folder(tmp_path_factory):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", interrupts.CASES)
-def test_interrupt_ends_command(name, folder):
+def test_interrupt_ends_command(name: Any, folder: Any) -> None:
     seconds, status, errors = interrupts.measure(interrupts.CASES[name], folder)
     assert (status, errors) == (130, "")
     assert seconds < SECONDS

@@ -3,6 +3,7 @@
 import importlib
 import sys
 from pathlib import Path
+from typing import Any, Dict, List
 
 import pytest
 
@@ -13,11 +14,11 @@ latency = importlib.import_module("latency")
 sys.path[:] = _path  # the benchmark adds to it as well, and its modules' names are those of test packages
 
 
-def new_run(configuration, latencies, rate=100.0, lost=0):
+def new_run(configuration: str, latencies: Any, rate: float = 100.0, lost: int = 0) -> Dict[str, Any]:
     return {"rate": rate, "configuration": configuration, "lost": lost, "latencies_ms": latencies}
 
 
-def test_default_options_run_all_configurations():
+def test_default_options_run_all_configurations() -> None:
     options = latency.arguments([])
     assert options.nodes == ["relay", "direct", "embedded", "two"]
     assert options.rates == [100.0, 1000.0]
@@ -32,7 +33,9 @@ def test_default_options_run_all_configurations():
         (["--json", "nofolder/figures.json"], "there is no folder nofolder"),
     ],
 )
-def test_invalid_option_is_refused(arguments, problem, capsys):
+def test_invalid_option_is_refused(
+    arguments: List[str], problem: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit):
         latency.arguments(arguments)
     assert problem in capsys.readouterr().err.splitlines()[-1]
@@ -41,13 +44,13 @@ def test_invalid_option_is_refused(arguments, problem, capsys):
 @pytest.mark.parametrize(
     ("share", "value"), [(0.5, 500), (0.99, 990), (0.999, 999), (1.0, 999)], ids=["50", "99", "99.9", "100"]
 )
-def test_percentile_is_one_of_the_values(share, value):
+def test_percentile_is_one_of_the_values(share: float, value: int) -> None:
     assert latency.percentile(list(range(1000)), share) == value
     assert latency.percentile([7], share) == 7
     assert latency.percentile([], share) is None
 
 
-def test_runs_are_pooled_and_compared_with_relay():
+def test_runs_are_pooled_and_compared_with_relay() -> None:
     runs = [
         new_run("relay", [1.0, 2.0]),
         new_run("two", [3.0], lost=1),
@@ -60,7 +63,7 @@ def test_runs_are_pooled_and_compared_with_relay():
     assert alone["of_relay"] is None
 
 
-def test_table_has_row_per_rate_and_configuration():
+def test_table_has_row_per_rate_and_configuration() -> None:
     runs = [new_run("relay", [1.0]), new_run("two", [2.5]), new_run("two", [], rate=1000.0, lost=9)]
     assert latency.table(latency.summary(runs)).splitlines()[2:] == [
         "| relay | 100 | 1.00 | 1.00 | 1.00 | 1.00 | 1 | 0 |",

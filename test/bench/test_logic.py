@@ -4,6 +4,7 @@ import importlib
 import json
 import sys
 from pathlib import Path
+from typing import Any, Iterator
 
 import pytest
 
@@ -11,7 +12,7 @@ BENCH = Path(__file__).resolve().parents[2] / "bench"
 
 
 @pytest.fixture
-def logic(monkeypatch):
+def logic(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     monkeypatch.syspath_prepend(str(BENCH))
     monkeypatch.delitem(sys.modules, "logic", raising=False)
     bench = importlib.import_module("logic")
@@ -25,19 +26,21 @@ def logic(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["nrev", "tak", "tabled", "deriv", "primes", "assert", "split", "count"])
-def test_case_has_positive_time(logic, monkeypatch, case):
+def test_case_has_positive_time(logic: Any, monkeypatch: pytest.MonkeyPatch, case: str) -> None:
     monkeypatch.setitem(logic.CASES, case, (logic.CASES[case][0], 1, 1))
     assert logic.one(logic.OURS, case) > 0
 
 
 @pytest.mark.parametrize(("engine", "case"), [("problog", "split"), ("problog", "deriv"), ("kanren", "join")])
-def test_case_has_positive_time_in_other_engine(logic, engine, case):
+def test_case_has_positive_time_in_other_engine(logic: Any, engine: str, case: str) -> None:
     pytest.importorskip(engine)
     assert logic.can_run(engine, case)
     assert logic.theirs(engine, case, 0.0001) > 0
 
 
-def test_row_compares_medians(logic, monkeypatch, capsys, tmp_path):
+def test_row_compares_medians(
+    logic: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     figures = {logic.OURS: iter([3.0, 1.0, 2.0]), "swipl": iter([0.5, 0.5, 0.5]), "problog": iter([400.0])}
     monkeypatch.setattr(logic, "in_process", lambda python, engine, case: next(figures[engine]))
     monkeypatch.setattr(logic, "can_run", lambda engine, case: engine in figures)
@@ -52,7 +55,9 @@ def test_row_compares_medians(logic, monkeypatch, capsys, tmp_path):
     assert figures_of_case["problog"] == {"median": 400.0, "best": 400.0, "runs": 1}
 
 
-def test_unknown_case_is_refused(logic, monkeypatch, capsys):
+def test_unknown_case_is_refused(
+    logic: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(sys, "argv", ["logic.py", "nothing"])
     with pytest.raises(SystemExit):
         logic.main()

@@ -5,6 +5,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any, Dict, Iterator, List
 
 import pytest
 
@@ -14,7 +15,7 @@ EVENTS = 1500
 
 
 @pytest.fixture
-def outside(monkeypatch):
+def outside(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """Return the module with at most 100 open sequences at a time."""
     monkeypatch.setattr(sys, "path", [str(BENCH), *sys.path])
     module = importlib.import_module("outside")
@@ -24,38 +25,38 @@ def outside(monkeypatch):
         sys.modules.pop(name, None)
 
 
-def results(outside, side, work, number=EVENTS):
-    outputs = []
+def results(outside: Any, side: str, work: str, number: Any = EVENTS) -> Any:
+    outputs: List[Any] = []
     outside.SIDES[side](work, outside.STREAMS[work](number), lambda *values: outputs.append(values))()
     return outputs
 
 
 @pytest.mark.parametrize("work", ["keyed", "absence", "sliding", "pairs"])
-def test_engine_has_results_of_loop(outside, work):
+def test_engine_has_results_of_loop(outside: Any, work: str) -> None:
     expected = results(outside, "loop", work)
     assert len(expected) > 200
     assert results(outside, "retalis", work) == expected
 
 
-def test_events_leave_window_of_engine(outside):
+def test_events_leave_window_of_engine(outside: Any) -> None:
     outputs = results(outside, "retalis", "sliding", 10_500)
     assert outputs == results(outside, "loop", "sliding", 10_500)
     assert max(number for _, number, _ in outputs) < 150
 
 
 @pytest.mark.parametrize("work", ["keyed", "absence", "sliding"])
-def test_bytewax_has_results_of_loop(outside, work):
+def test_bytewax_has_results_of_loop(outside: Any, work: str) -> None:
     pytest.importorskip("bytewax")
     outputs, expected = results(outside, "bytewax", work), results(outside, "loop", work)
     assert sorted(outputs) == sorted(expected)  # the order of results is defined per key only
 
 
-def test_absence_has_fewer_results(outside):
+def test_absence_has_fewer_results(outside: Any) -> None:
     assert len(results(outside, "loop", "absence")) < len(results(outside, "loop", "keyed"))
 
 
 @pytest.mark.parametrize("work", ["keyed", "absence", "sliding", "pairs"])
-def test_streams_are_reproducible_and_ordered(outside, work):
+def test_streams_are_reproducible_and_ordered(outside: Any, work: str) -> None:
     stream = outside.STREAMS[work](EVENTS)
     assert len(stream) == EVENTS
     assert stream == outside.STREAMS[work](EVENTS)
@@ -64,7 +65,7 @@ def test_streams_are_reproducible_and_ordered(outside, work):
 
 
 @pytest.mark.slow
-def test_table_has_row_per_work(outside, tmp_path, capsys):
+def test_table_has_row_per_work(outside: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "found.json"
     small = ["--events", "300", "--runs", "1", "--json", str(file)]
     assert outside.main(["--work", "pairs", *small, "--markdown"]) == 0
@@ -85,10 +86,12 @@ def test_table_has_row_per_work(outside, tmp_path, capsys):
         ({"loop": [5, 6], "retalis": [5, 5]}, "^pairs: loop gives another number of results in each run: "),
     ],
 )
-def test_different_results_end_comparison(outside, monkeypatch, outputs, message):
+def test_different_results_end_comparison(
+    outside: Any, monkeypatch: pytest.MonkeyPatch, outputs: Dict[str, Any], message: str
+) -> None:
     remaining = {side: list(numbers) for side, numbers in outputs.items()}
 
-    def run(command, **_):
+    def run(command: Any, **_: Any) -> Any:
         number = remaining[command[command.index("--side") + 1]].pop(0)
         return subprocess.CompletedProcess(command, 0, json.dumps({"us": 1.0, "results": number}), "")
 
@@ -97,13 +100,13 @@ def test_different_results_end_comparison(outside, monkeypatch, outputs, message
         outside.compare("pairs", {"loop": "python", "retalis": "python"}, 10, len(outputs["loop"]))
 
 
-def test_failed_run_reports_its_output(outside, monkeypatch):
+def test_failed_run_reports_its_output(outside: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     failed = subprocess.CompletedProcess([], 1, "", "it was broken")
     monkeypatch.setattr(outside.subprocess, "run", lambda command, **_: failed)
     with pytest.raises(SystemExit, match="--side loop .*failed:\nit was broken"):
         outside.compare("pairs", {"loop": "python"}, 10, 1)
 
 
-def test_unsupported_side_is_omitted(outside, capsys):
+def test_unsupported_side_is_omitted(outside: Any, capsys: pytest.CaptureFixture[str]) -> None:
     assert outside.main(["--side", "bytewax", "--work", "pairs", "--events", "10"]) == outside.MISSING
     assert "bytewax" in capsys.readouterr().out

@@ -5,6 +5,7 @@ import json
 import sys
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any, Iterator, List
 
 import pytest
 
@@ -15,7 +16,7 @@ MODULES = ("curves", "engine", "offline", "performance", "processes", "workload"
 
 
 @pytest.fixture
-def bench(monkeypatch):
+def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """Return the function that imports the module of a benchmark."""
     monkeypatch.setattr(sys, "path", [str(ROOT / "bench"), str(ROOT / "examples" / "nao"), *sys.path])
     yield importlib.import_module
@@ -24,7 +25,9 @@ def bench(monkeypatch):
     stop_limiting_gc_pauses()  # the benchmark limits them
 
 
-def test_case_is_printed_in_one_line(bench, capsys, monkeypatch):
+def test_case_is_printed_in_one_line(
+    bench: Any, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     engine = bench("engine")
     monkeypatch.setattr(sys, "argv", ["engine.py", "join_seq_1000"])
     assert engine.main() == 0
@@ -33,11 +36,11 @@ def test_case_is_printed_in_one_line(bench, capsys, monkeypatch):
     assert (words[1], words[3], words[9]) == ("join_seq_1000", "2000", "1000")
 
 
-def test_renamed_stream_has_same_outputs(bench):
+def test_renamed_stream_has_same_outputs(bench: Any) -> None:
     engine, work = bench("engine"), bench("workload")
     streams = [work.nao_stream(3), work.nao_stream(3, other_names=True)]
     assert [work.renamed(item.term) for item in streams[0]] == [item.term for item in streams[1]]
-    counts = []
+    counts: List[Any] = []
     for other in (False, True):
         machine = work.nao_engine(other)
         outputs = engine.Outputs(machine)
@@ -47,7 +50,7 @@ def test_renamed_stream_has_same_outputs(bench):
     assert counts[0] == counts[1] == 21
 
 
-def test_renamed_program_has_no_original_name(bench):
+def test_renamed_program_has_no_original_name(bench: Any) -> None:
     work = bench("workload")
     text = "\n".join(
         work.renamed_program((ROOT / "application_source" / "eventRules.txt").read_text(encoding="utf-8"))
@@ -58,7 +61,7 @@ def test_renamed_program_has_no_original_name(bench):
 
 
 @pytest.mark.slow
-def test_each_curve_is_measured(bench, tmp_path):
+def test_each_curve_is_measured(bench: Any, tmp_path: Path) -> None:
     curves = bench("curves")
     file = tmp_path / "curves.json"
     assert curves.main(["--most", "10", "--runs", "1", "--json", str(file)]) == 0
@@ -69,13 +72,13 @@ def test_each_curve_is_measured(bench, tmp_path):
 
 
 @pytest.mark.slow
-def test_offline_benchmark_processes_bag(bench, capsys):
+def test_offline_benchmark_processes_bag(bench: Any, capsys: pytest.CaptureFixture[str]) -> None:
     offline = bench("offline")
     assert offline.main(["--seconds", "1", "--runs", "1"]) == 0
     assert "messages" in capsys.readouterr().out
 
 
-def test_page_is_written_between_marks(bench, tmp_path):
+def test_page_is_written_between_marks(bench: Any, tmp_path: Path) -> None:
     performance = bench("performance")
     page = tmp_path / "page.md"
     page.write_text("before\n<!-- engine -->\nold\n<!-- end of engine -->\nafter\n")
@@ -94,14 +97,14 @@ def test_page_is_written_between_marks(bench, tmp_path):
     assert text.endswith("after\n")
 
 
-def test_sections_of_page_have_marks(bench):
+def test_sections_of_page_have_marks(bench: Any) -> None:
     performance = bench("performance")
     text = performance.PAGE.read_text(encoding="utf-8")
     for name in performance.SECTIONS:
         assert text.count(f"<!-- {name} -->\n") == text.count(f"<!-- end of {name} -->") == 1
 
 
-def test_figures_are_shown_in_tables(bench):
+def test_figures_are_shown_in_tables(bench: Any) -> None:
     performance = bench("performance")
     machine = {"cpu": "A CPU", "cores": "2", "python": "CPython 3"}
     row = {"start": 0.2, "run": 0.9, "messages": 100_000.0, "outputs": 5.0}
@@ -114,7 +117,7 @@ def test_figures_are_shown_in_tables(bench):
     )
 
 
-def test_runs_of_nodes_are_summarized_by_median(bench):
+def test_runs_of_nodes_are_summarized_by_median(bench: Any) -> None:
     live_node = bench("live_node")
     runs = [
         {

@@ -4,6 +4,7 @@ import importlib
 import re
 import sys
 from pathlib import Path
+from typing import Any, Iterator
 
 import pytest
 
@@ -12,7 +13,7 @@ MODULES = ("alternating", "engine", "processes", "snapshots", "workload")
 
 
 @pytest.fixture
-def snapshots(monkeypatch):
+def snapshots(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """Return the module."""
     monkeypatch.setattr(sys, "path", [str(ROOT / "bench"), str(ROOT / "examples" / "nao"), *sys.path])
     yield importlib.import_module("snapshots")
@@ -21,7 +22,7 @@ def snapshots(monkeypatch):
 
 
 @pytest.mark.slow
-def test_checkouts_are_compared(snapshots, capsys):
+def test_checkouts_are_compared(snapshots: Any, capsys: pytest.CaptureFixture[str]) -> None:
     few = ["--sizes", "5", "--runs", "1", "--repeats", "1"]
     assert snapshots.main([str(ROOT), *few, "--most", "1000"]) == 0
     cost = r" [\d.]+ -> [\d.]+ (ms|kB) \([\d.]+\)"
@@ -31,7 +32,9 @@ def test_checkouts_are_compared(snapshots, capsys):
         assert re.search(f"snapshot{cost} +restore{cost} +size{cost}$", line)
 
 
-def test_costlier_case_is_reported(snapshots, monkeypatch, capsys):
+def test_costlier_case_is_reported(
+    snapshots: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     costs = iter([snapshots.Costs(1.0, 1.0, 100), snapshots.Costs(1.0, 1.3, 100)])
     monkeypatch.setattr(snapshots, "measure", lambda *arguments: next(costs))
     few = ["--case", "seq", "--sizes", "5", "--runs", "1"]

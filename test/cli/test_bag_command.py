@@ -5,6 +5,7 @@ import re
 import sys
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -19,13 +20,13 @@ PROGRAM = str(ROOT / "application_source")
 
 
 @pytest.fixture(scope="module")
-def bag(tmp_path_factory):
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Any:
     path = tmp_path_factory.mktemp("bags") / "nao.bag"
     make_bag(path, 3.0, 1)
     return path
 
 
-def test_outputs_are_printed(bag, capsys):
+def test_outputs_are_printed(bag: Any, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bag", str(bag), "--program", PROGRAM]) == 0
     captured = capsys.readouterr()
     lines = captured.out.splitlines()
@@ -35,7 +36,7 @@ def test_outputs_are_printed(bag, capsys):
     assert any(line.endswith(",marker1).") for line in lines)
 
 
-def test_outputs_are_written_to_bag(bag, tmp_path, capsys):
+def test_outputs_are_written_to_bag(bag: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     target = tmp_path / "out.bag"
     assert main(["bag", str(bag), "--program", PROGRAM, "--output", str(target)]) == 0
     line_count = len(capsys.readouterr().out.splitlines())
@@ -43,12 +44,12 @@ def test_outputs_are_written_to_bag(bag, tmp_path, capsys):
         assert reader.messages == line_count > 0
 
 
-def test_quiet_option_prints_nothing(bag, capsys):
+def test_quiet_option_prints_nothing(bag: Any, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bag", str(bag), "--program", PROGRAM, "--quiet"]) == 0
     assert capsys.readouterr().out == ""
 
 
-def test_additional_topic_has_events(bag, tmp_path, capsys):
+def test_additional_topic_has_events(bag: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "pub_sub.xml").write_text("<publish_subscribe></publish_subscribe>")
     (tmp_path / "goalPredicates.txt").write_text("subscribe(tf__0__tfMessage(_),[],seen,seen,i)\n")
     status = main(["bag", str(bag), "--program", str(tmp_path), "--topic", "/tf=tf/tfMessage"])
@@ -58,7 +59,7 @@ def test_additional_topic_has_events(bag, tmp_path, capsys):
 
 
 @pytest.fixture
-def tf_program(tmp_path):
+def tf_program(tmp_path: Path) -> str:
     """Return a program that uses ``tf`` without subscribing it, as with ``direct:=auto`` in a node."""
     (tmp_path / "pub_sub.xml").write_text(
         '<publish_subscribe><publish_to name="seen" msg_type="std_msgs/String"/></publish_subscribe>'
@@ -71,14 +72,18 @@ def tf_program(tmp_path):
 @pytest.mark.parametrize(
     "options", [[], ["--direct=auto"], ["--direct", "true"], ["--direct", "[tf, tf/tfMessage]"]]
 )
-def test_direct_topics_are_played(bag, tf_program, capsys, options):
+def test_direct_topics_are_played(
+    bag: Any, tf_program: str, capsys: pytest.CaptureFixture[str], options: Any
+) -> None:
     assert main(["bag", str(bag), "--program", tf_program, *options]) == 0
     captured = capsys.readouterr()
     assert captured.err == ""
     assert set(captured.out.splitlines()) == {"output(std_msgs__0__String('\"x\"'),seen)."}
 
 
-def test_direct_false_plays_no_direct_topic(bag, tf_program, capsys):
+def test_direct_false_plays_no_direct_topic(
+    bag: Any, tf_program: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["bag", str(bag), "--program", tf_program, "--direct", "false"]) == 0
     captured = capsys.readouterr()
     assert captured.out == ""
@@ -86,13 +91,17 @@ def test_direct_false_plays_no_direct_topic(bag, tf_program, capsys):
 
 
 @pytest.mark.slow
-def test_many_bags_have_same_direct_topics(bag, tf_program, capsys):
+def test_many_bags_have_same_direct_topics(
+    bag: Any, tf_program: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     for options, has_output in ((["--direct", "false"], False), ([], True)):
         assert main(["bag", str(bag), "--program", tf_program, "--jobs", "1", *options]) == 0
         assert bool(capsys.readouterr().out) == has_output
 
 
-def test_topic_without_type_is_warned_of_once(bag, tmp_path, capsys):
+def test_topic_without_type_is_warned_of_once(
+    bag: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "pub_sub.xml").write_text("<publish_subscribe></publish_subscribe>")
     (tmp_path / "goalPredicates.txt").write_text("subscribe(tf__0__tfMessage(_),[],seen,seen,i)\n")
     assert main(["bag", str(bag), "--program", str(tmp_path), "--topic", "/tf=tf/tfMessage", "--quiet"]) == 0
@@ -102,7 +111,7 @@ def test_topic_without_type_is_warned_of_once(bag, tmp_path, capsys):
     assert line.index("seen,i") == caret.index("^")
 
 
-def test_topics_of_written_bag_are_latched(bag, tmp_path):
+def test_topics_of_written_bag_are_latched(bag: Any, tmp_path: Path) -> None:
     message_type = 'msg_type="std_msgs/String"'
     (tmp_path / "pub_sub.xml").write_text(
         f'<publish_subscribe><publish_to name="a" {message_type} latch="true"/><publish_to name="b" {message_type}/>'
@@ -120,17 +129,17 @@ def test_topics_of_written_bag_are_latched(bag, tmp_path):
 
 
 @pytest.mark.parametrize("topic", ["tf", "tf=", "tf=tfMessage", "tf=a/b/c"])
-def test_invalid_topic_is_an_error(bag, capsys, topic):
+def test_invalid_topic_is_an_error(bag: Any, capsys: pytest.CaptureFixture[str], topic: str) -> None:
     assert main(["bag", str(bag), "--program", PROGRAM, "--topic", topic]) == 1
     assert "expected TOPIC=package/Type" in capsys.readouterr().err
 
 
-def test_missing_program_is_an_error(bag, tmp_path, capsys):
+def test_missing_program_is_an_error(bag: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bag", str(bag), "--program", str(tmp_path / "no")]) == 1
     assert str(tmp_path / "no") in capsys.readouterr().err
 
 
-def test_invalid_or_missing_bag_is_an_error(tmp_path, capsys):
+def test_invalid_or_missing_bag_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     invalid = tmp_path / "wrong.bag"
     invalid.write_text("no bag")
     assert main(["bag", str(invalid), "--program", PROGRAM]) == 1
@@ -138,7 +147,7 @@ def test_invalid_or_missing_bag_is_an_error(tmp_path, capsys):
     assert "no.bag" in capsys.readouterr().err
 
 
-def test_option_times_prints_time_of_bag(bag, capsys):
+def test_option_times_prints_time_of_bag(bag: Any, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bag", str(bag), "--program", PROGRAM, "--times", "--start", "1", "--duration", "1"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines
@@ -147,7 +156,7 @@ def test_option_times_prints_time_of_bag(bag, capsys):
 
 
 @pytest.mark.slow
-def test_json_of_interval_has_all_record_types(bag, capsys):
+def test_json_of_interval_has_all_record_types(bag: Any, capsys: pytest.CaptureFixture[str]) -> None:
     options = ["--json", "--events", "--start", "1", "--duration", "1"]
     explain_options = ["--explain", "face_by_marker(_,_,_)", "--explain", "never"]
     assert main(["bag", str(bag), "--program", PROGRAM, *options, *explain_options]) == 0
@@ -164,14 +173,16 @@ def test_json_of_interval_has_all_record_types(bag, capsys):
 
 
 @pytest.mark.slow
-def test_option_events_prints_events_and_outputs(bag, capsys):
+def test_option_events_prints_events_and_outputs(bag: Any, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bag", str(bag), "--program", PROGRAM, "--events", "--duration", "0.5"]) == 0
     record_types = {line.partition("(")[0] for line in capsys.readouterr().out.splitlines()}
     assert record_types == {"event", "output"}
 
 
 @pytest.mark.slow
-def test_bag_is_replaced_only_with_overwrite(bag, tmp_path, capsys):
+def test_bag_is_replaced_only_with_overwrite(
+    bag: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     target = tmp_path / "out.bag"
     arguments = ["bag", str(bag), "--program", PROGRAM, "--quiet", "--duration", "1"]
     assert main([*arguments, "--output", str(target)]) == 0
@@ -185,7 +196,7 @@ def test_bag_is_replaced_only_with_overwrite(bag, tmp_path, capsys):
     assert bag.stat().st_size > 0
 
 
-def test_help_has_defaults_of_limits(capsys):
+def test_help_has_defaults_of_limits(capsys: pytest.CaptureFixture[str]) -> None:
     for command in ("bag", "events", "console"):
         with pytest.raises(SystemExit):
             main([command, "--help-all"])
@@ -197,7 +208,9 @@ def test_help_has_defaults_of_limits(capsys):
 
 
 @pytest.mark.parametrize("folder", ["", "arm_msgs", "arm_msgs/msg"])
-def test_types_of_silent_topic_are_found_in_folder(bag, tmp_path, capsys, folder):
+def test_types_of_silent_topic_are_found_in_folder(
+    bag: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], folder: str
+) -> None:
     (tmp_path / "arm_msgs" / "msg").mkdir(parents=True)
     (tmp_path / "arm_msgs" / "msg" / "Feedback.msg").write_text("int32 id\nbool ok\n")
     program = tmp_path / "program"
@@ -218,7 +231,9 @@ def test_types_of_silent_topic_are_found_in_folder(bag, tmp_path, capsys, folder
     assert "output(silent,alarms)." in capsys.readouterr().out
 
 
-def test_flush_and_open_options_end_the_bag(bag, tmp_path, capsys):
+def test_flush_and_open_options_end_the_bag(
+    bag: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "pub_sub.xml").write_text("<publish_subscribe></publish_subscribe>")
     (tmp_path / "eventRules.txt").write_text(
         "first <- ar_pose__0__ARMarkers(_, _) with throttle(1000).\nlost <- first seq absent(beat, 100).\n"
@@ -238,7 +253,9 @@ def test_flush_and_open_options_end_the_bag(bag, tmp_path, capsys):
     assert output["time"] == state["start"] + 100 * 10**9
 
 
-def test_goal_output_with_json_is_on_stderr(tmp_path, bag, capsys):
+def test_goal_output_with_json_is_on_stderr(
+    tmp_path: Path, bag: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
     folder = tmp_path / "program"
     folder.mkdir()
     (folder / "pub_sub.xml").write_text("<publish_subscribe/>")

@@ -4,6 +4,8 @@ import argparse
 import json
 import os
 import sys
+from pathlib import Path
+from typing import Any, List, Optional
 
 import pytest
 from bags_and_program import SECOND, make_bag, make_program
@@ -14,11 +16,11 @@ from retalis.foundation.garbage_collection import stop_limiting_gc_pauses
 
 
 @pytest.fixture(autouse=True)
-def restore_gc_calls(monkeypatch):
+def restore_gc_calls(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Record each `restore_gc`, which frees the program of a bag, without collecting the objects of all tests."""
-    calls = []
+    calls: List[Any] = []
 
-    def restore_gc():
+    def restore_gc() -> None:
         calls.append(True)
         stop_limiting_gc_pauses()
 
@@ -27,15 +29,15 @@ def restore_gc_calls(monkeypatch):
 
 
 @pytest.fixture
-def program(tmp_path):
+def program(tmp_path: Path) -> Any:
     return make_program(tmp_path / "program")
 
 
-def make_task(program, bag, target, result_format, *options):
+def make_task(program: Any, bag: str, target: Any, result_format: Optional[str], *options: Any) -> Any:
     commands = argparse.ArgumentParser().add_subparsers()
-    parsers = []
+    parsers: List[Any] = []
 
-    def add_command(*names, **settings):
+    def add_command(*names: Any, **settings: Any) -> Any:
         parsers.append(commands.add_parser(*names, **settings))
         return parsers[-1]
 
@@ -46,7 +48,9 @@ def make_task(program, bag, target, result_format, *options):
 
 
 @pytest.mark.slow
-def test_result_has_requested_format(program, tmp_path, capsys):
+def test_result_has_requested_format(
+    program: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     bag = make_bag(tmp_path / "a.bag", "x", "x")
     assert play_bag(make_task(program, bag, tmp_path / "text", None), str(tmp_path)) == (0, "", None, None)
     assert (tmp_path / "text").read_text().splitlines() == [
@@ -67,7 +71,7 @@ def test_result_has_requested_format(program, tmp_path, capsys):
     assert capsys.readouterr() == ("", "")
 
 
-def test_part_continues_from_state_of_previous_part(program, tmp_path):
+def test_part_continues_from_state_of_previous_part(program: Any, tmp_path: Path) -> None:
     """A pattern begins in one part and ends in the next one."""
     first = make_task(program, make_bag(tmp_path / "a_0.bag", "x"), tmp_path / "0", "jsonl")
     result = play_bag(first._replace(has_next_part=True), str(tmp_path))
@@ -77,7 +81,7 @@ def test_part_continues_from_state_of_previous_part(program, tmp_path):
     assert [(line["id"], line["time"] // SECOND) for line in lines] == [("all", 9), ("twice", 9)]
 
 
-def test_parquet_result_has_records(program, tmp_path):
+def test_parquet_result_has_records(program: Any, tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     bag = make_bag(tmp_path / "a.bag", "x", "x")
     result = play_bag(make_task(program, bag, tmp_path / "p", "parquet", "--events"), str(tmp_path))
@@ -87,7 +91,7 @@ def test_parquet_result_has_records(program, tmp_path):
     assert sum(row["event"] is not None for row in rows) == 3
 
 
-def test_failed_playback_leaves_no_file(program, tmp_path):
+def test_failed_playback_leaves_no_file(program: Any, tmp_path: Path) -> None:
     bag = make_bag(tmp_path / "a.bag", *(f"text {number}" for number in range(300)))
     with open(bag, "r+b") as file:
         file.seek(5000)
@@ -98,7 +102,9 @@ def test_failed_playback_leaves_no_file(program, tmp_path):
     assert set(os.listdir(tmp_path)) == before
 
 
-def test_any_exception_is_failure_of_bag(program, tmp_path, monkeypatch, restore_gc_calls):
+def test_any_exception_is_failure_of_bag(
+    program: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, restore_gc_calls: Any
+) -> None:
     bag = make_bag(tmp_path / "a.bag", "x")
     task = make_task(program, bag, tmp_path / "result", None)
     monkeypatch.setattr("retalis.cli.bag_command.play", lambda *arguments: 1 / 0)
@@ -106,7 +112,7 @@ def test_any_exception_is_failure_of_bag(program, tmp_path, monkeypatch, restore
     assert restore_gc_calls == [True]
 
 
-def test_long_stderr_is_truncated(program, tmp_path, monkeypatch):
+def test_long_stderr_is_truncated(program: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bag = make_bag(tmp_path / "a.bag", "x")
     task = make_task(program, bag, tmp_path / "result", None)
     monkeypatch.setattr(
@@ -119,7 +125,7 @@ def test_long_stderr_is_truncated(program, tmp_path, monkeypatch):
     )
 
 
-def test_error_names_url_of_bag(program, tmp_path):
+def test_error_names_url_of_bag(program: Any, tmp_path: Path) -> None:
     pytest.importorskip("fsspec")
     (tmp_path / "bad.bag").write_text("no bag")
     result = play_bag(make_task(program, f"file://{tmp_path}/bad.bag", tmp_path / "r", None), str(tmp_path))

@@ -3,6 +3,7 @@
 import json
 import os
 from pathlib import Path
+from typing import Any, Tuple
 
 import pytest
 from source import ROOT
@@ -15,7 +16,7 @@ RULES = "hot(X) <- my_robot__0__Heat(X, _) seq hot(X).\nprint_trigger(hot/1).\n"
 
 
 @pytest.fixture
-def folder(tmp_path):
+def folder(tmp_path: Path) -> Any:
     program = tmp_path / "program"
     program.mkdir()
     (program / "pub_sub.xml").write_text(TOPICS)
@@ -24,23 +25,25 @@ def folder(tmp_path):
     return program
 
 
-def run_check(capsys, *arguments):
+def run_check(capsys: pytest.CaptureFixture[str], *arguments: Any) -> Tuple[Any, ...]:
     """Return the exit status and the printed text."""
     status = main(["check", *map(str, arguments)])
     return status, capsys.readouterr().out
 
 
-def test_example_has_no_findings(capsys):
+def test_example_has_no_findings(capsys: pytest.CaptureFixture[str]) -> None:
     folder = ROOT / "application_source"
     assert run_check(capsys, folder, "--strict") == (0, f"{folder}: no errors, no warnings\n")
 
 
-def test_default_folder_is_working_folder(capsys, folder, monkeypatch):
+def test_default_folder_is_working_folder(
+    capsys: pytest.CaptureFixture[str], folder: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(folder)
     assert run_check(capsys) == (0, ".: no errors, no warnings\n")
 
 
-def test_warnings_are_errors_if_strict(capsys, folder):
+def test_warnings_are_errors_if_strict(capsys: pytest.CaptureFixture[str], folder: Any) -> None:
     (folder / "eventRules.txt").write_text(f"{RULES}cold <- hto(_).\nprint_trigger(cold).\n")
     text = (
         f"warning: {folder}/eventRules.txt:3:9: no producer of hto/1: no topic, rule or goal; "
@@ -51,7 +54,7 @@ def test_warnings_are_errors_if_strict(capsys, folder):
     assert run_check(capsys, folder, "--strict") == (2, text)
 
 
-def test_error_has_status_1(capsys, folder):
+def test_error_has_status_1(capsys: pytest.CaptureFixture[str], folder: Any) -> None:
     (folder / "eventRules.txt").write_text("a <- .\n")
     status, text = run_check(capsys, folder, "--strict")
     assert status == 1
@@ -59,7 +62,7 @@ def test_error_has_status_1(capsys, folder):
     assert text.endswith(f"{folder}: 1 error, no warnings\n")
 
 
-def test_json_has_findings(capsys, folder):
+def test_json_has_findings(capsys: pytest.CaptureFixture[str], folder: Any) -> None:
     (folder / "eventRules.txt").write_text(f"{RULES}cold <- hto(_).\nprint_trigger(cold).\n")
     status, text = run_check(capsys, folder, "--format", "json")
     assert status == 0
@@ -83,7 +86,9 @@ def test_json_has_findings(capsys, folder):
 
 
 @pytest.mark.parametrize("folder_name", ["my_robot", "my_robot/msg", "."])
-def test_types_are_found_in_folders(capsys, folder, tmp_path, folder_name):
+def test_types_are_found_in_folders(
+    capsys: pytest.CaptureFixture[str], folder: Any, tmp_path: Path, folder_name: str
+) -> None:
     (tmp_path / "my_robot" / "msg").mkdir(parents=True)
     (tmp_path / "my_robot" / "msg" / "Heat.msg").write_text("float64 heat\n")
     status, text = run_check(capsys, folder, "--msg", tmp_path / folder_name)
@@ -91,29 +96,31 @@ def test_types_are_found_in_folders(capsys, folder, tmp_path, folder_name):
     assert "my_robot__0__Heat/2 does not match its type: my_robot/Heat has 1 slot: heat" in text
 
 
-def test_types_are_found_in_bags(capsys, folder, tmp_path):
+def test_types_are_found_in_bags(capsys: pytest.CaptureFixture[str], folder: Any, tmp_path: Path) -> None:
     with BagWriter(tmp_path / "hot.bag") as bag:
         bag.write(bag.add("/hot", Definitions().add("my_robot/Heat", "float64 heat")), 1, bytes(8))
     assert "my_robot/Heat has 1 slot" in run_check(capsys, folder, "--bag", tmp_path / "hot.bag")[1]
 
 
-def test_missing_files_are_errors(capsys, tmp_path):
+def test_missing_files_are_errors(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     status, text = run_check(capsys, tmp_path)
     assert status == 1
     assert f"error: cannot read {tmp_path}/pub_sub.xml: No such file or directory [RT1000]\n" in text
     assert f"error: cannot read {tmp_path}/goalPredicates.txt: No such file or directory [RT1000]\n" in text
 
 
-def test_goals_print_nothing(capsys, folder):
+def test_goals_print_nothing(capsys: pytest.CaptureFixture[str], folder: Any) -> None:
     (folder / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')\nwrite(hello), nl\n")
     assert run_check(capsys, folder) == (0, f"{folder}: no errors, no warnings\n")
 
 
-def test_forbidden_folder_is_an_error(capsys, folder, monkeypatch):
+def test_forbidden_folder_is_an_error(
+    capsys: pytest.CaptureFixture[str], folder: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The system call is replaced, because root may enter all folders."""
     real_stat, real_text = os.stat, Path.read_text
 
-    def refuse(path):
+    def refuse(path: Any) -> None:
         if str(path).startswith(f"{folder}/"):
             raise PermissionError(13, "Permission denied", str(path))
 
@@ -126,7 +133,9 @@ def test_forbidden_folder_is_an_error(capsys, folder, monkeypatch):
     assert f"error: cannot read {folder}/pub_sub.xml: Permission denied [RT1000]\n" in text
 
 
-def test_playback_prints_traced_events(capsys, folder, tmp_path):
+def test_playback_prints_traced_events(
+    capsys: pytest.CaptureFixture[str], folder: Any, tmp_path: Path
+) -> None:
     definition = Definitions().add("my_robot/Heat", "float64 heat\nfloat64 wind")
     with BagWriter(tmp_path / "hot.bag") as bag:
         bag.write(bag.add("/hot", definition), 10**9, bytes(16))
@@ -135,7 +144,7 @@ def test_playback_prints_traced_events(capsys, folder, tmp_path):
     assert "event(hot(0.0),[datime(1970,1,1,0,0,1,0),datime(1970,1,1,0,0,1,0)])\n" in capsys.readouterr().err
 
 
-def test_single_rule_file_is_checked(capsys, tmp_path):
+def test_single_rule_file_is_checked(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     rules = tmp_path / "rules.txt"
     rules.write_text("hot(T) <- warm(T) where T > 30.\nfire <- hot(_, _) seq smoke.\n")
     assert run_check(capsys, rules) == (
@@ -145,7 +154,7 @@ def test_single_rule_file_is_checked(capsys, tmp_path):
     )
 
 
-def test_endless_goal_is_an_error(capsys, folder):
+def test_endless_goal_is_an_error(capsys: pytest.CaptureFixture[str], folder: Any) -> None:
     (folder / "eventRules.txt").write_text(RULES + "forever :- forever.\n:- forever.\n")
     status, text = run_check(capsys, folder, "--max-seconds", "0.1")
     assert status == 1
@@ -154,7 +163,7 @@ def test_endless_goal_is_an_error(capsys, folder):
     )
 
 
-def test_option_json_is_json_format(capsys, folder):
+def test_option_json_is_json_format(capsys: pytest.CaptureFixture[str], folder: Any) -> None:
     texts = [run_check(capsys, folder, *options)[1] for options in (["--json"], ["--format", "json"])]
     assert texts[0] == texts[1]
     assert json.loads(texts[0])["errors"] == 0
@@ -168,7 +177,9 @@ def test_option_json_is_json_format(capsys, folder):
         ("/hot", ""),
     ],
 )
-def test_topics_are_compared_with_bags(capsys, folder, tmp_path, topic, message):
+def test_topics_are_compared_with_bags(
+    capsys: pytest.CaptureFixture[str], folder: Any, tmp_path: Path, topic: str, message: str
+) -> None:
     heat = Definitions().add("my_robot/Heat", "float64 heat\nfloat64 time")
     with BagWriter(tmp_path / "hot.bag") as bag:
         bag.write(bag.add(topic, heat), 1, bytes(16))
@@ -178,7 +189,9 @@ def test_topics_are_compared_with_bags(capsys, folder, tmp_path, topic, message)
     )
 
 
-def test_type_of_topic_is_compared_with_bags(capsys, folder, tmp_path):
+def test_type_of_topic_is_compared_with_bags(
+    capsys: pytest.CaptureFixture[str], folder: Any, tmp_path: Path
+) -> None:
     with BagWriter(tmp_path / "hot.bag") as bag:
         bag.write(bag.add("/hot", Definitions().add("my_robot/Cold", "float64 heat")), 1, bytes(8))
     assert (
@@ -187,14 +200,16 @@ def test_type_of_topic_is_compared_with_bags(capsys, folder, tmp_path):
     )
 
 
-def test_rule_in_goal_file_is_reported(capsys, folder):
+def test_rule_in_goal_file_is_reported(capsys: pytest.CaptureFixture[str], folder: Any) -> None:
     (folder / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')\nhot(X) <- cold(X)\n")
     status, printed = run_check(capsys, folder)
     assert status == 1
     assert "goalPredicates.txt:2:1: this is a rule, not a goal: write it into a file" in printed
 
 
-def test_spans_are_compared_with_rate_of_bags(capsys, folder, tmp_path):
+def test_spans_are_compared_with_rate_of_bags(
+    capsys: pytest.CaptureFixture[str], folder: Any, tmp_path: Path
+) -> None:
     heat = Definitions().add("my_robot/Heat", "float64 heat\nfloat64 time")
     with BagWriter(tmp_path / "hot.bag") as bag:
         connection = bag.add("/hot", heat)
@@ -212,7 +227,7 @@ def test_spans_are_compared_with_rate_of_bags(capsys, folder, tmp_path):
     )
 
 
-def test_missing_topic_file_has_similar_name(capsys, folder):
+def test_missing_topic_file_has_similar_name(capsys: pytest.CaptureFixture[str], folder: Any) -> None:
     (folder / "pub_sub.xml").rename(folder / "pubsub.xml")
     assert (
         "pub_sub.xml: No such file or directory; did you mean pubsub.xml? [RT1000]"

@@ -4,6 +4,7 @@ import argparse
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any, Set
 from xml.etree import ElementTree
 
 import pytest
@@ -15,7 +16,9 @@ from retalis.cli.command_line import COMMANDS, main, make_parser
 SOURCES = Path(__file__).resolve().parents[2] / "src"
 
 
-def test_version_is_read_from_manifest(capsys, monkeypatch, tmp_path):
+def test_version_is_read_from_manifest(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     with pytest.raises(SystemExit) as raised:
         main(["--version"])
     manifest = ElementTree.parse(SOURCES.parent / "package.xml").getroot()
@@ -27,7 +30,7 @@ def test_version_is_read_from_manifest(capsys, monkeypatch, tmp_path):
     assert command_line.version() == "9 of retalis"
 
 
-def imported_modules(*arguments):
+def imported_modules(*arguments: Any) -> Set[Any]:
     """Return the modules of the package that a command imports in a separate process."""
     code = """import sys
 from retalis.cli.command_line import main
@@ -48,18 +51,18 @@ print(*(name for name in sys.modules if name.startswith("retalis.")), file=sys.s
     return set(result.stderr.split())
 
 
-def test_version_imports_no_engine():
+def test_version_imports_no_engine() -> None:
     modules = imported_modules("--version")
     assert {name.split(".")[1] for name in modules} == {"cli", "foundation"}
 
 
 @pytest.mark.parametrize("command", ["docs", "query", "status", "demo"])
-def test_help_without_engine_imports_no_engine(command):
+def test_help_without_engine_imports_no_engine(command: str) -> None:
     assert {name.split(".")[1] for name in imported_modules(command, "--help")} == {"cli", "foundation"}
 
 
 @pytest.mark.slow
-def test_command_imports_only_needed_modules():
+def test_command_imports_only_needed_modules() -> None:
     modules = imported_modules("events", "--help")
     assert "retalis.cli.event_stream_command" in modules
     assert not [name for name in modules if name.startswith("retalis.playback")]
@@ -71,13 +74,13 @@ def test_command_imports_only_needed_modules():
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_help_of_command_equals_full_parser(name, capsys):
+def test_help_of_command_equals_full_parser(name: Any, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as raised:
         main([name, "--help"])
     assert (raised.value.code, capsys.readouterr().out) == (0, parsers()[name].format_help())
 
 
-def test_help_lists_all_commands(capsys):
+def test_help_lists_all_commands(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["--help"])
     text = capsys.readouterr().out
@@ -85,7 +88,7 @@ def test_help_lists_all_commands(capsys):
     assert all(f"\n    {name} " in text for name in COMMANDS)
 
 
-def test_missing_command_prints_help_as_error(capsys):
+def test_missing_command_prints_help_as_error(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["--help"])
     text = capsys.readouterr().out
@@ -93,13 +96,13 @@ def test_missing_command_prints_help_as_error(capsys):
     assert capsys.readouterr() == ("", text)
 
 
-def parsers():
+def parsers() -> Any:
     """Return the parser of each command by its name."""
     return make_parser([])[1]
 
 
 @pytest.mark.parametrize(("name", "parser"), parsers().items())
-def test_help_of_each_command_has_common_form(name, parser):
+def test_help_of_each_command_has_common_form(name: Any, parser: Any) -> None:
     assert parser.description[0].isupper()
     assert parser.description.rstrip().endswith(".")
     for action in parser._actions:
@@ -120,12 +123,14 @@ NUMERIC_OPTIONS = [
 ]
 
 
-def test_some_commands_have_numeric_options():
+def test_some_commands_have_numeric_options() -> None:
     assert {("bag", "--start"), ("console", "--most"), ("query", "--timeout")} <= set(NUMERIC_OPTIONS)
 
 
 @pytest.mark.parametrize(("command", "option"), NUMERIC_OPTIONS)
-def test_invalid_number_is_a_usage_error(command, option, capsys):
+def test_invalid_number_is_a_usage_error(
+    command: Any, option: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as raised:
         main([command, f"{option}=many"])
     message = capsys.readouterr().err.splitlines()[-1]

@@ -2,6 +2,8 @@
 
 import io
 import sys
+from pathlib import Path
+from typing import Any, List
 
 import pytest
 
@@ -17,7 +19,7 @@ LIMIT_OPTIONS = ("--max-inferences", "100000"), ("--max-seconds", "0.2")
 
 
 @pytest.fixture
-def files(tmp_path):
+def files(tmp_path: Path) -> Any:
     (tmp_path / "rules.txt").write_text(RULES)
     (tmp_path / "stream.txt").write_text(STREAM)
     (tmp_path / "goals.txt").write_text("loop\n")
@@ -25,7 +27,9 @@ def files(tmp_path):
 
 
 @pytest.mark.parametrize("option", LIMIT_OPTIONS)
-def test_events_continues_after_endless_goal(files, option, capsys):
+def test_events_continues_after_endless_goal(
+    files: Any, option: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
     status = main(
         ["events", "--rules", str(files / "rules.txt"), "--stream", str(files / "stream.txt"), *option]
     )
@@ -39,7 +43,7 @@ def test_events_continues_after_endless_goal(files, option, capsys):
     assert "stream.txt:3:1: Not enough resources" in captured.err
 
 
-def test_initial_goals_and_queries_have_limits(files, capsys):
+def test_initial_goals_and_queries_have_limits(files: Any, capsys: pytest.CaptureFixture[str]) -> None:
     (files / "queries.txt").write_text("loop.\nX = 1.\n")
     (files / "more.txt").write_text("consult('rules.txt')\nloop\n")
     options = ["--goals", str(files / "more.txt"), "--queries", str(files / "queries.txt")]
@@ -51,7 +55,9 @@ def test_initial_goals_and_queries_have_limits(files, capsys):
 
 
 @pytest.mark.parametrize("option", LIMIT_OPTIONS)
-def test_console_continues_after_endless_goal(option, capsys, monkeypatch):
+def test_console_continues_after_endless_goal(
+    option: Any, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO("repeat, fail.\nX = 1.\n"))
     assert main(["console", *option]) == 1
     captured = capsys.readouterr()
@@ -60,7 +66,7 @@ def test_console_continues_after_endless_goal(option, capsys, monkeypatch):
     assert "Not enough resources" in captured.err
 
 
-def test_output_is_limited_on_request_only(files, capsys):
+def test_output_is_limited_on_request_only(files: Any, capsys: pytest.CaptureFixture[str]) -> None:
     goals = ["-g", "forall(between(1, 1100, _), format('~*c', [1000, 0'x]))", "-g", "write('\\e[2J')"]
     assert main(["console", *goals]) == 0
     captured = capsys.readouterr()
@@ -71,7 +77,7 @@ def test_output_is_limited_on_request_only(files, capsys):
     assert captured.err.count("error: Not enough resources: output") == 1
 
 
-def make_bag(path, count):
+def make_bag(path: Any, count: int) -> None:
     definition = Definitions().find("std_msgs/Int32")
     with BagWriter(path) as writer:
         connection = writer.add("in", definition)
@@ -80,7 +86,9 @@ def make_bag(path, count):
 
 
 @pytest.mark.parametrize("option", LIMIT_OPTIONS)
-def test_bag_continues_after_endless_goal(files, option, capsys):
+def test_bag_continues_after_endless_goal(
+    files: Any, option: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
     (files / "pub_sub.xml").write_text(
         '<publish_subscribe><subscribe_to name="in" msg_type="std_msgs/Int32"/>'
         '<publish_to name="out" msg_type="std_msgs/Int32"/></publish_subscribe>'
@@ -108,7 +116,9 @@ def test_bag_continues_after_endless_goal(files, option, capsys):
         *(("--max-megabytes", "inf"), ("--max-output-megabytes", "x")),
     ],
 )
-def test_invalid_limit_is_a_usage_error(command, option, value, capsys):
+def test_invalid_limit_is_a_usage_error(
+    command: List[str], option: Any, value: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as raised:
         main([*command, option, value])
     assert raised.value.code == 2
@@ -116,7 +126,7 @@ def test_invalid_limit_is_a_usage_error(command, option, value, capsys):
 
 
 @pytest.mark.parametrize("command", ["console", "events", "bag"])
-def test_full_help_has_limits(command, capsys):
+def test_full_help_has_limits(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main([command, "--help-all"])
     text = capsys.readouterr().out
@@ -125,16 +135,16 @@ def test_full_help_has_limits(command, capsys):
     assert "--watchdog N" in text
 
 
-def test_time_of_user_is_not_limited(capsys):
+def test_time_of_user_is_not_limited(capsys: pytest.CaptureFixture[str]) -> None:
     class User(PipedInput):
         is_terminal = True
 
-        def wants_more(self):
+        def wants_more(self) -> bool:
             budget = console.engine.logic.machine.budget
             entries.append(budget.executor.entry)
             return True
 
-    entries = []
+    entries: List[Any] = []
     console = Console(StderrReporter(), Settings(limits=Limits(inferences=40_000)))
     console.solve_goals(
         User(

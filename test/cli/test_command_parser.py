@@ -1,5 +1,8 @@
 """Help and errors of the parsers of commands."""
 
+from pathlib import Path
+from typing import Any, List
+
 import pytest
 
 from retalis.cli.command_line import COMMANDS, main
@@ -8,7 +11,7 @@ MAX_LINES = 24
 """Lines of a usual terminal window."""
 
 
-def usage_error(arguments, capsys):
+def usage_error(arguments: Any, capsys: pytest.CaptureFixture[str]) -> Any:
     with pytest.raises(SystemExit) as raised:
         main(arguments)
     assert raised.value.code == 2
@@ -17,7 +20,7 @@ def usage_error(arguments, capsys):
     return captured.err.splitlines()
 
 
-def printed_help(arguments, capsys):
+def printed_help(arguments: Any, capsys: pytest.CaptureFixture[str]) -> Any:
     with pytest.raises(SystemExit) as raised:
         main(arguments)
     assert not raised.value.code
@@ -25,14 +28,16 @@ def printed_help(arguments, capsys):
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_help_fits_on_screen(command, capsys, monkeypatch):
+def test_help_fits_on_screen(
+    command: Any, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     lines = printed_help([command, "--help"], capsys).splitlines()
     assert len(lines) <= MAX_LINES
     assert lines[0].startswith(f"usage: retalis {command} [options]")
 
 
-def test_full_help_has_groups_omitted_from_short(capsys):
+def test_full_help_has_groups_omitted_from_short(capsys: pytest.CaptureFixture[str]) -> None:
     short, full = (printed_help(["bag", option], capsys) for option in ("--help", "--help-all"))
     for name in ("--max-seconds", "--jobs", "--direct", "--folder", "many bags:", "with --json each line"):
         assert name in full
@@ -41,7 +46,7 @@ def test_full_help_has_groups_omitted_from_short(capsys):
     assert "--program" in short
 
 
-def test_command_without_groups_has_no_full_help(capsys):
+def test_command_without_groups_has_no_full_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert "--help-all" not in printed_help(["list", "--help"], capsys)
 
 
@@ -69,13 +74,15 @@ def test_command_without_groups_has_no_full_help(capsys):
         (["check", "-z"], "retalis check [options] [FOLDER]", "unknown argument '-z'"),
     ],
 )
-def test_error_shows_usage_and_similar_name(arguments, usage, error, capsys):
+def test_error_shows_usage_and_similar_name(
+    arguments: List[str], usage: str, error: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     *usage_lines, last = usage_error(arguments, capsys)
     assert usage_lines == [f"usage: {usage}"]
     assert last.partition(": error: ")[2] == error
 
 
-def test_abbreviated_option_is_accepted(capsys, tmp_path):
+def test_abbreviated_option_is_accepted(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     (tmp_path / "rules.txt").write_text("a <- b.")
     assert main(["check", str(tmp_path / "rules.txt"), "--form", "json"]) == 0
     assert '"findings"' in capsys.readouterr().out

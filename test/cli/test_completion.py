@@ -8,6 +8,8 @@ import shutil
 import subprocess
 import sys
 import time
+from pathlib import Path
+from typing import Any, List
 
 import pytest
 from python_path import python_path
@@ -16,12 +18,12 @@ from retalis.cli import completion
 from retalis.cli.command_line import main, make_parser
 
 
-def candidates(*words, names=lambda kind, node: []):
+def candidates(*words: Any, names: Any = lambda kind, node: []) -> Any:
     """Return the completions of the last word."""
     return completion.list_candidates(make_parser([])[0], words, names)
 
 
-def names_in_node(kind, node):
+def names_in_node(kind: Any, node: Any) -> List[str]:
     return [f"{kind} of {node}", "odom"]
 
 
@@ -51,18 +53,20 @@ def names_in_node(kind, node):
         (["console", "a", "b", "c"], []),
     ],
 )
-def test_words_have_candidates(words, expected):
+def test_words_have_candidates(words: List[str], expected: Any) -> None:
     assert candidates(*words, names=names_in_node) == expected
 
 
-def test_commands_and_options_are_candidates():
+def test_commands_and_options_are_candidates() -> None:
     commands = candidates("")
     assert {"bag", "console", "demo", "events", "query", "watch", "reload"} <= set(commands)
     for command in commands:
         assert "--help" in candidates(command, "-")
 
 
-def test_command_complete_prints_candidates(capsys, monkeypatch):
+def test_command_complete_prints_candidates(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert main(["complete", "words", "1", "retalis", "demo"]) == 0
     assert capsys.readouterr().out.endswith("demo\n")
     monkeypatch.setattr(completion, "import_ros_module", no_ros)
@@ -70,11 +74,11 @@ def test_command_complete_prints_candidates(capsys, monkeypatch):
     assert capsys.readouterr() == ("", "")
 
 
-def no_ros(name):
+def no_ros(name: Any) -> None:
     raise completion.UsageError("there is no ROS")
 
 
-def test_script_of_shell_is_printed(capsys):
+def test_script_of_shell_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["complete"]) == 0
     assert "\ncomplete -o default -F _retalis_complete retalis\n" in capsys.readouterr().out
     assert main(["complete", "zsh"]) == 0
@@ -124,7 +128,7 @@ LINES = [
 ]
 
 
-def wait_for(terminal, pattern):
+def wait_for(terminal: Any, pattern: bytes) -> Any:
     """Read from a terminal until the text matches a pattern; return the match."""
     text, deadline = b"", time.monotonic() + MAX_WAIT_SECONDS
     while time.monotonic() < deadline:
@@ -136,7 +140,7 @@ def wait_for(terminal, pattern):
     raise AssertionError(f"expected {pattern!r} in {text!r}")
 
 
-def complete_in_terminal(words, lines, environment):
+def complete_in_terminal(words: Any, lines: List[Any], environment: Any) -> Any:
     """Return what an interactive shell completes each line to."""
     terminal, shell_side = pty.openpty()
     shell = subprocess.Popen(
@@ -144,7 +148,7 @@ def complete_in_terminal(words, lines, environment):
     )
     os.close(shell_side)
     try:
-        completed = []
+        completed: List[Any] = []
         for line in lines:
             wait_for(terminal, re.escape(PROMPT))
             # ctrl-G prints the completed line, ctrl-U deletes it, and return shows the prompt.
@@ -158,9 +162,9 @@ def complete_in_terminal(words, lines, environment):
         os.close(terminal)
 
 
-def complete_in_fish(lines, environment):
+def complete_in_fish(lines: List[Any], environment: Any) -> Any:
     """Return what fish completes each line to, which it prints for a script."""
-    completed = []
+    completed: List[Any] = []
     for line in lines:
         script = f'retalis complete fish | source; complete -C "{line}"'
         words = ["fish", "-N", "-c", script]
@@ -174,7 +178,7 @@ def complete_in_fish(lines, environment):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_shell_completes_words(shell, tmp_path):
+def test_shell_completes_words(shell: str, tmp_path: Path) -> None:
     if shutil.which(shell) is None:
         pytest.skip(f"{shell} is not installed (Debian's package {shell})")
     command = tmp_path / "bin" / "retalis"

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any, List
 
 import pytest
 from python_path import python_path
@@ -24,10 +25,10 @@ SOURCE = Path(__file__).resolve().parents[2] / "src"
 
 
 @pytest.fixture
-def ask(capsys):
+def ask(capsys: pytest.CaptureFixture[str]) -> Any:
     """Return a function that pipes text into a console and returns the printed output and errors."""
 
-    def ask(text, console=None):
+    def ask(text: str, console: Any = None) -> Any:
         console = Console(StderrReporter()) if console is None else console
         console.solve_goals(PipedInput(io.StringIO(text)))
         return capsys.readouterr()
@@ -63,47 +64,47 @@ def ask(capsys):
         ("halt.\nX = 1.", ""),
     ],
 )
-def test_solutions_are_printed(ask, goal, answer):
+def test_solutions_are_printed(ask: Any, goal: str, answer: str) -> None:
     captured = ask(goal + "\n")
     assert (captured.out, captured.err) == (answer, "")
 
 
-def test_console_continues_after_error(ask):
+def test_console_continues_after_error(ask: Any) -> None:
     captured = ask("atom_length(X, Y).\nthrow(oops).\nX = 2.\n")
     assert captured.out == "X = 2.\n"
     assert "Arguments are not sufficiently instantiated" in captured.err
     assert "Unhandled exception: oops" in captured.err
 
 
-def test_error_after_output_is_on_new_line(ask):
+def test_error_after_output_is_on_new_line(ask: Any) -> None:
     captured = ask("write(a), atom_length(X, Y).\n")
     assert captured.out == "a\n"
 
 
-def test_syntax_error_has_position_and_caret(ask):
+def test_syntax_error_has_position_and_caret(ask: Any) -> None:
     captured = ask("X = .\nX = 1.\n")
     assert captured.out == "X = 1.\n"
     assert "user:1:5" in captured.err
     assert captured.err.splitlines()[-1] == "    ^"
 
 
-def test_undefined_predicate_has_similar_name(ask):
+def test_undefined_predicate_has_similar_name(ask: Any) -> None:
     assert "did you mean atom_length/2" in ask("atom_lenth(a, X).\n").err
 
 
-def test_option_most_limits_solutions(capsys):
+def test_option_most_limits_solutions(capsys: pytest.CaptureFixture[str]) -> None:
     Console(StderrReporter(), max_solutions=2).solve_goals(PipedInput(io.StringIO("repeat.\n")))
     assert capsys.readouterr().out == "true ;\ntrue .\n% there may be more (see --most)\n"
 
 
-def test_clauses_are_read_from_user(ask):
+def test_clauses_are_read_from_user(ask: Any) -> None:
     captured = ask("[user].\np(1).\np(X) :- q(Y).\nend_of_file.\np(X).\n")
     assert captured.out.startswith("true.\nX = 1 ;\n")
     assert "singleton variables: X, Y" in captured.err
     assert "called from p/1" in captured.err
 
 
-def test_files_are_consulted(tmp_path, ask, caplog):
+def test_files_are_consulted(tmp_path: Path, ask: Any, caplog: pytest.LogCaptureFixture) -> None:
     path = tmp_path / "facts.pl"
     path.write_text("p(1).\np(2).\nout(X) <- in(X).\nq(A) :- p(1).\n")
     captured = ask(
@@ -115,7 +116,7 @@ def test_files_are_consulted(tmp_path, ask, caplog):
     assert "cannot read" in captured.err
 
 
-def test_invalid_file_reports_all_errors(tmp_path, capsys):
+def test_invalid_file_reports_all_errors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "wrong.pl"
     path.write_text("p(.\nq(1) <- a.\nr(]).\n")
     reporter = StderrReporter()
@@ -124,7 +125,7 @@ def test_invalid_file_reports_all_errors(tmp_path, capsys):
     assert "wrong.pl:1:3" in capsys.readouterr().err
 
 
-def test_flags_and_operators_apply_to_next_goal(ask):
+def test_flags_and_operators_apply_to_next_goal(ask: Any) -> None:
     captured = ask('op(700, xfx, ===>), set_prolog_flag(double_quotes, codes).\nX = (a ===> b).\nX = "a".\n')
     assert captured.out == "true.\nX = (a===>b).\nX = [97].\n"
 
@@ -145,7 +146,7 @@ TRACE = """\
 """
 
 
-def test_trace_prints_ports(ask):
+def test_trace_prints_ports(ask: Any) -> None:
     console = Console(StderrReporter())
     ask("[user].\np(X, b) :- q(X).\nq(1).\nq(2).\nend_of_file.\n", console)
     captured = ask("trace, p(X, b), X > 1.\np(X, b).\n", console)
@@ -153,59 +154,59 @@ def test_trace_prints_ports(ask):
     assert without_variable_names(captured.err) == TRACE
 
 
-def test_trace_has_exceptions_and_meta_calls(ask):
+def test_trace_has_exceptions_and_meta_calls(ask: Any) -> None:
     captured = ask("trace(catch(atom_length(_, _), error(E, _), true)).\n")
     assert captured.out == "E = instantiation_error.\n"
     ports = [line.split()[0] for line in captured.err.splitlines()]
     assert ports == ["Call:", "Call:", "Exception:", "Exit:"]
 
 
-def test_trace_respects_cuts(ask):
+def test_trace_respects_cuts(ask: Any) -> None:
     console = Console(StderrReporter())
     ask("[user].\np(X) :- q(X), !.\nq(1).\nq(2).\nend_of_file.\n", console)
     captured = ask("trace(p(X)).\ntrace(\\+ p(3)).\ntrace((p(X) -> Y = X ; Y = none)).\n", console)
     assert captured.out == "X = 1.\ntrue.\nX = Y, Y = 1.\n"
 
 
-def test_trace_is_switched_on_and_off(ask):
+def test_trace_is_switched_on_and_off(ask: Any) -> None:
     captured = ask("trace.\natom(a).\nnotrace.\natom(b).\n")
     assert captured.out == "true.\n" * 4
     assert captured.err == "     Call: (1) atom(a)\n     Exit: (1) atom(a)\n"
 
 
-def without_variable_names(text):
+def without_variable_names(text: Any) -> Any:
     return re.sub(r"_G\d+", "_", text)
 
 
-def test_simple_terminal_has_no_line_editing(monkeypatch):
-    def refuse(path):
+def test_simple_terminal_has_no_line_editing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(path: Any) -> None:
         raise RuntimeError("terminal doesn't have the required 'clear' capability")
 
     readline = SimpleNamespace(
         **dict.fromkeys(("set_completer", "set_completer_delims", "parse_and_bind"), id)
     )
     readline.read_history_file = refuse
-    exit_handlers = []
+    exit_handlers: List[Any] = []
     monkeypatch.setattr("atexit.register", exit_handlers.append)
     monkeypatch.setitem(sys.modules, "readline", readline)
     assert TerminalInput(list).is_terminal
     assert not exit_handlers
 
 
-def test_names_are_completed():
+def test_names_are_completed() -> None:
     names = ["append", "atom_length", "atom_chars", "=..", "Weird"]
     assert find_completions("atom", names) == ["atom_chars", "atom_length"]
     assert find_completions("", names) == []
     assert find_completions("W", names) == []
 
 
-def test_names_of_bindings_are_unique():
+def test_names_of_bindings_are_unique() -> None:
     read = read_term("f(_A, X)", Operators.prolog())
     read.names["X"].ref = (read.term[0], read.names["_A"], 1)
     assert format_bindings(read.names, Operators.prolog()) == "X = f(_, 1)"
 
 
-def run(arguments, text=""):
+def run(arguments: List[str], text: str = "") -> Any:
     return subprocess.run(
         [sys.executable, "-m", "retalis", "console", *arguments],
         input=text,
@@ -217,7 +218,7 @@ def run(arguments, text=""):
 
 
 @pytest.mark.slow
-def test_piped_goals_and_option_goal_are_solved(tmp_path):
+def test_piped_goals_and_option_goal_are_solved(tmp_path: Path) -> None:
     path = tmp_path / "facts.pl"
     path.write_text("p(1).\n")
     process = run([str(path)], "p(X).\np(.\n")
@@ -226,7 +227,7 @@ def test_piped_goals_and_option_goal_are_solved(tmp_path):
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs a pseudo-terminal")
-def test_terminal_has_solutions_and_interrupts(tmp_path):
+def test_terminal_has_solutions_and_interrupts(tmp_path: Path) -> None:
 
     pid, terminal = pty.fork()
     if pid == 0:
@@ -262,42 +263,42 @@ def test_terminal_has_solutions_and_interrupts(tmp_path):
 
 
 class Screen:
-    def __init__(self, terminal):
+    def __init__(self, terminal: Any) -> None:
         self._terminal = terminal
         self._text = ""
 
-    def type(self, text):
+    def type(self, text: str) -> None:
         os.write(self._terminal, text.encode())
 
-    def until(self, text):
+    def until(self, text: str) -> None:
         while text not in self._text:
             self._text += os.read(self._terminal, 4096).decode()
         self._text = self._text.split(text, 1)[1]
 
 
-def test_output_of_cleanup_ends_its_line(ask):
+def test_output_of_cleanup_ends_its_line(ask: Any) -> None:
     captured = ask("setup_call_cleanup(true, member(X, [1,2]), write(done)), !.\nX = 2.")
     assert captured.out == "done\nX = 1.\nX = 2.\n"
 
 
-def test_unknown_procedure_is_named_once(ask):
+def test_unknown_procedure_is_named_once(ask: Any) -> None:
     assert "error: Unknown procedure: no_such/1\n" in ask("no_such(1).").err
 
 
-def test_all_goals_and_clauses_of_line_are_read(ask):
+def test_all_goals_and_clauses_of_line_are_read(ask: Any) -> None:
     text = "X = 1. X = 2.\n[user]. h(1). h(2).\nh(3). h(\n4).\nend_of_file.\nh(X).\n"
     assert ask(text).out == "X = 1.\nX = 2.\ntrue.\nX = 1 ;\nX = 2 ;\nX = 3 ;\nX = 4.\n"
 
 
 @pytest.mark.slow
-def test_goal_beyond_memory_limit_ends(ask):
+def test_goal_beyond_memory_limit_ends(ask: Any) -> None:
     console = Console(StderrReporter(), Settings(limits=Limits(megabytes=50)))
     captured = ask("numlist(1, 20000000, L).\nX = 1.\n", console)
     assert captured.err.startswith("error: Not enough resources: memory (in numlist/3)")
     assert captured.out.endswith("X = 1.\n")
 
 
-def test_typed_goals_open_files_anywhere(ask, tmp_path, monkeypatch):
+def test_typed_goals_open_files_anywhere(ask: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("here", "there"):
         (tmp_path / name).mkdir()
     monkeypatch.chdir(tmp_path / "here")
@@ -315,20 +316,20 @@ class TypedLines:
 
     is_terminal = True
 
-    def __init__(self, *lines):
+    def __init__(self, *lines: Any) -> None:
         self.unread_text = ""
         self.prompts = []
         self._lines = list(lines)
 
-    def read_line(self, prompt):
+    def read_line(self, prompt: Any) -> Any:
         self.prompts.append(prompt)
         return self._lines.pop(0) if self._lines else None
 
-    def wants_more(self):
+    def wants_more(self) -> bool:
         return False
 
 
-def test_goal_reads_typed_lines(capsys):
+def test_goal_reads_typed_lines(capsys: pytest.CaptureFixture[str]) -> None:
     terminal = TypedLines(
         "write('Fever? '), read(X), read(Y).\n", "yes.\n", "39.\n", "get_char(X).\n", "\n", "z\n"
     )
@@ -339,7 +340,7 @@ def test_goal_reads_typed_lines(capsys):
     assert "X = '\\n'." in printed
 
 
-def test_goal_from_pipe_reads_end_of_file(ask):
+def test_goal_from_pipe_reads_end_of_file(ask: Any) -> None:
     assert ask("read(X).\nfoo.\n").out.startswith("X = end_of_file.")
 
 
@@ -347,6 +348,8 @@ def test_goal_from_pipe_reads_end_of_file(ask):
     ("goals", "status"),
     [(["true"], 0), (["fail"], 1), (["true", "fail"], 1), (["member(X, [1,2])"], 0), (["X = f("], 1)],
 )
-def test_option_goal_has_exit_status(goals, status, capsys):
+def test_option_goal_has_exit_status(
+    goals: List[str], status: int, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["console", *(f"--goal={goal}" for goal in goals)]) == status
     assert ("false." in capsys.readouterr().out) == ("fail" in goals)

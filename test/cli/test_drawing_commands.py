@@ -16,7 +16,9 @@ from make_bag import make_bag  # noqa: E402
 PROGRAM = str(ROOT / "application_source")
 
 
-def test_graph_is_printed_or_written(tmp_path, capsys, monkeypatch):
+def test_graph_is_printed_or_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(ROOT / "application_source")
     assert main(["graph"]) == 0
     captured = capsys.readouterr()
@@ -29,7 +31,7 @@ def test_graph_is_printed_or_written(tmp_path, capsys, monkeypatch):
     assert (tmp_path / "nao.dot").read_text() == captured.out
 
 
-def test_graph_is_printed_as_json(capsys):
+def test_graph_is_printed_as_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["graph", PROGRAM, "--json"]) == 0
     graph = json.loads(capsys.readouterr().out)
     ids = {node["id"] for node in graph["nodes"]}
@@ -38,7 +40,7 @@ def test_graph_is_printed_as_json(capsys):
     assert {"rule", "event", "topic", "memory", "output"} <= {node["kind"] for node in graph["nodes"]}
 
 
-def test_topic_with_event_name_has_edge_to_event(tmp_path, capsys):
+def test_topic_with_event_name_has_edge_to_event(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "pub_sub.xml").write_text(
         '<publish_subscribe><subscribe_to name="left" msg_type="std_msgs/Bool" event="bump"/></publish_subscribe>'
     )
@@ -50,17 +52,17 @@ def test_topic_with_event_name_has_edge_to_event(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("name", ["x.jpeg", "x", "x.svgz"])
-def test_unknown_suffix_is_an_error(name, capsys):
+def test_unknown_suffix_is_an_error(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["graph", str(ROOT / "application_source"), "-o", name]) == 1
     assert "expected a name that ends in one of .svg, .png, .pdf, .dot, .gv" in capsys.readouterr().err
 
 
-def test_folder_without_program_is_an_error(tmp_path, capsys):
+def test_folder_without_program_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["graph", str(tmp_path)]) == 1
     assert "has no file goalPredicates.txt" in capsys.readouterr().err
 
 
-def test_program_with_error_is_drawn_in_part(tmp_path, capsys):
+def test_program_with_error_is_drawn_in_part(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "goalPredicates.txt").write_text("memorize(a, [], _, m, 5)\nno_such_goal\n")
     assert main(["graph", str(tmp_path)]) == 1
     captured = capsys.readouterr()
@@ -69,7 +71,7 @@ def test_program_with_error_is_drawn_in_part(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_plot_of_bag_equals_plot_of_file(tmp_path, capsys):
+def test_plot_of_bag_equals_plot_of_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bag = tmp_path / "nao.bag"
     make_bag(bag, 1.0, 1)
     assert main(["plot", str(bag), "--program", PROGRAM, "-o", str(tmp_path / "a.html")]) == 0
@@ -84,7 +86,7 @@ def test_plot_of_bag_equals_plot_of_file(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_plot_has_flushed_and_open_windows(tmp_path, capsys):
+def test_plot_has_flushed_and_open_windows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bag, program = tmp_path / "nao.bag", tmp_path / "program"
     make_bag(bag, 1.0, 1)
     program.mkdir()
@@ -109,7 +111,7 @@ def test_plot_has_flushed_and_open_windows(tmp_path, capsys):
     )
 
 
-def test_invalid_options_are_errors(tmp_path, capsys):
+def test_invalid_options_are_errors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["plot", "x.bag", "--program", PROGRAM, "-o", "run.jpeg"]) == 1
     assert "expected a name that ends in one of .html, .htm, .png, .svg, .pdf" in capsys.readouterr().err
     assert main(["plot", "--from", str(tmp_path / "none"), "-o", "run.html"]) == 1
@@ -120,7 +122,7 @@ def test_invalid_options_are_errors(tmp_path, capsys):
         assert raised.value.code == 2
 
 
-def test_plot_finds_types_in_folder(tmp_path, capsys):
+def test_plot_finds_types_in_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bag = tmp_path / "nao.bag"
     make_bag(bag, 0.1, 1)
     (tmp_path / "arm_msgs" / "msg").mkdir(parents=True)

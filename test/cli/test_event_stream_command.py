@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any, Dict, List, Tuple
 
 import pytest
 from python_path import python_path
@@ -21,10 +22,10 @@ RULES = "alarm(X) <- smoke(X) seq heat(X) where X \\= lab.\n"
 
 
 @pytest.fixture
-def run(tmp_path, capsys):
+def run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Any:
     """Return a function that runs the command over texts and returns its status, output lines and errors."""
 
-    def call(*options, **files):
+    def call(*options: Any, **files: Any) -> Tuple[Any, ...]:
         arguments = ["events"]
         for name, text in files.items():
             option = name.replace("_", "-")
@@ -41,7 +42,7 @@ def run(tmp_path, capsys):
     return call
 
 
-def test_events_are_printed_in_order_of_dispatch(run):
+def test_events_are_printed_in_order_of_dispatch(run: Any) -> None:
     stream = "event(smoke(a),[1,2]).\nevent(heat(a),[3,4.5]).\n"
     assert run(rules=RULES, stream=stream) == (
         0,
@@ -50,21 +51,21 @@ def test_events_are_printed_in_order_of_dispatch(run):
     )
 
 
-def test_printed_events_can_be_read_again(run):
+def test_printed_events_can_be_read_again(run: Any) -> None:
     stream = "event('A b'(\"s\",[x|T],'it''s',-1,- 1,a+b*c,{q},T,U),[1,1]).\n"
     status, lines, _ = run(stream=stream)
     assert (status, len(lines)) == (0, 1)
     assert run(stream="\n".join(lines)) == (0, lines, "")
 
 
-def test_event_with_strings_and_variables_is_read(run):
+def test_event_with_strings_and_variables_is_read(run: Any) -> None:
     rules = 'yes(1) <- a("text",inf) . yes(2) <- a("text",X) where var(X).\n'
     for stream in ('event(a("text",inf),[1,1]).\n', 'event(a("text",inf),[1,1]). true.\n'):
         assert run(rules=rules, stream=stream)[1] == ['event(a("text",inf),[1,1]).', "event(yes(1),[1,1])."]
     assert run(rules=rules, stream='event(a("text",True),[1,1]).')[1][0] == 'event(a("text",A),[1,1]).'
 
 
-def test_stamps_keep_their_form(run):
+def test_stamps_keep_their_form(run: Any) -> None:
     stream = "event(a,[datime(2001,1,1,0,0,0,5),datime(2001,1,1,0,0,1.0,0)]).\nevent(b,[datime(2001,1,1,0,0,2),3e9])."
     assert run(stream=stream)[1] == [
         "event(a,[datime(2001,1,1,0,0,0,5),datime(2001,1,1,0,0,1.0,0)]).",
@@ -72,14 +73,14 @@ def test_stamps_keep_their_form(run):
     ]
 
 
-def test_goals_precede_rules_and_stream(run):
+def test_goals_precede_rules_and_stream(run: Any) -> None:
     goals = "set_etalis_flag(event_consumption_policy,unrestricted)\nassert(hot(a))\n"
     rules = "alarm(X) <- smoke(X) seq heat(X) where hot(X).\n"
     stream = "event(smoke(a),[1,1]). event(heat(a),[2,2]). event(heat(a),[3,3]).\n"
     assert run(goals=goals, rules=rules, stream=stream)[1][-1] == "event(alarm(a),[1,3])."
 
 
-def test_other_terms_of_stream_are_goals(run):
+def test_other_terms_of_stream_are_goals(run: Any) -> None:
     stream = "assert(hot(a)).\nevent(go,[1,1]).\nwrite(hello), nl.\n"
     assert run(rules=":- dynamic(hot/1).\nyes <- go where hot(a).\n", stream=stream) == (
         0,
@@ -88,7 +89,7 @@ def test_other_terms_of_stream_are_goals(run):
     )
 
 
-def test_goals_may_be_directives(run):
+def test_goals_may_be_directives(run: Any) -> None:
     stream = ":- assertz(f(1)).\n?- assertz(f(2)).\n"
     assert run(goals=":- assertz(f(0)).", stream=stream, queries=":- f(X).\n?- f(2).") == (
         0,
@@ -98,13 +99,13 @@ def test_goals_may_be_directives(run):
 
 
 @pytest.mark.parametrize("time", ["-1", "x", "_", "inf"])
-def test_invalid_sleep_is_an_error(run, time):
+def test_invalid_sleep_is_an_error(run: Any, time: str) -> None:
     status, _, error = run(stream=f"sleep({time}).\n")
     assert status == 1
     assert "stream.txt:1:1: sleep/1: expected a number of seconds" in error
 
 
-def test_outputs_are_written_to_file(run, tmp_path):
+def test_outputs_are_written_to_file(run: Any, tmp_path: Path) -> None:
     goals = "subscribe(alarm(X),[],at(X),topic,'my id')"
     stream = "event(smoke(a),[1,1]). event(heat(a),[2,2])."
     status, lines, _ = run(goals=goals, rules=RULES, stream=stream, outputs=None)
@@ -112,7 +113,7 @@ def test_outputs_are_written_to_file(run, tmp_path):
     assert (tmp_path / "outputs.out").read_text() == "output(at(a),topic,'my id').\n"
 
 
-def test_outputs_can_be_printed(run):
+def test_outputs_can_be_printed(run: Any) -> None:
     goals = "subscribe(alarm(X),[],at(X),topic,i)"
     stream = "event(smoke(a),[1,1]). event(heat(a),[2,2])."
     assert "output(at(a),topic,i)." in run("--outputs", "-", goals=goals, rules=RULES, stream=stream)[1]
@@ -121,21 +122,21 @@ def test_outputs_can_be_printed(run):
 MEMORY = "memorize(a(X),[],X,m,2)"
 
 
-def test_memory_events_are_printed_on_request_only(run):
+def test_memory_events_are_printed_on_request_only(run: Any) -> None:
     assert run(goals=MEMORY, stream="event(a(1),[1,1]).")[1] == ["event(a(1),[1,1])."]
     lines = run("--memory-events", goals=MEMORY, stream="event(a(1),[1,1]).")[1]
     assert [line.partition("(")[0] for line in lines] == ["memory_event", "event", "memory_event"]
     assert lines[2].startswith("memory_event(memory_updated(m,1),[")
 
 
-def test_queries_print_their_solutions(run):
+def test_queries_print_their_solutions(run: Any) -> None:
     queries = "member(X,[1,2])\naccess_mem(m,X,[T1,T2]).\nfail\n"
     status, lines, _ = run(goals=MEMORY, stream="event(a(q),[1,2]).", queries=queries)
     assert status == 0
     assert lines == ["event(a(q),[1,2]).", "member(1,[1,2]).", "member(2,[1,2]).", "access_mem(m,q,[1,2])."]
 
 
-def test_error_in_query_does_not_stop_others(run):
+def test_error_in_query_does_not_stop_others(run: Any) -> None:
     status, lines, error = run(queries="member(X,[1])\nunknown_one(1)\nmember(X,[2])\n")
     assert status == 1
     assert lines == ["member(1,[1]).", "member(2,[2])."]
@@ -145,7 +146,7 @@ def test_error_in_query_does_not_stop_others(run):
 # ---- time -----------------------------------------------------------------------------------------------
 
 
-def test_clock_follows_stream(run):
+def test_clock_follows_stream(run: Any) -> None:
     stream = "event(a,[10,10]).\nevent(b).\nsleep(2.5).\nevent(c).\n"
     lines = run(stream=stream)[1]
     assert lines[1:] == ["event(b,[10,10]).", "event(c,[12.5,12.5])."]
@@ -155,35 +156,35 @@ def test_clock_follows_stream(run):
     ("start", "end"),
     [("1", "6"), ("1.5", "6.5"), ("datime(2026,1,1,0,0,1,0)", "datime(2026,1,1,0,0,6,0)")],
 )
-def test_clock_times_have_form_of_stream(run, start, end):
+def test_clock_times_have_form_of_stream(run: Any, start: str, end: str) -> None:
     stream = f"event(beat,[{start},{start}]).\nsleep(9).\n"
     lines = run("--explain", "lost", rules="lost <- beat seq absent(beat, 5).\n", stream=stream)[1]
     assert lines[1] == f"event(lost,[{start},{end}])."
     assert lines[3].startswith(f"%   lost [{start},{end}] by rule")
 
 
-def test_sleep_lets_alarms_fire(run):
+def test_sleep_lets_alarms_fire(run: Any) -> None:
     rules = "exceptionAlarm(late,5) <- start.\n"
     assert run(rules=rules, stream="event(start,[1,1]).\nsleep(4).\n")[1] == ["event(start,[1,1])."]
     lines = run(rules=rules, stream="event(start,[1,1]).\nsleep(4).\nsleep(1).\n")[1]
     assert lines[1].startswith("event(late,[1,")
 
 
-def test_due_alarms_fire_before_event(run):
+def test_due_alarms_fire_before_event(run: Any) -> None:
     lines = run(
         rules="exceptionAlarm(late,5) <- start.\n", stream="event(start,[1,1]).\nevent(x,[20,20]).\n"
     )[1]
     assert [line[6:10] for line in lines] == ["star", "late", "x,[2"]
 
 
-def test_pinned_clock_is_constant(run):
+def test_pinned_clock_is_constant(run: Any) -> None:
     stream = "event(a).\nevent(x,[datime(2005,1,1,0,0,0,0),datime(2005,1,1,0,0,0,0)]).\nevent(b).\n"
     lines = run("--clock", "datime(2001,1,1,0,0,0,0)", stream=stream)[1]
     assert lines[0] == "event(a,[datime(2001,1,1,0,0,0,1),datime(2001,1,1,0,0,0,1)])."
     assert lines[2] == "event(b,[datime(2001,1,1,0,0,0,2),datime(2001,1,1,0,0,0,2)])."
 
 
-def test_invalid_clock_is_an_error(run):
+def test_invalid_clock_is_an_error(run: Any) -> None:
     status, _, error = run("--clock", "monday", stream="event(a).")
     assert status == 1
     assert "--clock monday: expected datime" in error
@@ -192,7 +193,7 @@ def test_invalid_clock_is_an_error(run):
 # ---- errors ---------------------------------------------------------------------------------------------
 
 
-def test_rule_file_with_errors_is_not_active(run):
+def test_rule_file_with_errors_is_not_active(run: Any) -> None:
     rules = "a <- b ntimes zero.\nc <- (d.\ne <- f.\ng <- h cnott i.\n"
     status, lines, error = run(rules=rules, stream="event(f,[1,1]).")
     assert (status, lines) == (1, ["event(f,[1,1])."])
@@ -215,13 +216,13 @@ def test_rule_file_with_errors_is_not_active(run):
         ("event(a,[1,1])", "4:1"),
     ],
 )
-def test_error_in_stream_does_not_stop_others(run, text, position):
+def test_error_in_stream_does_not_stop_others(run: Any, text: str, position: str) -> None:
     status, lines, error = run(stream=f"event(before,[1,1]).\n{text}\n\nevent(after,[1,1]).\n")
     assert (status, lines) == (1, ["event(before,[1,1]).", "event(after,[1,1])."])
     assert f"stream.txt:{position}" in error
 
 
-def test_event_unlike_declaration_is_refused(run):
+def test_event_unlike_declaration_is_refused(run: Any) -> None:
     rules = ":- event smoke(room:atom).\n" + RULES.replace("seq heat(X) ", "")
     status, lines, error = run(
         rules=rules, stream="event(smoke(a),[1,1]).\nevent(smoke(7),[2,2]).\nevent(smoke,[3,3]).\n"
@@ -237,27 +238,27 @@ def test_event_unlike_declaration_is_refused(run):
     )
 
 
-def test_error_in_condition_is_reported(run):
+def test_error_in_condition_is_reported(run: Any) -> None:
     rules = "x <- a where 1 < foo.\ny <- a.\n"
     status, lines, error = run(rules=rules, stream="event(a,[1,1]).")
     assert (status, lines) == (1, ["event(a,[1,1]).", "event(y,[1,1])."])
     assert "rules.txt:1" in error
 
 
-def test_failed_goal_is_an_error_with_position(run):
+def test_failed_goal_is_an_error_with_position(run: Any) -> None:
     status, lines, error = run(goals="true\nfail\n", stream="event(a,[1,1]).")
     assert (status, lines) == (1, ["event(a,[1,1])."])
     assert "goals.txt:2:1" in error
 
 
-def test_missing_files_are_errors(run, tmp_path, capsys):
+def test_missing_files_are_errors(run: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["events", "--rules", str(tmp_path / "no.txt")]) == 1
     assert main(["events", "--stream", str(tmp_path / "no.txt")]) == 1
     assert main(["events", "--stream", os.devnull, "--outputs", str(tmp_path / "no" / "no.txt")]) == 1
     assert capsys.readouterr().err.count("no.txt") == 3
 
 
-def test_stream_in_other_encoding_is_an_error(tmp_path, capsys):
+def test_stream_in_other_encoding_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     stream = tmp_path / "stream.txt"
     stream.write_bytes(b"event(a,[1,1]).\n\xff\xfe\n")
     assert main(["events", "--stream", str(stream)]) == 1
@@ -267,7 +268,7 @@ def test_stream_in_other_encoding_is_an_error(tmp_path, capsys):
 # ---- JSON -----------------------------------------------------------------------------------------------
 
 
-def test_json_has_object_per_record(run, tmp_path):
+def test_json_has_object_per_record(run: Any, tmp_path: Path) -> None:
     goals = MEMORY + "\nsubscribe(a(X),[],X,t,i)\n"
     status, lines, _ = run(
         "--json",
@@ -297,7 +298,7 @@ def test_json_has_object_per_record(run, tmp_path):
 # ---- explanations ---------------------------------------------------------------------------------------
 
 
-def explanation_lines(run, event, rules, stream):
+def explanation_lines(run: Any, event: str, rules: str, stream: str) -> List[Any]:
     """Return the lines of the explanation of an event."""
     status, lines, error = run("--explain", event, rules=rules, stream=stream)
     assert error == ""
@@ -311,7 +312,7 @@ STREAM = (
 TWO_RULES = RULES + "evacuate(X) do true <- alarm(X) fnot drill.\n"
 
 
-def test_explanation_reaches_input_events(run):
+def test_explanation_reaches_input_events(run: Any) -> None:
     lines = explanation_lines(run, "evacuate(hall)", TWO_RULES, STREAM)
     assert lines[0] == "evacuate(hall) happened"
     assert [line.split(" by ")[0].rstrip() for line in lines[1:]] == [
@@ -323,7 +324,7 @@ def test_explanation_reaches_input_events(run):
     assert lines[1].endswith("rules.txt:2)")
 
 
-def test_patterns_and_intervals_are_explained(run):
+def test_patterns_and_intervals_are_explained(run: Any) -> None:
     assert explanation_lines(run, "alarm(X)", RULES, STREAM)[1].startswith("  alarm(hall) [1,2] by rule")
     assert explanation_lines(run, "event(alarm(X),[1,2])", RULES, STREAM)[0].endswith(" happened")
     lines = explanation_lines(run, "event(alarm(X),[1,3])", RULES, STREAM)
@@ -361,23 +362,23 @@ def test_patterns_and_intervals_are_explained(run):
         ("x <- y. y <- smoke(hall) where fail.", "- where fail: false "),
     ],
 )
-def test_missing_event_has_reason(run, rule, reason):
+def test_missing_event_has_reason(run: Any, rule: str, reason: str) -> None:
     lines = explanation_lines(run, "x", rule + "\n", STREAM)
     assert lines[0] == "x did not happen"
     assert any(line.lstrip().startswith(reason) for line in lines), lines
 
 
-def test_unknown_event_is_explained(run):
+def test_unknown_event_is_explained(run: Any) -> None:
     lines = explanation_lines(run, "flood(hall)", RULES, STREAM)
     assert lines[1].strip() == "no rule has such a head, and no such event came from outside"
 
 
-def test_recursive_rule_is_explained_once(run):
+def test_recursive_rule_is_explained_once(run: Any) -> None:
     lines = explanation_lines(run, "x", "x <- x seq y.\n", STREAM)
     assert sum("rule x" in line for line in lines) == 1
 
 
-def test_explanation_does_not_change_events(run):
+def test_explanation_does_not_change_events(run: Any) -> None:
     events = run(rules=TWO_RULES, stream=STREAM)[1]
     lines = run("--explain", "alarm(_)", rules=TWO_RULES, stream=STREAM)[1]
     assert len(events) == 6
@@ -385,13 +386,13 @@ def test_explanation_does_not_change_events(run):
 
 
 @pytest.mark.parametrize("event", ["X", "3", "event(a,[1])", "event(a,[1,b])", "a(b"])
-def test_explanation_of_non_event_is_an_error(run, event):
+def test_explanation_of_non_event_is_an_error(run: Any, event: str) -> None:
     status, lines, error = run("--explain", event, stream=STREAM)
     assert (status, len(lines)) == (1, 4)
     assert error.startswith("error: ")
 
 
-def test_retracted_event_is_explained(run):
+def test_retracted_event_is_explained(run: Any) -> None:
     rules = ":- set_etalis_flag(revision_flag, on).\n" + RULES
     stream = STREAM + "event(rev(smoke(hall)),[9,9]).\n"
     lines = explanation_lines(run, "alarm(hall)", rules, stream)
@@ -403,7 +404,7 @@ def test_retracted_event_is_explained(run):
     ]
 
 
-def test_events_of_queries_and_goals_are_explained(run):
+def test_events_of_queries_and_goals_are_explained(run: Any) -> None:
     rules = "synchronized(pose(X), true, []) <- b(X).\nnull do new_event(made(X), [1,1]) <- pose(X).\n"
     lines = explanation_lines(run, "made(3)", rules, "event(b(3),[2,2]).\n")
     texts = [line.split(" by")[0].strip() for line in lines[1:]]
@@ -411,7 +412,7 @@ def test_events_of_queries_and_goals_are_explained(run):
     assert texts[-1] == "b(3) at 2 came from outside"
 
 
-def test_explanation_has_variable_names_of_rule(run):
+def test_explanation_has_variable_names_of_rule(run: Any) -> None:
     lines = explanation_lines(run, "x(_)", "x(Y) <- z(X) seq smoke(Y) where Y = X.\n", STREAM)
     assert lines[1].startswith("  rule x(Y) <- z(X) seq smoke(Y) where Y = X (")
     assert [line.strip().split(":")[0] for line in lines[2:]] == [
@@ -425,13 +426,13 @@ def test_explanation_has_variable_names_of_rule(run):
 # ---- standard input -------------------------------------------------------------------------------------
 
 
-def test_term_may_span_several_lines(run, monkeypatch):
+def test_term_may_span_several_lines(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     text = "/* dots. in\n a comment. */ event(a,\n [1,\n  1]). event(b,[2,2]). event('c.\\\nd'\n,[3,3]).\n"
     monkeypatch.setattr("sys.stdin", io.StringIO(text))
     assert run("--stream", "-") == (0, ["event(a,[1,1]).", "event(b,[2,2]).", "event('c.d',[3,3])."], "")
 
 
-def test_event_is_printed_before_next_line(tmp_path):
+def test_event_is_printed_before_next_line(tmp_path: Path) -> None:
     rules = tmp_path / "rules.txt"
     rules.write_text("pong(X) <- ping(X).\n")
     child = subprocess.Popen(
@@ -454,7 +455,7 @@ def test_event_is_printed_before_next_line(tmp_path):
         child.stdout.close()
 
 
-def test_closed_reader_ends_command_silently(tmp_path):
+def test_closed_reader_ends_command_silently(tmp_path: Path) -> None:
     stream = tmp_path / "stream.txt"
     stream.write_text("".join(f"event(a({number}),[{number},{number}]).\n" for number in range(20000)))
     child = subprocess.Popen(
@@ -474,14 +475,16 @@ def test_closed_reader_ends_command_silently(tmp_path):
         child.stderr.close()
 
 
-def test_missing_options_are_a_usage_error(capsys):
+def test_missing_options_are_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as raised:
         main(["events", "--json"])
     assert raised.value.code == 2
     assert "nothing to do: give --rules, --goals, --stream, --queries or --explain" in capsys.readouterr().err
 
 
-def test_stream_goals_open_files_of_allowed_folders(run, tmp_path, monkeypatch):
+def test_stream_goals_open_files_of_allowed_folders(
+    run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for name in ("here", "data", "out", "program"):
         (tmp_path / name).mkdir()
     monkeypatch.chdir(tmp_path / "here")
@@ -501,7 +504,7 @@ def test_stream_goals_open_files_of_allowed_folders(run, tmp_path, monkeypatch):
     assert list((tmp_path / "here").iterdir()) == []
 
 
-def test_unread_input_is_detected_without_blocking(tmp_path):
+def test_unread_input_is_detected_without_blocking(tmp_path: Path) -> None:
     reading, writing = os.pipe()
     assert not has_unread_input(reading)
     os.write(writing, b"event(a).\n")
@@ -522,7 +525,9 @@ def test_unread_input_is_detected_without_blocking(tmp_path):
 
 
 @pytest.mark.parametrize(("options", "is_warned"), [((), True), (("--stream", "-"), False)])
-def test_unread_standard_input_is_warned_of(tmp_path, options, is_warned):
+def test_unread_standard_input_is_warned_of(
+    tmp_path: Path, options: Tuple[Any, ...], is_warned: bool
+) -> None:
     rules = tmp_path / "rules.txt"
     rules.write_text(RULES)
     process = subprocess.run(
@@ -537,7 +542,7 @@ def test_unread_standard_input_is_warned_of(tmp_path, options, is_warned):
     assert process.stdout == ("" if is_warned else "event(smoke(a),[1,2]).\n")
 
 
-def test_error_while_stream_is_read_names_stream(tmp_path, capsys):
+def test_error_while_stream_is_read_names_stream(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     outputs = tmp_path / "outputs.txt"
     outputs.write_text("former outputs\n")
     # The first page of a process is not mapped, so reading it is an error.
@@ -546,7 +551,7 @@ def test_error_while_stream_is_read_names_stream(tmp_path, capsys):
     assert outputs.read_text() == "former outputs\n"
 
 
-def test_missing_rule_file_ends_command(tmp_path, capsys):
+def test_missing_rule_file_ends_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     stream = tmp_path / "stream.txt"
     stream.write_text("event(smoke(a),[1,1]).\n")
     assert main(["events", "-r", str(tmp_path / "none.txt"), "-s", str(stream)]) == 1
@@ -555,7 +560,7 @@ def test_missing_rule_file_ends_command(tmp_path, capsys):
     assert captured.err == f"retalis: cannot read {tmp_path}/none.txt: No such file or directory\n"
 
 
-def test_decreasing_stamps_are_reported_once(run):
+def test_decreasing_stamps_are_reported_once(run: Any) -> None:
     stream = "event(a(1),[50,50]).\nevent(a(2),[39,39]).\nevent(a(3),[60,60]).\nevent(a(4),[10,49]).\n"
     status, lines, errors = run(stream=stream)
     assert (status, len(lines)) == (0, 4)
@@ -572,11 +577,11 @@ def test_decreasing_stamps_are_reported_once(run):
         "event(a).\nevent(b).\n",
     ],
 )
-def test_usual_order_of_stamps_is_not_reported(run, stream):
+def test_usual_order_of_stamps_is_not_reported(run: Any, stream: str) -> None:
     assert run(stream=stream)[2] == ""
 
 
-def test_all_output_has_relative_times(run):
+def test_all_output_has_relative_times(run: Any) -> None:
     stream = "event(smoke(a),[100,100]).\nevent(heat(a),[102,103.5]).\nevent(late,[99,100.5]).\n"
     lines = run("--times", "relative", "--explain", "alarm(a)", rules=RULES, stream=stream)[1]
     assert lines[:4] == [
@@ -592,12 +597,12 @@ def test_all_output_has_relative_times(run):
     assert times == [(0, 0), (2 * 10**9, 35 * 10**8), (0, 35 * 10**8), (0, 5 * 10**8)]
 
 
-def test_absent_event_with_similar_name_is_reported(run):
+def test_absent_event_with_similar_name_is_reported(run: Any) -> None:
     *_, errors = run(rules="hot(M) <- tmep(M, _).", stream="event(temp(a, 40), [1, 1]).")
     assert "no event tmep/2 occurred; did you mean temp/2? [RT1201]" in errors
 
 
-def test_absent_event_of_other_name_is_ignored(run):
+def test_absent_event_of_other_name_is_ignored(run: Any) -> None:
     rules = "hot(M) <- temp(M, _). hotter(M) <- temps(M, _)."
     assert run(rules=rules, stream="event(temp(a, 40), [1, 1]).")[2] == ""
 
@@ -606,14 +611,14 @@ OPEN_RULES = ":- state(docked(R), from(dock(R)), until(undock(R))).\nlost <- doc
 OPEN_STREAM = "event(dock(a), [10, 10]).\nevent(dock(b), [12, 12]).\n"
 
 
-def test_flush_advances_clock_after_stream(run):
+def test_flush_advances_clock_after_stream(run: Any) -> None:
     assert not any("lost" in line for line in run(rules=OPEN_RULES, stream=OPEN_STREAM)[1])
     for seconds, count in (("4", 1), ("5", 2)):
         lines = run("--flush", seconds, rules=OPEN_RULES, stream=OPEN_STREAM)[1]
         assert sum(line.startswith("event(lost,") for line in lines) == count, lines
 
 
-def test_open_states_are_printed_at_end(run):
+def test_open_states_are_printed_at_end(run: Any) -> None:
     lines = run("--open", rules=OPEN_RULES, stream=OPEN_STREAM)[1]
     assert lines[-2:] == ["% docked(a) is open since 10", "% docked(b) is open since 12"]
     lines = run("--open", "--times=relative", rules=OPEN_RULES, stream=OPEN_STREAM)[1]
@@ -638,7 +643,7 @@ event(task(a), [datime(2026,1,1,0,0,14,0), datime(2026,1,1,0,0,14,0)]).
 """
 
 
-def test_open_windows_are_printed_at_end(run):
+def test_open_windows_are_printed_at_end(run: Any) -> None:
     lines = run("--open", rules=OPEN_WINDOW_RULES, stream=OPEN_WINDOW_STREAM)[1]
     since = "is open since datime(2026,1,1,0,0"
     assert [line for line in lines if line.startswith("%")] == [
@@ -652,7 +657,7 @@ def test_open_windows_are_printed_at_end(run):
     ]
 
 
-def test_flushed_windows_are_not_open(run):
+def test_flushed_windows_are_not_open(run: Any) -> None:
     lines = run("--open", "--json", "--flush", "16", rules=OPEN_WINDOW_RULES, stream=OPEN_WINDOW_STREAM)[1]
     windows = [record for record in map(json.loads, lines) if "open_window" in record]
     start = 1767225611 * 10**9
@@ -677,7 +682,7 @@ def test_flushed_windows_are_not_open(run):
     assert [window["open_window"] for window in windows[2:]] == ["every(7,events)"]
 
 
-def test_goal_output_with_json_is_on_stderr(run):
+def test_goal_output_with_json_is_on_stderr(run: Any) -> None:
     rules = "a(X) <- b(X) where (write(seen(X)), nl).\n"
     status, lines, errors = run("--json", rules=rules, stream="event(b(1),[1,1]).\n")
     assert status == 0
@@ -693,9 +698,9 @@ silent <- left seq absent(never, 0.5).
 """
 
 
-def stream_with_wrong_stamps(offsets):
+def stream_with_wrong_stamps(offsets: Any) -> str:
     """Return a stream of 200 s in which some ticks have a stamp that is an offset (s) too late."""
-    lines = []
+    lines: List[Any] = []
     for second in range(1000, 1200):
         end = second + dict(offsets).get(second, 0)
         lines += [f"event(tick,[{end},{end}]).", f"event(left,[{second}.25,{second}.25])."]
@@ -704,7 +709,7 @@ def stream_with_wrong_stamps(offsets):
 
 
 @pytest.mark.parametrize("offsets", [{1050: 60}, {1050: 86_400}, {1050: 3600, 1051: 3600}, {1000: 10**9}])
-def test_single_stamp_ahead_costs_few_events(run, offsets):
+def test_single_stamp_ahead_costs_few_events(run: Any, offsets: Dict[Any, Any]) -> None:
     _, expected, _ = run(rules=AHEAD_RULES, stream=stream_with_wrong_stamps({}))
     _, lines, errors = run(rules=AHEAD_RULES, stream=stream_with_wrong_stamps(offsets))
     for name in ("last_10", "pair", "silent"):
@@ -716,7 +721,7 @@ def test_single_stamp_ahead_costs_few_events(run, offsets):
 
 
 @pytest.mark.parametrize("offsets", [{}, {1050: 3600}, {1050: 10**9}, {1010: 60, 1100: 3600, 1101: 7200}])
-def test_command_and_engine_derive_same_events(run, offsets):
+def test_command_and_engine_derive_same_events(run: Any, offsets: Dict[Any, Any]) -> None:
     stream = stream_with_wrong_stamps(offsets)
     _, lines, _ = run(rules=AHEAD_RULES, goals="timer(beat, every(10)).\n", stream=stream)
     engine, outputs = Engine(), []

@@ -1,6 +1,8 @@
 """Programs of ``test/data/scenarios`` in the command ``events``."""
 
 import json
+from pathlib import Path
+from typing import Any, List
 
 import pytest
 from events.stream_programs import term_text
@@ -19,7 +21,7 @@ STAMPED = ("event1_same_second",)
 class Run:
     """A scenario and its printed terms."""
 
-    def __init__(self, data, capsys):
+    def __init__(self, data: Any, capsys: pytest.CaptureFixture[str]) -> None:
         rules = data["rules"] if isinstance(data["rules"], list) else [data["rules"]]
         stream = [f"{goal}." for goal in data.get("goals_after_compile") or ()]
         for item in data["stream"]:
@@ -51,7 +53,7 @@ class Run:
         with open("outputs.out", encoding="utf-8") as file:
             self.outputs = [term_text(term) for term in terms(file.read())]
 
-    def _sort(self, term):
+    def _sort(self, term: Any) -> None:
         functor_name = term[0].name if term.__class__ is tuple else ""
         if functor_name not in ("event", "memory_event"):
             self.printed.append(term_text(term))
@@ -61,7 +63,7 @@ class Run:
         events.append((term_text(deref(term[1])), start, end))
 
 
-def write_option(name, lines):
+def write_option(name: str, lines: Any) -> Any:
     """Write a file and return its option; return no option without lines."""
     if not lines:
         return []
@@ -70,9 +72,9 @@ def write_option(name, lines):
     return [f"--{name.rstrip('0123456789')}", f"{name}.in"]
 
 
-def terms(text):
+def terms(text: Any) -> Any:
     """Return the printed terms, without other lines that a program prints."""
-    printed_terms = []
+    printed_terms: List[Any] = []
     for line in text.splitlines():
         for read_term in read_program(line, Operators.prolog(), "printed"):
             if not isinstance(read_term, SyntaxFault):
@@ -80,7 +82,7 @@ def terms(text):
     return printed_terms
 
 
-def agree(events, expected_events):
+def agree(events: Any, expected_events: Any) -> bool:
     """Return whether events are the expected ones, where stamps of the clock may be later."""
     if len(events) != len(expected_events):
         return False
@@ -97,7 +99,9 @@ def agree(events, expected_events):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
-def test_recorded_scenario_is_reproduced(path, tmp_path, monkeypatch, capsys):
+def test_recorded_scenario_is_reproduced(
+    path: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     data = json.loads(path.read_text(encoding="utf-8"))
     monkeypatch.chdir(tmp_path)
     for name, text in (data.get("files") or {}).items():

@@ -1,6 +1,7 @@
 """Command ``help``: search in situations, pages, programs and predicates."""
 
 import json
+from typing import Any, List
 
 import pytest
 from source import ROOT
@@ -11,15 +12,15 @@ from retalis.cli.help_search import all_entries, search, stem_word, suggest_word
 
 
 @pytest.fixture(scope="module")
-def entries():
+def entries() -> Any:
     return all_entries()
 
 
-def pages(matches):
+def pages(matches: Any) -> List[Any]:
     return [match.page.rpartition("/")[2] for match in matches]
 
 
-def test_best_match_has_operator_example_and_page(capsys):
+def test_best_match_has_operator_example_and_page(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["help", "missing", "message"]) == 0
     first = capsys.readouterr().out.partition("\n\n")[0]
     assert first.splitlines() == [
@@ -45,7 +46,7 @@ def test_best_match_has_operator_example_and_page(capsys):
         ),
     ],
 )
-def test_best_match_of_words(entries, words, title):
+def test_best_match_of_words(entries: Any, words: str, title: str) -> None:
     assert search(words, entries)[0].title == title
 
 
@@ -71,11 +72,11 @@ def test_best_match_of_words(entries, words, title):
         ("substring of an atom", "predicates.md"),
     ],
 )
-def test_words_lead_to_page(entries, words, page):
+def test_words_lead_to_page(entries: Any, words: str, page: str) -> None:
     assert page in pages(search(words, entries))
 
 
-def test_json_has_matches_in_order_of_text(capsys):
+def test_json_has_matches_in_order_of_text(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["help", "missing", "message"]) == 0
     titles = [block.partition("\n")[0] for block in capsys.readouterr().out.strip().split("\n\n")]
     assert main(["help", "missing", "message", "--json"]) == 0
@@ -90,7 +91,7 @@ def test_json_has_matches_in_order_of_text(capsys):
     }
 
 
-def test_text_of_section_is_cut_at_80_columns(entries):
+def test_text_of_section_is_cut_at_80_columns(entries: Any) -> None:
     section = search("state file format", entries)[0]
     title, excerpt, page = section.lines()
     assert (title, page) == (section.title, f"  page     {section.page}")
@@ -99,7 +100,7 @@ def test_text_of_section_is_cut_at_80_columns(entries):
     assert len(excerpt) <= 80
 
 
-def test_json_without_words_is_an_error(capsys):
+def test_json_without_words_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["help", "--json"]) == 1
     assert capsys.readouterr() == ("", "retalis: help --json: expected words to search\n")
 
@@ -114,11 +115,11 @@ def test_json_without_words_is_an_error(capsys):
         ("emergency stop", "emergency_stop"),
     ],
 )
-def test_words_lead_to_program_of_cookbook(entries, words, program):
+def test_words_lead_to_program_of_cookbook(entries: Any, words: str, program: str) -> None:
     assert f"examples/cookbook/{program}/README.md" in [match.page for match in search(words, entries)]
 
 
-def test_program_is_printed_with_its_situation(entries):
+def test_program_is_printed_with_its_situation(entries: Any) -> None:
     (program,) = [match for match in entries if match.title == "Program door"]
     assert program.lines() == [
         "Program door",
@@ -127,26 +128,26 @@ def test_program_is_printed_with_its_situation(entries):
     ]
 
 
-def test_all_programs_of_cookbook_are_searched(entries):
+def test_all_programs_of_cookbook_are_searched(entries: Any) -> None:
     programs = [path.parent.name for path in (ROOT / "examples" / "cookbook").glob("*/eventRules.txt")]
     names = [match.title[len("Program ") :] for match in entries if match.kind == "program"]
     assert sorted(names) == sorted(programs)
 
 
-def test_number_of_matches_is_limited(entries):
+def test_number_of_matches_is_limited(entries: Any) -> None:
     assert len(search("event", entries)) == help_search.MAX_MATCHES
 
 
-def test_unknown_words_do_not_hide_matches(entries):
+def test_unknown_words_do_not_hide_matches(entries: Any) -> None:
     assert search("debounce xyzzy", entries)[0].title == "debounce a button"
 
 
-def test_search_without_words_prints_usage(capsys):
+def test_search_without_words_prints_usage(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["help"]) == 0
     assert "retalis help missing message" in capsys.readouterr().out
 
 
-def test_search_without_matches_suggests_words(capsys):
+def test_search_without_matches_suggests_words(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["help", "debonce"]) == 1
     captured = capsys.readouterr()
     assert captured.out == ""
@@ -156,18 +157,20 @@ def test_search_without_matches_suggests_words(capsys):
     assert "hysteresis" in suggest_words("hysterises")
 
 
-def test_stop_words_count_only_alone(entries):
+def test_stop_words_count_only_alone(entries: Any) -> None:
     assert "(P and Q) within N" in [match.excerpt for match in search("and", entries)]
     assert search("", entries) == search("?", entries) == []
 
 
-def test_missing_documentation_is_an_error(monkeypatch, capsys):
+def test_missing_documentation_is_an_error(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(help_search, "docs_folder", lambda: None)
     assert main(["help", "debounce"]) == 1
     assert capsys.readouterr().err.startswith("retalis: help: the documentation is not installed: expected ")
 
 
-def test_forms_of_a_word_have_one_stem():
+def test_forms_of_a_word_have_one_stem() -> None:
     assert len({stem_word(word) for word in ("cancel", "cancels", "cancelled", "cancelling")}) == 1
     assert stem_word("is") == "is"
     assert stem_word("bus") == "bus"

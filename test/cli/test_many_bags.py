@@ -1,5 +1,8 @@
 """Separate playback of several bags: results, order and failures."""
 
+from pathlib import Path
+from typing import Any, Iterator
+
 import pytest
 from bags_and_program import make_bag, make_program
 
@@ -7,12 +10,12 @@ from retalis.cli.command_line import main
 
 
 @pytest.fixture
-def program(tmp_path):
+def program(tmp_path: Path) -> str:
     return str(make_program(tmp_path / "program"))
 
 
 @pytest.fixture
-def bags(tmp_path):
+def bags(tmp_path: Path) -> Any:
     """Return a folder with three bags and a damaged one."""
     for number, name in enumerate(("r1/a", "r1/b", "r2/a")):
         make_bag(tmp_path / "bags" / f"{name}.bag", *"xxyxy"[number:])
@@ -24,7 +27,9 @@ VALID_BAGS = ("r1/a", "r1/b", "r2/a")
 
 
 @pytest.mark.slow
-def test_output_equals_that_of_single_bags(program, bags, capfd):
+def test_output_equals_that_of_single_bags(
+    program: str, bags: Any, capfd: pytest.CaptureFixture[str]
+) -> None:
     options = ["--program", program, "--json", "--events", "--explain", "again(_)"]
     for name in VALID_BAGS:
         assert main(["bag", f"{bags}/{name}.bag", *options]) == 0
@@ -40,7 +45,9 @@ def test_output_equals_that_of_single_bags(program, bags, capfd):
 
 
 @pytest.mark.slow
-def test_results_equal_those_of_single_bags(program, bags, tmp_path, capfd):
+def test_results_equal_those_of_single_bags(
+    program: str, bags: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     assert main(["bag", str(bags), "--program", program, "--jobs", "2", "--output", f"{tmp_path}/new"]) == 1
     assert capfd.readouterr().out == ""
     results = sorted(path.relative_to(tmp_path / "new") for path in (tmp_path / "new").rglob("*.*"))
@@ -53,7 +60,9 @@ def test_results_equal_those_of_single_bags(program, bags, tmp_path, capfd):
 
 
 @pytest.mark.slow
-def test_parts_continue_from_previous_part(program, tmp_path, capfd):
+def test_parts_continue_from_previous_part(
+    program: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     parts = [
         make_bag(tmp_path / "day" / f"r_{number}.bag", *"xy", start=1 + 3 * number) for number in range(3)
     ]
@@ -74,7 +83,7 @@ def test_parts_continue_from_previous_part(program, tmp_path, capfd):
 
 
 @pytest.fixture(scope="module")
-def cluster():
+def cluster() -> Iterator[Any]:
     """Return the address of a scheduler; its start sets environment variables and loggers for good."""
     distributed = pytest.importorskip("distributed")
     options = {"dashboard_address": None, "processes": True}
@@ -83,7 +92,14 @@ def cluster():
 
 
 @pytest.mark.slow
-def test_cluster_has_same_results(program, bags, tmp_path, capfd, monkeypatch, cluster):
+def test_cluster_has_same_results(
+    program: str,
+    bags: Any,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    cluster: Any,
+) -> None:
     monkeypatch.chdir(bags.parent)  # the workers have another working folder
     options = ["bag", "bags", "--program", "program", "--json", "--output", "new"]
     assert main([*options, "--scheduler", cluster]) == 1
@@ -94,7 +110,9 @@ def test_cluster_has_same_results(program, bags, tmp_path, capfd, monkeypatch, c
 
 
 @pytest.mark.slow
-def test_equal_errors_of_bags_are_printed_once(program, bags, tmp_path, capfd):
+def test_equal_errors_of_bags_are_printed_once(
+    program: str, bags: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "program" / "goalPredicates.txt").write_text("nothing_such(1)\n")
     options = ["bag", f"{bags}/r1/a.bag", f"{bags}/r1/b.bag", "--program", program, "--jobs", "1"]
     assert main(options) == 1
@@ -121,7 +139,13 @@ CONFLICTS = {
 
 
 @pytest.mark.parametrize("arguments", CONFLICTS)
-def test_conflicting_options_are_errors(program, bags, capsys, monkeypatch, arguments):
+def test_conflicting_options_are_errors(
+    program: str,
+    bags: Any,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: Any,
+) -> None:
     monkeypatch.chdir(bags.parent)
     (bags.parent / "old" / "r1").mkdir(parents=True)
     (bags.parent / "old" / "r1" / "b.bag").touch()
@@ -130,6 +154,6 @@ def test_conflicting_options_are_errors(program, bags, capsys, monkeypatch, argu
     assert not (bags.parent / "new").exists()
 
 
-def test_url_needs_jobs(program, capsys):
+def test_url_needs_jobs(program: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bag", "s3://bucket/a.bag", "--program", program]) == 1
     assert "s3://bucket/a.bag: --jobs plays bags of URLs, each by itself" in capsys.readouterr().err

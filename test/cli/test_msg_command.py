@@ -1,6 +1,8 @@
 """Command ``msg``: message types of the installation and of bags."""
 
 import json
+from pathlib import Path
+from typing import Any
 
 import pytest
 from rosbags import rosbag2
@@ -10,7 +12,7 @@ from retalis.cli.command_line import main
 
 
 @pytest.fixture
-def bag(tmp_path):
+def bag(tmp_path: Path) -> Any:
     definitions = Definitions()
     name, path = "only_in_bags/Point", tmp_path / "some.bag"
     with BagWriter(path) as writer:
@@ -42,7 +44,7 @@ std_msgs__0__String(  % 4 bytes or more
 """
 
 
-def test_type_of_bag_is_printed_in_each_format(bag, capsys):
+def test_type_of_bag_is_printed_in_each_format(bag: Any, capsys: pytest.CaptureFixture[str]) -> None:
     for name, text in PRINTED.items():
         assert main(["msg", "only_in_bags/Point", "--bag", str(bag), "--format", name]) == 0
         assert capsys.readouterr().out == text
@@ -51,7 +53,7 @@ def test_type_of_bag_is_printed_in_each_format(bag, capsys):
         assert capsys.readouterr().out == STRING
 
 
-def test_type_of_ros2_bag_is_printed(tmp_path, capsys):
+def test_type_of_ros2_bag_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = {"version": 8} if hasattr(rosbag2, "StoragePlugin") else {}
     with rosbag2.Writer(tmp_path / "two", **options) as writer:
         connection = writer.add_connection(
@@ -65,7 +67,7 @@ def test_type_of_ros2_bag_is_printed(tmp_path, capsys):
     )
 
 
-def test_unreadable_type_of_bag_has_reason(tmp_path, capsys):
+def test_unreadable_type_of_bag_has_reason(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = {"version": 8} if hasattr(rosbag2, "StoragePlugin") else {}
     with rosbag2.Writer(tmp_path / "two", **options) as writer:
         writer.add_connection("/solid", "my_msgs/msg/Solid", msgdef="float64[<3] sizes\n", rihs01="RIHS01_0")
@@ -73,7 +75,7 @@ def test_unreadable_type_of_bag_has_reason(tmp_path, capsys):
     assert "two: my_msgs/Solid:1:1: expected 'type name' or" in capsys.readouterr().err
 
 
-def test_unknown_type_is_an_error(bag, capsys):
+def test_unknown_type_is_an_error(bag: Any, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["msg", "only_in_bags/Point"]) == 1
     assert "retalis: no definition of the message type only_in_bags/Point" in capsys.readouterr().err
     assert main(["msg", "only_in_bags/Other", "--bag", str(bag)]) == 1
@@ -83,12 +85,12 @@ def test_unknown_type_is_an_error(bag, capsys):
 
 
 @pytest.mark.parametrize("name", ["std_msgs/string", "std_msgs/Strng", "String", "string", "std_mgs/String"])
-def test_unknown_type_has_similar_name(name, capsys):
+def test_unknown_type_has_similar_name(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["msg", name]) == 1
     assert capsys.readouterr().err.endswith("; did you mean std_msgs/String?\n")
 
 
-def test_topics_of_bag_are_listed_without_type(bag, capsys):
+def test_topics_of_bag_are_listed_without_type(bag: Any, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["msg", "--bag", str(bag)]) == 0
     assert capsys.readouterr().out == (
         "topic    type                messages\n/points  only_in_bags/Point  1\n"
@@ -98,7 +100,7 @@ def test_topics_of_bag_are_listed_without_type(bag, capsys):
     assert json.loads(capsys.readouterr().out) == {"topics": [row], "unreadable": []}
 
 
-def test_type_is_printed_as_json(capsys):
+def test_type_is_printed_as_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["msg", "geometry_msgs/PoseWithCovariance", "--json", "--format", "zero"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["type"] == "geometry_msgs/PoseWithCovariance"
@@ -110,7 +112,7 @@ def test_type_is_printed_as_json(capsys):
     assert printed["text"].startswith("geometry_msgs__0__PoseWithCovariance(")
 
 
-def test_missing_type_without_bag_is_usage_error(capsys):
+def test_missing_type_without_bag_is_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as exit_info:
         main(["msg"])
     assert exit_info.value.code == 2

@@ -21,7 +21,7 @@ LISTED = {
 }
 
 
-def test_list_begins_with_summary():
+def test_list_begins_with_summary() -> None:
     assert format_list(LISTED) == [
         "node      /a",
         "time      1795367020.25",
@@ -34,7 +34,7 @@ def test_list_begins_with_summary():
     assert format_list({**LISTED, "now": None}, has_engine=False) == ["node  /a", "time  -"]
 
 
-def test_list_names_published_and_subscribed_topics():
+def test_list_names_published_and_subscribed_topics() -> None:
     tables = {
         "subscriptions": [{"topic": "alarms", "sent": 3}],
         "inputs": [{"topic": "/tf", "lag": 0.000012}],
@@ -62,7 +62,7 @@ def test_list_names_published_and_subscribed_topics():
     ]
 
 
-def test_list_shortens_values_to_one_line():
+def test_list_shortens_values_to_one_line() -> None:
     for value, text in (
         ("a\nb" + "c" * 100, "a b" + "c" * 54 + "..."),
         ("/x" * 100 + "/rules.txt:12:1", "..." + ("/x" * 100 + "/rules.txt:12:1")[-57:]),
@@ -79,7 +79,7 @@ RULE = {"label": "", "text": "a <- b", "place": "/x/rules.txt:1:1", "fired": 2, 
 RULE = {**RULE, "errors": 0, "waiting": 0, "dropped": 0}
 
 
-def test_status_has_rates_and_ages():
+def test_status_has_rates_and_ages() -> None:
     after = {**NODE, "now": 110.0, "taken": 30, "fired": 5, "rules": [{**RULE, "fired": 7}]}
     assert format_status({**NODE, "rules": [RULE]}, after, 10.0, 80) == [
         "/a  active  3.0 events/s  0.5 firings/s",
@@ -90,7 +90,7 @@ def test_status_has_rates_and_ages():
     ]
 
 
-def test_status_shows_problems_and_hides_zeros():
+def test_status_shows_problems_and_hides_zeros() -> None:
     (head,) = format_status(NODE, {**NODE, "inputs": [], "more_rules": 0, "waiting": []}, 1.0, 80)
     assert head == "/a  idle  0.0 events/s  0.0 firings/s"
     busy = {
@@ -113,7 +113,7 @@ def test_status_shows_problems_and_hides_zeros():
     ]
 
 
-def test_status_has_columns_for_late_and_ahead():
+def test_status_has_columns_for_late_and_ahead() -> None:
     subscription = {"topic": "alarms", "id": "a", "event": "fire", "sent": 0}
     counts = {"late": 3, "ahead": 2}
     after = {**NODE, "rules": [{**RULE, **counts}], "subscriptions": [{**subscription, **counts}]}
@@ -121,21 +121,21 @@ def test_status_has_columns_for_late_and_ahead():
     assert [(heading.count("late"), heading.count("ahead")) for heading in headings] == [(1, 1), (1, 1)]
 
 
-def test_status_without_time_has_no_ages():
+def test_status_without_time_has_no_ages() -> None:
     lines = format_status(NODE, {**NODE, "now": None, "rules": [RULE]}, 1.0, 80)
     assert lines[-1].split()[-1] == "-"
 
 
-def test_status_is_idle_without_events():
+def test_status_is_idle_without_events() -> None:
     assert format_status(NODE, NODE, 1.0, 80)[0].startswith("/a  idle  0.0 events/s")
     assert format_status(NODE, {**NODE, "taken": 1}, 1.0, 80)[0].startswith("/a  active  1.0 events/s")
 
 
-def test_restarted_node_has_no_negative_rate():
+def test_restarted_node_has_no_negative_rate() -> None:
     assert "0.0 events/s" in format_status({**NODE, "taken": 100}, {**NODE, "taken": 5}, 1.0, 80)[0]
 
 
-def test_status_of_interface_has_no_engine():
+def test_status_of_interface_has_no_engine() -> None:
     row = {"topic": "/tf", "type": "tf/tfMessage", "publishers": 0, "messages": 9, "age": 7200.0, "lag": 0.25}
     row = {**row, "dropped": 1, "refused": 2}
     status = {**NODE, "inputs": [row]}
@@ -148,7 +148,7 @@ def test_status_of_interface_has_no_engine():
     ]
 
 
-def test_status_fits_terminal():
+def test_status_fits_terminal() -> None:
     long = "long" * 20
     memory = {
         "id": long,
@@ -200,6 +200,6 @@ def test_status_fits_terminal():
         (90_000, "1d01h"),
     ],
 )
-def test_ages_are_short(seconds, age):
+def test_ages_are_short(seconds: float, age: str) -> None:
     lines = format_status(NODE, {**NODE, "rules": [{**RULE, "last_fired": 100.0 - seconds}]}, 1.0, 80)
     assert lines[-1].split()[-1] == age

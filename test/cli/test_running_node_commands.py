@@ -1,6 +1,7 @@
 """Commands for a running node, without ROS."""
 
 import sys
+from typing import List
 
 import pytest
 
@@ -8,7 +9,7 @@ from retalis.cli.command_line import main
 
 
 @pytest.fixture
-def no_ros(monkeypatch):
+def no_ros(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("rospy", "rosgraph", "genpy"):
         monkeypatch.setitem(sys.modules, name, None)
     for name in [name for name in sys.modules if name.startswith("retalis.ros1.")]:
@@ -27,7 +28,7 @@ def no_ros(monkeypatch):
         ["console", "--node", "/x"],
     ],
 )
-def test_missing_ros_is_an_error(no_ros, capsys, words):
+def test_missing_ros_is_an_error(no_ros: None, capsys: pytest.CaptureFixture[str], words: List[str]) -> None:
     assert main(words) == 1
     assert "this needs ROS" in capsys.readouterr().err
 
@@ -36,7 +37,7 @@ def test_missing_ros_is_an_error(no_ros, capsys, words):
     "words",
     [["query"], ["query", "a", "--most", "-1"], ["explain"], ["status", "--every", "x"]],
 )
-def test_invalid_options_are_usage_errors(capsys, words):
+def test_invalid_options_are_usage_errors(capsys: pytest.CaptureFixture[str], words: List[str]) -> None:
     with pytest.raises(SystemExit) as raised:
         main(words)
     assert raised.value.code == 2

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from python_path import python_path
@@ -17,7 +18,7 @@ FULL_DISK = "retalis: cannot write standard output: No space left on device\n"
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Return a folder with a program, a stream of events and a bag."""
     folder = tmp_path_factory.mktemp("streams")
     (folder / "rules.txt").write_text("hot(T) <- temp(T) where T > 38.\n")
@@ -37,7 +38,7 @@ def folder(tmp_path_factory):
     return folder
 
 
-def run(folder, arguments, **options):
+def run(folder: Any, arguments: str, **options: Any) -> Any:
     environment = {**os.environ, "PYTHONPATH": python_path()}
     return subprocess.run(
         [sys.executable, "-m", "retalis", *shlex.split(arguments)],
@@ -65,14 +66,14 @@ COMMANDS = (
 
 @pytest.mark.slow
 @pytest.mark.parametrize("arguments", COMMANDS)
-def test_full_disk_is_an_error(folder, arguments):
+def test_full_disk_is_an_error(folder: Any, arguments: Any) -> None:
     with open("/dev/full", "w") as full:
         process = run(folder, arguments, stdin=subprocess.DEVNULL, stdout=full)
     assert (process.stderr, process.returncode) == (FULL_DISK, 1)
 
 
 @pytest.mark.slow
-def test_full_disk_is_an_error_in_console(folder):
+def test_full_disk_is_an_error_in_console(folder: Any) -> None:
     with open("/dev/full", "w") as full:
         process = run(folder, "console", input="X = 1.\nX = 2.\n", stdout=full)
     assert (process.stderr, process.returncode) == (FULL_DISK, 1)
@@ -80,7 +81,7 @@ def test_full_disk_is_an_error_in_console(folder):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("arguments", COMMANDS[:3])
-def test_closed_reader_is_no_error(folder, arguments):
+def test_closed_reader_is_no_error(folder: Any, arguments: Any) -> None:
     reading, writing = os.pipe()
     os.close(reading)
     try:
@@ -92,13 +93,13 @@ def test_closed_reader_is_no_error(folder, arguments):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("arguments", ["console", "events --rules rules.txt --stream -", "check program"])
-def test_closed_standard_input_is_empty(folder, arguments):
+def test_closed_standard_input_is_empty(folder: Any, arguments: str) -> None:
     process = run(folder, arguments, stdout=subprocess.PIPE, preexec_fn=lambda: os.close(0))
     assert (process.stderr, process.returncode) == ("", 0)
 
 
 @pytest.mark.slow
-def test_closed_standard_output_changes_no_file(folder):
+def test_closed_standard_output_changes_no_file(folder: Any) -> None:
     page = folder / "run.html"
     process = run(folder, f"plot some.bag --program program -o {page}", preexec_fn=lambda: os.close(1))
     assert (process.stderr, process.returncode) == ("", 0)
@@ -109,7 +110,7 @@ def test_closed_standard_output_changes_no_file(folder):
 @pytest.mark.parametrize(
     "module", ["retalis.cli.command_line", "retalis.engine.engine", "retalis.playback.playback"]
 )
-def test_interrupt_of_import_has_status_130(folder, module):
+def test_interrupt_of_import_has_status_130(folder: Any, module: str) -> None:
     # The import of a module sends the signal, so that the test depends on no duration.
     program = (
         "import os, signal, sys\n"
@@ -133,7 +134,7 @@ def test_interrupt_of_import_has_status_130(folder, module):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("is_piped", [True, False])
-def test_interrupt_of_goal_has_status_130(folder, is_piped):
+def test_interrupt_of_goal_has_status_130(folder: Any, is_piped: bool) -> None:
     goal = "write(started), nl, repeat, fail."
     command = subprocess.Popen(
         [sys.executable, "-m", "retalis", "console", *([] if is_piped else ["--goal", goal])],

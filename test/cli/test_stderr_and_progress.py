@@ -2,6 +2,7 @@
 
 import sys
 from io import StringIO
+from typing import Any
 
 import pytest
 
@@ -12,11 +13,11 @@ from retalis.cli.stderr_and_progress import ProgressBar, StderrReporter, paint, 
 class Clock:
     now = 100.0
 
-    def __call__(self):
+    def __call__(self) -> Any:
         return self.now
 
 
-def test_bar_shows_rate_and_remaining_time():
+def test_bar_shows_rate_and_remaining_time() -> None:
     output, clock, share = StringIO(), Clock(), 0.0
     bar = ProgressBar("messages", lambda: share, output, clock)
     bar(1)
@@ -32,29 +33,29 @@ def test_bar_shows_rate_and_remaining_time():
     assert output.getvalue().endswith("\r\033[K")
 
 
-def test_share_is_clamped_to_range():
+def test_share_is_clamped_to_range() -> None:
     assert ProgressBar("x", lambda: 1.5, StringIO()).format_line(3, 1.0).startswith("100%")
     assert ProgressBar("x", lambda: -1.0, StringIO()).format_line(3, 1.0).startswith("  0%")
 
 
-def test_rate_below_one_is_shown():
+def test_rate_below_one_is_shown() -> None:
     assert (
         ProgressBar("bags", lambda: 0.5, StringIO()).format_line(3, 12.0).endswith("3 bags, 0.2/s, 0:12 left")
     )
 
 
-def test_no_bar_is_drawn_without_terminal(capsys):
+def test_no_bar_is_drawn_without_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     with show_progress("messages", lambda: 0.5) as bar:
         assert bar is None
     assert capsys.readouterr().err == ""
 
 
 class Terminal(StringIO):
-    def isatty(self):
+    def isatty(self) -> bool:
         return True
 
 
-def test_labels_are_coloured_on_terminals_only(monkeypatch):
+def test_labels_are_coloured_on_terminals_only(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("NO_COLOR", raising=False)
     monkeypatch.setenv("TERM", "xterm")
     for file, expected in (
@@ -67,7 +68,7 @@ def test_labels_are_coloured_on_terminals_only(monkeypatch):
 
 
 @pytest.mark.parametrize(("name", "value"), [("NO_COLOR", "1"), ("TERM", "dumb")])
-def test_colours_can_be_switched_off(monkeypatch, name, value):
+def test_colours_can_be_switched_off(monkeypatch: pytest.MonkeyPatch, name: str, value: str) -> None:
     monkeypatch.delenv("NO_COLOR", raising=False)
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv(name, value)

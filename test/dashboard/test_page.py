@@ -3,6 +3,7 @@
 import re
 import threading
 from itertools import combinations
+from typing import Any, Iterator
 
 import pytest
 
@@ -51,12 +52,12 @@ KIND_COLOURS = """
 
 
 @pytest.fixture
-def program():
+def program() -> Any:
     return engine()
 
 
 @pytest.fixture
-def page(browser, program):
+def page(browser: Any, program: Any) -> Iterator[Any]:
     """Open the page of the program, and wait until it shows numbers; return the browser."""
     with serving(program, topics=lambda: TOPICS, allows_queries=True) as dashboard:
         browser.open(dashboard.url)
@@ -64,26 +65,26 @@ def page(browser, program):
         yield browser
 
 
-def text_of(browser, selector):
+def text_of(browser: Any, selector: str) -> Any:
     return browser.ask(f"document.querySelector('{selector}').innerText")
 
 
-def wait_for_text(browser, selector, text):
+def wait_for_text(browser: Any, selector: str, text: str) -> None:
     """Wait until an element has a text."""
     browser.wait_for(f"document.querySelector('{selector}').innerText.includes({text!r})")
 
 
-def wait_for_update(browser, count=2):
+def wait_for_update(browser: Any, count: int = 2) -> None:
     """Wait for further snapshots."""
     snapshots = browser.ask("Number(document.body.dataset.looks)")
     browser.wait_for(f"Number(document.body.dataset.looks) >= {snapshots + count}")
 
 
-def rows_of(browser, table):
+def rows_of(browser: Any, table: str) -> Any:
     return browser.ask(ROWS.format(table=table))
 
 
-def test_tiles_show_counters_of_engine(page, program):
+def test_tiles_show_counters_of_engine(page: Any, program: Any) -> None:
     program.event("smoke(hall)", 1)
     program.event("heat(hall)", 2)
     program.event("marker(7)", 3)
@@ -104,7 +105,7 @@ def test_tiles_show_counters_of_engine(page, program):
     assert int(tiles["MB of memory"].replace(",", "")) > 0
 
 
-def test_rates_follow_events(page, program):
+def test_rates_follow_events(page: Any, program: Any) -> None:
     for second in range(1, 60):
         program.event("smoke(hall)", second)
     page.wait_for(f"parseFloat(({TILES})['events in /s']) > 0")
@@ -112,7 +113,7 @@ def test_rates_follow_events(page, program):
     page.wait_for("document.querySelectorAll('#graph path.edge.on').length > 0")
 
 
-def test_topics_show_counters_ages_and_lags(page, program):
+def test_topics_show_counters_ages_and_lags(page: Any, program: Any) -> None:
     program.event("heat(hall)", 2)
     wait_for_update(page)
     rows = rows_of(page, "topics")
@@ -122,7 +123,7 @@ def test_topics_show_counters_ages_and_lags(page, program):
     assert "house/Heat, no publisher" in text_of(page, "#topics")
 
 
-def test_memories_show_their_records(page, program):
+def test_memories_show_their_records(page: Any, program: Any) -> None:
     for second in (1, 2, 4):
         program.event("smoke(hall)", second)
     wait_for_update(page)
@@ -135,7 +136,7 @@ def test_memories_show_their_records(page, program):
     assert page.ask(bar) == "30%"
 
 
-def test_subscriptions_show_sent_outputs(page, program):
+def test_subscriptions_show_sent_outputs(page: Any, program: Any) -> None:
     program.event("smoke(hall)", 1)
     program.event("heat(hall)", 2)
     wait_for_update(page)
@@ -146,7 +147,7 @@ def test_subscriptions_show_sent_outputs(page, program):
     assert subscription.sent == 1
 
 
-def test_waiting_queries_show_their_memories(page, program):
+def test_waiting_queries_show_their_memories(page: Any, program: Any) -> None:
     program.event("marker(7)", 3)
     wait_for_text(page, "#waiting", "fires: empty so far")
     program.event("smoke(hall)", 4)
@@ -154,7 +155,7 @@ def test_waiting_queries_show_their_memories(page, program):
     assert "seen(7)" in text_of(page, "#waiting")
 
 
-def test_rules_show_their_counters(page, program):
+def test_rules_show_their_counters(page: Any, program: Any) -> None:
     program.load(rules="hot : warm(X) <- heat(X) where X > 1.", source="rules.txt")
     program.event("smoke(hall)", 1)
     program.event("heat(2)", 2)
@@ -174,7 +175,7 @@ def test_rules_show_their_counters(page, program):
         assert rule.text in text_of(page, "#rules")
 
 
-def test_items_beyond_limit_are_counted(page, program):
+def test_items_beyond_limit_are_counted(page: Any, program: Any) -> None:
     rules = "".join(f"a{number} <- b{number}. " for number in range(DEFAULT_LISTING_LIMIT))
     goals = "".join(
         f"memorize(c{number}, [], _, m{number}, 5)\n" for number in range(DEFAULT_LISTING_LIMIT + 1)
@@ -184,7 +185,7 @@ def test_items_beyond_limit_are_counted(page, program):
     wait_for_text(page, "#memories", "and 2 more")
 
 
-def test_running_goal_is_shown(page, program):
+def test_running_goal_is_shown(page: Any, program: Any) -> None:
     released = threading.Event()
 
     @foreign
@@ -207,7 +208,7 @@ def test_running_goal_is_shown(page, program):
     page.wait_for("document.getElementById('busy').hidden")
 
 
-def test_graph_shows_nodes_and_edges_of_program(page, program):
+def test_graph_shows_nodes_and_edges_of_program(page: Any, program: Any) -> None:
     program.load(rules="quiet(X) <- (smoke(X) seq heat(X)) cnot known(X) where owner(X). owner(hall).")
     graph = program_graph(program, GRAPH_TOPICS)
     page.wait_for(f"document.querySelectorAll('#graph g').length === {len(graph.nodes)}")
@@ -217,7 +218,7 @@ def test_graph_shows_nodes_and_edges_of_program(page, program):
 
 
 @pytest.mark.parametrize("dark", [False, True])
-def test_node_kinds_have_distinct_colours(page, program, dark):
+def test_node_kinds_have_distinct_colours(page: Any, program: Any, dark: bool) -> None:
     program.load(rules="a <- b where c, tf_missing(d, e, 0, _). c.")
     page.set_dark(dark)
     page.wait_for(f"document.querySelectorAll('#legend span').length === {len(NODE_STYLES)}")
@@ -230,7 +231,7 @@ def test_node_kinds_have_distinct_colours(page, program, dark):
     assert texts == [style.legend for style in NODE_STYLES.values()]
 
 
-def test_wide_graph_has_hint_to_scroll(page, program):
+def test_wide_graph_has_hint_to_scroll(page: Any, program: Any) -> None:
     hint = "document.getElementById('graph-scroll').hidden"
     program.load(rules=" ".join(f"stage{number + 1} <- stage{number}." for number in range(9)))
     page.wait_for(f"!{hint}")
@@ -242,13 +243,13 @@ def test_wide_graph_has_hint_to_scroll(page, program):
     page.wait_for(f"{graph}.className === 'scroll before'")
 
 
-def test_small_graph_has_no_hint_to_scroll(page):
+def test_small_graph_has_no_hint_to_scroll(page: Any) -> None:
     page.resize(1600, 900)
     page.wait_for("document.getElementById('graph-scroll').hidden")
     assert page.ask("document.getElementById('graph').className") == "scroll"
 
 
-def test_texts_of_program_are_not_markup(page, program):
+def test_texts_of_program_are_not_markup(page: Any, program: Any) -> None:
     program.event(f"said('{HOSTILE}')", 5)
     program.load(rules=f"'{HOSTILE}' <- '{HOSTILE}'(_).", goals=f"memorize(x, [], _, '{HOSTILE}', 5)")
     for part in ("#events", "#rules", "#memories"):
@@ -257,7 +258,7 @@ def test_texts_of_program_are_not_markup(page, program):
     assert page.ask("document.querySelectorAll('main img, main table b').length") == 0
 
 
-def test_events_are_listed_and_filtered(page, program):
+def test_events_are_listed_and_filtered(page: Any, program: Any) -> None:
     program.event("smoke(hall, 1.23456789)", 1)
     program.event("heat(attic)", 2)
     wait_for_text(page, "#events", "smoke(hall,1.234)")
@@ -270,7 +271,7 @@ def test_events_are_listed_and_filtered(page, program):
     assert page.ask("document.querySelectorAll('#events tbody tr').length") == 1
 
 
-def test_event_is_explained_on_request(page, program):
+def test_event_is_explained_on_request(page: Any, program: Any) -> None:
     program.event("smoke(attic)", 6)
     program.event("heat(attic)", 7)
     wait_for_text(page, "#events", "alarm(attic)")
@@ -292,21 +293,21 @@ def test_event_is_explained_on_request(page, program):
         ("repeat", "... there may be more"),
     ],
 )
-def test_query_is_answered(page, program, goal, answer):
+def test_query_is_answered(page: Any, program: Any, goal: str, answer: str) -> None:
     program.call("assertz(room(hall)), assertz(room(attic))")
     page.ask(f"document.getElementById('goal').value = {goal!r}")
     page.ask("document.querySelector('#query button').click()")
     wait_for_text(page, "#answer", answer)
 
 
-def test_query_form_is_hidden_if_not_allowed(browser, program):
+def test_query_form_is_hidden_if_not_allowed(browser: Any, program: Any) -> None:
     with serving(program) as dashboard:
         browser.open(dashboard.url)
         browser.wait_for(IS_OPEN)
         assert browser.ask("document.getElementById('asking').hidden")
 
 
-def test_events_are_observed_only_on_request(page, program):
+def test_events_are_observed_only_on_request(page: Any, program: Any) -> None:
     page.ask("document.getElementById('follow').click()")
     page.wait_for("!document.getElementById('follow').checked")
     wait_for_update(page, 3)
@@ -316,7 +317,7 @@ def test_events_are_observed_only_on_request(page, program):
 
 
 @pytest.mark.parametrize("width", [320, 390, 700, 1280])
-def test_page_is_not_wider_than_screen(page, program, width):
+def test_page_is_not_wider_than_screen(page: Any, program: Any, width: int) -> None:
     page.resize(width, 800)
     program.event(f"long('{LONG}', [{LONG}])", 9)
     program.event(f"marker({LONG})", 9)
@@ -328,7 +329,7 @@ def test_page_is_not_wider_than_screen(page, program, width):
     assert len(columns) == (1 if width <= 600 else 2)
 
 
-def test_page_shows_lost_node_and_reconnects(browser, program):
+def test_page_shows_lost_node_and_reconnects(browser: Any, program: Any) -> None:
     with serving(program) as dashboard:
         browser.open(dashboard.url)
         browser.wait_for(IS_OPEN)

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 from contextlib import ExitStack
+from typing import Any, Iterator
 
 import pytest
 from python_path import python_path
@@ -21,22 +22,22 @@ from retalis.dashboard.view_model import MAX_OPEN_PAGES, DashboardSource, TopicR
 
 
 @pytest.fixture
-def program():
+def program() -> Any:
     return engine()
 
 
 @pytest.fixture
-def page(program):
+def page(program: Any) -> Iterator[Any]:
     with serving(program) as dashboard:
         yield dashboard
 
 
 @pytest.fixture
-def visitor(page):
+def visitor(page: Any) -> Any:
     return Visitor(page)
 
 
-def test_only_files_of_page_are_served(visitor):
+def test_only_files_of_page_are_served(visitor: Any) -> None:
     assert {path.name for path in PAGE.iterdir()} == {name for name, _ in FILES.values()}
     for path, (name, content_type) in FILES.items():
         status, headers, body = visitor.ask(path)
@@ -45,7 +46,7 @@ def test_only_files_of_page_are_served(visitor):
         assert visitor.ask(path)[0] == 404, path
 
 
-def test_page_has_no_foreign_or_inline_code():
+def test_page_has_no_foreign_or_inline_code() -> None:
     assert len(list(PAGE.iterdir())) == len(FILES)
     for path in PAGE.iterdir():
         text = path.read_text(encoding="utf-8").replace("http://www.w3.org/2000/svg", "")
@@ -64,7 +65,7 @@ def test_page_has_no_foreign_or_inline_code():
             assert word not in text, (path, word)
 
 
-def test_each_response_has_security_headers(visitor):
+def test_each_response_has_security_headers(visitor: Any) -> None:
     for path in ("/", "/nothing"):
         _, headers, _ = visitor.ask(path)
         assert "default-src 'none'" in headers["Content-Security-Policy"]
@@ -80,11 +81,11 @@ def test_each_response_has_security_headers(visitor):
 @pytest.mark.parametrize(
     "host", ["evil.example", "evil.example:80", "127.0.0.1.evil.example", "[::1", "", "[::1]"]
 )
-def test_foreign_host_name_is_refused(visitor, path, host):
+def test_foreign_host_name_is_refused(visitor: Any, path: str, host: str) -> None:
     assert visitor.ask(path, Host=host)[0] in (400, 403)
 
 
-def test_request_of_foreign_page_is_refused(page, visitor):
+def test_request_of_foreign_page_is_refused(page: Any, visitor: Any) -> None:
     own = f"127.0.0.1:{page.port}"
     for origin in ("http://evil.example", "null", f"https://{own}", "http://127.0.0.1:1", "http://localhost"):
         assert visitor.ask("/stream", Host=own, Origin=origin)[0] == 403, origin
@@ -99,7 +100,7 @@ def test_request_of_foreign_page_is_refused(page, visitor):
     assert visitor.ask("/", Host="localhost:9000")[0] == 200  # as through a tunnel
 
 
-def test_only_json_of_limited_size_is_accepted(visitor):
+def test_only_json_of_limited_size_is_accepted(visitor: Any) -> None:
     assert visitor.ask("/query", "POST", "{}")[0] == 415
     assert visitor.ask("/query", "POST", "{}", Content_Type="text/plain")[0] == 415
     for body in ("", "[]", "1", "{", "[" * 9000):
@@ -113,19 +114,19 @@ def test_only_json_of_limited_size_is_accepted(visitor):
     assert visitor.ask("/", "DELETE")[0] == 405
 
 
-def test_unknown_method_is_refused(visitor, caplog):
+def test_unknown_method_is_refused(visitor: Any, caplog: pytest.LogCaptureFixture) -> None:
     status, _, body = visitor.ask("/", "FOO")
     assert (status, body) == (405, b"405: Method Not Allowed\n")
     assert caplog.text == ""
 
 
-def test_server_is_on_loopback_address_only(page):
+def test_server_is_on_loopback_address_only(page: Any) -> None:
     # A server on all addresses would accept this connection.
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.2", page.port), timeout=5)
 
 
-def test_stream_has_events_and_counters(program, visitor):
+def test_stream_has_events_and_counters(program: Any, visitor: Any) -> None:
     with visitor.stream() as stream:
         snapshot = stream.next()
         assert (snapshot["title"], snapshot["queries"], snapshot["watching"]) == ("/retalis", False, True)
@@ -141,7 +142,7 @@ def test_stream_has_events_and_counters(program, visitor):
         stream.until(lambda snapshot: snapshot["rates"]["taken"] > 0)
 
 
-def test_changed_graph_is_sent_again(program, visitor):
+def test_changed_graph_is_sent_again(program: Any, visitor: Any) -> None:
     with visitor.stream() as stream:
         graph = stream.next("graph")
         assert {"rule:0", "memory:fires", "event:smoke/1", "output:alarms"} <= {
@@ -152,13 +153,13 @@ def test_changed_graph_is_sent_again(program, visitor):
         assert "event:late/0" in {node["id"] for node in graph["nodes"]}
 
 
-def listener_count(program):
+def listener_count(program: Any) -> Any:
     """Return the number of listeners for all events, without that for origins."""
     listener_count = program.dispatcher._listeners.get(None, ())  # noqa: SLF001
     return sum(listener.accepts_unread for listener in listener_count)
 
 
-def wait_until(condition):
+def wait_until(condition: Any) -> None:
     """Wait for another thread until a condition holds."""
     event = threading.Event()
     for _ in range(int(TIMEOUT_SECONDS / 0.02)):
@@ -168,7 +169,7 @@ def wait_until(condition):
     raise AssertionError("waited in vain")
 
 
-def test_engine_has_listener_while_page_shows_events(program, visitor):
+def test_engine_has_listener_while_page_shows_events(program: Any, visitor: Any) -> None:
     assert listener_count(program) == 0
     with visitor.stream("/stream?events=0") as quiet:
         assert not quiet.next()["watching"]
@@ -180,14 +181,14 @@ def test_engine_has_listener_while_page_shows_events(program, visitor):
         quiet.until(lambda snapshot: not snapshot["watching"])
 
 
-def test_number_of_open_pages_is_limited(visitor):
+def test_number_of_open_pages_is_limited(visitor: Any) -> None:
     with ExitStack() as stack:
         for _ in range(MAX_OPEN_PAGES):
             assert stack.enter_context(visitor.stream()).status == 200
         with visitor.stream() as excess_stream:
             assert excess_stream.status == 503
 
-    def can_open_page():
+    def can_open_page() -> bool:
         with visitor.stream() as stream:
             return stream.status == 200
 
@@ -195,7 +196,7 @@ def test_number_of_open_pages_is_limited(visitor):
 
 
 @pytest.mark.slow
-def test_idle_connections_are_closed_before_pages(page, visitor):
+def test_idle_connections_are_closed_before_pages(page: Any, visitor: Any) -> None:
     with visitor.stream() as stream:
         links = [
             socket.create_connection(("127.0.0.1", page.port), timeout=TIMEOUT_SECONDS)
@@ -212,7 +213,7 @@ def test_idle_connections_are_closed_before_pages(page, visitor):
 
 
 @pytest.mark.slow
-def test_slow_reader_does_not_block_others(program, visitor):
+def test_slow_reader_does_not_block_others(program: Any, visitor: Any) -> None:
     program.load(rules="".join(f"a{number} <- b{number}(_). " for number in range(100)))
     with visitor.stream() as slow, visitor.stream() as stream:
         assert slow.status == 200
@@ -220,7 +221,7 @@ def test_slow_reader_does_not_block_others(program, visitor):
             stream.next()
 
 
-def test_event_is_explained(program, visitor):
+def test_event_is_explained(program: Any, visitor: Any) -> None:
     with visitor.stream() as stream:
         stream.next()
         program.event("smoke(hall)", 1)
@@ -233,7 +234,7 @@ def test_event_is_explained(program, visitor):
             assert "error" in visitor.post("/explain", {"serial": serial}), serial
 
 
-def test_queries_are_answered_if_allowed(program, visitor):
+def test_queries_are_answered_if_allowed(program: Any, visitor: Any) -> None:
     program.call("assertz(room(hall))")
     assert "dashboard_queries" in visitor.post("/query", {"goal": "room(X)"})["error"]
     with serving(program, allows_queries=True) as allowed:
@@ -247,11 +248,11 @@ def test_queries_are_answered_if_allowed(program, visitor):
             assert "error" in allowed_visitor.post("/query", {"goal": goal}), goal
 
 
-def test_busy_engine_does_not_block_page(program):
+def test_busy_engine_does_not_block_page(program: Any) -> None:
     released = threading.Event()
     started = threading.Event()
 
-    def work():
+    def work() -> None:
         started.set()
         released.wait(TIMEOUT_SECONDS)
 
@@ -279,7 +280,7 @@ def test_busy_engine_does_not_block_page(program):
             assert not thread.is_alive()
 
 
-def test_topics_have_counts_of_source_or_engine(program):
+def test_topics_have_counts_of_source_or_engine(program: Any) -> None:
     topics = [
         TopicRow("/smoke", "house/Smoke", 7, 1, 0, 0.5, 0.01),
         TopicRow("/other", "house/Other"),
@@ -292,12 +293,12 @@ def test_topics_have_counts_of_source_or_engine(program):
         assert rows[1]["age"] == 0
 
 
-def test_used_port_is_an_error(page):
+def test_used_port_is_an_error(page: Any) -> None:
     with pytest.raises(UsageError, match=f"port {page.port} of 127.0.0.1"):
         Dashboard(DashboardSource(engine(), "x"), page.port)
 
 
-def test_next_ports_are_tried_on_request(page):
+def test_next_ports_are_tried_on_request(page: Any) -> None:
     other = Dashboard(DashboardSource(engine(), "x"), page.port, port_count=20)
     try:
         assert page.port < other.port < page.port + 20
@@ -305,12 +306,12 @@ def test_next_ports_are_tried_on_request(page):
         other.close()
 
 
-def test_ports_end_at_65535():
+def test_ports_end_at_65535() -> None:
     with pytest.raises(UsageError, match="port 70000 of 127.0.0.1"):
         Dashboard(DashboardSource(engine(), "x"), 70_000, port_count=20)
 
 
-def test_missing_tornado_is_an_error():
+def test_missing_tornado_is_an_error() -> None:
     # In a new process, because the modules of this one have been imported with tornado.
     code = """import sys
 sys.modules["tornado"] = None
@@ -325,7 +326,7 @@ Dashboard(DashboardSource(Engine(), "x"), 0)
     assert "python3-tornado" in process.stderr
 
 
-def test_close_ends_streams_and_listeners(program):
+def test_close_ends_streams_and_listeners(program: Any) -> None:
     with serving(program) as page, Visitor(page).stream() as stream:
         stream.next()
         page.close()

@@ -1,5 +1,7 @@
 """Recent events of the dashboard, limited in number, size and work."""
 
+from typing import Any
+
 import pytest
 
 from retalis import Engine, atom, explain, functor, make_list, record_origins
@@ -16,7 +18,7 @@ from retalis.prolog.terms.types import CONS, Lazy
 
 
 @pytest.fixture
-def engine():
+def engine() -> Any:
     engine = Engine()
     record_origins(engine)
     engine.load(rules="alarm(X) <- smoke(X) seq heat(X).")
@@ -24,13 +26,13 @@ def engine():
 
 
 @pytest.fixture
-def recent(engine):
+def recent(engine: Any) -> Any:
     recent = RecentEvents(engine)
     recent.set_observing(True)
     return recent
 
 
-def test_events_are_stored_while_observed(engine, recent):
+def test_events_are_stored_while_observed(engine: Any, recent: Any) -> None:
     engine.event("smoke(hall)", 1, 2)
     recent.set_observing(False)
     engine.event("heat(hall)", 3)
@@ -39,7 +41,7 @@ def test_events_are_stored_while_observed(engine, recent):
     assert recent.get_counts() == {"smoke/1": (1, 2 * 10**9)}
 
 
-def test_rare_event_is_not_evicted_by_many(engine, recent):
+def test_rare_event_is_not_evicted_by_many(engine: Any, recent: Any) -> None:
     engine.event("smoke(hall)", 1)
     for second in range(2, 1000):
         engine.event("tick", second)
@@ -49,7 +51,7 @@ def test_rare_event_is_not_evicted_by_many(engine, recent):
     assert recent.get_counts()["tick/0"].number_of_events == 998
 
 
-def test_numbers_of_events_are_limited(engine, recent):
+def test_numbers_of_events_are_limited(engine: Any, recent: Any) -> None:
     for number in range(3 * MAX_FUNCTORS):
         engine.event(f"e{number}(1)", number + 1)
     assert len(recent.take_latest()) == MAX_SHOWN_EVENTS
@@ -68,14 +70,14 @@ def test_numbers_of_events_are_limited(engine, recent):
         functor("f", 1)(Lazy(CONS, lambda source: pytest.fail("it is made"), b"")),
     ],
 )
-def test_large_event_is_cut_without_decoding(engine, term):
+def test_large_event_is_cut_without_decoding(engine: Any, term: Any) -> None:
     text, whole = format_event_beginning(engine.show, term)
     assert "..." in text
     assert len(text) <= MAX_EVENT_CHARACTERS + 3
     assert not whole
 
 
-def test_deep_event_is_cut(engine):
+def test_deep_event_is_cut(engine: Any) -> None:
     term = atom("deep")
     for _ in range(100_000):
         term = functor("f", 1)(term)
@@ -85,18 +87,18 @@ def test_deep_event_is_cut(engine):
 
 
 @pytest.mark.parametrize("text", ["f(A,_,A)", "f([],[a|B])", "f('A b',\"text\",-1.5)", "atom", "1 + 2"])
-def test_short_event_is_whole(engine, recent, text):
+def test_short_event_is_whole(engine: Any, recent: Any, text: str) -> None:
     engine.event(text, 1)
     (event,) = recent.take_latest()
     assert event.whole
     assert engine.logic.once((functor("=@=", 2), engine.query(f"X = ({text})")[0]["X"], recent_term(recent)))
 
 
-def recent_term(recent):
+def recent_term(recent: Any) -> Any:
     return recent.find(recent.take_latest()[0].serial)[1]
 
 
-def test_stored_event_can_be_explained(engine, recent):
+def test_stored_event_can_be_explained(engine: Any, recent: Any) -> None:
     engine.event("smoke(hall)", 1.000000001)
     engine.event("heat(hall)", 2)
     alarm = recent.take_latest()[0]

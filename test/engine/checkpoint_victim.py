@@ -7,6 +7,7 @@ Each event ``in(N)`` stores N in a memory, a counter and a partial match. The pr
 import sys
 import time
 from pathlib import Path
+from typing import Any, List
 
 from retalis import Clock, Engine, Reports, Settings
 from retalis.engine.checkpoints import Checkpointer, CheckpointStorage, resume
@@ -19,7 +20,7 @@ out(N) <- in(N) where (incCounter(c)).
 GOALS = "compile_event_file('r.txt')\nmemorize(in(_), [], _, m, 500)\n"
 
 
-def main(folder, every="0.02"):
+def main(folder: Any, every: str = "0.02") -> None:
     folder = Path(folder)
     path = folder / "state.db"
     settings, reports = Settings(), Reports()
@@ -36,7 +37,7 @@ def main(folder, every="0.02"):
         (counts,) = engine.query("counter(c, C), memory_counter(m, M)")
         first = last
         print(counts["C"], len(records), counts["M"], last, flush=True)
-        events = []
+        events: List[Any] = []
         engine.on_event(lambda term, start, end: events.append(engine.show(term)))
         engine.event(f"in({first + 1})")
         print(f"pair({last},{last + 1})" in events or not last, f"n({last + 1})" in events, flush=True)

@@ -8,6 +8,7 @@ import sys
 import threading
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any, List, Tuple
 from zlib import crc32
 
 import pytest
@@ -35,42 +36,42 @@ KILLS = 6
 
 
 @pytest.fixture
-def folder(tmp_path):
+def folder(tmp_path: Path) -> Any:
     (tmp_path / "goalPredicates.txt").write_text(GOALS)
     (tmp_path / "r.txt").write_text(RULES)
     return tmp_path
 
 
-def start_engine(folder):
+def start_engine(folder: Any) -> Any:
     engine = Engine(StreamClock())
     engine.load_program(folder)
     engine.event("begin", 0.5)
     return engine
 
 
-def create_checkpointer(engine, folder, name="state.db"):
+def create_checkpointer(engine: Any, folder: Any, name: str = "state.db") -> Any:
     return Checkpointer(engine, CheckpointStorage(folder / name), folder, Reports())
 
 
-def record_events(engine):
-    events = []
+def record_events(engine: Any) -> Any:
+    events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     return events
 
 
-def resume_engine(folder, name="state.db"):
+def resume_engine(folder: Any, name: str = "state.db") -> Any:
     result = resume(folder / name, folder, StreamClock(), Settings(), Reports())
     return None if result is None else result[0]
 
 
-def records(engine):
+def records(engine: Any) -> List[Any]:
     return [
         engine.show(solution["R"]) + engine.show(solution["I"])
         for solution in engine.query("access_mem(m, R, I)")
     ]
 
 
-def test_resumed_engine_continues_from_last_checkpoint(folder):
+def test_resumed_engine_continues_from_last_checkpoint(folder: Any) -> None:
     engine = start_engine(folder)
     checkpointer = create_checkpointer(engine, folder)
     for number in range(1, 1200):
@@ -83,14 +84,14 @@ def test_resumed_engine_continues_from_last_checkpoint(folder):
                 "counter(c, X), memory_counter(m, Y)"
             )
     other = resume_engine(folder)
-    events = []
+    events: List[Any] = []
     other.on_event(lambda term, start, end: events.append(other.show(term)))
     other.event("in(x)", 5000)
     assert "pair(1170,x)" in events
     assert "n(1171)" in events
 
 
-def test_checkpoint_writes_only_changes(folder):
+def test_checkpoint_writes_only_changes(folder: Any) -> None:
     engine = start_engine(folder)
     checkpointer = create_checkpointer(engine, folder)
     checkpointer.write()
@@ -116,7 +117,7 @@ def test_checkpoint_writes_only_changes(folder):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 6))])
-def test_random_changes_are_restored(folder, seed):
+def test_random_changes_are_restored(folder: Any, seed: Any) -> None:
     generator = random.Random(seed)
     engine = start_engine(folder)
     checkpointer = create_checkpointer(engine, folder)
@@ -143,7 +144,7 @@ def test_random_changes_are_restored(folder, seed):
     assert record_count > 100
 
 
-def test_checkpoints_are_written_until_stop(folder):
+def test_checkpoints_are_written_until_stop(folder: Any) -> None:
     engine = start_engine(folder)
     checkpointer = Checkpointer(engine, CheckpointStorage(folder / "state.db"), folder, Reports(), 0.001)
     checkpointer.start()
@@ -155,7 +156,7 @@ def test_checkpoints_are_written_until_stop(folder):
     assert records(resume_engine(folder)) == records(engine)
 
 
-def test_file_stays_valid_until_next_checkpoint(folder):
+def test_file_stays_valid_until_next_checkpoint(folder: Any) -> None:
     engine = start_engine(folder)
     engine.event("in(1)", 2)
     create_checkpointer(engine, folder).write()
@@ -167,7 +168,7 @@ def test_file_stays_valid_until_next_checkpoint(folder):
     assert len(records(resume_engine(folder))) == 2
 
 
-def test_missing_or_empty_file_has_no_checkpoint(folder):
+def test_missing_or_empty_file_has_no_checkpoint(folder: Any) -> None:
     assert resume_engine(folder) is None
     (folder / "state.db").touch()
     assert resume_engine(folder) is None
@@ -176,7 +177,7 @@ def test_missing_or_empty_file_has_no_checkpoint(folder):
 
 
 @pytest.mark.parametrize("name", ["r.txt", "goalPredicates.txt", "pub_sub.xml"])
-def test_changed_program_is_refused(folder, name):
+def test_changed_program_is_refused(folder: Any, name: str) -> None:
     engine = start_engine(folder)
     create_checkpointer(engine, folder).write()
     (folder / name).write_text("% changed")
@@ -184,32 +185,32 @@ def test_changed_program_is_refused(folder, name):
         resume_engine(folder)
 
 
-def test_program_in_other_folder_is_refused(folder):
+def test_program_in_other_folder_is_refused(folder: Any) -> None:
     create_checkpointer(start_engine(folder), folder).write()
     (folder / "other").mkdir()
     with pytest.raises(UsageError, match="it is of another program"):
         resume(folder / "state.db", folder / "other", StreamClock(), Settings(), Reports())
 
 
-def test_other_byte_order_is_refused(folder, monkeypatch):
+def test_other_byte_order_is_refused(folder: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     create_checkpointer(start_engine(folder), folder).write()
     monkeypatch.setattr("sys.byteorder", "other")
     with pytest.raises(UsageError, match="another byte order: little"):
         resume_engine(folder)
 
 
-def test_unfinished_file_has_no_checkpoint(folder, monkeypatch):
+def test_unfinished_file_has_no_checkpoint(folder: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     path = folder / "state.db"
-    results = []
+    results: List[Any] = []
     connect = sqlite3.connect
 
-    def look(statement):
+    def look(statement: Any) -> None:
         try:
             results.append((statement, read_checkpoint(path)))
         except UsageError as error:
             results.append((statement, error))
 
-    def watched(name, **options):
+    def watched(name: Any, **options: Any) -> Any:
         base = connect(name, **options)
         if name == str(path):
             base.set_trace_callback(look)
@@ -245,7 +246,7 @@ def test_unfinished_file_has_no_checkpoint(folder, monkeypatch):
         ("UPDATE sections SET data = x'800495' WHERE name = 'about'", "a checksum is wrong"),
     ],
 )
-def test_other_database_is_refused(folder, statements, message):
+def test_other_database_is_refused(folder: Any, statements: str, message: str) -> None:
     checkpointer = create_checkpointer(start_engine(folder), folder)
     checkpointer.stop()
     base = sqlite3.connect(str(folder / "state.db"), isolation_level=None)
@@ -271,7 +272,7 @@ def test_other_database_is_refused(folder, statements, message):
         (lambda old: to_bytes(to_fields({**old, "memories": old["memories"] * 2})), "two memories"),
     ],
 )
-def test_invalid_description_is_refused(folder, about, message):
+def test_invalid_description_is_refused(folder: Any, about: Any, message: str) -> None:
     checkpointer = create_checkpointer(start_engine(folder), folder)
     checkpointer.stop()
     base = sqlite3.connect(str(folder / "state.db"), isolation_level=None)
@@ -283,7 +284,7 @@ def test_invalid_description_is_refused(folder, about, message):
         resume_engine(folder)
 
 
-def test_other_file_is_refused(folder):
+def test_other_file_is_refused(folder: Any) -> None:
     (folder / "state.db").write_bytes(b"no database at all" * 100)
     with pytest.raises(UsageError, match="not a checkpoint, or is damaged"):
         resume_engine(folder)
@@ -296,7 +297,7 @@ def test_other_file_is_refused(folder):
         resume_engine(folder)
 
 
-def test_schema_with_invalid_name_is_refused(folder):
+def test_schema_with_invalid_name_is_refused(folder: Any) -> None:
     checkpointer = create_checkpointer(start_engine(folder), folder)
     checkpointer.stop()
     data = (folder / "state.db").read_bytes()
@@ -311,7 +312,7 @@ def test_schema_with_invalid_name_is_refused(folder):
 
 
 @pytest.mark.parametrize("times", [15, pytest.param(100, marks=pytest.mark.slow)])
-def test_damaged_file_is_refused(folder, times):
+def test_damaged_file_is_refused(folder: Any, times: int) -> None:
     engine = start_engine(folder)
     for number in range(1, 300):
         engine.event(f"in({number})", number)
@@ -336,7 +337,7 @@ def test_damaged_file_is_refused(folder, times):
     assert refused > times // 6
 
 
-def test_refused_file_is_renamed_with_its_log(folder):
+def test_refused_file_is_renamed_with_its_log(folder: Any) -> None:
     checkpointer = create_checkpointer(start_engine(folder), folder)
     checkpointer.write()
     (folder / "state.db.aside").write_text("older")
@@ -348,7 +349,7 @@ def test_refused_file_is_renamed_with_its_log(folder):
         rename_refused_file(folder)
 
 
-def test_empty_refused_file_is_renamed_with_its_log(folder):
+def test_empty_refused_file_is_renamed_with_its_log(folder: Any) -> None:
     storage = CheckpointStorage(folder / "state.db")
     log = (folder / "state.db-wal").read_bytes()
     storage.close()
@@ -361,13 +362,13 @@ def test_empty_refused_file_is_renamed_with_its_log(folder):
     assert (folder / f"{renamed.name}-wal").read_bytes() == log
 
 
-def test_missing_folder_is_an_error(folder):
+def test_missing_folder_is_an_error(folder: Any) -> None:
     with pytest.raises(UsageError, match="cannot write a checkpoint to"):
         CheckpointStorage(folder / "not_there" / "state.db")
 
 
 @pytest.mark.slow
-def test_file_is_consistent_after_random_kills(folder):
+def test_file_is_consistent_after_random_kills(folder: Any) -> None:
     """After each kill the file has one recent state, with all parts of the same time."""
     generator = random.Random(3)
     newest = previous = 0
@@ -399,7 +400,7 @@ def test_file_is_consistent_after_random_kills(folder):
             process.stdout.close()
 
 
-def test_second_writer_stops_first_one(folder, caplog):
+def test_second_writer_stops_first_one(folder: Any, caplog: pytest.LogCaptureFixture) -> None:
     first_engine, second_engine = start_engine(folder), start_engine(folder)
     first = create_checkpointer(first_engine, folder)
     first.write()
@@ -414,7 +415,7 @@ def test_second_writer_stops_first_one(folder, caplog):
     assert records(resume_engine(folder)) == records(second_engine)
 
 
-def test_missing_records_are_an_error(folder):
+def test_missing_records_are_an_error(folder: Any) -> None:
     engine = start_engine(folder)
     checkpointer = create_checkpointer(engine, folder)
     for number in range(1, 4):
@@ -427,7 +428,7 @@ def test_missing_records_are_an_error(folder):
         resume_engine(folder)
 
 
-def test_program_edited_after_loading_is_refused(folder):
+def test_program_edited_after_loading_is_refused(folder: Any) -> None:
     engine = start_engine(folder)
     checkpointer = create_checkpointer(engine, folder)
     (folder / "r.txt").write_text(RULES + "% more\n")
@@ -440,7 +441,9 @@ def test_program_edited_after_loading_is_refused(folder):
     assert resume_engine(folder).query("new(X)") == [{"X": 1}]
 
 
-def test_unexpected_error_of_writing_is_logged(folder, monkeypatch, caplog):
+def test_unexpected_error_of_writing_is_logged(
+    folder: Any, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     engine = start_engine(folder)
     checkpointer = create_checkpointer(engine, folder)
     with monkeypatch.context() as patched:
@@ -449,13 +452,13 @@ def test_unexpected_error_of_writing_is_logged(folder, monkeypatch, caplog):
     assert "division" in caplog.text
 
 
-def test_stop_does_not_wait_for_blocked_engine(folder, monkeypatch):
+def test_stop_does_not_wait_for_blocked_engine(folder: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("retalis.engine.checkpoints.FINAL_WRITE_SECONDS", 0.1)
     engine = start_engine(folder)
     checkpointer = create_checkpointer(engine, folder)
     going, stopped = threading.Event(), threading.Event()
 
-    def hold(term, start, end):
+    def hold(term: Any, start: Any, end: Any) -> None:
         going.set()
         stopped.wait(60)
 
@@ -469,14 +472,14 @@ def test_stop_does_not_wait_for_blocked_engine(folder, monkeypatch):
     thread.join()
 
 
-def test_query_during_checkpoint_binds_no_records(folder):
+def test_query_during_checkpoint_binds_no_records(folder: Any) -> None:
     """A query for a justification temporarily unifies terms of rules."""
     engine = start_engine(folder)
     engine.call("set_etalis_flag(etalis_justification, on)")
     checkpointer = create_checkpointer(engine, folder)
     answered = threading.Event()
 
-    def ask():
+    def ask() -> None:
         for number in range(60):
             engine.query(f"justify_event(out(x{number}), _, _)")
         answered.set()
@@ -495,7 +498,7 @@ def test_query_during_checkpoint_binds_no_records(folder):
     assert "out(7)" in events
 
 
-def test_pause_is_proportional_to_work(folder, monkeypatch):
+def test_pause_is_proportional_to_work(folder: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     engine = start_engine(folder)
     times = SimpleNamespace(now=0.0, cpu=0.0)
     monkeypatch.setattr(
@@ -510,13 +513,13 @@ def test_pause_is_proportional_to_work(folder, monkeypatch):
     checkpointer = create_checkpointer(engine, folder)
     call, capture_state = engine.executor.call, EngineSnapshot.capture
 
-    def call_after_wait(work, entry):
+    def call_after_wait(work: Any, entry: Any) -> Any:
         times.now += 7.0  # the engine is busy
         result = call(work, entry)
         times.cpu += 100.0  # of another thread that has captured the state meanwhile
         return result
 
-    def capture(snapshot, **options):
+    def capture(snapshot: Any, **options: Any) -> Any:
         times.now += 0.2
         times.cpu += durations.pop(0)
         return capture_state(snapshot, **options)
@@ -530,7 +533,7 @@ def test_pause_is_proportional_to_work(folder, monkeypatch):
     assert checkpointer.pause_seconds == pytest.approx(MIN_PAUSE_FACTOR * 0.05)
 
 
-def test_database_of_another_program_is_left_untouched(tmp_path):
+def test_database_of_another_program_is_left_untouched(tmp_path: Path) -> None:
     path = tmp_path / "music.db"
     database = sqlite3.connect(str(path))
     database.executescript(
@@ -551,7 +554,7 @@ def test_database_of_another_program_is_left_untouched(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["music.db"]
 
 
-def test_other_file_is_left_untouched(tmp_path):
+def test_other_file_is_left_untouched(tmp_path: Path) -> None:
     path = tmp_path / "notes.txt"
     path.write_text("not a database " * 100)
     with pytest.raises(UsageError, match="cannot write a checkpoint to .*notes.txt: file is not a database"):
@@ -572,7 +575,7 @@ print(event_input[event_input.index("event_count") + 1], sorted(os.listdir(path.
 
 
 @pytest.mark.parametrize("is_killed", [False, True], ids=["closed", "with log"])
-def test_checkpoint_in_read_only_folder_is_read(folder, is_killed):
+def test_checkpoint_in_read_only_folder_is_read(folder: Any, is_killed: bool) -> None:
     engine = start_engine(folder)
     checkpointer = create_checkpointer(engine, folder)
     checkpointer.write()
@@ -600,7 +603,7 @@ def test_checkpoint_in_read_only_folder_is_read(folder, is_killed):
     assert (process.stdout, process.stderr) == (f"{engine.event_input.event_count} {expected}\n", "")
 
 
-def explained(folder, number_of_events):
+def explained(folder: Any, number_of_events: int) -> Tuple[Any, ...]:
     """Return a checkpointer of an engine that has recorded events for explanations."""
     (folder / "r.txt").write_text(
         "pair(X) <- first(X) seq second(X).\nnext(X) <- (pair(X) where X < 9) seq third(X).\n"
@@ -615,7 +618,7 @@ def explained(folder, number_of_events):
     return engine, create_checkpointer(engine, folder)
 
 
-def size_of_matches(folder):
+def size_of_matches(folder: Any) -> Any:
     """Return the size of the section with partial matches and recorded events."""
     database = sqlite3.connect(str(folder / "state.db"))
     try:
@@ -624,12 +627,12 @@ def size_of_matches(folder):
         database.close()
 
 
-def explanation_of(engine, event):
+def explanation_of(engine: Any, event: str) -> List[Any]:
     return [line for tree in explain(engine, event).lines for line in tree.indented()]
 
 
-def test_size_of_recorded_events_is_bounded(folder):
-    sizes = []
+def test_size_of_recorded_events_is_bounded(folder: Any) -> None:
+    sizes: List[Any] = []
     for number_of_events in (400, 1200):
         _, checkpointer = explained(folder, number_of_events)
         checkpointer.write()
@@ -638,7 +641,7 @@ def test_size_of_recorded_events_is_bounded(folder):
     assert sizes[1] < 1.1 * sizes[0]
 
 
-def test_newest_events_are_explained_after_restart(folder):
+def test_newest_events_are_explained_after_restart(folder: Any) -> None:
     engine, checkpointer = explained(folder, 400)
     checkpointer.write()
     other = resume_engine(folder)
@@ -647,7 +650,7 @@ def test_newest_events_are_explained_after_restart(folder):
     assert explanation_of(other, "pair(399)") == explanation_of(engine, "pair(399)")
 
 
-def test_older_partial_match_continues_after_restart(folder):
+def test_older_partial_match_continues_after_restart(folder: Any) -> None:
     engine, checkpointer = explained(folder, 400)
     checkpointer.write()
     other = resume_engine(folder)
@@ -659,7 +662,7 @@ def test_older_partial_match_continues_after_restart(folder):
     assert third == explanation_of(engine, "next(0)")[-1]
 
 
-def test_snapshot_contains_all_recorded_events(folder):
+def test_snapshot_contains_all_recorded_events(folder: Any) -> None:
     engine, _ = explained(folder, 400)
     other = Engine.restore(engine.snapshot())
     assert (
@@ -667,7 +670,7 @@ def test_snapshot_contains_all_recorded_events(folder):
     )
 
 
-def test_checkpoint_contains_retractable_events(folder):
+def test_checkpoint_contains_retractable_events(folder: Any) -> None:
     engine, checkpointer = explained(folder, 400)
     engine.call("set_etalis_flag(revision_flag, on)")
     checkpointer.write()

@@ -1,6 +1,8 @@
 """Requests of clients: limits, added rules, permission to set flags, and synchronization with memories."""
 
 import threading
+from pathlib import Path
+from typing import Any, List, Tuple
 
 import pytest
 
@@ -19,13 +21,13 @@ from retalis.engine.client_requests import add_rule, ask, delete_rule, run_restr
 from retalis.prolog.syntax.term_reader import read_term
 
 
-def values(answer):
+def values(answer: Any) -> List[List[Tuple[Any, ...]]]:
     return [
         [(binding.name, binding.text, binding.json) for binding in solution] for solution in answer.solutions
     ]
 
 
-def test_solutions_have_text_and_json():
+def test_solutions_have_text_and_json() -> None:
     answer = ask(Engine(), "member(X, [a, 'B c', f(Y, Y)])")
     assert values(answer) == [
         [("X", "a", '"a"'), ("Y", "_1", '{"variable": "_1"}')],
@@ -38,40 +40,40 @@ def test_solutions_have_text_and_json():
     assert answer.complete
 
 
-def test_variables_with_underscore_are_omitted():
+def test_variables_with_underscore_are_omitted() -> None:
     assert values(ask(Engine(), "_X = 1")) == [[]]
 
 
-def test_failing_goal_has_no_solutions():
+def test_failing_goal_has_no_solutions() -> None:
     assert ask(Engine(), "fail") == ([], True)
 
 
-def test_number_of_solutions_is_limited():
+def test_number_of_solutions_is_limited() -> None:
     answer = ask(Engine(), "repeat", 3)
     assert len(answer.solutions) == 3
     assert not answer.complete
     assert ask(Engine(), "member(X, [1, 2])", 2).complete
 
 
-def test_length_of_answer_is_limited():
+def test_length_of_answer_is_limited() -> None:
     answer = ask(Engine(), "between(1, 1000, X)", 1000, max_characters=10)
     assert [text for ((_, text, _),) in answer.solutions] == ["1", "2", "3", "4", "5", "6", "7", "8", "9"]
     assert not answer.complete
 
 
-def test_first_solution_over_length_limit_is_an_error():
+def test_first_solution_over_length_limit_is_an_error() -> None:
     with pytest.raises(UsageError, match="more than 10 characters"):
         ask(Engine(), "numlist(1, 1000, L)", max_characters=10)
 
 
-def test_limits_of_request_apply_to_request_only():
+def test_limits_of_request_apply_to_request_only() -> None:
     engine = Engine()
     with pytest.raises(PrologError, match="inferences"):
         ask(engine, "repeat, fail", limits=Limits(inferences=10_000))
     assert ask(engine, "between(1, 100000, X), X =:= 100000").complete
 
 
-def test_limits_of_engine_apply_to_requests():
+def test_limits_of_engine_apply_to_requests() -> None:
     engine = Engine(settings=Settings(limits=Limits(inferences=10_000)))
     with pytest.raises(PrologError, match="inferences"):
         ask(engine, "repeat, fail", limits=Limits(inferences=10_000_000))
@@ -79,27 +81,27 @@ def test_limits_of_engine_apply_to_requests():
         ask(engine, "repeat, fail")
 
 
-def test_syntax_error_has_position():
+def test_syntax_error_has_position() -> None:
     with pytest.raises(SyntaxFault, match="column"):
         ask(Engine(), "f(X")
 
 
 @pytest.fixture
-def engine_with_memories():
+def engine_with_memories() -> Any:
     engine = Engine()
     engine.load(goals="memorize(v(_), [], _, m, 10)\nmemorize(w(_), [], _, n, 10)")
     return engine
 
 
-def test_available_records_need_no_wait(engine_with_memories):
+def test_available_records_need_no_wait(engine_with_memories: Any) -> None:
     engine_with_memories.event("v(1)", 5)
     wait_for_memories(engine_with_memories, [atom("m")], 5_000_000_000, 0)
 
 
-def test_engine_processes_events_while_request_waits(engine_with_memories):
-    results = []
+def test_engine_processes_events_while_request_waits(engine_with_memories: Any) -> None:
+    results: List[Any] = []
 
-    def wait():
+    def wait() -> None:
         wait_for_memories(engine_with_memories, [atom("m"), atom("n")], 5_000_000_000, 60)
         results.append(
             [solution[0].text for solution in ask(engine_with_memories, "access_mem(m, v(X), _)").solutions]
@@ -117,26 +119,26 @@ def test_engine_processes_events_while_request_waits(engine_with_memories):
     assert waiting(engine_with_memories) == 0
 
 
-def waiting(engine):
+def waiting(engine: Any) -> int:
     return len(engine.knowledge.pending_queries)
 
 
-def test_wait_ends_with_error_after_timeout(engine_with_memories):
+def test_wait_ends_with_error_after_timeout(engine_with_memories: Any) -> None:
     engine_with_memories.event("v(1)", 3)
     with pytest.raises(UsageError, match=r"in memory m \(2 s too early\), n \(nothing yet\) after 0.01 s"):
         wait_for_memories(engine_with_memories, [atom("m"), atom("n")], 5_000_000_000, 0.01)
     assert waiting(engine_with_memories) == 0
 
 
-def test_wait_for_unknown_memory_is_an_error(engine_with_memories):
+def test_wait_for_unknown_memory_is_an_error(engine_with_memories: Any) -> None:
     with pytest.raises(UsageError, match="there is no memory x"):
         wait_for_memories(engine_with_memories, [atom("x")], 0, 1)
 
 
-def test_deleted_memory_ends_wait(engine_with_memories):
-    ended = []
+def test_deleted_memory_ends_wait(engine_with_memories: Any) -> None:
+    ended: List[Any] = []
 
-    def wait():
+    def wait() -> None:
         with pytest.raises(UsageError, match="deleted"):
             wait_for_memories(engine_with_memories, [atom("m")], 5_000_000_000, 60)
         ended.append(True)
@@ -155,14 +157,14 @@ def test_deleted_memory_ends_wait(engine_with_memories):
 
 
 @pytest.fixture
-def recording_engine():
+def recording_engine() -> Any:
     engine = Engine()
     engine.recorded = []
     engine.on_event(lambda term, start, end: engine.recorded.append(engine.show(term)))
     return engine
 
 
-def test_added_rule_fires_until_deleted(recording_engine):
+def test_added_rule_fires_until_deleted(recording_engine: Any) -> None:
     assert add_rule(recording_engine, "b(X) <- a(X).", "mine") == "mine"
     recording_engine.event("a(1)", 1)
     delete_rule(recording_engine, "mine")
@@ -181,7 +183,7 @@ def test_added_rule_fires_until_deleted(recording_engine):
         ("b <- a", "'two words'", "'two words'"),
     ],
 )
-def test_rule_is_added_under_its_label(recording_engine, rule, requested, label):
+def test_rule_is_added_under_its_label(recording_engine: Any, rule: str, requested: str, label: str) -> None:
     assert add_rule(recording_engine, rule, requested) == label
     recording_engine.event("a", 1)
     assert recording_engine.recorded == ["a", "b"]
@@ -190,7 +192,7 @@ def test_rule_is_added_under_its_label(recording_engine, rule, requested, label)
     assert recording_engine.recorded == ["a", "b", "a"]
 
 
-def test_new_labels_are_unique(recording_engine):
+def test_new_labels_are_unique(recording_engine: Any) -> None:
     assert [add_rule(recording_engine, "b <- a") for _ in range(3)] == ["added_1", "added_2", "added_3"]
     delete_rule(recording_engine, "added_2")
     assert add_rule(recording_engine, "b <- a") == "added_2"
@@ -207,13 +209,13 @@ def test_new_labels_are_unique(recording_engine):
         ("b <- c", "f(x)", "label: expected an atom"),
     ],
 )
-def test_invalid_rule_or_label_is_refused(recording_engine, rule, label, message):
+def test_invalid_rule_or_label_is_refused(recording_engine: Any, rule: str, label: str, message: str) -> None:
     recording_engine.load(rules="there : b <- a.")
     with pytest.raises(UsageError, match=message):
         add_rule(recording_engine, rule, label)
 
 
-def test_errors_of_added_rule_have_line_and_caret(recording_engine):
+def test_errors_of_added_rule_have_line_and_caret(recording_engine: Any) -> None:
     with pytest.raises(SyntaxFault) as fault:
         add_rule(recording_engine, "b <- a seq\n  (c where X > )")
     assert str(fault.value).splitlines()[0].startswith("rule:2:16: ")
@@ -227,13 +229,13 @@ def test_errors_of_added_rule_have_line_and_caret(recording_engine):
     assert recording_engine.recorded == ["a"]
 
 
-def test_deleting_unknown_label_is_an_error(recording_engine):
+def test_deleting_unknown_label_is_an_error(recording_engine: Any) -> None:
     for label in ("none", "", "f(x)", "a b"):
         with pytest.raises(RetalisError):
             delete_rule(recording_engine, label)
 
 
-def test_added_rule_cannot_load_files(recording_engine, tmp_path):
+def test_added_rule_cannot_load_files(recording_engine: Any, tmp_path: Path) -> None:
     (tmp_path / "secret.txt").write_text("secret.")
     add_rule(
         recording_engine,
@@ -250,18 +252,18 @@ PROGRAM = "null do set_etalis_flag(event_consumption_policy, chronological) <- o
 REFUSED = "~allow_flags"
 
 
-def make_engine(rules="", **settings):
+def make_engine(rules: str = "", **settings: Any) -> Any:
     engine = Engine(settings=Settings(**settings))
     engine.load(rules=PROGRAM + ":- dynamic helper/0.\n" + rules)
     return engine
 
 
-def policy(engine):
+def policy(engine: Any) -> Any:
     (answer,) = engine.query("get_etalis_flag(event_consumption_policy, X)")
     return answer["X"].name
 
 
-def terms(engine, *texts):
+def terms(engine: Any, *texts: Any) -> List[Any]:
     return [read_term(text, engine.operators, "text").term for text in texts]
 
 
@@ -281,7 +283,7 @@ def terms(engine, *texts):
         f"event(synchronized(x, {SET_FLAG}, []))",
     ],
 )
-def test_query_that_sets_flag_is_refused(goal, caplog):
+def test_query_that_sets_flag_is_refused(goal: Any, caplog: pytest.LogCaptureFixture) -> None:
     engine = make_engine()
     engine.event("first", 1)
     before = engine.query("current_prolog_flag(double_quotes, X), current_prolog_flag(unknown, Y)")
@@ -296,7 +298,7 @@ def test_query_that_sets_flag_is_refused(goal, caplog):
     assert not engine.query("current_prolog_flag(mine, X)")
 
 
-def test_reset_of_changed_program_is_refused():
+def test_reset_of_changed_program_is_refused() -> None:
     engine = make_engine()
     engine.call(SET_FLAG)
     with pytest.raises(PrologError, match=REFUSED):
@@ -305,13 +307,13 @@ def test_reset_of_changed_program_is_refused():
     ask(engine, "reset_etalis")
 
 
-def test_setting_allows_flags_in_queries():
+def test_setting_allows_flags_in_queries() -> None:
     engine = make_engine(allow_flags=True)
     ask(engine, SET_FLAG)
     assert policy(engine) == "unrestricted"
 
 
-def test_program_and_owner_set_flags():
+def test_program_and_owner_set_flags() -> None:
     engine = make_engine(":- set_etalis_flag(event_consumption_policy, recent_2).")
     assert policy(engine) == "recent_2"
     engine.event("own(1)", 1)
@@ -334,7 +336,7 @@ def test_program_and_owner_set_flags():
         "a2(X) <- a(X). a3(X) <- a2(X).",
     ],
 )
-def test_added_rule_that_sets_flag_is_refused(rule, caplog):
+def test_added_rule_that_sets_flag_is_refused(rule: str, caplog: pytest.LogCaptureFixture) -> None:
     engine = make_engine("".join(f"b{number + 1}(X) <- b{number}(X).\n" for number in range(8)))
     for text in rule.split(". "):
         add_rule(engine, text.replace("a(", "b8(") if "null" in text else text)
@@ -345,7 +347,7 @@ def test_added_rule_that_sets_flag_is_refused(rule, caplog):
     assert (REFUSED in caplog.text) == (SET_FLAG in rule)
 
 
-def test_added_rule_is_refused_after_change_of_flags(caplog):
+def test_added_rule_is_refused_after_change_of_flags(caplog: pytest.LogCaptureFixture) -> None:
     engine = make_engine()
     add_rule(engine, f"synchronized(x, {SET_FLAG}, []) <- a(_).")
     engine.event("own(1)", 1)  # compiles all rules again
@@ -354,7 +356,7 @@ def test_added_rule_is_refused_after_change_of_flags(caplog):
     assert REFUSED in caplog.text
 
 
-def test_service_condition_that_sets_flag_is_refused(caplog):
+def test_service_condition_that_sets_flag_is_refused(caplog: pytest.LogCaptureFixture) -> None:
     engine = make_engine()
     event, condition, free = terms(engine, "a(_)", SET_FLAG, "_")
     run_restricted(engine, lambda: engine.add_memory(event, [condition], free, atom("m"), 5))
@@ -369,7 +371,7 @@ def test_service_condition_that_sets_flag_is_refused(caplog):
     assert policy(engine) == "unrestricted"
 
 
-def test_allowed_goal_text_sets_flag():
+def test_allowed_goal_text_sets_flag() -> None:
     engine = make_engine(allow_goals=True)
     engine.post_text(SET_FLAG)
     assert policy(engine) == "unrestricted"

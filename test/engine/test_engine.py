@@ -2,6 +2,8 @@
 
 import logging
 import threading
+from pathlib import Path
+from typing import Any, List, Optional
 
 import pytest
 from recording_engine import RecordingEngine
@@ -26,7 +28,7 @@ from retalis.prolog.terms import timestamps
 from retalis.prolog.terms.timestamps import SECOND
 
 
-def test_output_of_rule_is_delivered_to_subscriber():
+def test_output_of_rule_is_delivered_to_subscriber() -> None:
     engine = RecordingEngine(
         "alarm(X) <- smoke(X) seq heat(X).", "subscribe(alarm(X), [], warn(X), alarms, a)"
     )
@@ -37,13 +39,13 @@ def test_output_of_rule_is_delivered_to_subscriber():
     assert engine.events[-1] == ("alarm(kitchen)", 10**9, 3 * 10**9)
 
 
-def test_invalid_date_is_no_number():
+def test_invalid_date_is_no_number() -> None:
     with pytest.raises(PrologError, match="datime"):
         Engine().query("X is datime(2020,13,1,0,0,0,0)")
     assert Engine().query("X is datime(1970,1,1,0,1,0,5) - datime(1970,1,1,0,0,0), X =:= 60 + 5.0e-9")
 
 
-def test_query_returns_values_by_name():
+def test_query_returns_values_by_name() -> None:
     engine = RecordingEngine("p(1). p(2). p(3).")
     assert [deref(answer["X"]) for answer in engine.query("p(X), X > 1")] == [2, 3]
     assert len(engine.query("p(_)", most=1)) == 1
@@ -51,7 +53,7 @@ def test_query_returns_values_by_name():
     assert engine.query("p(1)") == [{}]
 
 
-def test_failed_goal_does_not_stop_later_goals():
+def test_failed_goal_does_not_stop_later_goals() -> None:
     engine = RecordingEngine()
     with pytest.raises(ProgramErrors) as caught_errors:
         engine.call_goals("assertz(a(1))\nfail\nno_such_goal(1)\nb(\nassertz(a(2))\n", "goals.txt")
@@ -64,7 +66,7 @@ def test_failed_goal_does_not_stop_later_goals():
     assert [deref(answer["X"]) for answer in engine.query("a(X)")] == [1, 2]
 
 
-def test_rule_file_is_found_beside_goal_file(tmp_path):
+def test_rule_file_is_found_beside_goal_file(tmp_path: Path) -> None:
     (tmp_path / "goalPredicates.txt").write_text("compile_event_file('more/rules.txt')\n")
     (tmp_path / "more").mkdir()
     (tmp_path / "more" / "rules.txt").write_text("b(X) <- a(X).\n")
@@ -74,7 +76,7 @@ def test_rule_file_is_found_beside_goal_file(tmp_path):
     assert [event for event, _, _ in engine.events] == ["a(1)", "b(1)"]
 
 
-def test_rule_file_with_errors_is_refused_completely(tmp_path):
+def test_rule_file_with_errors_is_refused_completely(tmp_path: Path) -> None:
     (tmp_path / "goalPredicates.txt").write_text("compile_event_file('rules.txt')\n")
     (tmp_path / "rules.txt").write_text("ok <- a.\nb <- a seq.\nc <- (a.\nfact(1).\n")
     engine = RecordingEngine()
@@ -85,7 +87,7 @@ def test_rule_file_with_errors_is_refused_completely(tmp_path):
     assert [event for event, _, _ in engine.events] == ["a"]
 
 
-def test_error_of_goal_stops_its_rule_only(caplog):
+def test_error_of_goal_stops_its_rule_only(caplog: pytest.LogCaptureFixture) -> None:
     engine = RecordingEngine("null do no_such_goal(X) <- a(X).\nok(X) <- a(X).")
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.event("a(1)", 1)
@@ -93,14 +95,14 @@ def test_error_of_goal_stops_its_rule_only(caplog):
     assert "no_such_goal" in caplog.text
 
 
-def test_events_of_goals_are_processed_first():
+def test_events_of_goals_are_processed_first() -> None:
     engine = RecordingEngine("null do new_event(b, 5, 7) <- a.\nc <- b.\nd <- a.")
     engine.event("a", 1)
     assert [event for event, _, _ in engine.events] == ["a", "b", "c", "null", "d"]
     assert engine.events[1][1:] == (5 * 10**9 + 7,) * 2
 
 
-def test_engine_continues_after_endless_chain(caplog):
+def test_engine_continues_after_endless_chain(caplog: pytest.LogCaptureFixture) -> None:
     engine = RecordingEngine("a(Y) <- a(X) where Y is X + 1.\nb(1) <- b.", max_depth=50)
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.event("a(0)", 1)
@@ -110,13 +112,13 @@ def test_engine_continues_after_endless_chain(caplog):
     assert engine.events[-1][0] == "b(1)"
 
 
-def test_long_chain_overflows_no_stack():
+def test_long_chain_overflows_no_stack() -> None:
     engine = RecordingEngine("a(Y) <- a(X) where (X < 20000, Y is X + 1).", max_depth=100_000)
     engine.event("a(0)", 1)
     assert engine.events[-1][0] == "a(20000)"
 
 
-def test_time_going_back_clears_matches_and_memories(caplog):
+def test_time_going_back_clears_matches_and_memories(caplog: pytest.LogCaptureFixture) -> None:
     engine = RecordingEngine("c <- a seq b.", "memorize(a, [], _, m, 5)")
     engine.clock.move_to(100 * 10**9)
     engine.event("a", 100)
@@ -129,14 +131,14 @@ def test_time_going_back_clears_matches_and_memories(caplog):
     assert sum("time went back" in record.message for record in caplog.records) == 1
 
 
-def test_moved_clock_separates_waiting_events():
+def test_moved_clock_separates_waiting_events() -> None:
     clock = StreamClock(5 * SECOND)
     engine = Engine(clock)
     engine.load(rules="ab(X, Y) <- a(X) seq b(Y).", goals="memorize(a(X), [], X, seen, 10)")
-    events = []
+    events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append(engine.show(term)))
 
-    def post_while_busy(term, topic, name):
+    def post_while_busy(term: Any, topic: Any, name: Any) -> None:
         """Post events that wait, and move the clock back between them."""
         engine.post(functor("a", 1)(1), 6 * SECOND)
         engine.advance(lambda: clock.move_to(SECOND, back=True))
@@ -150,7 +152,7 @@ def test_moved_clock_separates_waiting_events():
     assert engine.query("findall(X, access_mem(seen, X, _), Xs)")[0]["Xs"] == make_list([2])
 
 
-def test_alarm_is_emitted_at_its_time():
+def test_alarm_is_emitted_at_its_time() -> None:
     engine = RecordingEngine("exceptionAlarm(late, 5) <- a.")
     engine.event("a", 1)
     engine.clock.move_to(5 * 10**9)
@@ -161,14 +163,14 @@ def test_alarm_is_emitted_at_its_time():
     assert engine.events[-1] == ("late", 10**9, 6 * 10**9)
 
 
-def test_alarm_in_callback_keeps_current_event():
+def test_alarm_in_callback_keeps_current_event() -> None:
     engine = RecordingEngine(
         "exceptionAlarm(late, 1) <- a. c <- b do true.",
         "subscribe(b, [], _, out, s)\nmemorize(b, [], b, m, 3)",
         clock=StreamClock(),
     )
 
-    def advance(term, topic, name):
+    def advance(term: Any, topic: Any, name: Any) -> None:
         engine.clock.move_to(5 * 10**9)
         engine.event("d", 5)
 
@@ -198,10 +200,10 @@ def test_alarm_in_callback_keeps_current_event():
     ],
     ids=["event", "goal", "goal file"],
 )
-def test_interrupt_drops_pending_events(work):
+def test_interrupt_drops_pending_events(work: Any) -> None:
     engine = RecordingEngine("b <- a. c <- b. c <- a.", "subscribe(b, [], _, out, s)")
 
-    def stop(term, topic, name):
+    def stop(term: Any, topic: Any, name: Any) -> None:
         if not engine.events or engine.events[-1][0] == "b":
             raise KeyboardInterrupt
 
@@ -214,12 +216,12 @@ def test_interrupt_drops_pending_events(work):
     assert [event for event, _, _ in engine.events] == ["d"]  # events of the interrupted call are dropped
 
 
-def test_events_of_callback_count_as_derived(caplog):
+def test_events_of_callback_count_as_derived(caplog: pytest.LogCaptureFixture) -> None:
     engine = Engine(settings=Settings(max_depth=10))
     engine.load(goals="subscribe(n(_), [], _, out, s)")
-    outputs = []
+    outputs: List[Any] = []
 
-    def send_next(term, topic, name):
+    def send_next(term: Any, topic: Any, name: Any) -> None:
         outputs.append(engine.show(term))
         engine.event(f"n({len(outputs)})", 1)
 
@@ -230,7 +232,7 @@ def test_events_of_callback_count_as_derived(caplog):
     assert engine.dispatcher.current is None
 
 
-def test_threads_send_events_during_queries():
+def test_threads_send_events_during_queries() -> None:
     engine = RecordingEngine("n(X) <- e(X).", "memorize(n(X), [], _, m, 10000)")
     threads = [
         threading.Thread(target=lambda k=k: [engine.event(f"e({k})", i) for i in range(50)]) for k in range(4)
@@ -244,7 +246,7 @@ def test_threads_send_events_during_queries():
     assert len(engine.query("access_mem(m, _, _)")) == 200
 
 
-def test_endless_goal_is_stopped():
+def test_endless_goal_is_stopped() -> None:
     engine = RecordingEngine("loop :- loop.\nnull do loop <- a.\nok <- a.", limits=Limits(inferences=100_000))
     engine.event("a", 1)
     assert [event for event, _, _ in engine.events] == ["a", "ok"]
@@ -252,12 +254,12 @@ def test_endless_goal_is_stopped():
         engine.query("loop")
 
 
-def test_values_of_answer_share_variables():
+def test_values_of_answer_share_variables() -> None:
     (answer,) = Engine().query("X = f(A), Y = g(A)")
     assert answer["X"][1] is answer["Y"][1] is answer["A"]
 
 
-def test_failed_subscriber_does_not_stop_event(caplog):
+def test_failed_subscriber_does_not_stop_event(caplog: pytest.LogCaptureFixture) -> None:
     engine = RecordingEngine("b <- a.", "subscribe(a, [], _, t, 1)")
     engine.on_output(lambda term, topic, name: 1 / 0)
     with caplog.at_level(logging.ERROR, "retalis"):
@@ -266,13 +268,13 @@ def test_failed_subscriber_does_not_stop_event(caplog):
     assert "ZeroDivisionError" in caplog.text
 
 
-def test_alarms_beyond_limit_are_dropped():
+def test_alarms_beyond_limit_are_dropped() -> None:
     engine = Engine()
     engine.rules.max_stored = 3
-    warnings = []
+    warnings: List[Any] = []
     engine.rules.on_warning = lambda warning: warnings.append(str(warning))
     engine.load(rules="exceptionAlarm(late(X), 10) <- e(X).")
-    events = []
+    events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     for number in range(5):
         engine.event(f"e({number})", 1)
@@ -301,14 +303,16 @@ def test_alarms_beyond_limit_are_dropped():
         ("memorize(t(X), [hot(X), X > 1], _, m, 5)", None),
     ],
 )
-def test_undefined_condition_gives_warning(goal, warning, caplog):
+def test_undefined_condition_gives_warning(
+    goal: str, warning: Optional[str], caplog: pytest.LogCaptureFixture
+) -> None:
     engine = Engine()
     engine.load(rules="hot(1).")
     assert engine.call(goal)
     assert [record.getMessage() for record in caplog.records] == ([] if warning is None else [warning])
 
 
-def test_condition_may_call_later_clauses_of_file(caplog):
+def test_condition_may_call_later_clauses_of_file(caplog: pytest.LogCaptureFixture) -> None:
     engine = Engine()
     engine.load(rules=":- memorize(t(X), [hot(X), cold(X)], _, m, 5).\nhot(1).")
     assert [record.getMessage() for record in caplog.records] == [
@@ -316,7 +320,7 @@ def test_condition_may_call_later_clauses_of_file(caplog):
     ]
 
 
-def test_condition_of_goal_may_call_rules_of_program(caplog):
+def test_condition_of_goal_may_call_rules_of_program(caplog: pytest.LogCaptureFixture) -> None:
     engine = Engine()
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.load(rules="hot(X) :- X > 40.", goals="memorize(t(X), [hot(X), cold(X)], X, m, 5)")
@@ -332,7 +336,7 @@ def test_condition_of_goal_may_call_rules_of_program(caplog):
     )
 
 
-def test_error_of_rule_has_place_and_variable_names(caplog):
+def test_error_of_rule_has_place_and_variable_names(caplog: pytest.LogCaptureFixture) -> None:
     engine = Engine()
     engine.load(rules="hot(Who, T) <- temp(Who, T) where T > 38.", source="r.txt")
     engine.event("temp(bob, x)", 1)
@@ -342,20 +346,20 @@ def test_error_of_rule_has_place_and_variable_names(caplog):
 
 
 @pytest.mark.parametrize("goal", ["memorize(a, [], _, m, 5)", "subscribe(a, [], _, t, m)"])
-def test_used_id_is_refused(goal):
+def test_used_id_is_refused(goal: str) -> None:
     engine = Engine()
     assert engine.call(goal)
     with pytest.raises(PrologError, match="one already exists"):
         engine.call(goal)
 
 
-def test_errors_of_callbacks_are_reported(caplog):
+def test_errors_of_callbacks_are_reported(caplog: pytest.LogCaptureFixture) -> None:
     engine = Engine()
     engine.load(rules="b <- a.\nc <- b.", goals="subscribe(b, [], _, out, s)")
-    events = []
+    events: List[Any] = []
     for error in (ValueError("of the callback"), BrokenPipeError("of the callback")):
 
-        def fail(*arguments, error=error):
+        def fail(*arguments: Any, error: Any = error) -> None:
             raise error
 
         engine.on_event(fail)
@@ -370,17 +374,17 @@ def test_errors_of_callbacks_are_reported(caplog):
 
 
 @pytest.mark.parametrize("kind", ["on_output", "on_event", "foreign"])
-def test_query_of_other_thread_in_callback_is_refused(kind):
+def test_query_of_other_thread_in_callback_is_refused(kind: str) -> None:
     engine = Engine(settings=Settings(patience=0.01))
     engine.load(rules="b <- a.\nc <- b where wait.\nd <- b.", goals="subscribe(b, [], _, out, s)")
     refused, events = [], []
 
-    def query():
+    def query() -> None:
         with pytest.raises(UsageError) as error:
             engine.query("X = 1")
         refused.append(str(error.value))
 
-    def wait(*arguments):
+    def wait(*arguments: Any) -> None:
         if kind == "on_event" and engine.show(arguments[0]) != "b":
             return
         thread = threading.Thread(target=query)
@@ -407,12 +411,12 @@ def test_query_of_other_thread_in_callback_is_refused(kind):
     assert engine.call("X = 1")
 
 
-def test_callback_may_query_and_threads_may_post():
+def test_callback_may_query_and_threads_may_post() -> None:
     engine = Engine(settings=Settings(patience=0.01))
     engine.load(goals="subscribe(a(_), [], _, out, s)\nmemorize(b(_), [], _, m, 10)")
-    answers = []
+    answers: List[Any] = []
 
-    def callback(term, topic, name):
+    def callback(term: Any, topic: Any, name: Any) -> None:
         thread = threading.Thread(target=engine.post, args=(functor("b", 1)(1),))
         thread.start()
         thread.join(10)
@@ -424,9 +428,11 @@ def test_callback_may_query_and_threads_may_post():
     assert engine.call("memory_counter(m, 1)")
 
 
-def test_number_of_searched_similar_names_is_bounded(caplog, monkeypatch):
+def test_number_of_searched_similar_names_is_bounded(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
     engine = Engine()
-    searches = []
+    searches: List[Any] = []
     procedures = engine.logic.undefined_procedures
     suggest = procedures.suggest
     monkeypatch.setattr(procedures, "suggest", lambda key: searches.append(key) or suggest(key))
@@ -435,9 +441,9 @@ def test_number_of_searched_similar_names_is_bounded(caplog, monkeypatch):
     assert 0 < len(searches) < 60
 
 
-def test_memories_are_added_and_deleted():
+def test_memories_are_added_and_deleted() -> None:
     engine = Engine()
-    events = []
+    events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     value, name = Var(), atom("warm")
     engine.add_memory((functor("t", 1), value), [(functor(">", 2), value, 20)], Var(), name, 2)
@@ -455,9 +461,9 @@ def test_memories_are_added_and_deleted():
     assert events[-1] == "memory_deleted(warm)"
 
 
-def test_subscriptions_are_added_and_deleted():
+def test_subscriptions_are_added_and_deleted() -> None:
     engine = Engine()
-    sent = []
+    sent: List[Any] = []
     engine.on_output(lambda term, topic, name: sent.append((engine.show(term), topic, engine.show(name))))
     value, topic, name = Var(), atom("out"), atom("s")
     engine.add_subscription((functor("t", 1), value), [], (functor("got", 1), value), topic, name)

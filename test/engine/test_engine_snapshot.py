@@ -1,6 +1,8 @@
 """A restored engine continues like the one whose snapshot it has."""
 
 import random
+from pathlib import Path
+from typing import Any, List
 
 import pytest
 
@@ -120,13 +122,13 @@ QUERIES = {
 }
 
 
-def show(engine, term):
+def show(engine: Any, term: Any) -> Any:
     """Return the text of a term, with names for variables, whose numbers differ between engines."""
     names = {var: f"V{number}" for number, var in enumerate(variables(term))}
     return engine.logic.show(term, names=names)
 
 
-def record_emitted(engine):
+def record_emitted(engine: Any) -> Any:
     emitted = engine.emitted = []
     engine.on_event(lambda term, start, end: emitted.append((show(engine, term), int(start), int(end))))
     engine.on_output(
@@ -135,14 +137,14 @@ def record_emitted(engine):
     return engine
 
 
-def feed(engine, events, first):
+def feed(engine: Any, events: Any, first: int) -> None:
     for second, event in enumerate(events, first):
         term, when = event if isinstance(event, tuple) else (event, second)
         engine.event(term, when)
 
 
 @pytest.mark.parametrize("name", PROGRAMS)
-def test_restored_engine_emits_same_events(name):
+def test_restored_engine_emits_same_events(name: Any) -> None:
     rules, goals, before, after = PROGRAMS[name]
     original = Engine()
     original.load(rules=rules, goals=goals)
@@ -157,7 +159,7 @@ def test_restored_engine_emits_same_events(name):
 
 
 @pytest.mark.parametrize("name", QUERIES)
-def test_restored_engine_has_same_solutions(name):
+def test_restored_engine_has_same_solutions(name: Any) -> None:
     rules, goal, query = QUERIES[name]
     original = Engine()
     original.load(rules=rules)
@@ -172,7 +174,7 @@ def test_restored_engine_has_same_solutions(name):
     ] == expected
 
 
-def test_restored_status_has_same_counts():
+def test_restored_status_has_same_counts() -> None:
     original = Engine()
     original.load(rules="b <- a.", goals="memorize(a, [], _, m, 2)\nsubscribe(b, [], _, t, i)")
     feed(original, ["a", "a", "a"], 1)
@@ -184,7 +186,7 @@ def test_restored_status_has_same_counts():
     assert restored.status().subscriptions == original.status().subscriptions
 
 
-def test_restored_memory_has_same_records():
+def test_restored_memory_has_same_records() -> None:
     original = Engine()
     original.load(goals="memorize(a(_), [], _, m, 100)")
     values = [1, -2.5, "'A b'", '"text"', "[1,2,[3]]", "f(X,Y,X)", f"{1 << 80}", "1.0e300", "{a}", "[]"]
@@ -205,19 +207,19 @@ def test_restored_memory_has_same_records():
 
 
 @pytest.mark.slow
-def test_long_list_is_restored():
+def test_long_list_is_restored() -> None:
     original = Engine()
     original.load(goals="memorize(a(_), [], _, m, 10)", rules="p(X) <- a(X) seq b.")
     original.event(functor("a", 1)(make_list(list(range(10_000)))), 1)
     restored = Engine.restore(original.snapshot())
     assert restored.query("access_mem(m, a(L), _), length(L, N), last(L, X)")[0]["N"] == 10_000
-    events = []
+    events: List[Any] = []
     restored.on_event(lambda term, start, end: events.append(term))
     restored.event("b", 2)
     assert len(events) == 2
 
 
-def test_rules_of_services_are_restored_before_reload(tmp_path):
+def test_rules_of_services_are_restored_before_reload(tmp_path: Path) -> None:
     (tmp_path / "goalPredicates.txt").write_text("compile_event_file('r.txt')\nmemorize(a(_), [], _, m, 5)\n")
     (tmp_path / "r.txt").write_text("one : p(X) <- a(X) seq b.\nfact(1).\n:- dynamic seen/1.\nseen(0).\n")
     original = Engine()
@@ -234,7 +236,7 @@ def test_rules_of_services_are_restored_before_reload(tmp_path):
     assert restored.emitted == original.emitted
 
 
-def test_alarm_of_deleted_rule_is_restored():
+def test_alarm_of_deleted_rule_is_restored() -> None:
     original = Engine()
     original.load_rules("l : exceptionAlarm(late(X), 5) <- start(X).")
     original.event("start(1)", 1)
@@ -256,7 +258,7 @@ DUE_AT_ONE_INSTANT = {
 
 
 @pytest.mark.parametrize("name", DUE_AT_ONE_INSTANT)
-def test_restore_keeps_order_of_alarms_at_one_instant(name):
+def test_restore_keeps_order_of_alarms_at_one_instant(name: Any) -> None:
     goals, *events = DUE_AT_ONE_INSTANT[name]
     rules = (
         "null do timer(t, after(2)) <- set.\n"
@@ -274,7 +276,7 @@ def test_restore_keeps_order_of_alarms_at_one_instant(name):
     assert restored.emitted == engine.emitted
 
 
-def test_restore_omits_retracted_state():
+def test_restore_omits_retracted_state() -> None:
     engine = Engine()
     engine.load(
         goals="set_etalis_flag(revision_flag, on), state(s(X), from(a(X)), until(b), [within(9)])",
@@ -288,7 +290,7 @@ def test_restore_omits_retracted_state():
     assert restored.emitted == engine.emitted
 
 
-def test_own_clock_is_not_moved_by_events():
+def test_own_clock_is_not_moved_by_events() -> None:
     original = Engine(clock=StreamClock(50))
     original.load(rules="p <- a.")
     restored = Engine.restore(original.snapshot())
@@ -302,7 +304,7 @@ def half(number: int) -> float:
     return number / 2
 
 
-def test_restored_rules_call_given_foreign_predicates():
+def test_restored_rules_call_given_foreign_predicates() -> None:
     original = Engine()
     original.add_foreign(half)
     original.load(rules="p(Y) <- a(X) where half(X, Y).")
@@ -311,7 +313,7 @@ def test_restored_rules_call_given_foreign_predicates():
     assert restored.emitted[-1][0] == "p(1.5)"
 
 
-def test_python_module_is_loaded_from_program_folder(tmp_path):
+def test_python_module_is_loaded_from_program_folder(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(
         "from retalis import foreign\n@foreign\ndef third(x: int) -> float:\n    return x / 3\n"
     )
@@ -329,11 +331,11 @@ def test_python_module_is_loaded_from_program_folder(tmp_path):
         Engine.restore(data, folder=tmp_path)
 
 
-def test_snapshot_in_callback_is_refused():
+def test_snapshot_in_callback_is_refused() -> None:
     engine = Engine()
-    events = []
+    events: List[Any] = []
 
-    def ask(term, start, end):
+    def ask(term: Any, start: Any, end: Any) -> None:
         with pytest.raises(UsageError, match="a goal or callback"):
             engine.snapshot()
         events.append(term)
@@ -343,7 +345,7 @@ def test_snapshot_in_callback_is_refused():
     assert events
 
 
-def test_damaged_state_is_refused():
+def test_damaged_state_is_refused() -> None:
     engine = Engine()
     engine.load(rules=ALARM, goals="memorize(start(_), [], _, m, 9)")
     feed(engine, ["start(1)", "start(2)"], 1)
@@ -362,7 +364,7 @@ def test_damaged_state_is_refused():
     assert Engine.restore(data).query("access_mem(m, _, _)") != []
 
 
-def test_memory_of_size_zero_keeps_its_progress():
+def test_memory_of_size_zero_keeps_its_progress() -> None:
     original = Engine()
     original.load(rules="synchronized(got(X), true, [[m, 2]]) <- ask(X).", goals="memorize(a, [], _, m, 0)")
     original.event("a", 3)
@@ -371,7 +373,7 @@ def test_memory_of_size_zero_keeps_its_progress():
     assert "got(1)" in [emitted[0] for emitted in restored.emitted]
 
 
-def test_query_continues_without_deleted_memory():
+def test_query_continues_without_deleted_memory() -> None:
     original = Engine()
     original.load(
         rules="synchronized(got(X), true, [[m, 5], [n, 5]]) <- ask(X).",
@@ -397,8 +399,8 @@ def test_query_continues_without_deleted_memory():
         ("p(1).", True),
     ],
 )
-def test_restored_predicates_are_defined_as_before(rules, expected):
-    def outcome(engine):
+def test_restored_predicates_are_defined_as_before(rules: str, expected: Any) -> None:
+    def outcome(engine: Any) -> Any:
         try:
             return engine.call("p(1)")
         except PrologError as error:
@@ -409,7 +411,7 @@ def test_restored_predicates_are_defined_as_before(rules, expected):
     assert outcome(Engine.restore(original.snapshot())) == outcome(original) == expected
 
 
-def test_flags_of_settings_are_those_of_new_engine():
+def test_flags_of_settings_are_those_of_new_engine() -> None:
     original = Engine(settings=Settings(max_gap=5.0))
     assert Engine.restore(original.snapshot()).query("get_etalis_flag(max_gap, X)") == [{"X": -1}]
     record_origins(original)
@@ -417,13 +419,13 @@ def test_flags_of_settings_are_those_of_new_engine():
     assert not Engine.restore(original.snapshot()).rules.options.tracks_events
 
 
-def test_restored_engine_subscribes_to_same_topics():
+def test_restored_engine_subscribes_to_same_topics() -> None:
     original = Engine()
-    topics = []
+    topics: List[Any] = []
     original.input_topics.set_subscriber(topics.append, resolve_name=lambda topic: "/" + topic.lstrip("/"))
     original.call("subscribe_to('/scan', 'std_msgs/String')")
     restored = Engine.restore(original.snapshot())
-    restored_topics = []
+    restored_topics: List[Any] = []
     restored.input_topics.set_subscriber(
         restored_topics.append, resolve_name=lambda topic: "/" + topic.lstrip("/")
     )

@@ -2,13 +2,14 @@
 
 import json
 import threading
+from typing import Any, Dict, List
 
 import pytest
 
 from retalis import Engine, Limits, Settings, StreamClock, foreign
 
 
-def rules_of(engine):
+def rules_of(engine: Any) -> Dict[Any, Any]:
     return {rule.text: rule for rule in engine.status().rules}
 
 
@@ -28,7 +29,7 @@ def rules_of(engine):
 )
 @pytest.mark.parametrize("has_listener", [False, True])
 @pytest.mark.parametrize("mode", ["", "set_etalis_flag(revision_flag, on)"])
-def test_rule_counts_its_firings(text, events, has_listener, mode):
+def test_rule_counts_its_firings(text: str, events: List[str], has_listener: bool, mode: str) -> None:
     engine = Engine()
     engine.load(rules=text, goals=mode or "true")
     engine.load(goals="memorize(never, [], _, late, 3)")
@@ -42,7 +43,7 @@ def test_rule_counts_its_firings(text, events, has_listener, mode):
     assert engine.status().taken == len(events)
 
 
-def test_posted_terms_and_texts_are_counted():
+def test_posted_terms_and_texts_are_counted() -> None:
     engine = Engine(StreamClock(0))
     engine.load(rules="null do use(X) <- b(X). use(_).")
     for _ in range(3):
@@ -51,7 +52,7 @@ def test_posted_terms_and_texts_are_counted():
     assert (engine.status().taken, engine.status().rules[0].fired) == (4, 4)
 
 
-def test_deleted_rule_keeps_total_counts():
+def test_deleted_rule_keeps_total_counts() -> None:
     engine = Engine()
     engine.load(rules="l : a <- b.")
     engine.event("b", 1)
@@ -60,7 +61,7 @@ def test_deleted_rule_keeps_total_counts():
     assert engine.status().fired == 1
 
 
-def test_errors_are_counted_per_rule():
+def test_errors_are_counted_per_rule() -> None:
     engine = Engine()
     engine.load(rules="a <- b(X) where X > 1.\nc <- b(_).", source="mine")
     engine.event("b(many)", 1)
@@ -69,7 +70,7 @@ def test_errors_are_counted_per_rule():
     assert engine.status().errors == 1
 
 
-def test_patterns_have_named_variables():
+def test_patterns_have_named_variables() -> None:
     engine = Engine()
     engine.load(goals="memorize(t(X, Y, f(X)), [], _, m, 3)\nsubscribe(u(_), [], _, out, s)")
     status = engine.status()
@@ -79,7 +80,7 @@ def test_patterns_have_named_variables():
     assert engine.status().memories == ()
 
 
-def test_memory_has_span_of_its_records():
+def test_memory_has_span_of_its_records() -> None:
     engine = Engine()
     engine.load(goals="memorize(t(_), [], _, m, 3)\nmemorize(t(_), [], _, none, 0)")
     for second in range(1, 100):
@@ -94,7 +95,7 @@ def test_memory_has_span_of_its_records():
     )
 
 
-def test_waiting_query_names_late_memories():
+def test_waiting_query_names_late_memories() -> None:
     engine = Engine()
     engine.load(goals="\n".join(f"memorize({name}, [], _, m_{name}, 3)" for name in "abc"))
     engine.load(rules="synchronized(seen(X), true, [[m_a, 5], [m_b, 6], [m_c, 7]]) <- marker(X).")
@@ -108,7 +109,7 @@ def test_waiting_query_names_late_memories():
     }
 
 
-def test_lists_are_bounded_with_count_of_rest():
+def test_lists_are_bounded_with_count_of_rest() -> None:
     engine = Engine()
     engine.load(goals="\n".join(f"memorize(a, [], _, m{number}, 3)" for number in range(150)))
     engine.load(rules="\n".join(f"a{number} <- b({number}) where 1 < X." for number in range(150)))
@@ -123,7 +124,7 @@ def test_lists_are_bounded_with_count_of_rest():
     assert len(json.dumps(long.status().json())) < 1000
 
 
-def test_status_is_converted_to_json():
+def test_status_is_converted_to_json() -> None:
     engine = Engine()
     engine.load(goals="memorize(a, [], _, m, 3)", rules="synchronized(x, true, [[m, 9]]) <- b.")
     engine.event("b", 1)
@@ -133,14 +134,14 @@ def test_status_is_converted_to_json():
     assert read["rules"][0]["fired"] == 1
 
 
-def test_pending_alarms_are_counted():
+def test_pending_alarms_are_counted() -> None:
     engine = Engine()
     engine.load(rules="exceptionAlarm(late, 5) <- start.")
     engine.event("start", 1)
     assert (engine.status().alarms, engine.status().next_alarm) == (1, 6 * 10**9)
 
 
-def test_status_of_busy_engine_names_its_work():
+def test_status_of_busy_engine_names_its_work() -> None:
     released = threading.Event()
 
     @foreign
@@ -168,10 +169,10 @@ def test_status_of_busy_engine_names_its_work():
     assert len(status.rules) == 1
 
 
-def test_status_is_available_in_callback():
+def test_status_is_available_in_callback() -> None:
     engine = Engine()
     engine.load(goals="subscribe(fire, [], _, alarms, a)")
-    statuses = []
+    statuses: List[Any] = []
     engine.on_output(lambda term, topic, name: statuses.append(engine.status()))
     engine.event("fire", 1)
     assert statuses[0].work.what == "fire"

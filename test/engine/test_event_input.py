@@ -1,6 +1,8 @@
 """Event input: topics that goals subscribe to, events, event texts, and their times."""
 
 import logging
+from pathlib import Path
+from typing import Any, List, Tuple
 
 import pytest
 from recording_engine import RecordingEngine
@@ -30,14 +32,14 @@ TOPICS = Topics(
 
 
 @pytest.fixture
-def engine_with_topics():
+def engine_with_topics() -> Tuple[Any, ...]:
     """Return an engine with topics, and the subscriptions that its goals request."""
     engine, subscriptions = Engine(), []
     engine.input_topics.set_subscriber(lambda request: subscriptions.append(tuple(request)), TOPICS)
     return engine, subscriptions
 
 
-def test_goal_subscribes_to_topic_once(engine_with_topics):
+def test_goal_subscribes_to_topic_once(engine_with_topics: Tuple[Any, ...]) -> None:
     engine, subscriptions = engine_with_topics
     engine.load(goals="subscribe_to(right, 'std_msgs/Bool', bumper_right)\nsubscribe_to(scan, 'a/msg/B')")
     assert engine.call("""subscribe_to("/right", "std_msgs/Bool", bumper_right)""")
@@ -70,7 +72,9 @@ def test_goal_subscribes_to_topic_once(engine_with_topics):
         ("subscribe_to(a, 'std_msgs/Int32', 3)", "names with a slash need quotes"),
     ],
 )
-def test_invalid_subscription_is_an_error_of_goal(engine_with_topics, goal, message):
+def test_invalid_subscription_is_an_error_of_goal(
+    engine_with_topics: Tuple[Any, ...], goal: str, message: str
+) -> None:
     engine, subscriptions = engine_with_topics
     with pytest.raises(RetalisError) as error:
         engine.call(goal)
@@ -79,14 +83,14 @@ def test_invalid_subscription_is_an_error_of_goal(engine_with_topics, goal, mess
     assert subscriptions == []
 
 
-def test_number_of_subscribed_topics_is_limited(engine_with_topics):
+def test_number_of_subscribed_topics_is_limited(engine_with_topics: Tuple[Any, ...]) -> None:
     engine, subscriptions = engine_with_topics
     with pytest.raises(RetalisError, match="goals subscribe to at most 1000 topics"):
         engine.call("between(0, 2000, N), atom_concat(t, N, T), subscribe_to(T, 'std_msgs/Bool'), fail")
     assert len(subscriptions) == 1000
 
 
-def test_subscription_without_topics_gives_warning(caplog):
+def test_subscription_without_topics_gives_warning(caplog: pytest.LogCaptureFixture) -> None:
     engine = Engine()
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.load(goals="subscribe_to(left, 'std_msgs/Bool', bump)", rules="hit <- bump(true).")
@@ -94,16 +98,16 @@ def test_subscription_without_topics_gives_warning(caplog):
     assert "topic left is not subscribed: there are no topics here" in record.getMessage()
 
 
-def test_events_named_by_goal_have_named_slots(engine_with_topics):
+def test_events_named_by_goal_have_named_slots(engine_with_topics: Tuple[Any, ...]) -> None:
     engine, _ = engine_with_topics
     engine.load(goals="subscribe_to(right, 'std_msgs/Bool', right)", rules="hit(X) <- right{data: X}.")
-    events = []
+    events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     engine.event("right(true)", 1)
     assert events == ["right{data: true}", "hit(true)"]
 
 
-def test_reload_subscribes_to_new_topics_only(tmp_path, engine_with_topics):
+def test_reload_subscribes_to_new_topics_only(tmp_path: Path, engine_with_topics: Tuple[Any, ...]) -> None:
     engine, subscriptions = engine_with_topics
     goals = tmp_path / "goalPredicates.txt"
     goals.write_text("subscribe_to(a, 'std_msgs/Bool', x)\n")
@@ -116,7 +120,7 @@ def test_reload_subscribes_to_new_topics_only(tmp_path, engine_with_topics):
     assert subscriptions == [("a", "std_msgs/Bool", "x"), ("b", "std_msgs/Bool", "")]
 
 
-def test_check_knows_events_of_subscribed_topics(tmp_path):
+def test_check_knows_events_of_subscribed_topics(tmp_path: Path) -> None:
     (tmp_path / "pub_sub.xml").write_text("<publish_subscribe/>")
     (tmp_path / "goalPredicates.txt").write_text(
         "compile_event_file('rules.txt')\nsubscribe_to(left, 'std_msgs/Bool', bump)\n"
@@ -140,7 +144,7 @@ def test_check_knows_events_of_subscribed_topics(tmp_path):
 # ---- events and event texts
 
 
-def test_events_without_time_have_distinct_times():
+def test_events_without_time_have_distinct_times() -> None:
     engine = RecordingEngine()
     engine.clock.move_to(5)
     engine.event("a")
@@ -148,7 +152,7 @@ def test_events_without_time_have_distinct_times():
     assert engine.events == [("a", 5, 5), ("b", 6, 6)]
 
 
-def test_late_event_does_not_move_clock_back():
+def test_late_event_does_not_move_clock_back() -> None:
     engine = RecordingEngine("out(X) <- (a(X) seq b(X)) within 60.\nexceptionAlarm(ring(X), 5) <- a(X).")
     for second in range(200):
         engine.event(f"a({second})", second)
@@ -162,7 +166,7 @@ def test_late_event_does_not_move_clock_back():
     assert ("out(199)", 199 * 10**9, 201 * 10**9) in engine.events
 
 
-def test_given_clock_is_not_moved_by_events():
+def test_given_clock_is_not_moved_by_events() -> None:
     engine = RecordingEngine(clock=StreamClock(7))
     engine.event("a", 100)
     assert engine.clock.now() == 7
@@ -172,7 +176,7 @@ STAMPED = "late(D) <- (s seq e) check (t1(S), t2(E), E - S >= 9.5, E > S, D is E
 
 
 @pytest.mark.parametrize("input_kind", ["event", "post", "text", "datime", "now"])
-def test_stamp_arithmetic_is_equal_for_all_inputs(input_kind):
+def test_stamp_arithmetic_is_equal_for_all_inputs(input_kind: str) -> None:
     engine = RecordingEngine(STAMPED)
     for name, seconds in (("s", 5), ("e", 15.25)):
         instant = int(seconds * 10**9)
@@ -190,7 +194,9 @@ def test_stamp_arithmetic_is_equal_for_all_inputs(input_kind):
     assert [event for event, _, _ in engine.events] == ["s", "e", "late(10.25)"]
 
 
-def test_event_text_beyond_limit_is_refused(caplog, monkeypatch):
+def test_event_text_beyond_limit_is_refused(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
     engine = RecordingEngine(clock=StreamClock(7))
     monkeypatch.setattr("retalis.engine.event_input.MAX_EVENT_TEXT_CHARACTERS", 20)
     with caplog.at_level(logging.WARNING, "retalis"):
@@ -201,7 +207,7 @@ def test_event_text_beyond_limit_is_refused(caplog, monkeypatch):
     assert "21 characters, at most 20 are allowed" in record.getMessage()
 
 
-def test_times_may_be_terms_or_numbers():
+def test_times_may_be_terms_or_numbers() -> None:
     engine = RecordingEngine()
     stamp = timestamps.datime(7 * 10**9 + 1)
     engine.event("a", stamp, stamp)
@@ -209,7 +215,7 @@ def test_times_may_be_terms_or_numbers():
     assert engine.events == [("a", 7 * 10**9 + 1, 7 * 10**9 + 1), ("b", 1_500_000_000, 2_000_000_000)]
 
 
-def test_end_before_start_is_refused():
+def test_end_before_start_is_refused() -> None:
     engine = RecordingEngine()
     with pytest.raises(RetalisError):
         engine.event("a", 2, 1)
@@ -218,7 +224,7 @@ def test_end_before_start_is_refused():
     assert engine.events == []
 
 
-def test_event_with_syntax_error_is_refused():
+def test_event_with_syntax_error_is_refused() -> None:
     with pytest.raises(SyntaxFault):
         RecordingEngine().event("a(", 1)
 
@@ -232,7 +238,7 @@ def test_event_with_syntax_error_is_refused():
         "new_event(a(1), [datime(1970,1,1,0,0,1.0,0), datime(1970,1,1,0,0,1,0)]).",
     ],
 )
-def test_event_text_is_processed(text):
+def test_event_text_is_processed(text: str) -> None:
     engine = RecordingEngine()
     engine.post_text(text)
     assert engine.events == [("a(1)", 10**9, 10**9)]
@@ -241,7 +247,7 @@ def test_event_text_is_processed(text):
 @pytest.mark.parametrize(
     "text", ["assertz(x)", "event(", "event(X)", "event(1)", "event(a,[2,1])", "new_event(a,x,1)"]
 )
-def test_other_text_is_refused_with_warning(text, caplog):
+def test_other_text_is_refused_with_warning(text: str, caplog: pytest.LogCaptureFixture) -> None:
     engine = RecordingEngine()
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.post_text(text)
@@ -250,20 +256,20 @@ def test_other_text_is_refused_with_warning(text, caplog):
     assert engine.query("catch(x, _, fail)") == []
 
 
-def test_goal_text_is_called_if_allowed():
+def test_goal_text_is_called_if_allowed() -> None:
     engine = RecordingEngine(allow_goals=True)
     engine.post_text("assertz(x(1))")
     assert engine.query("x(1)") == [{}]
 
 
-def test_default_clock_is_stream_clock():
+def test_default_clock_is_stream_clock() -> None:
     assert isinstance(Engine().clock, StreamClock)
 
 
 @pytest.mark.parametrize(
     "text", ["new_event(a,99999999999999,0)", "event(a,[1.0e20,1.0e20])", "new_event(a,1,0,99999999999999,0)"]
 )
-def test_instant_without_date_is_refused(text, caplog):
+def test_instant_without_date_is_refused(text: str, caplog: pytest.LogCaptureFixture) -> None:
     engine = Engine()
     engine.load(goals="memorize(a, [], _, m, 5)")
     engine.post_text(text)
@@ -274,8 +280,8 @@ def test_instant_without_date_is_refused(text, caplog):
             engine.call(text)
 
 
-def test_posted_term_and_text_have_same_stamp():
-    shown = []
+def test_posted_term_and_text_have_same_stamp() -> None:
+    shown: List[Any] = []
     for post in (
         lambda engine: engine.post(atom("a"), 10**9 + 5),
         lambda engine: engine.post_text("event(a,[datime(1970,1,1,0,0,1,5),datime(1970,1,1,0,0,1,5)])"),
@@ -287,7 +293,7 @@ def test_posted_term_and_text_have_same_stamp():
     assert shown == ["[datime(1970,1,1,0,0,1,5),datime(1970,1,1,0,0,1,5)]"] * 2
 
 
-def test_refused_event_text_is_logged_with_reason(caplog):
+def test_refused_event_text_is_logged_with_reason(caplog: pytest.LogCaptureFixture) -> None:
     engine = Engine()
     for text in ("event(X)", "event(a,[2,1])", "foo", "event(a", "halt(" + "x" * 1000 + ")"):
         engine.post_text(text)
@@ -299,7 +305,7 @@ def test_refused_event_text_is_logged_with_reason(caplog):
     assert len(shown[4]) < 300
 
 
-def test_failed_goal_text_is_logged(caplog):
+def test_failed_goal_text_is_logged(caplog: pytest.LogCaptureFixture) -> None:
     engine = Engine(settings=Settings(allow_goals=True))
     for text in ("fail", "nosuch(1)"):
         engine.post_text(text)
@@ -309,14 +315,14 @@ def test_failed_goal_text_is_logged(caplog):
     ]
 
 
-def test_invalid_instant_of_post_is_refused():
+def test_invalid_instant_of_post_is_refused() -> None:
     engine = Engine()
     with pytest.raises(ValueError, match="soon"):
         engine.post(atom("a"), "soon")
 
 
-def moved(instant):
-    def clock():
+def moved(instant: int) -> Any:
+    def clock() -> Any:
         moved_clock = StreamClock()
         moved_clock.move_to(instant)
         return moved_clock
@@ -324,8 +330,8 @@ def moved(instant):
     return clock
 
 
-def pinned(instant):
-    def clock():
+def pinned(instant: int) -> Any:
+    def clock() -> Any:
         pinned_clock = StreamClock()
         pinned_clock.pin(instant)
         return pinned_clock
@@ -333,11 +339,11 @@ def pinned(instant):
     return clock
 
 
-def test_event_without_time_on_unset_clock_is_refused():
+def test_event_without_time_on_unset_clock_is_refused() -> None:
     """With stamps of 0 s and 1 ns, absences would not end and alarms would not be emitted."""
     own = Engine()
     for engine in (own, Engine(StreamClock())):
-        starts = []
+        starts: List[Any] = []
         engine.on_event(lambda term, start, end, starts=starts: starts.append(start))
         with pytest.raises(UsageError) as error:
             engine.event("beat")
@@ -355,7 +361,7 @@ def test_event_without_time_on_unset_clock_is_refused():
 
 
 @pytest.mark.parametrize("post", ["post", "post_each", "post_text"])
-def test_posted_event_on_unset_clock_is_reported(post):
+def test_posted_event_on_unset_clock_is_reported(post: str) -> None:
     reports, errors_and_events = Reports(), []
     reports.error = lambda error, *_: errors_and_events.append(str(error)[:30])
     engine = Engine(None, None, reports)
@@ -373,16 +379,16 @@ def test_posted_event_on_unset_clock_is_reported(post):
     "clock",
     [lambda: StreamClock(0), lambda: StreamClock(7), moved(0), pinned(0), lambda: Clock(lambda: 5 * SECOND)],
 )
-def test_set_clock_stamps_events(clock):
+def test_set_clock_stamps_events(clock: Any) -> None:
     engine = Engine(clock())
-    starts = []
+    starts: List[Any] = []
     engine.on_event(lambda term, start, end: starts.append(start))
     engine.event("beat")
     engine.event("beat")
     assert starts[1] > starts[0]
 
 
-def test_restored_clock_is_unset_or_set():
+def test_restored_clock_is_unset_or_set() -> None:
     engine = Engine()
     with pytest.raises(UsageError, match="has no time"):
         Engine.restore(engine.snapshot()).event("beat")

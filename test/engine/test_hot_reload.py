@@ -1,6 +1,8 @@
 """Reload of a program in a running engine."""
 
 import threading
+from pathlib import Path
+from typing import Any, List, Tuple
 
 import pytest
 
@@ -38,7 +40,7 @@ both(X,Y) <- smoke(X) seq heat(Y).
 class Program:
     """A folder with a program, and an engine that has loaded it."""
 
-    def __init__(self, folder, settings=None):
+    def __init__(self, folder: Any, settings: Any = None) -> None:
         self.folder = folder
         self.write(GOALS, RULES)
         self.engine = Engine(settings=settings)
@@ -49,16 +51,16 @@ class Program:
         self.engine.on_output(lambda term, topic, name: self.sent.append((topic, self.engine.show(term))))
         self.engine.load_program(folder)
 
-    def write(self, goals=None, rules=None):
+    def write(self, goals: Any = None, rules: Any = None) -> None:
         for name, text in (("goalPredicates.txt", goals), ("rules.txt", rules)):
             if text is not None:
                 (self.folder / name).write_text(text)
 
-    def reload(self, goals=None, rules=None):
+    def reload(self, goals: Any = None, rules: Any = None) -> Any:
         self.write(goals, rules)
         return self.engine.reload(self.folder)
 
-    def events(self, *texts):
+    def events(self, *texts: Any) -> List[Any]:
         """Process events; return them and the events that they trigger."""
         self.seen.clear()
         for text in texts:
@@ -66,15 +68,15 @@ class Program:
             self.engine.event(text, self.now)
         return [text for text in self.seen if not text.startswith("memory_updated")]
 
-    def records(self, name="fires"):
+    def records(self, name: str = "fires") -> List[Any]:
         return [
             self.engine.show(solution["R"]) for solution in self.engine.query(f"access_mem({name}, R, _)")
         ]
 
-    def all(self, goal):
+    def all(self, goal: str) -> List[Any]:
         return [self.engine.show(solution["X"]) for solution in self.engine.query(goal)]
 
-    def state(self):
+    def state(self) -> Tuple[Any, ...]:
         """Return the state that a refused reload must not change."""
         engine = self.engine
         predicates = [
@@ -100,11 +102,11 @@ class Program:
 
 
 @pytest.fixture
-def program(tmp_path):
+def program(tmp_path: Path) -> Program:
     return Program(tmp_path)
 
 
-def test_reload_of_unchanged_program_changes_nothing(program):
+def test_reload_of_unchanged_program_changes_nothing(program: Program) -> None:
     program.events("fire(hall)", "smoke(1)")
     before = program.state()
     assert program.reload() == [
@@ -120,7 +122,7 @@ def test_reload_of_unchanged_program_changes_nothing(program):
 
 
 @pytest.mark.slow
-def test_repeated_reloads_keep_partial_matches(program):
+def test_repeated_reloads_keep_partial_matches(program: Program) -> None:
     program.events("smoke(0)")
     for number in range(1, 30):
         program.reload(rules=RULES + f"extra({number}) <- tick.\nnumbered({number}).\n")
@@ -131,7 +133,7 @@ def test_repeated_reloads_keep_partial_matches(program):
     assert len(program.engine.deployments) == 1
 
 
-def test_unchanged_rule_keeps_partial_matches(program):
+def test_unchanged_rule_keeps_partial_matches(program: Program) -> None:
     program.events("smoke(1)")
     changes = program.reload(
         rules=RULES.replace("fire(X) where room(X)", "fire(X)")
@@ -150,7 +152,7 @@ def test_unchanged_rule_keeps_partial_matches(program):
     ]
 
 
-def test_removed_rule_loses_partial_matches(program):
+def test_removed_rule_loses_partial_matches(program: Program) -> None:
     program.events("smoke(1)", "smoke(2)")
     changes = program.reload(rules=RULES.replace("both(X,Y)", "pair(X,Y)"))
     assert (
@@ -161,7 +163,7 @@ def test_removed_rule_loses_partial_matches(program):
     assert program.events("smoke(3)", "heat(4)") == ["smoke(3)", "heat(4)", "pair(3,4)"]
 
 
-def test_kept_rules_have_order_of_file(program):
+def test_kept_rules_have_order_of_file(program: Program) -> None:
     rules = "one <- a.\ntwo <- a.\nthree <- a.\n"
     program.reload(rules=rules)
     assert program.events("a") == ["a", "one", "two", "three"]
@@ -169,7 +171,7 @@ def test_kept_rules_have_order_of_file(program):
     assert program.events("a") == ["a", "three", "two", "one"]
 
 
-def test_equal_rules_are_paired_individually(program):
+def test_equal_rules_are_paired_individually(program: Program) -> None:
     changes = program.reload(rules="b <- a.\nb <- a.\n")
     assert program.events("a") == ["a", "b", "b"]
     changes = program.reload(rules="b <- a.\n")
@@ -177,7 +179,7 @@ def test_equal_rules_are_paired_individually(program):
     assert program.events("a") == ["a", "b"]
 
 
-def test_rules_are_identified_by_label(program):
+def test_rules_are_identified_by_label(program: Program) -> None:
     program.reload(rules="w([property(window, 1)]) : c <- a seq b.\n")
     assert program.events("a", "x", "b") == ["a", "x", "b"]
     changes = program.reload(rules="w([property(window, 5)]) : c <- a seq b.\n")
@@ -187,7 +189,7 @@ def test_rules_are_identified_by_label(program):
     assert program.events("a", "x", "x", "x", "x", "x", "x", "b")[-1] == "c"
 
 
-def test_kept_rules_call_changed_clauses(program):
+def test_kept_rules_call_changed_clauses(program: Program) -> None:
     for _ in range(50):  # until the rules are compiled
         program.events("fire(hall)")
     changes = program.reload(rules=RULES.replace("room(attic)", "room(X) :- cellar(X)") + "cellar(cellar).\n")
@@ -201,7 +203,7 @@ def test_kept_rules_call_changed_clauses(program):
         program.engine.call("cellar(_)")
 
 
-def test_library_predicate_is_replaced_and_restored(program):
+def test_library_predicate_is_replaced_and_restored(program: Program) -> None:
     rules = "c <- a where last([1, 2], 2).\n"
     program.reload(rules=rules)
     assert program.events("a") == ["a", "c"]
@@ -214,7 +216,7 @@ def test_library_predicate_is_replaced_and_restored(program):
     assert program.events("a") == ["a", "c"]
 
 
-def test_tables_are_evaluated_again(program):
+def test_tables_are_evaluated_again(program: Program) -> None:
     rules = (
         ":- table path/2.\nedge(1, 2).\npath(X, Y) :- edge(X, Y).\npath(X, Z) :- path(X, Y), edge(Y, Z).\n"
     )
@@ -229,7 +231,7 @@ def test_tables_are_evaluated_again(program):
     assert sorted(program.all("path(1, X)")) == ["2", "3"]
 
 
-def test_memory_with_changed_definition_starts_empty(program):
+def test_memory_with_changed_definition_starts_empty(program: Program) -> None:
     program.events("fire(hall)")
     changes = program.reload(goals=GOALS.replace("fires, 5", "fires, 6"))
     assert "  changed: memory fires: it is defined otherwise, and begins empty" in changes
@@ -238,14 +240,14 @@ def test_memory_with_changed_definition_starts_empty(program):
     assert program.records() == ["fire(1)"]
 
 
-def test_renamed_variables_keep_memory(program):
+def test_renamed_variables_keep_memory(program: Program) -> None:
     program.events("fire(hall)")
     program.reload(goals=GOALS.replace("fire(_), [], _, fires", "fire(Where), [], _What, fires"))
     assert program.records() == ["fire(hall)"]
 
 
-def test_new_and_removed_memories_are_reported(program):
-    events = []
+def test_new_and_removed_memories_are_reported(program: Program) -> None:
+    events: List[Any] = []
     program.engine.on_event(lambda term, start, end: events.append(program.engine.show(term).split("(")[0]))
     changes = program.reload(goals=GOALS.replace("fires, 5", "blazes, 5"))
     assert changes[3:6] == [
@@ -263,7 +265,7 @@ def test_new_and_removed_memories_are_reported(program):
     assert program.records("blazes") == ["fire(1)"]
 
 
-def test_queries_of_kept_memory_stay_pending(program):
+def test_queries_of_kept_memory_stay_pending(program: Program) -> None:
     program.reload(rules=RULES + "synchronized(done, true, [[fires, 50]]) <- go.\n")
     program.events("go")
     program.reload(rules=RULES)
@@ -273,7 +275,7 @@ def test_queries_of_kept_memory_stay_pending(program):
     assert program.seen.count("done") == 1
 
 
-def test_queries_of_changed_memory_are_cancelled(program):
+def test_queries_of_changed_memory_are_cancelled(program: Program) -> None:
     program.reload(rules=RULES + "synchronized(done, true, [[fires, 50]]) <- go.\n")
     program.events("go")
     waiting = program.engine.knowledge.pending_queries
@@ -282,7 +284,7 @@ def test_queries_of_changed_memory_are_cancelled(program):
     assert len(waiting) == 0
 
 
-def test_changed_subscription_uses_new_format(program):
+def test_changed_subscription_uses_new_format(program: Program) -> None:
     changes = program.reload(
         goals=GOALS.replace("alarm(_), [], _, alarms, a", "alarm(X), [], X, alarms, a")
         + "subscribe(both(_,_), [], _, pairs, b)\n"
@@ -292,7 +294,7 @@ def test_changed_subscription_uses_new_format(program):
     assert program.sent == [("alarms", "hall")]
 
 
-def test_flags_without_goal_get_default(program):
+def test_flags_without_goal_get_default(program: Program) -> None:
     flags = program.engine.rules.flags
     program.reload(goals=GOALS + "set_etalis_flag(event_consumption_policy, unrestricted)\n")
     assert flags.get("event_consumption_policy") is atom("unrestricted")
@@ -303,7 +305,7 @@ def test_flags_without_goal_get_default(program):
 # ---- additions by others -------------------------------------------------------------------------------
 
 
-def test_additions_of_services_stay(program):
+def test_additions_of_services_stay(program: Program) -> None:
     engine = program.engine
     engine.add_memory(atom("glow"), [], Var(), atom("glows"), 3)
     engine.add_subscription(atom("glow"), [], Var(), atom("lights"), atom("x"))
@@ -318,7 +320,7 @@ def test_additions_of_services_stay(program):
     assert program.events("glow", "shine") == ["glow", "new", "shine"]
 
 
-def test_deletions_of_services_are_reverted(program):
+def test_deletions_of_services_are_reverted(program: Program) -> None:
     program.engine.delete_memory(atom("fires"))
     program.engine.delete_subscription(atom("alarms"), atom("a"))
     changes = program.reload()
@@ -335,7 +337,7 @@ def test_deletions_of_services_are_reverted(program):
         ("subscribe(glow, [], _, lights, x)", "subscription x of topic lights of the program exists already"),
     ],
 )
-def test_id_used_by_service_is_refused(program, goal, part):
+def test_id_used_by_service_is_refused(program: Program, goal: str, part: str) -> None:
     program.engine.call(goal)
     before = program.state()
     with pytest.raises(ProgramErrors, match=part):
@@ -343,13 +345,13 @@ def test_id_used_by_service_is_refused(program, goal, part):
     assert program.state() == before
 
 
-def test_facts_asserted_at_run_time_are_kept(program):
+def test_facts_asserted_at_run_time_are_kept(program: Program) -> None:
     program.engine.call("assertz(seen(hall))")
     program.reload(rules=RULES + "note(1).\n")
     assert program.all("seen(X)") == ["hall"]
 
 
-def test_facts_retracted_at_run_time_stay_retracted(program):
+def test_facts_retracted_at_run_time_stay_retracted(program: Program) -> None:
     program.engine.call("retract(count(0)), assertz(count(7))")
     for _ in range(3):
         program.reload()
@@ -359,7 +361,7 @@ def test_facts_retracted_at_run_time_stay_retracted(program):
 
 
 @pytest.mark.slow
-def test_loading_goals_reset_dynamic_facts(program):
+def test_loading_goals_reset_dynamic_facts(program: Program) -> None:
     goals = GOALS + "retractall(count(_)), assertz(count(0))\n"
     program.reload(goals=goals, rules=RULES.replace("count(0).\n", ""))
     program.engine.call("retract(count(0)), assertz(count(7))")
@@ -383,7 +385,7 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("goals", "rules", "part"), WRONG)
-def test_wrong_program_leaves_previous_one_running(tmp_path, goals, rules, part):
+def test_wrong_program_leaves_previous_one_running(tmp_path: Path, goals: Any, rules: Any, part: Any) -> None:
     program = Program(tmp_path, Settings(limits=Limits(inferences=100_000)))
     program.events("fire(hall)", "smoke(1)")
     before = program.state()
@@ -396,7 +398,7 @@ def test_wrong_program_leaves_previous_one_running(tmp_path, goals, rules, part)
     assert program.reload(GOALS, RULES)[0] == "rules: 0 new, 0 gone, 2 kept"
 
 
-def test_errors_have_line_and_caret(program):
+def test_errors_have_line_and_caret(program: Program) -> None:
     with pytest.raises(ProgramErrors) as caught:
         program.reload(rules="a <- b.\nc <- d e.\n")
     text = str(caught.value)
@@ -405,7 +407,7 @@ def test_errors_have_line_and_caret(program):
     assert "^" in text
 
 
-def test_missing_file_leaves_previous_program_running(program):
+def test_missing_file_leaves_previous_program_running(program: Program) -> None:
     (program.folder / "goalPredicates.txt").unlink()
     with pytest.raises(UsageError, match="cannot read"):
         program.reload()
@@ -435,7 +437,7 @@ HERE_ONLY = "\\+ here\n"
         (GOALS + HERE_ONLY, ""),
     ],
 )
-def test_failure_in_running_engine_is_rolled_back(program, goals, rules):
+def test_failure_in_running_engine_is_rolled_back(program: Program, goals: Any, rules: Any) -> None:
     engine = program.engine
     engine.call("dynamic(here/0)")
     goals = goals.replace(HERE_ONLY, "catch(here, _, fail) -> fail ; true\n")
@@ -466,7 +468,7 @@ def test_failure_in_running_engine_is_rolled_back(program, goals, rules):
 # ---- other --------------------------------------------------------------------------------------------
 
 
-def test_reload_of_other_folder_adds_program(tmp_path, program):
+def test_reload_of_other_folder_adds_program(tmp_path: Path, program: Program) -> None:
     other = tmp_path / "other"
     other.mkdir()
     (other / "goalPredicates.txt").write_text("memorize(a, [], _, as, 3)\n")
@@ -475,7 +477,7 @@ def test_reload_of_other_folder_adds_program(tmp_path, program):
     assert program.engine.has_memory(atom("fires"))
 
 
-def test_reload_repairs_program_that_failed_to_load(tmp_path):
+def test_reload_repairs_program_that_failed_to_load(tmp_path: Path) -> None:
     (tmp_path / "goalPredicates.txt").write_text("memorize(a, [], _, as, 3)\nfail\n")
     engine = Engine()
     with pytest.raises(ProgramErrors):
@@ -484,24 +486,24 @@ def test_reload_repairs_program_that_failed_to_load(tmp_path):
     assert "memories: 0 new, 0 gone, 1 kept, with 0 records" in engine.reload(tmp_path)
 
 
-def test_symbolic_link_is_same_folder(tmp_path):
+def test_symbolic_link_is_same_folder(tmp_path: Path) -> None:
     (tmp_path / "real").mkdir()
     program = Program(tmp_path / "real")
     (tmp_path / "link").symlink_to(tmp_path / "real")
     assert program.engine.reload(str(tmp_path / "link"))[0] == "rules: 0 new, 0 gone, 2 kept"
 
 
-def test_loading_goals_have_limits_of_request(tmp_path):
+def test_loading_goals_have_limits_of_request(tmp_path: Path) -> None:
     program = Program(tmp_path, Settings(limits=Limits(inferences=10_000), limit_start=False))
     with pytest.raises(RetalisError, match="inferences"):
         program.reload(goals=GOALS + "numlist(1, 100000, L), member(X, L), X > 99999\n")
     assert program.events("fire(hall)") == ["fire(hall)", "alarm(hall)"]
 
 
-def test_reload_in_callback_is_refused(program):
-    errors = []
+def test_reload_in_callback_is_refused(program: Program) -> None:
+    errors: List[Any] = []
 
-    def callback(term, topic, name):
+    def callback(term: Any, topic: Any, name: Any) -> None:
         try:
             program.engine.reload(program.folder)
         except UsageError as error:
@@ -512,7 +514,7 @@ def test_reload_in_callback_is_refused(program):
     assert len(errors) == 1
 
 
-def test_trial_has_foreign_predicates(program):
+def test_trial_has_foreign_predicates(program: Program) -> None:
     @foreign
     def half(number: int) -> float:
         return number / 2
@@ -521,13 +523,15 @@ def test_trial_has_foreign_predicates(program):
     program.reload(goals=GOALS + "half(4, 2.0)\n")
 
 
-def test_trial_writes_no_output_and_no_log(program, capsys, caplog):
+def test_trial_writes_no_output_and_no_log(
+    program: Program, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
     program.reload(goals=GOALS + "write(hello)\n", rules=RULES + "x <- y where no_such.\n")
     assert capsys.readouterr().out == "hello"
     assert sum("no_such" in record.getMessage() for record in caplog.records) == 1
 
 
-def test_events_during_reload_are_processed(program):
+def test_events_during_reload_are_processed(program: Program) -> None:
     numbers = range(300)
     sender = threading.Thread(target=lambda: [program.engine.post(FIRE(n), n * 10**9 + 1) for n in numbers])
     sender.start()
@@ -543,18 +547,18 @@ class TestTimers:
     """Timers of a reloaded program."""
 
     @pytest.fixture
-    def timed(self, tmp_path):
+    def timed(self, tmp_path: Path) -> Any:
         program = Program(tmp_path)
         program.reload(goals=GOALS + "timer(a, every(4, from_now))\ntimer(b, after(100))\n")
         program.events("e")
         program.engine.call("timer(own, every(5))")
         return program
 
-    def timers(self, program):
+    def timers(self, program: Any) -> Any:
         return program.all("timers(L), member(timer(E, _, T), L), X = E-T")
 
     @pytest.mark.slow
-    def test_equal_timers_continue(self, timed):
+    def test_equal_timers_continue(self, timed: Any) -> None:
         timed.events("e")
         changes = timed.reload(goals=GOALS + "timer(a, every(4, from_now))\ntimer(c, at(0,0,9))\n")
         assert [line for line in changes if "timer" in line] == [
@@ -570,7 +574,7 @@ class TestTimers:
         timed.now = 11
         assert timed.events("e") == ["a", "own", "c", "a", "own", "e"]
 
-    def test_failed_reload_keeps_timers(self, timed):
+    def test_failed_reload_keeps_timers(self, timed: Any) -> None:
         before = self.timers(timed)
         with pytest.raises(ProgramErrors):
             timed.reload(goals=GOALS + "timer(a, evry(4))\n")
@@ -582,7 +586,7 @@ class TestTimers:
         timed.now = 11
         assert timed.events("e").count("a") == 2
 
-    def test_restored_timers_belong_to_program(self, timed):
+    def test_restored_timers_belong_to_program(self, timed: Any) -> None:
         other = Engine.restore(timed.engine.snapshot())
         other.reload(timed.folder)
         (restored_timers,) = other.query("timers(L)")
@@ -604,13 +608,13 @@ class TestStates:
     """Declared states of a reloaded program."""
 
     @pytest.fixture
-    def docked(self, tmp_path):
+    def docked(self, tmp_path: Path) -> Any:
         program = Program(tmp_path)
         program.reload(goals=GOALS + STATE)
         program.events("dock(a)")
         return program
 
-    def test_equal_state_continues(self, docked):
+    def test_equal_state_continues(self, docked: Any) -> None:
         changes = docked.reload(goals=GOALS + STATE + "state(up, from(fly), until(land))\n")
         assert [line for line in changes if "state" in line] == [
             "states: 1 new, 0 gone, 1 kept, 1 open",
@@ -618,7 +622,7 @@ class TestStates:
         ]
         assert docked.events("undock(a)") == ["undock(a)", "docked(a)"]
 
-    def test_changed_and_removed_states_end(self, docked):
+    def test_changed_and_removed_states_end(self, docked: Any) -> None:
         changes = docked.reload(goals=GOALS + STATE.replace("undock", "out"))
         assert "  changed: state docked(_): it is declared otherwise, and nothing holds" in changes
         assert docked.events("dock(b)", "undock(a)", "out(a)", "out(b)")[-1] == "docked(b)"
@@ -626,13 +630,13 @@ class TestStates:
         assert "  gone: state docked(_)" in docked.reload(goals=GOALS)
         assert docked.events("dock(a)", "out(a)") == ["dock(a)", "out(a)"]
 
-    def test_failed_reload_keeps_states(self, docked):
+    def test_failed_reload_keeps_states(self, docked: Any) -> None:
         docked.engine.call("assertz(here)")
         with pytest.raises(RetalisError):  # in the running engine only
             docked.reload(goals=GOALS + "(catch(here, _, fail) -> throw(bad) ; true)\n")
         assert docked.events("undock(a)") == ["undock(a)", "docked(a)"]
 
-    def test_restored_states_belong_to_program(self, docked):
+    def test_restored_states_belong_to_program(self, docked: Any) -> None:
         other = Engine.restore(docked.engine.snapshot())
         other.reload(docked.folder)
         assert other.call("holds(docked(a))")

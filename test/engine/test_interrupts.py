@@ -1,6 +1,7 @@
 """Interrupts of a working engine: at safe points, and at any point."""
 
 import signal
+from typing import Any, List
 
 import pytest
 from recording_engine import RecordingEngine
@@ -15,12 +16,12 @@ deep(N) :- M is N + 1, deep(M).
 """
 
 
-def make(rules="", **limits):
+def make(rules: str = "", **limits: Any) -> Any:
     """Return an engine with the goal ``stop``: an interrupt comes when it runs first, and later it fails."""
     engine = RecordingEngine(limits=Limits(**limits))
     interrupts = [Interrupt()]
 
-    def stop(machine):
+    def stop(machine: Any) -> bool:
         if not interrupts:
             return False
         postpone(interrupts.pop())
@@ -32,7 +33,7 @@ def make(rules="", **limits):
 
 
 @pytest.fixture(params=[{}, {"seconds": 60.0}], ids=["unlimited", "limited"])
-def limits(request):
+def limits(request: pytest.FixtureRequest) -> Any:
     return request.param
 
 
@@ -53,7 +54,7 @@ def limits(request):
         "stop, new_event(never, 1, 1), aggregate_all(count, repeat, _)",
     ],
 )
-def test_goal_is_interrupted(goal, limits, caplog):
+def test_goal_is_interrupted(goal: str, limits: Any, caplog: pytest.LogCaptureFixture) -> None:
     engine = make(**limits)
     with pytest.raises(Interrupt):
         engine.call(goal)
@@ -64,7 +65,9 @@ def test_goal_is_interrupted(goal, limits, caplog):
 
 
 @pytest.mark.parametrize("way", ["event", "post", "post_each"])
-def test_event_is_interrupted_and_later_ones_are_not(way, limits, caplog):
+def test_event_is_interrupted_and_later_ones_are_not(
+    way: str, limits: Any, caplog: pytest.LogCaptureFixture
+) -> None:
     engine = make(JOIN, **limits)
     ways = {
         "event": lambda: engine.event("b(1)", 2),
@@ -82,7 +85,7 @@ def test_event_is_interrupted_and_later_ones_are_not(way, limits, caplog):
     assert engine.event_texts == ["b(2)", "pair(2)", "out(2)"]
 
 
-def test_chain_of_derived_events_is_interrupted():
+def test_chain_of_derived_events_is_interrupted() -> None:
     with deferred_interrupts():
         engine = make("n(Y) <- n(X) where (Y is X + 1, (X =:= 50 -> stop, repeat, fail ; true)).")
         with pytest.raises(Interrupt):
@@ -92,7 +95,7 @@ def test_chain_of_derived_events_is_interrupted():
     assert engine.event_texts == [f"n({number})" for number in range(40, 51)]
 
 
-def test_interrupted_alarm_leaves_later_alarms_due(caplog):
+def test_interrupted_alarm_leaves_later_alarms_due(caplog: pytest.LogCaptureFixture) -> None:
     engine = make("exceptionAlarm(late(X), 5) <- a(X). b <- late(1) where (stop, repeat, fail).")
     engine.event("a(1)", 1)
     engine.event("a(2)", 2)
@@ -104,7 +107,7 @@ def test_interrupted_alarm_leaves_later_alarms_due(caplog):
     assert caplog.text == ""
 
 
-def test_load_is_interrupted_and_undone():
+def test_load_is_interrupted_and_undone() -> None:
     engine = make("old <- a.")
     rules = "new <- a.\n:- stop.\n:- repeat, fail.\n"
     with pytest.raises(Interrupt):
@@ -119,11 +122,13 @@ def test_load_is_interrupted_and_undone():
 
 @pytest.mark.parametrize("exception", [KeyboardInterrupt, SystemExit])
 @pytest.mark.parametrize("kind", ["on_event", "on_output", "foreign"])
-def test_exception_of_callback_ends_event(kind, exception, caplog):
+def test_exception_of_callback_ends_event(
+    kind: str, exception: Any, caplog: pytest.LogCaptureFixture
+) -> None:
     engine = RecordingEngine()
-    calls = []
+    calls: List[Any] = []
 
-    def fail(*arguments):
+    def fail(*arguments: Any) -> None:
         calls.append(arguments)
         if len(calls) == 1:
             raise exception
@@ -147,7 +152,7 @@ def test_exception_of_callback_ends_event(kind, exception, caplog):
     assert "c" in engine.event_texts
 
 
-def test_callback_of_nested_call_ends_outer_event():
+def test_callback_of_nested_call_ends_outer_event() -> None:
     engine = make()
     engine.on_output(lambda term, topic, name: engine.call("long(true)"))
     engine.load(goals="subscribe(a, [], _, out, s)")
@@ -157,12 +162,12 @@ def test_callback_of_nested_call_ends_outer_event():
     engine.event("b", 2)
 
 
-def test_exception_at_any_point_makes_engine_unusable():
+def test_exception_at_any_point_makes_engine_unusable() -> None:
     engine = Engine()
     engine.load(rules="b <- a.")
     state = engine.snapshot()
 
-    def interrupt(machine):
+    def interrupt(machine: Any) -> None:
         signal.default_int_handler(signal.SIGINT, None)
 
     engine.logic.define("interrupt", 0, interrupt)
@@ -176,7 +181,7 @@ def test_exception_at_any_point_makes_engine_unusable():
     ):
         with pytest.raises(UsageError, match="continue with a new engine"):
             use()
-    events = []
+    events: List[Any] = []
     restored = Engine.restore(state)
     restored.on_event(lambda term, start, end: events.append(restored.show(term)))
     restored.event("a", 1)

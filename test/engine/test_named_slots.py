@@ -1,6 +1,8 @@
 """Rules, goals, queries, errors and warnings with named slots."""
 
 import struct
+from pathlib import Path
+from typing import Any, List
 
 import pytest
 
@@ -23,7 +25,7 @@ subscribe(others__0__Thing{{z: Y}}, [], _, out, q)
 
 
 @pytest.fixture
-def definitions():
+def definitions() -> Any:
     types = Definitions(InstalledTypes(packages=[], modules=[], include_rosbags=False))
     types.add("my_msgs/Point", "float64 x\nfloat64 y\n")
     types.add("my_msgs/Named", "string name\nPoint point\n")
@@ -31,12 +33,12 @@ def definitions():
 
 
 @pytest.fixture
-def engine(definitions):
+def engine(definitions: Any) -> Any:
     return Engine(definitions=definitions)
 
 
-def test_rules_memories_and_outputs_have_named_slots(engine):
-    outputs = []
+def test_rules_memories_and_outputs_have_named_slots(engine: Any) -> None:
+    outputs: List[Any] = []
     engine.on_output(lambda term, topic, name: outputs.append(engine.show(term)))
     engine.load(rules=RULES)
     with pytest.raises(ProgramErrors) as caught_errors:
@@ -56,7 +58,7 @@ def test_rules_memories_and_outputs_have_named_slots(engine):
     assert [str(answer["X"]) for answer in engine.query(f"access_mem(points, {POINT}{{x: X}}, _)")] == ["2.0"]
 
 
-def test_named_slots_are_shown_as_written(engine, capsys):
+def test_named_slots_are_shown_as_written(engine: Any, capsys: pytest.CaptureFixture[str]) -> None:
     record_origins(engine)
     engine.load(rules=RULES, goals=f"memorize({POINT}{{x: X}}, [X > 0], _, points, 5)")
     engine.event(f"{POINT}(2, 1)", 1)
@@ -76,8 +78,10 @@ def test_named_slots_are_shown_as_written(engine, capsys):
     assert lines[0].below[0].below[0].text == f"- {POINT}{{x: 3}}: did not happen"
 
 
-def test_integer_for_float_slot_matches_message(engine, definitions, capsys):
-    events = []
+def test_integer_for_float_slot_matches_message(
+    engine: Any, definitions: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    events: List[Any] = []
     engine.load(rules=f"zero <- {POINT}{{x: 0, y: -2}}.\np :- q({POINT}{{x: 0}}).")
     engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     engine.event(definitions.decoder("my_msgs/Point").decode(struct.pack("<dd", 0, -2)), 1)
@@ -89,15 +93,15 @@ def test_integer_for_float_slot_matches_message(engine, definitions, capsys):
 class RecordedReports(Reports):
     """Reports that store their errors."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__()
         self.errors = []
 
-    def error(self, error, key=None):
+    def error(self, error: Any, key: Any = None) -> None:
         self.errors.append(str(error))
 
 
-def test_error_shows_named_slots(definitions):
+def test_error_shows_named_slots(definitions: Any) -> None:
     reports = RecordedReports()
     engine = Engine(reports=reports, definitions=definitions)
     engine.load(rules=f"{POINT}{{x: X}} <- a(X) where atom_length({POINT}{{y: X}}, 5).")
@@ -106,7 +110,7 @@ def test_error_shows_named_slots(definitions):
     assert f"rule {POINT}{{x: X}}, at event a(1): goal atom_length({POINT}{{y: X}},5)" in error
 
 
-def test_unknown_slot_of_rule_is_refused_with_place(engine):
+def test_unknown_slot_of_rule_is_refused_with_place(engine: Any) -> None:
     with pytest.raises(ProgramErrors) as caught_errors:
         engine.load(
             rules=f"a <- b.\nc <- {POINT}{{xx: 1}}.\nd <- my_msgs__0__Named{{point: {{yy: 1}}}}.",
@@ -125,7 +129,7 @@ TOPICS = """<publish_subscribe>
 </publish_subscribe>"""
 
 
-def test_named_events_have_named_slots(engine, definitions, tmp_path):
+def test_named_events_have_named_slots(engine: Any, definitions: Any, tmp_path: Path) -> None:
     rules = """a(X) <- left_point{x: X}.
 b <- left_point(_).
 c <- right_point{y: 1}.
@@ -141,7 +145,7 @@ c <- right_point{y: 1}.
         "write all of them, or some by name: left_point{x: ...}"
     )
     assert warning.place.line == 2
-    events = []
+    events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     engine.event("left_point{x: 5}", 1)
     assert events == ["left_point(5.0,0.0)", "a(5.0)"]

@@ -1,5 +1,8 @@
 """Checks of a program before it runs, and explanations of missing events and of unsuitable outputs."""
 
+from pathlib import Path
+from typing import Any, List
+
 import pytest
 
 from retalis import Definitions, Engine, Operators, RetalisError
@@ -25,14 +28,14 @@ TOPICS = Topics((topic_type("said", "std_msgs/String"),))
         ("sensor_msgs__0__Range(_, _, _, _, _, _)", ""),
     ],
 )
-def test_pattern_without_producer_is_explained(definitions, pattern, warning):
+def test_pattern_without_producer_is_explained(definitions: Any, pattern: str, warning: str) -> None:
     engine = Engine()
     engine.load(rules="alarm(T) <- std_msgs__0__String(T). input_event(button/1).")
     term = engine.query(f"X = ({pattern})")[0]["X"]
     assert explain_missing_events(engine, term, definitions, TOPICS, ()) == warning
 
 
-def test_findings_have_order_of_files(tmp_path, definitions):
+def test_findings_have_order_of_files(tmp_path: Path, definitions: Any) -> None:
     (tmp_path / "pub_sub.xml").write_text(
         '<publish_subscribe><subscribe_to name="s" msg_type="a/B" x="1"/></publish_subscribe>'
     )
@@ -47,7 +50,7 @@ def test_findings_have_order_of_files(tmp_path, definitions):
     assert places == [("goalPredicates.txt", 3), ("pub_sub.xml", 1), ("rules.txt", 1), ("rules.txt", 2)]
 
 
-def test_missing_program_is_one_error(tmp_path, definitions):
+def test_missing_program_is_one_error(tmp_path: Path, definitions: Any) -> None:
     for missing in (tmp_path / "none.pl", tmp_path / "none"):
         (finding,) = check_program(missing, definitions)
         assert finding.problem.message == f"cannot read {missing}: there is no such file or folder"
@@ -70,20 +73,22 @@ def test_missing_program_is_one_error(tmp_path, definitions):
         ),
     ],
 )
-def test_output_of_other_type_is_explained(subscription, mismatch):
+def test_output_of_other_type_is_explained(subscription: str, mismatch: str) -> None:
     goal = read_term(subscription, Operators.prolog()).term
     assert explain_output_mismatch(goal, "out", "std_msgs/Int32", Definitions()) == mismatch
     assert explain_output_mismatch(goal, "out", "far_msgs/Unknown", Definitions()) == ""
 
 
-def messages_of_refused_program(folder, definitions, topics="", rules="", goals=""):
+def messages_of_refused_program(
+    folder: Any, definitions: Any, topics: str = "", rules: str = "", goals: str = ""
+) -> List[Any]:
     (folder / "pub_sub.xml").write_text(f"<publish_subscribe>{topics}</publish_subscribe>")
     (folder / "eventRules.txt").write_text(rules)
     (folder / "goalPredicates.txt").write_text(f"compile_event_file('eventRules.txt')\n{goals}\n")
     return [finding.problem.message for finding in check_program(folder, definitions)]
 
 
-def test_events_of_refused_topics_are_not_reported(tmp_path, definitions):
+def test_events_of_refused_topics_are_not_reported(tmp_path: Path, definitions: Any) -> None:
     topics = '<subscribe_to name="said" msg_type="std_msgs/String" event="Said"/>'
     (message,) = messages_of_refused_program(
         tmp_path, definitions, topics, "a(T) <- said{data: T}. b(T) <- siad(T)."
@@ -91,7 +96,7 @@ def test_events_of_refused_topics_are_not_reported(tmp_path, definitions):
     assert message.startswith("<subscribe_to>: the name of an event begins with a small letter")
 
 
-def test_predicates_of_refused_rules_are_not_reported(tmp_path, definitions):
+def test_predicates_of_refused_rules_are_not_reported(tmp_path: Path, definitions: Any) -> None:
     goals = "subscribe(low(V), [helper(V)], V, warn, w1)\nmemorize(low(m), [], m, lows, 3)"
     (message,) = messages_of_refused_program(
         tmp_path, definitions, rules="low(V) <- heat(V) where helper(V.\nhelper(V) :- V < 3.\n", goals=goals
@@ -99,6 +104,6 @@ def test_predicates_of_refused_rules_are_not_reported(tmp_path, definitions):
     assert message.startswith('expected ")" for the "("')
 
 
-def test_predicates_of_valid_rules_are_reported(tmp_path, definitions):
+def test_predicates_of_valid_rules_are_reported(tmp_path: Path, definitions: Any) -> None:
     messages = messages_of_refused_program(tmp_path, definitions, rules="low(V) <- heat(V) where helper(V).")
     assert "there is no predicate helper/1 yet; define it, or write :- dynamic helper/1." in messages

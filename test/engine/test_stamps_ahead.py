@@ -2,6 +2,7 @@
 
 from collections import Counter
 from random import Random
+from typing import Any, Dict, List
 
 import pytest
 
@@ -24,7 +25,7 @@ silent <- left seq absent(never, 0.5).
 class FarStamps:
     """An engine with its default clock, its warnings, and counts of its events."""
 
-    def __init__(self, rules=TIMED_RULES):
+    def __init__(self, rules: Any = TIMED_RULES) -> None:
         self.engine = Engine()
         self.warnings = []
         self.engine.rules.on_warning = lambda warning: self.warnings.append(warning.message)
@@ -32,7 +33,7 @@ class FarStamps:
         self.counts = Counter()
         self.engine.on_event(lambda term, start, end: self.counts.update([functor_name(self.engine, term)]))
 
-    def run(self, seconds, wrong=()):
+    def run(self, seconds: Any, wrong: Any = ()) -> Any:
         """Feed three events for each second; ``wrong`` maps seconds to the distance of the first one's time."""
         for second in seconds:
             self.engine.event("tick", START + second + dict(wrong).get(second, 0))
@@ -41,11 +42,11 @@ class FarStamps:
         return self.counts
 
 
-def functor_name(engine, term):
+def functor_name(engine: Any, term: Any) -> Any:
     return engine.show(term).partition("(")[0]
 
 
-def test_single_stamp_far_ahead_does_not_move_time():
+def test_single_stamp_far_ahead_does_not_move_time() -> None:
     expected = FarStamps().run(range(100))
     run = FarStamps()
     counts = run.run(range(100), {25: YEAR})
@@ -60,7 +61,7 @@ def test_single_stamp_far_ahead_does_not_move_time():
 
 
 @pytest.mark.parametrize("distance", [60, 3600, 86_400, 29 * 86_400])
-def test_clock_returns_from_single_stamp_ahead(distance):
+def test_clock_returns_from_single_stamp_ahead(distance: int) -> None:
     expected = FarStamps().run(range(1000))
     run = FarStamps()
     counts = run.run(range(1000), {250: distance})
@@ -77,8 +78,8 @@ def test_clock_returns_from_single_stamp_ahead(distance):
     assert run.engine.status().ahead == 1
 
 
-def test_windows_are_right_after_clock_returned():
-    values = []
+def test_windows_are_right_after_clock_returned() -> None:
+    values: List[Any] = []
     run = FarStamps("last_10(N) <- aggregate(count, tick, N, last(10)).")
     run.engine.on_event(lambda term, start, end: values.append((end, run.engine.show(term))))
     run.run(range(100), {50: 3600})
@@ -87,7 +88,7 @@ def test_windows_are_right_after_clock_returned():
 
 
 @pytest.mark.parametrize("wrong", [{25: 3600, 26: 3601}, {25: 3600, 26: 86_400}, {25: YEAR, 26: YEAR}])
-def test_wrong_stamps_of_event_are_one_source(wrong):
+def test_wrong_stamps_of_event_are_one_source(wrong: Dict[Any, Any]) -> None:
     expected = FarStamps().run(range(100))
     run = FarStamps()
     counts = run.run(range(100), wrong)
@@ -96,7 +97,7 @@ def test_wrong_stamps_of_event_are_one_source(wrong):
         assert expected[name] - 4 <= counts[name] <= expected[name], name
 
 
-def test_burst_of_wrong_stamps_before_other_events():
+def test_burst_of_wrong_stamps_before_other_events() -> None:
     run = FarStamps()
     run.run(range(20))
     for hundredth in range(30):
@@ -107,7 +108,7 @@ def test_burst_of_wrong_stamps_before_other_events():
 
 
 @pytest.mark.parametrize("offset", [3600, YEAR])
-def test_single_source_of_other_date_moves_no_clock(offset):
+def test_single_source_of_other_date_moves_no_clock(offset: Any) -> None:
     expected = FarStamps().run(range(100))
     run = FarStamps()
     counts = run.run(range(100), dict.fromkeys(range(10, 100), offset))
@@ -118,7 +119,7 @@ def test_single_source_of_other_date_moves_no_clock(offset):
 
 
 @pytest.mark.parametrize("distance", [3600, YEAR])
-def test_clock_returns_from_first_stamp_ahead(distance):
+def test_clock_returns_from_first_stamp_ahead(distance: Any) -> None:
     expected = FarStamps().run(range(100))
     counts = FarStamps().run(range(100), {0: distance})
     assert counts["last_10"] >= 99
@@ -127,7 +128,7 @@ def test_clock_returns_from_first_stamp_ahead(distance):
 
 
 @pytest.mark.parametrize("offset", [3600, 40 * 86_400, 20 * YEAR])
-def test_stream_with_other_date_is_processed(offset):
+def test_stream_with_other_date_is_processed(offset: Any) -> None:
     run = FarStamps()
     shifted = FarStamps()
     shifted_engine = shifted.engine
@@ -140,7 +141,7 @@ def test_stream_with_other_date_is_processed(offset):
 
 
 @pytest.mark.parametrize("pause", [11, 3600, 20 * 86_400])
-def test_pause_is_no_error(pause):
+def test_pause_is_no_error(pause: int) -> None:
     expected, run = FarStamps(), FarStamps()
     expected.run(range(50))
     run.run(range(50))
@@ -155,7 +156,7 @@ def test_pause_is_no_error(pause):
     assert run.engine.status().ahead == 0
 
 
-def test_stream_with_rare_events_moves_clock_at_each():
+def test_stream_with_rare_events_moves_clock_at_each() -> None:
     run = FarStamps("late(X) <- in(X) seq absent(never, 5).")
     for hour in range(30):
         run.engine.event(f"in({hour})", START + 3600 * hour)
@@ -163,7 +164,7 @@ def test_stream_with_rare_events_moves_clock_at_each():
     assert run.warnings == []
 
 
-def test_other_date_of_all_events_moves_clock():
+def test_other_date_of_all_events_moves_clock() -> None:
     run = FarStamps("late <- left seq absent(never, 1).")
     run.run(range(5))
     run.run(range(YEAR + 5, YEAR + 15))
@@ -173,7 +174,7 @@ def test_other_date_of_all_events_moves_clock():
     assert run.counts["late"] == 19
 
 
-def test_late_events_after_pause_move_clock_back_once():
+def test_late_events_after_pause_move_clock_back_once() -> None:
     run = FarStamps()
     run.run(range(20))
     run.engine.event("tick", START + 3600)
@@ -199,8 +200,8 @@ def test_late_events_after_pause_move_clock_back_once():
         "out <- (left seq right seq left) within 5.",
     ],
 )
-def test_rule_is_right_after_clock_returned(rule):
-    results = []
+def test_rule_is_right_after_clock_returned(rule: str) -> None:
+    results: List[Any] = []
     for wrong in ({}, {50: 3600}):
         run, outputs = FarStamps(rule), []
         # The longest window, of 10 s, has only events after the return.
@@ -225,9 +226,9 @@ def test_rule_is_right_after_clock_returned(rule):
         "out <- tick with burst(0.5).",
     ],
 )
-def test_operator_continues_after_clock_returned(rule):
+def test_operator_continues_after_clock_returned(rule: str) -> None:
     """The wrong event may have begun another window, so only the numbers of outputs agree."""
-    counts = []
+    counts: List[Any] = []
     for wrong in ({}, {50: 3600}):
         run = FarStamps(rule)
         run.run(range(56), wrong)
@@ -237,8 +238,8 @@ def test_operator_continues_after_clock_returned(rule):
     assert abs(counts[0] - counts[1]) <= 1
 
 
-def test_subscription_continues_after_clock_returned():
-    counts = []
+def test_subscription_continues_after_clock_returned() -> None:
+    counts: List[Any] = []
     for wrong in ({}, {50: 3600}):
         run, sent = FarStamps("pair <- left seq right."), []
         run.engine.load(goals="subscribe(tick with throttle(5), [], tick, ticks, a)")
@@ -249,7 +250,7 @@ def test_subscription_continues_after_clock_returned():
     assert counts == [12, 13]
 
 
-def test_memory_and_state_do_not_stay_in_future():
+def test_memory_and_state_do_not_stay_in_future() -> None:
     engine = Engine()
     engine.load(goals="memorize(at(_), [], _, place, 1)")
     for second, ahead in ((0, 0), (1, 3600), (2, 0), (3, 0), (4, 0), (5, 0)):
@@ -257,7 +258,7 @@ def test_memory_and_state_do_not_stay_in_future():
     assert engine.query("prev(place, at(Place), _, _, 1700000005)") == [{"Place": 5}]
 
 
-def test_state_that_begins_ahead_is_removed():
+def test_state_that_begins_ahead_is_removed() -> None:
     engine, states = Engine(), []
     engine.load(rules=":- state(open, from(opened), until(closed)).")
     engine.on_event(lambda term, start, end: states.append((engine.show(term), start, end)))
@@ -272,7 +273,7 @@ def test_state_that_begins_ahead_is_removed():
     assert states[-1] == ("open", (START + 26) * SECOND, (START + 28) * SECOND)
 
 
-def random_stream(random):
+def random_stream(random: Any) -> Any:
     """Return events of four names with times in order, except some that are wrong by a minute to a year."""
     time, events = START, []
     for _ in range(150):
@@ -283,8 +284,8 @@ def random_stream(random):
     return events
 
 
-def outputs_of(engine):
-    outputs = []
+def outputs_of(engine: Any) -> Any:
+    outputs: List[Any] = []
     engine.on_event(lambda term, start, end: outputs.append((engine.show(term), start, end)))
     return outputs
 
@@ -299,7 +300,7 @@ changed(N) <- aggregate(count, tick, N, every(3)) with throttle(2).
 
 @pytest.mark.parametrize("has_receipt_clock", [False, True])
 @pytest.mark.parametrize("seed", range(20))
-def test_restored_engine_has_same_outputs(seed, has_receipt_clock):
+def test_restored_engine_has_same_outputs(seed: int, has_receipt_clock: bool) -> None:
     random = Random(seed)
     clock, restored_clock = (StreamClock(1), StreamClock(1)) if has_receipt_clock else (None, None)
     engine, restored = Engine(clock), Engine(restored_clock)
@@ -329,10 +330,10 @@ def test_restored_engine_has_same_outputs(seed, has_receipt_clock):
     assert restored_status.subscriptions[0].ahead == status.subscriptions[0].ahead
 
 
-def test_window_on_receipt_clock_reports_stamp_ahead():
+def test_window_on_receipt_clock_reports_stamp_ahead() -> None:
     clock = StreamClock(START * SECOND)
     engine = Engine(clock)
-    warnings = []
+    warnings: List[Any] = []
     engine.rules.on_warning = lambda warning: warnings.append(warning.message)
     engine.load(rules="n(N) <- aggregate(count, tick, N, every(5, first)).")
     engine.event("tick", START)

@@ -1,6 +1,7 @@
 """Stream operators of a restored engine: windows, rate operators and absences."""
 
 import random
+from typing import Any, List
 
 import pytest
 
@@ -38,10 +39,10 @@ FLAGS = {
 }
 
 
-def stream(seed, number=60):
+def stream(seed: Any, number: int = 60) -> Any:
     """Return events with times in steps of 0.25 s, except some late ones."""
     generator = random.Random(seed)
-    events = []
+    events: List[Any] = []
     now = 8
     for _ in range(number):
         now += generator.choice((0, 1, 1, 2, 3, 6))
@@ -54,14 +55,14 @@ def stream(seed, number=60):
     return events
 
 
-def record_emitted(engine):
+def record_emitted(engine: Any) -> Any:
     """Record the events of an engine in its attribute ``emitted``."""
     emitted = engine.emitted = []
     engine.on_event(lambda term, start, end: emitted.append((engine.show(term), int(start), int(end))))
     return engine
 
 
-def feed(engine, events):
+def feed(engine: Any, events: Any) -> None:
     """Feed events to an engine."""
     for event, start, end in events:
         engine.event(event, start, end)
@@ -70,7 +71,7 @@ def feed(engine, events):
 @pytest.mark.slow
 @pytest.mark.parametrize("flags", FLAGS)
 @pytest.mark.parametrize("name", PATTERNS)
-def test_restored_stream_operator_emits_same_events(name, flags):
+def test_restored_stream_operator_emits_same_events(name: Any, flags: Any) -> None:
     original = Engine()
     original.load(rules=FLAGS[flags] + PATTERNS[name])
     events = stream(name)
@@ -85,7 +86,7 @@ def test_restored_stream_operator_emits_same_events(name, flags):
     assert restored.status().rules == original.status().rules
 
 
-def test_restoration_makes_no_event_late():
+def test_restoration_makes_no_event_late() -> None:
     engine = Engine()
     engine.load(rules=PATTERNS["debounce"])
     feed(engine, [("in(a, 1)", 20, 20), ("in(a, 2)", 10, 10)])

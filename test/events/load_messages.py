@@ -1,12 +1,14 @@
 """Errors and warnings of loaded rules, each as line, column and message."""
 
+from typing import Any, List, Tuple
+
 import pytest
 from events.stream_programs import ProgramRunner
 
 from retalis import ProgramErrors
 
 
-def errors_of(rules):
+def errors_of(rules: str) -> List[Any]:
     """Return the errors for which a text is refused; none of its rules is active."""
     program = ProgramRunner()
     with pytest.raises(ProgramErrors) as caught:
@@ -15,7 +17,7 @@ def errors_of(rules):
     return [_shown(error) for error in caught.value.errors]
 
 
-def assert_refused(rule, column, part):
+def assert_refused(rule: Any, column: Any, part: Any) -> None:
     """Check that a rule in the second line is refused for one error, at this column and with this text."""
     ((line, actual_column, message),) = errors_of(f"% first\n{rule}")
     assert line == 2
@@ -23,10 +25,10 @@ def assert_refused(rule, column, part):
     assert actual_column == column
 
 
-def warnings_of(rules):
+def warnings_of(rules: Any) -> List[Any]:
     """Return the warnings for a text that is accepted."""
     return [_shown(warning) for warning in ProgramRunner(rules).warnings]
 
 
-def _shown(problem):
+def _shown(problem: Any) -> Tuple[Any, ...]:
     return problem.place.line, problem.place.column, problem.message

@@ -56,15 +56,15 @@ class Pair(NamedTuple):
     either: bool = True
 
 
-def hull(p, q):
+def hull(p: Any, q: Any) -> Tuple[Any, ...]:
     return min(p.start, q.start), max(p.end, q.end)
 
 
-def first_to_second(p, q):
+def first_to_second(p: Any, q: Any) -> Tuple[Any, ...]:
     return p.start, q.end
 
 
-def second(p, q):
+def second(p: Any, q: Any) -> Tuple[Any, ...]:
     return q.start, q.end
 
 
@@ -83,7 +83,13 @@ EITHER_ORDER = tuple(name for name, operator in PAIRS.items() if operator.either
 AGGREGATES = ("count", "sum", "min", "max", "avg", "list")
 
 
-def pair(operator, first, second, result, never):
+def pair(
+    operator: str,
+    first: Tuple[Any, ...],
+    second: Tuple[Any, ...],
+    result: Tuple[Any, ...],
+    never: Tuple[Any, ...],
+) -> Row:
     """Return the row of an operator between a(X) and b(X)."""
     left, right = ("a(1)", *first), ("b(1)", *second)
     either = PAIRS[operator].either

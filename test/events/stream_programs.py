@@ -1,5 +1,7 @@
 """Runner of programs over short streams; ``a@1 b(2)@3-5`` denotes a stream, and the derived events."""
 
+from typing import Any, List
+
 from retalis import Engine, Settings, StreamClock, functor
 from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.terms.term_traversal import copy, variables
@@ -8,21 +10,23 @@ from retalis.prolog.terms.timestamps import SECOND
 FUTURE = 1_000_000 * SECOND
 
 
-def term_text(term):
+def term_text(term: Any) -> Any:
     term = copy(term)
     for number, var in enumerate(variables(term)):
         var.ref = (functor("$VAR", 1), number)
     return write_term(term, None, quoted=True, ignore_ops=True, numbervars=True)
 
 
-def seconds(text):
+def seconds(text: Any) -> Any:
     return float(text) if "." in text else int(text)
 
 
 class ProgramRunner:
     """An engine with a program; ``feed`` returns the events derived from a stream, without the stream itself."""
 
-    def __init__(self, rules="", flags=(), policy=None, clock=None, folder=None):
+    def __init__(
+        self, rules: str = "", flags: Any = (), policy: Any = None, clock: Any = None, folder: Any = None
+    ) -> None:
         settings = Settings() if folder is None else Settings(folders=[folder])
         self.engine = Engine(clock or StreamClock(FUTURE), settings)
         self.errors, self.warnings, self.events = [], [], []
@@ -36,11 +40,11 @@ class ProgramRunner:
         if rules:
             self.engine.load(rules=rules)
 
-    def set(self, flag, value):
+    def set(self, flag: str, value: str) -> None:
         assert self.engine.call(f"set_etalis_flag({flag},{value})")
 
-    def feed(self, stream):
-        derived = []
+    def feed(self, stream: Any) -> Any:
+        derived: List[Any] = []
         for item in stream.split():
             term, stamp = item.rsplit("@", 1)
             start, _, end = stamp.partition("-")
@@ -50,12 +54,12 @@ class ProgramRunner:
         return format_events(derived)
 
 
-def format_events(events):
+def format_events(events: Any) -> str:
     return " ".join(
         f"{term_text(term)}@{start / SECOND:.12g}-{end / SECOND:.12g}" for term, start, end in events
     )
 
 
-def outputs_of(rules, stream, policy=None, flags=()):
+def outputs_of(rules: Any, stream: Any, policy: Any = None, flags: Any = ()) -> Any:
     """Return the events that a program derives from a stream."""
     return ProgramRunner(rules, flags, policy).feed(stream)

@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from dataclasses import replace
 from itertools import cycle
+from typing import Any, List, Tuple
 from unittest.mock import patch
 
 import pytest
@@ -29,17 +30,17 @@ MAX_EVENTS = 16
 """Maximum length of streams under ``unrestricted``: with 25 events, some rules have too many matches."""
 
 
-def limit_stream(case):
+def limit_stream(case: Any) -> Any:
     """Return a case whose stream is short enough for its policies."""
     return replace(case, stream=case.stream[:MAX_EVENTS]) if "unrestricted" in case.policies() else case
 
 
-def events_of_engine(case, texts=None, goals="", events=None):
+def events_of_engine(case: Any, texts: Any = None, goals: str = "", events: Any = None) -> Any:
     texts = texts or [case.text()]
     return engine_events(texts, case.goals() + goals, case.stream if events is None else events)
 
 
-def garbage_control(window):
+def garbage_control(window: int) -> str:
     return (
         f"set_etalis_flag(garbage_control,general).\nset_etalis_flag(garbage_window,{window}).\n"
         "set_etalis_flag(garbage_window_step,1).\n"
@@ -49,7 +50,7 @@ def garbage_control(window):
 @pytest.mark.slow
 @settings(quick, max_examples=100)
 @given(cases())
-def test_random_rules_equal_oracle(case):
+def test_random_rules_equal_oracle(case: Any) -> None:
     case = limit_stream(case)
     if difference(case) is not None:
         pytest.fail(report(shrink(case, lambda smaller: difference(smaller) is not None)), pytrace=False)
@@ -58,21 +59,21 @@ def test_random_rules_equal_oracle(case):
 @pytest.mark.slow
 @settings(quick, max_examples=30)
 @given(cases(unsure=True))
-def test_conditions_on_open_variables_equal_oracle(case):
+def test_conditions_on_open_variables_equal_oracle(case: Any) -> None:
     assert difference(limit_stream(case)) is None
 
 
 @pytest.mark.slow
 @settings(quick, max_examples=30)
 @given(cases(streams=True))
-def test_stream_operators_equal_oracle(case):
+def test_stream_operators_equal_oracle(case: Any) -> None:
     assert difference(limit_stream(case)) is None
 
 
 @pytest.mark.slow
 @settings(quick, max_examples=30)
 @given(cases())
-def test_partner_lookup_by_time_equals_oracle(case):
+def test_partner_lookup_by_time_equals_oracle(case: Any) -> None:
     limits = {"MAX_MISSES_BEFORE_INDEX": 0, "MAX_MISSES_WITH_INDEX": 0, "MAX_COMPARED_IDENTITIES": 0}
     with patch.multiple(match_buffer, **limits), patch.object(interval_index, "MAX_NODE_KEYS", 4):
         assert difference(case) is None
@@ -81,14 +82,14 @@ def test_partner_lookup_by_time_equals_oracle(case):
 @pytest.mark.slow
 @quick
 @given(drawn_cases())
-def test_drawn_rules_equal_oracle(case):
+def test_drawn_rules_equal_oracle(case: Any) -> None:
     assert events_of_engine(case) == answer(case)
 
 
 @pytest.mark.slow
 @quick
 @given(cases(depth=3), st.integers(1, 6))
-def test_garbage_control_keeps_young_matches(case, window):
+def test_garbage_control_keeps_young_matches(case: Any, window: int) -> None:
     """The results include those without parts older than the window, and no others than without garbage control."""
     case = replace(case, policy="unrestricted")
     assume(defined_for(case.rules) and not case.has_limits())
@@ -107,7 +108,7 @@ def test_garbage_control_keeps_young_matches(case, window):
     "pattern",
     ["a seq b", "a and b", "(a seq c) seq b", "a forall_seq b", "a seq b star_times", "(a or c) seq b"],
 )
-def test_garbage_control_removes_old_matches(pattern):
+def test_garbage_control_removes_old_matches(pattern: str) -> None:
     policy = "set_etalis_flag(event_consumption_policy,unrestricted).\n"
     events = stream("a@1 c@2 c@9 c@10 c@11 b@12")
     old = ("out", 10**9, 12 * 10**9)
@@ -118,7 +119,7 @@ def test_garbage_control_removes_old_matches(pattern):
 @pytest.mark.slow
 @settings(quick, max_examples=30)
 @given(cases(depth=3, revision=True))
-def test_revision_equals_oracle(case):
+def test_revision_equals_oracle(case: Any) -> None:
     if difference(case) is not None:
         pytest.fail(report(shrink(case, lambda smaller: difference(smaller) is not None)), pytrace=False)
 
@@ -126,7 +127,7 @@ def test_revision_equals_oracle(case):
 @pytest.mark.slow
 @quick
 @given(cases(), st.integers(1, 10**4))
-def test_shifted_stream_has_shifted_results(case, seconds):
+def test_shifted_stream_has_shifted_results(case: Any, seconds: int) -> None:
     assume(not any(isinstance(node, Check) for rule in case.rules for node in walk(rule.pattern)))
     later = [(term, start + seconds, end + seconds) for term, start, end in case.stream]
     shifted = events_of_engine(case, events=later)
@@ -134,13 +135,13 @@ def test_shifted_stream_has_shifted_results(case, seconds):
     assert [(term, start - by, end - by) for term, start, end in shifted] == events_of_engine(case)
 
 
-def in_forms(stream):
+def in_forms(stream: Any) -> List[Tuple[Any, ...]]:
     """Return a stream whose timestamps have alternating forms."""
     forms = cycle((datime, to_term, datime6))
     return [(term, *(next(forms)(round(stamp * SECOND)) for stamp in interval)) for term, *interval in stream]
 
 
-def as_numbers(fired):
+def as_numbers(fired: Any) -> List[Tuple[Any, ...]]:
     """Return events with the timestamps in their terms as seconds."""
     stamp = re.compile(r"datime\(1970,1,1,0,(\d+),([\d.]+)(?:,0)?\)")
     return [
@@ -152,7 +153,7 @@ def as_numbers(fired):
 @pytest.mark.slow
 @settings(quick, max_examples=15)
 @given(cases())
-def test_forms_of_timestamps_have_equal_results(case):
+def test_forms_of_timestamps_have_equal_results(case: Any) -> None:
     """Conditions on t1 and t2 have equal results for numbers and datimes."""
     fired = events_of_engine(case, events=in_forms(case.stream))
     assert as_numbers(fired) == [(term, *interval) for term, *interval in events_of_engine(case)]
@@ -161,16 +162,16 @@ def test_forms_of_timestamps_have_equal_results(case):
 @pytest.mark.slow
 @quick
 @given(cases())
-def test_renamed_variables_have_equal_results(case):
+def test_renamed_variables_have_equal_results(case: Any) -> None:
     assert events_of_engine(case, [case.text("_Other{}x")]) == events_of_engine(case)
 
 
 @pytest.mark.slow
 @quick
 @given(cases(), cases(depth=2))
-def test_other_rules_do_not_change_results(case, other):
+def test_other_rules_do_not_change_results(case: Any, other: Any) -> None:
     """Rules with other heads, also of the same patterns, do not consume partners of a rule."""
-    extra = []
+    extra: List[Any] = []
     for number, rule in enumerate((*case.rules, *other.rules)):
         if any(isinstance(node, Sub) for node in walk(rule.pattern)):
             continue  # a sub-pattern defines an event of its own
@@ -185,7 +186,7 @@ def test_other_rules_do_not_change_results(case, other):
 @pytest.mark.slow
 @quick
 @given(cases())
-def test_rules_in_several_files_have_equal_results(case):
+def test_rules_in_several_files_have_equal_results(case: Any) -> None:
     assert events_of_engine(case, [write_rule(rule) for rule in case.rules]) == events_of_engine(case)
 
 
@@ -202,5 +203,5 @@ def test_rules_in_several_files_have_equal_results(case):
 )
 @quick
 @given(case=cases())
-def test_neutral_flags_do_not_change_results(flags, case):
+def test_neutral_flags_do_not_change_results(flags: Any, case: Any) -> None:
     assert events_of_engine(case, goals=flags) == events_of_engine(case)

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any, Dict, Iterator, List, Optional, Tuple
 
 import pytest
 from python_path import python_path
@@ -22,7 +23,7 @@ SECRET = "tell(secret).\nsecret(1).\n"
 """A text that is valid both as goals and as clauses, so that each goal can load it."""
 
 
-def unary_goal(name):
+def unary_goal(name: str) -> Any:
     return lambda path: (functor(name, 1), atom(path))
 
 
@@ -50,7 +51,7 @@ GOALS = {**LOADING_GOALS, **EXACT_GOALS, **INCLUDING_GOALS}
 
 
 @pytest.fixture
-def place(tmp_path, monkeypatch):
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """Create the folder of a program with links out of it, a folder outside, and a working folder."""
     program, outside = tmp_path / "program", tmp_path / "outside"
     for folder in (program, program / "sub", outside, tmp_path / "here"):
@@ -71,11 +72,11 @@ def place(tmp_path, monkeypatch):
     assert (contents(outside), contents(tmp_path / "here")) == before
 
 
-def contents(folder):
+def contents(folder: Any) -> Dict[Any, Any]:
     return {path.name: (path.read_text(), path.stat().st_mtime_ns) for path in folder.iterdir()}
 
 
-def cases(place):
+def cases(place: Any) -> Dict[str, Any]:
     """Return for each name the expected errors of a goal of an event and of a loading goal."""
     return {
         "in.pl": (None, None),
@@ -108,24 +109,24 @@ def cases(place):
     }
 
 
-def engine_of(place, **settings):
+def engine_of(place: Any, **settings: Any) -> Any:
     engine = Engine(StreamClock(), Settings(allow_goals=True, **settings))
     engine.load(rules="secret(0). tell(X) :- event(X).", folder=place / "program")
     return engine
 
 
-def was_read(engine):
+def was_read(engine: Any) -> Any:
     """Return whether a file has been loaded: its clause is defined, or its event was emitted."""
     return len(engine.query("secret(_)")) > 1 or "secret" in engine.fired
 
 
-def record_events(engine):
+def record_events(engine: Any) -> Any:
     engine.fired = []
     engine.on_event(lambda term, start, end: engine.fired.append(engine.show(term)))
     return engine
 
 
-def error_text(function, *args, **options):
+def error_text(function: Any, *args: Any, **options: Any) -> Optional[str]:
     """Return the text of the error that a call raises, or None."""
     try:
         function(*args, **options)
@@ -142,7 +143,7 @@ ERROR_TEXTS = {
 }
 
 
-def check_access(engine, expected_error, text, name):
+def check_access(engine: Any, expected_error: Any, text: Any, name: Any) -> None:
     if expected_error == "any":
         return
     assert was_read(engine) == (expected_error is None), name[:50]
@@ -157,7 +158,7 @@ def check_access(engine, expected_error, text, name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("goal", GOALS)
-def test_file_access_of_python_calls(place, goal):
+def test_file_access_of_python_calls(place: Any, goal: Any) -> None:
     for name, (expected_error, _) in cases(place).items():
         for method in ("call", "query"):
             engine = record_events(engine_of(place))
@@ -179,7 +180,9 @@ TRIGGERS = ("do", "where", "clause", "subscription", "memory", "query", "text")
         ),
     ],
 )
-def test_file_access_of_goals_of_events(place, caplog, goal, trigger):
+def test_file_access_of_goals_of_events(
+    place: Any, caplog: pytest.LogCaptureFixture, goal: Any, trigger: Any
+) -> None:
     for name, (expected_error, _) in cases(place).items():
         engine = record_events(engine_of(place))
         caplog.clear()
@@ -209,7 +212,7 @@ def test_file_access_of_goals_of_events(place, caplog, goal, trigger):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("goal", GOALS)
-def test_file_access_of_loading_goals(place, goal):
+def test_file_access_of_loading_goals(place: Any, goal: Any) -> None:
     for name, (_, expected_error) in cases(place).items():
         for place_of_goal in ("goals", "directive"):
             engine = record_events(engine_of(place))
@@ -223,7 +226,7 @@ def test_file_access_of_loading_goals(place, goal):
             try:
                 engine.load(source="r", folder=place / "program", **program)
                 text_of_errors = None
-                places = []
+                places: List[Any] = []
             except ProgramErrors as errors:
                 text_of_errors = str(errors)
                 places = [error.place for error in errors.errors]
@@ -236,7 +239,7 @@ def test_file_access_of_loading_goals(place, goal):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("goal", LOADING_GOALS)
-def test_added_suffix_does_not_extend_access(place, goal):
+def test_added_suffix_does_not_extend_access(place: Any, goal: Any) -> None:
     """A file that may not be opened by its name with the suffix may not be opened without it either."""
     program = place / "program"
     for name, expected_error in {
@@ -261,7 +264,7 @@ def test_added_suffix_does_not_extend_access(place, goal):
 
 
 @pytest.mark.slow
-def test_files_loaded_by_files_are_restricted(place):
+def test_files_loaded_by_files_are_restricted(place: Any) -> None:
     program = place / "program"
     for number, text in enumerate(
         (
@@ -282,7 +285,7 @@ def test_files_loaded_by_files_are_restricted(place):
         assert "No permission" in error_text(engine.call, "consult('../outside/in.pl')")
 
 
-def test_names_are_relative_to_program_folder(place):
+def test_names_are_relative_to_program_folder(place: Any) -> None:
     engine = record_events(engine_of(place))
     assert engine.call("exists_file('in.pl'), exists_file(\"sub/in.pl\"), consult(sub/in)")
     assert was_read(engine)
@@ -291,7 +294,7 @@ def test_names_are_relative_to_program_folder(place):
     (place / "here" / "new.pl").unlink()
 
 
-def test_exists_file_has_access_of_loading(place):
+def test_exists_file_has_access_of_loading(place: Any) -> None:
     engine = engine_of(place)
     for name, (expected_error, _) in cases(place).items():
         goal = (functor("exists_file", 1), atom(name))
@@ -306,7 +309,7 @@ def test_exists_file_has_access_of_loading(place):
             assert ERROR_TEXTS[expected_error] in error_text(engine.call, goal), name[:50]
 
 
-def test_program_without_folder_reads_no_files(place, monkeypatch):
+def test_program_without_folder_reads_no_files(place: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(place / "program")
     engine = record_events(Engine())
     engine.load(rules=":- ensure_loaded(in). secret(0).")
@@ -316,7 +319,7 @@ def test_program_without_folder_reads_no_files(place, monkeypatch):
 
 
 @pytest.mark.slow
-def test_settings_allow_folders(place):
+def test_settings_allow_folders(place: Any) -> None:
     outside = f"'{place}/outside/secret.pl'"
     for settings in (
         {"folders": (str(place / "outside"),)},
@@ -336,13 +339,13 @@ def test_settings_allow_folders(place):
         Engine(settings=Settings(folders="/data"))
 
 
-def test_folder_of_loaded_file_is_not_allowed(place):
+def test_folder_of_loaded_file_is_not_allowed(place: Any) -> None:
     engine = engine_of(place)
     engine.load(goals="consult('../outside/in.pl')", folder=place / "program")
     assert "No permission" in error_text(engine.call, "consult('../outside/secret.pl')")
 
 
-def test_large_files_are_refused(place):
+def test_large_files_are_refused(place: Any) -> None:
     with (place / "program" / "large.pl").open("wb") as file:
         file.truncate(1_000_001)
     engine = engine_of(place, max_file_megabytes=1)
@@ -354,10 +357,10 @@ def test_large_files_are_refused(place):
 # ---- writing -----------------------------------------------------------------------------------------------
 
 
-def run_persistent_program(place, **settings):
+def run_persistent_program(place: Any, **settings: Any) -> Tuple[Any, ...]:
     """Run a program with persistent events from its folder; return the engine and its warnings."""
     engine = engine_of(place, **settings)
-    warnings = []
+    warnings: List[Any] = []
     engine.rules.on_warning = lambda warning: warnings.append(str(warning))
     engine.load(rules="persistent_event(b(_)). b(X) <- a(X).", folder=place / "program")
     engine.event("a(1)", 1, 1)
@@ -367,7 +370,7 @@ def run_persistent_program(place, **settings):
 WRITTEN = "event(b(1),[1,1]).\n"
 
 
-def test_no_file_is_written_by_default(place):
+def test_no_file_is_written_by_default(place: Any) -> None:
     before = sorted(path.name for path in (place / "program").iterdir())
     _, (warning,) = run_persistent_program(place)
     assert warning.startswith(
@@ -376,7 +379,7 @@ def test_no_file_is_written_by_default(place):
     assert sorted(path.name for path in (place / "program").iterdir()) == before
 
 
-def test_loading_program_writes_to_its_folder(place):
+def test_loading_program_writes_to_its_folder(place: Any) -> None:
     engine = engine_of(place)
     engine.load(goals="assertz(persistent_event(b(_)))\nevent(b(1), [1,1])", folder=place / "program")
     assert (place / "program" / "persistent.txt").read_text() == WRITTEN
@@ -386,26 +389,26 @@ def test_loading_program_writes_to_its_folder(place):
     Engine().load(goals="assertz(persistent_event(b(_)))\nevent(b(1), [1,1])")
 
 
-def make_link(path, place):
+def make_link(path: Any, place: Any) -> None:
     path.symlink_to(place / "outside" / "secret.pl")
 
 
-def make_dangling(path, place):
+def make_dangling(path: Any, place: Any) -> None:
     path.symlink_to(place / "outside" / "new.txt")
 
 
-def make_pipe(path, place):
+def make_pipe(path: Any, place: Any) -> None:
     os.mkfifo(str(path))
 
 
-def make_device(path, place):
+def make_device(path: Any, place: Any) -> None:
     path.symlink_to("/dev/full")
 
 
 @pytest.mark.parametrize(
     "make", [make_link, make_dangling, make_pipe, make_device, lambda path, place: path.mkdir()]
 )
-def test_special_file_is_not_written(place, make):
+def test_special_file_is_not_written(place: Any, make: Any) -> None:
     folder = place / "out"
     folder.mkdir()
     make(folder / "persistent.txt", place)
@@ -414,7 +417,7 @@ def test_special_file_is_not_written(place, make):
     assert not (place / "outside" / "new.txt").exists()
 
 
-def test_link_to_writable_file_is_followed(place):
+def test_link_to_writable_file_is_followed(place: Any) -> None:
     folder = place / "out"
     (folder / "more").mkdir(parents=True)
     (folder / "persistent.txt").symlink_to("more/events.txt")
@@ -422,7 +425,7 @@ def test_link_to_writable_file_is_followed(place):
     assert (folder / "more" / "events.txt").read_text() == WRITTEN
 
 
-def test_file_beyond_size_limit_is_not_written(place):
+def test_file_beyond_size_limit_is_not_written(place: Any) -> None:
     folder = place / "out"
     folder.mkdir()
     path = folder / "persistent.txt"
@@ -435,7 +438,7 @@ def test_file_beyond_size_limit_is_not_written(place):
     assert "No such file or directory" in warning
 
 
-def test_surrogate_in_event_is_written_as_escape(place):
+def test_surrogate_in_event_is_written_as_escape(place: Any) -> None:
     folder = place / "out"
     folder.mkdir()
     engine, warnings = run_persistent_program(place, write_folders=(folder,))
@@ -447,18 +450,18 @@ def test_surrogate_in_event_is_written_as_escape(place):
 # ---- replaced between the check and the opening ---------------------------------------------------------------
 
 
-def swap_file(path, outside):
+def swap_file(path: Any, outside: Any) -> None:
     if path.exists():
         path.rename(path.with_name("away"))
     path.symlink_to(outside / path.name)
 
 
-def swap_folder(path, outside):
+def swap_folder(path: Any, outside: Any) -> None:
     path.parent.rename(path.parent.with_name("away"))
     path.parent.symlink_to(outside)
 
 
-def swap_pipe(path, outside):
+def swap_pipe(path: Any, outside: Any) -> None:
     path.unlink()
     os.mkfifo(str(path))
 
@@ -467,13 +470,15 @@ def swap_pipe(path, outside):
 @pytest.mark.parametrize("swap", [swap_file, swap_folder, swap_pipe])
 @pytest.mark.parametrize("hook", ["lstat", "open"])
 @pytest.mark.parametrize("goal", GOALS)
-def test_file_replaced_before_opening_is_not_read(place, monkeypatch, goal, swap, hook):
+def test_file_replaced_before_opening_is_not_read(
+    place: Any, monkeypatch: pytest.MonkeyPatch, goal: Any, swap: Any, hook: str
+) -> None:
     engine = record_events(engine_of(place))
     path = place / "program" / "sub" / "in.pl"
     real = getattr(os, hook)
-    calls = []
+    calls: List[Any] = []
 
-    def swapping(opened, *arguments, **named):
+    def swapping(opened: Any, *arguments: Any, **named: Any) -> Any:
         if opened == str(path) and not calls:
             calls.append(opened)
             swap(path, place / "outside")
@@ -490,16 +495,18 @@ def test_file_replaced_before_opening_is_not_read(place, monkeypatch, goal, swap
 @pytest.mark.parametrize("is_there", [False, True])
 @pytest.mark.parametrize("swap", [swap_file, swap_folder])
 @pytest.mark.parametrize("calls_before", [0, 1])
-def test_file_replaced_before_opening_is_not_written(place, monkeypatch, swap, is_there, calls_before):
+def test_file_replaced_before_opening_is_not_written(
+    place: Any, monkeypatch: pytest.MonkeyPatch, swap: Any, is_there: bool, calls_before: int
+) -> None:
     folder = place / "out"
     folder.mkdir()
     path = folder / "persistent.txt"
     if is_there:
         path.write_text("")
     real = os.open
-    calls = []
+    calls: List[Any] = []
 
-    def swapping(opened, *arguments, **named):
+    def swapping(opened: Any, *arguments: Any, **named: Any) -> Any:
         if len(calls) == calls_before:
             swap(path, place / "outside")
         calls.append(opened)
@@ -549,7 +556,7 @@ print(json.dumps(opened))
 
 
 @pytest.mark.slow
-def test_goals_open_files_of_program_folder_only(place):
+def test_goals_open_files_of_program_folder_only(place: Any) -> None:
     process = subprocess.run(
         [sys.executable, "-c", SCRIPT, str(place)],
         env={
@@ -571,7 +578,7 @@ def test_goals_open_files_of_program_folder_only(place):
 
 
 @pytest.mark.parametrize("goal", ["open(F, read, S), read(S, _), close(S)", "see(F), read(_), seen"])
-def test_streams_read_files_that_may_be_loaded(place, goal):
+def test_streams_read_files_that_may_be_loaded(place: Any, goal: str) -> None:
     engine = engine_of(place)
     for name, (expected_error, _) in cases(place).items():
         if expected_error is None:
@@ -594,7 +601,7 @@ WRITING_GOALS = [
 
 
 @pytest.mark.parametrize("goal", WRITING_GOALS)
-def test_streams_write_to_allowed_folders_only(place, goal):
+def test_streams_write_to_allowed_folders_only(place: Any, goal: Any) -> None:
     (place / "out").mkdir()
     (place / "out" / "way.txt").symlink_to(place / "outside" / "in.pl")
     (place / "out" / "away").symlink_to(place / "outside")
@@ -611,7 +618,7 @@ def test_streams_write_to_allowed_folders_only(place, goal):
     )
 
 
-def test_size_of_text_files_is_limited(place):
+def test_size_of_text_files_is_limited(place: Any) -> None:
     (place / "program" / "large.txt").write_text("p(1).\n" * 1000)
     engine = engine_of(place)
     engine.rules.files.sandbox.max_bytes = 5999

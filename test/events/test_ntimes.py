@@ -1,6 +1,7 @@
 """``Q ntimes N`` is Q seq ... seq Q: named variables are shared, each ``_`` is fresh in each repetition."""
 
 import random
+from typing import Any, Dict, List, Optional, Tuple
 
 import pytest
 from events.stream_programs import ProgramRunner, format_events, outputs_of, term_text
@@ -32,10 +33,10 @@ CASES = [
 @pytest.mark.parametrize("policy", POLICIES)
 @pytest.mark.parametrize(("short", "long"), CASES)
 @pytest.mark.parametrize("flags", [(), ("out_of_order",), ("etalis_justification",)], ids=str)
-def test_ntimes_equals_written_sequence(short, long, policy, flags):
+def test_ntimes_equals_written_sequence(short: Any, long: Any, policy: Any, flags: Tuple[Any, ...]) -> None:
     generator = random.Random(f"{short} {policy}")
     for _ in range(4):
-        stream = []
+        stream: List[Any] = []
         for second in range(3, 17):
             start = second + generator.choice([0, 0, 0, -2]) if flags == ("out_of_order",) else second
             interval = (
@@ -50,7 +51,7 @@ def test_ntimes_equals_written_sequence(short, long, policy, flags):
         )
 
 
-def test_named_variable_is_shared_by_repetitions():
+def test_named_variable_is_shared_by_repetitions() -> None:
     assert outputs_of("c <- a(X) ntimes 2.", "a(1)@1 a(2)@2 a(1)@3") == "c@1-3"
     assert outputs_of("c <- a(_) ntimes 2.", "a(1)@1 a(2)@2 a(1)@3") == "c@1-2 c@2-3"
 
@@ -90,7 +91,7 @@ OUTER_PATTERNS = [
 ]
 
 
-def random_stream(generator, has_late_events, has_retractions):
+def random_stream(generator: Any, has_late_events: Any, has_retractions: Any) -> Any:
     """Return events: some touching or overlapping, some with variables, some late or taken back."""
     events, retractable, clock_time = [], [], 10
     for _ in range(generator.choice([8, 12, 24])):
@@ -113,7 +114,7 @@ def random_stream(generator, has_late_events, has_retractions):
     return events
 
 
-def random_flags(generator, has_late_events, has_retractions):
+def random_flags(generator: Any, has_late_events: Any, has_retractions: Any) -> Any:
     flags = ["revision_flag"] * has_retractions + ["out_of_order"] * (
         has_late_events and generator.random() < 0.7
     )
@@ -124,10 +125,10 @@ def random_flags(generator, has_late_events, has_retractions):
     return flags
 
 
-def outputs_and_match_count(rule, policy, flags, stream, changes):
+def outputs_and_match_count(rule: Any, policy: Any, flags: Any, stream: Any, changes: Any) -> Tuple[Any, ...]:
     """Return what follows from each event, and how many partial matches wait in the end."""
     program = ProgramRunner(rule, flags, policy)
-    outputs = []
+    outputs: List[Any] = []
     for number, event in enumerate(stream):
         for flag, value in changes.get(number, ()):
             program.set(flag, value)
@@ -139,7 +140,7 @@ def outputs_and_match_count(rule, policy, flags, stream, changes):
 @pytest.mark.parametrize(
     "group", [0, 1, *(pytest.param(group, marks=pytest.mark.nightly) for group in range(2, 10))]
 )
-def test_random_ntimes_equal_written_sequences(group):
+def test_random_ntimes_equal_written_sequences(group: Any) -> None:
     for number in range(25):
         generator = random.Random(f"{group} {number}")
         policy, has_late_events, has_retractions = (
@@ -147,7 +148,7 @@ def test_random_ntimes_equal_written_sequences(group):
             generator.random() < 0.3,
             generator.random() < 0.3,
         )
-        changes = {}
+        changes: Dict[Any, Any] = {}
         if generator.random() < 0.25:
             for position in generator.sample(range(12), 2):
                 changes[position] = [
@@ -184,7 +185,7 @@ def test_random_ntimes_equal_written_sequences(group):
         )
 
 
-def test_policy_change_keeps_partial_matches():
+def test_policy_change_keeps_partial_matches() -> None:
     program = ProgramRunner("c <- a(_) ntimes 5.")
     assert program.feed("a(1)@1 a(2)@2 a(3)@3") == ""
     program.set("event_consumption_policy", "unrestricted")
@@ -193,7 +194,7 @@ def test_policy_change_keeps_partial_matches():
     assert program.feed("a(5)@5") == "c@1-5"
 
 
-def test_recursive_events_are_repetitions():
+def test_recursive_events_are_repetitions() -> None:
     rules = "a(X,3) <- c(X). c(X) <- {}."
     stream = "a(1,1)@1 a(1,1)@2 a(1,2)@3 a(1,2)@4 a(1,1)@5 a(1,1)@6 a(1,1)@7"
     long = " seq ".join(["a(X,_)"] * 4)
@@ -201,9 +202,9 @@ def test_recursive_events_are_repetitions():
 
 
 @pytest.mark.parametrize("policy", POLICIES)
-def test_explanation_equals_that_of_sequence(policy):
+def test_explanation_equals_that_of_sequence(policy: Any) -> None:
     stream = "a(1,1)@1 a(1,1)@2-3 a(1,2)@3 a(1,2)@4 a(1,1)@5 a(1,1)@6 a(1,1)@7"
-    explanations = []
+    explanations: List[Any] = []
     for pattern in ("a(X,_) ntimes 4", "a(X,_) seq a(X,_) seq a(X,_) seq a(X,_)"):
         program = ProgramRunner(f"c(X) <- {pattern}.", ["etalis_justification"], policy)
         program.feed(stream)
@@ -216,7 +217,7 @@ def test_explanation_equals_that_of_sequence(policy):
 @pytest.mark.slow
 @pytest.mark.parametrize("times", [1000, 10_000])
 @pytest.mark.parametrize("policy", POLICIES[:-1])
-def test_cost_of_repetitions_is_linear(policy, times):
+def test_cost_of_repetitions_is_linear(policy: Any, times: int) -> None:
     program = ProgramRunner(f"c(X) <- a(X,_) ntimes {times}.", policy=policy)
     assert program.errors == []
     rule = program.engine.rules.rules[0]
@@ -230,7 +231,7 @@ def test_cost_of_repetitions_is_linear(policy, times):
     assert node.visit_count == times + 1
 
 
-def test_window_removes_old_repetitions():
+def test_window_removes_old_repetitions() -> None:
     program = ProgramRunner("c <- (a(_) ntimes 1000) within 10.", policy="chronological")
     for second in range(100):
         program.engine.event(f"a({second})", second, second)
@@ -241,7 +242,7 @@ def test_window_removes_old_repetitions():
     assert sum(len(group.cursors) for group in node.groups.values()) <= 12
 
 
-def test_groups_without_matches_are_removed():
+def test_groups_without_matches_are_removed() -> None:
     program = ProgramRunner("c(X) <- (a(X) ntimes 10) within 10.")
     for second in range(5000):
         program.engine.event(f"a({second})", second, second)
@@ -250,7 +251,7 @@ def test_groups_without_matches_are_removed():
 
 
 @pytest.mark.slow
-def test_thousand_repetitions_of_sequence_are_loaded():
+def test_thousand_repetitions_of_sequence_are_loaded() -> None:
     engine = Engine()
     engine.load(rules="out <- (a seq b) ntimes 1000.")
 
@@ -268,14 +269,16 @@ def test_thousand_repetitions_of_sequence_are_loaded():
         (("event_consumption_policy", "chronological"), "a(1)@1 a(1)@2 a(1)@3 a(_)@4", None),
     ],
 )
-def test_snapshot_of_other_evaluation_is_restored(former_flag, stream, later_flag):
+def test_snapshot_of_other_evaluation_is_restored(
+    former_flag: Tuple[Any, ...], stream: str, later_flag: Optional[Tuple[Any, ...]]
+) -> None:
     program = ProgramRunner("out(X) <- (a(X) ntimes 5) and d.", [former_flag], "chronological")
     program.feed(stream)
     if later_flag is not None:
         program.set(*later_flag)
     program.feed("d@5")
     restored = Engine.restore(program.engine.snapshot())
-    outputs = []
+    outputs: List[Any] = []
     restored.on_event(lambda term, start, end: outputs.append((term, start, end)))
     later_stream = [f"a(1)@{instant}" for instant in range(6, 11)]
     expected = program.feed(" ".join(later_stream))

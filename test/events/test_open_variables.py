@@ -1,5 +1,7 @@
 """Unbound variables of matches: postponed conditions, and identity of matches."""
 
+from typing import Any
+
 import pytest
 from oracle.comparison import Case, answer, difference
 from oracle.matches import POLICIES
@@ -47,12 +49,12 @@ POSTPONED_CONDITIONS = [
 @pytest.mark.slow
 @pytest.mark.parametrize("policy", POLICIES)
 @pytest.mark.parametrize(("pattern", "events"), [*DISTINCT_MATCHES, *POSTPONED_CONDITIONS])
-def test_open_variables_equal_oracle(pattern, events, policy):
+def test_open_variables_equal_oracle(pattern: Any, events: Any, policy: Any) -> None:
     case = Case((rule("out(X)" if "X" in pattern else "out", pattern),), policy, False, tuple(stream(events)))
     assert difference(case) is None
 
 
-def test_condition_of_empty_aggregate_is_postponed():
+def test_condition_of_empty_aggregate_is_postponed() -> None:
     rule_with_condition = rule("o(X)", POSTPONED_CONDITIONS[0][0])
     case = Case((rule_with_condition,), "recent", False, tuple(stream("s@1 b(1)@2")))
     assert difference(case) is None

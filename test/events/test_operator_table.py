@@ -1,6 +1,7 @@
 """Each operator with each policy in each context: a stream for which its rule fires, and one without results."""
 
 from functools import partial
+from typing import Any, Iterator, List, Tuple
 
 import pytest
 from events import operator_table
@@ -21,7 +22,7 @@ class ProgramRun:
         derived: Derived events, each as text with its start and end in seconds.
     """
 
-    def __init__(self, engine, rules, stream, policy, **flags):
+    def __init__(self, engine: Any, rules: Any, stream: Any, policy: Any, **flags: Any) -> None:
         self.engine = engine
         self.engine.rules.reset()
         self.derived = engine.derived = []
@@ -32,24 +33,24 @@ class ProgramRun:
         for event in stream:
             self.take(*event)
 
-    def _flag(self, name, value):
+    def _flag(self, name: str, value: Any) -> None:
         self.engine.rules.flags.set(name, atom(value) if isinstance(value, str) else value)
 
-    def take(self, text, start, end):
+    def take(self, text: str, start: int, end: int) -> None:
         self.engine.event(text, start, end)
 
     @property
-    def intervals(self):
+    def intervals(self) -> List[Tuple[Any, ...]]:
         return [(start, end) for text, start, end in self.derived if text == "out(1)"]
 
 
 @pytest.fixture
-def run():
+def run() -> Any:
     """Return a function that runs a program; all runs of a test share the engine."""
     engine = Engine(clock=StreamClock(1000 * SECOND))
     engine.derived = []
 
-    def record(term, start, end):
+    def record(term: Any, start: Any, end: Any) -> None:
         text = engine.show(term)
         if text.startswith(("out", "rev")):
             engine.derived.append((text, int(start) / SECOND, int(end) / SECOND))
@@ -62,7 +63,7 @@ NIGHTLY_POLICIES = ("recent_2", "chronological_2")
 """Policies that differ from others only for competing partners, which these streams do not have."""
 
 
-def cells(nightly=()):
+def cells(nightly: Any = ()) -> Iterator[Any]:
     for name in operator_table.ROWS:
         for policy in POLICIES:
             marks = [pytest.mark.nightly] if policy in nightly else []
@@ -74,13 +75,13 @@ each_cell_in_context = pytest.mark.parametrize(("row", "policy"), list(cells(NIG
 
 
 @each_cell
-def test_operator_fires_by_its_definition(run, row, policy):
+def test_operator_fires_by_its_definition(run: Any, row: Any, policy: Any) -> None:
     rule = f"out(X) <- {row.pattern}."
     assert run(rule, row.fires, policy).intervals == list(row.results)
     assert run(rule, row.never, policy).intervals == []
 
 
-def nested(row, policy):
+def nested(row: Any, policy: Any) -> Any:
     """Return the results that are joined with z, which the first of them consumes."""
     results = [(PARTNER[1], end) for _, end in row.results]
     return results if policy == "unrestricted" else results[:1]
@@ -88,7 +89,7 @@ def nested(row, policy):
 
 @pytest.mark.slow
 @each_cell_in_context
-def test_operator_is_left_side_of_and(run, row, policy):
+def test_operator_is_left_side_of_and(run: Any, row: Any, policy: Any) -> None:
     rule = f"out(X) <- ({row.pattern}) and z."
     assert run(rule, (PARTNER, *row.fires), policy).intervals == nested(row, policy)
     assert run(rule, (PARTNER, *row.never), policy).intervals == []
@@ -97,7 +98,7 @@ def test_operator_is_left_side_of_and(run, row, policy):
 
 @pytest.mark.slow
 @each_cell_in_context
-def test_operator_is_right_side_of_seq(run, row, policy):
+def test_operator_is_right_side_of_seq(run: Any, row: Any, policy: Any) -> None:
     rule = f"out(X) <- z seq ({row.pattern})."
     assert run(rule, (PARTNER, *row.fires), policy).intervals == nested(row, policy)
     assert run(rule, (PARTNER, *row.never), policy).intervals == []
@@ -106,7 +107,7 @@ def test_operator_is_right_side_of_seq(run, row, policy):
 
 @pytest.mark.slow
 @each_cell_in_context
-def test_condition_rejects_results(run, row, policy):
+def test_condition_rejects_results(run: Any, row: Any, policy: Any) -> None:
     assert run(f"out(X) <- ({row.pattern}) where X =:= 1.", row.fires, policy).intervals == list(row.results)
     assert run(f"out(X) <- ({row.pattern}) where X =:= 1.", row.never, policy).intervals == []
     assert run(f"out(X) <- ({row.pattern}) where X =\\= 1.", row.fires, policy).intervals == []
@@ -114,7 +115,7 @@ def test_condition_rejects_results(run, row, policy):
 
 @pytest.mark.slow
 @each_cell_in_context
-def test_within_excludes_equal_duration(run, row, policy):
+def test_within_excludes_equal_duration(run: Any, row: Any, policy: Any) -> None:
     """The duration must be less than the limit."""
     longest = max(end - start for start, end in row.results)
     assert run(f"out(X) <- ({row.pattern}) within {longest + 0.001}.", row.fires, policy).intervals == list(
@@ -126,7 +127,7 @@ def test_within_excludes_equal_duration(run, row, policy):
 
 @pytest.mark.slow
 @each_cell_in_context
-def test_window_includes_equal_duration(run, row, policy):
+def test_window_includes_equal_duration(run: Any, row: Any, policy: Any) -> None:
     """The duration may equal the window; each of both names of the property is tested once."""
     longest = max(end - start for start, end in row.results)
     rule = "r([property({},{})]) : out(X) <- {}."
@@ -140,7 +141,7 @@ def test_window_includes_equal_duration(run, row, policy):
 
 @pytest.mark.slow
 @each_cell_in_context
-def test_labelled_rule_is_deleted(run, row, policy):
+def test_labelled_rule_is_deleted(run: Any, row: Any, policy: Any) -> None:
     rule = f"r : out(X) <- {row.pattern}."
     assert run(rule, row.fires, policy).intervals == list(row.results)
     assert run(rule, row.never, policy).intervals == []
@@ -154,7 +155,7 @@ def test_labelled_rule_is_deleted(run, row, policy):
 
 @pytest.mark.slow
 @each_cell_in_context
-def test_late_event_matches_with_out_of_order(run, row, policy):
+def test_late_event_matches_with_out_of_order(run: Any, row: Any, policy: Any) -> None:
     rule = f"out(X) <- {row.pattern}."
     assert run(rule, row.fires, policy, out_of_order="on").intervals == list(row.results)
     assert run(rule, row.never, policy, out_of_order="on").intervals == []
@@ -166,7 +167,7 @@ def test_late_event_matches_with_out_of_order(run, row, policy):
 
 @pytest.mark.slow
 @each_cell_in_context
-def test_late_result_matches_with_out_of_order(run, row, policy):
+def test_late_result_matches_with_out_of_order(run: Any, row: Any, policy: Any) -> None:
     """Results of an operator are late for z, and match it only if the flag is set."""
     rule = f"out(X) <- ({row.pattern}) seq z."
     stream = (("z", 90, 91), *row.fires)
@@ -181,7 +182,7 @@ def test_late_result_matches_with_out_of_order(run, row, policy):
 
 @pytest.mark.slow
 @each_cell_in_context
-def test_retraction_retracts_results(run, row, policy):
+def test_retraction_retracts_results(run: Any, row: Any, policy: Any) -> None:
     rule = f"out(X) <- {row.pattern}."
     first_event = row.fires[0]
     retractions = [(f"rev({first_event[0]})", 50, 50)] + [("rev(out(1))", 50, 50)] * row.derived
@@ -202,7 +203,7 @@ def test_retraction_retracts_results(run, row, policy):
 
 @pytest.mark.slow
 @each_cell_in_context
-def test_justification_explains_results(run, row, policy):
+def test_justification_explains_results(run: Any, row: Any, policy: Any) -> None:
     rule = f"out(X) <- {row.pattern}."
     result = run(rule, row.fires, policy, etalis_justification="on")
     assert result.intervals == list(row.results)
@@ -220,7 +221,7 @@ def test_justification_explains_results(run, row, policy):
 
 @pytest.mark.slow
 @each_cell_in_context
-def test_garbage_control_removes_old_matches(run, row, policy):
+def test_garbage_control_removes_old_matches(run: Any, row: Any, policy: Any) -> None:
     """An event with a much later timestamp precedes the last event of the stream."""
     rule = f"out(X) <- {row.pattern}."
     stream = (*row.fires[:-1], (row.tick, 500, 501), row.fires[-1])
@@ -237,7 +238,7 @@ def test_garbage_control_removes_old_matches(run, row, policy):
 
 @pytest.mark.slow
 @each_cell_in_context
-def test_garbage_control_removes_old_results(run, row, policy):
+def test_garbage_control_removes_old_results(run: Any, row: Any, policy: Any) -> None:
     """Results of an operator wait for z and y, and are removed."""
     rule = f"out(X) <- ({row.pattern}) and (z seq y)."
     stream = (*row.fires, ("z", 500, 501), ("y", 502, 503))
@@ -248,7 +249,7 @@ def test_garbage_control_removes_old_results(run, row, policy):
 
 @pytest.mark.parametrize("policy", POLICIES)
 @pytest.mark.parametrize("operator", ["cnot", "fnot"])
-def test_garbage_control_removes_negated_events(run, operator, policy):
+def test_garbage_control_removes_negated_events(run: Any, operator: str, policy: Any) -> None:
     rule = f"out(X) <- a(X) {operator} c(X)."
     stream = (("c(1)", 1, 2), ("a(9)", 500, 501), ("a(1)", 502, 503))
     control = {"garbage_control": "general", "garbage_window": 100, "garbage_window_step": 1}
@@ -258,7 +259,7 @@ def test_garbage_control_removes_negated_events(run, operator, policy):
 
 @pytest.mark.slow
 @each_cell_in_context
-def test_flags_and_window_do_not_interfere(run, row, policy):
+def test_flags_and_window_do_not_interfere(run: Any, row: Any, policy: Any) -> None:
     """Flags, label, window and condition together do not change the results."""
     longest = max(end - start for start, end in row.results)
     rule = f"r([property(window,{longest})]) : out(X) <- ({row.pattern}) where X =:= 1."
@@ -280,11 +281,11 @@ def test_flags_and_window_do_not_interfere(run, row, policy):
 
 @pytest.mark.parametrize("policy", POLICIES)
 @pytest.mark.parametrize("operator", operator_table.CONTESTS)
-def test_policy_selects_partners(run, operator, policy):
+def test_policy_selects_partners(run: Any, operator: Any, policy: Any) -> None:
     firsts, seconds, with_first = operator_table.CONTESTS[operator]
     stream = [(f"a({name})", *interval) for name, interval in zip((1, 2, 1), firsts)]
     stream += [(f"b({name})", *interval) for name, interval in zip((1, 2, 3), seconds)]
-    expected = []
+    expected: List[Any] = []
     for first, second in operator_table.TAKEN[policy]:
         start = firsts[first - 1][0] if with_first else seconds[second - 1][0]
         expected.append((f"out({(1, 2, 1)[first - 1]},{second})", start, seconds[second - 1][1]))
@@ -292,7 +293,7 @@ def test_policy_selects_partners(run, operator, policy):
 
 
 @pytest.mark.parametrize("policy", POLICIES)
-def test_forall_seq_consumes_all_partners(run, policy):
+def test_forall_seq_consumes_all_partners(run: Any, policy: Any) -> None:
     stream = [("a(1)", 1, 1), ("a(2)", 2, 2), ("a(1)", 3, 3), ("b(1)", 4, 4), ("b(2)", 5, 5)]
     derived = run("out(X,Y) <- a(X) forall_seq b(Y).", stream, policy).derived
     assert derived == [("out(1,1)", 1, 4), ("out(2,1)", 2, 4), ("out(1,1)", 3, 4)]
@@ -300,7 +301,7 @@ def test_forall_seq_consumes_all_partners(run, policy):
 
 @pytest.mark.parametrize("policy", POLICIES)
 @pytest.mark.parametrize("pattern", ["b star_times", "aggregate(list(Y), b(Y), _)"])
-def test_policy_selects_extended_runs(run, pattern, policy):
+def test_policy_selects_extended_runs(run: Any, pattern: str, policy: Any) -> None:
     event = "b" if pattern.startswith("b") else "b(7)"
     starts = (("a(1)", 1, 2), ("a(2)", 2, 3), ("a(1)", 3, 4))
     stream = [*starts, (event, 5, 6), (event, 7, 8)]
@@ -313,6 +314,6 @@ def test_policy_selects_extended_runs(run, pattern, policy):
 
 
 @pytest.mark.parametrize("policy", POLICIES)
-def test_negated_event_excludes_all_partial_matches(run, policy):
+def test_negated_event_excludes_all_partial_matches(run: Any, policy: Any) -> None:
     stream = [("a(1)", 1, 1), ("a(2)", 2, 2), ("c", 3, 3), ("a(3)", 4, 4), ("b", 5, 5)]
     assert run("out(X) <- (a(X) seq b) cnot c.", stream, policy).derived == [("out(3)", 4, 5)]

@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import Any, Iterator
 
 import pytest
 from events.stream_programs import FUTURE, format_events, term_text
@@ -14,7 +15,7 @@ START = 978_307_200  # 2001
 MEMORY_EVENTS = ("memory_created(", "memory_updated(", "memory_deleted(")
 
 
-def programs():
+def programs() -> Iterator[Any]:
     for block in FILE.read_text(encoding="utf-8").split("\n## ")[1:]:
         name, *lines = block.strip().split("\n")
         parts = {"goal": [], "rule": [], "stream": [], "events": [], "output": []}
@@ -24,13 +25,13 @@ def programs():
         yield pytest.param(parts, id=name)
 
 
-def timestamp(text):
+def timestamp(text: Any) -> Any:
     return to_term(START * SECOND + round(float(text) * SECOND))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("parts", list(programs()))
-def test_program_has_expected_events_and_outputs(parts):
+def test_program_has_expected_events_and_outputs(parts: Any) -> None:
     engine = Engine(clock=StreamClock(FUTURE))
     events, outputs = [], []
     engine.on_event(

@@ -1,6 +1,7 @@
 """Revision, justification and alarms of rules."""
 
 import gc
+from typing import Any, List, Tuple
 
 import pytest
 from events.stream_programs import ProgramRunner, format_events, outputs_of
@@ -14,7 +15,7 @@ from retalis.events.provenance.occurrences import Occurrence
 from retalis.prolog.terms.timestamps import SECOND
 
 
-def outputs_with_revision(rules, stream, policy=None):
+def outputs_with_revision(rules: Any, stream: str, policy: Any = None) -> Any:
     return outputs_of(rules, stream, policy, ["revision_flag"])
 
 
@@ -62,12 +63,12 @@ def outputs_with_revision(rules, stream, policy=None):
         ("c <- a(X) fnot b(Y).", "b(1)@1 a(0)@9 b(2)@5 rev(b(1))@20", ""),
     ],
 )
-def test_retraction_retracts_derived_events(rules, stream, expected):
+def test_retraction_retracts_derived_events(rules: str, stream: str, expected: str) -> None:
     assert outputs_with_revision(rules, stream) == expected
 
 
 @pytest.mark.parametrize("goal", ["memorize(c, [{}], _, m, 5)", "subscribe(c, [{}], _, out, s)"])
-def test_events_of_memories_are_not_retracted(goal):
+def test_events_of_memories_are_not_retracted(goal: str) -> None:
     """The rule's goal is over by then."""
     program = ProgramRunner("c do new_event(m,[5,5]) <- a.", ["revision_flag"])
     program.engine.load(goals=goal.format("new_event(x,[6,6])"))
@@ -76,29 +77,29 @@ def test_events_of_memories_are_not_retracted(goal):
 
 
 @pytest.mark.parametrize("last", ["fail", "X is foo"])
-def test_later_event_is_independent_of_failed_goal(last):
+def test_later_event_is_independent_of_failed_goal(last: str) -> None:
     program = ProgramRunner(f"c do (new_event(m,[5,5]), {last}) <- a. d <- b.", ["revision_flag"])
     assert program.feed("a@1 b@2") == "m@5-5 d@2-2"
     assert program.feed("rev(a)@3") == "rev(m)@3-3"
 
 
 @pytest.mark.parametrize("flags", [(), ("revision_flag",)])
-def test_event_derived_from_first_side_is_no_partner(flags):
+def test_event_derived_from_first_side_is_no_partner(flags: Tuple[Any, ...]) -> None:
     rules = "null_event do new_event(y,[9,9]) <- x. c <- (x cnot z) seq y."
     assert outputs_of(rules, "x@2 y@12", flags=flags) == "y@9-9 null_event@2-2 c@2-12"
 
 
-def test_rev_is_plain_event_without_flag():
+def test_rev_is_plain_event_without_flag() -> None:
     assert outputs_of("c <- a. d <- rev(a).", "a@1 rev(a)@2") == "c@1-1 d@2-2"
 
 
-def test_justification_alone_retracts_nothing():
+def test_justification_alone_retracts_nothing() -> None:
     assert outputs_of("c <- a.", "a@1 rev(a)@2", flags=["etalis_justification"]) == "c@1-1"
 
 
 @pytest.mark.parametrize("policy", ["recent", "chronological", "unrestricted"])
 @pytest.mark.parametrize("flag", ["revision_flag", "etalis_justification"])
-def test_lineage_keeps_outputs(policy, flag):
+def test_lineage_keeps_outputs(policy: str, flag: str) -> None:
     rules = (
         "c(X) <- (a(X) and b) seq d. n(N) <- c(_) seq aggregate(count, a(_), N). x <- (a(1) seq d) cnot b."
     )
@@ -106,12 +107,12 @@ def test_lineage_keeps_outputs(policy, flag):
     assert outputs_of(rules, stream, policy, [flag]) == outputs_of(rules, stream, policy)
 
 
-def explanations_of(program, event):
+def explanations_of(program: Any, event: str) -> List[Any]:
     answers = program.engine.query(f"justify_event({event},_,J)")
     return [program.engine.show(answer["J"]) for answer in answers]
 
 
-def test_event_has_explanation():
+def test_event_has_explanation() -> None:
     program = ProgramRunner("m <- a seq b. r : c <- m.", ["etalis_justification"])
     program.feed("a@1 b@2")
     (explanation,) = explanations_of(program, "c")
@@ -121,7 +122,7 @@ def test_event_has_explanation():
     )
 
 
-def test_missing_event_has_explanation():
+def test_missing_event_has_explanation() -> None:
     program = ProgramRunner("c <- a seq b where (1 < 2).", ["etalis_justification"])
     program.feed("a@1")
     (explanation,) = explanations_of(program, "c")
@@ -131,7 +132,7 @@ def test_missing_event_has_explanation():
     assert explanation.count("),failed)") == 1
 
 
-def test_event_without_rule_has_explanation():
+def test_event_without_rule_has_explanation() -> None:
     program = ProgramRunner("c <- c seq c.", ["etalis_justification"])
     (explanation,) = explanations_of(program, "zzz")
     assert explanation.startswith("[justification(unlabeled,head(zzz,")
@@ -139,7 +140,7 @@ def test_event_without_rule_has_explanation():
     assert len(explanations_of(program, "c")) == 1
 
 
-def test_justification_may_be_enabled_later():
+def test_justification_may_be_enabled_later() -> None:
     program = ProgramRunner("c <- a seq b.")
     program.feed("a@1")
     program.set("etalis_justification", "on")
@@ -180,11 +181,11 @@ IN_ORDER = ["recent", "recent_2", "chronological", "unrestricted"]
         ("o <- (a fnot c) seq (d seq e).", "c@1 a@2 d@3 rev(c)@4 e@5", "o@2-5"),
     ],
 )
-def test_restored_side_of_sequence_has_partners(rules, stream, expected, policy):
+def test_restored_side_of_sequence_has_partners(rules: str, stream: str, expected: str, policy: Any) -> None:
     assert outputs_with_revision(rules, stream, policy) == expected
 
 
-def test_consumed_second_side_is_not_reused():
+def test_consumed_second_side_is_not_reused() -> None:
     rules = "o(X) <- (a(X) fnot c(X)) seq d."
     assert outputs_with_revision(rules, "c(1)@1 a(1)@2 a(2)@3 d@4 rev(c(1))@5", "recent") == "o(2)@3-4"
     stream = "c(1)@1 a(1)@2 a(2)@3 d@4 d@5 rev(c(1))@6"
@@ -192,7 +193,7 @@ def test_consumed_second_side_is_not_reused():
     assert outputs_with_revision(rules, stream + " d@7", "recent") == "o(2)@3-4 o(1)@2-5"
 
 
-def test_new_result_of_run_replaces_old_one():
+def test_new_result_of_run_replaces_old_one() -> None:
     rules = "o(S) <- (s seq aggregate(max(V), a(V), S)) seq e."
     stream = "s@1 a(5)@2 a(2)@3 e@4 rev(a(5))@5"
     assert outputs_with_revision(rules, stream, "recent") == "o(5)@1-4 rev(o(5))@5-5 o(2)@1-4"
@@ -202,7 +203,7 @@ def test_new_result_of_run_replaces_old_one():
     )
 
 
-def test_second_sides_are_retained_only_if_needed(monkeypatch):
+def test_second_sides_are_retained_only_if_needed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(consumption_policy, "MAX_RETAINED_MATCHES", 20)
     for rules, max_matches in [
         ("o <- a seq d.", 0),
@@ -217,7 +218,7 @@ def test_second_sides_are_retained_only_if_needed(monkeypatch):
         assert ProgramRunner(rules, ["etalis_justification"]).feed("d@1 d@2") == ""
 
 
-def output_of_alarms(rules, stream, until):
+def output_of_alarms(rules: str, stream: str, until: int) -> Tuple[Any, ...]:
     clock = StreamClock(0)
     program = ProgramRunner(rules, clock=clock)
     program.feed(stream)
@@ -227,17 +228,17 @@ def output_of_alarms(rules, stream, until):
     return format_events(program.events), program
 
 
-def test_alarm_is_emitted_after_its_delay():
+def test_alarm_is_emitted_after_its_delay() -> None:
     rules = "exceptionAlarm(ding(X),5) <- a(X). c(X) <- ding(X)."
     assert output_of_alarms(rules, "a(1)@1-2", 6)[0] == ""
     assert output_of_alarms(rules, "a(1)@1-2", 7)[0] == "ding(1)@1-7 c(1)@1-7"
 
 
-def test_alarm_is_emitted_at_its_instant():
+def test_alarm_is_emitted_at_its_instant() -> None:
     assert output_of_alarms("exceptionAlarmAbsoluteDatime(ding,7) <- a.", "a@1", 8)[0] == "ding@1-7"
 
 
-def test_alarm_is_emitted_after_deletion_of_rule():
+def test_alarm_is_emitted_after_deletion_of_rule() -> None:
     rules = "l : exceptionAlarm(ding, 5) <- a. gone do del_event_rule(l) <- b."
     assert output_of_alarms(rules, "a@1 b@2 a@3", 10)[0] == "ding@1-6"
 
@@ -251,7 +252,7 @@ def test_alarm_is_emitted_after_deletion_of_rule():
         "exceptionAlarm(ding, N) <- a seq b where N = 0.",
     ],
 )
-def test_retraction_cancels_pending_alarm(rules):
+def test_retraction_cancels_pending_alarm(rules: str) -> None:
     clock = StreamClock(0)
     program = ProgramRunner(rules, ["revision_flag"], clock=clock)
     assert program.feed("a@1 b@2 rev(a)@3") == ""
@@ -261,7 +262,7 @@ def test_retraction_cancels_pending_alarm(rules):
     assert format_events(program.events) == ""
 
 
-def test_emitted_alarm_is_retracted():
+def test_emitted_alarm_is_retracted() -> None:
     clock = StreamClock(0)
     program = ProgramRunner("exceptionAlarm(ding, 5) <- a. c <- ding.", ["revision_flag"], clock=clock)
     program.feed("a@1")
@@ -269,7 +270,7 @@ def test_emitted_alarm_is_retracted():
     assert program.feed("rev(a)@7").endswith("rev(ding)@7-7 rev(c)@7-7")
 
 
-def test_alarm_precedes_event_of_same_instant():
+def test_alarm_precedes_event_of_same_instant() -> None:
     clock = StreamClock(0)
     program = ProgramRunner("exceptionAlarm(ding, 5) <- a. c <- b fnot ding.", clock=clock)
     program.feed("a@1")
@@ -279,13 +280,13 @@ def test_alarm_precedes_event_of_same_instant():
     assert format_events(program.events) == "ding@1-6 b@6-6 c@6-6"
 
 
-def test_alarm_without_delay_is_reported():
+def test_alarm_without_delay_is_reported() -> None:
     program = ProgramRunner("exceptionAlarm(ding,N) <- a(N).")
     assert program.feed("a(0)@1") == ""
     assert "positive number" in str(program.errors[0])
 
 
-def test_forgotten_event_collects_no_derived_events(monkeypatch):
+def test_forgotten_event_collects_no_derived_events(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lineage, "MAX_REMEMBERED_EVENTS", 20)
     program = ProgramRunner("c <- a seq b.", ["revision_flag"], "unrestricted")
     program.feed("a@1")
@@ -297,7 +298,7 @@ def test_forgotten_event_collects_no_derived_events(monkeypatch):
     assert program.feed("rev(a)@50") == ""
 
 
-def test_forgotten_events_keep_no_sources(monkeypatch):
+def test_forgotten_events_keep_no_sources(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lineage, "MAX_REMEMBERED_EVENTS", 20)
     program = ProgramRunner("n(M) <- n(N) seq tick where M is N + 1.", ["etalis_justification"], "recent")
     program.feed("n(0)@0 tick@1")
@@ -308,12 +309,12 @@ def test_forgotten_events_keep_no_sources(monkeypatch):
     assert derived.sources() == []
 
 
-def count_occurrences():
+def count_occurrences() -> Any:
     gc.collect()
     return sum(type(item) is Occurrence for item in gc.get_objects())
 
 
-def test_forgotten_events_of_a_chain_are_freed(monkeypatch):
+def test_forgotten_events_of_a_chain_are_freed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lineage, "MAX_REMEMBERED_EVENTS", 20)
     # Matches that have left their buffers remain in the list of arrivals up to this number, with their events.
     monkeypatch.setattr(event_rule, "STALE_ARRIVALS_TOLERANCE", 0)
@@ -333,7 +334,7 @@ def test_forgotten_events_of_a_chain_are_freed(monkeypatch):
         "c <- e fnot (a seq b(_)).",
     ],
 )
-def test_forgotten_event_has_no_dependents(rule, monkeypatch):
+def test_forgotten_event_has_no_dependents(rule: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lineage, "MAX_REMEMBERED_EVENTS", 20)
     program = ProgramRunner(rule, ["revision_flag"], "unrestricted")
     program.feed("e@0 a@1")
@@ -345,7 +346,7 @@ def test_forgotten_event_has_no_dependents(rule, monkeypatch):
 
 
 @pytest.mark.parametrize("pattern", ["s seq aggregate(count, a(_), N)", "(s seq a(_) star_times) and b(N)"])
-def test_lineage_of_repetitions_is_linear(pattern):
+def test_lineage_of_repetitions_is_linear(pattern: str) -> None:
     program = ProgramRunner(f"c(N) <- {pattern}.", ["etalis_justification"], "unrestricted")
     program.feed("s@0 b(7)@0 " + " ".join(f"a({second})@{second}" for second in range(1, 301)))
     events = program.engine.rules.tracker.remembered_events()

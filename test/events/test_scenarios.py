@@ -5,7 +5,7 @@
 
 import json
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, List, NamedTuple, Tuple
 
 import pytest
 from events.contradictions import CONTRADICTED, Contradiction
@@ -28,7 +28,7 @@ NOW = from_term(read_term("datime(2001,1,1,1,0,0)", Operators.prolog()).term)
 class ScenarioRun:
     """A scenario executed by the engine."""
 
-    def __init__(self, data, folder):
+    def __init__(self, data: Any, folder: Any) -> None:
         now = NOW if "Absolute" in str(data["rules"]) else BASE
         self.clock = StreamClock(now)
         self.engine = Engine(self.clock, Settings(write_folders=(str(folder),)))
@@ -42,16 +42,16 @@ class ScenarioRun:
         self.engine.logic.define("current_datime", 1, lambda machine, term: machine.unify(term, to_term(NOW)))
         self._run(data, folder)
 
-    def _sleep(self, machine, seconds):
+    def _sleep(self, machine: Any, seconds: Any) -> bool:
         self.clock.move_to(self.clock.now() + int(deref(seconds) * SECOND))
         return True
 
-    def _event(self, term, start, end):
+    def _event(self, term: Any, start: Any, end: Any) -> None:
         name = term[0].name if term.__class__ is tuple else term.name
         events_of_kind = self.memory_events if name in MEMORY_EVENTS else self.events
         events_of_kind.append((term_text(term), start, end))
 
-    def _run(self, data, folder):
+    def _run(self, data: Any, folder: Any) -> None:
         for goal in data["goals"]:
             self.attempt(lambda goal=goal: self.engine.call(goal))
         rules = data["rules"]
@@ -72,14 +72,14 @@ class ScenarioRun:
             self.engine.advance()
         self.answers = [self._solutions(goal) for goal in data.get("queries", ())]
 
-    def _solutions(self, goal):
+    def _solutions(self, goal: Any) -> Any:
         try:
             term = read_term(goal, self.engine.operators).term
             return [term_text(term) for _ in self.engine.logic.solutions(term)]
         except RetalisError as error:
             return f"error: {error}"
 
-    def attempt(self, work):
+    def attempt(self, work: Any) -> None:
         try:
             if work() is False:
                 self.errors.append("fails")
@@ -87,7 +87,7 @@ class ScenarioRun:
             self.errors.append(str(error))
 
 
-def expected_events(data, name):
+def expected_events(data: Any, name: str) -> List[Tuple[Any, ...]]:
     rows = data.get(name + "_sane", data[name])
     return [
         (term_text(parse_term(term)), from_term(parse_term(start)), from_term(parse_term(end)))
@@ -95,15 +95,15 @@ def expected_events(data, name):
     ]
 
 
-def event_table(events):
+def event_table(events: Any) -> List[Tuple[Any, ...]]:
     """Return events with their timestamps as terms, which preserves the form of the timestamps."""
     return [(term, write_term(to_term(start)), write_term(to_term(end))) for term, start, end in events]
 
 
-def short(events):
+def short(events: Any) -> str:
     """Return events as ``term@start-end``, in seconds of the first minute (or of the epoch)."""
 
-    def seconds(instant):
+    def seconds(instant: int) -> str:
         return f"{(instant - BASE if instant >= BASE else instant) / SECOND:g}"
 
     return " ".join(f"{term}@{seconds(int(start))}-{seconds(int(end))}" for term, start, end in events)
@@ -111,7 +111,7 @@ def short(events):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
-def test_scenario_has_recorded_results(path, tmp_path, monkeypatch):
+def test_scenario_has_recorded_results(path: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     data = json.loads(path.read_text())
     for name, text in (data.get("files") or {}).items():
         (tmp_path / name).write_text(text)
@@ -145,14 +145,14 @@ class ExpectedResults(NamedTuple):
     errors: bool
 
 
-def expected_results(name, data):
+def expected_results(name: Any, data: Any) -> ExpectedResults:
     contradiction = CONTRADICTED.get(name, Contradiction(""))
     outputs = [
         f"output({term},{topic},{identifier})"
         for term, topic, identifier in data.get("outputs_sane", data["outputs"])
     ]
     sane = data.get("queries_sane")
-    answers = []
+    answers: List[Any] = []
     for number, result in enumerate(data.get("query_results") or ()):
         solutions = contradiction.answers.get(number, result["solutions"] if sane is None else sane[number])
         failed = solutions and solutions[0].startswith("error: ")
@@ -170,5 +170,5 @@ def expected_results(name, data):
     )
 
 
-def test_contradictions_are_scenarios():
+def test_contradictions_are_scenarios() -> None:
     assert set(CONTRADICTED) <= {path.stem for path in SCENARIOS}

@@ -5,6 +5,7 @@ import sys
 from contextlib import contextmanager
 from itertools import count
 from types import ModuleType, SimpleNamespace
+from typing import Any, Dict, Iterator
 
 SECOND = 10**9
 START = 1_700_000_000 * SECOND
@@ -14,57 +15,57 @@ START = 1_700_000_000 * SECOND
 class Duration:
     """A duration as in rospy; `Time` has the same arithmetic."""
 
-    def __init__(self, secs=0, nsecs=0):
+    def __init__(self, secs: int = 0, nsecs: int = 0) -> None:
         self.ns = round(secs * SECOND) + nsecs
 
     @classmethod
-    def of(cls, nanoseconds):
+    def of(cls, nanoseconds: Any) -> Any:
         return cls(0, int(nanoseconds))
 
     @classmethod
-    def from_sec(cls, seconds):
+    def from_sec(cls, seconds: Any) -> Any:
         return cls(seconds)
 
     @property
-    def secs(self):
+    def secs(self) -> Any:
         return self.ns // SECOND
 
     @property
-    def nsecs(self):
+    def nsecs(self) -> Any:
         return self.ns % SECOND
 
-    def to_sec(self):
+    def to_sec(self) -> Any:
         return self.secs + self.nsecs / 1e9
 
-    def is_zero(self):
+    def is_zero(self) -> bool:
         return self.ns == 0
 
-    def __add__(self, other):
+    def __add__(self, other: Any) -> Any:
         return type(self).of(self.ns + other.ns)
 
-    def __sub__(self, other):
+    def __sub__(self, other: Any) -> Any:
         result_class = Duration if type(self) is type(other) else type(self)
         return result_class.of(self.ns - other.ns)
 
-    def __abs__(self):
+    def __abs__(self) -> Any:
         return type(self).of(abs(self.ns))
 
-    def __eq__(self, other):
+    def __eq__(self, other: Any) -> bool:
         return isinstance(other, Duration) and self.ns == other.ns
 
-    def __lt__(self, other):
+    def __lt__(self, other: Any) -> bool:
         return self.ns < other.ns
 
-    def __le__(self, other):
+    def __le__(self, other: Any) -> bool:
         return self.ns <= other.ns
 
-    def __gt__(self, other):
+    def __gt__(self, other: Any) -> bool:
         return self.ns > other.ns
 
-    def __ge__(self, other):
+    def __ge__(self, other: Any) -> bool:
         return self.ns >= other.ns
 
-    def __hash__(self):
+    def __hash__(self) -> int:
         return hash(self.ns)
 
 
@@ -72,19 +73,19 @@ class Time(Duration):
     """An instant; `RobotWorld` defines the subclass that returns the present time."""
 
 
-CLASSES = {}
+CLASSES: Dict[Any, Any] = {}
 
 
-def message_class(definition):
+def message_class(definition: Any) -> Any:
     """Return the class for a message, always the same one."""
     return CLASSES.get(definition.name) or CLASSES.setdefault(definition.name, new_class(definition))
 
 
-def new_class(definition):
+def new_class(definition: Any) -> Any:
     """Return a class for a message: slots by name or in order, zero by default."""
     slots = {field.name: field for field in definition.fields}
 
-    def initialize(self, *positional_values, **values):
+    def initialize(self: Any, *positional_values: Any, **values: Any) -> None:
         values = {**dict(zip(slots, positional_values)), **values}
         assert len(positional_values) in (0, len(slots)), (
             f"{definition.name} takes all slots or none by position"
@@ -101,7 +102,7 @@ def new_class(definition):
     )
 
 
-def default(field):
+def default(field: Any) -> Any:
     if field.length is not None:
         return [default(field._replace(length=None)) for _ in range(max(field.length, 0))]
     if field.definition is not None:
@@ -109,7 +110,7 @@ def default(field):
     return {"time": Time(), "duration": Duration(), "string": "", "bool": False}.get(field.type, 0)
 
 
-def from_slots(definition, slots, time):
+def from_slots(definition: Any, slots: Any, time: Any) -> Any:
     """Return a message of slots by name; a header without a time has that of the message."""
     message = message_class(definition)()
     for field in definition.fields:
@@ -125,7 +126,7 @@ def from_slots(definition, slots, time):
     return message
 
 
-def to_slots(value):
+def to_slots(value: Any) -> Any:
     """Return a message as nested dictionaries of slots."""
     if isinstance(value, Duration):
         return (value.ns - (START if isinstance(value, Time) else 0)) / SECOND
@@ -143,7 +144,7 @@ class RobotWorld:
         published: published messages as tuples of time, topic and message.
     """
 
-    def __init__(self, definitions):
+    def __init__(self, definitions: str) -> None:
         self._definitions = definitions
         self._order = count()
         self.now = 0
@@ -152,7 +153,7 @@ class RobotWorld:
         self._callbacks = {}
         self._timers = []
 
-    def run(self, script, messages):
+    def run(self, script: Any, messages: Any) -> Any:
         """Run the script of a node over messages: tuples of time, topic, definition and slots by name."""
         self.messages = messages
         code = compile(script.read_text(encoding="utf-8"), str(script), "exec")
@@ -160,14 +161,14 @@ class RobotWorld:
             exec(code, {"__name__": "__main__", "__file__": str(script)})
         return self.published
 
-    def spin(self):
+    def spin(self) -> None:
         for time, topic, definition, slots in self.messages:
             self._fire_timers_until(time)
             self.now = time
             for callback in self._callbacks.get(topic.lstrip("/"), ()):
                 callback(from_slots(definition, slots, time))
 
-    def _fire_timers_until(self, instant):
+    def _fire_timers_until(self, instant: Any) -> None:
         while self._timers and self._timers[0][0] <= instant:
             self.now, _, timer = heapq.heappop(self._timers)
             if timer.running:
@@ -177,13 +178,13 @@ class RobotWorld:
                     heapq.heappush(self._timers, (self.now + timer.period, next(self._order), timer))
 
     @contextmanager
-    def _modules(self):
+    def _modules(self) -> Iterator[None]:
         """Replace the modules that scripts import, and restore them afterwards."""
         world = self
 
         class Clock(Time):
             @staticmethod
-            def now():
+            def now() -> Any:
                 return Time.of(world.now)
 
         self.time = Clock
@@ -213,18 +214,18 @@ class RobotWorld:
                 else:
                     sys.modules[name] = module
 
-    def _subscribe(self, topic, message_type, callback, queue_size=None):
+    def _subscribe(self, topic: Any, message_type: Any, callback: Any, queue_size: Any = None) -> None:
         self._callbacks.setdefault(topic, []).append(callback)
 
-    def _publisher(self, topic, message_type, queue_size=None, latch=False):
-        def publish(*values, **slots):
+    def _publisher(self, topic: Any, message_type: Any, queue_size: Any = None, latch: bool = False) -> Any:
+        def publish(*values: Any, **slots: Any) -> None:
             is_message = bool(values) and isinstance(values[0], message_type)
             message = values[0] if is_message else message_type(*values, **slots)
             self.published.append((self.now, topic, message))
 
         return SimpleNamespace(publish=publish)
 
-    def _timer(self, period, callback, oneshot=False):
+    def _timer(self, period: Any, callback: Any, oneshot: bool = False) -> Any:
         timer = SimpleNamespace(callback=callback, period=None if oneshot else period.ns, running=True)
         timer.shutdown = lambda: setattr(timer, "running", False)
         heapq.heappush(self._timers, (self.now + period.ns, next(self._order), timer))
@@ -234,11 +235,11 @@ class RobotWorld:
 class Messages(ModuleType):
     """The module ``package.msg``, which creates classes from definitions when they are imported."""
 
-    def __init__(self, package, definitions):
+    def __init__(self, package: str, definitions: Any) -> None:
         super().__init__(f"{package}.msg")
         self._package, self._definitions = package, definitions
 
-    def __getattr__(self, name):
+    def __getattr__(self, name: Any) -> Any:
         if name.startswith("_"):
             raise AttributeError(name)
         message_class_by_name = message_class(self._definitions.find(f"{self._package}/{name}"))

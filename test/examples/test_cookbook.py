@@ -6,6 +6,7 @@ import logging
 import re
 import sys
 from pathlib import Path
+from typing import Any, List, Tuple
 
 import pytest
 from examples.roboworld import SECOND, START, RobotWorld, to_slots
@@ -30,7 +31,7 @@ COMPILED_ONLY = {"places"}
 
 
 @pytest.fixture(scope="module")
-def recipes():
+def recipes() -> Any:
     """Return the script that writes the bags; it is not imported by name, which the script of the NAO also has."""
     spec = importlib.util.spec_from_file_location("cookbook_make_bag", str(FOLDER / "make_bag.py"))
     module = importlib.util.module_from_spec(spec)
@@ -40,7 +41,9 @@ def recipes():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("folder", RECIPES, ids=lambda path: path.name)
-def test_recipe_and_its_node_have_expected_outputs(folder, recipes, definitions, tmp_path, caplog):
+def test_recipe_and_its_node_have_expected_outputs(
+    folder: Any, recipes: Any, definitions: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     outputs = play(folder, recipes, definitions, tmp_path / "recipe.bag", caplog)
     assert outputs
     lines = [f"output({text},{topic}).\n" for _, topic, text, _ in outputs]
@@ -51,10 +54,10 @@ def test_recipe_and_its_node_have_expected_outputs(folder, recipes, definitions,
         assert run_node(folder, recipes, definitions) == expected
 
 
-def play(folder, recipes, definitions, path, caplog):
+def play(folder: Any, recipes: Any, definitions: Any, path: Any, caplog: pytest.LogCaptureFixture) -> Any:
     """Return the outputs of a recipe for its bag: time, topic, text and bytes. Nothing may be reported."""
     recipes.make_bag(folder, path, definitions)
-    problems = []
+    problems: List[Any] = []
     playback = Playback(folder, problems.append)
     with BagReader(path) as bag, caplog.at_level(logging.WARNING):
         outputs = [
@@ -65,7 +68,7 @@ def play(folder, recipes, definitions, path, caplog):
     return outputs
 
 
-def run_node(folder, recipes, definitions):
+def run_node(folder: Any, recipes: Any, definitions: Any) -> List[Tuple[Any, ...]]:
     """Return the outputs of the node of a recipe for the same messages: time, topic and bytes."""
     assert recipes.START * SECOND == START
     recipe = recipes.Recipe(folder)
@@ -75,13 +78,13 @@ def run_node(folder, recipes, definitions):
     return [(time, topic, encode(message, recipes, definitions, time)) for time, topic, message in published]
 
 
-def encode(message, recipes, definitions, time):
+def encode(message: Any, recipes: Any, definitions: Any, time: Any) -> bytes:
     term = recipes.to_term(message.definition, to_slots(message), time)
     return definitions.encoder(message.definition).encode(term)
 
 
 @pytest.mark.parametrize("folder", RECIPES, ids=lambda path: path.name)
-def test_recipe_is_complete(folder):
+def test_recipe_is_complete(folder: Any) -> None:
     assert {path.name for path in folder.iterdir() if path.suffix not in (".bag", "")} == FILES
     page = (folder / "README.md").read_text(encoding="utf-8")
     (rules,) = re.findall(r"```prolog\n(.*?)```", page, re.DOTALL)
@@ -93,12 +96,14 @@ def test_recipe_is_complete(folder):
     assert [target for target in targets if not (folder / target).exists()] == []
 
 
-def test_index_names_each_recipe_once():
+def test_index_names_each_recipe_once() -> None:
     index = (FOLDER / "README.md").read_text(encoding="utf-8")
     assert sorted(re.findall(r"\]\((\w+)/README.md\)", index)) == [path.name for path in RECIPES]
 
 
-def test_command_writes_bag(recipes, tmp_path, monkeypatch, capsys):
+def test_command_writes_bag(
+    recipes: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "some.bag"
     for _ in range(2):  # an existing bag is replaced
         monkeypatch.setattr(sys, "argv", ["make_bag.py", str(FOLDER / "heartbeat"), "--output", str(path)])
@@ -112,6 +117,6 @@ def test_command_writes_bag(recipes, tmp_path, monkeypatch, capsys):
     assert "is no recipe" in capsys.readouterr().err
 
 
-def test_unknown_slot_is_an_error(recipes, definitions):
+def test_unknown_slot_is_an_error(recipes: Any, definitions: Any) -> None:
     with pytest.raises(SystemExit, match="std_msgs/Bool has no slot daat"):
         recipes.to_term(definitions.find("std_msgs/Bool"), {"daat": True}, 0)

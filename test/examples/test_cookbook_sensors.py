@@ -6,6 +6,7 @@ The bags are read with rosbags, and the messages with numpy only.
 import importlib.util
 import math
 from pathlib import Path
+from typing import Any, Dict, List, Tuple
 
 import pytest
 
@@ -20,7 +21,7 @@ STORE = get_typestore(Stores.ROS1_NOETIC)
 
 
 @pytest.fixture(scope="module")
-def recipes():
+def recipes() -> Any:
     """Return the script that writes the bags."""
     spec = importlib.util.spec_from_file_location("cookbook_make_bag", str(FOLDER / "make_bag.py"))
     module = importlib.util.module_from_spec(spec)
@@ -29,10 +30,10 @@ def recipes():
 
 
 @pytest.fixture
-def play(recipes, definitions, tmp_path):
+def play(recipes: Any, definitions: Any, tmp_path: Path) -> Any:
     """Return a function that plays a recipe and returns its events and the messages of its bag, read by rosbags."""
 
-    def run(name):
+    def run(name: Any) -> Tuple[Any, ...]:
         path = tmp_path / f"{name}.bag"
         recipes.make_bag(FOLDER / name, path, definitions)
         problems, events = [], []
@@ -52,19 +53,19 @@ def play(recipes, definitions, tmp_path):
     return run
 
 
-def values_of(term):
+def values_of(term: Any) -> Any:
     """Return an event of the program as a Python value; None for a message, which may be large."""
     return to_python(term) if term.__class__ is tuple and "__0__" not in term[0].name else None
 
 
-def arguments_of(events, name):
+def arguments_of(events: Any, name: str) -> List[Any]:
     """Return the arguments of the events of a name, in order."""
     return [event.args for event in events if event is not None and event.name == name]
 
 
-def test_nearest_reading_ahead_equals_numpy(play):
+def test_nearest_reading_ahead_equals_numpy(play: Any) -> None:
     events, messages = play("obstacle")
-    expected = []
+    expected: List[Any] = []
     for _, _, scan in messages:
         angles = scan.angle_min + scan.angle_increment * numpy.arange(len(scan.ranges))
         ahead = scan.ranges[numpy.abs(angles) <= 0.25]
@@ -76,15 +77,15 @@ def test_nearest_reading_ahead_equals_numpy(play):
     )
 
 
-def changes(states):
+def changes(states: Any) -> List[List[Any]]:
     """Return the states that differ from the previous one, without None."""
     known_states = [state for state in states if state is not None]
     return [[state] for before, state in zip([None, *known_states], known_states) if state != before]
 
 
-def test_mean_of_image_centre_equals_numpy(play):
+def test_mean_of_image_centre_equals_numpy(play: Any) -> None:
     events, messages = play("dark_image")
-    expected = []
+    expected: List[Any] = []
     for _, _, image in messages:
         rows = image.data.reshape(image.height, image.step)[:, : 3 * image.width]
         y, x = image.height // 4, image.width // 4
@@ -99,10 +100,10 @@ def test_mean_of_image_centre_equals_numpy(play):
     )
 
 
-def test_point_counts_in_zones_equal_numpy(play):
+def test_point_counts_in_zones_equal_numpy(play: Any) -> None:
     zones = {"door": ((1.5, -0.5, 0.25), (2.5, 0.5, 2.0)), "shelf": ((-0.5, 1.0, 0.25), (1.0, 2.0, 2.0))}
     events, messages = play("cloud_zone")
-    expected = []
+    expected: List[Any] = []
     for _, _, cloud in messages:
         points = cloud.data.view("<f4").reshape(-1, 4)[:, :3].astype(float)
         assert numpy.isnan(points).any()
@@ -122,7 +123,7 @@ def test_point_counts_in_zones_equal_numpy(play):
         assert [[state] for name, state in arguments_of(events, "zone_is") if name == zone] == states
 
 
-def test_cells_of_goals_equal_numpy(play):
+def test_cells_of_goals_equal_numpy(play: Any) -> None:
     events, messages = play("map_cell")
     grid, expected = None, []
     for _, topic, message in messages:
@@ -145,16 +146,16 @@ def test_cells_of_goals_equal_numpy(play):
     assert arguments_of(events, "refused") == expected
 
 
-def test_mean_efforts_equal_numpy(play):
+def test_mean_efforts_equal_numpy(play: Any) -> None:
     events, messages = play("joint_effort")
-    expected = []
+    expected: List[Any] = []
     for now, _, newest in messages:
         window = [state.effort for time, _, state in messages if time <= now and now - time < 2 * 10**9]
         expected += [[joint, mean] for joint, mean in zip(newest.name, numpy.mean(window, axis=0).tolist())]
     measured = [[joint.strip('"'), mean] for joint, mean in arguments_of(events, "mean")]
     assert [joint for joint, _ in measured] == [joint for joint, _ in expected]
     assert [mean for _, mean in measured] == pytest.approx([mean for _, mean in expected], rel=1e-12)
-    states = {}
+    states: Dict[Any, Any] = {}
     for joint in ("shoulder", "elbow", "wrist"):
         means = [mean for name, mean in expected if name == joint]
         states[joint] = changes("strained" if mean > 6 else "relaxed" if mean < 4 else None for mean in means)
@@ -164,7 +165,9 @@ def test_mean_efforts_equal_numpy(play):
 
 
 @pytest.mark.parametrize("name", ["dark_image", "cloud_zone", "map_cell", "obstacle", "joint_effort"])
-def test_messages_as_text_have_expected_outputs(name, recipes, definitions, tmp_path):
+def test_messages_as_text_have_expected_outputs(
+    name: str, recipes: Any, definitions: Any, tmp_path: Path
+) -> None:
     """A separate interface node sends messages as text."""
     path = tmp_path / "recipe.bag"
     recipes.make_bag(FOLDER / name, path, definitions)

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any, Iterator, List
 
 import pytest
 
@@ -13,7 +14,7 @@ NAO = Path(__file__).resolve().parents[2] / "examples" / "nao"
 
 
 @pytest.fixture(scope="module")
-def demo():
+def demo() -> Iterator[Any]:
     sys.path.append(str(NAO))
     spec = importlib.util.spec_from_file_location("demo", str(NAO / "demo.py"))
     module = importlib.util.module_from_spec(spec)
@@ -23,24 +24,24 @@ def demo():
 
 
 class Terminal(io.StringIO):
-    def isatty(self):
+    def isatty(self) -> bool:
         return True
 
 
-def pose_message(name, x, y, z):
+def pose_message(name: str, x: float, y: float, z: float) -> Any:
     position = SimpleNamespace(x=x, y=y, z=z)
     return SimpleNamespace(header=SimpleNamespace(frame_id=name), pose=SimpleNamespace(position=position))
 
 
 @pytest.fixture
-def processes(demo, tmp_path, monkeypatch):
+def processes(demo: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     monkeypatch.setattr(demo.signal, "signal", lambda number, handler: None)
     demo_processes = demo.Processes(tmp_path, {})
     yield demo_processes
     demo_processes.close()
 
 
-def test_close_ends_running_processes(processes, tmp_path):
+def test_close_ends_running_processes(processes: Any, tmp_path: Path) -> None:
     short = processes.start("short", sys.executable, "-c", "print('over')")
     short.wait(20)
     long = processes.start("long", sys.executable, "-c", "import time; time.sleep(60)")
@@ -50,14 +51,14 @@ def test_close_ends_running_processes(processes, tmp_path):
     assert (tmp_path / "short.log").read_text() == "over\n"
 
 
-def test_wait_ends_with_process(demo, processes):
+def test_wait_ends_with_process(demo: Any, processes: Any) -> None:
     process = processes.start("short", sys.executable, "-c", "pass")
     process.wait(20)
     with pytest.raises(demo.DemoError, match="the master did not start"):
         demo.wait_until(lambda: False, "the master", [process])
 
 
-def test_progress_is_a_bar_on_terminal(demo):
+def test_progress_is_a_bar_on_terminal(demo: Any) -> None:
     stream = Terminal()
     progress = demo.Progress(stream)
     progress.show(0.5, "5 poses")
@@ -68,7 +69,7 @@ def test_progress_is_a_bar_on_terminal(demo):
     assert " 50% 5 poses" in line
 
 
-def test_progress_is_a_line_per_quarter_elsewhere(demo):
+def test_progress_is_a_line_per_quarter_elsewhere(demo: Any) -> None:
     stream = io.StringIO()
     progress = demo.Progress(stream)
     for share in (-1.0, 0.1, 0.26, 0.3, 0.6, 2.0):
@@ -77,7 +78,7 @@ def test_progress_is_a_line_per_quarter_elsewhere(demo):
     assert [line.strip() for line in stream.getvalue().splitlines()] == ["26%", "60%", "100%"]
 
 
-def test_last_pose_of_marker_counts(demo):
+def test_last_pose_of_marker_counts(demo: Any) -> None:
     poses = demo.Poses()
     for name, x in (('"4x4_1"', 1.0), ("4x4_1", 2.0), ("4x4_2", 3.0)):
         poses.add(pose_message(name, x, 0.0, 0.0))
@@ -85,7 +86,7 @@ def test_last_pose_of_marker_counts(demo):
     assert poses.count == 3
 
 
-def test_bag_without_truth_is_reported(demo, tmp_path, capsys):
+def test_bag_without_truth_is_reported(demo: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     poses = demo.Poses()
     poses.add(pose_message("4x4_1", 1.0, 2.0, 3.0))
     assert not demo.report(poses, tmp_path / "own.bag", {"4x4_1", "4x4_2"})
@@ -99,7 +100,9 @@ def test_bag_without_truth_is_reported(demo, tmp_path, capsys):
     ]
 
 
-def test_report_requires_markers_near_truth(demo, tmp_path, capsys):
+def test_report_requires_markers_near_truth(
+    demo: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     bag = tmp_path / "nao.bag"
     markers = dict.fromkeys(("4x4_1", "4x4_2"), ((1.0, 2.0, 0.5), (0.0, 0.0, 0.0, 1.0)))
     demo.nao_truth.save(demo.nao_truth.Truth(1.0, 1, 0, markers, []), bag)
@@ -115,21 +118,23 @@ def test_report_requires_markers_near_truth(demo, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("argv", [["--bag", "no-such.bag"], ["--seconds", "0"], ["--input", "telepathy"]])
-def test_invalid_arguments_are_usage_errors(demo, argv, capsys):
+def test_invalid_arguments_are_usage_errors(
+    demo: Any, argv: List[str], capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as raised:
         demo.arguments(argv)
     assert raised.value.code == 2
     assert capsys.readouterr().err.splitlines()[-1].startswith("demo: error: ")
 
 
-def test_help_needs_no_ros():
+def test_help_needs_no_ros() -> None:
     process = subprocess.run(
         [sys.executable, "-S", str(NAO / "demo.py"), "--help"], stdout=subprocess.PIPE, text=True, check=True
     )
     assert "--input" in process.stdout
 
 
-def test_free_port_is_free(demo):
+def test_free_port_is_free(demo: Any) -> None:
     port = demo.free_port()
     with demo.socket.socket() as client:
         assert client.connect_ex(("localhost", port)) != 0

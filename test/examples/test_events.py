@@ -4,6 +4,7 @@ import re
 import shlex
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -18,7 +19,9 @@ COMMAND = "    PYTHONPATH=../../../src python3 -m retalis "
 
 @pytest.mark.slow
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.name)
-def test_example_has_expected_output(example, tmp_path, monkeypatch, capsys):
+def test_example_has_expected_output(
+    example: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     folder = tmp_path / example.name
     shutil.copytree(str(example), str(folder))
     if (folder / "outputs.txt").exists():
@@ -34,7 +37,7 @@ def test_example_has_expected_output(example, tmp_path, monkeypatch, capsys):
         assert (folder / "outputs.txt").read_text() == (example / "outputs.txt").read_text()
 
 
-def test_each_operator_and_policy_has_example():
+def test_each_operator_and_policy_has_example() -> None:
     names = {path.name for path in EXAMPLES}
     others = [
         "or",
@@ -53,12 +56,12 @@ def test_each_operator_and_policy_has_example():
     assert {f"policy_{policy.value}" for policy in ConsumptionPolicy} <= names
 
 
-def test_search_path_of_commands_has_package():
+def test_search_path_of_commands_has_package() -> None:
     (path,) = set(re.findall(r"PYTHONPATH=(\S+)", (FOLDER / "README.md").read_text(encoding="utf-8")))
     assert EXAMPLES
     assert all((example / path / "retalis" / "__main__.py").is_file() for example in EXAMPLES)
 
 
-def test_index_names_all_examples():
+def test_index_names_all_examples() -> None:
     index = (FOLDER / "README.md").read_text(encoding="utf-8")
     assert set(re.findall(r"\]\((\w+)/README.md\)", index)) == {path.name for path in EXAMPLES}

@@ -12,6 +12,7 @@ import sys
 from collections import defaultdict
 from pathlib import Path
 from random import Random
+from typing import Any, List
 
 import pytest
 from python_path import python_path
@@ -46,7 +47,7 @@ runpy.run_module("bytewax.run", run_name="__main__")
 """The command of Bytewax in a process that is killed after some lines, before it stores the state."""
 
 
-def load_module(name):
+def load_module(name: str) -> Any:
     spec = importlib.util.spec_from_file_location(f"fleet_{name}", str(FOLDER / f"{name}.py"))
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -57,15 +58,15 @@ robot = load_module("robot")
 make_events = load_module("make_events")
 
 
-def text_of(path):
+def text_of(path: Any) -> str:
     return path.read_text(encoding="utf-8")
 
 
-def write_events(events, path):
+def write_events(events: Any, path: Any) -> None:
     path.write_text("".join(json.dumps(event) + "\n" for event in events), encoding="utf-8")
 
 
-def by_robot(text):
+def by_robot(text: str) -> Any:
     """Return the outputs of each robot in their order; the order between robots is not defined."""
     outputs = defaultdict(list)
     for line in text.splitlines():
@@ -74,7 +75,7 @@ def by_robot(text):
     return outputs
 
 
-def run(folder, *arguments, stdin=os.devnull):
+def run(folder: Any, *arguments: Any, stdin: Any = os.devnull) -> Any:
     """Run Python in a folder with this package; return the ended process."""
     with open(stdin, encoding="utf-8") as lines:
         return subprocess.run(
@@ -88,7 +89,7 @@ def run(folder, *arguments, stdin=os.devnull):
         )
 
 
-def run_in_shell(folder, *commands):
+def run_in_shell(folder: Any, *commands: Any) -> None:
     """Run commands in a folder with links to the clone, with this Python."""
     for name in ("examples", "src"):
         if not (folder / name).exists():
@@ -105,7 +106,7 @@ def run_in_shell(folder, *commands):
     assert process.returncode == 0, process.stdout + process.stderr
 
 
-def test_restored_robot_has_same_outputs():
+def test_restored_robot_has_same_outputs() -> None:
     events = make_events.events(robots=1, seconds=90, seed=3)
     undisturbed = robot.Robot()
     expected = [output for event in events for output in undisturbed.take(event["time"], event["event"])]
@@ -120,25 +121,25 @@ def test_restored_robot_has_same_outputs():
     assert outputs == expected
 
 
-def test_time_advances_without_events():
+def test_time_advances_without_events() -> None:
     parcel_robot = robot.Robot()
     assert parcel_robot.take(1, "picked(parcel)") == []
     (output,) = parcel_robot.take(60)
     assert output == {"number": 1, "topic": "parcels", "output": "overdue(parcel)"}
 
 
-def test_invalid_event_is_an_error_output():
+def test_invalid_event_is_an_error_output() -> None:
     (output,) = robot.Robot().take(1, "picked(")
     assert output["topic"] == "errors"
     assert "picked(" in output["output"]
 
 
-def test_page_names_all_files():
+def test_page_names_all_files() -> None:
     names = set(re.findall(r"`([\w.]+\.(?:py|txt))` ", text_of(PAGE).replace("`,", "` ")))
     assert names >= {path.name for path in FOLDER.iterdir() if path.suffix in (".py", ".txt")}
 
 
-def test_seed_determines_events(tmp_path):
+def test_seed_determines_events(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     make_events.main([str(path), "--robots", "2", "--seconds", "30"])
     lines = text_of(path).splitlines()
@@ -146,7 +147,7 @@ def test_seed_determines_events(tmp_path):
 
 
 @pytest.mark.slow
-def test_killed_fleet_loses_and_repeats_nothing(tmp_path):
+def test_killed_fleet_loses_and_repeats_nothing(tmp_path: Path) -> None:
     """Run the commands of the page with a snapshot per batch, because those of a clock would vary."""
     pytest.importorskip("bytewax", reason="bytewax is not installed: it has wheels for some Pythons only")
     *before, start, plain, compare = re.findall(r"^    (\S.*)$", text_of(PAGE), re.MULTILINE)
@@ -169,7 +170,7 @@ def test_killed_fleet_loses_and_repeats_nothing(tmp_path):
 
 
 @pytest.mark.slow
-def test_flink_has_same_outputs(tmp_path):
+def test_flink_has_same_outputs(tmp_path: Path) -> None:
     pytest.importorskip("pyflink", reason="Apache Flink is not installed: it takes 800 MB, and Java")
     write_events(make_events.events(robots=20, seconds=600), tmp_path / "events.jsonl")
     expected = by_robot(run(tmp_path, FOLDER / "plain.py", stdin=tmp_path / "events.jsonl").stdout)
@@ -179,9 +180,9 @@ def test_flink_has_same_outputs(tmp_path):
     assert by_robot("".join(parts)) == expected
 
 
-def resume_epochs(recovery):
+def resume_epochs(recovery: Any) -> List[Any]:
     """Return the snapshot that each start of a dataflow has resumed."""
-    epochs = []
+    epochs: List[Any] = []
     for path in recovery.glob("*.sqlite3"):
         with sqlite3.connect(str(path)) as store:
             epochs += [

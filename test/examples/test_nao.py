@@ -8,6 +8,7 @@ from bisect import bisect_left
 from collections import defaultdict
 from math import acos, sin
 from pathlib import Path
+from typing import Any, Dict, List, Set, Tuple
 
 import pytest
 
@@ -28,15 +29,15 @@ SECONDS = 12
 
 
 @pytest.fixture(scope="module")
-def bag_and_truth(tmp_path_factory):
+def bag_and_truth(tmp_path_factory: pytest.TempPathFactory) -> Tuple[Any, ...]:
     path = tmp_path_factory.mktemp("nao") / "nao.bag"
     return path, make_bag.make_bag(path, SECONDS, seed=3)
 
 
 @pytest.fixture(scope="module")
-def records(bag_and_truth):
+def records(bag_and_truth: Tuple[Any, ...]) -> Any:
     definitions = Definitions(InstalledTypes([], [], include_rosbags=False))
-    messages = []
+    messages: List[Any] = []
     with BagReader(bag_and_truth[0]) as reader:
         for record in reader.records():
             definition = definitions.add(record.topic.type, record.topic.definition)
@@ -47,7 +48,7 @@ def records(bag_and_truth):
     return messages
 
 
-def plain(term):
+def plain(term: str) -> Any:
     """Return a term as nested lists and texts."""
     term = deref(term)
     items = list_items(term)
@@ -58,11 +59,11 @@ def plain(term):
     return getattr(term, "name", term)
 
 
-def nanoseconds(stamp):
+def nanoseconds(stamp: Any) -> Any:
     return stamp[0] * 10**9 + stamp[1]
 
 
-def transforms(records):
+def transforms(records: Any) -> Any:
     """Return (stamp, receipt, pose) of each pair of frames, in the order of receipt."""
     transforms_by_frames = defaultdict(list)
     for topic, received, message in records:
@@ -76,7 +77,7 @@ def transforms(records):
     return transforms_by_frames
 
 
-def interpolate(left, right, share):
+def interpolate(left: Any, right: Any, share: Any) -> Tuple[Any, ...]:
     (p, q), (r, s) = left, right
     position = tuple(a + (b - a) * share for a, b in zip(p, r))
     cosine = sum(a * b for a, b in zip(q, s))
@@ -91,7 +92,7 @@ def interpolate(left, right, share):
     return position, tuple(left_weight * a + right_weight * b for a, b in zip(q, s))
 
 
-def pose_at(history, stamp):
+def pose_at(history: Any, stamp: Any) -> Any:
     stamps = [entry[0] for entry in history]
     after = bisect_left(stamps, stamp)
     if stamps[after] == stamp:
@@ -102,7 +103,7 @@ def pose_at(history, stamp):
 
 
 @pytest.mark.slow
-def test_bag_has_topics_with_rates(bag_and_truth, records):
+def test_bag_has_topics_with_rates(bag_and_truth: Tuple[Any, ...], records: Any) -> None:
     with BagReader(bag_and_truth[0]) as reader:
         assert {(topic.name, topic.type) for topic in reader.topics} == {
             ("/tf", "tf/tfMessage"),
@@ -119,7 +120,7 @@ def test_bag_has_topics_with_rates(bag_and_truth, records):
     }
 
 
-def test_transforms_of_chain_have_rates_and_order(records):
+def test_transforms_of_chain_have_rates_and_order(records: Any) -> None:
     histories = transforms(records)
     rates = {pair: len(history) / SECONDS for pair, history in histories.items()}
     assert [rates[parent, child] for parent, child, _ in nao_robot.CHAIN] == [10, 50, 10, 10, 50]
@@ -132,7 +133,7 @@ def test_transforms_of_chain_have_rates_and_order(records):
     assert 0.3e9 < max(delays) <= 0.51e9
 
 
-def test_rotations_have_unit_length(records):
+def test_rotations_have_unit_length(records: Any) -> None:
     histories = transforms(records)
     assert histories
     for history in histories.values():
@@ -140,12 +141,12 @@ def test_rotations_have_unit_length(records):
             assert sum(part * part for part in rotation) == pytest.approx(1.0, abs=1e-12)
 
 
-def test_interpolated_poses_locate_markers(bag_and_truth, records):
+def test_interpolated_poses_locate_markers(bag_and_truth: Tuple[Any, ...], records: Any) -> None:
     """Interpolation of the links at each observation results in the true pose of the marker."""
     truth = bag_and_truth[1]
     histories = transforms(records)
     chain = [histories[parent, child] for parent, child, _ in nao_robot.CHAIN]
-    located = {}
+    located: Dict[Any, Any] = {}
     complete = {(entry.marker, entry.stamp) for entry in truth.complete}
     count = 0
     for topic, _, message in records:
@@ -171,7 +172,7 @@ def test_interpolated_poses_locate_markers(bag_and_truth, records):
     assert max(entry.error for entry in comparisons) > 1e-6  # the robot moves
 
 
-def test_observations_have_delays_and_are_stored(bag_and_truth, records):
+def test_observations_have_delays_and_are_stored(bag_and_truth: Tuple[Any, ...], records: Any) -> None:
     path, truth = bag_and_truth
     assert nao_truth.load(path) == truth
     assert {observation.marker for observation in truth.observations[:20]} == set(nao_robot.MARKERS)
@@ -185,8 +186,8 @@ def test_observations_have_delays_and_are_stored(bag_and_truth, records):
     assert len(gaps) > SECONDS
 
 
-def test_bag_has_faces(records):
-    names = set()
+def test_bag_has_faces(records: Any) -> None:
+    names: Set[Any] = set()
     for topic, received, message in records:
         if topic != "/face_recognition/feedback":
             continue
@@ -198,7 +199,7 @@ def test_bag_has_faces(records):
     assert names == {f'"{name}"' for name in make_bag.FACES}
 
 
-def test_seed_determines_bag(tmp_path):
+def test_seed_determines_bag(tmp_path: Path) -> None:
     paths = [tmp_path / name for name in ("a.bag", "b.bag", "c.bag")]
     for path, seed in zip(paths, (1, 1, 2)):
         make_bag.make_bag(path, 2, seed)
@@ -208,7 +209,7 @@ def test_seed_determines_bag(tmp_path):
 
 
 @pytest.mark.slow
-def test_command_writes_bag(tmp_path):
+def test_command_writes_bag(tmp_path: Path) -> None:
     output = tmp_path / "x.bag"
     command = [sys.executable, str(NAO / "make_bag.py"), "--seconds", "1", "--output", str(output)]
     process = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
@@ -222,7 +223,7 @@ def test_command_writes_bag(tmp_path):
     assert subprocess.run([*command, "--force"], capture_output=True, check=False, timeout=60).returncode == 0
 
 
-def test_table_has_errors_of_markers():
+def test_table_has_errors_of_markers() -> None:
     truth = nao_truth.Truth(
         1, 1, 0, {"4x4_1": ((1.0, 2.0, 3.0), (0, 0, 0, 1)), "4x4_2": ((0.0, 0.0, 0.0), (0, 0, 0, 1))}, []
     )
@@ -238,7 +239,7 @@ ROSBAG = shutil.which("rosbag", path=f"/usr/bin{os.pathsep}{os.environ.get('PATH
 
 
 @pytest.mark.skipif(ROSBAG is None, reason="ROS is not installed")
-def test_rosbag_reads_bag(bag_and_truth, tmp_path):
+def test_rosbag_reads_bag(bag_and_truth: Tuple[Any, ...], tmp_path: Path) -> None:
     environment = {**os.environ, "PATH": "/usr/bin:" + os.environ["PATH"], "ROS_LOG_DIR": str(tmp_path)}
     process = subprocess.run(
         [ROSBAG, "info", "--yaml", "--key=messages", str(bag_and_truth[0])],

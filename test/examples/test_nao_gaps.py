@@ -3,6 +3,7 @@
 import logging
 import sys
 from pathlib import Path
+from typing import Any, Dict, List, Tuple
 
 import pytest
 
@@ -26,7 +27,7 @@ DELAY = SECOND // 100
 
 
 @pytest.fixture(scope="module")
-def bags(tmp_path_factory):
+def bags(tmp_path_factory: pytest.TempPathFactory) -> Tuple[Any, ...]:
     """Return a bag, and the same without the transforms of one joint for two seconds."""
     folder = tmp_path_factory.mktemp("gaps")
     complete, incomplete = folder / "complete.bag", folder / "incomplete.bag"
@@ -45,10 +46,10 @@ def bags(tmp_path_factory):
     return complete, incomplete
 
 
-def play(path, settings=None):
+def play(path: Any, settings: Any = None) -> Tuple[Any, ...]:
     """Return each pose by marker and stamp, and the times of the transforms of the joint in ms."""
     playback = Playback(PROGRAM, print, settings=settings)
-    poses = {}
+    poses: Dict[Any, Any] = {}
     with BagReader(path) as bag:
         for output in playback.run(bag):
             if output.topic.startswith("marker"):
@@ -60,12 +61,14 @@ def play(path, settings=None):
     return poses, sorted(round((midnight + answer["S"]) * 1000) for answer in answers)
 
 
-def widest_gap(stamps):
+def widest_gap(stamps: Any) -> Any:
     """Return start and end of the widest gap."""
     return max((end - start, start, end) for start, end in zip(stamps, stamps[1:]))[1:]
 
 
-def test_limit_of_gap_omits_poses_in_gap_only(bags, caplog):
+def test_limit_of_gap_omits_poses_in_gap_only(
+    bags: Tuple[Any, ...], caplog: pytest.LogCaptureFixture
+) -> None:
     exact, _ = play(bags[0])
     poses, stamps = play(bags[1], Settings(max_gap=0.5))
     gap_start, gap_end = (limit * 10**6 for limit in widest_gap(stamps))
@@ -76,7 +79,7 @@ def test_limit_of_gap_omits_poses_in_gap_only(bags, caplog):
     assert [record for record in caplog.records if record.levelno >= logging.WARNING] == []
 
 
-def test_interpolated_gap_is_warned_of(bags, caplog):
+def test_interpolated_gap_is_warned_of(bags: Tuple[Any, ...], caplog: pytest.LogCaptureFixture) -> None:
     exact, _ = play(bags[0])
     poses, stamps = play(bags[1])
     gap_start, gap_end = (limit * 10**6 for limit in widest_gap(stamps))
@@ -91,8 +94,8 @@ def test_interpolated_gap_is_warned_of(bags, caplog):
     assert total.startswith(f"{count} times in all: {text}")
 
 
-def test_option_max_gap_limits_gap(bags, capsys):
-    pose_counts = []
+def test_option_max_gap_limits_gap(bags: Tuple[Any, ...], capsys: pytest.CaptureFixture[str]) -> None:
+    pose_counts: List[Any] = []
     for options in ([], ["--max-gap", "0.5"], ["--max-gap", "0"]):
         main(["bag", str(bags[1]), "--program", str(PROGRAM), *options])
         pose_counts.append(capsys.readouterr().out.count("PoseStamped("))

@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from typing import Any, Iterator, List
 
 import pytest
 
@@ -16,7 +17,7 @@ from retalis import BagReader, Playback, deref, list_items  # noqa: E402
 MARKERS = [f"marker{number}" for number in range(1, 9)]
 
 
-def leaves(term):
+def leaves(term: Any) -> Iterator[Any]:
     """Yield the leaves of a term."""
     term = deref(term)
     items = list_items(term)
@@ -28,8 +29,8 @@ def leaves(term):
             yield from leaves(part)
 
 
-def outputs(folder, bag):
-    errors = []
+def outputs(folder: Any, bag: Any) -> Any:
+    errors: List[Any] = []
     with BagReader(bag) as reader:
         outputs_of_markers = [
             (output.topic, output.time, output.data is not None, list(leaves(output.term)))
@@ -40,7 +41,7 @@ def outputs(folder, bag):
     return outputs_of_markers
 
 
-def test_poses_equal_those_of_memories(tmp_path):
+def test_poses_equal_those_of_memories(tmp_path: Path) -> None:
     truth = make_bag.make_bag(tmp_path / "nao.bag", 4, seed=3)
     expected = outputs(ROOT / "application_source", tmp_path / "nao.bag")
     poses = outputs(ROOT / "examples" / "nao-tf", tmp_path / "nao.bag")
@@ -57,8 +58,8 @@ def test_poses_equal_those_of_memories(tmp_path):
                 assert value == expected_value
 
 
-def test_program_has_a_third_of_the_lines():
-    def count(folder):
+def test_program_has_a_third_of_the_lines() -> None:
+    def count(folder: Any) -> Any:
         lines = [
             line
             for name in ("eventRules.txt", "goalPredicates.txt")

@@ -1,12 +1,14 @@
 """Explanations of subscriptions that send nothing."""
 
+from typing import Any, List
+
 import pytest
 
 from retalis import Engine, explain, record_origins
 
 
 @pytest.fixture
-def engine():
+def engine() -> Any:
     engine = Engine()
     record_origins(engine)
     engine.load(
@@ -18,16 +20,16 @@ def engine():
     return engine
 
 
-def explanation_lines(engine, event):
+def explanation_lines(engine: Any, event: str) -> List[str]:
     return [text.strip() for line in explain(engine, event).lines for text in line.indented()]
 
 
-def test_sent_event_has_no_subscription_lines(engine):
+def test_sent_event_has_no_subscription_lines(engine: Any) -> None:
     engine.event("cold", 1)
     assert explanation_lines(engine, "cold") == ["cold at 1 came from outside"]
 
 
-def test_false_condition_is_shown_with_values(engine):
+def test_false_condition_is_shown_with_values(engine: Any) -> None:
     engine.event("heat(oven, 38)", 1)
     assert explanation_lines(engine, "heat(_, _)") == [
         "heat(oven,38) at 1 came from outside",
@@ -37,14 +39,14 @@ def test_false_condition_is_shown_with_values(engine):
     ]
 
 
-def test_other_pattern_is_shown(engine):
+def test_other_pattern_is_shown(engine: Any) -> None:
     engine.event("heat(hall, 45)", 1)
     assert "subscription a of topic alarms does not take it: it takes heat(oven,_)" in explanation_lines(
         engine, "heat(hall, _)"
     )
 
 
-def test_events_of_converted_output_are_shown(engine):
+def test_events_of_converted_output_are_shown(engine: Any) -> None:
     assert explanation_lines(engine, "hot(_)")[:2] == [
         "subscription a of topic alarms sends it of heat(oven,_)",
         "no such event happened",
@@ -59,7 +61,7 @@ def test_events_of_converted_output_are_shown(engine):
     ]
 
 
-def test_number_of_subscriptions_is_limited():
+def test_number_of_subscriptions_is_limited() -> None:
     engine = Engine()
     record_origins(engine)
     engine.load(

@@ -1,5 +1,7 @@
 """Explanations of rules with windows, steps and aggregates that did not fire."""
 
+from typing import Any
+
 import pytest
 
 from retalis import Engine, Operators, explain, record_origins
@@ -21,7 +23,7 @@ NOT_FIRED = {
 
 
 @pytest.mark.parametrize("rule", NOT_FIRED)
-def test_explanation_has_reason_of_operator(rule):
+def test_explanation_has_reason_of_operator(rule: Any) -> None:
     engine = Engine()
     record_origins(engine)
     engine.load(rules=rule)
@@ -30,7 +32,7 @@ def test_explanation_has_reason_of_operator(rule):
     assert NOT_FIRED[rule] in str(explain(engine, "w(9)"))
 
 
-def explanation_lines(rules, events, pattern, origin=None):
+def explanation_lines(rules: str, events: Any, pattern: str, origin: Any = None) -> Any:
     """Return the lines of an explanation below the line of the rule, stripped."""
     engine = Engine()
     record_origins(engine)
@@ -46,7 +48,7 @@ STEPS = (
 )
 
 
-def test_rejected_values_of_condition_are_shown():
+def test_rejected_values_of_condition_are_shown() -> None:
     lines = explanation_lines(
         "hot(N) <- aggregate(count, b, N, last(10)) where N >= 3.", [("b", 1), ("b", 2)], "hot(_)"
     )
@@ -57,7 +59,7 @@ def test_rejected_values_of_condition_are_shown():
     ]
 
 
-def test_steps_show_longest_sequence():
+def test_steps_show_longest_sequence() -> None:
     lines = explanation_lines(STEPS, [("a(1,1)", 1), ("a(2,2)", 2), ("a(3,3)", 3)], "o(_)")
     assert lines[0].endswith(": no events took all steps")
     assert lines[2:] == [
@@ -67,7 +69,7 @@ def test_steps_show_longest_sequence():
     ]
 
 
-def test_incomplete_step_shows_event_count():
+def test_incomplete_step_shows_event_count() -> None:
     lines = explanation_lines(STEPS, [("a(1,1)", 1)], "o(_)")
     assert lines[2] == "- step up(2) where T > 0: took 1 event of 2"
 
@@ -80,7 +82,7 @@ def test_incomplete_step_shows_event_count():
         ("max(V)", "N = 2 [1,2]; N = 3 [1,3]"),
     ],
 )
-def test_rejected_results_of_aggregate_are_shown(aggregate, values):
+def test_rejected_results_of_aggregate_are_shown(aggregate: str, values: str) -> None:
     events = [("start", 1), ("v(2)", 2), ("v(3)", 3)]
     lines = explanation_lines(
         f"o(N) <- (start seq aggregate({aggregate}, v(V), N)) where N > 9.", events, "o(_)"
@@ -88,13 +90,13 @@ def test_rejected_results_of_aggregate_are_shown(aggregate, values):
     assert lines[0] == f"- where N > 9: false for {values}"
 
 
-def test_rejected_values_of_repetition_are_shown():
+def test_rejected_values_of_repetition_are_shown() -> None:
     events = [("start", 1), ("v(2)", 2)]
     lines = explanation_lines("o(V) <- (start seq (v(V) star_times)) where V > 9.", events, "o(_)")
     assert "V = 2 [1,2]" in lines[0]
 
 
-def test_error_of_aggregate_is_shown():
+def test_error_of_aggregate_is_shown() -> None:
     lines = explanation_lines(
         "o(N) <- start seq aggregate(max(V), v(V), N).", [("start", 1), ("v(x)", 2)], "o(_)"
     )
@@ -102,13 +104,13 @@ def test_error_of_aggregate_is_shown():
     assert "x" in lines[0]
 
 
-def test_condition_of_absent_event_is_not_shown():
+def test_condition_of_absent_event_is_not_shown() -> None:
     events = [("start", 1), ("stop", 2)]
     lines = explanation_lines("o <- ((start seq stop) cnot (v(V) where V > 3)) where false.", events, "o")
     assert "+ must not happen: v(V): did not happen" in lines
 
 
-def test_instant_is_shown_once():
+def test_instant_is_shown_once() -> None:
     events = [("v(2)", read_term("datime(2024,1,1,10,0,0,0)", Operators.prolog(), "test").term)]
     lines = explanation_lines("o <- v(V) where V > 3.", events, "o")
     assert lines == [
@@ -117,20 +119,20 @@ def test_instant_is_shown_once():
     ]
 
 
-def test_times_are_relative_to_an_origin():
+def test_times_are_relative_to_an_origin() -> None:
     events = [("v(1)", 100), ("v(2)", 100.25)]
     lines = explanation_lines("o <- v(A) seq v(B) where B > 3.", events, "o", origin=99 * 10**9)
     assert lines[0] == "- where B > 3: false for B = 2 [1,1.25] s"
     assert lines[-1] == "+ v(B): B = 1 at 1 s; B = 2 at 1.25 s"
 
 
-def test_long_value_is_shortened():
+def test_long_value_is_shortened() -> None:
     lines = explanation_lines("o <- v(V) where V == 0.", [(f"v('{'x' * 500}')", 1)], "o")
     assert len(lines[0]) < 150
     assert lines[0].endswith(" ... at 1")
 
 
-def test_replay_of_newest_events_is_mentioned():
+def test_replay_of_newest_events_is_mentioned() -> None:
     rule = "w(N) <- aggregate(count, in(_), N, last(1000)) where N > 900."
     for count, is_mentioned in ((199, False), (300, True)):
         lines = explanation_lines(rule, [(f"in({second})", second) for second in range(count)], "w(_)")
@@ -138,7 +140,7 @@ def test_replay_of_newest_events_is_mentioned():
 
 
 @pytest.mark.slow
-def test_explanation_does_not_change_counters():
+def test_explanation_does_not_change_counters() -> None:
     engine = Engine()
     record_origins(engine)
     steps = (

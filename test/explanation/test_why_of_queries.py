@@ -1,5 +1,7 @@
 """Explanations of events of synchronized queries."""
 
+from typing import Any, List
+
 import pytest
 
 from retalis import Engine, explain, record_origins
@@ -8,7 +10,7 @@ RULE = "synchronized(found(X), true, [[m, T]]{options}) <- seen(X, T).\nnext(X) 
 
 
 @pytest.fixture(params=["", ", [timeout(60)]"])
-def engine(request):
+def engine(request: pytest.FixtureRequest) -> Any:
     engine = Engine()
     record_origins(engine)
     rules = RULE.format(options=request.param) + "other(N) <- tick(N).\n"
@@ -17,12 +19,12 @@ def engine(request):
     return engine
 
 
-def explanation_lines(engine, event):
+def explanation_lines(engine: Any, event: str) -> List[str]:
     (line,) = explain(engine, event).lines
     return [text.split(" by rule")[0].strip() for text in line.indented()]
 
 
-def test_source_of_query_is_trigger_not_release(engine):
+def test_source_of_query_is_trigger_not_release(engine: Any) -> None:
     engine.event("seen(a, 5)", 2)
     engine.event("seen(b, 6)", 3)
     assert not explain(engine, "found(_)").happened
@@ -35,7 +37,7 @@ def test_source_of_query_is_trigger_not_release(engine):
     assert explanation_lines(engine, "next(b)")[-1] == "seen(b,6) at 3 came from outside"
 
 
-def test_later_events_do_not_follow_from_query(engine):
+def test_later_events_do_not_follow_from_query(engine: Any) -> None:
     engine.event("seen(a, 5)", 2)
     engine.event("tick(7)", 7)
     assert explanation_lines(engine, "other(7)") == ["other(7) at 7", "tick(7) at 7 came from outside"]

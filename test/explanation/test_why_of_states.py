@@ -1,5 +1,7 @@
 """Explanations of open and missing states, of operators with deadlines, and of unknown names."""
 
+from typing import Any, List
+
 import pytest
 
 from retalis import Engine, PrologError, explain, record_origins
@@ -7,7 +9,7 @@ from retalis import Engine, PrologError, explain, record_origins
 STATE = ":- state(docked(R), from(dock(R)), until(undock(R))).\n"
 
 
-def explanation_lines(rules, events, pattern, origin=None):
+def explanation_lines(rules: str, events: Any, pattern: str, origin: Any = None) -> List[Any]:
     """Return the lines of an explanation."""
     engine = Engine()
     record_origins(engine)
@@ -28,12 +30,12 @@ def explanation_lines(rules, events, pattern, origin=None):
         ),
     ],
 )
-def test_sources_of_operator_are_shown_once(rule, lines):
+def test_sources_of_operator_are_shown_once(rule: str, lines: List[str]) -> None:
     events = [("in(1)", 1), ("next", 2), ("tick", 10)]
     assert [line.strip() for line in explanation_lines(rule, events, "w(1)")[1:]] == lines
 
 
-def test_open_state_shows_start_and_event():
+def test_open_state_shows_start_and_event() -> None:
     events = [("dock(a)", 5), ("dock(b)", 7)]
     assert explanation_lines(STATE, events, "docked(b)") == [
         "state docked(b) is open since 7: it becomes an event when it ends",
@@ -43,7 +45,7 @@ def test_open_state_shows_start_and_event():
     assert relative[0] == "state docked(b) is open since 2 s: it becomes an event when it ends"
 
 
-def test_missing_state_shows_missing_event():
+def test_missing_state_shows_missing_event() -> None:
     rules = f"{STATE}dock(R) <- near(R) seq touched(R)."
     assert explanation_lines(rules, [("near(a)", 1)], "docked(a)") == [
         "state docked(a) is not open: dock(a), which begins it, did not happen",
@@ -54,14 +56,14 @@ def test_missing_state_shows_missing_event():
     ]
 
 
-def test_open_state_is_shown_below_rule():
+def test_open_state_is_shown_below_rule() -> None:
     lines = explanation_lines(
         f"{STATE}left(R) <- docked(R) seq bye(R).", [("dock(a)", 1), ("bye(a)", 2)], "left(a)"
     )
     assert "      state docked(a) is open since 1: it becomes an event when it ends" in lines
 
 
-def test_mutual_states_end_explanation():
+def test_mutual_states_end_explanation() -> None:
     rules = ":- state(p, from(q), until(x)).\n:- state(q, from(p), until(x)).\n"
     assert explanation_lines(rules, [], "p") == [
         "state p is not open: q, which begins it, did not happen",
@@ -69,7 +71,7 @@ def test_mutual_states_end_explanation():
     ]
 
 
-def test_unknown_name_suggests_similar_event():
+def test_unknown_name_suggests_similar_event() -> None:
     rules = "alarm(R) <- smoke(R) seq heat(R)."
     for name, similar in (("alrm(_)", "alarm"), ("smokee(_)", "smoke"), ("gust", "gusts")):
         (line, *_) = explanation_lines(rules, [("gusts", 1)], name)
@@ -77,7 +79,7 @@ def test_unknown_name_suggests_similar_event():
     assert "did you mean" not in explanation_lines(rules, [], "zzz")[0]
 
 
-def test_unknown_state_suggests_similar_state():
+def test_unknown_state_suggests_similar_state() -> None:
     engine = Engine()
     engine.load(rules=STATE)
     with pytest.raises(PrologError, match=r"Unknown state: dokced/1: did you mean docked/1\?"):

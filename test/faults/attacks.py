@@ -11,6 +11,7 @@ import time
 import unittest
 from http.client import HTTPConnection, HTTPException
 from pathlib import Path
+from typing import Any, Tuple
 from urllib.parse import urlparse
 from xmlrpc.client import Binary, Error, Fault, ServerProxy, dumps
 
@@ -41,7 +42,7 @@ LARGE_ANSWER_TIMEOUT_SECONDS = 60.0
 """Seconds after which a service call with large texts has failed."""
 
 
-def usage(pid):
+def usage(pid: Any) -> Tuple[Any, ...]:
     """Return memory in kB, threads and open files of a process."""
     status = dict(line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines())
     return (
@@ -54,7 +55,7 @@ def usage(pid):
 class Node:
     """A node under attack."""
 
-    def __init__(self, name):
+    def __init__(self, name: Any) -> None:
         master = rospy.get_master()
         self.name = name
         self.api = urlparse(master.lookupNode(name)[2]).port
@@ -62,13 +63,13 @@ class Node:
         with self.proxy() as proxy:
             self.pid = proxy.getPid("/attacks")[2]
 
-    def proxy(self):
+    def proxy(self) -> Any:
         return ServerProxy(f"http://{HOST}:{self.api}/")
 
-    def call(self):
+    def call(self) -> None:
         assert self.list(1).result == "ok"
 
-    def ask_api(self):
+    def ask_api(self) -> None:
         with self.proxy() as proxy:
             assert proxy.getPid("/attacks")[2] == self.pid
 
@@ -98,7 +99,7 @@ UNREACHABLE_URI = f"http://{HOST}:1/"
 """URI of a publisher that does not answer; the node may try to connect to it."""
 
 
-def value(chance, depth=0):
+def value(chance: Any, depth: int = 0) -> Any:
     """Return an argument of any type."""
     deeper = depth < 5
     return chance.choice(
@@ -119,7 +120,7 @@ def value(chance, depth=0):
     )()
 
 
-def request(chance):
+def request(chance: Any) -> bytes:
     """Return the body of an XML-RPC request, with arguments of any number and type."""
     method = chance.choice(METHODS)
     arguments = ["/attacks"] * (chance.random() < 0.8)
@@ -154,7 +155,7 @@ FIXED_BODIES = (
 
 class Attacks(unittest.TestCase):
     @classmethod
-    def setUpClass(cls):
+    def setUpClass(cls) -> None:
         numbers = [int(word) for word in sys.argv[1:] if word.isdigit()]
         cls.requests, cls.seed, cls.characters = numbers if len(numbers) == 3 else (100, 1, 200_000)
         wait_for_message_path()
@@ -162,17 +163,17 @@ class Attacks(unittest.TestCase):
         wait_until(cls.log.is_connected, "the nodes' log")
         cls.nodes = [Node(name) for name in NODES]
 
-    def assert_flat(self, node, before, attack):
+    def assert_flat(self, node: Any, before: Any, attack: str) -> None:
         """Wait until a node has the previous numbers of threads and files, and log them."""
 
-        def is_flat():
+        def is_flat() -> Any:
             _, threads, files = usage(node.pid)
             return threads <= before[1] + 5 and files <= before[2] + 5
 
         wait_until(is_flat, f"the end of threads and files of {node.name} after {attack}", pause=0.1)
         rospy.loginfo(f"{node.name}: {attack}: kB, threads, files: {before} before, {usage(node.pid)} after")
 
-    def test_malformed_xmlrpc_requests_are_refused(self):
+    def test_malformed_xmlrpc_requests_are_refused(self) -> None:
         for node in self.nodes:
             chance = random.Random(f"xmlrpc {self.seed} {node.name}")
             before = usage(node.pid)
@@ -196,7 +197,7 @@ class Attacks(unittest.TestCase):
             self.assertLess(usage(node.pid)[0] - before[0], MAX_GROWTH_KILOBYTES, node.name)
             self.assert_flat(node, before, f"{self.requests} XML-RPC requests, the slowest {slowest:.3f} s")
 
-    def post(self, node, body):
+    def post(self, node: Any, body: Any) -> None:
         connection = HTTPConnection(HOST, node.api, timeout=ANSWER_TIMEOUT_SECONDS)
         try:
             connection.request("POST", "/RPC2", body, {"Content-Type": "text/xml"})
@@ -206,7 +207,7 @@ class Attacks(unittest.TestCase):
         finally:
             connection.close()
 
-    def test_large_service_calls_are_answered(self):
+    def test_large_service_calls_are_answered(self) -> None:
         size = self.characters
         texts = (size * "a", size * "(", "'" + size * "a", "[" + "1," * (size // 2) + "1]")
         names = {
@@ -231,7 +232,7 @@ class Attacks(unittest.TestCase):
             self.assert_flat(node, settled_usage, f"services with {size} characters")
         self.assertEqual((), self.invalid_answers)
 
-    def call_all_large(self, names, texts):
+    def call_all_large(self, names: Any, texts: Any) -> None:
         """Call each service with each text, and measure the waits of other calls meanwhile."""
         for name, fields in names.items():
             class_name = "".join(word.capitalize() for word in name.rpartition("/")[2].split("_"))
@@ -255,7 +256,7 @@ class Attacks(unittest.TestCase):
 
     invalid_answers = ()
 
-    def call_large(self, name, proxy, fields):
+    def call_large(self, name: Any, proxy: Any, fields: Any) -> None:
         """Call a service; its answer must be an error, or "ok" for a valid text."""
         try:
             result = proxy(*fields).result
@@ -264,7 +265,7 @@ class Attacks(unittest.TestCase):
         if not result.startswith(("error: ", "ok")) or len(result) > 20_000:
             type(self).invalid_answers = (*self.invalid_answers, (name, result[:500]))
 
-    def tearDown(self):
+    def tearDown(self) -> None:
         for node in self.nodes:
             node.call()
             with node.proxy() as proxy:

@@ -1,6 +1,6 @@
 """Numbers of dropped messages on /diagnostics, with the parts of the stream in which they are dropped."""
 
-from typing import Dict, List, NamedTuple, Tuple
+from typing import Any, Dict, List, NamedTuple, Set, Tuple
 
 COUNTERS = ("dropped", "refused", "missing", "dropped events")
 """The values of a status that count messages or events."""
@@ -46,7 +46,7 @@ class Drops:
     def total(self) -> int:
         return sum(drop.number for drop in self.growths)
 
-    def add(self, stamp: float, through: float, statuses) -> None:
+    def add(self, stamp: float, through: float, statuses: Any) -> None:
         """Add the statuses of a message.
 
         Args:
@@ -54,7 +54,7 @@ class Drops:
             through: the newest stamp of a received pose.
             statuses: the name of each status, and its pairs of keys and values.
         """
-        nodes = set()
+        nodes: Set[Any] = set()
         for name, values in statuses:
             node = name.partition(": ")[0]
             nodes.add(node)

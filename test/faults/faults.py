@@ -7,6 +7,7 @@ import sys
 import unittest
 from pathlib import Path
 from struct import pack
+from typing import Any
 from xmlrpc.client import ServerProxy
 
 import rospy
@@ -43,17 +44,17 @@ rospy.spin()
 """
 
 
-def node(name):
+def node(name: str) -> Any:
     return ServerProxy(rospy.get_master().lookupNode(name)[2])
 
 
-def resident(name):
+def resident(name: str) -> int:
     """Return the memory of a node in kB."""
     pid = node(name).getPid("/faults")[2]
     return int(Path(f"/proc/{pid}/status").read_text().split("VmRSS:")[1].split()[0])
 
 
-def received_count(topic):
+def received_count(topic: str) -> Any:
     """Return the number of messages of a topic that node retalis has received."""
     links = dict(node("/retalis").getBusStats("/faults")[2][1])[topic]
     return sum(link[2] for link in links)
@@ -61,7 +62,7 @@ def received_count(topic):
 
 class Faults(unittest.TestCase):
     @classmethod
-    def setUpClass(cls):
+    def setUpClass(cls) -> None:
         wait_for_message_path()
         cls.log = Collector("/rosout", Log)
         wait_until(cls.log.is_connected, "the nodes' log")
@@ -72,19 +73,19 @@ class Faults(unittest.TestCase):
         cls.add_input = staticmethod(wait_for_service("add_input_subscription", srv.AddInputSubscription))
         cls.strings = DEFINITIONS.find("std_msgs/String")
 
-    def input(self, topic):
+    def input(self, topic: str) -> Any:
         """Return a publisher whose texts become events."""
         self.assertEqual(self.add_input(topic, "std_msgs/String").result, "ok")
         publisher = RawPublisher(topic, self.strings)
         wait_until(publisher.is_connected, f"a subscriber of {topic}")
         return publisher
 
-    def output(self, pattern, key):
+    def output(self, pattern: str, key: str) -> None:
         added = self.subscribe(f"std_msgs__0__String({pattern})", "", "_", "face_by_marker", key)
         self.assertEqual(added.result, "ok")
         self.addCleanup(self.unsubscribe, "face_by_marker", key)
 
-    def test_stopped_receiver_does_not_block_others(self):
+    def test_stopped_receiver_does_not_block_others(self) -> None:
         texts = self.input("before_stop")
         self.output("X", "all")
         other = Collector("face_by_marker", String)
@@ -110,7 +111,7 @@ class Faults(unittest.TestCase):
                 listener.kill()
         other.close()
 
-    def test_burst_is_complete(self):
+    def test_burst_is_complete(self) -> None:
         texts = self.input("burst")
         self.output("'\"last\"'", "last")
         last = Collector("face_by_marker", String)
@@ -130,7 +131,7 @@ class Faults(unittest.TestCase):
         )
         last.close()
 
-    def test_changed_type_of_topic_is_refused(self):
+    def test_changed_type_of_topic_is_refused(self) -> None:
         self.assertEqual(self.add_input("changing", "std_msgs/String").result, "ok")
         self.output("X", "changing")
         outputs = Collector("face_by_marker", String)
@@ -151,16 +152,16 @@ class Faults(unittest.TestCase):
             text_publisher.publisher.unregister()
         outputs.close()
 
-    def make_publisher(self, topic, definition):
+    def make_publisher(self, topic: str, definition: Any) -> Any:
         publisher = RawPublisher(topic, definition)
         wait_until(publisher.is_connected, f"a subscriber of {topic}")
         return publisher
 
-    def listeners(self):
+    def listeners(self) -> Any:
         statistics = node("/retalis_ros_interface").getBusStats("/faults")[2][0]
         return sum(len(links) for topic, _, links in statistics if topic == "/face_by_marker")
 
-    def wait_for_report(self, *parts):
+    def wait_for_report(self, *parts: Any) -> None:
         """Wait for a report with all parts, and delete it."""
         self.log.wait_for(
             lambda records: any(all(part in record.msg for part in parts) for record in records),
@@ -169,11 +170,11 @@ class Faults(unittest.TestCase):
         del self.log.messages[:]
 
 
-def encode(text):
+def encode(text: str) -> Any:
     return pack("<I", len(text)) + text.encode()
 
 
-def frame_of(text):
+def frame_of(text: str) -> Any:
     data = encode(text)
     return pack("<I", len(data)) + data
 

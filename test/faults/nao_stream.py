@@ -4,6 +4,7 @@ import struct
 import threading
 import time
 from collections import Counter
+from typing import Any, Dict, Tuple
 
 import rospy
 from geometry_msgs.msg import PoseStamped
@@ -39,7 +40,7 @@ class Stream:
 
     step = BAG_SECONDS + 2
 
-    def __init__(self, path, speed, rate, size):
+    def __init__(self, path: Any, speed: Any, rate: Any, size: Any) -> None:
         self.truth = make_bag(path, seconds=BAG_SECONDS, seed=1)
         self._speed, self._rate = speed, rate
         self.sent = self.images = self.received = 0
@@ -66,10 +67,10 @@ class Stream:
         for number in range(1, 9):
             rospy.Subscriber(f"marker{number}", PoseStamped, self._take, queue_size=10_000)
 
-    def is_connected(self):
+    def is_connected(self) -> bool:
         return all(publisher.is_connected() for publisher in self._publishers.values())
 
-    def _connect(self):
+    def _connect(self) -> None:
         """Update the sockets of the connections."""
         self._links = {
             topic: [
@@ -78,7 +79,7 @@ class Stream:
             for topic, publisher in self._publishers.items()
         }
 
-    def run(self):
+    def run(self) -> None:
         """Send until ``ended`` is set."""
         began, connected = time.monotonic(), 0.0
         while not self.ended:
@@ -97,14 +98,14 @@ class Stream:
                     self._send("camera", self._image)
             self.turns += 1
 
-    def _send(self, topic, frame):
+    def _send(self, topic: str, frame: Any) -> None:
         for link in self._links[topic]:
             try:
                 link.sendall(frame)
             except (OSError, AttributeError):  # the node has ended; the evaluation knows the time
                 pass
 
-    def _take(self, message):
+    def _take(self, message: Any) -> None:
         stamp = message.header.stamp.to_nsec()
         key = message.header.frame_id, stamp
         self.poses[key] = numbers(message.pose)
@@ -113,22 +114,22 @@ class Stream:
         self._newest = max(self._newest, (stamp - self.truth.start) / 1e9)
 
     @property
-    def behind(self):
+    def behind(self) -> Any:
         """Delay of the newest pose in seconds."""
         return max(0.0, self.stamp - self._newest) / self._speed
 
     @property
-    def through(self):
+    def through(self) -> Any:
         return max(self._newest, self.stamp - MAX_QUEUE_SECONDS * self._speed)
 
 
-def reference(path, program):
+def reference(path: Any, program: Any) -> Any:
     """Return the poses of an offline playback, by marker and stamp."""
 
-    def fail(error):
+    def fail(error: Any) -> None:
         raise error
 
-    poses = {}
+    poses: Dict[Any, Any] = {}
     with BagReader(path) as bag:
         for output in Playback(program, report=fail).run(bag):
             if output.topic.startswith("marker"):
@@ -137,12 +138,12 @@ def reference(path, program):
     return poses
 
 
-def numbers(pose):
+def numbers(pose: Any) -> Tuple[Any, ...]:
     position, rotation = pose.position, pose.orientation
     return position.x, position.y, position.z, rotation.x, rotation.y, rotation.z, rotation.w
 
 
-def _framed(data):
+def _framed(data: Any) -> Tuple[Any, ...]:
     """Return a message as on the wire, and the positions of its stamps, found by the seconds of this bag."""
     frame = struct.pack("<I", len(data)) + data
     last = START + BAG_SECONDS + 1
@@ -152,23 +153,23 @@ def _framed(data):
     return frame, positions
 
 
-def _seconds(frame, position):
+def _seconds(frame: Any, position: Any) -> Any:
     return struct.unpack_from("<I", frame, position)[0]
 
 
-def _with_later_stamps(frame, positions, seconds):
+def _with_later_stamps(frame: Any, positions: Any, seconds: Any) -> Any:
     changed = bytearray(frame)
     for position in positions:
         struct.pack_into("<I", changed, position, _seconds(frame, position) + seconds)
     return changed
 
 
-def _image(width, height):
+def _image(width: Any, height: Any) -> Any:
     body = struct.pack("<III", 0, START, 0) + _text("camera")
     body += struct.pack("<II", height, width) + _text("rgb8") + struct.pack("<BI", 0, 3 * width)
     body += struct.pack("<I", 3 * width * height) + bytes(3 * width * height)
     return struct.pack("<I", len(body)) + body
 
 
-def _text(text):
+def _text(text: str) -> Any:
     return struct.pack("<I", len(text)) + text.encode()

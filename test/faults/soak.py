@@ -33,6 +33,7 @@ import tempfile
 import threading
 import time
 from pathlib import Path
+from typing import Any, Dict
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
@@ -56,7 +57,7 @@ IMAGE_MEMORY = "memorize(sensor_msgs__0__Image(H, _, _, _, _, _, _), [], seen(H)
 TIMEOUT_SECONDS = 60.0
 
 
-def program(folder):
+def program(folder: Any) -> Any:
     """Write the program of the example with the camera as an additional input."""
     source = ROOT / "application_source"
     for path in source.iterdir():
@@ -72,7 +73,7 @@ def program(folder):
 class Processes:
     """The master and both nodes."""
 
-    def __init__(self, folder, port, log, direct):
+    def __init__(self, folder: Any, port: Any, log: Any, direct: Any) -> None:
         self._program = program(folder)
         self._direct = str(direct).lower()
         self._port = port
@@ -81,7 +82,7 @@ class Processes:
         for name in ("master", *NODES):
             self.start(name)
 
-    def start(self, name):
+    def start(self, name: Any) -> None:
         command = ["rosmaster", "--core", "-p", str(self._port)]
         if name in NODES:
             command = ["rosrun", "retalis", NODES[name], f"__name:={name}"]
@@ -90,18 +91,18 @@ class Processes:
         if name == "master":
             self.wait_for_master()
 
-    def wait_for_master(self):
+    def wait_for_master(self) -> None:
         wait_until(rosgraph.is_master_online)
 
-    def restart(self, name, number):
+    def restart(self, name: Any, number: Any) -> None:
         process = self.running[name]
         process.send_signal(number)
         process.wait(TIMEOUT_SECONDS)
         self.start(name)
 
-    def memory(self):
+    def memory(self) -> Any:
         """Return the memory of each node in MB, 0 for a node that is starting."""
-        sizes = {}
+        sizes: Dict[Any, Any] = {}
         for name in NODES:
             try:
                 sizes[name] = resident(self.running[name].pid)
@@ -109,7 +110,7 @@ class Processes:
                 sizes[name] = 0.0
         return sizes
 
-    def end(self):
+    def end(self) -> None:
         for name in (*NODES, "master"):
             process = self.running[name]
             process.send_signal(signal.SIGINT)
@@ -120,7 +121,7 @@ class Processes:
         self._output.close()
 
 
-def wait_until(condition):
+def wait_until(condition: Any) -> None:
     end = time.monotonic() + TIMEOUT_SECONDS
     while not condition():
         if time.monotonic() > end:
@@ -131,14 +132,14 @@ def wait_until(condition):
 class Caller(threading.Thread):
     """Calls random services and records invalid answers."""
 
-    def __init__(self, seed):
+    def __init__(self, seed: Any) -> None:
         super().__init__(daemon=True, name="services")
         self._random = random.Random(seed)
         self.paused = self.ended = False
         self.calls = 0
         self.failures = []
 
-    def run(self):
+    def run(self) -> None:
         while not self.ended:
             time.sleep(0.2)
             name, fields = self._request()
@@ -154,7 +155,7 @@ class Caller(threading.Thread):
             if result != "ok" and not result.startswith("error: "):
                 self.failures.append(f"{name}{fields}: {result}")
 
-    def _request(self):
+    def _request(self) -> Any:
         key = f"key{self._random.randrange(20)}"
         return self._random.choice(
             [
@@ -169,7 +170,7 @@ class Caller(threading.Thread):
         )
 
 
-def call(name, *fields):
+def call(name: Any, *fields: Any) -> Any:
     path = "".join("_" + c.lower() if c.isupper() else c for c in name).strip("_")
     rospy.wait_for_service(path, 5)
     return rospy.ServiceProxy(path, getattr(srv, name))(*fields).result
@@ -178,7 +179,7 @@ def call(name, *fields):
 class Soak:
     """A run with its options."""
 
-    def __init__(self, options, folder):
+    def __init__(self, options: Any, folder: Any) -> None:
         self.options = options
         (folder / "program").mkdir()
         port = int(os.environ["ROS_MASTER_URI"].rsplit(":", 1)[1])
@@ -195,13 +196,13 @@ class Soak:
         self._random = random.Random(options.seed)
         rospy.Subscriber("/diagnostics", DiagnosticArray, self._add_statuses, queue_size=100)
 
-    def _add_statuses(self, message):
+    def _add_statuses(self, message: Any) -> None:
         statuses = [
             (status.name, [(value.key, value.value) for value in status.values]) for status in message.status
         ]
         self.drops.add(self.stream.stamp, self.stream.through, statuses)
 
-    def run(self):
+    def run(self) -> None:
         self.wait_for_nodes()
         self.caller.start()
         began = time.monotonic()
@@ -220,7 +221,7 @@ class Soak:
         self.note(time.monotonic() - began)
         self.processes.end()
 
-    def settle(self):
+    def settle(self) -> None:
         """Wait until no pose is received for longer than the period of the diagnostics."""
         last, since = -1, time.monotonic()
         while time.monotonic() - since < 5:
@@ -228,12 +229,12 @@ class Soak:
             if self.stream.received != last:
                 last, since = self.stream.received, time.monotonic()
 
-    def wait_for_nodes(self):
+    def wait_for_nodes(self) -> None:
         wait_until(self.stream.is_connected)
         for service in ("add_memory", "add_input_subscription"):
             wait_until(lambda: is_offered(service))  # noqa: B023
 
-    def restart(self, began):
+    def restart(self, began: Any) -> None:
         name = self._random.choice(("master", *NODES))
         number = self._random.choice((signal.SIGKILL, signal.SIGTERM))
         self.caller.paused = True
@@ -246,7 +247,7 @@ class Soak:
         self.restarts.append(Restart(time.monotonic() - began, name, number.name, first, self.stream.stamp))
         print(f"{time.monotonic() - began:6.0f} s: {name} ended by {number.name}, restarted", flush=True)
 
-    def note(self, seconds):
+    def note(self, seconds: Any) -> None:
         row = {
             "seconds": round(seconds, 1),
             **self.processes.memory(),
@@ -261,7 +262,7 @@ class Soak:
         self.rows.append(row)
 
 
-def is_offered(service):
+def is_offered(service: Any) -> bool:
     """Return whether a service answers; the master may still have that of a killed node."""
     try:
         rospy.wait_for_service(service, 1)
@@ -270,7 +271,7 @@ def is_offered(service):
     return True
 
 
-def arguments():
+def arguments() -> Any:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -288,7 +289,7 @@ def arguments():
     return parser.parse_args()
 
 
-def main():
+def main() -> Any:
     options = arguments()
     os.environ["ROS_MASTER_URI"] = f"http://127.0.0.1:{free_port()}"
     os.environ["ROS_HOSTNAME"] = "127.0.0.1"

@@ -1,6 +1,6 @@
 """Evaluation of a long run: poses, service calls, and memory."""
 
-from typing import List, NamedTuple, Tuple
+from typing import Any, Iterator, List, NamedTuple, Tuple
 
 POSE_MARGIN_SECONDS = 0.5
 """Seconds of the stream before and after an image in which its poses may need messages."""
@@ -55,7 +55,7 @@ class Poses:
         self.twice: List[Tuple[str, float]] = []
 
 
-def verdict(soak):
+def verdict(soak: Any) -> Tuple[Any, ...]:
     """Return whether all checks succeed, and a line for each of them."""
     stream, drops = soak.stream, soak.drops
     poses = judge(stream, soak.expected, soak.restarts, drops.growths, soak.options.speed)
@@ -95,7 +95,7 @@ def verdict(soak):
     return all(is_good for is_good, _ in checks), lines
 
 
-def judge(stream, expected, restarts, drops, speed):
+def judge(stream: Any, expected: Any, restarts: Any, drops: Any, speed: Any) -> Any:
     """Return the poses by outcome.
 
     A missing or wrong pose has a reason only if its messages were in transit to a node that was ended, were sent
@@ -130,15 +130,15 @@ def judge(stream, expected, restarts, drops, speed):
     return poses
 
 
-def _within(seconds, spans):
+def _within(seconds: Any, spans: Any) -> bool:
     return any(first - POSE_MARGIN_SECONDS <= seconds <= last + POSE_MARGIN_SECONDS for first, last in spans)
 
 
-def _where(poses):
+def _where(poses: Any) -> Any:
     return f": {', '.join(f'{marker} at {seconds}' for marker, seconds in poses[:10])}" if poses else ""
 
 
-def _memory(rows, seconds):
+def _memory(rows: Any, seconds: Any) -> Iterator[Any]:
     """Compare the maximum memory in the two halves of the time after minute 5."""
     settled = min(300.0, seconds / 3)
     middle = (settled + seconds) / 2

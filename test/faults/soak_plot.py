@@ -3,9 +3,10 @@
 
 import csv
 import sys
+from typing import Any
 
 
-def draw(log, picture):
+def draw(log: Any, picture: Any) -> None:
     """Draw memory above, and numbers of messages below, over the minutes."""
     import matplotlib as mpl  # noqa: PLC0415 - not installed with every Python that has ROS
 

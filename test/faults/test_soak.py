@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -10,7 +11,7 @@ SOAK = Path(__file__).with_name("soak.py")
 
 
 @pytest.mark.slow
-def test_short_run_loses_no_uncounted_message(devel, tmp_path):
+def test_short_run_loses_no_uncounted_message(devel: Any, tmp_path: Path) -> None:
     command = [sys.executable, str(SOAK), "--minutes", "0.5", "--speed", "2", "--restarts", "12"]
     log = tmp_path / "soak.csv"
     process = subprocess.run(

@@ -3,6 +3,7 @@
 import gc
 import sys
 import weakref
+from typing import Any, Iterator, List, Tuple
 
 import pytest
 
@@ -15,16 +16,16 @@ from retalis.foundation.garbage_collection import YoungCollector
 class Linked:
     """An object in a reference cycle of its own."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.itself = self
 
 
-def settings():
+def settings() -> Tuple[Any, ...]:
     return gc.get_threshold(), len(gc.callbacks)
 
 
 @pytest.fixture(autouse=True)
-def _restored_collector(monkeypatch):
+def _restored_collector(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(garbage_collection, "gc", gc)
     thresholds = gc.get_threshold()
     gc.unfreeze()
@@ -37,11 +38,11 @@ def _restored_collector(monkeypatch):
 
 
 @pytest.fixture
-def _limited():
+def _limited() -> None:
     limit_gc_pauses()
 
 
-def test_loaded_objects_are_frozen():
+def test_loaded_objects_are_frozen() -> None:
     before = settings()
     limit_gc_pauses()
     limit_gc_pauses()
@@ -53,7 +54,7 @@ def test_loaded_objects_are_frozen():
     assert settings() == before
 
 
-def test_engine_keeps_settings_of_collector():
+def test_engine_keeps_settings_of_collector() -> None:
     before = settings()
     engine = Engine()
     engine.load(rules="fever(X) <- hot(X) seq hot(X).")
@@ -64,10 +65,10 @@ def test_engine_keeps_settings_of_collector():
 
 
 @pytest.mark.usefixtures("_limited")
-def test_collection_visits_bounded_number_of_objects():
-    object_counts = []
+def test_collection_visits_bounded_number_of_objects() -> None:
+    object_counts: List[Any] = []
 
-    def count_objects(phase, info):
+    def count_objects(phase: Any, info: Any) -> None:
         if phase == "start" and info["generation"]:
             object_counts.append(len(gc.get_objects()))
 
@@ -82,8 +83,8 @@ def test_collection_visits_bounded_number_of_objects():
 
 
 @pytest.mark.usefixtures("_limited")
-def test_young_garbage_is_collected():
-    freed = []
+def test_young_garbage_is_collected() -> None:
+    freed: List[Any] = []
     for _ in range(1000):
         weakref.finalize(Linked(), freed.append, None)
     alive = [[number] for number in range(50_000)]
@@ -91,7 +92,7 @@ def test_young_garbage_is_collected():
     assert len(freed) == 1000
 
 
-def late_garbage():
+def late_garbage() -> Any:
     """Return finalizers of cycles that were frozen before they became garbage."""
     frozen = [Linked() for _ in range(100_000)]
     finalizers = [weakref.finalize(linked, int) for linked in frozen[:20_000]]
@@ -101,7 +102,7 @@ def late_garbage():
 
 
 @pytest.mark.usefixtures("_limited")
-def test_late_garbage_is_collected_when_idle(monkeypatch):
+def test_late_garbage_is_collected_when_idle(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not collect_when_idle()
     finalizers = late_garbage()
     monkeypatch.setattr(YoungCollector, "MAX_GARBAGE_BLOCKS_IDLE", -(10**9))
@@ -111,10 +112,10 @@ def test_late_garbage_is_collected_when_idle(monkeypatch):
 
 
 @pytest.mark.usefixtures("_limited")
-def test_late_garbage_is_collected_if_heap_grows(monkeypatch):
+def test_late_garbage_is_collected_if_heap_grows(monkeypatch: pytest.MonkeyPatch) -> None:
     finalizers = late_garbage()
     monkeypatch.setattr(YoungCollector, "MAX_GARBAGE_BLOCKS", -(10**9))
-    alive = []
+    alive: List[Any] = []
     while any(finalizer.alive for finalizer in finalizers):
         alive += [[number] for number in range(10_000)]
         assert len(alive) < 1_000_000
@@ -123,7 +124,7 @@ def test_late_garbage_is_collected_if_heap_grows(monkeypatch):
 
 
 @pytest.mark.usefixtures("_limited")
-def test_growth_by_records_of_engines_is_accepted(monkeypatch):
+def test_growth_by_records_of_engines_is_accepted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(YoungCollector, "BLOCKS_PER_RECORD", 40)
     engine = Engine()
     engine.load(rules="fever(X) <- hot(X) seq cold(X).")
@@ -137,7 +138,7 @@ def test_growth_by_records_of_engines_is_accepted(monkeypatch):
     assert collect_when_idle()
 
 
-def test_collector_is_paused_in_context():
+def test_collector_is_paused_in_context() -> None:
     assert gc.isenabled()
     with gc_paused():
         assert not gc.isenabled()

@@ -1,6 +1,7 @@
 """Bounds of caches, and the list of all caches of the package with their bounds."""
 
 import ast
+from typing import Any, Dict, Iterator, List
 
 import pytest
 from source import NODES, TREES
@@ -60,7 +61,7 @@ CACHES = {
 """Bounds of the caches by file and name: entries and bytes."""
 
 
-def caches():
+def caches() -> Iterator[Any]:
     """Yield file, name and bounds of each cache that the package creates."""
     for path, tree in TREES.items():
         values = constants(tree)
@@ -74,16 +75,16 @@ def caches():
                     yield path, name_of(part, node), bounds
 
 
-def constants(tree):
+def constants(tree: Any) -> Any:
     """Return the numeric constants of a module by name."""
-    values = {}
+    values: Dict[Any, Any] = {}
     for node in tree.body:
         if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant):
             values.update((target.id, node.value.value) for target in node.targets)
     return values
 
 
-def own_bounds(kind, tree):
+def own_bounds(kind: Any, tree: Any) -> Any:
     """Return the bounds that a class of caches sets for all of its objects; None if they are arguments."""
     for node in ast.walk(kind):
         if isinstance(node, ast.Call) and ast.dump(node.func).startswith(
@@ -94,16 +95,16 @@ def own_bounds(kind, tree):
     return None
 
 
-def is_cache(node):
+def is_cache(node: Any) -> Any:
     return isinstance(node, ast.Call) and getattr(node.func, "id", None) in OWN_BOUNDS
 
 
-def arguments(call):
+def arguments(call: Any) -> List[Any]:
     """Return the positional and keyword arguments of a call."""
     return [*call.args, *(keyword.value for keyword in call.keywords)]
 
 
-def name_of(statement, function):
+def name_of(statement: Any, function: Any) -> Any:
     """Return the name to which a cache is assigned, or of the function that returns it."""
     if isinstance(statement, ast.Return):
         return function.name
@@ -111,7 +112,7 @@ def name_of(statement, function):
     return target.id if isinstance(target, ast.Name) else f"self.{target.attr}"
 
 
-def bound(argument, values):
+def bound(argument: Any, values: Any) -> Any:
     """Return the number that an argument denotes, given the constants of its module; None if it is not a number."""
     if isinstance(argument, ast.BinOp):
         left, right = bound(argument.left, values), bound(argument.right, values)
@@ -133,7 +134,7 @@ OWN_BOUNDS = {
 """The bounds of classes of caches; None for classes whose bounds are arguments."""
 
 
-def test_number_of_entries_is_bounded():
+def test_number_of_entries_is_bounded() -> None:
     cache = Cache(10, 1 << 20)
     for number in range(100):
         assert cache.store(number, -number, 8) == -number
@@ -141,7 +142,7 @@ def test_number_of_entries_is_bounded():
         assert len(cache) <= 10
 
 
-def test_bytes_of_entries_are_bounded():
+def test_bytes_of_entries_are_bounded() -> None:
     cache = Cache(1000, 100_000, 50_000)
     for number in range(1000):
         cache.store(number, "", 9000)
@@ -151,17 +152,17 @@ def test_bytes_of_entries_are_bounded():
     assert (len(cache), cache.total_bytes) == (0, 0)
 
 
-def test_too_large_value_is_not_stored():
+def test_too_large_value_is_not_stored() -> None:
     cache = Cache(10, 10_000, 1000)
     cache.store("small", 1, 10)
     assert cache.store("large", 2, 1000) == 2
     assert list(cache) == ["small"]
 
 
-def test_short_texts_are_computed_once():
-    computed = []
+def test_short_texts_are_computed_once() -> None:
+    computed: List[Any] = []
 
-    def double(text):
+    def double(text: Any) -> Any:
         computed.append(text)
         return text * 2
 
@@ -172,7 +173,7 @@ def test_short_texts_are_computed_once():
 
 
 @pytest.mark.slow
-def test_cached_functions_are_listed_with_bound():
+def test_cached_functions_are_listed_with_bound() -> None:
     functions = {
         (path, node.name)
         for path, nodes in NODES.items()
@@ -184,7 +185,7 @@ def test_cached_functions_are_listed_with_bound():
 
 
 @pytest.mark.slow
-def test_caches_are_listed_with_bounds():
+def test_caches_are_listed_with_bounds() -> None:
     caches_with_bounds = {
         (path, name): tuple(limit for limit in bounds if limit is not None)[:2]
         for path, name, bounds in caches()

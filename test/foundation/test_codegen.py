@@ -6,6 +6,7 @@ import sys
 import traceback
 import weakref
 from pathlib import Path
+from typing import Any, Iterator
 
 import pytest
 
@@ -37,7 +38,7 @@ FORBIDDEN_MODULES = {
 }
 
 
-def used_names_of(tree):
+def used_names_of(tree: Any) -> Iterator[Any]:
     """Yield the names of forbidden built-ins and attributes in use, and of imported modules."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Name) and node.id in FORBIDDEN_BUILTINS:
@@ -50,14 +51,14 @@ def used_names_of(tree):
             yield node.module
 
 
-def dotted(node):
+def dotted(node: Any) -> Any:
     inner = node.value
     return f"{inner.id}.{node.attr}" if isinstance(inner, ast.Name) else f"?.{node.attr}"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_code_is_generated_by_codegen_only(path):
+def test_code_is_generated_by_codegen_only(path: Any) -> None:
     if path.name == "codegen.py":
         return
     used_names = set(used_names_of(ast.parse(path.read_text(encoding="utf-8"))))
@@ -67,12 +68,12 @@ def test_code_is_generated_by_codegen_only(path):
     assert not forbidden_names
 
 
-def test_search_finds_forbidden_names():
+def test_search_finds_forbidden_names() -> None:
     tree = ast.parse("import pickle\nx = eval\nos.system('')\nbuiltins.exec('')\nre.compile('a')")
     assert {"pickle", "eval", "os.system", "builtins.exec"} <= set(used_names_of(tree))
 
 
-def test_generated_function_uses_given_names():
+def test_generated_function_uses_given_names() -> None:
     generated = codegen.function(["def generated(x):", "    return x + k1"], {"k1": 2}, "sum")
     assert generated(1) == 3
 
@@ -80,26 +81,26 @@ def test_generated_function_uses_given_names():
 @pytest.mark.parametrize(
     "name", ["open", "__import__", "eval", "exec", "compile", "getattr", "globals", "vars"]
 )
-def test_generated_function_has_no_builtins(name):
+def test_generated_function_has_no_builtins(name: str) -> None:
     with pytest.raises(NameError):
         codegen.function(["def generated():", f"    return {name}"], {}, "unknown name")()
 
 
 @pytest.mark.parametrize("name", ["a b", "é", "", "x\0", "1x", "a" * 40, "x\n", "\u212a"])
-def test_invalid_name_for_generated_source_is_refused(name):
+def test_invalid_name_for_generated_source_is_refused(name: str) -> None:
     for make in (codegen.shared_function, lambda s, n, t: codegen.function([s], n, t)):
         with pytest.raises(ValueError, match="is not a name for generated source"):
             make("def generated(): return 1\n", {name: 1}, "invalid name")
 
 
 @pytest.mark.parametrize("text", ["é", "\ud800", "ª"])
-def test_source_that_is_not_ascii_is_refused(text):
+def test_source_that_is_not_ascii_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="ASCII"):
         codegen.function([f"def generated(): return '{text}'"], {}, "invalid source")
 
 
 @pytest.mark.parametrize("title", ["p/2", "a\0b", "\ud800", "x\ny", "'é'", "x" * 100_000, ""])
-def test_traceback_shows_generated_source(title):
+def test_traceback_shows_generated_source(title: str) -> None:
     generated = codegen.function(["def generated():", "    return missing_thing"], {}, title)
     with pytest.raises(NameError) as error:
         generated()
@@ -108,7 +109,7 @@ def test_traceback_shows_generated_source(title):
     assert len(text) < 5000
 
 
-def test_functions_of_equal_source_share_code():
+def test_functions_of_equal_source_share_code() -> None:
     first, second = (
         codegen.shared_function("def generated():\n    return k\n", {"k": k}, "constant") for k in (1, 2)
     )
@@ -116,7 +117,7 @@ def test_functions_of_equal_source_share_code():
     assert first.__code__ is second.__code__
 
 
-def test_long_source_is_not_cached():
+def test_long_source_is_not_cached() -> None:
     source = "def generated():\n" + "    k\n" * 3000 + "    return k\n"
     first, second = (codegen.shared_function(source, {"k": k}, "constant") for k in (1, 2))
     assert (first(), second()) == (1, 2)
@@ -124,7 +125,7 @@ def test_long_source_is_not_cached():
 
 
 @pytest.mark.parametrize("make", ["function", "shared_function"])
-def test_unreferenced_function_is_freed_at_once(make):
+def test_unreferenced_function_is_freed_at_once(make: str) -> None:
     gc.disable()
     try:
         if make == "function":
@@ -143,7 +144,7 @@ def test_unreferenced_function_is_freed_at_once(make):
         gc.enable()
 
 
-def test_new_names_are_unique_per_key():
+def test_new_names_are_unique_per_key() -> None:
     names = codegen.BoundNames({"given": 1})
     assert names.name("v") == "v1"
     assert names.name("k", "text") == "k2"

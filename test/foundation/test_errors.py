@@ -1,6 +1,7 @@
 """Places of errors with a short part of the line, and printable texts."""
 
 import json
+from typing import Any
 from xml.etree import ElementTree
 
 import pytest
@@ -21,7 +22,7 @@ from retalis.prolog.syntax.term_reader import read_program
 @pytest.mark.parametrize(
     ("length", "column"), [(10, 1), (10, 10), (10, 11), (5000, 1), (5000, 2500), (5000, 5000)]
 )
-def test_caret_is_below_column_of_shown_part(length, column):
+def test_caret_is_below_column_of_shown_part(length: int, column: int) -> None:
     line = "".join(chr(ord("a") + index % 26) for index in range(length))
     for place in (
         place_at_column("file", 3, column, line),
@@ -37,23 +38,23 @@ def test_caret_is_below_column_of_shown_part(length, column):
         assert shown[len(caret) - 1 : len(caret)] == line[column - 1 : column]
 
 
-def test_place_shows_short_line_completely():
+def test_place_shows_short_line_completely() -> None:
     assert Place("file", 1, 3, "a\tb").context() == "a\tb\n \t^"
 
 
-def test_long_text_is_shortened():
+def test_long_text_is_shortened() -> None:
     assert shorten("a" * MAX_SHOWN_CHARACTERS) == "a" * MAX_SHOWN_CHARACTERS
     assert shorten("a" * 5000) == "a" * MAX_SHOWN_CHARACTERS + "..."
 
 
 @pytest.mark.slow
-def test_error_in_long_line_is_short():
+def test_error_in_long_line_is_short() -> None:
     (fault,) = read_program("f(" + "a," * 100_000 + "b c).", Operators.prolog(), "file")
     assert fault.place.column == 200_005
     assert len(str(fault)) < 1000
 
 
-def test_count_has_singular_or_plural():
+def test_count_has_singular_or_plural() -> None:
     assert [format_count(number, "slot") for number in (0, 1, 2)] == ["0 slots", "1 slot", "2 slots"]
     assert [format_count(number, "memory", "memories") for number in (1, 2)] == ["1 memory", "2 memories"]
 
@@ -73,7 +74,7 @@ CONTROL_CODES += [*range(0x2060, 0x2070), 0xFEFF, 0xFFFE, 0xFFFF, 0xD800, 0xDFFF
 
 
 @pytest.mark.parametrize("code", CONTROL_CODES, ids=hex)
-def test_control_character_is_shown_as_escape(code):
+def test_control_character_is_shown_as_escape(code: Any) -> None:
     shown = printable(f"a{chr(code)}b")
     assert shown == f"a{ascii(chr(code))[1:-1]}b"
     ElementTree.fromstring(f"<t>{shown}</t>")
@@ -84,15 +85,15 @@ def test_control_character_is_shown_as_escape(code):
     ["", "a\n\tb", "é\xa0日本\u3000", "\u0645\u06cc\u200c\u062e", "\U0001f469\u200d\U0001f680", "\ufffd"],
     ids=ascii,
 )
-def test_printable_text_is_unchanged(text):
+def test_printable_text_is_unchanged(text: str) -> None:
     assert printable(text) == text
 
 
 @pytest.mark.parametrize("joiner", "\u200c\u200d", ids=ascii)
-def test_joiner_without_neighbor_is_shown_as_escape(joiner):
+def test_joiner_without_neighbor_is_shown_as_escape(joiner: Any) -> None:
     assert printable(f"{joiner}a{joiner}b") == f"{ascii(joiner)[1:-1]}a{ascii(joiner)[1:-1]}b"
 
 
-def test_texts_in_json_are_printable():
+def test_texts_in_json_are_printable() -> None:
     data = {"a\x1b": ["b\u202e", 1, None, ("c\x9b", {"d": 0.5})]}
     assert json.loads(printable_json(data)) == {r"a\x1b": [r"b\u202e", 1, None, [r"c\x9b", {"d": 0.5}]]}

@@ -10,7 +10,7 @@ from python_path import python_path
 
 
 @pytest.mark.slow
-def test_collector_checks_pass_in_own_process():
+def test_collector_checks_pass_in_own_process() -> None:
     checks = Path(__file__).with_name("collector_checks.py")
     run = subprocess.run(
         [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", str(checks)],
@@ -21,7 +21,7 @@ def test_collector_checks_pass_in_own_process():
     assert run.returncode == 0, run.stdout
 
 
-def test_stopped_collector_stays_idle_at_exit():
+def test_stopped_collector_stays_idle_at_exit() -> None:
     script = """
 import gc
 from retalis.foundation.garbage_collection import stop_collecting

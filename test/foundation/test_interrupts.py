@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import threading
+from typing import Any, Iterator, List
 
 import pytest
 from python_path import python_path
@@ -23,7 +24,7 @@ from retalis.foundation.interrupts import (
 
 
 @pytest.fixture(autouse=True)
-def handlers():
+def handlers() -> Iterator[None]:
     """Set the usual handler, also if a shell has started the tests in the background."""
     previous = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
@@ -31,11 +32,11 @@ def handlers():
     assert not PENDING
 
 
-def interrupt():
+def interrupt() -> None:
     signal.raise_signal(signal.SIGINT)
 
 
-def test_signal_is_raised_at_safe_point():
+def test_signal_is_raised_at_safe_point() -> None:
     with deferred_interrupts():
         check_interrupt()
         interrupt()
@@ -45,10 +46,10 @@ def test_signal_is_raised_at_safe_point():
         check_interrupt()
 
 
-def test_signal_in_wait_is_raised_at_once():
-    steps = []
+def test_signal_in_wait_is_raised_at_once() -> None:
+    steps: List[Any] = []
 
-    def wait():
+    def wait() -> None:
         with interruptible():
             interrupt()
             steps.append("after the signal")
@@ -64,7 +65,7 @@ def test_signal_in_wait_is_raised_at_once():
     assert steps == ["recorded"]
 
 
-def test_pending_signal_is_raised_before_wait():
+def test_pending_signal_is_raised_before_wait() -> None:
     with deferred_interrupts():
         interrupt()
         with pytest.raises(Interrupt), interruptible():
@@ -74,7 +75,7 @@ def test_pending_signal_is_raised_before_wait():
             check_interrupt()
 
 
-def test_nested_waits_are_interruptible_until_outer_end():
+def test_nested_waits_are_interruptible_until_outer_end() -> None:
     with deferred_interrupts(), interruptible():
         with interruptible():
             pass
@@ -82,11 +83,11 @@ def test_nested_waits_are_interruptible_until_outer_end():
             interrupt()
 
 
-def test_pending_signal_is_raised_at_end_of_context():
+def test_pending_signal_is_raised_at_end_of_context() -> None:
     with pytest.raises(Interrupt), deferred_interrupts():
         interrupt()
 
-    def interrupt_inner_context():
+    def interrupt_inner_context() -> None:
         with deferred_interrupts():
             with deferred_interrupts():
                 interrupt()
@@ -96,9 +97,9 @@ def test_pending_signal_is_raised_at_end_of_context():
         interrupt_inner_context()
 
 
-def test_signal_in_callback_of_reference_is_not_lost():
+def test_signal_in_callback_of_reference_is_not_lost() -> None:
     class Item:
-        def __del__(self):
+        def __del__(self) -> None:
             interrupt()
 
     with deferred_interrupts():
@@ -107,9 +108,9 @@ def test_signal_in_callback_of_reference_is_not_lost():
             check_interrupt()
 
 
-def test_signal_in_callback_during_wait_is_not_lost():
+def test_signal_in_callback_during_wait_is_not_lost() -> None:
     class Item:
-        def __del__(self):
+        def __del__(self) -> None:
             interrupt()
 
     hook = sys.unraisablehook
@@ -121,7 +122,7 @@ def test_signal_in_callback_during_wait_is_not_lost():
     assert sys.unraisablehook is hook
 
 
-def test_handlers_are_installed_within_context_only():
+def test_handlers_are_installed_within_context_only() -> None:
     handler = signal.getsignal(signal.SIGTERM)
     with deferred_interrupts(signal.SIGTERM):
         assert are_deferred()
@@ -134,7 +135,7 @@ def test_handlers_are_installed_within_context_only():
     assert not are_deferred()
 
 
-def test_engine_installs_no_handler():
+def test_engine_installs_no_handler() -> None:
     handlers = [signal.getsignal(number) for number in signal.valid_signals()]
     engine = Engine()
     engine.load(rules="b <- a.")
@@ -142,17 +143,17 @@ def test_engine_installs_no_handler():
     assert [signal.getsignal(number) for number in signal.valid_signals()] == handlers
 
 
-def test_ignored_signal_remains_ignored():
+def test_ignored_signal_remains_ignored() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with deferred_interrupts():
         interrupt()
         check_interrupt()
 
 
-def test_context_in_other_thread_is_refused():
-    errors = []
+def test_context_in_other_thread_is_refused() -> None:
+    errors: List[Any] = []
 
-    def enter():
+    def enter() -> None:
         with pytest.raises(UsageError) as error, deferred_interrupts():
             pass
         errors.append(str(error.value))
@@ -165,10 +166,10 @@ def test_context_in_other_thread_is_refused():
     ]
 
 
-def test_other_thread_leaves_signal_to_main_thread():
-    checked = []
+def test_other_thread_leaves_signal_to_main_thread() -> None:
+    checked: List[Any] = []
 
-    def check():
+    def check() -> None:
         with interruptible():
             check_interrupt()
         checked.append(is_interrupted())
@@ -183,7 +184,7 @@ def test_other_thread_leaves_signal_to_main_thread():
     assert checked == [False]
 
 
-def test_first_postponed_exception_is_raised():
+def test_first_postponed_exception_is_raised() -> None:
     postpone(SystemExit(3))
     postpone(SystemExit(4))
     with pytest.raises(SystemExit, match="3"):
@@ -209,7 +210,7 @@ with interrupts.deferred_interrupts():
     [(0.0, "", 130), (3600.0, "continued\n", 1)],
     ids=["after_limit", "before_limit"],
 )
-def test_second_signal_ends_process_without_safe_points(seconds, shown, status):
+def test_second_signal_ends_process_without_safe_points(seconds: float, shown: str, status: int) -> None:
     ended = subprocess.run(
         [sys.executable, "-c", WITHOUT_SAFE_POINTS.format(seconds=seconds)],
         env={**os.environ, "PYTHONPATH": python_path()},

@@ -1,22 +1,24 @@
 """Output files: a failure leaves the target as it was, and nothing beside it."""
 
 import os
+from pathlib import Path
+from typing import Any, List
 
 import pytest
 
 from retalis.foundation.output_files import OutputFailed, open_output, replace_file, target_name_of
 
 
-def names_in(folder):
+def names_in(folder: Any) -> List[Any]:
     return sorted(path.name for path in folder.iterdir())
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
-def test_exception_leaves_target_unchanged(tmp_path, error):
+def test_exception_leaves_target_unchanged(tmp_path: Path, error: Any) -> None:
     target = tmp_path / "run.html"
     target.write_text("old")
 
-    def write_partially():
+    def write_partially() -> None:
         with replace_file(target) as path:
             path.write_text("half of the new")
             raise error
@@ -26,7 +28,7 @@ def test_exception_leaves_target_unchanged(tmp_path, error):
     assert (target.read_text(), names_in(tmp_path)) == ("old", ["run.html"])
 
 
-def test_new_file_keeps_permissions_of_target(tmp_path):
+def test_new_file_keeps_permissions_of_target(tmp_path: Path) -> None:
     target = tmp_path / "run.html"
     target.write_text("old")
     target.chmod(0o640)
@@ -40,7 +42,7 @@ def test_new_file_keeps_permissions_of_target(tmp_path):
     )
 
 
-def test_target_of_link_is_replaced(tmp_path):
+def test_target_of_link_is_replaced(tmp_path: Path) -> None:
     (tmp_path / "data").mkdir()
     target, link = tmp_path / "data" / "run.html", tmp_path / "link.html"
     target.write_text("old")
@@ -51,7 +53,7 @@ def test_target_of_link_is_replaced(tmp_path):
     assert target.read_text() == "new"
 
 
-def test_pipe_is_written_directly(tmp_path):
+def test_pipe_is_written_directly(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     with replace_file(pipe) as path:
@@ -59,10 +61,10 @@ def test_pipe_is_written_directly(tmp_path):
     assert names_in(tmp_path) == ["pipe"]
 
 
-def test_interrupt_keeps_lines_of_log(tmp_path):
+def test_interrupt_keeps_lines_of_log(tmp_path: Path) -> None:
     target = tmp_path / "outputs.txt"
 
-    def write_until_interrupt():
+    def write_until_interrupt() -> None:
         with open_output(target, keep_on_interrupt=True) as file:
             file.write("a line\n")
             raise KeyboardInterrupt
@@ -72,8 +74,8 @@ def test_interrupt_keeps_lines_of_log(tmp_path):
     assert (target.read_text(), names_in(tmp_path)) == ("a line\n", ["outputs.txt"])
 
 
-def test_full_disk_is_reported_with_name():
-    def write_to_full_disk():
+def test_full_disk_is_reported_with_name() -> None:
+    def write_to_full_disk() -> None:
         with open_output("/dev/full") as file:
             file.write("text")
             file.flush()
@@ -82,7 +84,7 @@ def test_full_disk_is_reported_with_name():
         write_to_full_disk()
 
 
-def test_missing_folder_is_reported_with_name(tmp_path):
+def test_missing_folder_is_reported_with_name(tmp_path: Path) -> None:
     with pytest.raises(
         OutputFailed, match="cannot write .*/none/run.html: No such file or directory"
     ), open_output(tmp_path / "none" / "run.html"):

@@ -1,5 +1,7 @@
 """Names of ROS: topics and message types."""
 
+from typing import Any
+
 import pytest
 
 from retalis.foundation.ros_names import name_fault, ros1_type_name, topic_fault, type_fault
@@ -8,7 +10,7 @@ INVALID_NAMES = ["x²", "ﬁle", "x\0", "\ud800", "x y", "x\n", "1x", "", "a:b",
 
 
 @pytest.mark.parametrize("name", INVALID_NAMES)
-def test_name_with_other_characters_is_refused(name):
+def test_name_with_other_characters_is_refused(name: Any) -> None:
     for fault in (
         name_fault(name),
         topic_fault(name),
@@ -22,12 +24,12 @@ def test_name_with_other_characters_is_refused(name):
 
 
 @pytest.mark.parametrize("name", ["a/b/c", "/a", "a/", "//", "ab", "a//b"])
-def test_type_without_package_and_name_is_refused(name):
+def test_type_without_package_and_name_is_refused(name: str) -> None:
     assert type_fault(name) is not None
 
 
 @pytest.mark.parametrize("name", ["tf/tfMessage", "a/B", "std_msgs/UInt8MultiArray", "a1_/B2_"])
-def test_valid_type_is_accepted(name):
+def test_valid_type_is_accepted(name: str) -> None:
     assert type_fault(name) is None
 
 
@@ -43,16 +45,16 @@ def test_valid_type_is_accepted(name):
         ("a/msg/b/C", "a/msg/b/C"),
     ],
 )
-def test_ros2_type_name_is_shortened(name, plain):
+def test_ros2_type_name_is_shortened(name: str, plain: str) -> None:
     assert ros1_type_name(name) == plain
 
 
 @pytest.mark.parametrize("name", ["/tf", "tf", "~private", "~", "/a/b_1/C", "a/b", "a/"])
-def test_valid_topic_is_accepted(name):
+def test_valid_topic_is_accepted(name: str) -> None:
     assert topic_fault(name) is None
 
 
-def test_error_names_invalid_character():
+def test_error_names_invalid_character() -> None:
     assert topic_fault("a//b") == "expected a topic name, found 'a//b', which has \"//\" in it"
     assert type_fault('a/b:=__import__("os")').endswith(
         """found 'a/b:=__import__("os")': ':' is not allowed in it"""

@@ -6,12 +6,13 @@ Usage (with ``test`` on the path): python -m fuzz [--kind KIND] [--inputs N] [--
 import argparse
 import sys
 from pathlib import Path
+from typing import Any
 
 from .campaign import Campaign, known_reason
 from .kinds import NAMES
 
 
-def arguments(argv):
+def arguments(argv: Any) -> Any:
     """Read the command line."""
     parser = argparse.ArgumentParser(prog="fuzz", description=__doc__.split("\n")[0])
     parser.add_argument(
@@ -29,7 +30,7 @@ def arguments(argv):
     return parser.parse_args(argv)
 
 
-def show(campaign, save=None):
+def show(campaign: Any, save: Any = None) -> None:
     """Print what a campaign has found; save the inputs."""
     print(
         f"{campaign.kind}: {campaign.done} inputs, {campaign.accepted_count} steps taken, "
@@ -54,7 +55,7 @@ def show(campaign, save=None):
                 (folder / f"{line['seed']}-{line['number']}-{number}").write_bytes(data)
 
 
-def replayed(text):
+def replayed(text: Any) -> Any:
     """Return the campaign of inputs that are named as ``show`` prints them."""
     kind, _, rest = text.partition(":")
     seed, _, numbers = rest.partition(":")
@@ -68,7 +69,7 @@ def replayed(text):
     return campaign
 
 
-def main(argv):
+def main(argv: Any) -> Any:
     """Do what the command line says; return the number of findings, as far as an exit status can tell."""
     options = arguments(argv)
     if options.replay:

@@ -10,6 +10,7 @@ import tempfile
 import threading
 import time
 from pathlib import Path
+from typing import Any, List
 
 from python_path import python_path
 
@@ -45,7 +46,7 @@ class Campaign:
         slowest: seconds of CPU time of the slowest input.
     """
 
-    def __init__(self, kind, seed=1):
+    def __init__(self, kind: Any, seed: int = 1) -> None:
         self.kind = kind
         self.seed = seed
         self.findings = {}
@@ -53,7 +54,7 @@ class Campaign:
         self.slowest = 0.0
         self._lock = threading.Lock()
 
-    def run(self, inputs, jobs=1, minutes=0.0, first=0):
+    def run(self, inputs: Any, jobs: int = 1, minutes: float = 0.0, first: int = 0) -> None:
         """Process inputs from a number on, with several processes at a time."""
         end = time.monotonic() + 60 * minutes if minutes else None
         share = -(-inputs // jobs)
@@ -69,22 +70,22 @@ class Campaign:
             part.join()
         self._confirm()
 
-    def replay(self, first, number):
+    def replay(self, first: Any, number: Any) -> None:
         """Process the inputs of a block up to a number."""
         self._part(first, number - first + 1, None)
 
-    def file(self, path):
+    def file(self, path: Any) -> None:
         """Process an input in a file."""
         with tempfile.TemporaryDirectory(prefix="fuzz", dir=FOLDER) as scratch:
             _Process(self, scratch, ["file", str(Path(path).resolve())]).wait()
 
-    def found(self, line):
+    def found(self, line: Any) -> None:
         """Add a finding."""
         with self._lock:
             known = self.findings.setdefault(line["key"], dict(line, times=0))
             known["times"] += 1
 
-    def add(self, figures):
+    def add(self, figures: Any) -> None:
         """Add the counts of a process that has ended."""
         with self._lock:
             self.accepted_count += figures["taken"]
@@ -92,7 +93,7 @@ class Campaign:
             self.slowest = max(self.slowest, figures["slowest"])
             self.peak = max(self.peak, figures["peak"])
 
-    def _part(self, first, count, end):
+    def _part(self, first: Any, count: Any, end: Any) -> None:
         stop = first + count
         while first < stop:
             seconds = 0.0 if end is None else max(0.1, end - time.monotonic())
@@ -106,7 +107,7 @@ class Campaign:
                 return
             first = max(first, died_at) + 1
 
-    def _confirm(self):
+    def _confirm(self) -> None:
         """Mark findings of time and memory that do not recur: another process may have slowed down the machine."""
         for line in list(self.findings.values()):
             if line["what"] in ("time", "growth") and not known_reason(line):
@@ -116,17 +117,17 @@ class Campaign:
                     line["what"] = "once"
 
     @property
-    def counted(self):
+    def counted(self) -> List[Any]:
         """The findings that count."""
         return [line for line in self.findings.values() if line["what"] != "once" and not known_reason(line)]
 
     @property
-    def known(self):
+    def known(self) -> List[Any]:
         """The findings whose repair is planned."""
         return [line for line in self.findings.values() if known_reason(line)]
 
 
-def known_reason(line):
+def known_reason(line: Any) -> Any:
     """Return the reason why a finding is known, or ""."""
     return reason(line["kind"], line["what"], f"{line['where']} {line['detail']}")
 
@@ -134,7 +135,7 @@ def known_reason(line):
 class _Process:
     """A process that works on inputs, and what it tells."""
 
-    def __init__(self, campaign, scratch, what):
+    def __init__(self, campaign: Any, scratch: Any, what: Any) -> None:
         self._campaign = campaign
         self._scratch = Path(scratch)
         (self._scratch / "progress").write_bytes(struct.pack("<qq", -1, 0))
@@ -155,7 +156,7 @@ class _Process:
         self._ended = False
         self._killed = ""
 
-    def wait(self):
+    def wait(self) -> Any:
         """Read its output until it ends; return the number of the input that has killed it, or None."""
         guard = threading.Thread(target=self._guard, daemon=True)
         guard.start()
@@ -195,13 +196,13 @@ class _Process:
         )
         return number
 
-    def _at(self):
+    def _at(self) -> Any:
         return struct.unpack("<qq", self._progress.read_bytes()[:16])
 
-    def _subject(self):
+    def _subject(self) -> str:
         return self._progress.read_bytes()[16:].rstrip(b"\0").decode(errors="replace")
 
-    def _guard(self):
+    def _guard(self) -> None:
         """End a process that stays at one input."""
         last, since, used = None, time.monotonic(), 0.0
         while True:
@@ -218,7 +219,7 @@ class _Process:
                 self._process.send_signal(signal.SIGABRT)  # faulthandler tells where it is
                 return
 
-    def _cpu(self):
+    def _cpu(self) -> Any:
         try:
             fields = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
         except OSError:  # it has just ended

@@ -1,7 +1,7 @@
 """Findings whose repair is planned: a campaign counts them, goes on, and does not fail because of them."""
 
 import re
-from typing import NamedTuple, Tuple
+from typing import Any, NamedTuple, Tuple
 
 
 class Known(NamedTuple):
@@ -23,7 +23,7 @@ class Known(NamedTuple):
 KNOWN: Tuple[Known, ...] = ()
 
 
-def reason(kind, what, place):
+def reason(kind: Any, what: Any, place: Any) -> Any:
     """Return why a finding is known, or an empty text."""
     for one in KNOWN:
         if one.kind == kind and re.fullmatch(one.what, what) and re.search(one.place, place):

@@ -1,5 +1,7 @@
 """Small changes of bytes and texts."""
 
+from typing import Any
+
 NUMBERS = (
     0,
     1,
@@ -20,7 +22,7 @@ NUMBERS = (
 TOKENS = list("()[]{},|.'\"`\\;:!%/*-+<>=@#&^~?_$ \n\t\r0123456789abcXYZé∀\0\u2028\U0001f600")
 
 
-def mutate_bytes(rng, data, others):
+def mutate_bytes(rng: Any, data: Any, others: Any) -> bytes:
     """Return bytes with a few changes: bits, numbers and lengths; pieces that are removed, repeated or inserted."""
     data = bytearray(data)
     for _ in range(rng.choice((1, 1, 1, 2, 3, 6))):
@@ -47,7 +49,7 @@ def mutate_bytes(rng, data, others):
     return bytes(data)
 
 
-def mutate_text(rng, text, others, tokens=()):
+def mutate_text(rng: Any, text: Any, others: Any, tokens: Any = ()) -> str:
     """Return a text with a few changes: inserted tokens; pieces that are removed, moved, repeated or inserted."""
     text = list(text)
     for _ in range(rng.choice((1, 1, 1, 2, 3, 6))):
@@ -71,22 +73,22 @@ def mutate_text(rng, text, others, tokens=()):
     return "".join(text)
 
 
-def random_tokens(rng, tokens, max_tokens=25):
+def random_tokens(rng: Any, tokens: Any, max_tokens: int = 25) -> str:
     """Return a text of random tokens."""
     return "".join(rng.choice(tokens) for _ in range(rng.randint(1, max_tokens)))
 
 
-def to_bytes(text):
+def to_bytes(text: Any) -> bytes:
     """Return the bytes of an input that is text; lone surrogates are kept."""
     return text.encode("utf-8", "surrogatepass")
 
 
-def to_text(data):
+def to_text(data: Any) -> str:
     """Return the text of such an input, or of any bytes."""
     return data.decode("utf-8", "replace" if _is_broken(data) else "surrogatepass")
 
 
-def _is_broken(data):
+def _is_broken(data: Any) -> bool:
     try:
         data.decode("utf-8", "surrogatepass")
     except UnicodeDecodeError:

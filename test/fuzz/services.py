@@ -2,6 +2,7 @@
 
 import json
 import random
+from typing import Any, Tuple
 
 from retalis import Definitions
 
@@ -97,7 +98,7 @@ PIECES = (
 class Inputs:
     """Inputs of a node, determined by kind, seed and number."""
 
-    def __init__(self, seed=1):
+    def __init__(self, seed: int = 1) -> None:
         self.seed = seed
         self.events = [to_text(data) for data in corpus("event_texts")]
         self.headers = [json.loads(data) for data in corpus("headers") if data.startswith(b"{")]
@@ -105,17 +106,17 @@ class Inputs:
         header = next(one for one in self.headers if one["type"] == "fuzz/A")
         self.definition = self.known.add("fuzz/A", header["message_definition"])
 
-    def rng(self, kind, number):
+    def rng(self, kind: str, number: Any) -> Any:
         """Return the generator for an input."""
         return random.Random(f"{kind} {self.seed} {number}")
 
-    def request(self, number):
+    def request(self, number: Any) -> Tuple[Any, ...]:
         """Return a service and the texts of its fields."""
         rng = self.rng("request", number)
         name = rng.choice(sorted(FIELDS))
         return name, [self._field(rng, texts) for texts in FIELDS[name]]
 
-    def _field(self, rng, texts):
+    def _field(self, rng: Any, texts: Any) -> Any:
         what = rng.random()
         if what < 0.75:
             return rng.choice(texts)
@@ -125,20 +126,20 @@ class Inputs:
             return rng.choice(ARGUMENTS)
         return mutate_text(rng, rng.choice(texts), texts, PIECES)
 
-    def text(self, number):
+    def text(self, number: Any) -> Any:
         """Return a text for one of the String topics."""
         rng = self.rng("text", number)
         if rng.random() < 0.3:
             return f"event({rng.choice('ab')}({rng.choice(ARGUMENTS)}))"
         return mutate_text(rng, rng.choice(self.events), self.events, PIECES)
 
-    def message(self, number):
+    def message(self, number: Any) -> Any:
         """Return bytes for a topic of type ``fuzz/A``."""
         rng = self.rng("message", number)
         data = valid(rng, self.definition)
         return data if rng.random() < 0.3 else mutate_bytes(rng, data, [data])
 
-    def header(self, number):
+    def header(self, number: Any) -> Tuple[Any, ...]:
         """Return type, definition and checksum as a publisher may send them."""
         rng = self.rng("header", number)
         header = dict(rng.choice(self.headers))

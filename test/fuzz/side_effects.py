@@ -9,6 +9,7 @@ import sysconfig
 import time
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, Iterator
 
 SECONDS = 1.0
 """CPU time of one input."""
@@ -65,7 +66,7 @@ class FindingError(Exception):
         where: the place in the package, so that many inputs with one cause are one finding.
     """
 
-    def __init__(self, what, detail, where=""):
+    def __init__(self, what: Any, detail: Any, where: str = "") -> None:
         super().__init__(what, detail, where)
         self.what = what
         self.detail = detail
@@ -83,7 +84,9 @@ class Watch:
         growth: bytes by which the resident memory may grow while one input is worked on.
     """
 
-    def __init__(self, scratch, reads=False, seconds=SECONDS, growth=GROWTH):
+    def __init__(
+        self, scratch: Any, reads: bool = False, seconds: Any = SECONDS, growth: Any = GROWTH
+    ) -> None:
         self._scratch = str(scratch)
         self._reads = reads
         self._seconds = seconds
@@ -96,18 +99,18 @@ class Watch:
         self.actions = []
         self.slowest = 0.0
 
-    def install(self):
+    def install(self) -> None:
         """Begin to watch; an audit hook stays for the life of the process."""
         sys.addaudithook(self._audit)
         signal.signal(signal.SIGPROF, self._look)
         self.start_timer()
 
-    def start_timer(self):
+    def start_timer(self) -> None:
         """Check the input periodically; a forked process needs its own timer."""
         signal.setitimer(signal.ITIMER_PROF, LOOKS, LOOKS)
 
     @contextmanager
-    def input(self):
+    def input(self) -> Iterator[None]:
         """Watch the work on an input.
 
         Raises:
@@ -141,11 +144,11 @@ class Watch:
         if peak > self._peak and peak - self._before > self._growth:
             raise FindingError("growth", f"{(peak - self._before) >> 20} MB", "in one step")
 
-    def resident(self):
+    def resident(self) -> Any:
         """Return the bytes in memory now."""
         return int(os.pread(self._statm, 100, 0).split()[1]) * _PAGE
 
-    def _look(self, number, frame):
+    def _look(self, number: Any, frame: Any) -> None:
         if not self._armed:
             return
         taken = time.process_time() - self._start
@@ -158,7 +161,7 @@ class Watch:
             self._armed = False
             raise Late("growth", f"{grown >> 20} MB", place(frame))
 
-    def _audit(self, event, arguments):
+    def _audit(self, event: Any, arguments: Any) -> None:
         if not self._armed or event in HARMLESS:
             return
         if event in ("exec", "compile"):
@@ -176,19 +179,19 @@ class Watch:
             self.actions.append((f"{event} {_brief(arguments)}", place(sys._getframe(1))))
             raise ForbiddenActError(f"{event} {_brief(arguments)}")
 
-    def _may_run(self, event, arguments):
+    def _may_run(self, event: Any, arguments: Any) -> Any:
         module = sys._getframe(2).f_globals.get("__name__", "")
         if self.mark and event == "compile" and self.mark in str(arguments[0]):
             return False
         return module in CODE_MAKERS or (event == "compile" and module in PARSERS)
 
-    def _may_connect(self, name):
+    def _may_connect(self, name: Any) -> Any:
         """Tell whether a database may be opened: one in memory, or a file of the input's own that is only read."""
         name = os.fsdecode(name)  # Python 3.8 tells it as bytes
         own = name.startswith(f"file://{self._scratch}/")
         return name == ":memory:" or (own and name.partition("?")[2].split("&")[0] == "mode=ro")
 
-    def _may_open(self, path, mode, flags):
+    def _may_open(self, path: Any, mode: Any, flags: Any) -> Any:
         if (mode and set(mode) & set("wax+")) or (flags or 0) & (os.O_WRONLY | os.O_RDWR | os.O_CREAT):
             return False
         path = os.fsdecode(path) if isinstance(path, (bytes, os.PathLike)) else str(path)
@@ -200,7 +203,7 @@ class Watch:
         )
 
 
-def place(frame):
+def place(frame: Any) -> Any:
     """Return the innermost place in the package of a frame or a traceback's frames."""
     while frame is not None:
         found = _place(frame.f_code.co_filename, frame.f_lineno, frame.f_code.co_name)
@@ -210,7 +213,7 @@ def place(frame):
     return "outside the package"
 
 
-def raised_at(trace):
+def raised_at(trace: Any) -> Any:
     """Return the innermost place in the package at which an exception was raised."""
     found = ""
     while trace is not None:
@@ -220,15 +223,15 @@ def raised_at(trace):
     return found or "outside the package"
 
 
-def _place(path, line, function):
+def _place(path: Any, line: Any, function: Any) -> str:
     if path.startswith(f"{_SOURCES}/"):
         return f"{path[len(str(_SOURCES)) + 1 :]}:{line or 0} {function}"
     return ""
 
 
-def _peak():
+def _peak() -> Any:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
 
 
-def _brief(arguments):
+def _brief(arguments: Any) -> Any:
     return repr(arguments)[:300]

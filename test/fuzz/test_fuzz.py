@@ -1,5 +1,7 @@
 """Short fuzz campaigns of each kind of input have no finding."""
 
+from typing import Any
+
 import pytest
 
 from fuzz.campaign import Campaign
@@ -29,7 +31,7 @@ SHORT_SHARE = 1 / 40
 """Inputs of a short campaign as share of those of a long one."""
 
 
-def check_campaign(kind, inputs, jobs):
+def check_campaign(kind: Any, inputs: Any, jobs: int) -> None:
     """Run a campaign; fail if it has a finding, or if nearly all of its inputs are accepted or refused."""
     campaign = Campaign(kind)
     campaign.run(inputs, jobs)
@@ -45,14 +47,14 @@ def check_campaign(kind, inputs, jobs):
 
 
 @pytest.fixture(autouse=True)
-def time_limit(monkeypatch):
+def time_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     """Extend the time limit of an input, because other work on the machine may slow it down."""
     monkeypatch.setenv("FUZZ_SLACK", "2.5")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", NAMES)
-def test_short_campaign_has_no_finding(kind):
+def test_short_campaign_has_no_finding(kind: Any) -> None:
     inputs = INPUTS.get(kind, DEFAULT_INPUTS)
     share = max(MIN_SHORT_INPUTS, round(inputs * SHORT_SHARE))
     check_campaign(kind, SHORT_INPUTS.get(kind, share), jobs=1)

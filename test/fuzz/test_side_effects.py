@@ -1,5 +1,8 @@
 """Detection of acts that an input must not perform; documented acts are allowed."""
 
+from pathlib import Path
+from typing import Any, Dict
+
 import pytest
 
 from fuzz import campaign as module
@@ -9,7 +12,7 @@ from fuzz.known_findings import reason
 
 
 @pytest.fixture(scope="module")
-def findings():
+def findings() -> Dict[Any, Any]:
     """The findings by the acts of ``kinds/forbidden_acts.py``."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "MAX_INPUT_CPU_SECONDS", 1.5)
@@ -21,7 +24,7 @@ def findings():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("act", ["documented", "scratch"])
-def test_allowed_act_is_no_finding(findings, act):
+def test_allowed_act_is_no_finding(findings: Dict[Any, Any], act: str) -> None:
     assert act not in findings
 
 
@@ -50,27 +53,27 @@ EXPECTED = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("act", EXPECTED)
-def test_forbidden_act_is_a_finding(findings, act):
+def test_forbidden_act_is_a_finding(findings: Dict[Any, Any], act: Any) -> None:
     what, detail = EXPECTED[act]
     assert findings[act][0] == what
     assert findings[act][1].startswith(detail)
 
 
 @pytest.mark.slow
-def test_crash_of_process_is_a_finding(findings):
+def test_crash_of_process_is_a_finding(findings: Dict[Any, Any]) -> None:
     what, detail = findings["crash"]
     assert what == "died (-6)"
     assert "forbidden_acts.py" in detail
 
 
 @pytest.mark.slow
-def test_uninterruptible_step_is_a_finding(findings):
+def test_uninterruptible_step_is_a_finding(findings: Dict[Any, Any]) -> None:
     what, detail = findings["endless"]
     assert what == "hang"
     assert "in endless" in detail
 
 
-def test_input_file_is_replayed(tmp_path):
+def test_input_file_is_replayed(tmp_path: Path) -> None:
     path = tmp_path / "input"
     path.write_text("swallowed")
     campaign = Campaign("forbidden_acts")
@@ -80,7 +83,7 @@ def test_input_file_is_replayed(tmp_path):
 
 
 @pytest.mark.slow
-def test_number_determines_input():
+def test_number_determines_input() -> None:
     first, second = Campaign("texts", 3), Campaign("texts", 3)
     first.run(200, 1)
     second.run(200, 2)
@@ -101,5 +104,5 @@ def test_number_determines_input():
         ("states", "action", "open"),
     ],
 )
-def test_other_findings_are_not_known(kind, what, place):
+def test_other_findings_are_not_known(kind: str, what: str, place: str) -> None:
     assert not reason(kind, what, place)

@@ -15,6 +15,7 @@ import struct
 import sys
 import time
 from pathlib import Path
+from typing import Any, Dict
 
 from .kinds import kind_of
 from .side_effects import FindingError, Watch, raised_at
@@ -51,7 +52,7 @@ class Worker:
         progress: file descriptor for the number of the current input and of the first one of its block.
     """
 
-    def __init__(self, name, seed, scratch, report, progress=None):
+    def __init__(self, name: Any, seed: Any, scratch: Any, report: Any, progress: Any = None) -> None:
         self.name = name
         self.seed = seed
         self.kind = kind_of(name)(Path(scratch))
@@ -63,7 +64,7 @@ class Worker:
         self.processed_count = 0
         self.report_counts = {}
 
-    def warm_up(self):
+    def warm_up(self) -> None:
         """Process some inputs of the corpus, then start to check side effects."""
         self.kind.reset()
         for data in self.kind.corpus[:MAX_WARM_UP_INPUTS] if self.kind.may_warm_up else ():
@@ -77,14 +78,14 @@ class Worker:
         gc.freeze()
         self.watch.install()
 
-    def get_input(self, number):
+    def get_input(self, number: Any) -> Any:
         """Return the input with a number; the first ones are those of the corpus."""
         if number < len(self.kind.corpus):
             return self.kind.corpus[number]
         self.rng.seed(f"{self.name} {self.seed} {number}")
         return self.kind.generate(self.rng)
 
-    def run(self, numbers, until=None):
+    def run(self, numbers: Any, until: Any = None) -> None:
         """Process the inputs with some numbers."""
         resident, base = self.watch.resident, None
         for number in numbers:
@@ -105,14 +106,14 @@ class Worker:
                 text = f"{growth >> 20} MB in {self.processed_count - WARM_UP_INPUTS} inputs"
                 self.report_finding(numbers[-1], b"", FindingError("leak", text, self.name))
 
-    def begin_block(self, number):
+    def begin_block(self, number: int) -> None:
         """Begin a block with new objects, so that earlier inputs have no influence."""
         if number // self.kind.block_size % BLOCKS_PER_COLLECTION == 0:
             gc.collect()
         self.block_start = number
         self.kind.reset()
 
-    def process(self, number, data):
+    def process(self, number: int, data: bytes) -> None:
         """Process an input and report its problem."""
         if self.progress is not None:
             subject = self.kind.subject(data).encode()
@@ -122,11 +123,11 @@ class Worker:
             self.report_finding(number, data, problem)
             self.begin_block(number + 1)
 
-    def find_problem(self, data):
+    def find_problem(self, data: Any) -> Any:
         """Process an input; return its problem, or None."""
         return self._process_isolated(data) if self.kind.is_isolated else self._process(data)
 
-    def _process_isolated(self, data):
+    def _process_isolated(self, data: Any) -> Any:
         """Process an input in a separate process; return its problem, or None."""
         read, write = os.pipe()
         child = os.fork()
@@ -152,7 +153,7 @@ class Worker:
         self.watch.slowest = max(self.watch.slowest, slowest)
         return None if finding is None else FindingError(*finding)
 
-    def _process(self, data):
+    def _process(self, data: Any) -> Any:
         kind = self.kind
         kind.prepare(data)
         self.watch.mark = kind.marker_of(data)
@@ -167,7 +168,7 @@ class Worker:
             )
         return None
 
-    def report_finding(self, number, data, problem):
+    def report_finding(self, number: Any, data: bytes, problem: Any) -> None:
         """Report a finding, with a shortened input if possible."""
         where, detail = problem.where, problem.detail
         subject = self.kind.subject(data) if problem.what in ("time", "growth") else ""
@@ -191,7 +192,7 @@ class Worker:
             line["input"] = small.hex()
         self.report(line)
 
-    def shorten(self, data, problem, most=300):
+    def shorten(self, data: Any, problem: Any, most: int = 300) -> Any:
         """Return a shorter input with the same problem, found by removing pieces."""
         if problem.what in ("time", "growth", "leak") or not self.has_same_problem(data, problem):
             return data
@@ -208,14 +209,14 @@ class Worker:
             size //= 2
         return data
 
-    def has_same_problem(self, data, problem):
+    def has_same_problem(self, data: Any, problem: Any) -> Any:
         """Return whether an input alone causes the same problem."""
         self.kind.reset()
         found = self.find_problem(data)
         return found is not None and (found.what, found.where) == (problem.what, problem.where)
 
 
-def main(argv):
+def main(argv: Any) -> None:
     """Process the inputs of the command line: kind, seed, scratch folder, first number, count, seconds; or a file."""
     name, seed, scratch = argv[0], int(argv[1]), argv[2]
     faulthandler.enable()
@@ -227,7 +228,7 @@ def main(argv):
     os.chdir(scratch)
     progress = os.open(os.path.join(scratch, "progress"), os.O_RDWR | os.O_CREAT)
 
-    def report(line):
+    def report(line: Dict[str, Any]) -> None:
         print(json.dumps(line), file=lines, flush=True)
 
     worker = Worker(name, seed, scratch, report, progress)

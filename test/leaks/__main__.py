@@ -10,6 +10,7 @@ import gc
 import importlib
 import json
 import logging
+from typing import Any
 
 from retalis.foundation.bounded_caches import Cache
 from retalis.prolog.database.predicate_table import Database
@@ -32,7 +33,7 @@ SWEEP_LIMIT = 10
 """Smaller than the number of warm-up rounds, so that each table has been swept before the objects are counted."""
 
 
-def count_objects():
+def count_objects() -> int:
     """Return the number of objects after all caches are emptied and unused predicates deleted."""
     for candidate in gc.get_objects():
         if isinstance(candidate, Cache):
@@ -44,7 +45,7 @@ def count_objects():
     return len(gc.get_objects())
 
 
-def count_remaining(name, rounds):
+def count_remaining(name: Any, rounds: Any) -> Any:
     """Return how many objects more there are after a number of rounds of a case."""
     run_round = CASES[name]()
     for number in range(WARM_UP_ROUNDS):
@@ -55,7 +56,7 @@ def count_remaining(name, rounds):
     return count_objects() - before
 
 
-def main():
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("cases", nargs="*", metavar="CASE", help=", ".join(CASES))
     parser.add_argument("--rounds", type=int, default=400)

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from python_path import python_path
@@ -28,7 +29,7 @@ NAMES = [name for name in CASES if name not in EXPECTED_LEAKS]
 
 
 @pytest.fixture(scope="module")
-def remaining():
+def remaining() -> Any:
     """Return the number of objects that each case leaves behind."""
     environment = {**os.environ, "PYTHONPATH": python_path(TEST)}
     command = [sys.executable, "-m", "leaks", *NAMES]
@@ -39,5 +40,5 @@ def remaining():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
-def test_case_leaves_no_objects(name, remaining):
+def test_case_leaves_no_objects(name: Any, remaining: Any) -> None:
     assert remaining[name] < MAX_OBJECTS

@@ -22,7 +22,7 @@ import time
 from base64 import b64encode
 from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, Iterator, List, NamedTuple, Set
 
 from messages.wire import CODES, serialize
 from retalis import Definitions, MessageError, atom, functor
@@ -39,7 +39,7 @@ BYTE_PIECES = (
 )  # fmt: skip
 
 
-def floats(code, integer_code, *patterns):
+def floats(code: str, integer_code: str, *patterns: Any) -> List[Any]:
     return [struct.unpack(code, struct.pack(integer_code, bits))[0] for bits in patterns]
 
 
@@ -63,20 +63,20 @@ BUDGETS = (*[20] * 12, *[200] * 3, 3000)
 class RandomMessages:
     """Random values of a type, in the form of `wire`; extreme values are frequent."""
 
-    def __init__(self, definition, seed):
+    def __init__(self, definition: Any, seed: Any) -> None:
         self.definition = definition
         self.random = random.Random(f"{definition.name} {definition.md5sum} {seed}")
         self.budget = 0
 
-    def values(self):
+    def values(self) -> Any:
         """Return the values of the next message."""
         self.budget = self.random.choice(BUDGETS)
         return self.message(self.definition)
 
-    def message(self, definition):
+    def message(self, definition: Any) -> List[Any]:
         return [self.slot(slot) for slot in definition.fields]
 
-    def slot(self, slot):
+    def slot(self, slot: Any) -> Any:
         if slot.length is None:
             return self.single(slot)
         if slot.type in ("uint8", "char"):
@@ -89,7 +89,7 @@ class RandomMessages:
             self.budget -= count * slots
         return [self.single(slot) for _ in range(count)]
 
-    def blob(self, length):
+    def blob(self, length: Any) -> Any:
         if self.random.random() < 0.5:
             data = self.random.choice(BYTE_PIECES)
         else:
@@ -100,30 +100,30 @@ class RandomMessages:
             else data[:length].ljust(length, self.random.choice((b" ", b"\0")))
         )
 
-    def single(self, slot):
+    def single(self, slot: Any) -> Any:
         if slot.definition is not None:
             return self.message(slot.definition)
         return getattr(self, f"_{slot.type}", self._integer)(slot.type)
 
-    def _string(self, type_name):
+    def _string(self, type_name: Any) -> bytes:
         return "".join(self.random.choices(TEXT_PIECES, k=self.random.choice((0, 1, 1, 2)))).encode()
 
-    def _bool(self, type_name):
+    def _bool(self, type_name: Any) -> bool:
         return self.random.random() < 0.5
 
-    def _time(self, type_name):
+    def _time(self, type_name: str) -> List[Any]:
         return [self._integer("uint32"), self.random.choice((0, 999_999_999, self.random.randrange(10**9)))]
 
-    def _duration(self, type_name):
+    def _duration(self, type_name: Any) -> List[Any]:
         return [self._integer("int32"), self._time("time")[1]]
 
-    def _float32(self, type_name):
+    def _float32(self, type_name: Any) -> Any:
         return self._float(type_name, "<f", "<I", 0x7F800000, 0x400000)
 
-    def _float64(self, type_name):
+    def _float64(self, type_name: Any) -> Any:
         return self._float(type_name, "<d", "<Q", 0x7FF << 52, 1 << 51)
 
-    def _float(self, type_name, code, integer_code, exponent, quiet):
+    def _float(self, type_name: Any, code: str, integer_code: str, exponent: int, quiet: int) -> Any:
         choice = self.random.random()
         if choice < 0.2:
             return self.random.choice(SPECIAL_FLOATS[type_name])
@@ -134,7 +134,7 @@ class RandomMessages:
             bits |= quiet
         return struct.unpack(code, struct.pack(integer_code, bits))[0]
 
-    def _integer(self, type_name):
+    def _integer(self, type_name: str) -> Any:
         code = CODES[type_name]
         bits = 8 * struct.calcsize(code)
         low, high = (0, (1 << bits) - 1) if code.isupper() else (-(1 << (bits - 1)), (1 << (bits - 1)) - 1)
@@ -151,7 +151,7 @@ class RandomMessages:
 # ---- Values of terms, and terms of the references' values ----
 
 
-def check_same(term, expected, path=""):
+def check_same(term: Any, expected: Any, path: str = "") -> None:
     """Compare a term with one without lazy terms; floats are equal if all bits are.
 
     Raises:
@@ -182,7 +182,7 @@ def check_same(term, expected, path=""):
 PACK = struct.Struct("<d").pack
 
 
-def prolog_list(items):
+def prolog_list(items: List[Any]) -> Any:
     term = NIL
     for item in reversed(items):
         term = (CONS, item, term)
@@ -192,25 +192,25 @@ def prolog_list(items):
 CONTROL = re.compile("[\0-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
 
 
-def text_atom(text):
+def text_atom(text: Any) -> Any:
     """Return the atom of a string, as `docs/reference/messages.md` defines it."""
     is_text = CONTROL.search(text) is None and not text.startswith("FFFFFFFFFF")
     return atom(f'"{text}"') if is_text else encoded_atom(text.encode())
 
 
-def blob_atom(data):
+def blob_atom(data: Any) -> Any:
     """Return the atom of a byte array."""
     is_text = all(32 <= byte < 127 or 9 <= byte <= 13 for byte in data) and not data.startswith(b"FFFFFFFFFF")
     return atom(f'"{data.decode("ascii")}"') if is_text else encoded_atom(data)
 
 
-def encoded_atom(data):
+def encoded_atom(data: bytes) -> Any:
     digits = b64encode(data).decode()
     lines = [digits[start : start + 76] + "////" for start in range(0, len(digits), 76)]
     return atom(f'"FFFFFFFFFF{"".join(lines)}"')
 
 
-def term_of(definition, message):
+def term_of(definition: Any, message: Any) -> Any:
     """Return the term of a deserialized message of a reference."""
     name = definition.name.replace("/", "__0__")
     if not definition.fields:
@@ -220,12 +220,12 @@ def term_of(definition, message):
     return functor(name, len(arguments))(*arguments)
 
 
-def _attribute(message, name):
+def _attribute(message: Any, name: Any) -> Any:
     # Both references append "_" to the keywords of Python.
     return getattr(message, name) if hasattr(message, name) else getattr(message, f"{name}_")
 
 
-def _slot_term(slot, value):
+def _slot_term(slot: Any, value: Any) -> Any:
     if slot.length is None:
         return _single_term(slot, value)
     if slot.type in ("uint8", "char"):
@@ -233,7 +233,7 @@ def _slot_term(slot, value):
     return prolog_list([_single_term(slot, item) for item in getattr(value, "tolist", lambda: value)()])
 
 
-def _single_term(slot, value):
+def _single_term(slot: Any, value: Any) -> Any:
     if slot.definition is not None:
         return term_of(slot.definition, value)
     if slot.type == "string":
@@ -270,11 +270,11 @@ class Reference(NamedTuple):
     md5sum: str = ""
 
 
-def rosbags_types():
+def rosbags_types() -> Iterator[Any]:
     """Yield each type of the stores of rosbags once, with its name there, its store and its definition."""
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - takes a second
 
-    yielded = set()
+    yielded: Set[Any] = set()
     for name in Stores:
         store = get_typestore(name)
         for type_name in sorted(store.types):
@@ -292,7 +292,7 @@ def rosbags_types():
             )
 
 
-def rosbags_references():
+def rosbags_references() -> Iterator[Any]:
     """Yield the types of all stores of rosbags."""
     for type_name, store, definition in rosbags_types():
         yield Reference(
@@ -302,14 +302,14 @@ def rosbags_references():
         )
 
 
-def installed_names():
+def installed_names() -> List[Any]:
     """Return the names of the types that have a generated class on the module path."""
     paths = [path for folder in sys.path for path in Path(folder or ".").glob("*/msg/_*.py")]
     names = {f"{path.parts[-3]}/{path.stem[1:]}" for path in paths if not path.stem.startswith("__")}
     return sorted(names)
 
 
-def genpy_references(with_stores=True):
+def genpy_references(with_stores: bool = True) -> Iterator[Any]:
     """Yield the installed types, then those of the stores of rosbags, from which genpy generates classes."""
     from genpy.dynamic import generate_dynamic  # noqa: PLC0415 - needs ROS
     from roslib.message import get_message_class  # noqa: PLC0415
@@ -324,8 +324,8 @@ def genpy_references(with_stores=True):
         yield _genpy_reference(definition, classes[definition.name])
 
 
-def _genpy_reference(definition, message_class):
-    def write(message):
+def _genpy_reference(definition: Any, message_class: Any) -> Reference:
+    def write(message: Any) -> str:
         buffer = io.BytesIO()
         message.serialize(buffer)
         return buffer.getvalue()
@@ -336,7 +336,7 @@ def _genpy_reference(definition, message_class):
 # ---- The comparison ----
 
 
-def compare_messages(reference, messages, seed=0):
+def compare_messages(reference: Any, messages: Any, seed: int = 0) -> None:
     """Compare a type with its reference for a number of random messages."""
     definition = reference.definition
     registry = Definitions(InstalledTypes([], [], include_rosbags=False))
@@ -363,7 +363,7 @@ def compare_messages(reference, messages, seed=0):
         )
 
 
-def main():
+def main() -> Any:
     """Compare all types; print a line for each difference, and the number of types and messages.
 
     The progress goes to stderr.

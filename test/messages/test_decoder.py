@@ -1,6 +1,7 @@
 """Decoding of serialized messages to terms: values, lazy parts, and limits."""
 
 import struct
+from typing import Any, List
 
 import pytest
 from reachability import reachable
@@ -14,20 +15,20 @@ from retalis.prolog.terms.types import Lazy
 HEADER = "\n".join(["=" * 80, "MSG: std_msgs/Header", "uint32 seq", "time stamp", "string frame_id", ""])
 
 
-def decoder(text, name="pkg/Type"):
+def decoder(text: str, name: str = "pkg/Type") -> Any:
     registry = Definitions(InstalledTypes([], [], include_rosbags=False))
     return registry.decoder(registry.add(name, text))
 
 
-def args(term):
+def args(term: str) -> List[Any]:
     return [deref(part) for part in deref(term)[1:]]
 
 
-def header(sequence, seconds, nanoseconds, frame):
+def header(sequence: int, seconds: int, nanoseconds: int, frame: bytes) -> Any:
     return struct.pack("<IIII", sequence, seconds, nanoseconds, len(frame)) + frame
 
 
-def test_message_with_header_is_decoded():
+def test_message_with_header_is_decoded() -> None:
     message_decoder = decoder("Header header\nfloat64 x\n" + HEADER)
     term = message_decoder.decode(header(7, 1413748205, 981209993, b"/odom") + struct.pack("<d", 0.5))
     stamp = make_list([1413748205, 981209993])
@@ -39,7 +40,7 @@ def test_message_with_header_is_decoded():
     assert message_decoder.functor is functor("pkg__0__Type", 2)
 
 
-def test_message_without_slots_is_an_atom():
+def test_message_without_slots_is_an_atom() -> None:
     message_decoder = decoder("uint8 X=1\n", "std_msgs/Empty")
     assert message_decoder.decode(b"") is atom("std_msgs__0__Empty")
     assert message_decoder.lazy(b"") is atom("std_msgs__0__Empty")
@@ -48,7 +49,7 @@ def test_message_without_slots_is_an_atom():
         message_decoder.decode(b"x")
 
 
-def test_limits_of_numbers_are_decoded():
+def test_limits_of_numbers_are_decoded() -> None:
     text = "int8 a\nuint8 b\nint64 c\nuint64 d\nbyte e\nchar f\nbool g\nbool h\ntime t\nduration u\n"
     data = struct.pack(
         "<bBqQbB??IIii", -128, 255, -(2**63), 2**64 - 1, -1, 255, True, False, 2**32 - 1, 5, -1, -2
@@ -67,7 +68,7 @@ def test_limits_of_numbers_are_decoded():
     ]
 
 
-def test_special_floats_are_decoded():
+def test_special_floats_are_decoded() -> None:
     first, second, third = args(
         decoder("float32 a\nfloat64 b\nfloat64 c\n").decode(
             struct.pack("<fdd", float("nan"), float("inf"), -0.0)
@@ -78,14 +79,14 @@ def test_special_floats_are_decoded():
     assert str(third) == "-0.0"
 
 
-def test_byte_arrays_are_decoded_as_strings():
+def test_byte_arrays_are_decoded_as_strings() -> None:
     term = decoder("uint8[] a\nuint8[3] b\nchar[] c\nbyte[] d\n").decode(
         struct.pack("<I3s3sI2sI2b", 3, b"abc", b"\0\1\2", 2, b"hi", 2, 1, -1)
     )
     assert args(term) == [atom('"abc"'), atom('"FFFFFFFFFFAAEC////"'), atom('"hi"'), make_list([1, -1])]
 
 
-def test_long_arrays_are_decoded_lazily():
+def test_long_arrays_are_decoded_lazily() -> None:
     message_decoder = decoder("float64[] short\nfloat64[] long\nfloat64[3] three\nfloat64[36] matrix\n")
     values = [float(value) for value in range(36)]
     data = struct.pack("<I2dI9d3d36d", 2, 1.0, 2.0, 9, *values[:9], *values[:3], *values)
@@ -94,7 +95,7 @@ def test_long_arrays_are_decoded_lazily():
     assert [list_items(part) for part in term[1:]] == [[1.0, 2.0], values[:9], values[:3], values]
 
 
-def test_unread_arrays_are_not_decoded():
+def test_unread_arrays_are_not_decoded() -> None:
     message_decoder = decoder("uint8[] image\nfloat32[] ranges\n")
     size = 1 << 20
     term = message_decoder.decode(struct.pack("<I", size) + bytes(size) + struct.pack("<I", 5) + bytes(20))
@@ -105,7 +106,7 @@ def test_unread_arrays_are_not_decoded():
     assert deref(image).name.startswith('"FFFFFFFFFFAAAA')
 
 
-def test_lazy_message_is_decoded_on_access():
+def test_lazy_message_is_decoded_on_access() -> None:
     message_decoder = decoder("int8 x\n")
     term = message_decoder.lazy(b"\5")
     assert term.functor is functor("pkg__0__Type", 1)
@@ -136,14 +137,14 @@ def test_lazy_message_is_decoded_on_access():
         ),
     ],
 )
-def test_error_names_slot_of_incomplete_message(data, message):
+def test_error_names_slot_of_incomplete_message(data: Any, message: str) -> None:
     text = "Inner[] all\n" + "=" * 80 + "\nMSG: pkg/Inner\nHeader header\nfloat64 x\n" + HEADER
     with pytest.raises(MessageError) as error:
         decoder(text).decode(data)
     assert message in error.value.message
 
 
-def test_truncated_message_is_an_error():
+def test_truncated_message_is_an_error() -> None:
     text = "string[] names\nInner[] all\nuint8[] raw\nfloat32[9] m\nfloat64[] many\n"
     message_decoder = decoder(text + "=" * 80 + "\nMSG: pkg/Inner\nbool x\nstring[2] y\n")
     data = struct.pack("<II2sI3s", 2, 2, b"ab", 3, b"abc")
@@ -157,14 +158,14 @@ def test_truncated_message_is_an_error():
         message_decoder.decode(data + b"\0")
 
 
-def test_array_of_empty_messages_is_limited():
+def test_array_of_empty_messages_is_limited() -> None:
     message_decoder = decoder("Nothing[] all\n" + "=" * 80 + "\nMSG: pkg/Nothing\n")
     assert list_items(args(message_decoder.decode(struct.pack("<I", 3)))[0]) == [atom("pkg__0__Nothing")] * 3
     with pytest.raises(MessageError):
         message_decoder.decode(struct.pack("<I", 2**32 - 1))
 
 
-def test_stamp_is_read_from_leading_header():
+def test_stamp_is_read_from_leading_header() -> None:
     message_decoder = decoder("Header header\nint8 x\n" + HEADER)
     assert message_decoder.stamp(header(1, 3, 4, b"frame") + b"\0") == 3_000_000_004
     assert message_decoder.stamp(header(1, 0, 0, b"frame") + b"\0") is None
@@ -175,7 +176,7 @@ def test_stamp_is_read_from_leading_header():
     assert decoder("int8 x\n").stamp(b"\0") is None
 
 
-def test_cache_of_strings_is_bounded(monkeypatch):
+def test_cache_of_strings_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cached_texts, "max_entries", 10)
     cached_texts.clear()
     message_decoder = decoder("string[] names\n")
@@ -187,7 +188,7 @@ def test_cache_of_strings_is_bounded(monkeypatch):
         assert len(cached_texts) <= 10
 
 
-def test_caches_of_adjacent_strings_are_bounded():
+def test_caches_of_adjacent_strings_are_bounded() -> None:
     message_decoder = decoder("Header header\nstring child\nfloat64 x\n" + HEADER)
     for number in range(5000):
         child = b"child%d" % number
@@ -198,7 +199,7 @@ def test_caches_of_adjacent_strings_are_bounded():
     assert 0 < max(map(len, reachable(message_decoder.decode.__globals__, Cache))) <= 2048
 
 
-def section(name, text):
+def section(name: str, text: str) -> str:
     return "=" * 80 + f"\nMSG: {name}\n{text}"
 
 
@@ -219,12 +220,12 @@ EMPTY = section("pkg/Empty", "")
         ("pkg/Outer[] x\n" + section("pkg/Outer", "pkg/Empty[] e\n") + EMPTY, struct.pack("<III", 2, 6000, 6000)),
     ],
 )  # fmt: skip
-def test_number_of_empty_elements_is_limited(text, data):
+def test_number_of_empty_elements_is_limited(text: Any, data: Any) -> None:
     with pytest.raises(MessageError, match="zero-byte elements in its arrays: at most 10000 are allowed"):
         decoder(text).decode(data)
 
 
-def test_limit_of_empty_elements_is_configurable():
+def test_limit_of_empty_elements_is_configurable() -> None:
     definitions = Definitions(InstalledTypes([], [], include_rosbags=False), max_empty_elements=3)
     message_decoder = definitions.decoder(definitions.add("pkg/Type", "pkg/Empty[] x\n" + EMPTY))
     assert len(list_items(args(message_decoder.decode(struct.pack("<I", 3)))[0])) == 3
@@ -234,7 +235,7 @@ def test_limit_of_empty_elements_is_configurable():
         message_decoder.decode(b"12")
 
 
-def test_length_beyond_end_of_message_is_an_error():
+def test_length_beyond_end_of_message_is_an_error() -> None:
     text = "pkg/Text[] x\n" + section("pkg/Text", "string s\n")
     with pytest.raises(MessageError, match="they end inside slot"):
         decoder(text).decode(struct.pack("<I", 0xFFFFFFFF) + bytes(64))

@@ -2,6 +2,7 @@
 
 import struct
 from functools import partial
+from typing import Any, Iterator, List, Optional, Tuple
 
 import numpy as np
 import pytest
@@ -51,22 +52,22 @@ float64 z
 TYPE = functor("pkg__0__Type", 1)
 
 
-def encoder(text, name="pkg/Type"):
+def encoder(text: str, name: str = "pkg/Type") -> Any:
     registry = Definitions(InstalledTypes([], [], include_rosbags=False))
     return registry.encoder(registry.add(name, text)).encode
 
 
-def encode_slot(kind, value, topic=""):
+def encode_slot(kind: str, value: Any, topic: str = "") -> Any:
     return encoder(f"{kind} x\n")((TYPE, value), topic)
 
 
-def error_of(kind, value):
+def error_of(kind: str, value: Any) -> Any:
     with pytest.raises(MessageError) as error:
         encode_slot(kind, value)
     return error.value.message
 
 
-def pose(**parts):
+def pose(**parts: Any) -> Any:
     values = {
         "seq": 1,
         "stamp": make_list([2, 3]),
@@ -85,11 +86,11 @@ def pose(**parts):
 POSE = struct.pack("<IIII4s3d4d", 1, 2, 3, 4, b"odom", 1, 2, 3, 0, 0, 0, 1)
 
 
-def test_nested_message_is_encoded():
+def test_nested_message_is_encoded() -> None:
     assert encoder(STAMPED, "geometry_msgs/PoseStamped")(pose()) == POSE
 
 
-def test_bound_variables_and_lazy_terms_are_encoded():
+def test_bound_variables_and_lazy_terms_are_encoded() -> None:
     encode = encoder(STAMPED, "geometry_msgs/PoseStamped")
     var, frame = Var(), Var()
     var.ref = 1.0
@@ -101,18 +102,18 @@ def test_bound_variables_and_lazy_terms_are_encoded():
 
 
 @pytest.mark.parametrize("frame", [atom("odom"), String("odom"), atom('"odom"')])
-def test_texts_with_and_without_quotes_are_equal(frame):
+def test_texts_with_and_without_quotes_are_equal(frame: Any) -> None:
     assert encoder(STAMPED, "geometry_msgs/PoseStamped")(pose(frame=frame)) == POSE
 
 
 @pytest.mark.parametrize(
     ("value", "flag"), [("true", 1), ("false", 0), ("True", 1), ("False", 0), (1, 1), (0, 0)]
 )
-def test_boolean_is_encoded(value, flag):
+def test_boolean_is_encoded(value: Any, flag: int) -> None:
     assert encode_slot("bool", atom(value) if isinstance(value, str) else value) == bytes([flag])
 
 
-def test_floats_are_encoded():
+def test_floats_are_encoded() -> None:
     assert encode_slot("float64", 3) == struct.pack("<d", 3.0)
     assert encode_slot("float32", 0.1) == struct.pack("<f", 0.1)
     assert encode_slot("float64", float("inf")) == struct.pack("<d", float("inf"))
@@ -125,7 +126,7 @@ def test_floats_are_encoded():
     )
 
 
-def test_times_and_durations_are_encoded():
+def test_times_and_durations_are_encoded() -> None:
     assert encode_slot("time", make_list([2**32 - 1, 0])) == struct.pack("<II", 2**32 - 1, 0)
     assert encode_slot("duration", make_list([-1, 500])) == struct.pack("<ii", -1, 500)
     assert encode_slot("time", timestamps.datime(10**18 + 5)) == struct.pack("<II", 10**9, 5)
@@ -133,7 +134,7 @@ def test_times_and_durations_are_encoded():
     assert encode_slot("time[]", make_list([timestamps.lazy_term(7)])) == struct.pack("<III", 1, 0, 7)
 
 
-def test_arrays_are_encoded():
+def test_arrays_are_encoded() -> None:
     numbers = make_list([1.0, 2.0])
     assert encode_slot("float64[]", numbers) == struct.pack("<I2d", 2, 1, 2)
     assert encode_slot("float64[2]", numbers) == struct.pack("<2d", 1, 2)
@@ -148,7 +149,7 @@ def test_arrays_are_encoded():
     assert encode_slot("time[1]", make_list([make_list([1, 2])])) == struct.pack("<II", 1, 2)
 
 
-def test_byte_array_may_be_text_or_list():
+def test_byte_array_may_be_text_or_list() -> None:
     assert encode_slot("uint8[]", atom('"abc"')) == struct.pack("<I3s", 3, b"abc")
     assert encode_slot("uint8[]", atom('"FFFFFFFFFFAAEC////"')) == struct.pack("<I3s", 3, b"\0\1\2")
     assert encode_slot("uint8[]", make_list([0, 255])) == struct.pack("<I2B", 2, 0, 255)
@@ -157,7 +158,7 @@ def test_byte_array_may_be_text_or_list():
     assert encode_slot("uint8[2]", make_list([1, 2])) == b"\1\2"
 
 
-def test_type_without_slots_is_encoded_as_no_bytes():
+def test_type_without_slots_is_encoded_as_no_bytes() -> None:
     encode = encoder("", "std_msgs/Empty")
     assert encode(atom("std_msgs__0__Empty")) == b""
     with pytest.raises(MessageError, match="expected the atom std_msgs__0__Empty, got the atom other"):
@@ -205,15 +206,15 @@ def test_type_without_slots_is_encoded_as_no_bytes():
         ("int8", (functor("f", 2), 1, 2), "slot x: expected int8, got f/2"),
     ],
 )
-def test_value_of_other_type_is_refused(kind, value, message):
+def test_value_of_other_type_is_refused(kind: str, value: Any, message: str) -> None:
     assert message in error_of(kind, value)
 
 
-def test_long_string_is_encoded():
+def test_long_string_is_encoded() -> None:
     assert encode_slot("string", String("x" * 100)) == struct.pack("<I", 100) + b"x" * 100
 
 
-def test_error_names_topic_type_and_slot():
+def test_error_names_topic_type_and_slot() -> None:
     encode = encoder(STAMPED, "geometry_msgs/PoseStamped")
     with pytest.raises(MessageError) as error:
         encode(pose(x=atom("here")), "marker1")
@@ -238,12 +239,12 @@ def test_error_names_topic_type_and_slot():
         make_list([1, 2]),
     ],
 )
-def test_term_of_other_type_is_refused(term):
+def test_term_of_other_type_is_refused(term: Any) -> None:
     with pytest.raises(MessageError, match="expected geometry_msgs__0__PoseStamped/2, got"):
         encoder(STAMPED, "geometry_msgs/PoseStamped")(term)
 
 
-def test_partial_list_is_refused():
+def test_partial_list_is_refused() -> None:
     assert "expected a list (int8[])" in error_of("int8[]", (CONS, 1, Var()))
     assert "expected a list (int8[])" in error_of("int8[]", (CONS, 1, 2))
     tail = Var()
@@ -254,7 +255,7 @@ def test_partial_list_is_refused():
 PAIR = functor("f", 2)
 
 
-def conses(end, *items, cell_functor=CONS):
+def conses(end: Any, *items: Any, cell_functor: Any = CONS) -> Any:
     """Return a list with another end than ``[]``, or with cells of another functor."""
     for item in reversed(items):
         end = (cell_functor, item, end)
@@ -277,7 +278,7 @@ def conses(end, *items, cell_functor=CONS):
         ("time[]", (conses(NIL, 1, 2),), "slot x: expected a list (time[])"),
     ],
 )
-def test_malformed_list_is_refused(kind, values, expected):
+def test_malformed_list_is_refused(kind: str, values: Tuple[Any, ...], expected: str) -> None:
     assert encode_slot(kind, conses(NIL, *values)) != b""
     for end in (atom("end"), 0, Var(), (PAIR, values[0], NIL), String("")):
         assert expected in error_of(kind, conses(end, *values))
@@ -304,14 +305,14 @@ def test_malformed_list_is_refused(kind, values, expected):
         ("uint8[0]", '""', 0),
     ],
 )
-def test_text_of_other_length_is_refused(kind, value, size):
+def test_text_of_other_length_is_refused(kind: str, value: str, size: int) -> None:
     assert encode_slot(kind, atom(value)) == value[1:-1].encode()
     assert f"({kind}), got {size + 1}" in error_of(kind, atom(value[:-1] + 'a"'))
     if size:
         assert f"({kind}), got {size - 1}" in error_of(kind, atom(value[1:-2]))
 
 
-def test_lazy_array_of_other_type_is_converted():
+def test_lazy_array_of_other_type_is_converted() -> None:
     registry = Definitions(InstalledTypes([], [], include_rosbags=False))
     names = ("float64[6]", "float64[7]", "float32[6]", "float64[]", "int64[6]")
     types = [registry.add(f"pkg/Type{index}", f"{kind} x\n") for index, kind in enumerate(names)]
@@ -371,7 +372,7 @@ odd_terms = st.one_of(
 )
 
 
-def paths(term, path=()):
+def paths(term: Any, path: Any = ()) -> Iterator[Any]:
     """Yield the path of argument positions to each part of a term."""
     yield path
     if term.__class__ is tuple:
@@ -379,19 +380,19 @@ def paths(term, path=()):
             yield from paths(part, (*path, index))
 
 
-def replaced(term, path, part):
+def replaced(term: Any, path: Any, part: Any) -> Any:
     if not path:
         return part
     return (*term[: path[0]], replaced(term[path[0]], path[1:], part), *term[path[0] + 1 :])
 
 
-def with_functor(term, path, other):
+def with_functor(term: Any, path: Any, other: Any) -> Any:
     if not path:
         return (other, *term[1:]) if term.__class__ is tuple else term
     return (*term[: path[0]], with_functor(term[path[0]], path[1:], other), *term[path[0] + 1 :])
 
 
-def outcome(encode, term):
+def outcome(encode: Any, term: Any) -> Any:
     try:
         return encode(term, "out")
     except MessageError as error:
@@ -401,7 +402,7 @@ def outcome(encode, term):
 @pytest.mark.slow
 @settings(deadline=None, max_examples=400, suppress_health_check=[HealthCheck.too_slow])
 @given(st.data())
-def test_fast_encoder_agrees_with_checking_one(data):
+def test_fast_encoder_agrees_with_checking_one(data: st.DataObject) -> None:
     values = data.draw(messages(MIXED_TYPE, st.text("abü", max_size=3).map(str.encode)))
     raw = serialize(MIXED_TYPE, values)
     term = copy(DECODE(raw))
@@ -417,7 +418,7 @@ def test_fast_encoder_agrees_with_checking_one(data):
     assert outcome(ENCODE, term) == outcome(CHECK, term)
 
 
-def test_undecoded_parts_are_copied():
+def test_undecoded_parts_are_copied() -> None:
     text = "float32[9] a\nfloat64[] b\nuint8[] c\nstring d\n"
     registry = Definitions(InstalledTypes([], [], include_rosbags=False))
     definition = registry.add("pkg/Type", text)
@@ -435,7 +436,7 @@ ARRAYS = Definitions(InstalledTypes([], [], include_rosbags=False)).add(
 )
 
 
-def fields(array, dtype):
+def fields(array: Any, dtype: str) -> List[Any]:
     """Return an array term and its list."""
     numbers = np.array(array, dtype)
     return [array_term(numbers), make_list(numbers.tolist())]
@@ -443,7 +444,7 @@ def fields(array, dtype):
 
 @pytest.mark.parametrize("encode", [Encoder(ARRAYS).encode, partial(encode_slot_by_slot, ARRAYS)])
 @pytest.mark.parametrize("build", [False, True])
-def test_array_terms_are_encoded_as_their_lists(encode, build):
+def test_array_terms_are_encoded_as_their_lists(encode: Any, build: bool) -> None:
     head = functor("pkg__0__Arrays", 3)
     row, short, data = fields(range(1080), "<f4"), fields(range(6), "<i2"), fields(range(9), "|u1")
     other = fields(range(1080), "<f8"), fields(range(6), "<i8"), fields(range(9), "<i4")
@@ -457,14 +458,14 @@ def test_array_terms_are_encoded_as_their_lists(encode, build):
     assert row[0].decoded_term is None or build
 
 
-def test_array_term_of_other_length_is_refused():
+def test_array_term_of_other_length_is_refused() -> None:
     term = functor("pkg__0__Arrays", 3)(NIL, array_term(np.arange(7, dtype="<i2")), NIL)
     for encode in (Encoder(ARRAYS).encode, partial(encode_slot_by_slot, ARRAYS)):
         with pytest.raises(MessageError, match="expected 6 elements"):
             encode(term)
 
 
-def define(text):
+def define(text: str) -> Any:
     """Return the definition of a type with slots."""
     definitions = Definitions()
     return definitions.decoder(definitions.add("my_robot/Thing", text)).definition
@@ -498,12 +499,12 @@ MSG: my_robot/Nothing
         ("", "my_robot__0__Other", "Other"),
     ],
 )
-def test_mismatch_of_term_with_variables_is_found(text, term, mismatch):
+def test_mismatch_of_term_with_variables_is_found(text: str, term: str, mismatch: Optional[str]) -> None:
     found_mismatch = find_fault(define(text), read_term(term, Operators.prolog()).term)
     assert found_mismatch is None if mismatch is None else mismatch in found_mismatch
 
 
-def test_huge_message_is_not_filled():
+def test_huge_message_is_not_filled() -> None:
     huge = define("uint8[4000000000] a\nuint8 b")
     assert find_fault(huge, (functor("my_robot__0__Thing", 2), Var(), 256)) is None
 
@@ -513,7 +514,7 @@ SLOT_TYPES = ("bool", "int8", "float32", "string", "time", "duration", "Part", "
 
 @pytest.mark.parametrize("array", ["", "[]", "[2]"])
 @pytest.mark.parametrize("slot_type", SLOT_TYPES)
-def test_variable_matches_any_message(slot_type, array):
+def test_variable_matches_any_message(slot_type: Any, array: str) -> None:
     definition = define(f"{slot_type}{array} a\n{PARTS}")
     assert find_fault(definition, Var()) is None
     assert find_fault(definition, (functor("my_robot__0__Thing", 1), Var())) is None

@@ -1,6 +1,7 @@
 """Event texts written directly from serialized messages, compared with the texts of their terms."""
 
 import struct
+from typing import Any, List
 
 import pytest
 from hypothesis import given, settings
@@ -30,21 +31,21 @@ ODD = [
 ]
 
 
-def decoder(text, name="pkg/Type"):
+def decoder(text: str, name: str = "pkg/Type") -> Any:
     registry = Definitions(InstalledTypes([], [], include_rosbags=False))
     return registry.decoder(registry.add(name, text))
 
 
-def packed(text):
+def packed(text: bytes) -> Any:
     return struct.pack("<I", len(text)) + text
 
 
-def pose(frame, name, x=0.5, y=0.25, number=7):
+def pose(frame: bytes, name: bytes, x: float = 0.5, y: float = 0.25, number: int = 7) -> Any:
     return struct.pack("<III", 1, 2, 3) + packed(frame) + packed(name) + struct.pack("<dfq", x, y, number)
 
 
 @pytest.mark.parametrize("frame", ODD)
-def test_strings_have_text_of_their_terms(frame):
+def test_strings_have_text_of_their_terms(frame: Any) -> None:
     message_decoder = decoder(POSE)
     data = pose(frame, frame[::-1])
     for _ in range(2):  # texts before and after they are cached
@@ -53,7 +54,7 @@ def test_strings_have_text_of_their_terms(frame):
 
 @settings(deadline=None)
 @given(st.floats(), st.floats(width=32), st.integers(-(2**63), 2**63 - 1))
-def test_numbers_have_text_of_their_terms(x, y, number):
+def test_numbers_have_text_of_their_terms(x: float, y: float, number: int) -> None:
     data = pose(b"f", b"n", x, y, number)
     text = _writer(data)
     assert text == to_text(_decoder.decode(data))
@@ -66,14 +67,14 @@ TWISTED = (
 FLOATS = [0.0, -0.0, 1.0, 1e-7, -1e22, 1.5e-9, 123456.789, float("inf"), float("-inf"), float("nan")]
 
 
-def twisted(x, y, z, t, w):
+def twisted(x: Any, y: Any, z: Any, t: Any, w: Any) -> Any:
     cached_texts = packed(b"map") + packed(b"one")
     return struct.pack("<III", 1, 2, 3) + cached_texts + struct.pack("<ddfb3dd", x, y, z, 7, *t, w)
 
 
 @settings(deadline=None, max_examples=50)
 @given(st.lists(st.lists(st.sampled_from(FLOATS), min_size=7, max_size=7), min_size=2, max_size=4))
-def test_changed_floats_have_text_of_their_terms(rows):
+def test_changed_floats_have_text_of_their_terms(rows: List[Any]) -> None:
     message_decoder = decoder(TWISTED)
     write = make_text_writer(message_decoder)
     for row in rows:
@@ -82,7 +83,7 @@ def test_changed_floats_have_text_of_their_terms(rows):
             assert write(data) == to_text(message_decoder.decode(data))
 
 
-def test_leading_floats_have_text_of_their_terms():
+def test_leading_floats_have_text_of_their_terms() -> None:
     for text, data in (
         (
             "float64 x\nfloat64 y\nstring name\n",
@@ -113,12 +114,12 @@ _writer = make_text_writer(_decoder)
         ("", b""),
     ],
 )
-def test_message_of_each_form_has_text_of_its_term(text, data):
+def test_message_of_each_form_has_text_of_its_term(text: str, data: Any) -> None:
     message_decoder = decoder(text)
     assert make_text_writer(message_decoder)(data) == to_text(message_decoder.decode(data))
 
 
-def test_array_of_any_length_has_text_of_its_term():
+def test_array_of_any_length_has_text_of_its_term() -> None:
     message_decoder = decoder("Part[] parts\n" + "=" * 80 + "\nMSG: pkg/Part\nstring name\nfloat64 x\n")
     part = packed(b"x") + struct.pack("<d", 2.0)
     for number in range(3):
@@ -126,18 +127,18 @@ def test_array_of_any_length_has_text_of_its_term():
         assert make_text_writer(message_decoder)(data) == to_text(message_decoder.decode(data))
 
 
-def test_incomplete_message_is_an_error():
+def test_incomplete_message_is_an_error() -> None:
     with pytest.raises(MessageError, match="pkg/Type"):
         _writer(pose(b"f", b"n")[:-1])
 
 
-def test_event_text_has_instant_as_interval():
+def test_event_text_has_instant_as_interval() -> None:
     instant = 1413748205_000000007
     stamp = to_text(datime(instant))
     assert event_text("e(1)", instant) == f"event(e(1),[{stamp},{stamp}])"
 
 
-def test_long_unread_arguments_are_replaced():
+def test_long_unread_arguments_are_replaced() -> None:
     message_decoder = decoder(
         "Header header\nuint8[] data\nfloat64[] numbers\nstring[] names\nstring text\nint32 size\n" + HEADER
     )
@@ -156,7 +157,7 @@ def test_long_unread_arguments_are_replaced():
     assert "joint" in some
 
 
-def test_short_unread_arguments_are_kept():
+def test_short_unread_arguments_are_kept() -> None:
     message_decoder = decoder("string a\nuint8[] b\nint32[] c\n")
     data = packed(b"short") + packed(b"data") + struct.pack("<I", 0)
     assert write_without_unread(message_decoder, data, {1, 2, 3}, atom("gone")) == make_text_writer(

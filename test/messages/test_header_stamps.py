@@ -1,6 +1,7 @@
 """Stamps and frames in serialized messages."""
 
 import struct
+from typing import Any, List, Tuple
 
 import pytest
 from hypothesis import given, settings
@@ -36,24 +37,24 @@ for _name, _text in TYPES.items():
     DEFINITIONS.add(_name, _text)
 
 
-def encode(kind, text):
+def encode(kind: str, text: str) -> bytes:
     return DEFINITIONS.encoder(DEFINITIONS.find(kind)).encode(read_term(text, Operators.prolog()).term)
 
 
-def header(second, nanosecond, frame):
+def header(second: int, nanosecond: int, frame: str) -> str:
     return f"std_msgs__0__Header(0,[{second},{nanosecond}],'\"{frame}\"')"
 
 
-def transform(second, nanosecond, frame, child):
+def transform(second: int, nanosecond: int, frame: str, child: str) -> str:
     return f"t__0__T({header(second, nanosecond, frame)},'\"{child}\"',[0,0,0,0,0,0,1])"
 
 
-def read(kind, text):
+def read(kind: str, text: str) -> List[Tuple[Any, ...]]:
     stamps = make_stamp_reader(DEFINITIONS.find(kind))(encode(kind, text))
     return [(format_frame_key(key), instant / SECOND) for key, instant in stamps]
 
 
-def test_type_without_stamps_has_no_reader():
+def test_type_without_stamps_has_no_reader() -> None:
     assert make_stamp_reader(DEFINITIONS.find("t/Plain")) is None
 
 
@@ -82,18 +83,18 @@ def test_type_without_stamps_has_no_reader():
         ),
     ],
 )
-def test_stamps_of_all_frames_are_read(kind, text, expected):
+def test_stamps_of_all_frames_are_read(kind: str, text: str, expected: Any) -> None:
     assert read(kind, text) == expected
 
 
-def test_slots_have_separate_frame_keys():
+def test_slots_have_separate_frame_keys() -> None:
     text = f"t__0__Markers({header(1, 0, 'a')},[],[t__0__M({header(2, 0, 'a')},'\"n\"')])"
     keys = [key for key, _ in make_stamp_reader(DEFINITIONS.find("t/Markers"))(encode("t/Markers", text))]
     assert len(set(keys)) == 2
 
 
 @given(st.sampled_from(sorted(TYPES)), st.binary(max_size=200))
-def test_stamps_of_any_bytes_are_bounded(kind, data):
+def test_stamps_of_any_bytes_are_bounded(kind: Any, data: bytes) -> None:
     read = make_stamp_reader(DEFINITIONS.find(kind))
     if read is not None:
         assert len(read(data)) <= len(data) // 16
@@ -102,7 +103,7 @@ def test_stamps_of_any_bytes_are_bounded(kind, data):
 class LastSecond:
     """The last second in which a frame was reported."""
 
-    def __init__(self, second):
+    def __init__(self, second: Any) -> None:
         self.second = second
 
 
@@ -113,12 +114,12 @@ class LastSecond:
         st.tuples(st.integers(0, 5), st.integers(0, 3), st.sampled_from(["", "map", "odom"])), max_size=20
     ),
 )
-def test_observer_reports_each_new_second_once(kind, messages):
+def test_observer_reports_each_new_second_once(kind: Any, messages: List[Any]) -> None:
     """The observer reports each new second of a frame and no other stamp."""
     decoder, reader = DEFINITIONS.decoder(DEFINITIONS.find(kind)), make_stamp_reader(DEFINITIONS.find(kind))
     reports, last_seconds, expected, seconds = [], {}, [], {}
 
-    def report(stamps):
+    def report(stamps: Any) -> None:
         reports.append(stamps)
         for key, _ in stamps:  # the replaced object may still be referenced
             last_seconds.get(key, LastSecond(0)).second = -1
@@ -144,8 +145,8 @@ def test_observer_reports_each_new_second_once(kind, messages):
     assert reports == expected
 
 
-def test_message_written_again_is_not_reported_again():
-    reports = []
+def test_message_written_again_is_not_reported_again() -> None:
+    reports: List[Any] = []
     observed = make_observed_decoder(DEFINITIONS.decoder(DEFINITIONS.find("t/Frames")), {}, reports.append)
     data = encode("t/Frames", f"t__0__Frames([{transform(5, 0, 'a', 'b')}])")
     assert make_text_writer(observed)(data) == make_text_writer(observed.plain)(data)
@@ -154,11 +155,11 @@ def test_message_written_again_is_not_reported_again():
 
 @pytest.mark.parametrize("child", ["", "b"])
 @pytest.mark.parametrize("frame", ["", "a"])
-def test_unnamed_frames_are_shown_as_empty(frame, child):
+def test_unnamed_frames_are_shown_as_empty(frame: str, child: str) -> None:
     assert read("t/Frames", f"t__0__Frames([{transform(5, 0, frame, child)}])") == [(f"{frame} > {child}", 5)]
 
 
-def test_observed_decoder_limits_empty_elements():
+def test_observed_decoder_limits_empty_elements() -> None:
     parts = BAR + "MSG: t/Nothing" + HEADER
     definitions = Definitions(InstalledTypes([], [], include_rosbags=False), max_empty_elements=3)
     for number in (3, 4):

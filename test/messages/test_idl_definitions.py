@@ -1,5 +1,7 @@
 """Definitions in IDL, converted to the syntax of ``.msg`` files."""
 
+from typing import Any, List
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -11,7 +13,7 @@ from retalis.messages.idl_definitions import convert_idl  # noqa: E402
 from retalis.messages.ros2_to_ros1 import parse_ros2_type  # noqa: E402
 
 
-def convert(slots, before="", name="X"):
+def convert(slots: str, before: str = "", name: str = "X") -> Any:
     """Return the lines of type ``p/X`` with some slots, after other definitions in its module."""
     text = f"module p {{ module msg {{ {before} struct {name} {{ {slots} }}; }}; }};"
     return convert_idl("p/X", text, ["p/X"])["p/X"].splitlines()
@@ -47,7 +49,7 @@ def convert(slots, before="", name="X"):
         ),
     ],
 )
-def test_slots_are_converted(slots, expected):
+def test_slots_are_converted(slots: str, expected: Any) -> None:
     assert convert(slots) == expected
 
 
@@ -78,11 +80,11 @@ def test_slots_are_converted(slots, expected):
         ("module X_Constants { const long C = 1 / 0; };", "long a;", ["int32 a"]),
     ],
 )  # fmt: skip
-def test_preceding_definitions_are_used(before, slots, expected):
+def test_preceding_definitions_are_used(before: str, slots: str, expected: List[str]) -> None:
     assert convert(slots, before) == expected
 
 
-def test_names_are_searched_from_innermost_scope():
+def test_names_are_searched_from_innermost_scope() -> None:
     text = """
     struct T { long outermost; };
     module p { struct T { long outer; };
@@ -93,12 +95,12 @@ def test_names_are_searched_from_innermost_scope():
     assert parse_ros2_type("p/msg/X", text.replace("::p::T b; ::T c;", ""), {}.get, is_idl=True)
 
 
-def test_slots_of_base_type_are_first():
+def test_slots_of_base_type_are_first() -> None:
     text = "module p { module msg { struct B { long id; }; struct C : B { long x; }; struct X : C { long y; }; }; };"
     assert convert_idl("p/X", text, ["p/X"]) == {"p/X": "int32 id\nint32 x\nint32 y\n"}
 
 
-def test_only_used_types_are_converted():
+def test_only_used_types_are_converted() -> None:
     text = """module p { module msg {
     struct Used { wstring w; }; union Unused switch (long) { case 1: long a; };
     struct Other { Unused u; }; struct X { sequence<Used> used; }; }; };"""
@@ -130,19 +132,19 @@ def test_only_used_types_are_converted():
         ('@x("a', "", "its definition in IDL cannot be parsed: expected "),
     ],
 )  # fmt: skip
-def test_unsupported_definition_is_reported_with_place(slots, before, problem):
+def test_unsupported_definition_is_reported_with_place(slots: str, before: str, problem: str) -> None:
     with pytest.raises(MessageError) as error:
         convert(slots, before)
     assert problem in error.value.message
     assert error.value.place.line == 1
 
 
-def test_missing_type_is_reported():
+def test_missing_type_is_reported() -> None:
     with pytest.raises(MessageError, match="its definition in IDL does not define p/X"):
         convert("long a;", name="Y")
 
 
-def test_incomplete_text_is_reported_at_its_end():
+def test_incomplete_text_is_reported_at_its_end() -> None:
     with pytest.raises(MessageError, match="found the end") as error:
         convert_idl("p/X", "module p {\n struct X { long a; }", ["p/X"])
     assert error.value.place.line == 2
@@ -161,7 +163,7 @@ def test_incomplete_text_is_reported_at_its_end():
     ],
     ids=["dimensions", "modules", "sequences", "signs", "sums", "enumerators"],
 )  # fmt: skip
-def test_deep_and_long_texts_are_refused(text):
+def test_deep_and_long_texts_are_refused(text: str) -> None:
     with pytest.raises(MessageError):
         parse_ros2_type("p/X", text, {}.get, is_idl=True)
 
@@ -184,7 +186,7 @@ ELEMENTS = st.one_of(
 )
 
 
-def with_array(element):
+def with_array(element: Any) -> Any:
     """Return strategies for a slot of an element type: alone, in a sequence, or in an array of any dimensions."""
     idl, msg = element
     dimensions = st.lists(st.integers(1, 4), min_size=1, max_size=3)
@@ -199,7 +201,7 @@ def with_array(element):
 
 
 @given(st.lists(ELEMENTS.flatmap(with_array), max_size=6), st.sampled_from([" ", "\n", "/* c */", "// d\n"]))
-def test_any_slots_are_converted(slots, space):
+def test_any_slots_are_converted(slots: List[Any], space: Any) -> None:
     members = "".join(f"{idl.format(f'x{number}')};" for number, (idl, _) in enumerate(slots))
     text = f"module p {{ module msg {{ struct Near {{ long a; }}; struct X {{ {members} }}; }}; }};"
     text = text.replace(" ", space)
@@ -208,7 +210,7 @@ def test_any_slots_are_converted(slots, space):
 
 
 @given(st.text(st.sampled_from("ab12 \n{}[]<>();:,=@\"'/*#|+-.\\"), max_size=60))
-def test_any_text_is_converted_or_an_error(text):
+def test_any_text_is_converted_or_an_error(text: str) -> None:
     message = ""
     try:
         convert(text)
@@ -222,7 +224,7 @@ def test_any_text_is_converted_or_an_error(text):
 IDL_NAMES = {"bool": "boolean", "float32": "float", "float64": "double", "byte": "octet"}
 
 
-def write_idl(name, constants, slots):
+def write_idl(name: Any, constants: Any, slots: Any) -> str:
     """Return the definition of a type of rosbags in IDL, in the form that ROS 2 generates."""
     package, _, short_name = name.split("/")
     lines = [f'#include "{package}/msg/Other.idl"', f"module {package} {{", "module msg {"]
@@ -233,7 +235,7 @@ def write_idl(name, constants, slots):
         )
         lines.append(f"const {IDL_NAMES.get(type_name, type_name)} {constant} = {text};")
     lines.append("};")
-    members = []
+    members: List[Any] = []
     for slot, (kind, detail) in slots:
         element, length = detail if kind.name in ("ARRAY", "SEQUENCE") else ((kind, detail), 0)
         element_name = element[1] if element[0].name == "NAME" else element[1][0]
@@ -250,12 +252,12 @@ def write_idl(name, constants, slots):
 
 
 @pytest.mark.slow
-def test_types_of_rosbags_are_equal_in_idl_and_msg():
+def test_types_of_rosbags_are_equal_in_idl_and_msg() -> None:
     typesys = pytest.importorskip("rosbags.typesys")
     store = typesys.get_typestore(typesys.Stores.LATEST)
     definitions = getattr(store, "fielddefs", None) or store.FIELDDEFS
 
-    def find(type_name):
+    def find(type_name: str) -> Any:
         name = type_name.replace("/", "/msg/")
         return store.generate_msgdef(name, ros_version=2)[0] if name in store.types else None
 

@@ -1,5 +1,7 @@
 """Messages with named slots: parsing, errors, and output."""
 
+from typing import Any, List, Tuple
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -27,7 +29,7 @@ POINT, ALL = "my_msgs__0__Point", "my_msgs__0__All"
 ZERO = f"{POINT}(0.0,0.0)"
 
 
-def slot_names():
+def slot_names() -> Any:
     names = SlotNames(DEFINITIONS)
     names.events["spot"] = "my_msgs/Point"
     return names
@@ -38,7 +40,7 @@ OPERATORS = PROGRAM.operators
 OPERATORS.message_types = slot_names()
 
 
-def read(text, is_constructed=False, operators=OPERATORS):
+def read(text: str, is_constructed: bool = False, operators: Any = OPERATORS) -> Any:
     return read_term(text, operators, flags=ReadFlags(is_constructed=is_constructed)).term
 
 
@@ -82,7 +84,7 @@ POSITIONAL = {
 }
 
 
-def test_named_slots_are_read_as_positional_term():
+def test_named_slots_are_read_as_positional_term() -> None:
     for text, positional in POSITIONAL.items():
         assert term_key(read(text)) == term_key(read(positional)), text
     assert to_text(read(f"{POINT}{{x: 3}}", is_constructed=True)) == f"{POINT}(3.0,0.0)"
@@ -110,7 +112,7 @@ ERRORS = {
 }
 
 
-def test_error_in_named_slots_has_place():
+def test_error_in_named_slots_has_place() -> None:
     for text, (column, message) in ERRORS.items():
         with pytest.raises(SyntaxFault) as error:
             read(text)
@@ -118,7 +120,7 @@ def test_error_in_named_slots_has_place():
         assert (text, error.value.place.column) == (text, column)
 
 
-def test_other_braces_are_read_as_in_prolog():
+def test_other_braces_are_read_as_in_prolog() -> None:
     plain, extended = Operators.prolog(), OPERATORS.copy()
     for text in (
         "{}",
@@ -133,7 +135,7 @@ def test_other_braces_are_read_as_in_prolog():
     ):
         assert term_key(read(text)) == term_key(read(text, operators=plain)), text
     for text in ("a {b}", "X{a: 1}", "f(x){a: 1}", "0{x: 1}", "a/B{c}", "[] {}"):
-        messages = []
+        messages: List[Any] = []
         for operators in (plain, extended):
             with pytest.raises(SyntaxFault) as error:
                 read(text, operators=operators)
@@ -162,7 +164,7 @@ MISNAMED_TYPES = {
 }
 
 
-def test_unknown_type_is_reported_with_similar_name():
+def test_unknown_type_is_reported_with_similar_name() -> None:
     for text, (column, message) in MISNAMED_TYPES.items():
         with pytest.raises(SyntaxFault) as error:
             read(text)
@@ -170,7 +172,7 @@ def test_unknown_type_is_reported_with_similar_name():
         assert (text, error.value.place.column) == (text, column)
 
 
-def test_named_slots_without_types_are_refused():
+def test_named_slots_without_types_are_refused() -> None:
     with pytest.raises(SyntaxFault, match="slots by name are not available here"):
         read(f"{POINT}{{x: 1}}", operators=Operators.prolog())
     with pytest.raises(SyntaxFault):  # nor in event texts of other nodes
@@ -193,7 +195,7 @@ SHOWN_TEXTS = (
 )
 
 
-def test_term_is_shown_with_its_named_slots():
+def test_term_is_shown_with_its_named_slots() -> None:
     for text in SHOWN_TEXTS:
         OPERATORS.message_types.notations.clear()
         read_result = read_term(text, OPERATORS)
@@ -202,7 +204,7 @@ def test_term_is_shown_with_its_named_slots():
         assert term_key(read(shown)) == term_key(read_result.term)
 
 
-def test_head_is_shown_as_constructed_message():
+def test_head_is_shown_as_constructed_message() -> None:
     # Messages are shown with the slots that a program has written, so this program is new.
     program = PrologSystem()
     program.operators.message_types = slot_names()
@@ -217,7 +219,7 @@ points = st.dictionaries(st.sampled_from(["x", "y"]), values, max_size=2)
 
 
 @st.composite
-def messages(draw):
+def messages(draw: Any) -> Tuple[Any, ...]:
     """Return a message with some named slots, and the same message with positional slots."""
     names = [slot.name for slot in DEFINITIONS.find("my_msgs/All").fields]
     chosen = draw(st.lists(st.sampled_from(names), unique=True))
@@ -241,7 +243,7 @@ FRAMES = ("{}", "a(X) <- {}", "a <- {} seq b(X)", "p(Y) :- q({}, {}), r(X)", "p 
 @pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(st.lists(messages(), min_size=2, max_size=2), st.sampled_from(FRAMES))
-def test_shown_messages_are_read_as_same_term(drawn_messages, frame):
+def test_shown_messages_are_read_as_same_term(drawn_messages: List[Any], frame: Any) -> None:
     text = frame.format(*(named for named, _ in drawn_messages))
     term = read_term(text, OPERATORS)
     positional = read(frame.format(*(plain for _, plain in drawn_messages)))
@@ -251,7 +253,7 @@ def test_shown_messages_are_read_as_same_term(drawn_messages, frame):
         assert term_key(read_again) == term_key(positional)
 
 
-def test_misspelt_type_is_reported_with_similar_name():
+def test_misspelt_type_is_reported_with_similar_name() -> None:
     with pytest.raises(UsageError) as error:
         SlotNames(Definitions()).find("std_msgs__0__Strng")
     assert str(error.value) == "there is no message type std_msgs/Strng; did you mean std_msgs/String?"

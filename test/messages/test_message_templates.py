@@ -1,5 +1,7 @@
 """Templates of messages, as ``retalis msg`` prints them."""
 
+from typing import Any, Tuple
+
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
@@ -18,14 +20,14 @@ OPERATORS = Operators.prolog()
 OPERATORS.message_types = SlotNames(DEFINITIONS)
 
 
-def read(text):
+def read(text: Any) -> Tuple[Any, ...]:
     """Return the term of a template and the number of its variables."""
     read_result = read_term(text, OPERATORS)
     assert not [name for name in read_result.names if not name[0].isupper()]
     return read_result.term, len(read_result.names)
 
 
-def shape(term):
+def shape(term: Any) -> Any:
     """Return a term whose variables are replaced by one object."""
     term = deref(term)
     if term.__class__ is tuple:
@@ -33,7 +35,7 @@ def shape(term):
     return Var if term.__class__ is Var else term
 
 
-def expected(definition):
+def expected(definition: Any) -> Tuple[Any, ...]:
     """Return the expected shape of a template and the number of its variables."""
     if not definition.fields:
         return DEFINITIONS.decoder(definition).decode(b""), 0
@@ -50,7 +52,7 @@ def expected(definition):
     return (DEFINITIONS.decoder(definition).functor, *parts), number
 
 
-def check_templates(definition):
+def check_templates(definition: Any) -> None:
     for text in (format_positional(definition), format_with_names(definition)):
         term, names = read(text)
         assert (shape(term), names) == expected(definition), text
@@ -61,7 +63,7 @@ def check_templates(definition):
 
 
 @pytest.mark.slow
-def test_templates_of_installed_types_are_read():
+def test_templates_of_installed_types_are_read() -> None:
     store = get_typestore(Stores.ROS1_NOETIC)
     names = getattr(store, "fielddefs", None) or store.FIELDDEFS  # the name depends on the version of rosbags
     checked = 0
@@ -145,13 +147,13 @@ PRINTED = """odd_msgs__0__Odd(              % 68 bytes or more
 """
 
 
-def test_equal_slot_names_have_distinct_variables():
+def test_equal_slot_names_have_distinct_variables() -> None:
     odd = DEFINITIONS.add("odd_msgs/Odd", ODD.replace("string _Odd\n", ""))
     assert format_positional(odd) == PRINTED
     check_templates(odd)
 
 
-def test_template_shows_sizes_of_slots():
+def test_template_shows_sizes_of_slots() -> None:
     text = "bool a\nfloat64[9] b\nstring[3] c\nfloat32[] d\nstring[] e\nuint8[] f\nbyte[1] g\n"
     template, _, predicates = format_with_names(DEFINITIONS.add("odd_msgs/Sizes", text)).partition("\n\n")
     assert predicates == "% for array_min/2, array_percentile/3 and others: b, d, f, g\n"
@@ -167,7 +169,7 @@ def test_template_shows_sizes_of_slots():
     ]
 
 
-def test_template_names_arrays_and_predicates():
+def test_template_names_arrays_and_predicates() -> None:
     text = format_positional(DEFINITIONS.find("nav_msgs/OccupancyGrid"))
     assert text.endswith(
         """

@@ -1,5 +1,7 @@
 """Messages as dictionaries."""
 
+from typing import Any
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -33,12 +35,12 @@ SAMPLES = st.fixed_dictionaries(
 
 
 @given(SAMPLES)
-def test_values_of_encoded_message_are_the_same(values):
+def test_values_of_encoded_message_are_the_same(values: Any) -> None:
     data = DEFINITIONS.encoder(SAMPLE).encode(make_message_term(SAMPLE, values))
     assert read_message_term(SAMPLE, DEFINITIONS.decoder(SAMPLE).decode(data)) == values
 
 
-def test_missing_values_are_zero():
+def test_missing_values_are_zero() -> None:
     point = {"x": 0.0, "y": 0}
     assert read_message_term(SAMPLE, make_message_term(SAMPLE, {})) == {
         "stamp": 0,
@@ -52,6 +54,6 @@ def test_missing_values_are_zero():
     }
 
 
-def test_unknown_slot_is_refused():
+def test_unknown_slot_is_refused() -> None:
     with pytest.raises(MessageError, match="lab/Point has no slot z"):
         make_message_term(SAMPLE, {"first": {"z": 1}})

@@ -25,7 +25,7 @@ FAST_TYPES = {
 }
 
 
-def test_common_types_agree_with_rosbags():
+def test_common_types_agree_with_rosbags() -> None:
     references = [reference for reference in rosbags_references() if reference.definition.name in FAST_TYPES]
     assert {reference.definition.name for reference in references} == FAST_TYPES
     for reference in references:
@@ -33,7 +33,7 @@ def test_common_types_agree_with_rosbags():
 
 
 @pytest.mark.slow
-def test_all_types_agree_with_rosbags():
+def test_all_types_agree_with_rosbags() -> None:
     types = 0
     for reference in rosbags_references():
         compare_messages(reference, MESSAGES_PER_TYPE)

@@ -1,6 +1,7 @@
 """ROS 2 definitions and CDR messages, compared with the conversion by ``rosbags`` for the types that it supports."""
 
 import struct
+from typing import Any, List, Tuple
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -15,25 +16,25 @@ from retalis.prolog.syntax.event_text import to_text
 STORE = get_typestore(Stores.LATEST)
 
 
-def find(kind):
+def find(kind: str) -> Any:
     name = kind.replace("/", "/msg/")
     return STORE.generate_msgdef(name, ros_version=2)[0] if name in STORE.types else None
 
 
-def read(text, name="my_msgs/msg/Kind", find=find, is_idl=False):
+def read(text: str, name: str = "my_msgs/msg/Kind", find: Any = find, is_idl: bool = False) -> Any:
     return parse_ros2_type(name, text, find, is_idl)
 
 
-def slots(message_type):
+def slots(message_type: Any) -> List[str]:
     return [f"{slot.describe()} {slot.name}" for slot in message_type.definition.fields]
 
 
-def decode_text(message_type, raw):
+def decode_text(message_type: Any, raw: bytes) -> Any:
     definitions = Definitions()
     return to_text(definitions.decoder(message_type.definition).decode(message_type.to_ros1(raw)))
 
 
-def cdr(layout, *values, order="<"):
+def cdr(layout: str, *values: Any, order: str = "<") -> Any:
     return (b"\0\1\0\0" if order == "<" else b"\0\0\0\0") + struct.pack(order + layout, *values)
 
 
@@ -69,7 +70,7 @@ def cdr(layout, *values, order="<"):
         ("std_msgs/msg/Header header", "std_msgs/Header header"),
     ],
 )
-def test_slots_are_converted(line, slot):
+def test_slots_are_converted(line: str, slot: str) -> None:
     assert slots(read(f"# a comment\n\n{line}\n")) == [slot]
 
 
@@ -88,12 +89,12 @@ def test_slots_are_converted(line, slot):
         ('wstring S="ü"', ("string", "S", "ü")),
     ],
 )
-def test_constants_are_converted(line, constant):
+def test_constants_are_converted(line: str, constant: Tuple[Any, ...]) -> None:
     (converted,) = read(line).definition.constants
     assert (converted.type, converted.name, converted.value) == constant
 
 
-def test_constant_out_of_range_is_omitted():
+def test_constant_out_of_range_is_omitted() -> None:
     message_type = read("int32 X=5 + 5\nint8 Y=128\nint32 x\n")
     assert (message_type.definition.constants, slots(message_type)) == ((), ["int32 x"])
 
@@ -112,13 +113,13 @@ def test_constant_out_of_range_is_omitted():
         "time T=5",
     ],
 )
-def test_error_in_definition_has_line(text):
+def test_error_in_definition_has_line(text: str) -> None:
     with pytest.raises(MessageError) as error:
         read(f"int32 good\n{text}\n")
     assert error.value.place.line == 2
 
 
-def test_undefined_and_recursive_types_are_errors():
+def test_undefined_and_recursive_types_are_errors() -> None:
     with pytest.raises(
         MessageError, match="the type my_msgs/Gone is not defined in the bag or on this system"
     ):
@@ -131,7 +132,7 @@ def test_undefined_and_recursive_types_are_errors():
         read("#" * (1 << 20) + "\n")
 
 
-def test_nested_types_are_read_from_text():
+def test_nested_types_are_read_from_text() -> None:
     line = "=" * 80
     text = f"Own[<=2] own\nother_msgs/msg/Own far\n{line}\nMSG: my_msgs/msg/Own\nLone lone\n{line}\n"
     text += f"MSG: other_msgs/Own\nint8 x 1\n{line}\nMSG: third_msgs/Lone\nwstring<=3 w\n"
@@ -142,7 +143,7 @@ def test_nested_types_are_read_from_text():
     )
 
 
-def test_numbers_are_aligned():
+def test_numbers_are_aligned() -> None:
     message_type = read(
         "string s\nint8 a\nfloat64 b\nint8 c\nint16 d\nint8 e\nint32 f\nint64[] g\nint16[<=3] h\nint8 i\n"
     )
@@ -158,17 +159,17 @@ def test_numbers_are_aligned():
         )
 
 
-def test_empty_array_has_no_alignment_of_elements():
+def test_empty_array_has_no_alignment_of_elements() -> None:
     message_type = read("int32 a\nfloat64[] b\nint32 c\n")
     assert decode_text(message_type, cdr("iIi", 1, 0, 2)) == "my_msgs__0__Kind(1,[],2)"
 
 
-def test_byte_is_unsigned():
+def test_byte_is_unsigned() -> None:
     message_type = read("byte a\nchar b\nbyte[3] c\n")
     assert decode_text(message_type, cdr("BB3s", 200, 201, b"abc")) == "my_msgs__0__Kind(200,201,'\"abc\"')"
 
 
-def test_type_without_slots_has_a_byte():
+def test_type_without_slots_has_a_byte() -> None:
     message_type = read("int8 X=1\n", "my_msgs/msg/Nothing")
     assert message_type.to_ros1(cdr("B", 0)) == b""
     text = f"Nothing one\nNothing[] more\nint8 x\n{'=' * 80}\nMSG: my_msgs/Nothing\n"
@@ -180,7 +181,7 @@ def test_type_without_slots_has_a_byte():
 @pytest.mark.parametrize("text", ["", "Jürgen", "日本", "🤖 two units", "a" * 30])
 @pytest.mark.parametrize("width", [2, 4])
 @pytest.mark.parametrize("order", ["<", ">"])
-def test_wide_strings_are_converted(text, width, order):
+def test_wide_strings_are_converted(text: str, width: int, order: str) -> None:
     message_type = read("int8 a\nwstring<=30 b\nint8 c\n")
     coded = text.encode("utf-16-le")
     units = struct.unpack(f"<{len(coded) // 2}H", coded)
@@ -188,12 +189,12 @@ def test_wide_strings_are_converted(text, width, order):
     assert decode_text(message_type, raw) == f"my_msgs__0__Kind(1,'\"{text}\"',2)"
 
 
-def test_lone_surrogate_in_wide_string_is_binary():
+def test_lone_surrogate_in_wide_string_is_binary() -> None:
     message_type = read("wstring a\n")
     assert decode_text(message_type, cdr("II", 1, 0xD800)) == "my_msgs__0__Kind('\"FFFFFFFFFF7aCA////\"')"
 
 
-def test_big_endian_is_converted():
+def test_big_endian_is_converted() -> None:
     message_type = read("int8 a\nfloat64 b\nstring c\nuint16[] d\nuint8[] e\nfloat64[10] f\n")
     values = (1, 2.5, 3, b"hi\0", 2, 0x102, 0x304, 1, b"x")
     raw = bytearray(cdr("b7xdI3sxIHHI1s", *values, order=">"))
@@ -219,12 +220,12 @@ def test_big_endian_is_converted():
         (cdr("I", 2**32 - 1), "are not a"),
     ],
 )
-def test_invalid_message_is_an_error(raw, reason):
+def test_invalid_message_is_an_error(raw: Any, reason: str) -> None:
     with pytest.raises(MessageError, match=reason):
         read("string a\nint32[] b\n").to_ros1(raw)
 
 
-def test_padding_of_three_bytes_is_accepted():
+def test_padding_of_three_bytes_is_accepted() -> None:
     message_type = read("int8 a\n")
     assert [message_type.to_ros1(cdr(f"b{number}x", 5)) for number in range(4)] == [b"\5"] * 4
     with pytest.raises(MessageError):
@@ -236,7 +237,7 @@ KINDS = sorted(STORE.types)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", KINDS)
-def test_all_common_types_are_converted_as_by_rosbags(name):
+def test_all_common_types_are_converted_as_by_rosbags(name: Any) -> None:
     check_type(name)
 
 
@@ -254,11 +255,11 @@ def test_all_common_types_are_converted_as_by_rosbags(name):
         "builtin_interfaces/msg/Time",
     ],
 )
-def test_common_types_are_converted_as_by_rosbags(name):
+def test_common_types_are_converted_as_by_rosbags(name: str) -> None:
     check_type(name)
 
 
-def check_type(name):
+def check_type(name: Any) -> None:
     message_type = read(find(name.replace("/msg/", "/")), name)
 
     @settings(
@@ -273,7 +274,7 @@ def check_type(name):
             st.text(st.characters(blacklist_categories=["Cs", "Cc"]), max_size=9).map(str.encode),
         )
     )
-    def every_message(values):
+    def every_message(values: Any) -> None:
         raw = serialize(message_type.definition, without_numbers(message_type.definition, values))
         data = bytes(STORE.ros1_to_cdr(raw, name))
         assert message_type.to_ros1(data) == raw
@@ -282,7 +283,7 @@ def check_type(name):
     every_message()
 
 
-def without_numbers(definition, values):
+def without_numbers(definition: Any, values: Any) -> Any:
     """Return values with 0 as the number in headers, which ROS 2 does not have, and with times before 2038."""
     values = list(values)
     for index, slot in enumerate(definition.fields):
@@ -332,7 +333,7 @@ int8 c
     deadline=None, derandomize=True, max_examples=40, suppress_health_check=[HealthCheck.data_too_large]
 )
 @given(st.lists(st.tuples(st.sampled_from(SLOTS), st.sampled_from(ARRAYS)), max_size=5), st.data())
-def test_random_types_are_converted_as_by_rosbags(slots, data):
+def test_random_types_are_converted_as_by_rosbags(slots: List[Any], data: st.DataObject) -> None:
     full = {"Empty": "std_msgs/Empty", "Header": "std_msgs/Header"}
     text = "".join(
         f"{full.get(kind, kind)}{array} slot{number}\n" for number, (kind, array) in enumerate(slots)
@@ -365,7 +366,9 @@ def test_random_types_are_converted_as_by_rosbags(slots, data):
         ("wstring w\nbuiltin_interfaces/Time t\n", "IiI", [(0, -5, 0), (0, 5, 0)]),
     ],
 )
-def test_negative_seconds_of_time_are_an_error(order, text, layout, values):
+def test_negative_seconds_of_time_are_an_error(
+    order: str, text: str, layout: str, values: List[Tuple[Any, ...]]
+) -> None:
     message_type = read(text)
     negative, positive = (cdr(layout, *numbers, order=order) for numbers in values)
     assert len(message_type.to_ros1(positive)) > 4
@@ -373,7 +376,7 @@ def test_negative_seconds_of_time_are_an_error(order, text, layout, values):
         message_type.to_ros1(negative)
 
 
-def test_negative_seconds_of_stamp_and_duration():
+def test_negative_seconds_of_stamp_and_duration() -> None:
     message_type = read("Header header\nbuiltin_interfaces/Duration d\n")
     message = cdr("iIIBxxxiI", 4, 0, 1, 0, -5, 0)
     assert (
@@ -402,7 +405,7 @@ uint8 pace
 
 
 @pytest.mark.parametrize("text", [SERVICE, SERVICE.split("srv/Go\n")[1]])
-def test_service_event_has_info_request_and_response(text):
+def test_service_event_has_info_request_and_response(text: Any) -> None:
     message_type = read(text, "my_msgs/srv/Go_Event")
     assert message_type.definition.name == "my_msgs/Go_Event"
     assert slots(message_type) == [
@@ -423,14 +426,14 @@ def test_service_event_has_info_request_and_response(text):
     assert response == f"{head},[],[my_msgs__0__Go_Response(true,'\"no\"')])"
 
 
-def decode_gid(gid):
+def decode_gid(gid: bytes) -> Any:
     """Return the term of a byte array."""
     definitions = Definitions()
     array = definitions.add("my_msgs/Gid", "char[16] gid")
     return definitions.decoder(array).decode(gid)[1]
 
 
-def test_empty_request_of_service_has_a_byte():
+def test_empty_request_of_service_has_a_byte() -> None:
     message_type = read("---\nbool ok\n", "my_msgs/srv/Stop_Event")
     info = struct.pack("<BxxxiI16s4xq", 0, 4, 5, bytes(16), 7)
     raw = b"\0\1\0\0" + info + struct.pack("<IBxxxI", 1, 0, 0)
@@ -438,7 +441,7 @@ def test_empty_request_of_service_has_a_byte():
 
 
 @pytest.mark.parametrize("text", ["int8 x\n", "---\n---\n"])
-def test_service_without_one_separator_is_an_error(text):
+def test_service_without_one_separator_is_an_error(text: str) -> None:
     with pytest.raises(MessageError, match="service my_msgs/Go has [02] lines '---': expected one, between"):
         read(text, "my_msgs/srv/Go_Event")
 
@@ -446,7 +449,7 @@ def test_service_without_one_separator_is_an_error(text):
 # ---- IDL ---------------------------------------------------------------------------------------------
 
 
-def test_nested_types_in_idl_are_read_from_text():
+def test_nested_types_in_idl_are_read_from_text() -> None:
     line = "=" * 80
     text = (
         f'{line}\nIDL: p/msg/A\n// generated\n#include "p/msg/B.idl"\n'
@@ -460,7 +463,7 @@ def test_nested_types_in_idl_are_read_from_text():
     )
 
 
-def test_service_event_has_types_in_idl():
+def test_service_event_has_types_in_idl() -> None:
     line = "=" * 80
     text = (
         f"{line}\nSRV: p/srv/Go\np/B b\n---\n{line}\nIDL: p/msg/B\n"
@@ -474,7 +477,7 @@ def test_service_event_has_types_in_idl():
     assert request.fields[0].type == "p/B"
 
 
-def test_error_in_idl_names_line_of_whole_text():
+def test_error_in_idl_names_line_of_whole_text() -> None:
     line = "=" * 80
     text = (
         f"{line}\nSRV: p/srv/Go\np/B b\n---\n{line}\nIDL: p/msg/B\nmodule p {{ struct B {{ double }}; }};\n"
@@ -484,7 +487,7 @@ def test_error_in_idl_names_line_of_whole_text():
     assert (error.value.place.line, error.value.place.column) == (7, 30)
 
 
-def test_odd_constant_of_ros2_is_ignored_with_warning(caplog):
+def test_odd_constant_of_ros2_is_ignored_with_warning(caplog: pytest.LogCaptureFixture) -> None:
     message_type = read("uint8 K=0\nuint8 K=0\nint8 x\n")
     assert slots(message_type) == ["int8 x"]
     (record,) = caplog.records

@@ -3,6 +3,7 @@
 import importlib
 import io
 from pathlib import Path
+from typing import Any, List
 from unittest.mock import patch
 
 import pytest
@@ -129,7 +130,7 @@ unicode = st.text(max_size=20).map(str.encode)  # genpy replaces bytes that are 
 printable = st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=12).map(str.encode)
 
 
-def check_round_trip(definition, registry, raw):
+def check_round_trip(definition: Any, registry: Any, raw: Any) -> None:
     """Check that the bytes of a message survive the conversion to a term and to event text."""
     decode, encode = registry.decoder(definition).decode, registry.encoder(definition).encode
     assert encode(decode(raw)) == raw
@@ -159,7 +160,7 @@ odd_texts = st.sampled_from(
 
 
 @pytest.mark.parametrize("shape", SHORT)
-def test_texts_agree_for_all_readers_and_writers(shape):
+def test_texts_agree_for_all_readers_and_writers(shape: Any) -> None:
     definition = WITHOUT_ROS.add(f"test_msgs/{shape.title().replace(' ', '')}", SHORT[shape])
     decoder, encode = WITHOUT_ROS.decoder(definition), WITHOUT_ROS.encoder(definition).encode
     write = make_text_writer(decoder)
@@ -168,7 +169,7 @@ def test_texts_agree_for_all_readers_and_writers(shape):
 
     @settings(deadline=None, derandomize=True, max_examples=150)
     @given(messages(definition, any_bytes | printable_texts | odd_texts.map(str.encode)))
-    def every_message(values):
+    def every_message(values: Any) -> None:
         raw = serialize(definition, values)
         term = freeze(decoder.decode(raw))
         text = f"event({write(raw)})"
@@ -184,7 +185,7 @@ def test_texts_agree_for_all_readers_and_writers(shape):
     every_message()
 
 
-def genpy_class(name):
+def genpy_class(name: Any) -> Any:
     package, kind = name.split("/")
     try:
         return getattr(importlib.import_module(package + ".msg"), kind)
@@ -196,13 +197,13 @@ def genpy_class(name):
 @pytest.mark.parametrize(
     "name", INSTALLED or [pytest.param("", marks=pytest.mark.skip(reason="no ROS messages installed"))]
 )
-def test_installed_type_survives_round_trip(name):
+def test_installed_type_survives_round_trip(name: Any) -> None:
     definition = REGISTRY.find(name)
     generated = genpy_class(name)
 
     @brief
     @given(messages(definition, unicode))
-    def every_message(values):
+    def every_message(values: Any) -> None:
         raw = serialize(definition, values)
         if generated is not None:
             assert generated._md5sum == definition.md5sum
@@ -216,14 +217,14 @@ def test_installed_type_survives_round_trip(name):
 
 @settings(brief, max_examples=5)
 @given(st.data())
-def test_type_of_all_slots_survives_round_trip(data):
+def test_type_of_all_slots_survives_round_trip(data: st.DataObject) -> None:
     definition = WITHOUT_ROS.add("test_msgs/Everything", EVERYTHING)
     check_round_trip(definition, WITHOUT_ROS, serialize(definition, data.draw(messages(definition))))
 
 
 @settings(brief, max_examples=5)
 @given(st.data())
-def test_decoded_term_equals_reference_term(data):
+def test_decoded_term_equals_reference_term(data: st.DataObject) -> None:
     definition = WITHOUT_ROS.add("test_msgs/Everything", EVERYTHING)
     values = data.draw(messages(definition, printable))
     for index, slot in enumerate(definition.fields):
@@ -234,9 +235,9 @@ def test_decoded_term_equals_reference_term(data):
     assert freeze(term) == freeze(to_term(definition, values))
 
 
-def _without_codes(definition, values):
+def _without_codes(definition: Any, values: Any) -> Any:
     """Replace byte arrays, which may not be printable."""
-    replaced = []
+    replaced: List[Any] = []
     for slot, value in zip(definition.fields, values):
         if slot.is_bytes:
             value = b"x" * len(value)
@@ -249,12 +250,12 @@ def _without_codes(definition, values):
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_message_layout_survives_round_trip(shape):
+def test_message_layout_survives_round_trip(shape: Any) -> None:
     definition = WITHOUT_ROS.add(f"test_msgs/{shape}", SHAPES[shape] + _PARTS)
 
     @settings(brief, max_examples=20)
     @given(messages(definition, printable | st.binary(max_size=5)))
-    def every_message(values):
+    def every_message(values: Any) -> None:
         check_round_trip(definition, WITHOUT_ROS, serialize(definition, values))
 
     every_message()
@@ -268,7 +269,7 @@ slots = st.tuples(numbers | structs, st.sampled_from(["", "", "", "[]", "[0]", "
 @pytest.mark.slow
 @settings(brief, max_examples=100)
 @given(st.lists(slots, max_size=5), st.data())
-def test_random_type_survives_round_trip(slots, data):
+def test_random_type_survives_round_trip(slots: List[Any], data: st.DataObject) -> None:
     definitions = Definitions(InstalledTypes([], [], include_rosbags=False))
     text = "".join(f"{kind}{array} slot{number}\n" for number, (kind, array) in enumerate(slots))
     definition = definitions.add("test_msgs/Any", text + EVERYTHING[EVERYTHING.index("=") :])
@@ -285,6 +286,6 @@ def test_random_type_survives_round_trip(slots, data):
         assert write(raw) == to_text(decoder.decode(raw))
 
 
-def _refuse(definition, term, topic):
+def _refuse(definition: Any, term: Any, topic: Any) -> None:
     """Replace the slot-by-slot encoding, which decoded messages must not need."""
     raise AssertionError("a decoded message is encoded slot by slot")

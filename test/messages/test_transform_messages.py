@@ -25,12 +25,12 @@ TRANSFORMS = [
 
 
 @pytest.fixture(scope="module")
-def data():
+def data() -> bytes:
     pytest.importorskip("rosbags")
     return Definitions().encoder("tf2_msgs/TFMessage").encode(read_term(TERM, Operators.prolog()).term, "tf")
 
 
-def test_transforms_of_message_are_read(data):
+def test_transforms_of_message_are_read(data: bytes) -> None:
     for is_static in (False, True):
         reader = TransformReader(is_static)
         for _ in range(2):  # the second time from the cache of names
@@ -38,7 +38,7 @@ def test_transforms_of_message_are_read(data):
     assert TransformReader(False).read(pack("<I", 0)) == ([], False)
 
 
-def test_truncated_message_is_an_error(data):
+def test_truncated_message_is_an_error(data: bytes) -> None:
     reader = TransformReader(False)
     for length in range(len(data)):
         with pytest.raises(MessageError, match="too few"):
@@ -48,19 +48,19 @@ def test_truncated_message_is_an_error(data):
 
 
 @given(st.binary(max_size=300))
-def test_any_bytes_are_transforms_or_an_error(data):
+def test_any_bytes_are_transforms_or_an_error(data: bytes) -> None:
     try:
         TransformReader(False).read(data)
     except MessageError:
         pass
 
 
-def test_frame_that_is_no_utf8_is_an_error(data):
+def test_frame_that_is_no_utf8_is_an_error(data: bytes) -> None:
     with pytest.raises(MessageError, match="not UTF-8"):
         TransformReader(False).read(data.replace(b"map", b"\xff\xfe\xfd"))
 
 
-def test_cache_of_frame_names_is_bounded():
+def test_cache_of_frame_names_is_bounded() -> None:
     reader = TransformReader(False)
     for number in range(10_050):
         name = b"%d" % number

@@ -3,6 +3,8 @@
 import re
 from hashlib import md5
 from keyword import iskeyword
+from pathlib import Path
+from typing import Any, List, Tuple
 
 import pytest
 from reachability import reachable
@@ -24,21 +26,21 @@ from retalis.messages.type_registry import InstalledTypes
 HEADER = "uint32 seq\ntime stamp\nstring frame_id\n"
 
 
-def registry():
+def registry() -> Any:
     return Definitions(InstalledTypes([], [], include_rosbags=False))
 
 
-def read(text, name="pkg/Type"):
+def read(text: str, name: str = "pkg/Type") -> Any:
     return registry().add(name, text)
 
 
-def error_of(text):
+def error_of(text: str) -> Any:
     with pytest.raises(MessageError) as error:
         read(text)
     return error.value
 
 
-def test_slots_have_name_type_and_length():
+def test_slots_have_name_type_and_length() -> None:
     definition = read("# a comment\n\nfloat64 x # metres\nint32[]  many\nuint8[4] four\r\n\tstring name\n")
     assert [(slot.name, slot.type, slot.length) for slot in definition.fields] == [
         ("x", "float64", None),
@@ -49,7 +51,7 @@ def test_slots_have_name_type_and_length():
     assert [slot.describe() for slot in definition.fields] == ["float64", "int32[]", "uint8[4]", "string"]
 
 
-def test_constants_have_name_and_value():
+def test_constants_have_name_and_value() -> None:
     definition = read(
         "int8 LOW=-128\nuint8 MASK = 0x1F # bits\nfloat32 HALF=0.5\nbool YES=True\n"
         "string NAME= it's # not a comment \n"
@@ -64,7 +66,7 @@ def test_constants_have_name_and_value():
     assert definition.fields == ()
 
 
-def test_checksum_is_that_of_ros():
+def test_checksum_is_that_of_ros() -> None:
     assert read(HEADER, "std_msgs/Header").md5sum == "2176decaecbce78abc3b96ef049fabed"
     assert read("string data\n", "std_msgs/String").md5sum == "992ce8a1687cec8c8bd883ec73ca41d1"
     assert read("", "std_msgs/Empty").md5sum == "d41d8cd98f00b204e9800998ecf8427e"
@@ -73,29 +75,29 @@ def test_checksum_is_that_of_ros():
     assert read(text + vector, "geometry_msgs/Twist").md5sum == "9f195f881246fdfa2798d1d3eebca84a"
 
 
-def test_checksum_includes_constants_but_no_comments():
+def test_checksum_includes_constants_but_no_comments() -> None:
     plain = read("int32 x\nint32 Y=1\n")
     assert read("# why\nint32   x # what\n int32 Y = 1 # how\n").md5sum == plain.md5sum
     assert read("int32 x\nint32 Y=2\n").md5sum != plain.md5sum
 
 
-def test_header_is_type_of_std_msgs():
+def test_header_is_type_of_std_msgs() -> None:
     text = "Header header\n" + "=" * 80 + "\nMSG: std_msgs/Header\n" + HEADER
     assert read(text).fields[0].type == "std_msgs/Header"
     assert read(text.replace("Header header", "roslib/Header header")).md5sum == read(text).md5sum
 
 
-def test_nested_type_of_own_package_is_preferred():
+def test_nested_type_of_own_package_is_preferred() -> None:
     text = "Point p\n" + "=" * 80 + "\nMSG: pkg/Point\nint8 x\n" + "=" * 80 + "\nMSG: other/Point\nint16 x\n"
     assert read(text).fields[0].type == "pkg/Point"
 
 
-def test_nested_type_of_other_package_is_found():
+def test_nested_type_of_other_package_is_found() -> None:
     text = "Point p\n" + "=" * 80 + "\nMSG: geometry_msgs/Point\nfloat64 x\n"
     assert read(text).fields[0].type == "geometry_msgs/Point"
 
 
-def test_full_text_has_same_definition():
+def test_full_text_has_same_definition() -> None:
     text = "Header header\nInner[] all\n" + "=" * 80 + "\nMSG: pkg/Inner\nHeader header\n" + "=" * 80
     definition = read(text + "\nMSG: std_msgs/Header\n" + HEADER)
     again = read(definition.full_text)
@@ -115,7 +117,7 @@ def test_full_text_has_same_definition():
         ("int32[x] y\n", "expected 'type name'", 1, 1),
     ],
 )
-def test_error_has_place(text, message, line, column):
+def test_error_has_place(text: str, message: str, line: int, column: int) -> None:
     error = error_of(text)
     assert message in error.message
     assert (error.place.source, error.place.line, error.place.column) == ("pkg/Type", line, column)
@@ -133,7 +135,9 @@ def test_error_has_place(text, message, line, column):
         (f"uint8 X={'9' * 100_000}", "2:9: '9999"),
     ],
 )
-def test_odd_constant_is_ignored_with_warning(caplog, line, problem):
+def test_odd_constant_is_ignored_with_warning(
+    caplog: pytest.LogCaptureFixture, line: str, problem: str
+) -> None:
     definition = read(f"uint8 OK=0\n{line}\nint8 x\n")
     assert [constant.name for constant in definition.constants] == ["OK"]
     assert [slot.name for slot in definition.fields] == ["x"]
@@ -143,7 +147,7 @@ def test_odd_constant_is_ignored_with_warning(caplog, line, problem):
     assert len(record.getMessage()) < 1000
 
 
-def test_ignored_constants_count_for_checksum():
+def test_ignored_constants_count_for_checksum() -> None:
     definition = read("uint8 K = 0\nuint8 K = 0  # again\nfloat64 x\n")
     # md5 of the lines "uint8 K=0", "uint8 K=0", "float64 x", as genmsg computes it.
     assert definition.md5sum == md5(b"uint8 K=0\nuint8 K=0\nfloat64 x").hexdigest()
@@ -152,28 +156,28 @@ def test_ignored_constants_count_for_checksum():
     assert read(definition.full_text).md5sum == definition.md5sum
 
 
-def test_odd_constants_of_type_give_one_warning(caplog):
+def test_odd_constants_of_type_give_one_warning(caplog: pytest.LogCaptureFixture) -> None:
     section = "=" * 80 + "\nMSG: pkg/Inner\nbool B=2\nint8 y\n"
     read(f"uint8 _K=1\nuint8 _L=1\nInner inner\n{section}")
     (record,) = caplog.records
     assert record.getMessage().endswith(": this and 2 more constants are ignored")
 
 
-def test_error_in_nested_type_names_it():
+def test_error_in_nested_type_names_it() -> None:
     error = error_of("Inner inner\n" + "=" * 80 + "\nMSG: pkg/Inner\nint32 x\nfloat y\n")
     assert str(error.place) == "pkg/Inner:2:1"
 
 
-def test_recursive_type_is_refused():
+def test_recursive_type_is_refused() -> None:
     assert "pkg/Type contains itself" in error_of("Type inner\n").message
 
 
-def test_lone_surrogate_is_refused():
+def test_lone_surrogate_is_refused() -> None:
     error = error_of("int32 x\nstring X=a\ud800")
     assert (error.place.line, error.place.column) == (2, 11)
 
 
-def test_malformed_section_is_refused():
+def test_malformed_section_is_refused() -> None:
     assert "expected 'MSG: pkg/Type'" in error_of("int32 x\n" + "=" * 80 + "\nint32 y\n").message
     assert "expected 'MSG: pkg/Type'" in error_of("int32 x\n" + "=" * 80 + "\n").message
     both = "int32 x\n" + ("=" * 80 + "\nMSG: a/B\nint8 {}\n") * 2
@@ -182,18 +186,18 @@ def test_malformed_section_is_refused():
 
 
 @pytest.mark.parametrize("name", ["Type", "pkg/", "pkg/a/b", "1pkg/Type", ""])
-def test_invalid_type_name_is_refused(name):
+def test_invalid_type_name_is_refused(name: str) -> None:
     with pytest.raises(MessageError, match="expected a message type"):
         parse(name, "int8 x\n", lambda written, package: None)
 
 
-def test_functor_name_denotes_type():
+def test_functor_name_denotes_type() -> None:
     assert functor_name("geometry_msgs/Pose") == "geometry_msgs__0__Pose"
     assert type_name("geometry_msgs__0__Pose") == "geometry_msgs/Pose"
     assert type_name("tf") is None
 
 
-def section(name, text):
+def section(name: str, text: str) -> str:
     return "=" * 80 + f"\nMSG: {name}\n{text}"
 
 
@@ -225,13 +229,13 @@ TOO_LARGE = {
 
 
 @pytest.mark.parametrize(("text", "reason"), TOO_LARGE.values(), ids=TOO_LARGE)
-def test_definition_beyond_limit_is_refused(text, reason):
+def test_definition_beyond_limit_is_refused(text: Any, reason: Any) -> None:
     error = error_of(text)
     assert reason in str(error)
     assert len(str(error)) < 1000
 
 
-def test_recursive_installed_types_are_refused(tmp_path):
+def test_recursive_installed_types_are_refused(tmp_path: Path) -> None:
     for name, other in (("A", "B"), ("B", "A")):
         folder = tmp_path / "pkg" / "msg"
         folder.mkdir(parents=True, exist_ok=True)
@@ -242,7 +246,7 @@ def test_recursive_installed_types_are_refused(tmp_path):
             definitions.find("pkg/A")
 
 
-def test_sibling_types_add_no_depth():
+def test_sibling_types_add_no_depth() -> None:
     names = [f"pkg/Part{number}" for number in range(MAX_TYPE_DEPTH + 5)]
     text = "".join(f"{name} slot{number}\n" for number, name in enumerate(names))
     definition = read(text + "".join(section(name, "int8 x\n") for name in names))
@@ -250,7 +254,7 @@ def test_sibling_types_add_no_depth():
 
 
 @pytest.mark.slow
-def test_largest_types_are_decoded_and_encoded():
+def test_largest_types_are_decoded_and_encoded() -> None:
     definitions = registry()
     wide = definitions.add("pkg/Wide", "".join(f"int8 x{n}\n" for n in range(10_000)))
     deep = definitions.add(
@@ -265,7 +269,7 @@ def test_largest_types_are_decoded_and_encoded():
 
 
 @pytest.mark.slow
-def test_number_of_stored_definitions_is_bounded():
+def test_number_of_stored_definitions_is_bounded() -> None:
     definitions = registry()
     for number in range(3000):
         definitions.decoder(
@@ -289,13 +293,13 @@ def test_number_of_stored_definitions_is_bounded():
     ],
     ids=["array", "indent"],
 )
-def test_long_blanks_are_scanned_once(text, column, part):
+def test_long_blanks_are_scanned_once(text: str, column: int, part: str) -> None:
     error = error_of(text)
     assert error.place.column == column
     assert part in error.message
 
 
-def test_measure_beyond_limit_is_reported():
+def test_measure_beyond_limit_is_reported() -> None:
     for field, limit in (
         ("slot_count", MAX_SLOTS),
         ("depth", MAX_TYPE_DEPTH),
@@ -333,7 +337,7 @@ def test_measure_beyond_limit_is_reported():
         ("int8[0] a", Measure(slot_count=1, depth=1)),
     ],
 )
-def test_measure_counts_sizes_slots_and_depth(text, measure):
+def test_measure_counts_sizes_slots_and_depth(text: str, measure: Any) -> None:
     parts = {"Part": "int16 a\nint8 b\nNothing n", "Nothing": "", "Bare": "Nothing[3] n\nint8 a"}
     more = "".join(f"\n{'=' * 80}\nMSG: my_robot/{name}\n{part}" for name, part in parts.items())
     definitions = Definitions()
@@ -341,7 +345,7 @@ def test_measure_counts_sizes_slots_and_depth(text, measure):
     assert definition.measure == measure
 
 
-def slots_of_rosbags(text):
+def slots_of_rosbags(text: Any) -> Any:
     """Return the slots that rosbags reads from the definition of ``pkg/Type``; None if it rejects the text."""
     from rosbags.interfaces import Nodetype  # noqa: PLC0415
     from rosbags.typesys import TypesysError, get_types_from_msg  # noqa: PLC0415
@@ -350,7 +354,7 @@ def slots_of_rosbags(text):
         _, fields = get_types_from_msg(text, "pkg/msg/Type")["pkg/msg/Type"]
     except TypesysError:
         return None
-    slots = []
+    slots: List[Any] = []
     for name, (node, content) in fields:
         length = None
         if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
@@ -364,14 +368,14 @@ def slots_of_rosbags(text):
     return slots
 
 
-def slots_of(definition):
+def slots_of(definition: Any) -> List[Tuple[Any, ...]]:
     return [
         (slot.name, slot.type.replace("char", "uint8") if slot.definition is None else slot.type, slot.length)
         for slot in definition.fields
     ]
 
 
-def test_slots_agree_with_rosbags():
+def test_slots_agree_with_rosbags() -> None:
     pytest.importorskip("rosbags")
     from messages.reference_codecs import rosbags_types  # noqa: PLC0415
 
@@ -392,14 +396,14 @@ def test_slots_agree_with_rosbags():
         ("int32 x\nint32 x", "x is defined twice"),
     ],
 )
-def test_definition_refused_by_ros_is_refused(text, reason):
+def test_definition_refused_by_ros_is_refused(text: str, reason: str) -> None:
     pytest.importorskip("rosbags")
     assert reason in error_of(text).message
     assert slots_of_rosbags(text) is not None
 
 
 @pytest.mark.parametrize("text", ["float32 X=0.50", "int32 X=010"])
-def test_checksum_of_rosbags_differs_for_numerals(text):
+def test_checksum_of_rosbags_differs_for_numerals(text: str) -> None:
     pytest.importorskip("rosbags")
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: PLC0415
 

@@ -1,6 +1,8 @@
 """Registry of message types: added, installed, generated and received definitions."""
 
 import sys
+from pathlib import Path
+from typing import Any, Dict, List
 
 import pytest
 
@@ -20,11 +22,11 @@ string frame_id
 """
 
 
-def empty_registry():
+def empty_registry() -> Any:
     return Definitions(InstalledTypes([], [], include_rosbags=False))
 
 
-def write_package(root, name, **messages):
+def write_package(root: Any, name: str, **messages: Any) -> None:
     folder = root / name / "msg"
     folder.mkdir(parents=True)
     (root / name / "package.xml").write_text("<package/>")
@@ -32,7 +34,7 @@ def write_package(root, name, **messages):
         (folder / f"{kind}.msg").write_text(text)
 
 
-def test_received_type_leaves_installed_one():
+def test_received_type_leaves_installed_one() -> None:
     definitions = Definitions()
     installed = definitions.find("std_msgs/String").md5sum
     transforms = definitions.find("tf/tfMessage").md5sum
@@ -53,7 +55,7 @@ def test_received_type_leaves_installed_one():
     assert "my_pkg/Type1" not in definitions
 
 
-def test_added_type_is_found_with_nested_types():
+def test_added_type_is_found_with_nested_types() -> None:
     registry = empty_registry()
     definition = registry.add("pkg/Stamped", STAMPED)
     assert registry.find("pkg/Stamped") is definition
@@ -63,7 +65,7 @@ def test_added_type_is_found_with_nested_types():
     assert "pkg/Other" not in registry
 
 
-def test_types_are_found_by_ros2_names():
+def test_types_are_found_by_ros2_names() -> None:
     registry = empty_registry()
     definition = registry.add("pkg/msg/Stamped", STAMPED.replace("Inner inner", "pkg/msg/Inner inner"))
     assert definition.name == "pkg/Stamped"
@@ -81,7 +83,7 @@ def test_types_are_found_by_ros2_names():
     )
 
 
-def test_other_text_for_known_name_is_not_registered():
+def test_other_text_for_known_name_is_not_registered() -> None:
     registry = empty_registry()
     first = registry.add("pkg/Type", "int8 x\n")
     second = registry.add("pkg/Type", "int16 x\n")
@@ -92,7 +94,7 @@ def test_other_text_for_known_name_is_not_registered():
     assert registry.encoder("pkg/Type").definition is first
 
 
-def test_definition_with_other_checksum_is_refused():
+def test_definition_with_other_checksum_is_refused() -> None:
     registry = empty_registry()
     with pytest.raises(
         MessageError, match="the definition of pkg/Type does not match the messages: its checksum is"
@@ -103,12 +105,12 @@ def test_definition_with_other_checksum_is_refused():
     assert registry.add("pkg/Type", "int8 x\n", definition.md5sum) is definition
 
 
-def test_unknown_type_is_an_error():
+def test_unknown_type_is_an_error() -> None:
     with pytest.raises(MessageError, match="no definition of the message type pkg/Missing"):
         empty_registry().find("pkg/Missing")
 
 
-def test_installed_types_are_read_once(tmp_path):
+def test_installed_types_are_read_once(tmp_path: Path) -> None:
     write_package(tmp_path, "pkg", Outer="other/Inner inner\nOwn own\n", Own="int8 x\n")
     write_package(tmp_path, "other", Inner="float64 y\n")
     registry = Definitions(InstalledTypes([str(tmp_path)], [], include_rosbags=False))
@@ -117,14 +119,14 @@ def test_installed_types_are_read_once(tmp_path):
     assert registry.find("pkg/Outer") is outer
 
 
-def test_error_in_installed_type_names_file(tmp_path):
+def test_error_in_installed_type_names_file(tmp_path: Path) -> None:
     write_package(tmp_path, "pkg", Bad="int8 x\nint8 x\n")
     with pytest.raises(MessageError) as error:
         Definitions(InstalledTypes([str(tmp_path)], [], include_rosbags=False)).find("pkg/Bad")
     assert str(error.value.place) == f"{tmp_path}/pkg/msg/Bad.msg:2:6"
 
 
-def test_nested_packages_are_found(tmp_path):
+def test_nested_packages_are_found(tmp_path: Path) -> None:
     write_package(tmp_path / "src" / "stack", "pkg", Type="int8 x\n")
     (tmp_path / "src" / ".hidden").mkdir()
     registry = Definitions(
@@ -133,12 +135,12 @@ def test_nested_packages_are_found(tmp_path):
     assert registry.find("pkg/Type").fields[0].type == "int8"
 
 
-def test_folder_of_one_package_is_searched(tmp_path):
+def test_folder_of_one_package_is_searched(tmp_path: Path) -> None:
     write_package(tmp_path, "pkg", Type="int8 x\n")
     assert "pkg/Type" in Definitions(InstalledTypes([str(tmp_path / "pkg")], [], include_rosbags=False))
 
 
-def test_environment_variables_name_folders(tmp_path, monkeypatch):
+def test_environment_variables_name_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_package(tmp_path / "path", "one", Type="int8 x\n")
     write_package(tmp_path / "prefix" / "share", "two", Type="int16 x\n")
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "path"))
@@ -148,7 +150,7 @@ def test_environment_variables_name_folders(tmp_path, monkeypatch):
     assert registry.find("two/Type").fields[0].type == "int16"
 
 
-def generated_class(text, **changes):
+def generated_class(text: str, **changes: Any) -> Any:
     """Return the attributes of the class that genpy generates for ``pkg/Type``."""
     definition = empty_registry().add("pkg/Type", text)
     generated = GeneratedClass(
@@ -161,7 +163,7 @@ def generated_class(text, **changes):
     return generated._replace(**changes)
 
 
-def types_with_class(tmp_path, inspect_class, packages=(), **options):
+def types_with_class(tmp_path: Path, inspect_class: Any, packages: Any = (), **options: Any) -> Any:
     """Return the installed types, among which ``pkg/Type`` has a generated module."""
     folder = tmp_path / "modules" / "pkg" / "msg"
     folder.mkdir(parents=True, exist_ok=True)
@@ -171,10 +173,10 @@ def types_with_class(tmp_path, inspect_class, packages=(), **options):
     )
 
 
-def test_generated_class_with_module_is_inspected(tmp_path):
-    inspected = []
+def test_generated_class_with_module_is_inspected(tmp_path: Path) -> None:
+    inspected: List[Any] = []
 
-    def inspect_class(name):
+    def inspect_class(name: Any) -> Any:
         inspected.append(name)
         return generated_class(STAMPED)
 
@@ -189,18 +191,18 @@ def test_generated_class_with_module_is_inspected(tmp_path):
     assert "pkg" not in sys.modules
 
 
-def test_generated_modules_are_ignored_without_ros(tmp_path):
+def test_generated_modules_are_ignored_without_ros(tmp_path: Path) -> None:
     installed = types_with_class(tmp_path, None)
     assert installed.text("pkg/Type") is None
     assert (installed.packages(), installed.types("pkg")) == ([], [])
 
 
-def test_class_precedes_files_except_extra_folders(tmp_path):
+def test_class_precedes_files_except_extra_folders(tmp_path: Path) -> None:
     write_package(tmp_path / "files", "pkg", Type="int8 file\n")
     write_package(tmp_path / "extra" / "nested", "pkg", Type="int8 extra\n")
     files, extra = str(tmp_path / "files"), str(tmp_path / "extra")
 
-    def slot(*packages, **options):
+    def slot(*packages: Any, **options: Any) -> Any:
         installed = types_with_class(
             tmp_path, lambda name: generated_class("int8 generated\n"), packages, **options
         )
@@ -211,8 +213,8 @@ def test_class_precedes_files_except_extra_folders(tmp_path):
     assert slot(files, extra_folders=[str(tmp_path / "files" / "pkg")]) == "file"
 
 
-def test_failed_import_is_an_error_without_file(tmp_path):
-    def inspect_class(name):
+def test_failed_import_is_an_error_without_file(tmp_path: Path) -> None:
+    def inspect_class(name: Any) -> None:
         raise MessageError(f"{name}: cannot be imported")
 
     registry = Definitions(types_with_class(tmp_path, inspect_class))
@@ -233,14 +235,16 @@ def test_failed_import_is_an_error_without_file(tmp_path):
         ({"slot_types": ("int8", "uint8[4]")}, "its slots are not those of its definition"),
     ],
 )
-def test_class_with_other_definition_is_refused(tmp_path, changes, problem):
+def test_class_with_other_definition_is_refused(
+    tmp_path: Path, changes: Dict[str, Any], problem: str
+) -> None:
     generated = generated_class("int8 x\nuint8[3] y\n", **changes)
     with pytest.raises(MessageError, match=problem) as error:
         Definitions(types_with_class(tmp_path, lambda name: generated)).find("pkg/Type")
     assert "/somewhere/pkg/msg/_Type.py: the generated class of pkg/Type" in error.value.message
 
 
-def test_keyword_slots_and_old_headers_match_class(tmp_path):
+def test_keyword_slots_and_old_headers_match_class(tmp_path: Path) -> None:
     text = "roslib/Header header\nint8 lambda\nint8 from_\n" + STAMPED[STAMPED.index("=") :]
     generated = generated_class(text)
     changed = {"slots": ("header", "lambda_", "from_"), "slot_types": ("roslib/Header", "int8", "int8")}
@@ -249,7 +253,7 @@ def test_keyword_slots_and_old_headers_match_class(tmp_path):
         assert [slot.name for slot in definition.fields] == ["header", "lambda", "from_"]
 
 
-def test_types_of_rosbags_are_found():
+def test_types_of_rosbags_are_found() -> None:
     pytest.importorskip("rosbags")
     registry = Definitions(InstalledTypes([], []))
     assert registry.find("geometry_msgs/PoseStamped").md5sum == "d3812c3cbc69362b77dc0b19b345f8f5"
@@ -257,7 +261,7 @@ def test_types_of_rosbags_are_found():
     assert "pkg/Type" not in registry
 
 
-def test_types_of_rosbags_are_listed():
+def test_types_of_rosbags_are_listed() -> None:
     pytest.importorskip("rosbags")
     installed = InstalledTypes([], [])
     assert {"geometry_msgs", "sensor_msgs", "std_msgs"} <= set(installed.packages())
@@ -265,14 +269,14 @@ def test_types_of_rosbags_are_listed():
 
 
 @pytest.mark.parametrize("name", ["tf/tfMessage", "tf2_msgs/TFMessage"])
-def test_tf_message_is_found_by_both_names(name):
+def test_tf_message_is_found_by_both_names(name: str) -> None:
     pytest.importorskip("rosbags")
     definition = Definitions(InstalledTypes([], [])).find(name)
     assert definition.name == name
     assert definition.md5sum == "94810edda583a504dfda3829e70d7eec"
 
 
-def test_added_types_precede_installed_and_nested_ones(tmp_path):
+def test_added_types_precede_installed_and_nested_ones(tmp_path: Path) -> None:
     write_package(tmp_path, "pkg", Inner="int64 installed\n", Stamped="int64 installed\n")
     registry = Definitions(InstalledTypes([str(tmp_path)], [], include_rosbags=False))
     registry.add("pkg/Stamped", STAMPED)
@@ -280,12 +284,12 @@ def test_added_types_precede_installed_and_nested_ones(tmp_path):
     assert registry.find("pkg/Inner").fields[0].name == "installed"
 
 
-def test_type_name_with_path_is_not_found(tmp_path):
+def test_type_name_with_path_is_not_found(tmp_path: Path) -> None:
     write_package(tmp_path, "pkg", Type="int8 x\n")
     assert InstalledTypes([str(tmp_path / "other")], [], include_rosbags=False).text("../pkg/Type") is None
 
 
-def test_received_type_uses_matching_definition():
+def test_received_type_uses_matching_definition() -> None:
     registry = empty_registry()
     known = registry.add("pkg/A", "int8 x\n")
     assert registry.received("pkg/A", "pkg/A", "", known.md5sum) is known

@@ -4,6 +4,7 @@ A message is the list of its slot values; times are pairs; strings and byte arra
 """
 
 import struct
+from typing import Any, List
 
 from hypothesis import strategies as st
 
@@ -28,11 +29,11 @@ CODES = {
 NAN = float("nan")
 
 
-def serialize(definition, values):
+def serialize(definition: Any, values: Any) -> str:
     return b"".join(_slot(slot, value) for slot, value in zip(definition.fields, values))
 
 
-def _slot(slot, value):
+def _slot(slot: Any, value: Any) -> Any:
     if slot.length is None:
         return _single(slot, value)
     if slot.type in ("uint8", "char"):
@@ -42,7 +43,7 @@ def _slot(slot, value):
     return (struct.pack("<I", number) if slot.length < 0 else b"") + body
 
 
-def _single(slot, value):
+def _single(slot: Any, value: Any) -> Any:
     if slot.definition is not None:
         return serialize(slot.definition, value)
     if slot.type == "string":
@@ -54,12 +55,12 @@ def _single(slot, value):
     return struct.pack("<" + CODES[slot.type], value)
 
 
-def to_term(definition, values):
+def to_term(definition: Any, values: Any) -> Any:
     """Return the event term of a message with printable texts only."""
     name = definition.name.replace("/", "__0__")
     if not definition.fields:
         return atom(name)
-    arguments = []
+    arguments: List[Any] = []
     for slot, value in zip(definition.fields, values):
         if slot.length is None:
             arguments.append(_single_term(slot, value))
@@ -70,7 +71,7 @@ def to_term(definition, values):
     return functor(name, len(arguments))(*arguments)
 
 
-def _single_term(slot, value):
+def _single_term(slot: Any, value: Any) -> Any:
     if slot.definition is not None:
         return to_term(slot.definition, value)
     if slot.type == "string":
@@ -80,24 +81,24 @@ def _single_term(slot, value):
     return atom("true" if value else "false") if slot.type == "bool" else value
 
 
-def _text(value):
+def _text(value: bytes) -> Any:
     return atom('"' + value.decode("ascii") + '"')
 
 
-def _list(items):
+def _list(items: Any) -> Any:
     term = NIL
     for item in reversed(items):
         term = (CONS, item, term)
     return term
 
 
-def messages(definition: Definition, texts=None):
+def messages(definition: Definition, texts: Any = None) -> Any:
     """Return the strategy for messages of a type."""
     texts = st.binary(max_size=40) | st.text(max_size=20).map(str.encode) if texts is None else texts
     return st.tuples(*(_values(slot, texts) for slot in definition.fields)).map(list)
 
 
-def _values(slot, texts):
+def _values(slot: Any, texts: Any) -> Any:
     if slot.length is None:
         return _element(slot, texts)
     low, high = (0, 7 if slot.definition is None else 2) if slot.length < 0 else (slot.length,) * 2
@@ -110,7 +111,7 @@ def _values(slot, texts):
     return st.lists(_element(slot, texts), min_size=low, max_size=high)
 
 
-def _element(slot, texts):
+def _element(slot: Any, texts: Any) -> Any:
     if slot.definition is not None:
         return messages(slot.definition, texts)
     if slot.type == "string":

@@ -20,6 +20,7 @@ import tempfile
 import time
 from collections import Counter
 from pathlib import Path
+from typing import Any, List, Tuple
 
 import pytest
 from coverage import CoverageData
@@ -49,7 +50,7 @@ SAME_STATEMENT_LINES = 8
 """Lines before a mutant's line that may begin its statement; coverage counts some statements by their first line."""
 
 
-def main(argv) -> int:
+def main(argv: Any) -> int:
     """Run a campaign; return the exit status."""
     options = _options(argv)
     sampled = _sample(options)
@@ -67,7 +68,7 @@ def main(argv) -> int:
     return _summarize(results, options.most)
 
 
-def _options(argv):
+def _options(argv: Any) -> Any:
     parser = argparse.ArgumentParser(prog="python3 -m mutation", description=__doc__.split("\n")[0])
     add = parser.add_argument
     add("--places", type=int, default=200, help="number of mutants (default: %(default)s)")
@@ -88,7 +89,7 @@ def _options(argv):
     return parser.parse_args(argv)
 
 
-def _sample(options):
+def _sample(options: Any) -> Any:
     """Return (group, path, mutant, description) for each sampled mutant."""
     groups = {"paths": options.paths} if options.paths else {name: GROUPS[name] for name in options.groups}
     equivalent = {line.rsplit(" -- ", 1)[0] for line in EQUIVALENT.read_text().splitlines() if " -- " in line}
@@ -96,9 +97,9 @@ def _sample(options):
     if options.again:
         lines = Path(options.again).read_text().splitlines()
         again = {_key(line) for line in lines if line.startswith("survived: ")}
-    sampled = []
+    sampled: List[Any] = []
     for name, patterns in groups.items():
-        places = []
+        places: List[Any] = []
         paths = {path for pattern in patterns for path in (ROOT / "src" / "retalis").glob(pattern)}
         for path in sorted(paths):
             source = path.read_text(encoding="utf-8")
@@ -114,13 +115,13 @@ def _sample(options):
     return sampled
 
 
-def _key(line):
+def _key(line: Any) -> Tuple[Any, ...]:
     """Return what identifies a mutant in a line of the log, whatever its line number is now."""
     _, place, operator, text = line.split(": ", 3)
     return place.rsplit(":", 1)[0], operator, text
 
 
-def _summarize(results, most) -> int:
+def _summarize(results: Any, most: Any) -> int:
     total = sum(results.values())
     survived = sum(count for (_, survives), count in results.items() if survives)
     for group in sorted({name for name, _ in results}):
@@ -150,7 +151,7 @@ class _Copy:
         self._slow = slow
         self._tests = {}
 
-    def record(self, paths) -> None:
+    def record(self, paths: List[Any]) -> None:
         """Run the tests and record which of them execute which lines of some modules.
 
         Raises:
@@ -188,7 +189,7 @@ class _Copy:
                 for line, names in contexts.items()
             }
 
-    def try_mutant(self, path, mutant) -> str:
+    def try_mutant(self, path: Any, mutant: Any) -> str:
         """Return ``survived``, ``timeout`` or ``noticed``."""
         tests = self._tests_of(path, mutant.line)
         module = self._root / path
@@ -212,13 +213,13 @@ class _Copy:
                 return "noticed"
         return "survived"
 
-    def _require_tests(self, tests) -> None:
+    def _require_tests(self, tests: Any) -> None:
         """Exit unless pytest finds tests without a mutant; otherwise each mutant would count as noticed."""
         status, output = self._run(["--collect-only", "-n", "0", *tests], TIMEOUT_SECONDS)
         if status != pytest.ExitCode.OK:
             raise SystemExit(f"recorded tests are not found:\n{output[-5000:]}")
 
-    def _tests_of(self, path, line):
+    def _tests_of(self, path: Any, line: Any) -> List[Any]:
         """Return the tests that execute a line, those of its package first."""
         lines = self._tests[path]
         executed = next(
@@ -227,7 +228,7 @@ class _Copy:
         package = Path("test", *Path(path).relative_to("src/retalis").parts[:-1]).as_posix()
         return sorted(executed, key=lambda name: (not name.startswith(package), name))
 
-    def _run(self, arguments, timeout):
+    def _run(self, arguments: List[Any], timeout: Any) -> Tuple[Any, ...]:
         """Run pytest; return its exit status and the output."""
         command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--no-header", *arguments]
         environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1" if timeout else ""}

@@ -6,7 +6,7 @@ aliases and module constants are left alone: a change there alters nothing, or o
 
 import ast
 import re
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 COMPARISONS = {
     ast.Lt: ("<", "<="),
@@ -78,21 +78,21 @@ class _Finder(ast.NodeVisitor):
             self._lines.append(self._lines[-1] + len(line))
         self._in_function = False
 
-    def _start(self, node):
+    def _start(self, node: Any) -> Any:
         return self._lines[node.lineno - 1] + node.col_offset
 
-    def _end(self, node):
+    def _end(self, node: Any) -> Any:
         return self._lines[node.end_lineno - 1] + node.end_col_offset
 
-    def _text(self, node):
+    def _text(self, node: Any) -> str:
         return self._data[self._start(node) : self._end(node)].decode()
 
-    def _add(self, start, end, text, operator):
+    def _add(self, start: Any, end: Any, text: str, operator: str) -> None:
         if self._in_function:
             line = self._data.count(b"\n", 0, start) + 1
             self.mutants.append(Mutant(line, start, end, text, operator))
 
-    def _between(self, left, right, pattern, text, operator):
+    def _between(self, left: Any, right: Any, pattern: str, text: Any, operator: str) -> None:
         """Replace an operator that stands between two operands, beside parentheses and comments."""
         start, end = self._end(left), self._start(right)
         found = re.search(
@@ -103,7 +103,7 @@ class _Finder(ast.NodeVisitor):
 
     # Scopes and places without behaviour
 
-    def visit_FunctionDef(self, node):
+    def visit_FunctionDef(self, node: Any) -> None:
         outer, self._in_function = self._in_function, True
         body = node.body
         if isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant):
@@ -112,11 +112,11 @@ class _Finder(ast.NodeVisitor):
             self.visit(statement)
         self._in_function = outer
 
-    def visit_AnnAssign(self, node):
+    def visit_AnnAssign(self, node: Any) -> None:
         if node.value is not None:
             self.visit(node.value)
 
-    def visit_If(self, node):
+    def visit_If(self, node: Any) -> None:
         if isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
             return
         self._add(self._start(node.test), self._end(node.test), f"not ({self._text(node.test)})", "condition")
@@ -124,31 +124,31 @@ class _Finder(ast.NodeVisitor):
 
     # Expressions
 
-    def visit_Compare(self, node):
+    def visit_Compare(self, node: Any) -> None:
         operands = [node.left, *node.comparators]
         for left, operator, right in zip(operands, node.ops, operands[1:]):
             pattern, text = COMPARISONS[type(operator)]
             self._between(left, right, pattern, text, "comparison")
         self.generic_visit(node)
 
-    def visit_BoolOp(self, node):
+    def visit_BoolOp(self, node: Any) -> None:
         old, new = ("and", "or") if isinstance(node.op, ast.And) else ("or", "and")
         for left, right in zip(node.values, node.values[1:]):
             self._between(left, right, rf"\b{old}\b", new, "logic")
         self.generic_visit(node)
 
-    def visit_UnaryOp(self, node):
+    def visit_UnaryOp(self, node: Any) -> None:
         if isinstance(node.op, ast.Not):
             self._add(self._start(node), self._end(node), f"bool({self._text(node.operand)})", "logic")
         self.generic_visit(node)
 
-    def visit_BinOp(self, node):
+    def visit_BinOp(self, node: Any) -> None:
         if type(node.op) in OPERATORS:
             old, new = OPERATORS[type(node.op)]
             self._between(node.left, node.right, re.escape(old), new, "arithmetic")
         self.generic_visit(node)
 
-    def visit_Constant(self, node):
+    def visit_Constant(self, node: Any) -> None:
         if isinstance(node.value, bool):
             self._add(self._start(node), self._end(node), str(not node.value), "constant")
         elif isinstance(node.value, int):
@@ -156,24 +156,24 @@ class _Finder(ast.NodeVisitor):
 
     # Statements
 
-    def visit_Expr(self, node):
+    def visit_Expr(self, node: Any) -> None:
         if isinstance(node.value, ast.Call):
             self._add(self._start(node), self._end(node), "pass", "statement")
         self.generic_visit(node)
 
-    def visit_Assign(self, node):
+    def visit_Assign(self, node: Any) -> None:
         if any(isinstance(target, (ast.Attribute, ast.Subscript)) for target in node.targets):
             self._add(self._start(node), self._end(node), "pass", "statement")
         self.generic_visit(node)
 
-    def visit_AugAssign(self, node):
+    def visit_AugAssign(self, node: Any) -> None:
         self._add(self._start(node), self._end(node), "pass", "statement")
         self.generic_visit(node)
 
-    def visit_Raise(self, node):
+    def visit_Raise(self, node: Any) -> None:
         self._add(self._start(node), self._end(node), "pass", "statement")
 
-    def visit_Return(self, node):
+    def visit_Return(self, node: Any) -> None:
         if node.value is not None and not (isinstance(node.value, ast.Constant) and node.value.value is None):
             self._add(self._start(node), self._end(node), "return None", "return")
         self.generic_visit(node)

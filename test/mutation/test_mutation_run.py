@@ -9,7 +9,7 @@ from python_path import ROOT, python_path
 
 
 @pytest.mark.nightly
-def test_most_mutants_are_noticed():
+def test_most_mutants_are_noticed() -> None:
     run = subprocess.run(
         [sys.executable, "-m", "mutation", "--places", "60"],
         env={**os.environ, "PYTHONPATH": python_path(ROOT / "test")},

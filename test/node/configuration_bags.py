@@ -1,7 +1,7 @@
 """Small bags for the comparison of a node with playback: with and without stamps, repeated, out of order, nested."""
 
 import random
-from typing import NamedTuple, Tuple
+from typing import Any, NamedTuple, Tuple
 
 from retalis import BagWriter, Definitions, Operators
 from retalis.prolog.syntax.term_reader import read_term
@@ -57,7 +57,7 @@ BAGS = (
 )
 
 
-def write_bag(path, number, specification):
+def write_bag(path: Any, number: Any, specification: Any) -> Any:
     """Write the bag of a specification; return its path."""
     draw = random.Random(number)
     start = START + 1000 * number * SECOND
@@ -80,7 +80,7 @@ def write_bag(path, number, specification):
     return path
 
 
-def _stamp(draw, stamps, start, index):
+def _stamp(draw: Any, stamps: Any, start: Any, index: Any) -> Any:
     """Return the stamp of a message, in nanoseconds."""
     if stamps == "zero":
         return 0
@@ -93,7 +93,7 @@ def _stamp(draw, stamps, start, index):
     return start + index * SECOND // 7
 
 
-def _string(draw):
+def _string(draw: Any) -> Any:
     return draw.choice(
         [
             "keep",
@@ -109,20 +109,20 @@ def _string(draw):
     )
 
 
-def _header(draw, stamp):
+def _header(draw: Any, stamp: Any) -> str:
     seconds, nanoseconds = divmod(stamp, SECOND)
     return f"std_msgs__0__Header({draw.randrange(9)},[{seconds},{nanoseconds}],'\"{_string(draw)}\"')"
 
 
-def _note(draw, run, stamp):
+def _note(draw: Any, run: Any, stamp: Any) -> str:
     return f"configuration_msgs__0__Note({run},'\"{_string(draw)}\"')"
 
 
-def _number(draw, run, stamp):
+def _number(draw: Any, run: Any, stamp: Any) -> str:
     return f"configuration_msgs__0__Number({run},{draw.choice(['1.5', '0.0', '-2.5e300', 'inf', '3.0'])})"
 
 
-def _part(draw):
+def _part(draw: Any) -> str:
     floats = ",".join(str(draw.randrange(-8, 8) / 4) for _ in range(3))
     gaps = ",".join(f"[{draw.randrange(9)},{draw.randrange(SECOND)}]" for _ in range(draw.randrange(3)))
     ok = draw.choice(["true", "false"])
@@ -130,12 +130,12 @@ def _part(draw):
     return f"configuration_msgs__0__Part('\"{text}\"',[{floats}],{ok},[{draw.randrange(9)},5],[{gaps}],'\"xyz\"')"
 
 
-def _mark(draw, run, stamp):
+def _mark(draw: Any, run: Any, stamp: Any) -> str:
     parts = ",".join(_part(draw) for _ in range(draw.randrange(4)))
     return f"configuration_msgs__0__Mark({_header(draw, stamp)},{run},[{parts}])"
 
 
-def _pose(draw, run, stamp):
+def _pose(draw: Any, run: Any, stamp: Any) -> str:
     x = draw.randrange(100) / 8
     return (
         f"geometry_msgs__0__PoseStamped({_header(draw, stamp)},geometry_msgs__0__Pose("

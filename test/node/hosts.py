@@ -1,5 +1,7 @@
 """Hosts of programs, and another node, on a network in memory."""
 
+from typing import Any
+
 from node.memory_transport import MemoryTransport
 
 from retalis import Definitions, Reports
@@ -13,11 +15,11 @@ DEFINITIONS = Definitions()
 STRING = DEFINITIONS.find("std_msgs/String")
 
 
-def encode(text):
+def encode(text: Any) -> bytes:
     return DEFINITIONS.encoder(STRING).encode(make_message_term(STRING, {"data": text}))
 
 
-def decode(data):
+def decode(data: Any) -> Any:
     return read_message_term(STRING, DEFINITIONS.decoder(STRING).decode(data))["data"]
 
 
@@ -28,29 +30,29 @@ class Robot:
         received: received texts by topic.
     """
 
-    def __init__(self, network):
+    def __init__(self, network: Any) -> None:
         self.transport = MemoryTransport(network, "/robot")
         self.received = {}
 
-    def publish(self, topic, is_latched=False):
+    def publish(self, topic: Any, is_latched: bool = False) -> Any:
         """Return a publisher of texts."""
         return self.transport.advertise(topic, STRING, 10, is_latched)
 
-    def subscribe(self, topic):
+    def subscribe(self, topic: Any) -> None:
         """Receive the texts of a topic."""
         texts = self.received[topic] = []
 
         class Receiver:
-            def receive(self, messages):
+            def receive(self, messages: Any) -> None:
                 texts.extend(map(decode, messages))
 
-            def close(self, is_incomplete):
+            def close(self, is_incomplete: Any) -> None:
                 pass
 
         self.transport.subscribe(topic, STRING.name, lambda source: Receiver(), 10)
 
 
-def start_host(network, folder, **parameters):
+def start_host(network: Any, folder: Any, **parameters: Any) -> Any:
     """Start the program of a folder on a network.
 
     Args:

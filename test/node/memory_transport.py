@@ -4,6 +4,7 @@ Publishers and subscribers of one `MemoryNetwork` exchange messages at once, in 
 """
 
 from types import SimpleNamespace
+from typing import Any, List
 
 from retalis import UsageError
 from retalis.events.knowledge.transform_buffer import TransformBuffer
@@ -22,14 +23,14 @@ class MemoryNetwork:
         services: node and handler by the full name of a service.
     """
 
-    def __init__(self, now=1_000 * 10**9):
+    def __init__(self, now: int = 1_000 * 10**9) -> None:
         self.now = now
         self.subscriptions = {}
         self.publications = {}
         self.services = {}
         self.timers = []
 
-    def move_time(self, seconds):
+    def move_time(self, seconds: Any) -> None:
         """Advance the time and call each due timer at its time."""
         end = self.now + int(seconds * 10**9)
         while True:
@@ -45,7 +46,7 @@ class MemoryNetwork:
             due.callback()
         self.now = end
 
-    def connect(self, publication, subscription):
+    def connect(self, publication: Any, subscription: Any) -> None:
         """Connect a publisher and a subscriber of a topic, unless the subscriber ignores its own node."""
         if subscription.ignores_own and publication.source.node == subscription.node:
             return
@@ -53,7 +54,7 @@ class MemoryNetwork:
         if publication.source.is_latched and publication.last is not None:
             subscription.receivers[publication].receive([publication.last])
 
-    def call(self, service, **fields):
+    def call(self, service: Any, **fields: Any) -> Any:
         """Call a service and return the fields of its response."""
         return self.services[service][1](SimpleNamespace(**fields))
 
@@ -61,18 +62,18 @@ class MemoryNetwork:
 class MemorySubscription:
     """A subscription; see `retalis.node.transport.TopicSubscription`."""
 
-    def __init__(self, network, node, topic, connect, ignores_own):
+    def __init__(self, network: Any, node: Any, topic: Any, connect: Any, ignores_own: Any) -> None:
         self.network, self.node, self.topic, self.connect = network, node, topic, connect
         self.ignores_own = ignores_own
         self.receivers = {}
 
-    def publisher_count(self):
+    def publisher_count(self) -> int:
         return len(self.receivers)
 
-    def publishers(self):
+    def publishers(self) -> List[Any]:
         return [publication.source.node for publication in self.receivers]
 
-    def close(self):
+    def close(self) -> None:
         self.network.subscriptions[self.topic].remove(self)
 
 
@@ -83,30 +84,30 @@ class MemoryPublication:
         messages: the published messages.
     """
 
-    def __init__(self, network, topic, source):
+    def __init__(self, network: Any, topic: Any, source: Any) -> None:
         self.network, self.topic, self.source = network, topic, source
         self.messages = []
         self.dropped = 0
 
     @property
-    def sent(self):
+    def sent(self) -> int:
         return len(self.messages)
 
     @property
-    def last(self):
+    def last(self) -> Any:
         return self.messages[-1] if self.messages else None
 
-    def subscriber_count(self):
+    def subscriber_count(self) -> Any:
         return sum(self in subscription.receivers for subscription in self._subscriptions())
 
-    def send(self, *messages):
+    def send(self, *messages: Any) -> None:
         """Publish messages together."""
         self.messages += messages
         for subscription in self._subscriptions():
             if self in subscription.receivers:
                 subscription.receivers[self].receive(list(messages))
 
-    def close(self, is_incomplete=False):
+    def close(self, is_incomplete: bool = False) -> None:
         """End the connections."""
         self.network.publications[self.topic].remove(self)
         for subscription in self._subscriptions():
@@ -114,18 +115,18 @@ class MemoryPublication:
             if receiver is not None:
                 receiver.close(is_incomplete)
 
-    def _subscriptions(self):
+    def _subscriptions(self) -> List[Any]:
         return list(self.network.subscriptions.get(self.topic, ()))
 
 
 class MemoryTimer:
     """A timer; see `retalis.node.transport.Timer`."""
 
-    def __init__(self, network, instant, callback):
+    def __init__(self, network: Any, instant: Any, callback: Any) -> None:
         self.network, self.instant, self.callback = network, instant, callback
         network.timers.append(self)
 
-    def cancel(self):
+    def cancel(self) -> None:
         if self in self.network.timers:
             self.network.timers.remove(self)
 
@@ -133,7 +134,13 @@ class MemoryTimer:
 class MemoryTransport:
     """A node of a network; see `retalis.node.transport.Transport`."""
 
-    def __init__(self, network, node_name="/retalis", parameters=None, is_time_simulated=False):
+    def __init__(
+        self,
+        network: Any,
+        node_name: str = "/retalis",
+        parameters: Any = None,
+        is_time_simulated: bool = False,
+    ) -> None:
         self.network = network
         self.node_name = node_name
         self.is_time_simulated = is_time_simulated
@@ -142,35 +149,43 @@ class MemoryTransport:
         self.is_ended = False
         self._parameters = parameters or {}
 
-    def now(self):
+    def now(self) -> Any:
         return self.network.now
 
-    def on_clock(self, callback):
+    def on_clock(self, callback: Any) -> None:
         self.clock_callbacks.append(callback)
 
-    def call_later(self, delay, callback):
+    def call_later(self, delay: Any, callback: Any) -> MemoryTimer:
         return MemoryTimer(self.network, self.network.now + delay, callback)
 
-    def parameters(self):
+    def parameters(self) -> Any:
         return dict(self._parameters)
 
-    def resolve_topic(self, topic):
+    def resolve_topic(self, topic: Any) -> Any:
         fault = topic_fault(topic)
         if fault is not None:
             raise UsageError(fault)
         return topic if topic.startswith("/") else f"/{topic}"
 
-    def installed_types(self, include_rosbags=True):
+    def installed_types(self, include_rosbags: bool = True) -> Any:
         return InstalledTypes(include_rosbags=include_rosbags)
 
-    def subscribe(self, topic, message_type, connect, queue_size, max_delay=0.0, ignores_own=False):
+    def subscribe(
+        self,
+        topic: Any,
+        message_type: Any,
+        connect: Any,
+        queue_size: Any,
+        max_delay: float = 0.0,
+        ignores_own: bool = False,
+    ) -> Any:
         subscription = MemorySubscription(self.network, self.node_name, topic, connect, ignores_own)
         self.network.subscriptions.setdefault(topic, []).append(subscription)
         for publication in self.network.publications.get(topic, ()):
             self.network.connect(publication, subscription)
         return subscription
 
-    def advertise(self, topic, definition, queue_size, is_latched=False):
+    def advertise(self, topic: Any, definition: Any, queue_size: Any, is_latched: bool = False) -> Any:
         source = MessageSource(
             self.node_name,
             definition.name,
@@ -185,11 +200,11 @@ class MemoryTransport:
             self.network.connect(publication, subscription)
         return publication
 
-    def offer_service(self, name, service_type, handler):
+    def offer_service(self, name: Any, service_type: Any, handler: Any) -> None:
         name = f"{self.node_name}/{name[1:]}" if name.startswith("~") else self.resolve_topic(name)
         self.network.services[name] = (self.node_name, handler)
 
-    def graph(self):
+    def graph(self) -> Any:
         publications = self.network.publications
         return NodeGraph(
             {topic: entries[0].source.message_type for topic, entries in publications.items() if entries},
@@ -201,13 +216,13 @@ class MemoryTransport:
             {name: {node} for name, (node, _) in self.network.services.items()},
         )
 
-    def on_shutdown(self, callback):
+    def on_shutdown(self, callback: Any) -> None:
         self.shutdown_callbacks.append(callback)
 
-    def is_shut_down(self):
+    def is_shut_down(self) -> Any:
         return self.is_ended
 
-    def shut_down(self):
+    def shut_down(self) -> None:
         """End the node."""
         self.is_ended = True
         for callback in self.shutdown_callbacks:

@@ -1,6 +1,7 @@
 """Ten bags on a network in memory: the outputs of the node equal those of playback, in the same order."""
 
 from pathlib import Path
+from typing import Any, List, Tuple
 
 import pytest
 from node.configuration_bags import BAGS, DEFINITIONS_BY_TOPIC, write_bag
@@ -16,14 +17,14 @@ PUBLISHED = ("copies", "greens")
 SECOND = 10**9
 
 
-def record_outputs(engine):
+def record_outputs(engine: Any) -> Any:
     """Return the list to which the outputs of an engine are added as texts."""
-    texts = []
+    texts: List[Any] = []
     engine.on_output(lambda term, topic, name: texts.append(to_text((OUTPUT, term, atom(topic), name))))
     return texts
 
 
-def run_offline(path):
+def run_offline(path: Any) -> Tuple[Any, ...]:
     """Return the outputs of playback of a bag, as texts and as messages by topic."""
     with BagReader(path) as bag:
         playback = Playback(PROGRAM, pytest.fail, bag=bag)
@@ -35,7 +36,7 @@ def run_offline(path):
     return texts, messages
 
 
-def run_on_network(path):
+def run_on_network(path: Any) -> Tuple[Any, ...]:
     """Return the outputs of a node that receives the messages of a bag, as texts and as messages by topic."""
     with BagReader(path) as bag:
         records = list(bag.records())
@@ -65,7 +66,7 @@ def run_on_network(path):
 @pytest.mark.parametrize(
     ("number", "specification"), list(enumerate(BAGS)), ids=[specification.name for specification in BAGS]
 )
-def test_outputs_on_network_equal_those_of_playback(tmp_path, number, specification):
+def test_outputs_on_network_equal_those_of_playback(tmp_path: Path, number: Any, specification: Any) -> None:
     path = write_bag(tmp_path / "some.bag", number, specification)
     expected = run_offline(path)
     assert run_on_network(path) == expected

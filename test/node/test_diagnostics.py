@@ -1,6 +1,7 @@
 """Publishing of ``/diagnostics``."""
 
 import threading
+from typing import Any, Iterator, List
 
 import pytest
 from node.memory_transport import MemoryNetwork, MemoryTransport
@@ -32,33 +33,33 @@ class Listener:
         messages: the received messages.
     """
 
-    def __init__(self, network):
+    def __init__(self, network: Any) -> None:
         self.messages = []
         self._received = threading.Event()
         transport = MemoryTransport(network, "/listener")
         transport.subscribe(DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, lambda source: self, 10)
 
-    def receive(self, messages):
+    def receive(self, messages: Any) -> None:
         decode = DEFINITIONS.decoder(DEFINITION).decode
         self.messages += [read_message_term(DEFINITION, decode(data)) for data in messages]
         self._received.set()
 
-    def close(self, is_incomplete):
+    def close(self, is_incomplete: Any) -> None:
         pass
 
-    def wait(self):
+    def wait(self) -> Any:
         """Return the first message."""
         assert self._received.wait(60)
         return self.messages[0]
 
 
 @pytest.fixture
-def network():
+def network() -> Any:
     return MemoryNetwork(now=1_000_000_002)
 
 
 @pytest.fixture
-def transport(network):
+def transport(network: Any) -> Iterator[Any]:
     """Return a transport with the type of diagnostics, which does not depend on the installation of ROS."""
     transport = MemoryTransport(network, "/ns/retalis")
     transport.installed_types = lambda include_rosbags=True: InstalledTypes()
@@ -67,11 +68,11 @@ def transport(network):
 
 
 @pytest.fixture
-def listener(network):
+def listener(network: Any) -> Listener:
     return Listener(network)
 
 
-def test_each_part_is_a_status_of_node(transport, listener):
+def test_each_part_is_a_status_of_node(transport: Any, listener: Listener) -> None:
     Diagnostics(transport, 0.001, HEALTH, Reports(), "robot7")
     message = listener.wait()
     assert message["header"]["stamp"] == 1_000_000_002
@@ -85,12 +86,14 @@ def test_each_part_is_a_status_of_node(transport, listener):
     assert {status["hardware_id"] for status in message["status"]} == {"robot7"}
 
 
-def test_nothing_is_published_without_period(network, transport):
+def test_nothing_is_published_without_period(network: Any, transport: Any) -> None:
     Diagnostics(transport, None, HEALTH, Reports())
     assert network.publications == {}
 
 
-def test_missing_package_is_warned_of_once(network, transport, caplog):
+def test_missing_package_is_warned_of_once(
+    network: Any, transport: Any, caplog: pytest.LogCaptureFixture
+) -> None:
     transport.installed_types = lambda include_rosbags=True: InstalledTypes([], include_rosbags=False)
     Diagnostics(transport, 1.0, HEALTH, Reports())
     warnings = [record.getMessage() for record in caplog.records]
@@ -98,10 +101,10 @@ def test_missing_package_is_warned_of_once(network, transport, caplog):
     assert network.publications == {}
 
 
-def test_error_of_evaluation_does_not_end_publishing(transport, listener):
+def test_error_of_evaluation_does_not_end_publishing(transport: Any, listener: Listener) -> None:
     evaluations, reports = [], Reports()
 
-    def evaluate():
+    def evaluate() -> List[Any]:
         evaluations.append(1)
         if len(evaluations) == 1:
             raise RuntimeError("changed size during iteration")

@@ -3,13 +3,15 @@
 import logging
 import sys
 
+import pytest
+
 from retalis.engine.runtime.problem_reports import COUNTED_ATTRIBUTE
 from retalis.node.goal_output import MAX_PRINTED_LINE_CHARACTERS, LogCounts, PrintedLines
 
 FORGED = "[ERROR] [1700000000.000000]: the robot is on fire"
 
 
-def test_printed_lines_have_mark_and_are_complete(capsys):
+def test_printed_lines_have_mark_and_are_complete(capsys: pytest.CaptureFixture[str]) -> None:
     print_lines = PrintedLines("stdout")
     print_lines("a")
     assert capsys.readouterr().out == ""
@@ -20,17 +22,17 @@ def test_printed_lines_have_mark_and_are_complete(capsys):
     assert capsys.readouterr().out == "| c\n"
 
 
-def test_long_line_is_split(capsys):
+def test_long_line_is_split(capsys: pytest.CaptureFixture[str]) -> None:
     PrintedLines("stderr")("x" * (2 * MAX_PRINTED_LINE_CHARACTERS + 1))
     assert capsys.readouterr().err == f"| {'x' * MAX_PRINTED_LINE_CHARACTERS}\n" * 2
 
 
-def test_missing_standard_output_is_ignored(monkeypatch):
+def test_missing_standard_output_is_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdout", None)
     PrintedLines("stdout")("a\n")
 
 
-def test_records_are_counted_once():
+def test_records_are_counted_once() -> None:
     counts = LogCounts()
     logger = logging.Logger("test_log")
     logger.addHandler(counts)

@@ -1,5 +1,7 @@
 """Health of a node: levels, messages and values."""
 
+from typing import Any, Dict
+
 import pytest
 
 from retalis import Engine, StreamClock, Work
@@ -23,12 +25,12 @@ from retalis.node.topic_statistics import InputCounts, InputStatus, OutputStatus
 TOPIC = InputStatus("/tf", "tf/tfMessage", 1, 0, 0, 0, 0, None, None)
 
 
-def engine_health(engine, now=0.0, health=None, **changed):
+def engine_health(engine: Any, now: float = 0.0, health: Any = None, **changed: Any) -> Dict[Any, Any]:
     parts = (health or EngineHealth(1.0, 10.0)).evaluate(now, engine.status()._replace(**changed))
     return {part.name: part for part in parts}
 
 
-def test_topic_has_rate():
+def test_topic_has_rate() -> None:
     trends = CounterTrends()
     health = InputHealth(trends)
     for now, message_count in ((0.0, 0), (1.0, 50), (2.0, 150)):
@@ -38,7 +40,7 @@ def test_topic_has_rate():
     assert dict(part.values)["lag (s)"] == "0.250"
 
 
-def test_topic_without_publisher_is_a_warning():
+def test_topic_without_publisher_is_a_warning() -> None:
     health = InputHealth(CounterTrends())
     assert health.evaluate(0.0, TOPIC._replace(publishers=0)).level is Level.WARN
     assert health.evaluate(1.0, TOPIC).level is Level.OK
@@ -47,7 +49,7 @@ def test_topic_without_publisher_is_a_warning():
 @pytest.mark.parametrize(
     ("interval", "pause", "level"), [(0.1, 6, Level.STALE), (0.1, 4, Level.OK), (60, 300, Level.OK)]
 )
-def test_topic_is_stale_after_multiple_of_interval(interval, pause, level):
+def test_topic_is_stale_after_multiple_of_interval(interval: float, pause: int, level: Any) -> None:
     health = InputHealth(CounterTrends())
     for number in range(1, 20):
         health.evaluate(number * interval, TOPIC._replace(messages=number, age=0.0))
@@ -64,7 +66,7 @@ def test_topic_is_stale_after_multiple_of_interval(interval, pause, level):
         (InputRole.UNREAD, Level.OK, Level.OK, Level.OK),
     ],
 )
-def test_level_of_topic_depends_on_role(role, silent, unpublished, lost):
+def test_level_of_topic_depends_on_role(role: Any, silent: Any, unpublished: Any, lost: Any) -> None:
     health = InputHealth(CounterTrends(), lambda topic: role)
     for number in range(1, 20):
         health.evaluate(number * 0.1, TOPIC._replace(messages=number, age=0.0))
@@ -74,14 +76,14 @@ def test_level_of_topic_depends_on_role(role, silent, unpublished, lost):
     assert health.evaluate(34.0, status._replace(refused=1)).level is lost
 
 
-def test_latched_topic_is_never_stale():
+def test_latched_topic_is_never_stale() -> None:
     health = InputHealth(CounterTrends())
     assert STALE_AFTER_SECONDS < 1000
     for now in range(0, 1100, 100):
         assert health.evaluate(now, TOPIC._replace(messages=1, age=float(now))).level is Level.OK
 
 
-def test_restarted_topic_has_new_interval():
+def test_restarted_topic_has_new_interval() -> None:
     health = InputHealth(CounterTrends())
     for number in range(100, 110):
         health.evaluate(float(number), TOPIC._replace(messages=number, age=0.0))
@@ -90,7 +92,7 @@ def test_restarted_topic_has_new_interval():
     assert health.evaluate(300.0, TOPIC._replace(messages=19, age=81.0)).level is Level.STALE
 
 
-def test_removed_topic_has_no_interval():
+def test_removed_topic_has_no_interval() -> None:
     health = InputHealth(CounterTrends())
     for number in range(1, 20):
         health.evaluate(float(number), TOPIC._replace(messages=number, age=0.0))
@@ -101,7 +103,7 @@ def test_removed_topic_has_no_interval():
     assert health.evaluate(100.0, late).level is Level.OK  # its interval is unknown
 
 
-def test_loss_is_an_error_for_limited_time():
+def test_loss_is_an_error_for_limited_time() -> None:
     health = InputHealth(CounterTrends())
     health.evaluate(0.0, TOPIC)
     assert health.evaluate(1.0, TOPIC._replace(refused=1)).level is Level.ERROR
@@ -111,18 +113,18 @@ def test_loss_is_an_error_for_limited_time():
     assert (status.level, dict(status.values)["missing"]) == (Level.ERROR, "2")
 
 
-def test_dropped_output_is_a_warning():
+def test_dropped_output_is_a_warning() -> None:
     trends, status = CounterTrends(), OutputStatus("/pose", "geometry_msgs/PoseStamped", 1, 5, 0)
     assert evaluate_output(0.0, trends, status).level is Level.OK
     trends.remove_unrecorded()
     assert evaluate_output(1.0, trends, status._replace(dropped=3)).level is Level.WARN
 
 
-def test_idle_engine_is_ok():
+def test_idle_engine_is_ok() -> None:
     assert {part.level for part in engine_health(Engine()).values()} == {Level.OK}
 
 
-def test_full_queue_is_a_warning_and_loss_an_error():
+def test_full_queue_is_a_warning_and_loss_an_error() -> None:
     engine = Engine()
     assert engine_health(engine, queued=engine.settings.queue - 1)["queue"].level is Level.WARN
     health = EngineHealth(1.0, 10.0)
@@ -132,14 +134,14 @@ def test_full_queue_is_a_warning_and_loss_an_error():
 
 
 @pytest.mark.parametrize(("seconds", "level"), [(0.5, Level.OK), (2.0, Level.WARN), (11.0, Level.ERROR)])
-def test_level_of_work_depends_on_duration(seconds, level):
+def test_level_of_work_depends_on_duration(seconds: float, level: Any) -> None:
     work = Work("fire", seconds, "rule alarm: goal endless", "fire", "mine:1:1")
     part = engine_health(Engine(), work=work)["work"]
     assert part.level is level
     assert dict(part.values)["goal"] == "rule alarm: goal endless"
 
 
-def test_rules_with_errors_are_named():
+def test_rules_with_errors_are_named() -> None:
     engine = Engine()
     engine.load(rules="hot: a <- b(X) where X > 1.\nc <- b(_).", source="mine")
     engine.event("b(many)", 1)
@@ -149,7 +151,7 @@ def test_rules_with_errors_are_named():
     assert engine_health(engine, 2 * RECENT_SECONDS, health)["rules"].level is Level.WARN
 
 
-def test_long_wait_of_query_is_a_warning():
+def test_long_wait_of_query_is_a_warning() -> None:
     engine = Engine()
     engine.load(goals="memorize(a, [], _, m, 3)", rules="synchronized(seen, true, [[m, 9]]) <- marker.")
     engine.event("a", 2)
@@ -161,7 +163,7 @@ def test_long_wait_of_query_is_a_warning():
     assert part.values == [("seen", "since 5.000, for 11 s: waits for m (7.000 s behind)")]
 
 
-def test_number_of_values_is_limited():
+def test_number_of_values_is_limited() -> None:
     engine = Engine()
     engine.load(goals="memorize(a, [], _, m, 3)", rules="synchronized(seen(X), true, [[m, 9]]) <- marker(X).")
     for number in range(500):
@@ -181,7 +183,7 @@ def test_number_of_values_is_limited():
     )
 
 
-def test_topics_with_problems_precede_others():
+def test_topics_with_problems_precede_others() -> None:
     lossy_topic = TOPIC._replace(topic="/wrong", dropped=1)
     topics = [
         *(TOPIC._replace(topic=f"/t{number}") for number in range(300)),
@@ -195,7 +197,7 @@ def test_topics_with_problems_precede_others():
     assert parts[-2].message.startswith("102 ")
 
 
-def test_number_of_rules_with_errors_is_limited():
+def test_number_of_rules_with_errors_is_limited() -> None:
     engine = Engine()
     engine.load(rules="\n".join(f"a{number} <- b({number}) where 1 < X." for number in range(150)))
     for number in range(150):
@@ -205,17 +207,17 @@ def test_number_of_rules_with_errors_is_limited():
     assert part.message == "101 errors in 100 rules or more"
 
 
-def test_failed_load_is_an_error():
+def test_failed_load_is_an_error() -> None:
     assert evaluate_program(["mine:1:1: expected a term"], []).level is Level.ERROR
     assert evaluate_program([], []).level is Level.OK
 
 
-def test_memory_of_process_is_reported():
+def test_memory_of_process_is_reported() -> None:
     values = dict(evaluate_memory().values)
     assert int(values["resident (MB)"]) > 1
 
 
-def test_node_has_health_of_all_parts():
+def test_node_has_health_of_all_parts() -> None:
     engine = Engine()
     health = EngineHealth(1.0, 10.0)
     output = OutputStatus("/pose", "geometry_msgs/PoseStamped", 1, 5, 0)
@@ -231,7 +233,7 @@ def test_node_has_health_of_all_parts():
     ]
 
 
-def test_lag_is_measured_by_stamp():
+def test_lag_is_measured_by_stamp() -> None:
     counts = InputCounts(lambda: 5_000)
     counts.measure_lag(lambda data: 3_000, b"")
     assert (counts.lag, counts.needs_lag) == (2_000, False)
@@ -239,7 +241,7 @@ def test_lag_is_measured_by_stamp():
     assert counts.lag is None
 
 
-def test_rules_with_largest_state_are_named():
+def test_rules_with_largest_state_are_named() -> None:
     engine = Engine()
     engine.load(rules="few : a(K) <- b(K) with change(K, K).")
     engine.load(rules="many : c(K, A) <- aggregate(avg(V), d(K, V), A, last(3, events)).")
@@ -252,7 +254,7 @@ def test_rules_with_largest_state_are_named():
     assert list(values)[1].startswith("held by few")
 
 
-def test_lags_and_delays_are_reported():
+def test_lags_and_delays_are_reported() -> None:
     engine = Engine(StreamClock(10_000_000_000))
     engine.load(rules="lost <- beat seq absent(beat, 2).", source="mine")
     assert "late events" not in engine_health(engine)

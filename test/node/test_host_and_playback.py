@@ -1,6 +1,8 @@
 """Program host and playback: equal results on a network in memory and on a bag of the same messages."""
 
 import time
+from pathlib import Path
+from typing import Any, Dict, List, Tuple
 
 import pytest
 from node.memory_transport import MemoryNetwork, MemoryTransport
@@ -57,7 +59,7 @@ std_msgs__0__String(X) <- word('"where"') where (
 
 
 @pytest.fixture(scope="module")
-def definitions():
+def definitions() -> Any:
     definitions = Definitions()
     for name, text in TYPES.items():
         definitions.add(name, text)
@@ -65,21 +67,21 @@ def definitions():
 
 
 @pytest.fixture
-def program(tmp_path):
+def program(tmp_path: Path) -> Any:
     (tmp_path / "pub_sub.xml").write_text(TOPICS)
     (tmp_path / "goalPredicates.txt").write_text(GOALS)
     (tmp_path / "rules.txt").write_text(RULES)
     return tmp_path
 
 
-def messages(definitions):
+def messages(definitions: Any) -> List[Tuple[Any, ...]]:
     """Return time, topic, type and bytes of each message."""
 
-    def serialize(message_type, **fields):
+    def serialize(message_type: str, **fields: Any) -> bytes:
         definition = definitions.find(message_type)
         return definitions.encoder(definition).encode(make_message_term(definition, fields))
 
-    def heat(second, degrees):
+    def heat(second: int, degrees: float) -> Any:
         header = {"stamp": START + second * SECOND, "frame_id": "oven"}
         return serialize("lab/Heat", header=header, degrees=degrees)
 
@@ -104,14 +106,14 @@ def messages(definitions):
     return [(START + second * SECOND, *row) for second, *row in rows]
 
 
-def record_events(engine):
+def record_events(engine: Any) -> Any:
     """Return the list to which the events of an engine are added, with their times."""
-    events = []
+    events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append((to_text(term), start, end)))
     return events
 
 
-def run_on_network(program, definitions):
+def run_on_network(program: Any, definitions: Any) -> Tuple[Any, ...]:
     """Return events, outputs as messages, and the number of errors of a node."""
     network = MemoryNetwork(START)
     robot = MemoryTransport(network, "/robot")
@@ -124,7 +126,7 @@ def run_on_network(program, definitions):
         # A node subscribes to transforms in a thread.
         while "/tf_static" not in network.subscriptions:
             time.sleep(0.001)
-        publications = {}
+        publications: Dict[Any, Any] = {}
         for instant, topic, message_type, data in messages(definitions):
             network.move_time((instant - network.now) / SECOND)
             key = topic, message_type
@@ -140,22 +142,22 @@ def run_on_network(program, definitions):
     return events, outputs, reports.errors
 
 
-def run_on_bag(program, definitions, folder, rows):
+def run_on_bag(program: Any, definitions: Any, folder: Any, rows: Any) -> Tuple[Any, ...]:
     """Return events, outputs, outputs on a topic without a type, and errors of the playback of a bag."""
     path = folder / "recorded.bag"
     with BagWriter(path) as writer:
-        connections = {}
+        connections: Dict[Any, Any] = {}
         for instant, topic, message_type, data in rows:
             key = topic, message_type
             if key not in connections:
                 connections[key] = writer.add(topic, definitions.find(message_type))
             writer.write(connections[key], instant, data)
-    errors = []
+    errors: List[Any] = []
     with BagReader(path) as bag:
         playback = Playback(program, errors.append, bag=bag)
         events = record_events(playback.engine)
         outputs = {"/alarm": [], "/gate": []}
-        untyped = []
+        untyped: List[Any] = []
         for output in playback.run(bag):
             if output.topic == "untyped":
                 untyped.append(to_text(output.term))
@@ -164,7 +166,9 @@ def run_on_bag(program, definitions, folder, rows):
     return events, outputs, untyped, errors
 
 
-def test_network_and_bag_have_equal_results(program, definitions, tmp_path, caplog):
+def test_network_and_bag_have_equal_results(
+    program: Any, definitions: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     events, outputs, error_count = run_on_network(program, definitions)
     network_texts = [record.getMessage() for record in caplog.records]
     caplog.clear()
@@ -188,7 +192,7 @@ def test_network_and_bag_have_equal_results(program, definitions, tmp_path, capl
     ]
 
 
-def test_bag_has_transforms_for_later_goal(program, definitions, tmp_path):
+def test_bag_has_transforms_for_later_goal(program: Any, definitions: Any, tmp_path: Path) -> None:
     # The rules do not show that the program reads transforms, so that the first goal starts to read them.
     goal = "atom_concat(tf_, lookup, N), G =.. [N, map, camera, 0, [[X|_]|_]], call(G)"
     (program / "rules.txt").write_text(f"located(X) <- word(_) where ({goal}).\n")

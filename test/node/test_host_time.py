@@ -1,6 +1,7 @@
 """Time of a host: epochs, alarms and receipt stamps."""
 
 import threading
+from typing import Any, Iterator, List
 
 import pytest
 from node.memory_transport import MemoryNetwork, MemoryTransport
@@ -11,10 +12,10 @@ from retalis.node.host_time import HostClock, Receipts, SimulatedTime
 from retalis.prolog.terms.timestamps import SECOND
 
 
-def test_receipt_stamps_are_distinct_in_each_epoch():
+def test_receipt_stamps_are_distinct_in_each_epoch() -> None:
     times = [5, 5, 5, 4.5, 5.5, 2, 2, 9]
     receipts = Receipts(lambda: int(times[0] * SECOND))
-    stamps = []
+    stamps: List[Any] = []
     while times:
         stamps.append(receipts.stamp())
         times.pop(0)
@@ -27,7 +28,7 @@ def test_receipt_stamps_are_distinct_in_each_epoch():
     ]
 
 
-def test_wall_time_has_no_epochs():
+def test_wall_time_has_no_epochs() -> None:
     network = MemoryNetwork()
     time = SimulatedTime(MemoryTransport(network), Reports())
     time.start([], lambda end: None)
@@ -42,18 +43,18 @@ class SimulatedClock:
         ends: ends of the epochs in ns.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._network = MemoryNetwork(now=0)
         self.transport = MemoryTransport(self._network, is_time_simulated=True)
         self.ends, self._begun = [], threading.Semaphore(0)
         self.time = SimulatedTime(self.transport, Reports())
         self.time.start([threading.Lock()], self._record)
 
-    def _record(self, end):
+    def _record(self, end: Any) -> None:
         self.ends.append(end)
         self._begun.release()
 
-    def move(self, seconds, back=False):
+    def move(self, seconds: int, back: bool = False) -> None:
         self._network.now = seconds * SECOND
         for callback in self.transport.clock_callbacks:
             callback(self._network.now)
@@ -61,7 +62,7 @@ class SimulatedClock:
 
 
 @pytest.fixture
-def clock():
+def clock() -> Iterator[Any]:
     clock = SimulatedClock()
     yield clock
     clock.transport.shut_down()
@@ -73,7 +74,7 @@ def clock():
             thread.join(60)
 
 
-def test_backward_clock_begins_epoch(clock):
+def test_backward_clock_begins_epoch(clock: Any) -> None:
     for seconds in (8, 9):
         clock.move(seconds)
     clock.move(2, back=True)
@@ -81,7 +82,7 @@ def test_backward_clock_begins_epoch(clock):
     assert clock.time.now() == 2 * SECOND
 
 
-def test_engine_time_follows_begun_epoch(clock, monkeypatch):
+def test_engine_time_follows_begun_epoch(clock: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     host_clock = HostClock(clock.transport, clock.time.epochs)
     clock.move(9)
     clock.move(2, back=True)
@@ -95,7 +96,7 @@ def test_engine_time_follows_begun_epoch(clock, monkeypatch):
     assert host_clock.now() == 0
 
 
-def test_resumed_clock_waits_for_first_time(clock):
+def test_resumed_clock_waits_for_first_time(clock: Any) -> None:
     host_clock = HostClock(clock.transport, clock.time.epochs)
     host_clock.restore({**host_clock.snapshot(), "newest": 5 * SECOND})
     host_clock.start(lambda: None, is_resumed=True)
@@ -105,18 +106,18 @@ def test_resumed_clock_waits_for_first_time(clock):
 
 
 @pytest.fixture
-def network():
+def network() -> Any:
     return MemoryNetwork()
 
 
-def make_engine(network):
+def make_engine(network: Any) -> Any:
     clock = HostClock(MemoryTransport(network))
     engine = Engine(clock)
     clock.start(engine.advance)
     return engine
 
 
-def test_started_clock_sets_timer_of_restored_engine(network):
+def test_started_clock_sets_timer_of_restored_engine(network: Any) -> None:
     engine = make_engine(network)
     engine.load(rules="exceptionAlarm(late(X), 5) <- a(X).")
     engine.post(functor("a", 1)(1))
@@ -134,10 +135,10 @@ def test_started_clock_sets_timer_of_restored_engine(network):
 
 
 @pytest.mark.parametrize("is_stamped", [True, False])
-def test_absence_is_detected_by_a_timer(network, is_stamped):
+def test_absence_is_detected_by_a_timer(network: Any, is_stamped: bool) -> None:
     engine = make_engine(network)
     engine.load(rules="gone(K) <- a(K) seq absent(b(K), 5).")
-    events = []
+    events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append((engine.show(term), end // SECOND)))
     engine.post(functor("a", 1)(1), network.now if is_stamped else None)
     (timer,) = network.timers

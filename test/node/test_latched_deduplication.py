@@ -1,5 +1,7 @@
 """Recognition of repeated latched messages."""
 
+from typing import Any, Tuple
+
 import pytest
 
 from retalis.node import latched_deduplication
@@ -12,7 +14,7 @@ from retalis.node.latched_deduplication import (
 MAP = ("/map", "/map_server", "http://robot:4711/")
 
 
-def test_last_message_is_repeated_by_connection():
+def test_last_message_is_repeated_by_connection() -> None:
     inputs = LatchedMessageDeduplicator()
     first, second, third = LatchedConnection(*MAP), LatchedConnection(*MAP), LatchedConnection(*MAP)
     assert not inputs.record_message(first.describe_message(b"a"))
@@ -21,7 +23,7 @@ def test_last_message_is_repeated_by_connection():
     assert not inputs.record_message(third.describe_message(b"a"))
 
 
-def test_message_published_again_is_no_repetition():
+def test_message_published_again_is_no_repetition() -> None:
     inputs = LatchedMessageDeduplicator()
     connection = LatchedConnection(*MAP)
     assert [inputs.record_message(connection.describe_message(b"a")) for _ in range(3)] == [
@@ -45,20 +47,20 @@ def test_message_published_again_is_no_repetition():
         ("/map", "/map_server", "http://robot:4712/"),
     ],
 )
-def test_message_of_other_publisher_is_no_repetition(other):
+def test_message_of_other_publisher_is_no_repetition(other: Tuple[Any, ...]) -> None:
     inputs = LatchedMessageDeduplicator()
     assert not inputs.record_message(LatchedConnection(*MAP).describe_message(b"a"))
     assert not inputs.record_message(LatchedConnection(*other).describe_message(b"a"))
     assert inputs.record_message(LatchedConnection(*MAP).describe_message(b"a"))
 
 
-def test_publisher_without_address_has_no_repetition():
+def test_publisher_without_address_has_no_repetition() -> None:
     inputs = LatchedMessageDeduplicator()
     for _ in range(2):
         assert not inputs.record_message(LatchedConnection("/map", "/map_server", "").describe_message(b"a"))
 
 
-def test_message_of_previous_epoch_is_no_repetition():
+def test_message_of_previous_epoch_is_no_repetition() -> None:
     epoch = 0
     inputs = LatchedMessageDeduplicator(lambda: epoch)
     assert not inputs.record_message(LatchedConnection(*MAP).describe_message(b"a"))
@@ -67,11 +69,11 @@ def test_message_of_previous_epoch_is_no_repetition():
     assert inputs.record_message(LatchedConnection(*MAP).describe_message(b"a"))
 
 
-def test_least_recent_publisher_is_evicted(monkeypatch):
+def test_least_recent_publisher_is_evicted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(latched_deduplication, "MAX_PUBLISHERS", 2)
     inputs = LatchedMessageDeduplicator()
 
-    def repeats(topic):
+    def repeats(topic: Any) -> Any:
         return inputs.record_message(
             LatchedConnection(topic, "/node", "http://robot:1/").describe_message(b"a")
         )
@@ -79,7 +81,7 @@ def test_least_recent_publisher_is_evicted(monkeypatch):
     assert [repeats(topic) for topic in "abacab"] == [False, False, True, False, True, False]
 
 
-def test_written_mark_is_parsed():
+def test_written_mark_is_parsed() -> None:
     message = LatchedConnection(*MAP).describe_message(b"a")
     assert parse_latched_mark(message.to_mark()) == message
     assert parse_latched_mark(message._replace(may_be_repetition=False).to_mark()) == message._replace(

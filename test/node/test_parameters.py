@@ -1,6 +1,7 @@
 """Parameters of a node: defaults, conversions and errors."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -11,16 +12,16 @@ from retalis.prolog.machine.resource_limits import NO_LIMITS
 
 
 @pytest.fixture
-def read(monkeypatch):
+def read(monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.setattr(Path, "is_dir", lambda path: path.parts[1:2] != ("nowhere",))
 
-    def read(folder="/some/package", **values):
+    def read(folder: str = "/some/package", **values: Any) -> Any:
         return read_parameters(values, lambda: Path(folder) / "application_source")
 
     return read
 
 
-def test_defaults_of_parameters(read):
+def test_defaults_of_parameters(read: Any) -> None:
     parameters = read()
     assert parameters.program == Path("/some/package/application_source")
     assert (parameters.direct, parameters.embedded, parameters.queue) == ("auto", False, 5000)
@@ -28,12 +29,12 @@ def test_defaults_of_parameters(read):
     assert parameters.settings.max_depth == Settings().max_depth
 
 
-def test_hardware_id_is_a_text(read):
+def test_hardware_id_is_a_text(read: Any) -> None:
     assert read().hardware_id == read(hardware_id="").hardware_id == "retalis"
     assert read(hardware_id="robot7").hardware_id == "robot7"
 
 
-def test_limit_0_disables_default(read):
+def test_limit_0_disables_default(read: Any) -> None:
     settings = read().settings
     assert settings.limits == Limits(10.0, None, 500)
     assert (settings.watchdog, settings.limit_start) == (1.0, False)
@@ -42,7 +43,7 @@ def test_limit_0_disables_default(read):
     assert (settings.limits, settings.watchdog) == (NO_LIMITS, None)
 
 
-def test_limits_are_integers_or_floats(read):
+def test_limits_are_integers_or_floats(read: Any) -> None:
     limits = read(
         max_seconds=2, max_inferences=1e6, max_megabytes=0.5, max_output_megabytes=3
     ).settings.limits
@@ -50,7 +51,7 @@ def test_limits_are_integers_or_floats(read):
     assert isinstance(limits.inferences, int)
 
 
-def test_max_skew_is_unlimited_by_default(read):
+def test_max_skew_is_unlimited_by_default(read: Any) -> None:
     assert read().max_skew is None
     assert read(max_skew=0).max_skew is None
     assert read(max_skew=2).max_skew == 2.0
@@ -58,7 +59,7 @@ def test_max_skew_is_unlimited_by_default(read):
         read(max_skew="much")
 
 
-def test_max_gap_is_unlimited_by_default(read):
+def test_max_gap_is_unlimited_by_default(read: Any) -> None:
     assert read().settings.max_gap is None
     assert read(max_gap=0).settings.max_gap is None
     assert read(max_gap=0.5).settings.max_gap == 0.5
@@ -70,7 +71,7 @@ def test_max_gap_is_unlimited_by_default(read):
         read(max_gap=-1)
 
 
-def test_watermark_delay_is_auto_or_number(read):
+def test_watermark_delay_is_auto_or_number(read: Any) -> None:
     assert (read().settings.watermark_delay, read().settings.max_watermark_delay) == (None, 1)
     assert read(watermark_delay="auto").settings.watermark_delay is None
     assert read(watermark_delay=0).settings.watermark_delay == 0
@@ -80,7 +81,7 @@ def test_watermark_delay_is_auto_or_number(read):
             read(**{parameter: "much"})
 
 
-def test_program_replaces_default_folder(read):
+def test_program_replaces_default_folder(read: Any) -> None:
     assert read("/here").program == Path("/here/application_source")
     assert read("/here", program="/there").program == Path("/there")
 
@@ -92,19 +93,19 @@ def test_program_replaces_default_folder(read):
         ("/here", "/nowhere/it", "parameter ~program: /nowhere/it does not exist: give the absolute path"),
     ],
 )
-def test_missing_program_is_an_error_with_advice(read, package, program, text):
+def test_missing_program_is_an_error_with_advice(read: Any, package: str, program: str, text: str) -> None:
     with pytest.raises(UsageError, match=text):
         read(package, program=program)
 
 
-def test_program_file_is_an_error(tmp_path):
+def test_program_file_is_an_error(tmp_path: Path) -> None:
     path = tmp_path / "rules.txt"
     path.write_text("")
     with pytest.raises(UsageError, match=r"rules.txt is not a folder: give"):
         read_parameters({"program": str(path)}, Path)
 
 
-def test_numbers_and_flags_are_read(read):
+def test_numbers_and_flags_are_read(read: Any) -> None:
     parameters = read(
         queue=7, max_depth=5, max_seconds=2, max_inferences=1000, allow_goals=True, embedded=True
     )
@@ -118,7 +119,7 @@ def test_numbers_and_flags_are_read(read):
     assert parameters.embedded
 
 
-def test_folders_for_goals_are_empty_by_default(read):
+def test_folders_for_goals_are_empty_by_default(read: Any) -> None:
     settings = read().settings
     assert (settings.folders, settings.write_folders) == ((), ())
     settings = read(folders=["/data", "/more"], write_folders=["/out"], max_file_megabytes=5).settings
@@ -159,17 +160,17 @@ def test_folders_for_goals_are_empty_by_default(read):
         ("max_file_megabytes", "x"),
     ],
 )
-def test_invalid_value_is_an_error(read, name, value):
+def test_invalid_value_is_an_error(read: Any, name: str, value: Any) -> None:
     with pytest.raises(UsageError, match=name):
         read(**{name: value})
 
 
 @pytest.mark.parametrize("value", [["scan", "sensor_msgs/LaserScan"], [["scan", "sensor_msgs/LaserScan"]]])
-def test_list_of_direct_topics_is_read(read, value):
+def test_list_of_direct_topics_is_read(read: Any, value: Any) -> None:
     assert read(direct=value).direct == (TopicType("scan", "sensor_msgs/LaserScan"),)
 
 
-def test_unknown_parameter_is_warned_of(read, caplog):
+def test_unknown_parameter_is_warned_of(read: Any, caplog: pytest.LogCaptureFixture) -> None:
     read(max_second=1, queue=5, quick=True)
     warnings = [record.getMessage() for record in caplog.records]
     assert warnings[0] == "there is no parameter ~max_second; did you mean ~max_seconds?"
@@ -177,7 +178,7 @@ def test_unknown_parameter_is_warned_of(read, caplog):
     assert len(warnings) == 2
 
 
-def test_dashboard_is_disabled_by_default(read):
+def test_dashboard_is_disabled_by_default(read: Any) -> None:
     assert (read().dashboard, read().dashboard_queries) == (None, False)
     assert read(dashboard=True).dashboard == DASHBOARD_PORT
     assert read(dashboard=9000).dashboard == 9000

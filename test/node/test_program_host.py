@@ -1,5 +1,8 @@
 """A running program on a transport in memory."""
 
+from pathlib import Path
+from typing import Any, Iterator, List
+
 import pytest
 from node.hosts import DEFINITIONS, Robot, encode, start_host
 from node.memory_transport import MemoryNetwork
@@ -19,16 +22,16 @@ subscribe(std_msgs__0__String(_), [], _, alarm, s1)
 
 
 @pytest.fixture
-def network():
+def network() -> Any:
     return MemoryNetwork()
 
 
 @pytest.fixture
-def start(network, tmp_path):
+def start(network: Any, tmp_path: Path) -> Iterator[Any]:
     """Return a function that starts a host with rules and parameters."""
-    transports = []
+    transports: List[Any] = []
 
-    def start(rules, goals=GOALS, topics=TOPICS, **values):
+    def start(rules: str, goals: Any = GOALS, topics: Any = TOPICS, **values: Any) -> Any:
         (tmp_path / "pub_sub.xml").write_text(topics)
         (tmp_path / "goalPredicates.txt").write_text(goals)
         (tmp_path / "rules.txt").write_text(rules)
@@ -44,7 +47,7 @@ def start(network, tmp_path):
 ECHO = "std_msgs__0__String(X) <- scan(X).\n"
 
 
-def test_output_of_rule_is_published(network, start):
+def test_output_of_rule_is_published(network: Any, start: Any) -> None:
     robot = Robot(network)
     robot.subscribe("/alarm")
     start(ECHO)
@@ -52,7 +55,7 @@ def test_output_of_rule_is_published(network, start):
     assert robot.received["/alarm"] == ["fire"]
 
 
-def test_alarm_fires_by_time_of_transport(network, start):
+def test_alarm_fires_by_time_of_transport(network: Any, start: Any) -> None:
     robot = Robot(network)
     robot.subscribe("/alarm")
     start("std_msgs__0__String(silence) <- scan(X) seq absent(scan(_), 5).\n")
@@ -63,7 +66,7 @@ def test_alarm_fires_by_time_of_transport(network, start):
     assert robot.received["/alarm"] == ["silence"]
 
 
-def test_message_of_wrong_type_is_counted(network, start):
+def test_message_of_wrong_type_is_counted(network: Any, start: Any) -> None:
     start(ECHO)
     number = DEFINITIONS.find("std_msgs/Int32")
     Robot(network).transport.advertise("/scan", number, 10).send(b"\0\0\0\0")
@@ -73,7 +76,7 @@ def test_message_of_wrong_type_is_counted(network, start):
     assert (scan["messages"], scan["refused"]) == (1, 1)
 
 
-def test_damaged_message_does_not_stop_next_one(network, start):
+def test_damaged_message_does_not_stop_next_one(network: Any, start: Any) -> None:
     robot = Robot(network)
     robot.subscribe("/alarm")
     host = start(ECHO)
@@ -82,7 +85,7 @@ def test_damaged_message_does_not_stop_next_one(network, start):
     assert host.reports.errors == 1
 
 
-def test_latched_message_is_processed_once(network, start):
+def test_latched_message_is_processed_once(network: Any, start: Any) -> None:
     robot = Robot(network)
     robot.subscribe("/alarm")
     start(ECHO)
@@ -93,7 +96,7 @@ def test_latched_message_is_processed_once(network, start):
     assert robot.received["/alarm"] == ["map"]
 
 
-def test_services_change_program(network, start):
+def test_services_change_program(network: Any, start: Any) -> None:
     robot = Robot(network)
     robot.subscribe("/alarm")
     start("", topics=TOPICS.replace('name="scan"', 'name="other"'))
@@ -109,7 +112,7 @@ def test_services_change_program(network, start):
     assert network.call("/retalis/delete_rule", label=added["label"]) == {"result": "ok"}
 
 
-def test_query_answers_with_bindings(network, start):
+def test_query_answers_with_bindings(network: Any, start: Any) -> None:
     start("", goals="assert(door(open))\n")
     answer = network.call(
         "/retalis/query",
@@ -124,7 +127,7 @@ def test_query_answers_with_bindings(network, start):
     assert answer["solutions"] == [{"bindings": [{"name": "X", "text": "open", "json": '"open"'}]}]
 
 
-def test_topic_of_goal_is_subscribed(network, start):
+def test_topic_of_goal_is_subscribed(network: Any, start: Any) -> None:
     robot = Robot(network)
     robot.subscribe("/alarm")
     start("std_msgs__0__String(X) <- said(X).\n", GOALS + "subscribe_to(speech, 'std_msgs/String', said)\n")
@@ -132,7 +135,7 @@ def test_topic_of_goal_is_subscribed(network, start):
     assert robot.received["/alarm"] == ["hello"]
 
 
-def test_events_and_outputs_are_exchanged_as_text(network, start):
+def test_events_and_outputs_are_exchanged_as_text(network: Any, start: Any) -> None:
     robot = Robot(network)
     robot.subscribe("/retalisInputEvents")
     robot.subscribe("/retalisOutputEvents")
@@ -149,7 +152,7 @@ def test_events_and_outputs_are_exchanged_as_text(network, start):
     assert read_text_message(serialize_text("ä")) == "ä"
 
 
-def test_state_is_restored_from_checkpoint(network, start, tmp_path):
+def test_state_is_restored_from_checkpoint(network: Any, start: Any, tmp_path: Path) -> None:
     robot = Robot(network)
     robot.subscribe("/alarm")
     rules = "std_msgs__0__String(pair) <- scan(_) seq scan(_).\n"

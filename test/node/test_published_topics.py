@@ -1,5 +1,7 @@
 """Published topics: outputs as messages."""
 
+from typing import Any, List
+
 import pytest
 from node.memory_transport import MemoryNetwork, MemoryTransport
 
@@ -10,8 +12,8 @@ from retalis.node.text_exchange import WATCH
 TEXT = functor("std_msgs__0__String", 1)(atom('"a"'))
 
 
-def test_outputs_of_load_are_relayed_in_order():
-    received = []
+def test_outputs_of_load_are_relayed_in_order() -> None:
+    received: List[Any] = []
     relay = OutputRelay(10, Reports())
     relay("a", "topic", "id")
     relay("b", "topic", "id")
@@ -20,7 +22,7 @@ def test_outputs_of_load_are_relayed_in_order():
     assert received == [item for name in "abc" for item in ((name, "topic", "id"), "second")]
 
 
-def test_excess_outputs_of_load_are_dropped():
+def test_excess_outputs_of_load_are_dropped() -> None:
     reports, received = Reports(), []
     relay = OutputRelay(2, reports)
     for number in range(5):
@@ -30,12 +32,12 @@ def test_excess_outputs_of_load_are_dropped():
 
 
 @pytest.fixture
-def network():
+def network() -> Any:
     return MemoryNetwork()
 
 
 @pytest.fixture
-def topics(network):
+def topics(network: Any) -> Any:
     """Return published topics, with their definitions and reports as attributes."""
     definitions, reports = Definitions(), Reports()
     topics = PublishedTopics(MemoryTransport(network), definitions, 5, reports)
@@ -43,7 +45,7 @@ def topics(network):
     return topics
 
 
-def test_output_is_published_as_message(network, topics):
+def test_output_is_published_as_message(network: Any, topics: Any) -> None:
     topics.advertise("said", "std_msgs/String")
     topics.publish(TEXT, "said")
     (publication,) = network.publications["/said"]
@@ -52,20 +54,20 @@ def test_output_is_published_as_message(network, topics):
     assert (status.topic, status.type, status.sent) == ("/said", "std_msgs/String", 1)
 
 
-def test_term_of_another_type_is_reported(network, topics):
+def test_term_of_another_type_is_reported(network: Any, topics: Any) -> None:
     topics.advertise("said", "std_msgs/String")
     topics.publish(atom("a"), "said")
     assert (network.publications["/said"][0].messages, topics.reports.errors) == ([], 1)
 
 
-def test_topic_has_one_type(topics):
+def test_topic_has_one_type(topics: Any) -> None:
     topics.advertise("said", "std_msgs/String")
     topics.advertise("said", "std_msgs/String")
     with pytest.raises(UsageError, match="topic said already has the type std_msgs/String"):
         topics.advertise("said", "std_msgs/Int8")
 
 
-def test_topic_is_advertised_if_type_is_found(network, topics):
+def test_topic_is_advertised_if_type_is_found(network: Any, topics: Any) -> None:
     with pytest.raises(MessageError):
         topics.advertise("door", "lab/Door")
     topics.publish(TEXT, "door")
@@ -79,7 +81,7 @@ def test_topic_is_advertised_if_type_is_found(network, topics):
 @pytest.mark.parametrize(
     ("topic", "warnings"), [("said", 0), ("/said", 0), ("other", 1), (f"{WATCH}1", 0), ("no name!", 1)]
 )
-def test_topic_without_type_is_warned_of_once(network, topic, warnings):
+def test_topic_without_type_is_warned_of_once(network: Any, topic: str, warnings: int) -> None:
     reports = Reports()
     checker = UntypedTopicWarnings(MemoryTransport(network), ["said"], reports)
     checker.check(topic)

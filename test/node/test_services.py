@@ -1,6 +1,7 @@
 """Parsing and size limits of service requests."""
 
 from types import SimpleNamespace
+from typing import Any, Dict, List
 
 import pytest
 from node.memory_transport import MemoryNetwork, MemoryTransport
@@ -12,17 +13,17 @@ from retalis.node.services import EngineServices, ListService, QueryServices, of
 
 
 @pytest.fixture
-def network():
+def network() -> Any:
     return MemoryNetwork()
 
 
 @pytest.fixture
-def transport(network):
+def transport(network: Any) -> Any:
     return MemoryTransport(network)
 
 
 @pytest.fixture
-def engine(transport):
+def engine(transport: Any) -> Any:
     """Return an engine with services."""
     engine = Engine()
     untyped_topics = UntypedTopicWarnings(transport, (), Reports())
@@ -32,8 +33,10 @@ def engine(transport):
     return engine
 
 
-def test_long_format_is_traversed_few_times(network, engine, monkeypatch):
-    traversed = []
+def test_long_format_is_traversed_few_times(
+    network: Any, engine: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    traversed: List[Any] = []
     variables = services.variables
     monkeypatch.setattr(services, "variables", lambda term: traversed.append(term) or variables(term))
     slots = ",".join(f"X{number}" for number in range(200))
@@ -42,17 +45,19 @@ def test_long_format_is_traversed_few_times(network, engine, monkeypatch):
     assert 0 < len(traversed) < 5
 
 
-def test_unbound_variable_of_format_is_warned_of(network, engine, caplog):
+def test_unbound_variable_of_format_is_warned_of(
+    network: Any, engine: Any, caplog: pytest.LogCaptureFixture
+) -> None:
     network.call("/add_memory", event="a(X)", conditions="", format="b(X,Y)", id="m", size="5")
     assert "memorize m: nothing in event or conditions gives Y in the format a value" in caplog.text
 
 
-def test_long_request_is_not_parsed(network, transport):
-    handled = []
+def test_long_request_is_not_parsed(network: Any, transport: Any) -> None:
+    handled: List[Any] = []
     offer_service(transport, "~query", "Query", lambda request: handled.append(request) or {"result": "ok"})
     half = services.MAX_REQUEST_CHARACTERS // 2
 
-    def call(goal, wait_for):
+    def call(goal: str, wait_for: List[str]) -> Any:
         return network.call("/retalis/query", goal=goal, wait_for=wait_for, seconds=1.0)
 
     assert call("a" * half, ["b", "b" * (half - 1)]) == {"result": "ok"}
@@ -73,13 +78,13 @@ def test_long_request_is_not_parsed(network, transport):
         ({"conditions": "3"}, "conditions: expected goals: atoms or compound terms, found 3"),
     ],
 )
-def test_invalid_memory_is_refused(network, engine, changed, error):
+def test_invalid_memory_is_refused(network: Any, engine: Any, changed: Dict[str, Any], error: str) -> None:
     request = {"event": "a(X)", "conditions": "", "format": "_", "id": "m", "size": "5", **changed}
     assert network.call("/add_memory", **request)["result"].startswith(f"error: {error}")
     assert network.call("/retalis/list", most=0)["memories"] == []
 
 
-def test_memory_is_added_and_deleted_once(network, engine):
+def test_memory_is_added_and_deleted_once(network: Any, engine: Any) -> None:
     request = {"event": "a(X)", "conditions": "", "format": "_", "id": "m", "size": "5"}
     assert network.call("/add_memory", **request) == {"result": "ok"}
     assert network.call("/add_memory", **request) == {"result": "error: a memory m already exists"}
@@ -88,13 +93,13 @@ def test_memory_is_added_and_deleted_once(network, engine):
     assert network.call("/delete_memory", id="m") == {"result": "error: there is no memory m"}
 
 
-def test_long_list_is_cut_and_counted(network, engine):
+def test_long_list_is_cut_and_counted(network: Any, engine: Any) -> None:
     engine.load(rules="\n".join(f"a{number} <- b{number}." for number in range(5)))
     response = network.call("/retalis/list", most=2)
     assert (len(response["rules"]), response["more_rules"]) == (2, 3)
 
 
-def test_query_of_waiting_memories_times_out(network, engine):
+def test_query_of_waiting_memories_times_out(network: Any, engine: Any) -> None:
     network.call("/add_memory", event="a(X)", conditions="", format="_", id="m", size="5")
     request = {"goal": "true", "max_solutions": 0, "seconds": 0.0, "inferences": 0}
     response = network.call("/retalis/query", wait_for=["m"], stamp=10**9, timeout=0.01, **request)

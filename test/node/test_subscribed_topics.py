@@ -2,6 +2,7 @@
 
 import struct
 import threading
+from typing import Any, List
 
 import pytest
 from node.memory_transport import MemoryNetwork, MemoryTransport
@@ -25,21 +26,21 @@ WARM = struct.pack("<f", 36.5)
 
 
 @pytest.fixture
-def network():
+def network() -> Any:
     return MemoryNetwork()
 
 
 @pytest.fixture
-def reports():
+def reports() -> Any:
     return Reports()
 
 
 @pytest.fixture
-def publish(network):
+def publish(network: Any) -> Any:
     """Return a function that publishes messages of a type on ``/heat``, together."""
     transport = MemoryTransport(network, "/thermometer")
 
-    def publish(message_type, *messages, definition=None):
+    def publish(message_type: str, *messages: Any, definition: Any = None) -> Any:
         definition = definition or Definitions().add(message_type, TEXT)
         publication = transport.advertise("/heat", definition, 10)
         publication.send(*messages)
@@ -49,13 +50,19 @@ def publish(network):
 
 
 @pytest.fixture
-def subscribe(network, reports):
+def subscribe(network: Any, reports: Any) -> Any:
     """Return a function that subscribes to ``/heat``, and the results of the handler."""
 
-    def subscribe(message_type, make_handler=None, event="", definitions=None, **processing):
-        results = []
+    def subscribe(
+        message_type: str,
+        make_handler: Any = None,
+        event: str = "",
+        definitions: Any = None,
+        **processing: Any,
+    ) -> Any:
+        results: List[Any] = []
 
-        def decode(decoder, topic, source):
+        def decode(decoder: Any, topic: Any, source: Any) -> Any:
             return lambda data: results.append(decoder.decode(data))
 
         SubscribedTopic(
@@ -71,12 +78,14 @@ def subscribe(network, reports):
     return subscribe
 
 
-def texts(caplog):
+def texts(caplog: pytest.LogCaptureFixture) -> List[Any]:
     return [record.getMessage() for record in caplog.records]
 
 
 @pytest.mark.parametrize(("event", "name"), [("warm", "warm"), ("", "lab__0__Temperature")])
-def test_events_have_the_given_name(subscribe, publish, caplog, event, name):
+def test_events_have_the_given_name(
+    subscribe: Any, publish: Any, caplog: pytest.LogCaptureFixture, event: str, name: str
+) -> None:
     results = subscribe("lab/Temperature", event=event)
     publish("lab/Temperature", WARM)
     assert [(term[0].name, term[1]) for term in results] == [(name, 36.5)]
@@ -84,7 +93,7 @@ def test_events_have_the_given_name(subscribe, publish, caplog, event, name):
 
 
 @pytest.mark.parametrize("message_type", ["*", "std_msgs/String"])
-def test_source_without_definition_has_known_type(subscribe, network, message_type):
+def test_source_without_definition_has_known_type(subscribe: Any, network: Any, message_type: str) -> None:
     results = subscribe("std_msgs/String")
     (subscription,) = network.subscriptions["/heat"]
     subscription.connect(MessageSource("", message_type)).receive([b"\1\0\0\0a"])
@@ -95,7 +104,9 @@ def test_source_without_definition_has_known_type(subscribe, network, message_ty
     ("message_type", "error"),
     [("std_msgs/Int8", "expected std_msgs/String, found std_msgs/Int8"), ("lab/Unknown", "lab/Unknown")],
 )
-def test_source_of_other_type_is_refused(subscribe, network, caplog, message_type, error):
+def test_source_of_other_type_is_refused(
+    subscribe: Any, network: Any, caplog: pytest.LogCaptureFixture, message_type: str, error: str
+) -> None:
     results = subscribe("std_msgs/String")
     (subscription,) = network.subscriptions["/heat"]
     subscription.connect(MessageSource("/talker", message_type)).receive([b"\1"])
@@ -104,7 +115,9 @@ def test_source_of_other_type_is_refused(subscribe, network, caplog, message_typ
     assert "a message of /talker is dropped" in texts(caplog)[0]
 
 
-def test_misspelt_type_is_named_at_connection(subscribe, publish, caplog):
+def test_misspelt_type_is_named_at_connection(
+    subscribe: Any, publish: Any, caplog: pytest.LogCaptureFixture
+) -> None:
     results = subscribe("lab/Temperatur")
     publish("lab/Temperature", WARM)
     assert [term[0].name for term in results] == ["lab__0__Temperatur"]
@@ -113,7 +126,9 @@ def test_misspelt_type_is_named_at_connection(subscribe, publish, caplog):
     assert "/thermometer publishes lab/Temperature" in warning
 
 
-def test_messages_of_other_type_are_counted(subscribe, publish, reports, caplog):
+def test_messages_of_other_type_are_counted(
+    subscribe: Any, publish: Any, reports: Any, caplog: pytest.LogCaptureFixture
+) -> None:
     results = subscribe("std_msgs/String")
     publish("lab/Temperature", *[WARM] * 7)
     reports.sum_up()
@@ -124,7 +139,9 @@ def test_messages_of_other_type_are_counted(subscribe, publish, reports, caplog)
     assert (texts(caplog)[0], texts(caplog)[-1]) == (text, f"7 times in all: {text}")
 
 
-def test_damaged_messages_are_dropped_and_counted(subscribe, publish, reports, caplog):
+def test_damaged_messages_are_dropped_and_counted(
+    subscribe: Any, publish: Any, reports: Any, caplog: pytest.LogCaptureFixture
+) -> None:
     results = subscribe("lab/Temperature")
     publish("lab/Temperature", *[b"12"] * 7)
     reports.sum_up()
@@ -133,10 +150,12 @@ def test_damaged_messages_are_dropped_and_counted(subscribe, publish, reports, c
     assert texts(caplog)[-1] == f"7 times in all: {texts(caplog)[0]}"
 
 
-def test_failed_message_does_not_affect_batch(subscribe, publish, caplog):
+def test_failed_message_does_not_affect_batch(
+    subscribe: Any, publish: Any, caplog: pytest.LogCaptureFixture
+) -> None:
     lock, batches = threading.Lock(), []
 
-    def handle(data):
+    def handle(data: Any) -> Any:
         assert lock.locked()
         if data == b"wrong":
             raise MessageError("too short")
@@ -158,8 +177,10 @@ def test_failed_message_does_not_affect_batch(subscribe, publish, caplog):
     assert "no such thing" in texts(caplog)[1]
 
 
-def test_source_without_handler_is_refused_once(subscribe, publish, reports, caplog):
-    def make_handler(decoder, topic, source):
+def test_source_without_handler_is_refused_once(
+    subscribe: Any, publish: Any, reports: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    def make_handler(decoder: Any, topic: Any, source: Any) -> None:
         raise KeyError("no such thing")
 
     subscribe("lab/Temperature", make_handler)
@@ -169,12 +190,12 @@ def test_source_without_handler_is_refused_once(subscribe, publish, reports, cap
     assert texts(caplog)[1] == "topic /heat: internal error: a message of /thermometer is dropped"
 
 
-def test_message_with_distant_stamp_is_refused(subscribe, publish, reports):
+def test_message_with_distant_stamp_is_refused(subscribe: Any, publish: Any, reports: Any) -> None:
     definition = Definitions().find("sensor_msgs/Temperature")
-    stamps = []
+    stamps: List[Any] = []
 
-    def make_handler(decoder, topic, source):
-        def handle(data):
+    def make_handler(decoder: Any, topic: Any, source: Any) -> Any:
+        def handle(data: Any) -> None:
             decoder.decode(data)
             stamps.append(decoder.stamp(data))
 
@@ -188,11 +209,11 @@ def test_message_with_distant_stamp_is_refused(subscribe, publish, reports):
     assert (reports.errors, reports.warnings) == (0, 1)
 
 
-def test_messages_of_next_epoch_are_buffered(subscribe, publish, reports):
+def test_messages_of_next_epoch_are_buffered(subscribe: Any, publish: Any, reports: Any) -> None:
     epochs = ClockEpochs(reports, lambda: 0, lambda: None)
-    results = []
+    results: List[Any] = []
 
-    def consume(values):
+    def consume(values: Any) -> None:
         results.extend(values)
 
     subscribe(
@@ -207,7 +228,7 @@ def test_messages_of_next_epoch_are_buffered(subscribe, publish, reports):
 
 
 @pytest.fixture
-def topics(network, reports):
+def topics(network: Any, reports: Any) -> Any:
     processing = MessageProcessing(
         lambda decoder, topic, source: lambda data: data, threading.Lock(), consume_and_discard
     )
@@ -216,7 +237,7 @@ def topics(network, reports):
     )
 
 
-def test_topic_is_subscribed_once(topics):
+def test_topic_is_subscribed_once(topics: Any) -> None:
     topics.subscribe("heat", "std_msgs/String")
     with pytest.raises(UsageError, match=r"topic /heat is already subscribed \(as std_msgs/String\)"):
         topics.subscribe("/heat", "std_msgs/Int8")
@@ -233,14 +254,14 @@ def test_topic_is_subscribed_once(topics):
         ("tf", "itself"),
     ],
 )
-def test_unsuitable_topic_is_refused(topics, topic, error):
+def test_unsuitable_topic_is_refused(topics: Any, topic: str, error: str) -> None:
     topics.exclude([("tf", "tf/tfMessage")])
     with pytest.raises(UsageError, match=error):
         topics.subscribe(topic, "std_msgs/String")
     assert not topics.try_to_subscribe(TopicRequest(topic, "std_msgs/String"))
 
 
-def test_statuses_count_messages(topics, network):
+def test_statuses_count_messages(topics: Any, network: Any) -> None:
     topics.subscribe("heat", "std_msgs/String")
     publication = MemoryTransport(network, "/talker").advertise(
         "/heat", Definitions().find("std_msgs/String"), 1
@@ -253,14 +274,14 @@ def test_statuses_count_messages(topics, network):
     assert topics.statuses()[0].missing == 1
 
 
-def test_unknown_type_is_found_without_processing(topics, network):
+def test_unknown_type_is_found_without_processing(topics: Any, network: Any) -> None:
     topics.learn("heat", "lab/Temperature")
     definition = Definitions().add("lab/Temperature", TEXT)
     MemoryTransport(network, "/thermometer").advertise("/heat", definition, 1).send(WARM)
     assert topics.knows_type("lab/Temperature")
 
 
-def test_requests_before_start_are_executed_once():
+def test_requests_before_start_are_executed_once() -> None:
     callbacks, subscribed = [], []
     requests = RequestQueue(callbacks.append)
     requests.put("first")

@@ -1,6 +1,7 @@
 """Warnings about topics without publishers after the start, and detection of lost messages."""
 
 from struct import pack
+from typing import Any, Tuple
 
 import pytest
 
@@ -28,12 +29,12 @@ OWN = {"/retalis", "/retalis_ros_interface"}
         ({}, ""),
     ],
 )
-def test_unpublished_topic_is_warned_of(publishers, suggestion):
+def test_unpublished_topic_is_warned_of(publishers: Any, suggestion: str) -> None:
     expected = f"nobody publishes topic /robot/scan (sensor_msgs/LaserScan) 10 s after the start{suggestion}"
     assert list(unpublished_topic_warnings([SCAN], publishers, OWN)) == [expected]
 
 
-def test_published_topic_is_not_warned_of():
+def test_published_topic_is_not_warned_of() -> None:
     assert list(unpublished_topic_warnings([SCAN], {"/robot/scan": ["/lidar"]}, OWN)) == []
     assert list(unpublished_topic_warnings([SCAN._replace(publishers=1)], {}, OWN)) == []
     # Its publisher has ended.
@@ -47,12 +48,12 @@ class Connection:
         has_header: whether messages begin with a header.
     """
 
-    def __init__(self, has_header=True):
+    def __init__(self, has_header: bool = True) -> None:
         self.now = 0.0
         self.counts, self.reports = InputCounts(lambda: 0), []
         self.monitor = LossMonitor(self.counts, has_header, self.reports.append, lambda: self.now)
 
-    def read(self, *numbers, waited=0.0, busy=1.0):
+    def read(self, *numbers: Any, waited: float = 0.0, busy: float = 1.0) -> None:
         """Read messages, given as number or bytes, after a wait, and process them; times are in seconds."""
         self.now += waited
         self.monitor.begin(
@@ -62,7 +63,7 @@ class Connection:
         self.monitor.end()
 
 
-def test_gap_in_busy_node_is_a_loss():
+def test_gap_in_busy_node_is_a_loss() -> None:
     connection = Connection()
     connection.read(7)
     connection.read(8, 12)
@@ -75,7 +76,7 @@ def test_gap_in_busy_node_is_a_loss():
     ]
 
 
-def test_gap_after_a_wait_is_no_loss():
+def test_gap_after_a_wait_is_no_loss() -> None:
     connection = Connection()
     for number in range(0, 100, 10):
         connection.read(number, number + 1, waited=2.0)
@@ -83,14 +84,14 @@ def test_gap_after_a_wait_is_no_loss():
 
 
 @pytest.mark.parametrize("numbers", [(3, 100, 4, 101, 200), (0, 9, 9, 30), (5, 8, 1, 40)])
-def test_gaps_of_unordered_numbers_are_no_loss(numbers):
+def test_gaps_of_unordered_numbers_are_no_loss(numbers: Tuple[Any, ...]) -> None:
     connection = Connection()
     for number in numbers:
         connection.read(number)
     assert connection.counts.missing == 0
 
 
-def test_message_without_number_has_no_gap():
+def test_message_without_number_has_no_gap() -> None:
     connection = Connection()
     connection.read(1)
     connection.read(b"abc", 5)
@@ -102,7 +103,7 @@ def test_message_without_number_has_no_gap():
     assert connection.counts.missing == 0
 
 
-def test_incomplete_last_message_is_a_loss():
+def test_incomplete_last_message_is_a_loss() -> None:
     connection = Connection()
     connection.read(1, waited=2.0)
     connection.monitor.close(is_incomplete=True)
@@ -112,7 +113,7 @@ def test_incomplete_last_message_is_a_loss():
     ]
 
 
-def test_end_of_delayed_connection_is_reported():
+def test_end_of_delayed_connection_is_reported() -> None:
     connection = Connection()
     connection.read(1, busy=2 * MIN_BEHIND_SECONDS)
     connection.read(2, busy=0.0)
@@ -121,7 +122,7 @@ def test_end_of_delayed_connection_is_reported():
     assert connection.reports == ["it closed the connection: messages that were still in its queue are lost"]
 
 
-def test_end_after_short_burst_is_not_reported():
+def test_end_after_short_burst_is_not_reported() -> None:
     connection = Connection()
     connection.read(1, busy=MIN_BEHIND_SECONDS / 4)
     connection.read(2, busy=MIN_BEHIND_SECONDS / 4)

@@ -12,7 +12,7 @@ from .patterns import Rule
 class Skipping:
     """Events that the matches of a rule have skipped."""
 
-    def __init__(self, rule: Rule):
+    def __init__(self, rule: Rule) -> None:
         self.kind = rule.after_match
         self.end: Any = None
         """The largest end of those that have fired."""

@@ -35,7 +35,7 @@ Test = Callable[[Match], Optional[Match]]
 class Conditions:
     """The pattern of one rule with its conditions, windows and clock."""
 
-    def __init__(self, rule: Rule):
+    def __init__(self, rule: Rule) -> None:
         self.rule = rule
         self.pattern = expand(rule.pattern)
         self.place = {node: at for at, node in enumerate(walk(self.pattern))}

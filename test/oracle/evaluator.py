@@ -56,7 +56,7 @@ class Sides(NamedTuple):
 class RuleState(Streams):
     """One rule and everything that waits in it."""
 
-    def __init__(self, rule: Rule, policy: str, out_of_order: bool = False, expiry: bool = True):
+    def __init__(self, rule: Rule, policy: str, out_of_order: bool = False, expiry: bool = True) -> None:
         super().__init__(rule, policy, out_of_order, expiry)
         self.completed: Dict[Pattern, Set[FrozenSet[int]]] = {}
         """The single events that have completed as the right side; revision may set free a left side of theirs."""
@@ -239,7 +239,7 @@ class RuleState(Streams):
             results += found
             if not found:
                 self.left_alone(node, q)
-        left_over = []
+        left_over: List[Any] = []
         for p in lefts:
             # Patterns: a late first side is taken only under out_of_order.
             found = self.complete(q_waiting, lambda q, p=p: fit(p, q)) if self.out_of_order else []
@@ -341,7 +341,7 @@ class RuleState(Streams):
 
         ``waiting`` is in order of arrival, and so newest and oldest mean arrival, never stamps.
         """
-        results = []
+        results: List[Any] = []
         for partner in list(reversed(waiting)) if policy.startswith("recent") else list(waiting):
             result = fit(partner)
             if result is None:
@@ -379,7 +379,7 @@ class Program:
         out_of_order: bool = False,
         expiry: bool = True,
         depth: int = 50,
-    ):
+    ) -> None:
         assert policy in POLICIES
         plain = take_out_subpatterns(list(rules))
         self.states = [RuleState(rule, policy, out_of_order, expiry) for rule in plain]

@@ -76,7 +76,7 @@ class Combinations:
             gone looks then at all there is, also at what has come after it; what has held before goes on to hold.
     """
 
-    def __init__(self, rule: Rule, out_of_order: bool):
+    def __init__(self, rule: Rule, out_of_order: bool) -> None:
         self.rule = rule
         self.out_of_order = rule.late_by(out_of_order)
         self.tests = Conditions(rule)
@@ -88,7 +88,7 @@ class Combinations:
         operator, conditions = strip(node)
         matches = self._operator(operator, events, conditions)
         tests = [self.tests.test_of(condition) for condition in conditions]
-        result = []
+        result: List[Any] = []
         for match, at in matches:
             settled = self.tests.settle(match, operator)
             passed = None if settled is None else self.tests.passes(settled, tests)

@@ -148,7 +148,7 @@ def timers(seed: int) -> bool:
         + [next(orders), name, TIMES[when]]
         for name, when in names.items()
     ]
-    expected = []
+    expected: List[Any] = []
     for instant in instants:
         while waiting and min(waiting)[0] <= instant:
             due = min(waiting)

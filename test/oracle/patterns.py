@@ -260,7 +260,7 @@ def pattern_variables(node: Pattern) -> List[Var]:
 
 def expand(node: Pattern) -> Pattern:
     """Return a pattern with every ``Q ntimes N`` written out."""
-    changed = {}
+    changed: Dict[Any, Any] = {}
     for field in fields(node):
         part = getattr(node, field.name)
         if isinstance(part, Pattern):

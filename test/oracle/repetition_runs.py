@@ -15,7 +15,7 @@ from .patterns import Aggregate, Pattern, Rule, Star, Within, pattern_variables
 class IdentifyingRepetitions(Conditions):
     """The runs of one rule."""
 
-    def __init__(self, rule: Rule, policy: str, out_of_order: bool = False, expiry: bool = True):
+    def __init__(self, rule: Rule, policy: str, out_of_order: bool = False, expiry: bool = True) -> None:
         super().__init__(rule)
         self.out_of_order = rule.late_by(out_of_order)
         self.waiting: Dict[Tuple[Pattern, str], List[Match]] = {}

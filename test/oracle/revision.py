@@ -94,7 +94,7 @@ def run_with_revision(rules: Sequence[Rule], stream: Stream, policy: str, out_of
 class Recombined:
     """One rule under ``unrestricted``."""
 
-    def __init__(self, rule: Rule, out_of_order: bool):
+    def __init__(self, rule: Rule, out_of_order: bool) -> None:
         self.rule = rule
         self.combinations = Combinations(rule, out_of_order)
         self.events: List[Event] = []
@@ -124,7 +124,7 @@ class Recombined:
     def _holding(self) -> Dict[Any, Tuple[str, Any, Any]]:
         """Return what all events that were not taken back make, by the combination that made it."""
         found: List[Found] = self.combinations.found(self.combinations.tests.pattern, self.events)
-        holding = {}
+        holding: Dict[Any, Any] = {}
         for match, _ in found:
             bindings = match.bindings if self.rule.do is None else first(self.rule.do, match.bindings)
             if bindings is not None:
@@ -146,7 +146,7 @@ class Passed:
 class RevisedState(RuleState):
     """A rule's state that forgets events, and tries again what they suppressed."""
 
-    def __init__(self, rule: Rule, policy: str, out_of_order: bool):
+    def __init__(self, rule: Rule, policy: str, out_of_order: bool) -> None:
         super().__init__(rule, policy, out_of_order)
         self.suppressed: Dict[Pattern, List[Match]] = {}
         self.all_runs: List[Tuple[Any, Run, List[Pattern]]] = []
@@ -308,7 +308,7 @@ class RevisedState(RuleState):
         It takes the first that is left for it; under unrestricted all.
         """
         for_all = node.kind == "forall_seq"
-        found = []
+        found: List[Any] = []
         for one in passed:
             match = fit(p, one.match) if self.left_for(p, one, for_all) else None
             if match is not None:
@@ -348,14 +348,14 @@ class RevisedState(RuleState):
 class Tagged:
     """Rules under a policy that uses partners up."""
 
-    def __init__(self, rules: Sequence[Rule], policy: str, out_of_order: bool):
+    def __init__(self, rules: Sequence[Rule], policy: str, out_of_order: bool) -> None:
         self.states = [RevisedState(rule, policy, out_of_order) for rule in take_out_subpatterns(list(rules))]
         self.alive: Dict[int, Tuple[Event, FrozenSet[int]]] = {}
         self.count = 0
 
     def run(self, stream: Stream) -> List[Step]:
         """Return what is dispatched at each event."""
-        steps = []
+        steps: List[Any] = []
         for term, start, end in stream:
             step: Step = Counter()
             if term.__class__ is tuple and term[0] is REV:

@@ -30,7 +30,7 @@ class Step(NamedTuple):
 
 def steps_of(term: Term) -> List[Step]:
     """Return the steps of a window."""
-    found = []
+    found: List[Any] = []
     for one in list_items(term) or []:
         name, least, most, mode, where, goal, until = one[1:]  # type: ignore[index]
         goals = [(list_items(part) or [None])[0] for part in (goal, until)]
@@ -58,7 +58,7 @@ def whole_matches(steps: Sequence[Step], items: Sequence[Bindings]) -> List[Take
 class Trial:
     """The ways in which a match may begin at an item, one after the other."""
 
-    def __init__(self, steps: Sequence[Step], items: Sequence[Bindings]):
+    def __init__(self, steps: Sequence[Step], items: Sequence[Bindings]) -> None:
         self.steps = steps
         self.items = items
 

@@ -72,7 +72,7 @@ class Reader:
         return atom(name)
 
     def _arguments(self, close: str) -> List[Term]:
-        arguments = []
+        arguments: List[Any] = []
         while True:
             arguments.append(self._term())
             token = self.tokens.pop(0)
@@ -136,7 +136,7 @@ def rule(head: str, pattern: str, **options: Any) -> Rule:
 
 def stream(text: str) -> List[Tuple[Term, Any, Any]]:
     """Read events ``a(1)@1 b(2)@2-4``: term, start and end in seconds."""
-    events = []
+    events: List[Any] = []
     for item in text.split():
         term, times = item.rsplit("@", 1)
         start, _, end = times.partition("-")
@@ -152,7 +152,7 @@ def brief(events: Iterable[Tuple[str, Any, Any]]) -> str:
 class Names(Dict[Var, str]):
     """Names of a rule's variables, given out as they are met."""
 
-    def __init__(self, form: str = "V{}"):
+    def __init__(self, form: str = "V{}") -> None:
         super().__init__()
         self.form = form
 
@@ -193,7 +193,7 @@ def _kinds(node: Windowed, names: Names) -> Iterator[str]:
 
 def _steps(node: Windowed, names: Names) -> str:
     """Write the steps of a window."""
-    found = []
+    found: List[Any] = []
     for step in steps_of(node.steps):
         limit = "many" if step.most is None else step.most
         option = ",reluctant" if step.reluctant else ""

@@ -165,7 +165,9 @@ def has_steps(pattern: Pattern) -> bool:
 class Generator:
     """Draws rules, streams and cases; every decision goes through ``choice``."""
 
-    def __init__(self, choice: Choice, revision: bool = False, unsure: bool = False, streams: bool = False):
+    def __init__(
+        self, choice: Choice, revision: bool = False, unsure: bool = False, streams: bool = False
+    ) -> None:
         self.choice = choice
         self.streams = streams
         """Draw windows, shapes and absences with a deadline too."""

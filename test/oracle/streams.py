@@ -41,7 +41,7 @@ class Taken:
 class Streams(IdentifyingRepetitions):
     """The operators on streams of one rule."""
 
-    def __init__(self, rule: Any, policy: str, out_of_order: bool = False, expiry: bool = True):
+    def __init__(self, rule: Any, policy: str, out_of_order: bool = False, expiry: bool = True) -> None:
         super().__init__(rule, policy, out_of_order, expiry)
         self.taken: Dict[Pattern, List[Taken]] = {}
         self.absences: Dict[Pattern, List[Match]] = {}
@@ -83,7 +83,7 @@ class Streams(IdentifyingRepetitions):
 
     def due(self) -> List[Tuple[Any, int]]:
         """Return when something is due, and the rank of its operator."""
-        found = []
+        found: List[Any] = []
         for node in self.taken:
             instants = self._instants(node)
             if instants:
@@ -113,7 +113,7 @@ class Streams(IdentifyingRepetitions):
     def _windows_of(node: Any, one: Taken) -> List[Any]:
         """Windows: at each multiple t of M, those with t - N <= end < t."""
         first = (one.match.end // node.step + 1) * node.step
-        found = []
+        found: List[Any] = []
         while first <= one.match.end + node.span:
             found.append(first)
             first += node.step
@@ -252,7 +252,7 @@ class Streams(IdentifyingRepetitions):
         begins = self.begins.setdefault(node, {})
         open_ones = [one for one in self.taken[node] if not one.over]
         keys = list(dict.fromkeys(one.key for one in open_ones))
-        results = []
+        results: List[Any] = []
         for key in sorted(keys, key=lambda key: begins[key]):
             begin = begins[key]
             if begin + node.span <= instant:
@@ -273,7 +273,7 @@ class Streams(IdentifyingRepetitions):
         taken.append(one)
         same = [other for other in taken if other.key == one.key]
         steps, items = steps_of(node.steps), [other.match.bindings for other in same]
-        results = []
+        results: List[Any] = []
         for match in whole_matches(steps, items)[len(whole_matches(steps, items[:-1])) :]:
             inside = [same[place] for place, _ in match]
             interval = (
@@ -303,7 +303,7 @@ class Streams(IdentifyingRepetitions):
             if node.window in ("first", "running_first"):
                 return self._close(node, instant)
             return self._hop(node, waiting, instant)
-        results = []
+        results: List[Any] = []
         for one in waiting:
             if one.match.end + node.seconds == instant:
                 one.over = True
@@ -397,7 +397,7 @@ class Streams(IdentifyingRepetitions):
     def _values(node: Windowed, match: Match) -> List[Any]:
         kinds = [word.partition("@")[0] for word in node.kinds.split()]
         kinds = [kind for kind in kinds if kind not in ("count", "rate")]
-        found = []
+        found: List[Any] = []
         for kind, term in zip(kinds, list_items(node.values) or []):
             value = instance(term, match.bindings)
             found.append(number(value, match.bindings) if kind in NUMERIC else value)

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from dataclasses import replace
+from typing import Any, List
 
 import pytest
 from hypothesis import HealthCheck, assume, given, reject, settings
@@ -14,10 +15,10 @@ from oracle.strategies import cases
 @pytest.mark.slow
 @settings(max_examples=60, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
 @given(cases())
-def test_unrestricted_policy_has_each_combination_once(case):
+def test_unrestricted_policy_has_each_combination_once(case: Any) -> None:
     assume(defined_for(case.rules))
     program = Program(case.rules, "unrestricted", case.out_of_order, expiry=False)
-    fired = []
+    fired: List[Any] = []
     for term, start, end in case.stream:
         derived = program.event(term, start, end)[1:]
         fired.append(Counter((show(event.term), event.start, event.end) for event in derived))
@@ -27,7 +28,7 @@ def test_unrestricted_policy_has_each_combination_once(case):
 @pytest.mark.slow
 @settings(max_examples=60, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
 @given(cases())
-def test_expiry_changes_nothing_without_late_events(case):
+def test_expiry_changes_nothing_without_late_events(case: Any) -> None:
     assume(case.has_limits())
     in_order = replace(case, stream=tuple(sorted(case.stream, key=lambda event: event[2])))
     try:

@@ -1,6 +1,7 @@
 """Detection of disabled mechanisms of stream operators, states and timers by the comparison with the oracle."""
 
 from itertools import count
+from typing import Any
 
 import pytest
 
@@ -9,7 +10,7 @@ from .mechanisms import MECHANISMS, noticing
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(MECHANISMS))
-def test_disabled_mechanism_changes_results(name):
+def test_disabled_mechanism_changes_results(name: Any) -> None:
     tried, differing, unexpected = noticing(name, count(), 300, enough=1)
     assert differing == 1, f"{tried} cases did not notice"
     assert not unexpected

@@ -4,6 +4,7 @@ The expected texts list the derived events in order.
 """
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from oracle.evaluator import run
@@ -15,7 +16,15 @@ from retalis import Operators
 from retalis.prolog.syntax.term_reader import read_term
 
 
-def fired(pattern, events, head="out", policy="recent", out_of_order=False, expiry=True, **options):
+def fired(
+    pattern: str,
+    events: str,
+    head: str = "out",
+    policy: str = "recent",
+    out_of_order: bool = False,
+    expiry: bool = True,
+    **options: Any,
+) -> Any:
     derived = run(
         [rule(head, pattern, **options)],
         stream(events),
@@ -89,7 +98,7 @@ TABLE = [
 
 @pytest.mark.parametrize(("pattern", "events", "expected"), TABLE)
 @pytest.mark.parametrize("policy", POLICIES)
-def test_pattern_has_computed_matches(pattern, events, expected, policy):
+def test_pattern_has_computed_matches(pattern: Any, events: Any, expected: Any, policy: Any) -> None:
     if policy == "unrestricted" and pattern.startswith("ntimes"):
         expected = "out@1-3 out@1-4 out@1-4 out@2-4"  # every three in order
     assert fired(pattern, events, policy=policy) == expected
@@ -125,7 +134,7 @@ POLICY_CASES = {
 @pytest.mark.parametrize("events", POLICY_CASES)
 @pytest.mark.parametrize("policy", POLICIES)
 @pytest.mark.parametrize("operator", ["seq", "and"])
-def test_policy_selects_partners(events, policy, operator):
+def test_policy_selects_partners(events: Any, policy: Any, operator: str) -> None:
     assert fired(f"{operator}(a(X),b(Y))", events, "out(X,Y)", policy) == POLICY_CASES[events][policy]
 
 
@@ -137,42 +146,42 @@ def test_policy_selects_partners(events, policy, operator):
         ("unrestricted", "out(1,2)@1-2 out(2,1)@1-2 out(1,3)@1-3 out(2,3)@2-3 out(3,1)@1-3 out(3,2)@2-3"),
     ],
 )
-def test_event_matches_either_side(policy, expected):
+def test_event_matches_either_side(policy: str, expected: str) -> None:
     assert fired("and(a(X),a(Y))", "a(1)@1 a(2)@2 a(3)@3", "out(X,Y)", policy) == expected
 
 
-def test_rejected_partners_are_not_consumed():
+def test_rejected_partners_are_not_consumed() -> None:
     assert fired("where(seq(a(X),b(Y)),<(X,Y))", "a(1)@1 a(9)@2 b(3)@3 b(10)@4", "out(X,Y)") == (
         "out(1,3)@1-3 out(9,10)@2-4"
     )
 
 
-def test_inner_operator_selects_partner_first():
+def test_inner_operator_selects_partner_first() -> None:
     pattern = "where(seq(seq(a(X),b(Y)),c),<(X,Y))"
     assert fired(pattern, "a(1)@1 a(9)@2 b(3)@3 c@4") == ""
 
 
-def test_condition_may_use_left_variables():
+def test_condition_may_use_left_variables() -> None:
     pattern = "seq(a(X),where(b(Y),<(X,Y)))"
     assert fired(pattern, "a(5)@1 a(1)@2 b(3)@3 b(9)@4", "out(X,Y)") == "out(1,3)@2-3 out(5,9)@1-4"
 
 
-def test_partners_rejected_by_do_are_consumed():
+def test_partners_rejected_by_do_are_consumed() -> None:
     pattern = "do(seq(a(X),b(Y)),<(X,Y))"
     assert fired(pattern, "a(1)@1 a(9)@2 b(3)@3 b(4)@4", "out(X,Y)") == "out(1,4)@1-4"
 
 
-def test_event_multiply_repeats_event():
+def test_event_multiply_repeats_event() -> None:
     pattern = "event_multiply(a,member(X,[1,2]))"
     assert fired(pattern, "a@1", "out(X)") == "out(1)@1 out(2)@1"
 
 
-def test_forall_seq_matches_all_partners():
+def test_forall_seq_matches_all_partners() -> None:
     for policy in POLICIES:
         assert fired("forall_seq(a,b)", "a@1 a@2 b@3 b@4", policy=policy) == "out@1-3 out@2-3"
 
 
-def test_event_of_cnot_excludes_all_matches():
+def test_event_of_cnot_excludes_all_matches() -> None:
     for policy in POLICIES:
         assert fired("cnot(seq(a(X),b),c)", "a(1)@1 a(2)@2 c@3 b@4 b@5", policy=policy) == ""
     assert fired("cnot(seq(a(X),b(X)),c(X))", "a(1)@1 a(2)@2 c(1)@3 b(1)@4 b(2)@5", "out(X)") == "out(2)@2-5"
@@ -186,12 +195,12 @@ def test_event_of_cnot_excludes_all_matches():
         ("unrestricted", "out(1,A)@1 out(1,2)@1-2 out(4,A)@4 out(4,5)@4-5 out(1,2)@1-6"),
     ],
 )
-def test_repetition_shares_variables(policy, expected):
+def test_repetition_shares_variables(policy: str, expected: str) -> None:
     events = "a(1)@1 b(2)@2 a(4)@4 b(5)@5 b(2)@6"
     assert fired("seq(a(X),star_times(b(Y)))", events, "out(X,Y)", policy) == expected
 
 
-def test_repetition_renames_anonymous_variables():
+def test_repetition_renames_anonymous_variables() -> None:
     assert fired("seq(a,star_times(b(_)))", "a@1 b(1)@2 b(2)@3") == "out@1 out@1-2 out@1-3"
 
 
@@ -206,11 +215,11 @@ def test_repetition_renames_anonymous_variables():
         ("avg(X)", "out(5)@1-2 out(4)@1-3"),
     ],
 )
-def test_aggregate_has_value_per_event(kind, expected):
+def test_aggregate_has_value_per_event(kind: str, expected: str) -> None:
     assert fired(f"seq(s,aggregate({kind},a(X),R))", "a(9)@1 s@1 a(5)@2 a(3)@3", "out(R)") == expected
 
 
-def test_rejected_aggregate_continues():
+def test_rejected_aggregate_continues() -> None:
     pattern = "where(seq(s,aggregate(count,a,N)),>(N,1))"
     assert fired(pattern, "s@1 a@2 a@3 a@4", "out(N)") == "out(2)@1-3 out(3)@1-4"
 
@@ -219,22 +228,22 @@ def test_rejected_aggregate_continues():
     ("expression", "value"),
     [("[7]", 7), ("[1, 1] + 1", 2.000000001), ("[2, 0]", 2), ("max([1, 500000000], 1)", 1.5), ("-[3]", -3)],
 )
-def test_character_and_timestamp_lists_are_numbers(expression, value):
+def test_character_and_timestamp_lists_are_numbers(expression: str, value: float) -> None:
     assert number(read_term(expression, Operators.prolog()).term, {}) == value
 
 
 @pytest.mark.parametrize("expression", ["[1, 1, 1]", "[1, 1000000000]", "[1, -1]", "[]", "[a, 1]"])
-def test_other_lists_are_no_numbers(expression):
+def test_other_lists_are_no_numbers(expression: str) -> None:
     with pytest.raises(GoalError):
         number(read_term(expression, Operators.prolog()).term, {})
 
 
-def test_window_limits_duration():
+def test_window_limits_duration() -> None:
     assert fired("and(a(X),b)", "a(1)@1 b@9 a(3)@10", "out(X)", label="r", window=2) == "out(3)@9-10"
     assert fired("a", "a@1-3 a@1-4", label="r", window=2) == "out@1-3"
 
 
-def test_late_events_match_out_of_order():
+def test_late_events_match_out_of_order() -> None:
     events = "b(1)@5 a(1)@2 a(2)@3 b(2)@9 a(3)@8"
     assert fired("seq(a(X),b(Y))", events, "out(X,Y)") == "out(2,2)@3-9"
     assert (
@@ -258,7 +267,9 @@ def test_late_events_match_out_of_order():
         ("skip_to_next", "out(1)@1-3 out(2)@2-3", "out@1-2 out@2-3 out@3-4", "out@1", "2-8 3-9"),
     ],
 )
-def test_after_match_strategy_skips_events(after_match, pairs, repeated, results, again):
+def test_after_match_strategy_skips_events(
+    after_match: str, pairs: str, repeated: str, results: str, again: str
+) -> None:
     skipping = {"after_match": after_match}
     several = fired("seq(a(X),b)", "a(1)@1 a(2)@2 b@3 b@4", "out(X)", "unrestricted", **skipping)
     assert several == pairs
@@ -268,12 +279,12 @@ def test_after_match_strategy_skips_events(after_match, pairs, repeated, results
     assert fired("and(a,b)", "a@2 b@8 b@3 a@9", **skipping) == late
 
 
-def test_skipped_match_consumes_partners():
+def test_skipped_match_consumes_partners() -> None:
     pattern = "and(event_multiply(seq(a,b),member(X,[1,2])),c(X))"
     assert fired(pattern, "c(2)@1 c(1)@1 a@2 b@3", "out(X)", after_match="skip_past_last") == "out(1)@1-3"
 
 
-def test_rule_uses_its_own_policy():
+def test_rule_uses_its_own_policy() -> None:
     own = rule("out(X)", "seq(a(X),b)", label="r", out_of_order=True)
     derived = run(
         [replace(own, policy="chronological")], stream("a(1)@1 a(2)@2 b@3 b@9 a(4)@8"), policy="recent"
@@ -281,12 +292,12 @@ def test_rule_uses_its_own_policy():
     assert brief(event for event in derived if "out" in event[0]) == "out(1)@1-3 out(2)@2-9 out(4)@8-9"
 
 
-def test_derived_events_match_other_rules():
+def test_derived_events_match_other_rules() -> None:
     rules = [rule("mid(X)", "seq(a(X),b)"), rule("out(X)", "mid(X)"), rule("other", "b")]
     derived = brief(run(rules, stream("a(1)@1 b@2")))
     assert derived == "a(1)@1 b@2 mid(1)@1-2 out(1)@1-2 other@2"
 
 
-def test_subpattern_emits_event():
+def test_subpattern_emits_event() -> None:
     rules = [rule("out", "or(<-(sub,seq(a,b)),z)"), rule("last", "sub"), rule("first", "seq(a,b)")]
     assert brief(run(rules, stream("a@1 b@2"))) == "a@1 b@2 first@1-2 sub@1-2 out@1-2 last@1-2"

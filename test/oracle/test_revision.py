@@ -1,5 +1,7 @@
 """Revision in the oracle: results computed by hand, and comparison of its two evaluations."""
 
+from typing import Any
+
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from oracle.patterns import Both, Ntimes, walk
@@ -41,7 +43,9 @@ CASES = [
 
 @pytest.mark.parametrize("policy", ["recent", "chronological", "unrestricted"])
 @pytest.mark.parametrize(("head", "pattern", "events", "expected"), CASES)
-def test_revision_has_computed_results(head, pattern, events, expected, policy):
+def test_revision_has_computed_results(
+    head: Any, pattern: Any, events: Any, expected: Any, policy: str
+) -> None:
     steps = run_with_revision([rule(head, pattern)], stream(events), policy, False)
     assert len(steps) == len(expected)
     for step, expected_events in zip(steps, expected):
@@ -56,7 +60,7 @@ def test_revision_has_computed_results(head, pattern, events, expected, policy):
             assert derived == expected_events.split()
 
 
-def test_event_completes_one_side_only():
+def test_event_completes_one_side_only() -> None:
     events = stream("a(1)@1 d@2 a(2)@3 rev(d)@4")
     steps = run_with_revision([rule("out", "and(fnot(a(X),d),a(Y))")], events, "recent", False)
     assert [sum(n for event, n in step.items() if event[0] == "out") for step in steps] == [0, 0, 1, 0]
@@ -65,7 +69,7 @@ def test_event_completes_one_side_only():
 @pytest.mark.slow
 @settings(max_examples=50, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
 @given(cases(depth=3, revision=True))
-def test_policies_agree_without_partners(case):
+def test_policies_agree_without_partners(case: Any) -> None:
     assume(combines(case.rules))
     assume(not any(isinstance(node, (Both, Ntimes)) for node in walk(case.rules[0].pattern)))
     steps = [

@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 from oracle.evaluator import run
@@ -40,7 +41,7 @@ OUTSIDE = {"check_nested", "check_single"}
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
-def test_recorded_scenario_agrees_unless_contradicted(case):
+def test_recorded_scenario_agrees_unless_contradicted(case: Any) -> None:
     if case.name in OUTSIDE:
         pytest.skip("stamps as terms")
     agrees = run(case.rules, case.stream, **case.flags) == case.expected

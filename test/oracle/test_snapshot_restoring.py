@@ -12,7 +12,7 @@ from .snapshot_restoring import clock_difference, cut_case, cut_difference
     ("revision", "streams", "first", "number"),
     [(False, False, 0, 15), (True, False, 50_000, 8), (False, True, 70_000, 8), (True, True, 80_000, 4)],
 )
-def test_restored_program_has_equal_outputs(revision, streams, first, number):
+def test_restored_program_has_equal_outputs(revision: bool, streams: bool, first: int, number: int) -> None:
     restored_count = 0
     for seed in range(first, first + number):
         case, places = cut_case(seed, 4, revision, seed % 3 == 0, streams)
@@ -22,7 +22,7 @@ def test_restored_program_has_equal_outputs(revision, streams, first, number):
 
 
 @pytest.mark.slow
-def test_restored_clock_programs_give_equal_outputs():
+def test_restored_clock_programs_give_equal_outputs() -> None:
     refused = 0
     for seed in range(40):
         try:

@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from typing import Any, List, Tuple
 
 import pytest
 
@@ -18,7 +19,7 @@ from retalis.playback.bag_locations import (
 
 
 @pytest.fixture
-def fleet(tmp_path):
+def fleet(tmp_path: Path) -> Any:
     """Return a folder with bags of two robots, including a ROS 2 bag, and with other files."""
     names = (
         "r2/day.bag",
@@ -43,7 +44,7 @@ BAG_PATHS = ["r1/day.bag", "r1/night.mcap", "r10/ros2", "r2/day.bag"]
 BAG_NAMES = ["r1/day", "r1/night", "r10/ros2", "r2/day"]
 
 
-def test_bags_of_folder_are_sorted_by_name(fleet):
+def test_bags_of_folder_are_sorted_by_name(fleet: Any) -> None:
     bags = find_bags(["x/z.bag", f"{fleet}/", f"{fleet}/r10/ros2", "y"])
     assert [bag.location for bag in bags] == [
         "x/z.bag",
@@ -54,14 +55,14 @@ def test_bags_of_folder_are_sorted_by_name(fleet):
     assert [bag.name for bag in bags] == ["z", *BAG_NAMES, "ros2", "y"]
 
 
-def test_compressed_ros2_files_are_bags(tmp_path):
+def test_compressed_ros2_files_are_bags(tmp_path: Path) -> None:
     for name in ("a.db3.zstd", "b.mcap.zstd", "c.zstd", "d.bag.zstd"):
         (tmp_path / name).touch()
     assert [bag.name for bag in find_bags([str(tmp_path)])] == ["a", "b"]
     assert [bag.name for bag in find_bags(["x/e.db3.zstd", "f.zstd"])] == ["e", "f.zstd"]
 
 
-def test_url_has_same_bags_as_folder(fleet):
+def test_url_has_same_bags_as_folder(fleet: Any) -> None:
     pytest.importorskip("fsspec")
     bags = find_bags([f"file://{fleet}", f"file://{fleet}/r10/ros2", f"file://{fleet}/r2/day.bag"])
     assert [bag.location for bag in bags] == [
@@ -87,19 +88,19 @@ def test_url_has_same_bags_as_folder(fleet):
         (("r", "r", "r_", "_1"), [["r"], ["r"], ["r_"], ["_1"]]),
     ],
 )
-def test_names_group_parts_of_recording(names, recordings):
+def test_names_group_parts_of_recording(names: Tuple[Any, ...], recordings: List[List[str]]) -> None:
     groups = group_recordings([BagLocation(f"/d/{name}.bag", name) for name in names])
     assert [[bag.name for bag in parts] for parts in groups] == recordings
 
 
-def test_folder_without_bags_is_an_error(tmp_path):
+def test_folder_without_bags_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(
         BagError, match="has no bags below it: no metadata.yaml, nothing that ends in .bag, .db3"
     ):
         find_bags([str(tmp_path)])
 
 
-def test_missing_fsspec_is_named(monkeypatch):
+def test_missing_fsspec_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "fsspec.core", None)
     with pytest.raises(
         BagError, match=r"s3://a/b: URLs need the Python package fsspec \(pip install fsspec, and"
@@ -107,13 +108,13 @@ def test_missing_fsspec_is_named(monkeypatch):
         find_bags(["s3://a/b"])
 
 
-def test_unknown_protocol_of_url_is_an_error():
+def test_unknown_protocol_of_url_is_an_error() -> None:
     pytest.importorskip("fsspec")
     with pytest.raises(BagError, match="nowhere://a/b: Protocol not known: nowhere"):
         find_bags(["nowhere://a/b"])
 
 
-def test_downloaded_bag_is_removed_after_use(fleet, tmp_path):
+def test_downloaded_bag_is_removed_after_use(fleet: Any, tmp_path: Path) -> None:
     with local_copy(str(fleet / "r2/day.bag"), str(tmp_path)) as path:
         assert path == str(fleet / "r2/day.bag")
     pytest.importorskip("fsspec")
@@ -131,7 +132,7 @@ def test_downloaded_bag_is_removed_after_use(fleet, tmp_path):
 
 
 @pytest.mark.parametrize("scheme", ["", "file://"])
-def test_only_complete_result_is_stored(tmp_path, scheme):
+def test_only_complete_result_is_stored(tmp_path: Path, scheme: str) -> None:
     if scheme:
         pytest.importorskip("fsspec")
     target = tmp_path / "new" / "folder" / "a.jsonl"
@@ -141,7 +142,7 @@ def test_only_complete_result_is_stored(tmp_path, scheme):
     assert location_exists(f"{scheme}{target}")
     assert target.read_text() == "all"
 
-    def write_half():
+    def write_half() -> None:
         with result_file(f"{scheme}{target}", str(tmp_path)) as path:
             Path(path).write_text("half")
             raise ZeroDivisionError
@@ -152,14 +153,14 @@ def test_only_complete_result_is_stored(tmp_path, scheme):
     assert [entry.name for entry in target.parent.iterdir()] == ["a.jsonl"]
 
 
-def test_unwritable_result_is_an_error(tmp_path):
+def test_unwritable_result_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     result = result_file(str(tmp_path / "file" / "a.bag"), str(tmp_path))
     with pytest.raises(BagError, match="file/a.bag cannot be written: "), result:
         pytest.fail("there is nowhere to write")
 
 
-def test_incomplete_results_are_removed(tmp_path):
+def test_incomplete_results_are_removed(tmp_path: Path) -> None:
     other_names = [".02.incomplete.b.bag", ".incomplete", "03.incomplete.a.bag", "a.bag"]
     for name in (*other_names, ".01.incomplete.a.bag", ".05.incomplete..04.incomplete.a.bag"):
         (tmp_path / name).touch()
@@ -169,7 +170,7 @@ def test_incomplete_results_are_removed(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(other_names)
 
 
-def test_download_beyond_stated_size_is_an_error(tmp_path, monkeypatch):
+def test_download_beyond_stated_size_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     memory = pytest.importorskip("fsspec.implementations.memory").MemoryFileSystem
     with memory().open("/sent.bag", "wb") as file:
         file.write(bytes(9_000_000))
@@ -184,7 +185,7 @@ def test_download_beyond_stated_size_is_an_error(tmp_path, monkeypatch):
     memory().rm("/sent.bag")
 
 
-def test_write_ahead_log_is_downloaded_with_its_file(tmp_path):
+def test_write_ahead_log_is_downloaded_with_its_file(tmp_path: Path) -> None:
     pytest.importorskip("fsspec")
     for name in ("a.db3", "a.db3-wal", "b.db3"):
         (tmp_path / name).write_text(name)

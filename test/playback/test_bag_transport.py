@@ -1,5 +1,8 @@
 """A bag as transport: connections, topics that are subscribed later, and publications."""
 
+from pathlib import Path
+from typing import Any, Dict, Iterator, List
+
 import pytest
 
 from retalis import BagReader, BagWriter, Definitions
@@ -14,16 +17,16 @@ STRING = DEFINITIONS.find("std_msgs/String")
 class Receiver:
     """Receiver of messages; see `retalis.node.transport.MessageReceiver`."""
 
-    def __init__(self, name, error="", reads_transforms=False):
+    def __init__(self, name: Any, error: str = "", reads_transforms: bool = False) -> None:
         self.name, self.error, self.reads_transforms = name, error, reads_transforms
 
 
 @pytest.fixture
-def bag(tmp_path):
+def bag(tmp_path: Path) -> Iterator[Any]:
     """Return a function that writes a bag with a connection for each topic and opens it."""
-    readers = []
+    readers: List[Any] = []
 
-    def write(*topics):
+    def write(*topics: Any) -> Any:
         path = tmp_path / f"{len(readers)}.bag"
         with BagWriter(path) as writer:
             for topic in topics:
@@ -37,22 +40,22 @@ def bag(tmp_path):
 
 
 @pytest.fixture
-def transport():
+def transport() -> Any:
     return BagTransport()
 
 
-def subscribe(transport, topic, receiver):
+def subscribe(transport: Any, topic: str, receiver: Receiver) -> Any:
     return transport.subscribe(transport.resolve_topic(topic), STRING.name, lambda source: receiver, 1)
 
 
-def receiver_names(transport, bag):
+def receiver_names(transport: Any, bag: Any) -> Dict[Any, Any]:
     return {
         topic.name: [receiver.name for receiver in transport.receivers[id(topic)]] for topic in bag.topics
     }
 
 
 @pytest.mark.parametrize("topic", ["scan", "/scan", "/scan/"])
-def test_outer_slashes_of_topics_are_ignored(transport, bag, topic):
+def test_outer_slashes_of_topics_are_ignored(transport: Any, bag: Any, topic: str) -> None:
     reader = bag("/scan", "map", "/other")
     subscribe(transport, topic, Receiver("scan"))
     subscribe(transport, "/map", Receiver("map"))
@@ -60,10 +63,10 @@ def test_outer_slashes_of_topics_are_ignored(transport, bag, topic):
     assert receiver_names(transport, reader) == {"/scan": ["scan"], "map": ["map"], "/other": []}
 
 
-def test_source_has_definition_of_connection(transport, bag):
-    sources = []
+def test_source_has_definition_of_connection(transport: Any, bag: Any) -> None:
+    sources: List[Any] = []
 
-    def connect(source):
+    def connect(source: Any) -> Receiver:
         sources.append(source)
         return Receiver("scan")
 
@@ -73,7 +76,7 @@ def test_source_has_definition_of_connection(transport, bag):
     assert (subscription.publisher_count(), subscription.publishers()) == (1, [])
 
 
-def test_refused_connection_has_no_receiver(transport, bag):
+def test_refused_connection_has_no_receiver(transport: Any, bag: Any) -> None:
     reader = bag("/scan")
     subscribe(transport, "scan", Receiver("scan", error="wrong type"))
     _, ((topic, error),) = transport.start(reader)
@@ -81,7 +84,7 @@ def test_refused_connection_has_no_receiver(transport, bag):
     assert receiver_names(transport, reader) == {"/scan": []}
 
 
-def test_transforms_precede_events_of_same_message(transport, bag):
+def test_transforms_precede_events_of_same_message(transport: Any, bag: Any) -> None:
     reader = bag("/tf")
     subscribe(transport, "tf", Receiver("event"))
     transport.start(reader)
@@ -93,13 +96,13 @@ def test_transforms_precede_events_of_same_message(transport, bag):
     assert transport.has_transforms()
 
 
-def test_connection_without_transforms_is_no_error(transport, bag):
+def test_connection_without_transforms_is_no_error(transport: Any, bag: Any) -> None:
     subscribe(transport, "tf", Receiver("transforms", "wrong type", reads_transforms=True))
     assert transport.start(bag("/tf")) == ({"/tf"}, [])
     assert not transport.has_transforms()
 
 
-def test_later_subscription_is_connected_once(transport, bag):
+def test_later_subscription_is_connected_once(transport: Any, bag: Any) -> None:
     reader = bag("/scan", "/map")
     subscribe(transport, "scan", Receiver("scan"))
     transport.start(reader)
@@ -111,7 +114,7 @@ def test_later_subscription_is_connected_once(transport, bag):
     assert receiver_names(transport, reader) == {"/scan": ["scan"], "/map": ["map"]}
 
 
-def test_next_bag_replaces_connections(transport, bag):
+def test_next_bag_replaces_connections(transport: Any, bag: Any) -> None:
     first, second = bag("/scan"), bag("/map")
     subscribe(transport, "scan", Receiver("scan"))
     map_subscription = subscribe(transport, "map", Receiver("map"))
@@ -122,7 +125,7 @@ def test_next_bag_replaces_connections(transport, bag):
     assert transport.start(bag("/map")) == (set(), [])
 
 
-def test_publication_stores_messages_until_taken(transport):
+def test_publication_stores_messages_until_taken(transport: Any) -> None:
     publication = transport.advertise("/alarm", STRING, 1)
     publication.send(b"a")
     publication.send(b"b")
@@ -130,7 +133,7 @@ def test_publication_stores_messages_until_taken(transport):
     assert transport.publications["/alarm"].definition is STRING
 
 
-def test_time_of_transport_is_clock_time(transport):
+def test_time_of_transport_is_clock_time(transport: Any) -> None:
     assert transport.now() == 0
     transport.clock.move_to(5 * SECOND)
     assert transport.now() == 5 * SECOND

@@ -4,6 +4,8 @@ import bz2
 import threading
 from contextlib import closing
 from io import BytesIO
+from pathlib import Path
+from typing import Any, List, Tuple
 
 import pytest
 from malicious_bags import record, ros1_bag
@@ -17,7 +19,7 @@ LIMIT = ChunkLimit(1)
 TEXTS = [bytes([number]) * (number * 1000) for number in range(1, 9)]
 
 
-def make_chunk_file(compression, texts=TEXTS):
+def make_chunk_file(compression: str, texts: Any = TEXTS) -> Tuple[Any, ...]:
     """Return a file of chunks and their positions by number."""
     data, chunks = b"", {}
     for number, text in enumerate(texts):
@@ -28,17 +30,19 @@ def make_chunk_file(compression, texts=TEXTS):
 
 
 @pytest.fixture(params=["none", "bz2"])
-def chunk_file(request, monkeypatch):
+def chunk_file(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.setattr("os.cpu_count", lambda: 4)
     return make_chunk_file(request.param)
 
 
-def decompression_threads():
+def decompression_threads() -> List[Any]:
     return [thread for thread in threading.enumerate() if thread.name.startswith("chunks of a bag")]
 
 
 @pytest.mark.parametrize("cores", [1, 2, 8])
-def test_chunks_are_yielded_in_requested_order(chunk_file, cores, monkeypatch):
+def test_chunks_are_yielded_in_requested_order(
+    chunk_file: Any, cores: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("os.cpu_count", lambda: cores)
     order = [0, 0, 0, 1, 2, 2, 1, 7, 0, 0, 3]
     assert list(read_chunks(*chunk_file, order, LIMIT)) == [TEXTS[number] for number in (0, 1, 2, 1, 7, 0, 3)]
@@ -46,7 +50,7 @@ def test_chunks_are_yielded_in_requested_order(chunk_file, cores, monkeypatch):
     assert decompression_threads() == []
 
 
-def test_broken_chunk_is_an_error_in_its_turn(chunk_file):
+def test_broken_chunk_is_an_error_in_its_turn(chunk_file: Any) -> None:
     file, chunks = chunk_file
     good = chunks[2]
     for broken in (
@@ -67,11 +71,11 @@ def test_broken_chunk_is_an_error_in_its_turn(chunk_file):
     assert decompression_threads() == []
 
 
-def test_number_of_chunks_ahead_is_limited(monkeypatch):
+def test_number_of_chunks_ahead_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     unpacked = threading.Semaphore(0)
-    calls = []
+    calls: List[Any] = []
 
-    def unpack(*arguments, really=module.unpack):
+    def unpack(*arguments: Any, really: Any = module.unpack) -> Any:
         calls.append(1)
         unpacked.release()
         return really(*arguments)
@@ -89,10 +93,10 @@ def test_number_of_chunks_ahead_is_limited(monkeypatch):
 
 
 @pytest.mark.parametrize("cores", [1, 4])
-def test_repeated_chunk_is_held_within_limit(cores, monkeypatch):
-    unpacked_sizes = []
+def test_repeated_chunk_is_held_within_limit(cores: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    unpacked_sizes: List[Any] = []
 
-    def unpack(compression, data, size, really=module.unpack):
+    def unpack(compression: Any, data: Any, size: Any, really: Any = module.unpack) -> Any:
         unpacked_sizes.append(size)
         return really(compression, data, size)
 
@@ -112,9 +116,9 @@ def test_repeated_chunk_is_held_within_limit(cores, monkeypatch):
     assert 0 < unpacked_sizes.count(900_000) <= MAX_REPEATS * 2 + 1
 
 
-def test_compressed_bag_has_same_records(tmp_path):
+def test_compressed_bag_has_same_records(tmp_path: Path) -> None:
     rosbag1 = pytest.importorskip("rosbags.rosbag1")
-    records_by_compression = []
+    records_by_compression: List[Any] = []
     for name in ("NONE", "BZ2"):
         writer = rosbag1.Writer(tmp_path / f"{name}.bag")
         if name != "NONE":
@@ -133,7 +137,7 @@ def test_compressed_bag_has_same_records(tmp_path):
     assert len(records_by_compression[0]) == 285
 
 
-def write_bag(path, times_by_topic, chunk_size=1):
+def write_bag(path: Any, times_by_topic: Any, chunk_size: int = 1) -> Any:
     """Write one topic after the other, each message in a chunk of its own by default."""
     rosbag1 = pytest.importorskip("rosbags.rosbag1")
     writer = rosbag1.Writer(path)
@@ -149,30 +153,30 @@ def write_bag(path, times_by_topic, chunk_size=1):
     return path
 
 
-def read_times(path):
+def read_times(path: Any) -> List[Tuple[Any, ...]]:
     with BagReader(path) as bag:
         return [(record.topic.name, record.time) for record in bag.records()]
 
 
-def test_topics_written_one_after_the_other_are_merged(tmp_path):
+def test_topics_written_one_after_the_other_are_merged(tmp_path: Path) -> None:
     times = {"/a": range(1, 100, 2), "/b": range(2, 101, 2)}
     path = write_bag(tmp_path / "a.bag", times, chunk_size=1_000_000)
     assert read_times(path) == [("/a" if time % 2 else "/b", time) for time in range(1, 101)]
 
 
-def test_messages_of_equal_time_are_in_order_of_their_topics(tmp_path):
+def test_messages_of_equal_time_are_in_order_of_their_topics(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "a.bag", {"/a": [1, 2], "/b": [1, 2]})
     assert read_times(path) == [("/a", 1), ("/b", 1), ("/a", 2), ("/b", 2)]
 
 
-def test_passes_over_one_bag_are_independent(tmp_path):
+def test_passes_over_one_bag_are_independent(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "a.bag", {"/a": [1, 3, 5], "/b": [2, 4, 6]})
     with BagReader(path) as bag, closing(bag.records(["/a"])) as first, closing(bag.records()) as second:
         pairs = [(one.time, other.time) for one, other in zip(first, second)]
     assert pairs == [(1, 1), (3, 2), (5, 3)]
 
 
-def test_message_inside_another_one_is_an_error(tmp_path):
+def test_message_inside_another_one_is_an_error(tmp_path: Path) -> None:
     header = {b"op": b"\2", b"conn": bytes(4), b"time": (2).to_bytes(4, "little") + bytes(4)}
     inner = record(header, b"\2\0\0\0hi")
     offset = len(record(header, bytes(4)))

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any, List
 
 import pytest
 
@@ -28,7 +29,7 @@ from retalis.playback.decompression import ChunkLimit, copy_up_to, read_up_to, u
 
 @pytest.mark.parametrize("compression", PACK)
 @pytest.mark.parametrize("data", [b"", b"a", bytes(range(256)) * 900], ids=len)
-def test_only_data_of_stated_size_is_unpacked(compression, data):
+def test_only_data_of_stated_size_is_unpacked(compression: Any, data: Any) -> None:
     packed = PACK[compression](data)
     assert unpack(compression, packed, len(data)) == data
     with pytest.raises(
@@ -41,7 +42,7 @@ def test_only_data_of_stated_size_is_unpacked(compression, data):
 
 
 @pytest.mark.parametrize("compression", ["bz2", "lz4", "zstd"])
-def test_truncated_data_is_an_error(compression):
+def test_truncated_data_is_an_error(compression: str) -> None:
     data = bytes(range(256)) * 50
     packed = PACK[compression](data)
     for end in range(0, len(packed), 7):
@@ -49,12 +50,12 @@ def test_truncated_data_is_an_error(compression):
             unpack(compression, packed[:end], len(data))
 
 
-def test_unknown_compression_is_an_error():
+def test_unknown_compression_is_an_error() -> None:
     with pytest.raises(ValueError, match="compression 'xz' is unknown: expected none, bz2, lz4 or zstd"):
         unpack("xz", b"", 0)
 
 
-def test_message_is_unpacked_up_to_limit():
+def test_message_is_unpacked_up_to_limit() -> None:
     limit = ChunkLimit(1)
     assert limit.unpack_message(zstd(b"a" * MEGABYTE)) == b"a" * MEGABYTE
     with pytest.raises(
@@ -66,7 +67,7 @@ def test_message_is_unpacked_up_to_limit():
     limit.check(MEGABYTE, "it states")
 
 
-def test_stream_is_read_and_copied_up_to_size():
+def test_stream_is_read_and_copied_up_to_size() -> None:
     data = bytes(5 * MEGABYTE)
     assert len(read_up_to(io.BytesIO(data), 3 * MEGABYTE + 7)) == 3 * MEGABYTE + 7
     assert read_up_to(io.BytesIO(b"abc"), 9) == b"abc"
@@ -75,13 +76,13 @@ def test_stream_is_read_and_copied_up_to_size():
     assert MEGABYTE < copy_up_to(io.BytesIO(data), io.BytesIO(), MEGABYTE) <= 2 * MEGABYTE
 
 
-def bombs(folder):
+def bombs(folder: Any) -> Any:
     """Write small files that contain or state 200 MB; return each path with a part of its error message."""
     zeros = {compression: packed_zeros(compression, 200) for compression in ("bz2", "lz4", "zstd")}
     size = 200 * MEGABYTE
-    expected_errors = []
+    expected_errors: List[Any] = []
 
-    def write(name, data, expected):
+    def write(name: str, data: Any, expected: str) -> None:
         (folder / name).write_bytes(data)
         expected_errors.append((folder / name, expected))
 
@@ -145,7 +146,7 @@ for path in sys.argv[3:]:
 @pytest.mark.skipif(
     not Path("/proc/self/statm").exists(), reason="the system does not report the size of a process"
 )
-def test_bomb_of_each_format_is_an_error(tmp_path):
+def test_bomb_of_each_format_is_an_error(tmp_path: Path) -> None:
     """100 MB suffice for chunks of at most 20 MB, which are in memory twice while their blocks are joined."""
     expected_errors = bombs(tmp_path)
     assert max(path.stat().st_size for path, _ in expected_errors if path.is_file()) < 3 * MEGABYTE

@@ -1,6 +1,8 @@
 """MCAP files: order, limits, and damaged files."""
 
 import struct
+from pathlib import Path
+from typing import Any, List, Tuple
 
 import pytest
 
@@ -16,7 +18,7 @@ from retalis.playback.mcap_file import McapFile  # noqa: E402
 SECOND = 10**9
 
 
-def read(path):
+def read(path: Any) -> List[Tuple[Any, ...]]:
     with MergedBag([path], max_chunk_megabytes=1) as bags:
         return [(record.time // SECOND, record.data[4:]) for record in bags.records()]
 
@@ -30,7 +32,7 @@ CHUNKS = [
 
 @pytest.mark.parametrize("has_index", [True, False])
 @pytest.mark.parametrize("compression", ["", "lz4", "zstd"])
-def test_chunks_are_merged_by_time(tmp_path, compression, has_index):
+def test_chunks_are_merged_by_time(tmp_path: Path, compression: str, has_index: bool) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(mcap(CHUNKS, compression, has_index=has_index))
     assert [time for time, _ in read(path)] == [1, 3, 5, 9, 10, 12]
@@ -40,7 +42,7 @@ INDEX_OF_CHANNEL_1, INDEX_OF_CHANNEL_2 = (struct.pack("<IHQ", 10, channel, 0) fo
 DAMAGED_INDEX = struct.pack("<I", 1_000_000)
 
 
-def test_chunks_without_requested_channels_are_not_read(tmp_path):
+def test_chunks_without_requested_channels_are_not_read(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     content = mcap(CHUNKS, indexed_channels=[INDEX_OF_CHANNEL_1, INDEX_OF_CHANNEL_2, INDEX_OF_CHANNEL_1])
     # A record that states too many bytes would be an error.
@@ -50,13 +52,13 @@ def test_chunks_without_requested_channels_are_not_read(tmp_path):
 
 
 @pytest.mark.parametrize("index", [struct.pack("<I", 0), DAMAGED_INDEX, struct.pack("<I3s", 3, b"abc")])
-def test_chunks_without_valid_index_of_channels_are_read(tmp_path, index):
+def test_chunks_without_valid_index_of_channels_are_read(tmp_path: Path, index: Any) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(mcap(CHUNKS, indexed_channels=[INDEX_OF_CHANNEL_1, index, INDEX_OF_CHANNEL_1]))
     assert [time for time, _ in read(path)] == [1, 3, 5, 9, 10, 12]
 
 
-def mcap_without_chunks(seconds, chunks=(), profile="ros2"):
+def mcap_without_chunks(seconds: Any, chunks: Any = (), profile: str = "ros2") -> Any:
     """Return a file with messages outside of chunks, each with its number as data."""
     data = mcap(chunks, has_index=False, profile=profile)
     end = len(data) - 37
@@ -75,13 +77,15 @@ def mcap_without_chunks(seconds, chunks=(), profile="ros2"):
         ([5, 7, 3, 6, 0, 8], CHUNKS[:1], [0, 1, 3, 5, 5, 6, 7, 8]),
     ],
 )
-def test_messages_outside_of_chunks_are_sorted(tmp_path, seconds, chunks, expected):
+def test_messages_outside_of_chunks_are_sorted(
+    tmp_path: Path, seconds: List[int], chunks: Any, expected: List[int]
+) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(mcap_without_chunks(seconds, chunks))
     assert [time for time, _ in read(path)] == expected
 
 
-def test_messages_of_equal_time_keep_their_order(tmp_path):
+def test_messages_of_equal_time_keep_their_order(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(mcap_without_chunks([2, 2, 1, 2]))
     assert read(path) == [(1, b"2"), (2, b"0"), (2, b"1"), (2, b"3")]
@@ -91,7 +95,7 @@ def test_messages_of_equal_time_keep_their_order(tmp_path):
     file.close()
 
 
-def test_index_of_unsorted_messages_is_limited(tmp_path):
+def test_index_of_unsorted_messages_is_limited(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(mcap_without_chunks([2, 1, 3, 4] * 8000))
     with pytest.raises(
@@ -101,13 +105,13 @@ def test_index_of_unsorted_messages_is_limited(tmp_path):
 
 
 @pytest.mark.parametrize("profile", ["", "ros1", "any"])
-def test_profile_of_header_is_not_needed(tmp_path, profile):
+def test_profile_of_header_is_not_needed(tmp_path: Path, profile: str) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(mcap_without_chunks([1], profile=profile))
     assert read(path) == [(1, b"0")]
 
 
-def test_missing_message_counts_are_computed(tmp_path):
+def test_missing_message_counts_are_computed(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(mcap(CHUNKS, has_counts=False))
     with MergedBag([path]) as bags:
@@ -136,14 +140,14 @@ WRONG_MCAP = [
 
 
 @pytest.mark.parametrize(("data", "expected"), WRONG_MCAP, ids=range(len(WRONG_MCAP)))
-def test_malicious_file_is_an_error(tmp_path, data, expected):
+def test_malicious_file_is_an_error(tmp_path: Path, data: Any, expected: Any) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(data)
     with pytest.raises(BagError, match=expected):
         read(path)
 
 
-def test_disjoint_chunks_are_held_one_at_a_time(tmp_path):
+def test_disjoint_chunks_are_held_one_at_a_time(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     chunks = [mcap_message(second, bytes(400_000)) for second in range(9)]
     path.write_bytes(mcap(chunks, times=[(second, second) for second in range(9)]))
@@ -152,7 +156,7 @@ def test_disjoint_chunks_are_held_one_at_a_time(tmp_path):
     file.close()
 
 
-def test_truncated_file_is_an_error(tmp_path):
+def test_truncated_file_is_an_error(tmp_path: Path) -> None:
     content = mcap(CHUNKS, "zstd")
     path = tmp_path / "a.mcap"
     for size in range(0, len(content), 13):

@@ -3,6 +3,8 @@
 import json
 import struct
 import tempfile
+from pathlib import Path
+from typing import Any, List, Tuple
 
 import numpy
 import pytest
@@ -19,7 +21,7 @@ SECOND = 10**9
 STRING = Definitions().add("std_msgs/String", "string data")
 
 
-def bag(path, *seconds, topic="/chatter"):
+def bag(path: Any, *seconds: Any, topic: str = "/chatter") -> Any:
     """Write a bag with a text at each of the given seconds."""
     with BagWriter(path) as writer:
         connection = writer.add(topic, STRING)
@@ -28,11 +30,11 @@ def bag(path, *seconds, topic="/chatter"):
     return path
 
 
-def read(bags):
+def read(bags: Any) -> List[Tuple[Any, ...]]:
     return [(record.topic.name, record.time // SECOND) for record in bags.records()]
 
 
-def test_records_are_sorted_by_receipt_time(tmp_path):
+def test_records_are_sorted_by_receipt_time(tmp_path: Path) -> None:
     paths = [bag(tmp_path / "a.bag", 1, 4, 5), bag(tmp_path / "b.bag", 2, 4, 9, topic="/other")]
     with MergedBag(paths) as bags:
         assert read(bags) == [
@@ -50,7 +52,7 @@ def test_records_are_sorted_by_receipt_time(tmp_path):
         assert (bags.start, bags.end) == (SECOND, 9 * SECOND)
 
 
-def test_records_are_limited_to_interval(tmp_path):
+def test_records_are_limited_to_interval(tmp_path: Path) -> None:
     paths = [bag(tmp_path / "a.bag", 11, 14, 15), bag(tmp_path / "b.bag", 12, 19)]
     with MergedBag(paths, start=3) as bags:
         assert [second for _, second in read(bags)] == [14, 15, 19]
@@ -63,7 +65,7 @@ def test_records_are_limited_to_interval(tmp_path):
         MergedBag(paths, start=9)
 
 
-def test_repeated_bag_is_an_error(tmp_path):
+def test_repeated_bag_is_an_error(tmp_path: Path) -> None:
     path = bag(tmp_path / "a.bag", 1)
     with pytest.raises(UsageError, match="is given twice"):
         MergedBag([path, tmp_path / "." / "a.bag"])
@@ -72,7 +74,7 @@ def test_repeated_bag_is_an_error(tmp_path):
 
 
 @pytest.mark.parametrize("compression", ["BZ2", "LZ4"])
-def test_compressed_ros1_bag_is_read(tmp_path, compression):
+def test_compressed_ros1_bag_is_read(tmp_path: Path, compression: str) -> None:
     writer = rosbag1.Writer(tmp_path / "a.bag")
     writer.set_compression(rosbag1.Writer.CompressionFormat[compression])
     with writer:
@@ -90,7 +92,7 @@ OWN = "std_msgs/Header header\nfloat64 level\nbuiltin_interfaces/Time since\nuin
 STORAGES = list(getattr(rosbag2, "StoragePlugin", [None]))
 
 
-def ros2_bag(folder, storage):
+def ros2_bag(folder: Any, storage: Any) -> Any:
     """Write a ROS 2 bag with a message of a standard type and one of a custom type."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg(OWN, "my_msgs/msg/Level"))
@@ -111,7 +113,7 @@ def ros2_bag(folder, storage):
 
 
 @pytest.mark.parametrize("storage", STORAGES)
-def test_events_of_ros2_bag_are_those_of_ros1(tmp_path, storage):
+def test_events_of_ros2_bag_are_those_of_ros1(tmp_path: Path, storage: Any) -> None:
     program = tmp_path / "program"
     program.mkdir()
     (program / "pub_sub.xml").write_text(
@@ -160,12 +162,12 @@ module my_msgs {
 """
 
 
-def cdr_message(*fields):
+def cdr_message(*fields: Any) -> Any:
     """Return a message in CDR with fields, each a format of `struct` and its values."""
     return b"\0\1\0\0" + b"".join(struct.pack(f"<{code}", *values) for code, *values in fields)
 
 
-def typed_bag(folder, storage, *connections):
+def typed_bag(folder: Any, storage: Any, *connections: Any) -> Any:
     """Write a ROS 2 bag with one message per second.
 
     Args:
@@ -188,7 +190,9 @@ HELLO = cdr_message(("I6s", 6, b"hello\0"))
 
 
 @pytest.mark.parametrize("storage", STORAGES)
-def test_unreadable_type_excludes_only_its_topics(tmp_path, storage, caplog):
+def test_unreadable_type_excludes_only_its_topics(
+    tmp_path: Path, storage: Any, caplog: pytest.LogCaptureFixture
+) -> None:
     folder = typed_bag(
         tmp_path / "two",
         storage,
@@ -212,7 +216,9 @@ def test_unreadable_type_excludes_only_its_topics(tmp_path, storage, caplog):
 
 
 @pytest.mark.parametrize(("topic", "is_named"), [("chatter", False), ("gone", True)])
-def test_unreadable_topic_of_program_is_reported(tmp_path, caplog, topic, is_named):
+def test_unreadable_topic_of_program_is_reported(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, topic: str, is_named: bool
+) -> None:
     program = tmp_path / "program"
     program.mkdir()
     (program / "pub_sub.xml").write_text(
@@ -235,7 +241,7 @@ def test_unreadable_topic_of_program_is_reported(tmp_path, caplog, topic, is_nam
 
 
 @pytest.mark.parametrize("storage", STORAGES)
-def test_bounds_and_defaults_are_read(tmp_path, storage):
+def test_bounds_and_defaults_are_read(tmp_path: Path, storage: Any) -> None:
     text = '"Jü"'
     raw = cdr_message(
         ("I3sx", 3, b"hi\0"),
@@ -254,7 +260,7 @@ def test_bounds_and_defaults_are_read(tmp_path, storage):
     assert event_text == f"my_msgs__0__Bounded('\"hi\"',['\"a\"'],[0.5],'{text}',200,[])"
 
 
-def test_idl_definition_is_read(tmp_path):
+def test_idl_definition_is_read(tmp_path: Path) -> None:
     raw = cdr_message(("I3sx", 3, b"hi\0"), ("I4xd", 1, 0.5), ("iII1s", 4, 5, 1, b""))
     folder = typed_bag(tmp_path / "two", STORAGES[-1], ("/few", "my_msgs/msg/Few", IDL, raw))
     with MergedBag([folder]) as bags:
@@ -279,7 +285,9 @@ def test_idl_definition_is_read(tmp_path):
         ),
     ],
 )
-def test_invalid_idl_is_reported_with_position(tmp_path, caplog, text, problem):
+def test_invalid_idl_is_reported_with_position(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, text: Any, problem: str
+) -> None:
     raw = cdr_message(("I3sx", 3, b"hi\0"))
     folder = typed_bag(tmp_path / "two", STORAGES[-1], ("/few", "my_msgs/msg/Few", text, raw))
     with MergedBag([folder]) as bags:
@@ -291,7 +299,7 @@ def test_invalid_idl_is_reported_with_position(tmp_path, caplog, text, problem):
     assert problem.format("its definition in IDL cannot be parsed") in message
 
 
-def test_messages_of_wrong_size_are_counted(tmp_path, caplog):
+def test_messages_of_wrong_size_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     folder = typed_bag(
         tmp_path / "two",
         STORAGES[-1],
@@ -306,10 +314,10 @@ def test_messages_of_wrong_size_are_counted(tmp_path, caplog):
 
 
 @pytest.fixture
-def compressed(tmp_path):
+def compressed(tmp_path: Path) -> Any:
     """Return a function that writes one compressed file of a ROS 2 bag."""
 
-    def write(storage):
+    def write(storage: Any) -> Any:
         folder = typed_bag(
             tmp_path / "two", storage, ("/chatter", "std_msgs/msg/String", "string data\n", HELLO)
         )
@@ -322,7 +330,9 @@ def compressed(tmp_path):
 
 
 @pytest.mark.parametrize("storage", STORAGES)
-def test_compressed_file_is_unpacked_while_open(compressed, storage, tmp_path, monkeypatch):
+def test_compressed_file_is_unpacked_while_open(
+    compressed: Any, storage: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     scratch = tmp_path / "scratch"
     scratch.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(scratch))
@@ -334,7 +344,9 @@ def test_compressed_file_is_unpacked_while_open(compressed, storage, tmp_path, m
     assert list(scratch.iterdir()) == []
 
 
-def test_large_or_broken_compressed_file_is_an_error(compressed, tmp_path, monkeypatch):
+def test_large_or_broken_compressed_file_is_an_error(
+    compressed: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     scratch = tmp_path / "scratch"
     scratch.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(scratch))
@@ -350,7 +362,7 @@ def test_large_or_broken_compressed_file_is_an_error(compressed, tmp_path, monke
     assert list(scratch.iterdir()) == []
 
 
-def test_invalid_ros2_bag_is_an_error(tmp_path):
+def test_invalid_ros2_bag_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "metadata.yaml").write_text("nothing: 1")
     with pytest.raises(BagError, match="is not a complete ROS 2 bag"):
         MergedBag([tmp_path])

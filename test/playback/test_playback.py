@@ -1,7 +1,9 @@
 """Playback of bags: topics, types, times, outputs, and reported problems."""
 
 import logging
+from pathlib import Path
 from types import SimpleNamespace
+from typing import Any, Dict, Iterator, List, Optional, Tuple
 
 import pytest
 from parsing import parse_term
@@ -32,7 +34,7 @@ STAMPED = (
 
 
 @pytest.fixture
-def definitions():
+def definitions() -> Any:
     definitions = Definitions()
     definitions.add("my_msgs/Point", POINT)
     definitions.add("my_msgs/Stamped", STAMPED)
@@ -41,11 +43,11 @@ def definitions():
 
 
 @pytest.fixture
-def program(tmp_path):
+def program(tmp_path: Path) -> Any:
     folder = tmp_path / "program"
     folder.mkdir()
 
-    def write(rules, goals="", topics=""):
+    def write(rules: Any, goals: str = "", topics: str = "") -> Any:
         (folder / "eventRules.txt").write_text(rules)
         (folder / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')\n" + goals)
         (folder / "pub_sub.xml").write_text(f"<publish_subscribe>{topics}</publish_subscribe>")
@@ -55,11 +57,11 @@ def program(tmp_path):
 
 
 @pytest.fixture
-def bag(tmp_path, definitions):
-    def write(*messages):
+def bag(tmp_path: Path, definitions: Any) -> Any:
+    def write(*messages: Any) -> Any:
         path = tmp_path / "some.bag"
         with BagWriter(path) as writer:
-            connections = {}
+            connections: Dict[Any, Any] = {}
             for time, topic, type_name, text in messages:
                 if topic not in connections:
                     connections[topic] = writer.add(topic, definitions.find(type_name))
@@ -71,8 +73,8 @@ def bag(tmp_path, definitions):
     return write
 
 
-def run(program, path, **options):
-    problems = []
+def run(program: Any, path: Any, **options: Any) -> Any:
+    problems: List[Any] = []
     handler = logging.Handler()
     handler.emit = lambda record: problems.append(record.getMessage())
     logging.getLogger("retalis").addHandler(handler)
@@ -82,16 +84,16 @@ def run(program, path, **options):
         logging.getLogger("retalis").removeHandler(handler)
 
 
-def play(program, path, problems, **options):
+def play(program: Any, path: Any, problems: Any, **options: Any) -> Tuple[Any, ...]:
     playback = Playback(program, problems.append, **options)
-    events = []
+    events: List[Any] = []
     playback.engine.on_event(lambda event, start, end: events.append((to_text(event), start, end)))
     with BagReader(path) as reader:
         outputs = list(playback.run(reader))
     return outputs, events, [str(problem) for problem in problems]
 
 
-def points(*seconds, topic="/in"):
+def points(*seconds: Any, topic: str = "/in") -> List[Tuple[Any, ...]]:
     """Return a message ``my_msgs/Point`` for each second, which is also its value."""
     return [(second * SECOND, topic, "my_msgs/Point", f"my_msgs__0__Point({second}.0)") for second in seconds]
 
@@ -100,7 +102,7 @@ IN = '<subscribe_to name="in" msg_type="my_msgs/Point"/>'
 OUT = '<publish_to name="out" msg_type="my_msgs/Point"/>'
 
 
-def test_outputs_for_messages_are_messages(program, bag, definitions):
+def test_outputs_for_messages_are_messages(program: Any, bag: Any, definitions: Any) -> None:
     path = bag((7 * SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(6.5)"))
     goals = "subscribe(my_msgs__0__Point(X), [Y is X * 2], my_msgs__0__Point(Y), out, 1)"
     outputs, events, problems = run(program("", goals, IN + OUT), path)
@@ -112,7 +114,7 @@ def test_outputs_for_messages_are_messages(program, bag, definitions):
     assert decoded == parse_term("my_msgs__0__Point(13.0)")
 
 
-def test_trailing_slash_of_topic_is_ignored(program, bag, definitions):
+def test_trailing_slash_of_topic_is_ignored(program: Any, bag: Any, definitions: Any) -> None:
     path = bag((7 * SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(6.5)"))
     goals = "subscribe(my_msgs__0__Point(X), [], my_msgs__0__Point(X), '/out', 1)"
     topics = IN.replace('"in"', '"/in/"') + OUT.replace('"out"', '"/out/"')
@@ -121,7 +123,7 @@ def test_trailing_slash_of_topic_is_ignored(program, bag, definitions):
     assert outputs[0].definition.name == "my_msgs/Point"
 
 
-def test_nonzero_header_stamp_is_event_time(program, bag):
+def test_nonzero_header_stamp_is_event_time(program: Any, bag: Any) -> None:
     text = "my_msgs__0__Stamped(std_msgs__0__Header(1,[{},{}],'\"f\"'),1.0)"
     path = bag(
         (7 * SECOND, "/in", "my_msgs/Stamped", text.format(3, 4)),
@@ -133,7 +135,7 @@ def test_nonzero_header_stamp_is_event_time(program, bag):
     assert [(start, end) for _, start, end in events] == [(3 * SECOND + 4,) * 2, (8 * SECOND,) * 2]
 
 
-def test_unnamed_topic_is_played_only_on_request(program, bag):
+def test_unnamed_topic_is_played_only_on_request(program: Any, bag: Any) -> None:
     path = bag((SECOND, "/other", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
     folder = program("", "", IN)
     assert run(folder, path)[1] == []
@@ -141,7 +143,7 @@ def test_unnamed_topic_is_played_only_on_request(program, bag):
 
 
 @pytest.fixture
-def tf_bag(bag, definitions):
+def tf_bag(bag: Any, definitions: Any) -> Any:
     definitions.add("tf/tfMessage", "float64[] transforms\n")
     return bag(
         (SECOND, "/tf", "tf/tfMessage", "tf__0__tfMessage([1.0])"),
@@ -160,38 +162,38 @@ def tf_bag(bag, definitions):
         ({"direct": ()}, 1),
     ],
 )
-def test_direct_topics_are_played(program, tf_bag, options, event_count):
+def test_direct_topics_are_played(program: Any, tf_bag: Any, options: Any, event_count: int) -> None:
     _, events, problems = run(program("", "", IN), tf_bag, **options)
     assert len(events) == event_count
     assert problems == []  # the default topic ar_pose_marker may be missing
 
 
-def test_named_direct_topic_has_no_second_event(program, tf_bag):
+def test_named_direct_topic_has_no_second_event(program: Any, tf_bag: Any) -> None:
     named = IN + '<subscribe_to name="/tf" msg_type="tf/tfMessage" event="moved"/>'
     for direct in ("auto", True, False):
         _, events, _ = run(program("", "", named), tf_bag, direct=direct)
         assert [event for event, _, _ in events] == ["moved([1.0])", "my_msgs__0__Point(1.0)"]
 
 
-def test_missing_direct_topic_is_reported(program, tf_bag):
+def test_missing_direct_topic_is_reported(program: Any, tf_bag: Any) -> None:
     _, _, problems = run(program("", "", IN), tf_bag, direct=(TopicType("scan", "my_msgs/Point"),))
     (problem,) = problems
     assert "has no messages on scan" in problem
 
 
-def test_goal_cannot_change_type_of_direct_topic(program, tf_bag):
+def test_goal_cannot_change_type_of_direct_topic(program: Any, tf_bag: Any) -> None:
     goal = "subscribe_to(tf, 'my_msgs/Point')"
     _, _, (problem, *_) = run(program("", goal, IN), tf_bag)
     assert "subscribed already as tf/tfMessage" in problem
     assert run(program("", goal, IN), tf_bag, direct=False)[2] != []
 
 
-def test_other_type_of_default_topic_is_a_warning(program, bag):
+def test_other_type_of_default_topic_is_a_warning(program: Any, bag: Any) -> None:
     path = bag(
         (SECOND, "/tf", "my_msgs/Point", "my_msgs__0__Point(1.0)"),
         (2 * SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"),
     )
-    reported = []
+    reported: List[Any] = []
     with BagReader(path) as reader:
         list(Playback(program("", "", IN), reported.append).run(reader))
     assert reported == []
@@ -199,7 +201,7 @@ def test_other_type_of_default_topic_is_a_warning(program, bag):
     assert "1 message dropped" in problems[0]
 
 
-def test_type_has_name_of_program(program, bag):
+def test_type_has_name_of_program(program: Any, bag: Any) -> None:
     path = bag((SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
     _, events, problems = run(program("", "", IN.replace("my_msgs/Point", "other_msgs/Dot")), path)
     assert problems == [
@@ -209,21 +211,21 @@ def test_type_has_name_of_program(program, bag):
     assert [event for event, _, _ in events] == ["other_msgs__0__Dot(1.0)"]
 
 
-def test_type_without_slots_has_events(program, bag):
+def test_type_without_slots_has_events(program: Any, bag: Any) -> None:
     path = bag((SECOND, "/in", "my_msgs/Empty", "my_msgs__0__Empty"))
     _, events, problems = run(program("", "", IN.replace("Point", "Empty")), path)
     assert problems == []
     assert [event for event, _, _ in events] == ["my_msgs__0__Empty"]
 
 
-def test_other_type_than_subscribed_is_reported(program, bag):
+def test_other_type_than_subscribed_is_reported(program: Any, bag: Any) -> None:
     path = bag(*points(1, 2))
     _, events, problems = run(program("", "", IN.replace("my_msgs/Point", "std_msgs/Float32")), path)
     assert events == []
     assert problems == ["topic /in: expected std_msgs/Float32, found my_msgs/Point; 2 messages dropped"]
 
 
-def test_missing_topics_are_reported_once(program, bag):
+def test_missing_topics_are_reported_once(program: Any, bag: Any) -> None:
     path = bag((SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
     topics = IN + IN.replace('"in"', '"/ni"')
     _, events, problems = run(program("", "", topics), path, topics=[TopicType("no", "my_msgs/Point")])
@@ -231,7 +233,7 @@ def test_missing_topics_are_reported_once(program, bag):
     assert problems == [f"{path} has no messages on /ni, no; it has /in (my_msgs/Point)"]
 
 
-def test_invalid_outputs_are_counted(program, bag):
+def test_invalid_outputs_are_counted(program: Any, bag: Any) -> None:
     path = bag(*points(*range(1, 8)))
     goals = "subscribe(my_msgs__0__Point(X), [Y = a(X)], my_msgs__0__Point(Y), out, 1)"
     outputs, _, problems = run(program("", goals, IN + OUT), path)
@@ -242,7 +244,7 @@ def test_invalid_outputs_are_counted(program, bag):
     assert at_run == [first, f"7 times in all: {first}"]
 
 
-def test_invalid_goals_do_not_stop_others(program, bag):
+def test_invalid_goals_do_not_stop_others(program: Any, bag: Any) -> None:
     path = bag(*points(1, 2))
     goals = (
         "subscribe(my_msgs__0__Point(X), [], my_msgs__0__Point(no), out, 1)\n"
@@ -258,7 +260,7 @@ def test_invalid_goals_do_not_stop_others(program, bag):
     assert any("nowhere" in problem for problem in problems)
 
 
-def test_alarms_follow_time_of_bag(program, bag):
+def test_alarms_follow_time_of_bag(program: Any, bag: Any) -> None:
     path = bag(*points(1, 2, 9))
     _, events, problems = run(program("exceptionAlarm(late(X), 3) <- my_msgs__0__Point(X).", "", IN), path)
     assert problems == []
@@ -271,7 +273,7 @@ def test_alarms_follow_time_of_bag(program, bag):
     ]
 
 
-def test_alarm_fires_at_its_own_time(program, bag):
+def test_alarm_fires_at_its_own_time(program: Any, bag: Any) -> None:
     path = bag(*points(1, 9))
     rules = (
         "exceptionAlarm(late(X), 3) <- my_msgs__0__Point(X).\n"
@@ -287,7 +289,7 @@ def test_alarm_fires_at_its_own_time(program, bag):
     assert ("my_msgs__0__Point(1.0)", 6 * SECOND, 6 * SECOND) in events
 
 
-def test_output_precedes_next_message(program, bag):
+def test_output_precedes_next_message(program: Any, bag: Any) -> None:
     path = bag(*points(1, 2, 3))
     goals = "subscribe(my_msgs__0__Point(X), [X < 3], _, out, 1)"
     message_counts, outputs = [], []
@@ -299,15 +301,15 @@ def test_output_precedes_next_message(program, bag):
     assert message_counts == [1, 2, 3]
 
 
-def test_damage_is_reported_after_earlier_messages(program, bag):
+def test_damage_is_reported_after_earlier_messages(program: Any, bag: Any) -> None:
     path = bag(*points(1, 2, 3))
     playback = Playback(program("", "", IN), report=pytest.fail)
-    starts = []
+    starts: List[Any] = []
     playback.engine.on_event(lambda event, start, end: starts.append(start))
     with BagReader(path) as reader:
         undamaged_records = reader.records
 
-        def records(topics, **options):
+        def records(topics: Any, **options: Any) -> Iterator[Any]:
             yield from list(undamaged_records(topics, **options))[:2]
             raise BagError("the rest cannot be read")
 
@@ -325,7 +327,7 @@ timer(noon, at(datime(1970,1,1,0,0,7,0)))
 """
 
 
-def test_timers_fire_as_for_event_stream(program, bag):
+def test_timers_fire_as_for_event_stream(program: Any, bag: Any) -> None:
     rules = "next(X) <- tick seq my_msgs__0__Point(X)."
     seconds = (1.5, 2, 5, 9)
     path = bag(
@@ -345,7 +347,7 @@ def test_timers_fire_as_for_event_stream(program, bag):
     assert events == stream_events
 
 
-def test_timer_events_in_gap_are_limited(program, bag, monkeypatch):
+def test_timer_events_in_gap_are_limited(program: Any, bag: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(timer_service, "MAX_FIRINGS_PER_JUMP", 100)
     path = bag(*points(10, 20, 5000, 5003))
     _, events, (problem,) = run(program("null <- tick.", "timer(tick, every(1))", IN), path)
@@ -357,7 +359,9 @@ def test_timer_events_in_gap_are_limited(program, bag, monkeypatch):
 
 
 @pytest.mark.parametrize(("limit", "event_count"), [(None, 5), (100.0, 4)])
-def test_stamp_far_ahead_is_reported_and_dropped(program, bag, limit, event_count):
+def test_stamp_far_ahead_is_reported_and_dropped(
+    program: Any, bag: Any, limit: Optional[float], event_count: int
+) -> None:
     folder = program("", topics='<subscribe_to name="/s" msg_type="my_msgs/Stamped"/>')
     stamps = [10, 11, 3612, 13, 14]
     messages = [
@@ -377,7 +381,7 @@ def test_stamp_far_ahead_is_reported_and_dropped(program, bag, limit, event_coun
     ]
 
 
-def test_events_have_event_name_of_topic(program, bag):
+def test_events_have_event_name_of_topic(program: Any, bag: Any) -> None:
     line = '<subscribe_to name="{}" msg_type="my_msgs/Point" {}/>'
     topics = line.format("left", 'event="bumper_left"') + line.format("/right", 'event=" bumper_right "')
     folder = program(
@@ -405,7 +409,7 @@ def test_events_have_event_name_of_topic(program, bag):
     assert problems == []
 
 
-def test_slots_of_types_in_bag_can_be_named(program, bag):
+def test_slots_of_types_in_bag_can_be_named(program: Any, bag: Any) -> None:
     path = bag(
         (SECOND, "/in", "my_msgs/Stamped", "my_msgs__0__Stamped(std_msgs__0__Header(1,[3,4],'\"f\"'),1.0)")
     )
@@ -422,7 +426,7 @@ def test_slots_of_types_in_bag_can_be_named(program, bag):
     assert "the slots of my_msgs/Stamped are not known when this is read" in str(problems)
 
 
-def test_goals_subscribe_at_start_and_later(program, bag):
+def test_goals_subscribe_at_start_and_later(program: Any, bag: Any) -> None:
     path = bag(
         *points(1, topic="a"),
         *points(2, 4, topic="b"),
@@ -452,7 +456,7 @@ def test_goals_subscribe_at_start_and_later(program, bag):
     assert "has no messages on none; it has a (my_msgs/Point)" in problem
 
 
-def test_restored_program_keeps_subscribed_topics(program, bag):
+def test_restored_program_keeps_subscribed_topics(program: Any, bag: Any) -> None:
     path = bag((SECOND, "/a", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
     folder = program("", "subscribe_to('/a', 'my_msgs/Point', at_a)")
     problems, events = [], []
@@ -464,18 +468,18 @@ def test_restored_program_keeps_subscribed_topics(program, bag):
     assert (problems, events) == ([], ["at_a(1.0)"])
 
 
-def test_output_type_is_found_in_bag(program, bag):
+def test_output_type_is_found_in_bag(program: Any, bag: Any) -> None:
     path = bag((SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
     goals = "subscribe(my_msgs__0__Point(X), [], my_msgs__0__Point(X), out, 1)"
     folder = program("", goals, IN + OUT)
-    problems = []
+    problems: List[Any] = []
     # Without argument `bag`, the types of the bag are known when it is played.
     outputs, _, _ = play(folder, path, problems)
     assert [output.definition.name for output in outputs] == ["my_msgs/Point"]
     assert [output.data is not None for output in outputs] == [True]
 
 
-def test_output_of_unknown_type_is_an_error(program, bag):
+def test_output_of_unknown_type_is_an_error(program: Any, bag: Any) -> None:
     path = bag((SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
     goals = "subscribe(my_msgs__0__Point(X), [], my_msgs__0__Point(X), out, 1)"
     outputs, _, problems = run(program("", goals, IN + OUT.replace("Point", "Unknown")), path)
@@ -484,7 +488,7 @@ def test_output_of_unknown_type_is_an_error(program, bag):
     assert "my_msgs/Unknown" in problems[-1]
 
 
-def test_added_topic_changes_type_not_event_name(program, bag):
+def test_added_topic_changes_type_not_event_name(program: Any, bag: Any) -> None:
     path = bag((SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
     folder = program("", "", '<subscribe_to name="in" msg_type="std_msgs/Float32" event="spot"/>')
     _, events, problems = run(folder, path, topics=[TopicType("/in", "my_msgs/Point")])
@@ -492,7 +496,7 @@ def test_added_topic_changes_type_not_event_name(program, bag):
     assert [event for event, _, _ in events] == ["spot(1.0)"]
 
 
-def test_first_entry_of_topic_has_precedence(program, bag):
+def test_first_entry_of_topic_has_precedence(program: Any, bag: Any) -> None:
     path = bag((SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
     second = '<subscribe_to name="/in" msg_type="std_msgs/Float32"/>'
     _, events, problems = run(program("", "", IN + second), path)
@@ -504,20 +508,20 @@ def test_first_entry_of_topic_has_precedence(program, bag):
 class PendingQueries:
     """100,000 pending queries that count how many of them are read."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.read_count = 0
 
-    def __len__(self):
+    def __len__(self) -> int:
         return 100_000
 
-    def __iter__(self):
+    def __iter__(self) -> Iterator[Any]:
         query = SimpleNamespace(create_event=lambda values: atom("found"))
         for order in range(len(self)):
             self.read_count += 1
             yield order, query, (), None, None, []
 
 
-def test_number_of_recorded_queries_is_limited(monkeypatch):
+def test_number_of_recorded_queries_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     engine, records, pending_queries = Engine(), [], PendingQueries()
     playback = SimpleNamespace(engine=engine, clock=SimpleNamespace(now=lambda: 5))
     recorder = RunRecorder(playback, records.append)
@@ -526,7 +530,7 @@ def test_number_of_recorded_queries_is_limited(monkeypatch):
     assert pending_queries.read_count == MAX_RECORDED_QUERIES
 
 
-def make_lagging_bag(bag, readings):
+def make_lagging_bag(bag: Any, readings: Any) -> Any:
     """Write a bag of readings (receipt in ms, stamp in ms, value)."""
     return bag(
         *(
@@ -549,7 +553,9 @@ LAGGING_GOALS = "subscribe(alarm, [], _, alarms, a)\n"
 @pytest.mark.parametrize(
     ("delay", "alarm_count"), [(None, 0), (0, 1)], ids=["by the lag of the topic", "without delay"]
 )
-def test_alarm_waits_for_late_messages(program, bag, delay, alarm_count):
+def test_alarm_waits_for_late_messages(
+    program: Any, bag: Any, delay: Optional[int], alarm_count: int
+) -> None:
     folder = program(LAGGING_RULES, LAGGING_GOALS)
     readings = [(1_000_015, 1_000_000, 1.0), (1_000_505, 1_000_490, 2.0), (1_002_000, 1_001_980, 3.0)]
     with BagReader(make_lagging_bag(bag, readings)) as reader:
@@ -563,7 +569,9 @@ def test_alarm_waits_for_late_messages(program, bag, delay, alarm_count):
 
 
 @pytest.mark.parametrize(("is_last", "alarm_count"), [(True, 1), (False, 0)])
-def test_alarm_does_not_wait_at_end_of_last_bag(program, bag, is_last, alarm_count):
+def test_alarm_does_not_wait_at_end_of_last_bag(
+    program: Any, bag: Any, is_last: bool, alarm_count: int
+) -> None:
     folder = program(LAGGING_RULES, LAGGING_GOALS)
     readings = [(1_000_300, 1_000_000, 1.0), (1_000_600, 1_000_300, 3.0)]
     with BagReader(make_lagging_bag(bag, readings)) as reader:

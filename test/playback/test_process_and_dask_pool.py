@@ -3,6 +3,8 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
+from typing import Any, Iterator, List
 
 import pytest
 from python_path import python_path
@@ -20,7 +22,7 @@ from retalis.playback.process_and_dask_pool import (
 pytestmark = pytest.mark.slow
 
 
-def test_tasks_are_divided_among_processes(tmp_path):
+def test_tasks_are_divided_among_processes(tmp_path: Path) -> None:
     results = dict(run_in_processes(run_task, ["pid"] * 6, 2, str(tmp_path), pytest.fail))
     assert sorted(results) == list(range(6))
     assert os.getpid() not in results.values()
@@ -30,8 +32,8 @@ def test_tasks_are_divided_among_processes(tmp_path):
             os.kill(process, 0)
 
 
-def test_task_of_dead_worker_is_retried_up_to_limit(tmp_path):
-    deaths = []
+def test_task_of_dead_worker_is_retried_up_to_limit(tmp_path: Path) -> None:
+    deaths: List[Any] = []
     tasks = ["pid", "die always", "once a", "pid"]
     results = dict(
         run_in_processes(
@@ -45,7 +47,7 @@ def test_task_of_dead_worker_is_retried_up_to_limit(tmp_path):
     assert sorted(deaths) == [(1, "by SIGKILL")] * (MAX_WORKER_DEATHS - 1) + [(2, "by SIGKILL")]
 
 
-def test_workers_end_with_killed_parent():
+def test_workers_end_with_killed_parent() -> None:
     """Workers inherit the standard output of the killed process: it is at its end if no worker is left."""
     script = (
         "import os, signal\n"
@@ -63,19 +65,19 @@ def test_workers_end_with_killed_parent():
 
 
 @pytest.fixture(scope="module")
-def distributed():
+def distributed() -> Any:
     """Return the package, imported before the state of loggers is compared: its import sets their levels."""
     return pytest.importorskip("distributed")
 
 
 @pytest.fixture(scope="module")
-def cluster(distributed):
+def cluster(distributed: Any) -> Iterator[Any]:
     options = {"dashboard_address": None, "scheduler_kwargs": {"allowed_failures": 1}}
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=True, **options) as cluster:
         yield cluster.scheduler_address
 
 
-def test_cluster_retries_task_of_lost_worker(cluster, tmp_path):
+def test_cluster_retries_task_of_lost_worker(cluster: Any, tmp_path: Path) -> None:
     results = dict(
         run_on_cluster(
             run_task_in_folder, [f"{task} in {tmp_path}" for task in ("once a", "pid", "die b")], cluster
@@ -87,7 +89,7 @@ def test_cluster_retries_task_of_lost_worker(cluster, tmp_path):
     assert results[2].reason.startswith("KilledWorker: ")
 
 
-def test_unreachable_scheduler_is_an_error(monkeypatch, distributed):
+def test_unreachable_scheduler_is_an_error(monkeypatch: pytest.MonkeyPatch, distributed: Any) -> None:
     monkeypatch.setattr("retalis.playback.process_and_dask_pool._CONNECT_TIMEOUT_SECONDS", 0.2)
     with pytest.raises(UsageError, match="--scheduler tcp://127.0.0.1:1: no scheduler answers: "):
         list(run_on_cluster(run_task, ["pid"], "tcp://127.0.0.1:1"))
@@ -95,7 +97,7 @@ def test_unreachable_scheduler_is_an_error(monkeypatch, distributed):
         list(run_on_cluster(run_task, ["pid"], "nonsense://"))
 
 
-def test_missing_distributed_is_named(monkeypatch):
+def test_missing_distributed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(UsageError, match="needs the Python package distributed"):
         list(run_on_cluster(run_task, ["pid"], "tcp://127.0.0.1:1"))

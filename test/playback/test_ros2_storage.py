@@ -1,15 +1,17 @@
 """Merge of messages by time."""
 
+from typing import Any, Iterator, List, Set, Tuple
+
 from hypothesis import given
 from hypothesis import strategies as st
 
 from retalis.playback.ros2_storage import merge_by_time
 
 
-def make_sources(times_by_source, open_sources=None):
+def make_sources(times_by_source: Any, open_sources: Any = None) -> List[Tuple[Any, ...]]:
     """Return sources of messages for `merge_by_time`, sorted by their first time."""
 
-    def read(number, times):
+    def read(number: Any, times: Any) -> Iterator[Any]:
         if open_sources is not None:
             open_sources.add(number)
         for position, time in enumerate(times):
@@ -25,7 +27,7 @@ def make_sources(times_by_source, open_sources=None):
 
 
 @given(st.lists(st.lists(st.integers(0, 12), max_size=6), max_size=6))
-def test_merge_sorts_messages_by_time(times_by_source):
+def test_merge_sorts_messages_by_time(times_by_source: List[Any]) -> None:
     merged = list(merge_by_time(make_sources(times_by_source)))
     sources = [list(read()) for _, read in make_sources(times_by_source)]
     # A stable sort keeps messages with equal times in the order of their sources.
@@ -33,8 +35,8 @@ def test_merge_sorts_messages_by_time(times_by_source):
 
 
 @given(st.lists(st.tuples(st.integers(0, 50), st.integers(0, 5)), max_size=8))
-def test_only_overlapping_sources_are_open(intervals):
+def test_only_overlapping_sources_are_open(intervals: List[Any]) -> None:
     ranges = [range(start, start + length + 1) for start, length in intervals]
-    open_sources = set()
+    open_sources: Set[Any] = set()
     for _, time, _ in merge_by_time(make_sources(ranges, open_sources)):
         assert len(open_sources) <= sum(times[0] <= time <= times[-1] for times in ranges)

@@ -4,6 +4,7 @@ import resource
 import signal
 import tracemalloc
 from pathlib import Path
+from typing import Any, List
 
 import pytest
 
@@ -18,12 +19,12 @@ BAGS = Path(__file__).parents[3] / "shared" / "bags"
 RECORDED_BAGS = sorted(BAGS.glob("*.bag")) if BAGS.is_dir() else []
 
 
-def registry():
+def registry() -> Any:
     return Definitions(InstalledTypes([], [], include_rosbags=False))
 
 
 @pytest.fixture
-def bag(tmp_path):
+def bag(tmp_path: Path) -> Any:
     """Return a bag of two topics; the second has two publishers."""
     path = tmp_path / "some.bag"
     definitions = registry()
@@ -43,7 +44,7 @@ def bag(tmp_path):
     return path
 
 
-def test_written_records_are_read_by_time(bag):
+def test_written_records_are_read_by_time(bag: Any) -> None:
     with BagReader(bag) as reader:
         assert (reader.messages, reader.start, reader.end) == (3, 1_000_000_001, 3_000_000_001)
         assert [(topic.name, topic.type, topic.messages) for topic in reader.topics] == [
@@ -68,13 +69,13 @@ def test_written_records_are_read_by_time(bag):
 
 
 @pytest.mark.parametrize("topics", [["/numbers"], ["numbers", "other"], {"/numbers"}])
-def test_records_are_filtered_by_topic(bag, topics):
+def test_records_are_filtered_by_topic(bag: Any, topics: Any) -> None:
     with BagReader(bag) as reader:
         assert [record.data for record in reader.records(topics)] == [b"\2\2", b"\1\1"]
         assert list(reader.records(["other"])) == []
 
 
-def test_definitions_are_stored_in_bag(bag):
+def test_definitions_are_stored_in_bag(bag: Any) -> None:
     definitions = registry()
     with BagReader(bag) as reader:
         topic = reader.topics[1]
@@ -83,22 +84,22 @@ def test_definitions_are_stored_in_bag(bag):
     assert definition.dependencies()[0].name == "pkg/Unit"
 
 
-def test_empty_bag_has_no_records(tmp_path):
+def test_empty_bag_has_no_records(tmp_path: Path) -> None:
     BagWriter(tmp_path / "empty.bag").close()
     with BagReader(tmp_path / "empty.bag") as reader:
         assert (reader.messages, reader.start, reader.end, list(reader.records())) == (0, 0, 0, [])
 
 
-def test_existing_bag_is_not_overwritten(bag):
+def test_existing_bag_is_not_overwritten(bag: Any) -> None:
     with pytest.raises(BagError, match="already exists"):
         BagWriter(bag)
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
-def test_exception_keeps_old_bag(bag, error):
+def test_exception_keeps_old_bag(bag: Any, error: Any) -> None:
     old = bag.read_bytes()
 
-    def write_and_fail():
+    def write_and_fail() -> None:
         with BagWriter(bag, overwrite=True) as writer:
             writer.write(writer.add("/a", Definitions().find("std_msgs/Empty")), 1, b"")
             raise error
@@ -109,11 +110,11 @@ def test_exception_keeps_old_bag(bag, error):
     assert [path.name for path in bag.parent.iterdir()] == [bag.name]
 
 
-def test_full_disk_keeps_old_bag(bag):
+def test_full_disk_keeps_old_bag(bag: Any) -> None:
     old = bag.read_bytes()
     size_limit = resource.getrlimit(resource.RLIMIT_FSIZE)
 
-    def write_messages():
+    def write_messages() -> None:
         with BagWriter(bag, overwrite=True) as writer:
             connection = writer.add("/a", Definitions().find("std_msgs/String"))
             for number in range(100):
@@ -132,7 +133,7 @@ def test_full_disk_keeps_old_bag(bag):
     assert [path.name for path in bag.parent.iterdir()] == [bag.name]
 
 
-def test_closed_bag_can_be_closed_again(tmp_path):
+def test_closed_bag_can_be_closed_again(tmp_path: Path) -> None:
     writer = BagWriter(tmp_path / "empty.bag")
     assert not (tmp_path / "empty.bag").exists()
     writer.close()
@@ -140,12 +141,12 @@ def test_closed_bag_can_be_closed_again(tmp_path):
     assert BagReader(tmp_path / "empty.bag").messages == 0
 
 
-def test_bag_in_missing_folder_is_an_error(tmp_path):
+def test_bag_in_missing_folder_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(BagError, match="cannot be written"):
         BagWriter(tmp_path / "missing" / "a.bag")
 
 
-def test_missing_bag_is_an_error(tmp_path):
+def test_missing_bag_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(RetalisError, match=r"a\.bag: there is no such file"):
         BagReader(tmp_path / "a.bag")
 
@@ -153,14 +154,14 @@ def test_missing_bag_is_an_error(tmp_path):
 @pytest.mark.parametrize(
     "content", [b"", b"no bag", b"#ROSBAG V1.2\n", b"#ROSBAG V2.0\n", b"#ROSBAG V2.0\nxxxxxxxxxxx"]
 )
-def test_file_of_other_format_is_an_error(tmp_path, content):
+def test_file_of_other_format_is_an_error(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "a.bag"
     path.write_bytes(content)
     with pytest.raises(BagError, match="not a complete ROS 1 bag"):
         BagReader(path)
 
 
-def test_truncated_bag_is_an_error(bag, tmp_path):
+def test_truncated_bag_is_an_error(bag: Any, tmp_path: Path) -> None:
     content = bag.read_bytes()
     truncated = tmp_path / "cut.bag"
     for size in range(0, len(content), 97):
@@ -169,17 +170,17 @@ def test_truncated_bag_is_an_error(bag, tmp_path):
             list(reader.records())
 
 
-def test_repair_of_truncated_bag_is_suggested(bag, tmp_path):
+def test_repair_of_truncated_bag_is_suggested(bag: Any, tmp_path: Path) -> None:
     truncated = tmp_path / "cut.bag"
     truncated.write_bytes(bag.read_bytes()[:-100])
     with pytest.raises(BagError, match="its index is missing or damaged: repair it with 'rosbag reindex'$"):
         BagReader(truncated)
 
 
-def test_overwritten_bytes_raise_bag_errors_only(bag, tmp_path):
+def test_overwritten_bytes_raise_bag_errors_only(bag: Any, tmp_path: Path) -> None:
     content = bag.read_bytes()
     broken = tmp_path / "broken.bag"
-    errors = []
+    errors: List[Any] = []
     for position in range(0, len(content), 31):
         broken.write_bytes(content[:position] + b"\xff" * 8 + content[position + 8 :])
         try:
@@ -220,14 +221,14 @@ HOSTILE = [
 
 
 @pytest.mark.parametrize(("changes", "expected"), HOSTILE)
-def test_malicious_header_or_index_is_an_error(tmp_path, changes, expected):
+def test_malicious_header_or_index_is_an_error(tmp_path: Path, changes: Any, expected: Any) -> None:
     path = tmp_path / "a.bag"
     path.write_bytes(ros1_bag([[b"hello"]], **changes))
     with pytest.raises(BagError, match=expected), BagReader(path) as reader:
         list(reader.records())
 
 
-def test_lengths_beyond_end_of_file_take_no_memory(tmp_path):
+def test_lengths_beyond_end_of_file_take_no_memory(tmp_path: Path) -> None:
     """Each length of the headers is replaced by nearly 4 GB, one at a time."""
     content = ros1_bag([[b"hello"], [b"world"]])
     path = tmp_path / "a.bag"
@@ -256,7 +257,7 @@ def test_lengths_beyond_end_of_file_take_no_memory(tmp_path):
     RECORDED_BAGS or [pytest.param(None, marks=pytest.mark.skip(reason="needs recorded bags"))],
     ids=str,
 )
-def test_recorded_messages_round_trip(path):
+def test_recorded_messages_round_trip(path: Any) -> None:
     definitions = registry()
     with BagReader(path) as reader:
         assert reader.messages > 0
@@ -270,7 +271,7 @@ def test_recorded_messages_round_trip(path):
 
 
 @pytest.mark.skipif(not RECORDED_BAGS, reason="needs recorded bags")
-def test_recorded_transform_is_decoded():
+def test_recorded_transform_is_decoded() -> None:
     definitions = registry()
     with BagReader(BAGS / "pr2_mylaserdata.bag") as reader:
         record = next(iter(reader.records(["tf"])))
@@ -282,7 +283,7 @@ def test_recorded_transform_is_decoded():
     assert transform[1][3].__class__ is type(atom("a"))
 
 
-def test_empty_file_is_named_by_its_path(tmp_path):
+def test_empty_file_is_named_by_its_path(tmp_path: Path) -> None:
     path = tmp_path / "empty.bag"
     path.touch()
     with pytest.raises(BagError) as raised:

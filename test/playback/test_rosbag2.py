@@ -1,6 +1,8 @@
 """ROS 2 bags: comparison with the package rosbags, metadata, split bags, and definitions."""
 
 import struct
+from pathlib import Path
+from typing import Any, List, Tuple
 
 import pytest
 
@@ -21,7 +23,7 @@ if hasattr(rosbag2, "StoragePlugin"):  # an older version writes databases only
     STORAGES_AND_MODES.append((rosbag2.StoragePlugin.MCAP, "STORAGE"))
 
 
-def write_bag(folder, storage, mode):
+def write_bag(folder: Any, storage: Any, mode: Any) -> Any:
     """Write a bag with the package ``rosbags``: 300 messages of different sizes on three topics."""
     options = {} if storage is None else {"version": 9, "storage_plugin": storage}
     writer = rosbag2.Writer(folder, **options)
@@ -42,7 +44,7 @@ def write_bag(folder, storage, mode):
 
 
 @pytest.mark.parametrize(("storage", "mode"), STORAGES_AND_MODES)
-def test_records_equal_those_of_rosbags(tmp_path, storage, mode):
+def test_records_equal_those_of_rosbags(tmp_path: Path, storage: Any, mode: Any) -> None:
     folder = write_bag(tmp_path / "bag", storage, mode)
     with rosbag2.Reader(folder) as reader:
         for start, stop in ((None, None), (40 * SECOND, 200 * SECOND)):
@@ -63,7 +65,7 @@ def test_records_equal_those_of_rosbags(tmp_path, storage, mode):
                 }
 
 
-def read(path):
+def read(path: Any) -> List[Tuple[Any, ...]]:
     with MergedBag([path], max_chunk_megabytes=1) as bags:
         return [(record.time // SECOND, record.data[4:]) for record in bags.records()]
 
@@ -90,7 +92,7 @@ def read(path):
     ],
     ids=range(10),
 )
-def test_invalid_metadata_is_an_error(tmp_path, text, expected):
+def test_invalid_metadata_is_an_error(tmp_path: Path, text: str, expected: str) -> None:
     folder = folder_bag(tmp_path / "bag", "a.db3", "sqlite3")
     sqlite_bag(folder / "a.db3")
     assert [time for time, _ in read(folder)] == [1]
@@ -112,14 +114,14 @@ def test_invalid_metadata_is_an_error(tmp_path, text, expected):
     ],
     ids=range(5),
 )
-def test_each_form_of_metadata_is_read(tmp_path, text):
+def test_each_form_of_metadata_is_read(tmp_path: Path, text: str) -> None:
     folder = folder_bag(tmp_path / "bag", "", "")
     sqlite_bag(folder / "a.db3")
     (folder / "metadata.yaml").write_text(f"rosbag2_bagfile_information:\n  {text}\n")
     assert [time for time, _ in read(folder)] == [1]
 
 
-def test_folder_with_several_files_is_one_bag(tmp_path):
+def test_folder_with_several_files_is_one_bag(tmp_path: Path) -> None:
     folder = folder_bag(tmp_path / "bag", "b.mcap, a.mcap", "mcap")
     for name, second in (("b", 1), ("a", 2)):
         (folder / f"{name}.mcap").write_bytes(mcap([mcap_message(second)]))
@@ -129,7 +131,7 @@ def test_folder_with_several_files_is_one_bag(tmp_path):
 
 
 @pytest.mark.parametrize("names", ["a.mcap, b.mcap, c.mcap, d.mcap", "d.mcap, b.mcap, a.mcap, c.mcap"])
-def test_files_of_split_bag_are_merged_by_time(tmp_path, names):
+def test_files_of_split_bag_are_merged_by_time(tmp_path: Path, names: str) -> None:
     folder = folder_bag(tmp_path / "bag", names, "mcap")
     seconds = {"a": [5, 7], "b": [3, 6], "c": [10], "d": [0, 8]}
     for name, times in seconds.items():
@@ -142,7 +144,7 @@ def test_files_of_split_bag_are_merged_by_time(tmp_path, names):
     assert times == [3, 5, 6, 7]
 
 
-def test_databases_of_split_bag_are_merged_by_time(tmp_path):
+def test_databases_of_split_bag_are_merged_by_time(tmp_path: Path) -> None:
     folder = folder_bag(tmp_path / "bag", "a.db3, b.db3", "sqlite3")
     for name, times in (("a", [2, 4]), ("b", [1, 3])):
         sqlite_bag(folder / f"{name}.db3", messages=[(time, HELLO) for time in times])
@@ -150,7 +152,7 @@ def test_databases_of_split_bag_are_merged_by_time(tmp_path):
 
 
 @pytest.mark.parametrize("identifier", ['""', "", "null"])
-def test_suffix_decides_without_storage_identifier(tmp_path, identifier):
+def test_suffix_decides_without_storage_identifier(tmp_path: Path, identifier: str) -> None:
     folder = folder_bag(tmp_path / "bag", "a.mcap", identifier)
     (folder / "a.mcap").write_bytes(mcap([mcap_message(1)]))
     assert [time for time, _ in read(folder)] == [1]
@@ -159,7 +161,7 @@ def test_suffix_decides_without_storage_identifier(tmp_path, identifier):
 # ---- definitions -------------------------------------------------------------------------------------
 
 
-def read_message(path):
+def read_message(path: Any) -> Tuple[Any, ...]:
     """Return the topic of a bag with one message, and the message."""
     with MergedBag([path]) as bags:
         (topic,) = bags.topics
@@ -167,7 +169,7 @@ def read_message(path):
     return topic, record.data
 
 
-def test_type_with_empty_definition_has_no_slots(tmp_path):
+def test_type_with_empty_definition_has_no_slots(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     topic = mcap_topic("my_msgs/msg/Go", "ros2msg", "")
     path.write_bytes(mcap([mcap_message(1, b"\0\1\0\0\0")], topic=topic))
@@ -175,7 +177,7 @@ def test_type_with_empty_definition_has_no_slots(tmp_path):
     assert (topic.type, topic.definition, data) == ("my_msgs/Go", "", b"")
 
 
-def test_type_without_schema_is_searched(tmp_path, caplog):
+def test_type_without_schema_is_searched(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(mcap([mcap_message(1)], topic=mcap_topic("my_msgs/msg/Go", "", "")))
     with MergedBag([path]) as bags:
@@ -186,7 +188,7 @@ def test_type_without_schema_is_searched(tmp_path, caplog):
     assert read_message(path)[1] == b"\5\0\0\0hello"
 
 
-def test_messages_of_ros1_in_mcap_are_read(tmp_path):
+def test_messages_of_ros1_in_mcap_are_read(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     topic = mcap_topic("std_msgs/String", "ros1msg", "string data", "ros1")
     path.write_bytes(mcap([mcap_message(1, b"\2\0\0\0hi")], profile="ros1", topic=topic))
@@ -195,7 +197,7 @@ def test_messages_of_ros1_in_mcap_are_read(tmp_path):
     assert data == b"\2\0\0\0hi"
 
 
-def test_messages_in_other_formats_are_refused(tmp_path):
+def test_messages_in_other_formats_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(mcap([mcap_message(1, b"{}")], topic=mcap_topic("a", "jsonschema", "{}", "json")))
     with MergedBag([path]) as bags:
@@ -206,7 +208,7 @@ SERVICE = f"{'=' * 80}\nSRV: my_msgs/srv/Go\nint8 x\n---\nint8 y\n"
 EVENT = b"\0\1\0\0" + struct.pack("<BxxxiI16s4xq", 1, 4, 5, bytes(16), 7) + struct.pack("<IbxxxI", 1, 3, 0)
 
 
-def test_service_events_of_mcap_are_read(tmp_path):
+def test_service_events_of_mcap_are_read(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     topic = mcap_topic("my_msgs/srv/Go_Event", "unknown", SERVICE)
     path.write_bytes(mcap([mcap_message(1, EVENT)], topic=topic))
@@ -215,7 +217,7 @@ def test_service_events_of_mcap_are_read(tmp_path):
     assert data.endswith(struct.pack("<qIbI", 7, 1, 3, 0))
 
 
-def test_service_events_of_database_are_read(tmp_path):
+def test_service_events_of_database_are_read(tmp_path: Path) -> None:
     """The database has the definition under the name of the service."""
     rows = f"""
     INSERT INTO topics VALUES(1, '/go/_service_event', 'my_msgs/srv/Go_Event', 'cdr', '', '');

@@ -1,6 +1,7 @@
 """Tables of run records in Parquet files."""
 
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -13,7 +14,7 @@ OUTPUT = {"output": "x(1)", "topic": "t", "id": None, "time": 1_500_000_000_000_
 WAIT = {"wait": "w", "memories": ["a", "b"], "start": 1, "end": 2}
 
 
-def test_rows_have_values_of_records(tmp_path, monkeypatch):
+def test_rows_have_values_of_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     monkeypatch.setattr(playback, "_ROW_GROUP_SIZE", 2)
     with RunTable(tmp_path / "run.parquet", events=True) as table:
@@ -26,20 +27,20 @@ def test_rows_have_values_of_records(tmp_path, monkeypatch):
     assert parquet.ParquetFile(tmp_path / "run.parquet").num_row_groups == 2
 
 
-def test_each_record_field_has_a_column(tmp_path):
+def test_each_record_field_has_a_column(tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     RunTable(tmp_path / "run.parquet", events=True).close()
     fields = {field for record_type in RECORD_TYPES.values() for field in record_type.__annotations__}
     assert set(parquet.read_table(tmp_path / "run.parquet").column_names) == fields
 
 
-def test_empty_table_has_columns(tmp_path):
+def test_empty_table_has_columns(tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     RunTable(tmp_path / "run.parquet", events=False).close()
     assert parquet.read_table(tmp_path / "run.parquet").column_names == ["output", "topic", "id", "time"]
 
 
-def test_missing_pyarrow_is_named(tmp_path, monkeypatch):
+def test_missing_pyarrow_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(BagError, match="writing Parquet needs the Python package pyarrow"):
         RunTable(tmp_path / "run.parquet", events=False)

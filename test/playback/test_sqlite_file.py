@@ -8,6 +8,8 @@ import sqlite3
 import struct
 import sys
 from contextlib import closing
+from pathlib import Path
+from typing import Any, Dict, List, Tuple
 
 import pytest
 
@@ -24,7 +26,7 @@ from retalis.playback.sqlite_file import SqliteFile  # noqa: E402
 SECOND = 10**9
 
 
-def read(path):
+def read(path: Any) -> List[Tuple[Any, ...]]:
     with MergedBag([path], max_chunk_megabytes=1) as bags:
         return [(record.time // SECOND, record.data[4:]) for record in bags.records()]
 
@@ -61,13 +63,13 @@ WRONG_SQLITE = [
 
 
 @pytest.mark.parametrize(("changes", "expected"), WRONG_SQLITE, ids=range(len(WRONG_SQLITE)))
-def test_malicious_database_is_an_error(tmp_path, changes, expected):
+def test_malicious_database_is_an_error(tmp_path: Path, changes: Any, expected: Any) -> None:
     path = sqlite_bag(tmp_path / "a.db3", **changes)
     with pytest.raises(BagError, match=expected):
         read(path)
 
 
-def test_repeated_pages_of_table_are_an_error(tmp_path):
+def test_repeated_pages_of_table_are_an_error(tmp_path: Path) -> None:
     """A tree of pages in which each page refers hundreds of times to the next one has an unlimited number of rows."""
     path = sqlite_bag(tmp_path / "a.db3", messages=[(second, HELLO) for second in range(20_000)])
     with closing(sqlite3.connect(str(path))) as database:
@@ -75,7 +77,7 @@ def test_repeated_pages_of_table_are_an_error(tmp_path):
         (root,) = database.execute("SELECT rootpage FROM sqlite_master WHERE name = 'messages'").fetchone()
     pages = bytearray(path.read_bytes())
 
-    def children(page):
+    def children(page: Any) -> List[Any]:
         """Return the positions of the page numbers in an interior page of a table."""
         begin = (page - 1) * size
         assert pages[begin] == 5
@@ -101,7 +103,7 @@ def test_repeated_pages_of_table_are_an_error(tmp_path):
         read(path)
 
 
-def test_database_without_index_is_sorted_by_time(tmp_path):
+def test_database_without_index_is_sorted_by_time(tmp_path: Path) -> None:
     tables = TABLES.replace("CREATE INDEX timestamp_idx ON messages (timestamp ASC);", "")
     path = sqlite_bag(tmp_path / "a.db3", tables, messages=[(3, HELLO), (1, HELLO), (2, HELLO)])
     assert [time for time, _ in read(path)] == [1, 2, 3]
@@ -111,8 +113,8 @@ def test_database_without_index_is_sorted_by_time(tmp_path):
     file.close()
 
 
-def test_reading_can_end_after_file_is_closed(tmp_path, monkeypatch):
-    unraisable = []
+def test_reading_can_end_after_file_is_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    unraisable: List[Any] = []
     monkeypatch.setattr(sys, "unraisablehook", unraisable.append)
     file = SqliteFile(sqlite_bag(tmp_path / "a.db3", messages=[(1, HELLO), (2, HELLO)]), ChunkLimit(1))
     messages = file.read([1], None, None)
@@ -123,7 +125,7 @@ def test_reading_can_end_after_file_is_closed(tmp_path, monkeypatch):
     assert unraisable == []
 
 
-def test_large_database_is_read_with_large_limit(tmp_path):
+def test_large_database_is_read_with_large_limit(tmp_path: Path) -> None:
     path = sqlite_bag(tmp_path / "a.db3")
     os.truncate(path, 3 << 30)  # a sparse file: its last pages are holes
     file = SqliteFile(path, ChunkLimit(4096))
@@ -134,7 +136,7 @@ def test_large_database_is_read_with_large_limit(tmp_path):
 # ---- write-ahead log ---------------------------------------------------------------------------------
 
 
-def interrupted_bag(folder, stored, logged):
+def interrupted_bag(folder: Any, stored: Any, logged: List[int]) -> Any:
     """Write the database of a killed recorder.
 
     Args:
@@ -161,12 +163,12 @@ def interrupted_bag(folder, stored, logged):
     return path
 
 
-def digests(folder):
+def digests(folder: Any) -> Dict[Any, Any]:
     return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir()}
 
 
 @pytest.mark.parametrize("stored", [[1, 2], []])
-def test_write_ahead_log_is_read_without_writing(tmp_path, stored):
+def test_write_ahead_log_is_read_without_writing(tmp_path: Path, stored: Any) -> None:
     path = interrupted_bag(tmp_path / "bag", stored, [3, 4, 5])
     before = digests(path.parent)
     assert sorted(before) == ["w.db3", "w.db3-wal"]
@@ -174,13 +176,13 @@ def test_write_ahead_log_is_read_without_writing(tmp_path, stored):
     assert digests(path.parent) == before
 
 
-def test_log_beside_target_of_link_is_read(tmp_path):
+def test_log_beside_target_of_link_is_read(tmp_path: Path) -> None:
     link = tmp_path / "link.db3"
     link.symlink_to(interrupted_bag(tmp_path / "bag", [1], [2]))
     assert [time for time, _ in read(link)] == [1, 2]
 
 
-def test_log_in_read_only_folder_is_read(tmp_path):
+def test_log_in_read_only_folder_is_read(tmp_path: Path) -> None:
     path = interrupted_bag(tmp_path / "bag", [1], [2])
     path.chmod(0o444)
     path.parent.chmod(0o555)
@@ -190,7 +192,7 @@ def test_log_in_read_only_folder_is_read(tmp_path):
         path.parent.chmod(0o755)
 
 
-def test_unreadable_log_is_an_error(tmp_path, capsys):
+def test_unreadable_log_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = interrupted_bag(tmp_path / "bag", [1], [2])
     log = path.with_name("w.db3-wal")
     log.unlink()
@@ -203,7 +205,7 @@ def test_unreadable_log_is_an_error(tmp_path, capsys):
     assert "its write-ahead log w.db3-wal, which has the newest messages, cannot be read: " in error
 
 
-def test_empty_database_keeps_its_log(tmp_path):
+def test_empty_database_keeps_its_log(tmp_path: Path) -> None:
     path = interrupted_bag(tmp_path / "bag", [1], [2])
     path.write_bytes(b"")
     before = digests(path.parent)
@@ -212,7 +214,7 @@ def test_empty_database_keeps_its_log(tmp_path):
     assert digests(path.parent) == before
 
 
-def test_rollback_journal_is_ignored_with_warning(tmp_path, caplog):
+def test_rollback_journal_is_ignored_with_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = sqlite_bag(tmp_path / "a.db3")
     journal = tmp_path / "a.db3-journal"
     journal.write_bytes(b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7" + bytes(504))

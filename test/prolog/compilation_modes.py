@@ -78,7 +78,7 @@ def answers(program: str, goal: str, compile_after: int, limit: int = 30) -> Lis
 
 def compare(program: str, goals: List[str]) -> Dict[str, Dict[str, List[str]]]:
     """Return the goals whose answers differ, with the answers in each mode."""
-    differing = {}
+    differing: Dict[Any, Any] = {}
     for goal in goals:
         results = {mode: answers(program, goal, compile_after) for mode, compile_after in MODES.items()}
         if len({tuple(texts) for texts in results.values()}) > 1:
@@ -89,7 +89,7 @@ def compare(program: str, goals: List[str]) -> Dict[str, Dict[str, List[str]]]:
 class Recorder:
     """Plugin of pytest that sets the mode of compilation, and records the answers and events of each test."""
 
-    def __init__(self, mode: str):
+    def __init__(self, mode: str) -> None:
         self.results: Dict[str, List[str]] = {}
         self._lines: List[str] = []
         self._patch(MODES[mode])
@@ -148,7 +148,7 @@ def differences(arguments: List[str]) -> Tuple[int, List[str]]:
             command = [sys.executable, "-m", "prolog.compilation_modes", "--record", mode, path, *arguments]
             subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
             results[mode] = json.loads(Path(path).read_text())
-    report = []
+    report: List[Any] = []
     for test, first in results["default"].items():
         for mode in ("never", "at once"):
             others = results[mode].get(test, ["missing"])

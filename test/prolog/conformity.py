@@ -148,7 +148,7 @@ def _renamed(known: Any, var: Any) -> Term:
 
 
 def _alternatives(term: Term) -> List[Term]:
-    alternatives = []
+    alternatives: List[Any] = []
     while term.__class__ is tuple and term[0] is _OR:
         alternatives.append(term[1])
         term = deref(term[2])

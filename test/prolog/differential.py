@@ -9,7 +9,7 @@ import re
 import sys
 from collections import Counter
 from pathlib import Path
-from typing import List
+from typing import Any, List
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -56,7 +56,7 @@ def answer(text: str) -> str:
 
 def solutions(logic: PrologSystem, goal: object) -> str:
     """Return the first instances of a goal that are true, as the text of a list."""
-    instances = []
+    instances: List[Any] = []
     for _ in logic.solutions(goal):
         instances.append(shown(goal))
         if len(instances) == MAX_SOLUTIONS:

@@ -44,7 +44,7 @@ def kinds() -> Dict[str, List[str]]:
 class Generator:
     """Generator of random goals, determined by its seed."""
 
-    def __init__(self, seed: int):
+    def __init__(self, seed: int) -> None:
         self.random = Random(seed)
         self.kinds = kinds()
         self.predicates = [line.split(" ") for line in _lines("goal_predicates.txt")]

@@ -1,5 +1,7 @@
 """Compilation before the first call, and equal behaviour without it."""
 
+from typing import Any
+
 import pytest
 from prolog.support import answers, first, prolog
 
@@ -20,18 +22,18 @@ GO, HELPER, OTHER, COUNTED = (
 )
 
 
-def compiled(logic, key):
+def compiled(logic: Any, key: Any) -> Any:
     return logic.database.predicate(key).is_compiled
 
 
-def test_reachable_predicates_are_compiled():
+def test_reachable_predicates_are_compiled() -> None:
     logic = prolog(PROGRAM, 12)
     logic.database.compile_reachable([read_term("go(X), counted(_)", logic.operators).term])
     assert [compiled(logic, key) for key in (GO, HELPER, OTHER, COUNTED)] == [True, True, False, False]
     assert answers(logic, "go(1)") == answers(prolog(PROGRAM, 12), "go(1)") == [{}]
 
 
-def test_precompiled_goal_equals_later_one():
+def test_precompiled_goal_equals_later_one() -> None:
     logic = prolog(PROGRAM, 12)
     x = Var()
     with logic.precompiling_goals(list):
@@ -45,7 +47,7 @@ def test_precompiled_goal_equals_later_one():
     )
 
 
-def test_goal_without_predicates_is_compiled_later():
+def test_goal_without_predicates_is_compiled_later() -> None:
     logic = PrologSystem()
     x = Var()
     with logic.precompiling_goals(lambda: [(GO, x)]):
@@ -56,7 +58,7 @@ def test_goal_without_predicates_is_compiled_later():
     assert goal.first_solution((3,)) is None
 
 
-def test_precompiled_goal_follows_added_facts():
+def test_precompiled_goal_follows_added_facts() -> None:
     logic = prolog(PROGRAM, 12)
     x = Var()
     with logic.precompiling_goals(lambda: [(GO, x)]):
@@ -67,14 +69,14 @@ def test_precompiled_goal_follows_added_facts():
     assert first(logic, "go(9)") == {}
 
 
-def test_failed_precompilation_compiles_nothing():
+def test_failed_precompilation_compiles_nothing() -> None:
     logic = prolog(PROGRAM, 12)
     with pytest.raises(KeyError), logic.precompiling_goals(lambda: [(GO, Var())]):
         raise KeyError
     assert not compiled(logic, GO)
 
 
-def test_list_recursion_stops_at_end_of_list():
+def test_list_recursion_stops_at_end_of_list() -> None:
     logic = prolog(
         "walk([], _). walk([_|Rest], N) :- M is N + 1, walk(Rest, M).\n"
         "sum([], 0). sum([X|R], S) :- sum(R, T), S is T + X."

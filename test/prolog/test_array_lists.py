@@ -1,6 +1,7 @@
 """Array terms and the lists that they stand for: goals have the same answers for both."""
 
 import math
+from typing import Any, Tuple
 
 import numpy as np
 import pytest
@@ -221,7 +222,7 @@ ARRAYS = st.one_of(
 )
 
 
-def answers_of(text, values):
+def answers_of(text: Any, values: Any) -> Tuple[Any, ...]:
     """Return the solutions and the output of a goal with values for its variables L and M."""
     logic = LOGIC
     read = read_term(text, logic.operators)
@@ -246,7 +247,7 @@ def answers_of(text, values):
     return solutions, output
 
 
-def check_same_answers(goal, dtype, items, make):
+def check_same_answers(goal: Any, dtype: str, items: Any, make: Any) -> None:
     numbers = np.array(items, dtype)
     as_list = make_list(numbers.tolist())
     other = make_list([*numbers.tolist()[:3], *numbers.tolist()[3:][::-1]])
@@ -256,7 +257,7 @@ def check_same_answers(goal, dtype, items, make):
     assert answers_of(goal, both) == expected
 
 
-def decoded_array_term(numbers):
+def decoded_array_term(numbers: Any) -> Any:
     """Return an array term whose list has been built."""
     term = array_term(numbers)
     deref(term)
@@ -266,7 +267,7 @@ def decoded_array_term(numbers):
 @settings(max_examples=4, deadline=None)
 @given(st.sampled_from([array_term, decoded_array_term]), ARRAYS)
 @pytest.mark.parametrize("goal", GOALS)
-def test_goals_have_answers_of_lists(goal, make, array):
+def test_goals_have_answers_of_lists(goal: Any, make: Any, array: Any) -> None:
     check_same_answers(goal, *array, make)
 
 
@@ -274,7 +275,7 @@ def test_goals_have_answers_of_lists(goal, make, array):
 @pytest.mark.parametrize(
     "goal", ["L = M", "sum_list(L, X)", "min_list(L, X)", "max_list(L, X)", "length(L, X)", "nth0(3, L, X)"]
 )
-def test_numbers_of_any_type_have_answers_of_lists(goal, dtype):
+def test_numbers_of_any_type_have_answers_of_lists(goal: str, dtype: Any) -> None:
     check_same_answers(goal, dtype, [3, 1, 1, 7, 5, 1, 4], array_term)
 
 
@@ -293,7 +294,7 @@ def test_numbers_of_any_type_have_answers_of_lists(goal, dtype):
     ],
 )
 @pytest.mark.parametrize("goal", ["sum_list(L, X)", "min_list(L, X)", "max_list(L, X)"])
-def test_sums_and_extremes_equal_those_of_list(goal, items):
+def test_sums_and_extremes_equal_those_of_list(goal: str, items: Any) -> None:
     check_same_answers(goal, "<f8", items, array_term)
 
 
@@ -301,13 +302,13 @@ def test_sums_and_extremes_equal_those_of_list(goal, items):
     "goal",
     ["length(L, _)", "nth0(3, L, _)", "nth1(3, L, _)", "sum_list(L, _)", "min_list(L, _)", "max_list(L, _)"],
 )
-def test_direct_access_does_not_decode_array(goal):
+def test_direct_access_does_not_decode_array(goal: str) -> None:
     term = array_term(np.arange(20.0))
     assert len(answers_of(goal, {"L": term})[0]) == 1
     assert term.decoded_term is None
 
 
-def test_bound_variable_does_not_decode_array():
+def test_bound_variable_does_not_decode_array() -> None:
     logic = prolog("smallest(L, X) :- M = L, min_list(M, X).")
     term = array_term(np.arange(1.0, 20.0))
     result = Var()

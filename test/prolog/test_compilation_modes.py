@@ -1,5 +1,7 @@
 """Independence of answers from compilation; ``compilation_modes.py`` compares those of all suites."""
 
+from typing import Any
+
 import pytest
 from prolog.compilation_modes import compare
 from prolog.test_differential import recorded
@@ -93,12 +95,12 @@ GOALS = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize("goal", GOALS)
-def test_answers_are_independent_of_mode(goal):
+def test_answers_are_independent_of_mode(goal: Any) -> None:
     assert compare(PROGRAM, [goal]) == {}
 
 
 @pytest.mark.slow
-def test_recorded_goals_are_independent_of_mode():
+def test_recorded_goals_are_independent_of_mode() -> None:
     """Every 25th goal over the built-ins is the body of a clause."""
     goals = [goal for goal in list(recorded())[::25] if "time" not in goal and "random" not in goal]
     assert len(goals) > 30

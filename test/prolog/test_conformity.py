@@ -3,6 +3,7 @@
 import importlib.util
 import re
 from pathlib import Path
+from typing import Any, Dict
 
 import pytest
 
@@ -15,15 +16,15 @@ FILES = ("goals.txt", "syntax.txt")
 ROW = re.compile(r"^\| `` (.*?) `` \| `` .*? `` \| `` .*? `` \| (.+) \|$", re.MULTILINE)
 
 
-def exceptions():
+def exceptions() -> Dict[Any, Any]:
     return {
         goal.replace("\\|", "|"): reason for goal, reason in ROW.findall(PAGE.read_text(encoding="utf-8"))
     }
 
 
 @pytest.fixture(scope="module")
-def answers():
-    results = {}
+def answers() -> Any:
+    results: Dict[Any, Any] = {}
     for file in FILES:
         program = conformity.clauses(file)
         for case in conformity.cases(file):
@@ -32,7 +33,7 @@ def answers():
 
 
 @pytest.mark.slow
-def test_undocumented_goals_agree_with_standard(answers):
+def test_undocumented_goals_agree_with_standard(answers: Any) -> None:
     differing = {case.goal: (case.answer, answer) for case, (good, answer) in answers.items() if not good}
     documented = exceptions()
     assert {goal: pair for goal, pair in differing.items() if goal not in documented} == {}
@@ -40,7 +41,7 @@ def test_undocumented_goals_agree_with_standard(answers):
 
 
 @pytest.mark.slow
-def test_page_states_number_of_agreeing_goals(answers):
+def test_page_states_number_of_agreeing_goals(answers: Any) -> None:
     good = sum(1 for good, _ in answers.values() if good)
     assert good / len(answers) >= 0.98
     page = PAGE.read_text(encoding="utf-8")
@@ -48,7 +49,7 @@ def test_page_states_number_of_agreeing_goals(answers):
     assert f"{good:,} of them agree" in page
 
 
-def test_documented_differences_have_reasons():
+def test_documented_differences_have_reasons() -> None:
     reasons = exceptions().values()
     assert reasons
     assert all(len(reason) > 20 for reason in reasons)

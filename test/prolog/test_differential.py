@@ -2,6 +2,7 @@
 
 import importlib.util
 from pathlib import Path
+from typing import Any, Dict
 
 import pytest
 
@@ -14,20 +15,20 @@ differential = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(differential)
 
 
-def differing():
+def differing() -> Dict[Any, Any]:
     """Return the goals listed as differing with their reasons."""
     lines = DIFFERING_GOALS.read_text(encoding="utf-8").rstrip("\n").split("\n")
     return {goal: reason for reason, goal in (line.split("\t", 1) for line in lines)}
 
 
-def recorded():
+def recorded() -> Any:
     """Return the recorded goals with SWI-Prolog's answers."""
     names = ("goals.tsv", "goals_kinds.tsv", "goals_wrong_arguments.tsv")
     texts = [(FOLDER / name).read_text(encoding="utf-8") for name in names]
     return dict(line.split("\t", 1) for text in texts for line in text.rstrip("\n").split("\n"))
 
 
-def test_page_names_classes_of_differences():
+def test_page_names_classes_of_differences() -> None:
     page = (FOLDER.parents[1] / "docs" / "explanation" / "compatibility.md").read_text(encoding="utf-8")
     names = [difference.name for difference in differential.REASONS]
     assert names
@@ -36,10 +37,10 @@ def test_page_names_classes_of_differences():
 
 
 @pytest.mark.slow
-def test_undocumented_goals_agree_with_swi_prolog():
+def test_undocumented_goals_agree_with_swi_prolog() -> None:
     known, rows = differing(), recorded()
     assert len(rows) >= 500
-    differing_answers = {}
+    differing_answers: Dict[Any, Any] = {}
     for goal, theirs in rows.items():
         ours = differential.answer(goal)
         if differential.plain(ours) != differential.plain(theirs):

@@ -1,6 +1,7 @@
 """Long steps of built-ins: they count as inferences and end with a resource error, as endless goals do."""
 
 import random
+from typing import Any, Iterator, List
 
 import pytest
 from prolog.support import prolog
@@ -45,19 +46,19 @@ LIMIT = 200_000
 
 
 @pytest.fixture(scope="module")
-def shared_logic():
+def shared_logic() -> Any:
     return prolog(PROGRAM)
 
 
 @pytest.fixture
-def logic(shared_logic):
+def logic(shared_logic: Any) -> Iterator[Any]:
     """A Prolog system with the program, whose limits and output each test may set."""
     output = shared_logic.output
     yield shared_logic
     shared_logic.limits, shared_logic.output = NO_LIMITS, output
 
 
-def error_of(logic, goal, **limits):
+def error_of(logic: Any, goal: str, **limits: Any) -> Any:
     logic.limits = Limits(**limits)
     with pytest.raises(PrologError) as error:
         logic.once(read_term(goal, logic.operators).term)
@@ -65,11 +66,11 @@ def error_of(logic, goal, **limits):
 
 
 @pytest.mark.parametrize("goal", ["X = [a|X], length(X, _)", "X = [a|X], memberchk(b, X)"])
-def test_cyclic_list_is_refused(logic, goal):
+def test_cyclic_list_is_refused(logic: Any, goal: str) -> None:
     assert error_of(logic, goal, inferences=LIMIT) == "resource_error(term_size)"
 
 
-def test_ground_visits_cyclic_term_once(logic):
+def test_ground_visits_cyclic_term_once(logic: Any) -> None:
     assert logic.once(read_term("X = f(X), ground(X)", logic.operators).term)
 
 
@@ -128,7 +129,7 @@ def test_ground_visits_cyclic_term_once(logic):
         "kept(a)",
     ],
 )
-def test_long_step_exceeds_limit(logic, goal):
+def test_long_step_exceeds_limit(logic: Any, goal: str) -> None:
     assert error_of(logic, goal, inferences=LIMIT) in (
         "resource_error(inferences)",
         "resource_error(memory)",
@@ -164,7 +165,7 @@ def test_long_step_exceeds_limit(logic, goal):
         ("X is (1 << 1000000) - 1, format(atom(_), '~8r', [X])", "integer_size"),
     ],
 )
-def test_huge_result_is_refused_without_limits(logic, goal, resource):
+def test_huge_result_is_refused_without_limits(logic: Any, goal: str, resource: str) -> None:
     assert error_of(logic, goal) == f"resource_error({resource})"
 
 
@@ -178,7 +179,7 @@ def test_huge_result_is_refused_without_limits(logic, goal, resource):
         ("X is -(7 // 2) + (-7) rem 2 + (-7) mod 2 + (-7) div 2", -3 - 1 + 1 - 4),
     ],
 )
-def test_large_integers_are_exact(logic, goal, value):
+def test_large_integers_are_exact(logic: Any, goal: str, value: int) -> None:
     logic.limits = Limits()
     read = read_term(goal, logic.operators)
     assert logic.once(read.term)
@@ -186,14 +187,14 @@ def test_large_integers_are_exact(logic, goal, value):
 
 
 @pytest.mark.slow
-def test_limit_in_long_step_is_caught(logic):
+def test_limit_in_long_step_is_caught(logic: Any) -> None:
     logic.limits = Limits(inferences=LIMIT)
     goal = "wide(T, _), catch(copy_term(T, _), error(resource_error(R), _), true), R == inferences"
     assert logic.once(read_term(goal, logic.operators).term)
 
 
 @pytest.mark.slow
-def test_limit_error_names_goal(logic):
+def test_limit_error_names_goal(logic: Any) -> None:
     logic.limits = Limits(inferences=LIMIT)
     with pytest.raises(PrologError) as error:
         logic.once(read_term("wide(T, _), copy_term(T, _)", logic.operators).term)
@@ -203,13 +204,13 @@ def test_limit_error_names_goal(logic):
     assert any(name in error.value.message for name in ("repeat/0", "atom/1", "fail/0"))
 
 
-def test_work_outside_goal_is_not_limited(logic):
+def test_work_outside_goal_is_not_limited(logic: Any) -> None:
     logic.limits = Limits(inferences=1000)
     assert not logic.once(read_term("fail", logic.operators).term)
     assert len(writeq(make_list([atom("a")] * 5000))) == 10001
 
 
-def test_limit_stops_loop_between_iterations(logic):
+def test_limit_stops_loop_between_iterations(logic: Any) -> None:
     assert error_of(logic, "store(0)", inferences=10_000) == "resource_error(inferences)"
     assert 10_000 <= len(logic.database.predicates[functor("item", 1)]) < 15_000
 
@@ -223,11 +224,11 @@ def test_limit_stops_loop_between_iterations(logic):
         lambda converted: integer("7" * 200_000),
     ],
 )
-def test_conversion_is_checked_while_it_runs(work):
+def test_conversion_is_checked_while_it_runs(work: Any) -> None:
     """The number of items converted between two checks is bounded."""
     converted, largest, checks = [], [0], [0]
 
-    def check(pieces, size):
+    def check(pieces: Any, size: Any) -> None:
         largest[0] = max(largest[0], len(converted))
         checks[0] += 1
         converted.clear()
@@ -245,8 +246,8 @@ def test_conversion_is_checked_while_it_runs(work):
     "walk",
     [copy, is_ground, lambda term: unify(term, copy(term), []), lambda term: compare(term, copy(term))],
 )
-def test_arguments_of_wide_term_are_counted(walk):
-    counts = []
+def test_arguments_of_wide_term_are_counted(walk: Any) -> None:
+    counts: List[Any] = []
     before = set_limit_check(lambda work, size: counts.append(work))
     try:
         walk((functor("wide", 5000), *[Var() for _ in range(5000)]))
@@ -275,10 +276,10 @@ def test_arguments_of_wide_term_are_counted(walk):
         "numlist(1, 90000, L), T =.. [f|L]",
     ],
 )
-def test_large_allocation_is_checked_first(logic, goal):
+def test_large_allocation_is_checked_first(logic: Any, goal: str) -> None:
     """A limit of memory can refuse an allocation before it is made."""
     logic.limits = NO_LIMITS
-    sizes = []
+    sizes: List[Any] = []
     read = read_term(goal, logic.operators)
     if "A" in read.names:
         read.names["A"].ref = atom("a" * 300_000)
@@ -295,7 +296,7 @@ def test_large_allocation_is_checked_first(logic, goal):
 
 @pytest.mark.parametrize("make", [int, str])
 @pytest.mark.parametrize("distinct", [1, 7, 10**9])
-def test_long_list_is_sorted_in_chunks(monkeypatch, make, distinct):
+def test_long_list_is_sorted_in_chunks(monkeypatch: pytest.MonkeyPatch, make: Any, distinct: int) -> None:
     monkeypatch.setattr(list_predicates, "_CHUNK_ITEMS", 64)
     chance = random.Random(distinct)
     for size in (0, 1, 63, 64, 65, 640, 3000):
@@ -306,9 +307,9 @@ def test_long_list_is_sorted_in_chunks(monkeypatch, make, distinct):
             )
 
 
-def test_sorting_is_checked_while_it_runs(monkeypatch):
+def test_sorting_is_checked_while_it_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(list_predicates, "_CHUNK_ITEMS", 64)
-    counts = []
+    counts: List[Any] = []
     before = set_limit_check(lambda work, size: counts.append(work))
     try:
         sorted_positions(random.Random(1).sample(range(6400), 6400))
@@ -317,13 +318,13 @@ def test_sorting_is_checked_while_it_runs(monkeypatch):
     assert len(counts) > 200
 
 
-def test_error_text_of_large_term_is_short(logic):
+def test_error_text_of_large_term_is_short(logic: Any) -> None:
     deep = atom("x")
     for _ in range(100_000):
         deep = (functor("f", 1), deep)
     terms = [deep, make_list(range(100_000)), (functor("f", 100_000), *range(100_000)), 3**600_000]
     terms += [atom("a" * 100_000), String("é" * 100_000)]
-    counts = []
+    counts: List[Any] = []
     before = set_limit_check(lambda work, size: counts.append(work))
     try:
         for term in terms:
@@ -336,11 +337,11 @@ def test_error_text_of_large_term_is_short(logic):
     assert type_error("list", 3**600_000).message.endswith("found `an integer of 950978 bits'")
 
 
-def test_words_are_split_across_chunks():
+def test_words_are_split_across_chunks() -> None:
     for size in range(1015, 1030):
         text = " " + "a" * size + " b  " + "c" * size + "\t\n"
         assert _split_words(text) == text.split()
 
 
-def test_empty_text_has_no_words():
+def test_empty_text_has_no_words() -> None:
     assert _split_words("") == []

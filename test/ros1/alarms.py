@@ -4,6 +4,7 @@
 import sys
 import unittest
 from pathlib import Path
+from typing import Any
 
 import rospy
 import rostest
@@ -27,7 +28,7 @@ RULES = (
 
 class Alarms(unittest.TestCase):
     @classmethod
-    def setUpClass(cls):
+    def setUpClass(cls) -> None:
         cls.outputs = Collector("retalisOutputEvents", String)
         cls.to_engine = rospy.Publisher("retalisInputEvents", String, queue_size=5000)
         cls.clock = rospy.Publisher("/clock", Clock, queue_size=10)
@@ -40,7 +41,7 @@ class Alarms(unittest.TestCase):
         for rule in RULES:
             cls.to_engine.publish(rule)
 
-    def advance_to(self, seconds, nanoseconds, mark):
+    def advance_to(self, seconds: int, nanoseconds: int, mark: int) -> None:
         """Set the time and wait until the engine has it: it outputs an event that follows the clock."""
         self.clock.publish(Clock(rospy.Time(START + seconds, nanoseconds)))
         wait_until(lambda: rospy.get_rostime() == rospy.Time(START + seconds, nanoseconds), "time")
@@ -48,14 +49,14 @@ class Alarms(unittest.TestCase):
         self.to_engine.publish(f"event(seen({mark}))")
         self.wait_for(f"event(seen({mark}),t,seen)")
 
-    def wait_for(self, text):
+    def wait_for(self, text: str) -> None:
         self.outputs.wait_for(lambda messages: any(message.data == text for message in messages), text)
 
-    def move_until(self, seconds, text):
+    def move_until(self, seconds: Any, text: str) -> None:
         """Advance time until an output is received: a timer that starts after a jump counts from there."""
         remaining_seconds = iter(seconds)
 
-        def moved():
+        def moved() -> Any:
             second = next(remaining_seconds, None)
             if second is not None:
                 self.clock.publish(Clock(rospy.Time(START + second, 0)))
@@ -63,10 +64,10 @@ class Alarms(unittest.TestCase):
 
         wait_until(moved, text)
 
-    def has(self, text):
+    def has(self, text: str) -> bool:
         return any(message.data == text for message in self.outputs.messages)
 
-    def test_alarm_fires_at_its_time_not_before(self):
+    def test_alarm_fires_at_its_time_not_before(self) -> None:
         self.advance_to(0, 0, 1)
         self.to_engine.publish("event(starts(a),[datime(2001,9,9,1,46,40,0),datime(2001,9,9,1,46,40,0)])")
         self.to_engine.publish("event(sets(b))")

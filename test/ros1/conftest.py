@@ -5,6 +5,7 @@ import socket
 import subprocess
 import time
 from pathlib import Path
+from typing import Any, Iterator, List, Tuple
 from xmlrpc.client import ServerProxy
 
 import pytest
@@ -16,14 +17,14 @@ TIMEOUT_SECONDS = 120.0
 
 
 @pytest.fixture
-def port():
+def port() -> Any:
     """Return an unused port."""
     with socket.socket() as probe:
         probe.bind(("localhost", 0))
         return probe.getsockname()[1]
 
 
-def _restore_sigint():
+def _restore_sigint() -> None:
     """Let SIGINT end a process, because a shell starts background processes with the signal ignored."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
@@ -31,7 +32,7 @@ def _restore_sigint():
 class Space:
     """A space of the workspace with the built package, and an own master."""
 
-    def __init__(self, script, port, logs):
+    def __init__(self, script: Any, port: Any, logs: Any) -> None:
         self.port = port
         self.env = dict(
             os.environ,
@@ -47,11 +48,11 @@ class Space:
         self.logs = logs
         self.started = []
 
-    def command(self, *words):
+    def command(self, *words: Any) -> List[Any]:
         """Return the command for a shell that sources setup.bash."""
         return ["bash", "-c", 'source "$0" && exec "$@"', str(self.script), *words]
 
-    def run(self, *words):
+    def run(self, *words: Any) -> Any:
         """Run a command to its end and return its output."""
         return subprocess.run(
             self.command(*words),
@@ -62,7 +63,7 @@ class Space:
             timeout=TIMEOUT_SECONDS,
         ).stdout
 
-    def start(self, *words):
+    def start(self, *words: Any) -> Any:
         """Start a process that ends after the test."""
         log = self.logs / f"{len(self.started)}.out"
         with log.open("wb") as output:
@@ -76,7 +77,7 @@ class Space:
         self.started.append(process)
         return process
 
-    def start_master(self):
+    def start_master(self) -> Any:
         """Start a master and return its process when it answers.
 
         roslaunch and roscore wait at most 10 s for a master that they start, which a busy machine may exceed.
@@ -94,23 +95,23 @@ class Space:
         problem = "does not answer" if code is None else f"has ended with {code}"
         return pytest.fail(f"the master {problem}\n{self.printed()}")
 
-    def printed(self):
+    def printed(self) -> str:
         """Return the output of the started processes."""
         return "\n".join(path.read_text(errors="replace") for path in sorted(self.logs.glob("*.out")))
 
-    def expect_printed(self, text):
+    def expect_printed(self, text: Any) -> None:
         """Wait until the started processes have printed a text."""
         self.expect(lambda nodes, services: text in self.printed())
 
-    def query(self, goal):
+    def query(self, goal: Any) -> Any:
         """Return the printed response of service `query` of node retalis for a goal."""
         return self.run("rosservice", "call", "/retalis/query", f"{{goal: '{goal}'}}")
 
-    def post_events(self, *events):
+    def post_events(self, *events: Any) -> None:
         """Publish events for node retalis, as another node does."""
         self.run("python3", str(Path(__file__).with_name("event_publisher.py")), *events)
 
-    def state(self):
+    def state(self) -> Tuple[Any, ...]:
         """Return the nodes and services of the master, empty sets without a master."""
         try:
             master = ServerProxy(self.env["ROS_MASTER_URI"])
@@ -120,7 +121,7 @@ class Space:
         everything = (*publications, *subscriptions, *services)
         return {node for _, nodes in everything for node in nodes}, {name for name, _ in services}
 
-    def pid(self, node):
+    def pid(self, node: Any) -> Any:
         """Return the process of a node, None if it does not answer."""
         try:
             uri = ServerProxy(self.env["ROS_MASTER_URI"]).lookupNode("/test", node)[2]
@@ -128,7 +129,7 @@ class Space:
         except OSError:
             return None
 
-    def expect(self, condition, seconds=TIMEOUT_SECONDS):
+    def expect(self, condition: Any, seconds: Any = TIMEOUT_SECONDS) -> None:
         """Wait until a condition holds for the nodes and services of the master."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
@@ -137,7 +138,7 @@ class Space:
             time.sleep(0.1)
         pytest.fail(f"{self.state()}\n{self.printed()}")
 
-    def close(self):
+    def close(self) -> List[Any]:
         """End the started processes, the last one first; return the exit statuses."""
         for process in reversed(self.started):
             if process.poll() is None:
@@ -150,7 +151,7 @@ class Space:
         return [process.returncode for process in self.started]
 
 
-def make_space(name, port, logs):
+def make_space(name: str, port: Any, logs: Any) -> Space:
     """Return a space that install.py has built."""
     workspace = os.environ.get("RETALIS_WORKSPACE")
     if not workspace or not shutil.which("roslaunch"):
@@ -159,7 +160,7 @@ def make_space(name, port, logs):
 
 
 @pytest.fixture(params=SPACES)
-def space(request, port, tmp_path):
+def space(request: pytest.FixtureRequest, port: Any, tmp_path: Path) -> Iterator[Any]:
     """Return each of the spaces, one after the other."""
     space = make_space(request.param, port, tmp_path)
     yield space
@@ -167,7 +168,7 @@ def space(request, port, tmp_path):
 
 
 @pytest.fixture
-def devel(port, tmp_path):
+def devel(port: Any, tmp_path: Path) -> Iterator[Any]:
     """Return the devel space, for tests that do not differ between spaces."""
     space = make_space("devel", port, tmp_path)
     yield space

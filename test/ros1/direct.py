@@ -5,6 +5,7 @@ import signal
 import sys
 import unittest
 from pathlib import Path
+from typing import Any
 
 import rospy
 import rostest
@@ -23,12 +24,12 @@ PROGRAM = Path(__file__).resolve().parent / "direct"
 class Direct(unittest.TestCase):
     namespace = ""
 
-    def setUp(self):
+    def setUp(self) -> None:
         self.nodes = NodeProcesses(PROGRAM)
         self.addCleanup(self.nodes.end_all)
         self.sent = 0
 
-    def connect(self, numbers="numbers"):
+    def connect(self, numbers: str = "numbers") -> None:
         """Create the publishers of inputs and the subscriber of outputs."""
         self.numbers = rospy.Publisher(f"{self.namespace}/{numbers}", Int32, queue_size=100)
         self.additional = rospy.Publisher(f"{self.namespace}/more", Int32, queue_size=100)
@@ -37,16 +38,16 @@ class Direct(unittest.TestCase):
             self.addCleanup(publisher.unregister)
         self.addCleanup(self.received.close)
 
-    def call(self, service, **fields):
+    def call(self, service: str, **fields: Any) -> Any:
         return wait_for_service(f"{self.namespace}/{service}", getattr(srv, _service_class(service)))(
             **fields
         )
 
-    def add_additional(self):
+    def add_additional(self) -> None:
         response = self.call("add_input_subscription", topic="more", message_type="std_msgs/Int32")
         self.assertEqual(response.result, "ok")
 
-    def send(self, *publishers):
+    def send(self, *publishers: Any) -> None:
         """Publish the next number on each topic, and wait until the outputs are exactly one for each."""
         wait_until(
             lambda: all(count_subscribers(publisher) == 1 for publisher in publishers), "the subscriptions"
@@ -61,7 +62,7 @@ class Direct(unittest.TestCase):
             )
             self.assertEqual([message.data for message in self.received.messages], expected)
 
-    def test_first_engine_receives_messages_once(self):
+    def test_first_engine_receives_messages_once(self) -> None:
         self.connect()
         self.nodes.start(ENGINE)
         self.nodes.start(INTERFACE)
@@ -69,7 +70,7 @@ class Direct(unittest.TestCase):
         self.send(self.numbers, self.additional)
         self.check_restarts()
 
-    def test_first_interface_receives_messages_once(self):
+    def test_first_interface_receives_messages_once(self) -> None:
         self.connect()
         self.nodes.start(INTERFACE)
         self.add_additional()
@@ -77,7 +78,7 @@ class Direct(unittest.TestCase):
         self.send(self.numbers, self.additional)
         self.check_restarts()
 
-    def check_restarts(self):
+    def check_restarts(self) -> None:
         self.nodes.end(signal.SIGKILL, ENGINE)
         self.nodes.start(ENGINE)
         self.send(self.additional, self.numbers)
@@ -90,7 +91,7 @@ class Direct(unittest.TestCase):
         self.add_additional()
         self.send(self.additional, self.numbers)
 
-    def test_topic_is_deleted_until_restart(self):
+    def test_topic_is_deleted_until_restart(self) -> None:
         self.connect()
         self.nodes.start(ENGINE)
         self.nodes.start(INTERFACE)
@@ -107,7 +108,7 @@ class Direct(unittest.TestCase):
         self.nodes.start(INTERFACE)
         self.send(self.numbers)
 
-    def test_namespace_and_remapping_apply_to_both_nodes(self):
+    def test_namespace_and_remapping_apply_to_both_nodes(self) -> None:
         self.namespace = "/robot"
         self.nodes = NodeProcesses(PROGRAM, "__ns:=/robot", "numbers:=counts")
         self.addCleanup(self.nodes.end_all)
@@ -119,7 +120,7 @@ class Direct(unittest.TestCase):
         self.nodes.start(ENGINE)
         self.send(self.numbers, self.additional)
 
-    def test_texts_are_for_other_nodes(self):
+    def test_texts_are_for_other_nodes(self) -> None:
         self.connect()
         self.nodes.start(ENGINE)
         self.nodes.start(INTERFACE)
@@ -150,7 +151,7 @@ class Direct(unittest.TestCase):
         inputs.close()
         outputs.close()
 
-    def test_different_values_of_direct_are_an_error(self):
+    def test_different_values_of_direct_are_an_error(self) -> None:
         log = Collector("/rosout", Log)
         self.nodes.start(ENGINE)
         wait_until(lambda: f"/{ENGINE}" in log.publishers(), "the log")
@@ -166,12 +167,12 @@ class Direct(unittest.TestCase):
         log.close()
 
 
-def count_subscribers(publisher):
+def count_subscribers(publisher: Any) -> Any:
     """Return the number of connected subscribers; rospy also counts those that have been killed."""
     return sum(not has_ended(connection) for connection in publisher.impl.connections)
 
 
-def _service_class(service):
+def _service_class(service: Any) -> str:
     return "".join(part.capitalize() for part in service.split("_"))
 
 

@@ -5,6 +5,7 @@
 
 import sys
 import time
+from typing import Any
 
 import rospy
 from std_msgs.msg import String
@@ -13,7 +14,7 @@ TOPIC = "/retalisInputEvents"
 CONNECTION_TIMEOUT_SECONDS = 60.0
 
 
-def main(events):
+def main(events: Any) -> None:
     rospy.init_node("event_publisher", anonymous=True)
     # Without a queue, `publish` returns after the message has been sent.
     publisher = rospy.Publisher(TOPIC, String, queue_size=None)

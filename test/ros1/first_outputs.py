@@ -27,7 +27,7 @@ CONFIGURATIONS = {
 class FirstOutputs(unittest.TestCase):
     starts = 0
 
-    def setUp(self):
+    def setUp(self) -> None:
         self.map_name = rospy.Publisher("map_name", String, queue_size=1, latch=True)
         self.map_name.publish("hall")
         self.outputs = {
@@ -39,7 +39,7 @@ class FirstOutputs(unittest.TestCase):
         for collector in self.outputs.values():
             self.addCleanup(collector.close)
 
-    def start_nodes(self, configuration):
+    def start_nodes(self, configuration: str) -> None:
         names, arguments = CONFIGURATIONS[configuration]
         nodes = NodeProcesses(PROGRAM, *arguments)
         self.addCleanup(nodes.end_all)
@@ -61,13 +61,13 @@ class FirstOutputs(unittest.TestCase):
         expected = {"ready": [1, 2], "where": ["hall"], "greeting": ["hello"] * 2}
         self.assertEqual(received, {topic: values * self.starts for topic, values in expected.items()})
 
-    def test_direct_topics_lose_no_output(self):
+    def test_direct_topics_lose_no_output(self) -> None:
         self.start_nodes("direct")
 
-    def test_text_topics_lose_no_output(self):
+    def test_text_topics_lose_no_output(self) -> None:
         self.start_nodes("text")
 
-    def test_embedded_interface_loses_no_output(self):
+    def test_embedded_interface_loses_no_output(self) -> None:
         self.start_nodes("embedded")
 
 

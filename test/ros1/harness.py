@@ -5,6 +5,7 @@ import subprocess
 import threading
 import time
 from http.client import HTTPException
+from typing import Any, List
 from xmlrpc.client import Error, ServerProxy
 
 import roslib.packages
@@ -20,7 +21,7 @@ TIMEOUT_SECONDS = 60.0
 """Seconds after which a test that waits fails."""
 
 
-def wait_until(condition, description, timeout=TIMEOUT_SECONDS, pause=0.01):
+def wait_until(condition: Any, description: str, timeout: Any = TIMEOUT_SECONDS, pause: float = 0.01) -> None:
     """Wait until a condition holds, in real time: simulated time stands still in most tests.
 
     Args:
@@ -41,18 +42,18 @@ def wait_until(condition, description, timeout=TIMEOUT_SECONDS, pause=0.01):
 class Collector:
     """Subscriber that stores the messages of a topic."""
 
-    def __init__(self, topic, message_class):
+    def __init__(self, topic: Any, message_class: Any) -> None:
         self.topic = topic
         self.messages = []
         self._changed = threading.Condition()
         self._subscriber = rospy.Subscriber(topic, message_class, self._store, queue_size=10_000)
 
-    def _store(self, message):
+    def _store(self, message: Any) -> None:
         with self._changed:
             self.messages.append(message)
             self._changed.notify_all()
 
-    def wait_for(self, condition, description="messages"):
+    def wait_for(self, condition: Any, description: str = "messages") -> List[Any]:
         """Wait until ``condition`` holds for the list of messages; return the list."""
         with self._changed:
             if not self._changed.wait_for(lambda: condition(self.messages), TIMEOUT_SECONDS):
@@ -62,7 +63,7 @@ class Collector:
                 )
             return list(self.messages)
 
-    def is_connected(self):
+    def is_connected(self) -> bool:
         """Return whether a publisher is connected, so that all messages that it sends from now on are received.
 
         rospy also counts connections that are not established yet. If many are opened at once, it retries some after
@@ -70,7 +71,7 @@ class Collector:
         """
         return any(map(is_served_by_publisher, self._established_connections()))
 
-    def publishers(self):
+    def publishers(self) -> List[Any]:
         """Return the names of the connected publishers; see `is_connected`."""
         return [
             link.header["callerid"]
@@ -78,14 +79,14 @@ class Collector:
             if is_served_by_publisher(link)
         ]
 
-    def _established_connections(self):
+    def _established_connections(self) -> List[Any]:
         return [link for link in self._subscriber.impl.connections if link.header]
 
-    def close(self):
+    def close(self) -> None:
         self._subscriber.unregister()
 
 
-def is_served_by_publisher(link):
+def is_served_by_publisher(link: Any) -> bool:
     """Return whether the publisher sends messages to a connection.
 
     It writes its header earlier. A message that it publishes in between is not sent to this subscriber.
@@ -102,16 +103,16 @@ def is_served_by_publisher(link):
 class RawPublisher:
     """Publisher of bytes as messages of a type that need not be installed."""
 
-    def __init__(self, topic, definition, latch=False):
+    def __init__(self, topic: Any, definition: Any, latch: bool = False) -> None:
         self.message_class = serialized_class(definition)
         self.publisher = rospy.Publisher(topic, self.message_class, queue_size=10_000, latch=latch)
 
-    def publish(self, data):
+    def publish(self, data: str) -> None:
         message = self.message_class()
         message._buff = data
         self.publisher.publish(message)
 
-    def is_connected(self):
+    def is_connected(self) -> bool:
         return self.publisher.get_num_connections() > 0
 
 
@@ -129,17 +130,17 @@ class NodeProcesses:
         arguments: remappings and parameters of both nodes.
     """
 
-    def __init__(self, program, *arguments):
+    def __init__(self, program: Any, *arguments: Any) -> None:
         self._arguments = [f"_program:={program}", *arguments]
         self._running = {}
 
-    def start(self, name, *arguments):
+    def start(self, name: Any, *arguments: Any) -> None:
         """Start a node, with further arguments of its own."""
         program = roslib.packages.find_node("retalis", _NODE_TYPES[name])[0]
         command = [program, f"__name:={name}", *self._arguments, *arguments]
         self._running[name] = subprocess.Popen(command, start_new_session=True)
 
-    def end(self, number, *names):
+    def end(self, number: Any, *names: Any) -> None:
         """End nodes together by a signal, and check their exit status."""
         for name in names:
             process = self._running[name]
@@ -150,13 +151,13 @@ class NodeProcesses:
             expected = 0 if number == signal.SIGINT else -number
             assert status == expected, f"exit status of node {name}: {status}"
 
-    def shut_down(self, name):
+    def shut_down(self, name: Any) -> None:
         """End a node by a request of another node, as `rosnode kill` does, and check its exit status."""
         assert rosnode.kill_nodes([f"/{name}"]) == ([f"/{name}"], [])
         status = self._running.pop(name).wait(TIMEOUT_SECONDS)
         assert status == 0, f"exit status of node {name}: {status}"
 
-    def end_all(self):
+    def end_all(self) -> None:
         """Interrupt the nodes that still run."""
         for process in self._running.values():
             process.send_signal(signal.SIGINT)
@@ -165,13 +166,13 @@ class NodeProcesses:
         self._running.clear()
 
 
-def wait_for_service(name, service_class):
+def wait_for_service(name: str, service_class: Any) -> Any:
     """Wait until a service is offered; return its proxy."""
     rospy.wait_for_service(name, TIMEOUT_SECONDS)
     return rospy.ServiceProxy(name, service_class)
 
 
-def wait_for_message_path():
+def wait_for_message_path() -> None:
     """Wait until a message on an input topic passes through the engine to an output topic, in any configuration."""
     result = wait_for_service("add_input_subscription", AddInputSubscription)(
         "probe", "std_msgs/String"
@@ -183,7 +184,7 @@ def wait_for_message_path():
     probe = rospy.Publisher("probe", String, queue_size=10)
     outputs = Collector("face_by_marker", String)
 
-    def is_returned():
+    def is_returned() -> bool:
         probe.publish("probe")
         return any(message.data == "probe" for message in outputs.messages)
 

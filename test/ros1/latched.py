@@ -9,6 +9,7 @@ import time
 import unittest
 from itertools import permutations
 from pathlib import Path
+from typing import Any, List, Tuple
 
 import rosgraph
 import roslib.packages
@@ -42,18 +43,18 @@ LATCHED = {
 }
 
 
-def encoded_message(topic):
+def encoded_message(topic: str) -> bytes:
     type_name, text = LATCHED[topic]
     term = read_term(text, Operators.prolog()).term
     return DEFINITIONS.encoder(type_name).encode(term, topic)
 
 
-def executable(name):
+def executable(name: Any) -> Any:
     """Return the path of a node; rosrun would start several processes to find it."""
     return roslib.packages.find_node("retalis", name)[0]
 
 
-def publish():
+def publish() -> None:
     """Publish the latched messages in a separate process: rospy is slow to reconnect within a process."""
     rospy.init_node("publisher")
     for topic, (type_name, _) in LATCHED.items():
@@ -66,7 +67,7 @@ class Nodes(unittest.TestCase):
 
     all_orders = False
 
-    def setUp(self):
+    def setUp(self) -> None:
         self.running = {}
         self.options = ["_direct:=false"]
         self.events = rospy.Publisher("retalisInputEvents", String, queue_size=100)
@@ -76,7 +77,7 @@ class Nodes(unittest.TestCase):
         self.addCleanup(self.outputs.close)
         self.addCleanup(self.end_all)
 
-    def start(self, name):
+    def start(self, name: str) -> None:
         """Start a node or the publisher and wait until it is ready."""
         command = [sys.executable, __file__, "publisher"]
         if name in NODES:
@@ -89,7 +90,7 @@ class Nodes(unittest.TestCase):
         self.running[name] = subprocess.Popen(command, start_new_session=True)
         wait_until(lambda: self.is_ready(name), f"node {name}", pause=0.05)
 
-    def is_ready(self, name):
+    def is_ready(self, name: Any) -> Any:
         """Return whether a node is ready: it offers its last service and subscribes to its topics."""
         published, subscribed, offered = rosgraph.Master("/latched").getSystemState()
         if name == "publisher":
@@ -98,20 +99,20 @@ class Nodes(unittest.TestCase):
         topic = "/retalisInputEvents" if name == "retalis" else "/retalisOutputEvents"
         return f"/{name}" in dict(offered).get(service, ()) and f"/{name}" in dict(subscribed).get(topic, ())
 
-    def end(self, name, number=signal.SIGINT):
+    def end(self, name: str, number: Any = signal.SIGINT) -> None:
         process = self.running.pop(name)
         os.killpg(process.pid, number)
         process.wait(TIMEOUT_SECONDS)
         if number == signal.SIGKILL:
             subprocess.run(["rosnode", "cleanup"], input=b"y\n", stdout=subprocess.DEVNULL, check=True)
 
-    def end_all(self):
+    def end_all(self) -> None:
         for name in list(self.running):
             self.end(name)
         self.events.unregister()
         self.news.unregister()
 
-    def received_messages(self):
+    def received_messages(self) -> Any:
         """Return the counts of latched messages that the engine has received, and the other messages."""
         self.request_count += 1
         begin = f"event(there({self.request_count},"
@@ -124,11 +125,11 @@ class Nodes(unittest.TestCase):
                     return message.data[len(begin) :].partition("),there")[0]
             self.assertLess(time.monotonic(), deadline, "the engine does not answer")
 
-    def expect(self, expected):
+    def expect(self, expected: str) -> None:
         """Wait until the engine has received the expected messages, and check that it receives no others."""
-        answers = []
+        answers: List[Any] = []
 
-        def is_expected():
+        def is_expected() -> bool:
             answers.append(self.received_messages())
             return answers[-1] == expected
 
@@ -139,7 +140,7 @@ class Nodes(unittest.TestCase):
         for _ in range(5):
             self.assertEqual(self.received_messages(), expected)
 
-    def check_orders(self, names, restarted=(), counts=()):
+    def check_orders(self, names: Tuple[Any, ...], restarted: Any = (), counts: Any = ()) -> None:
         """Start nodes in some order and in its reverse, or in each order; after the first and the last, restart some.
 
         A restart is a start as the last node, so restarts in the other orders add no case.
@@ -160,7 +161,7 @@ class Nodes(unittest.TestCase):
                 for name in names:
                     self.end(name)
 
-    def check_reconnection(self, *names):
+    def check_reconnection(self, *names: Any) -> None:
         """Close the connection of a publisher: its repeated latched message is no event, a new message is one."""
         publisher = RawPublisher("map", DEFINITIONS.find("nav_msgs/OccupancyGrid"), latch=True)
         self.addCleanup(publisher.publisher.unregister)
@@ -173,7 +174,7 @@ class Nodes(unittest.TestCase):
             for link in before:
                 link.close()
 
-            def is_reconnected(before=before):
+            def is_reconnected(before: Any = before) -> Any:
                 return set(publisher.publisher.impl.connections).difference(before)
 
             # rospy reconnects when the master sends the list of publishers, as it does for an additional publisher.
@@ -186,14 +187,14 @@ class Nodes(unittest.TestCase):
 
 
 class OverText(Nodes):
-    def test_repeated_message_of_connection_is_no_event(self):
+    def test_repeated_message_of_connection_is_no_event(self) -> None:
         self.check_reconnection("retalis", "retalis_ros_interface")
 
-    def test_latched_messages_are_received_in_all_orders(self):
+    def test_latched_messages_are_received_in_all_orders(self) -> None:
         again = ("retalis_ros_interface", "publisher", "retalis", "retalis")
         self.check_orders(("retalis", "retalis_ros_interface", "publisher"), again, (1, 2, 1, 1))
 
-    def test_messages_without_engine_are_buffered(self):
+    def test_messages_without_engine_are_buffered(self) -> None:
         for name in ("retalis_ros_interface", "publisher"):
             self.start(name)
         listener = Collector("retalisInputEvents", String)
@@ -221,19 +222,19 @@ class OverText(Nodes):
 
 
 class WithoutText(Nodes):
-    def test_direct_topics_are_received_in_all_orders(self):
+    def test_direct_topics_are_received_in_all_orders(self) -> None:
         self.options = ["_direct:=[" + ", ".join(DIRECT) + "]"]
         self.check_orders(("retalis", "retalis_ros_interface", "publisher"))
 
-    def test_direct_repeated_message_is_no_event(self):
+    def test_direct_repeated_message_is_no_event(self) -> None:
         self.options = ["_direct:=[" + ", ".join(DIRECT) + "]"]
         self.check_reconnection("retalis", "retalis_ros_interface")
 
-    def test_embedded_repeated_message_is_no_event(self):
+    def test_embedded_repeated_message_is_no_event(self) -> None:
         self.options = ["_direct:=false", "_embedded:=true"]
         self.check_reconnection("retalis")
 
-    def test_embedded_interface_receives_in_all_orders(self):
+    def test_embedded_interface_receives_in_all_orders(self) -> None:
         self.options = ["_direct:=false", "_embedded:=true"]
         self.check_orders(("retalis", "publisher"), ("publisher", "retalis"), (2, 1))
 

@@ -6,6 +6,7 @@ import tempfile
 import time
 import unittest
 from pathlib import Path
+from typing import Any, List
 
 import rospy
 import rostest
@@ -35,7 +36,7 @@ LATE_MESSAGES = 40
 
 
 class LateClock(unittest.TestCase):
-    def setUp(self):
+    def setUp(self) -> None:
         folder = tempfile.TemporaryDirectory()
         self.addCleanup(folder.cleanup)
         self.bags = []
@@ -69,7 +70,7 @@ class LateClock(unittest.TestCase):
         self.query = wait_for_service("retalis/query", srv.Query)
         self.probe = rospy.Publisher("probe", String, queue_size=10)
 
-    def test_poses_are_those_of_each_run(self):
+    def test_poses_are_those_of_each_run(self) -> None:
         (first, first_poses), (second, second_poses) = self.bags
         self.assertNotEqual(first_poses, second_poses)
         self.tick(first[0][0])
@@ -85,11 +86,11 @@ class LateClock(unittest.TestCase):
         self.play(first)
         self.expect(first_poses)
 
-    def tick(self, instant):
+    def tick(self, instant: Any) -> None:
         self.now = instant
         self.clock.publish(Clock(rospy.Time(*divmod(instant, 10**9))))
 
-    def is_clock_received(self):
+    def is_clock_received(self) -> bool:
         """Return whether all nodes that process messages have the time, which stamps messages without header."""
         self.probe.publish("probe")
         response = self.query(
@@ -99,11 +100,11 @@ class LateClock(unittest.TestCase):
         return bool(response.solutions)
 
     @staticmethod
-    def count_until(records, seconds):
+    def count_until(records: Any, seconds: Any) -> Any:
         """Return the number of messages in the first seconds of a bag."""
         return sum(record[0] < records[0][0] + seconds * 1e9 for record in records)
 
-    def play(self, records):
+    def play(self, records: Any) -> None:
         """Publish messages at their times, as ``rosbag play --clock`` does."""
         began = time.monotonic()
         for instant, topic, data in records:
@@ -114,15 +115,15 @@ class LateClock(unittest.TestCase):
                 self.tick(instant)
             self.publishers[topic].publish(data)
 
-    def send(self, records):
+    def send(self, records: Any) -> None:
         """Publish messages at once, because the clock must follow the first one within a second."""
         for _, topic, data in records:
             self.publishers[topic].publish(data)
 
-    def expect(self, poses):
+    def expect(self, poses: Any) -> None:
         """Wait for poses, and check that there are no others."""
 
-        def received_poses():
+        def received_poses() -> List[Any]:
             return sorted(
                 (name, message._buff)
                 for name, collector in self.markers.items()

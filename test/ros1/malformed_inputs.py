@@ -4,6 +4,7 @@
 import sys
 import unittest
 from pathlib import Path
+from typing import Any, List
 from xmlrpc.client import ServerProxy
 
 import rospy
@@ -36,7 +37,7 @@ MAX_HEADERS = 40
 """Maximum number of publishers with different headers: each needs a connection."""
 
 
-def read_arguments():
+def read_arguments() -> Any:
     """Return the number of inputs and the seed from the command line."""
     numbers = [int(word) for word in sys.argv[1:] if word.isdigit()]
     return (*numbers, 1)[:2] if numbers else (1500, 1)
@@ -45,7 +46,7 @@ def read_arguments():
 class RawHeaderPublisher:
     """Publisher with an arbitrary type, definition and checksum in its connection header."""
 
-    def __init__(self, topic, message_type, definition, md5sum):
+    def __init__(self, topic: Any, message_type: Any, definition: Any, md5sum: Any) -> None:
         members = {"_type": message_type, "_full_text": definition, "_md5sum": md5sum, "_has_header": False}
         self.message_class = type(
             "Sent", (rospy.AnyMsg,), {**members, "__slots__": ["_buff"], "_slot_types": []}
@@ -55,7 +56,7 @@ class RawHeaderPublisher:
 
 class MalformedInputsTest(unittest.TestCase):
     @classmethod
-    def setUpClass(cls):
+    def setUpClass(cls) -> None:
         wait_for_message_path()
         cls.count, cls.seed = read_arguments()
         cls.inputs = Inputs(cls.seed)
@@ -79,31 +80,31 @@ class MalformedInputsTest(unittest.TestCase):
         assert added == "ok", added
 
     @classmethod
-    def pids(cls):
+    def pids(cls) -> List[Any]:
         """Return the processes of the nodes."""
         master = rospy.get_master()
         return [ServerProxy(master.lookupNode(node)[2]).getPid("/malformed_inputs")[2] for node in NODES]
 
-    def resident(self):
+    def resident(self) -> List[int]:
         """Return the memory of each node in kB."""
         return [
             int(Path(f"/proc/{pid}/status").read_text().split("VmRSS:")[1].split()[0])
             for pid in self.processes
         ]
 
-    def assert_alive(self):
+    def assert_alive(self) -> None:
         """Send an event to the engine and wait for its output."""
         type(self).check_count += 1
         text = f"event(alive({self.check_count}),alive,alive)"
 
-        def is_received():
+        def is_received() -> bool:
             return any(message.data == text for message in self.outputs.messages)
 
         self.events.publish(f"event(alive({self.check_count}))")
         wait_until(is_received, f"a sign of life after input {self.check_count * INPUTS_PER_CHECK}")
         del self.outputs.messages[:]
 
-    def test_malformed_requests_are_answered(self):
+    def test_malformed_requests_are_answered(self) -> None:
         before = None
         for number in range(self.count):
             name, fields = self.inputs.request(number)
@@ -120,7 +121,7 @@ class MalformedInputsTest(unittest.TestCase):
             for old_size, new_size in zip(before, self.resident()):
                 self.assertLess(new_size - old_size, MAX_GROWTH_KILOBYTES)
 
-    def test_malformed_texts_are_ignored(self):
+    def test_malformed_texts_are_ignored(self) -> None:
         for number in range(self.count):
             text = self.inputs.text(number)
             self.events.publish(text)
@@ -129,7 +130,7 @@ class MalformedInputsTest(unittest.TestCase):
                 self.assert_alive()
         self.assert_alive()
 
-    def test_malformed_messages_are_ignored(self):
+    def test_malformed_messages_are_ignored(self) -> None:
         publisher = RawPublisher("fuzz_messages", self.inputs.definition)
         texts = RawPublisher("retalisInputEvents", self.inputs.known.find("std_msgs/String"))
         result = self.services["add_input_subscription"]("fuzz_messages", "fuzz/A").result
@@ -145,7 +146,7 @@ class MalformedInputsTest(unittest.TestCase):
                 self.assert_alive()
         self.assert_alive()
 
-    def test_malformed_headers_are_ignored(self):
+    def test_malformed_headers_are_ignored(self) -> None:
         for number in range(min(MAX_HEADERS, self.count)):
             message_type, definition, md5sum = self.inputs.header(number)
             topic = f"fuzz_header_{number}"
@@ -161,7 +162,7 @@ class MalformedInputsTest(unittest.TestCase):
             header_publisher.publisher.unregister()
             self.services["delete_input_subscription"](topic)
 
-    def tearDown(self):
+    def tearDown(self) -> None:
         self.assertEqual(self.pids(), self.processes)
         internal_errors = [
             record.msg

@@ -14,7 +14,7 @@ publisher = rospy.Publisher("in", String, queue_size=10)
 outputs = Collector("out", String)
 
 
-def is_returned():
+def is_returned() -> bool:
     publisher.publish(text)
     return any(message.data == text for message in outputs.messages)
 

@@ -6,6 +6,7 @@ import tempfile
 import time
 import unittest
 from pathlib import Path
+from typing import Any, List
 
 import rospy
 import rostest
@@ -24,13 +25,13 @@ SPEED = 2.0
 
 
 class NaoPoses(unittest.TestCase):
-    def setUp(self):
+    def setUp(self) -> None:
         folder = tempfile.TemporaryDirectory()
         self.addCleanup(folder.cleanup)
         self.bag = Path(folder.name) / "nao.bag"
         self.truth = make_bag(self.bag, seconds=5.0, seed=3)
 
-    def test_poses_equal_those_of_truth(self):
+    def test_poses_equal_those_of_truth(self) -> None:
         clock = rospy.Publisher("/clock", Clock, queue_size=10)
         markers = [Collector(f"marker{i}", PoseStamped) for i in range(1, 9)]
         with BagReader(self.bag) as bag:
@@ -53,7 +54,7 @@ class NaoPoses(unittest.TestCase):
             lambda: sum(len(collector.messages) for collector in markers) >= len(expected),
             f"{len(expected)} poses",
         )
-        poses = []
+        poses: List[Any] = []
         for number, collector in enumerate(markers, 1):
             for pose in collector.messages:
                 name = pose.header.frame_id
@@ -65,7 +66,7 @@ class NaoPoses(unittest.TestCase):
                 self.assertLess(error, 0.02)
         self.assertEqual(sorted(poses), expected)
 
-    def play(self, bag, publishers, clock):
+    def play(self, bag: Any, publishers: Any, clock: Any) -> None:
         """Publish the bag's messages at their times, as ``rosbag play --clock`` does."""
         began, last = time.monotonic(), 0
         for record in bag.records():

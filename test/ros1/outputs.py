@@ -4,6 +4,7 @@
 import sys
 import unittest
 from pathlib import Path
+from typing import Any
 
 import rospy
 import rostest
@@ -24,7 +25,7 @@ PART = "nowhere_msgs__0__Part('\"arm\"')"
 
 class Outputs(unittest.TestCase):
     @classmethod
-    def setUpClass(cls):
+    def setUpClass(cls) -> None:
         cls.log = Collector("/rosout", Log)
         cls.events = rospy.Publisher("retalisInputEvents", String, queue_size=100)
         cls.outputs = Collector("retalisOutputEvents", String)
@@ -33,13 +34,13 @@ class Outputs(unittest.TestCase):
         )
         wait_until(cls.log.is_connected, "the log")
 
-    def event(self, text):
+    def event(self, text: str) -> None:
         """Publish an event and wait for its output as text."""
         self.events.publish(f"event({text})")
         output = f"event({text},nowhere,n)"
         self.outputs.wait_for(lambda messages: any(message.data == output for message in messages), output)
 
-    def test_type_defined_by_publisher_is_published(self):
+    def test_type_defined_by_publisher_is_published(self) -> None:
         thing = RawPublisher("things", THING)
         wait_until(thing.is_connected, "the subscriber of the things")
         term = read_term(f"nowhere_msgs__0__Thing(0.5,{PART})", Operators.prolog()).term
@@ -50,7 +51,7 @@ class Outputs(unittest.TestCase):
         wait_until(parts.is_connected, "the publisher of the parts")
         self.assertEqual([message._buff for message in parts.wait_for(bool)], [data[8:]])
 
-        def is_copied():
+        def is_copied() -> Any:
             thing.publish(data)
             return copies.messages
 
@@ -63,18 +64,18 @@ class Outputs(unittest.TestCase):
         )
         self.assertEqual(parts.messages[0]._connection_header["latching"], "1")
 
-    def test_output_on_unpublished_topic_is_no_error(self):
+    def test_output_on_unpublished_topic_is_no_error(self) -> None:
         for number in range(20):
             self.event(f"state('\"{number}\"')")
         records = [record for record in self.log.messages if "topic nowhere has no type" in record.msg]
         self.assertLessEqual(len([record for record in records if record.level >= Log.WARN]), 1)
         self.assertEqual([record.msg for record in self.log.messages if record.level >= Log.ERROR], [])
 
-    def test_latched_topic_sends_last_message_once(self):
+    def test_latched_topic_sends_last_message_once(self) -> None:
         state = Collector("state", String)
         wait_until(state.is_connected, "the publisher of the state")
 
-        def is_received():
+        def is_received() -> Any:
             self.event("state('\"0\"')")
             return state.messages
 

@@ -4,6 +4,7 @@
 import sys
 import unittest
 from pathlib import Path
+from typing import Any
 from xmlrpc.client import ServerProxy
 
 import rosgraph
@@ -22,7 +23,7 @@ PATTERN = "std_msgs__0__UInt8MultiArray(Layout, {})"
 
 class Projection(unittest.TestCase):
     @classmethod
-    def setUpClass(cls):
+    def setUpClass(cls) -> None:
         wait_for_message_path()
         cls.outputs = Collector("retalisOutputEvents", String)
         cls.images = rospy.Publisher("images", UInt8MultiArray, queue_size=100)
@@ -36,12 +37,12 @@ class Projection(unittest.TestCase):
         cls.interface = ServerProxy(master.lookupNode("/retalis_ros_interface"))
         cls.subscribe(PATTERN.format("_"), "", "layout(Layout)", "t", "layouts")
 
-    def sent_bytes(self):
+    def sent_bytes(self) -> Any:
         """Return the number of bytes that the interface has sent as text."""
         topics = self.interface.getBusStats("/unread")[2][0]
         return sum(link[1] for topic in topics if topic[0] == "/retalisInputEvents" for link in topic[-1])
 
-    def publish(self, letter):
+    def publish(self, letter: bytes) -> Any:
         """Publish an image and wait for its output; return the number of bytes of its text."""
         before, count = self.sent_bytes(), len(self.outputs.messages)
         self.images.publish(UInt8MultiArray(data=letter * SIZE))
@@ -51,14 +52,14 @@ class Projection(unittest.TestCase):
         )
         return self.sent_bytes() - before
 
-    def is_projected(self):
+    def is_projected(self) -> bool:
         return self.publish(b"a") < 10_000
 
-    def test_1_unread_fields_are_not_written(self):
+    def test_1_unread_fields_are_not_written(self) -> None:
         wait_until(self.is_projected, "the end of whole messages")
         self.assertLess(self.publish(b"a"), 10_000)
 
-    def test_2_other_subscriber_receives_whole_messages(self):
+    def test_2_other_subscriber_receives_whole_messages(self) -> None:
         wait_until(self.is_projected, "the end of whole messages")
         texts = Collector("retalisInputEvents", String)
         wait_until(texts.is_connected, "the interface")
@@ -68,7 +69,7 @@ class Projection(unittest.TestCase):
         texts.close()
         wait_until(self.is_projected, "the end of the other subscription")
 
-    def test_3_added_subscription_has_whole_messages(self):
+    def test_3_added_subscription_has_whole_messages(self) -> None:
         wait_until(self.is_projected, "the end of whole messages")
         added = self.subscribe(PATTERN.format("Data"), "", "data(Data)", "t", "data").result
         self.assertEqual(added, "ok")

@@ -10,6 +10,7 @@ import threading
 import time
 import unittest
 from pathlib import Path
+from typing import Any, List
 
 import rospy
 import rostest
@@ -38,7 +39,7 @@ SERVICES = {
 
 class Services(unittest.TestCase):
     @classmethod
-    def setUpClass(cls):
+    def setUpClass(cls) -> None:
         wait_for_message_path()
         cls.proxies = {name: wait_for_service(name, kind) for name, kind in SERVICES.items()}
         cls.outputs = Collector("retalisOutputEvents", String)
@@ -53,12 +54,12 @@ class Services(unittest.TestCase):
         cls.flow.start()
 
     @classmethod
-    def tearDownClass(cls):
+    def tearDownClass(cls) -> None:
         cls.is_flowing = False
         cls.flow.join(10)
 
     @classmethod
-    def publish_flow(cls):
+    def publish_flow(cls) -> None:
         """Publish events all the time, so that services are not answered by an idle node only."""
         number = 0
         while cls.is_flowing and not rospy.is_shutdown():
@@ -66,23 +67,23 @@ class Services(unittest.TestCase):
             cls.events.publish(String(f"event(flow({number}))"))
             time.sleep(0.002)
 
-    def call(self, name, **fields):
+    def call(self, name: str, **fields: Any) -> Any:
         """Call a service that succeeds; return its response."""
         response = self.proxies[name](**fields)
         self.assertEqual(response.result, "ok", name)
         return response
 
-    def send(self, *events):
+    def send(self, *events: Any) -> None:
         for event in events:
             self.events.publish(String(f"event({event})"))
 
-    def wait_for_output(self, text):
+    def wait_for_output(self, text: str) -> None:
         self.outputs.wait_for(lambda messages: any(message.data == text for message in messages), text)
 
-    def ask(self, goal, **fields):
+    def ask(self, goal: str, **fields: Any) -> Any:
         return self.proxies["retalis/query"](srv.QueryRequest(goal=goal, **fields))
 
-    def test_subscriptions_and_memories(self):
+    def test_subscriptions_and_memories(self) -> None:
         fields = {"event": "v(X)", "conditions": "X > 1", "format": "got(X)"}
         self.call("add_output_subscription", topic="somewhere", id="s", **fields)
         self.call("add_memory", id="m", size="2", **fields)
@@ -97,7 +98,7 @@ class Services(unittest.TestCase):
         result = self.proxies["delete_memory"](id="m").result
         self.assertEqual(result, "error: there is no memory m")
 
-    def test_input_topics(self):
+    def test_input_topics(self) -> None:
         number = rospy.Publisher("number", Float64, queue_size=10)
         self.call("add_input_subscription", topic="number", message_type="std_msgs/msg/Float64")
         fields = {"event": "std_msgs__0__Float64(X)", "conditions": "", "format": "number(X)"}
@@ -109,9 +110,9 @@ class Services(unittest.TestCase):
         wait_until(lambda: number.get_num_connections() == 0, "the end of the subscription")
         self.call("delete_output_subscription", topic="t", id="n")
 
-    def test_query_waits_while_events_are_processed(self):
+    def test_query_waits_while_events_are_processed(self) -> None:
         self.call("add_memory", event="late(X)", conditions="", format="_", id="late", size="5")
-        answers = []
+        answers: List[Any] = []
         fields = {"wait_for": ["late"], "stamp": rospy.Time(10), "timeout": 60}
         thread = threading.Thread(
             target=lambda: answers.append(self.ask("access_mem(late, late(X), _)", **fields))
@@ -128,7 +129,7 @@ class Services(unittest.TestCase):
         )
         self.call("delete_memory", id="late")
 
-    def test_rules_and_explanations(self):
+    def test_rules_and_explanations(self) -> None:
         added = self.call("retalis/add_rule", rule="glow(X) <- warm(X) seq dark(X)", label="glow")
         self.assertEqual(added.label, "glow")
         self.send("warm(1)", "dark(1)")
@@ -139,7 +140,7 @@ class Services(unittest.TestCase):
         self.assertEqual(rule.fired, 1)
         self.call("retalis/delete_rule", label="glow")
 
-    def test_names_of_types_execute_nothing(self):
+    def test_names_of_types_execute_nothing(self) -> None:
         harm = Path(tempfile.mkdtemp()) / "harm"
         for kind in (
             f'a/b:=__import__("os").system("touch {harm}")',

@@ -8,6 +8,7 @@ import signal
 import sys
 import unittest
 from pathlib import Path
+from typing import Any
 
 import rospy
 import rostest
@@ -34,7 +35,7 @@ LATCHED = {
 class StartOrders(unittest.TestCase):
     starts = kills = 0
 
-    def setUp(self):
+    def setUp(self) -> None:
         self.nodes = NodeProcesses(PROGRAM, "_direct:=false")
         self.addCleanup(self.end_all)
         self.latched = []
@@ -45,14 +46,14 @@ class StartOrders(unittest.TestCase):
         self.where = Collector("where", String)
         self.texts = Collector("retalisOutputEvents", String)
 
-    def end_all(self):
+    def end_all(self) -> None:
         self.nodes.end_all()
         for publisher in (*self.latched, self.events):
             publisher.unregister()
         self.where.close()
         self.texts.close()
 
-    def count_map_names(self, number):
+    def count_map_names(self, number: int) -> Any:
         """Let the engine publish a number; return the number of names of maps that it has received."""
         self.events.publish(f"event(say({number}))")
         begin = f"event(said({number},"
@@ -62,17 +63,17 @@ class StartOrders(unittest.TestCase):
         text = next(message.data for message in messages if message.data.startswith(begin))
         return text[len(begin) :].partition(")")[0]
 
-    def received(self):
+    def received(self) -> Any:
         """Return the number of outputs that the interface has received."""
         inputs = wait_for_service(f"{INTERFACE}/list", srv.List)(0).inputs
         return next(topic.messages for topic in inputs if topic.topic == "/retalisOutputEvents")
 
-    def expect_outputs(self, number):
+    def expect_outputs(self, number: int) -> None:
         """Wait for outputs on the latched topic, and check that there are no others."""
         self.where.wait_for(lambda messages: len(messages) >= number, f"output {number}")
         self.assertEqual(len(self.where.messages), number)
 
-    def test_outputs_of_each_start_are_published(self):
+    def test_outputs_of_each_start_are_published(self) -> None:
         for number in range(self.starts):
             with self.subTest(start=number):
                 for name in NODES:
@@ -80,7 +81,7 @@ class StartOrders(unittest.TestCase):
                 self.expect_outputs(number + 1)
                 self.nodes.end(signal.SIGINT, *NODES)
 
-    def test_outputs_wait_for_killed_interface(self):
+    def test_outputs_wait_for_killed_interface(self) -> None:
         for name in NODES:
             self.nodes.start(name)
         self.expect_outputs(1)

@@ -5,6 +5,7 @@ import sys
 import threading
 import unittest
 from pathlib import Path
+from typing import Any, Dict, List
 
 import rospy
 import rostest
@@ -20,7 +21,7 @@ from retalis import srv  # noqa: E402
 
 class Status(unittest.TestCase):
     @classmethod
-    def setUpClass(cls):
+    def setUpClass(cls) -> None:
         cls.embedded = rospy.get_param("retalis/embedded")
         cls.interface = "retalis" if cls.embedded else "retalis_ros_interface"
         cls.list = staticmethod(wait_for_service("retalis/list", srv.List))
@@ -36,11 +37,11 @@ class Status(unittest.TestCase):
         cls.events = rospy.Publisher("retalisInputEvents", String, queue_size=100)
         wait_until(lambda: cls.events.get_num_connections() > 0, "node retalis")
 
-    def wait_for_status(self, name, condition=lambda status: True):
+    def wait_for_status(self, name: str, condition: Any = lambda status: True) -> Any:
         """Return the newest status with a name for which a condition holds."""
-        statuses = []
+        statuses: List[Any] = []
 
-        def is_received(messages):
+        def is_received(messages: Any) -> bool:
             statuses[:] = [
                 status
                 for message in messages[-20:]
@@ -52,17 +53,17 @@ class Status(unittest.TestCase):
         self.diagnostics.wait_for(is_received, name)
         return statuses[-1]
 
-    def values(self, status):
+    def values(self, status: Any) -> Dict[Any, Any]:
         return {pair.key: pair.value for pair in status.values}
 
-    def test_list_has_entries_with_counters(self):
+    def test_list_has_entries_with_counters(self) -> None:
         self.assertEqual(self.add_rule(rule="counted: hot(X) <- heat(X) where X > 1").result, "ok")
         self.assertEqual(self.add_memory("hot(_)", "", "_", "hot_ones", "2").result, "ok")
         self.assertEqual(self.add_subscription("hot(X)", "", "_", "hot", "h").result, "ok")
         for number in range(5):
             self.events.publish(String(f"event(heat({number}), [10.0, 10.5])"))
 
-        def memory():
+        def memory() -> Any:
             return next(memory for memory in self.list(10).memories if memory.id == "hot_ones")
 
         wait_until(lambda: memory().added == 3, "the events")
@@ -79,7 +80,7 @@ class Status(unittest.TestCase):
         shortened = self.list(1)
         self.assertEqual((len(shortened.rules), shortened.more_rules), (1, len(response.rules) - 1))
 
-    def test_list_has_waiting_queries_with_memories(self):
+    def test_list_has_waiting_queries_with_memories(self) -> None:
         self.assertEqual(self.add_memory("pose", "", "_", "odom", "5").result, "ok")
         self.add_rule(rule="synchronized(late(X), true, [[odom, 30]]) <- late_marker(X)")
         self.events.publish(String("event(pose, [20.0, 20.0])"))
@@ -94,14 +95,14 @@ class Status(unittest.TestCase):
         status = self.wait_for_status("retalis: waiting queries", lambda status: status.values)
         self.assertIn("odom (10.000 s behind)", self.values(status)["late(1)"])
 
-    def test_list_and_diagnostics_have_input_topic(self):
+    def test_list_and_diagnostics_have_input_topic(self) -> None:
         self.assertEqual(self.add_input("points", "geometry_msgs/PointStamped").result, "ok")
         publisher = rospy.Publisher("points", PointStamped, queue_size=100)
         wait_until(lambda: publisher.get_num_connections() > 0, "the subscription")
         for _ in range(20):
             publisher.publish(PointStamped())
 
-        def topic():
+        def topic() -> Any:
             return next(entry for entry in self.list_interface(0).inputs if entry.topic == "/points")
 
         wait_until(lambda: topic().messages == 20, "the messages")
@@ -115,7 +116,7 @@ class Status(unittest.TestCase):
         publisher.unregister()
         self.wait_for_status(name, lambda status: status.level == DiagnosticStatus.WARN)
 
-    def test_refused_publisher_is_a_diagnostic_error(self):
+    def test_refused_publisher_is_a_diagnostic_error(self) -> None:
         self.assertEqual(self.add_input("wrong", "std_msgs/String").result, "ok")
         publisher = rospy.Publisher("wrong", Float64, queue_size=10)
         name = f"{self.interface}: input /wrong"
@@ -127,19 +128,19 @@ class Status(unittest.TestCase):
         finally:
             publisher.unregister()
 
-    def test_errors_of_rule_are_a_diagnostic_error(self):
+    def test_errors_of_rule_are_a_diagnostic_error(self) -> None:
         self.add_rule(rule="wrong_one: never <- number(X) where X > 1")
         self.events.publish(String("event(number(many))"))
         status = self.wait_for_status("retalis: rules", lambda status: status.level == DiagnosticStatus.ERROR)
         self.assertIn("wrong_one", " ".join(self.values(status)))
 
-    def test_both_nodes_have_diagnostics(self):
+    def test_both_nodes_have_diagnostics(self) -> None:
         for part in ("queue", "work", "rules", "waiting queries", "program", "process memory"):
             self.wait_for_status(f"retalis: {part}")
         self.wait_for_status("retalis: input /retalisInputEvents")
         self.wait_for_status(f"{self.interface}: process memory")
 
-    def test_busy_engine_is_listed_and_warned_of(self):
+    def test_busy_engine_is_listed_and_warned_of(self) -> None:
         request = srv.QueryRequest(goal="repeat, fail", seconds=4.0)
         query_thread = threading.Thread(target=lambda: self.query(request))
         query_thread.start()

@@ -4,6 +4,7 @@ import socket
 import struct
 from io import BytesIO
 from types import SimpleNamespace
+from typing import Any, Dict, Iterator, List, Tuple
 
 import pytest
 
@@ -25,12 +26,12 @@ from retalis.ros1.batched_socket_reader import (  # noqa: E402
 HEADER = {"type": "std_msgs/String", "callerid": "/talker"}
 
 
-def frame(data):
+def frame(data: bytes) -> Any:
     return struct.pack("<I", len(data)) + data
 
 
 @pytest.fixture
-def pair():
+def pair() -> Iterator[Any]:
     """Return both ends of a TCP connection."""
     with socket.socket() as listening:
         listening.bind(("localhost", 0))
@@ -42,7 +43,7 @@ def pair():
     receiver.close()
 
 
-def new_link(receiver, read=b"", latched=False):
+def new_link(receiver: Any, read: bytes = b"", latched: bool = False) -> Any:
     buffer = BytesIO()
     buffer.write(read)
     return SimpleNamespace(
@@ -58,22 +59,22 @@ def new_link(receiver, read=b"", latched=False):
     )
 
 
-def callback(message):
+def callback(message: Any) -> None:
     raise AssertionError("only rospy calls it, not the reader")
 
 
-def make_subscriber(callbacks=(callback,), **topic):
+def make_subscriber(callbacks: Any = (callback,), **topic: Any) -> Any:
     topic = SimpleNamespace(callbacks=[(function, None) for function in callbacks], **topic)
     return SimpleNamespace(impl=topic, callback=callback)
 
 
-def new_reader(link, batches, callbacks=(callback,)):
+def new_reader(link: Any, batches: Any, callbacks: Any = (callback,)) -> Any:
     return ConnectionReader(
         link, make_subscriber(callbacks), lambda header: batches.append, 0.001, _ignore_end
     )
 
 
-def send_in_pieces(sender, data, size):
+def send_in_pieces(sender: Any, data: Any, size: int) -> None:
     for position in range(0, len(data), size):
         sender.sendall(data[position : position + size])
     sender.close()
@@ -81,7 +82,9 @@ def send_in_pieces(sender, data, size):
 
 @pytest.mark.parametrize("size", [1, 3, 5, 1000])
 @pytest.mark.parametrize("read", [b"", frame(b"first"), frame(b"first")[:2], frame(b"first")[:7]])
-def test_messages_are_read_at_any_cut(pair, monkeypatch, size, read):
+def test_messages_are_read_at_any_cut(
+    pair: Tuple[Any, ...], monkeypatch: pytest.MonkeyPatch, size: int, read: Any
+) -> None:
     sender, receiver = pair
     monkeypatch.setattr(batched_socket_reader, "MAX_READ_BYTES", size)
     messages = [b"first", b"", b"second", b"x" * 300]
@@ -96,9 +99,9 @@ def test_messages_are_read_at_any_cut(pair, monkeypatch, size, read):
     assert link.stat_bytes == len(stream) - len(read)
 
 
-def test_adjacent_messages_are_one_batch(pair):
+def test_adjacent_messages_are_one_batch(pair: Tuple[Any, ...]) -> None:
     sender, receiver = pair
-    batches = []
+    batches: List[Any] = []
     send_in_pieces(sender, frame(b"one") + frame(b"two"), 1000)
     with pytest.raises(TransportTerminated):
         new_reader(new_link(receiver), batches)()
@@ -106,9 +109,9 @@ def test_adjacent_messages_are_one_batch(pair):
 
 
 @pytest.mark.parametrize("callbacks", [(callback, print), (print,)], ids=["too", "only"])
-def test_other_callbacks_receive_messages_of_rospy(pair, callbacks):
+def test_other_callbacks_receive_messages_of_rospy(pair: Tuple[Any, ...], callbacks: Tuple[Any, ...]) -> None:
     sender, receiver = pair
-    batches = []
+    batches: List[Any] = []
     sender.sendall(frame(b"one") + frame(b"two"))
     messages = new_reader(new_link(receiver), batches, callbacks)()
     assert [message._buff for message in messages] == [b"one", b"two"]
@@ -117,7 +120,7 @@ def test_other_callbacks_receive_messages_of_rospy(pair, callbacks):
 
 
 @pytest.mark.parametrize("missing", ["latch", "is_latched", "stat_num_msg", "socket"])
-def test_connection_without_attribute_is_unchanged(missing):
+def test_connection_without_attribute_is_unchanged(missing: str) -> None:
     link = new_link(None)
     delattr(link, missing)
     subscriber = make_subscriber(
@@ -128,7 +131,7 @@ def test_connection_without_attribute_is_unchanged(missing):
 
 
 @pytest.mark.parametrize("callbacks", [None, (), [callback], {callback: None}])
-def test_topic_with_other_callbacks_is_unchanged(callbacks):
+def test_topic_with_other_callbacks_is_unchanged(callbacks: Any) -> None:
     link = new_link(None)
     subscriber = make_subscriber(
         data_class=rospy.AnyMsg, connections=[link], add_connection=lambda link: True
@@ -141,7 +144,7 @@ def test_topic_with_other_callbacks_is_unchanged(callbacks):
     assert link.receive_once is None
 
 
-def test_last_message_of_latched_topic_is_stored(pair):
+def test_last_message_of_latched_topic_is_stored(pair: Tuple[Any, ...]) -> None:
     sender, receiver = pair
     link = new_link(receiver, latched=True)
     send_in_pieces(sender, frame(b"one") + frame(b"two"), 1000)
@@ -150,7 +153,7 @@ def test_last_message_of_latched_topic_is_stored(pair):
     assert link.latch._buff == b"two"
 
 
-def test_closed_connection_ends(pair):
+def test_closed_connection_ends(pair: Tuple[Any, ...]) -> None:
     _, receiver = pair
     reader = new_reader(new_link(receiver), [])
     receiver.close()
@@ -169,9 +172,9 @@ def test_closed_connection_ends(pair):
         (frame(b"one") + frame(b"two")[:6], True),
     ],
 )
-def test_end_of_connection_is_reported(pair, data, is_incomplete):
+def test_end_of_connection_is_reported(pair: Tuple[Any, ...], data: Any, is_incomplete: bool) -> None:
     sender, receiver = pair
-    ends = []
+    ends: List[Any] = []
     link = new_link(receiver)
     reader = ConnectionReader(
         link, make_subscriber(), lambda header: lambda messages: None, 0.001, lambda *end: ends.append(end)
@@ -182,12 +185,12 @@ def test_end_of_connection_is_reported(pair, data, is_incomplete):
     assert ends == [(HEADER, is_incomplete)]
 
 
-def test_connection_closed_by_node_has_no_loss(pair):
+def test_connection_closed_by_node_has_no_loss(pair: Tuple[Any, ...]) -> None:
     sender, receiver = pair
-    ends = []
+    ends: List[Any] = []
     link = new_link(receiver)
 
-    def close(messages):
+    def close(messages: Any) -> None:
         link.done = True
 
     reader = ConnectionReader(
@@ -198,16 +201,16 @@ def test_connection_closed_by_node_has_no_loss(pair):
     assert ends == []
 
 
-def test_single_message_is_read_after_timeout(pair, monkeypatch):
+def test_single_message_is_read_after_timeout(pair: Tuple[Any, ...], monkeypatch: pytest.MonkeyPatch) -> None:
     sender, receiver = pair
     link, received = new_link(receiver), []
 
-    def receive(messages):
+    def receive(messages: Any) -> None:
         received.extend(messages)
         link.done = True
 
     class HighLowWaterMark(LowWaterMark):
-        def __init__(self, *arguments):
+        def __init__(self, *arguments: Any) -> None:
             super().__init__(*arguments)
             self.set_min_bytes(1000)
 
@@ -218,9 +221,11 @@ def test_single_message_is_read_after_timeout(pair, monkeypatch):
     assert received == [b"alone"]
 
 
-def make_topic_subscriber(data_class=rospy.AnyMsg, connections=(), statistics=None):
+def make_topic_subscriber(
+    data_class: Any = rospy.AnyMsg, connections: Any = (), statistics: Any = None
+) -> Tuple[Any, ...]:
     """Return a subscriber and the list of connections that are added to its topic."""
-    added = []
+    added: List[Any] = []
     subscriber = make_subscriber(
         data_class=data_class,
         connections=list(connections),
@@ -230,11 +235,11 @@ def make_topic_subscriber(data_class=rospy.AnyMsg, connections=(), statistics=No
     return subscriber, added
 
 
-def ignore(header):
+def ignore(header: Any) -> Any:
     return lambda messages: None
 
 
-def test_present_and_future_connections_are_read(pair):
+def test_present_and_future_connections_are_read(pair: Tuple[Any, ...]) -> None:
     present, future = new_link(pair[1]), new_link(pair[1])
     subscriber, added = make_topic_subscriber(connections=[present])
     read_in_batches(subscriber, ignore, 0.001)
@@ -248,14 +253,14 @@ def test_present_and_future_connections_are_read(pair):
 
 
 @pytest.mark.parametrize("options", [{"data_class": rospy.Header}, {"statistics": object()}])
-def test_topic_of_other_class_is_unchanged(pair, options):
+def test_topic_of_other_class_is_unchanged(pair: Tuple[Any, ...], options: Dict[str, Any]) -> None:
     link = new_link(pair[1])
     subscriber, _ = make_topic_subscriber(connections=[link], **options)
     read_in_batches(subscriber, ignore, 0.001)
     assert link.receive_once is None
 
 
-def test_connection_of_other_class_is_unchanged():
+def test_connection_of_other_class_is_unchanged() -> None:
     link = SimpleNamespace(receive_once=None)
     subscriber, _ = make_topic_subscriber(connections=[link])
     read_in_batches(subscriber, ignore, 0.001)
@@ -266,11 +271,11 @@ def test_connection_of_other_class_is_unchanged():
 class OptionSocket:
     """A socket that records its options."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.min_bytes = 1
         self.timeout = None
 
-    def setsockopt(self, level, option, value):
+    def setsockopt(self, level: Any, option: Any, value: Any) -> None:
         if option == socket.SO_RCVLOWAT:
             self.min_bytes = value
         else:
@@ -278,13 +283,13 @@ class OptionSocket:
 
 
 @pytest.fixture
-def socket_mark_window():
+def socket_mark_window() -> Tuple[Any, ...]:
     """Return a socket, its low water mark, and a function that records windows of wake-ups."""
     time = [0.0]
     sock = OptionSocket()
     mark = LowWaterMark(sock, 0.001, lambda: time[0])
 
-    def window(seconds, messages, size=100, windows=1):
+    def window(seconds: Any, messages: int, size: int = 100, windows: int = 1) -> None:
         for _ in range(windows * WINDOW_WAKE_UPS):
             time[0] += seconds / WINDOW_WAKE_UPS
             mark.record_wake_up(messages * size, messages)
@@ -299,7 +304,7 @@ linux = pytest.mark.skipif(
 
 @linux
 @pytest.mark.parametrize(("rate", "min_bytes"), [(500, 1), (1900, 1), (2500, 201), (9900, 901)])
-def test_low_water_mark_follows_rate(socket_mark_window, rate, min_bytes):
+def test_low_water_mark_follows_rate(socket_mark_window: Tuple[Any, ...], rate: int, min_bytes: int) -> None:
     sock, mark, window = socket_mark_window
     window(WINDOW_WAKE_UPS / rate, 1)
     assert sock.min_bytes == mark.min_bytes == min_bytes
@@ -307,14 +312,14 @@ def test_low_water_mark_follows_rate(socket_mark_window, rate, min_bytes):
 
 
 @linux
-def test_bursts_have_no_low_water_mark(socket_mark_window):
+def test_bursts_have_no_low_water_mark(socket_mark_window: Tuple[Any, ...]) -> None:
     sock, _, window = socket_mark_window
     window(4 * WINDOW_WAKE_UPS / 2500, 4)
     assert sock.min_bytes == 1
 
 
 @linux
-def test_lower_rate_resets_low_water_mark(socket_mark_window):
+def test_lower_rate_resets_low_water_mark(socket_mark_window: Tuple[Any, ...]) -> None:
     sock, _, window = socket_mark_window
     window(WINDOW_WAKE_UPS / 2500, 1)
     assert sock.min_bytes > 1
@@ -324,9 +329,9 @@ def test_lower_rate_resets_low_water_mark(socket_mark_window):
 
 
 @linux
-def test_vain_waits_become_rarer(socket_mark_window):
+def test_vain_waits_become_rarer(socket_mark_window: Tuple[Any, ...]) -> None:
     sock, mark, window = socket_mark_window
-    pauses = []
+    pauses: List[Any] = []
     for _ in range(9):
         pauses.append(0)
         while sock.min_bytes == 1:
@@ -348,10 +353,10 @@ def test_vain_waits_become_rarer(socket_mark_window):
     ]
 
 
-def test_socket_without_option_has_no_low_water_mark(socket_mark_window):
+def test_socket_without_option_has_no_low_water_mark(socket_mark_window: Tuple[Any, ...]) -> None:
     sock, mark, window = socket_mark_window
 
-    def refuse(*arguments):
+    def refuse(*arguments: Any) -> None:
         raise OSError("no such option")
 
     sock.setsockopt = refuse

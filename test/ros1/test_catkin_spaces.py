@@ -3,6 +3,7 @@
 import os
 import signal
 from pathlib import Path
+from typing import Any
 
 SERVICES = {
     "add_input_subscription",
@@ -16,11 +17,11 @@ FILE_PATTERNS = ("*.py", "*.pl", "*.html", "*.css", "*.js", "*.svg")
 IMPORTS = "import retalis.srv, retalis.msg, rosbags; print(retalis.srv.AddMemory, retalis.msg.Radar)"
 
 
-def test_generated_modules_are_in_package(space):
+def test_generated_modules_are_in_package(space: Any) -> None:
     assert space.run("/usr/bin/python3", "-c", IMPORTS)
 
 
-def test_all_source_files_are_installed(space):
+def test_all_source_files_are_installed(space: Any) -> None:
     code = (
         "import pkgutil, retalis, pathlib\n"
         "for place in retalis.__path__:\n"
@@ -35,14 +36,14 @@ def test_all_source_files_are_installed(space):
     assert expected <= set(space.run("/usr/bin/python3", "-c", code).split())
 
 
-def test_roscd_finds_folder_of_package(space):
+def test_roscd_finds_folder_of_package(space: Any) -> None:
     script = 'source "$0" && roscd retalis && pwd'
     folder = Path(space.run("bash", "-c", script, str(space.script)).strip())
     assert (folder / "package.xml").is_file()
     assert space.script.parents[1] in folder.parents
 
 
-def test_launch_file_starts_nodes_and_services(space):
+def test_launch_file_starts_nodes_and_services(space: Any) -> None:
     space.start_master()
     space.start("roslaunch", "-p", str(space.port), "retalis", "retalis.launch")
     expected = {"/" + name for name in SERVICES}
@@ -51,7 +52,7 @@ def test_launch_file_starts_nodes_and_services(space):
     assert space.run("rosparam", "get", "/use_sim_time").strip() == "true"
 
 
-def test_embedded_node_has_all_services(devel):
+def test_embedded_node_has_all_services(devel: Any) -> None:
     devel.start_master()
     devel.start("roslaunch", "-p", str(devel.port), "retalis", "retalis.launch", "embedded:=true")
     expected = {"/" + name for name in SERVICES}
@@ -59,7 +60,7 @@ def test_embedded_node_has_all_services(devel):
     assert "/retalis_ros_interface" not in devel.state()[0]
 
 
-def test_killed_nodes_are_respawned_on_request(devel):
+def test_killed_nodes_are_respawned_on_request(devel: Any) -> None:
     devel.start_master()
     devel.start("roslaunch", "-p", str(devel.port), "retalis", "retalis.launch", "respawn:=true")
     expected = {"/retalis", "/retalis_ros_interface"}
@@ -72,7 +73,7 @@ def test_killed_nodes_are_respawned_on_request(devel):
     )
 
 
-def test_node_names_without_launch_file(space):
+def test_node_names_without_launch_file(space: Any) -> None:
     space.start_master()
     space.start("rosrun", "retalis", "retalis_node")
     space.start("rosrun", "retalis", "retalis_ros_converter.py")
@@ -80,7 +81,7 @@ def test_node_names_without_launch_file(space):
     space.expect(lambda nodes, services: expected <= nodes)
 
 
-def test_launch_arguments_are_listed(space):
+def test_launch_arguments_are_listed(space: Any) -> None:
     listed = space.run("roslaunch", "--ros-args", "retalis", "retalis.launch")
     for argument in (
         "use_sim_time",
@@ -105,7 +106,7 @@ persistent_event(refused(_)).
 """
 
 
-def test_goals_open_files_in_allowed_folders_only(devel, tmp_path):
+def test_goals_open_files_in_allowed_folders_only(devel: Any, tmp_path: Path) -> None:
     program, data, out, other = (tmp_path / name for name in ("program", "data", "out", "other"))
     for folder in (program, data, out, other):
         folder.mkdir()

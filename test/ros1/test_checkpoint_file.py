@@ -3,6 +3,8 @@
 import os
 import signal
 import time
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -13,7 +15,7 @@ GOALS = "compile_event_file('rules.txt')\nmemorize(in(_), [], _, m, 5)\n"
 
 
 @pytest.fixture
-def program(tmp_path):
+def program(tmp_path: Path) -> Any:
     folder = tmp_path / "program"
     folder.mkdir()
     (folder / "pub_sub.xml").write_text("<publish_subscribe/>")
@@ -23,11 +25,11 @@ def program(tmp_path):
 
 
 @pytest.fixture
-def node(devel, program, tmp_path):
+def node(devel: Any, program: Any, tmp_path: Path) -> Any:
     """Return a function that starts the node and waits for it."""
     devel.start_master()
 
-    def start():
+    def start() -> Any:
         before = devel.printed().count(READY)
         words = (f"_program:={program}", f"_checkpoint:={tmp_path}/state.db", "_direct:=false")
         process = devel.start("rosrun", "retalis", "retalis_node", *words)
@@ -41,19 +43,19 @@ def node(devel, program, tmp_path):
 READY = "1 event rule"
 
 
-def kill(space, process):
+def kill(space: Any, process: Any) -> None:
     """Kill the node, as the kernel does if memory is short."""
     os.kill(space.pid("/retalis"), signal.SIGKILL)
     process.wait(60)
 
 
-def written_at(path):
+def written_at(path: Any) -> Any:
     """Return the time at which the state in a file was written, 0 without a state."""
     checkpoint = read_checkpoint(path)
     return 0.0 if checkpoint is None else checkpoint.written_at
 
 
-def test_killed_node_continues_from_checkpoint(devel, node, tmp_path):
+def test_killed_node_continues_from_checkpoint(devel: Any, node: Any, tmp_path: Path) -> None:
     path = tmp_path / "state.db"
     process = node()
     devel.run(
@@ -78,7 +80,7 @@ def test_killed_node_continues_from_checkpoint(devel, node, tmp_path):
     assert "Traceback" not in devel.printed()
 
 
-def test_invalid_checkpoint_is_not_restored(devel, node, program, tmp_path):
+def test_invalid_checkpoint_is_not_restored(devel: Any, node: Any, program: Any, tmp_path: Path) -> None:
     path = tmp_path / "state.db"
     process = node()
     devel.expect(lambda nodes, services: written_at(path))

@@ -5,6 +5,7 @@ import threading
 import time
 from struct import pack, unpack_from
 from types import SimpleNamespace
+from typing import Any, Iterator, List, Set
 
 import pytest
 
@@ -24,7 +25,7 @@ BODY = b"b" * 20_000
 class Link:
     """A connection of rospy, and its other end."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.socket, self.other = socket.socketpair()
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 5000)
         self.other.settimeout(60)
@@ -32,10 +33,10 @@ class Link:
         self.endpoint_id = "/listener"
         self.closed = False
 
-    def close(self):
+    def close(self) -> None:
         self.closed = True
 
-    def read(self, upto):
+    def read(self, upto: int) -> Any:
         """Return the numbers of the messages until that one."""
         numbers, data = [], b""
         while upto not in numbers:
@@ -51,21 +52,21 @@ class Link:
         return numbers
 
 
-def wait_for_all(link):
+def wait_for_all(link: Any) -> bool:
     return True
 
 
-def numbered_message(number):
+def numbered_message(number: int) -> Any:
     return pack("<II", len(BODY) + 4, number) + BODY
 
 
 @pytest.fixture(autouse=True)
-def end_identification(monkeypatch):
+def end_identification(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """End the threads that identify subscribers, as the end of a node does."""
-    identifiers = []
+    identifiers: List[Any] = []
     start = late_joiners.SubscriberIdentifier.start
 
-    def start_and_record(identifier, *arguments):
+    def start_and_record(identifier: Any, *arguments: Any) -> None:
         identifiers.append(identifier)
         start(identifier, *arguments)
 
@@ -80,7 +81,7 @@ def end_identification(monkeypatch):
 
 
 @pytest.fixture
-def link():
+def link() -> Iterator[Any]:
     connection = Link()
     yield connection
     connection.socket.close()
@@ -88,15 +89,15 @@ def link():
 
 
 @pytest.fixture
-def reports():
+def reports() -> Any:
     return Reports()
 
 
 @pytest.fixture
-def make_writer(monkeypatch, link, reports):
+def make_writer(monkeypatch: pytest.MonkeyPatch, link: Any, reports: Any) -> Any:
     """Return a function that makes a writer with the connection."""
 
-    def publisher(topic, message_class, listener, latch, queue_size):
+    def publisher(topic: Any, message_class: Any, listener: Any, latch: Any, queue_size: Any) -> Any:
         return SimpleNamespace(name=topic, impl=SimpleNamespace(connections=[link]), listener=listener)
 
     monkeypatch.setattr(rospy, "Publisher", publisher)
@@ -105,13 +106,13 @@ def make_writer(monkeypatch, link, reports):
     )
 
 
-def test_message_is_written_at_once(make_writer, link):
+def test_message_is_written_at_once(make_writer: Any, link: Any) -> None:
     make_writer().send(b"frame", 3)
     assert link.other.recv(100) == b"frame"
     assert (link.stat_bytes, link.stat_num_msg) == (5, 3)
 
 
-def test_late_receiver_gets_messages_in_order(make_writer, link, reports):
+def test_late_receiver_gets_messages_in_order(make_writer: Any, link: Any, reports: Any) -> None:
     writer = make_writer()
     for number in range(30):
         writer.send(numbered_message(number))
@@ -121,7 +122,9 @@ def test_late_receiver_gets_messages_in_order(make_writer, link, reports):
     assert reports.warnings == 0
 
 
-def test_slow_receiver_loses_oldest_messages(make_writer, link, reports, caplog):
+def test_slow_receiver_loses_oldest_messages(
+    make_writer: Any, link: Any, reports: Any, caplog: pytest.LogCaptureFixture
+) -> None:
     writer = make_writer(queue=5)
     for number in range(100):
         writer.send(numbered_message(number))
@@ -135,9 +138,9 @@ def test_slow_receiver_loses_oldest_messages(make_writer, link, reports, caplog)
     assert (messages[0], messages[-1]) == (text, f"{100 - len(numbers)} times in all: {text}")
 
 
-def test_waiting_writer_loses_no_message(make_writer, link, reports):
+def test_waiting_writer_loses_no_message(make_writer: Any, link: Any, reports: Any) -> None:
     writer = make_writer(queue=5, waits_for=wait_for_all)
-    numbers = []
+    numbers: List[Any] = []
     receiving = threading.Thread(target=lambda: numbers.extend(link.read(99)))
     receiving.start()
     for number in range(100):
@@ -147,9 +150,11 @@ def test_waiting_writer_loses_no_message(make_writer, link, reports):
     assert reports.warnings == 0
 
 
-def test_writer_waits_only_for_room_in_queue(make_writer, link, reports, monkeypatch):
+def test_writer_waits_only_for_room_in_queue(
+    make_writer: Any, link: Any, reports: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     writer = make_writer(queue=40, waits_for=wait_for_all)
-    read_sizes = []
+    read_sizes: List[Any] = []
     monkeypatch.setattr(
         connection_writer, "wallsleep", lambda seconds: read_sizes.append(len(link.other.recv(1000)))
     )
@@ -160,10 +165,12 @@ def test_writer_waits_only_for_room_in_queue(make_writer, link, reports, monkeyp
     assert reports.warnings == 0
 
 
-def test_writer_waits_while_receiver_reads(make_writer, link, reports, monkeypatch):
+def test_writer_waits_while_receiver_reads(
+    make_writer: Any, link: Any, reports: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     now = 0.0
 
-    def read_some(seconds):
+    def read_some(seconds: Any) -> None:
         nonlocal now
         # Some checks see no progress: the thread that writes has sent as much as was read, and not counted it yet.
         now += 0.2 * connection_writer.RECEIVER_WAIT_SECONDS
@@ -178,10 +185,12 @@ def test_writer_waits_while_receiver_reads(make_writer, link, reports, monkeypat
     assert reports.warnings == 0
 
 
-def test_writer_does_not_wait_for_closed_connection(make_writer, link, monkeypatch):
+def test_writer_does_not_wait_for_closed_connection(
+    make_writer: Any, link: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     waits, sock = [], link.socket
 
-    def go(seconds):
+    def go(seconds: Any) -> None:
         waits.append(seconds)
         link.socket = None
 
@@ -193,8 +202,10 @@ def test_writer_does_not_wait_for_closed_connection(make_writer, link, monkeypat
     assert len(waits) == 1
 
 
-def test_writer_does_not_wait_for_other_nodes(make_writer, link, reports, monkeypatch):
-    def wait(seconds):
+def test_writer_does_not_wait_for_other_nodes(
+    make_writer: Any, link: Any, reports: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def wait(seconds: Any) -> None:
         raise AssertionError
 
     monkeypatch.setattr(connection_writer, "wallsleep", wait)
@@ -204,9 +215,11 @@ def test_writer_does_not_wait_for_other_nodes(make_writer, link, reports, monkey
     assert reports.warnings > 0
 
 
-def test_writer_waits_once_for_stalled_receiver(make_writer, link, reports, monkeypatch):
+def test_writer_waits_once_for_stalled_receiver(
+    make_writer: Any, link: Any, reports: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(connection_writer, "RECEIVER_WAIT_SECONDS", 0.01)
-    waits = []
+    waits: List[Any] = []
     monkeypatch.setattr(connection_writer, "wallsleep", lambda seconds: waits.append(seconds))
     writer = make_writer(queue=5, waits_for=wait_for_all)
     while not reports.warnings:
@@ -217,7 +230,9 @@ def test_writer_waits_once_for_stalled_receiver(make_writer, link, reports, monk
     assert len(waits) == count
 
 
-def test_wait_for_slow_receiver_is_reported_once(make_writer, link, reports, caplog):
+def test_wait_for_slow_receiver_is_reported_once(
+    make_writer: Any, link: Any, reports: Any, caplog: pytest.LogCaptureFixture
+) -> None:
     writer = make_writer(queue=5, waits_for=wait_for_all, hint="be quick")
     for _ in range(2):
         receiving = threading.Thread(target=link.read, args=(99,))
@@ -230,15 +245,15 @@ def test_wait_for_slow_receiver_is_reported_once(make_writer, link, reports, cap
     assert {record.getMessage() for record in caplog.records} == {expected}
 
 
-def test_ended_connection_is_closed(make_writer, link):
+def test_ended_connection_is_closed(make_writer: Any, link: Any) -> None:
     link.other.close()
     make_writer().send(b"frame")
     assert link.closed
 
 
 @pytest.mark.parametrize("topic", [SimpleNamespace(closed=True), None])
-def test_error_while_topic_is_closed_is_ignored(make_writer, link, topic):
-    def close():
+def test_error_while_topic_is_closed_is_ignored(make_writer: Any, link: Any, topic: Any) -> None:
+    def close() -> None:
         writer.publisher.impl = topic
         raise TypeError("'NoneType' object is not iterable")
 
@@ -250,8 +265,8 @@ def test_error_while_topic_is_closed_is_ignored(make_writer, link, topic):
     assert list(writer.connections()) == []
 
 
-def test_other_error_of_closing_is_raised(make_writer, link):
-    def close():
+def test_other_error_of_closing_is_raised(make_writer: Any, link: Any) -> None:
+    def close() -> None:
         writer.publisher.impl.closed = False
         raise TypeError("something else")
 
@@ -262,7 +277,7 @@ def test_other_error_of_closing_is_raised(make_writer, link):
         writer.send(b"frame")
 
 
-def test_slow_connection_that_ends_is_closed(make_writer, link):
+def test_slow_connection_that_ends_is_closed(make_writer: Any, link: Any) -> None:
     writer = make_writer()
     for number in range(5):
         writer.send(numbered_message(number))
@@ -274,18 +289,18 @@ def test_slow_connection_that_ends_is_closed(make_writer, link):
     assert link.closed
 
 
-def test_other_connection_class_writes_its_messages(make_writer, link):
+def test_other_connection_class_writes_its_messages(make_writer: Any, link: Any) -> None:
     class OtherConnection:
-        def __init__(self):
+        def __init__(self) -> None:
             self.sent = []
             self.closed = False
 
-        def write_data(self, data):
+        def write_data(self, data: Any) -> None:
             if self.sent:
                 raise TransportTerminated("connection closed")
             self.sent.append(data)
 
-        def close(self):
+        def close(self) -> None:
             self.closed = True
 
     connection, writer = OtherConnection(), make_writer()
@@ -297,7 +312,7 @@ def test_other_connection_class_writes_its_messages(make_writer, link):
     assert connection.closed
 
 
-def test_removed_connections_are_released(make_writer, link):
+def test_removed_connections_are_released(make_writer: Any, link: Any) -> None:
     writer = make_writer()
     writer.send(b"frame")
     assert link in reachable(writer, Link)
@@ -309,13 +324,13 @@ def test_removed_connections_are_released(make_writer, link):
     assert list(writer.connections()) == []
 
 
-def connect(writer, new_link):
+def connect(writer: Any, new_link: Any) -> Any:
     """Add a connection as rospy does; return the function that notifies the listener afterwards."""
     writer.publisher.impl.connections = [*writer.publisher.impl.connections, new_link]
     return lambda: writer.publisher.listener.peer_subscribe("/topic", print, print)
 
 
-def test_late_subscriber_gets_latched_message_once(make_writer, link):
+def test_late_subscriber_gets_latched_message_once(make_writer: Any, link: Any) -> None:
     writer = make_writer(latched=True)
     for number in range(2):
         writer.send(numbered_message(number))
@@ -336,7 +351,7 @@ def test_late_subscriber_gets_latched_message_once(make_writer, link):
     ]
 
 
-def test_latched_topic_without_message_sends_nothing(make_writer, link):
+def test_latched_topic_without_message_sends_nothing(make_writer: Any, link: Any) -> None:
     writer, subscriber = make_writer(latched=True), Link()
     connect(writer, subscriber)()
     writer.send(numbered_message(0))
@@ -345,7 +360,9 @@ def test_latched_topic_without_message_sends_nothing(make_writer, link):
     subscriber.other.close()
 
 
-def test_texts_are_written_together_in_order(make_writer, link, monkeypatch):
+def test_texts_are_written_together_in_order(
+    make_writer: Any, link: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(late_joiners, "find_nodes_offering", lambda service: {link.endpoint_id})
     writer, turn = EventTextPublisher("/topic", 1000, Reports(), lambda: 0), threading.Lock()
     writer.start_identification(turn, set)
@@ -369,7 +386,7 @@ def test_texts_are_written_together_in_order(make_writer, link, monkeypatch):
     assert link.other.recv(100) == serialize_string("c") + serialize_string("d")
 
 
-def read_until(link, text):
+def read_until(link: Any, text: str) -> Any:
     """Return the data of a connection up to the end of a text."""
     data = b""
     while not data.endswith(serialize_string(text)):
@@ -379,10 +396,12 @@ def read_until(link, text):
     return data
 
 
-def test_outputs_are_sent_to_interface_in_order(make_writer, link, monkeypatch):
-    services = []
+def test_outputs_are_sent_to_interface_in_order(
+    make_writer: Any, link: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    services: List[Any] = []
 
-    def offering(service):
+    def offering(service: Any) -> Set[Any]:
         services.append(service)
         return {link.endpoint_id}
 
@@ -394,14 +413,14 @@ def test_outputs_are_sent_to_interface_in_order(make_writer, link, monkeypatch):
     assert set(services) == {"add_input_subscription"}
 
 
-def test_only_published_outputs_wait_for_interface(monkeypatch):
+def test_only_published_outputs_wait_for_interface(monkeypatch: pytest.MonkeyPatch) -> None:
     connections, written, listeners = [], [], []
 
-    def publisher(topic, message_class, listener, latch, queue_size):
+    def publisher(topic: Any, message_class: Any, listener: Any, latch: Any, queue_size: Any) -> Any:
         listeners.append(listener)
         return SimpleNamespace(name=topic, impl=SimpleNamespace(connections=connections), listener=listener)
 
-    def write(text):
+    def write(text: str) -> Any:
         return lambda: written.append(text) or text
 
     monkeypatch.setattr(rospy, "Publisher", publisher)

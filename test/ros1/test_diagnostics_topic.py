@@ -1,12 +1,14 @@
 """``/diagnostics`` of running nodes."""
 
 import re
+from pathlib import Path
+from typing import Any, Tuple
 
 import pytest
 import yaml
 
 
-def read_statuses(space, arrays=6):
+def read_statuses(space: Any, arrays: int = 6) -> Tuple[Any, ...]:
     """Return the newest level of each status, and the hardware ids, of some messages."""
     messages = yaml.safe_load_all(space.run("rostopic", "echo", "-n", str(arrays), "/diagnostics"))
     statuses = [status for message in messages if message for status in message["status"]]
@@ -15,7 +17,7 @@ def read_statuses(space, arrays=6):
 
 
 @pytest.mark.parametrize("embedded", ["false", "true"])
-def test_missing_inputs_are_diagnostic_warnings(devel, tmp_path, embedded):
+def test_missing_inputs_are_diagnostic_warnings(devel: Any, tmp_path: Path, embedded: str) -> None:
     program = tmp_path / "program"
     program.mkdir()
     (program / "pub_sub.xml").write_text("<publish_subscribe/>")

@@ -4,6 +4,7 @@ import socket
 import threading
 from http.client import HTTPException
 from types import SimpleNamespace
+from typing import Any, Iterator, List
 from xmlrpc.client import Fault
 
 import pytest
@@ -19,37 +20,37 @@ from retalis.ros1.first_outputs import StartupQueue, SubscriberWait  # noqa: E40
 class RecordingWriter:
     """Stand-in of a `TopicWriter` that records what it writes."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.publisher = SimpleNamespace(name="/topic")
         self.counts = SimpleNamespace(dropped=0)
         self.connected = []
         self.written = []
 
-    def connections(self):
+    def connections(self) -> List[Any]:
         return [SimpleNamespace(_connection=SimpleNamespace(endpoint_id=name)) for name in self.connected]
 
-    def send(self, message):
+    def send(self, message: bytes) -> None:
         self.written.append(message)
 
 
 @pytest.fixture
-def listening_uri():
+def listening_uri() -> Iterator[Any]:
     """Return the URI of a server that accepts connections."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         yield f"http://127.0.0.1:{server.getsockname()[1]}/"
 
 
 @pytest.fixture
-def writer():
+def writer() -> RecordingWriter:
     return RecordingWriter()
 
 
 @pytest.fixture
-def queue(writer):
+def queue(writer: RecordingWriter) -> Any:
     return StartupQueue(writer, 3, Reports())
 
 
-def test_messages_wait_for_release(writer, queue):
+def test_messages_wait_for_release(writer: RecordingWriter, queue: Any) -> None:
     queue.send(b"1")
     queue.send(b"2")
     assert writer.written == []
@@ -58,14 +59,14 @@ def test_messages_wait_for_release(writer, queue):
     assert writer.written == [b"1", b"2", b"3"]
 
 
-def test_excess_messages_are_counted_as_dropped(writer, queue):
+def test_excess_messages_are_counted_as_dropped(writer: RecordingWriter, queue: Any) -> None:
     for number in range(5):
         queue.send(b"%d" % number)
     queue.release()
     assert (writer.written, writer.counts.dropped) == ([b"2", b"3", b"4"], 2)
 
 
-def make_master(subscribers, running):
+def make_master(subscribers: Any, running: Any) -> Any:
     """Return a stand-in of the master: nodes by topic, and the URI of each node."""
     return SimpleNamespace(
         getSystemState=lambda: (1, "", [[], [[topic, nodes] for topic, nodes in subscribers.items()], []]),
@@ -74,13 +75,13 @@ def make_master(subscribers, running):
 
 
 @pytest.fixture
-def start_wait(monkeypatch):
+def start_wait(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Return a function that waits for subscribers, and returns when all queues are released."""
 
-    def start(queues, master, is_connected=lambda checks: None):
-        checks = []
+    def start(queues: Any, master: Any, is_connected: Any = lambda checks: None) -> Any:
+        checks: List[Any] = []
 
-        def check(seconds):
+        def check(seconds: Any) -> None:
             checks.append(seconds)
             is_connected(len(checks))
 
@@ -104,17 +105,19 @@ def start_wait(monkeypatch):
     return start
 
 
-def test_topic_without_subscribers_is_released(writer, queue, start_wait):
+def test_topic_without_subscribers_is_released(writer: RecordingWriter, queue: Any, start_wait: Any) -> None:
     queue.send(b"1")
     assert start_wait({"/topic": queue}, make_master({}, {})) == 0
     assert writer.written == [b"1"]
 
 
-def test_queue_is_released_if_subscriber_connects(writer, queue, start_wait, listening_uri):
+def test_queue_is_released_if_subscriber_connects(
+    writer: RecordingWriter, queue: Any, start_wait: Any, listening_uri: str
+) -> None:
     queue.send(b"1")
-    written_before = []
+    written_before: List[Any] = []
 
-    def connect(check):
+    def connect(check: Any) -> None:
         written_before.append(list(writer.written))
         if check == 3:
             writer.connected.append("/listener")
@@ -125,13 +128,15 @@ def test_queue_is_released_if_subscriber_connects(writer, queue, start_wait, lis
     assert writer.written == [b"1"]
 
 
-def test_crashed_subscriber_is_not_awaited(writer, queue, start_wait):
+def test_crashed_subscriber_is_not_awaited(writer: RecordingWriter, queue: Any, start_wait: Any) -> None:
     queue.send(b"1")
     assert start_wait({"/topic": queue}, make_master({"/topic": ["/crashed"]}, {})) == 0
     assert writer.written == [b"1"]
 
 
-def test_missing_connection_is_reported(monkeypatch, writer, queue, start_wait, listening_uri):
+def test_missing_connection_is_reported(
+    monkeypatch: pytest.MonkeyPatch, writer: RecordingWriter, queue: Any, start_wait: Any, listening_uri: str
+) -> None:
     monkeypatch.setattr(first_outputs, "MAX_SUBSCRIBER_WAIT_SECONDS", 0.0)
     queue.send(b"1")
     master = make_master({"/topic": ["/listener"]}, {"/listener": listening_uri})
@@ -139,7 +144,9 @@ def test_missing_connection_is_reported(monkeypatch, writer, queue, start_wait, 
     assert writer.written == [b"1"]
 
 
-def test_topic_without_subscribers_has_no_deadline(monkeypatch, writer, queue, start_wait):
+def test_topic_without_subscribers_has_no_deadline(
+    monkeypatch: pytest.MonkeyPatch, writer: RecordingWriter, queue: Any, start_wait: Any
+) -> None:
     monkeypatch.setattr(first_outputs, "MAX_SUBSCRIBER_WAIT_SECONDS", 0.0)
     queue.send(b"1")
     assert start_wait({"/topic": queue}, make_master({}, {})) == 0
@@ -147,7 +154,9 @@ def test_topic_without_subscribers_has_no_deadline(monkeypatch, writer, queue, s
 
 
 @pytest.mark.parametrize("uri", ["http://127.0.0.1:port/", "nonsense", "http://[::1"])
-def test_invalid_subscriber_is_not_awaited(writer, queue, start_wait, uri):
+def test_invalid_subscriber_is_not_awaited(
+    writer: RecordingWriter, queue: Any, start_wait: Any, uri: str
+) -> None:
     queue.send(b"1")
     master = make_master({"/topic": ["/listener"]}, {"/listener": uri})
     assert start_wait({"/topic": queue}, master) == 0
@@ -155,8 +164,10 @@ def test_invalid_subscriber_is_not_awaited(writer, queue, start_wait, uri):
 
 
 @pytest.mark.parametrize("error", [HTTPException("cut off"), Fault(1, "no"), ConnectionRefusedError()])
-def test_error_of_master_releases_the_queue(writer, queue, start_wait, error):
-    def raise_error():
+def test_error_of_master_releases_the_queue(
+    writer: RecordingWriter, queue: Any, start_wait: Any, error: Any
+) -> None:
+    def raise_error() -> None:
         raise error
 
     queue.send(b"1")

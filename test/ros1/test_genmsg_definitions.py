@@ -1,5 +1,7 @@
 """Definitions of messages, read by this package and by genmsg. Needs genmsg, no master."""
 
+from typing import Any, Tuple
+
 import pytest
 
 genmsg = pytest.importorskip("genmsg", reason="ROS is not installed")
@@ -11,12 +13,12 @@ from retalis import Definitions, MessageError  # noqa: E402
 from retalis.messages.type_registry import InstalledTypes  # noqa: E402
 
 
-def read(text):
+def read(text: Any) -> Tuple[Any, ...]:
     definition = Definitions(InstalledTypes([], [], include_rosbags=False)).add("pkg/Type", text)
     return definition, [(constant.name, constant.value) for constant in definition.constants]
 
 
-def read_by_genmsg(text):
+def read_by_genmsg(text: str) -> Tuple[Any, ...]:
     context = MsgContext.create_default()
     specification = load_msg_from_string(context, text, "pkg/Type")
     return specification, compute_md5_text(context, specification)
@@ -41,7 +43,7 @@ def read_by_genmsg(text):
         "byte[] b\nchar[3] c\ntime t\nduration[] d\nstring[2] s",
     ],
 )
-def test_definition_is_read_as_by_genmsg(text):
+def test_definition_is_read_as_by_genmsg(text: str) -> None:
     specification, checksum_text = read_by_genmsg(text)
     definition, constants = read(text)
     assert [slot.name for slot in definition.fields] == specification.names
@@ -65,7 +67,7 @@ def test_definition_is_read_as_by_genmsg(text):
         "@optional\nint32 x",
     ],
 )
-def test_definition_is_rejected_as_by_genmsg(text):
+def test_definition_is_rejected_as_by_genmsg(text: str) -> None:
     with pytest.raises(genmsg.InvalidMsgSpec):
         read_by_genmsg(text)
     with pytest.raises(MessageError):
@@ -81,7 +83,9 @@ def test_definition_is_rejected_as_by_genmsg(text):
         ("bool B=maybe", "2:8: 'maybe' is not a value of type bool"),
     ],
 )
-def test_invalid_constant_is_ignored_with_warning(caplog, line, problem):
+def test_invalid_constant_is_ignored_with_warning(
+    caplog: pytest.LogCaptureFixture, line: str, problem: str
+) -> None:
     text = f"int8 OK=1\n{line}\nint32 x\nstring[] names"
     with pytest.raises(genmsg.InvalidMsgSpec):
         read_by_genmsg(text)

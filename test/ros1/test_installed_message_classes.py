@@ -1,6 +1,8 @@
 """Inspection of generated message classes. Needs genpy, no master."""
 
 import sys
+from pathlib import Path
+from typing import Any, Iterator, Optional
 
 import pytest
 
@@ -26,7 +28,7 @@ MD5SUM = (
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """Return the folder of modules of a package on the module path."""
     folder = tmp_path / "made_msgs" / "msg"
     folder.mkdir(parents=True)
@@ -37,16 +39,16 @@ def folder(tmp_path, monkeypatch):
         del sys.modules[name]
 
 
-def write(folder, name, source, init=None):
+def write(folder: Any, name: str, source: str, init: Any = None) -> None:
     (folder / f"_{name}.py").write_text(source)
     (folder / "__init__.py").write_text(f"from ._{name} import {name}\n" if init is None else init)
 
 
-def registry():
+def registry() -> Any:
     return Definitions(installed_types(include_rosbags=False))
 
 
-def test_installed_type_is_defined_by_its_class():
+def test_installed_type_is_defined_by_its_class() -> None:
     generated = inspect_class("std_msgs/Header")
     message_class = get_message_class("std_msgs/Header")
     assert generated.md5sum == message_class._md5sum == registry().find("std_msgs/Header").md5sum
@@ -57,7 +59,7 @@ def test_installed_type_is_defined_by_its_class():
     assert generated.source.endswith("/std_msgs/msg/_Header.py")
 
 
-def test_slot_named_by_keyword_is_read(folder):
+def test_slot_named_by_keyword_is_read(folder: Any) -> None:
     write(folder, "Made", MODULE.format(name="Made", md5sum=MD5SUM))
     assert registry().find("made_msgs/Made").fields[0].name == "lambda"
 
@@ -71,7 +73,9 @@ def test_slot_named_by_keyword_is_read(folder):
         ("Unlisted", "", "", "/made_msgs/msg/__init__.py has no class Unlisted"),
     ],
 )
-def test_failed_import_is_an_error_with_reason(folder, name, source, init, reason):
+def test_failed_import_is_an_error_with_reason(
+    folder: Any, name: str, source: str, init: Optional[str], reason: str
+) -> None:
     write(folder, name, source, init)
     with pytest.raises(MessageError) as raised:
         registry().find(f"made_msgs/{name}")
@@ -81,7 +85,7 @@ def test_failed_import_is_an_error_with_reason(folder, name, source, init, reaso
     assert "build its package" in message
 
 
-def test_names_of_other_modules_are_not_imported():
+def test_names_of_other_modules_are_not_imported() -> None:
     for name in ("antigravity/Type", "this/Zen", "idlelib/String", "std_msgs.msg/String", "os/path"):
         assert name not in registry()
     assert not {"antigravity", "this", "idlelib"} & set(sys.modules)

@@ -2,6 +2,7 @@
 
 import json
 from types import SimpleNamespace
+from typing import Any, Dict, List
 
 import pytest
 
@@ -24,9 +25,9 @@ HEADER = {"callerid": "/retalis"}
 
 
 @pytest.fixture
-def interface(monkeypatch):
+def interface(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Return the projection of the interface, with connections of rospy and warnings in lists."""
-    sources = []
+    sources: List[Any] = []
     impl = SimpleNamespace(connections=sources)
     monkeypatch.setattr(internode_topics.rospy, "Subscriber", lambda *_, **__: SimpleNamespace(impl=impl))
     texts, warnings = [SimpleNamespace(endpoint_id="/retalis")], []
@@ -35,16 +36,16 @@ def interface(monkeypatch):
     return SimpleNamespace(projection=projection, sources=sources, texts=texts, warnings=warnings)
 
 
-def receive_control_message(interface, text, header=HEADER):
+def receive_control_message(interface: Any, text: str, header: Any = HEADER) -> None:
     interface.sources.append(SimpleNamespace(header=header, done=False))
     interface.projection._receive(SimpleNamespace(data=text, _connection_header=header))  # noqa: SLF001
 
 
-def test_all_arguments_are_read_initially(interface):
+def test_all_arguments_are_read_initially(interface: Any) -> None:
     assert interface.projection.of(IMAGE) == set()
 
 
-def test_newest_message_defines_unread_arguments(interface):
+def test_newest_message_defines_unread_arguments(interface: Any) -> None:
     receive_control_message(interface, '{"image/3": [2, 3], "other/1": [1]}')
     assert interface.projection.of(IMAGE) == {2, 3}
     assert interface.projection.of(functor("image", 2)) == set()
@@ -54,7 +55,7 @@ def test_newest_message_defines_unread_arguments(interface):
     assert interface.projection.of(IMAGE) == set()
 
 
-def test_other_subscribers_need_all_arguments(interface):
+def test_other_subscribers_need_all_arguments(interface: Any) -> None:
     receive_control_message(interface, '{"image/3": [3]}')
     interface.texts.append(SimpleNamespace(endpoint_id="/rostopic_1"))
     assert interface.projection.of(IMAGE) == set()
@@ -66,7 +67,7 @@ def test_other_subscribers_need_all_arguments(interface):
     assert interface.projection.of(IMAGE) == {3}
 
 
-def test_message_of_closed_connection_is_ignored(interface):
+def test_message_of_closed_connection_is_ignored(interface: Any) -> None:
     receive_control_message(interface, '{"image/3": [3]}')
     interface.sources[0].done = True
     assert interface.projection.of(IMAGE) == set()
@@ -79,7 +80,7 @@ def test_message_of_closed_connection_is_ignored(interface):
 @pytest.mark.parametrize(
     "text", ["", "nonsense", "[]", '{"image/3": 3}', '{"image/3": ["3"]}', "[" * 100_000, "1" * 2_000_000]
 )
-def test_malformed_message_is_reported_and_ignored(interface, text):
+def test_malformed_message_is_reported_and_ignored(interface: Any, text: str) -> None:
     receive_control_message(interface, '{"image/3": [3]}')
     receive_control_message(interface, text)
     assert interface.projection.of(IMAGE) == set()
@@ -90,7 +91,7 @@ def test_malformed_message_is_reported_and_ignored(interface, text):
 SUBSCRIPTION = ["right", "std_msgs/Bool", "bumper_right"]
 
 
-def test_list_of_subscriptions_is_read():
+def test_list_of_subscriptions_is_read() -> None:
     assert [
         tuple(request) for request in read_subscriptions(json.dumps([SUBSCRIPTION, ["a", "b/C", ""]]))
     ] == [
@@ -114,7 +115,7 @@ def test_list_of_subscriptions_is_read():
         json.dumps([SUBSCRIPTION]) + " " * MAX_CONTROL_CHARACTERS,
     ],
 )
-def test_malformed_list_is_refused(text):
+def test_malformed_list_is_refused(text: str) -> None:
     with pytest.raises(MessageError, match="expected topics, types and names of events"):
         read_subscriptions(text)
 
@@ -122,7 +123,7 @@ def test_malformed_list_is_refused(text):
 CHANGES = '{"direct": "auto", "added": [["scan", "sensor_msgs/LaserScan"]], "deleted": ["/odom"]}'
 
 
-def test_changes_of_input_topics_are_read():
+def test_changes_of_input_topics_are_read() -> None:
     assert tuple(read_input_changes(CHANGES)) == (
         "auto",
         {"/scan": "sensor_msgs/LaserScan"},
@@ -147,7 +148,7 @@ def test_changes_of_input_topics_are_read():
         CHANGES + " " * MAX_CONTROL_CHARACTERS,
     ],
 )
-def test_malformed_changes_are_refused(text):
+def test_malformed_changes_are_refused(text: Any) -> None:
     with pytest.raises(MessageError, match="expected direct, added and deleted topics"):
         read_input_changes(text)
 
@@ -155,29 +156,29 @@ def test_malformed_changes_are_refused(text):
 class Subscriptions:
     """Stand-in of the ROS interface, which stores its subscriptions."""
 
-    def __init__(self, **topics):
+    def __init__(self, **topics: Any) -> None:
         self.topics = {f"/{topic}": TopicRequest(f"/{topic}", *rest) for topic, rest in topics.items()}
 
-    def subscribe(self, topic, message_type, event_name=""):
+    def subscribe(self, topic: Any, message_type: Any, event_name: str = "") -> None:
         if topic in self.topics:
             raise UsageError(f"topic {topic} is already subscribed")
         self.topics[topic] = TopicRequest(topic, message_type, event_name)
 
-    def try_to_subscribe(self, request, requester=""):
+    def try_to_subscribe(self, request: Any, requester: str = "") -> bool:
         try:
             self.subscribe(*request)
         except UsageError:
             return False
         return True
 
-    def unsubscribe(self, topic):
+    def unsubscribe(self, topic: Any) -> Any:
         if topic not in self.topics:
             raise UsageError(f"topic {topic} is not subscribed")
         return self.topics.pop(topic)
 
 
 @pytest.fixture
-def receiver(monkeypatch):
+def receiver(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Return the receiver of changes, and the subscriptions that it changes."""
     monkeypatch.setattr(internode_topics.rospy, "Subscriber", lambda *_, **__: None)
     subscriptions = Subscriptions(a=("std_msgs/Int8", "number"), b=("std_msgs/Bool",))
@@ -186,7 +187,7 @@ def receiver(monkeypatch):
     )
 
 
-def apply_changes(receiver, added, deleted):
+def apply_changes(receiver: Any, added: Any, deleted: Any) -> Dict[Any, Any]:
     """Pass changes to the receiver; return type and event of each topic afterwards."""
     text = json.dumps({"direct": "auto", "added": list(added.items()), "deleted": deleted})
     receiver.changes._receive(SimpleNamespace(data=text))  # noqa: SLF001
@@ -196,7 +197,7 @@ def apply_changes(receiver, added, deleted):
 A, B = ("std_msgs/Int8", "number"), ("std_msgs/Bool", "")
 
 
-def test_list_of_changes_replaces_previous_one(receiver):
+def test_list_of_changes_replaces_previous_one(receiver: Any) -> None:
     added = {"/c": "std_msgs/Empty"}
     expected = {"/a": A, "/b": B, "/c": ("std_msgs/Empty", "")}
     assert apply_changes(receiver, added, []) == expected
@@ -205,7 +206,7 @@ def test_list_of_changes_replaces_previous_one(receiver):
     assert apply_changes(receiver, {}, []) == {"/a": A, "/b": B}
 
 
-def test_deleted_topic_is_restored_with_event_name(receiver):
+def test_deleted_topic_is_restored_with_event_name(receiver: Any) -> None:
     assert apply_changes(receiver, {}, ["/a", "/unknown"]) == {"/b": B}
     assert apply_changes(receiver, {"/a": "std_msgs/Int16"}, ["/a"]) == {
         "/a": ("std_msgs/Int16", ""),
@@ -214,12 +215,12 @@ def test_deleted_topic_is_restored_with_event_name(receiver):
     assert apply_changes(receiver, {}, []) == {"/a": A, "/b": B}
 
 
-def test_deleted_and_added_topic_stays_added(receiver):
+def test_deleted_and_added_topic_stays_added(receiver: Any) -> None:
     expected = {"/a": A, "/b": B, "/c": ("std_msgs/Empty", "")}
     for _ in range(3):
         assert apply_changes(receiver, {"/c": "std_msgs/Empty"}, ["/c"]) == expected
 
 
-def test_added_topic_keeps_present_subscription(receiver):
+def test_added_topic_keeps_present_subscription(receiver: Any) -> None:
     assert apply_changes(receiver, {"/a": "std_msgs/Int16"}, []) == {"/a": A, "/b": B}
     assert apply_changes(receiver, {}, []) == {"/a": A, "/b": B}

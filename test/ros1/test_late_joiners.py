@@ -2,6 +2,7 @@
 
 import socket
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -15,7 +16,7 @@ from retalis.ros1.late_joiners import ENGINE, INTERFACE, MAX_IDENTIFICATION_ATTE
 class Link:
     """A connection."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.received = []
         self.done = False
 
@@ -23,39 +24,39 @@ class Link:
 class TopicWriter:
     """Records the frames that are written to each connection."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._open = []
         self.counts = SimpleNamespace(sent=0, dropped=0)
 
-    def connections(self):
+    def connections(self) -> Any:
         return self._open
 
-    def write(self, connections, frames, number):
+    def write(self, connections: Any, frames: Any, number: Any) -> None:
         for link in connections:
             link.received.append(frames)
 
-    def connect(self):
+    def connect(self) -> Any:
         link = Link()
         self._open = [*self._open, link]
         return link
 
 
 @pytest.fixture
-def topic_writer():
+def topic_writer() -> TopicWriter:
     return TopicWriter()
 
 
 @pytest.fixture
-def reports():
+def reports() -> Any:
     return Reports()
 
 
 @pytest.fixture
-def make_buffer(topic_writer, reports):
+def make_buffer(topic_writer: TopicWriter, reports: Any) -> Any:
     return lambda queue=100, epoch=lambda: 0: LateJoinerBuffer(topic_writer, ENGINE, queue, reports, epoch)
 
 
-def test_texts_before_connection_are_buffered(topic_writer, make_buffer):
+def test_texts_before_connection_are_buffered(topic_writer: TopicWriter, make_buffer: Any) -> None:
     buffer = make_buffer()
     buffer.send(b"1", 1)
     buffer.send(b"2", 1)
@@ -67,7 +68,7 @@ def test_texts_before_connection_are_buffered(topic_writer, make_buffer):
     assert engine.received == [b"123", b"4"]
 
 
-def test_other_subscribers_get_later_texts(topic_writer, make_buffer):
+def test_other_subscribers_get_later_texts(topic_writer: TopicWriter, make_buffer: Any) -> None:
     buffer = make_buffer()
     buffer.send(b"1", 1)
     other = topic_writer.connect()
@@ -83,7 +84,7 @@ def test_other_subscribers_get_later_texts(topic_writer, make_buffer):
     assert engine.received == [b"1234", b"5"]
 
 
-def test_each_peer_gets_newest_latched_messages_once(topic_writer, make_buffer):
+def test_each_peer_gets_newest_latched_messages_once(topic_writer: TopicWriter, make_buffer: Any) -> None:
     buffer = make_buffer()
     buffer.latch("map", lambda: b"A", 1)
     buffer.send(b"a", 1)
@@ -104,7 +105,7 @@ def test_each_peer_gets_newest_latched_messages_once(topic_writer, make_buffer):
     assert second.received == [b"B3"]
 
 
-def test_late_identified_peer_gets_missing_texts(topic_writer, make_buffer):
+def test_late_identified_peer_gets_missing_texts(topic_writer: TopicWriter, make_buffer: Any) -> None:
     buffer = make_buffer()
     buffer.latch("map", lambda: b"A", 1)
     buffer.send(b"a", 1)
@@ -119,7 +120,7 @@ def test_late_identified_peer_gets_missing_texts(topic_writer, make_buffer):
     assert buffer.subscribers_to_identify() == []
 
 
-def test_third_party_is_known_after_identification(topic_writer, make_buffer):
+def test_third_party_is_known_after_identification(topic_writer: TopicWriter, make_buffer: Any) -> None:
     buffer = make_buffer()
     engine, other = topic_writer.connect(), topic_writer.connect()
     assert buffer.subscribers_to_identify() == [engine, other]
@@ -130,7 +131,7 @@ def test_third_party_is_known_after_identification(topic_writer, make_buffer):
     assert not buffer.is_third_party(engine)
 
 
-def test_identification_attempts_are_limited(topic_writer, make_buffer):
+def test_identification_attempts_are_limited(topic_writer: TopicWriter, make_buffer: Any) -> None:
     buffer = make_buffer()
     other = topic_writer.connect()
     attempts = 0
@@ -140,7 +141,9 @@ def test_identification_attempts_are_limited(topic_writer, make_buffer):
     assert attempts == MAX_IDENTIFICATION_ATTEMPTS
 
 
-def test_full_buffer_drops_and_counts_oldest_texts(topic_writer, make_buffer, reports, monkeypatch):
+def test_full_buffer_drops_and_counts_oldest_texts(
+    topic_writer: TopicWriter, make_buffer: Any, reports: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     buffer = make_buffer(queue=5)
     for number in range(4):
         buffer.send(b"%d%d" % (number, number), 2)
@@ -156,7 +159,9 @@ def test_full_buffer_drops_and_counts_oldest_texts(topic_writer, make_buffer, re
     assert reports.warnings == 5
 
 
-def test_number_of_latched_messages_is_limited(topic_writer, make_buffer, reports, monkeypatch):
+def test_number_of_latched_messages_is_limited(
+    topic_writer: TopicWriter, make_buffer: Any, reports: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(late_joiners, "MAX_LATCHED_MESSAGES", 2)
     buffer = make_buffer()
     for key in ("a", "b", "b", "c"):
@@ -169,7 +174,7 @@ def test_number_of_latched_messages_is_limited(topic_writer, make_buffer, report
     assert reports.warnings == 2
 
 
-def test_discard_keeps_newer_latched_messages(topic_writer, make_buffer):
+def test_discard_keeps_newer_latched_messages(topic_writer: TopicWriter, make_buffer: Any) -> None:
     buffer = make_buffer()
     for key in ("a", "b"):
         buffer.latch(key, key.encode, 1)
@@ -181,7 +186,7 @@ def test_discard_keeps_newer_latched_messages(topic_writer, make_buffer):
     assert set(buffer.latched_batch_numbers()) == {"b"}
 
 
-def test_marks_are_sent_to_peer_only(topic_writer, make_buffer):
+def test_marks_are_sent_to_peer_only(topic_writer: TopicWriter, make_buffer: Any) -> None:
     buffer = make_buffer()
     buffer.send(b"a", 1, b"<mark a>")
     engine, other = topic_writer.connect(), topic_writer.connect()
@@ -193,7 +198,7 @@ def test_marks_are_sent_to_peer_only(topic_writer, make_buffer):
     assert other.received == [b"b", b"c"]
 
 
-def test_unneeded_texts_wait_for_identification(topic_writer, make_buffer):
+def test_unneeded_texts_wait_for_identification(topic_writer: TopicWriter, make_buffer: Any) -> None:
     buffer = make_buffer()
     buffer.send(b"a", 1, for_peer=False)
     other = topic_writer.connect()
@@ -208,14 +213,16 @@ def test_unneeded_texts_wait_for_identification(topic_writer, make_buffer):
     assert peer.received == [b"bd"]
 
 
-def test_unneeded_texts_count_as_no_loss(topic_writer, make_buffer, reports):
+def test_unneeded_texts_count_as_no_loss(topic_writer: TopicWriter, make_buffer: Any, reports: Any) -> None:
     buffer = make_buffer(queue=3)
     for _ in range(10):
         buffer.send(b"a", 1, for_peer=False)
     assert (reports.warnings, topic_writer.counts.dropped) == (0, 0)
 
 
-def test_warning_names_peer(topic_writer, reports, caplog):
+def test_warning_names_peer(
+    topic_writer: TopicWriter, reports: Any, caplog: pytest.LogCaptureFixture
+) -> None:
     buffer = LateJoinerBuffer(topic_writer, INTERFACE, 1, reports)
     for _ in range(2):
         buffer.send(b"a", 1)
@@ -224,7 +231,7 @@ def test_warning_names_peer(topic_writer, reports, caplog):
     ]
 
 
-def test_texts_of_previous_epoch_are_discarded(topic_writer, make_buffer):
+def test_texts_of_previous_epoch_are_discarded(topic_writer: TopicWriter, make_buffer: Any) -> None:
     epoch = [0]
     buffer = make_buffer(epoch=lambda: epoch[0])
     buffer.send(b"1", 1)
@@ -236,8 +243,10 @@ def test_texts_of_previous_epoch_are_discarded(topic_writer, make_buffer):
     assert engine.received == [b"2"]
 
 
-def test_error_of_latched_message_is_reported(topic_writer, make_buffer, reports):
-    def write():
+def test_error_of_latched_message_is_reported(
+    topic_writer: TopicWriter, make_buffer: Any, reports: Any
+) -> None:
+    def write() -> None:
         raise RuleError("no such year")
 
     buffer = make_buffer()
@@ -254,7 +263,7 @@ def test_error_of_latched_message_is_reported(topic_writer, make_buffer, reports
     assert (second.received, reports.errors) == ([], 1)
 
 
-def test_closed_connection_is_detected():
+def test_closed_connection_is_detected() -> None:
     own_socket, other = socket.socketpair()
     link = SimpleNamespace(_connection=SimpleNamespace(socket=own_socket))
     assert not late_joiners.has_ended(link)
@@ -266,7 +275,7 @@ def test_closed_connection_is_detected():
     assert not late_joiners.has_ended(SimpleNamespace())
 
 
-def test_peer_gets_preamble_first(topic_writer, reports):
+def test_peer_gets_preamble_first(topic_writer: TopicWriter, reports: Any) -> None:
     buffer = LateJoinerBuffer(topic_writer, ENGINE, 100, reports, lambda: 0, lambda: b"run ")
     buffer.send(b"before", 1)
     node, other = topic_writer.connect(), topic_writer.connect()

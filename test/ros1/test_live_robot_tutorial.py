@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 TUTORIALS = Path(__file__).resolve().parents[2] / "docs" / "tutorials"
 FILE = re.compile(r"^<!-- (corner/\S+) -->\n```\w*\n(.*?)^```", re.DOTALL | re.MULTILINE)
@@ -11,7 +12,7 @@ VARYING = ((re.compile(r"datime\([\d,]*\)"), "datime(...)"), (re.compile(r"/\S*/
 """Patterns of output that differs between readers, with the text on the page."""
 
 
-def test_commands_print_output_of_page(devel, tmp_path):
+def test_commands_print_output_of_page(devel: Any, tmp_path: Path) -> None:
     (tmp_path / "corner").mkdir()
     # A later version of a file replaces an earlier one, as for a reader.
     for name, text in FILE.findall((TUTORIALS / "robot-program.md").read_text(encoding="utf-8")):

@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from typing import Any, Dict, List
 from xmlrpc.client import ServerProxy
 
 import pytest
@@ -21,7 +22,7 @@ WARNING = "the master was started anew"
 
 
 @pytest.fixture
-def program(tmp_path):
+def program(tmp_path: Path) -> Any:
     folder = tmp_path / "program"
     folder.mkdir()
     for name, text in FILES.items():
@@ -32,20 +33,20 @@ def program(tmp_path):
 class Master:
     """A master without other processes, and its registrations of the nodes."""
 
-    def __init__(self, space):
+    def __init__(self, space: Any) -> None:
         self._space = space
         self.uri = ServerProxy(space.env["ROS_MASTER_URI"])
         self.start()
 
-    def start(self):
+    def start(self) -> None:
         self._process = self._space.start_master()
 
-    def kill(self):
+    def kill(self) -> None:
         self._process.kill()
         self._process.wait()
 
-    def wait_until(self, condition):
-        def holds(nodes, services):
+    def wait_until(self, condition: Any) -> None:
+        def holds(nodes: Any, services: Any) -> Any:
             try:
                 return condition()
             except OSError:
@@ -53,7 +54,7 @@ class Master:
 
         self._space.expect(holds)
 
-    def registrations(self):
+    def registrations(self) -> List[List[Any]]:
         """Return the publications, subscriptions and services of the nodes."""
         state = self.uri.getSystemState("/test")[2]
         return [
@@ -61,18 +62,18 @@ class Master:
             for entries in state
         ]
 
-    def parameters(self):
+    def parameters(self) -> Dict[Any, Any]:
         names = ("/use_sim_time", "/retalis/program", "/retalis_ros_interface/program")
         return {name: self.uri.getParam("/test", name)[2] for name in names}
 
 
 @pytest.fixture
-def nodes(devel, program):
+def nodes(devel: Any, program: Any) -> Any:
     """Return a function that starts both nodes, and the master."""
     master = Master(devel)
     master.uri.setParam("/test", "/use_sim_time", False)
 
-    def start(configuration):
+    def start(configuration: Any) -> Any:
         arguments = (f"_program:={program}", *CONFIGURATIONS[configuration])
         devel.start("rosrun", "retalis", "retalis_node", *arguments)
         if configuration != "embedded":
@@ -84,7 +85,7 @@ def nodes(devel, program):
     return start
 
 
-def probe(space, text):
+def probe(space: Any, text: str) -> None:
     space.env["PYTHONPATH"] = str(PROBE.parent)
     try:
         space.run(sys.executable, str(PROBE), text)
@@ -93,7 +94,7 @@ def probe(space, text):
 
 
 @pytest.mark.parametrize("configuration", CONFIGURATIONS)
-def test_nodes_register_with_new_master(devel, nodes, configuration):
+def test_nodes_register_with_new_master(devel: Any, nodes: Any, configuration: Any) -> None:
     master = nodes(configuration)
     before = master.registrations()
     parameters = master.parameters()
@@ -109,7 +110,7 @@ def test_nodes_register_with_new_master(devel, nodes, configuration):
         master.wait_until(lambda warning_count=warning_count: devel.printed().count(WARNING) == warning_count)
 
 
-def test_changed_parameter_is_not_overwritten(devel, nodes):
+def test_changed_parameter_is_not_overwritten(devel: Any, nodes: Any) -> None:
     master = nodes("embedded")
     before = master.registrations()
     master.kill()
@@ -119,7 +120,7 @@ def test_changed_parameter_is_not_overwritten(devel, nodes):
     assert master.parameters()["/retalis/program"] == "/another"
 
 
-def test_ended_node_is_not_registered_again(devel, nodes):
+def test_ended_node_is_not_registered_again(devel: Any, nodes: Any) -> None:
     master = nodes("embedded")
     master.kill()
     master.start()

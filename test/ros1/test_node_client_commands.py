@@ -4,6 +4,7 @@ import json
 import re
 import signal
 import subprocess
+from typing import Any, List
 from xmlrpc.client import ServerProxy
 
 import pytest
@@ -11,12 +12,12 @@ import pytest
 LIVE = ("rosrun", "retalis", "retalis")
 
 
-def restore_sigint():
+def restore_sigint() -> None:
     """Let SIGINT end a process, because a shell starts background processes with the signal ignored."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
-def start_node(space):
+def start_node(space: Any) -> Any:
     """Start a master and node retalis in a space; return the space."""
     space.start_master()
     space.start("rosrun", "retalis", "retalis_node", "_explain:=true")
@@ -25,40 +26,40 @@ def start_node(space):
 
 
 @pytest.fixture
-def node(devel):
+def node(devel: Any) -> Any:
     return start_node(devel)
 
 
 @pytest.fixture
-def node_of_space(space):
+def node_of_space(space: Any) -> Any:
     """Return node retalis in each space, for commands that read files of the package."""
     return start_node(space)
 
 
-def output(space, *words, text=None):
+def output(space: Any, *words: Any, text: Any = None) -> Any:
     """Return the standard output of a command."""
     return run_command(space, words, 0, text).stdout
 
 
-def error(space, *words):
+def error(space: Any, *words: Any) -> Any:
     """Return the error of a command that fails."""
     return run_command(space, words, 1).stderr
 
 
-def run_command(space, words, status, text=None):
+def run_command(space: Any, words: Any, status: int, text: Any = None) -> Any:
     command = space.command(*LIVE, *words)
     process = subprocess.run(command, env=space.env, input=text, capture_output=True, text=True, timeout=60)
     assert process.returncode == status, process.stderr
     return process
 
 
-def test_missing_master_or_node_is_an_error(space):
+def test_missing_master_or_node_is_an_error(space: Any) -> None:
     assert "no master answers at http://localhost" in error(space, "query", "true")
     space.start_master()
     assert error(space, "query", "true") == "retalis: no node retalis runs\n"
 
 
-def test_commands_print_answers_of_node(node_of_space):
+def test_commands_print_answers_of_node(node_of_space: Any) -> None:
     assert output(node_of_space, "query", "member(X, [1, f(_)])") == "X = 1\nX = f(_1)\n"
     lines = output(
         node_of_space, "query", "member(X-Y, [a-1, b-[2]])", "--json", "--node", "/retalis"
@@ -85,7 +86,7 @@ def test_commands_print_answers_of_node(node_of_space):
     assert not any(re.search(r"\d{9}", line) for line in lines)  # no seconds since the epoch
 
 
-def test_invalid_number_is_an_error_line(node):
+def test_invalid_number_is_an_error_line(node: Any) -> None:
     for stamp in ("1e12", "-1", "nan"):
         (line,) = error(node, "query", "true", "--stamp", stamp).splitlines()
         assert line.startswith("retalis: --stamp: expected seconds since the epoch")
@@ -94,7 +95,7 @@ def test_invalid_number_is_an_error_line(node):
         assert line.startswith("retalis: --every: expected a number above 0")
 
 
-def test_interface_is_listed(node):
+def test_interface_is_listed(node: Any) -> None:
     node.start(
         "rosrun", "retalis", "retalis_ros_converter.py", "__name:=retalis_ros_interface", "_direct:=false"
     )
@@ -115,7 +116,7 @@ def test_interface_is_listed(node):
     assert "has no service ~query: it is a ROS interface, or of an older version" in message
 
 
-def test_namespace_selects_node(devel):
+def test_namespace_selects_node(devel: Any) -> None:
     devel.start_master()
     for space in ("robot1", "robot2", "robot2/arm"):
         devel.start("env", f"ROS_NAMESPACE={space}", "rosrun", "retalis", "retalis_node")
@@ -141,7 +142,7 @@ def test_namespace_selects_node(devel):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_ended_watch_leaves_no_subscription(node, number):
+def test_ended_watch_leaves_no_subscription(node: Any, number: Any) -> None:
     watch = subprocess.Popen(
         node.command(*LIVE, "watch", "--event", "fever_(_)"),
         env=node.env,
@@ -157,7 +158,7 @@ def test_ended_watch_leaves_no_subscription(node, number):
     assert "has no type" not in node.printed()
 
 
-def test_status_and_watch_survive_new_master(node):
+def test_status_and_watch_survive_new_master(node: Any) -> None:
     words = {"env": node.env, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     words["preexec_fn"] = restore_sigint
     status = subprocess.Popen(node.command(*LIVE, "status", "--json", "--every", "0.1"), **words)
@@ -183,7 +184,7 @@ def test_status_and_watch_survive_new_master(node):
 
 
 @pytest.mark.parametrize("command", [["watch"], ["status", "--json", "--every", "0.1"]])
-def test_messages_of_rospy_are_not_in_output(node, command):
+def test_messages_of_rospy_are_not_in_output(node: Any, command: List[str]) -> None:
     running = subprocess.Popen(
         node.command(*LIVE, *command),
         env=node.env,
@@ -206,7 +207,7 @@ def test_messages_of_rospy_are_not_in_output(node, command):
     assert all(json.loads(line)["node"] == "/retalis" for line in output.splitlines())
 
 
-def test_events_are_watched(node):
+def test_events_are_watched(node: Any) -> None:
     watch = subprocess.Popen(
         node.command(*LIVE, "watch", "--event", "fever_(_)", "--count", "1"),
         env=node.env,
@@ -223,7 +224,7 @@ def test_events_are_watched(node):
     assert watch.returncode == 0
 
 
-def test_shell_completes_names(node_of_space):
+def test_shell_completes_names(node_of_space: Any) -> None:
     script = (
         "COMP_WORDS=(retalis query x --wait-for odo); COMP_CWORD=4; _retalis_complete; echo ${COMPREPLY[@]};"
         "COMP_WORDS=(retalis query --node /re); COMP_CWORD=3; _retalis_complete; echo ${COMPREPLY[@]};"

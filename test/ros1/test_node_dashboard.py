@@ -5,6 +5,7 @@ import os
 import re
 import socket
 import urllib.request
+from typing import Any, Set
 
 import pytest
 
@@ -13,7 +14,7 @@ from retalis.dashboard.page_server import DASHBOARD_PORT
 LISTENS = "0A"
 
 
-def launch(space, *arguments):
+def launch(space: Any, *arguments: Any) -> None:
     space.start_master()
     space.start(
         "roslaunch", "-p", str(space.port), "retalis", "retalis.launch", "use_sim_time:=false", *arguments
@@ -25,15 +26,15 @@ def launch(space, *arguments):
     )
 
 
-def listening_addresses(pid):
+def listening_addresses(pid: Any) -> Any:
     """Return the addresses and ports on which a process listens."""
-    sockets = set()
+    sockets: Set[Any] = set()
     for name in os.listdir(f"/proc/{pid}/fd"):
         try:
             sockets.add(os.readlink(f"/proc/{pid}/fd/{name}"))
         except OSError:
             pass  # the file is closed in between
-    addresses = set()
+    addresses: Set[Any] = set()
     with open(f"/proc/{pid}/net/tcp") as table:
         for row in list(table)[1:]:
             fields = row.split()
@@ -44,25 +45,25 @@ def listening_addresses(pid):
 
 
 @pytest.fixture
-def free_port():
+def free_port() -> Any:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]
 
 
-def open_page(port, path="/"):
+def open_page(port: Any, path: str = "/") -> Any:
     opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
     return opener.open(f"http://127.0.0.1:{port}{path}", timeout=60)
 
 
-def next_snapshot(stream):
+def next_snapshot(stream: Any) -> Any:
     for line in stream:
         if line == b"event: snapshot\n":
             return json.loads(next(stream)[len("data: ") :])
     return pytest.fail("the stream has ended")
 
 
-def test_no_port_is_opened_by_default(devel):
+def test_no_port_is_opened_by_default(devel: Any) -> None:
     launch(devel)
     addresses = listening_addresses(devel.pid("/retalis"))
     assert len(addresses) == 2  # those of the node and of its connections
@@ -70,7 +71,7 @@ def test_no_port_is_opened_by_default(devel):
     assert "the dashboard is at" not in devel.printed()
 
 
-def test_page_on_loopback_address_has_events(space, free_port):
+def test_page_on_loopback_address_has_events(space: Any, free_port: Any) -> None:
     launch(space, f"dashboard:={free_port}")
     space.expect(
         lambda nodes, services: f"the dashboard is at http://127.0.0.1:{free_port}/" in space.printed()
@@ -92,7 +93,7 @@ def test_page_on_loopback_address_has_events(space, free_port):
     assert names == {"/tf", "/ar_pose_marker", "/face_recognition/feedback"}
 
 
-def test_used_port_is_replaced_and_logged(devel):
+def test_used_port_is_replaced_and_logged(devel: Any) -> None:
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen(1)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -18,13 +19,13 @@ TIMEOUT_SECONDS = 60
 
 
 @pytest.fixture
-def program(tmp_path):
+def program(tmp_path: Path) -> Any:
     """Return a function that writes a program of goals."""
     folder = tmp_path / "program"
     folder.mkdir()
     (folder / "pub_sub.xml").write_text(XML)
 
-    def make(*goals, rules=""):
+    def make(*goals: Any, rules: str = "") -> str:
         (folder / "goalPredicates.txt").write_text("".join(goal + "\n" for goal in goals))
         (folder / "rules.txt").write_text(rules)
         return f"_program:={folder}"
@@ -33,31 +34,31 @@ def program(tmp_path):
 
 
 @pytest.fixture
-def node(devel):
+def node(devel: Any) -> Any:
     """Return a function that starts a node."""
     return lambda name, *arguments: devel.start("rosrun", "retalis", name, *arguments)
 
 
 @pytest.fixture
-def master(devel):
+def master(devel: Any) -> Any:
     return devel.start_master()
 
 
-def end_by_signal(process, number):
+def end_by_signal(process: Any, number: Any) -> Any:
     process.send_signal(number)
     return process.wait(TIMEOUT_SECONDS)
 
 
 @pytest.mark.parametrize("name", NODES)
 @pytest.mark.parametrize("number", SIGNALS)
-def test_node_without_master_ends(devel, node, program, name, number):
+def test_node_without_master_ends(devel: Any, node: Any, program: Any, name: Any, number: Any) -> None:
     process = node(name, program())
     devel.expect_printed(f"no master answers at http://localhost:{devel.port}")
     assert end_by_signal(process, number) == 0
     assert "Traceback" not in devel.printed()
 
 
-def test_node_waits_for_master(devel, node, program):
+def test_node_waits_for_master(devel: Any, node: Any, program: Any) -> None:
     process = node("retalis_node", program())
     devel.expect_printed("no master answers")
     devel.start_master()
@@ -66,7 +67,7 @@ def test_node_waits_for_master(devel, node, program):
 
 
 @pytest.mark.parametrize("number", SIGNALS)
-def test_node_with_endless_goal_ends(devel, master, node, program, number):
+def test_node_with_endless_goal_ends(devel: Any, master: Any, node: Any, program: Any, number: Any) -> None:
     process = node(
         "retalis_node", program("writeln('it has begun'), flush_output, repeat, fail", "writeln('the next')")
     )
@@ -77,7 +78,9 @@ def test_node_with_endless_goal_ends(devel, master, node, program, number):
 
 
 @pytest.mark.parametrize("number", SIGNALS)
-def test_signal_in_weak_reference_callback_ends_node(devel, master, node, program, tmp_path, number):
+def test_signal_in_weak_reference_callback_ends_node(
+    devel: Any, master: Any, node: Any, program: Any, tmp_path: Path, number: Any
+) -> None:
     """Python ignores the exception of a signal handler that runs within such a callback."""
     module = f"""
 import os
@@ -102,7 +105,7 @@ def lose_interrupt() -> None:
 
 @pytest.mark.parametrize("name", NODES)
 @pytest.mark.parametrize("number", SIGNALS)
-def test_idle_node_ends(devel, master, node, program, name, number):
+def test_idle_node_ends(devel: Any, master: Any, node: Any, program: Any, name: Any, number: Any) -> None:
     process = node(name, program())
     service = "/add_memory" if name == "retalis_node" else "/add_input_subscription"
     devel.expect(lambda nodes, services: service in services)
@@ -111,7 +114,7 @@ def test_idle_node_ends(devel, master, node, program, name, number):
     assert "Traceback" not in devel.printed()
 
 
-def test_node_with_endless_event_ends(devel, master, node, program):
+def test_node_with_endless_event_ends(devel: Any, master: Any, node: Any, program: Any) -> None:
     rules = "a <- begin do (writeln('it has begun'), flush_output, repeat, fail)."
     process = node("retalis_node", program("compile_event_file('rules.txt')", rules=rules), "_max_seconds:=0")
     devel.expect(lambda nodes, services: "/add_memory" in services)
@@ -121,7 +124,7 @@ def test_node_with_endless_event_ends(devel, master, node, program):
     assert devel.state() == (set(), set())
 
 
-def test_recorded_events_do_not_delay_end(devel, master, node, program):
+def test_recorded_events_do_not_delay_end(devel: Any, master: Any, node: Any, program: Any) -> None:
     """Processor time is measured, because elapsed time depends on the load of the machine."""
     rules = """
 b(N) <- a(N).
@@ -141,13 +144,13 @@ c <- begin do (forall(between(1, 50000, N), event(a([[[N], [N]], [[N], [N]], [[N
     assert spent < 1.0
 
 
-def seconds_of_children():
+def seconds_of_children() -> Any:
     """Return the processor time of all ended child processes, in seconds."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 
 
-def test_node_ends_while_master_is_blocked(devel, master, node, program):
+def test_node_ends_while_master_is_blocked(devel: Any, master: Any, node: Any, program: Any) -> None:
     process = node("retalis_node", program())
     devel.expect(lambda nodes, services: "/add_memory" in services)
     master.send_signal(signal.SIGSTOP)
@@ -158,7 +161,7 @@ def test_node_ends_while_master_is_blocked(devel, master, node, program):
 
 
 @pytest.mark.parametrize("name", NODES)
-def test_missing_program_is_an_error(devel, master, node, tmp_path, name):
+def test_missing_program_is_an_error(devel: Any, master: Any, node: Any, tmp_path: Path, name: Any) -> None:
     process = node(name, f"_program:={tmp_path}/nowhere")
     assert process.wait(TIMEOUT_SECONDS) == 1
     assert f"{tmp_path}/nowhere does not exist: give the absolute path" in devel.printed()
@@ -168,7 +171,7 @@ def test_missing_program_is_an_error(devel, master, node, tmp_path, name):
 @pytest.mark.parametrize(
     ("name", "numbers"), [*((name, SIGNALS) for name in NODES), ("retalis", [signal.SIGINT])]
 )
-def test_signal_while_importing_ends_node(name, numbers):
+def test_signal_while_importing_ends_node(name: Any, numbers: Any) -> None:
     script = Path(__file__).resolve().parents[2] / "nodes" / name
     code = f"""
 import sys

@@ -2,6 +2,8 @@
 
 import json
 import subprocess
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -10,7 +12,7 @@ RULES = "alarm(X) <- smoke(X) seq heat(X).\n"
 
 
 @pytest.fixture
-def folder(tmp_path):
+def folder(tmp_path: Path) -> Any:
     program = tmp_path / "program"
     program.mkdir()
     (program / "pub_sub.xml").write_text("<publish_subscribe/>\n")
@@ -21,36 +23,36 @@ def folder(tmp_path):
     return program
 
 
-def start(space, folder, *words):
+def start(space: Any, folder: Any, *words: Any) -> None:
     """Start node retalis with a program, on a master of its own."""
     space.start_master()
     space.start("rosrun", "retalis", "retalis_node", f"_program:={folder}", *words)
     space.expect(lambda nodes, services: "/retalis/reload" in services)
 
 
-def output(space, *words):
+def output(space: Any, *words: Any) -> Any:
     """Return the standard output of a command."""
     return run_command(space, words, 0).stdout
 
 
-def error(space, *words):
+def error(space: Any, *words: Any) -> Any:
     """Return the error of a command that fails."""
     return run_command(space, words, 1).stderr
 
 
-def run_command(space, words, status):
+def run_command(space: Any, words: Any, status: int) -> Any:
     command = space.command(*LIVE, *words)
     process = subprocess.run(command, env=space.env, capture_output=True, text=True, timeout=60)
     assert process.returncode == status, process.stderr
     return process
 
 
-def add_events(space, *events):
+def add_events(space: Any, *events: Any) -> None:
     """Add events, each with a time in seconds."""
     output(space, "query", ", ".join(f"new_event({event}, {second}, 0)" for event, second in events))
 
 
-def test_changed_program_is_reloaded(devel, folder):
+def test_changed_program_is_reloaded(devel: Any, folder: Any) -> None:
     start(devel, folder)
     add_events(devel, ("smoke(hall)", 1), ("heat(hall)", 2), ("smoke(attic)", 3))
     assert "rules: 0 new, 0 gone, 1 kept, with 1 partial match\n" in output(devel, "reload")
@@ -73,7 +75,7 @@ def test_changed_program_is_reloaded(devel, folder):
     assert "is not closed" in error(devel, "reload")
 
 
-def test_writable_program_is_not_reloaded(devel, folder):
+def test_writable_program_is_not_reloaded(devel: Any, folder: Any) -> None:
     start(devel, folder, f"_write_folders:=[{folder.parent}]")
     assert "of ~write_folders" in error(devel, "reload")
     assert output(devel, "query", "memory_counter(alarms, N)") == "N = 0\n"

@@ -4,6 +4,7 @@ import sys
 import time
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any, List
 
 import pytest
 import rospkg
@@ -25,14 +26,14 @@ from retalis.ros1.rospy_transport import (  # noqa: E402
 
 
 @pytest.fixture
-def warnings(monkeypatch):
-    warnings = []
+def warnings(monkeypatch: pytest.MonkeyPatch) -> Any:
+    warnings: List[Any] = []
     monkeypatch.setattr(rospy, "logwarn_once", warnings.append)
     monkeypatch.setattr(rospy_transport, "is_wallclock", lambda: False)
     return warnings
 
 
-def test_clock_without_messages_is_warned_of(warnings, monkeypatch):
+def test_clock_without_messages_is_warned_of(warnings: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rospy, "get_rostime", rospy.Time)
     monkeypatch.setattr(rospy_transport, "_began", time.monotonic())
     assert (ros_now(), warnings) == (0, [])
@@ -42,33 +43,33 @@ def test_clock_without_messages_is_warned_of(warnings, monkeypatch):
     assert "nothing publishes /clock" in warnings[0]
 
 
-def test_running_clock_is_not_warned_of(warnings, monkeypatch):
+def test_running_clock_is_not_warned_of(warnings: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rospy, "get_rostime", lambda: rospy.Time(3, 4))
     monkeypatch.setattr(rospy_transport, "_began", time.monotonic() - 2 * UNSET_CLOCK_WARNING_SECONDS)
     assert (ros_now(), warnings) == (3_000_000_004, [])
 
 
 class RecordingReceiver:
-    def __init__(self, source):
+    def __init__(self, source: Any) -> None:
         self.source, self.messages, self.ends = source, [], []
 
-    def receive(self, messages):
+    def receive(self, messages: Any) -> None:
         self.messages += messages
 
-    def close(self, is_incomplete):
+    def close(self, is_incomplete: Any) -> None:
         self.ends.append(is_incomplete)
 
 
 @pytest.fixture
-def connections(monkeypatch):
+def connections(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Return the connections and receivers of a subscription, and its handlers of messages and ends."""
     opened = SimpleNamespace(connections=[], receivers=[], find_handler=None, record_end=None)
 
-    def connect(source):
+    def connect(source: Any) -> Any:
         opened.receivers.append(RecordingReceiver(source))
         return opened.receivers[-1]
 
-    def read_in_batches(subscriber, find_handler, max_delay, record_end):
+    def read_in_batches(subscriber: Any, find_handler: Any, max_delay: Any, record_end: Any) -> None:
         opened.find_handler, opened.record_end = find_handler, record_end
 
     monkeypatch.setattr(rospy, "Subscriber", lambda *arguments, **options: SimpleNamespace(impl=opened))
@@ -85,7 +86,7 @@ HEADER = {
 }
 
 
-def test_connection_is_a_source_with_one_receiver(connections):
+def test_connection_is_a_source_with_one_receiver(connections: Any) -> None:
     header = dict(HEADER)
     for data in (b"1", b"2"):
         connections.find_handler(header)([data])
@@ -95,7 +96,7 @@ def test_connection_is_a_source_with_one_receiver(connections):
     assert (receiver.messages, receiver.ends) == ([b"1", b"2"], [True])
 
 
-def test_latched_connection_has_an_address(connections):
+def test_latched_connection_has_an_address(connections: Any) -> None:
     header = {**HEADER, "latching": "1"}
     connections.connections.append(
         SimpleNamespace(header=header, socket=object(), endpoint_id="http://robot:1/")
@@ -106,18 +107,18 @@ def test_latched_connection_has_an_address(connections):
     assert connections.subscription.publishers() == ["/thermometer"]
 
 
-def test_equal_headers_are_separate_sources(connections):
+def test_equal_headers_are_separate_sources(connections: Any) -> None:
     for _ in range(2):
         connections.find_handler(dict(HEADER))([b"1"])
     assert len(connections.receivers) == 2
 
 
-def test_request_has_times_in_nanoseconds():
+def test_request_has_times_in_nanoseconds() -> None:
     request = SimpleNamespace(__slots__=["goal", "stamp"], goal="a", stamp=rospy.Time(1, 2))
     assert vars(read_request(request)) == {"goal": "a", "stamp": 1_000_000_002}
 
 
-def test_message_is_filled_from_values():
+def test_message_is_filled_from_values() -> None:
     values = {
         "header": {"stamp": 3 * 10**9 + 4},
         "status": [{"name": "a", "values": [{"key": "k", "value": "v"}]}],
@@ -127,14 +128,14 @@ def test_message_is_filled_from_values():
     assert (message.status[0].name, message.status[0].values[0].value) == ("a", "v")
 
 
-def test_default_program_is_found_in_package(monkeypatch):
+def test_default_program_is_found_in_package(monkeypatch: pytest.MonkeyPatch) -> None:
     assert find_default_program(["node", "/here", "__name:=x"]) == Path("/here/application_source")
     monkeypatch.setattr(rospkg.RosPack, "get_path", lambda self, name: f"/packages/{name}")
     assert find_default_program(["node"]) == Path("/packages/retalis/application_source")
 
 
-def test_unknown_package_is_an_error_with_advice(monkeypatch):
-    def get_path(self, name):
+def test_unknown_package_is_an_error_with_advice(monkeypatch: pytest.MonkeyPatch) -> None:
+    def get_path(self: Any, name: Any) -> None:
         raise rospkg.ResourceNotFound(name)
 
     monkeypatch.setattr(rospkg.RosPack, "get_path", get_path)

@@ -23,7 +23,7 @@ AssertionError: 1 != 2 &amp; 3
 """
 
 
-def test_failures_are_listed_with_exception_first(tmp_path):
+def test_failures_are_listed_with_exception_first(tmp_path: Path) -> None:
     (tmp_path / "retalis").mkdir()
     (tmp_path / "retalis" / "rosunit-services.xml").write_text(RESULTS)
     first, second = failed_cases(tmp_path)
@@ -32,13 +32,13 @@ def test_failures_are_listed_with_exception_first(tmp_path):
     assert second == "services.ServicesTest.test_node: no answer"
 
 
-def test_incomplete_file_is_reported_with_name(tmp_path):
+def test_incomplete_file_is_reported_with_name(tmp_path: Path) -> None:
     (tmp_path / "rostest-x.xml").write_text("<testsuite><testcase")
     (text,) = failed_cases(tmp_path)
     assert text.startswith("rostest-x.xml: malformed XML: ")
 
 
-def test_report_has_cases_and_log(tmp_path):
+def test_report_has_cases_and_log(tmp_path: Path) -> None:
     assert failure_report(tmp_path, "the log").splitlines() == [
         "no test case has failed: see the end of the log",
         "",

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -29,7 +30,7 @@ LONG_RUNS = {
 LONG_TIMEOUT_SECONDS = 4 * 3600
 
 
-def package_is_built():
+def package_is_built() -> bool:
     """Return whether the shell has sourced a workspace with the built package."""
     if not shutil.which("rostest") or not shutil.which("rospack"):
         return False
@@ -37,7 +38,9 @@ def package_is_built():
     return result.returncode == 0
 
 
-def run_rostest(path, arguments, timeout, tmp_path, monkeypatch):
+def run_rostest(
+    path: Any, arguments: Any, timeout: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Run a rostest; fail with its failed test cases."""
     monkeypatch.setenv("ROS_HOSTNAME", "localhost")
     monkeypatch.setenv("ROS_HOME", str(tmp_path))
@@ -61,7 +64,7 @@ def run_rostest(path, arguments, timeout, tmp_path, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.skipif(not package_is_built(), reason="./install.py test builds the package")
 @pytest.mark.parametrize("path", [pytest.param(path, id=path.stem) for path in TESTS])
-def test_rostest_succeeds(path, tmp_path, monkeypatch):
+def test_rostest_succeeds(path: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run_rostest(path, [], ROSTEST_TIMEOUT_SECONDS, tmp_path, monkeypatch)
 
 
@@ -70,5 +73,5 @@ def test_rostest_succeeds(path, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     "path", [pytest.param(path, id=path.stem) for path in TESTS if path.stem in LONG_RUNS]
 )
-def test_long_rostest_succeeds(path, tmp_path, monkeypatch):
+def test_long_rostest_succeeds(path: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run_rostest(path, LONG_RUNS[path.stem], LONG_TIMEOUT_SECONDS, tmp_path, monkeypatch)

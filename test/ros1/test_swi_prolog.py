@@ -1,5 +1,8 @@
 """Node ``retalis`` with a program that uses SWI-Prolog."""
 
+from pathlib import Path
+from typing import Any
+
 import pytest
 
 from retalis import UsageError
@@ -18,7 +21,7 @@ RULES = ":- use_swi('doors.pl').\nreached(Y) <- asked(X, Y) where way(X, Y).\n"
 
 
 @pytest.fixture
-def program(tmp_path):
+def program(tmp_path: Path) -> Any:
     folder = tmp_path / "program"
     folder.mkdir()
     goals = "compile_event_file('rules.txt')\nmemorize(reached(_), [], _, m, 5)\n"
@@ -32,12 +35,12 @@ def program(tmp_path):
     return folder
 
 
-def start(space, program, *words):
+def start(space: Any, program: Any, *words: Any) -> Any:
     space.start_master()
     return space.start("rosrun", "retalis", "retalis_node", f"_program:={program}", "_direct:=false", *words)
 
 
-def test_swi_predicates_are_goals_of_node(devel, program):
+def test_swi_predicates_are_goals_of_node(devel: Any, program: Any) -> None:
     try:
         find_library()
     except UsageError as error:

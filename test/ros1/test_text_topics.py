@@ -1,6 +1,7 @@
 """Marks in the stream of event texts: clock epochs and latched messages. Needs rospy, no master."""
 
 import struct
+from typing import Any, List
 
 import pytest
 
@@ -12,24 +13,24 @@ from retalis.node.latched_deduplication import LatchedConnection, LatchedMessage
 from retalis.ros1.text_topics import format_epoch_mark, make_text_handler_factory  # noqa: E402
 
 
-def message(text):
+def message(text: str) -> Any:
     data = text.encode()
     return struct.pack("<I", len(data)) + data
 
 
 @pytest.fixture
-def processed():
+def processed() -> List[Any]:
     return []
 
 
 @pytest.fixture
-def epochs():
+def epochs() -> Any:
     epochs = ClockEpochs(Reports(), lambda: 0, lambda: None)
     epochs.update_clock(9_000_000_000)
     return epochs
 
 
-def test_texts_of_next_epoch_are_buffered(processed, epochs):
+def test_texts_of_next_epoch_are_buffered(processed: List[Any], epochs: Any) -> None:
     receive = make_text_handler_factory(processed.append, epochs)(None, "/texts", None)
     for text in (format_epoch_mark(0), "event(a)", format_epoch_mark(1), "event(b)"):
         receive(message(text))
@@ -39,7 +40,7 @@ def test_texts_of_next_epoch_are_buffered(processed, epochs):
     assert processed == ["event(a)", "event(b)"]
 
 
-def test_epochs_of_senders_are_separate(processed, epochs):
+def test_epochs_of_senders_are_separate(processed: List[Any], epochs: Any) -> None:
     make_handler = make_text_handler_factory(processed.append, epochs)
     late, silent = make_handler(None, "/texts", None), make_handler(None, "/texts", None)
     late(message(format_epoch_mark(7)))
@@ -57,12 +58,12 @@ def test_epochs_of_senders_are_separate(processed, epochs):
     "text",
     ["event(retalis_run(x))", "event(retalis_run(-1))", "event(retalis_run(1), [1,1])", "event(retalis_run("],
 )
-def test_malformed_epoch_mark_is_an_event(text, processed, epochs):
+def test_malformed_epoch_mark_is_an_event(text: str, processed: List[Any], epochs: Any) -> None:
     make_text_handler_factory(processed.append, epochs)(None, "/texts", None)(message(text))
     assert processed == [text]
 
 
-def test_epoch_mark_in_wall_time_is_an_event(processed):
+def test_epoch_mark_in_wall_time_is_an_event(processed: List[Any]) -> None:
     make_text_handler_factory(processed.append)(None, "/texts", None)(message(format_epoch_mark(3)))
     assert processed == [format_epoch_mark(3)]
 
@@ -73,16 +74,16 @@ MAP = ("/map", "/map_server", "http://robot:4711/")
 @pytest.mark.parametrize(
     "text", ["event(retalis_latched(x))", "event(retalis_latched('a','b',1))", "event(a)"]
 )
-def test_malformed_latched_mark_is_an_event(text):
-    processed = []
+def test_malformed_latched_mark_is_an_event(text: str) -> None:
+    processed: List[Any] = []
     make_text_handler_factory(processed.append, None, LatchedMessageDeduplicator())(None, "/texts", None)(
         message(text)
     )
     assert processed == [text]
 
 
-def test_repeated_text_of_connection_is_dropped():
-    processed = []
+def test_repeated_text_of_connection_is_dropped() -> None:
+    processed: List[Any] = []
     make_handler = make_text_handler_factory(processed.append, None, LatchedMessageDeduplicator())
     for _ in range(2):  # an interface, and its successor after a kill
         receive, connection = make_handler(None, "/texts", None), LatchedConnection(*MAP)
@@ -98,8 +99,8 @@ def test_repeated_text_of_connection_is_dropped():
     assert len(processed) == 12
 
 
-def test_latched_text_is_processed_once_per_epoch():
-    processed = []
+def test_latched_text_is_processed_once_per_epoch() -> None:
+    processed: List[Any] = []
     epochs = ClockEpochs(Reports(), lambda: 0, lambda: None)
     epochs.update_clock(9_000_000_000)
     inputs = LatchedMessageDeduplicator(lambda: epochs.epoch)

@@ -3,6 +3,7 @@
 import math
 import sys
 from pathlib import Path
+from typing import Any, Dict, List
 
 import pytest
 import rospy
@@ -28,20 +29,20 @@ EXCEPTIONS = {
 }
 
 
-def ros_time(instant):
+def ros_time(instant: Any) -> Any:
     return rospy.Time(*divmod(instant, 10**9))
 
 
 class Reference:
     """The buffer of tf2, used as in its Python programs."""
 
-    def __init__(self, seconds):
+    def __init__(self, seconds: Any) -> None:
         self.core = tf2_py.BufferCore(rospy.Duration(seconds))
 
-    def clear(self):
+    def clear(self) -> None:
         self.core.clear()
 
-    def store(self, parent, child, instant, numbers, is_static):
+    def store(self, parent: str, child: str, instant: Any, numbers: Any, is_static: Any) -> None:
         message = TransformStamped()
         message.header.stamp = ros_time(instant)
         message.header.frame_id, message.child_frame_id = parent, child
@@ -50,7 +51,7 @@ class Reference:
         rotation.x, rotation.y, rotation.z, rotation.w = numbers[3:]
         (self.core.set_transform_static if is_static else self.core.set_transform)(message, "test")
 
-    def answer(self, target, source, instant):
+    def answer(self, target: Any, source: Any, instant: Any) -> Any:
         try:
             transform = self.core.lookup_transform_core(target, source, ros_time(instant)).transform
         except tf2_py.TransformException as error:
@@ -59,7 +60,7 @@ class Reference:
         return (translation.x, translation.y, translation.z), (rotation.x, rotation.y, rotation.z, rotation.w)
 
 
-def answer(buffer, target, source, instant):
+def answer(buffer: Any, target: Any, source: Any, instant: Any) -> Any:
     """Return a pose, or the class of the exception of tf2."""
     pose = buffer.lookup(target, source, instant)
     fault = buffer.find_fault(target, source, instant)
@@ -67,7 +68,7 @@ def answer(buffer, target, source, instant):
     return EXCEPTIONS[fault.kind] if pose is None else pose
 
 
-def equal(first, second):
+def equal(first: Any, second: Any) -> bool:
     if isinstance(first, type) or isinstance(second, type):
         return first is second
     return all(
@@ -77,7 +78,7 @@ def equal(first, second):
     )
 
 
-def play(seed, counts):
+def play(seed: Any, counts: Any) -> None:
     """Compare the answers of a scenario."""
     reference, buffers = Reference(10), [TransformBuffer(10), Tf2Buffer(10)]
     for position, (operation, *arguments) in enumerate(random_transforms.scenario(seed)):
@@ -95,8 +96,8 @@ def play(seed, counts):
 
 
 @pytest.mark.parametrize("part", range(4))
-def test_answers_equal_those_of_tf2(part, capfd):
-    counts = {}
+def test_answers_equal_those_of_tf2(part: int, capfd: pytest.CaptureFixture[str]) -> None:
+    counts: Dict[Any, Any] = {}
     for seed in range(part * TREES // 4, (part + 1) * TREES // 4):
         play(seed, counts)
     # Each answer occurs often.
@@ -107,25 +108,27 @@ def test_answers_equal_those_of_tf2(part, capfd):
     capfd.readouterr()
 
 
-def test_few_pending_samples_have_same_answers(monkeypatch, capfd):
+def test_few_pending_samples_have_same_answers(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(transform_buffer, "_MAX_PENDING_SAMPLES", 2)
-    counts = {}
+    counts: Dict[Any, Any] = {}
     for seed in range(500):
         play(seed, counts)
     assert counts["pose"] > 1000
     capfd.readouterr()
 
 
-def set_transform_calls(buffer):
+def set_transform_calls(buffer: Any) -> Any:
     """Return a list to which each sample of the core of the buffer is added, as its instant in seconds."""
-    calls = []
+    calls: List[Any] = []
     core = buffer._core  # noqa: SLF001
 
     class Core:
-        def __getattr__(self, name):
+        def __getattr__(self, name: Any) -> Any:
             return getattr(core, name)
 
-        def set_transform(self, message, authority):
+        def set_transform(self, message: Any, authority: Any) -> None:
             calls.append(round(float(message.header.stamp) - 86_400))
             core.set_transform(message, authority)
 
@@ -133,10 +136,10 @@ def set_transform_calls(buffer):
     return calls
 
 
-def test_samples_are_copied_once_by_next_lookup():
+def test_samples_are_copied_once_by_next_lookup() -> None:
     buffer, identity = Tf2Buffer(10), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
-    def store(*seconds):
+    def store(*seconds: Any) -> None:
         for second in seconds:
             buffer.store("map", "base", second * 10**9, identity)
 

@@ -1,5 +1,8 @@
 """Endless goals in a node with default parameters: they are reported and aborted."""
 
+from pathlib import Path
+from typing import Any
+
 import pytest
 
 RULES = """
@@ -17,21 +20,21 @@ ERROR = "Not enough resources: seconds"
 
 
 @pytest.fixture
-def start(devel, tmp_path):
+def start(devel: Any, tmp_path: Path) -> Any:
     """Return a function that starts a node with a program whose initial goal takes two seconds."""
     (tmp_path / "pub_sub.xml").write_text("<publish_subscribe/>")
     (tmp_path / "rules.txt").write_text(RULES)
     (tmp_path / "goalPredicates.txt").write_text(INITIAL_GOALS)
     devel.start_master()
 
-    def start(*parameters):
+    def start(*parameters: Any) -> None:
         devel.start("rosrun", "retalis", "retalis_node", f"_program:={tmp_path}", *parameters)
         devel.expect(lambda nodes, services: "/add_memory" in services)
 
     return start
 
 
-def test_endless_event_is_reported_and_ended(devel, start):
+def test_endless_event_is_reported_and_ended(devel: Any, start: Any) -> None:
     start()
     devel.post_events("endless")
     devel.expect_printed("goal loop is running at event endless; event(endless) has taken")
@@ -41,7 +44,7 @@ def test_endless_event_is_reported_and_ended(devel, start):
     devel.expect_printed("it goes on")
 
 
-def test_initial_goals_have_no_limit_of_events(devel, start):
+def test_initial_goals_have_no_limit_of_events(devel: Any, start: Any) -> None:
     start("_max_seconds:=0.5")
     assert "it has started" in devel.printed()
     assert ERROR not in devel.printed()
@@ -52,7 +55,7 @@ def test_initial_goals_have_no_limit_of_events(devel, start):
     assert "| it was busy" not in devel.printed().splitlines()
 
 
-def test_zero_disables_limit_and_watchdog(devel, start):
+def test_zero_disables_limit_and_watchdog(devel: Any, start: Any) -> None:
     start("_max_seconds:=0", "_watchdog:=0")
     devel.post_events("long")
     devel.expect_printed("it was busy")
@@ -60,7 +63,7 @@ def test_zero_disables_limit_and_watchdog(devel, start):
     assert WARNING not in devel.printed()
 
 
-def test_output_of_goals_is_marked_and_limited(devel, start):
+def test_output_of_goals_is_marked_and_limited(devel: Any, start: Any) -> None:
     start("_max_seconds:=60")  # a busy machine takes long for a megabyte of lines
     devel.post_events(r'say("\e[31mred\n[ERROR] [1.0]: forged")')
     devel.expect_printed("forged")

@@ -4,6 +4,7 @@
 import sys
 import unittest
 from pathlib import Path
+from typing import Any, List
 
 import rospy
 import rostest
@@ -18,7 +19,7 @@ START = 1_700_000_000
 """Seconds; floats of seconds are 2.4e-7 s apart there."""
 
 
-def stamped(parent, child, seconds, x):
+def stamped(parent: str, child: str, seconds: int, x: float) -> Any:
     message = TransformStamped()
     message.header.stamp = rospy.Time(int(seconds), int(seconds % 1 * 10**9))
     message.header.frame_id, message.child_frame_id = parent, child
@@ -29,7 +30,7 @@ def stamped(parent, child, seconds, x):
 
 class Transforms(unittest.TestCase):
     @classmethod
-    def setUpClass(cls):
+    def setUpClass(cls) -> None:
         cls.events = rospy.Publisher("retalisInputEvents", String, queue_size=100)
         cls.outputs = Collector("retalisOutputEvents", String)
         # One static broadcaster for all tests: it is latched and stores one message.
@@ -43,10 +44,10 @@ class Transforms(unittest.TestCase):
         cls.request_count = 0
         cls.moving.sendTransform([stamped("map", "odom", START, 0.0)])
 
-    def send(self, *transforms):
+    def send(self, *transforms: Any) -> None:
         self.moving.sendTransform([stamped(*transform) for transform in transforms])
 
-    def ask(self, frame, seconds):
+    def ask(self, frame: str, seconds: Any) -> Any:
         """Query the position of a frame; return the name of the answer."""
         type(self).request_count += 1
         name = f"q{self.request_count}"
@@ -54,7 +55,7 @@ class Transforms(unittest.TestCase):
         self.events.publish(f"event(ask({name},{frame},{parts[0]},{parts[1]}))")
         return name
 
-    def missing(self, frame):
+    def missing(self, frame: str) -> Any:
         """Return the reason why a frame has no newest transform; transforms may not be received yet."""
         type(self).request_count += 1
         name = f"q{self.request_count}"
@@ -63,20 +64,20 @@ class Transforms(unittest.TestCase):
         (text,) = self.wait_for(prefix)
         return text[len(prefix) : text.index("),now,")]
 
-    def wait_for(self, prefix):
+    def wait_for(self, prefix: str) -> List[Any]:
         self.outputs.wait_for(
             lambda messages: any(message.data.startswith(prefix) for message in messages), prefix
         )
         return [message.data for message in self.outputs.messages if message.data.startswith(prefix)]
 
-    def answer(self, name):
+    def answer(self, name: Any) -> float:
         (text,) = self.wait_for(f"event(found({name},")
         return float(text.split(",")[1].rstrip(")"))
 
-    def has_answer(self, name):
+    def has_answer(self, name: Any) -> bool:
         return any(f"found({name}," in message.data for message in self.outputs.messages)
 
-    def test_query_waits_for_transforms_of_all_frames(self):
+    def test_query_waits_for_transforms_of_all_frames(self) -> None:
         base = START + 1000
         self.send(("map", "odom", base, 1.0), ("odom", "base", base, 10.0))
         name = self.ask("camera", base + 0.5)
@@ -86,7 +87,7 @@ class Transforms(unittest.TestCase):
         self.send(("odom", "base", base + 1, 20.0))
         self.assertAlmostEqual(self.answer(name), 116.5, 9)
 
-    def test_query_waits_for_new_frame(self):
+    def test_query_waits_for_new_frame(self) -> None:
         base = START + 2000
         name = self.ask("lamp", base + 0.25)
         wait_until(lambda: self.missing("lamp") == "unknown(lamp)", "the map", pause=0.1)
@@ -94,7 +95,7 @@ class Transforms(unittest.TestCase):
             self.send(("map", "room", base + second, 1.0), ("room", "lamp", base + second, 4.0 * second))
         self.assertAlmostEqual(self.answer(name), 2.0, 9)
 
-    def test_nanoseconds_count_without_extrapolation(self):
+    def test_nanoseconds_count_without_extrapolation(self) -> None:
         base = START + 5000
         self.send(("map", "fine", base, 0.0))
         wait_until(lambda: self.missing("fine") == "none", "the transform", pause=0.1)
@@ -109,7 +110,7 @@ class Transforms(unittest.TestCase):
         self.assertEqual(self.missing("fine"), "none")
         self.assertFalse(self.has_answer(names[1]))
 
-    def test_query_waits_for_other_parent(self):
+    def test_query_waits_for_other_parent(self) -> None:
         base = START + 3000
         self.send(("table", "cup", base, 1.0), ("map", "hand", base, 50.0), ("map", "hand", base + 4, 50.0))
         name = self.ask("cup", base + 2)
@@ -117,7 +118,7 @@ class Transforms(unittest.TestCase):
         self.send(("hand", "cup", base + 1, 3.0), ("hand", "cup", base + 3, 3.0))
         self.assertAlmostEqual(self.answer(name), 53.0, 9)
 
-    def test_query_waits_for_static_transform(self):
+    def test_query_waits_for_static_transform(self) -> None:
         base = START + 4000
         name = self.ask("lens", base)
         self.send(("map", "stand", base, 7.0))

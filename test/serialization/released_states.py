@@ -8,6 +8,7 @@ writes the files of a release to ``test/data/states``: once, with the commit tha
 import json
 import sys
 from pathlib import Path
+from typing import Any, Dict
 
 from retalis import Engine, StreamClock
 from retalis.prolog.terms.timestamps import SECOND
@@ -72,7 +73,7 @@ AFTER = ("b(2, 1)", "a(1)", "c(7)", "closed(x)", "a(2)", "b(1, 9)", "a(2)", "b(2
 QUERIES = ("seen(X)", "nb_getval(count, X)", "memory_size(m, N)", "holds(open(X))", "access_mem(m, R, I)")
 
 
-def engine_with_state(flags):
+def engine_with_state(flags: Any) -> Any:
     """Return an engine in the middle of matches of all kinds."""
     engine = Engine() if flags == CLOCK_OF_EVENTS else Engine(StreamClock())
     engine.load(RULES, FLAGS[flags] + GOALS)
@@ -80,7 +81,7 @@ def engine_with_state(flags):
     return engine
 
 
-def emit(engine, events, first_second):
+def emit(engine: Any, events: Any, first_second: int) -> None:
     """Emit one event per second, with alarms that are due before."""
     for second, event in enumerate(events, first_second):
         if engine.event_input.stream_clock is None:
@@ -89,7 +90,7 @@ def emit(engine, events, first_second):
         engine.event(event, second)
 
 
-def continued_outputs(engine):
+def continued_outputs(engine: Any) -> Any:
     """Return what an engine with the state outputs for further events, and its answers to queries."""
     outputs = [f"{query}: {engine.query(query)}" for query in QUERIES]
     engine.on_event(lambda term, start, end: outputs.append(f"{engine.show(term)} {int(start)} {int(end)}"))
@@ -99,10 +100,10 @@ def continued_outputs(engine):
     return outputs
 
 
-def write_files(release):
+def write_files(release: Any) -> None:
     """Write the state files and outputs of a release."""
     FOLDER.mkdir(parents=True, exist_ok=True)
-    outputs = {}
+    outputs: Dict[Any, Any] = {}
     for flags in FLAGS:
         (FOLDER / f"{release}-{flags}.state").write_bytes(engine_with_state(flags).snapshot())
         outputs[flags] = continued_outputs(engine_with_state(flags))

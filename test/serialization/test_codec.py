@@ -1,6 +1,7 @@
 """Encoding of data and terms as bytes."""
 
 import tracemalloc
+from typing import Any, List
 
 import msgpack
 import pytest
@@ -29,7 +30,7 @@ F2 = functor("f", 2)
 
 
 @given(TERMS)
-def test_terms_are_decoded(term):
+def test_terms_are_decoded(term: Any) -> None:
     assert term_key(from_bytes(to_bytes(term))) == term_key(term)
 
 
@@ -38,16 +39,16 @@ def test_terms_are_decoded(term):
         st.one_of(st.integers(), st.floats(allow_nan=False), st.text(), st.binary(), st.none(), st.booleans())
     )
 )
-def test_tuples_and_mappings_are_decoded_as_lists(data):
+def test_tuples_and_mappings_are_decoded_as_lists(data: List[Any]) -> None:
     assert from_bytes(to_bytes([data, tuple(data), [["x", data]]])) == [data, data, [["x", data]]]
 
 
 @given(TERMS)
-def test_keys_of_terms_are_decoded(term):
+def test_keys_of_terms_are_decoded(term: Any) -> None:
     assert KEY.check(from_bytes(to_bytes([term_key(term)]))[0]) == term_key(term)
 
 
-def test_shared_variable_is_decoded_once():
+def test_shared_variable_is_decoded_once() -> None:
     var, bound = Var(), Var()
     bound.ref = atom("x")
     first, second, third = from_bytes(to_bytes([var, (functor("f", 1), var), bound]))
@@ -55,7 +56,7 @@ def test_shared_variable_is_decoded_once():
     assert third is atom("x")
 
 
-def test_lone_surrogates_are_decoded():
+def test_lone_surrogates_are_decoded() -> None:
     assert from_bytes(to_bytes([atom("\ud800"), String("\udfff"), "\ud8ff"])) == [
         atom("\ud800"),
         String("\udfff"),
@@ -63,12 +64,12 @@ def test_lone_surrogates_are_decoded():
     ]
 
 
-def test_lazy_term_is_encoded_as_its_value():
+def test_lazy_term_is_encoded_as_its_value() -> None:
     point = functor("p", 1)
     assert from_bytes(to_bytes([Lazy(point, lambda source: point(source), 3)])) == [point(3)]
 
 
-def test_instants_keep_their_types():
+def test_instants_keep_their_types() -> None:
     whole, stamp, plain = from_bytes(to_bytes([FloatSeconds(5), Stamp.of(7, F2(1, 2)), 9]))
     assert (whole, stamp, plain) == (5, 7, 9)
     assert [instant.__class__ for instant in (whole, stamp, plain)] == [FloatSeconds, Stamp, int]
@@ -76,7 +77,7 @@ def test_instants_keep_their_types():
 
 
 @pytest.mark.parametrize("is_left_nested", [False, True])
-def test_deep_terms_are_decoded(is_left_nested):
+def test_deep_terms_are_decoded(is_left_nested: bool) -> None:
     var = Var()
     term = make_list([var, *range(5_000), var])
     if is_left_nested:
@@ -86,7 +87,7 @@ def test_deep_terms_are_decoded(is_left_nested):
     assert term_key(decoded) == term_key(term)
 
 
-def test_shared_subterm_is_encoded_once():
+def test_shared_subterm_is_encoded_once() -> None:
     term = atom("x")
     for _ in range(3000):
         term = F2(term, term)
@@ -96,21 +97,21 @@ def test_shared_subterm_is_encoded_once():
     assert decoded[1] is decoded[2]
 
 
-def test_cyclic_term_is_refused():
+def test_cyclic_term_is_refused() -> None:
     var = Var()
     var.ref = F2(var, 1)
     with pytest.raises(UsageError, match="contains itself"):
         to_bytes([var])
 
 
-def test_object_of_other_type_is_an_error():
+def test_object_of_other_type_is_an_error() -> None:
     with pytest.raises(TypeError, match="object cannot be stored"):
         to_bytes([object()])
     with pytest.raises(TypeError, match="cannot be stored"):
         to_bytes([print])
 
 
-def pack_parts(data, atoms=(), names=(), arities=(), nodes=()):
+def pack_parts(data: Any, atoms: Any = (), names: Any = (), arities: Any = (), nodes: Any = ()) -> str:
     """Return bytes in the format of `to_bytes` with arbitrary parts."""
     parts = ((list(atoms), list(names), list(arities), len(nodes)), *nodes, data)
     return b"".join(msgpack.packb(part, use_bin_type=True) for part in parts)
@@ -145,7 +146,7 @@ ATOM, FUNCTOR, _, _, _, NODE, _, KIND, _, STAMP = (
         pack_parts({"a": 1}),
     ],
 )
-def test_malformed_bytes_are_refused(data):
+def test_malformed_bytes_are_refused(data: Any) -> None:
     with pytest.raises(UsageError):
         from_bytes(data)
 
@@ -153,13 +154,13 @@ def test_malformed_bytes_are_refused(data):
 @pytest.mark.parametrize(
     "arguments", [[1], [1, 2, 3], [1, None], [1, [2]], [1, "x"], [1, FUNCTOR(b"\0")], [1, b"x"], [1, True]]
 )
-def test_invalid_arguments_are_not_decoded_as_term(arguments):
+def test_invalid_arguments_are_not_decoded_as_term(arguments: Any) -> None:
     decoded = from_bytes(pack_parts([FUNCTOR(b"\0"), *arguments], names=["f"], arities=[2]))
     assert decoded.__class__ in (list, FlatKey)
 
 
 @pytest.mark.parametrize("depth", [1, 400])
-def test_lengths_without_items_allocate_no_memory(depth):
+def test_lengths_without_items_allocate_no_memory(depth: int) -> None:
     head = msgpack.packb(([], [], [], 0))
     data = head + b"\xdd\x00\x80\x00\x00" * depth + bytes(9_000_000)
     tracemalloc.start()
@@ -172,6 +173,6 @@ def test_lengths_without_items_allocate_no_memory(depth):
         tracemalloc.stop()
 
 
-def test_deep_nesting_is_refused():
+def test_deep_nesting_is_refused() -> None:
     with pytest.raises(UsageError):
         from_bytes(msgpack.packb(([], [], [], 0)) + b"\x91" * 100_000 + b"\x01")

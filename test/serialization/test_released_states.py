@@ -1,6 +1,7 @@
 """State files of released versions, and of made-up older formats, are restored."""
 
 import json
+from typing import Any, List
 
 import pytest
 from serialization.released_states import FLAGS, FOLDER, continued_outputs, engine_with_state
@@ -20,33 +21,33 @@ from retalis.serialization.state_file_format import (
 RELEASES = sorted(path.stem for path in FOLDER.glob("*.json"))
 
 
-def state_of(release, flags):
+def state_of(release: Any, flags: Any) -> bytes:
     return (FOLDER / f"{release}-{flags}.state").read_bytes()
 
 
-def state_owners(base=StateOwner):
+def state_owners(base: Any = StateOwner) -> List[Any]:
     """Return the classes of the package that declare fields."""
     owners = [base] if base.STATE.fields and base.__module__.startswith("retalis.") else []
     return [*owners, *(owner for subclass in base.__subclasses__() for owner in state_owners(subclass))]
 
 
-def test_state_of_each_release_is_stored():
+def test_state_of_each_release_is_stored() -> None:
     assert "1.1.0" in RELEASES
 
 
 @pytest.mark.parametrize("release", RELEASES)
 @pytest.mark.parametrize("flags", FLAGS)
-def test_state_of_release_is_restored(release, flags):
+def test_state_of_release_is_restored(release: Any, flags: Any) -> None:
     expected = json.loads((FOLDER / f"{release}.json").read_text(encoding="utf-8"))[flags]
     restored = Engine.restore(state_of(release, flags))
     assert continued_outputs(restored) == expected
 
 
-def test_states_of_release_have_all_records(monkeypatch):
+def test_states_of_release_have_all_records(monkeypatch: pytest.MonkeyPatch) -> None:
     checked, kinds = set(), set()
     check_state = StateFields.check_state
 
-    def record_check(fields, value, owner, scope):
+    def record_check(fields: Any, value: Any, owner: Any, scope: Any) -> Any:
         checked.add(fields.record_name)
         return check_state(fields, value, owner, scope)
 
@@ -59,14 +60,14 @@ def test_states_of_release_have_all_records(monkeypatch):
     assert {owner.STATE.record_name for owner in state_owners()} - checked == set()
 
 
-def describe_fields():
+def describe_fields() -> List[str]:
     """Return the declared fields of all records."""
     records = {owner.STATE.record_name: owner.STATE for owner in state_owners()}
     records.update({fields.record_name: fields for _, fields in KINDS.values()})
     return [f"{name}: {entry}" for name, fields in sorted(records.items()) for entry in fields.describe()]
 
 
-def test_fields_are_those_of_the_format():
+def test_fields_are_those_of_the_format() -> None:
     """If this fails, raise FORMAT_NUMBER, add the changes to MIGRATIONS, and store the new fields."""
     stored = (FOLDER / f"fields-{FORMAT_NUMBER}.txt").read_text(encoding="utf-8")
     assert "\n".join(describe_fields()) == stored.rstrip("\n")
@@ -90,7 +91,7 @@ OLDER_FORMATS = {
 """Changes from two made-up formats."""
 
 
-def with_older_fields(fields):
+def with_older_fields(fields: Any) -> List[Any]:
     """Return stored fields as the oldest of the made-up formats would have them."""
     older = fields_of(fields)
     names = list(older)
@@ -109,7 +110,7 @@ def with_older_fields(fields):
     return [item for name, value in older.items() for item in (name, as_older(value))]
 
 
-def as_older(data):
+def as_older(data: Any) -> Any:
     """Return the data of a section as the oldest of the made-up formats would have it."""
     if not isinstance(data, list):
         return data
@@ -121,7 +122,7 @@ def as_older(data):
 
 
 @pytest.fixture
-def older_state():
+def older_state() -> Any:
     """Return the state of an engine in the oldest of the made-up formats."""
     sections = unpack_sections(engine_with_state("plain").snapshot()).sections
     older = {
@@ -132,14 +133,14 @@ def older_state():
     return pack_sections(older, FORMAT_NUMBER - 2)
 
 
-def test_older_state_is_migrated(monkeypatch, older_state):
+def test_older_state_is_migrated(monkeypatch: pytest.MonkeyPatch, older_state: Any) -> None:
     for number, changes in OLDER_FORMATS.items():
         monkeypatch.setitem(MIGRATIONS, number, changes)
     restored = Engine.restore(older_state)
     assert continued_outputs(restored) == continued_outputs(engine_with_state("plain"))
 
 
-def test_state_older_than_migrations_is_refused(monkeypatch, older_state):
+def test_state_older_than_migrations_is_refused(monkeypatch: pytest.MonkeyPatch, older_state: Any) -> None:
     monkeypatch.setitem(MIGRATIONS, FORMAT_NUMBER - 1, OLDER_FORMATS[FORMAT_NUMBER - 1])
     expected = (
         f"format {FORMAT_NUMBER - 2}: this version reads formats {FORMAT_NUMBER - 1} to {FORMAT_NUMBER}"
@@ -148,7 +149,9 @@ def test_state_older_than_migrations_is_refused(monkeypatch, older_state):
         Engine.restore(older_state)
 
 
-def test_missing_field_is_refused_without_migration(monkeypatch, older_state):
+def test_missing_field_is_refused_without_migration(
+    monkeypatch: pytest.MonkeyPatch, older_state: Any
+) -> None:
     monkeypatch.setitem(MIGRATIONS, FORMAT_NUMBER - 2, {})
     monkeypatch.setitem(MIGRATIONS, FORMAT_NUMBER - 1, {})
     with pytest.raises(UsageError, match="section run: clock: behind: '0': expected true or false"):

@@ -1,6 +1,7 @@
 """States with invalid values and valid checksums."""
 
 import sys
+from typing import Any, List
 
 import pytest
 from serialization.stored_fields import fields_of, to_fields
@@ -19,7 +20,7 @@ GOALS = "memorize(a(X), [], X, as, 10)\nsubscribe(p(_, _), [], _, t, s)\ntimer(c
 
 
 @pytest.fixture(scope="module")
-def state():
+def state() -> Any:
     engine = Engine(StreamClock())
     engine.load(RULES, GOALS)
     for now, event in enumerate(("a(1)", "a(2)", "b(1)"), 1):
@@ -27,11 +28,11 @@ def state():
     return unpack_sections(engine.snapshot()).sections
 
 
-def changed(state, section, path, value):
+def changed(state: Any, section: str, path: Any, value: Any) -> Any:
     """Return a state with another value at a path of a section."""
     data = from_bytes(state[section])
 
-    def put(old, path):
+    def put(old: Any, path: Any) -> Any:
         if not path:
             return value(old) if callable(value) else value
         first, *rest = path
@@ -45,7 +46,7 @@ def changed(state, section, path, value):
     return pack_sections({**state, section: to_bytes(put(data, path))})
 
 
-def twice(column):
+def twice(column: Any) -> Any:
     """Return a column with each value twice; instants are packed."""
     if len(column) == 3 and isinstance(column[1], bytes):
         return [part * 2 for part in column]
@@ -61,7 +62,7 @@ OPERATOR = [*NODES, 1, 1, "stream"]
 """Path of the state of an operator above a single event."""
 
 
-def test_unchanged_state_is_restored(state):
+def test_unchanged_state_is_restored(state: Any) -> None:
     assert Engine.restore(changed(state, "run", ["event_input", "event_count"], 3)).query(
         "memory_size(as, N)"
     ) == [{"N": 10}]
@@ -215,36 +216,36 @@ def test_unchanged_state_is_restored(state):
         ("memory 0", ["ends", 0], [9, 3], "not ordered by their ends"),
     ],
 )
-def test_invalid_value_is_refused(state, section, path, value, message):
+def test_invalid_value_is_refused(state: Any, section: str, path: Any, value: Any, message: str) -> None:
     with pytest.raises(UsageError, match=".*") as caught:
         Engine.restore(changed(state, section, path, value))
     assert message in str(caught.value)
 
 
 @pytest.mark.parametrize("missing", ["program", "clauses", "values", "matches", "run", "memory 0"])
-def test_missing_section_is_refused(state, missing):
+def test_missing_section_is_refused(state: Any, missing: str) -> None:
     with pytest.raises(UsageError, match="no section|expected records for each memory"):
         Engine.restore(pack_sections({name: data for name, data in state.items() if name != missing}))
 
 
-def test_unknown_section_is_refused(state):
+def test_unknown_section_is_refused(state: Any) -> None:
     with pytest.raises(UsageError, match="section 'more' is unknown"):
         Engine.restore(pack_sections({**state, "more": to_bytes(1)}))
 
 
-def test_pickle_format_is_refused(state):
+def test_pickle_format_is_refused(state: Any) -> None:
     data = pack_sections(state).replace(b'"format": 11', b'"format":  5')
     with pytest.raises(UsageError, match="format 5, a pickle .* never read: this version reads format 11"):
         Engine.restore(data)
 
 
-def test_other_format_is_refused(state):
+def test_other_format_is_refused(state: Any) -> None:
     data = pack_sections(state).replace(b'"format": 11', b'"format":  7')
     with pytest.raises(UsageError, match="the state is of format 7: this version reads format 11"):
         Engine.restore(data)
 
 
-def test_changed_operators_are_restored():
+def test_changed_operators_are_restored() -> None:
     engine = Engine(StreamClock())
     engine.load(goals="op(700, xfx, near)\nop(0, yfx, mod)\nop(200, xfx, is)")
     restored = Engine.restore(engine.snapshot())
@@ -252,7 +253,7 @@ def test_changed_operators_are_restored():
     assert len(list(restored.logic.operators)) == len(list(Engine().logic.operators))
 
 
-def test_records_are_restored_from_columns():
+def test_records_are_restored_from_columns() -> None:
     engine = Engine(StreamClock())
     engine.load(goals="memorize(tf(_, _, _, _), [], _, m, 200)")
     for number in range(150):
@@ -290,7 +291,7 @@ LONG = make_list(range(100))
         lambda at: functor("q", 2)(at / 3, functor("u", 1)(at)) if at % 40 or not at else atom("none"),
     ],
 )
-def test_arguments_of_all_kinds_are_restored(number, value):
+def test_arguments_of_all_kinds_are_restored(number: int, value: Any) -> None:
     engine = Engine(StreamClock())
     engine.load(goals=f"memorize(f(_, _), [], _, m, {number})")
     for index in range(number):
@@ -303,7 +304,7 @@ def test_arguments_of_all_kinds_are_restored(number, value):
     assert len(restored.query(query)) == number
 
 
-def test_instants_in_records_are_restored_as_integers():
+def test_instants_in_records_are_restored_as_integers() -> None:
     engine = Engine(StreamClock())
     engine.load(goals="memorize(f(_, _), [], _, m, 60)")
     for number in range(60):
@@ -316,7 +317,7 @@ def test_instants_in_records_are_restored_as_integers():
     assert records == [functor("f", 2)(number, number) for number in reversed(range(60))]
 
 
-def without_scanning(data):
+def without_scanning(data: Any) -> Any:
     """Return data without the computation states that wait for the first element of a row pattern."""
     if not isinstance(data, list):
         return data
@@ -328,7 +329,7 @@ def without_scanning(data):
     return [without_scanning(item) for item in data]
 
 
-def test_row_pattern_without_initial_state_is_refused():
+def test_row_pattern_without_initial_state_is_refused() -> None:
     engine = Engine(StreamClock())
     engine.load("s(N) <- aggregate(count, v(X), N, steps([up where X > 3, down(2) where X < 3])).")
     engine.event("v(5)", 1)
@@ -340,7 +341,7 @@ def test_row_pattern_without_initial_state_is_refused():
         Engine.restore(pack_sections({**state, "matches": to_bytes(without_scanning(data))}))
 
 
-def test_state_after_largest_timestamp_is_restored():
+def test_state_after_largest_timestamp_is_restored() -> None:
     engine = Engine()
     engine.event("a(1)", MAX_TIMESTAMP // SECOND)
     for number in range(3):
@@ -349,13 +350,13 @@ def test_state_after_largest_timestamp_is_restored():
 
 
 @pytest.mark.parametrize("stamp", [MAX_TIMESTAMP // SECOND + 1, -(1 << 100), 1e30, make_list([10**16, 0])])
-def test_timestamp_out_of_range_is_refused(stamp):
+def test_timestamp_out_of_range_is_refused(stamp: Any) -> None:
     engine = Engine()
     with pytest.raises(UsageError, match=r"a timestamp lies at most 6\.0e\+14 s from the epoch"):
         engine.event("a(1)", stamp)
 
 
-def test_partial_match_of_two_rules_is_refused():
+def test_partial_match_of_two_rules_is_refused() -> None:
     engine = Engine()
     engine.load(rules="p(X) <- a(X) seq b(X).\nq(X) <- a(X) seq c(X).\n")
     engine.event("a(1)", 1)
@@ -367,7 +368,7 @@ def test_partial_match_of_two_rules_is_refused():
         Engine.restore(changed(state, "matches", path, matches))
 
 
-def state_of(rules, events, goals=""):
+def state_of(rules: str, events: List[str], goals: str = "") -> Any:
     """Return the sections of an engine with rules that has processed one event per second."""
     engine = Engine(StreamClock())
     engine.load(rules, goals)
@@ -376,13 +377,13 @@ def state_of(rules, events, goals=""):
     return unpack_sections(engine.snapshot()).sections
 
 
-def columns(state, kind):
+def columns(state: Any, kind: str) -> Any:
     """Return the columns of the objects of a kind by name; None if there are none."""
     kinds = dict(fields_of(from_bytes(state["matches"]))["objects"][2])
     return fields_of(kinds[kind]) if kind in kinds else None
 
 
-def refused(state, path, value, message):
+def refused(state: Any, path: Any, value: Any, message: str) -> None:
     Engine.restore(pack_sections(state))
     with pytest.raises(UsageError, match=message):
         Engine.restore(changed(state, "matches", path, value))
@@ -407,7 +408,7 @@ OTHER_EVENT = functor("other", 1)(2)
         "p(X) <- (a(X) ntimes 3).",
     ],
 )
-def test_match_that_does_not_fit_its_node_is_refused(rule, attribute, value):
+def test_match_that_does_not_fit_its_node_is_refused(rule: str, attribute: str, value: Any) -> None:
     state = state_of(rule, ["a(1)"])
     kind, column = "match", attribute
     if columns(state, kind) is None:
@@ -417,7 +418,7 @@ def test_match_that_does_not_fit_its_node_is_refused(rule, attribute, value):
     refused(state, ["objects", 2, kind, column, 0], value, "expected")
 
 
-def test_wrong_number_of_repetitions_is_refused():
+def test_wrong_number_of_repetitions_is_refused() -> None:
     state = state_of(
         "p(X) <- (a(X, _) ntimes 4).",
         ["a(1, 1)", "a(1, 2)", "a(1, 3)"],
@@ -428,7 +429,7 @@ def test_wrong_number_of_repetitions_is_refused():
     refused(state, ["objects", 2, "match", "parts", longest], parts[longest][:1], "expected")
 
 
-def test_shared_repetitions_are_restored():
+def test_shared_repetitions_are_restored() -> None:
     engine = Engine(StreamClock())
     engine.load("p(X) <- (a(X, _) ntimes 5).")
     for now, value in (
@@ -453,32 +454,32 @@ def test_shared_repetitions_are_restored():
     ("window", "due"),
     [("last(3, events)", 64), ("last(5)", -(1 << 62)), ("every(3, events)", 0)],
 )
-def test_deadline_of_window_without_one_is_refused(window, due):
+def test_deadline_of_window_without_one_is_refused(window: str, due: int) -> None:
     state = state_of(f"p(N) <- aggregate(count, a(_), N, {window}).", ["a(1)"])
     refused(state, [*OPERATOR, "next_deadline"], due, "expected nothing")
 
 
 @pytest.mark.parametrize("due", [None, 0, 1, 4 * SECOND + 1, -(1 << 62)])
-def test_wrong_end_of_next_window_is_refused(due):
+def test_wrong_end_of_next_window_is_refused(due: Any) -> None:
     state = state_of("p(N) <- aggregate(count, a(_), N, last(4, every(2))).", ["a(1)", "a(2)", "a(3)"])
     refused(
         state, [*OPERATOR, "next_deadline"], due, "expected the end of the next window|expected an instant"
     )
 
 
-def test_deadline_of_anchored_window_is_computed():
+def test_deadline_of_anchored_window_is_computed() -> None:
     engine = Engine()
     engine.load("p(N) <- aggregate(count, a(_), N, every(5, first)).")
     engine.event("a(1)", 1)
     state = unpack_sections(engine.snapshot()).sections
     engine = Engine.restore(changed(state, "matches", [*OPERATOR, "next_deadline"], None))
-    events = []
+    events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append(term))
     engine.event("b(1)", 10)
     assert functor("p", 1)(1) in events
 
 
-def test_invalid_suppressed_match_is_refused():
+def test_invalid_suppressed_match_is_refused() -> None:
     state = state_of(
         "p(X, Y) <- (a(X) seq c(Y)) cnot b(_).",
         ["a(1)", "b(2)", "c(3)"],
@@ -493,20 +494,20 @@ def test_invalid_suppressed_match_is_refused():
 @pytest.mark.parametrize(
     "header", ["{}".encode("utf-16"), b"\x00\xf2", b"\xff", '{"a": 1}'.encode("utf-32-be")]
 )
-def test_header_in_other_encoding_is_refused(header):
+def test_header_in_other_encoding_is_refused(header: bytes) -> None:
     imported = set(sys.modules)
     with pytest.raises(UsageError, match="its header is malformed"):
         unpack_sections(b"retalis state\n%d\n%s" % (len(header), header))
     assert set(sys.modules) == imported
 
 
-def test_header_with_long_number_is_refused():
+def test_header_with_long_number_is_refused() -> None:
     header = b'{"format": %s}' % (b"9" * 4000)
     with pytest.raises(UsageError, match="its header is malformed"):
         unpack_sections(b"retalis state\n%d\n%s" % (len(header), header))
 
 
-def test_output_without_elements_is_refused():
+def test_output_without_elements_is_refused() -> None:
     # A retraction runs the operator again, and identifies its outputs by their last elements.
     state = state_of(
         "p(N) <- aggregate(count, a(_), N, last(2, events)).",

@@ -1,6 +1,7 @@
 """Graph of a program."""
 
 from pathlib import Path
+from typing import Any, Set
 
 import pytest
 
@@ -10,13 +11,13 @@ from retalis.visualization.program_graph import MAX_NODES, GraphEdge, GraphTopic
 NAO = Path(__file__).resolve().parents[2] / "application_source"
 
 
-def edges(rules="", goals="", topics=()):
+def edges(rules: str = "", goals: str = "", topics: Any = ()) -> Set[Any]:
     engine = Engine()
     engine.load(rules=rules, goals=goals)
     return {(edge.source, edge.target, edge.kind) for edge in program_graph(engine, topics).edges}
 
 
-def test_rule_connects_its_events():
+def test_rule_connects_its_events() -> None:
     assert edges("l : alarm(X) <- smoke(X) seq heat(_).") == {
         ("event:smoke/1", "rule:0", "flow"),
         ("event:heat/1", "rule:0", "flow"),
@@ -24,13 +25,13 @@ def test_rule_connects_its_events():
     }
 
 
-def test_absent_event_has_own_edge_kind():
+def test_absent_event_has_own_edge_kind() -> None:
     graph_edges = edges("quiet <- (a seq c) cnot b.")
     assert ("event:b/0", "rule:0", "absent") in graph_edges
     assert ("event:a/0", "rule:0", "flow") in graph_edges
 
 
-def test_clauses_of_goals_are_followed():
+def test_clauses_of_goals_are_followed() -> None:
     graph_edges = edges(
         "null_event do act(X) <- go(X). act(X) :- \\+ busy, then(X). then(X) :- new_event(done(X), 1, 2). "
         "then(X) :- prev(fires, X, _, _, 5). busy :- act(1).",
@@ -44,7 +45,7 @@ def test_clauses_of_goals_are_followed():
     }
 
 
-def test_pose_chain_reads_its_memories():
+def test_pose_chain_reads_its_memories() -> None:
     graph_edges = edges("a(P) <- b(T, R) where pose_chain([odom, R, head], T, P).")
     assert {edge for edge in graph_edges if "reads" in edge} == {
         ("memory:odom", "rule:0", "reads"),
@@ -52,7 +53,7 @@ def test_pose_chain_reads_its_memories():
     }
 
 
-def test_alarms_and_goal_events_are_targets_of_rules():
+def test_alarms_and_goal_events_are_targets_of_rules() -> None:
     graph_edges = edges("exceptionAlarm(waited(S), 5) <- down(S). null_event do event(held(S)) <- waited(S).")
     assert {edge for edge in graph_edges if edge[0].startswith("rule")} == {
         ("rule:0", "event:waited/1", "flow"),
@@ -60,7 +61,7 @@ def test_alarms_and_goal_events_are_targets_of_rules():
     }
 
 
-def test_memories_outputs_and_topics_have_edges():
+def test_memories_outputs_and_topics_have_edges() -> None:
     graph_edges = edges(
         goals="memorize(_, [], _, all, 10)\nsubscribe(std_msgs__0__String(_), [], _, echo, e)",
         topics=[GraphTopic("/chatter", "std_msgs__0__String"), GraphTopic("/unused", "std_msgs__0__Empty")],
@@ -72,7 +73,7 @@ def test_memories_outputs_and_topics_have_edges():
     }
 
 
-def test_synchronized_query_reads_its_memories():
+def test_synchronized_query_reads_its_memories() -> None:
     graph_edges = edges("synchronized(seen(X), ask(X), [[odom, T], [head, T]]) <- marker(X, T).")
     assert graph_edges == {
         ("event:marker/2", "rule:0", "flow"),
@@ -83,7 +84,7 @@ def test_synchronized_query_reads_its_memories():
     }
 
 
-def test_transforms_have_one_node():
+def test_transforms_have_one_node() -> None:
     graph_edges = edges(
         "synchronized(seen(X), ask(X), [[tf(map, C), T], [odom, T]]) <- marker(X, C, T). "
         "near(P) <- ping(T) where (tf_lookup(map, base, T, P)). "
@@ -99,7 +100,7 @@ def test_transforms_have_one_node():
     assert ("memory:odom", "query:0", "reads") in graph_edges
 
 
-def test_facts_are_read_and_changed_by_rules():
+def test_facts_are_read_and_changed_by_rules() -> None:
     graph_edges = edges(
         "near(X) <- seen(X) where known(X). known(X) :- owner(X, _). owner(ann, desk). "
         "null_event do (retractall(count(_)), assertz(count(N))) <- tick(N). :- dynamic count/1. "
@@ -113,7 +114,7 @@ def test_facts_are_read_and_changed_by_rules():
     }
 
 
-def test_states_have_edges_to_querying_rules():
+def test_states_have_edges_to_querying_rules() -> None:
     graph_edges = edges(
         "alarm(R) <- bump(R) where holds(docked(R)). long(R) <- tick where idle(R). idle(R) :- holds(docked(R), _).",
         "state(docked(R), from(dock(R)), until(undock(R)))",
@@ -126,7 +127,7 @@ def test_states_have_edges_to_querying_rules():
     } <= graph_edges
 
 
-def test_memory_named_like_transform_is_a_memory():
+def test_memory_named_like_transform_is_a_memory() -> None:
     graph_edges = edges(
         "synchronized(seen(X), ask(X), [[tf(map, base), T]]) <- marker(X, T).",
         "memorize(pose(_), [], _, tf(map, base), 10)",
@@ -142,14 +143,14 @@ def test_memory_named_like_transform_is_a_memory():
         ("[tf(a, b), T], [odom, T]", "memories and transforms"),
     ],
 )
-def test_text_of_query_names_awaited_items(conditions, text):
+def test_text_of_query_names_awaited_items(conditions: str, text: str) -> None:
     engine = Engine()
     engine.load(rules=f"synchronized(seen(X), ask(X), [{conditions}]) <- marker(X, T).")
     (query,) = [node for node in program_graph(engine).nodes if node.kind == "query"]
     assert query.text == f"waits for its {text}, then asks ask(_)"
 
 
-def test_nao_topic_has_path_to_output():
+def test_nao_topic_has_path_to_output() -> None:
     engine = Engine()
     engine.load_program(NAO)
     graph = program_graph(engine, [GraphTopic("/tf", "tf__0__tfMessage")])
@@ -164,7 +165,7 @@ def test_nao_topic_has_path_to_output():
     )
 
 
-def test_large_program_is_cut():
+def test_large_program_is_cut() -> None:
     engine = Engine()
     engine.load(rules=" ".join(f"a{number} <- b{number}." for number in range(100)))
     graph = program_graph(engine)
@@ -179,7 +180,7 @@ def test_large_program_is_cut():
         "",
     ],
 )
-def test_key_changes_with_program(change):
+def test_key_changes_with_program(change: str) -> None:
     engine = Engine()
     engine.load(rules="a <- b.")
     before = graph_key(engine, ())

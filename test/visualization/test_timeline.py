@@ -4,6 +4,8 @@ import json
 import re
 import sys
 import types
+from pathlib import Path
+from typing import Any, List
 
 import pytest
 from hypothesis import given, settings
@@ -52,11 +54,11 @@ RUN = [
 ]
 
 
-def read_records(lines):
+def read_records(lines: Any) -> Any:
     return read_run(map(json.dumps, lines), "run.jsonl")
 
 
-def test_run_has_lane_for_each_name():
+def test_run_has_lane_for_each_name() -> None:
     run = read_records(RUN)
     assert (run.begin, run.length, run.omitted_lane_count) == (4 * SECOND, 5.0, 0)
     assert [(lane.kind, lane.name, lane.total) for lane in run.lanes] == [
@@ -72,7 +74,7 @@ def test_run_has_lane_for_each_name():
     assert read_records([]).lanes == []
 
 
-def test_long_run_is_thinned_evenly():
+def test_long_run_is_thinned_evenly() -> None:
     builder = TimelineBuilder()
     count = 2 * MAX_MARKS + 7
     for index in range(count):
@@ -103,7 +105,7 @@ def test_long_run_is_thinned_evenly():
         ),
     ],
 )
-def test_invalid_record_is_an_error_with_line(line, error):
+def test_invalid_record_is_an_error_with_line(line: str, error: str) -> None:
     with pytest.raises(UsageError, match=re.escape(error)):
         read_run(["{}", line], "run.jsonl")
 
@@ -113,7 +115,7 @@ MARKS = st.lists(st.tuples(st.integers(0, 20), st.integers(0, 5)).map(lambda m: 
 
 @settings(max_examples=30)
 @given(MARKS.map(sorted))
-def test_marks_overlap_only_if_all_rows_are_used(marks):
+def test_marks_overlap_only_if_all_rows_are_used(marks: Any) -> None:
     rows = assign_rows(marks)
     for index, (start, end, _) in enumerate(marks):
         assert (rows[index] is None) == (start == end)
@@ -122,7 +124,7 @@ def test_marks_overlap_only_if_all_rows_are_used(marks):
             assert before == set(range(MAX_ROWS_PER_LANE))
 
 
-def test_texts_of_run_are_not_markup():
+def test_texts_of_run_are_not_markup() -> None:
     run = read_records([{"event": "</script><b>(1)", "start": 0, "end": SECOND}, *RUN])
     text = timeline_page(run, "<i>title</i>")
     data = json.loads(re.search(r'type="application/json">(.*?)</script>', text, re.DOTALL).group(1))
@@ -134,12 +136,12 @@ def test_texts_of_run_are_not_markup():
     assert not re.search(r"(src|href)=|https?:|@import|url\(", text)
 
 
-def test_lone_surrogate_is_escaped():
+def test_lone_surrogate_is_escaped() -> None:
     run = read_records([{"event": "'\ud800'", "start": 0, "end": SECOND}])
     assert "\\ud800" in timeline_page(run, "run").encode("utf-8").decode()
 
 
-def test_control_characters_are_escaped():
+def test_control_characters_are_escaped() -> None:
     run = read_records([{"output": "x\x1b", "topic": "z\u202e", "id": "i", "time": 7 * SECOND}])
     text = timeline_page(run, "\x9b")
     (json_text,) = re.findall(r">(\{.*\})<", text)
@@ -156,7 +158,9 @@ def test_control_characters_are_escaped():
         ("/usr", "/usr/lib/python3/site-packages", "pip install matplotlib"),
     ],
 )
-def test_missing_matplotlib_is_an_error_with_advice(monkeypatch, tmp_path, prefix, folder, command):
+def test_missing_matplotlib_is_an_error_with_advice(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, prefix: str, folder: str, command: str
+) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     monkeypatch.setattr(sys, "prefix", prefix)
@@ -165,7 +169,7 @@ def test_missing_matplotlib_is_an_error_with_advice(monkeypatch, tmp_path, prefi
         draw_timeline(read_records(RUN), "run", tmp_path / "run.png")
 
 
-def test_record_without_a_field_is_an_error():
+def test_record_without_a_field_is_an_error() -> None:
     for record in RUN[:-1]:
         for field in list(record)[1:]:
             incomplete = {name: value for name, value in record.items() if name != field}
@@ -173,16 +177,16 @@ def test_record_without_a_field_is_an_error():
                 read_records([incomplete])
 
 
-def test_picture_has_lanes_and_marks(monkeypatch, tmp_path):
+def test_picture_has_lanes_and_marks(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Replace matplotlib, which need not be installed, by an object that records its calls."""
-    calls = []
+    calls: List[Any] = []
 
     class Recorder:
-        def __init__(self, *arguments, **options):
+        def __init__(self, *arguments: Any, **options: Any) -> None:
             self.spines = dict.fromkeys(("top", "left", "right"), self) if options.get("axes") else {}
 
-        def __getattr__(self, name):
-            def call(*arguments, **options):
+        def __getattr__(self, name: Any) -> Any:
+            def call(*arguments: Any, **options: Any) -> Any:
                 calls.append((name, arguments))
                 if name == "savefig":
                     arguments[0].write_text("picture")

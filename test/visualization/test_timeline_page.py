@@ -1,6 +1,8 @@
 """Page of a timeline in a browser: lanes, marks, details, zoom and colours, compared with the data."""
 
 import json
+from pathlib import Path
+from typing import Any, Dict, List
 
 import pytest
 from doc_pages import FENCE, ROOT, PageRun
@@ -75,31 +77,31 @@ IS_REDRAWN = "new Promise((finish) => requestAnimationFrame(() => requestAnimati
 
 
 @pytest.fixture
-def timeline():
+def timeline() -> Any:
     return read_run(map(json.dumps, RECORDS), "run.jsonl")
 
 
 @pytest.fixture
-def page(browser, timeline, tmp_path):
+def page(browser: Any, timeline: Any, tmp_path: Path) -> Any:
     """Open the page with the timeline of `RECORDS`; return the browser."""
     (tmp_path / "run.html").write_text(timeline_page(timeline, "run"), encoding="utf-8")
     browser.open((tmp_path / "run.html").as_uri())
     return browser
 
 
-def read_areas(browser):
+def read_areas(browser: Any) -> Any:
     """Return the coloured areas of each lane after the next frame."""
     browser.ask(IS_REDRAWN)
     return browser.ask(COLOURED_AREAS)
 
 
-def check_areas(lanes, timeline):
+def check_areas(lanes: Any, timeline: Any) -> None:
     """Compare coloured areas with the marks of a timeline; adjacent marks are one area."""
     assert len(lanes) == len(timeline.lanes)
     first = min(area[0] for areas in lanes for area in areas)
     last = max(area[1] for areas in lanes for area in areas)
     for lane, areas in zip(timeline.lanes, lanes):
-        expected = []
+        expected: List[Any] = []
         for start, end, _ in sorted(lane.marks):
             begin, until = (first + time / timeline.length * (last - first) for time in (start, end))
             if expected and begin <= expected[-1][1] + 2:
@@ -109,11 +111,11 @@ def check_areas(lanes, timeline):
         assert [area[:2] for area in areas] == [pytest.approx(area, abs=2) for area in expected], lane.name
 
 
-def test_marks_are_at_times_of_data(page, timeline):
+def test_marks_are_at_times_of_data(page: Any, timeline: Any) -> None:
     check_areas(read_areas(page), timeline)
 
 
-def test_each_lane_has_name_and_count(page, timeline):
+def test_each_lane_has_name_and_count(page: Any, timeline: Any) -> None:
     texts = page.ask(DRAWN_TEXTS)
     labels = [text for lane in timeline.lanes for text in (lane.name, f"{lane.total:,}")]
     assert [text for text in texts if text in labels] == labels
@@ -121,16 +123,16 @@ def test_each_lane_has_name_and_count(page, timeline):
     assert "3.0 s" in texts
 
 
-def test_overlapping_marks_have_separate_rows(page, timeline):
+def test_overlapping_marks_have_separate_rows(page: Any, timeline: Any) -> None:
     rows = {
         lane.name: [count for _, _, count in areas] for lane, areas in zip(timeline.lanes, read_areas(page))
     }
     assert rows == {"Level": [1, 1], "high": [2], "seen waits": [1], "odom": [1], "alarm": [1], "lit": [1]}
 
 
-def test_details_of_mark_are_shown_at_pointer(page, timeline):
+def test_details_of_mark_are_shown_at_pointer(page: Any, timeline: Any) -> None:
     top = page.ask("canvas.offsetTop + AXIS")
-    details = {}
+    details: Dict[Any, Any] = {}
     for row, (lane, areas) in enumerate(zip(timeline.lanes, read_areas(page))):
         page.send_mouse_event("mouseMoved", areas[0][0], top + (row + 0.3) * page.ask("LANE_HEIGHT"))
         details[lane.name] = page.ask("details.textContent")
@@ -144,7 +146,7 @@ def test_details_of_mark_are_shown_at_pointer(page, timeline):
     }
 
 
-def test_wheel_zooms_around_pointer(page):
+def test_wheel_zooms_around_pointer(page: Any) -> None:
     ((before, *_),) = read_areas(page)[-1]
     whole = page.ask("view[1] - view[0]")
     y = page.ask("canvas.offsetTop + AXIS + 5")
@@ -157,7 +159,7 @@ def test_wheel_zooms_around_pointer(page):
     assert page.ask("view[1] - view[0]") == whole
 
 
-def test_dragging_moves_marks(page):
+def test_dragging_moves_marks(page: Any) -> None:
     y = page.ask("canvas.offsetTop + AXIS + 5")
     page.send_mouse_event("mouseWheel", 700, y, deltaX=0, deltaY=-100)
     ((before, *_),) = read_areas(page)[-1]
@@ -168,7 +170,7 @@ def test_dragging_moves_marks(page):
     assert abs(after - before - 40) <= 1
 
 
-def test_keys_zoom_and_pan(page):
+def test_keys_zoom_and_pan(page: Any) -> None:
     page.ask("canvas.focus()")
     whole = page.ask("view")
     page.press("+")
@@ -187,7 +189,7 @@ def test_keys_zoom_and_pan(page):
 
 
 @pytest.mark.parametrize("dark", [False, True])
-def test_legend_has_distinct_colours(page, timeline, dark):
+def test_legend_has_distinct_colours(page: Any, timeline: Any, dark: bool) -> None:
     page.set_dark(dark)
     check_areas(read_areas(page), timeline)
     assert page.ask("[...document.querySelectorAll('#legend span')].map((entry) => entry.textContent)") == [
@@ -203,19 +205,19 @@ def test_legend_has_distinct_colours(page, timeline, dark):
     assert len({*colours, background}) == 6
 
 
-def test_page_of_empty_run_opens(browser, tmp_path):
+def test_page_of_empty_run_opens(browser: Any, tmp_path: Path) -> None:
     (tmp_path / "run.html").write_text(timeline_page(read_run([], "run"), "run"), encoding="utf-8")
     browser.open((tmp_path / "run.html").as_uri())
     assert browser.ask("document.getElementById('legend').textContent") == ""
 
 
-def test_narrow_page_does_not_scroll_sideways(page):
+def test_narrow_page_does_not_scroll_sideways(page: Any) -> None:
     page.resize(390, 800)
     page.ask(IS_REDRAWN)
     assert page.ask("document.documentElement.scrollWidth") == 390
 
 
-def test_tutorial_draws_its_run(browser, tmp_path, monkeypatch):
+def test_tutorial_draws_its_run(browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     run = PageRun(tmp_path)
     page = (ROOT / "docs" / "tutorials" / "robot-program.md").read_text(encoding="utf-8")

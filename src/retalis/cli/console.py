@@ -420,7 +420,7 @@ class Console:
         if not names or None in names:
             return False
         loaded = [
-            self._read_user_clauses() if name == "user" else self.load(Path(cast(str, name)))
+            self._read_user_clauses() if name == "user" else self.load(Path(cast("str", name)))
             for name in names
         ]
         self._print_truth(all(loaded))

@@ -155,7 +155,7 @@ class Printer:
             details = ""
             # The first field tells the types apart, as in lines of JSON.
             if "open" in record:
-                subject = cast(OpenStateRecord, record)["open"]
+                subject = cast("OpenStateRecord", record)["open"]
             else:
                 window = record
                 key = ", ".join(f"{name} = {value}" for name, value in window["key"].items())

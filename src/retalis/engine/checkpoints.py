@@ -19,7 +19,19 @@ import time
 from itertools import count
 from pathlib import Path
 from random import SystemRandom
-from typing import Any, Container, Dict, Iterable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Container,
+    Dict,
+    Iterable,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+)
 from zlib import crc32
 
 from ..events.clock.clock import Clock
@@ -44,11 +56,13 @@ from ..serialization.field_types import (
 )
 from ..serialization.state_fields import read_named_values, record_of
 from ..serialization.state_file_format import FORMAT_NUMBER, changes_since, check_version
-from .deployment_contents import Deployment
 from .engine import Engine
 from .engine_settings import Settings
 from .engine_snapshot import convert_errors, decode_sections, records_since
 from .runtime.problem_reports import Reports
+
+if TYPE_CHECKING:
+    from .deployment_contents import Deployment
 
 APPLICATION_ID = 0x72746C73
 """``PRAGMA application_id`` of a checkpoint file, the letters ``rtls``."""

@@ -130,7 +130,7 @@ def open_output(target: Union[str, Path], keep_on_interrupt: bool = False) -> It
     """
     try:
         with replace_file(target, keep_on_interrupt) as path, path.open("w", encoding="utf-8") as file:
-            yield cast(IO[str], GuardedOutput(file, str(target)))
+            yield cast("IO[str]", GuardedOutput(file, str(target)))
     except OSError as error:
         raise OutputFailed(str(target), error) from None
 

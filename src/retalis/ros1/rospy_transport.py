@@ -4,7 +4,7 @@ import time
 from pathlib import Path
 from struct import Struct
 from types import SimpleNamespace
-from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional
+from typing import TYPE_CHECKING, Any, Callable, Dict, List, Mapping, NamedTuple, Optional
 
 import genpy
 import rosgraph
@@ -15,7 +15,6 @@ from roslib.message import get_message_class
 from rospy.rostime import is_wallclock
 
 from ..engine.runtime.problem_reports import Reports
-from ..events.knowledge.transform_buffer import TransformBuffer
 from ..foundation.bounded_caches import Cache
 from ..foundation.errors import RetalisError, UsageError, shorten
 from ..messages.type_definition import Definition
@@ -27,6 +26,9 @@ from .first_outputs import StartupQueue, SubscriberWait
 from .installed_message_classes import installed_types
 from .tf2_buffer import choose_buffer
 from .topic_names import MASTER_ERRORS, resolve
+
+if TYPE_CHECKING:
+    from ..events.knowledge.transform_buffer import TransformBuffer
 
 UNSET_CLOCK_WARNING_SECONDS = 5.0
 """Seconds without a message on ``/clock`` after which a warning is logged."""

@@ -136,7 +136,7 @@ class TimelineBuilder:
             lane.add(start, end, text)
             # A memory has one mark for all its records.
             if kind == "memory":
-                total = cast(MemoryStateRecord, record)["taken"]
+                total = cast("MemoryStateRecord", record)["taken"]
                 lane.total = total if isinstance(total, int) else lane.total
 
     def _get_lane(self, kind: str, name: str) -> Optional[_LaneBuilder]:

@@ -3,6 +3,7 @@
 import struct
 import threading
 from random import Random
+from typing import Any, List
 
 import pytest
 from hypothesis import given, settings
@@ -26,7 +27,7 @@ class SimulatedNode:
         taken: the stamps and texts of processed messages, with ``"run"`` at the beginning of a run.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.wall = 50.0
         self.reports = Reports()
         self.epochs = ClockEpochs(self.reports, lambda: 0, lambda: None, lambda: self.wall)
@@ -42,15 +43,15 @@ class SimulatedNode:
         )
         self.takers = {}
 
-    def clock(self, seconds):
+    def clock(self, seconds: int) -> None:
         self.epochs.update_clock(round(seconds * SECOND))
         self.epochs.update()
 
-    def pass_time(self, seconds):
+    def pass_time(self, seconds: float) -> None:
         self.wall += seconds
         self.epochs.update()
 
-    def send(self, stamp, publisher="/play", topic="/seen", frame="map"):
+    def send(self, stamp: Any, publisher: str = "/play", topic: str = "/seen", frame: str = "map") -> None:
         """Receive a message; a message without a stamp is recorded by its time of receipt."""
         data = struct.pack("<IIII", 0, *divmod(round(stamp * SECOND), SECOND), len(frame)) + frame.encode()
         take = self.takers.get((topic, publisher)) or self.taker(topic, publisher)
@@ -59,10 +60,10 @@ class SimulatedNode:
         else:
             take([data])
 
-    def taker(self, topic, publisher):
+    def taker(self, topic: Any, publisher: Any) -> Any:
         decoder = self.skew.watch(SEEN_DECODER, topic, publisher)
 
-        def take(messages):
+        def take(messages: Any) -> None:
             for index, data in enumerate(messages):
                 try:
                     decoder.decode(data)  # raises the errors of the monitor, or the next line does
@@ -78,32 +79,32 @@ class SimulatedNode:
 
         return self.takers.setdefault((topic, publisher), take)
 
-    def text(self, text, sender="other"):
+    def text(self, text: str, sender: str = "other") -> None:
         if self.epochs.is_buffering and self.epochs.must_buffer_texts(sender):
             self.epochs.buffer(self.taken.extend, [text])
         else:
             self.taken.append(text)
 
-    def play(self, *stamps, ahead=0.0, **options):
+    def play(self, *stamps: Any, ahead: float = 0.0, **options: Any) -> None:
         """Move the clock and publish a topic, as a played bag does."""
         for stamp in stamps:
             self.wall += 0.5
             self.clock(stamp)
             self.send(stamp + ahead, **options)
 
-    def since(self, count):
+    def since(self, count: int) -> Any:
         return self.taken[count:]
 
 
 @pytest.fixture
-def node():
+def node() -> SimulatedNode:
     return SimulatedNode()
 
 
 BAG_STAMPS = (1000, 1001, 1002, 1003, 1004)
 
 
-def test_early_messages_wait_for_clock(node):
+def test_early_messages_wait_for_clock(node: SimulatedNode) -> None:
     node.play(*BAG_STAMPS)
     for stamp in (1000, 1000.5, 1001):
         node.send(stamp)
@@ -115,7 +116,7 @@ def test_early_messages_wait_for_clock(node):
     assert node.reports.warnings == 0
 
 
-def test_publisher_of_early_message_waits_entirely(node):
+def test_publisher_of_early_message_waits_entirely(node: SimulatedNode) -> None:
     node.play(*BAG_STAMPS)
     node.send(1000)
     node.send(1004, topic="/latched")
@@ -127,7 +128,7 @@ def test_publisher_of_early_message_waits_entirely(node):
     assert node.since(7) == ["run", 1000, 1004, "at 1000"]
 
 
-def test_messages_of_previous_run_are_dropped(node, caplog):
+def test_messages_of_previous_run_are_dropped(node: SimulatedNode, caplog: pytest.LogCaptureFixture) -> None:
     node.play(*BAG_STAMPS)
     node.clock(1000)
     for stamp in (1004.1, 1004.2, 1000.1):
@@ -138,14 +139,14 @@ def test_messages_of_previous_run_are_dropped(node, caplog):
     assert node.reports.warnings == 2
 
 
-def test_longer_run_is_processed_completely(node):
+def test_longer_run_is_processed_completely(node: SimulatedNode) -> None:
     node.play(*BAG_STAMPS)
     node.play(1000, 1002, 1004, 1006, 1008)
     assert node.taken == [*BAG_STAMPS, "run", 1000, 1002, 1004, 1006, 1008]
 
 
 @pytest.mark.parametrize("ahead", [-900.0, -3.0, 7.0, 1e6])
-def test_constant_offset_of_stamps_is_accepted(node, ahead):
+def test_constant_offset_of_stamps_is_accepted(node: SimulatedNode, ahead: float) -> None:
     node.play(*BAG_STAMPS, ahead=ahead)
     node.send(1000 + ahead)
     node.clock(1000)
@@ -158,7 +159,7 @@ def test_constant_offset_of_stamps_is_accepted(node, ahead):
 
 
 @pytest.fixture(params=[(1000, 1001), (1001, 1002), (1000, 1001, 1002), (1003, 1004)])
-def late_node(node, request):
+def late_node(node: SimulatedNode, request: pytest.FixtureRequest) -> Any:
     """A node that has received the clock on time and some messages late, as on a busy machine."""
     late = request.param
     for stamp in BAG_STAMPS:
@@ -172,20 +173,20 @@ def late_node(node, request):
     return node
 
 
-def test_early_message_waits_after_late_ones(late_node):
+def test_early_message_waits_after_late_ones(late_node: Any) -> None:
     late_node.send(1000)
     late_node.clock(1000)
     assert late_node.taken == [*BAG_STAMPS, "run", 1000]
 
 
-def test_previous_run_is_dropped_after_late_messages(late_node):
+def test_previous_run_is_dropped_after_late_messages(late_node: Any) -> None:
     late_node.clock(1000)
     for stamp in (1004.1, 1004.2, 1000.1):
         late_node.send(stamp)
     assert late_node.taken == [*BAG_STAMPS, "run", 1000.1]
 
 
-def test_messages_before_first_clock_are_accepted(node):
+def test_messages_before_first_clock_are_accepted(node: SimulatedNode) -> None:
     node.send(1000)
     node.play(*BAG_STAMPS[1:])
     node.send(1000)
@@ -194,7 +195,7 @@ def test_messages_before_first_clock_are_accepted(node):
     assert node.since(5) == ["run", 1000]
 
 
-def test_first_clock_is_no_elapsed_time(node):
+def test_first_clock_is_no_elapsed_time(node: SimulatedNode) -> None:
     node.send(1000)
     node.clock(1002)
     node.send(1002)
@@ -211,8 +212,8 @@ UNRELATED_STAMPS = {
 
 
 @pytest.mark.parametrize("name", UNRELATED_STAMPS)
-def test_stamps_unrelated_to_clock_are_accepted(node, name):
-    expected = []
+def test_stamps_unrelated_to_clock_are_accepted(node: SimulatedNode, name: Any) -> None:
+    expected: List[Any] = []
     for _ in range(2):
         for index, stamp in enumerate(UNRELATED_STAMPS[name]):
             node.wall += 0.2
@@ -223,7 +224,7 @@ def test_stamps_unrelated_to_clock_are_accepted(node, name):
     assert node.taken == expected[1:]
 
 
-def test_latched_messages_are_accepted_again(node):
+def test_latched_messages_are_accepted_again(node: SimulatedNode) -> None:
     node.play(*BAG_STAMPS)
     node.send(900, topic="/tf_static")
     node.clock(1000)
@@ -231,7 +232,7 @@ def test_latched_messages_are_accepted_again(node):
     assert node.since(5) == [900, "run", 900]
 
 
-def test_wait_for_clock_times_out(node):
+def test_wait_for_clock_times_out(node: SimulatedNode) -> None:
     node.play(*BAG_STAMPS)
     node.send(1000)
     node.send(1001)
@@ -245,7 +246,7 @@ def test_wait_for_clock_times_out(node):
     assert node.since(7) == [995, 985]
 
 
-def test_nothing_waits_without_simulated_clock():
+def test_nothing_waits_without_simulated_clock() -> None:
     node = SimulatedNode()
     skew = ClockSkewMonitor(Reports(), lambda: round(node.wall * SECOND))
     take = skew.watch(SEEN_DECODER, "/seen").stamp
@@ -254,7 +255,7 @@ def test_nothing_waits_without_simulated_clock():
         assert take(struct.pack("<IIII", 0, stamp, 0, 0)) == stamp * SECOND
 
 
-def test_number_of_waiting_messages_is_bounded(node, monkeypatch):
+def test_number_of_waiting_messages_is_bounded(node: SimulatedNode, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clock_epochs, "MAX_BUFFERED_MESSAGES", 10)
     node.play(*BAG_STAMPS)
     for number in range(50):
@@ -268,7 +269,7 @@ def test_number_of_waiting_messages_is_bounded(node, monkeypatch):
 # ---- event texts, whose senders report their epochs
 
 
-def test_run_begins_after_late_sender_of_texts(node):
+def test_run_begins_after_late_sender_of_texts(node: SimulatedNode) -> None:
     node.epochs.report_epoch("interface", 3)
     node.play(*BAG_STAMPS)
     node.text("old", "interface")
@@ -283,7 +284,7 @@ def test_run_begins_after_late_sender_of_texts(node):
     assert node.since(7) == ["run", 1000, "by hand", "new"]
 
 
-def test_texts_of_sender_ahead_wait_for_run(node):
+def test_texts_of_sender_ahead_wait_for_run(node: SimulatedNode) -> None:
     node.epochs.report_epoch("interface", 0)
     node.play(*BAG_STAMPS)
     node.epochs.report_epoch("interface", 1)
@@ -297,7 +298,7 @@ def test_texts_of_sender_ahead_wait_for_run(node):
     assert node.since(7) == ["run", "new", "newer"]
 
 
-def test_silent_sender_is_awaited_once(node):
+def test_silent_sender_is_awaited_once(node: SimulatedNode) -> None:
     node.epochs.report_epoch("gone", 0)
     node.play(*BAG_STAMPS)
     node.clock(1000)
@@ -310,7 +311,7 @@ def test_silent_sender_is_awaited_once(node):
     assert node.since(7) == [1001, 1002, "run", 1000]
 
 
-def test_reset_of_one_sender_only_times_out(node):
+def test_reset_of_one_sender_only_times_out(node: SimulatedNode) -> None:
     node.epochs.report_epoch("interface", 0)
     node.play(*BAG_STAMPS)
     node.epochs.report_epoch("interface", 1)
@@ -322,7 +323,7 @@ def test_reset_of_one_sender_only_times_out(node):
     assert node.since(7) == ["run"]
 
 
-def test_epochs_of_new_sender_count_from_its_first(node):
+def test_epochs_of_new_sender_count_from_its_first(node: SimulatedNode) -> None:
     node.epochs.report_epoch("first", 0)
     node.play(*BAG_STAMPS)
     node.clock(1000)
@@ -336,7 +337,7 @@ def test_epochs_of_new_sender_count_from_its_first(node):
     assert node.since(8) == ["run"]
 
 
-def test_number_of_senders_is_bounded(node):
+def test_number_of_senders_is_bounded(node: SimulatedNode) -> None:
     for number in range(10 * clock_epochs.MAX_SENDERS):
         node.epochs.report_epoch(number, 0)
     node.clock(1000)
@@ -345,7 +346,7 @@ def test_number_of_senders_is_bounded(node):
     assert node.taken == ["run"]
 
 
-def test_time_of_ended_run_stands_still(node):
+def test_time_of_ended_run_stands_still(node: SimulatedNode) -> None:
     node.epochs.report_epoch("interface", 0)
     node.clock(1000)
     node.clock(900)
@@ -361,16 +362,16 @@ def test_time_of_ended_run_stands_still(node):
 
 @settings(max_examples=10, deadline=None)
 @given(st.integers(0, 2**32), st.integers(2, 4), st.booleans(), st.integers(0, 20))
-def test_runs_of_looping_bag_are_separate(seed, loops, is_late, held_up):
+def test_runs_of_looping_bag_are_separate(seed: int, loops: int, is_late: bool, held_up: int) -> None:
     """Either the clock or the messages of a bag that is played in a loop are late by a random time."""
     play_bag_in_loop(SimulatedNode(), Random(seed), loops, is_late, held_up)
 
 
-def play_bag_in_loop(node, draw, loops, is_late, held_up):
+def play_bag_in_loop(node: SimulatedNode, draw: Any, loops: Any, is_late: Any, held_up: Any) -> None:
     """Play a bag of 6 s in a loop; the milliseconds of a stamp are the number of the run."""
     for run in range(loops):
 
-        def stamp_at(tenth, run=run):
+        def stamp_at(tenth: Any, run: Any = run) -> Any:
             return (1_000_000 + 100 * tenth + run) / 1000
 
         early = draw.randrange(1, 10) if run and is_late else 0
@@ -396,10 +397,10 @@ def play_bag_in_loop(node, draw, loops, is_late, held_up):
         assert node.taken[start:] == [stamp_at(tenth) for tenth in range(60)]
 
 
-def test_failed_callback_of_run_is_reported():
+def test_failed_callback_of_run_is_reported() -> None:
     node, ends = SimulatedNode(), []
 
-    def fail(end):
+    def fail(end: Any) -> None:
         raise ValueError("not now")
 
     node.epochs.register_callbacks([threading.Lock()], fail, ends.append)

@@ -2,6 +2,7 @@
 
 import logging
 import struct
+from typing import Any, List
 
 import pytest
 from hypothesis import given
@@ -25,7 +26,7 @@ ROBOT = 1_300_000_000.0
 class Bench:
     """A topic with its messages, and the clocks of their receipt."""
 
-    def __init__(self, **options):
+    def __init__(self, **options: Any) -> None:
         self.now = self.wall = 5_000 * SECOND
         self.reports = Reports()
         self.skew = ClockSkewMonitor(self.reports, lambda: self.now, lambda: self.wall, **options)
@@ -33,12 +34,12 @@ class Bench:
         self.decoder = known.decoder(known.add("my_robot/Seen", "Header header" + HEADER))
         self.watching = {}
 
-    def pass_time(self, wall, now=None):
+    def pass_time(self, wall: Any, now: Any = None) -> None:
         """Advance the clocks by seconds."""
         self.wall += round(wall * SECOND)
         self.now += round((wall if now is None else now) * SECOND)
 
-    def send(self, stamp, frame="map", topic="/seen", publisher="/robot"):
+    def send(self, stamp: int, frame: str = "map", topic: str = "/seen", publisher: str = "/robot") -> bool:
         """Return whether a message is accepted."""
         nanoseconds = round(stamp * SECOND)
         data = struct.pack("<IIII", 0, *divmod(nanoseconds, SECOND), len(frame)) + frame.encode()
@@ -54,16 +55,16 @@ class Bench:
 
 
 @pytest.fixture
-def bench():
+def bench() -> Bench:
     return Bench()
 
 
 @pytest.fixture
-def strict():
+def strict() -> Bench:
     return Bench(max_distance_seconds=10.0)
 
 
-def logged_messages(caplog):
+def logged_messages(caplog: pytest.LogCaptureFixture) -> List[Any]:
     return [record.getMessage() for record in caplog.records]
 
 
@@ -71,7 +72,9 @@ def logged_messages(caplog):
 @pytest.mark.parametrize("rate", [0.1, 1, 10])
 @pytest.mark.parametrize("step", [0.02, 1, 60, 86400])
 @pytest.mark.parametrize("clock", ["wall", "simulated", "late"])
-def test_bag_at_any_rate_gives_no_warning(strict, step, rate, pause, clock):
+def test_bag_at_any_rate_gives_no_warning(
+    strict: Bench, step: float, rate: float, pause: int, clock: str
+) -> None:
     """A bag of another year, played at any rate with a pause, on any clock of the node."""
     for number in range(40):
         assert strict.send(ROBOT + number * step)
@@ -80,7 +83,7 @@ def test_bag_at_any_rate_gives_no_warning(strict, step, rate, pause, clock):
     assert strict.reports.warnings == 0
 
 
-def test_slow_topic_may_step_as_far_as_fast_one(strict):
+def test_slow_topic_may_step_as_far_as_fast_one(strict: Bench) -> None:
     """The fast topic shows that time has passed, independent of the clocks."""
     for second in range(600):
         assert strict.send(ROBOT + second)
@@ -90,7 +93,7 @@ def test_slow_topic_may_step_as_far_as_fast_one(strict):
     assert strict.reports.warnings == 0
 
 
-def test_stamp_an_hour_ahead_gives_one_warning(bench, caplog):
+def test_stamp_an_hour_ahead_gives_one_warning(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
     for number in range(100):
         assert bench.send(ROBOT + number / 10)
         bench.pass_time(0.1)
@@ -104,7 +107,7 @@ def test_stamp_an_hour_ahead_gives_one_warning(bench, caplog):
     assert logged_messages(caplog)[1:] == ["topic /seen: 3 messages in all had a stamp far from those before"]
 
 
-def test_stamp_behind_gives_warning(bench, caplog):
+def test_stamp_behind_gives_warning(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
     bench.send(ROBOT)
     bench.pass_time(1)
     assert bench.send(ROBOT - 19)
@@ -114,7 +117,7 @@ def test_stamp_behind_gives_warning(bench, caplog):
     )
 
 
-def test_frames_have_separate_times(strict, caplog):
+def test_frames_have_separate_times(strict: Bench, caplog: pytest.LogCaptureFixture) -> None:
     for second in range(20):
         assert strict.send(ROBOT + second)
         assert strict.send(2 * ROBOT + second, frame="odom")
@@ -123,9 +126,9 @@ def test_frames_have_separate_times(strict, caplog):
     assert logged_messages(caplog) == []
 
 
-def test_stamp_beyond_limit_is_refused(caplog):
+def test_stamp_beyond_limit_is_refused(caplog: pytest.LogCaptureFixture) -> None:
     bench = Bench(max_distance_seconds=0.5)
-    accepted = []
+    accepted: List[Any] = []
     for number in range(20):
         accepted.append(bench.send(ROBOT + number / 10 + (0.7 if number == 10 else 0)))
         bench.pass_time(0.1)
@@ -135,7 +138,7 @@ def test_stamp_beyond_limit_is_refused(caplog):
     assert [(times.distant_count, times.refused_count) for times in bench.skew] == [(1, 1)]
 
 
-def test_stamp_within_limit_is_counted_and_accepted(caplog):
+def test_stamp_within_limit_is_counted_and_accepted(caplog: pytest.LogCaptureFixture) -> None:
     bench = Bench(max_distance_seconds=100.0)
     bench.send(ROBOT)
     assert bench.send(ROBOT + 50)
@@ -143,11 +146,11 @@ def test_stamp_within_limit_is_counted_and_accepted(caplog):
     assert [(times.distant_count, times.refused_count) for times in bench.skew] == [(2, 1)]
 
 
-def test_agreeing_stamps_set_new_time(strict, caplog):
+def test_agreeing_stamps_set_new_time(strict: Bench, caplog: pytest.LogCaptureFixture) -> None:
     for second in range(20):
         strict.send(ROBOT + second)
         strict.pass_time(1)
-    accepted = []
+    accepted: List[Any] = []
     for second in range(20, 50):
         accepted.append(strict.send(ROBOT - 5000 + second))
         strict.pass_time(1)
@@ -156,26 +159,26 @@ def test_agreeing_stamps_set_new_time(strict, caplog):
     assert f"the last {MIN_AGREEING_STAMPS} stamps agree and are" in logged_messages(caplog)[1]
 
 
-def test_alternating_stamps_set_no_new_time(strict):
+def test_alternating_stamps_set_no_new_time(strict: Bench) -> None:
     for number in range(100):
         assert strict.send(ROBOT + number / 10)
         assert not strict.send(ROBOT + 3600 + number / 10, publisher="/wrong")
         strict.pass_time(0.1)
 
 
-def test_wrong_first_stamp_is_replaced(strict):
+def test_wrong_first_stamp_is_replaced(strict: Bench) -> None:
     strict.send(ROBOT + 3600)
     accepted = [strict.send(ROBOT + number / 10) for number in range(50)]
     assert accepted == [False] * (MIN_AGREEING_STAMPS - 1) + [True] * (51 - MIN_AGREEING_STAMPS)
 
 
-def test_stamps_of_zero_are_ignored(strict):
+def test_stamps_of_zero_are_ignored(strict: Bench) -> None:
     for number in range(20):
         assert strict.send(ROBOT + number / 10)
         assert strict.send(0)
 
 
-def test_number_of_frames_is_bounded(strict):
+def test_number_of_frames_is_bounded(strict: Bench) -> None:
     for number in range(3 * MAX_FRAMES):
         strict.send(ROBOT, frame=str(number))
     strict.send(ROBOT, frame="x" * 100_000)
@@ -183,7 +186,7 @@ def test_number_of_frames_is_bounded(strict):
     assert len(times) <= MAX_FRAMES
 
 
-def test_memory_of_all_topics_is_bounded(strict, monkeypatch):
+def test_memory_of_all_topics_is_bounded(strict: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clock_skew, "MAX_FRAME_BYTES", 100_000)
     for topic in range(20):
         for number in range(20):
@@ -193,14 +196,14 @@ def test_memory_of_all_topics_is_bounded(strict, monkeypatch):
     assert not all(times for times in strict.skew)
 
 
-def test_reset_accepts_earlier_stamps(strict):
+def test_reset_accepts_earlier_stamps(strict: Bench) -> None:
     strict.send(ROBOT)
     strict.skew.reset()
     assert strict.send(ROBOT - 5000)
     assert strict.reports.warnings == 0
 
 
-def test_repeated_bag_gives_one_warning_per_topic(bench, caplog):
+def test_repeated_bag_gives_one_warning_per_topic(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
     for _ in range(3):
         for number in range(30):
             for frame in "abcdef":
@@ -214,9 +217,9 @@ def test_repeated_bag_gives_one_warning_per_topic(bench, caplog):
     assert "a bag that is played again without /clock" in logged_messages(caplog)[1]
 
 
-def test_number_of_warnings_is_bounded(bench):
+def test_number_of_warnings_is_bounded(bench: Bench) -> None:
     logger = logging.getLogger("retalis")
-    records = []
+    records: List[Any] = []
     handler = logging.Handler()
     handler.emit = lambda record: records.append(record)
     logger.addHandler(handler)
@@ -233,7 +236,7 @@ def test_number_of_warnings_is_bounded(bench):
     ),
     st.sampled_from(["wall", "simulated"]),
 )
-def test_stamps_that_follow_a_clock_give_no_warning(steps, clock):
+def test_stamps_that_follow_a_clock_give_no_warning(steps: List[Any], clock: Any) -> None:
     """Each step is played at a rate between 0.1 and 9.99, with a pause after it.
 
     The rate is less than 10, because the stamps are floats, which have errors of a quarter of a microsecond.
@@ -250,7 +253,7 @@ def test_stamps_that_follow_a_clock_give_no_warning(steps, clock):
 
 
 @given(st.lists(st.floats(0.01, 1), min_size=2, max_size=50), st.floats(15, 1e8), st.booleans())
-def test_distant_stamp_is_always_refused(steps, distance, is_ahead):
+def test_distant_stamp_is_always_refused(steps: List[Any], distance: float, is_ahead: bool) -> None:
     bench = Bench(max_distance_seconds=11.0)
     stamp = ROBOT
     for step in steps:

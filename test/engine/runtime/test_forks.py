@@ -4,6 +4,7 @@ import multiprocessing
 import os
 import signal
 import threading
+from typing import Any, Iterator, List, Tuple
 
 import pytest
 
@@ -22,7 +23,7 @@ REFUSED = (
 )
 
 
-def in_child(work):
+def in_child(work: Any) -> Any:
     """Return the result of a function in a forked process, or the text of its error; "" after the time limit."""
     reading, writing = os.pipe()
     pid = os.fork()
@@ -45,15 +46,15 @@ def in_child(work):
 
 
 @pytest.fixture
-def engine():
+def engine() -> Any:
     engine = Engine(settings=Settings(limits=Limits(seconds=30.0)))
     engine.load(rules="out(X) <- in(X).\ncount(0).\ncount(N) :- N > 0, M is N - 1, count(M).")
     return engine
 
 
-def test_idle_engine_works_in_both_processes(engine):
-    def use():
-        events = []
+def test_idle_engine_works_in_both_processes(engine: Any) -> None:
+    def use() -> Tuple[Any, ...]:
+        events: List[Any] = []
         engine.on_event(lambda term, start, end: events.append(engine.show(term)))
         engine.event("in(1)", 1)
         return events, engine.call("assertz(mine)"), len(engine.status().rules)
@@ -66,11 +67,11 @@ def test_idle_engine_works_in_both_processes(engine):
 
 
 @pytest.fixture
-def busy(engine):
+def busy(engine: Any) -> Iterator[Any]:
     """An engine that another thread is using."""
     started, released = threading.Event(), threading.Event()
 
-    def wait(*_):
+    def wait(*_: Any) -> None:
         started.set()
         released.wait(SECONDS)
 
@@ -93,18 +94,18 @@ def busy(engine):
         lambda engine: engine.load(rules="a <- b."),
     ],
 )
-def test_busy_engine_refuses_calls_in_child(busy, use):
+def test_busy_engine_refuses_calls_in_child(busy: Any, use: Any) -> None:
     assert in_child(lambda: use(busy)).startswith(REFUSED)
 
 
-def test_child_can_create_engine(busy):
+def test_child_can_create_engine(busy: Any) -> None:
     assert in_child(lambda: Engine().call("true")) == "True"
 
 
-def test_working_thread_may_fork(engine):
-    results = []
+def test_working_thread_may_fork(engine: Any) -> None:
+    results: List[Any] = []
 
-    def fork(*_):
+    def fork(*_: Any) -> None:
         results.append(in_child(lambda: engine.query("X = 1")))
 
     engine.on_event(fork)
@@ -115,14 +116,14 @@ def test_working_thread_may_fork(engine):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["fork", "multiprocessing"])
-def test_fork_during_other_query_does_not_hang(engine, kind):
+def test_fork_during_other_query_does_not_hang(engine: Any, kind: str) -> None:
     ending = threading.Event()
 
-    def ask():
+    def ask() -> None:
         while not ending.is_set():
             engine.query("count(200)")
 
-    def use():
+    def use() -> int:
         return len(engine.query("member(X, [1, 2])"))
 
     worker = threading.Thread(target=ask)
@@ -136,12 +137,12 @@ def test_fork_during_other_query_does_not_hang(engine, kind):
     assert engine.call("true")
 
 
-def in_process(work):
+def in_process(work: Any) -> Any:
     """Return the result of a function in a process of multiprocessing, or the text of its error."""
     context = multiprocessing.get_context("fork")
     receiver, sender = context.Pipe(duplex=False)
 
-    def run():
+    def run() -> None:
         signal.alarm(SECONDS)
         try:
             sender.send(str(work()))

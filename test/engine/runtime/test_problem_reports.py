@@ -1,4 +1,5 @@
 import logging
+from typing import Any
 
 import pytest
 from reachability import reachable
@@ -8,12 +9,12 @@ from retalis.foundation.errors import place_at_offset
 
 
 @pytest.fixture
-def logged(caplog):
+def logged(caplog: pytest.LogCaptureFixture) -> Any:
     caplog.set_level(logging.WARNING, "retalis")
     return caplog
 
 
-def test_repeated_errors_are_logged_at_powers_of_two(logged):
+def test_repeated_errors_are_logged_at_powers_of_two(logged: Any) -> None:
     reports = Reports()
     place = place_at_offset("rules", "a\nb", 2)
     for number in range(100):
@@ -23,7 +24,7 @@ def test_repeated_errors_are_logged_at_powers_of_two(logged):
     assert reports.errors == 100
 
 
-def test_warnings_of_places_are_logged_separately(logged):
+def test_warnings_of_places_are_logged_separately(logged: Any) -> None:
     reports = Reports()
     for offset in (0, 2):
         reports.warning(RuleError("wrong", place_at_offset("rules", "a\nb", offset)))
@@ -32,7 +33,7 @@ def test_warnings_of_places_are_logged_separately(logged):
     assert reports.warnings == 3
 
 
-def test_internal_error_is_logged_with_traceback(logged):
+def test_internal_error_is_logged_with_traceback(logged: Any) -> None:
     reports = Reports()
     for _ in range(10):
         try:
@@ -43,7 +44,7 @@ def test_internal_error_is_logged_with_traceback(logged):
     assert "Traceback" in logged.records[0].message
 
 
-def test_summary_logs_totals_of_repetitions(logged):
+def test_summary_logs_totals_of_repetitions(logged: Any) -> None:
     reports = Reports()
     for number in range(7):
         reports.warning(f"number {number}\nand its line", "refused")
@@ -54,7 +55,7 @@ def test_summary_logs_totals_of_repetitions(logged):
     assert len(logged.records) == 5
 
 
-def test_summary_counts_kinds_beyond_limit(logged):
+def test_summary_counts_kinds_beyond_limit(logged: Any) -> None:
     reports = Reports()
     for number in range(1001):
         for _ in range(3):
@@ -66,7 +67,7 @@ def test_summary_counts_kinds_beyond_limit(logged):
     ]
 
 
-def test_distinct_texts_of_kind_are_logged_up_to_limit(logged):
+def test_distinct_texts_of_kind_are_logged_up_to_limit(logged: Any) -> None:
     reports = Reports()
     for number in (1, 2, 3, 3, 3, 4, 5):
         reports.warning(f"number {number}", "refused", 4)
@@ -81,7 +82,7 @@ def test_distinct_texts_of_kind_are_logged_up_to_limit(logged):
     ]
 
 
-def test_report_length_and_stored_kinds_are_bounded(logged):
+def test_report_length_and_stored_kinds_are_bounded(logged: Any) -> None:
     reports = Reports()
     for number in range(100):
         text = f"{number} {'x' * 100_000}"
@@ -97,7 +98,7 @@ def test_report_length_and_stored_kinds_are_bounded(logged):
 HOSTILE = "\x1b]0;title\x07\x1b[2J \u202e\ud800 \x9b31m ok é\n"
 
 
-def test_control_characters_are_escaped_in_log(caplog):
+def test_control_characters_are_escaped_in_log(caplog: pytest.LogCaptureFixture) -> None:
     reports = Reports()
     reports.warning(f"event refused: {HOSTILE}")
     reports.error(RetalisError(HOSTILE, Place("x\x1b", 1, 1, HOSTILE)))
@@ -114,7 +115,7 @@ def test_control_characters_are_escaped_in_log(caplog):
 LATE = "w(N) <- aggregate(count, in(_), N, last(2))."
 
 
-def feed_late_events(reports, count):
+def feed_late_events(reports: Any, count: int) -> Any:
     engine = Engine(reports=reports)
     engine.load(rules=LATE)
     # Several times that agree: a single one would be taken for an error, and its clock would return.
@@ -125,7 +126,7 @@ def feed_late_events(reports, count):
     return engine
 
 
-def test_late_events_are_logged_at_powers_of_two(logged):
+def test_late_events_are_logged_at_powers_of_two(logged: Any) -> None:
     reports = Reports()
     engine = feed_late_events(reports, 300)
     counts = [int(record.message.split("; ")[1].split(" so far")[0]) for record in logged.records]
@@ -133,7 +134,7 @@ def test_late_events_are_logged_at_powers_of_two(logged):
     assert engine.status().rules[0].late == 300
 
 
-def test_sum_of_late_events_is_logged_at_the_end(logged):
+def test_sum_of_late_events_is_logged_at_the_end(logged: Any) -> None:
     reports = Reports()
     feed_late_events(reports, 300)
     reports.sum_up()
@@ -145,7 +146,7 @@ def test_sum_of_late_events_is_logged_at_the_end(logged):
     assert len(logged.records) == 10
 
 
-def test_batch_run_logs_first_late_event_and_sum(logged):
+def test_batch_run_logs_first_late_event_and_sum(logged: Any) -> None:
     reports = Reports(once=True)
     feed_late_events(reports, 5)
     assert len(logged.records) == 1
@@ -153,7 +154,7 @@ def test_batch_run_logs_first_late_event_and_sum(logged):
     assert logged.records[-1].message.startswith("5 times in all: ")
 
 
-def test_late_and_dropped_events_have_own_counts(logged):
+def test_late_and_dropped_events_have_own_counts(logged: Any) -> None:
     reports = Reports()
     engine = Engine(reports=reports)
     engine.rules.max_stored = 2

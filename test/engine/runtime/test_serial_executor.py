@@ -2,6 +2,7 @@ import threading
 import time
 from contextlib import nullcontext
 from types import SimpleNamespace
+from typing import Any, Iterator, List, Tuple
 
 import pytest
 
@@ -17,12 +18,12 @@ from retalis.engine.runtime.serial_executor import (
 from retalis.foundation.interrupts import Interrupt, postpone
 
 
-def make(size=100, **options):
+def make(size: int = 100, **options: Any) -> Tuple[Any, ...]:
     drops, errors = [], []
     return SerialExecutor(size, drops.append, errors.append, **options), drops, errors
 
 
-def in_threads(work):
+def in_threads(work: Any) -> None:
     """Call a function in four threads, with the number of the thread, and wait for them."""
     threads = [threading.Thread(target=work, args=(thread,)) for thread in range(4)]
     for thread in threads:
@@ -31,9 +32,9 @@ def in_threads(work):
         thread.join(30)
 
 
-def test_error_in_entry_does_not_stop_later_entries():
+def test_error_in_entry_does_not_stop_later_entries() -> None:
     executor, _, errors = make()
-    done = []
+    done: List[Any] = []
     executor.post(done.append, 1)
     executor.post(lambda: 1 / 0)
     executor.post(done.append, 2)
@@ -41,11 +42,11 @@ def test_error_in_entry_does_not_stop_later_entries():
     assert [type(error) for error in errors] == [ZeroDivisionError]
 
 
-def test_post_each_executes_in_order_despite_error():
+def test_post_each_executes_in_order_despite_error() -> None:
     executor, _, errors = make()
-    done = []
+    done: List[Any] = []
 
-    def work(number, divisor):
+    def work(number: int, divisor: Any) -> None:
         done.append(number // divisor)
 
     executor.post_each(work, [(1, 1), (2, 0), (6, 2)])
@@ -54,16 +55,16 @@ def test_post_each_executes_in_order_despite_error():
     assert executor.thread is None
 
 
-def test_other_work_is_executed_between_entries():
+def test_other_work_is_executed_between_entries() -> None:
     executor, _, _ = make()
-    done = []
+    done: List[Any] = []
 
-    def ask():
+    def ask() -> None:
         executor.call(lambda: done.append("called"))
 
     caller = threading.Thread(target=ask)
 
-    def work(number, then):
+    def work(number: int, then: Any) -> None:
         done.append(number)
         if then == "post":
             executor.post(done.append, "posted")
@@ -81,20 +82,20 @@ def test_other_work_is_executed_between_entries():
 
 
 @pytest.fixture
-def busy():
+def busy() -> Any:
     """A function that makes another thread work in an executor; it returns a function that ends this."""
     is_working, resume = threading.Event(), threading.Event()
 
-    def first():
+    def first() -> None:
         is_working.set()
         assert resume.wait(10)
 
-    def begin(executor):
+    def begin(executor: Any) -> Any:
         worker = threading.Thread(target=executor.post, args=(first,))
         worker.start()
         assert is_working.wait(10)
 
-        def end():
+        def end() -> None:
             resume.set()
             worker.join(10)
 
@@ -103,9 +104,9 @@ def busy():
     return begin
 
 
-def test_post_each_queues_while_another_thread_works(busy):
+def test_post_each_queues_while_another_thread_works(busy: Any) -> None:
     executor, _, _ = make()
-    done = []
+    done: List[Any] = []
     end = busy(executor)
     executor.post_each(lambda *pair: done.append(pair), zip("abc", "123"))
     assert (len(executor), done) == (3, [])
@@ -113,12 +114,12 @@ def test_post_each_queues_while_another_thread_works(busy):
     assert done == [("a", "1"), ("b", "2"), ("c", "3")]
 
 
-def test_post_each_executes_directly_when_idle(busy):
+def test_post_each_executes_directly_when_idle(busy: Any) -> None:
     executor, _, _ = make()
     done, seen = [], []
     end = busy(executor)
 
-    def entries():
+    def entries() -> Iterator[Any]:
         for number in range(5):
             if number == 2:
                 end()
@@ -131,12 +132,12 @@ def test_post_each_executes_directly_when_idle(busy):
 
 
 @pytest.mark.parametrize("way", ["free", "busy", "inside"])
-def test_post_each_creates_separate_entries(way, busy):
+def test_post_each_creates_separate_entries(way: str, busy: Any) -> None:
     executor, _, _ = make()
-    entries = []
+    entries: List[Any] = []
     same = [("a", None)] * 3
 
-    def post():
+    def post() -> None:
         executor.post_each(lambda *pair: entries.append(executor.entry), same)
 
     if way == "inside":
@@ -149,11 +150,11 @@ def test_post_each_creates_separate_entries(way, busy):
     assert entries == same
 
 
-def test_entry_is_none_while_iterator_advances():
+def test_entry_is_none_while_iterator_advances() -> None:
     executor, _, _ = make()
-    seen = []
+    seen: List[Any] = []
 
-    def entries():
+    def entries() -> Iterator[Any]:
         for number in range(3):
             seen.append(executor.entry)
             yield number, None
@@ -162,11 +163,11 @@ def test_entry_is_none_while_iterator_advances():
     assert seen == [None, (0, None), None, (1, None), None, (2, None)]
 
 
-def test_error_of_iterator_is_raised_by_post_each():
+def test_error_of_iterator_is_raised_by_post_each() -> None:
     executor, _, errors = make()
-    done = []
+    done: List[Any] = []
 
-    def entries():
+    def entries() -> Iterator[Any]:
         yield "a", 1
         executor.post(done.append, "meanwhile")
         raise OSError("the disk is gone")
@@ -177,12 +178,12 @@ def test_error_of_iterator_is_raised_by_post_each():
     assert executor.call(lambda: 2) == 2
 
 
-def test_error_of_iterator_leaves_queue_empty(busy):
+def test_error_of_iterator_leaves_queue_empty(busy: Any) -> None:
     executor, _, _ = make()
-    done = []
+    done: List[Any] = []
     end = busy(executor)
 
-    def entries():
+    def entries() -> Iterator[Any]:
         yield "a", 1
         end()
         yield "b", 2
@@ -193,11 +194,11 @@ def test_error_of_iterator_leaves_queue_empty(busy):
     assert (len(executor), done) == (0, [("a", 1), ("b", 2)])
 
 
-def test_post_each_of_many_threads_loses_no_entries():
+def test_post_each_of_many_threads_loses_no_entries() -> None:
     executor, drops, _ = make(size=50)
-    done = []
+    done: List[Any] = []
 
-    def post(thread):
+    def post(thread: Any) -> None:
         for begin in range(0, 2000, 20):
             executor.post_each(
                 lambda *pair: done.append(pair), ((thread, begin + offset) for offset in range(20))
@@ -209,7 +210,7 @@ def test_post_each_of_many_threads_loses_no_entries():
         assert [number for poster, number in done if poster == thread] == list(range(2000))
 
 
-def test_call_returns_result_or_raises():
+def test_call_returns_result_or_raises() -> None:
     executor, _, errors = make()
     assert executor.call(lambda: 7) == 7
     with pytest.raises(KeyError):
@@ -217,18 +218,18 @@ def test_call_returns_result_or_raises():
     assert errors == []
 
 
-def test_nested_call_is_executed_immediately():
+def test_nested_call_is_executed_immediately() -> None:
     executor, _, _ = make()
     assert executor.call(lambda: executor.call(lambda: 3)) == 3
 
 
-def test_full_queue_drops_oldest_entries(monkeypatch):
+def test_full_queue_drops_oldest_entries(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("retalis.engine.runtime.serial_executor.FULL_QUEUE_WAIT_SECONDS", 0.01)
     executor, drops, _ = make(size=2)
     started, resume = threading.Event(), threading.Event()
-    done = []
+    done: List[Any] = []
 
-    def slow():
+    def slow() -> None:
         started.set()
         resume.wait(10)
 
@@ -245,29 +246,29 @@ def test_full_queue_drops_oldest_entries(monkeypatch):
     assert executor.dropped == 2
 
 
-def test_full_queue_drops_nothing_while_it_progresses(monkeypatch):
+def test_full_queue_drops_nothing_while_it_progresses(monkeypatch: pytest.MonkeyPatch) -> None:
     started, posting, began, end = (threading.Event() for _ in range(4))
-    done = []
+    done: List[Any] = []
 
     class Lock:
         """A lock whose `acquire` times out while one entry ends and the next begins."""
 
-        def __init__(self):
+        def __init__(self) -> None:
             self._lock = threading.Lock()
             self.release = self._lock.release
 
-        def acquire(self, blocking=True, timeout=-1):
+        def acquire(self, blocking: bool = True, timeout: float = -1) -> Any:
             if timeout == -1:
                 return self._lock.acquire(blocking)
             posting.set()
             assert began.wait(10)
             return False
 
-    def first():
+    def first() -> None:
         started.set()
         assert posting.wait(10)
 
-    def second():
+    def second() -> None:
         began.set()
         assert end.wait(10)
 
@@ -286,11 +287,11 @@ def test_full_queue_drops_nothing_while_it_progresses(monkeypatch):
     assert done == [1, 2]
 
 
-def test_full_queue_blocks_posting_threads():
+def test_full_queue_blocks_posting_threads() -> None:
     executor, drops, _ = make(size=10)
-    done = []
+    done: List[Any] = []
 
-    def post(thread):
+    def post(thread: Any) -> None:
         for number in range(2000):
             executor.post(done.append, (thread, number))
 
@@ -300,11 +301,11 @@ def test_full_queue_blocks_posting_threads():
         assert [number for poster, number in done if poster == thread] == list(range(2000))
 
 
-def test_working_thread_does_not_wait_for_full_queue():
+def test_working_thread_does_not_wait_for_full_queue() -> None:
     executor, drops, _ = make(size=3)
-    done = []
+    done: List[Any] = []
 
-    def work():
+    def work() -> None:
         for number in range(5):
             executor.post(done.append, number)
 
@@ -313,12 +314,12 @@ def test_working_thread_does_not_wait_for_full_queue():
     assert done == [2, 3, 4]
 
 
-def test_call_is_executed_before_queued_entries():
+def test_call_is_executed_before_queued_entries() -> None:
     executor, _, _ = make()
-    done = []
+    done: List[Any] = []
     caller = threading.Thread(target=executor.call, args=(lambda: done.append("called"),))
 
-    def first():
+    def first() -> None:
         executor.post(done.append, "posted")
         caller.start()
         while not executor.callers:  # until the call waits
@@ -329,14 +330,14 @@ def test_call_is_executed_before_queued_entries():
     assert done == ["called", "posted"]
 
 
-def test_posts_of_many_threads_are_all_executed():
+def test_posts_of_many_threads_are_all_executed() -> None:
     executor, _, _ = make(size=100_000)
     total = [0]
 
-    def add():
+    def add() -> None:
         total[0] += 1
 
-    def post(thread):
+    def post(thread: Any) -> None:
         for _ in range(2000):
             executor.post(add)
 
@@ -345,16 +346,16 @@ def test_posts_of_many_threads_are_all_executed():
     assert total[0] == 8000
 
 
-def end_with(exception):
+def end_with(exception: Any) -> Any:
     """Return work that an exception ends."""
 
-    def work():
+    def work() -> None:
         raise exception
 
     return work
 
 
-def test_interrupt_of_call_is_raised_to_caller():
+def test_interrupt_of_call_is_raised_to_caller() -> None:
     executor, _, errors = make()
     with pytest.raises(Interrupt):
         executor.call(end_with(Interrupt()))
@@ -363,11 +364,11 @@ def test_interrupt_of_call_is_raised_to_caller():
 
 
 @pytest.mark.parametrize("way", ["post", "post_each", "call"])
-def test_postponed_exception_is_raised_after_work(way):
+def test_postponed_exception_is_raised_after_work(way: str) -> None:
     executor, _, errors = make()
-    done = []
+    done: List[Any] = []
 
-    def work(*entry):
+    def work(*entry: Any) -> None:
         done.append(entry)
         if len(done) == 1:
             postpone(Interrupt())
@@ -385,11 +386,11 @@ def test_postponed_exception_is_raised_after_work(way):
     assert errors == []
 
 
-def test_postponed_exception_is_raised_after_outermost_call():
+def test_postponed_exception_is_raised_after_outermost_call() -> None:
     executor, _, _ = make()
-    done = []
+    done: List[Any] = []
 
-    def outer():
+    def outer() -> None:
         postpone(Interrupt())
         executor.call(lambda: done.append("nested"))
         executor.post(done.append, "posted")
@@ -401,7 +402,7 @@ def test_postponed_exception_is_raised_after_outermost_call():
 
 
 @pytest.mark.parametrize("exception", [KeyboardInterrupt, SystemExit])
-def test_exception_within_work_makes_executor_unusable(exception):
+def test_exception_within_work_makes_executor_unusable(exception: Any) -> None:
     executor, _, errors = make()
     with pytest.raises(exception):
         executor.call(end_with(exception()))
@@ -415,21 +416,21 @@ def test_exception_within_work_makes_executor_unusable(exception):
     assert errors == []
 
 
-def test_exception_within_work_is_an_error_of_waiting_caller():
+def test_exception_within_work_is_an_error_of_waiting_caller() -> None:
     executor, _, _ = make()
     is_working, resume = threading.Event(), threading.Event()
-    refusals = []
+    refusals: List[Any] = []
 
-    def interrupted():
+    def interrupted() -> None:
         is_working.set()
         assert resume.wait(10)
         raise KeyboardInterrupt
 
-    def first():
+    def first() -> None:
         with pytest.raises(KeyboardInterrupt):
             executor.call(interrupted)
 
-    def second():
+    def second() -> None:
         with pytest.raises(UsageError) as error:
             executor.call(lambda: 2)
         refusals.append(str(error.value))
@@ -446,9 +447,9 @@ def test_exception_within_work_is_an_error_of_waiting_caller():
     assert refusals == [HALF_CHANGED]
 
 
-def test_exception_while_error_is_handled_makes_executor_unusable():
+def test_exception_while_error_is_handled_makes_executor_unusable() -> None:
     class Interrupted(Recovery):
-        def restore(self, state):
+        def restore(self, state: Any) -> None:
             raise KeyboardInterrupt
 
     executor = SerialExecutor(10, str, str)
@@ -459,21 +460,21 @@ def test_exception_while_error_is_handled_makes_executor_unusable():
         executor.call(lambda: 1)
 
 
-def test_timed_out_call_is_not_executed_later():
+def test_timed_out_call_is_not_executed_later() -> None:
     executor, _, _ = make(callback_timeout=0)
-    done = []
+    done: List[Any] = []
 
-    def ask():
+    def ask() -> None:
         with pytest.raises(UsageError, match="the engine has been in a callback for 0 s"):
             executor.call(lambda: done.append("asked"))
 
-    def wait():
+    def wait() -> None:
         thread = threading.Thread(target=ask)
         thread.start()
         thread.join(10)
         done.append("waited")
 
-    def work():
+    def work() -> None:
         executor.running_callback = ("a callback",)
         wait()
         executor.running_callback = None
@@ -482,8 +483,8 @@ def test_timed_out_call_is_not_executed_later():
     assert done == ["waited"]
 
 
-def test_queued_call_is_executed_once_and_keeps_result():
-    done = []
+def test_queued_call_is_executed_once_and_keeps_result() -> None:
+    done: List[Any] = []
     call = QueuedCall(lambda: done.append(1) or 7)
     assert not call.is_running
     call()
@@ -494,7 +495,7 @@ def test_queued_call_is_executed_once_and_keeps_result():
 
 
 @pytest.mark.parametrize(("exception", "expected"), [(Interrupt, Interrupt), (KeyboardInterrupt, UsageError)])
-def test_exception_of_queued_call_is_raised_by_result(exception, expected):
+def test_exception_of_queued_call_is_raised_by_result(exception: Any, expected: Any) -> None:
     call = QueuedCall(end_with(exception()))
     # An exception at any point ends the thread that works, too; an interrupt is only for the waiting caller.
     with pytest.raises(exception) if expected is UsageError else nullcontext():
@@ -503,8 +504,8 @@ def test_exception_of_queued_call_is_raised_by_result(exception, expected):
         call.result()
 
 
-def test_cancelled_call_is_not_executed():
-    done = []
+def test_cancelled_call_is_not_executed() -> None:
+    done: List[Any] = []
     call = QueuedCall(lambda: done.append(1))
     assert call.claim()
     call()
@@ -512,12 +513,12 @@ def test_cancelled_call_is_not_executed():
 
 
 @pytest.fixture
-def at_end_of_turn(monkeypatch):
+def at_end_of_turn(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Return a function that sets the action of other threads at the end of a turn of this thread."""
     this_thread = threading.current_thread()
 
-    def set_action(action):
-        def sleep(seconds):
+    def set_action(action: Any) -> None:
+        def sleep(seconds: Any) -> None:
             if threading.current_thread() is this_thread:
                 action()
 
@@ -526,20 +527,20 @@ def at_end_of_turn(monkeypatch):
     return set_action
 
 
-def run_in_thread(name, work):
+def run_in_thread(name: str, work: Any) -> None:
     thread = threading.Thread(target=work, name=name)
     thread.start()
     thread.join(30)
 
 
-def test_posting_thread_takes_over_from_caller(at_end_of_turn):
+def test_posting_thread_takes_over_from_caller(at_end_of_turn: Any) -> None:
     executor, _, errors = make(10_000)
-    workers = []
+    workers: List[Any] = []
 
-    def work(number):
+    def work(number: int) -> None:
         workers.append((number, threading.current_thread().name))
 
-    def post_burst():
+    def post_burst() -> None:
         for number in range(1000):
             executor.post(work, number)
 
@@ -552,21 +553,21 @@ def test_posting_thread_takes_over_from_caller(at_end_of_turn):
     assert executor.thread is None
 
 
-def test_waiting_caller_takes_over_from_posting_thread(at_end_of_turn):
+def test_waiting_caller_takes_over_from_posting_thread(at_end_of_turn: Any) -> None:
     executor, _, _ = make(10_000)
     workers, callers = [], []
 
-    def work(number):
+    def work(number: int) -> None:
         workers.append(threading.current_thread().name)
 
-    def begin_call():
+    def begin_call() -> None:
         caller = threading.Thread(target=executor.call, args=(lambda: work(0),), name="caller")
         callers.append(caller)
         caller.start()
         while not executor.callers:
             time.sleep(0.001)
 
-    def post_burst():
+    def post_burst() -> None:
         for number in range(MAX_ENTRIES_PER_TURN - 1):
             executor.post(work, number)
         executor.post(begin_call)
@@ -579,11 +580,11 @@ def test_waiting_caller_takes_over_from_posting_thread(at_end_of_turn):
     assert workers == [this_thread] * (MAX_ENTRIES_PER_TURN - 1) + ["caller"] * (MAX_ENTRIES_PER_TURN + 1)
 
 
-def test_follow_up_work_is_executed_with_its_entry():
+def test_follow_up_work_is_executed_with_its_entry() -> None:
     executor, _, _ = make(10_000)
-    done = []
+    done: List[Any] = []
 
-    def work(number):
+    def work(number: int) -> None:
         done.append(number)
         executor.call_next(lambda: done.append(-number))
 

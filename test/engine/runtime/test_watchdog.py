@@ -2,6 +2,8 @@
 
 import gc
 import threading
+from pathlib import Path
+from typing import Any, List, Optional, Tuple
 
 import pytest
 
@@ -14,39 +16,39 @@ from retalis.prolog.machine.resource_limits import Budget, LimitError
 class Executor:
     """The state of an executor that a watchdog reads."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.thread = self.entry = None
 
-    def begin(self, *entry):
+    def begin(self, *entry: Any) -> None:
         self.thread, self.entry = threading.get_ident(), entry
 
-    def call_next(self, work):
+    def call_next(self, work: Any) -> None:
         pass
 
 
 @pytest.fixture
-def executor():
+def executor() -> Executor:
     return Executor()
 
 
 @pytest.fixture
-def watched(executor):
+def watched(executor: Executor) -> Any:
     """A watchdog that warns after 1 s and ends entries after 10 s, with its warnings."""
     budget = Budget(Limits(seconds=10.0), executor)
-    warned = []
+    warned: List[Any] = []
     dog = Watchdog(executor, budget, 1.0, lambda seconds, entry: warned.append((seconds, entry)))
     dog.warned, dog.budget = warned, budget
     return dog
 
 
-def test_warnings_of_long_entry_double_in_interval(executor, watched):
+def test_warnings_of_long_entry_double_in_interval(executor: Executor, watched: Any) -> None:
     executor.begin("a")
     for instant in (0.0, 0.5, 1.1, 1.3, 1.9, 2.2, 3.0, 4.5, 5.0):
         watched.sample(instant)
     assert watched.warned == [(1.1, ("a",)), (2.2, ("a",)), (4.5, ("a",))]
 
 
-def test_equal_entries_are_timed_separately(executor, watched):
+def test_equal_entries_are_timed_separately(executor: Executor, watched: Any) -> None:
     for instant in range(20):
         executor.begin("a")
         watched.sample(float(instant))
@@ -57,7 +59,7 @@ def test_equal_entries_are_timed_separately(executor, watched):
     assert not watched.budget.needs_check
 
 
-def test_entry_over_time_limit_may_clean_up(executor, watched):
+def test_entry_over_time_limit_may_clean_up(executor: Executor, watched: Any) -> None:
     executor.begin("a")
     watched.sample(0.0)
     watched.sample(9.9)
@@ -74,7 +76,7 @@ def test_entry_over_time_limit_may_clean_up(executor, watched):
     assert caught.value.is_final
 
 
-def test_late_time_limit_does_not_affect_next_entry(executor, watched):
+def test_late_time_limit_does_not_affect_next_entry(executor: Executor, watched: Any) -> None:
     executor.begin("a")
     watched.sample(0.0)
     watched.sample(10.1)
@@ -83,7 +85,7 @@ def test_late_time_limit_does_not_affect_next_entry(executor, watched):
     assert not watched.budget.needs_check
 
 
-def test_running_entry_is_found_between_samples(executor, watched):
+def test_running_entry_is_found_between_samples(executor: Executor, watched: Any) -> None:
     assert watched.find_running_entry(0.0) is None
     for first, name in ((1.0, "a"), (10.0, "b")):
         executor.begin(name)
@@ -108,7 +110,9 @@ def test_running_entry_is_found_between_samples(executor, watched):
         (0.0, 9.0, 0.005),
     ],
 )
-def test_sample_interval_is_fifth_of_shortest_time(executor, patience, seconds, pause):
+def test_sample_interval_is_fifth_of_shortest_time(
+    executor: Executor, patience: Optional[float], seconds: Optional[float], pause: float
+) -> None:
     budget = Budget()
     budget.set_limits(Limits(seconds=seconds))
     assert Watchdog(
@@ -128,12 +132,12 @@ def test_sample_interval_is_fifth_of_shortest_time(executor, patience, seconds, 
         (None, "a request"),
     ],
 )
-def test_description_names_functor_of_entry(entry, named):
+def test_description_names_functor_of_entry(entry: Optional[Tuple[Any, ...]], named: str) -> None:
     engine = Engine()
     assert describe_work(engine.logic, engine.dispatcher, entry) == RunningWork(named, "", "", None)
 
 
-def test_watchdog_without_limits_ignores_long_entries(executor):
+def test_watchdog_without_limits_ignores_long_entries(executor: Executor) -> None:
     budget = Budget(executor=executor)
     dog = Watchdog(executor, budget, None, lambda seconds, entry: pytest.fail("warned"))
     executor.begin("a")
@@ -142,18 +146,18 @@ def test_watchdog_without_limits_ignores_long_entries(executor):
     assert not budget.needs_check
 
 
-def test_time_limit_covers_sum_of_short_goals(caplog):
+def test_time_limit_covers_sum_of_short_goals(caplog: pytest.LogCaptureFixture) -> None:
     engine = Engine(settings=Settings(limits=Limits(seconds=10.0)))
     engine.load_rules("".join(f"out({number}) <- in where slow({number}).\n" for number in range(10)))
     dog, now = engine.watchdog, [0.0]
 
-    def slow(machine, number):
+    def slow(machine: Any, number: Any) -> bool:
         now[0] += 3.0
         dog.sample(now[0])
         return True
 
     engine.logic.define("slow", 1, slow)
-    events = []
+    events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     engine.event("in", 1)
     assert events == ["in", "out(0)", "out(1)", "out(2)", "out(3)", "out(4)"]
@@ -171,11 +175,13 @@ def test_time_limit_covers_sum_of_short_goals(caplog):
         ("synchronized(x(X), hold, []) <- in(X).", "", "synchronized query: goal hold"),
     ],
 )
-def test_warning_names_rule_goal_and_event(rules, goals, named, caplog):
+def test_warning_names_rule_goal_and_event(
+    rules: str, goals: str, named: str, caplog: pytest.LogCaptureFixture
+) -> None:
     engine = Engine(settings=Settings(watchdog=1.0))
     dog = engine.watchdog
 
-    def hold(machine):
+    def hold(machine: Any) -> bool:
         dog.sample(0.0)
         dog.sample(1.5)
         return True
@@ -190,11 +196,11 @@ def test_warning_names_rule_goal_and_event(rules, goals, named, caplog):
     assert ("rules.txt:1" in caplog.text) == bool(rules)
 
 
-def test_warning_names_loading_goals_and_queries(caplog, tmp_path):
+def test_warning_names_loading_goals_and_queries(caplog: pytest.LogCaptureFixture, tmp_path: Path) -> None:
     engine = Engine(settings=Settings(watchdog=1.0, limits=Limits(seconds=1.0), limit_start=False))
     dog, now = engine.watchdog, [0.0]
 
-    def hold(machine, number):
+    def hold(machine: Any, number: Any) -> bool:
         for _ in range(5):
             dog.sample(now[0])
             now[0] += 1.5
@@ -214,17 +220,19 @@ def test_warning_names_loading_goals_and_queries(caplog, tmp_path):
     assert ",/2" not in caplog.text
 
 
-def test_limit_holds_if_warning_fails(monkeypatch, caplog):
+def test_limit_holds_if_warning_fails(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     engine = Engine(settings=Settings(watchdog=1.0, limits=Limits(seconds=1.0)))
     dog, budget = engine.watchdog, engine.logic.machine.budget
 
-    def changed_meanwhile(*_):
+    def changed_meanwhile(*_: Any) -> None:
         assert budget.needs_check
         raise RuntimeError("changed size during iteration")
 
     monkeypatch.setattr(_watchdog, "_make_slow_work_warning", changed_meanwhile)
 
-    def hold(machine):
+    def hold(machine: Any) -> Any:
         dog.sample(0.0)
         dog.sample(1.5)
         return budget.needs_check
@@ -234,7 +242,7 @@ def test_limit_holds_if_warning_fails(monkeypatch, caplog):
     assert "changed size during iteration" in caplog.text
 
 
-def test_warning_of_exceeded_limit_is_short(caplog):
+def test_warning_of_exceeded_limit_is_short(caplog: pytest.LogCaptureFixture) -> None:
     engine = Engine(settings=Settings(limits=Limits(inferences=10_000)))
     engine.load_rules("loop :- loop.")
     engine.load(goals="subscribe(E, [loop], _, out, a)\nsubscribe(E, [loop], _, out, b)")
@@ -244,8 +252,8 @@ def test_warning_of_exceeded_limit_is_short(caplog):
     assert len(messages[0]) < 400
 
 
-def test_watchdog_thread_ends_with_engine():
-    def dogs():
+def test_watchdog_thread_ends_with_engine() -> None:
+    def dogs() -> List[Any]:
         return [thread for thread in threading.enumerate() if thread.name == "retalis watchdog"]
 
     before = set(dogs())
@@ -259,19 +267,19 @@ def test_watchdog_thread_ends_with_engine():
     assert not mine.is_alive()
 
 
-def test_watchdog_thread_interrupts_waiting_predicate():
+def test_watchdog_thread_interrupts_waiting_predicate() -> None:
     engine = Engine(settings=Settings(limits=Limits(seconds=0.05)))
     going = threading.Event()
     budget = engine.logic.machine.budget
 
-    def wait(machine):
+    def wait(machine: Any) -> bool:
         while not budget.needs_check:
             going.wait(0.01)
         return True
 
     engine.logic.define("wait", 0, wait)
     engine.load_rules("a <- in where wait.\nb <- in where true(1).\ntrue(1).")
-    events = []
+    events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append(term))
     engine.event("in", 1)
     assert events == [atom("in"), atom("a")]

@@ -1,5 +1,7 @@
 """Conditions that never hold, and arithmetic that is not evaluated."""
 
+from typing import Any, List
+
 import pytest
 
 from retalis import Definitions, Engine
@@ -8,7 +10,7 @@ from retalis.events.checks.program_model import ProgramModel
 from retalis.events.program.topic_configuration import Topics
 
 
-def findings_of(rules):
+def findings_of(rules: str) -> List[Any]:
     engine = Engine()
     engine.load(rules=rules)
     program = ProgramModel(engine.rules, engine.knowledge, Definitions(), Topics())
@@ -32,14 +34,14 @@ def findings_of(rules):
         ("X is t * 2", "t is not a number: did you mean the variable T?"),
     ],
 )
-def test_condition_is_reported(condition, message):
+def test_condition_is_reported(condition: str, message: str) -> None:
     assert findings_of(f"a(D, E, M, X) <- temp(M, T, X, D, E) where {condition}.") == [message]
 
 
 @pytest.mark.parametrize(
     "condition", ["T > 40, T < 30", "T > 40, 40 >= T", "T =:= 4, T =:= 5", "\\+ (T > 4, T < 3)"]
 )
-def test_empty_interval_is_reported(condition):
+def test_empty_interval_is_reported(condition: str) -> None:
     (message,) = findings_of(f"a <- temp(T) where ({condition}).")
     assert "never holds together with the comparisons of T before it" in message
 
@@ -54,7 +56,7 @@ def test_empty_interval_is_reported(condition):
         "((temp(T) where T > 40) with throttle(3)) where T < 30",
     ],
 )
-def test_bounds_of_several_conditions_are_intersected(pattern):
+def test_bounds_of_several_conditions_are_intersected(pattern: str) -> None:
     (message,) = findings_of(f"a <- {pattern}.")
     assert message.startswith(
         "T<30 never holds together with the comparisons of T before it; T has one value"
@@ -73,11 +75,11 @@ def test_bounds_of_several_conditions_are_intersected(pattern):
         "(temp(T) where T > 40) do T < 30",
     ],
 )
-def test_bounds_of_alternatives_are_separate(pattern):
+def test_bounds_of_alternatives_are_separate(pattern: str) -> None:
     assert findings_of(f"a <- {pattern}.") == []
 
 
-def test_assignment_is_reported():
+def test_assignment_is_reported() -> None:
     (message,) = findings_of("a(N) <- count(N) where N is N + 1.")
     assert message.startswith("N is N+1 never changes N: a variable keeps its value")
 
@@ -99,11 +101,11 @@ def test_assignment_is_reported():
         "member(X, [1, 2]), X > T",
     ],
 )
-def test_possible_condition_is_not_reported(condition):
+def test_possible_condition_is_not_reported(condition: str) -> None:
     assert findings_of(f"a(M, X) <- temp(M, T, X) where {condition}.") == []
 
 
-def test_pair_in_clause_is_not_reported():
+def test_pair_in_clause_is_not_reported() -> None:
     assert findings_of("pair(X) :- count(N), X = N-1. a <- b where pair(_).") == []
     (message,) = findings_of("twice(X) :- count(N), X = N*2. a <- b where twice(_).")
     assert message.startswith("= does not evaluate")
@@ -120,7 +122,7 @@ def test_pair_in_clause_is_not_reported():
         ("c(M) <- temp(M) where fail.", 0),
     ],
 )
-def test_goal_of_do_that_always_fails_is_reported(rule, count):
+def test_goal_of_do_that_always_fails_is_reported(rule: str, count: int) -> None:
     messages = findings_of(rule)
     assert len(messages) == count
     assert all("so that c/1 never happens" in message for message in messages)

@@ -1,5 +1,8 @@
 """Rules before a declaration that do not fit it, and value types of declared events and messages."""
 
+from pathlib import Path
+from typing import Any, Dict, List
+
 import pytest
 from events.checks.test_reported_mistakes import findings_text, write
 
@@ -34,7 +37,9 @@ INPUT_EVENT = "input_event(near/2).\n"
         ),
     ],
 )
-def test_rule_before_declaration_is_checked(tmp_path, definitions, program, positions):
+def test_rule_before_declaration_is_checked(
+    tmp_path: Path, definitions: Any, program: Dict[str, Any], positions: List[str]
+) -> None:
     write(tmp_path, **program)
     lines = [
         line
@@ -63,7 +68,9 @@ def test_rule_before_declaration_is_checked(tmp_path, definitions, program, posi
         ("alarm(T) <- near(T, D) where T > D.", "T is an atom (thing of near/2), not a number"),
     ],
 )
-def test_values_of_messages_fit_declared_events(tmp_path, definitions, rule, message):
+def test_values_of_messages_fit_declared_events(
+    tmp_path: Path, definitions: Any, rule: str, message: str
+) -> None:
     write(tmp_path, rule=f"{INPUT_EVENT}{DECLARATION}\n{rule}")
     lines = [
         line
@@ -73,7 +80,7 @@ def test_values_of_messages_fit_declared_events(tmp_path, definitions, rule, mes
     assert [line.split(": ", 2)[2][: len(message)] for line in lines] == ([message] if message else [])
 
 
-def test_earlier_added_rule_is_checked(tmp_path, definitions):
+def test_earlier_added_rule_is_checked(tmp_path: Path, definitions: Any) -> None:
     engine = Engine()
     add_rule(engine, "alarm <- near(_)", "mine")
     engine.call("declare_event(near(thing:atom, distance:number))")
@@ -97,7 +104,9 @@ def test_earlier_added_rule_is_checked(tmp_path, definitions):
         ("header:std_msgs__0__Header, temperature:number, variance:number", ""),
     ],
 )
-def test_named_event_of_topic_fits_declaration(tmp_path, definitions, arguments, message):
+def test_named_event_of_topic_fits_declaration(
+    tmp_path: Path, definitions: Any, arguments: str, message: str
+) -> None:
     topic = '  <subscribe_to name="cold" msg_type="sensor_msgs/Temperature" event="near"/>'
     write(tmp_path, rule=f":- event near({arguments}).", topic=topic)
     lines = findings_text(tmp_path, definitions).split("\n")

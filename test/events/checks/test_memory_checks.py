@@ -1,11 +1,14 @@
 """References to missing memories."""
 
+from pathlib import Path
+from typing import Any, List
+
 import pytest
 
 from retalis import Definitions, Engine
 
 
-def warnings(folder, rules):
+def warnings(folder: Any, rules: Any) -> List[Any]:
     engine = Engine()
     engine.load(rules=rules, goals="memorize(t(X), [], _, odom_base, 5)")
     return [
@@ -27,7 +30,7 @@ def warnings(folder, rules):
         ("a(P) <- b(T, R) where pose_chain([odom_base, head, R], T, P).", "there is no memory head yet"),
     ],
 )
-def test_missing_memory_is_reported(tmp_path, rules, message):
+def test_missing_memory_is_reported(tmp_path: Path, rules: str, message: str) -> None:
     assert warnings(tmp_path, rules) == [message]
 
 
@@ -41,7 +44,7 @@ def test_missing_memory_is_reported(tmp_path, rules, message):
         "a(N) <- b(N) do memorize(t(X), [], _, N, 5). c <- d where access_mem(there, _, _).",
     ],
 )
-def test_possible_memory_is_not_reported(tmp_path, rules):
+def test_possible_memory_is_not_reported(tmp_path: Path, rules: str) -> None:
     assert warnings(tmp_path, rules) == []
 
 
@@ -65,7 +68,7 @@ def test_possible_memory_is_not_reported(tmp_path, rules):
         ("memorize(t(X), [], X, m, 5)", "synchronized(a(T), true, [[m, T]]) <- b(T)."),
     ],
 )
-def test_possible_record_is_not_reported(tmp_path, goal, rules):
+def test_possible_record_is_not_reported(tmp_path: Path, goal: str, rules: str) -> None:
     engine = Engine()
     engine.load(rules=rules, goals=goal)
     texts = [warning.message for warning in engine.warnings(tmp_path, Definitions())]
@@ -75,7 +78,7 @@ def test_possible_record_is_not_reported(tmp_path, goal, rules):
 @pytest.mark.parametrize(
     ("size", "messages"), [(0, ["memory m keeps 0 records: write a size of 1 or more"]), (1, [])]
 )
-def test_memory_of_size_zero_is_reported(tmp_path, size, messages):
+def test_memory_of_size_zero_is_reported(tmp_path: Path, size: int, messages: Any) -> None:
     engine = Engine()
     engine.load(rules=f":- memorize(t(X), [], X, m, {size}).")
     findings = engine.warnings(tmp_path, Definitions())

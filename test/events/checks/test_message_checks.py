@@ -1,5 +1,8 @@
 """Messages in rules, memories and subscriptions that do not fit their types."""
 
+from pathlib import Path
+from typing import Any, List, Tuple
+
 import pytest
 
 from retalis import Definitions, Engine
@@ -13,14 +16,20 @@ WARM = f"Header header\nfloat64 warmth\n{'=' * 80}\nMSG: std_msgs/Header\n{HEADE
 
 
 @pytest.fixture
-def definitions():
+def definitions() -> Any:
     definitions_with_types = Definitions()
     definitions_with_types.add("my_msgs/Warm", WARM)
     definitions_with_types.add("my_msgs/Empty", "")
     return definitions_with_types
 
 
-def warnings(definitions, folder, rules="", goals="", types=("my_msgs/Warm", "my_msgs/Empty")):
+def warnings(
+    definitions: Any,
+    folder: Any,
+    rules: str = "",
+    goals: str = "",
+    types: Any = ("my_msgs/Warm", "my_msgs/Empty"),
+) -> List[Any]:
     """Return what is said of messages in a program."""
     engine = Engine()
     engine.on_event(lambda term, start, end: None)
@@ -52,12 +61,14 @@ def warnings(definitions, folder, rules="", goals="", types=("my_msgs/Warm", "my
         ),
     ],
 )
-def test_message_that_does_not_match_type_is_reported(definitions, tmp_path, rules, warning):
+def test_message_that_does_not_match_type_is_reported(
+    definitions: Any, tmp_path: Path, rules: str, warning: str
+) -> None:
     (text,) = warnings(definitions, tmp_path, rules)
     assert text.startswith(f"text:1:1: {warning} [RT1104]\n")
 
 
-def test_memories_and_subscriptions_are_named(definitions, tmp_path):
+def test_memories_and_subscriptions_are_named(definitions: Any, tmp_path: Path) -> None:
     goals = "memorize(my_msgs__0__Warm(_), [], _, m, 5)\nsubscribe(my_msgs__0__Warm(_, _, _), [], _, out, s)"
     slots = (
         "does not match its type: my_msgs/Warm has 2 slots: header, warmth; "
@@ -70,24 +81,24 @@ def test_memories_and_subscriptions_are_named(definitions, tmp_path):
     ]
 
 
-def test_valid_and_unknown_messages_are_not_reported(definitions, tmp_path):
+def test_valid_and_unknown_messages_are_not_reported(definitions: Any, tmp_path: Path) -> None:
     rules = "a(X) <- my_msgs__0__Warm(std_msgs__0__Header(_, _, _), X). b <- other__0__Thing(_)."
     assert warnings(definitions, tmp_path, rules) == []
 
 
-def test_quoted_texts_are_not_reported(definitions, tmp_path):
+def test_quoted_texts_are_not_reported(definitions: Any, tmp_path: Path) -> None:
     header = "std_msgs__0__Header(0, [0,0], {})".format
     right = header("""'"ann"'""")
     rules = f"my_msgs__0__Warm({header('ann')}, 1) <- my_msgs__0__Warm({right}, X) where X = {header('b')}."
     assert warnings(definitions, tmp_path, rules) == []
 
 
-def test_types_known_later_are_not_reported(definitions, tmp_path):
+def test_types_known_later_are_not_reported(definitions: Any, tmp_path: Path) -> None:
     rules = "a(X) <- far_msgs__0__WarmFeedback(far_msgs__0__Warm(X), my_msgs__0__Warm(_, _))."
     assert warnings(definitions, tmp_path, rules, types=["my_msgs/Warm", "far_msgs/WarmFeedback"]) == []
 
 
-def test_misspelt_type_hides_no_other_warning(tmp_path):
+def test_misspelt_type_hides_no_other_warning(tmp_path: Path) -> None:
     rules = "a <- std_msgs__0__Strin(_). b <- std_msgs__0__Bool(_, _)."
     texts = warnings(Definitions(), tmp_path, rules, types=["std_msgs/Strng", "std_msgs/Bool"])
     assert [text.split("\n")[0].partition(": ")[2] for text in texts] == [
@@ -100,14 +111,14 @@ def test_misspelt_type_hides_no_other_warning(tmp_path):
 FAN = Topics((topic_type("fan/state", "std_msgs/Bool"),), events=(TopicEvent("fan/state", "fan"),))
 
 
-def findings_of_fan_topic(rules, goals=""):
+def findings_of_fan_topic(rules: Any, goals: str = "") -> List[Tuple[Any, ...]]:
     engine = Engine()
     engine.load(rules=rules, goals=goals)
     program = ProgramModel(engine.rules, engine.knowledge, Definitions(), FAN)
     return [(error.message, error.place and error.place.column) for error in find_message_mismatches(program)]
 
 
-def test_atom_named_as_event_is_not_reported():
+def test_atom_named_as_event_is_not_reported() -> None:
     rules = (
         "a <- says(fan, true) where (access_mem(fan, false, _), device(fan), F = fan(1, 2), F \\== fan(1)).\n"
         "device(fan). says(fan, true) do note(fan) <- fan(_)."
@@ -130,12 +141,12 @@ MISSING_SLOT_MESSAGE = "fan/0 does not match its type: std_msgs/Bool has 1 slot:
         ("a(b).", "subscribe(fan, [], std_msgs__0__Bool(true), out, s)"),
     ],
 )
-def test_event_without_slots_is_reported(rules, goals):
+def test_event_without_slots_is_reported(rules: str, goals: str) -> None:
     ((message, _),) = findings_of_fan_topic(rules, goals)
     assert message.endswith(MISSING_SLOT_MESSAGE)
 
 
-def test_slot_named_in_parentheses_is_reported(tmp_path):
+def test_slot_named_in_parentheses_is_reported(tmp_path: Path) -> None:
     (tmp_path / "eventRules.txt").write_text("a <- (b where x(fan)) seq fan.\nc <- fan(data: true).\n")
     (tmp_path / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')")
     (tmp_path / "pub_sub.xml").write_text(
@@ -151,7 +162,7 @@ def test_slot_named_in_parentheses_is_reported(tmp_path):
     assert "write fan{data: ...}" in in_parentheses
 
 
-def output_warnings(definitions, folder, goal, rules=""):
+def output_warnings(definitions: Any, folder: Any, goal: str, rules: str = "") -> List[Any]:
     """Return what is said of a subscription of topic ``out``, whose type is ``my_msgs/Warm``."""
     engine = Engine()
     engine.load(rules=rules, goals=goal)
@@ -168,12 +179,12 @@ def output_warnings(definitions, folder, goal, rules=""):
         "subscribe(seen(_, H) with throttle(1), [], H, out, s1)",
     ],
 )
-def test_variable_template_may_be_message(definitions, tmp_path, goal):
+def test_variable_template_may_be_message(definitions: Any, tmp_path: Path, goal: str) -> None:
     assert output_warnings(definitions, tmp_path, goal) == []
 
 
 @pytest.mark.parametrize("form", ["_", "Event", "seen(H)"])
-def test_output_that_is_no_message_is_reported(definitions, tmp_path, form):
+def test_output_that_is_no_message_is_reported(definitions: Any, tmp_path: Path, form: str) -> None:
     (text,) = output_warnings(definitions, tmp_path, f"subscribe(seen(H), [], {form}, out, s1)")
     assert "expected my_msgs__0__Warm/2, got seen/1" in text
 
@@ -186,7 +197,7 @@ TWO_WARM = (
 )
 
 
-def shared_events(folder, definitions, topics, rules):
+def shared_events(folder: Any, definitions: Any, topics: Any, rules: str) -> List[Any]:
     definitions.add("my_msgs/Flag", "bool on")
     (folder / "pub_sub.xml").write_text(f"<publish_subscribe>{topics}</publish_subscribe>")
     (folder / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')\n")
@@ -195,7 +206,7 @@ def shared_events(folder, definitions, topics, rules):
     return [finding.problem.message for finding in findings if finding.problem.code == "RT1110"]
 
 
-def test_topics_with_one_event_are_reported(tmp_path, definitions):
+def test_topics_with_one_event_are_reported(tmp_path: Path, definitions: Any) -> None:
     (message,) = shared_events(tmp_path, definitions, TWO_FLAGS, "opened <- my_msgs__0__Flag(true).")
     assert message.startswith("my_msgs__0__Flag/1 is the event of both door and bumper")
     (message,) = shared_events(tmp_path, definitions, TWO_WARM, "warm(W) <- my_msgs__0__Warm(_, W).")
@@ -214,11 +225,13 @@ def test_topics_with_one_event_are_reported(tmp_path, definitions):
     ],
     ids=["unused", "event", "frame", "one frame", "header", "one topic"],
 )
-def test_distinguishable_topics_are_not_reported(tmp_path, definitions, topics, rules):
+def test_distinguishable_topics_are_not_reported(
+    tmp_path: Path, definitions: Any, topics: Any, rules: str
+) -> None:
     assert shared_events(tmp_path, definitions, topics, rules) == []
 
 
-def test_exchanged_topic_and_id_are_named(tmp_path, definitions):
+def test_exchanged_topic_and_id_are_named(tmp_path: Path, definitions: Any) -> None:
     (tmp_path / "pub_sub.xml").write_text(
         '<publish_subscribe><publish_to name="warn" msg_type="my_msgs/Flag"/></publish_subscribe>'
     )
@@ -238,7 +251,9 @@ def test_exchanged_topic_and_id_are_named(tmp_path, definitions):
         ("a <- my_msgs__0__Warm(_, warm).", "warmth of my_msgs/Warm is a number in events"),
     ],
 )
-def test_letter_in_place_of_a_number_may_be_a_variable(tmp_path, definitions, rules, message):
+def test_letter_in_place_of_a_number_may_be_a_variable(
+    tmp_path: Path, definitions: Any, rules: str, message: str
+) -> None:
     (tmp_path / "rules.txt").write_text(rules)
     findings = check_program(tmp_path / "rules.txt", definitions)
     assert [finding.problem.message for finding in findings if finding.problem.code == "RT1105"] == [message]

@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from typing import Any, List
 
 import pytest
 
@@ -9,7 +10,7 @@ from retalis import Definitions, Engine, ProgramErrors
 from retalis.engine.program_check import check_program
 
 
-def unread_files(engine, folder):
+def unread_files(engine: Any, folder: Any) -> List[Any]:
     return [
         warning.message
         for warning in engine.warnings(folder, Definitions())
@@ -17,7 +18,7 @@ def unread_files(engine, folder):
     ]
 
 
-def test_file_that_is_not_read_is_reported(tmp_path):
+def test_file_that_is_not_read_is_reported(tmp_path: Path) -> None:
     engine = Engine()
     assert unread_files(engine, tmp_path) == []
     (tmp_path / "eventRules.txt").write_text("a <- b.")
@@ -35,11 +36,11 @@ def test_file_that_is_not_read_is_reported(tmp_path):
     assert unread_files(engine, tmp_path) == []  # the errors of the load are reported already
 
 
-def test_folder_without_permission_is_no_error(tmp_path, monkeypatch):
+def test_folder_without_permission_is_no_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The system call is replaced, because root may enter all folders."""
     real_stat, real_path_stat = os.stat, Path.stat
 
-    def refuse(path):
+    def refuse(path: Any) -> None:
         if str(path).startswith(f"{tmp_path}/"):
             raise PermissionError(13, "Permission denied", str(path))
 
@@ -50,13 +51,13 @@ def test_folder_without_permission_is_no_error(tmp_path, monkeypatch):
     assert unread_files(Engine(), tmp_path) == []
 
 
-def write_program(folder, rules):
+def write_program(folder: Any, rules: Any) -> None:
     (folder / "pub_sub.xml").write_text("<publish_subscribe/>")
     (folder / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')\n")
     (folder / "eventRules.txt").write_text(f"{rules}\n")
 
 
-def findings_of(path, code, definitions):
+def findings_of(path: Any, code: str, definitions: Any) -> List[Any]:
     return [
         finding.problem.message
         for finding in check_program(path, definitions)
@@ -64,7 +65,7 @@ def findings_of(path, code, definitions):
     ]
 
 
-def findings_of_rules(folder, rules, code, definitions):
+def findings_of_rules(folder: Any, rules: Any, code: str, definitions: Any) -> Any:
     path = folder / "rules.txt"
     path.write_text(f"{rules}\n")
     return findings_of(path, code, definitions)
@@ -80,7 +81,9 @@ def findings_of_rules(folder, rules, code, definitions):
         ("hot(m) <- temp(m, T) seq door(open) where T > 40.", "m"),
     ],
 )
-def test_constant_meant_as_variable_is_reported(tmp_path, definitions, rules, name):
+def test_constant_meant_as_variable_is_reported(
+    tmp_path: Path, definitions: Any, rules: str, name: str
+) -> None:
     (message,) = findings_of_rules(tmp_path, rules, "RT1408", definitions)
     assert message.startswith(f"{name} is a constant")
     assert message.endswith(f"write the variable {name.capitalize()}")
@@ -100,7 +103,7 @@ def test_constant_meant_as_variable_is_reported(tmp_path, definitions, rules, na
         "alarm(m) <- ok cnot temp(m, _).",
     ],
 )
-def test_constant_that_is_known_is_not_reported(tmp_path, definitions, rules):
+def test_constant_that_is_known_is_not_reported(tmp_path: Path, definitions: Any, rules: str) -> None:
     assert findings_of_rules(tmp_path, rules, "RT1408", definitions) == []
 
 
@@ -115,7 +118,7 @@ COUNTER = "c(N) do (retract(count(M)), N is M + 1, assertz(count(N))) <- tick."
         "next(N) :- count(M), N is M + 1, retract(count(M)), assertz(count(N)).\nc(N) <- tick where next(N).",
     ],
 )
-def test_counter_without_first_fact_is_reported(tmp_path, definitions, rules):
+def test_counter_without_first_fact_is_reported(tmp_path: Path, definitions: Any, rules: Any) -> None:
     write_program(tmp_path, rules)
     (message,) = findings_of(tmp_path, "RT1404", definitions)
     assert message == (
@@ -136,16 +139,16 @@ def test_counter_without_first_fact_is_reported(tmp_path, definitions, rules):
         f"{COUNTER}\nnull do assertz(F) <- fact(F).",
     ],
 )
-def test_counter_with_first_fact_is_not_reported(tmp_path, definitions, rules):
+def test_counter_with_first_fact_is_not_reported(tmp_path: Path, definitions: Any, rules: str) -> None:
     write_program(tmp_path, rules)
     assert findings_of(tmp_path, "RT1404", definitions) == []
 
 
-def test_counter_of_single_file_is_not_reported(tmp_path, definitions):
+def test_counter_of_single_file_is_not_reported(tmp_path: Path, definitions: Any) -> None:
     assert findings_of_rules(tmp_path, COUNTER, "RT1404", definitions) == []
 
 
-def test_clause_is_not_suggested_for_its_own_call(tmp_path, definitions):
+def test_clause_is_not_suggested_for_its_own_call(tmp_path: Path, definitions: Any) -> None:
     rules = "near(X) :- nearr(X).\na <- b(X) where near(X)."
     (message,) = findings_of_rules(tmp_path, rules, "RT1402", definitions)
     assert message == "there is no predicate nearr/1: define it, or assert facts of it"

@@ -1,5 +1,8 @@
 """Names of variables, and bounded time of the search for similar names."""
 
+from pathlib import Path
+from typing import Any, List
+
 import pytest
 
 from retalis import Definitions, Engine, functor
@@ -13,15 +16,15 @@ from retalis.events.checks.window_checks import find_windows_of_long_events
 from retalis.events.program.topic_configuration import Topics
 
 
-def test_equal_name_is_preferred_suggestion():
+def test_equal_name_is_preferred_suggestion() -> None:
     keys = [functor("hot", 1), functor("hot", 4), functor("hit", 2)]
     assert FunctorSuggestions().suggest(functor("hot", 3), keys) == "hot/4"
     assert FunctorSuggestions().suggest(functor("hut", 1), keys) in ("hot/1", "hit/2")
     assert FunctorSuggestions().suggest(functor("cold", 1), keys) == ""
 
 
-def test_comparisons_of_names_are_limited(monkeypatch):
-    compared = []
+def test_comparisons_of_names_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    compared: List[Any] = []
     monkeypatch.setattr(
         program_model, "closest_name", lambda name, names, alike=0.66: compared.append(len(names)) or ""
     )
@@ -37,19 +40,19 @@ class CountingNames(dict):
 
     read_count = 0
 
-    def __iter__(self):
+    def __iter__(self) -> Any:
         self.read_count += 1
         return super().__iter__()
 
-    def keys(self):
+    def keys(self) -> Any:
         self.read_count += 1
         return super().keys()
 
-    def items(self):
+    def items(self) -> Any:
         self.read_count += 1
         return super().items()
 
-    def values(self):
+    def values(self) -> Any:
         self.read_count += 1
         return super().values()
 
@@ -65,7 +68,7 @@ class CountingNames(dict):
         find_windows_of_long_events,
     ],
 )
-def test_names_of_program_are_not_read_for_each_rule(tmp_path, check):
+def test_names_of_program_are_not_read_for_each_rule(tmp_path: Path, check: Any) -> None:
     rules = [
         "a(T) <- b(T, _) where (T > T, T > t).",
         "c(T) <- std_msgs__0__String(T) where T > 1.",

@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from pathlib import Path
+from typing import Any, Iterator
 
 import pytest
 from source import ROOT
@@ -30,7 +31,7 @@ alarm('"hit"') <- hit where access_mem(hits, _, _).
 """
 
 
-def mistakes():
+def mistakes() -> Iterator[Any]:
     """Yield the mistakes of the table: what they add to each file, and what is said."""
     for entry in TABLE.read_text(encoding="utf-8").split("\n## ")[1:]:
         name, *lines = entry.rstrip().split("\n")
@@ -43,35 +44,35 @@ def mistakes():
         yield pytest.param({part: "\n".join(lines) for part, lines in lines_by_part.items()}, id=name)
 
 
-def write(folder, rule="", goal="", topic="", said=""):
+def write(folder: Any, rule: str = "", goal: str = "", topic: str = "", said: str = "") -> None:
     """Write a program that has additions."""
     (folder / "pub_sub.xml").write_text(f"{TOPICS}{topic}\n</publish_subscribe>\n")
     (folder / "goalPredicates.txt").write_text(f"{GOALS}{goal}\n")
     (folder / "eventRules.txt").write_text(f"{RULES}{rule}\n")
 
 
-def findings_text(folder: Path, definitions):
+def findings_text(folder: Path, definitions: Any) -> str:
     findings = check_program(folder, definitions)
     text = "\n".join(f"{finding.severity}: {finding.problem}" for finding in findings)
     return text.replace(f"{folder}/", "")
 
 
 @pytest.mark.parametrize("mistake", list(mistakes()))
-def test_mistake_has_one_finding_with_position(tmp_path, definitions, mistake):
+def test_mistake_has_one_finding_with_position(tmp_path: Path, definitions: Any, mistake: Any) -> None:
     write(tmp_path, **mistake)
     assert findings_text(tmp_path, definitions) == mistake["said"]
 
 
-def test_table_has_thirty_mistakes():
+def test_table_has_thirty_mistakes() -> None:
     assert len(list(mistakes())) >= 30
 
 
-def test_program_without_mistakes_has_no_findings(tmp_path, definitions):
+def test_program_without_mistakes_has_no_findings(tmp_path: Path, definitions: Any) -> None:
     write(tmp_path)
     assert findings_text(tmp_path, definitions) == ""
 
 
-def test_timestamp_is_number_of_arithmetic(tmp_path, definitions):
+def test_timestamp_is_number_of_arithmetic(tmp_path: Path, definitions: Any) -> None:
     header = "sensor_msgs__0__Temperature(std_msgs__0__Header(_, T, _), _, _)"
     write(tmp_path, rule=f"hit <- {header} check (t2(E), E - T > 0.5).")
     assert findings_text(tmp_path, definitions) == ""
@@ -86,7 +87,7 @@ def test_timestamp_is_number_of_arithmetic(tmp_path, definitions):
         "std_msgs__0__Float64(X) <- reading(X) where X \\== unknown.",
     ],
 )
-def test_converted_values_are_not_reported(tmp_path, definitions, rule):
+def test_converted_values_are_not_reported(tmp_path: Path, definitions: Any, rule: str) -> None:
     write(tmp_path, rule=rule)
     assert [
         finding.problem for finding in check_program(tmp_path, definitions) if finding.check == "kinds"
@@ -94,5 +95,5 @@ def test_converted_values_are_not_reported(tmp_path, definitions, rule):
 
 
 @pytest.mark.slow
-def test_example_has_no_findings(definitions):
+def test_example_has_no_findings(definitions: Any) -> None:
     assert findings_text(ROOT / "application_source", definitions) == ""

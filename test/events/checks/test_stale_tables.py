@@ -1,5 +1,8 @@
 """Warnings about tables whose answers become outdated."""
 
+from pathlib import Path
+from typing import Any, List
+
 import pytest
 
 from retalis import Definitions
@@ -15,7 +18,7 @@ go(1) <- pos(_).
 """
 
 
-def messages_of_check(folder, rules, check):
+def messages_of_check(folder: Any, rules: Any, check: str) -> List[Any]:
     """Return what a check says of a program, which has no errors."""
     (folder / "pub_sub.xml").write_text("<publish_subscribe></publish_subscribe>\n")
     (folder / "goalPredicates.txt").write_text(f"compile_event_file('rules.txt')\n{MEMORY}")
@@ -25,7 +28,7 @@ def messages_of_check(folder, rules, check):
     return [finding.problem.message for finding in findings_of_program if finding.check == check]
 
 
-def stale_table_messages(folder, rules):
+def stale_table_messages(folder: Any, rules: Any) -> Any:
     """Return what is said of tables in a program."""
     return messages_of_check(folder, RULES + rules, "stale-tables")
 
@@ -80,11 +83,11 @@ OPAQUE = "; where it is meant so, :- table t/1 as opaque"
         ),
     ],
 )
-def test_stale_table_is_reported(tmp_path, rules, text):
+def test_stale_table_is_reported(tmp_path: Path, rules: Any, text: str) -> None:
     assert stale_table_messages(tmp_path, rules) == [text]
 
 
-def test_each_table_of_chain_is_named(tmp_path):
+def test_each_table_of_chain_is_named(tmp_path: Path) -> None:
     rules = ":- table t/1, u/1.\nt(P) :- u(P).\nu(P) :- prev(pos, pos(P), _, _, [1000,0]).\n"
     assert [text.split(" reads ")[0] for text in stale_table_messages(tmp_path, rules)] == [
         "table t/1",
@@ -119,11 +122,11 @@ def test_each_table_of_chain_is_named(tmp_path):
         ":- table t/1.\nt(X) :- length(X, 2).\nuser :- t(_), prev(pos, _, _, _, [1,0]).\n",
     ],
 )
-def test_table_that_cannot_be_stale_is_not_reported(tmp_path, rules):
+def test_table_that_cannot_be_stale_is_not_reported(tmp_path: Path, rules: Any) -> None:
     assert stale_table_messages(tmp_path, rules) == []
 
 
-def test_options_of_declaration_hide_no_mistake(tmp_path):
+def test_options_of_declaration_hide_no_mistake(tmp_path: Path) -> None:
     rules = ":- dynamic q/1 as incremental.\n:- table t/1 as incremental.\nt(X) :- q(X), nothing_there(X).\n"
     messages = messages_of_check(tmp_path, rules, "undefined")
     assert [text.split(":")[0] for text in messages] == ["there is no predicate nothing_there/1"]

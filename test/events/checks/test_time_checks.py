@@ -1,5 +1,7 @@
 """Time checks of programs with many rules."""
 
+from typing import Any, List, Optional
+
 import pytest
 
 from retalis import Definitions, Engine, TopicType
@@ -24,7 +26,7 @@ TWICE = [f"e{number + 1} <- e{number} check true." for number in range(40)]
 PLAIN = [f"f{number + 1} <- f{number}." for number in range(CHAIN_LENGTH)]
 
 
-def messages_of(*rules):
+def messages_of(*rules: Any) -> List[Any]:
     engine = Engine()
     engine.load(rules="\n".join(rules))
     program = ProgramModel(engine.rules, engine.knowledge, Definitions(), TOPICS)
@@ -32,26 +34,26 @@ def messages_of(*rules):
 
 
 @pytest.mark.slow
-def test_instant_is_known_after_long_chain():
+def test_instant_is_known_after_long_chain() -> None:
     (message,) = messages_of(FIRST, *CHAIN, *TWICE, f"x <- e{CHAIN_LENGTH} par e{CHAIN_LENGTH}.")
     assert message.startswith("par never matches here: both sides are instants")
 
 
-def test_event_of_two_rules_is_instant_if_both_are():
+def test_event_of_two_rules_is_instant_if_both_are() -> None:
     assert messages_of(FIRST, "e1 <- e0. e1 <- e0 seq e0. x <- e1 par e1.") == []
 
 
-def test_recursive_events_are_no_instants():
+def test_recursive_events_are_no_instants() -> None:
     assert messages_of(FIRST, "a <- b where true. b <- a where true. x <- a par b.") == []
 
 
 @pytest.mark.slow
-def test_cycle_after_long_chain_is_reported_once():
+def test_cycle_after_long_chain_is_reported_once() -> None:
     (message,) = messages_of(*PLAIN, f"g <- f{CHAIN_LENGTH}. g <- h. h <- g.")
     assert message.startswith("these events fire each other (g/0 <- h/0 <- g/0)")
 
 
-def test_cycle_is_reported_once():
+def test_cycle_is_reported_once() -> None:
     (message,) = messages_of(*PLAIN[:9], "f0 <- f9.")
     assert message.startswith("these events fire each other (f1/0 <- f0/0 <- f9/0 <- ")
 
@@ -60,7 +62,7 @@ PAIR = "near <- (std_msgs__0__String(_) and std_msgs__0__Bool(_)) within 0.1."
 TWO_TOPICS = Topics((TopicType("said", "std_msgs/String"), TopicType("on", "std_msgs/Bool")))
 
 
-def missed(rules, topics=TWO_TOPICS):
+def missed(rules: Any, topics: Any = TWO_TOPICS) -> List[Any]:
     engine = Engine()
     engine.load(rules=rules)
     return [
@@ -69,7 +71,7 @@ def missed(rules, topics=TWO_TOPICS):
     ]
 
 
-def test_message_pairs_under_default_policy_are_named():
+def test_message_pairs_under_default_policy_are_named() -> None:
     (message,) = missed(PAIR)
     assert message.startswith("under the policy recent a message is used for one pair only")
 
@@ -85,11 +87,11 @@ def test_message_pairs_under_default_policy_are_named():
     ],
     ids=["other policy", "intended", "no window", "seq", "no message"],
 )
-def test_other_pairs_are_not_named(rules):
+def test_other_pairs_are_not_named(rules: str) -> None:
     assert missed(rules) == []
 
 
-def unbounded(rules, flags=()):
+def unbounded(rules: str, flags: Any = ()) -> List[Any]:
     engine = Engine()
     for flag, value in flags:
         assert engine.call(f"set_etalis_flag({flag}, {value})")
@@ -109,7 +111,7 @@ KEYED = [
 
 
 @pytest.mark.parametrize("rule", KEYED)
-def test_state_of_keys_that_no_time_ends_is_named(rule):
+def test_state_of_keys_that_no_time_ends_is_named(rule: Any) -> None:
     (message,) = unbounded(rule)
     assert "no time ends the state" in message
     assert "property(ttl, SECONDS), or property(ttl, 0)" in message
@@ -133,7 +135,7 @@ def test_state_of_keys_that_no_time_ends_is_named(rule):
         "p(K) <- (s(K) seq aggregate(count, q(K, V), _, last(3, events))) within 5.",
     ],
 )
-def test_bounded_state_is_not_named(rule):
+def test_bounded_state_is_not_named(rule: str) -> None:
     assert unbounded(rule) == []
 
 
@@ -145,14 +147,14 @@ def test_bounded_state_is_not_named(rule):
         ("temp(M, T) with change(T, M) where T > 40", 0),
     ],
 )
-def test_condition_after_throttle_is_reported(pattern, count):
+def test_condition_after_throttle_is_reported(pattern: str, count: int) -> None:
     engine = Engine()
     engine.load(rules=f"hot(M) <- {pattern}.")
     program = ProgramModel(engine.rules, engine.knowledge, Definitions(), TOPICS)
     assert len(list(find_conditions_after_throttle(program))) == count
 
 
-def milliseconds(rules, recorded=()):
+def milliseconds(rules: Any, recorded: Any = ()) -> List[Any]:
     engine = Engine()
     engine.load(rules=rules)
     topics = Topics((TopicType("said", "std_msgs/String"),))
@@ -174,7 +176,7 @@ def milliseconds(rules, recorded=()):
         ("x <- a do timer(t, after(1700)).", "1700 is 28.3 minutes"),
     ],
 )
-def test_span_of_no_whole_minute_is_reported(rule, message):
+def test_span_of_no_whole_minute_is_reported(rule: str, message: str) -> None:
     (finding,) = milliseconds(rule)
     assert finding.startswith(f"{message}, because spans are in seconds: for milliseconds write ")
 
@@ -192,7 +194,7 @@ def test_span_of_no_whole_minute_is_reported(rule, message):
         "x <- a seq absent(b, 90000).",
     ],
 )
-def test_likely_seconds_are_not_reported(rule):
+def test_likely_seconds_are_not_reported(rule: str) -> None:
     assert milliseconds(rule) == []
 
 
@@ -200,7 +202,9 @@ def test_likely_seconds_are_not_reported(rule):
     ("span", "period", "count"),
     [(3000, 0.1, 1), (250, 0.1, 1), (250, 0.5, 0), (600, 0.1, 0), (30, 0.001, 0), (3000, None, 0)],
 )
-def test_span_is_compared_with_the_rate_of_a_bag(span, period, count, definitions):
+def test_span_is_compared_with_the_rate_of_a_bag(
+    span: int, period: Optional[float], count: int, definitions: Any
+) -> None:
     rules = f"heard(T) <- std_msgs__0__String(T). x <- heard(T) seq absent(heard(T), {span})."
     engine = Engine()
     engine.load(rules=rules)
@@ -211,7 +215,7 @@ def test_span_is_compared_with_the_rate_of_a_bag(span, period, count, definition
     assert all(f"in the bag, a message of said arrives every {period} s" in message for message in messages)
 
 
-def unkeyed(rules):
+def unkeyed(rules: str) -> List[Any]:
     engine = Engine()
     engine.load(rules=rules)
     program = ProgramModel(engine.rules, engine.knowledge, Definitions(), TOPICS)
@@ -227,7 +231,7 @@ def unkeyed(rules):
         ("temp(R, T) with burst(2)", "write burst(2, R)"),
     ],
 )
-def test_throttle_without_key_is_reported(pattern, advice):
+def test_throttle_without_key_is_reported(pattern: str, advice: str) -> None:
     (message,) = unkeyed(f"hot(R) <- {pattern}.")
     assert message.endswith(advice)
 
@@ -248,5 +252,5 @@ def test_throttle_without_key_is_reported(pattern, advice):
         "hot(R) <- temp(left, R) with throttle(10).",
     ],
 )
-def test_throttle_that_needs_no_key_is_not_reported(rules):
+def test_throttle_that_needs_no_key_is_not_reported(rules: str) -> None:
     assert unkeyed(rules) == []

@@ -1,6 +1,8 @@
 """Values that flow through the events, memories, states and predicates of a program."""
 
 import re
+from pathlib import Path
+from typing import Any, List
 
 import pytest
 from doc_pages import ROOT
@@ -18,17 +20,17 @@ FENCE = re.compile(r"^```prolog\n(.*?)^```", re.MULTILINE | re.DOTALL)
 EVENT = re.compile(r"(\S.*?) \[([\d.]+),([\d.]+)\](?:, |$)")
 
 
-def model_of(definitions, rules):
+def model_of(definitions: Any, rules: str) -> Any:
     engine = Engine()
     engine.load(rules=rules)
     return ProgramModel(engine.rules, engine.knowledge, definitions, Topics())
 
 
-def impossible_values(definitions, rules):
+def impossible_values(definitions: Any, rules: Any) -> List[Any]:
     return [error.message for error in find_impossible_flows(model_of(definitions, rules))]
 
 
-def type_conflicts(definitions, rules):
+def type_conflicts(definitions: Any, rules: Any) -> List[Any]:
     return [error.message for error in find_conflicting_flows(model_of(definitions, rules))]
 
 
@@ -68,7 +70,7 @@ QUOTES = "a text keeps its quotes in events, write '\"anna\"'"
         ),
     ],
 )
-def test_constant_of_no_event_is_reported_with_advice(definitions, rules, message):
+def test_constant_of_no_event_is_reported_with_advice(definitions: Any, rules: Any, message: str) -> None:
     assert impossible_values(definitions, rules) == [message]
     assert type_conflicts(definitions, rules) == []
 
@@ -110,7 +112,7 @@ def test_constant_of_no_event_is_reported_with_advice(definitions, rules, messag
         ":- declare_event(reading(celsius:float)). c(X) <- reading(X). d <- c(high).",
     ],
 )
-def test_values_flow_to_an_event(definitions, rules):
+def test_values_flow_to_an_event(definitions: Any, rules: Any) -> None:
     (message,) = impossible_values(definitions, rules)
     assert message.startswith(
         ("argument 1 of c/1 is", "argument 1 of c/2 is", "argument 1 of on/1 is", "argument 1 of text/1")
@@ -161,7 +163,7 @@ def test_values_flow_to_an_event(definitions, rules):
         ),
     ],
 )
-def test_conflict_is_reported_with_advice(definitions, rules, message):
+def test_conflict_is_reported_with_advice(definitions: Any, rules: str, message: str) -> None:
     rules = rules if rules.startswith("ok(N)") else TEXT + rules
     assert type_conflicts(definitions, rules) == [message]
     assert impossible_values(definitions, rules) == []
@@ -194,7 +196,7 @@ def test_conflict_is_reported_with_advice(definitions, rules, message):
         "ok(N) <- aggregate(count, text(X), N, steps([one where X == anna])).",
     ],
 )
-def test_values_flow_to_a_goal(definitions, rules):
+def test_values_flow_to_a_goal(definitions: Any, rules: str) -> None:
     assert len(type_conflicts(definitions, TEXT + rules)) == 1
 
 
@@ -239,11 +241,11 @@ def test_values_flow_to_a_goal(definitions, rules):
         "p(X) :- p(X). ok <- go where p(3).",
     ],
 )
-def test_possible_and_unknown_values_are_not_reported(definitions, rules):
+def test_possible_and_unknown_values_are_not_reported(definitions: Any, rules: Any) -> None:
     assert impossible_values(definitions, rules) + type_conflicts(definitions, rules) == []
 
 
-def test_use_in_rule_of_message_is_reported_once(check):
+def test_use_in_rule_of_message_is_reported_once(check: Any) -> None:
     assert [finding.problem.code for finding in check("ok <- std_msgs__0__String(X) where X == anna.")] == [
         "RT1106"
     ]
@@ -251,10 +253,10 @@ def test_use_in_rule_of_message_is_reported_once(check):
 
 
 @pytest.fixture
-def check(tmp_path, definitions):
+def check(tmp_path: Path, definitions: Any) -> Any:
     """Return a function that checks rules, without the findings about missing topics."""
 
-    def run(rules):
+    def run(rules: Any) -> List[Any]:
         path = tmp_path / "rules.txt"
         path.write_text(rules + "\n")
         return [finding for finding in check_program(path, definitions) if finding.problem.code != "RT1201"]
@@ -262,21 +264,21 @@ def check(tmp_path, definitions):
     return run
 
 
-def test_comment_suppresses_finding_of_constant(check):
+def test_comment_suppresses_finding_of_constant(check: Any) -> None:
     (finding,) = check(TEXT + "d <- go seq text(anna).")
     assert (finding.check, finding.problem.code) == ("values", "RT1105")
     assert (finding.problem.place.line, finding.problem.place.column) == (2, 18)
     assert check(TEXT + "d <- go seq text(anna). % retalis: ignore=RT1105") == []
 
 
-def test_constant_of_other_file_has_its_place(tmp_path, check):
+def test_constant_of_other_file_has_its_place(tmp_path: Path, check: Any) -> None:
     (tmp_path / "people.pl").write_text("allowed(anna).\n")
     (finding,) = check(":- consult('people.pl').\nok(N) <- std_msgs__0__String(N) where allowed(N).")
     assert finding.problem.code == "RT1106"
     assert "argument 1 of allowed/1 is an atom (anna in line 1 of people.pl)" in finding.problem.message
 
 
-def test_change_of_a_file_is_checked_at_reload(tmp_path, definitions):
+def test_change_of_a_file_is_checked_at_reload(tmp_path: Path, definitions: Any) -> None:
     (tmp_path / "pub_sub.xml").write_text("<publish_subscribe/>")
     (tmp_path / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')\n")
     rules = tmp_path / "eventRules.txt"
@@ -284,7 +286,7 @@ def test_change_of_a_file_is_checked_at_reload(tmp_path, definitions):
     engine = Engine()
     engine.load_program(tmp_path)
 
-    def codes():
+    def codes() -> List[Any]:
         return [warning.code for warning in engine.warnings(tmp_path, definitions)]
 
     assert "RT1105" not in codes()
@@ -293,7 +295,7 @@ def test_change_of_a_file_is_checked_at_reload(tmp_path, definitions):
     assert "RT1105" in codes()
 
 
-def test_values_flow_through_long_chains_in_any_order(definitions):
+def test_values_flow_through_long_chains_in_any_order(definitions: Any) -> None:
     rules = [f"e{number + 1}(X) <- e{number}(X) where true." for number in range(300)]
     clauses = [f"p{number + 1}(X) :- p{number}(X)." for number in range(300)]
     ends = "e0(X) <- std_msgs__0__String(X). d <- e300(anna). ok(X) <- e300(X) where p300(X). p0(5)."
@@ -302,7 +304,7 @@ def test_values_flow_through_long_chains_in_any_order(definitions):
 
 
 @pytest.mark.slow
-def test_events_of_examples_have_kinds(definitions):
+def test_events_of_examples_have_kinds(definitions: Any) -> None:
     checked = 0
     for page in sorted((ROOT / "docs").rglob("*.md")):
         for text in FENCE.findall(page.read_text(encoding="utf-8")):
@@ -314,12 +316,12 @@ def test_events_of_examples_have_kinds(definitions):
     assert checked > 100
 
 
-def _check_events(definitions, rules, arrivals):
+def _check_events(definitions: Any, rules: Any, arrivals: Any) -> Any:
     """Run an example, compare its events with their computed kinds, and return the number of compared arguments."""
     engine = Engine()
     engine.load(rules=rules)
     flow = ValueFlow(ProgramModel(engine.rules, engine.knowledge, definitions, Topics()))
-    outputs = []
+    outputs: List[Any] = []
     engine.on_event(lambda term, start, end: outputs.append(term))
     for term, start, end in arrivals:
         engine.clock.move_to(from_seconds(float(end)))
@@ -335,7 +337,7 @@ def _check_events(definitions, rules, arrivals):
     return checked
 
 
-def test_kinds_of_a_predicate_are_those_of_its_clauses(definitions):
+def test_kinds_of_a_predicate_are_those_of_its_clauses(definitions: Any) -> None:
     flow = ValueFlow(model_of(definitions, "p(X, Y) :- q(X), Y is 1. q(anna). q([1]). r(_)."))
     assert [sorted(kinds) for kinds in flow.kinds_of_predicate(functor("p", 2))] == [
         ["atom", "list"],

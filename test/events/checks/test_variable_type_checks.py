@@ -1,5 +1,7 @@
 """Comparisons of integers with values that are floats, and vice versa."""
 
+from typing import Any, List, Optional
+
 import pytest
 
 from retalis import Engine
@@ -17,7 +19,9 @@ from retalis.prolog.builtins.builtin_registry import ENTRIES
 TOPICS = Topics((topic_type("at", "geometry_msgs/Point"), topic_type("n", "std_msgs/Int32")))
 
 
-def messages_of(definitions, rules="", goals="", check=find_number_type_mismatches):
+def messages_of(
+    definitions: Any, rules: str = "", goals: str = "", check: Any = find_number_type_mismatches
+) -> List[Any]:
     engine = Engine()
     engine.load(rules=rules, goals=goals)
     return [
@@ -52,7 +56,9 @@ def messages_of(definitions, rules="", goals="", check=find_number_type_mismatch
         ),
     ],
 )
-def test_comparison_with_other_number_type_is_reported(definitions, rules, goals, message):
+def test_comparison_with_other_number_type_is_reported(
+    definitions: Any, rules: str, goals: str, message: str
+) -> None:
     assert messages_of(definitions, rules, goals) == [message]
 
 
@@ -69,7 +75,7 @@ def test_comparison_with_other_number_type_is_reported(definitions, rules, goals
         "a <- geometry_msgs__0__Point(X, _, _) where (Y = 0 ; Y = 1), X > Y.",
     ],
 )
-def test_possible_comparison_is_not_reported(definitions, rules):
+def test_possible_comparison_is_not_reported(definitions: Any, rules: str) -> None:
     assert messages_of(definitions, rules) == []
 
 
@@ -93,12 +99,14 @@ def test_possible_comparison_is_not_reported(definitions, rules):
         ("(access_mem(m, I, _), image_pixel(I, W, W, D))", None),
     ],
 )
-def test_arguments_of_array_predicates_are_checked(definitions, goal, message):
+def test_arguments_of_array_predicates_are_checked(
+    definitions: Any, goal: str, message: Optional[str]
+) -> None:
     rules = f"a <- sensor_msgs__0__Image{{data: D, width: W}} where {goal}."
     assert messages_of(definitions, rules, check=find_type_conflicts) == ([message] if message else [])
 
 
-def test_array_as_number_is_reported(definitions):
+def test_array_as_number_is_reported(definitions: Any) -> None:
     (message,) = messages_of(
         definitions, "a <- sensor_msgs__0__LaserScan{ranges: R} where R < 1.", check=find_type_conflicts
     )
@@ -107,7 +115,7 @@ def test_array_as_number_is_reported(definitions):
     )
 
 
-def test_array_and_message_predicates_are_known():
+def test_array_and_message_predicates_are_known() -> None:
     assert {name for name, _ in ENTRIES} >= _ARRAY_PREDICATES
     assert {f"{name}/{arity}" for name, arity in ENTRIES} >= {
         predicate for predicates in SENSOR_PREDICATES.values() for predicate in predicates
@@ -133,7 +141,7 @@ def test_array_and_message_predicates_are_known():
         ),
     ],
 )
-def test_windows_accept_arrays(definitions, pattern, message):
+def test_windows_accept_arrays(definitions: Any, pattern: str, message: Any) -> None:
     definitions.add("msgs/Scan", "float32 a\nfloat32[] ranges\nstring id\n")
     engine = Engine(definitions=definitions)
     engine.load(rules=f"a(D) <- {pattern}.")
@@ -161,7 +169,7 @@ def test_windows_accept_arrays(definitions, pattern, message):
         ),
     ],
 )
-def test_equality_with_inexact_decimal_is_reported(definitions, rule, message):
+def test_equality_with_inexact_decimal_is_reported(definitions: Any, rule: str, message: str) -> None:
     assert messages_of(definitions, rule, check=find_inexact_decimals) == [message]
 
 
@@ -177,5 +185,5 @@ def test_equality_with_inexact_decimal_is_reported(definitions, rule, message):
         "a <- b(0.1).",
     ],
 )
-def test_exact_or_unmeasured_numbers_are_not_reported(definitions, rule):
+def test_exact_or_unmeasured_numbers_are_not_reported(definitions: Any, rule: str) -> None:
     assert messages_of(definitions, rule, check=find_inexact_decimals) == []

@@ -1,5 +1,8 @@
 """Windows that select events with a duration by their start."""
 
+from pathlib import Path
+from typing import Any, List
+
 import pytest
 
 from retalis import Definitions, Engine
@@ -9,7 +12,7 @@ from retalis.events.checks.window_checks import find_windows_of_long_events
 from retalis.events.program.topic_configuration import Topics
 
 
-def messages_of(rules):
+def messages_of(rules: str) -> List[Any]:
     """Return the findings in a loaded program."""
     engine = Engine()
     engine.load(rules=rules)
@@ -31,7 +34,7 @@ def messages_of(rules):
         (":- state(long, from(a), until(b)).", "long/0, a declared state"),
     ],
 )
-def test_window_of_event_with_duration_is_reported(rules, cause):
+def test_window_of_event_with_duration_is_reported(rules: str, cause: str) -> None:
     (message,) = messages_of(f"{rules}\nn(N) <- aggregate(count, long, N, last(60)).")
     assert f"({cause})" in message
     assert message.startswith("last(60) selects its elements by their start")
@@ -39,7 +42,7 @@ def test_window_of_event_with_duration_is_reported(rules, cause):
 
 
 @pytest.mark.parametrize("pattern", ["(a seq b)", "(a seq absent(b, 5))", "((a or (b and c)) where true)"])
-def test_window_of_a_composed_pattern_is_reported(pattern):
+def test_window_of_a_composed_pattern_is_reported(pattern: str) -> None:
     (message,) = messages_of(f"n(N) <- aggregate(count, {pattern}, N, last(60)).")
     assert "write a rule for the pattern" in message
 
@@ -58,11 +61,11 @@ def test_window_of_a_composed_pattern_is_reported(pattern):
         "n(N) <- aggregate(count, end, N, last(60)).",
     ],
 )
-def test_other_windows_are_not_reported(rules):
+def test_other_windows_are_not_reported(rules: str) -> None:
     assert messages_of(rules) == []
 
 
-def test_comment_suppresses_finding_of_window(tmp_path):
+def test_comment_suppresses_finding_of_window(tmp_path: Path) -> None:
     path = tmp_path / "rules.txt"
     rule = "n(X, N) <- aggregate(count, a(X), _, last(1)) seq aggregate(count, long(X), N, last(2))."
     path.write_text(f"long(X) <- a(X) seq b(X).\n{rule}\n")
@@ -74,7 +77,7 @@ def test_comment_suppresses_finding_of_window(tmp_path):
     assert check_program(path, Definitions()) == []
 
 
-def test_advised_rule_counts_by_the_end():
+def test_advised_rule_counts_by_the_end() -> None:
     engine = Engine()
     engine.load(
         rules="""
@@ -84,7 +87,7 @@ def test_advised_rule_counts_by_the_end():
         by_end(N) <- aggregate(count, long_end(_), N, last(3600)).
         """
     )
-    counts = []
+    counts: List[Any] = []
     engine.on_event(lambda term, start, end: counts.append(engine.show(term)))
     for event, instant in (("a(x)", 10), ("b(x)", 20), ("a(y)", 3600), ("b(y)", 3615)):
         engine.event(event, instant)

@@ -1,18 +1,20 @@
+from typing import Any, List
+
 import pytest
 
 from retalis import Clock, Engine, StreamClock, atom
 from retalis.prolog.terms.timestamps import SECOND
 
 
-def test_stamps_increase_strictly():
+def test_stamps_increase_strictly() -> None:
     times = iter([5, 5, 4, 100])
     clock = Clock(lambda: next(times))
     assert [clock.stamp() for _ in range(4)] == [5, 6, 7, 100]
 
 
-def test_due_alarms_are_returned_in_order():
+def test_due_alarms_are_returned_in_order() -> None:
     clock = StreamClock()
-    called = []
+    called: List[Any] = []
     clock.call_at(20, lambda instant: called.append(("b", instant)))
     clock.call_at(10, lambda instant: called.append(("a", instant)))
     assert clock.next_alarm() == 10
@@ -28,7 +30,7 @@ def test_due_alarms_are_returned_in_order():
     assert clock.next_alarm() is None
 
 
-def test_stream_clock_moves_back_on_request_only():
+def test_stream_clock_moves_back_on_request_only() -> None:
     clock = StreamClock(100)
     clock.move_to(50)
     assert clock.now() == 100
@@ -39,7 +41,7 @@ def test_stream_clock_moves_back_on_request_only():
     assert clock.now() == 7
 
 
-def test_jump_back_of_over_a_second_is_detected_once():
+def test_jump_back_of_over_a_second_is_detected_once() -> None:
     clock = StreamClock(10 * SECOND)
     assert not clock.went_back()
     clock.stamp()
@@ -53,7 +55,7 @@ def test_jump_back_of_over_a_second_is_detected_once():
     assert clock.stamp() == 8 * SECOND
 
 
-def test_first_stamp_is_present_time():
+def test_first_stamp_is_present_time() -> None:
     clock = StreamClock()
     assert [clock.stamp(), clock.stamp()] == [0, 1]
     clock.move_to(5 * SECOND)
@@ -63,7 +65,7 @@ def test_first_stamp_is_present_time():
     assert clock.stamp() == 0
 
 
-def test_stamp_at_once_is_next_stamp_if_nothing_is_due():
+def test_stamp_at_once_is_next_stamp_if_nothing_is_due() -> None:
     clock = StreamClock(0)
     assert [clock.stamp_at_once(), clock.stamp(), clock.stamp_at_once()] == [0, 1, 2]
     clock.move_to(50)
@@ -79,7 +81,7 @@ def test_stamp_at_once_is_next_stamp_if_nothing_is_due():
     assert clock.stamp() == 61
 
 
-def confirmed_clock(instant):
+def confirmed_clock(instant: int) -> Any:
     """Return a clock whose first timestamps, 11 s before, were confirmed by later ones."""
     clock = StreamClock()
     for second in (-11, -5, 0):
@@ -90,7 +92,7 @@ def confirmed_clock(instant):
 
 
 @pytest.mark.parametrize("is_quiet", [lambda clock: clock.is_quiet(), lambda clock: clock.follow(0)])
-def test_clock_is_quiet_if_nothing_is_due(is_quiet):
+def test_clock_is_quiet_if_nothing_is_due(is_quiet: Any) -> None:
     clock = confirmed_clock(50)
     assert is_quiet(clock)
     clock.call_at(60, lambda instant: None)
@@ -107,7 +109,7 @@ def test_clock_is_quiet_if_nothing_is_due(is_quiet):
 @pytest.mark.parametrize(
     "is_quiet", [lambda clock: clock.is_quiet(), lambda clock: clock.stamp_at_once() is not None]
 )
-def test_alarms_of_pinned_clock_follow_stream_time(is_quiet):
+def test_alarms_of_pinned_clock_follow_stream_time(is_quiet: Any) -> None:
     clock = StreamClock()
     clock.pin(10)
     clock.call_at(60, lambda instant: None)
@@ -116,12 +118,12 @@ def test_alarms_of_pinned_clock_follow_stream_time(is_quiet):
     assert not is_quiet(clock)
 
 
-def test_pinned_clock_emits_alarms_by_stream_time():
+def test_pinned_clock_emits_alarms_by_stream_time() -> None:
     clock = StreamClock()
     clock.pin(SECOND)
     engine = Engine(clock)
     engine.load(rules="exceptionAlarm(late, 5) <- start.")
-    events = []
+    events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append((engine.show(term), end)))
     engine.post(atom("start"), SECOND)
     clock.move_to(10 * SECOND)
@@ -129,7 +131,7 @@ def test_pinned_clock_emits_alarms_by_stream_time():
     assert events == [("start", SECOND), ("late", 6 * SECOND), ("x", 10 * SECOND)]
 
 
-def test_clock_follows_events_until_alarm_is_due():
+def test_clock_follows_events_until_alarm_is_due() -> None:
     clock = confirmed_clock(0)
     assert clock.follow(50)
     assert clock.now() == 50
@@ -145,7 +147,7 @@ def test_clock_follows_events_until_alarm_is_due():
     assert not clock.follow(80), "a pinned clock does not show the time of the stream"
 
 
-def test_reset_of_followed_clock_is_detected():
+def test_reset_of_followed_clock_is_detected() -> None:
     clock = confirmed_clock(0)
     assert clock.follow(5 * SECOND)
     clock.move_to(0, back=True)
@@ -154,8 +156,8 @@ def test_reset_of_followed_clock_is_detected():
     assert clock.went_back()
 
 
-def test_pending_alarm_adds_no_reads_of_time_source():
-    reads = []
+def test_pending_alarm_adds_no_reads_of_time_source() -> None:
+    reads: List[Any] = []
     clock = Clock(lambda: reads.append(1) or 5 * SECOND)
     clock.call_at(9 * SECOND, print)
     assert clock.is_quiet()

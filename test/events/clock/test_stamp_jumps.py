@@ -1,5 +1,7 @@
 """Steps of timestamps ahead: which the clock follows, and from which it returns."""
 
+from typing import Any
+
 import pytest
 
 from retalis.events.clock.stamp_jumps import StampJumps
@@ -9,7 +11,7 @@ HOUR = 3600
 YEAR = 365 * 86_400
 
 
-def times_after(stamps, jumps=None):
+def times_after(stamps: Any, jumps: Any = None) -> Any:
     """Return the time of a clock after each timestamp or pair of name and timestamp, in seconds."""
     jumps = StampJumps() if jumps is None else jumps
     time, times = 0, []
@@ -42,17 +44,17 @@ def times_after(stamps, jumps=None):
         ([1, HOUR, HOUR + 8, HOUR + 11, 2, 3, 4, 5], [1, HOUR, HOUR + 8] + [HOUR + 11] * 5),
     ],
 )
-def test_clock_follows_or_returns(stamps, times):
+def test_clock_follows_or_returns(stamps: Any, times: Any) -> None:
     assert times_after(stamps) == times
 
 
-def test_only_stamp_years_ahead_moves_clock():
+def test_only_stamp_years_ahead_moves_clock() -> None:
     assert times_after([1, YEAR, 2, YEAR + 1, 3]) == [1, 1, 2, 2, 3]
     steady = [YEAR + second for second in range(0, 16, 5)]
     assert times_after([1, *steady]) == [1, 1, 1, 1, YEAR + 15]
 
 
-def test_suspect_does_not_move_clock_and_others_do():
+def test_suspect_does_not_move_clock_and_others_do() -> None:
     jumps = StampJumps()
     wrong = [("bad", HOUR + second) for second in range(10, 60, 10)]
     right = [("good", second) for second in range(11, 61, 10)]
@@ -62,7 +64,7 @@ def test_suspect_does_not_move_clock_and_others_do():
     assert jumps.sources == ["bad"]
 
 
-def test_suspicion_ends_after_ten_minutes():
+def test_suspicion_ends_after_ten_minutes() -> None:
     stamps = [("a", 1), ("b", HOUR), ("a", 2), ("a", 3), ("a", 4)]
     stamps += [("a", second) for second in range(10, 620, 10)]
     assert times_after([*stamps, ("b", 2 * HOUR)])[-1] == 2 * HOUR
@@ -70,7 +72,7 @@ def test_suspicion_ends_after_ten_minutes():
 
 
 @pytest.mark.parametrize("stop", range(8))
-def test_restored_checks_have_same_decisions(stop):
+def test_restored_checks_have_same_decisions(stop: int) -> None:
     stamps = [1, HOUR, ("b", HOUR + 1), 2, ("b", YEAR), 3, 4, ("b", HOUR)]
     expected = times_after(stamps)
     jumps = StampJumps()

@@ -1,5 +1,7 @@
 """Discrimination trees: chosen listeners, their order, and skipped ones."""
 
+from typing import Any, List, Tuple
+
 import pytest
 
 from retalis import Var, functor, make_list
@@ -11,26 +13,26 @@ P = functor("p", 2)
 class Listener:
     """A listener that counts the reads of its pattern."""
 
-    def __init__(self, order, pattern):
+    def __init__(self, order: Any, pattern: Any) -> None:
         self.order = order
         self.matcher = self.action = order
         self.read_count = 0
         self._pattern = pattern
 
     @property
-    def pattern(self):
+    def pattern(self) -> Any:
         self.read_count += 1
         return self._pattern
 
 
-def chosen_listeners(plan, term):
+def chosen_listeners(plan: Any, term: Tuple[Any, ...]) -> List[Any]:
     """Return the orders of the listeners that a plan chooses for an event."""
     while hasattr(plan, "branch"):
         plan = plan.branch(term)
     return [order for order, _ in plan]
 
 
-def test_branches_keep_order_of_listeners():
+def test_branches_keep_order_of_listeners() -> None:
     patterns = [(P, 1, 2), (P, Var(), 2), (P, 1, Var()), (P, 2, 2), (P, Var(), Var()), (P, 1, 2)]
     plan = make_plan([Listener(order, pattern) for order, pattern in enumerate(patterns)])
     assert chosen_listeners(plan, (P, 1, 2)) == [0, 1, 2, 4, 5]
@@ -41,7 +43,7 @@ def test_branches_keep_order_of_listeners():
 
 
 @pytest.mark.parametrize("arity", range(1, 7))
-def test_up_to_six_constants_choose_listeners(arity):
+def test_up_to_six_constants_choose_listeners(arity: int) -> None:
     """Further constants would be tested by the matchers of all remaining listeners."""
     key = functor("q", arity)
     constants = [5] * (arity - 1)
@@ -52,7 +54,7 @@ def test_up_to_six_constants_choose_listeners(arity):
     assert chosen_listeners(nested, (P, 1, (P, 5, (P, 5, 7)))) == [7]
 
 
-def test_new_constant_reads_its_listeners_only():
+def test_new_constant_reads_its_listeners_only() -> None:
     listeners = [Listener(order, (P, order, Var())) for order in range(100)]
     plan = make_plan(listeners)
     counts_before = [listener.read_count for listener in listeners]
@@ -62,7 +64,7 @@ def test_new_constant_reads_its_listeners_only():
     ] == [7]
 
 
-def test_deep_pattern_is_classified():
+def test_deep_pattern_is_classified() -> None:
     """The hash of a tuple that is nested 400,000 deep would end the process."""
     deep = make_list(list(range(400_000)))
     assert not matches_all_events(functor("ev", 1)(deep))

@@ -1,5 +1,7 @@
 """Dispatch: order, constants, depth, and isolation of errors."""
 
+from typing import Any, List, Tuple
+
 import pytest
 from events.stream_programs import ProgramRunner, outputs_of, term_text
 from hypothesis import given, settings
@@ -18,7 +20,7 @@ A, B, F = functor("a", 1), functor("b", 2), functor("f", 1)
 
 class Done:
     @staticmethod
-    def run(frame):
+    def run(frame: Any) -> None:
         raise AssertionError
 
 
@@ -26,18 +28,18 @@ DONE = (Done(),)
 
 
 class Recorder:
-    def __init__(self):
+    def __init__(self) -> None:
         self.dispatcher = Dispatcher()
         self.calls = []
 
-    def listen(self, name, pattern, phase=ListenerPhase.RULES):
-        def action(term, values, start, end, frame):
+    def listen(self, name: str, pattern: Any, phase: Any = ListenerPhase.RULES) -> Any:
+        def action(term: Any, values: Any, start: Any, end: Any, frame: Any) -> Any:
             self.calls.append((name, values))
             return frame
 
         return self.dispatcher.listen(phase, pattern, action)
 
-    def send(self, term):
+    def send(self, term: Any) -> Any:
         self.calls = []
         frame = self.dispatcher.dispatch(term, 1, 1, DONE)
         while frame is not DONE:
@@ -45,7 +47,7 @@ class Recorder:
         return self.calls
 
 
-def test_phases_and_listeners_are_ordered():
+def test_phases_and_listeners_are_ordered() -> None:
     recorder = Recorder()
     recorder.listen("rule", (A, Var()))
     recorder.listen("memory", (A, Var()), ListenerPhase.MEMORIES)
@@ -54,7 +56,7 @@ def test_phases_and_listeners_are_ordered():
     assert [name for name, _ in recorder.send((A, 1))] == ["subscription 1", "any", "memory", "rule"]
 
 
-def test_constants_choose_listeners():
+def test_constants_choose_listeners() -> None:
     recorder = Recorder()
     x, y = atom("x"), atom("y")
     patterns = {
@@ -68,7 +70,7 @@ def test_constants_choose_listeners():
     for name, pattern in patterns.items():
         recorder.listen(name, pattern)
 
-    def names(term):
+    def names(term: Tuple[Any, ...]) -> List[Any]:
         return [name for name, _ in recorder.send(term)]
 
     assert names((B, x, 1)) == ["x", "x1", "open"]
@@ -81,14 +83,14 @@ def test_constants_choose_listeners():
     assert set(names((B, Var(), 1))) == set(patterns)
 
 
-def test_unread_lazy_value_is_not_created():
+def test_unread_lazy_value_is_not_created() -> None:
     recorder = Recorder()
     recorder.listen("all", (B, Var(), 1))
     lazy = Lazy(F, lambda source: pytest.fail("created"), None)
     assert recorder.send((B, lazy, 1)) == [("all", (lazy,))]
 
 
-def test_list_pattern_binds_first_and_rest():
+def test_list_pattern_binds_first_and_rest() -> None:
     recorder = Recorder()
     first, rest = Var(), Var()
     recorder.listen("list", (A, make_list([first], rest)))
@@ -96,7 +98,7 @@ def test_list_pattern_binds_first_and_rest():
     assert recorder.send((A, NIL)) == []
 
 
-def test_removed_listeners_are_not_called():
+def test_removed_listeners_are_not_called() -> None:
     recorder = Recorder()
     listener = recorder.listen("a", (A, Var()))
     other = recorder.listen("other", (A, Var()))
@@ -109,22 +111,22 @@ def test_removed_listeners_are_not_called():
 
 
 @pytest.mark.parametrize("term", [1, 2.5, Var()])
-def test_dispatch_refuses_other_terms(term):
+def test_dispatch_refuses_other_terms(term: Any) -> None:
     with pytest.raises(UsageError):
         Dispatcher().dispatch(term, 1, 1, DONE)
 
 
-def test_event_that_ends_before_its_start_is_refused():
+def test_event_that_ends_before_its_start_is_refused() -> None:
     with pytest.raises(UsageError, match="end before"):
         Dispatcher().dispatch(atom("a"), 2, 1, DONE)
 
 
-def test_events_are_derived_depth_first():
+def test_events_are_derived_depth_first() -> None:
     rules = "b <- a. c <- b. d <- a."
     assert outputs_of(rules, "a@1") == "b@1-1 c@1-1 d@1-1"
 
 
-def test_error_of_goal_affects_its_rule_only():
+def test_error_of_goal_affects_its_rule_only() -> None:
     program = ProgramRunner("b <- a where no_such_goal. c do no_such_goal <- a. d <- a.")
     assert program.feed("a@1") == "d@1-1"
     assert len(program.errors) == 2
@@ -136,21 +138,21 @@ def test_error_of_goal_affects_its_rule_only():
 @pytest.mark.parametrize(
     "rule", ["a <- a.", "null do new_event(a,[1,1]) <- a.", "n <- a where new_event(a,[1,1])."]
 )
-def test_endless_chain_is_error_of_its_rule(rule):
+def test_endless_chain_is_error_of_its_rule(rule: str) -> None:
     program = ProgramRunner(f"{rule} b <- c.")
     program.feed("a@1")
     assert program.errors
     assert program.feed("c@1") == "b@1-1"
 
 
-def test_alarms_in_the_past_count_for_endless_chain():
+def test_alarms_in_the_past_count_for_endless_chain() -> None:
     head = "exceptionAlarmAbsoluteDatime(b,datime(1970,1,1,0,0,0,0))"
     program = ProgramRunner(f"{head} <- {head}. c <- {head}.")
     assert program.feed(f"{head}@1").endswith("c@1-1")
     assert "1000 events" in str(program.errors[0])
 
 
-def test_state_is_bounded_for_new_event_names():
+def test_state_is_bounded_for_new_event_names() -> None:
     recorder = Recorder()
     recorder.listen("any", Var())
     for number in range(20_005):
@@ -158,22 +160,22 @@ def test_state_is_bounded_for_new_event_names():
     assert count_entries(recorder.dispatcher) <= 11_000
 
 
-def test_events_with_variables_match_by_unification():
+def test_events_with_variables_match_by_unification() -> None:
     assert outputs_of("c(X,Y) <- a(f(X), Y).", "a(Z,Z)@1") == "c(A,f(A))@1-1"
     assert outputs_of("c(X) <- a(X) where X = 3.", "a(Z)@1 a(4)@2") == "c(3)@1-1"
     assert outputs_of("c(X) do X = 3 <- a(X).", "a(Z)@1 a(4)@2") == "c(3)@1-1"
 
 
-def test_rule_deleted_during_dispatch_gets_event():
+def test_rule_deleted_during_dispatch_gets_event() -> None:
     program = ProgramRunner("one do del_event_rule(two) <- a. two : b <- a.")
     assert program.feed("a@1 a@2") == "one@1-1 b@1-1 one@2-2"
     program = ProgramRunner("one do (ins_event_rule(c <- a), del_event_rule(c <- a)) <- a.")
     assert program.feed("a@1") == "one@1-1"
 
 
-def test_deleted_subscription_gets_current_event():
+def test_deleted_subscription_gets_current_event() -> None:
     program = ProgramRunner()
-    names = []
+    names: List[Any] = []
     program.engine.on_output(lambda term, topic, name: names.append(name))
     program.engine.call("subscribe(a, [delete_subscription(t, 2)], _, t, 1)")
     program.engine.call("subscribe(a, [], _, t, 2)")
@@ -181,7 +183,7 @@ def test_deleted_subscription_gets_current_event():
     assert names == [1, 2, 1]
 
 
-def test_memory_deleted_during_dispatch_stays_deleted():
+def test_memory_deleted_during_dispatch_stays_deleted() -> None:
     program = ProgramRunner()
     program.engine.call("memorize(a, [delete_memory(2)], _, 1, 5)")
     program.engine.call("memorize(a, [], _, 2, 5)")
@@ -190,7 +192,7 @@ def test_memory_deleted_during_dispatch_stays_deleted():
     assert program.engine.call("memory_size(1, 5)")
 
 
-def test_added_memory_gets_later_events():
+def test_added_memory_gets_later_events() -> None:
     program = ProgramRunner()
     program.engine.call("subscribe(a(1), [memorize(a(X), [], _, m, 5)], _, t, 1)")
     program.feed("a(1)@1")
@@ -200,15 +202,15 @@ def test_added_memory_gets_later_events():
 
 
 @pytest.mark.parametrize("depth", [3, 5, 6, 9])
-def test_listeners_are_called_up_to_depth_limit(depth):
+def test_listeners_are_called_up_to_depth_limit(depth: int) -> None:
     dispatcher = Dispatcher(max_depth=depth)
-    calls = []
+    calls: List[Any] = []
 
-    def record(term, values, start, end, frame):
+    def record(term: Any, values: Any, start: Any, end: Any, frame: Any) -> Any:
         calls.append((term, values, start, end))
         return frame
 
-    def derive(functor, increment):
+    def derive(functor: Any, increment: int) -> Any:
         return lambda term, values, start, end, frame: dispatcher.dispatch(
             (functor, values[0] + increment), start, end, frame
         )
@@ -218,7 +220,7 @@ def test_listeners_are_called_up_to_depth_limit(depth):
     dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, (F, Var()), record)
     dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, (F, 1), record)
 
-    def run_frames():
+    def run_frames() -> None:
         frame = dispatcher.dispatch((A, 1), 5, 6, DONE)
         while frame is not DONE:
             frame = frame[0].run(frame)
@@ -230,7 +232,7 @@ def test_listeners_are_called_up_to_depth_limit(depth):
 
 
 @pytest.mark.parametrize("depth", [1, 3, 4, 5, 6, 1000])
-def test_depth_limit_applies_to_derived_events(depth):
+def test_depth_limit_applies_to_derived_events(depth: int) -> None:
     engine = Engine(settings=Settings(max_depth=depth))
     errors, events = [], []
     engine.rules.on_error = errors.append
@@ -252,7 +254,7 @@ EVENTS = st.tuples(st.just(B), TERMS, TERMS) | st.tuples(st.just(A), TERMS) | st
 LISTENERS = st.tuples(EVENTS | st.just("X"), st.sampled_from(ListenerPhase))
 
 
-def with_variables(term, variables_by_name):
+def with_variables(term: Any, variables_by_name: Any) -> Any:
     """Return a term with variables in place of their names."""
     if isinstance(term, str):
         return variables_by_name.setdefault(term, Var())
@@ -263,7 +265,7 @@ def with_variables(term, variables_by_name):
     )
 
 
-def matched_values(pattern, term):
+def matched_values(pattern: Any, term: Any) -> Any:
     """Return the text of the values of a pattern's variables, None if the event does not match."""
     copies, trail = {}, []
     order = variables(pattern)
@@ -278,11 +280,13 @@ def matched_values(pattern, term):
 @pytest.mark.slow
 @settings(deadline=None, derandomize=True, max_examples=150)
 @given(st.lists(LISTENERS, max_size=8), st.lists(EVENTS, min_size=1, max_size=6), st.data())
-def test_event_reaches_unifying_listeners_in_order(listeners, events, data):
+def test_event_reaches_unifying_listeners_in_order(
+    listeners: List[Any], events: List[Any], data: st.DataObject
+) -> None:
     dispatcher, calls, active_listeners = Dispatcher(), [], []
 
-    def listen(number, pattern, phase):
-        def action(term, values, start, end, continuation):
+    def listen(number: Any, pattern: Any, phase: Any) -> None:
+        def action(term: Any, values: Any, start: Any, end: Any, continuation: Any) -> Any:
             text = term_text((functor("values", len(values)), *values)) if values else "values"
             calls.append((number, text, start, end))
             assert dispatcher.current[TERM] is term

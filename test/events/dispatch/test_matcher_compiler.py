@@ -1,5 +1,7 @@
 """Compiled construction of terms, compared with copying; large terms are not compiled."""
 
+from typing import Any, List
+
 import pytest
 from events.stream_programs import term_text
 from hypothesis import given, settings
@@ -23,7 +25,7 @@ TERMS = st.recursive(
 @pytest.mark.slow
 @settings(deadline=None, derandomize=True, max_examples=200)
 @given(TERMS, st.lists(TERMS, max_size=4))
-def test_built_term_equals_copy(term, values):
+def test_built_term_equals_copy(term: Any, values: List[Any]) -> None:
     order = VARS[: len(values)]
     values = tuple(copy(value) for value in values)
     build = compile_builder(term, order, "term")
@@ -36,7 +38,7 @@ def test_built_term_equals_copy(term, values):
 
 
 @pytest.mark.parametrize("number", [0, 1, 3])
-def test_large_terms_are_not_compiled(monkeypatch, number):
+def test_large_terms_are_not_compiled(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
     term = make_list([*VARS, *[(F, 1)] * MAX_TERM_ARGUMENTS])
     monkeypatch.setattr(matcher_compiler, "shared_function", lambda *_: pytest.fail("compiled"))
     built = compile_builder(term, VARS[:number], "term")((1,) * number)

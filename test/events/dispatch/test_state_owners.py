@@ -1,6 +1,7 @@
 """Owners of shared state: few modules assign it."""
 
 import ast
+from typing import Any, Iterator
 
 import pytest
 from source import NODES
@@ -13,7 +14,7 @@ OWNERS = {
 }
 
 
-def assigned_attributes(nodes):
+def assigned_attributes(nodes: Any) -> Iterator[Any]:
     """Yield the attributes that a module assigns."""
     for node in nodes:
         if isinstance(node, ast.Attribute) and isinstance(node.ctx, (ast.Store, ast.Del)):
@@ -21,7 +22,7 @@ def assigned_attributes(nodes):
 
 
 @pytest.mark.parametrize("name", OWNERS)
-def test_only_owner_assigns_state(name):
+def test_only_owner_assigns_state(name: Any) -> None:
     assigning_modules = {path for path, nodes in NODES.items() if name in assigned_attributes(nodes)}
     assert assigning_modules
     assert all(path.startswith(OWNERS[name]) for path in assigning_modules), assigning_modules

@@ -1,6 +1,7 @@
 """Events that are not created because nothing observes them, and unchanged results."""
 
 import logging
+from typing import Any, List, Tuple
 
 import pytest
 from hypothesis import given
@@ -23,31 +24,31 @@ split([[P, C, S, N]|Rest]) :- new_event(tf(P, C), S, N), split(Rest).
 class OutputRecorder:
     """An engine that records its outputs."""
 
-    def __init__(self, rules, goals="", settings=None):
+    def __init__(self, rules: Any, goals: str = "", settings: Any = None) -> None:
         self.engine = Engine(StreamClock(0), settings)
         self.engine.load(rules=rules, goals=goals)
         self.outputs = []
         self.engine.on_output(lambda term, topic, name: self.outputs.append(self.engine.show(term)))
 
-    def post(self, *items):
+    def post(self, *items: Any) -> None:
         self.engine.post(PACK(make_list([make_list(item) for item in items])))
 
 
-def listen(dispatcher, pattern):
+def listen(dispatcher: Any, pattern: Any) -> Any:
     return dispatcher.listen(ListenerPhase.MEMORIES, pattern, lambda term, values, start, end, frame: frame)
 
 
-def plan(dispatcher, term):
+def plan(dispatcher: Any, term: Any) -> None:
     dispatcher.dispatch(term, 1, 1, None)
 
 
-def test_filter_without_plan_passes_all_events():
+def test_filter_without_plan_passes_all_events() -> None:
     event_filter = Dispatcher().event_filter(TF, (1,))
     assert event_filter.passes(1, 1, X)
 
 
 @pytest.mark.fused
-def test_filter_rejects_other_constants():
+def test_filter_rejects_other_constants() -> None:
     dispatcher = Dispatcher()
     listen(dispatcher, TF(X, Var()))
     event_filter, filter_without_constants = dispatcher.event_filter(TF, (1, 2)), dispatcher.event_filter(TF)
@@ -61,7 +62,7 @@ def test_filter_rejects_other_constants():
 
 
 @pytest.mark.fused
-def test_filter_reads_second_constant():
+def test_filter_reads_second_constant() -> None:
     dispatcher = Dispatcher()
     listen(dispatcher, TF(X, Y))
     event_filter = dispatcher.event_filter(TF, (1, 2))
@@ -73,7 +74,7 @@ def test_filter_reads_second_constant():
 
 @pytest.mark.fused
 @pytest.mark.parametrize("time", [(1.5, 0), (-1, 0), (1, 10**9), (1, -1), (10**12, 0), (Var(), 0), (1, X)])
-def test_filter_passes_unusual_timestamps(time):
+def test_filter_passes_unusual_timestamps(time: Tuple[Any, ...]) -> None:
     dispatcher = Dispatcher()
     event_filter = dispatcher.event_filter(TF, (1, 2))
     plan(dispatcher, TF(X, Y))
@@ -82,7 +83,7 @@ def test_filter_passes_unusual_timestamps(time):
 
 
 @pytest.mark.fused
-def test_filter_follows_changes_of_listeners():
+def test_filter_follows_changes_of_listeners() -> None:
     dispatcher = Dispatcher()
     event_filter = dispatcher.event_filter(A, (1,))
     plan(dispatcher, A(X))
@@ -103,7 +104,7 @@ def test_filter_follows_changes_of_listeners():
     assert not event_filter.passes(1, 1, X)
 
 
-def test_compiled_clauses_emit_to_new_listener():
+def test_compiled_clauses_emit_to_new_listener() -> None:
     program = OutputRecorder(SPLIT)
     program.post((X, Y, 1, 1))
     program.engine.call("subscribe(tf(x, C), [], _, t, i)")
@@ -114,7 +115,7 @@ def test_compiled_clauses_emit_to_new_listener():
     assert len(program.outputs) == 2
 
 
-def test_invalid_time_of_unobserved_event_is_reported(caplog):
+def test_invalid_time_of_unobserved_event_is_reported(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.ERROR, "retalis")
     program = OutputRecorder(SPLIT)
     for _ in range(3):
@@ -122,7 +123,7 @@ def test_invalid_time_of_unobserved_event_is_reported(caplog):
     assert [record.getMessage() for record in caplog.records] != []
 
 
-def test_error_in_fused_action_names_event(caplog):
+def test_error_in_fused_action_names_event(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.ERROR, "retalis")
     rules = "null do check(X) <- a(X).\ncheck(X) :- Y is X + 1, new_event(b(Y), 1, 1)."
     program = OutputRecorder(rules, "subscribe(b(_), [], _, t, i)")
@@ -136,7 +137,7 @@ def test_error_in_fused_action_names_event(caplog):
     assert "x/0" in message
 
 
-def test_listener_of_fused_action_gets_next_event():
+def test_listener_of_fused_action_gets_next_event() -> None:
     rules = "null do more(X) <- a(X).\nmore(X) :- new_event(go, 1, 1), subscribe(a(_), [], _, t, X)."
     program = OutputRecorder(rules)
     program.engine.post(A(X))
@@ -145,14 +146,14 @@ def test_listener_of_fused_action_gets_next_event():
     assert program.outputs == ["a(y)"]
 
 
-def test_head_after_fused_action_is_dispatched():
+def test_head_after_fused_action_is_dispatched() -> None:
     rules = "b(X) do new_event(c(X), 1, 1) <- a(X).\nd(X) <- c(X) and b(X)."
     program = OutputRecorder(rules, "subscribe(d(_), [], _, t, i)")
     program.engine.post(A(X))
     assert program.outputs == ["d(x)"]
 
 
-def test_event_on_both_sides_is_one_event():
+def test_event_on_both_sides_is_one_event() -> None:
     """Only events that its goal derives read the token of an event in a fused action."""
     rules = "null do new_event(b(X), 1, 1) <- a(X).\nc <- b(X) and b(X)."
     plain, observed = (
@@ -167,7 +168,7 @@ def test_event_on_both_sides_is_one_event():
 
 
 @pytest.mark.parametrize("goal", ["loop(X)", "events(X)", "build(X, _)"])
-def test_limits_stop_goal_of_fused_action(goal, caplog):
+def test_limits_stop_goal_of_fused_action(goal: str, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.ERROR, "retalis")
     rules = f"""
     null do {goal} <- a(X).
@@ -196,7 +197,9 @@ PATTERNS = ["tf(x, C)", "tf(P, y)", "tf(x, y)", "tf(P, P)", "tf(P, C)", "pack(_)
     st.lists(st.sampled_from(PATTERNS), max_size=3),
     st.lists(st.sampled_from(PATTERNS), max_size=2),
 )
-def test_listener_of_all_events_keeps_outputs(stream, patterns, later_patterns):
+def test_listener_of_all_events_keeps_outputs(
+    stream: List[Any], patterns: List[Any], later_patterns: List[Any]
+) -> None:
     """A listener of all events keeps all filters open and all fused actions unused."""
     rules = SPLIT + "e(P) <- tf(P, x) seq tf(P, y).\nnull do new_event(f(P), 1, 1) <- e(P)."
     programs = [

@@ -1,5 +1,7 @@
 """Omission of unread arguments of events without visible effects."""
 
+from typing import Any, List, Set
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -12,11 +14,11 @@ IMAGE = functor("image", 3)
 SEEN = "subscribe(seen(_,_), [], _, t, seen)"
 
 
-def announced_arguments(engine, event_functor=IMAGE):
+def announced_arguments(engine: Any, event_functor: Any = IMAGE) -> Set[Any]:
     return set(engine.dispatcher.projection.announce().get(event_functor, ()))
 
 
-def engine_with(rules="", goals=""):
+def engine_with(rules: str = "", goals: str = "") -> Any:
     engine = Engine()
     engine.outputs = []
     engine.on_output(lambda term, topic, name: engine.outputs.append(engine.show(term)))
@@ -53,12 +55,12 @@ def engine_with(rules="", goals=""):
         ("", "subscribe(other, [], _, t, s)", set()),
     ],
 )
-def test_unread_arguments_are_announced(rules, goals, unread):
+def test_unread_arguments_are_announced(rules: str, goals: str, unread: Set[Any]) -> None:
     assert announced_arguments(engine_with(rules, goals)) == unread
 
 
 @pytest.mark.slow
-def test_deep_and_long_patterns_are_analyzed():
+def test_deep_and_long_patterns_are_analyzed() -> None:
     deep = "f(" * 20_000 + "x" + ")" * 20_000
     assert announced_arguments(engine_with(goals=f"subscribe(image(H, _, {deep}), [], seen(H), t, s)")) == {2}
     slots = ",".join(f"X{number}" for number in range(20_000))
@@ -66,22 +68,22 @@ def test_deep_and_long_patterns_are_analyzed():
     assert announced_arguments(engine, functor("image", 20_000)) == set(range(1, 20_001)) - {8}
 
 
-def test_listener_of_all_events_reads_all_arguments():
+def test_listener_of_all_events_reads_all_arguments() -> None:
     engine = engine_with("seen(H, 1) <- image(H, _, _).")
     assert announced_arguments(engine) == {2, 3}
     engine.on_event(lambda term, start, end: None)
     assert announced_arguments(engine) == set()
 
 
-def test_storage_of_events_reads_all_arguments():
+def test_storage_of_events_reads_all_arguments() -> None:
     engine = engine_with("seen(H, 1) <- image(H, _, _).")
     engine.call("set_etalis_flag(store_fired_events, on)")
     assert announced_arguments(engine) == set()
 
 
-def test_changes_are_announced():
+def test_changes_are_announced() -> None:
     engine = engine_with("seen(H, 1) <- image(H, _, _).")
-    changes = []
+    changes: List[Any] = []
     engine.dispatcher.on_change.add(lambda: changes.append(announced_arguments(engine)))
     engine.call("memorize(image(_, N, _), [], got(N), m, 10)")
     assert changes[-1] == {3}
@@ -97,7 +99,7 @@ def test_changes_are_announced():
         "subscribe(X, [], _, t, late)",
     ],
 )
-def test_later_reader_ignores_incomplete_events(goal):
+def test_later_reader_ignores_incomplete_events(goal: str) -> None:
     engine = engine_with("seen(H, 1) <- image(H, _, _).", SEEN)
     assert announced_arguments(engine) == {2, 3}
     assert engine.call(goal)
@@ -110,7 +112,7 @@ def test_later_reader_ignores_incomplete_events(goal):
     assert sum("data" in term for term in engine.outputs) == 1
 
 
-def test_fused_action_ignores_incomplete_events():
+def test_fused_action_ignores_incomplete_events() -> None:
     engine = engine_with("seen(H, 1) <- image(H, _, _).")
     assert announced_arguments(engine) == {2, 3}
     engine.call("del_event_rule((seen(H, 1) <- image(H, _, _)))")
@@ -122,7 +124,7 @@ def test_fused_action_ignores_incomplete_events():
     assert engine.query("data(D)") == [{"D": atom("x")}, {"D": atom("y")}]
 
 
-def test_announced_functors_are_limited(monkeypatch):
+def test_announced_functors_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(listeners, "MAX_PROJECTED_FUNCTORS", 5)
     engine = engine_with(
         goals="".join(f"subscribe(kind{number}(_), [], seen, t, {number})\n" for number in range(10))
@@ -155,10 +157,10 @@ EVENTS = st.lists(
 
 @given(st.sets(st.sampled_from(range(8))), st.sets(st.sampled_from(range(5))), EVENTS)
 @pytest.mark.slow
-def test_omission_of_unread_arguments_keeps_outputs(parts, goals, events):
+def test_omission_of_unread_arguments_keeps_outputs(parts: Any, goals: Any, events: Any) -> None:
     rules = "\n".join(RULES[number] for number in sorted(parts))
     goals_of_run = "\n".join(GOALS[number] for number in sorted(goals | {0}))
-    results = []
+    results: List[Any] = []
     for leaves_out in (False, True):
         engine = engine_with(rules, goals_of_run)
         unread = announced_arguments(engine) if leaves_out else ()
@@ -174,12 +176,12 @@ def test_omission_of_unread_arguments_keeps_outputs(parts, goals, events):
     assert results[0] == results[1]
 
 
-def test_trace_listener_gets_incomplete_events():
+def test_trace_listener_gets_incomplete_events() -> None:
     engine = engine_with("seen(H, 1) <- image(H, _, _).")
     assert announced_arguments(engine) == {2, 3}
     event, terms = Var(), []
 
-    def record(term, values, start, end, frame):
+    def record(term: Any, values: Any, start: Any, end: Any, frame: Any) -> Any:
         terms.append(term)
         return frame
 

@@ -3,6 +3,8 @@
 All events are then processed by the plain nodes. Tests marked ``fused`` concern the fused paths themselves.
 """
 
+from typing import Any
+
 from retalis.events.dispatch import discrimination_tree, dispatcher
 from retalis.events.dispatch.dispatcher import Dispatcher
 from retalis.events.knowledge import pending_queries
@@ -16,12 +18,12 @@ class OpenFilter(discrimination_tree.PushdownFilter):
     plan = property(lambda event_filter: None, lambda event_filter, plan: None)
 
 
-def plain_action(plain):
+def plain_action(plain: Any) -> Any:
     """Return an action that calls the plain action for any event, also for an event without values."""
     return lambda term, values, *rest: plain(term, term[1:] if values is None else values, *rest)
 
 
-def listening_unfused(listen):
+def listening_unfused(listen: Any) -> Any:
     """Return a replacement of `Dispatcher.listen` whose actions are never called without values."""
     return lambda self, stage, pattern, action, rank=(), is_fused=False, **rest: listen(
         self, stage, pattern, action, rank, **rest
@@ -56,10 +58,10 @@ PATHS = {
 """By path: owner, attribute, and the replacement that switches the path off."""
 
 
-def pytest_addoption(parser):
+def pytest_addoption(parser: Any) -> None:
     parser.addoption("--without-fused", nargs="+", choices=[*PATHS], default=[], metavar="PATH")
 
 
-def pytest_configure(config):
+def pytest_configure(config: Any) -> None:
     for path in config.getoption("--without-fused"):
         setattr(*PATHS[path])

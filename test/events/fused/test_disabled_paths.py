@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 from importlib.util import find_spec
+from typing import Any
 
 import pytest
 from events.fused.fused_path_plugin import PATHS
@@ -21,7 +22,7 @@ SHARED = ["-n", str(os.cpu_count() or 1)] if find_spec("xdist") else []
 
 @pytest.mark.slow
 @pytest.mark.parametrize("off", [[*PATHS], *([path] for path in PATHS if WHOLE)], ids=" ".join)
-def test_rule_tests_pass_without_fused_path(off):
+def test_rule_tests_pass_without_fused_path(off: Any) -> None:
     command = [
         sys.executable,
         "-m",

@@ -2,6 +2,7 @@
 
 import random
 import re
+from typing import Any, List, Tuple
 from unittest.mock import patch
 
 import pytest
@@ -42,9 +43,9 @@ KEYS = (1, 1, 1, 1, 2, 2, 2, 1.0, atom("k"), functor("f", 1)(2))
 KINDS = [functor(name, 2) for name in "abc"]
 
 
-def random_events(generator, has_late_events):
+def random_events(generator: Any, has_late_events: bool) -> Any:
     """Return events as terms, starts and ends; most ends ascend."""
-    events = []
+    events: List[Any] = []
     now = 1000
     for _ in range(generator.randint(1, 40)):
         now += generator.choice((0, 0, 1, 1, 2, 7))
@@ -55,7 +56,9 @@ def random_events(generator, has_late_events):
     return events
 
 
-def run_program(text, goals, events, max_stored, restore_before, change, posted):
+def run_program(
+    text: Any, goals: Any, events: Any, max_stored: Any, restore_before: Any, change: Any, posted: Any
+) -> Tuple[Any, ...]:
     """Return the outputs, the reports, and the final states of all rules.
 
     Args:
@@ -70,7 +73,7 @@ def run_program(text, goals, events, max_stored, restore_before, change, posted)
     outputs, reports = [], []
 
     class ReportRecorder:
-        def __getattr__(self, name):
+        def __getattr__(self, name: Any) -> Any:
             return lambda *arguments: reports.append((name, [str(argument) for argument in arguments]))
 
     engine = Engine(None, Settings(), ReportRecorder())
@@ -102,12 +105,12 @@ def run_program(text, goals, events, max_stored, restore_before, change, posted)
     return outputs, reports, [rule_state(engine, rule) for rule in engine.rules.rules]
 
 
-def event_text(engine, term, start, end):
+def event_text(engine: Any, term: Any, start: Any, end: Any) -> Tuple[Any, ...]:
     """Return the text of an event with uniform names of variables, and its interval."""
     return re.sub(r"_G\d+", "_", engine.show(term)), start, end
 
 
-def rule_state(engine, rule):
+def rule_state(engine: Any, rule: Any) -> Tuple[Any, ...]:
     """Return the state of a rule, with uniform names of variables."""
     matches = [
         (
@@ -130,7 +133,7 @@ def rule_state(engine, rule):
     )
 
 
-def compare(seed):
+def compare(seed: Any) -> None:
     """Compare fused and plain nodes for a program and a stream drawn from a seed."""
     generator = random.Random(seed)
     goals = f"set_etalis_flag(event_consumption_policy, {generator.choice(POLICIES)})"
@@ -152,7 +155,7 @@ def compare(seed):
 
 
 @pytest.mark.parametrize("batch", range(3))
-def test_fused_join_equals_plain_nodes(batch):
+def test_fused_join_equals_plain_nodes(batch: int) -> None:
     for seed in range(batch * 5, batch * 5 + 5):
         compare(seed)
 
@@ -161,13 +164,13 @@ def test_fused_join_equals_plain_nodes(batch):
 @pytest.mark.parametrize(
     "batch", [0, 1, *(pytest.param(batch, marks=pytest.mark.nightly) for batch in range(2, 10))]
 )
-def test_fused_join_equals_plain_nodes_on_many_streams(batch):
+def test_fused_join_equals_plain_nodes_on_many_streams(batch: Any) -> None:
     for seed in range(1000 + batch * 100, 1100 + batch * 100):
         compare(seed)
 
 
 @pytest.mark.parametrize("max_stored", [10**6, 50])
-def test_removed_matches_leave_expiration_queue(max_stored):
+def test_removed_matches_leave_expiration_queue(max_stored: int) -> None:
     engine = Engine(StreamClock(10**6 * SECOND))
     engine.load(rules="out(K) <- (a(K) seq b(K)) within 100000.")
     engine.rules.max_stored = max_stored
@@ -182,7 +185,7 @@ def test_removed_matches_leave_expiration_queue(max_stored):
 
 
 @pytest.mark.fused
-def test_event_of_one_side_has_fused_action():
+def test_event_of_one_side_has_fused_action() -> None:
     engine = Engine()
     engine.load(
         rules="out(K) <- (a(K) seq b(K)) cnot c(K). out(K) <- d(K) seq d(K). out(K) <- e(K, 1) seq f(K)."

@@ -1,6 +1,7 @@
 """Fused windows compared with plain nodes, on random streams."""
 
 import sys
+from typing import Any, List, Tuple
 
 import pytest
 from events.fused.fused_path_plugin import PATHS
@@ -28,14 +29,14 @@ EVENTS = st.lists(st.tuples(KEYS, NUMBERS, NUMBERS, STEPS, st.sampled_from([0, 0
 X = functor("x", 3)
 
 
-def rule(aggregates, grouped, limit):
+def rule(aggregates: Any, grouped: Any, limit: str) -> str:
     results = [f"R{number}" for number in range(len(aggregates))]
     head = ", ".join([*(["K"] if grouped else []), *results])
     window = f"aggregate([{', '.join(aggregates)}], x(K, X, Y), [{', '.join(results)}], last(5))"
     return f"out({head}) <- {window}{limit}."
 
 
-def window_of(rules):
+def window_of(rules: Any) -> Any:
     [event_rule] = rules.rules
     [stream_node_of_rule] = [
         node for node, _, _ in event_rule.nodes if isinstance(node, stream_node.StreamNode)
@@ -43,13 +44,13 @@ def window_of(rules):
     return stream_node_of_rule
 
 
-def run_program(text, events, max_stored):
+def run_program(text: Any, events: Any, max_stored: int) -> Tuple[Any, ...]:
     """Return events, reports, the final state and its size."""
-    outputs = []
-    reports = []
+    outputs: List[Any] = []
+    reports: List[Any] = []
 
     class ReportRecorder:
-        def __getattr__(self, name):
+        def __getattr__(self, name: Any) -> Any:
             return lambda *arguments: reports.append((name, [str(argument) for argument in arguments]))
 
     engine = Engine(None, Settings(), ReportRecorder())
@@ -88,7 +89,9 @@ def run_program(text, events, max_stored):
 )
 @example(["avg(X)"], True, "", [(1, 0.5, 0, 1, 0)] * 9 + [(1, 0.1, 0, 1, 0)] * 9, 1000)
 @example(["sum(X)"], True, "", [(1, 1e308, 0, 1, 0)] * 4 + [(1, 2, 0, 1, 0)] * 9, 1000)
-def test_fused_window_equals_plain_nodes(aggregates, grouped, limit, events, max_stored):
+def test_fused_window_equals_plain_nodes(
+    aggregates: Any, grouped: bool, limit: Any, events: Any, max_stored: Any
+) -> None:
     text = rule(aggregates, grouped, limit)
     fused = run_program(text, events, max_stored)
     with pytest.MonkeyPatch.context() as patch:
@@ -97,13 +100,13 @@ def test_fused_window_equals_plain_nodes(aggregates, grouped, limit, events, max
 
 
 @pytest.mark.fused
-def test_most_elements_use_fused_path(monkeypatch):
+def test_most_elements_use_fused_path(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a hundred elements in order, the plain node processes few, the first ones among them."""
-    plain_calls = []
+    plain_calls: List[Any] = []
     compile_fused_window = stream_node.compile_fused_window
 
-    def counting(form, limit, node, plain, *others):
-        def counted(*arguments):
+    def counting(form: Any, limit: Any, node: Any, plain: Any, *others: Any) -> Any:
+        def counted(*arguments: Any) -> Any:
             plain_calls.append(arguments)
             return plain(*arguments)
 
@@ -118,7 +121,7 @@ def test_most_elements_use_fused_path(monkeypatch):
     assert len(plain_calls) < 15
 
 
-def test_element_has_no_match_of_replaced_one():
+def test_element_has_no_match_of_replaced_one() -> None:
     engine = Engine()
     engine.load(rules="out(N) <- aggregate([count], a(X), [N], last(5)).")
     engine.event("a(0)", 0)
@@ -136,17 +139,17 @@ def test_element_has_no_match_of_replaced_one():
     assert "a(1)" not in engine.show(explanation["Why"])
 
 
-def test_first_event_of_key_uses_plain_node():
+def test_first_event_of_key_uses_plain_node() -> None:
     engine = Engine()
     engine.load(rules="out(K, N) <- aggregate([count], a(K), [N], last(5)).")
-    exceptions = []
+    exceptions: List[Any] = []
     engine.on_event(lambda term, start, end: exceptions.append(sys.exc_info()[0]))
     engine.event("a(1)", 0)
     engine.event("a(2)", 1)
     assert exceptions == [None] * 4
 
 
-def test_scale_beyond_floats_has_no_factor():
+def test_scale_beyond_floats_has_no_factor() -> None:
     total = ExactSum()
     total.add_multiple(5e-324, 1)
     assert total.scale == 1074

@@ -1,5 +1,7 @@
 """Equal counts of pattern work by fused and plain nodes, so that limits apply equally."""
 
+from typing import Any, List
+
 import pytest
 from events.fused.fused_path_plugin import PATHS
 
@@ -13,12 +15,12 @@ RULES = {
 }
 
 
-def steps_per_event(rules):
+def steps_per_event(rules: Any) -> Any:
     """Return the number of pattern steps of each of eight events."""
     engine = Engine(settings=Settings(limits=Limits(inferences=1_000_000)))
     engine.load(rules=rules)
     budget = engine.logic.machine.budget
-    counts = []
+    counts: List[Any] = []
     for number in range(8):
         steps_before = budget.pattern_steps[0]
         engine.event(f"e({number % 2}, {number}.5)", number)
@@ -27,7 +29,7 @@ def steps_per_event(rules):
 
 
 @pytest.mark.parametrize("path", RULES)
-def test_fused_path_counts_steps_of_plain_nodes(path, monkeypatch):
+def test_fused_path_counts_steps_of_plain_nodes(path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     fused = steps_per_event(RULES[path])
     monkeypatch.setattr(*PATHS[path])
     assert fused == steps_per_event(RULES[path])

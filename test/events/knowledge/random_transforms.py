@@ -2,13 +2,14 @@
 
 import math
 from random import Random
+from typing import Any, Iterator, Tuple
 
 SECOND = 1_000_000_000
 EPOCHS = (0, 50)
 """Seconds at which scenarios begin: tf2's interface takes floats of seconds, which are coarse near the present."""
 
 
-def scenario(seed, epochs=EPOCHS):
+def scenario(seed: Any, epochs: Any = EPOCHS) -> Iterator[Any]:
     """Yield random operations, each a tuple of its name and its arguments.
 
     Stored transforms have gaps, repetitions, late and old timestamps, and change their parents; the clock jumps. The
@@ -42,7 +43,7 @@ def scenario(seed, epochs=EPOCHS):
         yield "ask", *lookup_arguments(generator, names, timestamps, step)
 
 
-def lookup_arguments(generator, names, timestamps, step):
+def lookup_arguments(generator: Any, names: Any, timestamps: Any, step: Any) -> Tuple[Any, ...]:
     """Return target, source and instant."""
     target, source = (
         generator.choice(
@@ -61,7 +62,7 @@ def lookup_arguments(generator, names, timestamps, step):
     return target, source, 0 if generator.random() < 0.1 else max(1, timestamp + offset)
 
 
-def numbers(generator):
+def numbers(generator: Any) -> Any:
     """Return position and rotation; a few are invalid."""
     position = [generator.uniform(-3, 3) for _ in range(3)]
     rotation = [generator.gauss(0, 1) for _ in range(4)]

@@ -2,6 +2,7 @@
 
 import logging
 import math
+from typing import Any, List, Tuple
 
 import pytest
 from hypothesis import example, given, settings
@@ -15,14 +16,14 @@ ALARM = "alarm(R) <- bump(R) where holds(docked(R)).\n"
 
 
 class StateEngine(Engine):
-    def __init__(self, *arguments):
+    def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
         self.events = []
         self.on_event(
             lambda term, start, end: self.events.append((self.show(term), start / SECOND, end / SECOND))
         )
 
-    def feed(self, *events):
+    def feed(self, *events: Any) -> List[Any]:
         """Process events ``(text, end)`` or ``(text, start, end)``; return the derived events."""
         self.events.clear()
         for text, *interval in events:
@@ -30,11 +31,11 @@ class StateEngine(Engine):
         inputs = [(text, interval[0], interval[-1]) for text, *interval in events]
         return [event for event in self.events if event not in inputs]
 
-    def values_of_x(self, goal):
+    def values_of_x(self, goal: str) -> List[Any]:
         return [self.show(answer["X"]) for answer in self.query(goal)]
 
 
-def load_engine(rules=DOCKED + ALARM, clock=None):
+def load_engine(rules: Any = DOCKED + ALARM, clock: Any = None) -> Any:
     engine = StateEngine(clock)
     engine.load(rules=rules)
     return engine
@@ -43,7 +44,7 @@ def load_engine(rules=DOCKED + ALARM, clock=None):
 # ---- intervals of states -----------------------------------------------------------------------------
 
 
-def test_ended_state_is_event():
+def test_ended_state_is_event() -> None:
     engine = load_engine(DOCKED + "hit(R) <- bump(R) during docked(R).")
     assert engine.feed(("dock(a)", 1, 2), ("bump(a)", 3), ("bump(b)", 3), ("undock(a)", 5, 6)) == [
         ("docked(a)", 2, 5),
@@ -51,7 +52,7 @@ def test_ended_state_is_event():
     ]
 
 
-def test_open_state_holds_immediately():
+def test_open_state_holds_immediately() -> None:
     engine = load_engine()
     assert engine.feed(("bump(a)", 1), ("dock(a)", 2), ("bump(b)", 3), ("bump(a)", 3)) == [("alarm(a)", 3, 3)]
     assert engine.feed(("undock(a)", 4), ("bump(a)", 5)) == [("docked(a)", 2, 4)]
@@ -67,11 +68,11 @@ def test_open_state_holds_immediately():
         ([("dock(a)", 1), ("dock(b)", 2), ("undock(a)", 3)], [("docked(a)", 1, 3)]),
     ],
 )
-def test_events_begin_and_end_state(events, expected):
+def test_events_begin_and_end_state(events: List[Tuple[Any, ...]], expected: Any) -> None:
     assert load_engine().feed(*events) == expected
 
 
-def test_event_ends_states_and_begins_next():
+def test_event_ends_states_and_begins_next() -> None:
     engine = load_engine(
         ":- state(at(P), from(arrive(P)), until(arrive(_))).\n:- state(up(X, Y), from(up(X, Y, _)), until(down(X)))."
     )
@@ -84,7 +85,7 @@ def test_event_ends_states_and_begins_next():
     assert engine.values_of_x("holds(X)") == ["at(attic)", "up(b,1)"]
 
 
-def test_state_ends_after_its_time_limit():
+def test_state_ends_after_its_time_limit() -> None:
     clock = StreamClock()
     engine = load_engine(
         ":- state(docked(R), from(dock(R)), until(undock(R)), [within(5)]).\n" + ALARM, clock
@@ -102,7 +103,7 @@ def test_state_ends_after_its_time_limit():
 # ---- queries -----------------------------------------------------------------------------------------
 
 
-def test_states_are_queried_at_present_and_past():
+def test_states_are_queried_at_present_and_past() -> None:
     engine = load_engine(":- state(docked(R), from(dock(R)), until(undock(R)), [past(2)]).")
     engine.feed(
         *(
@@ -141,7 +142,7 @@ def test_states_are_queried_at_present_and_past():
 @pytest.mark.parametrize(
     "goal", ["holds(dokced(a))", "holds(dokced)", "holds(3)", "holds_at(docked(a), noon)"]
 )
-def test_query_of_unknown_state_is_refused(goal):
+def test_query_of_unknown_state_is_refused(goal: str) -> None:
     with pytest.raises(PrologError):
         load_engine().call(goal)
 
@@ -149,7 +150,7 @@ def test_query_of_unknown_state_is_refused(goal):
 # ---- declarations ------------------------------------------------------------------------------------
 
 
-def test_goal_declares_state_once():
+def test_goal_declares_state_once() -> None:
     engine = load_engine()
     engine.feed(("dock(a)", 1))
     assert engine.call("state(docked(X), from(dock(X)), until(undock(X)))")
@@ -163,13 +164,13 @@ def test_goal_declares_state_once():
     assert engine.feed(("dock(a)", 3), ("undock(a)", 4), ("out", 5)) == [("docked(a)", 3, 5)]
 
 
-def test_invalid_declaration_is_error_of_file():
+def test_invalid_declaration_is_error_of_file() -> None:
     with pytest.raises(ProgramErrors, match="each variable of the state"):
         load_engine(":- state(s(X), from(a), until(b(X))).")
 
 
 @pytest.mark.parametrize("invalid_term", ["docked(R, 1)", "dock(R, 1)", "undock(1)"])
-def test_events_of_state_match_declarations(invalid_term):
+def test_events_of_state_match_declarations(invalid_term: str) -> None:
     declarations = ":- event docked(r:atom).\n:- event dock(r:atom).\n:- event undock(r:atom).\n"
     valid_goal = "state(docked(R), from(dock(R)), until(undock(R)))"
     invalid_goal = valid_goal.replace(
@@ -183,7 +184,7 @@ def test_events_of_state_match_declarations(invalid_term):
         engine.call(invalid_goal)
 
 
-def test_program_may_have_facts_named_state():
+def test_program_may_have_facts_named_state() -> None:
     engine = load_engine(
         "state(robot, idle, 3).\nholds(hand, cup).\nout(X) <- e where (state(X, _, 3), holds(hand, _))."
     )
@@ -195,7 +196,7 @@ def test_program_may_have_facts_named_state():
 # ---- bounds ------------------------------------------------------------------------------------------
 
 
-def test_oldest_open_states_are_dropped(caplog):
+def test_oldest_open_states_are_dropped(caplog: pytest.LogCaptureFixture) -> None:
     engine = load_engine(":- state(docked(R), from(dock(R)), until(undock(R)), [open(3)]).")
     engine.feed(*((f"dock({number})", number) for number in range(10)))
     assert engine.values_of_x("holds(docked(X))") == ["7", "8", "9"]
@@ -205,7 +206,7 @@ def test_oldest_open_states_are_dropped(caplog):
     assert "4 of the oldest" in caplog.text
 
 
-def test_events_with_variables_begin_no_state(caplog):
+def test_events_with_variables_begin_no_state(caplog: pytest.LogCaptureFixture) -> None:
     engine = load_engine()
     derived = engine.feed(("dock(_)", 1), ("dock(a)", 2), ("undock(_)", 3))
     assert not any(event.startswith("docked") for event, _, _ in derived)
@@ -217,7 +218,7 @@ def test_events_with_variables_begin_no_state(caplog):
 # ---- clock that goes back, restored engines ------------------------------------------------------
 
 
-def test_clock_moved_back_clears_states():
+def test_clock_moved_back_clears_states() -> None:
     clock = StreamClock()
     engine = load_engine(":- state(docked(R), from(dock(R)), until(undock(R)), [within(50)]).", clock)
     clock.move_to(10 * SECOND)
@@ -233,7 +234,7 @@ def test_clock_moved_back_clears_states():
 
 
 @pytest.mark.parametrize("revision", [False, True])
-def test_states_are_restored(revision):
+def test_states_are_restored(revision: bool) -> None:
     rules = ":- state(docked(R), from(dock(R, _)), until(undock(R)), [within(50)]).\n" + ALARM
     engine = load_engine((":- set_etalis_flag(revision_flag, on).\n" if revision else "") + rules)
     engine.feed(("dock(a, 0.5)", 1), ("dock('B', x)", 2), ("undock(a)", 3), ("dock(f(1.5), c)", 4))
@@ -251,7 +252,7 @@ def test_states_are_restored(revision):
 REVISION = ":- set_etalis_flag(revision_flag, on).\n" + DOCKED + ALARM
 
 
-def test_retraction_of_begin_or_end_retracts_state():
+def test_retraction_of_begin_or_end_retracts_state() -> None:
     for retracted in ("dock(a)", "undock(a)"):
         engine = load_engine(REVISION + "was(R) <- docked(R).")
         engine.feed(("dock(a)", 1), ("undock(a)", 3))
@@ -262,7 +263,7 @@ def test_retraction_of_begin_or_end_retracts_state():
         assert engine.values_of_x("holds_at(X, 2)") == [] == engine.values_of_x("holds(X)")
 
 
-def test_retracted_begin_leaves_no_state():
+def test_retracted_begin_leaves_no_state() -> None:
     engine = load_engine(REVISION)
     engine.feed(("dock(a)", 1), ("rev(dock(a))", 2))
     assert engine.feed(("bump(a)", 3), ("undock(a)", 4)) == []
@@ -271,7 +272,7 @@ def test_retracted_begin_leaves_no_state():
 
 
 @pytest.mark.parametrize("is_restored", [False, True])
-def test_retracted_states_do_not_count_as_open(is_restored, caplog):
+def test_retracted_states_do_not_count_as_open(is_restored: bool, caplog: pytest.LogCaptureFixture) -> None:
     rules = REVISION.replace("undock(R)))", "undock(R)), [open(2)])", 1)
     engine = load_engine(rules)
     engine.feed(("dock(a)", 1), ("dock(b)", 2), ("rev(dock(b))", 3))
@@ -286,13 +287,13 @@ def test_retracted_states_do_not_count_as_open(is_restored, caplog):
     assert engine.feed(("undock(c)", 8), ("undock(d)", 8)) == [("docked(d)", 6, 8)]
 
 
-def test_state_begins_at_next_event_after_retraction():
+def test_state_begins_at_next_event_after_retraction() -> None:
     engine = load_engine(REVISION.replace("dock(R)", "dock(R, _)", 1))
     engine.feed(("dock(a, 1)", 1), ("dock(a, 2)", 2), ("rev(dock(a, 1))", 3))
     assert engine.feed(("bump(a)", 4), ("undock(a)", 5)) == [("alarm(a)", 4, 4), ("docked(a)", 2, 5)]
 
 
-def test_explanation_names_begin_and_end_of_state():
+def test_explanation_names_begin_and_end_of_state() -> None:
     engine = load_engine()
     record_origins(engine)
     engine.feed(("dock(a)", 1), ("undock(a)", 3))
@@ -310,11 +311,11 @@ def test_explanation_names_begin_and_end_of_state():
 class ExpectedStates:
     """The states and alarms of a list of events ``(name, key, start, end)`` in order of arrival."""
 
-    def __init__(self, events, within):
+    def __init__(self, events: Any, within: Any) -> None:
         self.events = events
         self.within = within
 
-    def end_of_state(self, first):
+    def end_of_state(self, first: Any) -> Tuple[Any, ...]:
         """Return position of the event that ends a state, instant, and whether the time limit ends it."""
         _, key, _, begin = self.events[first]
         for position in range(first + 1, len(self.events)):
@@ -325,12 +326,12 @@ class ExpectedStates:
                 return position, start, False
         return len(self.events), None, False
 
-    def time_at(self, position):
+    def time_at(self, position: Any) -> Any:
         return max(end for _, _, _, end in self.events[: position + 1])
 
-    def openings(self):
+    def openings(self) -> Any:
         """Return the positions of the events that begin a state: no state of their key is open."""
-        positions = []
+        positions: List[Any] = []
         for first, (name, key, _, _) in enumerate(self.events):
             if name == "dock" and not any(
                 self.events[opening][1] == key and (self.end_of_state(opening)[0] > first)
@@ -339,9 +340,9 @@ class ExpectedStates:
                 positions.append(first)
         return positions
 
-    def expected_outputs(self):
+    def expected_outputs(self) -> Any:
         openings = self.openings()
-        outputs = []
+        outputs: List[Any] = []
         for position, (name, key, start, end) in enumerate(self.events):
             ended = [
                 (first, *self.end_of_state(first)[1:])
@@ -366,7 +367,7 @@ class ExpectedStates:
                 outputs.append((f"alarm({key})", start, end))
         return outputs
 
-    def held_at(self, key, instant):
+    def held_at(self, key: Any, instant: Any) -> bool:
         intervals = [
             (self.events[first][3], self.end_of_state(first)[1])
             for first in self.openings()
@@ -377,12 +378,12 @@ class ExpectedStates:
             begin <= instant <= (self.last_end(begin) if end is None else end) for begin, end in intervals
         )
 
-    def last_end(self, begin):
+    def last_end(self, begin: Any) -> Any:
         return math.inf if self.within is None else begin + self.within
 
 
 @st.composite
-def streams(draw):
+def streams(draw: Any) -> Any:
     events, now = [], 1
     for _ in range(draw(st.integers(1, 25))):
         now += draw(st.integers(0, 3))
@@ -394,7 +395,7 @@ def streams(draw):
     return events
 
 
-def compare(events, within):
+def compare(events: Any, within: Any) -> None:
     options = "" if within is None else f", [within({within})]"
     engine = load_engine(f":- state(docked(R), from(dock(R)), until(undock(R)){options}).\n" + ALARM)
     for name, key, start, end in events:
@@ -409,18 +410,18 @@ def compare(events, within):
 @settings(max_examples=10, deadline=None)
 @given(streams(), st.sampled_from([None, 1, 4]))
 @example([("dock", "a", 1, 1)], 1)
-def test_states_equal_definition(events, within):
+def test_states_equal_definition(events: Any, within: Any) -> None:
     compare(events, within)
 
 
 @pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(streams(), st.sampled_from([None, 1, 4]))
-def test_states_equal_definition_on_many_streams(events, within):
+def test_states_equal_definition_on_many_streams(events: Any, within: Any) -> None:
     compare(events, within)
 
 
-def test_valid_program_has_no_warnings(caplog):
+def test_valid_program_has_no_warnings(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
         load_engine()
     assert caplog.records == []
@@ -430,10 +431,10 @@ def test_valid_program_has_no_warnings(caplog):
     ("goal", "keeps_past"),
     [("reset_db", True), ("call_gc", True), ("reset_etalis_state", False), ("reset_etalis", False)],
 )
-def test_reset_clears_states(goal, keeps_past):
+def test_reset_clears_states(goal: str, keeps_past: bool) -> None:
     engine = Engine()
     engine.load(rules=":- state(on(X), from(a(X)), until(b(X)), [within(5)]).")
-    events = []
+    events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     for text, second in (("a(1)", 1), ("b(1)", 2), ("a(2)", 3)):
         engine.event(text, second)
@@ -446,7 +447,7 @@ def test_reset_clears_states(goal, keeps_past):
     assert events == ["a(1)", "b(1)", "on(1)", "a(2)", "b(2)", "a(3)", "on(3)", "tick"]
 
 
-def test_deleted_or_detached_state_is_unknown():
+def test_deleted_or_detached_state_is_unknown() -> None:
     for declared_again in (False, True):
         engine = load_engine(DOCKED)
         states = engine.knowledge.states

@@ -1,6 +1,8 @@
 """Incremental tables over memories and states, and over facts that events change."""
 
 import random
+from pathlib import Path
+from typing import Any, List, Set
 
 import pytest
 
@@ -16,23 +18,23 @@ m(P) :- prev(pos, pos(P), _, _, [1000,0]).
 class TableEngine(Engine):
     """An engine with goals and rules."""
 
-    def __init__(self, goals=POSITIONS, rules=RULES):
+    def __init__(self, goals: Any = POSITIONS, rules: Any = RULES) -> None:
         super().__init__()
         self.load(rules=rules, goals=goals)
         self.clock_time = 0
 
-    def feed(self, *texts):
+    def feed(self, *texts: Any) -> None:
         """Process events, one per second."""
         for text in texts:
             self.clock_time += 1
             self.event(text, self.clock_time)
 
-    def values_of_x(self, goal):
+    def values_of_x(self, goal: str) -> List[Any]:
         """Return the values of X for which a goal is true."""
         return [self.show(answer["X"]) for answer in self.query(goal)]
 
 
-def test_table_depends_on_memory():
+def test_table_depends_on_memory() -> None:
     program = TableEngine()
     assert program.values_of_x("m(X)") == []
     program.feed("pos(a)")
@@ -65,7 +67,7 @@ READING_GOALS = [
 
 
 @pytest.mark.parametrize("goal", READING_GOALS)
-def test_each_reading_goal_is_a_dependency(goal):
+def test_each_reading_goal_is_a_dependency(goal: Any) -> None:
     own_memory = "memory(Id, X) :- access_mem(Id, pos(X), _), X \\== none.\n"
     program = TableEngine(
         rules=f"{own_memory}:- table t/1 as incremental.\nt(X) :- {goal}.\nplain(X) :- {goal}.\n"
@@ -84,7 +86,7 @@ def test_each_reading_goal_is_a_dependency(goal):
 
 
 @pytest.mark.parametrize("with_goals", [True, False])
-def test_table_of_poses_depends_on_memories(with_goals):
+def test_table_of_poses_depends_on_memories(with_goals: bool) -> None:
     chain = "pose_chain([tf], T, X)"
     earlier, later = "prev(tf, tf(V1, Q1), T1, _, T)", "next_inf(tf, tf(V2, Q2), T2, _, T)"
     steps = f"{earlier}, {later}, datime_interpolate(T1, T2, T, F), interpolate_quaternion(V1, Q1, V2, Q2, [F], X)"
@@ -99,7 +101,7 @@ def test_table_of_poses_depends_on_memories(with_goals):
     assert "5.5" in program.values_of_x("at([3,0], X)")[0]
 
 
-def test_late_event_changes_table():
+def test_late_event_changes_table() -> None:
     program = TableEngine(rules=":- table t/1 as incremental.\nt(X) :- prev(pos, pos(X), _, _, [5,0]).\n")
     program.event("pos(a)", 1)
     program.event("pos(b)", 9)
@@ -108,7 +110,7 @@ def test_late_event_changes_table():
     assert program.values_of_x("t(X)") == ["c"]
 
 
-def test_recreated_memory_is_new_dependency():
+def test_recreated_memory_is_new_dependency() -> None:
     program = TableEngine()
     program.feed("pos(a)")
     assert program.values_of_x("m(X)") == ["a"]
@@ -118,7 +120,7 @@ def test_recreated_memory_is_new_dependency():
     assert program.values_of_x("m(X)") == ["b"]
 
 
-def test_clock_moved_back_clears_tables():
+def test_clock_moved_back_clears_tables() -> None:
     program = TableEngine()
     program.feed("pos(a)")
     assert program.values_of_x("m(X)") == ["a"]
@@ -138,7 +140,7 @@ counted :- retract(runs(N)), M is N + 1, assertz(runs(M)).
 """
 
 
-def test_only_affected_tables_are_evaluated_again():
+def test_only_affected_tables_are_evaluated_again() -> None:
     program = TableEngine(f"{POSITIONS}\nmemorize(goal(P), [], goal(P), goal, 5)", COUNTING_RULES)
     program.feed("pos(a)", "goal(z)")
     assert program.values_of_x("both(X)") == ["a-z"]
@@ -164,12 +166,12 @@ STATE_GOALS = [
 
 @pytest.mark.parametrize("goal", STATE_GOALS)
 @pytest.mark.parametrize("flag", ["", ":- set_etalis_flag(revision_flag, on).\n"])
-def test_table_depends_on_states(goal, flag):
+def test_table_depends_on_states(goal: Any, flag: str) -> None:
     rules = f"{flag}{DOCKED}:- table t/1 as incremental.\nt(X) :- {goal}.\nplain(X) :- {goal}.\n"
     program = TableEngine("true", rules)
     generator = random.Random(goal + flag)
     event_forms = ["dock({})", "dock({})", "undock({})", *(["rev(dock({}))"] if flag else [])]
-    distinct_answers = set()
+    distinct_answers: Set[Any] = set()
     for _ in range(60):
         program.feed(generator.choice(event_forms).format(generator.choice("abc")))
         answers = frozenset(program.values_of_x("t(X)"))
@@ -180,7 +182,7 @@ def test_table_depends_on_states(goal, flag):
     assert set(program.values_of_x("t(X)")) == set(program.values_of_x("plain(X)"))
 
 
-def test_table_follows_timeouts_and_deletion_of_states():
+def test_table_follows_timeouts_and_deletion_of_states() -> None:
     state = ":- state(hot(R), from(heat(R)), until(cool(R)), [within(5)]).\n"
     program = TableEngine("true", f"{state}:- table t/1 as incremental.\nt(R) :- holds(hot(R)).\n")
     program.event("heat(a)", 1)
@@ -194,7 +196,7 @@ def test_table_follows_timeouts_and_deletion_of_states():
         program.values_of_x("t(X)")
 
 
-def test_rules_query_tables_over_changing_facts():
+def test_rules_query_tables_over_changing_facts() -> None:
     rules = """
     :- dynamic closed/1 as incremental.
     :- table way/2 as incremental.
@@ -207,7 +209,7 @@ def test_rules_query_tables_over_changing_facts():
     stay(Y) <- goto(Y) where \\+ way(a, Y).
     """
     program = TableEngine("true", rules)
-    events = []
+    events: List[Any] = []
     program.on_event(lambda term, start, end: events.append(program.show(term)))
     program.feed("goto(c)", "blocked(a-c)", "goto(c)", "blocked(b-c)", "goto(c)", "free(a-c)", "goto(c)")
     assert [text for text in events if text.startswith(("go(", "stay("))] == [
@@ -218,7 +220,7 @@ def test_rules_query_tables_over_changing_facts():
     ]
 
 
-def test_snapshot_excludes_answers_of_tables(tmp_path):
+def test_snapshot_excludes_answers_of_tables(tmp_path: Path) -> None:
     rules = RULES + ":- dynamic q/1 as incremental.\n:- table t/1 as incremental.\nt(X) :- q(X).\nq(1).\n"
     program = TableEngine(rules=rules)
     program.feed("pos(a)")
@@ -226,7 +228,7 @@ def test_snapshot_excludes_answers_of_tables(tmp_path):
     assert program.values_of_x("t(X)") == ["1"]
     restored = Engine.restore(program.snapshot())
 
-    def all_of(goal):
+    def all_of(goal: str) -> List[Any]:
         return [restored.show(answer["X"]) for answer in restored.query(goal)]
 
     assert all_of("m(X)") == ["a"]
@@ -237,18 +239,18 @@ def test_snapshot_excludes_answers_of_tables(tmp_path):
     assert all_of("t(X)") == ["1", "2"]
 
 
-def write(folder, rules, goals):
+def write(folder: Any, rules: Any, goals: str) -> None:
     (folder / "goalPredicates.txt").write_text(f"compile_event_file('rules.txt')\n{goals}\n")
     (folder / "rules.txt").write_text(rules)
 
 
-def test_tables_follow_reload_and_rollback(tmp_path):
+def test_tables_follow_reload_and_rollback(tmp_path: Path) -> None:
     facts = ":- dynamic q/1 as incremental.\n:- table t/1 as incremental.\nt(X) :- q(X).\nq(1).\n"
     write(tmp_path, RULES + facts, POSITIONS)
     engine = Engine()
     engine.load_program(tmp_path)
 
-    def all_of(goal):
+    def all_of(goal: str) -> List[Any]:
         return [engine.show(answer["X"]) for answer in engine.query(goal)]
 
     engine.event("pos(a)", 1)
@@ -272,7 +274,7 @@ def test_tables_follow_reload_and_rollback(tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_tables_equal_clauses_on_random_events(seed):
+def test_tables_equal_clauses_on_random_events(seed: int) -> None:
     """The same clauses with and without tables have equal answers after any changes."""
     generator = random.Random(seed)
     bodies = {
@@ -307,11 +309,11 @@ def test_tables_equal_clauses_on_random_events(seed):
     "declaration",
     ["dynamic(between/3 as incremental)", "table(between/3 as incremental)", "dynamic([between/3], [])"],
 )
-def test_declared_library_predicate_may_have_facts(declaration):
+def test_declared_library_predicate_may_have_facts(declaration: str) -> None:
     program = TableEngine("true", f":- {declaration}.\nbetween(a, b, c).\nx <- y.\n")
     assert program.values_of_x("between(a, b, X)") == ["c"]
 
 
-def test_rule_may_query_facts_declared_by_action(caplog):
+def test_rule_may_query_facts_declared_by_action(caplog: pytest.LogCaptureFixture) -> None:
     TableEngine("true", "begin <- go do dynamic(fact/1 as incremental).\nseen(X) <- ask where fact(X).\n")
     assert [record.message for record in caplog.records if "fact/1" in record.message] == []

@@ -1,5 +1,7 @@
 """Gaps in memories: widths, refused interpolations, and reports."""
 
+from typing import Any, List
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,7 +18,7 @@ gap(Id, Sec, NSec, G) :- convert_to_datime([Sec, NSec], T), memory_gap(Id, T, G)
 """
 
 
-def engine_with(*timestamps, settings=None, size=100, memories=("m",)):
+def engine_with(*timestamps: Any, settings: Any = None, size: int = 100, memories: Any = ("m",)) -> Any:
     """Return an engine whose memories have a record at each timestamp in milliseconds."""
     engine = Engine(StreamClock(1000 * SECOND), settings, Reports())
     engine.load(rules=BETWEEN)
@@ -27,7 +29,7 @@ def engine_with(*timestamps, settings=None, size=100, memories=("m",)):
     return engine
 
 
-def weights(engine, milliseconds, name="m"):
+def weights(engine: Any, milliseconds: int, name: str = "m") -> List[Any]:
     seconds, remainder = divmod(milliseconds, 1000)
     return [answer["W"] for answer in engine.query(f"between({name}, {seconds}, {remainder * 10**6}, W)")]
 
@@ -37,7 +39,7 @@ TIMESTAMPS_WITH_GAP = (*REGULAR_TIMESTAMPS, 4000, 4100)
 
 
 @pytest.mark.parametrize("max_gap", ["2.0", "0.15", "0.1"])
-def test_wide_gap_has_no_interpolation(max_gap):
+def test_wide_gap_has_no_interpolation(max_gap: str) -> None:
     engine = engine_with(*TIMESTAMPS_WITH_GAP)
     assert engine.call(f"set_etalis_flag(max_gap, {max_gap})")
     assert weights(engine, 1250) == [0.5]
@@ -46,7 +48,7 @@ def test_wide_gap_has_no_interpolation(max_gap):
     assert engine.reports.warnings == 0
 
 
-def test_gap_of_maximum_width_is_interpolated():
+def test_gap_of_maximum_width_is_interpolated() -> None:
     engine = engine_with(1000, 1500)
     assert engine.call("set_etalis_flag(max_gap, 0.5)")
     assert weights(engine, 1125) == [0.75]
@@ -54,7 +56,7 @@ def test_gap_of_maximum_width_is_interpolated():
     assert weights(engine, 1125) == []
 
 
-def test_timestamps_may_be_in_either_order():
+def test_timestamps_may_be_in_either_order() -> None:
     engine = engine_with()
     late, early = "datime(2001,1,1,0,0,4,0)", "datime(2001,1,1,0,0,0,0)"
     for goal in (
@@ -68,7 +70,7 @@ def test_timestamps_may_be_in_either_order():
 
 
 @pytest.mark.parametrize("max_gap", [-1, 0, "1.0e300"])
-def test_unlimited_gap_is_interpolated(max_gap):
+def test_unlimited_gap_is_interpolated(max_gap: Any) -> None:
     engine = engine_with(0, 10**9)
     assert engine.call("set_etalis_flag(max_gap, 1)")
     assert weights(engine, 5 * 10**8) == []
@@ -76,7 +78,7 @@ def test_unlimited_gap_is_interpolated(max_gap):
     assert weights(engine, 5 * 10**8) == [0.5]
 
 
-def test_reset_restores_setting_of_gap():
+def test_reset_restores_setting_of_gap() -> None:
     engine = engine_with(settings=Settings(max_gap=0.5))
     assert engine.query("get_etalis_flag(max_gap, M)") == [{"M": 0.5}]
     assert engine.call("set_etalis_flag(max_gap, 3)")
@@ -85,7 +87,7 @@ def test_reset_restores_setting_of_gap():
     assert not engine.call("datime_interpolate(1.0, 2.0, 1.0, _)")
 
 
-def test_unusual_gap_is_reported_once_for_memory(caplog):
+def test_unusual_gap_is_reported_once_for_memory(caplog: pytest.LogCaptureFixture) -> None:
     engine = engine_with(*TIMESTAMPS_WITH_GAP, memories=("m", "n(1)"))
     for instant in (3000, 3100, 3200):
         assert weights(engine, instant)
@@ -96,7 +98,7 @@ def test_unusual_gap_is_reported_once_for_memory(caplog):
     assert engine.reports.warnings == 6
 
 
-def test_gap_of_several_lookups_is_reported(caplog):
+def test_gap_of_several_lookups_is_reported(caplog: pytest.LogCaptureFixture) -> None:
     engine = engine_with(*TIMESTAMPS_WITH_GAP, memories=("m", "n"))
     goal = (
         "convert_to_datime([3,0], T), next_inf(m, _, _, _, T), next_inf(n, _, T2, _, T), prev(n, _, T1, _, T), "
@@ -117,14 +119,14 @@ def test_gap_of_several_lookups_is_reported(caplog):
         ),  # of several publishers at once
     ],
 )
-def test_usual_gap_is_not_reported(timestamps):
+def test_usual_gap_is_not_reported(timestamps: Any) -> None:
     engine = engine_with(*timestamps, size=200)
     for instant in range(1050, max(timestamps), 100):
         assert weights(engine, instant)
     assert engine.reports.warnings == 0
 
 
-def test_lookup_without_interpolation_reports_no_gap():
+def test_lookup_without_interpolation_reports_no_gap() -> None:
     engine = engine_with(*TIMESTAMPS_WITH_GAP)
     assert engine.call("next_inf(m, _, _, _, 3.0)")
     assert engine.call("memory_gap(m, 3.0, _)")
@@ -133,7 +135,7 @@ def test_lookup_without_interpolation_reports_no_gap():
 
 
 @pytest.mark.slow
-def test_stored_gaps_are_limited():
+def test_stored_gaps_are_limited() -> None:
     engine = engine_with(size=10_000)
     for start in range(MAX_NOTED_GAPS * 3):
         for step in range(100):
@@ -149,7 +151,7 @@ def test_stored_gaps_are_limited():
 
 @pytest.mark.slow
 @given(st.lists(st.integers(0, 40), max_size=20), st.integers(0, 40))
-def test_memory_gap_is_distance_of_neighbours(timestamps, instant):
+def test_memory_gap_is_distance_of_neighbours(timestamps: List[Any], instant: int) -> None:
     engine = engine_with(*timestamps)
     before = [timestamp for timestamp in timestamps if timestamp <= instant]
     after = [timestamp for timestamp in timestamps if timestamp >= instant]

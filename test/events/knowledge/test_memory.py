@@ -1,5 +1,7 @@
 """Memories, compared with a sorted list."""
 
+from typing import Any, List, Tuple
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -12,11 +14,11 @@ ENDS = st.lists(st.integers(0, 30), max_size=60)
 class Model:
     """A sorted list of the newest records, with linear insertion."""
 
-    def __init__(self, size):
+    def __init__(self, size: Any) -> None:
         self.size = size
         self.records = []
 
-    def add(self, name, end):
+    def add(self, name: Any, end: Any) -> bool:
         if self.size and len(self.records) == self.size and end < self.records[0][1]:
             return False
         position = sum(1 for _, other in self.records if other <= end)
@@ -25,7 +27,7 @@ class Model:
         return True
 
 
-def memory_and_model(size, ends):
+def memory_and_model(size: Any, ends: Any) -> Tuple[Any, ...]:
     memory, model = Memory(size), Model(size)
     for name, end in enumerate(ends):
         assert memory.add((name, end - 1, end)) == model.add(name, end)
@@ -33,14 +35,14 @@ def memory_and_model(size, ends):
 
 
 @given(st.integers(0, 8), ENDS)
-def test_newest_records_are_kept_in_order_of_ends(size, ends):
+def test_newest_records_are_kept_in_order_of_ends(size: int, ends: Any) -> None:
     memory, model = memory_and_model(size, ends)
     assert [(term, end) for term, _, end in memory.newest_first()] == model.records[::-1]
     assert len(memory) == len(model.records)
 
 
 @given(st.integers(0, 8), ENDS, st.integers(-1, 31))
-def test_lookups_by_time_equal_linear_search(size, ends, instant):
+def test_lookups_by_time_equal_linear_search(size: int, ends: Any, instant: int) -> None:
     memory, model = memory_and_model(size, ends)
     before = [name for name, end in model.records if end <= instant]
     after = [name for name, end in model.records if end >= instant]
@@ -54,7 +56,7 @@ def test_lookups_by_time_equal_linear_search(size, ends, instant):
     )
 
 
-def test_latest_end_is_known_without_records():
+def test_latest_end_is_known_without_records() -> None:
     memory = Memory(0)
     assert memory.latest_end is None
     assert memory.add(("a", 1, 5))
@@ -63,14 +65,14 @@ def test_latest_end_is_known_without_records():
     assert len(memory) == 0
 
 
-def test_added_and_late_records_are_counted():
+def test_added_and_late_records_are_counted() -> None:
     memory = Memory(2)
     for end in (10, 20, 5):
         memory.add(("x", end, end))
     assert (memory.added_count, memory.late_count) == (2, 1)
 
 
-def test_reader_ignores_later_records():
+def test_reader_ignores_later_records() -> None:
     memory = Memory(3)
     for end in range(3):
         memory.add((end, end, end))
@@ -81,7 +83,7 @@ def test_reader_ignores_later_records():
     assert [term for term, _, _ in reader] == [1, 0]
 
 
-def test_memory_stores_little_more_than_its_size():
+def test_memory_stores_little_more_than_its_size() -> None:
     memory = Memory(10)
     for end in range(1000):
         memory.add((end, end, end))
@@ -89,7 +91,7 @@ def test_memory_stores_little_more_than_its_size():
     assert [term for term, _, _ in memory.newest_first()] == list(range(999, 989, -1))
 
 
-def test_clear_removes_records():
+def test_clear_removes_records() -> None:
     memory = Memory(3)
     memory.add(("x", 1, 1))
     memory.clear()
@@ -98,8 +100,8 @@ def test_clear_removes_records():
     assert memory.at_or_before(99) is None
 
 
-def test_wide_gaps_are_reported():
-    gaps = []
+def test_wide_gaps_are_reported() -> None:
+    gaps: List[Any] = []
     memory = Memory(100, lambda start, end: gaps.append((start, end)))
     for end in [*range(1000, 2000, 100), 4000, 4100]:
         memory.add((end, end, end))
@@ -112,8 +114,8 @@ def test_wide_gaps_are_reported():
 
 @pytest.mark.parametrize("gap", [90, 99, 100, 110])
 @pytest.mark.parametrize("steps_before", [1, 3])
-def test_gap_is_wide_from_ten_times_the_mean(gap, steps_before):
-    widths = []
+def test_gap_is_wide_from_ten_times_the_mean(gap: int, steps_before: int) -> None:
+    widths: List[Any] = []
     memory, end = Memory(100, lambda start, end: widths.append(end - start)), 0
     for step in [10] * steps_before + [gap] + [10] * 4:
         end += step
@@ -131,11 +133,11 @@ def test_gap_is_wide_from_ten_times_the_mean(gap, steps_before):
 
 
 @given(st.integers(0, 8), ENDS, st.integers(-1, 31), st.integers(0, 61))
-def test_positions_of_records(size, ends, instant, sequence_number):
+def test_positions_of_records(size: int, ends: Any, instant: int, sequence_number: int) -> None:
     memory, model = memory_and_model(size, ends)
     records = memory.records
 
-    def names_of_records(matches):
+    def names_of_records(matches: Any) -> List[Any]:
         return [name for name, end in model.records if matches(end)]
 
     assert [name for name, _, _ in records[memory.first_position :]] == names_of_records(lambda end: True)
@@ -155,7 +157,7 @@ def test_positions_of_records(size, ends, instant, sequence_number):
 
 
 @given(st.integers(0, 8), ENDS)
-def test_changes_have_positions_and_versions(size, ends):
+def test_changes_have_positions_and_versions(size: int, ends: Any) -> None:
     memory, versions = Memory(size), set()
     for name, end in enumerate(ends):
         before_first, before = memory.records_since(0)

@@ -2,6 +2,7 @@
 
 import logging
 import re
+from typing import Any, List, Optional
 
 import pytest
 from recording_engine import RecordingEngine
@@ -10,57 +11,57 @@ from retalis import Engine, PrologError, UsageError, atom, deref, list_items
 from retalis.prolog.terms.timestamps import SECOND
 
 
-def records(engine, name="m"):
+def records(engine: Any, name: str = "m") -> List[Any]:
     answers = engine.query(f"access_mem({name}, R, _)")
     return [engine.show(deref(answer["R"])) for answer in answers]
 
 
-def names(engine):
+def names(engine: Any) -> List[Any]:
     return [event for event, _, _ in engine.events]
 
 
-def test_matching_events_are_recorded_by_template():
+def test_matching_events_are_recorded_by_template() -> None:
     engine = RecordingEngine(goals="memorize(tf(a, B, X), [X > 0], kept(B, X), m, 10)")
     for text in ("tf(a, b, 1)", "tf(c, b, 2)", "tf(a, d, -1)", "tf(a, e, 3)"):
         engine.event(text, 1)
     assert records(engine) == ["kept(e,3)", "kept(b,1)"]
 
 
-def test_variable_template_records_event():
+def test_variable_template_records_event() -> None:
     engine = RecordingEngine(goals="memorize(v(X), [X > 1], _, m, 10)")
     engine.event("v(1)", 1)
     engine.event("v(2)", 2)
     assert records(engine) == ["v(2)"]
 
 
-def test_template_uses_first_solution_of_conditions():
+def test_template_uses_first_solution_of_conditions() -> None:
     engine = RecordingEngine(goals="memorize(v(X), [member(Y, [10, 20]), Z is X + Y], w(X, Z), m, 10)")
     engine.event("v(1)", 1)
     assert records(engine) == ["w(1,11)"]
 
 
-def test_variables_of_records_are_renamed_for_readers():
+def test_variables_of_records_are_renamed_for_readers() -> None:
     engine = RecordingEngine(goals="memorize(v(X), [], pair(X, _), m, 10)")
     engine.event("v(1)", 1)
     assert engine.query("access_mem(m, pair(1, a), _), access_mem(m, pair(1, b), _)") != []
     assert engine.query("prev(m, P, _, _, 5), P = pair(_, a), prev(m, Q, _, _, 5), Q = pair(_, b)") != []
 
 
-def test_variables_of_recorded_event_are_renamed():
+def test_variables_of_recorded_event_are_renamed() -> None:
     engine = RecordingEngine("null do (new_event(v(_, 2), 1, 0)) <- go.", "memorize(v(X, Y), [], _, m, 10)")
     engine.event("go", 1)
     assert engine.query("access_mem(m, v(a, 2), _), access_mem(m, v(b, 2), _)") != []
 
 
 @pytest.fixture
-def engine_with_three_records():
+def engine_with_three_records() -> Any:
     engine = RecordingEngine(goals="memorize(v(X), [], _, m, 3)")
     for value, time in ((1, 10), (2, 20), (3, 30), (4, 25), (5, 5)):
         engine.event(f"v({value})", time)
     return engine
 
 
-def test_newest_records_are_kept_in_order(engine_with_three_records):
+def test_newest_records_are_kept_in_order(engine_with_three_records: Any) -> None:
     assert records(engine_with_three_records) == ["v(3)", "v(4)", "v(2)"]
 
 
@@ -85,7 +86,9 @@ def test_newest_records_are_kept_in_order(engine_with_three_records):
         ("access_mem(unknown, R, _)", None),
     ],
 )
-def test_lookups_return_nearest_record(engine_with_three_records, goal, expected):
+def test_lookups_return_nearest_record(
+    engine_with_three_records: Any, goal: str, expected: Optional[str]
+) -> None:
     answers = engine_with_three_records.query(goal)
     if expected is None:
         assert answers == []
@@ -94,7 +97,7 @@ def test_lookups_return_nearest_record(engine_with_three_records, goal, expected
         assert engine_with_three_records.show(deref(answer["R"])) == expected
 
 
-def test_lookups_keep_form_of_interval():
+def test_lookups_keep_form_of_interval() -> None:
     engine = RecordingEngine(goals="memorize(v(_), [], _, m, 3)")
     engine.event("v(1)", 5, 7.5)
     (answer,) = engine.query("prev(m, _, T1, T2, 8)")
@@ -105,14 +108,14 @@ def test_lookups_keep_form_of_interval():
     assert engine.query("prev(m, v(2), _, _, datime(2014,10,19,19,50,5,981209993))") != []
 
 
-def test_size_and_count_are_queried(engine_with_three_records):
+def test_size_and_count_are_queried(engine_with_three_records: Any) -> None:
     assert engine_with_three_records.query("memory_size(m, N), memory_counter(m, C)") == [{"N": 3, "C": 4}]
     assert [deref(answer["Id"]).name for answer in engine_with_three_records.query("memory_size(Id, _)")] == [
         "m"
     ]
 
 
-def test_active_memory_emits_events():
+def test_active_memory_emits_events() -> None:
     engine = RecordingEngine(goals="memorize(v(_), [], _, m, 3)\nmemorize_diactive(v(_), [], _, quiet, 3)")
     engine.event("v(1)", 5)
     engine.call("delete_memory(m), delete_memory(quiet)")
@@ -130,18 +133,18 @@ def test_active_memory_emits_events():
         ("v(X), [Y = X], Y, m, 3", "v(X), [Y = X], Y"),
     ],
 )
-def test_creation_event_shows_definition(definition, expected):
+def test_creation_event_shows_definition(definition: str, expected: str) -> None:
     engine = RecordingEngine(goals=f"memorize({definition})")
     assert engine.call(f"{names(engine)[0]} =@= memory_created({expected}, m, 3)")
 
 
-def test_rule_matches_memory_update():
+def test_rule_matches_memory_update() -> None:
     engine = RecordingEngine("seen(Id) <- memory_updated(Id, _).", "memorize(v(_), [], _, m, 3)")
     engine.event("v(1)", 5)
     assert "seen(m)" in names(engine)
 
 
-def test_update_beyond_depth_limit_is_reported(caplog):
+def test_update_beyond_depth_limit_is_reported(caplog: pytest.LogCaptureFixture) -> None:
     rules = "a(Y) <- a(X) where (X < 20, Y is X + 1). told(I) <- memory_updated(I, _). done <- a(1)."
     engine = RecordingEngine(rules, "memorize(a(20), [], _, m, 5)", max_depth=19)
     engine.event("a(1)", 1)
@@ -151,7 +154,7 @@ def test_update_beyond_depth_limit_is_reported(caplog):
 
 
 @pytest.mark.parametrize("memory", ["m", "n"])
-def test_memories_of_all_events_ignore_updates(memory):
+def test_memories_of_all_events_ignore_updates(memory: str) -> None:
     goals = "memorize(v(_), [], _, v, 9), memorize(_, [], _, m, 100), memorize(_, [], _, n, 100)"
     engine = RecordingEngine(goals=goals)
     engine.event("v(1)", 1)
@@ -162,14 +165,14 @@ def test_memories_of_all_events_ignore_updates(memory):
     ]
 
 
-def test_memory_of_all_events_ignores_own_updates():
+def test_memory_of_all_events_ignores_own_updates() -> None:
     engine = RecordingEngine(goals="memorize(E, [], _, m, 100)")
     engine.event("a", 1)
     assert [record.split("(")[0] for record in records(engine)].count("memory_updated") == 0
     assert "a" in records(engine)
 
 
-def test_deleting_unknown_memory_gives_warning(caplog):
+def test_deleting_unknown_memory_gives_warning(caplog: pytest.LogCaptureFixture) -> None:
     engine = RecordingEngine()
     with caplog.at_level(logging.WARNING, "retalis"):
         assert engine.call("delete_memory(nothing)")
@@ -190,7 +193,7 @@ def test_deleting_unknown_memory_gives_warning(caplog):
         ("memorize(v(X), [Y], _, n, 3)", "instantiation_error"),
     ],
 )
-def test_invalid_memory_is_refused(goal, error):
+def test_invalid_memory_is_refused(goal: str, error: str) -> None:
     engine = RecordingEngine(goals="memorize(v(X), [], _, m, 3)")
     with pytest.raises(PrologError) as caught:
         engine.call(goal)
@@ -198,7 +201,7 @@ def test_invalid_memory_is_refused(goal, error):
     assert [deref(answer["Id"]).name for answer in engine.query("memory_size(Id, _)")] == ["m"]
 
 
-def test_error_of_condition_is_reported(caplog):
+def test_error_of_condition_is_reported(caplog: pytest.LogCaptureFixture) -> None:
     engine = RecordingEngine("ok <- v(_).", "memorize(v(X), [Y is X + 1], w(Y), m, 3)")
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.event("v(a)", 1)
@@ -207,21 +210,21 @@ def test_error_of_condition_is_reported(caplog):
     assert "memory m" in caplog.text
 
 
-def test_id_may_be_any_ground_term():
+def test_id_may_be_any_ground_term() -> None:
     engine = RecordingEngine(goals="memorize(v(_), [], _, room(1), 3)\nmemorize(v(_), [], _, 1, 3)")
     engine.event("v(x)", 1)
     assert records(engine, "room(1)") == records(engine, "1") == ["v(x)"]
     assert records(engine, "1.0") == []
 
 
-def test_reader_ignores_records_added_meanwhile(engine_with_three_records):
+def test_reader_ignores_records_added_meanwhile(engine_with_three_records: Any) -> None:
     (answer,) = engine_with_three_records.query(
         "findall(X, (access_mem(m, v(X), _), new_event(v(9), 99, 0)), L)"
     )
     assert list_items(answer["L"]) == [3, 4, 2]
 
 
-def test_failed_condition_restores_current_event():
+def test_failed_condition_restores_current_event() -> None:
     engine = Engine()
     engine.load(
         rules="null do wrong(X) <- b(X).\nwrong(X) :- X > foo.",
@@ -243,13 +246,13 @@ def test_failed_condition_restores_current_event():
         ("E, [E = v(1)], seen(E)", ["seen(v(1))"]),
     ],
 )
-def test_conditions_bind_variables_of_event(definition, expected):
+def test_conditions_bind_variables_of_event(definition: str, expected: Any) -> None:
     engine = RecordingEngine(goals=f"memorize({definition}, m, 10)")
     engine.event("v(_)", 1)
     assert [re.sub(r"_\w+", "A", record) for record in records(engine)] == expected
 
 
-def test_template_has_bindings_and_fresh_variables():
+def test_template_has_bindings_and_fresh_variables() -> None:
     engine = RecordingEngine(goals="memorize(v(X), [member(Y-Z, [X-_, 3-4])], w(Y, Z, _), m, 10)")
     engine.event("v(1)", 1)
     assert engine.query("prev(m, w(1, a, b), _, _, 5), prev(m, w(1, c, d), _, _, 5)") == [{}]
@@ -261,7 +264,7 @@ full(Id, N) :- memory_counter(Id, C), C >= N.
 """
 
 
-def test_counter_is_queried_for_one_or_all_memories():
+def test_counter_is_queried_for_one_or_all_memories() -> None:
     engine = RecordingEngine(SIZES, "memorize(v(_), [], _, m, 2)\nmemorize(w(_), [], _, n(1), 5)")
     for number in range(4):
         engine.event(f"v({number})", number)
@@ -276,14 +279,14 @@ def test_counter_is_queried_for_one_or_all_memories():
     assert [answer["N"] for answer in engine.query("memory_size(_, N)")] == [2, 5]
 
 
-def test_condition_may_read_own_memory():
+def test_condition_may_read_own_memory() -> None:
     engine = RecordingEngine(goals="memorize(v(X), [memory_counter(m, N), N < 2], _, m, 5)")
     for number in range(4):
         engine.event(f"v({number})", number)
     assert records(engine) == ["v(1)", "v(0)"]
 
 
-def test_memories_before_instant_are_missing():
+def test_memories_before_instant_are_missing() -> None:
     engine = RecordingEngine(goals="memorize(a, [], _, m, 5)\nmemorize(b, [], _, n, 5)")
     knowledge = engine.knowledge
     engine.event("a", 2)
@@ -307,7 +310,7 @@ def test_memories_before_instant_are_missing():
         ("memorize(v(X), [], X, 3, n)", "the size is a number of records"),
     ],
 )
-def test_error_of_misplaced_argument_shows_notation(goal, advice):
+def test_error_of_misplaced_argument_shows_notation(goal: str, advice: str) -> None:
     with pytest.raises(PrologError) as caught:
         RecordingEngine().call(goal)
     assert f"{advice}: write memorize(Pattern, Conditions, Template, Id, Size)" in str(caught.value)

@@ -6,6 +6,7 @@ both ways.
 
 import logging
 import re
+from typing import Any, List
 
 import pytest
 from recording_engine import RecordingEngine
@@ -21,7 +22,7 @@ MEMORY = "memorize(v(_), [], _, m, 10)\n"
 class SelectiveEngine(Engine):
     """An engine that records events of a few types as text, and has no listener for others."""
 
-    def __init__(self, rules="", goals="", **settings):
+    def __init__(self, rules: str = "", goals: str = "", **settings: Any) -> None:
         super().__init__(settings=Settings(**settings))
         self.events = []
         for name, arity in RECORDED_TYPES:
@@ -29,7 +30,7 @@ class SelectiveEngine(Engine):
             self.dispatcher.listen(ListenerPhase.TRACE, pattern, self._record)
         self.load(rules=rules, goals=goals)
 
-    def _record(self, term, values, start, end, frame):
+    def _record(self, term: Any, values: Any, start: Any, end: Any, frame: Any) -> Any:
         self.events.append((self.show(term), int(start), int(end)))
         return frame
 
@@ -38,19 +39,19 @@ RECORDED_TYPES = (("a", 0), ("done", 0), ("answer", 2), ("done", 1), ("done", 2)
 
 
 @pytest.fixture(params=[RecordingEngine, SelectiveEngine], ids=["created", "not created"])
-def make_engine(request):
+def make_engine(request: pytest.FixtureRequest) -> Any:
     return request.param
 
 
-def answers(engine):
+def answers(engine: Any) -> List[Any]:
     return [event for event in engine.events if event[0].startswith(("answer", "done"))]
 
 
-def names(engine):
+def names(engine: Any) -> List[Any]:
     return [event for event, _, _ in answers(engine)]
 
 
-def test_status_shows_last_query(make_engine):
+def test_status_shows_last_query(make_engine: Any) -> None:
     engine = make_engine(QUERY_RULE, MEMORY)
     for second in (5, 7):
         engine.event("ask(1, 0)", second)
@@ -58,14 +59,14 @@ def test_status_shows_last_query(make_engine):
     assert (rule.fired, rule.last_fired) == (2, 7 * 10**9)
 
 
-def test_query_with_data_is_called_immediately(make_engine):
+def test_query_with_data_is_called_immediately(make_engine: Any) -> None:
     engine = make_engine(QUERY_RULE, MEMORY)
     engine.event("v(1)", 10)
     engine.event("ask(a, 10)", 3, 4)
     assert answers(engine) == [("answer(a,1)", 3 * 10**9, 4 * 10**9)]
 
 
-def test_query_waits_for_data(make_engine):
+def test_query_waits_for_data(make_engine: Any) -> None:
     engine = make_engine(QUERY_RULE, MEMORY)
     engine.event("v(1)", 10)
     engine.event("ask(a, 20)", 3)
@@ -77,14 +78,14 @@ def test_query_waits_for_data(make_engine):
     assert len(engine.knowledge.pending_queries) == 0
 
 
-def test_both_spellings_are_accepted(make_engine):
+def test_both_spellings_are_accepted(make_engine: Any) -> None:
     engine = make_engine(QUERY_RULE.replace("syncronized", "synchronized"), MEMORY)
     engine.event("v(1)", 10)
     engine.event("ask(a, 10)", 3)
     assert names(engine) == ["answer(a,1)"]
 
 
-def test_query_waits_for_all_memories(make_engine):
+def test_query_waits_for_all_memories(make_engine: Any) -> None:
     rules = "syncronized(done(X), true, [[m, 10], [n, 20]]) <- ask(X)."
     engine = make_engine(rules, MEMORY + "memorize(w(_), [], _, n, 10)")
     engine.event("ask(a)", 1)
@@ -95,7 +96,7 @@ def test_query_waits_for_all_memories(make_engine):
     assert names(engine) == ["done(a)"]
 
 
-def test_query_emits_first_solution_only(make_engine):
+def test_query_emits_first_solution_only(make_engine: Any) -> None:
     rules = (
         "syncronized(done(Y), member(Y, [1, 2]), [[m, T]]) <- ask(T).\n"
         "syncronized(done(no), fail, [[m, T]]) <- ask(T).\n"
@@ -107,7 +108,7 @@ def test_query_emits_first_solution_only(make_engine):
     assert names(engine) == ["done(1)", "done(1)"]
 
 
-def test_queries_are_called_in_order_of_arrival(make_engine):
+def test_queries_are_called_in_order_of_arrival(make_engine: Any) -> None:
     engine = make_engine("syncronized(done(X), true, [[m, T]]) <- ask(X, T).", MEMORY)
     for name, time in (("a", 30), ("b", 10), ("c", 20), ("d", 99)):
         engine.event(f"ask({name}, {time})", 1)
@@ -115,7 +116,7 @@ def test_queries_are_called_in_order_of_arrival(make_engine):
     assert names(engine) == ["done(a)", "done(b)", "done(c)"]
 
 
-def test_query_is_complete_before_next_call(make_engine):
+def test_query_is_complete_before_next_call(make_engine: Any) -> None:
     rules = (
         "syncronized(done(X), note(X), [[m, T]]) <- ask(X, T).\n"
         "note(X) :- findall(Y, seen(Y), L), assertz(seen(X)), assertz(before(X, L)).\n"
@@ -129,7 +130,7 @@ def test_query_is_complete_before_next_call(make_engine):
     assert engine.query("before(b, [a, after(a)])") == [{}]
 
 
-def test_query_precedes_rules_of_releasing_event(make_engine):
+def test_query_precedes_rules_of_releasing_event(make_engine: Any) -> None:
     engine = make_engine("syncronized(done(X), true, [[m, 10]]) <- ask(X).\ndone(rule) <- v(_).", MEMORY)
     engine.event("ask(a)", 1)
     engine.event("v(1)", 10)
@@ -141,7 +142,7 @@ def test_query_precedes_rules_of_releasing_event(make_engine):
     ["Z", "[S, NS]", "D"],
     ids=["float", "ros time", "datime"],
 )
-def test_times_may_be_floats_ros_times_or_datimes(make_engine, time):
+def test_times_may_be_floats_ros_times_or_datimes(make_engine: Any, time: str) -> None:
     rules = (
         f"syncronized(done(X), true, [[m, {time}]]) <- ask(X, S, NS) "
         "where (Z is S + (NSX), convert_to_datime([S, NS], D)).".replace("NSX", "NS * 0.000000001")
@@ -163,7 +164,9 @@ def test_times_may_be_floats_ros_times_or_datimes(make_engine, time):
         ("[[m, soon]]", "ask", "datime"),
     ],
 )
-def test_invalid_conditions_are_reported(make_engine, conditions, pattern, message, caplog):
+def test_invalid_conditions_are_reported(
+    make_engine: Any, conditions: str, pattern: str, message: str, caplog: pytest.LogCaptureFixture
+) -> None:
     engine = make_engine(f"syncronized(done, true, {conditions}) <- {pattern}.", MEMORY)
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.event("ask", 1)
@@ -172,7 +175,7 @@ def test_invalid_conditions_are_reported(make_engine, conditions, pattern, messa
     assert len(engine.knowledge.pending_queries) == 0
 
 
-def test_error_of_query_is_reported(make_engine, caplog):
+def test_error_of_query_is_reported(make_engine: Any, caplog: pytest.LogCaptureFixture) -> None:
     engine = make_engine("syncronized(done, X is a + 1, []) <- ask.", MEMORY)
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.event("ask", 1)
@@ -181,7 +184,9 @@ def test_error_of_query_is_reported(make_engine, caplog):
 
 
 @pytest.mark.parametrize("conditions", ["[]", "[[m, 10]]"])
-def test_query_result_that_is_no_event_is_reported(make_engine, conditions, caplog):
+def test_query_result_that_is_no_event_is_reported(
+    make_engine: Any, conditions: str, caplog: pytest.LogCaptureFixture
+) -> None:
     engine = make_engine(f"syncronized(X, X = 1, {conditions}) <- ask. done <- ask. done(V) <- v(V).", MEMORY)
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.event("ask", 1)
@@ -191,7 +196,7 @@ def test_query_result_that_is_no_event_is_reported(make_engine, conditions, capl
     assert engine.dispatcher.current is None
 
 
-def test_endless_chain_of_queries_is_reported(make_engine, caplog):
+def test_endless_chain_of_queries_is_reported(make_engine: Any, caplog: pytest.LogCaptureFixture) -> None:
     engine = make_engine("syncronized(a, true, []) <- a. done <- b. b <- c. a <- c. done <- c.", max_depth=20)
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.event("c", 1)
@@ -199,7 +204,7 @@ def test_endless_chain_of_queries_is_reported(make_engine, caplog):
     assert names(engine) == ["done", "done"]
 
 
-def test_deleted_memory_drops_pending_queries(make_engine, caplog):
+def test_deleted_memory_drops_pending_queries(make_engine: Any, caplog: pytest.LogCaptureFixture) -> None:
     engine = make_engine("syncronized(done(X), true, [[m, 10]]) <- ask(X).", MEMORY)
     engine.event("ask(a)", 1)
     with caplog.at_level(logging.WARNING, "retalis"):
@@ -210,7 +215,7 @@ def test_deleted_memory_drops_pending_queries(make_engine, caplog):
     assert answers(engine) == []
 
 
-def test_derived_query_waits_for_its_own_data(make_engine):
+def test_derived_query_waits_for_its_own_data(make_engine: Any) -> None:
     rules = (
         "syncronized(done(1, T2), true, [[m, T1]]) <- ask(T1, T2).\n"
         "syncronized(done(2), true, [[m, T2]]) <- done(1, T2).\n"
@@ -223,7 +228,7 @@ def test_derived_query_waits_for_its_own_data(make_engine):
     assert names(engine) == ["done(1,20)", "done(2)"]
 
 
-def test_pending_queries_are_limited(make_engine, caplog):
+def test_pending_queries_are_limited(make_engine: Any, caplog: pytest.LogCaptureFixture) -> None:
     engine = make_engine("syncronized(done(X), true, [[m, 10]]) <- ask(X).", MEMORY)
     engine.knowledge.pending_queries.limit = 3
     with caplog.at_level(logging.WARNING, "retalis"):
@@ -234,7 +239,7 @@ def test_pending_queries_are_limited(make_engine, caplog):
     assert names(engine) == ["done(2)", "done(3)", "done(4)"]
 
 
-def test_dropped_queries_leave_memory(make_engine):
+def test_dropped_queries_leave_memory(make_engine: Any) -> None:
     engine = make_engine("syncronized(done(X), true, [[m, 10], [m, 11]]) <- ask(X).", MEMORY)
     engine.knowledge.pending_queries.limit = 3
     for number in range(50):
@@ -247,7 +252,7 @@ def test_dropped_queries_leave_memory(make_engine):
     assert names(engine) == ["done(47)", "done(48)", "done(49)"]
 
 
-def test_repeated_drops_are_reported_seldom(make_engine, caplog):
+def test_repeated_drops_are_reported_seldom(make_engine: Any, caplog: pytest.LogCaptureFixture) -> None:
     engine = make_engine("syncronized(done(X), true, [[nothing, 1]]) <- ask(X).", MEMORY)
     with caplog.at_level(logging.WARNING, "retalis"):
         for number in range(100):
@@ -256,10 +261,10 @@ def test_repeated_drops_are_reported_seldom(make_engine, caplog):
 
 
 @pytest.mark.fused
-def test_unobserved_query_events_are_not_created(monkeypatch):
+def test_unobserved_query_events_are_not_created(monkeypatch: pytest.MonkeyPatch) -> None:
     dispatched, dispatch = [], Dispatcher.dispatch
 
-    def recording_dispatch(dispatcher, term, *rest):
+    def recording_dispatch(dispatcher: Any, term: Any, *rest: Any) -> Any:
         dispatched.append(term[0].name)
         return dispatch(dispatcher, term, *rest)
 
@@ -275,15 +280,15 @@ def test_unobserved_query_events_are_not_created(monkeypatch):
     assert names(engine) == ["done(a)", "done(b)", "done(c)", "done(heard)"]
 
 
-def without_variable_numbers(text):
+def without_variable_numbers(text: Any) -> str:
     """Return a report without numbers of variables and callers of built-ins."""
     return re.sub(r"_G?\d+", "_", text).replace(" (in (is)/2)", "")
 
 
 @pytest.mark.parametrize("depth", range(1, 12))
-def test_omitted_events_count_for_depth_limit(depth, caplog):
+def test_omitted_events_count_for_depth_limit(depth: int, caplog: pytest.LogCaptureFixture) -> None:
     rules = "syncronized(a, true, []) <- a. syncronized(done, true, []) <- a. done(1) <- done. a <- done(1)."
-    results = []
+    results: List[Any] = []
     for engine_type in (RecordingEngine, SelectiveEngine):
         engine = engine_type(rules, max_depth=depth)
         with caplog.at_level(logging.WARNING, "retalis"):
@@ -294,15 +299,15 @@ def test_omitted_events_count_for_depth_limit(depth, caplog):
     assert results[0] == results[1]
 
 
-def test_depth_after_omitted_event():
+def test_depth_after_omitted_event() -> None:
     engine = SelectiveEngine(
         "syncronized(done(Y), true, []) <- a event_multiply member(Y, [1, 2, 3, 4, 5, 6]).\n"
         "t <- memory_updated(m, _).",
         "memorize(done(_), [], _, m, 10)",
     )
-    depths = []
+    depths: List[Any] = []
 
-    def record_depth(term, values, start, end, frame):
+    def record_depth(term: Any, values: Any, start: Any, end: Any, frame: Any) -> Any:
         depths.append(engine.dispatcher.current[DEPTH])
         return frame
 
@@ -332,8 +337,8 @@ def test_depth_after_omitted_event():
         ("done(A), A = T, [[m, 1], [m, 1]]", ["done(true)"]),
     ],
 )
-def test_omission_of_event_keeps_query(head, expected, caplog):
-    reports = []
+def test_omission_of_event_keeps_query(head: str, expected: Any, caplog: pytest.LogCaptureFixture) -> None:
+    reports: List[Any] = []
     for engine_type in (RecordingEngine, SelectiveEngine):
         condition = " where N = 3" if "N" in head else ""
         engine = engine_type(f"syncronized({head}) <- ask(T){condition}.\ndeeper :- missing.", MEMORY)
@@ -347,14 +352,14 @@ def test_omission_of_event_keeps_query(head, expected, caplog):
     assert bool(reports[0]) == (not expected)
 
 
-def test_variables_of_event_are_shared_with_query(make_engine):
+def test_variables_of_event_are_shared_with_query(make_engine: Any) -> None:
     engine = make_engine("syncronized(done(X), X = Y, [[m, 10]]) <- ask(X, Y).", MEMORY)
     engine.event("ask(p(A, B), p(B, c))", 1)
     engine.event("v(1)", 10)
     assert names(engine) == ["done(p(c,c))"]
 
 
-def test_query_waits_for_memories_in_any_order():
+def test_query_waits_for_memories_in_any_order() -> None:
     goals = "".join(f"memorize(e({name}), [], _, {name}, 10)\n" for name in "pqr")
     engine = SelectiveEngine("syncronized(done(X), true, [[p, 10], [q, T], [r, 30]]) <- ask(X, T).", goals)
     engine.event("ask(a, 20)", 1)
@@ -370,7 +375,7 @@ def test_query_waits_for_memories_in_any_order():
     assert len(engine.knowledge.pending_queries) == 0
 
 
-def test_deleted_memory_keeps_queries_with_its_data(make_engine):
+def test_deleted_memory_keeps_queries_with_its_data(make_engine: Any) -> None:
     rules = "syncronized(done(X), true, [[m, T], [n, 50]]) <- ask(X, T)."
     engine = make_engine(rules, MEMORY + "memorize(w(_), [], _, n, 10)")
     engine.event("v(1)", 20)
@@ -391,7 +396,9 @@ def test_deleted_memory_keeps_queries_with_its_data(make_engine):
     ],
     ids=["query", "memory", "subscription"],
 )
-def test_limit_of_caller_is_error_of_caller(make_engine, rules, goals, caplog):
+def test_limit_of_caller_is_error_of_caller(
+    make_engine: Any, rules: str, goals: str, caplog: pytest.LogCaptureFixture
+) -> None:
     engine = make_engine("loop :- loop.\ndone(1) <- in.\n" + rules, goals)
     goal = "catch(call_with_time_limit(0.05, new_event(in, [1, 1])), R, true)"
     (answer,) = engine.query(goal)
@@ -401,7 +408,7 @@ def test_limit_of_caller_is_error_of_caller(make_engine, rules, goals, caplog):
 
 
 @pytest.mark.parametrize("goal", ["", "do noted(X) ", "do noted(X, T) "])
-def test_messages_may_trigger_queries(make_engine, goal):
+def test_messages_may_trigger_queries(make_engine: Any, goal: str) -> None:
     rule = f"syncronized(done(X), true, [[m, T]]) {goal}<- ask(X, T).\n"
     engine = make_engine(rule + "noted(_).\nnoted(X, T) :- noted(X), noted(T).", MEMORY)
     make_query, value = functor("ask", 2), functor("v", 1)
@@ -411,7 +418,7 @@ def test_messages_may_trigger_queries(make_engine, goal):
     assert names(engine) == [f"done({second})" for second in range(1, 21)]
 
 
-def test_error_in_query_of_message_is_isolated(make_engine, caplog):
+def test_error_in_query_of_message_is_isolated(make_engine: Any, caplog: pytest.LogCaptureFixture) -> None:
     engine = make_engine("syncronized(done(X), X > 1, [[m, T]]) <- ask(X, T).\ndone(rule) <- v(_).", MEMORY)
     make_query, value = functor("ask", 2), functor("v", 1)
     engine.post(value(0), 10**9)
@@ -424,7 +431,7 @@ def test_error_in_query_of_message_is_isolated(make_engine, caplog):
 
 
 @pytest.mark.parametrize("query", ["member(X, [1, 2])", "(new_event(v(2), 20, 0), X = 1)"])
-def test_queries_of_messages_may_call_goals(make_engine, query):
+def test_queries_of_messages_may_call_goals(make_engine: Any, query: str) -> None:
     engine = make_engine(
         f"syncronized(done(X), {query}, [[m, T]]) <- ask(T).\nnull do member(_, [1]) <- done(_).", MEMORY
     )
@@ -438,7 +445,7 @@ def test_queries_of_messages_may_call_goals(make_engine, query):
 
 
 @pytest.mark.parametrize("goal", ["loop", "length(_, 3000000)"])
-def test_limits_apply_to_each_query(make_engine, goal, caplog):
+def test_limits_apply_to_each_query(make_engine: Any, goal: str, caplog: pytest.LogCaptureFixture) -> None:
     rules = f"loop :- loop.\nsyncronized(done(X), {goal}, [[m, T]]) <- ask(X, T).\ndone(rule) <- v(_)."
     engine = make_engine(rules, MEMORY, limits=Limits(inferences=3000))
     make_query, value = functor("ask", 2), functor("v", 1)
@@ -451,7 +458,7 @@ def test_limits_apply_to_each_query(make_engine, goal, caplog):
     assert "done(2) is dropped, its query raised: Not enough resources: inferences" in caplog.text
 
 
-def test_query_of_message_may_derive_long_chain(make_engine):
+def test_query_of_message_may_derive_long_chain(make_engine: Any) -> None:
     rules = "syncronized(c(1), true, [[m, T]]) <- ask(T).\nc(Y) <- c(X) where (X < 20, Y is X + 1).\n"
     engine = make_engine(rules + "done(X) <- c(X) where (X = 20).", MEMORY)
     make_query, value = functor("ask", 1), functor("v", 1)
@@ -463,7 +470,7 @@ def test_query_of_message_may_derive_long_chain(make_engine):
     assert names(engine) == ["done(20)"] * 3
 
 
-def test_pending_queries_are_restored(make_engine):
+def test_pending_queries_are_restored(make_engine: Any) -> None:
     memories = MEMORY + "memorize(w, [], _, n, 5)\n"
     rules = QUERY_RULE.replace("[[m, T]]", "[[m, T], [n, T]]")
     first, second = make_engine(rules, memories), make_engine(rules, memories)

@@ -4,6 +4,7 @@ import math
 import random
 import sys
 from pathlib import Path
+from typing import Any, List, Tuple
 
 import pytest
 from hypothesis import given, settings
@@ -28,7 +29,7 @@ CHAIN = ("map", "base", "neck", "camera")
 LAST_POSE = [[1.0, -0.5, 0.25], [0.1, -0.7, 0.1, 0.7]]
 
 
-def engine_with(rules=SINGLE_STEPS, memories=3, form="tf(V, Q)", size=100):
+def engine_with(rules: Any = SINGLE_STEPS, memories: int = 3, form: str = "tf(V, Q)", size: int = 100) -> Any:
     engine = Engine(StreamClock(1000 * SECOND), None, Reports())
     engine.load(rules=rules)
     for number in range(memories):
@@ -36,7 +37,7 @@ def engine_with(rules=SINGLE_STEPS, memories=3, form="tf(V, Q)", size=100):
     return engine
 
 
-def engine_with_transforms(transforms, **options):
+def engine_with_transforms(transforms: Any, **options: Any) -> Any:
     """Return an engine with transforms: number of the memory, instant in milliseconds, position and rotation."""
     engine = engine_with(**options)
     for number, milliseconds, position, rotation in sorted(transforms, key=lambda transform: transform[1]):
@@ -44,11 +45,11 @@ def engine_with_transforms(transforms, **options):
     return engine
 
 
-def solutions(engine, goal):
+def solutions(engine: Any, goal: str) -> List[Any]:
     return [engine.show(solutions_or_error["P"]) for solutions_or_error in engine.query(goal)]
 
 
-def numbers(text):
+def numbers(text: Any) -> List[Any]:
     return [value for part in eval(text) for value in part]  # noqa: S307 - a list of lists of numbers
 
 
@@ -64,7 +65,7 @@ TRANSFORMS = st.lists(
 
 @settings(max_examples=12)
 @given(TRANSFORMS, st.integers(0, 20).map(lambda n: 50 * n))
-def test_chain_equals_single_steps(transforms, milliseconds):
+def test_chain_equals_single_steps(transforms: Any, milliseconds: Any) -> None:
     engine = engine_with_transforms(transforms)
     steps = solutions(engine, f"one_by_one({milliseconds / 1000}, {LAST_POSE}, P)")
     chain = solutions(engine, f"pose_chain([m0, m1, m2, {LAST_POSE}], {milliseconds / 1000}, P)")
@@ -73,12 +74,12 @@ def test_chain_equals_single_steps(transforms, milliseconds):
         assert numbers(pose) == pytest.approx(numbers(expected), abs=1e-12)
 
 
-def random_rotation(generator):
+def random_rotation(generator: Any) -> List[Any]:
     values = [generator.gauss(0, 1) for _ in range(4)]
     return [value / math.hypot(*values) for value in values]
 
 
-def samples():
+def samples() -> Tuple[Any, ...]:
     """Return transforms of three joints, some with large distances and rotations, and instants between them."""
     generator = random.Random(5)
     rows = [
@@ -94,7 +95,7 @@ def samples():
     return rows, [generator.randrange(20, 350) for _ in range(40)] + [20, 23, 102]
 
 
-def poses(rows, instants):
+def poses(rows: Any, instants: Any) -> List[Any]:
     engine = engine_with_transforms(rows)
     return [
         numbers(solutions(engine, f"pose_chain([m0, m1, m2], {milliseconds / 1000}, P)")[0])
@@ -103,7 +104,7 @@ def poses(rows, instants):
 
 
 @pytest.mark.slow
-def test_poses_equal_tf2():
+def test_poses_equal_tf2() -> None:
     reference = pytest.importorskip("tf2_reference")
     rows, instants = samples()
     buffer = reference.Reference()
@@ -115,17 +116,17 @@ def test_poses_equal_tf2():
         assert reference.angle(pose[3:], rotation) < 1e-6
 
 
-def test_poses_are_products_of_matrices():
+def test_poses_are_products_of_matrices() -> None:
     np = pytest.importorskip("numpy")
     rows, instants = samples()
 
-    def turn(a, b, part):
+    def turn(a: Any, b: Any, part: Any) -> Any:
         a, b = np.array(a), np.array(b)
         b = b if a @ b >= 0 else -b
         angle = math.acos(min(1.0, a @ b))
         return (a * math.sin((1 - part) * angle) + b * math.sin(part * angle)) / math.sin(angle)
 
-    def matrix(position, rotation):
+    def matrix(position: Any, rotation: Any) -> Any:
         x, y, z, w = rotation
         u = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
         transform = np.eye(4)
@@ -157,7 +158,7 @@ FIRST, MIDDLE = "[[1.0,2.0,3.0],[0.0,0.6,0.0,0.8]]", "[[2.0,2.0,3.0],[0.0,0.6,0.
 
 
 @pytest.mark.parametrize("form", ["tf(V, Q)", "[V, Q]", "o(V, Q)"])
-def test_records_may_have_several_forms(form):
+def test_records_may_have_several_forms(form: str) -> None:
     assert solutions(engine_with_transforms(FIXED_ROTATION, form=form), "pose_chain([m0], 1.5, P)") == [
         MIDDLE
     ]
@@ -183,7 +184,7 @@ def test_records_may_have_several_forms(form):
         ("pose_chain([m0], 1, [[2.0|_]|_]), P = yes", []),
     ],
 )
-def test_chain_has_pose_at_instant(goal, expected):
+def test_chain_has_pose_at_instant(goal: str, expected: Any) -> None:
     assert solutions(engine_with_transforms(FIXED_ROTATION, memories=2), goal) == expected
 
 
@@ -204,7 +205,7 @@ def test_chain_has_pose_at_instant(goal, expected):
         ("pose_chain([partly], 1, P)", "instantiation_error"),
     ],
 )
-def test_invalid_chain_is_refused(goal, error):
+def test_invalid_chain_is_refused(goal: str, error: str) -> None:
     engine = engine_with_transforms(FIXED_ROTATION)
     engine.call("memorize(name(_), [], _, names, 9)")
     engine.call("memorize(part(V, Q), [], tf(V, [_|Q]), partly, 9)")
@@ -215,14 +216,14 @@ def test_invalid_chain_is_refused(goal, error):
     assert engine.show(raised.value.term[1]).replace("_G", "_").startswith(error.split("_]")[0])
 
 
-def test_removed_record_is_not_used():
+def test_removed_record_is_not_used() -> None:
     rows = [(0, 1000 * second, (float(second), 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)) for second in range(1, 6)]
     engine = engine_with_transforms(rows, size=2)
     assert solutions(engine, "pose_chain([m0], 3.5, P)") == []
     assert solutions(engine, "pose_chain([m0], 4.5, P)") == ["[[4.5,0.0,0.0],[0.0,0.0,0.0,1.0]]"]
 
 
-def test_wide_gap_has_no_pose():
+def test_wide_gap_has_no_pose() -> None:
     engine = engine_with_transforms(FIXED_ROTATION)
     assert engine.call("set_etalis_flag(max_gap, 0.5)")
     assert solutions(engine, "pose_chain([m0], 1.5, P)") == []
@@ -250,7 +251,7 @@ by_frames(Id, T, P) :- member(I, [Id]), joined(I, T, P), P = [_|_].
 COMPILED = ("joined", "by_frames", "in_a_branch", "in_a_test")
 
 
-def solutions_or_error(engine, goal):
+def solutions_or_error(engine: Any, goal: str) -> Any:
     """Return the solutions of a goal, or the formal term of its error."""
     try:
         return solutions(engine, goal)
@@ -273,7 +274,7 @@ RECORDS = st.lists(
 
 @settings(max_examples=8)
 @given(RECORDS, st.sampled_from([0, 1, 3]))
-def test_fused_goals_equal_single_goals(records, gap):
+def test_fused_goals_equal_single_goals(records: Any, gap: Any) -> None:
     engine = Engine(StreamClock(1000 * SECOND), None, Reports())
     engine.load(
         rules=ADJACENT_GOALS.format("a(V1, _, Q1)", "a(V2, _, Q2)"), goals="memorize(r(X), [], X, m, 4)"
@@ -306,9 +307,9 @@ def test_fused_goals_equal_single_goals(records, gap):
         ("V1", "V2", False),
     ],
 )
-def test_similar_record_goals_are_fused(first, second, joined):
+def test_similar_record_goals_are_fused(first: str, second: str, joined: bool) -> None:
     engine = Engine(StreamClock(1000 * SECOND), None, Reports())
-    calls = []
+    calls: List[Any] = []
     engine.load(rules=ADJACENT_GOALS.format(first, second))
     predicate = engine.logic.database.predicate(functor("prev", 5))
     joins = predicate.functional_modes.joins
@@ -320,7 +321,7 @@ def test_similar_record_goals_are_fused(first, second, joined):
     assert any(calls) == joined
 
 
-def test_program_may_define_interpolation():
+def test_program_may_define_interpolation() -> None:
     engine = engine_with(SINGLE_STEPS + "\ninterpolate_quaternion(_, _, _, _, _, mine).\n")
     engine.event("tf(0, [1,2,3], [0,0,0,1])", 1.0)
     assert solutions(engine, "at(m0, 1, P)") == ["mine"]

@@ -6,6 +6,7 @@ With few listeners, synchronized events of rules are not created, and messages u
 import logging
 import random
 import re
+from typing import Any, Iterator, List, Tuple
 
 import pytest
 
@@ -40,10 +41,10 @@ PATTERNS = (
 FOLLOWING = ("seen(A)", "v(2, A)")
 
 
-def memories(generator):
+def memories(generator: Any) -> Tuple[Any, ...]:
     """Return memories of values, some with conditions."""
     names = [f"m{number}" for number in range(generator.randint(1, 4))]
-    lines = []
+    lines: List[Any] = []
     for name in names:
         condition = generator.choice(["", "X > 2", f"memory_counter({name}, N), N < 6", "member(_, [X])"])
         definition = f"v({generator.choice('K012')}, X), [{condition}], {generator.choice(['w(X)', '_'])}"
@@ -51,7 +52,7 @@ def memories(generator):
     return names, "".join(lines)
 
 
-def rules(generator, names):
+def rules(generator: Any, names: Any) -> str:
     """Return rules with queries, and rules on their results."""
     rule_texts = ["g(_)", "g(_, _, _)"]
     for number in range(generator.randint(1, 4)):
@@ -67,7 +68,7 @@ def rules(generator, names):
     return "".join(f"{rule}.\n" for rule in rule_texts)
 
 
-def stream(generator):
+def stream(generator: Any) -> Iterator[Any]:
     """Yield values and query events, with their instants."""
     for _ in range(25):
         second = generator.randint(0, 14)
@@ -79,14 +80,16 @@ def stream(generator):
             yield functor("ask", 3)(generator.randint(0, 2), time, generator.randint(0, 14)), second * 10**9
 
 
-def results_of_program(seed, has_listener_of_all, caplog):
+def results_of_program(
+    seed: Any, has_listener_of_all: bool, caplog: pytest.LogCaptureFixture
+) -> Tuple[Any, ...]:
     """Return the events, the number of pending queries, and the warnings of a program."""
     generator = random.Random(seed)
     names, goals = memories(generator)
     engine = Engine(settings=Settings(max_depth=6))  # endless chains end soon
-    events = []
+    events: List[Any] = []
 
-    def record(term, values, start, end, frame):
+    def record(term: Any, values: Any, start: Any, end: Any, frame: Any) -> Any:
         if not engine.show(term).startswith("sync"):
             events.append((re.sub(r"_G\d+", "_", engine.show(term)), int(start), int(end)))
         return frame
@@ -116,7 +119,7 @@ def results_of_program(seed, has_listener_of_all, caplog):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("batch", range(4))
-def test_listener_of_all_events_keeps_results(batch, caplog):
+def test_listener_of_all_events_keeps_results(batch: int, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.WARNING, "retalis")
     for seed in range(batch * 12, batch * 12 + 12):
         assert results_of_program(seed, True, caplog) == results_of_program(seed, False, caplog), seed

@@ -1,6 +1,7 @@
 """Lookup of matching records."""
 
 import random
+from typing import Any, List, Optional
 
 import pytest
 from recording_engine import RecordingEngine
@@ -8,12 +9,12 @@ from recording_engine import RecordingEngine
 from retalis import Limits, PrologError, atom, deref, functor
 
 
-def memory_of(engine):
+def memory_of(engine: Any) -> Any:
     return engine.knowledge.memories.find(atom("m")).memory
 
 
 @pytest.fixture
-def objects():
+def objects() -> Any:
     engine = RecordingEngine(goals="memorize(seen(Name, Place), [], o(Name, Place), objects, 5)")
     for time, name in ((1, "cup"), (2, "cup"), (3, "cup"), (4, "pen"), (5, "pen"), (6, "box"), (7, "pen")):
         engine.event(f"seen({name}, p({time}))", time)
@@ -50,12 +51,12 @@ def objects():
         ("next_matching(nothing, o(cup, _), _, T, 1, 2)", None),
     ],
 )
-def test_lookup_returns_matching_record(objects, goal, expected):
+def test_lookup_returns_matching_record(objects: Any, goal: str, expected: Optional[int]) -> None:
     assert [deref(answer["T"]) for answer in objects.query(goal)] == ([] if expected is None else [expected])
 
 
 @pytest.mark.parametrize("instant", ["_", "foo", "[a,0]"])
-def test_invalid_timestamp_is_refused(objects, instant):
+def test_invalid_timestamp_is_refused(objects: Any, instant: str) -> None:
     for goal in (
         f"prev_matching(objects, _, _, _, {instant})",
         f"next_matching(nothing, _, _, _, 1, {instant})",
@@ -64,7 +65,7 @@ def test_invalid_timestamp_is_refused(objects, instant):
             objects.query(goal)
 
 
-def test_lookup_has_one_solution():
+def test_lookup_has_one_solution() -> None:
     engine = RecordingEngine(goals="memorize(v(_, _), [], _, m, 9)")
     engine.event("v(X, X)", 1)
     engine.event("v(1, 2)", 2)
@@ -74,7 +75,7 @@ def test_lookup_has_one_solution():
     assert engine.query("newest_matching(m, v(1, A), _, _), A == 2") != []
 
 
-def linear_search(records, name, low, high, newest_first):
+def linear_search(records: Any, name: Any, low: int, high: int, newest_first: bool) -> Any:
     order = reversed(records) if newest_first else records
     return next(
         (time for time, record_name in order if low <= time <= high and name in (record_name, "_")), None
@@ -82,12 +83,12 @@ def linear_search(records, name, low, high, newest_first):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_lookup_equals_linear_search(seed):
+def test_lookup_equals_linear_search(seed: int) -> None:
     generator = random.Random(seed)
     size = generator.choice([1, 3, 20, 60])
     engine = RecordingEngine(goals=f"memorize(v(_, _), [], _, m, {size})")
     names = ["a", "b", "1", "1.0", '"a"', "f(a)"]
-    records = []
+    records: List[Any] = []
     for step in range(150):
         name, time = generator.choice(names), step if generator.random() < 0.9 else generator.randint(0, step)
         engine.event(f"v(x, {name})", time)
@@ -123,16 +124,16 @@ def test_lookup_equals_linear_search(seed):
             )
 
 
-def test_bound_argument_is_indexed():
+def test_bound_argument_is_indexed() -> None:
     engine = RecordingEngine(goals="memorize(v(_, _), [], _, m, 900)")
     for time in range(400):
         engine.event(f"v({'rare' if time == 7 else 'often'}, {time})", time)
     memory = memory_of(engine)
     assert engine.query("newest_matching(m, v(rare, 7), _, _)") != []
-    positions = []
+    positions: List[Any] = []
 
     class RecordingList(list):
-        def __getitem__(self, position):
+        def __getitem__(self, position: Any) -> Any:
             positions.append(position)
             return super().__getitem__(position)
 
@@ -142,7 +143,7 @@ def test_bound_argument_is_indexed():
     assert positions == [7]
 
 
-def test_search_counts_for_inference_limit():
+def test_search_counts_for_inference_limit() -> None:
     engine = RecordingEngine(goals="memorize(v(_), [], _, m, 3000)")
     engine.logic.limits = Limits(inferences=2000)
     term = functor("v", 1)(functor("f", 1)(0))
@@ -152,7 +153,7 @@ def test_search_counts_for_inference_limit():
         engine.query("newest_matching(m, v(f(1)), _, _)")
 
 
-def test_index_is_dropped_with_compacted_records():
+def test_index_is_dropped_with_compacted_records() -> None:
     engine = RecordingEngine(goals="memorize(v(_), [], _, m, 3)")
     memory = memory_of(engine)
     dropped_count = 0
@@ -167,7 +168,7 @@ def test_index_is_dropped_with_compacted_records():
     assert memory.indices == {}
 
 
-def test_indexed_lookup_is_within_inference_limit():
+def test_indexed_lookup_is_within_inference_limit() -> None:
     engine = RecordingEngine(goals="memorize(v(_), [], _, m, 5000)")
     for time in range(5000):
         memory_of(engine).add((functor("v", 1)(time), time, time))

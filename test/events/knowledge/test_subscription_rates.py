@@ -1,5 +1,8 @@
 """Subscriptions to ``P with Rate``: they send what a rule with the same rate operator would emit."""
 
+from pathlib import Path
+from typing import Any, List
+
 import pytest
 from recording_engine import RecordingEngine
 
@@ -9,9 +12,9 @@ from retalis.prolog.terms.timestamps import SECOND
 INPUT = "1:1:a 2:2:a 2:2.5:b 2:3:a 3:4:a 3:6:a 4:6.5:b 4:7:a 4:7.2:a 5:12:a"
 
 
-def outputs_for_input(engine, text=INPUT):
+def outputs_for_input(engine: Any, text: Any = INPUT) -> Any:
     """Process events, each as ``value:seconds:key``; return the outputs as texts with their instants."""
-    outputs = []
+    outputs: List[Any] = []
     engine.on_output(lambda term, topic, name: outputs.append((engine.show(term), engine.clock.reached())))
     for event in text.split():
         value, seconds, key = event.split(":")
@@ -25,7 +28,7 @@ def outputs_for_input(engine, text=INPUT):
     "rate",
     ["throttle(2)", "throttle(2,K)", "burst(1)", "burst(1,K)", "debounce(1)", "debounce(1,K)", "change(X,K)"],
 )
-def test_subscription_sends_what_rule_emits(rate):
+def test_subscription_sends_what_rule_emits(rate: str) -> None:
     with_rule = Engine()
     with_rule.load(rules=f"out(K,X) <- in(K,X) with {rate}.", goals="subscribe(out(K,X), [], _, t, i)")
     subscription_only = Engine()
@@ -35,7 +38,7 @@ def test_subscription_sends_what_rule_emits(rate):
     assert outputs_for_input(subscription_only) == expected
 
 
-def test_refused_events_do_not_count_for_throttle():
+def test_refused_events_do_not_count_for_throttle() -> None:
     engine = RecordingEngine(
         goals="subscribe(t(X) with throttle(5), [X > 80, Y is X - 80], hot(Y), alarms, 1)"
     )
@@ -44,13 +47,13 @@ def test_refused_events_do_not_count_for_throttle():
     assert [term for term, _, _ in engine.outputs] == ["hot(10)", "hot(2)"]
 
 
-def test_clock_sends_debounced_event_before_rules():
+def test_clock_sends_debounced_event_before_rules() -> None:
     now = [100 * SECOND]
     engine = Engine(Clock(lambda: now[0]))
     engine.load(
         rules="late(X) <- a(X) with debounce(2).", goals="subscribe(a(X) with debounce(2), [], _, t, 1)"
     )
-    seen = []
+    seen: List[Any] = []
     engine.on_output(lambda term, topic, name: seen.append(engine.show(term)))
     engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
     engine.event("a(1)", 100)
@@ -75,7 +78,7 @@ def test_clock_sends_debounced_event_before_rules():
         ("3 with throttle(1)", "takes single events"),
     ],
 )
-def test_invalid_rate_is_reported(pattern, message):
+def test_invalid_rate_is_reported(pattern: str, message: str) -> None:
     engine = RecordingEngine()
     with pytest.raises(PrologError, match=r"subscription") as raised:
         engine.call(f"subscribe(({pattern}), [], _, t, 1)")
@@ -83,7 +86,7 @@ def test_invalid_rate_is_reported(pattern, message):
     assert not engine.status().subscriptions
 
 
-def test_deleted_subscription_sends_nothing():
+def test_deleted_subscription_sends_nothing() -> None:
     engine = RecordingEngine(
         goals="subscribe(a(X) with debounce(2), [], _, t, 1)\nsubscribe(a(X) with throttle(9), [], _, t, 2)"
     )
@@ -96,7 +99,7 @@ def test_deleted_subscription_sends_nothing():
     assert [term for term, _, _ in engine.outputs] == ["a(1)", "a(2)"]
 
 
-def test_stopped_rate_sends_nothing():
+def test_stopped_rate_sends_nothing() -> None:
     engine = RecordingEngine(goals="subscribe(a(X) with debounce(2), [], _, t, 1)")
     engine.knowledge.subscriptions.items()[0][1].rate_limiter.stop()
     engine.event("a(1)", 1)
@@ -104,9 +107,9 @@ def test_stopped_rate_sends_nothing():
     assert engine.outputs == []
 
 
-def test_late_and_dropped_events_are_counted():
+def test_late_and_dropped_events_are_counted() -> None:
     engine = RecordingEngine(goals="subscribe(a(X) with debounce(2, X), [], _, t, 1)")
-    reports = []
+    reports: List[Any] = []
     engine.reports.warning = lambda text, *rest: reports.append(text)
     rate = engine.knowledge.subscriptions.items()[0][1].rate_limiter
     rate._warn = engine.reports.warning  # noqa: SLF001
@@ -124,7 +127,7 @@ def test_late_and_dropped_events_are_counted():
     assert "with debounce(2" in subscription.event
 
 
-def test_reset_clears_state_of_rates():
+def test_reset_clears_state_of_rates() -> None:
     goal = "subscribe(a(X) with throttle(100), [], _, t, 1)\nsubscribe(a(X) with debounce(2), [], _, t, 2)"
     for reset in ("reset_db", "reset_etalis_state"):
         engine = RecordingEngine(goals=goal)
@@ -136,7 +139,7 @@ def test_reset_clears_state_of_rates():
     now = [1000 * SECOND]
     engine = Engine(Clock(lambda: now[0]))
     engine.load(goals=goal)
-    outputs = []
+    outputs: List[Any] = []
     engine.on_output(lambda term, topic, name: outputs.append(engine.show(term)))
     for instant in (1000, 10, 11, 20):
         now[0] = instant * SECOND
@@ -144,16 +147,16 @@ def test_reset_clears_state_of_rates():
     assert outputs == ["a(1000)", "a(10)", "a(11)"]
 
 
-def test_rates_are_restored():
+def test_rates_are_restored() -> None:
     goal = "subscribe(a(X) with throttle(100), [], _, t, 1)\nsubscribe(a(X) with debounce(2, X), [], said(X), t, 2)"
     engine = Engine()
     engine.load(goals=goal + "\nsubscribe(a(_), [], _, t, 3)\nsubscribe(a(X) with change(X), [], _, t, 4)")
     for second, value in ((1, 1), (2, 2), (3, 2)):
         engine.event(f"a({value})", second)
     restored = Engine.restore(engine.snapshot())
-    outputs_of_engines = []
+    outputs_of_engines: List[Any] = []
     for current in (engine, restored):
-        outputs = []
+        outputs: List[Any] = []
         current.on_output(
             lambda term, topic, name, outputs=outputs, current=current: outputs.append(
                 (current.show(term), str(name))
@@ -168,7 +171,7 @@ def test_rates_are_restored():
     assert engine.status().subscriptions == restored.status().subscriptions
 
 
-def test_unchanged_rates_survive_reload(tmp_path):
+def test_unchanged_rates_survive_reload(tmp_path: Path) -> None:
     (tmp_path / "eventRules.txt").write_text("")
     (tmp_path / "pub_sub.xml").write_text("<publish_subscribe></publish_subscribe>\n")
     goals = tmp_path / "goalPredicates.txt"
@@ -177,7 +180,7 @@ def test_unchanged_rates_survive_reload(tmp_path):
     )
     engine = Engine()
     engine.load_program(tmp_path)
-    outputs = []
+    outputs: List[Any] = []
     engine.on_output(lambda term, topic, name: outputs.append((engine.show(term), engine.show(name))))
     engine.event("a(1)", 1)
     engine.reload(tmp_path)
@@ -191,7 +194,7 @@ def test_unchanged_rates_survive_reload(tmp_path):
     assert outputs == [("a(1)", "2"), ("a(3)", "2"), ("a(3)", "1")]
 
 
-def test_event_of_rate_is_checked_against_declaration():
+def test_event_of_rate_is_checked_against_declaration() -> None:
     engine = RecordingEngine(rules=":- event in(x:integer).\nb(X) <- in(X).")
     with pytest.raises(PrologError, match="in/2 does not match its declaration"):
         engine.call("subscribe(in(a, b) with throttle(1), [], _, t, 1)")

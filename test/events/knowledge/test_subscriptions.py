@@ -1,6 +1,7 @@
 """Creation and deletion of subscriptions by goals."""
 
 import logging
+from typing import Any, List
 
 import pytest
 from recording_engine import RecordingEngine
@@ -9,27 +10,27 @@ from retalis import Engine, PrologError, atom
 from retalis.events.knowledge import memory
 
 
-def test_accepted_events_are_sent_by_template():
+def test_accepted_events_are_sent_by_template() -> None:
     engine = RecordingEngine(goals="subscribe(a(X), [X > 1, Y is X * 2], b(X, Y), topic, 1)")
     for value in (1, 2, 3):
         engine.event(f"a({value})", value)
     assert engine.outputs == [("b(2,4)", "topic", "1"), ("b(3,6)", "topic", "1")]
 
 
-def test_subscriptions_precede_rules_in_order():
+def test_subscriptions_precede_rules_in_order() -> None:
     rules = "a(2) <- a(1)."
     engine = RecordingEngine(rules, "subscribe(a(X), [], one(X), t, 1)\nsubscribe(a(_), [], _, t, 2)")
     engine.event("a(1)", 1)
     assert [term for term, _, _ in engine.outputs] == ["one(1)", "a(1)", "one(2)", "a(2)"]
 
 
-def test_template_uses_first_solution():
+def test_template_uses_first_solution() -> None:
     engine = RecordingEngine(goals="subscribe(a, [member(X, [p, q])], b(X), t, 1)")
     engine.event("a", 1)
     assert engine.outputs == [("b(p)", "t", "1")]
 
 
-def test_topic_and_id_identify_subscription():
+def test_topic_and_id_identify_subscription() -> None:
     engine = RecordingEngine(
         goals="subscribe(a, [], _, t, 1)\nsubscribe(a, [], _, u, 1)\nsubscribe(a, [], _, t, 2)"
     )
@@ -42,7 +43,7 @@ def test_topic_and_id_identify_subscription():
     assert [(topic, name) for _, topic, name in engine.outputs] == [("u", "1"), ("t", "2")]
 
 
-def test_topic_may_be_term_with_slash():
+def test_topic_may_be_term_with_slash() -> None:
     engine = RecordingEngine(goals="subscribe(a, [], _, robot/marker, 1)")
     engine.event("a", 1)
     assert engine.outputs == [("a", "robot/marker", "1")]
@@ -51,7 +52,7 @@ def test_topic_may_be_term_with_slash():
     assert len(engine.outputs) == 1
 
 
-def test_topic_is_shown_without_quotes():
+def test_topic_is_shown_without_quotes() -> None:
     engine = RecordingEngine(goals="subscribe(a, [], _, 'Front Left'/'Camera', 1)")
     engine.event("a", 1)
     assert engine.outputs == [("a", "Front Left/Camera", "1")]
@@ -60,7 +61,7 @@ def test_topic_is_shown_without_quotes():
     assert not subscriptions.has(atom("Front Left"), 1)
 
 
-def test_subscriptions_are_restored_in_order():
+def test_subscriptions_are_restored_in_order() -> None:
     engine = RecordingEngine(goals="subscribe(a, [], one, t, 1)\nsubscribe(a, [], two, t, 2)")
     subscriptions = engine.knowledge.subscriptions
     engine.event("a", 1)
@@ -73,7 +74,7 @@ def test_subscriptions_are_restored_in_order():
     assert [subscription.sent for subscription in engine.status().subscriptions] == [2, 3]
 
 
-def test_deletion_of_unknown_subscription_succeeds(caplog):
+def test_deletion_of_unknown_subscription_succeeds(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING, "retalis"):
         assert RecordingEngine().call("delete_subscription(t, never)")
     assert "never" in caplog.text
@@ -90,7 +91,7 @@ def test_deletion_of_unknown_subscription_succeeds(caplog):
         "subscribe(a, [], _, t, I)",
     ],
 )
-def test_invalid_subscription_is_refused(goal):
+def test_invalid_subscription_is_refused(goal: str) -> None:
     engine = RecordingEngine()
     with pytest.raises(PrologError):
         engine.call(goal)
@@ -99,7 +100,7 @@ def test_invalid_subscription_is_refused(goal):
     assert engine.outputs == []
 
 
-def test_error_of_condition_is_reported(caplog):
+def test_error_of_condition_is_reported(caplog: pytest.LogCaptureFixture) -> None:
     engine = RecordingEngine("b <- a(_).", "subscribe(a(X), [X > 1], _, t, s)")
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.event("a(x)", 1)
@@ -107,18 +108,18 @@ def test_error_of_condition_is_reported(caplog):
     assert [event for event, _, _ in engine.events] == ["a(x)", "b"]
 
 
-def test_variable_subscribes_to_all_events():
+def test_variable_subscribes_to_all_events() -> None:
     engine = RecordingEngine("b <- a.", "subscribe(E, [], _, t, all)")
     engine.event("a", 1)
     assert [term for term, _, _ in engine.outputs] == ["a", "b"]
 
 
-def test_variables_of_long_template_are_not_searched(monkeypatch):
-    searched = []
+def test_variables_of_long_template_are_not_searched(monkeypatch: pytest.MonkeyPatch) -> None:
+    searched: List[Any] = []
     variables = memory.variables
 
     class SearchedList(list):
-        def __contains__(self, variable):
+        def __contains__(self, variable: Any) -> bool:
             searched.append(variable)
             return super().__contains__(variable)
 

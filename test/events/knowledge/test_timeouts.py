@@ -1,5 +1,7 @@
 """Timeouts of synchronized queries."""
 
+from typing import Any, List
+
 import pytest
 
 from retalis import Engine, ProgramErrors, StreamClock
@@ -9,26 +11,26 @@ MEMORIES = "memorize(v(_), [], _, m, 10)\nmemorize(w(_), [], _, n, 10)"
 
 
 class TimeoutEngine(Engine):
-    def __init__(self, rules=QUERY_RULE, goals=MEMORIES):
+    def __init__(self, rules: Any = QUERY_RULE, goals: Any = MEMORIES) -> None:
         super().__init__()
         self.events = []
         self.on_event(self._record)
         self.load(rules=rules, goals=goals)
         self.events.clear()
 
-    def _record(self, term, start, end):
+    def _record(self, term: Any, start: Any, end: Any) -> None:
         text = self.show(term)
         if not text.startswith(("synchronized", "syncronized", "memory")):
             self.events.append((text, int(start), int(end)))
 
-    def texts(self):
+    def texts(self) -> List[Any]:
         return [text for text, _, _ in self.events]
 
 
 SECOND = 1_000_000_000
 
 
-def test_timeout_emits_event():
+def test_timeout_emits_event() -> None:
     engine = TimeoutEngine()
     engine.event("ask(5)", 1)
     engine.event("v(1)", 5)
@@ -42,7 +44,7 @@ def test_timeout_emits_event():
     assert "answer(1)" not in engine.texts()
 
 
-def test_timeout_event_names_missing_memories():
+def test_timeout_event_names_missing_memories() -> None:
     engine = TimeoutEngine()
     engine.event("ask(2)", 1)
     engine.event("v(1)", 2)
@@ -52,7 +54,7 @@ def test_timeout_event_names_missing_memories():
     assert "[m," not in given_up
 
 
-def test_query_with_data_in_time_has_no_timeout():
+def test_query_with_data_in_time_has_no_timeout() -> None:
     engine = TimeoutEngine()
     engine.event("ask(2)", 1)
     engine.event("v(7)", 2)
@@ -61,7 +63,7 @@ def test_query_with_data_in_time_has_no_timeout():
     assert engine.texts() == ["ask(2)", "v(7)", "w(7)", "answer(7)", "tick"]
 
 
-def test_query_with_data_is_called_immediately():
+def test_query_with_data_is_called_immediately() -> None:
     engine = TimeoutEngine()
     engine.event("v(7)", 2)
     engine.event("w(7)", 2)
@@ -69,7 +71,7 @@ def test_query_with_data_is_called_immediately():
     assert engine.texts()[-1] == "answer(7)"
 
 
-def test_rule_matches_timeout_event():
+def test_rule_matches_timeout_event() -> None:
     rules = QUERY_RULE + "alone(X, M) <- query_given_up(answer(_), _, [[M, _] | _]) where X = 1.\n"
     engine = TimeoutEngine(rules)
     engine.event("ask(5)", 1)
@@ -77,7 +79,7 @@ def test_rule_matches_timeout_event():
     assert "alone(1,m)" in engine.texts()
 
 
-def test_timeout_counts_from_time_of_stream():
+def test_timeout_counts_from_time_of_stream() -> None:
     engine = TimeoutEngine()
     engine.event("tick", 10)
     engine.event("ask(50)", 1)
@@ -87,7 +89,7 @@ def test_timeout_counts_from_time_of_stream():
     assert any(text.startswith("query_given_up") for text in engine.texts())
 
 
-def test_timeouts_are_emitted_in_order():
+def test_timeouts_are_emitted_in_order() -> None:
     engine = TimeoutEngine(QUERY_RULE.replace("timeout(2)", "timeout(S)").replace("ask(T)", "ask(T, S)"))
     for seconds in (5, 1, 3, 4, 2):
         engine.event(f"ask(100, {seconds})", 1)
@@ -101,7 +103,7 @@ def test_timeouts_are_emitted_in_order():
     ]
 
 
-def test_answered_queries_leave_timeouts():
+def test_answered_queries_leave_timeouts() -> None:
     engine = TimeoutEngine(QUERY_RULE.replace("timeout(2)", "timeout(3600)"))
     for second in range(1, 1000):
         engine.event(f"ask({second})", second)
@@ -111,11 +113,11 @@ def test_answered_queries_leave_timeouts():
     assert len(engine.clock.alarms) < 5
 
 
-def test_clock_moved_back_clears_timeouts():
+def test_clock_moved_back_clears_timeouts() -> None:
     clock = StreamClock()
     engine = Engine(clock)
     engine.load(rules=QUERY_RULE, goals=MEMORIES)
-    events = []
+    events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     clock.move_to(10 * SECOND)
     engine.event("ask(50)", 10)
@@ -132,18 +134,18 @@ def test_clock_moved_back_clears_timeouts():
 @pytest.mark.parametrize(
     "options", ["[]", "timeout(1)", "[timeout(-1)]", "[timeout(a)]", "[other(1)]", "[timeout(1), a]"]
 )
-def test_invalid_options_are_refused(options):
+def test_invalid_options_are_refused(options: str) -> None:
     with pytest.raises(ProgramErrors, match=r"takes \[timeout\(Seconds\)\] as its options"):
         Engine().load(rules=f"synchronized(e, true, [], {options}) <- a.")
 
 
-def test_invalid_options_of_event_are_reported(caplog):
+def test_invalid_options_of_event_are_reported(caplog: pytest.LogCaptureFixture) -> None:
     engine = TimeoutEngine("synchronized(e, true, [[m, 5]], [timeout(X)]) <- a(X).")
     engine.event("a(b)", 1)
     assert "e is dropped: expected [timeout(Seconds)], found [timeout(b)]" in caplog.text
 
 
-def test_deleted_memory_drops_query_without_timeout(caplog):
+def test_deleted_memory_drops_query_without_timeout(caplog: pytest.LogCaptureFixture) -> None:
     engine = TimeoutEngine()
     engine.event("ask(5)", 1)
     engine.call("delete_memory(m)")

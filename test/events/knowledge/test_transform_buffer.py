@@ -4,6 +4,7 @@ import math
 import sys
 from pathlib import Path
 from random import Random
+from typing import Any, List, Tuple
 
 import pytest
 from hypothesis import given
@@ -20,24 +21,24 @@ ROTATED = (0.0, 0.0, math.sin(0.5), math.cos(0.5))
 NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
 
 
-def transform_at(x, rotation=NO_ROTATION):
+def transform_at(x: int, rotation: Any = NO_ROTATION) -> Tuple[Any, ...]:
     return (float(x), 0.0, 0.0, *rotation)
 
 
-def buffer_of(*transforms, cache=10):
+def buffer_of(*transforms: Any, cache: int = 10) -> Any:
     buffer = TransformBuffer(cache)
     for transform in transforms:
         assert isinstance(buffer.store(*transform), CoordinateFrame)
     return buffer
 
 
-def fault_kind(buffer, *arguments):
+def fault_kind(buffer: Any, *arguments: Any) -> Any:
     fault = buffer.find_fault(*arguments)
     assert (fault is None) == (buffer.lookup(*arguments) is not None)
     return None if fault is None else fault.kind
 
 
-def matrix(position, rotation):
+def matrix(position: Any, rotation: Any) -> List[Any]:
     x, y, z, w = rotation
     return [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w), position[0]],
@@ -47,12 +48,12 @@ def matrix(position, rotation):
     ]
 
 
-def product(first, second):
+def product(first: Any, second: Any) -> List[List[Any]]:
     return [[sum(a * b for a, b in zip(row, column)) for column in zip(*second)] for row in first]
 
 
 @given(st.integers(0, 10**6))
-def test_pose_is_product_along_path(seed):
+def test_pose_is_product_along_path(seed: int) -> None:
     generator = Random(seed)
     names = [f"f{number}" for number in range(generator.randint(2, 7))]
     buffer, to_root = TransformBuffer(), {"root": matrix((0, 0, 0), NO_ROTATION)}
@@ -71,7 +72,7 @@ def test_pose_is_product_along_path(seed):
 
 
 @given(st.floats(0, 1), st.floats(0.01, 3.1))
-def test_rotations_are_interpolated_at_constant_speed(part, angle):
+def test_rotations_are_interpolated_at_constant_speed(part: float, angle: float) -> None:
     turn = (0.0, 0.0, math.sin(angle / 2), math.cos(angle / 2))
     instant = SECOND + round(part * SECOND)
     buffer = buffer_of(("a", "b", SECOND, transform_at(0)), ("a", "b", 2 * SECOND, transform_at(4, turn)))
@@ -81,7 +82,7 @@ def test_rotations_are_interpolated_at_constant_speed(part, angle):
     assert 2 * math.atan2(k, w) == pytest.approx(share * angle, abs=1e-7)
 
 
-def test_lookup_needs_samples_before_and_after():
+def test_lookup_needs_samples_before_and_after() -> None:
     buffer = buffer_of(("a", "b", 2 * SECOND, transform_at(1)), ("a", "b", 3 * SECOND, transform_at(2)))
     assert fault_kind(buffer, "a", "b", 2 * SECOND - 1) == "before"
     assert fault_kind(buffer, "a", "b", 3 * SECOND + 1) == "after"
@@ -92,7 +93,7 @@ def test_lookup_needs_samples_before_and_after():
     assert buffer.lookup("a", "a", 7) == ((0, 0, 0), (0, 0, 0, 1))
 
 
-def test_errors_name_the_frame():
+def test_errors_name_the_frame() -> None:
     buffer = buffer_of(("a", "b", 2 * SECOND, transform_at(1)), ("c", "d", 3 * SECOND, transform_at(2)))
     assert buffer.find_fault("a", "x", 5) == ("unknown", "x", "", None)
     assert buffer.find_fault("/a", "b", 5).kind == "invalid"
@@ -101,7 +102,7 @@ def test_errors_name_the_frame():
     assert buffer.find_fault("b", "d", 0) == ("unconnected", "b", "d", None)
 
 
-def test_loop_of_frames_is_refused():
+def test_loop_of_frames_is_refused() -> None:
     buffer = buffer_of(
         ("a", "b", 5, transform_at(1)), ("b", "a", 5, transform_at(1)), ("c", "d", 5, transform_at(1))
     )
@@ -110,7 +111,7 @@ def test_loop_of_frames_is_refused():
     assert buffer.find_blocking("d", "a", 5) is buffer.topology
 
 
-def test_static_transforms_are_valid_at_any_time():
+def test_static_transforms_are_valid_at_any_time() -> None:
     buffer = buffer_of(("a", "b", 5, transform_at(1), True), ("b", "c", SECOND, transform_at(1)))
     assert buffer.lookup("a", "c", SECOND)[0][0] == 2.0
     assert buffer.lookup("a", "b", 77 * SECOND)[0][0] == 1.0
@@ -122,7 +123,7 @@ def test_static_transforms_are_valid_at_any_time():
     assert buffer.sample_count == 1
 
 
-def test_late_samples_are_inserted_in_history():
+def test_late_samples_are_inserted_in_history() -> None:
     buffer = buffer_of(*(("a", "b", second * SECOND, transform_at(second)) for second in range(1, 31)))
     assert buffer.sample_count == 11
     assert fault_kind(buffer, "a", "b", 20 * SECOND - 1) == "before"
@@ -133,7 +134,7 @@ def test_late_samples_are_inserted_in_history():
     assert buffer.refused == 1
 
 
-def test_memory_of_buffer_is_bounded():
+def test_memory_of_buffer_is_bounded() -> None:
     buffer = TransformBuffer(1)
     for number in range(5000):
         buffer.store("a", "b", number * SECOND // 100, transform_at(number))
@@ -143,7 +144,7 @@ def test_memory_of_buffer_is_bounded():
     assert buffer.lookup("a", "b", 4950 * SECOND // 100)[0][0] == 4950
 
 
-def test_new_parent_applies_from_first_sample():
+def test_new_parent_applies_from_first_sample() -> None:
     buffer = buffer_of(("a", "b", SECOND, transform_at(0), True))
     for parent, second in (("a", 1), ("b", 3)):
         buffer.store(parent, "c", second * SECOND, transform_at(second))
@@ -166,13 +167,13 @@ def test_new_parent_applies_from_first_sample():
         (("a", "b" * 300, 5, transform_at(1)), "at most 256 characters"),
     ],
 )
-def test_invalid_transforms_are_refused(transform, reason):
+def test_invalid_transforms_are_refused(transform: Tuple[Any, ...], reason: str) -> None:
     buffer = TransformBuffer()
     assert reason in buffer.store(*transform)
     assert (buffer.refused, len(buffer), buffer.sample_count) == (1, 0, 0)
 
 
-def test_frames_and_samples_are_limited(monkeypatch):
+def test_frames_and_samples_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(transform_buffer, "MAX_FRAMES", 5)
     monkeypatch.setattr(transform_buffer, "MAX_SAMPLES", 20)
     buffer = TransformBuffer()
@@ -188,7 +189,7 @@ def test_frames_and_samples_are_limited(monkeypatch):
     assert isinstance(buffer.store("root", "f0", 30 * SECOND, transform_at(1)), CoordinateFrame)
 
 
-def test_widest_gap_is_maximum_along_path():
+def test_widest_gap_is_maximum_along_path() -> None:
     buffer = buffer_of(
         ("root", "a", SECOND, transform_at(1)),
         ("root", "a", 9 * SECOND, transform_at(1)),
@@ -202,14 +203,14 @@ def test_widest_gap_is_maximum_along_path():
     assert buffer.widest_gap("b", "x", 3 * SECOND) == (0, "")
 
 
-def test_frame_without_transform_blocks_lookup():
+def test_frame_without_transform_blocks_lookup() -> None:
     buffer = buffer_of(
         ("root", "a", SECOND, transform_at(1)),
         ("a", "b", 3 * SECOND, transform_at(1)),
         ("a", "c", 5, transform_at(1), True),
     )
 
-    def blocking(*arguments):
+    def blocking(*arguments: Any) -> Any:
         frame = buffer.find_blocking(*arguments)
         return None if frame is None else frame.name
 
@@ -221,7 +222,7 @@ def test_frame_without_transform_blocks_lookup():
     assert blocking("root", "x", SECOND) == ""
 
 
-def test_loop_blocks_no_available_transform():
+def test_loop_blocks_no_available_transform() -> None:
     """tf2 follows the parents of the source, and if one has no transform, those of the target."""
     loop = buffer_of(
         ("b", "a", 3 * SECOND, transform_at(1)),
@@ -237,7 +238,7 @@ def test_loop_blocks_no_available_transform():
 
 
 @given(st.integers(0, 10**6))
-def test_failed_lookup_has_no_later_result(seed):
+def test_failed_lookup_has_no_later_result(seed: int) -> None:
     buffer = TransformBuffer()
     for operation, *arguments in random_transforms.scenario(seed):
         if operation != "ask":

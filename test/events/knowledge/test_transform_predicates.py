@@ -1,5 +1,7 @@
 """Predicates that read transforms, and queries that wait for them."""
 
+from typing import Any, Dict, List
+
 import pytest
 
 from retalis import Engine, PrologError, Reports, Settings, StreamClock
@@ -15,7 +17,7 @@ late(M, Missing) <- query_given_up(seen(M, _), _, Missing).
 class TransformEngine:
     """An engine with transforms, and lists of its events and warnings."""
 
-    def __init__(self, rules=RULES, goals="", **settings):
+    def __init__(self, rules: Any = RULES, goals: str = "", **settings: Any) -> None:
         self.warnings = []
         reports = Reports()
         reports.warning = lambda problem, *_, **__: self.warnings.append(str(problem))
@@ -24,34 +26,34 @@ class TransformEngine:
         self.engine.on_event(self.note)
         self.engine.load(rules=rules, goals=goals)
 
-    def note(self, term, start, end):
+    def note(self, term: Any, start: Any, end: Any) -> None:
         text = self.engine.show(term)
         if text.startswith(("seen", "late", "got")):
             self.events.append(text)
 
-    def transform(self, parent, child, second, x, is_static=False):
+    def transform(self, parent: str, child: str, second: Any, x: int, is_static: bool = False) -> None:
         numbers = (float(x), 0.0, 0.0, *NO_ROTATION)
         transform = (parent, child, round(second * SECOND), numbers)
         self.engine.do(lambda: self.engine.knowledge.transforms.store_message([transform], is_static))
 
-    def event(self, text, second):
+    def event(self, text: str, second: Any) -> None:
         self.engine.event(text, second)
 
-    def answers(self, goal):
+    def answers(self, goal: str) -> List[Dict[Any, Any]]:
         return [
             {name: self.engine.show(value) for name, value in answer.items()}
             for answer in self.engine.query(goal)
         ]
 
-    def waiting(self):
+    def waiting(self) -> List[Any]:
         return [memory.id for query in self.engine.status().waiting for memory in query.memories]
 
 
-def pose(x):
+def pose(x: int) -> str:
     return f"[[{float(x)},0.0,0.0],[0.0,0.0,0.0,1.0]]"
 
 
-def test_query_waits_for_frames_of_path():
+def test_query_waits_for_frames_of_path() -> None:
     program = TransformEngine()
     program.event("marker(a, 5)", 5)
     assert program.waiting() == ["tf(map,camera): not connected"]
@@ -72,7 +74,7 @@ def test_query_waits_for_frames_of_path():
     assert program.events[1:] == [f"seen(c,{pose(119)})"]
 
 
-def test_queries_are_called_in_order():
+def test_queries_are_called_in_order() -> None:
     program = TransformEngine()
     program.transform("map", "camera", 1, 0)
     for name, second in (("a", 3), ("b", 2), ("c", 3), ("d", 9)):
@@ -82,7 +84,7 @@ def test_queries_are_called_in_order():
     assert len(program.waiting()) == 1
 
 
-def test_query_times_out():
+def test_query_times_out() -> None:
     program = TransformEngine()
     program.transform("map", "camera", 1, 0)
     program.event("marker(a, 5)", 5)
@@ -94,7 +96,7 @@ def test_query_times_out():
     assert not any(frame.queries for frame in transforms.buffer.frames())
 
 
-def test_query_follows_change_of_parent():
+def test_query_follows_change_of_parent() -> None:
     """A cup stands on a table that is in no tree with the map; then the robot grips it."""
     program = TransformEngine(
         rules="synchronized(got(P), tf_lookup(map, cup, T, P), [[tf(map, cup), T]]) <- ask(T)."
@@ -110,7 +112,7 @@ def test_query_follows_change_of_parent():
     assert program.events == [f"got({pose(12)})"]
 
 
-def test_frame_may_be_argument_of_event():
+def test_frame_may_be_argument_of_event() -> None:
     program = TransformEngine(
         rules="synchronized(got(P), tf_lookup(map, F, T, P), [[tf(map, F), T]]) <- ask(F, T)."
     )
@@ -124,7 +126,7 @@ def test_frame_may_be_argument_of_event():
     assert len([text for text in program.warnings if "names of frames" in text]) == 2
 
 
-def test_query_waits_for_transforms_and_memories():
+def test_query_waits_for_transforms_and_memories() -> None:
     program = TransformEngine(
         rules="synchronized(got(P), tf_lookup(map, camera, T, P), [[tf(map, camera), T], [odom, T]]) <- ask(T).",
         goals="memorize(odom, [], _, odom, 5)",
@@ -142,7 +144,7 @@ def test_query_waits_for_transforms_and_memories():
     assert program.events == [f"got({pose(x)})" for x in (2, 3, 3)]
 
 
-def test_memory_with_id_of_transform_takes_precedence():
+def test_memory_with_id_of_transform_takes_precedence() -> None:
     program = TransformEngine(
         rules="synchronized(got(T), true, [[tf(map, camera), T]]) <- ask(T).",
         goals="memorize(pose, [], _, tf(map, camera), 5)",
@@ -154,7 +156,7 @@ def test_memory_with_id_of_transform_takes_precedence():
     assert program.events == ["got(2)"]
 
 
-def test_instant_zero_is_newest_transform():
+def test_instant_zero_is_newest_transform() -> None:
     program = TransformEngine(
         rules="synchronized(got(P), tf_lookup(map, camera, 0, P), [[tf(map, camera), 0]]) <- ask."
     )
@@ -171,7 +173,7 @@ def test_instant_zero_is_newest_transform():
     assert program.events[1:] == [f"got({pose(31)})"]
 
 
-def test_failed_lookup_has_reason():
+def test_failed_lookup_has_reason() -> None:
     program = TransformEngine(rules="")
     program.transform("map", "base", 2, 1)
     program.transform("map", "base", 4, 3)
@@ -195,7 +197,7 @@ def test_failed_lookup_has_reason():
         assert bool(program.answers(f"tf_lookup({arguments}, _)")) == (reason is None)
 
 
-def test_unknown_frame_is_reported_once():
+def test_unknown_frame_is_reported_once() -> None:
     program = TransformEngine(rules="")
     # A frame is not reported as unknown before any frame is known.
     assert not program.engine.call("tf_lookup(map, camara, 3, _)")
@@ -206,7 +208,7 @@ def test_unknown_frame_is_reported_once():
     assert program.warnings == ["tf_lookup: there is no frame 'camara' yet; did you mean 'camera'?"]
 
 
-def test_wide_gap_has_no_transform():
+def test_wide_gap_has_no_transform() -> None:
     program = TransformEngine(rules="", max_gap=0.5)
     for second in (1, 1.4, 2, 2.6):
         program.transform("map", "base", second, second)
@@ -232,7 +234,7 @@ def test_wide_gap_has_no_transform():
         ("tf_add_static(map, base, [[0,0,0]])", "type_error(pose,[[0,0,0]])"),
     ],
 )
-def test_invalid_arguments_are_refused(goal, error):
+def test_invalid_arguments_are_refused(goal: str, error: str) -> None:
     program = TransformEngine(rules="")
     program.transform("map", "base", 3, 1)
     with pytest.raises(PrologError) as raised:
@@ -240,7 +242,7 @@ def test_invalid_arguments_are_refused(goal, error):
     assert program.engine.show(raised.value.term).startswith(f"error({error},")
 
 
-def test_goals_store_transforms():
+def test_goals_store_transforms() -> None:
     program = TransformEngine(
         rules=RULES + "null_event do tf_add(map, camera, T, [[X,0,0],[0,0,0,1]]) <- put(X, T).\n"
     )
@@ -253,7 +255,7 @@ def test_goals_store_transforms():
     assert program.answers("tf_lookup(map, lens, 3, P)") == [{"P": pose(4)}]
 
 
-def test_clock_moved_back_clears_history():
+def test_clock_moved_back_clears_history() -> None:
     program = TransformEngine()
     program.transform("map", "base", 5, 1)
     program.transform("base", "camera", 5, 1, is_static=True)
@@ -267,12 +269,12 @@ def test_clock_moved_back_clears_history():
     assert program.events == [f"seen(b,{pose(2)})"]
 
 
-def test_pending_queries_are_restored():
+def test_pending_queries_are_restored() -> None:
     program = TransformEngine()
     program.transform("map", "camera", 1, 0)
     program.event("marker(a, 5)", 5)
     engine = Engine.restore(program.engine.snapshot(), StreamClock(6 * SECOND))
-    events = []
+    events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     assert [memory.id for query in engine.status().waiting for memory in query.memories] == [
         "tf(map,camera): not connected"
@@ -282,13 +284,13 @@ def test_pending_queries_are_restored():
     assert events == [f"seen(a,{pose(5)})"]
 
 
-def test_invalid_transforms_are_reported():
+def test_invalid_transforms_are_reported() -> None:
     program = TransformEngine(rules="")
     program.transform("map", "map", 1, 1)
     assert program.warnings == ["the transform of frame 'map' is refused: a frame cannot be its own parent"]
 
 
-def test_transforms_are_required_if_program_reads_them():
+def test_transforms_are_required_if_program_reads_them() -> None:
     for rules, goals, expected in (
         ("a <- b.", "", False),
         ("a <- tf(map, camera).", "memorize(tf(_, _), [], _, m, 5)", False),
@@ -298,7 +300,7 @@ def test_transforms_are_required_if_program_reads_them():
         ("synchronized(a, p, [[m, 1], [tf, 2]]) <- b.", "", False),
     ):
         program = TransformEngine(rules=rules, goals=goals)
-        requests = []
+        requests: List[Any] = []
         transforms = program.engine.knowledge.transforms
         transforms.require_if_mentioned(program.engine.rules.terms())
         transforms.add_feed(lambda: requests.append(True))  # noqa: B023
@@ -307,7 +309,7 @@ def test_transforms_are_required_if_program_reads_them():
         assert requests == [True]
 
 
-def test_status_counts_transforms():
+def test_status_counts_transforms() -> None:
     program = TransformEngine()
     program.transform("map", "camera", 1, 0)
     program.transform("map", "camera", 2, 0)
@@ -317,7 +319,7 @@ def test_status_counts_transforms():
     assert Engine().status().transforms is None
 
 
-def test_incremental_table_depends_on_transforms():
+def test_incremental_table_depends_on_transforms() -> None:
     program = TransformEngine(
         rules=":- table where/1 as incremental.\nwhere(X) :- tf_lookup(map, base, 0, [[X,_,_],_])."
     )
@@ -327,7 +329,7 @@ def test_incremental_table_depends_on_transforms():
     assert program.answers("where(X)") == [{"X": "5.0"}]
 
 
-def test_timed_out_queries_leave_frames():
+def test_timed_out_queries_leave_frames() -> None:
     program = TransformEngine()
     program.transform("map", "camera", 1, 0)
     for number in range(500):

@@ -1,5 +1,8 @@
 """Declared events at run time: refused events, and lifetime of declarations."""
 
+from pathlib import Path
+from typing import Any
+
 import pytest
 
 from retalis import Engine, ProgramErrors, PrologError, UsageError
@@ -13,7 +16,7 @@ VALUE = f"value of temperature/2 is a number, found hot; declared as {FORM}"
 
 
 @pytest.fixture
-def engine():
+def engine() -> Any:
     engine = Engine()
     engine.load(rules=DECLARATION)
     engine.events = []
@@ -37,7 +40,7 @@ def engine():
         ("ins_event_rule(a <- temperature(_))", "a <- temperature(_): " + ARITY),
     ],
 )
-def test_goal_against_declaration_is_refused(engine, goal, message):
+def test_goal_against_declaration_is_refused(engine: Any, goal: str, message: Any) -> None:
     if message:
         with pytest.raises(Exception, match="declared|declaration") as caught:
             engine.call(goal)
@@ -49,7 +52,7 @@ def test_goal_against_declaration_is_refused(engine, goal, message):
     assert not list(engine.knowledge.subscriptions)
 
 
-def test_event_against_declaration_is_refused(engine):
+def test_event_against_declaration_is_refused(engine: Any) -> None:
     with pytest.raises(UsageError, match="event refused: value of temperature/2 is a number"):
         engine.event("temperature(left, hot)", 1)
     engine.event("temperature(left, 3)", 1)
@@ -57,7 +60,7 @@ def test_event_against_declaration_is_refused(engine):
     assert engine.events == ["temperature(left,3)", "temperatures(left)"]
 
 
-def test_text_against_declaration_is_refused(engine, caplog):
+def test_text_against_declaration_is_refused(engine: Any, caplog: pytest.LogCaptureFixture) -> None:
     for _ in range(4):
         engine.post_text("event(temperature(left,hot),[1,1])")
     engine.post_text("event(temperature(left,90.5),[1,1])")
@@ -66,12 +69,12 @@ def test_text_against_declaration_is_refused(engine, caplog):
     assert [record.getMessage().partition("\n")[0] for record in caplog.records] == [message] * 3
 
 
-def test_added_rule_is_checked(engine):
+def test_added_rule_is_checked(engine: Any) -> None:
     with pytest.raises(ProgramErrors, match="value of temperature/2 is a number"):
         add_rule(engine, "a <- temperature(_, hot)")
 
 
-def test_undeclared_event_is_refused_if_flag_is_set(engine):
+def test_undeclared_event_is_refused_if_flag_is_set(engine: Any) -> None:
     engine.call("set_etalis_flag(undeclared_events, error)")
     with pytest.raises(UsageError, match="smoke/1 is not declared; write :- event smoke"):
         engine.event("smoke(hall)", 1)
@@ -83,7 +86,7 @@ def test_undeclared_event_is_refused_if_flag_is_set(engine):
     assert engine.events[-1] == "smoke(hall)"
 
 
-def test_reset_removes_declarations(engine):
+def test_reset_removes_declarations(engine: Any) -> None:
     engine.call("reset_etalis")
     engine.event("temperature(1)", 1)
     engine.load(rules=":- event temperature(value:number).")
@@ -91,7 +94,7 @@ def test_reset_removes_declarations(engine):
     assert engine.events == ["temperature(1)", "temperature(2)"]
 
 
-def test_file_with_error_declares_nothing(engine):
+def test_file_with_error_declares_nothing(engine: Any) -> None:
     with pytest.raises(ProgramErrors):
         engine.load(rules=":- event smoke(room:atom).\na <- .")
     with pytest.raises(ProgramErrors):
@@ -100,13 +103,13 @@ def test_file_with_error_declares_nothing(engine):
     assert engine.events == ["smoke(1)"]
 
 
-def test_invalid_asserted_declaration_is_ignored(engine):
+def test_invalid_asserted_declaration_is_ignored(engine: Any) -> None:
     engine.call("assertz('$declared_event'(3))")
     engine.event("temperature(left, 3)", 1)
     assert engine.events == ["temperature(left,3)"]
 
 
-def test_declarations_are_restored(engine):
+def test_declarations_are_restored(engine: Any) -> None:
     restored = Engine.restore(engine.snapshot())
     with pytest.raises(UsageError, match="event refused"):
         restored.event("temperature(left, hot)", 1)
@@ -114,7 +117,7 @@ def test_declarations_are_restored(engine):
         restored.load(rules="a <- temperature(_).")
 
 
-def test_reload_replaces_declarations(engine, tmp_path):
+def test_reload_replaces_declarations(engine: Any, tmp_path: Path) -> None:
     (tmp_path / "goalPredicates.txt").write_text("compile_event_file('rules.txt')\nevent smoke(room:atom)")
     rules = tmp_path / "rules.txt"
     rules.write_text(":- event heat(value:number).\na <- heat(3).")
@@ -134,7 +137,7 @@ def test_reload_replaces_declarations(engine, tmp_path):
         engine.event("smoke(3)", 3)
 
 
-def test_declaration_is_parsed_once(monkeypatch):
+def test_declaration_is_parsed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     parsed, lookups = [], []
     parse_clause = event_declarations._parse_clause  # noqa: SLF001
     parse_clauses = event_declarations.DeclaredEvents._parse_clauses  # noqa: SLF001

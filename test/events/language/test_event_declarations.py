@@ -1,5 +1,7 @@
 """Declarations of events: parsing, output, and violations."""
 
+from typing import Any, List
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -47,18 +49,18 @@ VALUES = {
 }
 
 
-def no_position(part, number=0):
+def no_position(part: Any, number: int = 0) -> Any:
     return None
 
 
-def declarations_of(text):
+def declarations_of(text: str) -> List[Any]:
     goal = read_term(f":- event {text}.", OPERATORS).term[1]
     return [declaration for declaration, _ in parse_declarations(goal, no_position)]
 
 
 @settings(max_examples=50)
 @given(st.lists(DECLARATION, min_size=1, max_size=3))
-def test_written_declaration_is_parsed_again(declarations):
+def test_written_declaration_is_parsed_again(declarations: List[Any]) -> None:
     text = ", ".join(writeq(declaration.term, OPERATORS) for declaration in declarations)
     assert [declaration.term for declaration in declarations_of(text)] == [
         declaration.term for declaration in declarations
@@ -69,16 +71,16 @@ def test_written_declaration_is_parsed_again(declarations):
 @given(
     st.data(), st.lists(DECLARATION, min_size=1, max_size=3, unique_by=lambda declaration: declaration.name)
 )
-def test_rules_that_follow_declarations_have_no_errors(data, declarations):
+def test_rules_that_follow_declarations_have_no_errors(data: st.DataObject, declarations: List[Any]) -> None:
     """Arguments are values of the declared types, or variables with one name for each type."""
 
-    def value(value_type):
+    def value(value_type: Any) -> Any:
         if value_type.items is not None:
             return f"[{value(value_type.items)}]"
         name = writeq(value_type.term, OPERATORS)
         return data.draw(st.sampled_from([*VALUES[name], f"V_{name}", "_"]))
 
-    def event():
+    def event() -> Any:
         declaration = data.draw(st.sampled_from(declarations))
         arguments = ", ".join(value(argument.value_type) for argument in declaration.arguments)
         name = writeq(atom(declaration.name), OPERATORS)
@@ -116,13 +118,13 @@ def test_rules_that_follow_declarations_have_no_errors(data, declarations):
         ),
     ],
 )
-def test_invalid_declaration_is_refused(text, message):
+def test_invalid_declaration_is_refused(text: str, message: str) -> None:
     with pytest.raises(RuleError) as caught:
         declarations_of(text)
     assert caught.value.message == message
 
 
-def test_second_declaration_of_name_is_refused():
+def test_second_declaration_of_name_is_refused() -> None:
     declarations = Declarations(str)
     (first,), (second,) = declarations_of("t(a:atom)"), declarations_of("t(a:number)")
     assert declarations.add(first)
@@ -132,7 +134,7 @@ def test_second_declaration_of_name_is_refused():
 
 
 @pytest.mark.parametrize("strict", [False, True])
-def test_undeclared_event_is_error_in_strict_mode(strict):
+def test_undeclared_event_is_error_in_strict_mode(strict: bool) -> None:
     declarations = Declarations(
         str, declarations_of("temperature(a:atom)"), strict, lambda key: key.name == "known"
     )
@@ -150,7 +152,7 @@ def test_undeclared_event_is_error_in_strict_mode(strict):
     ] == (errors if strict else [""] * 3)
 
 
-def test_received_event_is_checked():
+def test_received_event_is_checked() -> None:
     declarations = Declarations(
         lambda term: writeq(term, OPERATORS), declarations_of("t(a:atom, b:list(event))")
     )

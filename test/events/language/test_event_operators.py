@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any, Dict, List
 
 import pytest
 from events import operator_table
@@ -23,13 +24,13 @@ NO_OPERATORS = {"`E`", "`P seq prolog(G)`, `prolog(G) seq P`"}
 LINK = re.compile(r"\[(.*)\]\([\w-]+\.md\)")
 
 
-def table_rows(title):
+def table_rows(title: str) -> List[List[Any]]:
     """Return the rows of the table of this title, each a list of its cells."""
     lines = PAGE[PAGE.index(f"\n{title}\n") :].split("\n\n")[0].strip().split("\n")[2:]
     return [[LINK.sub(r"\1", cell) for cell in row[2:-2].split(" | ")] for row in lines]
 
 
-def test_page_has_rows_of_all_patterns():
+def test_page_has_rows_of_all_patterns() -> None:
     assert sorted(map(tuple, table_rows("| pattern | is matched when | interval |"))) == sorted(
         [
             *(row for operator in EVENT_OPERATORS for row in operator.table_rows),
@@ -42,15 +43,15 @@ def test_page_has_rows_of_all_patterns():
     )
 
 
-def test_each_operator_has_a_table_row():
+def test_each_operator_has_a_table_row() -> None:
     forms = " ".join(row.notation for operator in EVENT_OPERATORS for row in operator.table_rows)
     for operator in EVENT_OPERATORS:
         if operator.kind not in (OperatorKind.RULE, OperatorKind.UNSUPPORTED):
             assert re.search(rf"\b{operator.spellings[0]}\b", forms), operator.name
 
 
-def test_page_has_priorities():
-    expected = {}
+def test_page_has_priorities() -> None:
+    expected: Dict[Any, Any] = {}
     for operator in EVENT_OPERATORS:
         if operator.priority and operator.kind is not OperatorKind.UNSUPPORTED:
             expected.setdefault(str(operator.priority), set()).update((operator.name, *operator.signs))
@@ -64,7 +65,7 @@ def test_page_has_priorities():
     } == expected
 
 
-def test_page_names_aggregates():
+def test_page_names_aggregates() -> None:
     page = (PAGES / "repetition.md").read_text(encoding="utf-8")
     (aggregates,) = re.findall(r"The kinds of aggregate are (.*)\. `", page)
     assert re.findall(r"`([^`]+)`", aggregates) == [
@@ -72,7 +73,7 @@ def test_page_names_aggregates():
     ]
 
 
-def test_tests_cover_all_operators():
+def test_tests_cover_all_operators() -> None:
     """The tests have their own table of operators, as an independent definition."""
     names = {
         operator.spellings[0]
@@ -155,7 +156,7 @@ straddles(X, Y) <- a(X, Y).
 
 
 @pytest.mark.slow
-def test_pair_operator_is_one_entry(tmp_path):
+def test_pair_operator_is_one_entry(tmp_path: Path) -> None:
     """An entry in the table suffices to parse, join, limit and explain the operator, under every policy."""
     package_copy = tmp_path / "retalis"
     shutil.copytree(str(SOURCE), str(package_copy), ignore=shutil.ignore_patterns("__pycache__"))
@@ -174,7 +175,7 @@ def test_pair_operator_is_one_entry(tmp_path):
     assert result.stdout == EXPECTED_OUTPUT
 
 
-def test_prolog_reader_has_no_event_operators():
+def test_prolog_reader_has_no_event_operators() -> None:
     program = (
         "from retalis.prolog.syntax.operators import Operators\n"
         "print('seq' in Operators.prolog(), 'mod' in Operators.prolog())\n"

@@ -1,6 +1,7 @@
 """Warnings about likely mistakes in rules: positions, texts, and no false warnings."""
 
 from itertools import combinations, product
+from typing import Any, List, Optional
 
 import pytest
 from events.load_messages import errors_of, warnings_of
@@ -10,7 +11,7 @@ COMPARISONS = ["X > 1", "X =< 1", "X == 1", "X = 1", "X \\== 1", "Y is X + 1", "
 
 
 @pytest.mark.parametrize("text", COMPARISONS)
-def test_comparison_as_pattern_is_reported(text):
+def test_comparison_as_pattern_is_reported(text: Any) -> None:
     ((line, column, message),) = warnings_of(f"% first\nc <- a(X) and {text}.")
     assert (line, column) == (2, 17)
     assert message == "this is an event; a condition is written after where"
@@ -56,7 +57,7 @@ def test_comparison_as_pattern_is_reported(text):
         ("c do ins_event_rule(d <- a, b) <- a.", 6, "needs brackets of its own"),
     ],
 )
-def test_likely_mistake_is_reported_at_position(rule, column, part):
+def test_likely_mistake_is_reported_at_position(rule: str, column: int, part: str) -> None:
     ((_, actual_column, message),) = warnings_of(rule)
     assert part in message
     assert actual_column == column
@@ -77,11 +78,11 @@ def test_likely_mistake_is_reported_at_position(rule, column, part):
         "c <- a seq E. E do g(E). g(_).",
     ],
 )
-def test_valid_rules_have_no_warnings(rules):
+def test_valid_rules_have_no_warnings(rules: str) -> None:
     assert warnings_of(rules) == []
 
 
-def test_rules_added_at_run_time_are_checked():
+def test_rules_added_at_run_time_are_checked() -> None:
     program = ProgramRunner(
         "g do ins_event_rule((c <- a, b)) <- a. h do compile_event_rules([(d <- e), (d <- (e ; f))]) <- b."
     )
@@ -93,7 +94,7 @@ def test_rules_added_at_run_time_are_checked():
     assert program.errors == []
 
 
-def test_error_of_added_rule_names_rule():
+def test_error_of_added_rule_names_rule() -> None:
     program = ProgramRunner("g do compile_event_rules([(d <- e), (3 : d <- e), (d seq e <- f)]) <- a.")
     program.feed("a@1")
     (error,) = program.errors
@@ -112,7 +113,7 @@ def test_error_of_added_rule_names_rule():
         ("c <- b seq (a check t1(_)) where call(t2(_)).", [39]),
     ],
 )
-def test_interval_outside_check_is_refused(rule, columns):
+def test_interval_outside_check_is_refused(rule: str, columns: List[int]) -> None:
     errors = errors_of(rule)
     assert [column for _, column, _ in errors] == columns
     assert all("write check" in message for _, _, message in errors)
@@ -127,7 +128,7 @@ def test_interval_outside_check_is_refused(rule, columns):
         "c <- a where t1(_). t1(X) :- X = 5.",
     ],
 )
-def test_interval_may_be_read_in_check(rules):
+def test_interval_may_be_read_in_check(rules: str) -> None:
     program = ProgramRunner(rules)
     assert program.warnings == []
     assert "c@1" in program.feed("a@1-2")
@@ -169,7 +170,9 @@ EARLIER_GAP_ADVICE = "in an earlier gap does not prevent a match"
         ("o <- (a seq b seq c(X)) cnot d(X).", 25, None, None),  # X has no value in the first gap
     ],
 )
-def test_cnot_over_long_sequence_is_reported(rule, column, all_gaps, last_gap):
+def test_cnot_over_long_sequence_is_reported(
+    rule: str, column: int, all_gaps: Optional[str], last_gap: Optional[str]
+) -> None:
     ((_, actual_column, message),) = warnings_of(rule)
     assert actual_column == column
     assert message.startswith("cnot covers only the gap before the last part of the sequence, ")
@@ -196,7 +199,7 @@ def test_cnot_over_long_sequence_is_reported(rule, column, all_gaps, last_gap):
         "o <- ((a seq b) cnot d) seq c seq e.",
     ],
 )
-def test_cnot_between_two_parts_is_not_reported(rule):
+def test_cnot_between_two_parts_is_not_reported(rule: str) -> None:
     assert warnings_of(rule) == []
 
 
@@ -204,16 +207,16 @@ def test_cnot_between_two_parts_is_not_reported(rule):
 @pytest.mark.parametrize(
     "pattern", ["(NAME seq f seq f) cnot d", "(f seq f seq NAME) cnot d", "(f seq f seq f) cnot NAME"]
 )
-def test_warning_omits_long_parts(pattern, name):
+def test_warning_omits_long_parts(pattern: str, name: str) -> None:
     ((_, _, message),) = warnings_of(f"o <- {pattern.replace('NAME', name)}.")
     assert message.endswith("; write a cnot for each gap that it must not lie in")
     assert len(message) < 500
 
 
-def intervals_without_d(events, times):
+def intervals_without_d(events: Any, times: Any) -> List[Any]:
     """Return the intervals of all sequences of f without a d between the first and the last."""
     instants = [instant for instant, name in enumerate(events) if name == "f"]
-    intervals = []
+    intervals: List[Any] = []
     for positions in combinations(instants, times):
         if "d" not in events[positions[0] : positions[-1]]:
             intervals.append((positions[0], positions[-1]))
@@ -225,7 +228,7 @@ def intervals_without_d(events, times):
     ("pattern", "times"),
     [("f seq f seq f", 3), ("f ntimes 3", 3), ("f ntimes 4", 4), ("f seq f seq f seq f", 4)],
 )
-def test_suggested_pattern_excludes_event_in_all_gaps(pattern, times):
+def test_suggested_pattern_excludes_event_in_all_gaps(pattern: str, times: int) -> None:
     ((_, _, message),) = warnings_of(f"o <- ({pattern}) cnot d.")
     suggested_pattern = message.split("for none in any gap write ")[1].split(";")[0]
     suggested, original = (

@@ -1,5 +1,7 @@
 """Each operator: condition and interval of its matches."""
 
+from typing import Any
+
 import pytest
 from events.stream_programs import ProgramRunner, outputs_of
 
@@ -63,7 +65,7 @@ CASES = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("pattern", "stream", "expected"), CASES)
-def test_operator_has_condition_and_interval(pattern, stream, expected):
+def test_operator_has_condition_and_interval(pattern: Any, stream: Any, expected: Any) -> None:
     assert outputs_of(f"c <- {pattern}.", stream) == expected
 
 
@@ -78,26 +80,26 @@ def test_operator_has_condition_and_interval(pattern, stream, expected):
         ("list(X)", "r([])@1-1 r([4])@1-2 r([4,2])@1-3"),
     ],
 )
-def test_aggregate_has_result_for_each_repetition(aggregate, expected):
+def test_aggregate_has_result_for_each_repetition(aggregate: str, expected: str) -> None:
     assert (
         outputs_of(f"r(N) <- s seq aggregate({aggregate}, a(X), N).", "a(9)@0 s@1 a(4)@2 a(2)@3") == expected
     )
 
 
-def test_average_may_be_float():
+def test_average_may_be_float() -> None:
     assert (
         outputs_of("r(N) <- s seq aggregate(avg(X), a(X), N).", "s@1 a(1)@2 a(2)@3") == "r(1)@1-2 r(1.5)@1-3"
     )
 
 
-def test_condition_filters_results():
+def test_condition_filters_results() -> None:
     assert (
         outputs_of("r(N) <- s seq aggregate(count, a, N) where N > 1.", "s@1 a@2 a@3 a@4")
         == "r(2)@1-3 r(3)@1-4"
     )
 
 
-def test_value_that_is_no_number_is_reported():
+def test_value_that_is_no_number_is_reported() -> None:
     program = ProgramRunner("r(N) <- s seq aggregate(sum(X), a(X), N).")
     assert program.feed("s@1 a(x)@2 a(3)@3") == "r(0)@1-1 r(3)@1-3"
     (error,) = program.errors
@@ -178,16 +180,16 @@ def test_value_that_is_no_number_is_reported():
         ("c(X) do Y is X + 1, c2(Y) <- a(X). c2(_)", "a(1)@1", "c(1)@1-1"),
     ],
 )
-def test_variables_are_bound_across_patterns(rule, stream, expected):
+def test_variables_are_bound_across_patterns(rule: str, stream: str, expected: str) -> None:
     assert outputs_of(f"{rule}.", stream) == expected
 
 
-def test_nested_rule_emits_its_own_event():
+def test_nested_rule_emits_its_own_event() -> None:
     assert outputs_of("c <- a seq (s(X) <- b(X) seq d).", "a@1 b(5)@2 d@3") == "s(5)@2-3 c@1-3"
 
 
 @pytest.mark.parametrize("spelling", ["seq", "'seq'", "'Seq'", "'SEQ'", "*"])
-def test_operator_spellings_are_equivalent(spelling):
+def test_operator_spellings_are_equivalent(spelling: str) -> None:
     assert outputs_of(f"c <- a {spelling} b.", "a@1 b@2") == "c@1-2"
 
 
@@ -200,5 +202,5 @@ def test_operator_spellings_are_equivalent(spelling):
         ("c(L) <- s seq aggregate(list(V), a(_), L).", "s@1 a(0)@2 a(1)@3", "c([A,B])@1-3"),
     ],
 )
-def test_unbound_variable_of_repetition_is_shared(rules, stream, expected):
+def test_unbound_variable_of_repetition_is_shared(rules: str, stream: str, expected: str) -> None:
     assert outputs_of(rules, stream, "unrestricted").split(" ")[-1] == expected

@@ -16,19 +16,19 @@ from events.load_messages import errors_of, warnings_of
         ("aggregate(sum(Y), b(X) cnot c(Y), N)", "Y never gets a value"),
     ],
 )
-def test_aggregate_without_values_is_refused(aggregate, part):
+def test_aggregate_without_values_is_refused(aggregate: str, part: str) -> None:
     (error,) = errors_of(f"out(N) <- a seq {aggregate}.")
     assert error[:2] == (1, 27)
     assert part in error[2]
 
 
 @pytest.mark.parametrize("aggregate", ["max(foo)", 'min("b")', "quantile(0.5, f(X))", "[count, stddev(foo)]"])
-def test_window_of_other_terms_is_refused(aggregate):
+def test_window_of_other_terms_is_refused(aggregate: str) -> None:
     (error,) = errors_of(f"out(N) <- aggregate({aggregate}, b(X), N, last(10)).")
     assert "needs numbers or arithmetic expressions" in error[2]
 
 
-def test_later_condition_binds_no_collected_variable():
+def test_later_condition_binds_no_collected_variable() -> None:
     ((_, column, _),) = errors_of("out(N) <- c(Y) and (a seq aggregate(sum(Y), b, N)) where Y > 1.")
     assert column == 37
 
@@ -41,7 +41,7 @@ def test_later_condition_binds_no_collected_variable():
         ("aggregate(list(Y), b(X), N)", 27, "Y never gets a value"),
     ],
 )
-def test_suspicious_aggregate_is_reported(aggregate, column, part):
+def test_suspicious_aggregate_is_reported(aggregate: str, column: int, part: str) -> None:
     ((_, actual_column, message),) = warnings_of(f"out(N) <- s seq {aggregate}.")
     assert part in message
     assert actual_column == column
@@ -61,5 +61,5 @@ def test_suspicious_aggregate_is_reported(aggregate, column, part):
         "out <- a seq aggregate(count, hit, 3).",
     ],
 )
-def test_valid_aggregates_have_no_warnings(rule):
+def test_valid_aggregates_have_no_warnings(rule: str) -> None:
     assert warnings_of(rule) == []

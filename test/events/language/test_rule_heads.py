@@ -35,7 +35,7 @@ from retalis.prolog.terms.timestamps import SECOND
         ("synchronized(e, true, [m]) <- a.", 23, "list of [Memory, Time]"),
     ],
 )
-def test_invalid_head_is_refused(rule, column, part):
+def test_invalid_head_is_refused(rule: str, column: int, part: str) -> None:
     assert_refused(rule, column, part)
 
 
@@ -52,7 +52,7 @@ def test_invalid_head_is_refused(rule, column, part):
         ("rev(a(X)) <- b.", "exactly the event that it names"),
     ],
 )
-def test_suspicious_head_is_reported(rule, part):
+def test_suspicious_head_is_reported(rule: str, part: str) -> None:
     ((_, _, message),) = warnings_of(rule)
     assert part in message
 
@@ -69,11 +69,11 @@ def test_suspicious_head_is_reported(rule, part):
         "starts(robot) <- a. and(a, b, c) <- a. aggregate(x) <- a. h(a seq b) <- c. f(x) - g <- a.",
     ],
 )
-def test_valid_heads_have_no_warnings(rules):
+def test_valid_heads_have_no_warnings(rules: str) -> None:
     assert warnings_of(rules) == []
 
 
-def test_alarm_in_the_past_is_reported_seldom():
+def test_alarm_in_the_past_is_reported_seldom() -> None:
     program = ProgramRunner("exceptionAlarmAbsoluteDatime(e, 3) <- a.")
     program.feed(" ".join(f"a@{second}" for second in range(1, 11)))
     messages = [str(warning).split("\n")[0] for warning in program.warnings]
@@ -85,7 +85,7 @@ def test_alarm_in_the_past_is_reported_seldom():
     )
 
 
-def test_alarm_in_the_future_is_not_reported():
+def test_alarm_in_the_future_is_not_reported() -> None:
     program = ProgramRunner(
         "exceptionAlarmAbsoluteDatime(e, 3) <- a. exceptionAlarm(f, 1) <- a.", clock=StreamClock(0)
     )
@@ -97,7 +97,7 @@ def test_alarm_in_the_future_is_not_reported():
     assert program.warnings == []
 
 
-def test_retraction_of_unknown_event_is_throttled():
+def test_retraction_of_unknown_event_is_throttled() -> None:
     program = ProgramRunner("rev(a(X)) <- b(X). c(X) <- a(X).", ["revision_flag"])
     program.feed("a(1)@1 b(1)@2")
     assert program.warnings == []
@@ -109,7 +109,7 @@ def test_retraction_of_unknown_event_is_throttled():
     )
 
 
-def test_rev_is_plain_event_without_revision():
+def test_rev_is_plain_event_without_revision() -> None:
     program = ProgramRunner("rev(a) <- b.")
     assert program.feed("b@1") == "rev(a)@1-1"
     assert program.warnings == []

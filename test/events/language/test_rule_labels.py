@@ -1,5 +1,7 @@
 """Errors in labels and properties."""
 
+from typing import Any
+
 import pytest
 from events.load_messages import assert_refused, warnings_of
 
@@ -35,21 +37,21 @@ LABEL_ADVICE = "a label is an atom, or Label([property(Name, Value), ...])"
         ("event_rule_property(l, out_of_order, yes).", 38, "property out_of_order is off or on"),
     ],
 )
-def test_invalid_label_is_refused(rule, column, part):
+def test_invalid_label_is_refused(rule: str, column: int, part: Any) -> None:
     assert_refused(rule, column, part)
 
 
-def test_unknown_property_is_reported_at_name():
+def test_unknown_property_is_reported_at_name() -> None:
     assert warnings_of("l([property(colour, red)]) : a <- b.")[0][:2] == (1, 13)
     assert warnings_of("event_rule_property(l, colour, red).")[0][:2] == (1, 24)
 
 
-def test_misspelt_property_has_suggestion():
+def test_misspelt_property_has_suggestion() -> None:
     message = warnings_of("l([property(polici, recent)]) : a <- b.")[0][2]
     assert "did you mean policy?" in message
     assert "did you mean" not in warnings_of("l([property(colour, red)]) : a <- b.")[0][2]
 
 
-def test_property_values_are_those_of_the_network():
+def test_property_values_are_those_of_the_network() -> None:
     assert WORD_PROPERTIES["policy"] == tuple(policy.value for policy in ConsumptionPolicy)
     assert WORD_PROPERTIES["after_match"] == tuple(strategy.value for strategy in AfterMatchSkipStrategy)

@@ -1,5 +1,7 @@
 """Schedules of timers."""
 
+from typing import Any
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,7 +15,7 @@ DAY = 86_400
 
 
 @given(st.integers(1, 10**6), st.integers(1, 4 * 10**18), st.booleans())
-def test_next_instant_is_first_multiple_after_present(milliseconds, now, aligned):
+def test_next_instant_is_first_multiple_after_present(milliseconds: int, now: int, aligned: bool) -> None:
     period = milliseconds * 10**6
     schedule = parse_schedule(parse_term(f"every({milliseconds / 1000}{'' if aligned else ', from_now'})"))
     next_instant = schedule.next_instant(now)
@@ -36,7 +38,7 @@ def test_next_instant_is_first_multiple_after_present(milliseconds, now, aligned
         ("after(2.5)", 7, 9.5),
     ],
 )
-def test_next_instant_of_day_and_of_single_schedules(text, now, expected):
+def test_next_instant_of_day_and_of_single_schedules(text: str, now: Any, expected: Any) -> None:
     next_instant = parse_schedule(parse_term(text)).next_instant(int(now * SECOND))
     assert next_instant == (None if expected is None else round(expected * SECOND))
 
@@ -62,7 +64,7 @@ def test_next_instant_of_day_and_of_single_schedules(text, now, expected):
         ("at(datime(2026,2,30,0,0,0,0))", "expected datime("),
     ],
 )
-def test_error_of_schedule_names_expected_form(text, message):
+def test_error_of_schedule_names_expected_form(text: str, message: str) -> None:
     with pytest.raises(UsageError) as raised:
         parse_schedule(parse_term(text))
     assert message in raised.value.message
@@ -70,7 +72,7 @@ def test_error_of_schedule_names_expected_form(text, message):
 
 
 @pytest.mark.parametrize("text", ["W", "every(N)", "at(H,0,0)", "every(2)", "at(datime(Y,1,1,0,0,0,0))"])
-def test_schedule_with_variables_is_no_error(text):
+def test_schedule_with_variables_is_no_error(text: str) -> None:
     assert schedule_error(parse_term(text)) is None
 
 
@@ -78,5 +80,5 @@ def test_schedule_with_variables_is_no_error(text):
     ("text", "is_schedule"),
     [("timer(a, every(1))", True), ("timer(a, W)", True), ("timer(a, 5)", False), ("timer", False)],
 )
-def test_timer_goals_are_distinguished_from_facts(text, is_schedule):
+def test_timer_goals_are_distinguished_from_facts(text: str, is_schedule: bool) -> None:
     assert sets_timer(parse_term(text)) is is_schedule

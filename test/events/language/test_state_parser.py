@@ -1,5 +1,7 @@
 """Declarations of states."""
 
+from typing import Optional
+
 import pytest
 from parsing import parse_term
 
@@ -8,7 +10,7 @@ from retalis.events.language.state_parser import declares_state, parse_state_dec
 from retalis.prolog.terms.timestamps import SECOND
 
 
-def test_declaration_names_begin_and_end():
+def test_declaration_names_begin_and_end() -> None:
     form = parse_state_declaration(parse_term("state(at(R, P), from(arrive(R, P)), until(leave(R)))"))
     assert (form.max_duration, form.max_past, form.max_open) == (None, 1000, 10_000)
     assert str(form.functor) == "at/2"
@@ -41,7 +43,7 @@ def test_declaration_names_begin_and_end():
         ("state(s, from(b), until(c), [open(1.0)])", "open(Number) needs an integer from 1 to"),
     ],
 )
-def test_error_of_declaration_names_expected_form(text, message):
+def test_error_of_declaration_names_expected_form(text: str, message: str) -> None:
     with pytest.raises(UsageError) as raised:
         parse_state_declaration(parse_term(text))
     assert message in raised.value.message
@@ -56,7 +58,7 @@ def test_error_of_declaration_names_expected_form(text, message):
         ("state", False),
     ],
 )
-def test_declarations_are_distinguished_from_facts(text, expected):
+def test_declarations_are_distinguished_from_facts(text: str, expected: bool) -> None:
     assert declares_state(parse_term(text)) is expected
 
 
@@ -64,6 +66,6 @@ def test_declarations_are_distinguished_from_facts(text, expected):
     ("text", "expected"),
     [("holds(a)", "a/0"), ("holds_at(a(X), 1)", "a/1"), ("holds(X, T)", None), ("held(a)", None)],
 )
-def test_query_goals_name_state(text, expected):
+def test_query_goals_name_state(text: str, expected: Optional[str]) -> None:
     state = queried_state(parse_term(text))
     assert (state and str(state)) == expected

@@ -1,5 +1,7 @@
 """Value types, their members, and disjoint types."""
 
+from typing import Any
+
 import pytest
 from parsing import parse_term
 
@@ -27,7 +29,7 @@ VALUES = {
 
 
 @pytest.mark.parametrize("value", VALUES)
-def test_value_is_accepted_by_its_types_only(value):
+def test_value_is_accepted_by_its_types_only(value: Any) -> None:
     type_names = [*VALUE_TYPES, "std_msgs__0__Empty", "std_msgs__0__Bool"]
     accepting_types = [
         name for name in type_names if parse_value_type(parse_term(name)).accepts(parse_term(value))
@@ -37,7 +39,7 @@ def test_value_is_accepted_by_its_types_only(value):
 
 @pytest.mark.parametrize("first", VALUE_TYPES)
 @pytest.mark.parametrize("second", VALUE_TYPES)
-def test_types_without_common_value_exclude_each_other(first, second):
+def test_types_without_common_value_exclude_each_other(first: Any, second: Any) -> None:
     common_values = [
         value
         for value, type_names in VALUES.items()
@@ -49,7 +51,7 @@ def test_types_without_common_value_exclude_each_other(first, second):
     )
 
 
-def test_forms_of_types_are_forms_of_terms():
+def test_forms_of_types_are_forms_of_terms() -> None:
     forms = {form_of(parse_term(value)) for value in VALUES} | {"stamp"}
     assert (
         frozenset().union(*(value_type.forms for value_type in (*VALUE_TYPES.values(), *SLOT_TYPES.values())))
@@ -57,14 +59,14 @@ def test_forms_of_types_are_forms_of_terms():
     )
 
 
-def test_message_types_exclude_each_other():
+def test_message_types_exclude_each_other() -> None:
     first, second = (parse_value_type(parse_term(f"std_msgs__0__{name}")) for name in ("Bool", "Empty"))
     assert first.excludes(second)
     assert not first.excludes(first)
     assert not first.excludes(VALUE_TYPES["event"])
 
 
-def test_list_types_may_be_nested():
+def test_list_types_may_be_nested() -> None:
     assert parse_value_type(parse_term("list(list(atom))")).items.items is VALUE_TYPES["atom"]
 
 
@@ -79,7 +81,7 @@ def test_list_types_may_be_nested():
         ("list(" * 20 + "atom" + ")" * 20, "a type is any, atom, "),
     ],
 )
-def test_unknown_type_is_refused(text, message):
+def test_unknown_type_is_refused(text: str, message: str) -> None:
     with pytest.raises(UsageError) as caught:
         parse_value_type(parse_term(text))
     assert caught.value.message.startswith(message)

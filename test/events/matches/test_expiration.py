@@ -2,6 +2,7 @@
 
 import random
 from collections import deque
+from typing import Any, List
 
 import pytest
 
@@ -17,20 +18,20 @@ from retalis.events.matches.expiration import (
 class StoredMatch:
     """The attributes of a match that an expiration queue reads."""
 
-    def __init__(self, order):
+    def __init__(self, order: Any) -> None:
         self.order = order
         self.buffer = self
 
-    def discard(self):
+    def discard(self) -> None:
         """Remove the match from its buffer."""
         self.buffer = None
 
 
 @pytest.mark.parametrize("max_delay", [0, 3, 100])
-def test_matches_expire_after_their_instant(max_delay):
+def test_matches_expire_after_their_instant(max_delay: int) -> None:
     generator = random.Random(max_delay)
     queue = ExpirationQueue()
-    matches = []
+    matches: List[Any] = []
     for order in range(500):
         instant = order + generator.randint(0, max_delay)
         matches.append((instant, StoredMatch(order)))
@@ -46,25 +47,25 @@ class CountingMatch(StoredMatch):
     read_count = 0
 
     @property
-    def buffer(self):
+    def buffer(self) -> Any:
         CountingMatch.read_count += 1
         return self.current_buffer
 
     @buffer.setter
-    def buffer(self, buffer):
+    def buffer(self, buffer: Any) -> None:
         self.current_buffer = buffer
 
 
-def add_by_instant(queue, match, waiting):
+def add_by_instant(queue: Any, match: Any, waiting: Any) -> None:
     queue.add(match.order, match, waiting)
 
 
-def add_by_start(queue, match, waiting):
+def add_by_start(queue: Any, match: Any, waiting: Any) -> None:
     match.start = match.order
     queue.add(10, match, waiting)
 
 
-def fill(queue, add, match_count):
+def fill(queue: Any, add: Any, match_count: Any) -> Any:
     """Add matches, remove three quarters of them, and return all."""
     matches = [CountingMatch(order) for order in range(match_count)]
     for match in matches:
@@ -77,7 +78,7 @@ def fill(queue, add, match_count):
 @pytest.mark.parametrize(
     ("queue", "add"), [(ExpirationQueue(), add_by_instant), (StartExpirationQueue(10), add_by_start)]
 )
-def test_unordered_matches_are_dropped_in_slices(queue, add):
+def test_unordered_matches_are_dropped_in_slices(queue: Any, add: Any) -> None:
     match_count = 20 * SLICE_ENTRIES
     matches = fill(queue, add, match_count)
     waiting = len(matches) // 4
@@ -97,11 +98,11 @@ def test_unordered_matches_are_dropped_in_slices(queue, add):
     assert not any(match.current_buffer for match in matches)
 
 
-def add_by_instant_out_of_order(queue, match, waiting):
+def add_by_instant_out_of_order(queue: Any, match: Any, waiting: Any) -> None:
     queue.add(-match.order, match, waiting)
 
 
-def add_by_start_out_of_order(queue, match, waiting):
+def add_by_start_out_of_order(queue: Any, match: Any, waiting: Any) -> None:
     match.start = -match.order
     queue.add(10, match, waiting)
 
@@ -110,7 +111,7 @@ def add_by_start_out_of_order(queue, match, waiting):
     ("queue", "add"),
     [(ExpirationQueue(), add_by_instant_out_of_order), (StartExpirationQueue(10), add_by_start_out_of_order)],
 )
-def test_removed_matches_are_dropped_in_slices(queue, add):
+def test_removed_matches_are_dropped_in_slices(queue: Any, add: Any) -> None:
     match_count = 40 * HEAP_SLICE_ENTRIES
     matches = fill(queue, add, match_count)
     waiting = match_count // 4
@@ -130,7 +131,7 @@ def test_removed_matches_are_dropped_in_slices(queue, add):
     assert not any(match.current_buffer for match in matches)
 
 
-def test_slices_restart_after_last_entry():
+def test_slices_restart_after_last_entry() -> None:
     matches = deque(StoredMatch(order) for order in range(2 * SLICE_ENTRIES))
     for match in list(matches)[:SLICE_ENTRIES]:
         match.discard()
@@ -141,7 +142,7 @@ def test_slices_restart_after_last_entry():
 @pytest.mark.parametrize(
     "match_count", [0, 1, SLICE_ENTRIES - 1, SLICE_ENTRIES, SLICE_ENTRIES + 1, 3 * SLICE_ENTRIES + 7]
 )
-def test_slices_keep_order_and_reach_all_entries(match_count):
+def test_slices_keep_order_and_reach_all_entries(match_count: Any) -> None:
     matches = deque(StoredMatch(order) for order in range(match_count))
     for match in list(matches)[::3]:
         match.discard()
@@ -152,7 +153,7 @@ def test_slices_keep_order_and_reach_all_entries(match_count):
 
 
 @pytest.mark.parametrize("step", [1, -1])
-def test_removed_matches_are_dropped(step):
+def test_removed_matches_are_dropped(step: int) -> None:
     queue = ExpirationQueue()
     for order in range(20_000):
         match = StoredMatch(order)
@@ -167,7 +168,7 @@ def test_removed_matches_are_dropped(step):
 @pytest.mark.parametrize(
     ("queue", "add"), [(ExpirationQueue(), add_by_instant), (StartExpirationQueue(10), add_by_start)]
 )
-def test_matches_removed_after_visit_are_dropped(queue, add):
+def test_matches_removed_after_visit_are_dropped(queue: Any, add: Any) -> None:
     stored = deque()
     for order in range(20_000):
         stored.append(StoredMatch(order))
@@ -177,10 +178,10 @@ def test_matches_removed_after_visit_are_dropped(queue, add):
     assert len(queue) < 2000
 
 
-def test_matches_expire_by_start_in_any_order():
+def test_matches_expire_by_start_in_any_order() -> None:
     generator = random.Random(1)
     start_queue = StartExpirationQueue(10)
-    matches = []
+    matches: List[Any] = []
     for order in range(300):
         span = generator.choice((10, 10, 25))
         matches.append((order + generator.randint(-20, 0), span, StoredMatch(order)))

@@ -1,6 +1,7 @@
 """Interval index, compared with linear search."""
 
 import random
+from typing import Any, List, Tuple
 from weakref import ref
 
 import pytest
@@ -11,11 +12,11 @@ from retalis.events.matches.interval_index import MAX_VALUE, MIN_VALUE, Interval
 class Interval:
     """The attributes of a match that the index reads."""
 
-    def __init__(self, order, start, end):
+    def __init__(self, order: Any, start: Any, end: Any) -> None:
         self.order, self.start, self.end = order, start, end
 
 
-def linear_search(matches, limits, newest, beyond):
+def linear_search(matches: Any, limits: Any, newest: Any, beyond: Any) -> List[Any]:
     """Return the orders of the matches within limits that are older, or newer, than ``beyond``."""
     min_start, max_start, min_end, max_end = limits
     orders = [
@@ -28,9 +29,9 @@ def linear_search(matches, limits, newest, beyond):
     return sorted(orders, reverse=newest)
 
 
-def random_limits(generator, width):
+def random_limits(generator: Any, width: Any) -> Any:
     """Return limits of a random form: open, one-sided, or of one instant."""
-    limits = []
+    limits: List[Any] = []
     for _ in range(2):
         low = generator.randrange(width)
         high = low + generator.choice((0, 1, width // 4))
@@ -41,10 +42,10 @@ def random_limits(generator, width):
 @pytest.mark.parametrize("by_end", [False, True])
 @pytest.mark.parametrize("in_order", [False, True])
 @pytest.mark.parametrize("width", [6, 1000])
-def test_index_equals_linear_search(by_end, in_order, width):
+def test_index_equals_linear_search(by_end: bool, in_order: bool, width: int) -> None:
     generator = random.Random(width + by_end)
 
-    def interval(order):
+    def interval(order: Any) -> Tuple[Any, ...]:
         start = order if in_order else generator.randrange(width)
         return start, start + generator.randrange(width // 3)
 
@@ -67,12 +68,12 @@ def test_index_equals_linear_search(by_end, in_order, width):
 
 
 @pytest.mark.parametrize("newest", [False, True])
-def test_index_may_change_during_search(newest):
+def test_index_may_change_during_search(newest: bool) -> None:
     matches = [Interval(order, order % 7, order % 7 + 1) for order in range(200)]
     index = IntervalIndex(matches, False)
     limits = (3, 3, MIN_VALUE, MAX_VALUE)
     expected = linear_search(matches, limits, newest, MAX_VALUE if newest else MIN_VALUE)
-    orders = []
+    orders: List[Any] = []
     for match in index.search(limits, newest, MAX_VALUE if newest else MIN_VALUE):
         orders.append(match.order)
         if len(orders) == 2:
@@ -86,11 +87,11 @@ class CountingInt(int):
 
     comparison_count = 0
 
-    def __le__(self, other):
+    def __le__(self, other: Any) -> bool:
         CountingInt.comparison_count += 1
         return int(self) <= other
 
-    def __ge__(self, other):
+    def __ge__(self, other: Any) -> bool:
         CountingInt.comparison_count += 1
         return int(self) >= other
 
@@ -109,7 +110,9 @@ class CountingInt(int):
         ((MIN_VALUE, MAX_VALUE, MIN_VALUE, MAX_VALUE), False, 4996),
     ],
 )
-def test_search_compares_few_matches(by_end, limits, newest, beyond):
+def test_search_compares_few_matches(
+    by_end: bool, limits: Tuple[Any, ...], newest: bool, beyond: Any
+) -> None:
     matches = [Interval(order, CountingInt(order), CountingInt(order)) for order in range(5000)]
     index = IntervalIndex(matches, by_end)
     CountingInt.comparison_count = 0
@@ -120,7 +123,7 @@ def test_search_compares_few_matches(by_end, limits, newest, beyond):
 
 
 @pytest.mark.parametrize("initial_count", [1, 1000, 2000])
-def test_removed_matches_are_not_referenced(initial_count):
+def test_removed_matches_are_not_referenced(initial_count: int) -> None:
     matches = [Interval(order, order, order) for order in range(2000)]
     index = IntervalIndex(matches[:initial_count], False)
     for number in range(initial_count, 2000):
@@ -135,7 +138,7 @@ def test_removed_matches_are_not_referenced(initial_count):
     ] == [*range(7, 2000, 25)]
 
 
-def test_index_without_searches_is_idle():
+def test_index_without_searches_is_idle() -> None:
     matches = [Interval(order, order, order) for order in range(10)]
     index = IntervalIndex(matches, False)
     for order in range(10, 30):

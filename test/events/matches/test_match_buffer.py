@@ -1,5 +1,6 @@
 """Match buffers: order of arrival, partners by time, and changes during iteration."""
 
+from typing import Any, List, Optional
 from unittest.mock import patch
 
 import pytest
@@ -20,33 +21,33 @@ class Rule:
     order = 0
     stored_match_count = 0
 
-    def count_stored(self, match, span):
+    def count_stored(self, match: Any, span: Any) -> None:
         """Count a stored match."""
         self.stored_match_count += 1
 
 
 @pytest.fixture
-def buffer():
+def buffer() -> Any:
     """Return a buffer of the left side of ``meets``, with one shared variable."""
     buffer = MatchBuffer(Rule(), (0,))
     buffer.partner_bounds = interval_bounds("meets", None, False)
     return buffer
 
 
-def store_match(buffer, value, start, end):
+def store_match(buffer: Any, value: int, start: int, end: int) -> Any:
     """Store a match with a value in the buffer, and return it."""
     match = PartialMatch((value,), start, end, None, atom("p"), None)
     buffer.add(match, buffer.key_of(match))
     return match
 
 
-def ends(matches):
+def ends(matches: Any) -> List[Any]:
     """Return the ends of matches."""
     return [match.end for match in matches]
 
 
 @pytest.mark.parametrize("match_count", [10, 500])
-def test_partners_have_key_and_time(buffer, match_count):
+def test_partners_have_key_and_time(buffer: Any, match_count: int) -> None:
     for position in range(match_count):
         store_match(buffer, position % 2, position, position + 2)
     expected = store_match(buffer, 1, 4, 7)
@@ -56,7 +57,7 @@ def test_partners_have_key_and_time(buffer, match_count):
     assert ends(buffer.partners(2, 7, 9, True)) == []
 
 
-def test_index_is_created_after_many_misses(buffer):
+def test_index_is_created_after_many_misses(buffer: Any) -> None:
     for position in range(1000):
         store_match(buffer, 0, position, position)
     assert ends(buffer.partners(0, 999, 999, True)) == [999]
@@ -68,7 +69,7 @@ def test_index_is_created_after_many_misses(buffer):
     assert buffer.rule.stored_match_count == 1
 
 
-def test_unused_index_is_removed(buffer):
+def test_unused_index_is_removed(buffer: Any) -> None:
     for position in range(100):
         store_match(buffer, 0, position, position)
     assert ends(buffer.partners(0, 3, 3, True)) == [3]
@@ -79,7 +80,7 @@ def test_unused_index_is_removed(buffer):
     assert ends(buffer.partners(0, 3, 3, True)) == [3, 3]
 
 
-def test_key_without_matches_is_removed(buffer):
+def test_key_without_matches_is_removed(buffer: Any) -> None:
     matches = [store_match(buffer, 0, position, position) for position in range(3)]
     for match in (matches[1], matches[0], matches[2]):
         match.discard()
@@ -89,13 +90,15 @@ def test_key_without_matches_is_removed(buffer):
 
 @pytest.mark.parametrize("max_misses", [0, 32])
 @pytest.mark.parametrize("newest", [False, True])
-def test_buffer_may_change_during_iteration(buffer, monkeypatch, max_misses, newest):
+def test_buffer_may_change_during_iteration(
+    buffer: Any, monkeypatch: pytest.MonkeyPatch, max_misses: int, newest: bool
+) -> None:
     monkeypatch.setattr(match_buffer, "MAX_MISSES_BEFORE_INDEX", max_misses)
     matches = [store_match(buffer, 0, position, 50 if position % 3 else position) for position in range(30)]
     expected = [position for position in range(30) if position % 3]
     if newest:
         expected.reverse()
-    starts = []
+    starts: List[Any] = []
     for match in buffer.partners(0, 50, 60, newest):
         starts.append(match.start)
         if len(starts) == 3:
@@ -105,7 +108,7 @@ def test_buffer_may_change_during_iteration(buffer, monkeypatch, max_misses, new
     assert starts == [*expected[:3], expected[4], *expected[6:]]
 
 
-def test_matches_with_variables_have_every_key(buffer):
+def test_matches_with_variables_have_every_key(buffer: Any) -> None:
     store_match(buffer, 1, 1, 5)
     store_match(buffer, Var(), 2, 5)
     store_match(buffer, 1, 3, 5)
@@ -115,7 +118,7 @@ def test_matches_with_variables_have_every_key(buffer):
     assert [match.start for match in buffer.partners(None, 5, 5, True)] == [3, 2, 1]
 
 
-def test_newest_match_of_identity_replaces_older(buffer):
+def test_newest_match_of_identity_replaces_older(buffer: Any) -> None:
     buffer.set_identity_function(lambda match: match.term)
     store_match(buffer, 2, 1, 5)
     store_match(buffer, 2, 2, 5)
@@ -124,7 +127,7 @@ def test_newest_match_of_identity_replaces_older(buffer):
 
 
 @pytest.mark.parametrize("match_count", [2, 50])
-def test_match_of_same_identity_is_replaced(buffer, match_count):
+def test_match_of_same_identity_is_replaced(buffer: Any, match_count: int) -> None:
     buffer.set_identity_function(lambda match: match.start % match_count)
     for position in range(match_count * 3):
         store_match(buffer, 0, position, 5)
@@ -136,10 +139,10 @@ def test_match_of_same_identity_is_replaced(buffer, match_count):
 
 
 @pytest.mark.parametrize("newest", [False, True])
-def test_partner_removed_during_iteration_is_skipped(buffer, newest):
+def test_partner_removed_during_iteration_is_skipped(buffer: Any, newest: bool) -> None:
     matches = [store_match(buffer, 0, position, 50) for position in range(4)]
     expected = [3, 1, 0] if newest else [0, 2, 3]
-    starts = []
+    starts: List[Any] = []
     for match in buffer.partners(0, 50, 60, newest):
         starts.append(match.start)
         if len(starts) == 1:
@@ -158,19 +161,19 @@ CHANGES = st.one_of(
 
 @pytest.mark.parametrize("identity_count", [None, 3])
 @pytest.mark.parametrize("operator", [None, "meets", "seq", "during"])
-def test_buffer_equals_linear_search(operator, identity_count):
+def test_buffer_equals_linear_search(operator: Optional[str], identity_count: Optional[int]) -> None:
     """The thresholds are small here, so that indexes by time and by identity are created."""
     bounds = None if operator is None else interval_bounds(operator, None, True)
     limits = {"MAX_MISSES_BEFORE_INDEX": 3, "MAX_MISSES_WITH_INDEX": 1, "MAX_COMPARED_IDENTITIES": 1}
 
     @settings(deadline=None, derandomize=True, max_examples=60)
     @given(st.lists(CHANGES, min_size=10, max_size=50))
-    def check(steps):
+    def check(steps: List[Any]) -> None:
         buffer = MatchBuffer(Rule(), (0,))
         buffer.partner_bounds = bounds
         if identity_count is not None:
             buffer.set_identity_function(lambda match: (match.key, match.start % identity_count))
-        matches = []
+        matches: List[Any] = []
         for step, *values in steps:
             if step == "add":
                 key, start, length = values
@@ -200,7 +203,7 @@ def test_buffer_equals_linear_search(operator, identity_count):
         check()
 
 
-def fits(match, key, limits):
+def fits(match: Any, key: Any, limits: Any) -> Any:
     """Return whether a match may be a partner for a key within limits; None for any."""
     if not (key is None or match.key is None or match.key == key):
         return False

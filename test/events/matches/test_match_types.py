@@ -1,6 +1,7 @@
 """Identities of matches, equal for the same event terms only, and their arrival numbers."""
 
 import sys
+from typing import Any, List
 
 import pytest
 
@@ -25,19 +26,19 @@ from retalis.events.matches.match_types import (
         1,
     ],
 )
-def test_identities_of_different_parts_differ(other):
+def test_identities_of_different_parts_differ(other: Any) -> None:
     nested = Identity((1, Identity((2, "a"))))
     assert nested != other
     assert Identity((other, 1)) != Identity((nested, 1))
 
 
-def test_identities_of_equal_parts_are_equal():
+def test_identities_of_equal_parts_are_equal() -> None:
     first, second = (Identity((1, Identity((2, "a")))) for _ in range(2))
     assert first == second
     assert hash(first) == hash(second)
 
 
-def nested_match(depth, name):
+def nested_match(depth: int, name: str) -> Any:
     """Return a match whose first part has a first part, and so on, ``depth`` levels deep."""
     match = PartialMatch((), 0, 0, 1, atom(name), None)
     for level in range(1, depth):
@@ -47,22 +48,22 @@ def nested_match(depth, name):
     return match
 
 
-def test_identity_of_deep_match_needs_no_recursion():
+def test_identity_of_deep_match_needs_no_recursion() -> None:
     depth = 2 * sys.getrecursionlimit()
     assert identity(nested_match(depth, "a")) == identity(nested_match(depth, "a"))
     assert identity(nested_match(depth, "a")) != identity(nested_match(depth, "c"))
 
 
-def test_match_without_parts_has_identity():
+def test_match_without_parts_has_identity() -> None:
     assert identity(PartialMatch((), 0, 0, None, None, ())) == Identity(())
 
 
-def test_untracked_match_has_arrival_number_zero():
+def test_untracked_match_has_arrival_number_zero() -> None:
     assert arrival_number_of(nested_match(3, "a")) == 0
 
 
 @pytest.mark.parametrize(("short_class", "saved_slots"), [(EventMatch, 7), (OrderedEventMatch, 5)])
-def test_match_of_event_takes_less_memory(short_class, saved_slots):
+def test_match_of_event_takes_less_memory(short_class: Any, saved_slots: int) -> None:
     event, full = short_class(), PartialMatch((1,), 5, 5, None, ("a", 1), None)
     event.start = event.end = event.order = 5
     event.term = ("a", 1)
@@ -71,12 +72,12 @@ def test_match_of_event_takes_less_memory(short_class, saved_slots):
     assert sys.getsizeof(full) - sys.getsizeof(event) == 8 * saved_slots
 
 
-def test_tracking_starts_with_stored_matches():
+def test_tracking_starts_with_stored_matches() -> None:
     engine = Engine()
     engine.load(
         goals="set_etalis_flag(event_consumption_policy, chronological)", rules="c(X, Y) <- a(X, Y) seq b(X)."
     )
-    events = []
+    events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     rule = engine.rules.rules[0]
     # The second one has the time of the first, the third one the key of both.
@@ -94,7 +95,7 @@ def test_tracking_starts_with_stored_matches():
     assert not rule.stored_match_count
 
 
-def test_match_of_instant_is_short():
+def test_match_of_instant_is_short() -> None:
     engine = Engine()
     engine.load(rules="c(X, Y) <- a(X, Y) seq b(X).")
     instant = 2 * 10**9

@@ -1,6 +1,7 @@
 """Storage and expiration of negated events."""
 
 import random
+from typing import Any, List, Tuple
 
 import pytest
 from events.stream_programs import ProgramRunner, outputs_of
@@ -10,7 +11,7 @@ from retalis.events.matches.expiration import SLICE_ENTRIES
 from retalis.events.matches.negation import NegationBuffer
 
 
-def _negations(program):
+def _negations(program: Any) -> List[Any]:
     (rule,) = program.engine.rules.rules
     return [
         negation
@@ -20,7 +21,7 @@ def _negations(program):
     ]
 
 
-def test_keys_without_matches_are_removed():
+def test_keys_without_matches_are_removed() -> None:
     program = ProgramRunner("d(X) <- (a(X) seq b(X)) cnot c(X) within 5.")
     for number in range(3000):
         program.feed(f"c({number})@{number}")
@@ -30,7 +31,7 @@ def test_keys_without_matches_are_removed():
     assert program.feed("a(1)@3000 a(2)@3000 c(1)@3001 b(1)@3002 b(2)@3002") == "d(2)@3000-3002"
 
 
-def test_nested_negation_uses_outer_variables():
+def test_nested_negation_uses_outer_variables() -> None:
     rule = "s(Y) <- (p(Y) seq b) cnot (x fnot q(Y))."
     assert outputs_of(rule, "p(1)@1 b@5") == "s(1)@1-5"
     assert outputs_of(rule, "p(1)@1 x@3 b@5") == ""
@@ -66,7 +67,7 @@ def test_nested_negation_uses_outer_variables():
         ),
     ],
 )
-def test_negated_pattern_uses_outer_variables(rule, stream, expected):
+def test_negated_pattern_uses_outer_variables(rule: str, stream: str, expected: str) -> None:
     assert outputs_of(rule, stream, "chronological") == expected
 
 
@@ -80,11 +81,11 @@ def test_negated_pattern_uses_outer_variables(rule, stream, expected):
         ("o(X) <- b(X) and ((s seq aggregate(sum(X), a(X), _)) cnot c(X)).", "c(1)@1 s@2 b(0)@3", "o(0)@2-3"),
     ],
 )
-def test_negation_is_tested_when_variables_are_bound(rule, stream, expected):
+def test_negation_is_tested_when_variables_are_bound(rule: str, stream: str, expected: str) -> None:
     assert outputs_of(rule, stream) == expected
 
 
-def test_negated_conditions_share_bindings():
+def test_negated_conditions_share_bindings() -> None:
     rule = "o(X) <- a(X) fnot ((b(Y) where Z = f(X, Y)) where (Z = f(A, B), A < B, X > 0))."
     assert outputs_of(rule, "b(1)@1 a(0)@2 b(2)@3 a(1)@4 a(3)@5") == "o(0)@2-2 o(3)@5-5"
 
@@ -98,25 +99,25 @@ def test_negated_conditions_share_bindings():
         "l([property(window, 6)]) : o <- ((a seq b) cnot c) fnot d.",
     ],
 )
-def test_negated_event_is_kept_for_late_partner(rule):
+def test_negated_event_is_kept_for_late_partner(rule: str) -> None:
     """At the rule's time, 17, the window of c has ended; that of b, which may match a late partner, has not."""
     assert outputs_of(rule, "b@12-14 c@17 a@8", flags=["out_of_order"]) == "o@8-14"
     assert outputs_of(rule, "c@10 b@12-14 c@17 a@8", flags=["out_of_order"]) == ""
 
 
-def test_negated_parts_are_kept_for_late_partner():
+def test_negated_parts_are_kept_for_late_partner() -> None:
     rule = "o <- ((a seq b) cnot (c seq d)) within 7."
     assert outputs_of(rule, "c@10 b@14 c@18 d@12 a@8", "recent_2", ["out_of_order"]) == ""
 
 
-def test_negated_event_is_kept_by_outer_bound():
+def test_negated_event_is_kept_by_outer_bound() -> None:
     """The pair, which is too long for the outer bound, would consume b."""
     rule = "o <- (((a seq b) cnot c) seq d) within 5."
     assert outputs_of(rule, "c@2 b@9 c@12 a@1 a@8 d@10", flags=["out_of_order"]) == "o@8-10"
 
 
 @pytest.mark.parametrize("flags", [(), ("out_of_order",)])
-def test_negated_event_without_partner_expires(flags):
+def test_negated_event_without_partner_expires(flags: Tuple[Any, ...]) -> None:
     program = ProgramRunner("o <- ((a seq b) cnot (c seq d)) within 5.", flags)
     for number in range(0, 1000, 2):
         program.feed(f"c@{number} d@{number + 1}")
@@ -132,7 +133,7 @@ def test_negated_event_without_partner_expires(flags):
         ("b@0 b@0.5 a@1 b@1.000000001 c@5", ""),
     ],
 )
-def test_negated_event_meeting_side_is_not_between(stream, expected):
+def test_negated_event_meeting_side_is_not_between(stream: str, expected: str) -> None:
     """With two stored negated events, the third is searched by time, not compared alone."""
     assert outputs_of("x(1) <- (a seq c) cnot b.", stream) == expected
 
@@ -149,7 +150,9 @@ def test_negated_event_meeting_side_is_not_between(stream, expected):
         ("b(V)@10 c(V)@5 a(V)@6", "o(V)@6-10"),
     ],
 )
-def test_late_first_side_respects_window_of_negation(policy, value, stream, expected):
+def test_late_first_side_respects_window_of_negation(
+    policy: str, value: str, stream: str, expected: str
+) -> None:
     rule = "o(X) <- ((a(X) seq b(X)) cnot c(X)) within 5."
     outputs = outputs_of(rule, stream.replace("V", value), policy, ["out_of_order"])
     assert outputs == expected.replace("V", value)
@@ -169,7 +172,7 @@ IN_ORDER = [
 
 
 @pytest.fixture
-def _eager_sweeps(monkeypatch):
+def _eager_sweeps(monkeypatch: pytest.MonkeyPatch) -> None:
     """Sweep after every few events, and store no match that is ruled out."""
     monkeypatch.setattr("retalis.events.matches.negation.MAX_RULED_OUT", 0)
     monkeypatch.setattr("retalis.events.matches.expiration.VISITED_SLICE_ENTRIES", 3)
@@ -184,7 +187,9 @@ def _eager_sweeps(monkeypatch):
 @pytest.mark.usefixtures("_eager_sweeps")
 @pytest.mark.parametrize("policy", ["recent", "recent_2", "chronological", "unrestricted"])
 @pytest.mark.parametrize("rule", IN_ORDER)
-def test_dropping_ruled_out_matches_changes_no_output(rule, policy, monkeypatch):
+def test_dropping_ruled_out_matches_changes_no_output(
+    rule: Any, policy: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rng = random.Random(f"{rule} {policy}")
     dropping = ProgramRunner(rule, policy=policy)
     with monkeypatch.context() as patched:
@@ -201,7 +206,7 @@ def test_dropping_ruled_out_matches_changes_no_output(rule, policy, monkeypatch)
 
 
 @pytest.mark.usefixtures("_eager_sweeps")
-def test_ruled_out_match_waits_until_window_ends():
+def test_ruled_out_match_waits_until_window_ends() -> None:
     program = ProgramRunner("o(X) <- ((a(X) seq (b(X) seq d)) cnot c(X)) within 50.")
     program.feed("a(1)@1 b(1)@2 c(1)@3")
     program.feed(" ".join(f"a({second})@{second} c({second})@{second + 0.5}" for second in range(4, 30)))
@@ -236,7 +241,7 @@ def test_ruled_out_match_waits_until_window_ends():
         ("o(X) <- (walk(X) seq door(X)) cnot temp(X).", lambda second: f"temp({second})"),
     ],
 )
-def test_negated_events_are_bounded(rule, event_at):
+def test_negated_events_are_bounded(rule: str, event_at: Any) -> None:
     program = ProgramRunner(rule)
     for second in range(20_000):
         program.engine.event(event_at(second), second)
@@ -254,7 +259,7 @@ def test_negated_events_are_bounded(rule, event_at):
     ],
 )
 @pytest.mark.parametrize("interval", [0, 9])
-def test_frontier_drops_removed_events(rule, interval):
+def test_frontier_drops_removed_events(rule: str, interval: int) -> None:
     program = ProgramRunner(rule)
     walk = "walk(1)" if "(X)" in rule else "walk"
     for second in range(20_000):
@@ -266,7 +271,7 @@ def test_frontier_drops_removed_events(rule, interval):
 
 @pytest.mark.usefixtures("_eager_sweeps")
 @pytest.mark.parametrize("value", ["_", "f(_)"])
-def test_negated_event_is_kept_for_open_first_side(value):
+def test_negated_event_is_kept_for_open_first_side(value: str) -> None:
     program = ProgramRunner("o(X, Y) <- (a(X, Y) seq b) cnot c(X, Y).", policy="unrestricted")
     program.feed(f"a(1,{value})@1 c(1,f(1))@2 a(2,{value})@3")
     for second in range(4, 40):
@@ -274,7 +279,7 @@ def test_negated_event_is_kept_for_open_first_side(value):
     assert program.feed("b@50").startswith("o(2,")
 
 
-def test_next_sweep_begins_earlier_after_removals(monkeypatch):
+def test_next_sweep_begins_earlier_after_removals(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("retalis.events.matches.negation.MAX_RULED_OUT", 5)
     monkeypatch.setattr("retalis.events.matches.expiration.VISITED_SLICE_ENTRIES", 20)
     for name, value in (
@@ -293,7 +298,7 @@ def test_next_sweep_begins_earlier_after_removals(monkeypatch):
 
 
 @pytest.mark.slow
-def test_event_removes_few_expired_matches():
+def test_event_removes_few_expired_matches() -> None:
     program = ProgramRunner("o(X) <- (a(X) seq b(X)) cnot c(X).")
     rules = program.engine.rules
     event_count = 20_000
@@ -313,7 +318,7 @@ def test_event_removes_few_expired_matches():
 
 
 @pytest.mark.slow
-def test_newest_ruled_out_matches_wait_for_late_event():
+def test_newest_ruled_out_matches_wait_for_late_event() -> None:
     program = ProgramRunner("o(X, Y) <- (a(X) seq b(Y)) cnot c.", policy="recent_2")
     for second in range(0, 20_000, 2):
         program.engine.event(f"a({second})", second)
@@ -327,7 +332,7 @@ def test_newest_ruled_out_matches_wait_for_late_event():
 @pytest.mark.parametrize(
     "rule", ["o(X) <- (a(X) seq b(X)) within 5.", "o(X) <- ((a(X) seq b(X)) cnot c(X)) within 5."]
 )
-def test_windows_expire_with_pinned_clock(rule):
+def test_windows_expire_with_pinned_clock(rule: str) -> None:
     engine = Engine()
     rules = engine.rules
     rules.clock.pin(0)

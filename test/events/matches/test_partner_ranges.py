@@ -1,6 +1,7 @@
 """Time ranges of the search for partners: complete, and as narrow as possible for each operator."""
 
 from itertools import product
+from typing import Any, Optional
 
 import pytest
 
@@ -10,13 +11,13 @@ from retalis.events.matches.interval_index import BEFORE, BETWEEN, MAX_VALUE, MI
 INTERVALS = [(start, end) for start, end in product(range(6), repeat=2) if start <= end]
 
 
-def within(limits, interval):
+def within(limits: Any, interval: Any) -> Any:
     """Return whether an interval is within limits."""
     min_start, max_start, min_end, max_end = limits
     return min_start <= interval[0] <= max_start and min_end <= interval[1] <= max_end
 
 
-def fits(operator, span, first, second):
+def fits(operator: Any, span: Any, first: Any, second: Any) -> Any:
     """Return whether a pair satisfies an operator, and its result is not longer than the span."""
     names = {"s1": first[0], "e1": first[1], "s2": second[0], "e2": second[1]}
     length = eval(f"({operator.end}) - ({operator.start})", {}, names)
@@ -25,7 +26,7 @@ def fits(operator, span, first, second):
 
 @pytest.mark.parametrize("span", [None, 0, 3])
 @pytest.mark.parametrize("name", list(PAIR_OPERATORS))
-def test_matching_partners_are_within_bounds(name, span):
+def test_matching_partners_are_within_bounds(name: Any, span: Optional[int]) -> None:
     operator = PAIR_OPERATORS[name]
     for first, second in product(INTERVALS, repeat=2):
         if fits(operator, span, first, second):
@@ -36,13 +37,13 @@ def test_matching_partners_are_within_bounds(name, span):
 
 @pytest.mark.parametrize("name", ["seq", "forall_seq", "equals", "meets", "during", "starts", "finishes"])
 @pytest.mark.parametrize("left", [False, True])
-def test_partners_within_bounds_match(name, left):
+def test_partners_within_bounds_match(name: str, left: bool) -> None:
     for interval, partner in product(INTERVALS, repeat=2):
         if within(interval_bounds(name, None, left).limits(*interval), partner):
             assert fits(PAIR_OPERATORS[name], None, *((interval, partner) if left else (partner, interval)))
 
 
-def test_partners_of_and_are_bounded_by_window_only():
+def test_partners_of_and_are_bounded_by_window_only() -> None:
     assert interval_bounds("and", None, True) is None
     assert interval_bounds("and", 10, True).limits(5, 7) == (-3, MAX_VALUE, MIN_VALUE, 15)
 
@@ -57,11 +58,11 @@ def test_partners_of_and_are_bounded_by_window_only():
         ("finishes", True, True),
     ],
 )
-def test_most_limited_instant_is_indexed(name, left, by_end):
+def test_most_limited_instant_is_indexed(name: str, left: bool, by_end: bool) -> None:
     assert interval_bounds(name, None, left).by_end is by_end
 
 
-def test_bounds_of_negated_events():
+def test_bounds_of_negated_events() -> None:
     assert [interval for interval in INTERVALS if within(BETWEEN.limits(1, 4), interval)] == [
         (2, 2),
         (2, 3),

@@ -1,6 +1,7 @@
 """Consumption policies, windows, labels and flags."""
 
 from enum import Enum
+from typing import Any, List
 
 import pytest
 from events.stream_programs import ProgramRunner, format_events, outputs_of
@@ -23,7 +24,7 @@ EQUAL_EVENTS = "a@1 a@2 b@3 b@4"
     ],
 )
 @pytest.mark.parametrize("operator", ["seq", "and"])
-def test_policy_of_joins(policy, operator, different, identical):
+def test_policy_of_joins(policy: str, operator: str, different: str, identical: str) -> None:
     assert outputs_of(f"c(X) <- a(X) {operator} b.", DISTINCT_EVENTS, policy) == different
     assert outputs_of(f"d <- a {operator} b.", EQUAL_EVENTS, policy) == identical
 
@@ -36,18 +37,18 @@ def test_policy_of_joins(policy, operator, different, identical):
         ("unrestricted", "c(1)@1-1 c(2)@2-2 c(1)@1-3 c(2)@2-3"),
     ],
 )
-def test_policy_of_runs(policy, expected):
+def test_policy_of_runs(policy: str, expected: str) -> None:
     assert outputs_of("c(X) <- a(X) seq b star_times.", "a(1)@1 a(2)@2 b@3", policy) == expected
 
 
-def test_policy_applies_to_stored_matches():
+def test_policy_applies_to_stored_matches() -> None:
     program = ProgramRunner("c(X) <- a(X) seq b.")
     program.feed("a(1)@1 a(2)@2")
     program.set("event_consumption_policy", "unrestricted")
     assert program.feed("b@3 b@4") == "c(1)@1-3 c(2)@2-3 c(1)@1-4 c(2)@2-4"
 
 
-def test_rule_has_own_policy():
+def test_rule_has_own_policy() -> None:
     rules = "r([property(policy,{})]) : c(X) <- a(X) seq b. d(X) <- a(X) seq b."
     own = {"chronological": "c(1)@1-3 d(2)@2-3", "unrestricted": "c(1)@1-3 c(2)@2-3 d(2)@2-3"}
     for policy, expected in own.items():
@@ -55,18 +56,18 @@ def test_rule_has_own_policy():
     assert outputs_of(rules.format("recent"), "a(1)@1 a(2)@2 b@3", "chronological") == "c(2)@2-3 d(1)@1-3"
 
 
-def test_rule_has_own_out_of_order_property():
+def test_rule_has_own_out_of_order_property() -> None:
     rules = "r([property(out_of_order,{})]) : c <- a seq b. d <- a seq b."
     assert outputs_of(rules.format("on"), "b@5 a@2") == "c@2-5"
     assert outputs_of(rules.format("off"), "b@5 a@2", flags=["out_of_order"]) == "d@2-5"
 
 
-def test_negated_event_is_kept_for_late_first_side():
+def test_negated_event_is_kept_for_late_first_side() -> None:
     rules = "r([property(window,3),property(out_of_order,on)]) : c <- (a seq b) cnot d."
     assert outputs_of(rules, "d@1 b@2 b@4 a@0") == ""
 
 
-def test_last_policy_applies_immediately():
+def test_last_policy_applies_immediately() -> None:
     program = ProgramRunner("r([property(policy,chronological)]) : c(X) <- a(X) seq b.")
     program.feed("a(1)@1 a(2)@2")
     program.engine.load(rules="event_rule_property(r, policy, unrestricted).")
@@ -77,12 +78,12 @@ def test_last_policy_applies_immediately():
     assert program.feed("b@5") == "c(2)@2-5"
 
 
-def test_properties_of_rule_are_restored():
+def test_properties_of_rule_are_restored() -> None:
     rules = "r([property(policy,chronological),property(out_of_order,on)]) : c(X) <- a(X) seq b."
     program = ProgramRunner(rules)
     program.feed("a(2)@2 a(1)@1")
     engine = Engine.restore(program.engine.snapshot())
-    events = []
+    events: List[Any] = []
     engine.on_event(lambda *event: events.append(event))
     for term, second in (("b", 3), ("b", 4), ("b", 9), ("a(8)", 8)):
         engine.event(term, second, second)
@@ -91,45 +92,45 @@ def test_properties_of_rule_are_restored():
     ) == ("c(2)@2-3 c(1)@1-4 c(8)@8-9")
 
 
-def test_rejected_partners_are_kept():
+def test_rejected_partners_are_kept() -> None:
     assert (
         outputs_of("c(X) <- a(X) seq b(Y) where X < Y.", "a(1)@1 a(9)@2 b(5)@3 b(10)@4")
         == "c(1)@1-3 c(9)@2-4"
     )
 
 
-def test_identical_rules_both_emit():
+def test_identical_rules_both_emit() -> None:
     assert outputs_of("c <- a seq b. c <- a seq b.", "a@1 b@2") == "c@1-2 c@1-2"
 
 
 @pytest.mark.parametrize("property_name", ["window", "event_rule_window"])
-def test_window_property_limits_matches(property_name):
+def test_window_property_limits_matches(property_name: str) -> None:
     rules = f"r([property({property_name},2)]) : c <- a seq b."
     assert outputs_of(rules, "a@1 b@3 a@4 b@6.000000001") == "c@1-3"
 
 
-def test_window_of_unlabeled_rules():
+def test_window_of_unlabeled_rules() -> None:
     assert outputs_of("event_rule_property(unlabeled,window,2). c <- a and b.", "a@1 b@9 a@10") == "c@9-10"
 
 
-def test_window_removes_old_matches():
+def test_window_removes_old_matches() -> None:
     program = ProgramRunner("r([property(window,2)]) : c(X) <- a(X) seq b(X).")
     program.feed(" ".join(f"a({i})@{i}" for i in range(100)))
     assert program.engine.rules.match_count == 3
 
 
-def test_within_removes_inner_matches():
+def test_within_removes_inner_matches() -> None:
     program = ProgramRunner("c <- ((a(X) and b(X)) seq d) within 5.")
     program.feed(" ".join(f"a({i})@{i}" for i in range(100)))
     assert program.engine.rules.match_count == 5
 
 
-def test_timestamp_far_ahead_does_not_advance_rule():
+def test_timestamp_far_ahead_does_not_advance_rule() -> None:
     program = ProgramRunner("r([property(window,2)]) : c(X) <- a(X) seq b.")
     assert program.feed("a(1)@1 a(2)@9000000 b@2") == "c(1)@1-2"
 
 
-def test_match_limit_drops_oldest():
+def test_match_limit_drops_oldest() -> None:
     program = ProgramRunner("c(X) <- a(X) seq b.", policy="chronological")
     program.engine.rules.max_stored = 3
     program.feed(" ".join(f"a({i})@{i}" for i in range(10)))
@@ -138,7 +139,7 @@ def test_match_limit_drops_oldest():
     assert "partial matches" in str(program.warnings[0])
 
 
-def test_out_of_order_flag_accepts_late_events():
+def test_out_of_order_flag_accepts_late_events() -> None:
     rules, stream = "c <- a seq b.", "b@2 a@1"
     assert outputs_of(rules, stream) == ""
     assert outputs_of(rules, stream, flags=["out_of_order"]) == "c@1-2"
@@ -157,13 +158,13 @@ def test_out_of_order_flag_accepts_late_events():
         ("unrestricted", "n(0)@3-3 n(1)@3-4 n(2)@3-6 n(0)@1-1 n(1)@1-2 n(2)@1-4 n(3)@1-6 n(3)@3-8 n(4)@1-8"),
     ],
 )
-def test_late_start_includes_earlier_repetitions(policy, expected):
+def test_late_start_includes_earlier_repetitions(policy: str, expected: str) -> None:
     rules, stream = "n(N) <- a seq aggregate(count, b, N).", "b@2 b@4 a@3 b@6 a@1 b@8"
     assert outputs_of(rules, stream, policy, ["out_of_order"]) == expected
     assert "n(1)@3-4" not in outputs_of(rules, stream, policy)
 
 
-def test_general_garbage_control_removes_matches():
+def test_general_garbage_control_removes_matches() -> None:
     flags = [("garbage_window", 2), ("garbage_window_step", 1), ("garbage_control", "general")]
     rules = "c(X) <- a(X) seq b(X). f(X) <- e fnot g(X). s(N) <- i(X) seq aggregate(count, j(X), N)."
     stream = " ".join(f"a({i})@{i} g({i})@{i} i({i})@{i}" for i in range(50))
@@ -174,7 +175,7 @@ def test_general_garbage_control_removes_matches():
     assert collecting_program.engine.rules.match_count < 10
 
 
-def test_garbage_control_keeps_active_runs():
+def test_garbage_control_keeps_active_runs() -> None:
     flags = [("garbage_window", 10), ("garbage_window_step", 1), ("garbage_control", "general")]
     program = ProgramRunner("s(N) <- i seq aggregate(count, j, N). t <- i seq j star_times.", flags)
     assert program.feed("i@1 j@8") == "s(0)@1-1 t@1-1 s(1)@1-8 t@1-8"
@@ -183,7 +184,7 @@ def test_garbage_control_keeps_active_runs():
     assert program.engine.rules.match_count == 0
 
 
-def test_pattern_garbage_control_uses_windows():
+def test_pattern_garbage_control_uses_windows() -> None:
     rules = (
         "r([property(window,50), property(window_step,1)]) : c(X) <- a(X) seq b(X). d(X) <- a(X) seq e(X)."
     )
@@ -193,19 +194,19 @@ def test_pattern_garbage_control_uses_windows():
 
 
 @pytest.mark.parametrize("goal", ["set_etalis_flag(foo,on)", "set_etalis_flag(out_of_order,maybe)"])
-def test_invalid_flag_is_refused(goal):
+def test_invalid_flag_is_refused(goal: str) -> None:
     with pytest.raises(Exception, match="etalis_flag"):
         ProgramRunner().engine.call(goal)
 
 
-def test_rule_sharing_changes_no_output():
+def test_rule_sharing_changes_no_output() -> None:
     rules = "p <- a seq b. p <- z. q <- a seq b seq d."
     assert outputs_of(rules, "z@0 a@1 b@2 d@3", flags=["rule_sharing"]) == outputs_of(
         rules, "z@0 a@1 b@2 d@3"
     )
 
 
-def test_late_first_side_consumes_no_second_side():
+def test_late_first_side_consumes_no_second_side() -> None:
     rule, flags = "c(X) <- a forall_seq b(X).", ["out_of_order"]
     assert (
         outputs_of(rule, "b(1)@5 b(2)@6 a@2 a@3", "unrestricted", flags)
@@ -223,14 +224,14 @@ class PolicyWithoutJoin(Enum):
     consumes_partners = replaces_identical = property(lambda self: False)
 
 
-def test_policy_without_join_is_refused():
+def test_policy_without_join_is_refused() -> None:
     for policy in ConsumptionPolicy:
         check_policy(policy)
     with pytest.raises(UsageError, match="policy newest_of_all: the network has no join"):
         check_policy(PolicyWithoutJoin.NEWEST)
 
 
-def test_refused_policy_leaves_rule_unchanged():
+def test_refused_policy_leaves_rule_unchanged() -> None:
     engine = Engine()
     engine.load("c(X) <- a(X) seq b(X).")
     (rule,) = engine.rules.rules

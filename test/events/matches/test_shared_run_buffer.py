@@ -1,5 +1,7 @@
 """Shared run buffers: equality is independent of their division."""
 
+from typing import Any, List, Tuple
+
 import pytest
 
 from retalis import atom
@@ -7,14 +9,14 @@ from retalis.events.matches.match_types import PartialMatch
 from retalis.events.matches.shared_run_buffer import BufferSlice, SharedLog, repetitions
 
 
-def events(names):
+def events(names: str) -> List[Any]:
     """Return a match for each of some event names."""
     return [
         PartialMatch((), instant, instant, instant, atom(name), None) for instant, name in enumerate(names)
     ]
 
 
-def chain(*slices):
+def chain(*slices: Any) -> Any:
     """Return a chain of slices, each ``(names, begin, end)``."""
     return BufferSlice(tuple((SharedLog(events(names)), begin, end) for names, begin, end in slices))
 
@@ -22,17 +24,17 @@ def chain(*slices):
 @pytest.mark.parametrize(
     "slices", [[("ab", 0, 2)], [("xab", 1, 3)], [("abx", 0, 2)], [("xax", 1, 2), ("b", 0, 1)]]
 )
-def test_chains_of_equal_terms_are_equal(slices):
+def test_chains_of_equal_terms_are_equal(slices: List[Tuple[Any, ...]]) -> None:
     assert chain(*slices) == chain(("ab", 0, 2))
     assert hash(chain(*slices)) == hash(chain(("ab", 0, 2)))
 
 
 @pytest.mark.parametrize("slices", [[("ba", 0, 2)], [("ab", 0, 1)], [("abc", 1, 3)]])
-def test_chains_of_different_terms_differ(slices):
+def test_chains_of_different_terms_differ(slices: List[Tuple[Any, ...]]) -> None:
     assert chain(*slices) != chain(("ab", 0, 2))
 
 
-def test_hash_of_slice_is_independent_of_log():
+def test_hash_of_slice_is_independent_of_log() -> None:
     log = SharedLog(events("a"))
     assert hash(BufferSlice(((log, 0, 1),))) == hash(chain(("a", 0, 1)))
     log.items += events("bc")
@@ -40,7 +42,7 @@ def test_hash_of_slice_is_independent_of_log():
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])
-def test_repetitions_of_nested_match(count):
+def test_repetitions_of_nested_match(count: int) -> None:
     matches = events("abcde")[:count]
     match = matches[0]
     for last in matches[1:]:
@@ -49,7 +51,7 @@ def test_repetitions_of_nested_match(count):
 
 
 @pytest.mark.parametrize("count", [2, 5])
-def test_repetitions_of_match_with_chain(count):
+def test_repetitions_of_match_with_chain(count: int) -> None:
     matches, (last,) = events("abcde")[:count], events("x")
     match = PartialMatch((), 0, count, None, None, (BufferSlice(((SharedLog(matches), 0, count),)),))
     assert repetitions(match, count) == matches

@@ -1,5 +1,7 @@
 """Watermarks: alarms wait for events that are received later than their stamps say."""
 
+from typing import Any, List, Tuple
+
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -16,19 +18,19 @@ END = 100 * SECOND
 class EngineDriver:
     """An engine with a receipt clock; its alarms run at their own instants, as on a robot and in a bag."""
 
-    def __init__(self, rules, goals="", **engine_settings):
+    def __init__(self, rules: Any, goals: str = "", **engine_settings: Any) -> None:
         self.clock = StreamClock()
         self.engine = Engine(self.clock, Settings(**engine_settings))
         self.derived = []
         self.engine.on_event(self.record)
         self.engine.load(rules=rules, goals=goals)
 
-    def record(self, term, start, end):
+    def record(self, term: Any, start: Any, end: Any) -> None:
         text = self.engine.show(term)
         if not text.startswith(("in", "memory_")):
             self.derived.append((text, int(start), int(end)))
 
-    def advance(self, instant):
+    def advance(self, instant: Any) -> None:
         alarm = self.clock.next_alarm()
         while alarm is not None and alarm <= instant:
             self.clock.move_to(alarm)
@@ -37,11 +39,11 @@ class EngineDriver:
         self.clock.move_to(instant)
         self.engine.advance()
 
-    def receive(self, text, stamp, lag=0):
+    def receive(self, text: str, stamp: Any, lag: int = 0) -> None:
         self.advance(stamp + lag)
         self.engine.event_at(self.engine.query(f"X = {text}")[0]["X"], stamp, stamp)
 
-    def receive_all(self, arrivals):
+    def receive_all(self, arrivals: Any) -> Any:
         for receipt, text, stamp in arrivals:
             self.receive(text, stamp, receipt - stamp)
         self.advance(END)
@@ -51,7 +53,7 @@ class EngineDriver:
 ALARM = "alarm <- in(no) seq absent(in(yes), 0.5)."
 
 
-def test_event_received_after_deadline_cancels_alarm():
+def test_event_received_after_deadline_cancels_alarm() -> None:
     driver = EngineDriver(ALARM)
     driver.clock.move_to(1000 * SECOND)
     driver.engine.event("in(no)", 1000)
@@ -62,7 +64,7 @@ def test_event_received_after_deadline_cancels_alarm():
     assert driver.derived == []
 
 
-def test_known_lag_delays_alarm_but_not_its_interval():
+def test_known_lag_delays_alarm_but_not_its_interval() -> None:
     driver = EngineDriver(ALARM)
     driver.receive("in(no)", 10 * SECOND, 30 * MILLISECOND)
     driver.advance(10 * SECOND + 529 * MILLISECOND)
@@ -71,14 +73,14 @@ def test_known_lag_delays_alarm_but_not_its_interval():
     assert driver.derived == [("alarm", 10 * SECOND, 10 * SECOND + 500 * MILLISECOND)]
 
 
-def test_delay_of_zero_ignores_lag():
+def test_delay_of_zero_ignores_lag() -> None:
     driver = EngineDriver(ALARM, watermark_delay=0)
     driver.receive("in(no)", 10 * SECOND, 30 * MILLISECOND)
     driver.advance(10 * SECOND + 500 * MILLISECOND)
     assert len(driver.derived) == 1
 
 
-def test_property_of_label_replaces_flag():
+def test_property_of_label_replaces_flag() -> None:
     driver = EngineDriver(f"slow([property(watermark_delay, 2)]) : {ALARM}", watermark_delay=0)
     driver.receive("in(no)", 10 * SECOND)
     driver.advance(12 * SECOND)
@@ -87,7 +89,7 @@ def test_property_of_label_replaces_flag():
     assert len(driver.derived) == 1
 
 
-def test_delay_is_bounded():
+def test_delay_is_bounded() -> None:
     driver = EngineDriver(ALARM, max_watermark_delay=0.2)
     driver.receive("in(no)", 10 * SECOND, 400 * MILLISECOND)
     driver.advance(10 * SECOND + 700 * MILLISECOND)
@@ -102,7 +104,7 @@ def test_delay_is_bounded():
     ],
     ids=["by a rule", "by a goal"],
 )
-def test_lag_of_topic_delays_derived_patterns(rules):
+def test_lag_of_topic_delays_derived_patterns(rules: str) -> None:
     driver = EngineDriver(rules)
     driver.receive("in(no)", 10 * SECOND, 30 * MILLISECOND)
     driver.receive("in(yes)", 10 * SECOND + 490 * MILLISECOND, 25 * MILLISECOND)
@@ -110,7 +112,7 @@ def test_lag_of_topic_delays_derived_patterns(rules):
     assert [event for event in driver.derived if event[0] == "alarm"] == []
 
 
-def test_lag_of_another_topic_does_not_delay_pattern():
+def test_lag_of_another_topic_does_not_delay_pattern() -> None:
     driver = EngineDriver(
         "alarm <- in(no) seq absent(in(yes), 0.5). other <- in_camera(1) seq absent(in_camera(2), 5)."
     )
@@ -120,17 +122,17 @@ def test_lag_of_another_topic_does_not_delay_pattern():
     assert len(driver.derived) == 1
 
 
-def test_clock_that_follows_events_measures_no_lag():
+def test_clock_that_follows_events_measures_no_lag() -> None:
     engine = Engine()
     engine.load(rules=ALARM)
-    outputs = []
+    outputs: List[Any] = []
     engine.on_event(lambda term, start, end: outputs.append(engine.show(term)))
     for event, second in (("in(no)", 10), ("in(other)", 1), ("in(other)", 10.5)):
         engine.event(event, second)
     assert outputs == ["in(no)", "in(other)", "alarm", "in(other)"]
 
 
-def test_restored_engine_keeps_lags_and_alarm():
+def test_restored_engine_keeps_lags_and_alarm() -> None:
     driver = EngineDriver(ALARM)
     driver.receive("in(no)", 10 * SECOND, 30 * MILLISECOND)
     driver.advance(10 * SECOND + 510 * MILLISECOND)
@@ -146,7 +148,7 @@ def test_restored_engine_keeps_lags_and_alarm():
     assert other.engine.snapshot() == driver.engine.snapshot()
 
 
-def test_query_timeout_waits_for_late_records():
+def test_query_timeout_waits_for_late_records() -> None:
     driver = EngineDriver(
         "synchronized(answer, true, [[records, 10]], [timeout(0.2)]) <- in_go.",
         "memorize(in(X), [], X, records, 9).",
@@ -158,7 +160,7 @@ def test_query_timeout_waits_for_late_records():
     assert ("answer", 10 * SECOND, 10 * SECOND) in driver.derived
 
 
-def test_timeout_without_lag_is_as_written():
+def test_timeout_without_lag_is_as_written() -> None:
     driver = EngineDriver(
         "synchronized(answer, true, [[records, 10]], [timeout(0.2)]) <- in_go.",
         "memorize(in(X), [], X, records, 9).",
@@ -173,7 +175,7 @@ def test_timeout_without_lag_is_as_written():
 STATE = "state(open(X), from(in(X, on)), until(in(X, off)), [within(1)])."
 
 
-def test_late_event_does_not_extend_ended_state():
+def test_late_event_does_not_extend_ended_state() -> None:
     driver = EngineDriver("closed(X) <- open(X).", STATE)
     driver.receive("in(a, on)", 10 * SECOND, 300 * MILLISECOND)
     # Received while the end of the state waits for late events.
@@ -181,7 +183,7 @@ def test_late_event_does_not_extend_ended_state():
     assert ("open(a)", 10 * SECOND, 11 * SECOND) in driver.derived
 
 
-def test_state_begins_again_while_its_end_waits():
+def test_state_begins_again_while_its_end_waits() -> None:
     driver = EngineDriver("closed(X) <- open(X).", STATE)
     driver.receive("in(a, on)", 10 * SECOND, 300 * MILLISECOND)
     driver.receive("in(a, on)", 11 * SECOND + 50 * MILLISECOND, 10 * MILLISECOND)
@@ -194,7 +196,7 @@ def test_state_begins_again_while_its_end_waits():
     ]
 
 
-def test_lag_is_forgotten_after_one_to_two_periods():
+def test_lag_is_forgotten_after_one_to_two_periods() -> None:
     lag = TopicLag()
     lag.observe(5, 0)
     lag.observe(1, LAG_WINDOW)
@@ -217,7 +219,7 @@ stamped_events = st.lists(
 """Stamp in ms, event, and lag in ms."""
 
 
-def with_beacons(events):
+def with_beacons(events: Any) -> List[Tuple[Any, ...]]:
     """Return (stamp, text, lag) in ns, with an event of the longest lag every 4 s, by which the delay is known."""
     beacons = [(stamp, "in(none, none)", 300) for stamp in range(10_000, 60_000, 4000)]
     return [
@@ -225,12 +227,12 @@ def with_beacons(events):
     ]
 
 
-def receive_at_stamps(driver, events):
+def receive_at_stamps(driver: EngineDriver, events: Any) -> Any:
     return driver.receive_all([(stamp, text, stamp) for stamp, text, _ in events])
 
 
-def receive_with_lags(driver, events, in_order):
-    arrivals = []
+def receive_with_lags(driver: EngineDriver, events: Any, in_order: bool) -> Any:
+    arrivals: List[Any] = []
     receipt = 0
     for stamp, text, lag in events:
         receipt = max(receipt, stamp + lag) if in_order else stamp + lag
@@ -253,7 +255,7 @@ OUT_OF_ORDER_PROGRAMS = {
 @given(stamped_events)
 @example([(20_000, "in(a, on)", 0), (20_490, "in(a, off)", 15)])
 @example([(30_254, "in(a, on)", 300), (30_549, "in(a, on)", 4)])
-def test_results_with_lags_equal_those_at_stamps(rules, events):
+def test_results_with_lags_equal_those_at_stamps(rules: Any, events: Any) -> None:
     all_events = with_beacons(events)
     expected = sorted(receive_at_stamps(EngineDriver(rules, watermark_delay=0), all_events))
     for delay in (None, 0.3):
@@ -271,7 +273,7 @@ IN_ORDER_PROGRAMS = {
 @pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(stamped_events)
-def test_ordered_results_with_lags_are_equal(program, events):
+def test_ordered_results_with_lags_are_equal(program: Any, events: Any) -> None:
     all_events = with_beacons(events)
     expected = sorted(receive_at_stamps(EngineDriver(*program, watermark_delay=0), all_events))
     outputs = receive_with_lags(EngineDriver(*program), all_events, in_order=True)
@@ -281,7 +283,7 @@ def test_ordered_results_with_lags_are_equal(program, events):
 @pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(stamped_events, st.integers(20_000, 51_000))
-def test_restored_run_equals_continued_run(events, instant):
+def test_restored_run_equals_continued_run(events: Any, instant: int) -> None:
     rules = "\n".join(OUT_OF_ORDER_PROGRAMS[name] for name in ("absent", "debounce", "every"))
     arrivals = sorted((stamp + lag, text, stamp) for stamp, text, lag in with_beacons(events))
     restored = EngineDriver(rules, STATE)
@@ -298,7 +300,7 @@ def test_restored_run_equals_continued_run(events, instant):
     assert restored.derived == continued.receive_all(arrivals)
 
 
-def test_event_after_deadline_replaces_nothing():
+def test_event_after_deadline_replaces_nothing() -> None:
     driver = EngineDriver(ALARM, watermark_delay=1)
     driver.receive("in(no)", 10 * SECOND)
     driver.receive("in(no)", 10 * SECOND + 600 * MILLISECOND)
@@ -318,7 +320,7 @@ def test_event_after_deadline_replaces_nothing():
         ([0, 999, 500], [0, 999]),
     ],
 )
-def test_later_event_replaces_earlier_received_one(arrivals, starts):
+def test_later_event_replaces_earlier_received_one(arrivals: List[int], starts: List[int]) -> None:
     driver = EngineDriver(ALARM, watermark_delay=2)
     for stamp in arrivals:
         driver.receive("in(no)", 10 * SECOND + stamp * MILLISECOND, (1000 - stamp) * MILLISECOND)
@@ -328,7 +330,7 @@ def test_later_event_replaces_earlier_received_one(arrivals, starts):
     ]
 
 
-def test_explanation_names_waiting_alarm():
+def test_explanation_names_waiting_alarm() -> None:
     driver = EngineDriver("", watermark_delay=1)
     record_origins(driver.engine)
     driver.engine.load(rules=ALARM)
@@ -338,7 +340,7 @@ def test_explanation_names_waiting_alarm():
     assert "the time after it is over, and the alarm waits 1 s for late events" in text
 
 
-def test_lags_of_oldest_names_are_dropped():
+def test_lags_of_oldest_names_are_dropped() -> None:
     driver = EngineDriver("lost <- beat seq absent(beat, 2).")
     driver.receive("beat", SECOND, MAX_LAG)
     for number in range(MAX_TOPICS):

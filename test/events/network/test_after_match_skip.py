@@ -1,5 +1,7 @@
 """After-match skip strategies of rules."""
 
+from typing import Any, List, Tuple
+
 import pytest
 from events.stream_programs import ProgramRunner, format_events, outputs_of
 
@@ -8,7 +10,7 @@ from retalis import Engine
 PAST, NEXT, KEEP = "skip_past_last", "skip_to_next", "keep"
 
 
-def rule(after_match, text, policy="recent"):
+def rule(after_match: Any, text: str, policy: str = "recent") -> str:
     return f"r([property(after_match,{after_match}),property(policy,{policy})]) : {text}"
 
 
@@ -20,54 +22,54 @@ def rule(after_match, text, policy="recent"):
         (NEXT, "c@1-2 c@2-3 c@3-4", "c(1)@1-3 c(2)@2-3", "c@1-1 c@3-3"),
     ],
 )
-def test_strategies_skip_starts(strategy, repeated, pairs, runs):
+def test_strategies_skip_starts(strategy: Any, repeated: str, pairs: str, runs: str) -> None:
     assert outputs_of(rule(strategy, "c <- a ntimes 2."), "a@1 a@2 a@3 a@4") == repeated
     assert outputs_of(rule(strategy, "c(X) <- a(X) seq b.", "unrestricted"), "a(1)@1 a(2)@2 b@3 b@4") == pairs
     assert outputs_of(rule(strategy, "c <- a seq b star_times."), "a@1 b@2 a@3") == runs
 
 
-def test_late_event_before_end_of_match_is_skipped():
+def test_late_event_before_end_of_match_is_skipped() -> None:
     rules = rule(PAST, "c(X) <- a(X) and b.")
     assert outputs_of(rules, "a(1)@1 b@5 a(2)@3 a(3)@6 b@4 b@5.5") == "c(1)@1-5 c(3)@5.5-6"
 
 
-def test_first_match_of_start_is_emitted():
+def test_first_match_of_start_is_emitted() -> None:
     rules = rule(NEXT, "c(X) <- a(X) seq b.", "unrestricted")
     assert outputs_of(rules, "a(1)@1 a(2)@1 b@2 b@3 a(3)@1 b@4") == "c(1)@1-2 c(3)@1-4"
 
 
-def test_starts_at_same_instant_are_one_start():
+def test_starts_at_same_instant_are_one_start() -> None:
     assert outputs_of(rule(NEXT, "c(X) <- a(X) seq b(X)."), "a(1)@1 a(2)@1 b(1)@2 b(2)@3") == "c(1)@1-2"
 
 
-def test_partners_of_skipped_match_are_consumed():
+def test_partners_of_skipped_match_are_consumed() -> None:
     rules = rule(PAST, "c(X,Y) <- (a(X) seq b event_multiply member(Y, [1, 2])) and d(Y).")
     assert outputs_of(rules, "d(2)@1 d(1)@1 a(0)@2 b@3") == "c(0,1)@1-3"
 
 
-def test_goals_are_called_for_emitted_matches_only():
+def test_goals_are_called_for_emitted_matches_only() -> None:
     rules = rule(PAST, "c(X) do assertz(called(X)) <- a(X) seq b.", "unrestricted") + " :- dynamic called/1."
     program = ProgramRunner(rules)
     assert program.feed("a(1)@1 a(2)@2 b@3") == "c(1)@1-3"
     assert [answer["X"] for answer in program.engine.query("called(X)")] == [1]
 
 
-def test_match_with_failed_goal_skips_nothing():
+def test_match_with_failed_goal_skips_nothing() -> None:
     rules = rule(PAST, "c(X) do X > 1 <- a(X) seq b.", "unrestricted")
     assert outputs_of(rules, "a(1)@1 a(2)@2 a(3)@2 b@3") == "c(2)@2-3"
 
 
-def test_all_results_of_event_multiply_are_emitted():
+def test_all_results_of_event_multiply_are_emitted() -> None:
     rules = rule(PAST, "c(X,Y) do Y < 3 <- a(X) seq b event_multiply member(Y, [1, 2, 3]).", "unrestricted")
     assert outputs_of(rules, "a(1)@1 a(2)@2 b@3") == "c(1,1)@1-3 c(1,2)@1-3"
 
 
-def test_match_beyond_window_skips_nothing():
+def test_match_beyond_window_skips_nothing() -> None:
     rules = "r([property(after_match,skip_past_last),property(window,2)]) : c <- a. "
     assert outputs_of(rules, "a@1-9 a@2-4 a@3-4 a@5") == "c@2-4 c@5-5"
 
 
-def test_negated_pattern_is_not_skipped():
+def test_negated_pattern_is_not_skipped() -> None:
     rules = rule(PAST, "c(X) <- (a(X) seq b(X)) cnot (d seq e).")
     assert outputs_of(rules, "a(1)@1 b(1)@9 d@2 e@3 a(2)@1 a(3)@10 d@11 e@12 b(3)@13 a(4)@14 b(4)@15") == (
         "c(1)@1-9 c(4)@14-15"
@@ -76,7 +78,7 @@ def test_negated_pattern_is_not_skipped():
     assert outputs_of(rules, "d@1 d@2 a(1)@3-5 d@4 a(2)@6") == "c(1)@3-5"
 
 
-def test_event_on_both_sides_is_skipped():
+def test_event_on_both_sides_is_skipped() -> None:
     assert (
         outputs_of(rule(PAST, "c(X,Y) <- a(X) and a(Y)."), "a(1)@1 a(2)@2 a(3)@3 a(4)@4")
         == "c(1,2)@1-2 c(3,4)@3-4"
@@ -84,12 +86,12 @@ def test_event_on_both_sides_is_skipped():
 
 
 @pytest.mark.parametrize("flags", [(), ("revision_flag",), ("etalis_justification",)])
-def test_recursive_rule_skips_starts(flags):
+def test_recursive_rule_skips_starts(flags: Tuple[Any, ...]) -> None:
     rules = rule(NEXT, "a(Y) <- a(X) seq b where (X < 3, Y is X + 1).", "unrestricted")
     assert outputs_of(rules, "a(1)@1 a(2)@1 b@2 b@3", flags=flags) == "a(2)@1-2 a(3)@1-3"
 
 
-def test_strategy_applies_immediately():
+def test_strategy_applies_immediately() -> None:
     program = ProgramRunner("r : c(X) do true <- a(X) seq b.", policy="unrestricted")
     assert program.feed("a(1)@1 a(2)@2 b@3") == "c(1)@1-3 c(2)@2-3"
     program.engine.load(rules="event_rule_property(r, after_match, skip_to_next).")
@@ -103,11 +105,11 @@ def test_strategy_applies_immediately():
 
 
 @pytest.mark.parametrize("strategy", [PAST, NEXT])
-def test_skipped_starts_are_restored(strategy):
+def test_skipped_starts_are_restored(strategy: Any) -> None:
     program = ProgramRunner(rule(strategy, "c(X) <- a(X) seq b.", "unrestricted"))
     program.feed("a(1)@1 a(2)@4 b@3")
     engine = Engine.restore(program.engine.snapshot())
-    events = []
+    events: List[Any] = []
     engine.on_event(lambda *event: events.append(event))
     for term, second in (("a(3)", 2), ("b", 5), ("b", 6)):
         engine.event(term, second, second)
@@ -116,13 +118,13 @@ def test_skipped_starts_are_restored(strategy):
     ) == ("c(2)@4-5" if strategy == PAST else "c(2)@4-5 c(3)@2-5")
 
 
-def test_timestamp_far_ahead_does_not_stop_rule():
+def test_timestamp_far_ahead_does_not_stop_rule() -> None:
     program = ProgramRunner(rule(PAST, "c <- a seq b."), clock=None)
     far = 10_000_000
     assert program.feed(f"a@1 b@{far} a@1000011 b@1000012") == f"c@1-{far} c@1000011-1000012"
 
 
-def test_skip_state_stays_small():
+def test_skip_state_stays_small() -> None:
     for strategy in (PAST, NEXT):
         program = ProgramRunner(rule(strategy, "c <- a(X) seq b(X)."))
         (event_rule,) = program.engine.rules.rules
@@ -132,20 +134,20 @@ def test_skip_state_stays_small():
         assert event_rule.skip_state.entry_count <= 2 * event_rule.stored_match_count + 1002
 
 
-def test_clear_forgets_skipped_starts():
+def test_clear_forgets_skipped_starts() -> None:
     program = ProgramRunner(rule(PAST, "c <- a seq b."))
     assert program.feed("a@1 b@9") == "c@1-9"
     program.engine.rules.clear()
     assert program.feed("a@2 b@3") == "c@2-3"
 
 
-def test_skipped_match_is_not_emitted_by_retraction():
+def test_skipped_match_is_not_emitted_by_retraction() -> None:
     rules = rule(PAST, "c(X) <- (a(X) fnot d(X)) and b.")
     stream = "d(1)@0 a(1)@1 a(2)@2 b@3 b@9 rev(d(1))@10 a(3)@11"
     assert outputs_of(rules, stream, flags=["revision_flag"]) == "c(2)@2-3 c(3)@9-11"
 
 
-def test_skipped_result_is_not_emitted_again():
+def test_skipped_result_is_not_emitted_again() -> None:
     rules = rule(PAST, "c(N) <- (a seq aggregate(count, e(_), N) where N > 0) and b.")
     stream = "a@1 e(1)@2 e(2)@3 b@4 b@9 rev(e(1))@10 a@11 e(3)@12"
     assert outputs_of(rules, stream, flags=["revision_flag"]) == "c(2)@1-4 rev(c(2))@10-10 c(1)@9-12"

@@ -4,6 +4,8 @@ An odd value costs at most its own event. The results of other keys are those of
 value is counted as an error of its rule, no error reaches the caller, and later rules match the event.
 """
 
+from typing import Any, Tuple
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -81,7 +83,7 @@ ARRAYS = ["[1,2,3]", "[4.5,5.0,6.5]", "[7,8,9]"]
 class OddEngine(Engine):
     """An engine that collects its reports, and its derived events by key."""
 
-    def __init__(self, rule):
+    def __init__(self, rule: Any) -> None:
         super().__init__()
         self.errors, self.results, self.later_count = [], {}, 0
         self.rules.on_error = lambda error: self.errors.append(error.message)
@@ -91,12 +93,12 @@ class OddEngine(Engine):
         for key in "abc":
             self.event(f"begin({key})", 1)
 
-    def _collect(self, term, start, end):
+    def _collect(self, term: Any, start: Any, end: Any) -> None:
         if term.__class__ is tuple and term[0].name == "r":
             self.results.setdefault(self.show(term[1]), []).append((self.show(term), start, end))
         self.later_count += term.__class__ is tuple and term[0].name == "later"
 
-    def feed(self, arrivals):
+    def feed(self, arrivals: Any) -> Any:
         for key, value, instant in arrivals:
             self.event(f"in({key},{value})", instant)
         self.event("end", 1000)
@@ -104,7 +106,7 @@ class OddEngine(Engine):
         return self.results
 
 
-def make_streams(values):
+def make_streams(values: Any) -> Any:
     """Return a strategy of streams: arrivals of keys and values in order, and odd ones among them."""
     steps = st.sampled_from([0.0, 0.1, 0.3, 0.7, 1.5])
     regular = st.tuples(st.sampled_from("abc"), st.sampled_from(values), steps, st.just(False))
@@ -112,7 +114,7 @@ def make_streams(values):
     return st.lists(st.one_of(regular, regular, odd), min_size=1, max_size=25)
 
 
-def place(stream):
+def place(stream: Any) -> Tuple[Any, ...]:
     """Return the arrivals, and those without the odd ones."""
     instant, arrivals, regular_arrivals = 2.0, [], []
     for key, value, step, is_odd in stream:
@@ -126,7 +128,7 @@ def place(stream):
 @pytest.mark.slow
 @settings(max_examples=150)
 @given(st.sampled_from(RULES), st.one_of(make_streams(NUMBERS), make_streams(ARRAYS)))
-def test_odd_values_change_no_result_of_other_keys(rule, stream):
+def test_odd_values_change_no_result_of_other_keys(rule: Any, stream: Any) -> None:
     arrivals, regular_arrivals = place(stream)
     odd_keys = {key for key, _, _, is_odd in stream if is_odd}
     mixed, regular = OddEngine(rule), OddEngine(rule)
@@ -143,7 +145,7 @@ def test_odd_values_change_no_result_of_other_keys(rule, stream):
     make_streams(NUMBERS),
     st.sampled_from(REFUSED_BY_SUM),
 )
-def test_refused_values_are_counted_only(window, aggregate, stream, value):
+def test_refused_values_are_counted_only(window: Any, aggregate: Any, stream: Any, value: Any) -> None:
     result = "[R,S]" if aggregate.startswith("[") else "R"
     rule = f"r(K,R) <- aggregate({aggregate}, in(K,V), {result}, {window})."
     stream = [(key, value if is_odd else own, step, is_odd) for key, own, step, is_odd in stream]

@@ -1,5 +1,7 @@
 """Goals of a stream operator that emit events for it, reset it or change its flags."""
 
+from typing import Any, Tuple
+
 import pytest
 
 from retalis import Engine
@@ -15,7 +17,7 @@ same(S, S).
 """
 
 
-def load_engine(rules):
+def load_engine(rules: str) -> Tuple[Any, ...]:
     """Return an engine, its derived events, and its reports."""
     engine, derived, reports = Engine(), [], []
     rules_of_engine = engine.rules
@@ -51,7 +53,7 @@ EVENT, RESET, FLAG = "event(a(9),[2,2])", "reset_db", "set_etalis_flag(revision_
         ("last(8, every(4))", RESET, "w([3,2,1])"),
     ],
 )
-def test_goal_of_fold_is_deferred_until_event_is_added(window, goal, outputs):
+def test_goal_of_fold_is_deferred_until_event_is_added(window: str, goal: Any, outputs: str) -> None:
     engine, derived, reports = load_engine(FOLD.format(window=window, goal=goal))
     for number in (1, 2, 3):
         engine.event(f"a({number})", number)
@@ -73,7 +75,7 @@ def test_goal_of_fold_is_deferred_until_event_is_added(window, goal, outputs):
         (f"{RESET}, {EVENT}", "w([9,3,4])"),
     ],
 )
-def test_condition_of_row_pattern_is_deferred(goal, outputs):
+def test_condition_of_row_pattern_is_deferred(goal: Any, outputs: str) -> None:
     engine, derived, reports = load_engine(
         f"w(S) <- aggregate(list(X), a(X), S, steps([s(3) where (X =\\= 2 ; {goal})]))."
     )
@@ -84,7 +86,7 @@ def test_condition_of_row_pattern_is_deferred(goal, outputs):
 
 
 @pytest.mark.parametrize("goal", ["del_event_rule(own)", "reset_etalis"])
-def test_self_deleted_rule_emits_earlier_matches(goal):
+def test_self_deleted_rule_emits_earlier_matches(goal: str) -> None:
     engine, derived, _ = load_engine("own : " + FOLD.format(window="last(10)", goal=goal).lstrip())
     for number in (1, 2, 3):
         engine.event(f"a({number})", number)
@@ -92,7 +94,7 @@ def test_self_deleted_rule_emits_earlier_matches(goal):
     assert engine.rules.rules == []
 
 
-def test_endless_chain_of_events_is_stopped():
+def test_endless_chain_of_events_is_stopped() -> None:
     rules = "w(S) <- aggregate(fold(none, step, same, X), a(X), S, last(1, events)).\n"
     engine, derived, reports = load_engine(
         rules + "none(0). same(S, S). step(X, _, X) :- Y is X + 1, event(a(Y), [1,1])."
@@ -105,7 +107,7 @@ def test_endless_chain_of_events_is_stopped():
     engine.event("tick", 2)
 
 
-def test_condition_of_absent_event_emits_events():
+def test_condition_of_absent_event_emits_events() -> None:
     rules = (
         "lost(X) <- a(X) seq absent((b(Y) where note(X, Y)), 5).\nnote(X, Y) :- event(a(X), [3,3]), Y > X.\n"
     )
@@ -116,7 +118,7 @@ def test_condition_of_absent_event_emits_events():
     assert derived == ["b(2)", "lost(1)"]
 
 
-def test_deferred_work_runs_in_order():
+def test_deferred_work_runs_in_order() -> None:
     dispatcher = Dispatcher()
     queue, executed, end_frame = ReentrancyQueue(dispatcher), [], ("end",)
     assert queue.prepend_deferred_work(end_frame) is end_frame
@@ -132,5 +134,5 @@ def test_deferred_work_runs_in_order():
     assert not queue.is_running
 
 
-def _interrupt():
+def _interrupt() -> None:
     raise KeyboardInterrupt

@@ -2,6 +2,7 @@
 
 import random
 from collections import Counter
+from typing import Any
 
 import pytest
 
@@ -28,7 +29,7 @@ RULES = {
 SEED_COUNT = 8
 
 
-def random_events(generator, few_values):
+def random_events(generator: Any, few_values: bool) -> Any:
     """Return events with their instants; with ``few_values``, so that some values are equal."""
     now, events = 10, []
     for number in range(12):
@@ -39,12 +40,12 @@ def random_events(generator, few_values):
     return events
 
 
-def remaining_outputs(rule, events):
+def remaining_outputs(rule: Any, events: Any) -> Any:
     """Return the count of each output that is not retracted, after all deadlines."""
     engine = Engine()
     counts = Counter()
 
-    def record(term, start, end):
+    def record(term: Any, start: Any, end: Any) -> None:
         text = engine.show(term)
         if text.startswith("out"):
             counts[text] += 1
@@ -62,7 +63,7 @@ def remaining_outputs(rule, events):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in RULES if name != "joined"])
-def test_retraction_equals_missing_event(name):
+def test_retraction_equals_missing_event(name: Any) -> None:
     for seed in range(SEED_COUNT):
         generator = random.Random(seed)
         events = random_events(generator, name == "change")
@@ -80,13 +81,13 @@ def test_retraction_equals_missing_event(name):
         ), (seed, with_retraction)
 
 
-def test_retraction_removes_joined_output():
+def test_retraction_removes_joined_output() -> None:
     outputs = remaining_outputs(RULES["joined"], [("t(a,1)", 10), ("t(a,2)", 11)])
     assert outputs == {"out(a,1)": 1}
     assert not remaining_outputs(RULES["joined"], [("t(a,1)", 10), ("rev(t(a,1))", 10)])
 
 
-def test_retraction_in_long_stream(monkeypatch):
+def test_retraction_in_long_stream(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stream_node, "MAX_REPLAYED_ELEMENTS", 5)
     events = [(f"t(a,{number})", 10 + number) for number in range(30)]
     for name in ("last", "newest", "batch", "every", "hopping", "running"):
@@ -97,7 +98,7 @@ def test_retraction_in_long_stream(monkeypatch):
         ), name
 
 
-def test_output_of_long_window_has_limited_sources():
+def test_output_of_long_window_has_limited_sources() -> None:
     engine = Engine()
     engine.load(
         goals="set_etalis_flag(etalis_justification,on).",

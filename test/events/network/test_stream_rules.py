@@ -1,6 +1,8 @@
 """Stream operators in rules: deadlines, state and reports."""
 
 from fractions import Fraction
+from pathlib import Path
+from typing import Any, Iterator, List, Tuple
 
 import pytest
 from events.stream_programs import outputs_of
@@ -13,7 +15,7 @@ from retalis.prolog.terms.timestamps import SECOND
 class EngineDriver(Engine):
     """An engine that records the events of rules, and the reports."""
 
-    def __init__(self, rules, max_stored=None, clock=None):
+    def __init__(self, rules: Any, max_stored: Any = None, clock: Any = None) -> None:
         super().__init__(clock)
         rules_of_engine = self.rules
         rules_of_engine.max_stored = rules_of_engine.max_stored if max_stored is None else max_stored
@@ -24,12 +26,12 @@ class EngineDriver(Engine):
         self.load(rules=rules)
         self.on_event(self._record)
 
-    def _record(self, term, start, end):
+    def _record(self, term: Any, start: Any, end: Any) -> None:
         text = self.show(term)
         if not text.startswith(("in", "no", "tick")):
             self.outputs.append(f"{text}@{start / SECOND:g}-{end / SECOND:g}")
 
-    def feed(self, text):
+    def feed(self, text: str) -> str:
         """Process events, each as ``event@end`` or ``event@start-end``; return the outputs of rules."""
         del self.outputs[:]
         for item in text.split():
@@ -39,10 +41,10 @@ class EngineDriver(Engine):
         return " ".join(self.outputs)
 
     @property
-    def event_rules(self):
+    def event_rules(self) -> Any:
         return self.rules.rules
 
-    def streams(self):
+    def streams(self) -> List[Any]:
         """Return the operators of all rules."""
         return [
             node.stream for rule in self.event_rules for node, _, _ in rule.nodes if hasattr(node, "stream")
@@ -52,14 +54,14 @@ class EngineDriver(Engine):
 EVERY = "{0}(N) <- aggregate(count, in(_), N, every({1})).\n"
 
 
-def test_due_outputs_precede_event_of_same_instant():
+def test_due_outputs_precede_event_of_same_instant() -> None:
     rules = EVERY.format("b", 3) + EVERY.format("a", 2) + "c(X) <- in(X) seq absent(in(_), 4). d <- tick."
     engine = EngineDriver(rules)
     assert engine.feed("in(1)@1 tick@6") == "a(1)@0-2 b(1)@0-3 c(1)@1-5 d@6-6"
     assert engine.feed("in(1)@7 tick@12") == "a(1)@6-8 b(1)@6-9 c(1)@7-11 d@12-12"
 
 
-def test_deadlines_of_one_instant_are_ordered():
+def test_deadlines_of_one_instant_are_ordered() -> None:
     rules = EVERY.format("b", 2) + EVERY.format("a", 2)
     assert EngineDriver(rules).feed("in(1)@1 tick@2") == "b(1)@0-2 a(1)@0-2"
     inner = "w(N) <- aggregate(count, (in(X) with debounce(1)), N, every(2))."
@@ -75,7 +77,7 @@ def test_deadlines_of_one_instant_are_ordered():
         "bad <- aggregate(count, in(_), N, every(2)) where N > x.",
     ],
 )
-def test_error_of_rule_leaves_other_deadlines(rule):
+def test_error_of_rule_leaves_other_deadlines(rule: str) -> None:
     engine = EngineDriver(EVERY.format("a", 2) + rule + "\n" + EVERY.format("z", 2))
     assert engine.feed("in(1)@1 in(2)@1.5 in(3)@3 tick@9") == "a(2)@0-2 z(2)@0-2 a(1)@2-4 z(1)@2-4"
     assert engine.reports
@@ -91,12 +93,12 @@ def test_error_of_rule_leaves_other_deadlines(rule):
         ("b(_,1)@2 a(2,1)@1", False),
     ],
 )
-def test_absent_event_cancels_unifying_events(stream, is_emitted):
+def test_absent_event_cancels_unifying_events(stream: str, is_emitted: bool) -> None:
     engine = EngineDriver("o(Y) <- a(X, Y) seq absent(b(X, Y), 3).")
     assert engine.feed(f"{stream} tick@9").endswith(" o(1)@1-4") == is_emitted
 
 
-def test_deleted_rule_has_no_deadlines():
+def test_deleted_rule_has_no_deadlines() -> None:
     engine = EngineDriver(EVERY.format("a", 2) + EVERY.format("z", 2))
     engine.feed("in(1)@1")
     event_rules = engine.rules
@@ -104,7 +106,7 @@ def test_deleted_rule_has_no_deadlines():
     assert engine.feed("tick@9") == "z(1)@0-2"
 
 
-def test_clock_moved_back_clears_state():
+def test_clock_moved_back_clears_state() -> None:
     rules = (
         EVERY.format("a", 2)
         + "w(X) <- aggregate(list(Y), in(Y), X, last(100)). t(X) <- in(X) with throttle(100). "
@@ -141,7 +143,7 @@ RULES_WITH_STATE = {
 
 @pytest.mark.parametrize("name", RULES_WITH_STATE)
 @pytest.mark.parametrize("flags", ["", ":- set_etalis_flag(revision_flag, on).\n"])
-def test_oldest_element_is_dropped_at_limit(name, flags):
+def test_oldest_element_is_dropped_at_limit(name: Any, flags: str) -> None:
     """Dropped elements are counted, reported seldom, and not stored."""
     engine = EngineDriver(flags + RULES_WITH_STATE[name], max_stored=5)
     for number in range(150):
@@ -160,7 +162,7 @@ def test_oldest_element_is_dropped_at_limit(name, flags):
         )
 
 
-def test_node_has_one_timer():
+def test_node_has_one_timer() -> None:
     """The clock stores few alarms and each node one timer, however many matches wait."""
     engine = EngineDriver(
         "w(X) <- in(X) seq absent(no, 10).\nv(X) <- in(X) with debounce(5, X).\n" + EVERY.format("a", 1)
@@ -173,7 +175,7 @@ def test_node_has_one_timer():
     assert sum(rule.match_count for rule in engine.event_rules) >= 650
 
 
-def test_late_elements_are_counted_and_reported_seldom():
+def test_late_elements_are_counted_and_reported_seldom() -> None:
     engine = EngineDriver("w(N) <- aggregate(count, in(_), N, last(2)).")
     engine.feed("in(1)@10 " + "in(1)@5 " * 9)
     assert engine.event_rules[0].late_count == 9
@@ -186,7 +188,7 @@ def test_late_elements_are_counted_and_reported_seldom():
     assert "its window has ended" in engine.reports[0]
 
 
-def test_refused_value_is_reported_and_skipped():
+def test_refused_value_is_reported_and_skipped() -> None:
     engine = EngineDriver("w(S) <- aggregate(sum(X), in(X), S, last(100)).")
     assert engine.feed("in(1)@1 in(a)@2 in(inf)@2.5 in(1+1)@3") == "w(1)@1-1 w(3)@1-3"
     assert engine.event_rules[0].metrics.error_count == 2
@@ -208,11 +210,11 @@ ADDITIVE = ("sum", "avg", "stddev")
 COMPARATIVE = ("min", "max", "median", "quantile")
 
 
-def patterns_of(aggregate):
+def patterns_of(aggregate: Any) -> List[Any]:
     return [*WINDOWS, *([WITHOUT_WINDOW] if aggregate in ("sum", "avg", "min", "max") else [])]
 
 
-def results_of_patterns(aggregate, value, factor=""):
+def results_of_patterns(aggregate: str, value: str, factor: str = "") -> Iterator[Any]:
     """Yield the last result for two values, and the errors, of each pattern in one program.
 
     `factor` follows the variable.
@@ -232,7 +234,7 @@ def results_of_patterns(aggregate, value, factor=""):
 @pytest.mark.parametrize("factor", ["", "*1"])
 @pytest.mark.parametrize("value", ["e", "pi", "inf", '"b"', "[98]", "'b'", "1+e", "f(2)", "[]", "Y"])
 @pytest.mark.parametrize("aggregate", [*ADDITIVE, *COMPARATIVE])
-def test_value_that_is_no_number_is_reported(aggregate, value, factor):
+def test_value_that_is_no_number_is_reported(aggregate: Any, value: str, factor: str) -> None:
     """`is` would evaluate constants such as e and pi, and texts and lists of one character."""
     for result, (report,) in results_of_patterns(aggregate, value, factor):
         assert result in ("", "r(0)", "r(1)", "r(1.0)")
@@ -242,7 +244,7 @@ def test_value_that_is_no_number_is_reported(aggregate, value, factor):
 
 
 @pytest.mark.parametrize("aggregate", [*ADDITIVE, *COMPARATIVE])
-def test_only_additive_aggregates_accept_expressions(aggregate):
+def test_only_additive_aggregates_accept_expressions(aggregate: Any) -> None:
     for result, reports in results_of_patterns(aggregate, "1+2"):
         if aggregate in ADDITIVE:
             assert result == {"sum": "r(4)", "avg": "r(2)", "stddev": "r(1.4142135623730951)"}[aggregate]
@@ -263,40 +265,40 @@ def test_only_additive_aggregates_accept_expressions(aggregate):
         ("avg", " ** 2", "r(5)"),
     ],
 )
-def test_expression_of_rule_is_evaluated(aggregate, factor, result):
+def test_expression_of_rule_is_evaluated(aggregate: str, factor: str, result: str) -> None:
     for result_and_reports in results_of_patterns(aggregate, "3", factor):
         assert result_and_reports == (result, [])
 
 
 @pytest.mark.parametrize("timestamp", ["[2,500000000]", "datime(1970,1,1,0,0,2.5,0)"])
-def test_timestamp_is_a_number(timestamp):
+def test_timestamp_is_a_number(timestamp: str) -> None:
     for result_and_reports in results_of_patterns("max", timestamp):
         assert result_and_reports == ("r(2.5)", [])
 
 
 @pytest.mark.parametrize("value", ["1.0Inf", "-1.0Inf", "1.5NaN"])
 @pytest.mark.parametrize("aggregate", [*ADDITIVE, "median"])
-def test_infinite_value_is_not_added(aggregate, value):
+def test_infinite_value_is_not_added(aggregate: Any, value: str) -> None:
     """A sum with such a value would never be a number again."""
     for _, (report,) in results_of_patterns(aggregate, value):
         assert report.endswith(f"the value is '{value}': expected a finite number")
 
 
 @pytest.mark.parametrize("aggregate", ["min", "max"])
-def test_nan_is_not_compared(aggregate):
+def test_nan_is_not_compared(aggregate: str) -> None:
     for _, (report,) in results_of_patterns(aggregate, "1.5NaN"):
         assert report.endswith("the value is '1.5NaN': expected a number")
 
 
 @pytest.mark.parametrize("aggregate", ["sum", "avg"])
-def test_overflow_of_running_sum_is_reported(aggregate):
+def test_overflow_of_running_sum_is_reported(aggregate: str) -> None:
     engine = EngineDriver(f"r(R) <- s seq aggregate({aggregate}(X), a(X), R).")
     engine.feed("s@0 a(1.5e308)@1 a(1.5e308)@2 a(-1.5e308)@3")
     assert [report.rpartition(": ")[2] for report in engine.reports] == ["a number is too large"]
     assert [output for output in engine.outputs if output.startswith("r(")][-1] == "r(0.0)@0-3"
 
 
-def test_rates_are_rounded_once():
+def test_rates_are_rounded_once() -> None:
     """A division by rounded seconds would be off by one bit for some spans."""
     spans = range(1, 400)
     engine = EngineDriver(
@@ -306,7 +308,7 @@ def test_rates_are_rounded_once():
     assert engine.outputs[1:] == [f"r({span},{float(Fraction(1000, span))!r})@0-0" for span in spans]
 
 
-def test_overflow_of_window_is_reported_once():
+def test_overflow_of_window_is_reported_once() -> None:
     engine = EngineDriver("w(S) <- aggregate(sum(X), in(X), S, every(2, events)).")
     assert engine.feed("in(1.0e308)@1 in(1.0e308)@2 in(1)@3 in(2)@4") == "w(3)@3-4"
     assert [report.rpartition(": ")[2] for report in engine.reports] == [
@@ -335,7 +337,7 @@ INNER_PATTERNS = (
 
 @pytest.mark.parametrize("flag", FLAGS)
 @pytest.mark.parametrize("policy", POLICIES)
-def test_timed_output_matches_outer_pattern(policy, flag):
+def test_timed_output_matches_outer_pattern(policy: Any, flag: Any) -> None:
     """The output occurs at an instant of the clock, without an input event."""
     value = "general" if flag == "garbage_control" else "on"
     rules = [f":- set_etalis_flag({flag}, {value}), set_etalis_flag(event_consumption_policy, {policy})."]
@@ -353,7 +355,7 @@ def test_timed_output_matches_outer_pattern(policy, flag):
     )
 
 
-def test_clock_emits_output_without_event():
+def test_clock_emits_output_without_event() -> None:
     clock = StreamClock()
     engine = EngineDriver(EVERY.format("a", 2), clock=clock)
     engine.event("in(1)", 1, 1)
@@ -362,13 +364,13 @@ def test_clock_emits_output_without_event():
     assert engine.outputs == ["a(1)@0-2"]
 
 
-def recorded_events(engine):
-    events = []
+def recorded_events(engine: Any) -> Any:
+    events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     return events
 
 
-def test_window_survives_change_of_flags():
+def test_window_survives_change_of_flags() -> None:
     engine = Engine()
     engine.load(rules="w(S) <- aggregate(list(X), a(X), S, last(10, events)).")
     events = recorded_events(engine)
@@ -382,7 +384,7 @@ def test_window_survives_change_of_flags():
     assert events[-1] == "w([1,2,3,5])"
 
 
-def test_untracked_event_is_not_in_justification():
+def test_untracked_event_is_not_in_justification() -> None:
     engine = Engine()
     engine.load(rules="w(S) <- aggregate(list(X), a(X), S, last(4, events)).")
     engine.event("a(1)", 1)
@@ -391,7 +393,7 @@ def test_untracked_event_is_not_in_justification():
     assert engine.query("justify_event(w([1,2]), T, J)")
 
 
-def test_reloaded_rules_keep_deadlines(tmp_path):
+def test_reloaded_rules_keep_deadlines(tmp_path: Path) -> None:
     (tmp_path / "eventRules.txt").write_text(
         "d(X) <- a(X) with debounce(3). l(X) <- a(X) seq absent(b, 4).\n"
     )
@@ -411,7 +413,7 @@ def test_reloaded_rules_keep_deadlines(tmp_path):
 @pytest.mark.parametrize(
     ("window", "output"), [("every(3, first)", "w(1)@1-4"), ("running(every(3, first))", "w(1)@1-1")]
 )
-def test_window_in_the_past_does_not_begin(window, output):
+def test_window_in_the_past_does_not_begin(window: str, output: str) -> None:
     engine = EngineDriver(f"w(N) <- aggregate(count, in(_), N, {window}).")
     assert engine.feed("in(1)@1 tick@10 in(2)@6 in(3)@7 tick@10.5") == output
     assert [rule.late_count for rule in engine.event_rules] == [2]
@@ -420,7 +422,7 @@ def test_window_in_the_past_does_not_begin(window, output):
 
 
 @pytest.mark.parametrize("order", [(1, 6), (6, 1), (1, 6, 0), (6, 0, 1)])
-def test_debounce_separates_bursts_in_any_order(order):
+def test_debounce_separates_bursts_in_any_order(order: Tuple[Any, ...]) -> None:
     now = [1000 * SECOND]
     engine = Engine(Clock(lambda: now[0]))
     engine.load(rules="d(X) <- a(X) with debounce(2).")
@@ -434,7 +436,7 @@ def test_debounce_separates_bursts_in_any_order(order):
 
 
 @pytest.mark.parametrize("rate", ["throttle(5)", "burst(2)", "debounce(2)"])
-def test_timestamp_far_ahead_delays_no_output(rate):
+def test_timestamp_far_ahead_delays_no_output(rate: str) -> None:
     now = [1000 * 10**9]
     engine = Engine(Clock(lambda: now[0]))
     engine.load(rules=f"d(X) <- a(X) with {rate}.")
@@ -449,7 +451,7 @@ def test_timestamp_far_ahead_delays_no_output(rate):
 
 @pytest.mark.parametrize("flags", [(), ("revision_flag",), ("etalis_justification",)])
 @pytest.mark.parametrize("steps", ["high(1, many) where X > 0", "one, two(1, many) where X > 0"])
-def test_row_pattern_completes_at_deciding_event(steps, flags):
+def test_row_pattern_completes_at_deciding_event(steps: str, flags: Tuple[Any, ...]) -> None:
     """The match is complete at the event that decides, not at its last event, also if events may be retracted."""
     rules = f"out(L) <- aggregate(list(X), in(X), L, steps([{steps}])) seq end."
     assert outputs_of(rules, "in(1)@1 in(2)@2 end@7 in(-1)@3", flags=flags) == ""
@@ -457,7 +459,7 @@ def test_row_pattern_completes_at_deciding_event(steps, flags):
 
 
 @pytest.mark.parametrize("flags", ["", ":- set_etalis_flag(revision_flag, on).\n"])
-def test_complete_matches_are_emitted_at_limit(flags):
+def test_complete_matches_are_emitted_at_limit(flags: str) -> None:
     """The longer match that the oldest may become is dropped and counted, not the complete matches."""
     steps = "p where X < 50, later(y(0, 1, until(X == 80))) where X == 90"
     engine = EngineDriver(f"{flags}w(L) <- aggregate(list(X), in(X), L, steps([{steps}])).", max_stored=5)
@@ -472,7 +474,7 @@ def test_complete_matches_are_emitted_at_limit(flags):
     assert engine.reports
 
 
-def test_array_of_another_length_costs_only_its_event():
+def test_array_of_another_length_costs_only_its_event() -> None:
     rules = "r(K,N,M) <- aggregate([count,max(V)], in(K,V), [N,M], {}).\n"
     samples = [f"in({key},[{number},1,2])@1.{number}" for number in range(1, 6) for key in "abc"]
     odd = ["in(a,[1,2,3,4])@1.55", "in(b,long)@1.56", "in(d,[7,1,2])@1.57"]
@@ -495,7 +497,7 @@ def test_array_of_another_length_costs_only_its_event():
         }
 
 
-def test_report_of_refused_value_names_key():
+def test_report_of_refused_value_names_key() -> None:
     engine = EngineDriver("r(K,M) <- aggregate(max(V), in(K,V), M, every(1)).")
     assert engine.feed("in(a,[1,2,3])@1.1 in(a,[1,2,3,4])@1.2 tick@3") == "r(a,[1,2,3])@1-2"
     assert engine.reports == [
@@ -506,21 +508,21 @@ def test_report_of_refused_value_names_key():
 @pytest.mark.parametrize(
     "window", ["last(1)", "every(1)", "running(every(1))", "last(2,every(1))", "running(every(1,first))"]
 )
-def test_length_of_arrays_may_change_in_empty_window(window):
+def test_length_of_arrays_may_change_in_empty_window(window: str) -> None:
     engine = EngineDriver(f"r(M) <- aggregate(max(V), in(V), M, {window}).")
     assert "[1,2,3]" in engine.feed("in([1,2,3])@1.1 tick@2")
     assert "[1,2,3,4]" in engine.feed("in([1,2,3,4])@9.1 tick@10")
     assert engine.reports == []
 
 
-def test_length_of_arrays_may_change_after_key_is_idle():
+def test_length_of_arrays_may_change_after_key_is_idle() -> None:
     rules = "q([property(ttl, 5)]) : r(M) <- aggregate(max(V), in(V), M, last(3,events))."
     engine = EngineDriver(rules)
     assert engine.feed("in([1,2,3])@1 in([1,2,3,4])@9") == "r([1,2,3])@1-1 r([1,2,3,4])@9-9"
     assert engine.reports == []
 
 
-def test_array_after_numbers_is_refused():
+def test_array_after_numbers_is_refused() -> None:
     engine = EngineDriver("r(A,B) <- aggregate([max(V),max(W)], in(V,W), [A,B], last(9)).")
     assert (
         engine.feed("in([1,2,3],5)@1 in([1,2,4],[1])@2 in([1,2,5],6)@3")
@@ -530,7 +532,7 @@ def test_array_after_numbers_is_refused():
     assert "the value is '[1]': expected a number" in engine.reports[0]
 
 
-def test_average_beyond_floats_is_reported():
+def test_average_beyond_floats_is_reported() -> None:
     huge = 10**400 + 1
     engine = EngineDriver("r(M) <- p seq aggregate(avg(V), in(V), M). later <- in(_).")
     assert (
@@ -541,8 +543,8 @@ def test_average_beyond_floats_is_reported():
     assert engine.reports[0].endswith("aggregate avg: the result is too large for a float")
 
 
-def test_error_of_alarm_stops_no_other_alarm(caplog):
-    def fail(machine):
+def test_error_of_alarm_stops_no_other_alarm(caplog: pytest.LogCaptureFixture) -> None:
+    def fail(machine: Any) -> None:
         raise KeyError("defect")
 
     rules = (
@@ -557,7 +559,7 @@ def test_error_of_alarm_stops_no_other_alarm(caplog):
     assert engine.feed("in(c)@10 tick@19") == "r(c)@10-11 other(c)@10-11 last@19-19"
 
 
-def test_event_between_hopping_windows_is_ignored():
+def test_event_between_hopping_windows_is_ignored() -> None:
     engine = EngineDriver("n(N) <- aggregate(count, in(_), N, last(1,every(10))).")
     assert engine.feed("in(1)@3 in(2)@9.5 in(3)@14 in(4)@12 tick@30") == "n(1)@9-10"
     assert engine.event_rules[0].late_count == 0

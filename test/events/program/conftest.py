@@ -1,9 +1,12 @@
+from pathlib import Path
+from typing import Any
+
 import pytest
 from events.stream_programs import ProgramRunner
 
 
 @pytest.fixture
-def program(tmp_path, monkeypatch):
+def program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     """A program that may read the files of the current folder, which is `tmp_path`."""
     monkeypatch.chdir(tmp_path)
     return ProgramRunner(folder=tmp_path)

@@ -1,5 +1,7 @@
 """Conditional compilation."""
 
+from typing import Any
+
 import pytest
 from events.stream_programs import ProgramRunner
 
@@ -16,19 +18,19 @@ CASES = [
 ]
 
 
-def defined_predicates(program):
+def defined_predicates(program: Any) -> str:
     return "".join(name for name in "abcd" if program.engine.call(f"current_predicate({name}/0)"))
 
 
 @pytest.mark.parametrize("rule", ["", " out <- in."], ids=["prolog", "rules"])
 @pytest.mark.parametrize(("text", "expected"), CASES)
-def test_branch_of_true_condition_is_loaded(text, expected, rule):
+def test_branch_of_true_condition_is_loaded(text: Any, expected: Any, rule: str) -> None:
     program = ProgramRunner(text + rule)
     assert defined_predicates(program) == expected
     assert program.warnings == []
 
 
-def test_rules_in_skipped_branch_are_not_loaded():
+def test_rules_in_skipped_branch_are_not_loaded() -> None:
     program = ProgramRunner(":- if(fail). c <- a. :- else. d <- a. :- endif.")
     assert program.feed("a@1") == "d@1-1"
 
@@ -45,7 +47,7 @@ def test_rules_in_skipped_branch_are_not_loaded():
         ("a. :- if(no_such_goal). b. :- endif.", "this condition raises an error"),
     ],
 )
-def test_unbalanced_directive_is_reported_at_position(text, part):
+def test_unbalanced_directive_is_reported_at_position(text: str, part: str) -> None:
     program = ProgramRunner(text)
     assert [part in warning.message and warning.place.line == 1 for warning in program.warnings] == [True]
     assert defined_predicates(program) == "a"

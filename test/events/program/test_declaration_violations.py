@@ -1,5 +1,8 @@
 """Violations of a file's event declarations, with their places."""
 
+from pathlib import Path
+from typing import Any
+
 import pytest
 from events.load_messages import errors_of
 
@@ -48,11 +51,11 @@ CONFLICT = "V is a number (value of temperature/2) and, here, an atom (motor of 
         ("go(V) :- event(temperature(a, V)), event(temperature(V, 1)).", 54, CONFLICT),
     ],
 )
-def test_violation_is_reported_at_position(rule, column, message):
+def test_violation_is_reported_at_position(rule: str, column: int, message: Any) -> None:
     assert errors_of(f"{DECLARATION}{rule}") == [(2, column, message)]
 
 
-def test_all_violations_are_reported():
+def test_all_violations_are_reported() -> None:
     text = f"{DECLARATION}a <- temperature(X).\nb <- c.\nd <- temperature(3, hot)."
     assert [(line, column) for line, column, _ in errors_of(text)] == [(2, 6), (4, 18), (4, 21)]
 
@@ -70,7 +73,7 @@ def test_all_violations_are_reported():
         (DECLARATION + "a <- temprature(X).", 1),
     ],
 )
-def test_earlier_or_uncertain_events_are_no_errors(text, number):
+def test_earlier_or_uncertain_events_are_no_errors(text: Any, number: int) -> None:
     engine = Engine()
     engine.load_rules(text)
     assert len(engine.rules.rules) == number
@@ -79,7 +82,7 @@ def test_earlier_or_uncertain_events_are_no_errors(text, number):
     assert len(engine.rules.rules) == number
 
 
-def test_declaration_may_be_earlier_or_included(tmp_path):
+def test_declaration_may_be_earlier_or_included(tmp_path: Path) -> None:
     (tmp_path / "events.txt").write_text(DECLARATION)
     engine = Engine()
     engine.load(goals="event temperature(motor:atom, value:number)")
@@ -111,11 +114,11 @@ def test_declaration_may_be_earlier_or_included(tmp_path):
         ),
     ],
 )
-def test_invalid_declaration_is_refused(text, line, column, message):
+def test_invalid_declaration_is_refused(text: str, line: int, column: int, message: str) -> None:
     assert errors_of(text) == [(line, column, message)]
 
 
-def test_undeclared_event_is_refused_if_flag_is_set():
+def test_undeclared_event_is_refused_if_flag_is_set() -> None:
     lines = (
         "a <- b.",
         ":- set_etalis_flag(undeclared_events, error).",

@@ -19,7 +19,7 @@ from events.stream_programs import ProgramRunner
         (":- include(no_such_file).", 4, "No such file"),
     ],
 )
-def test_error_is_reported_at_goal(directive, column, part):
+def test_error_is_reported_at_goal(directive: str, column: int, part: str) -> None:
     ((line, actual_column, message),) = errors_of(f"% first\n{directive}")
     assert (line, actual_column) == (2, column)
     assert part in message
@@ -34,17 +34,17 @@ def test_error_is_reported_at_goal(directive, column, part):
         (":- true, (fail).", 10),
     ],
 )
-def test_failure_is_reported_at_last_goal(directive, column):
+def test_failure_is_reported_at_last_goal(directive: str, column: int) -> None:
     assert warnings_of(directive) == [(1, column, "this directive fails")]
 
 
-def test_cut_is_local_to_directive():
+def test_cut_is_local_to_directive() -> None:
     program = ProgramRunner(":- assertz(f(1)), assertz(f(2)), f(X), !, assertz(g(X)).")
     assert [answer["X"] for answer in program.engine.query("g(X)")] == [1]
     assert warnings_of(":- member(X, [1, 2]), !, X > 1.") == [(1, 26, "this directive fails")]
 
 
-def test_nested_directives_keep_positions():
+def test_nested_directives_keep_positions() -> None:
     inner = "compile_event_rules([(:- (true, true, true)), (:- (true, fail))])"
     warnings = ProgramRunner(f":- true, {inner}, fail.").warnings
     assert [warning.place.column if warning.place else None for warning in warnings] == [
@@ -54,6 +54,6 @@ def test_nested_directives_keep_positions():
 
 
 @pytest.mark.parametrize("goal", ["'$goal'(b)", "'$goal'(_)", "'$goal'(99)", "'$goal'(-1)"])
-def test_goal_marker_refuses_other_numbers(goal):
+def test_goal_marker_refuses_other_numbers(goal: str) -> None:
     assert warnings_of(f":- true, {goal}.") == [(1, 10, "this directive fails")]
     assert list(ProgramRunner("").engine.query(goal)) == []

@@ -17,7 +17,7 @@ from retalis import Engine, ProgramErrors
         ("reset_db", "reset_db/0"),
     ],
 )
-def test_fact_of_built_in_predicate_is_refused(goal, key):
+def test_fact_of_built_in_predicate_is_refused(goal: str, key: str) -> None:
     engine = Engine()
     with pytest.raises(ProgramErrors) as caught:
         engine.load(rules=f"c <- a.\nfact(1).\n  {goal}.\n")
@@ -39,7 +39,7 @@ def test_fact_of_built_in_predicate_is_refused(goal, key):
         "append(X, Y, Z) :- fail.\nappend([], x, x).",
     ],
 )
-def test_program_may_define_library_predicates(program):
+def test_program_may_define_library_predicates(program: str) -> None:
     engine = Engine()
     engine.load(rules=program)
     assert engine.query("append([], x, X)")[0]["X"].name == "x"
@@ -47,7 +47,7 @@ def test_program_may_define_library_predicates(program):
     assert engine.call("append(more, x, y)")
 
 
-def test_facts_named_as_loader_forms_are_stored():
+def test_facts_named_as_loader_forms_are_stored() -> None:
     engine = Engine()
     engine.load(rules="db(x). static(wall). prolog(p(1)). module(m, [x]). print_trigger(a/1).")
     for goal in (
@@ -66,7 +66,7 @@ def test_facts_named_as_loader_forms_are_stored():
 @pytest.mark.parametrize(
     ("text", "is_reported"), [("hot(X) - t(X).", True), ("a - b.", True), ("a - 1.", False)]
 )
-def test_dash_instead_of_arrow_is_reported(text, is_reported):
+def test_dash_instead_of_arrow_is_reported(text: str, is_reported: bool) -> None:
     warnings = warnings_of(f"b <- a.\n{text}")
     assert [(line, column) for line, column, _ in warnings] == [(2, text.index("-") + 1)] * is_reported
     assert all("<-" in message and ":-" in message for _, _, message in warnings)

@@ -1,6 +1,8 @@
 """Event files: syntax, errors with positions, directives, and rejection as a whole."""
 
 import linecache
+from pathlib import Path
+from typing import Any, List
 
 import pytest
 from events.load_messages import assert_refused, errors_of
@@ -47,12 +49,12 @@ from retalis.prolog.database.predicate import Predicate
         (":- set_etalis_flag(garbage_contrl, general).", 4, "did you mean garbage_control?"),
     ],
 )
-def test_invalid_rule_is_refused_at_position(rule, column, part):
+def test_invalid_rule_is_refused_at_position(rule: str, column: int, part: str) -> None:
     assert_refused(rule, column, part)
 
 
 @pytest.mark.parametrize("pattern", ["a seq (" * 1500 + "a" + ")" * 1500, " and ".join(["a"] * 3000)])
-def test_too_deep_pattern_is_refused_at_position(pattern):
+def test_too_deep_pattern_is_refused_at_position(pattern: str) -> None:
     program = ProgramRunner("d <- a.")
     with pytest.raises(ProgramErrors) as caught:
         program.engine.load(rules=f"b <- a.\nc <- {pattern}.")
@@ -61,7 +63,7 @@ def test_too_deep_pattern_is_refused_at_position(pattern):
     assert program.feed("a@1") == "d@1-1"
 
 
-def test_all_errors_are_reported():
+def test_all_errors_are_reported() -> None:
     errors = errors_of("ok <- a.\nx <- a not b.\ny <- (.\nz <- b ntimes 0.\n")
     assert [line for line, _, _ in sorted(errors)] == [2, 3, 4]
 
@@ -90,7 +92,7 @@ def test_all_errors_are_reported():
         (":- fail.", "directive fails"),
     ],
 )
-def test_suspicious_rule_is_reported(rule, part):
+def test_suspicious_rule_is_reported(rule: str, part: str) -> None:
     program = ProgramRunner(rule)
     assert any(part in str(warning) for warning in program.warnings)
 
@@ -108,22 +110,22 @@ def test_suspicious_rule_is_reported(rule, part):
         'c <- a where (sum_list([1], _), format("", []), prev(m, _, _, _, 1)).',
     ],
 )
-def test_available_predicates_are_not_reported(rules):
+def test_available_predicates_are_not_reported(rules: str) -> None:
     assert ProgramRunner(rules).warnings == []
 
 
-def test_long_list_of_dynamic_predicates_is_read():
+def test_long_list_of_dynamic_predicates_is_read() -> None:
     added = ",".join(f"seen{number}/1" for number in range(3000))
     assert ProgramRunner(f"c <- a where seen2999(1). null do dynamic([{added}]) <- b.").warnings == []
 
 
-def test_missing_predicate_is_reported_once():
+def test_missing_predicate_is_reported_once() -> None:
     program = ProgramRunner("c <- a.\nd <- a where\n   no_such(1) .\nd <- a where no_such(2).")
     ((warning),) = program.warnings
     assert (warning.place.line, warning.place.column) == (3, 4)
 
 
-def test_all_forms_of_terms_are_loaded():
+def test_all_forms_of_terms_are_loaded() -> None:
     rules = """
         c1 <- a. c2 iff a. c3 'IFF' a. c4 do true <- a. r1 : c5 <- a. r2 'rule:' c6 <- a.
         a do assertz(called). db(f(1)). prolog(f(2)). static(f(3)). g(X) :- f(X).
@@ -138,7 +140,7 @@ def test_all_forms_of_terms_are_loaded():
     assert program.engine.call("event_rule_property(r1, window, 5)")
 
 
-def test_error_of_directive_rolls_back_file():
+def test_error_of_directive_rolls_back_file() -> None:
     program = ProgramRunner()
     with pytest.raises(ProgramErrors):
         program.engine.load(rules="f(1). :- assertz(g(2)). c <- a. :- no_such_goal.")
@@ -147,7 +149,7 @@ def test_error_of_directive_rolls_back_file():
     assert not program.engine.query("catch(g(_),_,fail)")
 
 
-def test_refused_file_keeps_windows_of_other_rules():
+def test_refused_file_keeps_windows_of_other_rules() -> None:
     program = ProgramRunner("l : c <- a seq b. m([property(window,5)]) : d <- a seq b.")
     with pytest.raises(ProgramErrors):
         program.engine.load(
@@ -156,7 +158,7 @@ def test_refused_file_keeps_windows_of_other_rules():
     assert program.feed("a@1 b@4 a@5 b@11") == "c@1-4 d@1-4 c@5-11"
 
 
-def test_rules_are_inserted_and_deleted():
+def test_rules_are_inserted_and_deleted() -> None:
     program = ProgramRunner("c1(X) <- a(X). l : c2 <- a(_). c3 <- a(1) seq b.")
     call = program.engine.call
     assert call("ins_event_rule(c4 <- a(_))")
@@ -171,19 +173,19 @@ def test_rules_are_inserted_and_deleted():
     assert program.engine.rules.rules == []
 
 
-def test_added_rule_matches_later_events_only():
+def test_added_rule_matches_later_events_only() -> None:
     rules = "null do ins_event_rule(late(X) <- a(X)) <- a(1). c(X) <- a(X)."
     assert outputs_of(rules, "a(1)@1 a(2)@2") == "null@1-1 c(1)@1-1 c(2)@2-2 late(2)@2-2"
 
 
-def test_terms_are_compiled_as_rules_and_clauses():
+def test_terms_are_compiled_as_rules_and_clauses() -> None:
     program = ProgramRunner()
     assert program.engine.call("compile_event_rules([(c <- a), (f(X) :- X = 1), g(2)])")
     assert program.feed("a@1") == "c@1-1"
     assert program.engine.call("f(1), g(2)")
 
 
-def test_reset_removes_matches_and_rules():
+def test_reset_removes_matches_and_rules() -> None:
     program = ProgramRunner("c <- a seq b.", policy="chronological")
     program.feed("a@1")
     program.engine.call("reset_etalis_state")
@@ -206,7 +208,7 @@ def test_reset_removes_matches_and_rules():
         ("c <- a forall_seq b.", "a@1 a@2", "b@3"),
     ],
 )
-def test_reset_drops_all_partial_matches(goal, rule, stream, completing_event):
+def test_reset_drops_all_partial_matches(goal: str, rule: str, stream: str, completing_event: str) -> None:
     program = ProgramRunner(rule)
     program.feed(stream)
     assert program.engine.rules.match_count > 0
@@ -216,14 +218,14 @@ def test_reset_drops_all_partial_matches(goal, rule, stream, completing_event):
     assert program.feed(f"{stream} {completing_event}") != ""
 
 
-def test_reset_drops_negated_events():
+def test_reset_drops_negated_events() -> None:
     program = ProgramRunner("c <- a fnot b.")
     assert program.feed("b@1 a@2") == ""
     assert program.engine.call("reset_db")
     assert program.feed("a@3") == "c@3-3"
 
 
-def test_event_stream_file_is_executed(tmp_path):
+def test_event_stream_file_is_executed(tmp_path: Path) -> None:
     program = ProgramRunner()
     program.engine.load(rules="c <- a.", folder=tmp_path)
     (tmp_path / "s.txt").write_text("event(a,[1,1]). fail. no_such_goal. event(a,[2,2]).")
@@ -235,17 +237,17 @@ def test_event_stream_file_is_executed(tmp_path):
     assert len(program.events) == 10
 
 
-def test_stored_events_are_queried():
+def test_stored_events_are_queried() -> None:
     program = ProgramRunner("c <- a.", ["store_fired_events"])
     program.feed("a@1")
     assert len(program.engine.query("fired_event(E,I)")) == 2
     assert program.engine.call("stored_event(event(c,[1,1]))")
 
 
-def test_rule_changes_do_not_scan_program(monkeypatch):
+def test_rule_changes_do_not_scan_program(monkeypatch: pytest.MonkeyPatch) -> None:
     program = ProgramRunner("\n".join(f"f({number}). c <- a({number}) and b." for number in range(50)))
     engine = program.engine
-    reads = []
+    reads: List[Any] = []
     active_clauses = Predicate.active_clauses
     monkeypatch.setattr(
         Predicate, "active_clauses", lambda predicate: reads.append(predicate) or active_clauses(predicate)
@@ -261,9 +263,9 @@ def test_rule_changes_do_not_scan_program(monkeypatch):
 
 
 @pytest.mark.slow
-def test_code_of_deleted_rules_is_not_kept():
+def test_code_of_deleted_rules_is_not_kept() -> None:
     program = ProgramRunner("k(_).")
-    cache_sizes = []
+    cache_sizes: List[Any] = []
     for second in range(1, 6):
         assert program.engine.call("ins_event_rule(b(X) do k(X) <- a(X))")
         assert program.feed(f"a(1)@{second}") == f"b(1)@{second}-{second}"
@@ -272,7 +274,7 @@ def test_code_of_deleted_rules_is_not_kept():
     assert cache_sizes[1:] == [cache_sizes[1]] * 4
 
 
-def test_first_errors_are_kept_and_others_counted():
+def test_first_errors_are_kept_and_others_counted() -> None:
     engine = Engine()
     with pytest.raises(ProgramErrors) as caught:
         engine.load(rules="".join(f"out_{number} <- ).\n" for number in range(1000)))
@@ -284,7 +286,7 @@ def test_first_errors_are_kept_and_others_counted():
     assert [error.message for error in caught.value.errors[-2:]] == ["this goal fails", "there are 900 more"]
 
 
-def test_error_shows_beginning_of_long_event(caplog):
+def test_error_shows_beginning_of_long_event(caplog: pytest.LogCaptureFixture) -> None:
     engine = Engine()
     engine.load(rules="null do X is foo+1 <- a(X).")
     engine.event((functor("a", 1), atom("x" * 100_000)), 1)

@@ -1,5 +1,8 @@
 """Module files: loading once, circular imports, use by rules, and reloading."""
 
+from pathlib import Path
+from typing import Any, List
+
 import pytest
 
 from retalis import Engine
@@ -16,31 +19,31 @@ FILES = {
 
 
 @pytest.fixture
-def folder(tmp_path):
+def folder(tmp_path: Path) -> Any:
     for name, text in FILES.items():
         (tmp_path / name).write_text(text)
     return tmp_path
 
 
-def values(engine, goal):
+def values(engine: Any, goal: str) -> List[Any]:
     return [engine.show(answer["X"]) for answer in engine.query(goal)]
 
 
-def check(engine):
+def check(engine: Any) -> None:
     assert values(engine, "main(X)") == ["a(b)"]
     assert values(engine, "a:help(1, X)") == ["a(1)"]
     assert values(engine, "b:help(X)") == ["b"]
     assert values(engine, "help(X)") == ["part"]
 
 
-def test_module_is_loaded_once(folder):
+def test_module_is_loaded_once(folder: Any) -> None:
     engine = Engine()
     engine.load_program(folder / "main.pl")
     check(engine)
     assert values(engine, "shared(X)") == ["first", "0"]
 
 
-def test_modules_are_restored_and_reloaded(folder):
+def test_modules_are_restored_and_reloaded(folder: Any) -> None:
     engine = Engine()
     engine.load_program(folder / "main.pl")
     restored = Engine.restore(engine.snapshot())
@@ -52,7 +55,7 @@ def test_modules_are_restored_and_reloaded(folder):
     assert values(engine, "b:help(X)") == ["new"]
 
 
-def test_rules_call_predicates_of_modules(folder):
+def test_rules_call_predicates_of_modules(folder: Any) -> None:
     engine, events = Engine(), []
     engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     engine.load_rules((folder / "eventRules.txt").read_text(), str(folder / "eventRules.txt"), folder)
@@ -61,7 +64,7 @@ def test_rules_call_predicates_of_modules(folder):
     assert values(engine, "help(X)") == ["rules"]
 
 
-def test_event_file_is_no_module(folder):
+def test_event_file_is_no_module(folder: Any) -> None:
     engine, messages = Engine(), []
     engine.logic.message = lambda kind, text: messages.append(text)
     engine.load_rules(":- module(m, []).\nb <- a where own.\nown.\n")
@@ -69,7 +72,7 @@ def test_event_file_is_no_module(folder):
     assert engine.call("own")
 
 
-def test_module_is_closed_after_error(folder):
+def test_module_is_closed_after_error(folder: Any) -> None:
     engine = Engine()
     (folder / "wrong.pl").write_text(":- module(wrong, [w/1]).\n:- throw(no).\nw(X) :- v(X).\nv(1).\n")
     engine.rules.on_warning = lambda warning: None

@@ -1,5 +1,8 @@
 """Source files of a program: modules, files loaded once, included files, libraries, permissions."""
 
+from pathlib import Path
+from typing import Any, List
+
 import pytest
 from events.stream_programs import ProgramRunner, format_events
 
@@ -7,14 +10,14 @@ from retalis import Engine, ProgramErrors, PrologError, RetalisError, Settings, 
 from retalis.prolog.files.source_files import SourceFiles
 
 
-def write(folder, **texts):
+def write(folder: Any, **texts: Any) -> None:
     for name, text in texts.items():
         path = folder / name.replace("__", "/")
         path.parent.mkdir(exist_ok=True)
         path.with_suffix(".pl").write_text(text, encoding="utf-8")
 
 
-def errors_of(operation):
+def errors_of(operation: Any) -> List[str]:
     with pytest.raises(ProgramErrors) as caught:
         operation()
     return [
@@ -25,13 +28,13 @@ def errors_of(operation):
 
 @pytest.mark.parametrize("form", [":- use_module({})", "use_module({})", ":- ensure_loaded({})"])
 @pytest.mark.parametrize("name", ["'sub/one.pl'", '"sub/one.pl"', "sub/one", "'sub/one'"])
-def test_used_file_is_loaded_before_rules(program, tmp_path, form, name):
+def test_used_file_is_loaded_before_rules(program: Any, tmp_path: Path, form: str, name: str) -> None:
     write(tmp_path, main=f"d <- c.\n{form.format(name)}.", sub__one=":- use_module(two).", sub__two="c <- a.")
     program.engine.rules.load_file(tmp_path / "main.pl")
     assert program.feed("a@1") == "c@1-1 d@1-1"
 
 
-def test_ensured_file_is_loaded_once(program, tmp_path):
+def test_ensured_file_is_loaded_once(program: Any, tmp_path: Path) -> None:
     write(
         tmp_path,
         one="c <- a.",
@@ -48,7 +51,7 @@ def test_ensured_file_is_loaded_once(program, tmp_path):
 @pytest.mark.parametrize(
     "goal", ["consult('sub/one')", "consult(sub/one)", "[sub/one]", "consult([sub/one])"]
 )
-def test_consulted_file_is_relative_to_directive(program, tmp_path, goal):
+def test_consulted_file_is_relative_to_directive(program: Any, tmp_path: Path, goal: str) -> None:
     write(tmp_path, inner__main=f":- {goal}. d <- c.")
     (tmp_path / "inner" / "sub").mkdir()
     write(tmp_path / "inner", sub__one="c <- a.")
@@ -56,7 +59,7 @@ def test_consulted_file_is_relative_to_directive(program, tmp_path, goal):
     assert program.feed("a@1") == "c@1-1 d@1-1"
 
 
-def test_directive_of_used_file_is_relative_to_it(program, tmp_path):
+def test_directive_of_used_file_is_relative_to_it(program: Any, tmp_path: Path) -> None:
     write(
         tmp_path,
         main=":- use_module('sub/one.pl').",
@@ -67,13 +70,13 @@ def test_directive_of_used_file_is_relative_to_it(program, tmp_path):
     assert program.feed("a@1") == "c@1-1"
 
 
-def test_files_that_ensure_each_other_are_loaded_once(program, tmp_path):
+def test_files_that_ensure_each_other_are_loaded_once(program: Any, tmp_path: Path) -> None:
     write(tmp_path, one=":- ensure_loaded(two). c <- a.", two=":- ensure_loaded(one). d <- a.")
     program.engine.rules.load_file("one.pl")
     assert program.feed("a@1") == "d@1-1 c@1-1"
 
 
-def test_refused_file_may_be_loaded_again(program, tmp_path):
+def test_refused_file_may_be_loaded_again(program: Any, tmp_path: Path) -> None:
     write(tmp_path, one="c <- a. :- no_such_goal.")
     errors_of(lambda: program.engine.load(rules=":- ensure_loaded(one)."))
     write(tmp_path, one="c <- a.")
@@ -81,26 +84,26 @@ def test_refused_file_may_be_loaded_again(program, tmp_path):
     assert program.feed("a@1") == "c@1-1"
 
 
-def test_reset_allows_loading_file_again(program, tmp_path):
+def test_reset_allows_loading_file_again(program: Any, tmp_path: Path) -> None:
     write(tmp_path, one="c <- a.")
     assert program.engine.call("ensure_loaded(one), reset_etalis, ensure_loaded(one)")
     assert program.feed("a@1") == "c@1-1"
 
 
-def test_included_file_is_read_in_place(program, tmp_path):
+def test_included_file_is_read_in_place(program: Any, tmp_path: Path) -> None:
     write(tmp_path, sub__more=":- op(700, xfx, ===>). :- include(yet). f(a ===> b).", sub__yet="d <- a.")
     program.engine.load(rules="c <- a. :- include(sub/more). e <- a. g(x ===> y).")
     assert program.feed("a@1") == "c@1-1 d@1-1 e@1-1"
     assert program.engine.call("f(===>(a,b)), g(===>(x,y))")
 
 
-def test_compiled_terms_may_include_files(program, tmp_path):
+def test_compiled_terms_may_include_files(program: Any, tmp_path: Path) -> None:
     write(tmp_path, one="c <- a.")
     assert program.engine.call("compile_event_rules([(:- include(one)), (d <- a)])")
     assert program.feed("a@1") == "c@1-1 d@1-1"
 
 
-def test_errors_of_files_are_in_order(program, tmp_path):
+def test_errors_of_files_are_in_order(program: Any, tmp_path: Path) -> None:
     write(tmp_path, one="x <- (.\ny <- a ntimes z.", two="ok <- a.\nz <- a not b.")
     rules = "v <- b ntimes q.\n:- include(one).\n:- use_module(two).\n:- include(none).\nw <- .\n"
     errors = errors_of(lambda: program.engine.load(rules=rules, source="r"))
@@ -117,7 +120,7 @@ def test_errors_of_files_are_in_order(program, tmp_path):
 
 
 @pytest.mark.parametrize("form", ["include", "use_module"])
-def test_cycle_of_files_is_one_error(program, tmp_path, form):
+def test_cycle_of_files_is_one_error(program: Any, tmp_path: Path, form: str) -> None:
     write(tmp_path, one=f"c <- a.\n:- {form}(two).", two=f":- {form}(one).\nd <- a.")
     errors = errors_of(lambda: program.engine.rules.load_file("one.pl"))
     assert errors == ["two.pl:1:4: one.pl loads itself"]
@@ -131,7 +134,7 @@ def test_cycle_of_files_is_one_error(program, tmp_path, form):
     "name",
     ["lists", "apply", "assoc", "pairs", "ordsets", "aggregate", "random", "yall", "dcg/basics"],
 )
-def test_libraries_are_available(program, name):
+def test_libraries_are_available(program: Any, name: str) -> None:
     program.engine.load(rules=f":- use_module(library({name})). use_module(library({name})). c <- a.")
     program.engine.load(
         goals=f"use_module(library({name}))\nuse_module(library({name}), [])\nensure_loaded(library({name}))"
@@ -144,7 +147,7 @@ def test_libraries_are_available(program, name):
     ("form", "column"),
     [(":- use_module", 4), ("use_module", 1), (":- ensure_loaded", 4), (":- true, use_module", 10)],
 )
-def test_unknown_library_is_refused(program, form, column):
+def test_unknown_library_is_refused(program: Any, form: str, column: int) -> None:
     (error,) = errors_of(lambda: program.engine.load(rules=f"c <- a.\n{form}(library(clpfd)).", source="r"))
     assert error.startswith(f"r:2:{column}: ")
     assert "Unknown library: clpfd" in error
@@ -152,7 +155,7 @@ def test_unknown_library_is_refused(program, form, column):
 
 @pytest.mark.parametrize("name", ["X", "17", "f(x)", "library(X)", "''", "'a\\\\0\\\\b'"])
 @pytest.mark.parametrize("form", ["include", "use_module", "ensure_loaded"])
-def test_invalid_file_name_is_one_error(program, form, name):
+def test_invalid_file_name_is_one_error(program: Any, form: str, name: str) -> None:
     (error,) = errors_of(lambda: program.engine.load(rules=f":- {form}({name}).", source="r"))
     assert error.startswith("r:1:4: ")
 
@@ -160,7 +163,7 @@ def test_invalid_file_name_is_one_error(program, form, name):
 # ---- goal files ------------------------------------------------------------------------------------------
 
 
-def test_paths_of_goal_files_are_relative(program, tmp_path):
+def test_paths_of_goal_files_are_relative(program: Any, tmp_path: Path) -> None:
     write(
         tmp_path,
         sub__rules="c <- a.",
@@ -171,7 +174,7 @@ def test_paths_of_goal_files_are_relative(program, tmp_path):
     assert len(program.engine.query("f(1)")) == 2
 
 
-def test_errors_of_goal_files_have_positions(program, tmp_path):
+def test_errors_of_goal_files_have_positions(program: Any, tmp_path: Path) -> None:
     write(
         tmp_path,
         sub__more="true\nfail\ninclude('../goals.pl')\ncompile_event_file(none)\n",
@@ -195,7 +198,7 @@ def test_errors_of_goal_files_have_positions(program, tmp_path):
 @pytest.mark.parametrize(
     "goal", ["ensure_loaded({})", "use_module({})", "compile_event_rules([(:- include({}))])"]
 )
-def test_goal_opens_files_in_allowed_folders_only(tmp_path, goal):
+def test_goal_opens_files_in_allowed_folders_only(tmp_path: Path, goal: str) -> None:
     write(tmp_path, inside__one="c <- a.", outside__one="c <- a.")
     engine = Engine(settings=Settings(folders=(str(tmp_path / "inside"),)))
     with pytest.raises(Exception, match="No permission to open source_sink"):
@@ -206,7 +209,7 @@ def test_goal_opens_files_in_allowed_folders_only(tmp_path, goal):
 
 
 @pytest.mark.parametrize("mode", ["write", "append"])
-def test_invalid_file_name_is_not_written(tmp_path, mode):
+def test_invalid_file_name_is_not_written(tmp_path: Path, mode: str) -> None:
     engine = Engine(settings=Settings(write_folders=(str(tmp_path),)))
     for name, error in (("'a\\0\\b'", "Domain error: `source_sink'"), ("x" * 256, "max_path_length")):
         with pytest.raises(PrologError, match=error):
@@ -214,9 +217,9 @@ def test_invalid_file_name_is_not_written(tmp_path, mode):
     assert list(tmp_path.iterdir()) == []
 
 
-def _warnings_of_persistent_rule(write_folders=(), **settings):
+def _warnings_of_persistent_rule(write_folders: Any = (), **settings: Any) -> Any:
     engine = Engine(clock=StreamClock(), settings=Settings(write_folders=write_folders, **settings))
-    warnings = []
+    warnings: List[Any] = []
     engine.rules.on_warning = lambda warning: warnings.append(str(warning))
     engine.load(rules="persistent_event(b(_)). b(X) <- a(X).")
     for number in range(4):
@@ -227,13 +230,13 @@ def _warnings_of_persistent_rule(write_folders=(), **settings):
 EXPECTED_FILE = "".join(f"event(b({number}),[{number},{number}]).\n" for number in range(4))
 
 
-def test_unrestricted_events_are_in_working_folder(tmp_path, monkeypatch):
+def test_unrestricted_events_are_in_working_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert _warnings_of_persistent_rule(None) == []
     assert (tmp_path / "persistent.txt").read_text() == EXPECTED_FILE
 
 
-def test_persistent_events_are_in_allowed_folders(tmp_path, monkeypatch):
+def test_persistent_events_are_in_allowed_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "here").mkdir()
     (tmp_path / "program").mkdir()
     monkeypatch.chdir(tmp_path / "here")
@@ -247,7 +250,9 @@ def test_persistent_events_are_in_allowed_folders(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("fact", ["print_trigger", "external_trigger", "spy_event", "persistent_event"])
-def test_events_named_by_facts_are_logged_or_written(tmp_path, caplog, fact):
+def test_events_named_by_facts_are_logged_or_written(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, fact: str
+) -> None:
     caplog.set_level("INFO", "retalis")
     program = ProgramRunner()
     program.engine.rules.files.sandbox.allow([tmp_path], [tmp_path])
@@ -262,14 +267,16 @@ def test_events_named_by_facts_are_logged_or_written(tmp_path, caplog, fact):
     assert program.engine.call(f"exists_file('{written}')") == (fact == "persistent_event")
 
 
-def test_failed_write_of_persistent_event_is_reported(tmp_path, monkeypatch):
+def test_failed_write_of_persistent_event_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "persistent.txt").mkdir()
     assert "Is a directory" in _warnings_of_persistent_rule(None)[0]
     assert "Is a directory" in _warnings_of_persistent_rule([tmp_path])[0]
 
 
-def test_refused_file_keeps_library_predicates(program):
+def test_refused_file_keeps_library_predicates(program: Any) -> None:
     for rules in (
         "memberchk(zz, _) :- true. c <- a ntimes z.",
         "memberchk(zz, _) :- true. min(1, 2, 3) :- true. d <- a. :- no_such_goal.",
@@ -285,7 +292,7 @@ def test_refused_file_keeps_library_predicates(program):
     "goal",
     ["consult({})", "[{}]", "use_module({})", "compile_event_file({})", "execute_event_stream_file({})"],
 )
-def test_missing_file_is_existence_error(goal, tmp_path):
+def test_missing_file_is_existence_error(goal: str, tmp_path: Path) -> None:
     engine = Engine(settings=Settings(folders=(str(tmp_path),)))
     name = f"'{tmp_path}/no.txt'"
     caught = f"catch({goal.format(name)}, error(existence_error(source_sink, Name), _), true)"
@@ -295,21 +302,23 @@ def test_missing_file_is_existence_error(goal, tmp_path):
         engine.call(goal.format(name))
 
 
-def test_reload_limits_omissions():
+def test_reload_limits_omissions() -> None:
     files = SourceFiles()
     with files.reloading({"one.pl": 2}):
         assert (files.max_omitted("one.pl"), files.max_omitted("two.pl")) == (2, 0)
     assert (files.max_omitted("one.pl"), files.max_omitted("two.pl")) == (None, None)
 
 
-def test_file_without_omissions_is_not_recorded():
+def test_file_without_omissions_is_not_recorded() -> None:
     files = SourceFiles()
     for number in (2, 0):
         files.record_omitted("one.pl", number)
         assert files.omitted == ({"one.pl": 2} if number else {})
 
 
-def test_names_are_relative_to_loaded_file_or_program(tmp_path, monkeypatch):
+def test_names_are_relative_to_loaded_file_or_program(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for folder in ("sub", "own", "here"):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / f"{folder}.pl").write_text("")
@@ -317,7 +326,7 @@ def test_names_are_relative_to_loaded_file_or_program(tmp_path, monkeypatch):
     files = SourceFiles()
     files.sandbox.add_program_folder(tmp_path / "own")
 
-    def is_relative_to(folder):
+    def is_relative_to(folder: str) -> bool:
         assert files.absolute("../x") == str(tmp_path / "x")
         assert files.absolute("x") == str(tmp_path / folder / "x")
         assert files.is_folder(f"../{folder}")
@@ -344,7 +353,7 @@ def test_names_are_relative_to_loaded_file_or_program(tmp_path, monkeypatch):
     assert is_relative_to("here")
 
 
-def test_written_file_is_emptied_or_appended(tmp_path):
+def test_written_file_is_emptied_or_appended(tmp_path: Path) -> None:
     files = SourceFiles()
     files.sandbox.allow([], [tmp_path])
     with files.relative_to(tmp_path):
@@ -355,7 +364,7 @@ def test_written_file_is_emptied_or_appended(tmp_path):
             files.add(path, "one")
 
 
-def test_second_file_of_module_is_reported(tmp_path):
+def test_second_file_of_module_is_reported(tmp_path: Path) -> None:
     files, warnings = SourceFiles(), []
     assert files.record_module("nothing_is_loaded") == ""
     first, second, other = (tmp_path / name for name in ("one.pl", "two.pl", "other.pl"))
@@ -382,7 +391,7 @@ def test_second_file_of_module_is_reported(tmp_path):
         ("other.pl", ""),
     ],
 )
-def test_missing_file_is_reported_with_similar_name(tmp_path, name, hint):
+def test_missing_file_is_reported_with_similar_name(tmp_path: Path, name: str, hint: str) -> None:
     (tmp_path / "eventRules.txt").write_text("a <- b.")
     (tmp_path / "goalPredicates.txt").write_text(f"compile_event_file('{name}')")
     (tmp_path / "pub_sub.xml").write_text("<publish_subscribe/>")

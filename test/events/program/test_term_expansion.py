@@ -1,10 +1,12 @@
 """Expansion of terms and goals while a program is read."""
 
+from pathlib import Path
+
 import pytest
 from events.stream_programs import ProgramRunner
 
 
-def test_terms_are_expanded():
+def test_terms_are_expanded() -> None:
     program = ProgramRunner(
         """
 term_expansion(twice(X), [one(X), two(X)]).
@@ -18,7 +20,7 @@ twice(1). gone. rule(p(X), one(X)). :- my_directive(3). kept.
     assert program.engine.call("one(1), two(1), p(1), note(3), kept, \\+ current_predicate(gone/0)")
 
 
-def test_goals_are_expanded():
+def test_goals_are_expanded() -> None:
     program = ProgramRunner(
         """
 goal_expansion(old(X), new(X)).
@@ -33,27 +35,27 @@ q(L) :- ( true -> findall(X, old(X), L) ; fail ).
     assert program.engine.call("p(1), q([1, 2]), seen")
 
 
-def test_endless_goal_expansion_omits_clause():
+def test_endless_goal_expansion_omits_clause() -> None:
     program = ProgramRunner("goal_expansion(a, a). p(1). q :- a.")
     (warning,) = program.warnings
     assert "goal_expansion/2 does not end" in warning.message
     assert program.engine.call("p(1)")
 
 
-def test_error_of_expansion_omits_term():
+def test_error_of_expansion_omits_term() -> None:
     program = ProgramRunner("term_expansion(p(X), _) :- X > 1. q(1). p(a). q(2).")
     (warning,) = program.warnings
     assert warning.place.column == 41
     assert program.engine.call("q(2)")
 
 
-def test_expansion_may_return_event_rules(tmp_path):
+def test_expansion_may_return_event_rules(tmp_path: Path) -> None:
     program = ProgramRunner(folder=tmp_path)
     program.engine.load(rules="term_expansion(on(E, H), (H <- E)). on(a, c).")
     assert program.feed("a@1") == "c@1-1"
 
 
-def test_expansions_apply_to_later_files():
+def test_expansions_apply_to_later_files() -> None:
     program = ProgramRunner("term_expansion(on(E, H), (H <- E)). goal_expansion(old(X), X = 1). p.")
     program.engine.load(rules="on(a, c). d <- a. f(X) :- old(X).")
     assert program.feed("a@1") == "c@1-1 d@1-1"
@@ -61,7 +63,7 @@ def test_expansions_apply_to_later_files():
 
 
 @pytest.mark.parametrize("dynamic", [":- dynamic term_expansion/2. ", ":- multifile term_expansion/2. "])
-def test_declaration_of_expansion_replaces_nothing(dynamic):
+def test_declaration_of_expansion_replaces_nothing(dynamic: str) -> None:
     program = ProgramRunner(f"{dynamic}p(1).")
     assert program.warnings == []
     assert program.engine.call("p(1)")

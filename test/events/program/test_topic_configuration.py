@@ -1,6 +1,7 @@
 """Configuration of topics: pub_sub.xml, encodings, errors, and direct topics."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,19 +18,19 @@ from retalis.events.program.topic_configuration import (
 APPLICATION = Path(__file__).parents[3] / "application_source"
 
 
-def read_configuration(tmp_path, text):
+def read_configuration(tmp_path: Path, text: str) -> Any:
     path = tmp_path / "pub_sub.xml"
     path.write_text(text, encoding="utf-8")
     return read_topics(path)
 
 
-def test_configuration_of_application_is_read():
+def test_configuration_of_application_is_read() -> None:
     topics = read_topics(APPLICATION / "pub_sub.xml")
     assert topics.subscribed[0] == TopicType("tf", "tf/tfMessage")
     assert TopicType("marker8", "geometry_msgs/PoseStamped") in topics.published
 
 
-def test_elements_may_be_nested(tmp_path):
+def test_elements_may_be_nested(tmp_path: Path) -> None:
     topics = read_configuration(
         tmp_path,
         '<publish_subscribe><group><!-- <subscribe_to name="no" msg_type="a/B"/> -->'
@@ -39,7 +40,7 @@ def test_elements_may_be_nested(tmp_path):
     assert topics.published == ()
 
 
-def test_type_names_of_ros_2_are_accepted(tmp_path):
+def test_type_names_of_ros_2_are_accepted(tmp_path: Path) -> None:
     topics = read_configuration(
         tmp_path,
         '<publish_subscribe><subscribe_to name="a" msg_type="geometry_msgs/msg/Point"/>'
@@ -49,7 +50,7 @@ def test_type_names_of_ros_2_are_accepted(tmp_path):
     assert topics.published == (TopicType("b", "geometry_msgs/Pose"),)
 
 
-def test_latched_topics_are_read(tmp_path):
+def test_latched_topics_are_read(tmp_path: Path) -> None:
     line = '<publish_to name="{}" msg_type="std_msgs/String" latch="{}"/>'
     lines = [line.format("plain", "false"), line.format("kept", "true"), line.format("also", " true ")]
     topics = read_configuration(tmp_path, f"<publish_subscribe>{''.join(lines)}</publish_subscribe>")
@@ -57,7 +58,7 @@ def test_latched_topics_are_read(tmp_path):
     assert topics.latched == {"kept", "also"}
 
 
-def test_event_names_of_topics_are_read(tmp_path):
+def test_event_names_of_topics_are_read(tmp_path: Path) -> None:
     line = '<subscribe_to name="{}" msg_type="std_msgs/Bool" {}/>'
     lines = [
         line.format("left", 'event="bumper_left"'),
@@ -87,7 +88,7 @@ def test_event_names_of_topics_are_read(tmp_path):
         ("rev", "rev has a fixed meaning in rules"),
     ],
 )
-def test_invalid_event_name_is_refused(tmp_path, event, message):
+def test_invalid_event_name_is_refused(tmp_path: Path, event: str, message: str) -> None:
     line = f'<subscribe_to name="left" msg_type="std_msgs/Bool" event="{event}"/>'
     with pytest.raises(ProgramErrors) as caught:
         read_configuration(tmp_path, f"<publish_subscribe>{line}</publish_subscribe>")
@@ -128,7 +129,7 @@ def test_invalid_event_name_is_refused(tmp_path, event, message):
         ),
     ],
 )
-def test_error_has_position(tmp_path, text, message, line, column):
+def test_error_has_position(tmp_path: Path, text: str, message: str, line: int, column: int) -> None:
     with pytest.raises(ProgramErrors) as caught:
         read_configuration(tmp_path, text)
     (error,) = caught.value.errors
@@ -136,18 +137,18 @@ def test_error_has_position(tmp_path, text, message, line, column):
     assert (error.place.line, error.place.column) == (line, column)
 
 
-def test_all_errors_are_reported(tmp_path):
+def test_all_errors_are_reported(tmp_path: Path) -> None:
     with pytest.raises(ProgramErrors) as caught:
         read_configuration(tmp_path, "<publish_subscribe><publish_to/><subscribe_to/></publish_subscribe>")
     assert len(caught.value.errors) == 2
 
 
-def test_missing_file_is_named(tmp_path):
+def test_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="nothing.xml"):
         read_topics(tmp_path / "nothing.xml")
 
 
-def test_invalid_utf_8_is_reported_with_line(tmp_path):
+def test_invalid_utf_8_is_reported_with_line(tmp_path: Path) -> None:
     path = tmp_path / "latin.txt"
     path.write_bytes("a.\nb. % gr\u00fcn\n".encode("latin-1"))
     with pytest.raises(UsageError, match=r"latin.txt: not UTF-8 text \(line 2: invalid start byte 0xfc\)"):
@@ -158,7 +159,7 @@ def test_invalid_utf_8_is_reported_with_line(tmp_path):
 
 
 @pytest.mark.parametrize("encoding", ["ISO-8859-1", "iso-8859-15", "windows-1252", "US-ASCII", "UTF-8"])
-def test_declared_encoding_is_used(tmp_path, encoding):
+def test_declared_encoding_is_used(tmp_path: Path, encoding: str) -> None:
     comment = "" if encoding == "US-ASCII" else "gr\u00fcn"
     path = tmp_path / "pub_sub.xml"
     text = (
@@ -169,7 +170,7 @@ def test_declared_encoding_is_used(tmp_path, encoding):
     assert read_topics(path).subscribed == (TopicType("a", "std_msgs/String"),)
 
 
-def test_unknown_or_wrong_encoding_is_reported(tmp_path):
+def test_unknown_or_wrong_encoding_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "pub_sub.xml"
     path.write_bytes(b'<?xml version="1.0" encoding="utf-7"?><publish_subscribe/>')
     with pytest.raises(UsageError, match="its encoding 'utf-7' is unknown: expected utf-8 or us-ascii or"):
@@ -180,14 +181,14 @@ def test_unknown_or_wrong_encoding_is_reported(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["a\0b", f"{chr(0xD800)}.txt", "x" * 10_000])
-def test_invalid_file_name_is_reported(tmp_path, name):
+def test_invalid_file_name_is_reported(tmp_path: Path, name: str) -> None:
     with pytest.raises(UsageError, match="cannot read "):
         read_text(tmp_path / name)
     with pytest.raises(UsageError, match="cannot read "):
         Engine().load_program(tmp_path / name)
 
 
-def xml_errors(tmp_path, text):
+def xml_errors(tmp_path: Path, text: str) -> Any:
     file = tmp_path / "pub_sub.xml"
     file.write_text(text)
     with pytest.raises(ProgramErrors) as caught:
@@ -195,7 +196,7 @@ def xml_errors(tmp_path, text):
     return caught.value.errors
 
 
-def test_first_errors_are_shown_and_others_counted(tmp_path):
+def test_first_errors_are_shown_and_others_counted(tmp_path: Path) -> None:
     text = "<publish_subscribe>" + "<publish_to/>\n" * 30_000 + "</publish_subscribe>"
     errors = xml_errors(tmp_path, text)
     assert [error.place.line for error in errors[:-1]] == list(range(1, 101))
@@ -214,19 +215,19 @@ def test_first_errors_are_shown_and_others_counted(tmp_path):
         ("<publish_subscribe>\n<" + "a" * 100_000 + ">", "is not closed", 2),
     ],
 )  # fmt: skip
-def test_large_input_is_refused_with_short_error(tmp_path, text, message, line):
+def test_large_input_is_refused_with_short_error(tmp_path: Path, text: str, message: str, line: int) -> None:
     (error,) = xml_errors(tmp_path, text)
     assert message in error.message
     assert error.place.line == line
     assert len(str(error)) < 1000
 
 
-def test_too_large_file_is_refused(tmp_path):
+def test_too_large_file_is_refused(tmp_path: Path) -> None:
     (error,) = xml_errors(tmp_path, "<publish_subscribe>" + " " * (4 << 20) + "</publish_subscribe>")
     assert "has 4194343 characters: at most 4000000 are allowed" in error.message
 
 
-def test_auto_adds_topics_that_are_not_configured():
+def test_auto_adds_topics_that_are_not_configured() -> None:
     markers = DEFAULT_DIRECT_TOPICS[1]
     named = Topics(subscribed=(TopicType("/tf", "tf/tfMessage"),))
     assert direct_topics("auto", Topics()) == DEFAULT_DIRECT_TOPICS
@@ -256,13 +257,13 @@ def test_auto_adds_topics_that_are_not_configured():
         ("[]", ()),
     ],
 )
-def test_direct_topics_are_word_or_list(value, expected):
+def test_direct_topics_are_word_or_list(value: Any, expected: Any) -> None:
     assert read_direct(value) == expected
 
 
 @pytest.mark.parametrize(
     "value", ["some", 1, None, ["scan"], "[scan]", "[scan, my_msgs/Scan", ["a b", "my_msgs/Scan"], [1, 2]]
 )
-def test_other_direct_topics_are_refused(value):
+def test_other_direct_topics_are_refused(value: Any) -> None:
     with pytest.raises(UsageError):
         read_direct(value)

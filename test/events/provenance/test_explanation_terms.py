@@ -1,5 +1,7 @@
 """Explanations of events and missing events for rules with stream operators."""
 
+from typing import Any
+
 import pytest
 
 from retalis import Engine
@@ -7,7 +9,7 @@ from retalis import Engine
 FLAGS = ":- set_etalis_flag(etalis_justification, on).\n"
 
 
-def explanation_of(rules, stream, event):
+def explanation_of(rules: str, stream: Any, event: str) -> Any:
     """Return the explanation of an event after a stream, events as ``term@end``."""
     engine = Engine()
     engine.load(rules=FLAGS + rules)
@@ -19,7 +21,7 @@ def explanation_of(rules, stream, event):
     return engine.show(body)
 
 
-def leaf(event, instant):
+def leaf(event: str, instant: int) -> str:
     return f"justification(unlabeled,head({event},[{instant},{instant}]),default)"
 
 
@@ -69,7 +71,7 @@ EXPLANATIONS = {
 
 
 @pytest.mark.parametrize("name", EXPLANATIONS)
-def test_event_is_explained_by_sources(name):
+def test_event_is_explained_by_sources(name: Any) -> None:
     rules, event, expected = EXPLANATIONS[name]
     assert explanation_of(rules, STREAM, event) == expected
 
@@ -83,6 +85,6 @@ def test_event_is_explained_by_sources(name):
         ("in(1) seq absent(no seq in(2), 5)", "absentf(in(1),seqf(no,in(2)),5.0)"),
     ],
 )
-def test_missing_event_is_explained(pattern, missing):
+def test_missing_event_is_explained(pattern: str, missing: str) -> None:
     explanation = explanation_of(f"w <- ({pattern}) where fail.", STREAM, "w")
     assert f"head(wheref({missing},fail)," in explanation

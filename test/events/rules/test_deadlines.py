@@ -1,6 +1,7 @@
 """Deadlines of nodes: order, independence, and a single alarm of the clock."""
 
 from types import SimpleNamespace
+from typing import Any, Dict, List, Tuple
 
 import pytest
 from events.stream_programs import ProgramRunner, format_events
@@ -15,7 +16,7 @@ from retalis.events.rules.timer_service import NodeTimers
 class Node:
     """A node that records its alarms, and requests further ones."""
 
-    def __init__(self, timer_bench, name, serial, position=0):
+    def __init__(self, timer_bench: Any, name: Any, serial: Any, position: int = 0) -> None:
         self.timer_bench = timer_bench
         self.name = name
         self.rule = SimpleNamespace(serial=serial, active=True)
@@ -24,13 +25,13 @@ class Node:
         self.alarm_instant = None
         self.next_instants = []
 
-    def request(self, instant):
+    def request(self, instant: int) -> None:
         """Request an alarm at an instant, unless an earlier one is requested."""
         if self.alarm_instant is None or instant < self.alarm_instant:
             self.alarm_instant = instant
             self.timer_bench.deadlines.add(self, instant)
 
-    def on_alarm(self, instant, frame):
+    def on_alarm(self, instant: Any, frame: Any) -> Any:
         self.alarm_instant = None
         self.timer_bench.alarms.append((instant, self.name))
         for instant_or_error in self.next_instants[:1]:
@@ -44,7 +45,7 @@ class Node:
 class TimerBench:
     """Node timers with a clock, and a machine that does nothing."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         machine = SimpleNamespace(done=None, run=lambda frame: frame)
         self.clock = StreamClock()
         rules = SimpleNamespace(
@@ -55,14 +56,14 @@ class TimerBench:
         self.deadlines = NodeTimers(rules)
         self.alarms = []
 
-    def node(self, name, serial, position=0):
+    def node(self, name: str, serial: int, position: int = 0) -> Node:
         return Node(self, name, serial, position)
 
-    def advance_to(self, instant):
+    def advance_to(self, instant: int) -> Tuple[Any, ...]:
         """Move the clock to an instant; return the alarms that ran, and the errors that they raised."""
         self.alarms = []
         self.clock.move_to(instant)
-        errors = []
+        errors: List[Any] = []
         while True:
             due = self.clock.due()
             if due is None:
@@ -73,7 +74,7 @@ class TimerBench:
                 errors.append(str(error))
 
 
-def test_alarms_are_ordered_by_instant_rule_and_node():
+def test_alarms_are_ordered_by_instant_rule_and_node() -> None:
     timer_bench = TimerBench()
     nodes = {
         name: timer_bench.node(name, *order)
@@ -86,7 +87,7 @@ def test_alarms_are_ordered_by_instant_rule_and_node():
     assert len(timer_bench.deadlines) == 0
 
 
-def test_alarm_may_request_next_alarm():
+def test_alarm_may_request_next_alarm() -> None:
     timer_bench = TimerBench()
     first, second = timer_bench.node("one", 1), timer_bench.node("two", 2)
     first.next_instants = [15, 30, 200]
@@ -96,7 +97,7 @@ def test_alarm_may_request_next_alarm():
     assert timer_bench.clock.next_alarm() == 200
 
 
-def test_error_of_alarm_leaves_other_alarms():
+def test_error_of_alarm_leaves_other_alarms() -> None:
     timer_bench = TimerBench()
     for serial in (1, 2, 3):
         node = timer_bench.node(serial, serial)
@@ -105,7 +106,7 @@ def test_error_of_alarm_leaves_other_alarms():
     assert timer_bench.advance_to(10) == ([(10, 1), (10, 2), (10, 3)], ["of 1", "of 2"])
 
 
-def test_earlier_request_replaces_later_one():
+def test_earlier_request_replaces_later_one() -> None:
     timer_bench = TimerBench()
     node = timer_bench.node("a", 1)
     node.request(50)
@@ -114,7 +115,7 @@ def test_earlier_request_replaces_later_one():
 
 
 @pytest.mark.parametrize("later", [10, 60])
-def test_inactive_rule_has_no_alarms(later):
+def test_inactive_rule_has_no_alarms(later: int) -> None:
     timer_bench = TimerBench()
     inactive, active = timer_bench.node("gone", 1), timer_bench.node("here", 2)
     inactive.request(10)
@@ -123,7 +124,7 @@ def test_inactive_rule_has_no_alarms(later):
     assert timer_bench.advance_to(100) == ([(later, "here")], [])
 
 
-def test_reset_of_clock_clears_alarms():
+def test_reset_of_clock_clears_alarms() -> None:
     timer_bench = TimerBench()
     node = timer_bench.node("a", 1)
     node.request(50)
@@ -135,7 +136,7 @@ def test_reset_of_clock_clears_alarms():
     assert timer_bench.advance_to(80) == ([(70, "a")], [])
 
 
-def test_node_alarm_precedes_others_of_same_instant():
+def test_node_alarm_precedes_others_of_same_instant() -> None:
     """A restored engine, which sets the alarm again, therefore continues in the same order."""
     timer_bench = TimerBench()
     timer_bench.clock.call_at(50, lambda instant: timer_bench.alarms.append((instant, "alarm")))
@@ -143,7 +144,7 @@ def test_node_alarm_precedes_others_of_same_instant():
     assert timer_bench.advance_to(50) == ([(50, "a"), (50, "alarm")], [])
 
 
-def test_requests_do_not_accumulate():
+def test_requests_do_not_accumulate() -> None:
     """A node that requests a distant alarm again and again has one entry for it."""
     timer_bench = TimerBench()
     nodes = [timer_bench.node(number, number) for number in range(3)]
@@ -163,10 +164,10 @@ REQUESTS = st.lists(st.tuples(st.integers(0, 4), st.integers(0, 30), st.booleans
 
 @settings(max_examples=50)
 @given(REQUESTS)
-def test_node_alarm_runs_at_earliest_request(requests):
+def test_node_alarm_runs_at_earliest_request(requests: Any) -> None:
     timer_bench = TimerBench()
     nodes = [timer_bench.node(number, number % 2, number) for number in range(5)]
-    waiting = {}
+    waiting: Dict[Any, Any] = {}
     now = 0
     for number, ahead, is_advanced in requests:
         nodes[number].request(now + ahead)
@@ -178,7 +179,7 @@ def test_node_alarm_runs_at_earliest_request(requests):
             assert timer_bench.advance_to(now)[0] == [(instant, node) for instant, _, node in sorted(due)]
 
 
-def test_deleted_rule_has_no_alarms():
+def test_deleted_rule_has_no_alarms() -> None:
     program = ProgramRunner("l : o(N) <- aggregate(count, in(_), N, every(2)).", clock=StreamClock())
     rules = program.engine.rules
     (rule,) = rules.rules

@@ -1,5 +1,7 @@
 """Flags: accepted values, defaults and effects."""
 
+from typing import Any, List, Tuple
+
 import pytest
 
 from retalis import Engine, ProgramErrors, PrologError, Settings, StreamClock, UsageError
@@ -10,26 +12,26 @@ RULE = "out(X) <- a(X) seq b(X)."
 EVENTS = (("a(1)", 1), ("a(9)", 50), ("b(1)", 51))
 
 
-def engine_and_outputs(rules, stream=EVENTS, **flags):
+def engine_and_outputs(rules: str, stream: Any = EVENTS, **flags: Any) -> Tuple[Any, ...]:
     """Return the engine after a stream of instants, and what it derived."""
     engine = Engine(clock=StreamClock(1000 * SECOND))
     for name, value in flags.items():
         assert engine.call(f"set_etalis_flag({name}, {value})")
     engine.load(rules=rules)
-    events = []
+    events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append((engine.show(term), int(start) // SECOND)))
     for text, instant in stream:
         engine.event(text, instant)
     return engine, [event for event in events if event[0].startswith("out")]
 
 
-def value(engine, name):
+def value(engine: Any, name: Any) -> Any:
     (answer,) = engine.query(f"get_etalis_flag({name}, V)")
     return engine.show(answer["V"])
 
 
 @pytest.mark.parametrize("name", FLAGS)
-def test_reset_restores_default_of_flag(name):
+def test_reset_restores_default_of_flag(name: Any) -> None:
     engine = Engine()
     default = value(engine, name)
     flag = FLAGS[name]
@@ -54,13 +56,13 @@ def test_reset_restores_default_of_flag(name):
         "get_etalis_flag(no_such_flag, _)",
     ],
 )
-def test_unknown_flag_or_value_is_refused(goal):
+def test_unknown_flag_or_value_is_refused(goal: str) -> None:
     with pytest.raises(PrologError):
         Engine().call(goal)
 
 
 @pytest.mark.parametrize("name", ["garbage_window", "garbage_window_step", "max_gap", "state_ttl"])
-def test_negative_seconds_are_refused_except_for_none(name):
+def test_negative_seconds_are_refused_except_for_none(name: str) -> None:
     engine = Engine()
     for value in (-5, -0.5, "-inf"):
         with pytest.raises(PrologError, match=f"{name} takes a number of seconds from 0, or -1 for none"):
@@ -70,23 +72,23 @@ def test_negative_seconds_are_refused_except_for_none(name):
         assert engine.call(f"set_etalis_flag({name}, {value})")
 
 
-def test_negative_setting_is_refused():
+def test_negative_setting_is_refused() -> None:
     with pytest.raises(UsageError, match="max_gap takes a number of seconds from 0"):
         Engine(settings=Settings(max_gap=-5))
 
 
-def test_flags_are_listed():
+def test_flags_are_listed() -> None:
     assert len(Engine().query("get_etalis_flag(N, V)")) == len(FLAGS)
 
 
-def test_file_with_invalid_flag_is_refused():
+def test_file_with_invalid_flag_is_refused() -> None:
     engine = Engine()
     with pytest.raises(ProgramErrors):
         engine.load(rules=":- set_etalis_flag(nonsense, on).\n" + RULE)
     assert not engine.rules.rules
 
 
-def test_policy_flag_applies_to_stored_matches():
+def test_policy_flag_applies_to_stored_matches() -> None:
     rules = "out(X,Y) <- a(X) seq b(Y)."
     engine, outputs = engine_and_outputs(rules, (("a(1)", 1), ("a(2)", 2)))
     engine.on_event(lambda term, start, end: outputs.append(engine.show(term)))
@@ -105,7 +107,7 @@ PATTERN = "r([{}]) : " + RULE
 WINDOW_AND_STEP = "property(window,{}),property(window_step,{})"
 
 
-def test_general_garbage_control_needs_flag_and_window():
+def test_general_garbage_control_needs_flag_and_window() -> None:
     assert engine_and_outputs(RULE)[1] == [("out(1)", 1)]
     assert engine_and_outputs(RULE, **GENERAL)[1] == []
     assert engine_and_outputs(RULE, **{**GENERAL, "garbage_control": "off"})[1] == [("out(1)", 1)]
@@ -113,12 +115,12 @@ def test_general_garbage_control_needs_flag_and_window():
     assert engine_and_outputs(RULE, **{**GENERAL, "garbage_window": 100})[1] == [("out(1)", 1)]
 
 
-def test_general_garbage_control_runs_once_per_step():
+def test_general_garbage_control_runs_once_per_step() -> None:
     assert engine_and_outputs(RULE, **{**GENERAL, "garbage_window_step": 49})[1] == []
     assert engine_and_outputs(RULE, **{**GENERAL, "garbage_window_step": 51})[1] == [("out(1)", 1)]
 
 
-def test_pattern_garbage_control_needs_both_properties():
+def test_pattern_garbage_control_needs_both_properties() -> None:
     stream = (("a(1)", 1), ("a(9)", 50), ("b(1)", 2))  # within the window, but late by the rule's clock
     for properties, control, expected in (
         ("property(window_step,1)", "pattern", [("out(1)", 1)]),
@@ -129,7 +131,7 @@ def test_pattern_garbage_control_needs_both_properties():
         assert engine_and_outputs(PATTERN.format(properties), stream, garbage_control=control)[1] == expected
 
 
-def test_pattern_control_removes_negated_events():
+def test_pattern_control_removes_negated_events() -> None:
     rules = "r([property(window,10),property(window_step,{})]) : out(X) <- e(X) fnot g(X)."
     stream = [(f"g({second})", second) for second in range(100)]
     waiting = [
@@ -141,7 +143,7 @@ def test_pattern_control_removes_negated_events():
 
 @pytest.mark.parametrize("name", [name for name, flag in FLAGS.items() if not flag.values])
 @pytest.mark.parametrize("number", ["inf", "nan"])
-def test_infinite_value_of_flag_is_refused(name, number):
+def test_infinite_value_of_flag_is_refused(name: Any, number: str) -> None:
     engine = Engine()
     value_before = value(engine, name)
     with pytest.raises(PrologError, match=f"{name} takes a number of"):
@@ -154,14 +156,14 @@ def test_infinite_value_of_flag_is_refused(name, number):
 
 
 @pytest.mark.parametrize(("flag", "expected"), [("on", ["a(1)", "a(9)", "b(1)", "out(1)"]), ("off", [])])
-def test_events_are_stored_if_flag_is_on(flag, expected):
+def test_events_are_stored_if_flag_is_on(flag: str, expected: Any) -> None:
     engine, _ = engine_and_outputs(RULE, store_fired_events=flag)
     assert [engine.show(answer["E"]) for answer in engine.query("stored_event(event(E,_))")] == expected
     assert [engine.show(answer["E"]) for answer in engine.query("fired_event(E,_)")] == expected
 
 
 @pytest.mark.parametrize("policy", ["recent", "chronological", "unrestricted"])
-def test_rule_sharing_keeps_outputs(policy):
+def test_rule_sharing_keeps_outputs(policy: str) -> None:
     rules = "out1(X) <- a(X) seq b(X).\nout2(X) <- (a(X) seq b(X)) seq c.\nout1(X) <- d(X).\n"
     stream = (("a(1)", 1), ("b(1)", 2), ("d(7)", 3), ("c", 4), ("c", 5))
     on = engine_and_outputs(rules, stream, event_consumption_policy=policy, rule_sharing="on")[1]
@@ -172,6 +174,6 @@ def test_rule_sharing_keeps_outputs(policy):
 
 
 @pytest.mark.parametrize("switch", [name for name, flag in FLAGS.items() if flag.values == ("off", "on")])
-def test_switch_keeps_outputs_of_plain_program(switch):
+def test_switch_keeps_outputs_of_plain_program(switch: Any) -> None:
     for state in ("on", "off"):
         assert engine_and_outputs(RULE, **{switch: state})[1] == [("out(1)", 1)]

@@ -1,3 +1,5 @@
+from typing import Any, Optional, Tuple
+
 import pytest
 from reachability import count_entries
 
@@ -42,7 +44,7 @@ TEXTS = [
 ]
 
 
-def outcome(read, text):
+def outcome(read: Any, text: Any) -> Optional[Tuple[Any, ...]]:
     try:
         event = read(text)
     except RetalisError as error:
@@ -53,17 +55,17 @@ def outcome(read, text):
 
 
 @pytest.mark.parametrize("text", TEXTS)
-def test_short_path_equals_complete_path(text):
+def test_short_path_equals_complete_path(text: Any) -> None:
     reader = InputReader(Operators.prolog())
 
-    def read_completely(text):
+    def read_completely(text: Any) -> Any:
         return event_of(EventReader(Operators.prolog()).read(text))
 
     for _ in range(2):  # the second time, the reader has cached the text
         assert outcome(reader.parse_event, text) == outcome(read_completely, text)
 
 
-def test_timestamps_keep_instants_beyond_cache():
+def test_timestamps_keep_instants_beyond_cache() -> None:
     reader = InputReader(Operators.prolog())
     count_before = count_entries(reader)
     for second in list(range(60)) * 2:
@@ -75,14 +77,14 @@ def test_timestamps_keep_instants_beyond_cache():
     assert count_entries(reader) - count_before <= 64 + 10
 
 
-def test_nested_event_with_timestamps_is_unwrapped():
+def test_nested_event_with_timestamps_is_unwrapped() -> None:
     event = event_of(EventReader(Operators.prolog()).read("event(event(a(1),[2,3]))"))
     assert (event.term, event.start, event.end) == (functor("a", 1)(1), 2 * SECOND, 3 * SECOND)
     with pytest.raises(RetalisError, match="interval"):
         event_of(EventReader(Operators.prolog()).read("event(event(a(1),2))"))
 
 
-def test_reader_reports_ground_events():
+def test_reader_reports_ground_events() -> None:
     reader = InputReader(Operators.prolog())
     timestamp = "datime(2014,10,19,19,50,5,1)"
     assert reader.parse_event(f"event(a(1),[{timestamp},{timestamp}])").ground is True
@@ -90,7 +92,7 @@ def test_reader_reports_ground_events():
     assert reader.parse_event("event(a(1))").ground is None
 
 
-def test_timestamp_of_thousands_of_digits_is_refused():
+def test_timestamp_of_thousands_of_digits_is_refused() -> None:
     timestamp = f"datime(2014,10,19,19,50,{'9' * 5000},1)"
     with pytest.raises(RetalisError):
         InputReader(Operators.prolog()).parse_event(f"event(a,[{timestamp},{timestamp}])")

@@ -1,6 +1,7 @@
 """Timers: events at instants that the clock reaches."""
 
 import logging
+from typing import Any, List
 
 import pytest
 from hypothesis import given, settings
@@ -12,28 +13,28 @@ from retalis.prolog.terms.timestamps import SECOND
 
 
 class TimerEngine(Engine):
-    def __init__(self, *arguments):
+    def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
         self.events = []
         self.on_event(self._record_event)
 
-    def _record_event(self, term, start, end):
+    def _record_event(self, term: Any, start: Any, end: Any) -> None:
         assert start == end or self.show(term) not in ("tick", "a", "b")
         self.events.append((self.show(term), end / SECOND))
 
-    def feed(self, *instants):
+    def feed(self, *instants: Any) -> List[Any]:
         """Process an event at each instant; return all events."""
         self.events.clear()
         for instant in instants:
             self.event("e", instant)
         return list(self.events)
 
-    def timers(self):
+    def timers(self) -> Any:
         (answer,) = self.query("timers(L)")
         return self.show(answer["L"])
 
 
-def load_engine(goals="", rules="", clock=None):
+def load_engine(goals: str = "", rules: str = "", clock: Any = None) -> Any:
     engine = TimerEngine(clock)
     engine.load(rules=rules, goals=goals)
     return engine
@@ -51,7 +52,7 @@ def load_engine(goals="", rules="", clock=None):
         ("at(0, 0, 1)", []),
     ],
 )
-def test_timer_emits_events_at_its_instants(schedule, expected_instants):
+def test_timer_emits_events_at_its_instants(schedule: str, expected_instants: Any) -> None:
     engine = load_engine(f"timer(tick, {schedule})")
     assert ", waits)" in engine.timers().replace(",waits", ", waits")
     assert engine.feed(1, 6.5) == [
@@ -61,7 +62,7 @@ def test_timer_emits_events_at_its_instants(schedule, expected_instants):
     ]
 
 
-def test_timer_precedes_event_of_same_instant():
+def test_timer_precedes_event_of_same_instant() -> None:
     engine = load_engine("timer(tick, every(5))", "exceptionAlarm(late, 5) <- a.\nboth <- tick equals e.")
     engine.feed(1)
     engine.event("a", 5)
@@ -69,7 +70,7 @@ def test_timer_precedes_event_of_same_instant():
     assert engine.feed(10) == [("tick", 10), ("late", 10), ("e", 10), ("both", 10)]
 
 
-def test_patterns_match_events_of_timers():
+def test_patterns_match_events_of_timers() -> None:
     engine = load_engine("timer(tick, every(10))", "quiet <- (tick seq tick) cnot e.")
     assert engine.feed(1, 29) == [
         ("e", 1),
@@ -80,7 +81,7 @@ def test_patterns_match_events_of_timers():
     ]
 
 
-def test_rules_and_directives_set_and_cancel_timers():
+def test_rules_and_directives_set_and_cancel_timers() -> None:
     rules = """
     :- timer(tick, every(4)).
     null do timer(gone(X), after(3)) <- seen(X).
@@ -100,7 +101,7 @@ def test_rules_and_directives_set_and_cancel_timers():
     ]
 
 
-def test_cancel_removes_unifying_timers():
+def test_cancel_removes_unifying_timers() -> None:
     engine = load_engine(
         "timer(a(1), every(2))\ntimer(a(2), every(2))\ntimer(a(2), every(3))\ntimer(b, every(5))"
     )
@@ -115,8 +116,8 @@ def test_cancel_removes_unifying_timers():
     assert engine.feed(30) == [("e", 30)]
 
 
-def test_cancel_compares_candidates_only(monkeypatch):
-    compared = []
+def test_cancel_compares_candidates_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    compared: List[Any] = []
     unifies = timer_service.may_unify
     monkeypatch.setattr(
         timer_service, "may_unify", lambda timer, pattern: compared.append(timer) or unifies(timer, pattern)
@@ -133,7 +134,7 @@ def test_cancel_compares_candidates_only(monkeypatch):
 @pytest.mark.parametrize(
     "goal", ["timer(3, every(1))", "timer(a, evry(1))", "timer(_, every(1))", "timer(a, _)"]
 )
-def test_invalid_timer_is_refused(goal):
+def test_invalid_timer_is_refused(goal: str) -> None:
     with pytest.raises(PrologError):
         load_engine().call(goal)
     with pytest.raises(ProgramErrors):
@@ -145,7 +146,7 @@ def test_invalid_timer_is_refused(goal):
     st.lists(st.integers(1, 40), min_size=1, max_size=10),
     st.sampled_from(["every(3)", "every(7, from_now)", "after(4)", "at(0, 0, 20)"]),
 )
-def test_instants_are_independent_of_clock_steps(steps, schedule):
+def test_instants_are_independent_of_clock_steps(steps: List[Any], schedule: Any) -> None:
     instants = [sum(steps[: number + 1]) for number in range(len(steps))]
     first, last = instants[0], instants[-1]
     expected = {
@@ -171,7 +172,7 @@ def test_instants_are_independent_of_clock_steps(steps, schedule):
         (":- state(rung, from(a), until(b), [within(9)]).", 10),
     ],
 )
-def test_timers_set_by_deadline_count_from_its_instant(rule, instant):
+def test_timers_set_by_deadline_count_from_its_instant(rule: str, instant: int) -> None:
     rules = (
         rule + "\nnull do timer(later, after(3)) <- rung.\nnull do timer(tick, every(4, from_now)) <- rung."
     )
@@ -181,7 +182,7 @@ def test_timers_set_by_deadline_count_from_its_instant(rule, instant):
     assert events == [("later", instant + 3), ("tick", instant + 4), ("tick", instant + 8)]
 
 
-def test_recursive_timer_fires_boundedly_after_jump(monkeypatch):
+def test_recursive_timer_fires_boundedly_after_jump(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(timer_service, "MAX_FIRINGS_PER_JUMP", 100)
     engine = load_engine(rules=":- timer(t, after(1)).\nnull do timer(t, after(1)) <- t.")
     engine.feed(0.5)
@@ -193,7 +194,7 @@ def test_recursive_timer_fires_boundedly_after_jump(monkeypatch):
     assert instants[-1] == 1001
 
 
-def test_timer_in_the_past_is_reported(caplog):
+def test_timer_in_the_past_is_reported(caplog: pytest.LogCaptureFixture) -> None:
     engine = load_engine("timer(a, at(2))")
     engine.feed(5)
     assert engine.call("timer(b, at(3))")
@@ -202,7 +203,9 @@ def test_timer_in_the_past_is_reported(caplog):
     assert messages == ["timer a, at(2): that instant has passed", "timer b, at(3): that instant has passed"]
 
 
-def test_periodic_timer_fires_boundedly_after_jump(caplog, monkeypatch):
+def test_periodic_timer_fires_boundedly_after_jump(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(timer_service, "MAX_FIRINGS_PER_JUMP", 100)
     engine = load_engine("timer(t, every(1))")
     engine.feed(0.5)
@@ -214,19 +217,19 @@ def test_periodic_timer_fires_boundedly_after_jump(caplog, monkeypatch):
     assert engine.feed(1001.5) == [("t", 1001), ("e", 1001.5)]
 
 
-def test_event_of_timer_has_fresh_variables():
+def test_event_of_timer_has_fresh_variables() -> None:
     engine = load_engine("timer(a(X, X), every(1))", "pair(Y, Z) <- a(1, Y) seq a(2, Z).")
     engine.feed(0.5, 3)
     assert [event for event, _ in engine.events if event.startswith("pair")] == ["pair(1,2)"] * 2
 
 
-def test_periodic_timers_follow_clock_back():
+def test_periodic_timers_follow_clock_back() -> None:
     clock = StreamClock()
     engine = load_engine(
         "timer(a, every(3))\ntimer(b, every(3, from_now))\ntimer(c, after(50))\ntimer(d, at(33))", clock=clock
     )
 
-    def move(second):
+    def move(second: int) -> Any:
         engine.events.clear()
         clock.move_to(second * SECOND, back=True)
         engine.advance()
@@ -239,7 +242,7 @@ def test_periodic_timers_follow_clock_back():
     assert [event for event in move(80) if event[0] in "cd"] == [("d", 33)]
 
 
-def test_cancelled_timers_leave_clock():
+def test_cancelled_timers_leave_clock() -> None:
     engine = load_engine("timer(keep, every(1000))")
     engine.feed(1)
     for number in range(500):
@@ -251,7 +254,7 @@ def test_cancelled_timers_leave_clock():
     assert engine.events[2] == ("b", 2001)
 
 
-def test_number_of_timers_is_limited(monkeypatch):
+def test_number_of_timers_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(timer_service, "MAX_TIMERS", 100)
     engine = load_engine()
     assert engine.call("forall(between(1, 100, N), timer(a(N), after(N)))")
@@ -260,7 +263,7 @@ def test_number_of_timers_is_limited(monkeypatch):
     assert engine.call("timer(a(1), after(1))"), "the timer exists already"
 
 
-def test_timers_are_restored():
+def test_timers_are_restored() -> None:
     engine = load_engine("timer(a, every(2))\ntimer(b, after(7))\ntimer(c, every(3, from_now))")
     restored = TimerEngine.restore(engine.snapshot())
     assert engine.feed(1, 5) == restored.feed(1, 5)
@@ -271,7 +274,7 @@ def test_timers_are_restored():
     assert restored_later.feed(9, 30) == events
 
 
-def test_status_counts_timers_with_alarms():
+def test_status_counts_timers_with_alarms() -> None:
     engine = load_engine("timer(a, every(2))")
     assert (engine.status().alarms, engine.status().next_alarm) == (1, None)
     engine.feed(1)
@@ -279,7 +282,7 @@ def test_status_counts_timers_with_alarms():
 
 
 @pytest.mark.parametrize("timer", ["timer(tick(left), every(1))", "timer(tick, every(1))"])
-def test_event_of_timer_is_checked_against_declaration(timer):
+def test_event_of_timer_is_checked_against_declaration(timer: str) -> None:
     declared = ":- event tick(count:number).\n"
     engine = TimerEngine()
     with pytest.raises(ProgramErrors, match="tick"):
@@ -294,15 +297,15 @@ def test_event_of_timer_is_checked_against_declaration(timer):
 class TestNames:
     """Uses of the names of timer predicates by programs."""
 
-    def test_facts_of_program_replace_predicate(self):
+    def test_facts_of_program_replace_predicate(self) -> None:
         engine = load_engine(rules="timer(kitchen, 5).\ntimers(many).\nout(X) <- e where timer(kitchen, X).")
         assert engine.feed(1) == [("e", 1), ("out(5)", 1)]
 
-    def test_goal_without_arrow_is_refused(self):
+    def test_goal_without_arrow_is_refused(self) -> None:
         with pytest.raises(ProgramErrors, match="write :- before a goal"):
             load_engine(rules="timer(tick, every(5)).")
 
-    def test_event_may_be_named_timer(self, caplog):
+    def test_event_may_be_named_timer(self, caplog: pytest.LogCaptureFixture) -> None:
         with caplog.at_level(logging.WARNING):
             engine = load_engine(rules="out(X) <- timer(X, 5).")
         engine.event("timer(a, 5)", 1)

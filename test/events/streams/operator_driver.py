@@ -1,7 +1,7 @@
 """Driver of one stream operator for tests: feeds arrivals and runs due deadlines before each of them."""
 
 from collections import deque
-from typing import NamedTuple
+from typing import Any, List, NamedTuple, Tuple
 
 from hypothesis import strategies as st
 
@@ -34,7 +34,7 @@ class Arrival(NamedTuple):
     clock_time: int
 
 
-def arrival_lists(values, max_delay=12, channels=(0,), max_size=25):
+def arrival_lists(values: Any, max_delay: int = 12, channels: Any = (0,), max_size: int = 25) -> Any:
     """Return a strategy for lists of arrivals in order, or up to ``max_delay`` late."""
     row = st.tuples(
         st.sampled_from("aab"),
@@ -48,7 +48,7 @@ def arrival_lists(values, max_delay=12, channels=(0,), max_size=25):
     return st.lists(row, max_size=max_size).map(_arrivals_of_rows)
 
 
-def _arrivals_of_rows(rows):
+def _arrivals_of_rows(rows: Any) -> Any:
     arrivals, clock_time = [], 20
     for number, (key, step, delay, length, value, channel) in enumerate(rows):
         clock_time += step
@@ -57,12 +57,12 @@ def _arrivals_of_rows(rows):
     return arrivals
 
 
-def element_of(arrival):
+def element_of(arrival: Any) -> Any:
     """Return the stream element of an arrival; its match is the number of the arrival."""
     return StreamElement(arrival.number, arrival.start, arrival.end, (arrival.key,), (arrival.value,))
 
 
-def list_accumulators():
+def list_accumulators() -> List[Any]:
     """Return the accumulators of a window that collects all values."""
     return [AGGREGATES["list"].make_accumulator(0, None)]
 
@@ -76,18 +76,18 @@ class OperatorDriver:
             snapshot; never by default.
     """
 
-    def __init__(self, make_operator, restore_before=None):
+    def __init__(self, make_operator: Any, restore_before: Any = None) -> None:
         self.make_operator = make_operator
         self.restore_before = restore_before
         self.operator = self._create()
         self.outputs = []
 
-    def _create(self):
+    def _create(self) -> Any:
         operator = self.make_operator()
         operator.tracks_elements = True
         return operator
 
-    def feed(self, arrivals):
+    def feed(self, arrivals: Any) -> Any:
         """Process all arrivals, then all deadlines that remain, and return the outputs."""
         for number, arrival in enumerate(arrivals):
             self.advance_to(arrival.clock_time)
@@ -101,7 +101,7 @@ class OperatorDriver:
         self.advance_to(END_OF_TIME)
         return self.outputs
 
-    def advance_to(self, instant):
+    def advance_to(self, instant: Any) -> None:
         """Run the deadlines of the operator up to an instant, each at its own time."""
         while self.operator.next_deadline is not None and self.operator.next_deadline <= instant:
             deadline = self.operator.next_deadline
@@ -110,18 +110,18 @@ class OperatorDriver:
             assert self.operator.next_deadline is None or self.operator.next_deadline > deadline
 
 
-def entry_count(container):
+def entry_count(container: Any) -> Any:
     """Return the number of entries in all lists, queues and dictionaries that are attributes of an object."""
     attributes = [getattr(container, name) for name in getattr(container, "__slots__", ())]
     attributes = attributes or vars(container).values()
     return sum(len(value) for value in attributes if isinstance(value, (list, deque, dict)))
 
 
-def _described(output):
+def _described(output: Any) -> Tuple[Any, ...]:
     return tuple([element.match for element in output.elements]), output.start, output.end
 
 
-def expected_output(window):
+def expected_output(window: Any) -> Tuple[Any, ...]:
     """Return the output for arrivals that are aggregated together: numbers, first start, last end."""
     return (
         tuple([arrival.number for arrival in window]),

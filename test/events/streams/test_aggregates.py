@@ -3,6 +3,7 @@
 import math
 import statistics
 from fractions import Fraction
+from typing import Any, Iterator, List
 
 import pytest
 from events.streams.operator_driver import Arrival, arrival_lists, element_of, entry_count
@@ -25,14 +26,14 @@ NUMBERS = st.one_of(
 )
 
 
-def quotient(total, divisor, values):
+def quotient(total: Any, divisor: int, values: Any) -> Any:
     """Return a fraction as a number: an exact integer if all values are integers, else a float rounded once."""
     fraction = Fraction(total) / divisor
     is_whole = all(isinstance(value, int) for value in values) and fraction.denominator == 1
     return int(fraction) if is_whole else float(fraction)
 
 
-def quantile(fraction, values):
+def quantile(fraction: float, values: Any) -> Any:
     ordered = sorted(values)
     position = fraction * (len(ordered) - 1)
     low = ordered[math.floor(position)]
@@ -40,16 +41,16 @@ def quantile(fraction, values):
     return low if rest == 0 else low + (ordered[math.floor(position) + 1] - low) * rest
 
 
-def deviation(values):
+def deviation(values: Any) -> Any:
     mean = sum(map(Fraction, values)) / len(values)
     return math.sqrt(sum((Fraction(value) - mean) ** 2 for value in values) / (len(values) - 1))
 
 
-def accumulator(name, setting=None, position=0):
+def accumulator(name: str, setting: Any = None, position: int = 0) -> Any:
     return AGGREGATES[name].make_accumulator(position, setting)
 
 
-def window_results(arrivals, makers, span=SPAN):
+def window_results(arrivals: Any, makers: Any, span: Any = SPAN) -> Iterator[Any]:
     """Yield the elements of a sliding window in order of arrival, and the results of its accumulators."""
     window = SlidingTimeWindow(lambda: [make() for make in makers], span)
     window.tracks_elements = True
@@ -68,7 +69,7 @@ def window_results(arrivals, makers, span=SPAN):
         for position, value in enumerate([1e16, 1.0, -1e16, 1.0, 0.1, 3, 2, 1])
     ]
 )
-def test_numeric_aggregates(arrivals):
+def test_numeric_aggregates(arrivals: Any) -> None:
     names = ("count", "sum", "avg", "min", "max", "median", "rate")
     makers = [lambda name=name: accumulator(name, SPAN if name == "rate" else None) for name in names]
     makers += [lambda fraction=fraction: accumulator("quantile", fraction) for fraction in FRACTIONS]
@@ -89,7 +90,7 @@ def test_numeric_aggregates(arrivals):
         st.one_of(st.integers(-5, 5), st.integers(-(10**9), 10**9).map(lambda number: number / 1024))
     )
 )
-def test_sample_deviation(arrivals):
+def test_sample_deviation(arrivals: Any) -> None:
     """The sample deviation is exact up to the root; one number has no deviation."""
     for window, results in window_results(arrivals, [lambda: accumulator("stddev")]):
         values = [arrival.value for arrival in window]
@@ -102,7 +103,7 @@ TERMS = st.sampled_from([1, 1.0, 2, atom("a"), (atom("f"), 1), (atom("f"), 1.0)]
 
 @example_settings(max_examples=30)
 @given(arrival_lists(TERMS))
-def test_term_aggregates(arrivals):
+def test_term_aggregates(arrivals: Any) -> None:
     """Results are in order of arrival; two terms differ if they do not unify."""
     names = ("first", "last", "list", "distinct", "count_distinct")
     for window, results in window_results(arrivals, [lambda name=name: accumulator(name) for name in names]):
@@ -116,14 +117,14 @@ def test_term_aggregates(arrivals):
         assert [repr(result) for result in shown] == [repr(result) for result in expected]
 
 
-def sorted_by_first(different, values):
+def sorted_by_first(different: Any, values: Any) -> List[Any]:
     keys = [term_key(value) for value in values]
     return sorted(different, key=lambda value: keys.index(term_key(value)))
 
 
 @example_settings(max_examples=20)
 @given(arrival_lists(NUMBERS))
-def test_rate_without_span_uses_first_and_last_end(arrivals):
+def test_rate_without_span_uses_first_and_last_end(arrivals: Any) -> None:
     measured = list(window_results(arrivals, [lambda: accumulator("rate")]))
     for window, results in measured:
         ends = [arrival.end for arrival in window]
@@ -132,14 +133,14 @@ def test_rate_without_span_uses_first_and_last_end(arrivals):
 
 @example_settings(max_examples=100)
 @given(st.integers(1, 10**6), st.integers(1, 10**15))
-def test_rate_of_window_is_rounded_once(number, span):
+def test_rate_of_window_is_rounded_once(number: int, span: int) -> None:
     assert accumulator("rate", Fraction(span, 10**9)).result(None, number) == float(
         Fraction(number * 10**9, span)
     )
 
 
 @pytest.mark.parametrize("name", ["median", "quantile"])
-def test_quantile_of_overflowing_difference(name):
+def test_quantile_of_overflowing_difference(name: str) -> None:
     arrivals = [
         Arrival(position, "a", position, position, value, 0, position)
         for position, value in enumerate([-1.5e308, 1.5e308])
@@ -149,7 +150,7 @@ def test_quantile_of_overflowing_difference(name):
     )
 
 
-def test_fold_receives_values_oldest_first():
+def test_fold_receives_values_oldest_first() -> None:
     arrivals = [
         Arrival(position, "a", position, position, value, 0, position)
         for position, value in enumerate([3, 1, 2])
@@ -163,7 +164,7 @@ def test_fold_receives_values_oldest_first():
     assert results == [(30,), (40,), (60,)]
 
 
-def test_missing_result_suppresses_output():
+def test_missing_result_suppresses_output() -> None:
     arrivals = [Arrival(position, "a", position, position, position, 0, position) for position in range(3)]
     makers = [
         lambda: accumulator("count"),
@@ -174,19 +175,19 @@ def test_missing_result_suppresses_output():
 
 @pytest.mark.parametrize("name", ["sum", "avg", "stddev", "median", "quantile"])
 @pytest.mark.parametrize("value", [float("inf"), float("-inf"), float("nan")])
-def test_infinite_value_is_refused_by_sum(name, value):
+def test_infinite_value_is_refused_by_sum(name: str, value: float) -> None:
     with pytest.raises(RuleError, match=f"aggregate {name}: the value is '.*': expected a finite number"):
         accumulator(name, 0.5).check(element_of(Arrival(0, "a", 1, 1, value, 0, 1)))
 
 
 @pytest.mark.parametrize("name", ["min", "max"])
-def test_extremes_accept_infinity_but_not_nan(name):
+def test_extremes_accept_infinity_but_not_nan(name: str) -> None:
     accumulator(name).check(element_of(Arrival(0, "a", 1, 1, float("inf"), 0, 1)))
     with pytest.raises(RuleError, match=f"aggregate {name}: the value is '1.5NaN': expected a number"):
         accumulator(name).check(element_of(Arrival(0, "a", 1, 1, float("nan"), 0, 1)))
 
 
-def test_accumulators_read_their_own_value():
+def test_accumulators_read_their_own_value() -> None:
     window = SlidingTimeWindow(
         lambda: [accumulator("sum"), accumulator("max", None, 1), accumulator("count", None, 2)], 10
     )
@@ -198,7 +199,7 @@ def test_accumulators_read_their_own_value():
 @pytest.mark.parametrize(
     "name", ["count", "sum", "avg", "stddev", "min", "max", "median", "count_distinct", "distinct", "rate"]
 )
-def test_result_does_not_read_window(name):
+def test_result_does_not_read_window(name: str) -> None:
     """The cost of a result does not depend on the size of the window; removed elements are not stored."""
     aggregate, window = accumulator(name, 0.5 if name == "median" else None), []
     for position in range(500):

@@ -1,5 +1,7 @@
 """Windows over arrays, compared with numpy."""
 
+from typing import Any, List, Tuple
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -27,14 +29,14 @@ ROWS = st.lists(st.lists(st.floats(-100, 100, width=32), min_size=6, max_size=6)
 class ReportRecorder:
     """Observer of an engine that records all reports."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.reports = []
 
-    def __getattr__(self, name):
+    def __getattr__(self, name: Any) -> Any:
         return lambda *arguments: self.reports.append(" ".join(map(str, arguments)))
 
 
-def engine_of(rules, observer=None):
+def engine_of(rules: str, observer: Any = None) -> Tuple[Any, ...]:
     """Return an engine, and the list that receives the arrays of its events."""
     engine, results = Engine(None, Settings(), observer or ReportRecorder()), []
     engine.on_event(
@@ -44,7 +46,7 @@ def engine_of(rules, observer=None):
     return engine, results
 
 
-def send(engine, values, second, key=1):
+def send(engine: Any, values: Any, second: int, key: int = 1) -> None:
     engine.event_at(SCAN(key, values), second * SECOND, second * SECOND)
 
 
@@ -52,7 +54,7 @@ def send(engine, values, second, key=1):
 @settings(max_examples=30, deadline=None)
 @given(ROWS, st.sampled_from(["<f4", "<f8", "<i4"]), st.booleans())
 @pytest.mark.parametrize("aggregate", NUMPY_FUNCTIONS)
-def test_array_results_equal_numpy(aggregate, rows, dtype, as_lists):
+def test_array_results_equal_numpy(aggregate: Any, rows: Any, dtype: Any, as_lists: bool) -> None:
     engine, results = engine_of(f"out(K, R) <- aggregate({aggregate}, scan(K, X), R, last(3, events)).")
     arrays = [np.array(row).astype(dtype) for row in rows]
     for second, array in enumerate(arrays):
@@ -67,7 +69,7 @@ def test_array_results_equal_numpy(aggregate, rows, dtype, as_lists):
 
 
 @pytest.mark.parametrize("window", WINDOWS)
-def test_windows_aggregate_arrays(window):
+def test_windows_aggregate_arrays(window: Any) -> None:
     engine, results = engine_of(f"out(K, R) <- aggregate(avg(X), scan(K, X), R, {window}).")
     for second in range(1, 13):
         send(engine, array_term(np.full(6, float(second))), second)
@@ -75,7 +77,7 @@ def test_windows_aggregate_arrays(window):
     assert all(len(set(result.tolist())) == 1 for result in results)
 
 
-def test_nan_stays_in_sums_but_not_in_extremes():
+def test_nan_stays_in_sums_but_not_in_extremes() -> None:
     text = "out(K, R) <- aggregate({}(X), scan(K, X), R, last(5)).\n"
     engine, results = engine_of("".join(map(text.format, ("sum", "avg", "min", "max", "median", "stddev"))))
     send(engine, array_term(np.array([np.nan, np.inf, 1, 2, 3.0])), 1)
@@ -94,7 +96,7 @@ def test_nan_stays_in_sums_but_not_in_extremes():
     assert deviation[2:] == [0, 0.5**0.5, 2**0.5]
 
 
-def test_median_of_infinite_elements():
+def test_median_of_infinite_elements() -> None:
     engine, results = engine_of("out(K, R) <- aggregate(median(X), scan(K, X), R, last(5)).")
     for second, value in enumerate([np.inf, np.inf, 1.0]):
         send(engine, array_term(np.array([value, 2.0, -np.inf])), second)
@@ -102,7 +104,7 @@ def test_median_of_infinite_elements():
 
 
 @pytest.mark.parametrize("aggregate", NUMPY_FUNCTIONS)
-def test_other_values_are_refused_beside_arrays(aggregate):
+def test_other_values_are_refused_beside_arrays(aggregate: Any) -> None:
     observer = ReportRecorder()
     engine, results = engine_of(f"out(K, R) <- aggregate({aggregate}, scan(K, X), R, last(10)).", observer)
     send(engine, array_term(np.arange(6)), 0)
@@ -117,7 +119,7 @@ def test_other_values_are_refused_beside_arrays(aggregate):
 
 
 @pytest.mark.parametrize("aggregate", NUMPY_FUNCTIONS)
-def test_arrays_are_refused_beside_numbers(aggregate):
+def test_arrays_are_refused_beside_numbers(aggregate: Any) -> None:
     observer = ReportRecorder()
     engine, results = engine_of(f"out(K, R) <- aggregate({aggregate}, scan(K, X), R, last(10)).", observer)
     send(engine, array_term(np.arange(6)), 1, key=2)
@@ -128,21 +130,21 @@ def test_arrays_are_refused_beside_numbers(aggregate):
     np.testing.assert_allclose(results[-1], NUMPY_FUNCTIONS[aggregate](np.stack([np.arange(6)] * 2), axis=0))
 
 
-def test_timestamps_count_as_numbers():
+def test_timestamps_count_as_numbers() -> None:
     engine = Engine()
-    outputs = []
+    outputs: List[Any] = []
     engine.on_event(lambda term, start, end: outputs.append(engine.show(term)))
     engine.load(rules="out(R) <- aggregate(max(X), scan(_, X), R, last(10)).")
     send(engine, make_list([3, 500_000_000]), 1)
     assert "out(3.5)" in outputs
 
 
-def test_array_window_is_restored():
+def test_array_window_is_restored() -> None:
     engine, _ = engine_of("out(K, R) <- aggregate([sum(X), median(X)], scan(K, X), [R, _], last(3, events)).")
     for number in range(2):
         send(engine, array_term(np.arange(6.0) * number), number)
     restored = Engine.restore(Engine.restore(engine.snapshot()).snapshot())
-    outputs = []
+    outputs: List[Any] = []
     restored.on_event(lambda term, start, end: outputs.append(restored.show(term)))
     send(restored, array_term(np.arange(6.0)), 5)
     assert "out(1,[0.0,2.0,4.0,6.0,8.0,10.0])" in outputs

@@ -1,5 +1,7 @@
 """Eviction of key states: idle keys, excess keys, row pattern matches over their time bound."""
 
+from typing import Any
+
 import pytest
 
 from retalis import Engine
@@ -26,7 +28,7 @@ TIMED = {
 class RuleRunner:
     """An engine with one rule, and the outputs of the rule."""
 
-    def __init__(self, pattern, *flags, label="r"):
+    def __init__(self, pattern: Any, *flags: Any, label: str = "r") -> None:
         self.engine = Engine()
         self.outputs, self.warnings = [], []
         self.engine.rules.on_warning = lambda error: self.warnings.append(error.message)
@@ -35,14 +37,14 @@ class RuleRunner:
         self.engine.load(rules=f"{label} : found(K, L) <- {pattern}.")
         self._record_outputs()
 
-    def _record_outputs(self):
-        def record(term, start, end):
+    def _record_outputs(self) -> None:
+        def record(term: Any, start: Any, end: Any) -> None:
             if self.engine.show(term).startswith("found"):
                 self.outputs.append(self.engine.show(term)[len("found(") : -1])
 
         self.engine.on_event(record)
 
-    def feed(self, text):
+    def feed(self, text: str) -> str:
         """Process events, each as ``key-value@end``; return the outputs."""
         del self.outputs[:]
         for item in text.split():
@@ -50,24 +52,24 @@ class RuleRunner:
             self.engine.event(f"q({event.replace('-', ',')})", float(end), float(end))
         return " ".join(self.outputs)
 
-    def restore(self):
+    def restore(self) -> None:
         """Replace the engine by one that is restored from its snapshot."""
         self.engine = Engine.restore(self.engine.snapshot())
         self._record_outputs()
 
     @property
-    def rule(self):
+    def rule(self) -> Any:
         return self.engine.status().rules[0]
 
 
-def test_within_ends_old_row_pattern_matches():
+def test_within_ends_old_row_pattern_matches() -> None:
     runner = RuleRunner(f"{STEPS} within 5")
     assert runner.feed("a-up@1 a-down@2") == "a,[up,down]"
     assert runner.feed("a-up@3 b-up@10 a-down@11") == ""
     assert runner.feed("b-down@12") == "b,[up,down]"
 
 
-def test_element_after_expired_start_begins_match():
+def test_element_after_expired_start_begins_match() -> None:
     later = STEPS.replace("down where", "later(down) where")
     assert RuleRunner(f"{later} within 5").feed("a-up@1 a-up@10 a-down@11") == "a,[up,down]"
     assert RuleRunner(later).feed("a-up@1 a-up@10 a-down@11") == "a,[up,down]"
@@ -75,7 +77,7 @@ def test_element_after_expired_start_begins_match():
 
 @pytest.mark.parametrize("bound", ["within", "window", "ttl", "flag", "garbage"])
 @pytest.mark.parametrize("operator", UNTIMED)
-def test_bound_evicts_idle_keys(operator, bound):
+def test_bound_evicts_idle_keys(operator: Any, bound: str) -> None:
     pattern, flags, label = UNTIMED[operator], [], "r"
     if bound == "within":
         pattern = f"{pattern} within 5"
@@ -92,7 +94,7 @@ def test_bound_evicts_idle_keys(operator, bound):
 
 
 @pytest.mark.parametrize("operator", UNTIMED)
-def test_keys_without_bound_are_kept(operator):
+def test_keys_without_bound_are_kept(operator: Any) -> None:
     runner = RuleRunner(UNTIMED[operator])
     for second in range(100):
         runner.feed(f"{second}-up@{second}")
@@ -100,7 +102,7 @@ def test_keys_without_bound_are_kept(operator):
 
 
 @pytest.mark.parametrize("operator", TIMED)
-def test_times_of_windows_and_rates_evict_keys(operator):
+def test_times_of_windows_and_rates_evict_keys(operator: Any) -> None:
     runner = RuleRunner(TIMED[operator], ("max_keys", 50))
     for second in range(300):
         runner.feed(f"{second}-up@{second}")
@@ -120,8 +122,8 @@ def test_times_of_windows_and_rates_evict_keys(operator):
 )
 @pytest.mark.parametrize("restored", [False, True])
 def test_key_idle_beyond_time_to_live_restarts(
-    operator, events, outputs_if_kept, outputs_if_evicted, restored
-):
+    operator: str, events: str, outputs_if_kept: str, outputs_if_evicted: str, restored: bool
+) -> None:
     for last, expected in ((6, outputs_if_kept), (8, outputs_if_evicted)):
         runner = RuleRunner(UNTIMED[operator], label="r([property(ttl, 5)])")
         first, rest = events.format(last).split(" ", 1)
@@ -132,13 +134,13 @@ def test_key_idle_beyond_time_to_live_restarts(
 
 
 @pytest.mark.parametrize("operator", UNTIMED)
-def test_key_in_use_is_kept(operator):
+def test_key_in_use_is_kept(operator: Any) -> None:
     runner = RuleRunner(UNTIMED[operator], label="r([property(ttl, 5)])")
     runner.feed(" ".join(f"a-up@{4 * step} {step}-up@{4 * step}" for step in range(20)))
     assert 1 <= runner.rule.keys <= 4
 
 
-def test_time_to_live_ends_partial_matches():
+def test_time_to_live_ends_partial_matches() -> None:
     for pattern in ("(q(K, up) seq q(K, L))", "(q(K, up) seq aggregate(list(V), q(K, V), L))"):
         runner = RuleRunner(pattern, ("state_ttl", 5))
         runner.feed(" ".join(f"{second}-up@{second}" for second in range(100)))
@@ -146,7 +148,7 @@ def test_time_to_live_ends_partial_matches():
         assert runner.rule.waiting <= 14
 
 
-def test_time_to_live_of_label_overrides_flag():
+def test_time_to_live_of_label_overrides_flag() -> None:
     runner = RuleRunner(LAST, ("state_ttl", 5), label="r([property(ttl, 100)])")
     runner.feed(" ".join(f"{second}-up@{second}" for second in range(50)))
     assert runner.rule.keys == 50
@@ -155,7 +157,7 @@ def test_time_to_live_of_label_overrides_flag():
 @pytest.mark.parametrize(
     "operator", [*UNTIMED, "sliding", "tumbling", "first", "hopping", "present", "throttle", "burst"]
 )
-def test_least_recently_used_keys_are_evicted(operator):
+def test_least_recently_used_keys_are_evicted(operator: Any) -> None:
     runner = RuleRunner(
         {**UNTIMED, **TIMED}[operator].replace("5", "1000").replace("10,", "1000,"), ("max_keys", 10)
     )
@@ -169,18 +171,18 @@ def test_least_recently_used_keys_are_evicted(operator):
     assert len(runner.warnings) == 5  # at 1, 2, 4, 8, 16
 
 
-def test_key_in_use_outlives_newer_keys():
+def test_key_in_use_outlives_newer_keys() -> None:
     runner = RuleRunner(LAST, ("max_keys", 3))
     assert runner.feed("a-1@1 b-1@1 c-1@1 a-2@1 d-1@1 e-1@1 a-3@1").endswith("a,[1,2,3]")
 
 
-def test_evicted_key_drops_partial_matches():
+def test_evicted_key_drops_partial_matches() -> None:
     runner = RuleRunner(STEPS, ("max_keys", 2))
     assert runner.feed("a-up@1 b-up@2 c-up@3 a-down@4 c-down@5") == "c,[up,down]"
     assert (runner.rule.keys, runner.rule.waiting) == (1, 1)
 
 
-def test_flag_applies_immediately():
+def test_flag_applies_immediately() -> None:
     runner = RuleRunner(CHANGE)
     runner.feed(" ".join(f"{second}-up@{second}" for second in range(50)))
     assert runner.engine.call("set_etalis_flag(state_ttl, 5)")
@@ -190,12 +192,12 @@ def test_flag_applies_immediately():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("value", ["0", "-1", "2.5", "many"])
-def test_invalid_max_keys_is_refused(value):
+def test_invalid_max_keys_is_refused(value: str) -> None:
     with pytest.raises(Exception, match="max_keys takes a number of keys from 1"):
         Engine().call(f"set_etalis_flag(max_keys, {value})")
 
 
-def test_time_to_live_of_zero_overrides_flag():
+def test_time_to_live_of_zero_overrides_flag() -> None:
     runner = RuleRunner(LAST, ("state_ttl", 5), label="r([property(ttl, 0)])")
     runner.feed(" ".join(f"{second}-up@{second}" for second in range(50)))
     assert runner.rule.keys == 50
@@ -203,14 +205,14 @@ def test_time_to_live_of_zero_overrides_flag():
         RuleRunner(LAST, label="r([property(ttl, -1)])")
 
 
-def test_size_of_state_is_estimated():
+def test_size_of_state_is_estimated() -> None:
     small, large = RuleRunner(LAST), RuleRunner(LAST)
     small.feed("a-1@1")
     large.feed(" ".join(f"{second}-up@{second}" for second in range(100)))
     assert large.rule.bytes == 100 * small.rule.bytes > 0
 
 
-def test_flags_bound_rates_of_subscriptions():
+def test_flags_bound_rates_of_subscriptions() -> None:
     engine = Engine()
     engine.load(goals="set_etalis_flag(state_ttl, 5), subscribe(q(K, V) with change(V, K), [], _, out, s)")
     for number in range(100):

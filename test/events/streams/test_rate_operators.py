@@ -1,5 +1,7 @@
 """Throttle, burst, debounce and change, compared with their definitions."""
 
+from typing import Any, List, Tuple
+
 from events.streams.operator_driver import Arrival, OperatorDriver, arrival_lists, element_of, entry_count
 from hypothesis import given
 from hypothesis import settings as example_settings
@@ -15,15 +17,15 @@ SPANS = st.integers(1, 8)
 few_examples = example_settings(max_examples=30)
 
 
-def outputs_of(arrivals):
+def outputs_of(arrivals: Any) -> List[Tuple[Any, ...]]:
     return [((arrival.number,), arrival.start, arrival.end) for arrival in arrivals]
 
 
 @few_examples
 @given(ARRIVAL_LISTS, RESTORE_POSITIONS, SPANS)
-def test_throttle_passes_first_of_span(arrivals, restore_before, span):
+def test_throttle_passes_first_of_span(arrivals: Any, restore_before: Any, span: Any) -> None:
     """No passed element of the key ends less than the span before the newest end."""
-    passed = []
+    passed: List[Any] = []
     for number, arrival in enumerate(arrivals):
         newest = max(other.end for other in arrivals[: number + 1])
         if not any(other.key == arrival.key and other.end > newest - span for other in passed):
@@ -33,9 +35,9 @@ def test_throttle_passes_first_of_span(arrivals, restore_before, span):
 
 @few_examples
 @given(ARRIVAL_LISTS, RESTORE_POSITIONS, SPANS)
-def test_burst_passes_after_silence(arrivals, restore_before, span):
+def test_burst_passes_after_silence(arrivals: Any, restore_before: Any, span: Any) -> None:
     """No element of the key ends less than the span before the newest end."""
-    passed = []
+    passed: List[Any] = []
     for number, arrival in enumerate(arrivals):
         newest = max(other.end for other in arrivals[: number + 1])
         if not any(other.key == arrival.key and other.end > newest - span for other in arrivals[:number]):
@@ -45,9 +47,9 @@ def test_burst_passes_after_silence(arrivals, restore_before, span):
 
 @few_examples
 @given(ARRIVAL_LISTS, RESTORE_POSITIONS)
-def test_change_passes_different_terms(arrivals, restore_before):
+def test_change_passes_different_terms(arrivals: Any, restore_before: Any) -> None:
     """An element passes if its term differs from the one of the previous element of its key."""
-    passed = []
+    passed: List[Any] = []
     for number, arrival in enumerate(arrivals):
         before = [other for other in arrivals[:number] if other.key == arrival.key]
         if not before or term_key(before[-1].value) != term_key(arrival.value):
@@ -55,7 +57,7 @@ def test_change_passes_different_terms(arrivals, restore_before):
     assert OperatorDriver(DistinctUntilChanged, restore_before).feed(arrivals) == outputs_of(passed)
 
 
-def supersedes(other, earlier, span):
+def supersedes(other: Any, earlier: Any, span: Any) -> Any:
     """Return whether another element of the key arrived in the span after an element and ends no earlier."""
     return (
         other.number > earlier.number
@@ -67,9 +69,9 @@ def supersedes(other, earlier, span):
 
 @few_examples
 @given(arrival_lists(st.just(1), max_delay=3), RESTORE_POSITIONS, st.integers(7, 12))
-def test_debounce_emits_after_span(arrivals, restore_before, span):
+def test_debounce_emits_after_span(arrivals: Any, restore_before: Any, span: int) -> None:
     """An element is emitted a span after its end if no element with the same or a later end arrives meanwhile."""
-    settled = []
+    settled: List[Any] = []
     for arrival in arrivals:
         newer = any(supersedes(other, arrival, span) for other in arrivals)
         older = any(
@@ -83,7 +85,7 @@ def test_debounce_emits_after_span(arrivals, restore_before, span):
 
 @few_examples
 @given(PUNCTUAL_ARRIVAL_LISTS, SPANS)
-def test_debounce_of_elements_in_order(arrivals, span):
+def test_debounce_of_elements_in_order(arrivals: Any, span: Any) -> None:
     settled = [
         ((arrival.number,), arrival.start, arrival.end + span)
         for arrival in arrivals
@@ -101,7 +103,7 @@ ROWS_WITH_ENDS_AHEAD = st.lists(
 
 @few_examples
 @given(ROWS_WITH_ENDS_AHEAD, RESTORE_POSITIONS, SPANS)
-def test_debounce_of_ends_ahead_of_clock(rows, restore_before, span):
+def test_debounce_of_ends_ahead_of_clock(rows: Any, restore_before: Any, span: Any) -> None:
     """An element waits a span from its end; an element of its key that ends in this span cancels it."""
     clock_time, arrivals, waiting, settled = 20, [], [], []
     for number, (key, step, ahead) in enumerate(rows):
@@ -121,13 +123,13 @@ def test_debounce_of_ends_ahead_of_clock(rows, restore_before, span):
     assert sorted(OperatorDriver(lambda: Debounce(span), restore_before).feed(arrivals)) == sorted(expected)
 
 
-def stored_keys(operator):
+def stored_keys(operator: Any) -> List[Any]:
     """Return the keys of the elements in the state of an operator."""
     *_, stored = operator.snapshot().values()
     return [getattr(item, "element", item).key_values for item in stored]
 
 
-def test_oldest_key_is_dropped_first():
+def test_oldest_key_is_dropped_first() -> None:
     for operator in (Throttle(100, False), Throttle(100, True), DistinctUntilChanged(), Debounce(100)):
         for number in range(5):
             operator.process(
@@ -139,7 +141,7 @@ def test_oldest_key_is_dropped_first():
         assert stored_keys(operator) == [("k3",), ("k4",)]
 
 
-def test_oldest_key_is_dropped_after_updates():
+def test_oldest_key_is_dropped_after_updates() -> None:
     """Entries of a key that were replaced do not delay the eviction."""
     for operator in (Throttle(1000, True), Debounce(1000)):
         for number in range(20):
@@ -153,7 +155,7 @@ def test_oldest_key_is_dropped_after_updates():
         assert operator.next_deadline is None
 
 
-def test_operator_state_stays_small():
+def test_operator_state_stays_small() -> None:
     """The state stays small for a thousand keys one after the other, and for one key a thousand times."""
     for span in (3, 10_000):
         for operator in (Throttle(span, False), Throttle(span, True), Debounce(span)):
@@ -165,7 +167,7 @@ def test_operator_state_stays_small():
             assert entry_count(operator) <= 80
 
 
-def test_timestamp_far_ahead_expires_no_key():
+def test_timestamp_far_ahead_expires_no_key() -> None:
     operator = Throttle(5, False)
     operator.compute_max_timestamp = lambda: 100
     assert operator.process(element_of(Arrival(0, "a", 50, 50, 1, 0, 50)), 50, 0)

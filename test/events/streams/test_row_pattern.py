@@ -1,6 +1,7 @@
 """Row patterns, compared with the exhaustive search of the oracle."""
 
 from random import Random
+from typing import Any, List
 
 import pytest
 from hypothesis import given
@@ -17,7 +18,7 @@ KEY, VALUE, RESULT = Var(), Var(), Var()
 READING, OUTPUT_EVENT = functor("reading", 2), functor("found", 2)
 
 
-def rule_of(steps):
+def rule_of(steps: Any) -> Any:
     """Return the rule that emits the values of each match with their key."""
     window = Windowed(
         "list", Leaf(READING(KEY, VALUE)), make_list([VALUE]), make_list([RESULT]), "steps", 0, 0, steps
@@ -25,9 +26,9 @@ def rule_of(steps):
     return write_rule(Rule(OUTPUT_EVENT(KEY, RESULT), window))
 
 
-def expected_outputs(steps, readings):
+def expected_outputs(steps: Any, readings: Any) -> Any:
     """Return the outputs at each reading by the oracle."""
-    outputs = []
+    outputs: List[Any] = []
     for end in range(1, len(readings) + 1):
         key = readings[end - 1][0]
         values = [value for other, value in readings[:end] if other == key]
@@ -38,11 +39,11 @@ def expected_outputs(steps, readings):
     return outputs
 
 
-def outputs_of_rule(rule, readings, restore_before=None):
+def outputs_of_rule(rule: Any, readings: Any, restore_before: Any = None) -> List[Any]:
     """Return the outputs of a rule; the engine is restored before the reading at position ``restore_before``."""
-    events = []
+    events: List[Any] = []
 
-    def record_events(engine):
+    def record_events(engine: Any) -> Any:
         engine.on_event(lambda term, *interval: events.append(engine.show(term)))
         return engine
 
@@ -64,13 +65,13 @@ STEPS = st.integers(0, 10**6).map(
 @pytest.mark.slow
 @example_settings(max_examples=40)
 @given(STEPS, READINGS, st.integers(0, 14))
-def test_outputs_equal_those_of_exhaustive_search(steps, readings, restore_before):
+def test_outputs_equal_those_of_exhaustive_search(steps: Any, readings: Any, restore_before: int) -> None:
     rule = rule_of(steps)
     assert outputs_of_rule(rule, readings) == expected_outputs(steps, readings), rule
     assert outputs_of_rule(rule, readings, restore_before) == expected_outputs(steps, readings), rule
 
 
-def test_postponed_matches_are_restored():
+def test_postponed_matches_are_restored() -> None:
     """Several partial matches begin at the same reading; later readings decide between them."""
     steps = "p where V == 0, later(y(0, 1, until(V == 8))) where V == 9, later(z(0, 1, until(V == 7))) where V == 6"
     rule = f"found(K, L) <- aggregate(list(V), reading(K, V), L, steps([{steps}]))."
@@ -87,16 +88,16 @@ WAITING = (
 )
 
 
-def pattern_operator(engine):
+def pattern_operator(engine: Any) -> Any:
     """Return the operator of the only rule of an engine."""
     (rule,) = engine.rules.rules
     return next(node.stream for node, _, _ in rule.nodes if hasattr(node, "stream"))
 
 
-def test_memory_for_element_is_independent_of_matches():
+def test_memory_for_element_is_independent_of_matches() -> None:
     """A partial match that lists all earlier ones, and copies the list for each element, fails here."""
     tracemalloc = pytest.importorskip("tracemalloc")
-    peaks = []
+    peaks: List[Any] = []
     for waiting_count in (10, 800):
         engine = Engine()
         engine.load(rules=f"found(L) <- aggregate(list(V), reading(V), L, steps([{WAITING}])).")
@@ -113,7 +114,7 @@ def test_memory_for_element_is_independent_of_matches():
 @pytest.mark.parametrize(
     ("aggregate", "result"), [("avg(V)", "2"), ("max(V)", "2"), ("median(V)", "2.0"), ("sum(V * 1)", "4")]
 )
-def test_aggregate_of_variable_checks_its_values_only(aggregate, result):
+def test_aggregate_of_variable_checks_its_values_only(aggregate: str, result: str) -> None:
     """Values of other variables are not checked; a wrong value of the variable is not matched, and reported."""
     engine, events, reports = Engine(), [], []
     engine.rules.on_error = lambda error: reports.append(error.message)

@@ -3,6 +3,7 @@
 import math
 from fractions import Fraction
 from itertools import count
+from typing import Any, Iterator, List
 
 import pytest
 from events.streams.operator_driver import entry_count
@@ -20,7 +21,7 @@ few_examples = example_settings(max_examples=30)
 
 @few_examples
 @given(STEPS, st.integers(1, 7))
-def test_sum_is_exact_after_removals(steps, divisor):
+def test_sum_is_exact_after_removals(steps: Any, divisor: int) -> None:
     total, inside = ExactSum(), []
     for value, is_removed, choice in steps:
         total.add_multiple(value, 1)
@@ -34,7 +35,7 @@ def test_sum_is_exact_after_removals(steps, divisor):
         assert isinstance(quotient, int) == is_whole
 
 
-def test_sum_without_its_floats_is_integer():
+def test_sum_without_its_floats_is_integer() -> None:
     total = ExactSum()
     for value, multiplier in ((3, 1), (0.1, 1), (1e300, 1), (0.1, -1), (1e300, -1)):
         total.add_multiple(value, multiplier)
@@ -43,7 +44,7 @@ def test_sum_without_its_floats_is_integer():
 
 @few_examples
 @given(st.lists(st.floats(-1e9, 1e9), min_size=2, max_size=10), st.floats(-1e12, 1e12))
-def test_deviation_with_large_mean_is_exact(values, mean):
+def test_deviation_with_large_mean_is_exact(values: List[Any], mean: float) -> None:
     total, squares = ExactSum(), ExactSum()
     exact = [Fraction(value + mean) for value in values]
     for value in exact:
@@ -58,7 +59,7 @@ def test_deviation_with_large_mean_is_exact(values, mean):
 
 
 @pytest.mark.parametrize("size", [1e-200, 5e-324, 1e200, 8e307])
-def test_deviation_of_extreme_numbers(size):
+def test_deviation_of_extreme_numbers(size: float) -> None:
     """The squares of these numbers underflow or overflow as floats."""
     total, squares = ExactSum(), ExactSum()
     for value in (size, -size, size, -size):
@@ -70,10 +71,10 @@ def test_deviation_of_extreme_numbers(size):
     )
 
 
-def changes_of_window(steps):
+def changes_of_window(steps: Any) -> Iterator[Any]:
     """Yield the elements inside, and the added or the removed element, after each change."""
     orders = count()
-    inside = []
+    inside: List[Any] = []
     for value, is_removed, choice in steps:
         element = StreamElement(None, 0, 0, (), (value,))
         element.order = next(orders)
@@ -87,7 +88,7 @@ def changes_of_window(steps):
 
 @few_examples
 @given(STEPS)
-def test_minimum_is_first_of_equal_elements(steps):
+def test_minimum_is_first_of_equal_elements(steps: Any) -> None:
     minimum = LazyMinHeap()
     for inside, added, removed in changes_of_window(steps):
         if added is not None:
@@ -101,7 +102,7 @@ def test_minimum_is_first_of_equal_elements(steps):
 
 @few_examples
 @given(STEPS, st.sampled_from([0, 0.1, 0.25, 0.5, 0.75, 0.99, 1]))
-def test_quantile_interpolates_linearly(steps, fraction):
+def test_quantile_interpolates_linearly(steps: Any, fraction: Any) -> None:
     quantiles = QuantileHeaps(fraction)
     for inside, added, removed in changes_of_window(steps):
         if added is not None:
@@ -119,7 +120,7 @@ def test_quantile_interpolates_linearly(steps, fraction):
         )
 
 
-def test_quantiles_equal_numpy():
+def test_quantiles_equal_numpy() -> None:
     numpy = pytest.importorskip("numpy")
     values = [(7 * position * position) % 101 / 3 for position in range(50)]
     for fraction in (0, 0.1, 0.33, 0.5, 0.875, 1):
@@ -132,10 +133,10 @@ def test_quantiles_equal_numpy():
 
 
 @pytest.mark.parametrize("direction", ["rising", "falling"])
-def test_removed_numbers_leave_heaps(direction):
+def test_removed_numbers_leave_heaps(direction: str) -> None:
     """The heaps of a short window over a long stream contain little more than the window."""
     minimum, quantiles = LazyMinHeap(), QuantileHeaps(0.5)
-    inside = []
+    inside: List[Any] = []
     for number in range(1500):
         element = StreamElement(None, 0, 0, (), (number if direction == "rising" else -number,))
         element.order = number

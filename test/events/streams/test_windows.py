@@ -1,5 +1,7 @@
 """Windows, compared with their definitions over plain lists."""
 
+from typing import Any, List
+
 import pytest
 from events.streams.operator_driver import (
     Arrival,
@@ -30,23 +32,23 @@ RESTORE_POSITIONS = st.integers(0, 20)
 few_examples = example_settings(max_examples=30)
 
 
-def newest_end(arrivals):
+def newest_end(arrivals: Any) -> Any:
     return max(arrival.end for arrival in arrivals)
 
 
-def last_group(arrivals):
+def last_group(arrivals: Any) -> List[Any]:
     return [arrival for arrival in arrivals if arrival.key == arrivals[-1].key]
 
 
-def prefixes(arrivals):
+def prefixes(arrivals: Any) -> List[Any]:
     return [arrivals[: number + 1] for number in range(len(arrivals))]
 
 
 @few_examples
 @given(ARRIVAL_LISTS, RESTORE_POSITIONS, st.integers(1, 8))
-def test_sliding_time_window(arrivals, restore_before, span):
+def test_sliding_time_window(arrivals: Any, restore_before: Any, span: int) -> None:
     """The window contains the elements that began less than the span before the newest end."""
-    expected = []
+    expected: List[Any] = []
     for prefix in prefixes(arrivals):
         lower_bound = newest_end(prefix) - span
         if prefix[-1].start > lower_bound:
@@ -62,7 +64,7 @@ def test_sliding_time_window(arrivals, restore_before, span):
 
 @few_examples
 @given(ARRIVAL_LISTS, RESTORE_POSITIONS, st.integers(1, 5))
-def test_sliding_count_window(arrivals, restore_before, size):
+def test_sliding_count_window(arrivals: Any, restore_before: Any, size: int) -> None:
     driver = OperatorDriver(lambda: SlidingCountWindow(list_accumulators, size), restore_before)
     assert driver.feed(arrivals) == [
         expected_output(last_group(prefix)[-size:]) for prefix in prefixes(arrivals)
@@ -74,8 +76,8 @@ def test_sliding_count_window(arrivals, restore_before, size):
 
 @few_examples
 @given(ARRIVAL_LISTS, RESTORE_POSITIONS, st.integers(1, 5), st.booleans())
-def test_tumbling_count_window(arrivals, restore_before, batch_size, running):
-    expected = []
+def test_tumbling_count_window(arrivals: Any, restore_before: Any, batch_size: int, running: bool) -> None:
+    expected: List[Any] = []
     for prefix in prefixes(arrivals):
         group = last_group(prefix)
         size = (len(group) - 1) % batch_size + 1
@@ -91,9 +93,9 @@ def test_tumbling_count_window(arrivals, restore_before, batch_size, running):
 
 @few_examples
 @given(ARRIVAL_LISTS, RESTORE_POSITIONS, st.integers(1, 6), st.integers(1, 6))
-def test_hopping_window(arrivals, restore_before, span, every):
+def test_hopping_window(arrivals: Any, restore_before: Any, span: int, every: int) -> None:
     """At each multiple of a step, a group contains its elements that ended in the span before it."""
-    expected = []
+    expected: List[Any] = []
     last_instant = newest_end(arrivals) + span + every if arrivals else 0
     for instant in range(0, last_instant + 1, every):
         inside = [
@@ -123,11 +125,11 @@ def test_hopping_window(arrivals, restore_before, span, every):
 
 @few_examples
 @given(ARRIVAL_LISTS, RESTORE_POSITIONS, st.integers(1, 6), st.booleans())
-def test_anchored_tumbling_window(arrivals, restore_before, span, running):
+def test_anchored_tumbling_window(arrivals: Any, restore_before: Any, span: int, running: bool) -> None:
     """A window begins at the end of its first element, and ends when the clock is a span later."""
     expected, open_windows = [], {}
 
-    def close(now):
+    def close(now: int) -> None:
         closing = sorted(
             (window[0].end, key) for key, window in open_windows.items() if window[0].end + span <= now
         )
@@ -156,9 +158,9 @@ def test_anchored_tumbling_window(arrivals, restore_before, span, running):
 
 @few_examples
 @given(ARRIVAL_LISTS, RESTORE_POSITIONS, st.integers(1, 8))
-def test_aligned_tumbling_window(arrivals, restore_before, span):
+def test_aligned_tumbling_window(arrivals: Any, restore_before: Any, span: int) -> None:
     """The elements in the window of the newest end; elements of an earlier window are late."""
-    expected = []
+    expected: List[Any] = []
     for prefix in prefixes(arrivals):
         window = [
             arrival for arrival in last_group(prefix) if arrival.end // span == newest_end(prefix) // span
@@ -182,7 +184,7 @@ WINDOWS = {
 
 
 @pytest.mark.parametrize("window_type", WINDOWS)
-def test_oldest_element_is_dropped(window_type):
+def test_oldest_element_is_dropped(window_type: Any) -> None:
     driver = OperatorDriver(WINDOWS[window_type])
     arrivals = [
         Arrival(number, "ab"[number % 2], 10 + number, 10 + number, number, 0, 10 + number)
@@ -199,7 +201,7 @@ def test_oldest_element_is_dropped(window_type):
 
 
 @pytest.mark.parametrize("window_type", WINDOWS)
-def test_dropped_elements_are_not_stored(window_type):
+def test_dropped_elements_are_not_stored(window_type: Any) -> None:
     """The state of a window stays small however many elements are dropped."""
     window = WINDOWS[window_type]()
     for number in range(1500):
@@ -211,7 +213,7 @@ def test_dropped_elements_are_not_stored(window_type):
 
 
 @pytest.mark.parametrize("window_type", WINDOWS)
-def test_end_too_far_ahead_does_not_advance_window(window_type):
+def test_end_too_far_ahead_does_not_advance_window(window_type: Any) -> None:
     """A timestamp of a wrong clock neither empties a window nor makes later elements late."""
     window = WINDOWS[window_type]()
     window.tracks_elements, window.compute_max_timestamp = True, lambda: 1000
@@ -226,14 +228,14 @@ def test_end_too_far_ahead_does_not_advance_window(window_type):
         assert [tuple([one.match for one in output.elements]) for output in outputs][-1] == (0, 1, 2, 4)
 
 
-def test_refused_value_leaves_no_group():
+def test_refused_value_leaves_no_group() -> None:
     window = SlidingTimeWindow(lambda: [AGGREGATES["sum"].make_accumulator(0, None)], 10)
     with pytest.raises(RuleError, match="finite"):
         window.process(element_of(Arrival(0, "a", 1, 1, float("inf"), 0, 1)), 1, 0)
     assert (len(window), window.states) == (0, {})
 
 
-def test_window_after_failed_sum_has_result():
+def test_window_after_failed_sum_has_result() -> None:
     """The sum of a window overflows; the window ends nevertheless."""
     factories = [
         lambda: TumblingCountWindow(sum_accumulators, 2, False),
@@ -241,12 +243,12 @@ def test_window_after_failed_sum_has_result():
     ]
     numbers = [1e308, 1e308, 1.0, 2.0]
 
-    def sum_accumulators():
+    def sum_accumulators() -> List[Any]:
         return [AGGREGATES["sum"].make_accumulator(0, None)]
 
     for make_window in factories:
         window = make_window()
-        outputs = []
+        outputs: List[Any] = []
         for position, number in enumerate(numbers):
             arrival = Arrival(position, "a", 5 * position, 5 * position, number, 0, 5 * position)
             outputs += window.advance_to(arrival.clock_time) + window.process(
@@ -258,7 +260,7 @@ def test_window_after_failed_sum_has_result():
         assert outputs[1].error is None
 
 
-def test_removed_elements_are_not_stored():
+def test_removed_elements_are_not_stored() -> None:
     """All queues of a window store only the elements inside it, however many passed through."""
     sliding, hopping = SlidingTimeWindow(list_accumulators, 10), HoppingWindow(list_accumulators, 10, 5)
     for number in range(2000):

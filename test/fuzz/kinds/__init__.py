@@ -1,6 +1,7 @@
 """The kinds of inputs by name."""
 
 from importlib import import_module
+from typing import Any
 
 NAMES = (
     "texts",
@@ -22,6 +23,6 @@ NAMES = (
 )
 
 
-def kind_of(name):
+def kind_of(name: Any) -> Any:
     """Return the class of a kind: only what it needs is imported."""
     return import_module(f"{__name__}.{name}").Inputs

@@ -1,6 +1,7 @@
 """Bytes of bags of ROS 1, databases and mcap files of ROS 2, and a program that is fed from them."""
 
 import os
+from typing import Any
 
 from retalis import Playback
 from retalis.playback.bag_locations import MergedBag
@@ -27,7 +28,7 @@ MEGABYTES = 8
 class Inputs(Kind):
     block_size = 20
 
-    def setup(self):
+    def setup(self) -> None:
         self.paths = {ending: self.scratch / f"fuzz{ending}" for _, ending in ENDINGS}
         self.files = {
             ending: os.open(str(path), os.O_RDWR | os.O_CREAT) for ending, path in self.paths.items()
@@ -36,26 +37,26 @@ class Inputs(Kind):
         for name, text in (("pub_sub.xml", TOPICS), ("goalPredicates.txt", GOALS)):
             (self.scratch / name).write_text(text)
 
-    def reset(self):
+    def reset(self) -> None:
         self.playback = Playback(self.scratch, self.report, settings=SETTINGS)
 
-    def report(self, error):
+    def report(self, error: Any) -> None:
         str(error)
 
-    def generate(self, rng):
+    def generate(self, rng: Any) -> Any:
         return mutate_bytes(rng, rng.choice(self.corpus), self.corpus)
 
-    def prepare(self, data):
+    def prepare(self, data: Any) -> None:
         ending = next(ending for begin, ending in ENDINGS if data.startswith(begin))
         self.path = self.paths[ending]
         os.ftruncate(self.files[ending], 0)
         os.pwrite(self.files[ending], data, 0)
 
-    def run(self, data):
+    def run(self, data: Any) -> None:
         self.attempt(self.play)
         LOGGED.check()
 
-    def play(self):
+    def play(self) -> None:
         with MergedBag([self.path], max_chunk_megabytes=MEGABYTES) as bag:
             for _ in self.playback.run(bag):
                 pass

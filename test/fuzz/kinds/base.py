@@ -2,6 +2,7 @@
 
 import logging
 from pathlib import Path
+from typing import Any, List
 
 import numpy  # noqa: F401 - predicates on arrays import it at the first call, and no input may import anything
 
@@ -51,39 +52,39 @@ class Kind:
     seconds = SECONDS
     max_growth = GROWTH
 
-    def __init__(self, scratch):
+    def __init__(self, scratch: Any) -> None:
         self.scratch = scratch
         self.accepted_count = self.refused_count = 0
         self.corpus = corpus(type(self).__module__.rpartition(".")[2])
         self.texts = [to_text(data) for data in self.corpus]
         self.setup()
 
-    def setup(self):
+    def setup(self) -> None:
         """Create the objects that all inputs share and do not change."""
 
-    def reset(self):
+    def reset(self) -> None:
         """Create the objects that inputs change."""
 
-    def generate(self, rng):
+    def generate(self, rng: Any) -> None:
         """Return a random input."""
         raise NotImplementedError
 
-    def prepare(self, data):
+    def prepare(self, data: Any) -> None:
         """Do the work outside of the package, whose side effects are not checked."""
 
-    def run(self, data):
+    def run(self, data: Any) -> None:
         """Process an input; undocumented errors are raised."""
         raise NotImplementedError
 
-    def marker_of(self, data):
+    def marker_of(self, data: Any) -> str:
         """Return the part of an input that must not occur in generated source, or ""."""
         return ""
 
-    def subject(self, data):
+    def subject(self, data: Any) -> str:
         """Return the name under which findings of an input are grouped; "" to group them by place in the package."""
         return ""
 
-    def attempt(self, work, *arguments):
+    def attempt(self, work: Any, *arguments: Any) -> Any:
         """Do a step that may raise a documented error; return its result or None."""
         try:
             result = work(*arguments)
@@ -96,9 +97,9 @@ class Kind:
         return result
 
 
-def corpus(kind):
+def corpus(kind: Any) -> Any:
     """Return the inputs in the corpus of a kind."""
-    inputs = []
+    inputs: List[Any] = []
     for path in sorted((CORPUS / kind).glob("*")):
         data = path.read_bytes()
         inputs += data.splitlines() if path.name == "seeds.txt" else [data]
@@ -108,16 +109,16 @@ def corpus(kind):
 class InternalErrorCheck(logging.Handler):
     """Handler that turns an internal error in the log into a finding."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__()
         self.logged_error = None
 
-    def emit(self, record):
+    def emit(self, record: Any) -> None:
         text = record.getMessage()
         if "internal error" in text or record.exc_info:
             self.logged_error = text
 
-    def check(self):
+    def check(self) -> None:
         text, self.logged_error = self.logged_error, None
         if text is not None:
             lines = text.strip().split("\n")
@@ -131,7 +132,7 @@ log = logging.getLogger("retalis")
 log.addHandler(LOGGED)
 
 
-def create_silent_engine(settings=SETTINGS):
+def create_silent_engine(settings: Any = SETTINGS) -> Any:
     """Return an engine that prints nothing."""
     engine = Engine(settings=settings)
     engine.logic.output = engine.logic.error_output = lambda text: None

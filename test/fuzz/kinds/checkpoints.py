@@ -1,6 +1,7 @@
 """Databases of checkpoints: changed bytes, other tables, views, triggers, and sections with changed values."""
 
 import sqlite3
+from typing import Any
 from zlib import crc32
 
 from retalis import Reports, StreamClock
@@ -39,7 +40,7 @@ SCHEMAS = (
 class Inputs(states.Inputs):
     """An input is the bytes of a database, whole: without a log beside it."""
 
-    def setup(self):
+    def setup(self) -> None:
         super().setup()
         self.folder = self.scratch / "program"
         self.folder.mkdir(exist_ok=True)
@@ -57,7 +58,7 @@ class Inputs(states.Inputs):
         self.database = self.path.read_bytes()
         LOGGED.logged_error = None
 
-    def generate(self, rng):
+    def generate(self, rng: Any) -> Any:
         what = rng.random()
         if what < 0.3:
             return mutate_bytes(rng, self.database, [self.database])
@@ -79,12 +80,12 @@ class Inputs(states.Inputs):
         base.close()
         return self.path.read_bytes()
 
-    def prepare(self, data):
+    def prepare(self, data: Any) -> None:
         for ending in ("-wal", "-shm", "-journal"):
             self.path.with_name(f"{self.path.name}{ending}").unlink(missing_ok=True)
         self.path.write_bytes(data)
 
-    def restored(self, data):
+    def restored(self, data: Any) -> Any:
         if self.attempt(read_checkpoint, self.path) is None:
             return None
         found = resume(self.path, self.folder, StreamClock(), SETTINGS, Reports())

@@ -1,5 +1,7 @@
 """Texts of message definitions."""
 
+from typing import Any
+
 from retalis import Definitions
 from retalis.messages.event_text_writer import make_text_writer
 from retalis.messages.type_registry import InstalledTypes
@@ -53,19 +55,19 @@ class Inputs(Kind):
 
     block_size = 100
 
-    def setup(self):
+    def setup(self) -> None:
         self.installed = InstalledTypes()
         self.installed.text("no_such_package/Type")
 
-    def reset(self):
+    def reset(self) -> None:
         self.known = Definitions(self.installed)
 
-    def generate(self, rng):
+    def generate(self, rng: Any) -> Any:
         if rng.random() < 0.2:
             return to_bytes("pkg/Soup\n" + random_tokens(rng, PIECES, 12))
         return to_bytes(mutate_text(rng, rng.choice(self.texts), self.texts, PIECES))
 
-    def run(self, data):
+    def run(self, data: Any) -> None:
         name, _, text = to_text(data).partition("\n")
         definition = self.attempt(self.known.add, name, text)
         if definition is None:

@@ -1,5 +1,7 @@
 """Texts on the topic of events, for an engine that takes events only."""
 
+from typing import Any
+
 from ..mutate import mutate_text, random_tokens, to_bytes, to_text
 from .base import ARGUMENTS, LOGGED, Kind, create_silent_engine
 
@@ -48,12 +50,12 @@ memorize(c(X), [number(X)], got(X), cs, 3)
 class Inputs(Kind):
     block_size = 200
 
-    def reset(self):
+    def reset(self) -> None:
         self.engine = create_silent_engine()
         self.engine.load(rules=RULES, goals=GOALS)
         self.engine.on_output(lambda term, topic, name: self.engine.show(term))
 
-    def generate(self, rng):
+    def generate(self, rng: Any) -> Any:
         if rng.random() < 0.15:
             return to_bytes("event(" + random_tokens(rng, PIECES))
         if rng.random() < 0.3:
@@ -61,7 +63,7 @@ class Inputs(Kind):
             return to_bytes(rng.choice(FORMS).format(f"{name}({argument})", rng.choice(ARGUMENTS)))
         return to_bytes(mutate_text(rng, rng.choice(self.texts), self.texts, PIECES))
 
-    def run(self, data):
+    def run(self, data: Any) -> None:
         before = self.engine.reports.warnings
         self.engine.post_text(to_text(data))
         if self.engine.reports.warnings > before:

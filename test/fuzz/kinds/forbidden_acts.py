@@ -6,32 +6,33 @@ import subprocess
 import sys
 import tempfile
 from itertools import repeat
+from typing import Any
 
 from retalis import UsageError
 
 from .base import Kind
 
 
-def documented():
+def documented() -> None:
     raise UsageError("wrong")
 
 
-def undocumented():
+def undocumented() -> None:
     raise KeyError("wrong")
 
 
-def swallowed():
+def swallowed() -> None:
     try:
         os.system("true")
     except Exception:  # what was forbidden counts even where it was caught
         return
 
 
-def recursion():
+def recursion() -> Any:
     return recursion()
 
 
-def loop():
+def loop() -> None:
     while True:
         try:
             len("")
@@ -39,12 +40,12 @@ def loop():
             continue
 
 
-def grow():
+def grow() -> None:
     held = [bytes(1 << 20) + b"x" for _ in range(200)]
     del held[:]
 
 
-def endless():
+def endless() -> Any:
     return sum(repeat(0))
 
 
@@ -78,11 +79,11 @@ ACTS = {
 class Inputs(Kind):
     may_warm_up = False
 
-    def setup(self):
+    def setup(self) -> None:
         self.corpus = [act.encode() for act in ACTS]
 
-    def generate(self, rng):
+    def generate(self, rng: Any) -> bytes:
         return b"documented"
 
-    def run(self, data):
+    def run(self, data: Any) -> None:
         self.attempt(ACTS[data.decode()])

@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import Any, List
 
 from retalis import atom
 from retalis.prolog.syntax.term_writer import write_term
@@ -14,9 +15,9 @@ EXAMPLE = re.compile(r"`` (.+?) ``")
 MOST = 5
 
 
-def examples():
+def examples() -> Any:
     """Return the examples of the page."""
-    found = []
+    found: List[Any] = []
     for line in PAGE.read_text(encoding="utf-8").split("\n"):
         if line.startswith("| ``"):
             cells = re.split(r"(?<!\\) (?<!\\)\| ", line[2:-2])
@@ -27,29 +28,29 @@ def examples():
 class Inputs(Kind):
     block_size = 100
 
-    def setup(self):
+    def setup(self) -> None:
         self.texts += examples()
         keys = create_silent_engine().logic.names()
         self.keys = sorted((write_term(atom(key.name), None, quoted=True), key.arity) for key in keys)
 
-    def reset(self):
+    def reset(self) -> None:
         self.engine = create_silent_engine()
         self.engine.load(
             "foo(1). foo(2). foo(f(X)) :- foo(X). a(X) <- b(X). p(X) --> [X], q. q --> []. q --> [x], q."
         )
 
-    def generate(self, rng):
+    def generate(self, rng: Any) -> Any:
         if rng.random() < 0.5:
             return to_bytes(mutate_text(rng, rng.choice(self.texts), self.texts, ARGUMENTS))
         goals = [self.goal(rng) for _ in range(rng.choice((1, 1, 2, 3)))]
         return to_bytes(rng.choice((", ", ", ", " ; ", " -> ")).join(goals))
 
-    def goal(self, rng, depth=0):
+    def goal(self, rng: Any, depth: int = 0) -> Any:
         name, arity = rng.choice(self.keys)
         arguments = [self.argument(rng, depth) for _ in range(arity)]
         return f"{name}({', '.join(arguments)})" if arity else name
 
-    def argument(self, rng, depth):
+    def argument(self, rng: Any, depth: Any) -> str:
         what = rng.random()
         if what > 0.93 and depth < 3:
             return f"({self.goal(rng, depth + 1)})"
@@ -59,7 +60,7 @@ class Inputs(Kind):
             return f"f({self.argument(rng, depth + 1)})"
         return f"({rng.choice(ARGUMENTS)})"
 
-    def run(self, data):
+    def run(self, data: Any) -> None:
         found = self.attempt(self.engine.query, to_text(data), MOST)
         for solution in found or ():
             for value in solution.values():

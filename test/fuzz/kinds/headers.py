@@ -1,6 +1,7 @@
 """Headers of connections, from the type that is asked for to the decoder of the messages."""
 
 import json
+from typing import Any
 
 from retalis import Definitions
 from retalis.messages.type_registry import InstalledTypes
@@ -17,7 +18,7 @@ class Inputs(Kind):
 
     block_size = 100
 
-    def setup(self):
+    def setup(self) -> None:
         self.installed = InstalledTypes()
         self.installed.text("no_such_package/Type")
         self.headers = [json.loads(data) for data in self.corpus if data.startswith(b"{")]
@@ -25,10 +26,10 @@ class Inputs(Kind):
             field: [str(one.get(field, "")) for one in self.headers] for field in (*FIELDS, "wanted")
         }
 
-    def reset(self):
+    def reset(self) -> None:
         self.known = Definitions(self.installed)
 
-    def generate(self, rng):
+    def generate(self, rng: Any) -> Any:
         header = dict(rng.choice(self.headers))
         for _ in range(rng.randint(1, 3)):
             field = rng.choice((*FIELDS, "message_definition", "wanted"))
@@ -42,14 +43,14 @@ class Inputs(Kind):
                 header[field] = mutate_text(rng, str(header.get(field, "")), texts, PIECES)
         return to_bytes(json.dumps(header))
 
-    def run(self, data):
+    def run(self, data: Any) -> None:
         try:
             header = json.loads(to_text(data))
         except ValueError:  # an input that was shortened too far
             return
         self.attempt(self.learn, header)
 
-    def learn(self, header):
+    def learn(self, header: Any) -> Any:
         """Do what the interface does with a connection."""
         wanted = header.get("wanted", "pkg/Type")
         text, md5sum = header.get("message_definition", ""), header.get("md5sum", "*")

@@ -1,6 +1,7 @@
 """Rules that join, measure and repeat, with many partners under all policies, and events that make them work."""
 
 from time import process_time
+from typing import Any, List
 
 from events.operator_table import PAIRS
 
@@ -58,13 +59,13 @@ class Inputs(Kind):
     seconds = 5.0  # of all events together
     may_read_files = True  # a program that is loaded may name any file
 
-    def setup(self):
+    def setup(self) -> None:
         self.large = "[" + ",".join(f"p({at},[{at}.5,a])" for at in range(300)) + "]"
 
-    def reset(self):
+    def reset(self) -> None:
         self.engine = create_silent_engine(SETTINGS)
 
-    def generate(self, rng):
+    def generate(self, rng: Any) -> Any:
         if self.texts and rng.random() < 0.1:
             return to_bytes(mutate_text(rng, rng.choice(self.texts), self.texts, VALUES + JOINS))
         policy = rng.choice(POLICIES)
@@ -77,10 +78,10 @@ class Inputs(Kind):
             ]
         return to_bytes("\n".join(lines) + MARK + "\n".join(self.events(rng)))
 
-    def rule(self, rng):
+    def rule(self, rng: Any) -> str:
         """Return a rule; some heads are events of other rules, or of the rule itself."""
         head = rng.choice(("h(X)", "h(X, Y)", "h(X, Y)", "a(X)", "b(f(X))"))
-        properties = []
+        properties: List[Any] = []
         if rng.random() < 0.2:
             properties.append(f"property(policy, {rng.choice(POLICIES)})")
         if rng.random() < 0.2:
@@ -91,7 +92,7 @@ class Inputs(Kind):
         pattern = self.pattern(rng, rng.choice((1, 2, 2, 3)))
         return f"{label}{head} <- {pattern}."
 
-    def pattern(self, rng, depth):
+    def pattern(self, rng: Any, depth: Any) -> str:
         if not depth:
             return f"{rng.choice('aabc')}({rng.choice('XXYYZ_')})"
         what = rng.random()
@@ -112,7 +113,7 @@ class Inputs(Kind):
         stream = ("({0} seq absent(b(X), 2))", "({0} with throttle(2, X))", "({0} with change(X))")
         return rng.choice(stream).format(inner)
 
-    def events(self, rng):
+    def events(self, rng: Any) -> Any:
         """Return lines of events: values repeat, so that many are partners of each other."""
         now = 1.0
         few = rng.random() < 0.5  # the same event again and again: all pairs join
@@ -131,13 +132,13 @@ class Inputs(Kind):
             lines.append(f"{max(0.0, late)} {event}")
         return lines
 
-    def subject(self, data):
+    def subject(self, data: Any) -> Any:
         return "unrestricted" if b"unrestricted" in data else "other policies"
 
-    def run(self, data):
+    def run(self, data: Any) -> None:
         program, _, events = to_text(data).partition(MARK)
         self.attempt(self.engine.load, program + ALIVE)
-        seen = []
+        seen: List[Any] = []
         self.engine.on_event(lambda term, start, end: seen.append(term))
         is_loaded = any("alive_" in rule.text for rule in self.engine.status().rules)
         for line in events.splitlines()[:MAX_EVENTS]:

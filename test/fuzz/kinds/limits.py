@@ -8,6 +8,7 @@ are a sample. Random inputs follow.
 import os
 import random
 import re
+from typing import Any, Dict, List
 
 from retalis import Limits, Settings, String, Var, atom, functor, make_list
 from retalis.prolog.syntax.term_writer import write_term
@@ -34,14 +35,14 @@ MANY = 900_000
 DEPTH = 1_000_000
 
 
-def _nested(depth, item):
+def _nested(depth: Any, item: Any) -> Any:
     wrap = functor("f", 1)
     for _ in range(depth):
         item = (wrap, item)
     return item
 
 
-def _assoc(low, high):
+def _assoc(low: int, high: int) -> Any:
     if low > high:
         return atom("t")
     middle = (low + high) // 2
@@ -49,7 +50,7 @@ def _assoc(low, high):
     return (functor("t", 5), middle, middle, atom("<"), *sides)
 
 
-def large_values():
+def large_values() -> Dict[str, Any]:
     """Return terms that are made once, by the name of the global variable that holds them."""
     rng = random.Random(1)
     numbers = list(range(MANY))
@@ -143,9 +144,9 @@ SIGNATURE = re.compile(r"([a-z]\w*)\(([^()]*)\)")
 LEFT_OUT = frozenset(("halt", "sleep", "nb_getval", "nb_setval"))
 
 
-def signatures():
+def signatures() -> Any:
     """Return the names of the arguments on the page of predicates, by name and arity."""
-    found = {}
+    found: Dict[Any, Any] = {}
     for line in PAGE.read_text(encoding="utf-8").splitlines():
         if line.startswith("| ``"):
             for name, arguments in SIGNATURE.findall(line.split("|")[2]):
@@ -162,7 +163,7 @@ class Inputs(Kind):
     seconds = 0.4 * SLACK
     max_growth = int(SLACK * (100 << 20))
 
-    def setup(self):
+    def setup(self) -> None:
         self.engine = None
         keys = create_silent_engine().logic.names()
         self.keys = sorted((key.name, key.arity) for key in keys if key.arity and key.name not in LEFT_OUT)
@@ -171,16 +172,16 @@ class Inputs(Kind):
         self.values = large_values()
         self.corpus += self.systematic()
 
-    def reset(self):
+    def reset(self) -> None:
         if self.engine is not None:  # an input changes only its own process
             return
         self.engine = create_silent_engine(SETTINGS)
         self.engine.load(PROGRAM)
         self.engine.logic.globals.update(self.values)
 
-    def systematic(self):
+    def systematic(self) -> Any:
         """Return the inputs of all predicates with all kinds of values."""
-        found = []
+        found: List[Any] = []
         for name, arity in self.keys:
             names = self.signatures.get((name, arity), [""] * arity)
             small = [SMALL_BY_NAME.get(kind, "V = _") for kind in names]
@@ -192,7 +193,7 @@ class Inputs(Kind):
         random.Random(2).shuffle(found)
         return found
 
-    def goal(self, name, values, places=None, head=""):
+    def goal(self, name: Any, values: Any, places: Any = None, head: str = "") -> Any:
         """Return the input that calls a predicate with some values, or with those at some places."""
         places = range(len(values)) if places is None else places
         parts = [re.sub(r"\b([VWX]\d?)\b", rf"\g<1>_{at}", value) for at, value in enumerate(values)]
@@ -204,7 +205,7 @@ class Inputs(Kind):
             f"{name}/{len(places)}\n\\+ \\+ ({text})"
         )  # without copying the values into the answer
 
-    def generate(self, rng):
+    def generate(self, rng: Any) -> Any:
         name, arity = rng.choice(self.keys)
         names = self.signatures.get((name, arity), [""] * arity)
         values, places = [], []
@@ -219,10 +220,10 @@ class Inputs(Kind):
             values.append(rng.choice(choice))
         return self.goal(name, values, places, "answer of " if rng.random() < 0.05 else "")
 
-    def subject(self, data):
+    def subject(self, data: Any) -> Any:
         return to_text(data).partition("\n")[0][:60]
 
-    def run(self, data):
+    def run(self, data: Any) -> None:
         # One answer, and no text of it: the time counts that the built-in takes.
         self.attempt(self.engine.query, to_text(data).partition("\n")[2], 1)
         LOGGED.check()

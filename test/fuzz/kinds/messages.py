@@ -2,6 +2,7 @@
 
 import random
 import struct
+from typing import Any
 
 from retalis import Definitions
 from retalis.messages.event_text_writer import make_text_writer
@@ -56,12 +57,12 @@ PIECES += (
 )
 
 
-def valid(rng, definition):
+def valid(rng: Any, definition: Any) -> str:
     """Return the bytes of a random message."""
     return b"".join(_slot(rng, slot) for slot in definition.fields)
 
 
-def _slot(rng, slot):
+def _slot(rng: Any, slot: Any) -> Any:
     if slot.length is None:
         return _one(rng, slot)
     number = rng.choice((0, 1, 2, 5, 40)) if slot.length < 0 else slot.length
@@ -69,7 +70,7 @@ def _slot(rng, slot):
     return start + b"".join(_one(rng, slot) for _ in range(number))
 
 
-def _one(rng, slot):
+def _one(rng: Any, slot: Any) -> Any:
     if slot.definition is not None:
         return valid(rng, slot.definition)
     if slot.type == "string":
@@ -83,7 +84,7 @@ def _one(rng, slot):
 class Inputs(Kind):
     block_size = 5000
 
-    def setup(self):
+    def setup(self) -> None:
         self.known = Definitions()
         self.types = {}
         for path in sorted((CORPUS / "definitions").glob("*.msg")):
@@ -93,10 +94,10 @@ class Inputs(Kind):
         self.writers = {name: make_text_writer(self.known.decoder(kind)) for name, kind in self.types.items()}
         self.valid = {}
 
-    def reset(self):
+    def reset(self) -> None:
         self.reader = EventReader()
 
-    def generate(self, rng):
+    def generate(self, rng: Any) -> Any:
         if not self.valid:
             self._learn()
         name = rng.choice(self.names)
@@ -106,13 +107,13 @@ class Inputs(Kind):
         texts = self.written[name]
         return f"encode {name}\n".encode() + to_bytes(mutate_text(rng, rng.choice(texts), texts, PIECES))
 
-    def _learn(self):
+    def _learn(self) -> None:
         rng = random.Random(1)
         for name, kind in self.types.items():
             self.valid[name] = [valid(rng, kind) for _ in range(20)]
         self.written = {name: [self.writers[name](data) for data in self.valid[name]] for name in self.names}
 
-    def run(self, data):
+    def run(self, data: Any) -> None:
         head, _, body = data.partition(b"\n")
         work, _, name = head.decode().partition(" ")
         definition = self.types[name]
@@ -125,7 +126,7 @@ class Inputs(Kind):
             if made is not None:
                 text_of(decoder.decode(made))
 
-    def decode(self, decoder, encoder, write, data):
+    def decode(self, decoder: Any, encoder: Any, write: Any, data: Any) -> None:
         self.attempt(decoder.stamp, data)
         text = self.attempt(write, data)
         term = self.attempt(decoder.decode, data)

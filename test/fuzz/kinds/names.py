@@ -6,6 +6,7 @@ mark for that.
 
 import json
 import re
+from typing import Any
 
 from retalis import Definitions, atom, functor
 from retalis.messages.event_text_writer import make_text_writer
@@ -125,7 +126,7 @@ class Inputs(Kind):
 
     block_size = 50
 
-    def setup(self):
+    def setup(self) -> None:
         self.installed = InstalledTypes()
         self.installed.text("no_such_package/Type")
         self.places = sorted(name[3:] for name in dir(self) if name.startswith("in_"))
@@ -135,14 +136,14 @@ class Inputs(Kind):
                     self.places[number % len(self.places)], to_text(data), number
                 )
 
-    def reset(self):
+    def reset(self) -> None:
         self.known = Definitions(self.installed)
         self.engine = create_silent_engine()
         self.outputs = []
         self.engine.on_output(lambda term, topic, name: self.outputs.append((term, topic, name)))
         self.reader = EventReader()
 
-    def generate(self, rng):
+    def generate(self, rng: Any) -> Any:
         what = rng.random()
         if what < 0.3:
             name = random_tokens(rng, PIECES, 2)
@@ -152,16 +153,16 @@ class Inputs(Kind):
             name = random_tokens(rng, PIECES, 6)
         return self._input(rng.choice(self.places), name, rng.randrange(10**9))
 
-    def _input(self, place, name, number):
+    def _input(self, place: Any, name: Any, number: Any) -> Any:
         mark = f"{MARK}{number}"
         at = number % (len(name) + 1)
         return to_bytes(json.dumps({"place": place, "name": name[:at] + mark + name[at:], "mark": mark}))
 
-    def marker_of(self, data):
+    def marker_of(self, data: Any) -> Any:
         found = re.search(rb'"mark": "(zq\d+)"', data)
         return found[1].decode() if found else ""
 
-    def run(self, data):
+    def run(self, data: Any) -> None:
         try:
             given = json.loads(to_text(data))
             work, name = getattr(self, f"in_{given['place']}"), str(given["name"])
@@ -170,13 +171,13 @@ class Inputs(Kind):
         self.attempt(work, name)
         LOGGED.check()
 
-    def same(self, found, name):
+    def same(self, found: Any, name: Any) -> None:
         if found != name:
             raise FindingError("difference", f"{name!r} came back as {found!r}", "names")
 
     # ---- messages ------------------------------------------------------------------------------------
 
-    def _use(self, definition):
+    def _use(self, definition: Any) -> Any:
         decoder, encoder = self.known.decoder(definition), self.known.encoder(definition)
         term = decoder.decode(bytes(4))
         text = make_text_writer(decoder)(bytes(4))
@@ -186,33 +187,33 @@ class Inputs(Kind):
         self.attempt(encoder.encode, atom("x"), "/t")
         return term
 
-    def in_type(self, name):
+    def in_type(self, name: Any) -> None:
         term = self._use(self.known.add(f"pkg/{name}", "int32 x"))
         self.same(term[0].name, functor_name(f"pkg/{name}"))
 
-    def in_package(self, name):
+    def in_package(self, name: Any) -> None:
         term = self._use(self.known.add(f"{name}/Type", "int32 x"))
         self.same(term[0].name, functor_name(f"{name}/Type"))
 
-    def in_field(self, name):
+    def in_field(self, name: Any) -> None:
         definition = self.known.add("pkg/Type", f"int32 {name}")
         self._use(definition)
         if definition.fields[0].name not in name:
             raise FindingError("difference", f"{name!r} became {definition.fields[0].name!r}", "names")
 
-    def in_constant(self, name):
+    def in_constant(self, name: Any) -> None:
         self._use(self.known.add("pkg/Type", f"int32 x\nint32 {name}=1"))
 
-    def in_constant_text(self, name):
+    def in_constant_text(self, name: Any) -> None:
         definition = self.known.add("pkg/Type", f"int32 x\nstring X={name}")
         self._use(definition)
 
-    def in_nested_type(self, name):
+    def in_nested_type(self, name: Any) -> None:
         nested = f"{'=' * 80}\nMSG: pkg/{name}\nint32 y"
         definition = self.known.add("pkg/Type", f"{name} x\n{nested}")
         self._use(definition)
 
-    def in_message_text(self, name):
+    def in_message_text(self, name: Any) -> None:
         definition = self.known.find("std_msgs/String")
         raw = name.encode("utf-8", "surrogatepass")
         data = len(raw).to_bytes(4, "little") + raw
@@ -225,20 +226,20 @@ class Inputs(Kind):
 
     # ---- logic ---------------------------------------------------------------------------------------
 
-    def in_atom(self, name):
+    def in_atom(self, name: Any) -> None:
         text = writeq(atom(name), self.engine.operators)
         found = self.engine.query(f"X = {text}")
         self.same(found[0]["X"], atom(name))
         self.same(self.reader.read(text_of((functor("f", 1), atom(name))))[1], atom(name))
 
-    def in_functor(self, name):
+    def in_functor(self, name: Any) -> None:
         text = writeq((functor(name, 1), 1), self.engine.operators)
         self.engine.load(rules=f"{text} :- true.\ncalls(X) :- {text}, X = 1.")
         self.same(len(self.engine.query(text)), 1)
         self.same(self.engine.query("calls(X)")[0]["X"], 1)
         self.engine.query(f"retractall({text})")
 
-    def in_event(self, name):
+    def in_event(self, name: Any) -> None:
         text = writeq((functor(name, 1), 1), self.engine.operators)
         quoted = writeq(atom(name), self.engine.operators)
         self.engine.load(rules=f"{quoted}(X) <- fuzz_a(X) seq fuzz_b({quoted}) where X > 0.")
@@ -253,7 +254,7 @@ class Inputs(Kind):
             self.engine.call("delete_subscription(t, fuzz)")
         self.outputs.clear()
 
-    def in_variable(self, name):
+    def in_variable(self, name: Any) -> None:
         read = read_term(f"f(_{name})", self.engine.operators)
         for found in read.names:
             if found not in f"_{name}":
@@ -261,14 +262,14 @@ class Inputs(Kind):
         self.engine.query(f"V{name} = 1, X = V{name}")
         self.engine.load(rules=f"v{MARK}(V{name}) <- a(V{name}) where V{name} > 1.")
 
-    def in_string(self, name):
+    def in_string(self, name: Any) -> None:
         text = writeq(atom(name), self.engine.operators)
         found = self.engine.query(f'atom_string({text}, S), atom_length(S, N), string_concat(S, "", S)')
         self.same(found[0]["S"].text, name)
         self.engine.load(rules=f"s({text}) <- a(X) where X = {text}.")
         self.engine.event(f"a({text})", 1)
 
-    def in_operator(self, name):
+    def in_operator(self, name: Any) -> None:
         quoted = writeq(atom(name), self.engine.operators)
         self.engine.call(f"op(700, xfx, {quoted})")
         try:
@@ -285,7 +286,7 @@ class Inputs(Kind):
         finally:
             self.engine.call(f"op(0, xfx, {quoted})")
 
-    def in_flag(self, name):
+    def in_flag(self, name: Any) -> None:
         quoted = writeq(atom(name), self.engine.operators)
         self.attempt(self.engine.call, f"set_prolog_flag({quoted}, {quoted})")
         self.attempt(self.engine.call, f"set_etalis_flag({quoted}, {quoted})")
@@ -295,13 +296,13 @@ class Inputs(Kind):
 
     # ---- programs ------------------------------------------------------------------------------------
 
-    def in_label(self, name):
+    def in_label(self, name: Any) -> None:
         quoted = writeq(atom(name), self.engine.operators)
         self.engine.load(rules=f"{quoted} : l{MARK}(X) <- a(X) seq b(X).")
         self.engine.event("a(1)", 1)
         self.engine.call(f"del_event_rule({quoted})")
 
-    def in_topic(self, name):
+    def in_topic(self, name: Any) -> None:
         quoted = writeq(atom(name), self.engine.operators)
         self.engine.load(goals=f"subscribe(e(_), [], _, {quoted}, id)")
         self.engine.event("e(1)", 1)
@@ -310,27 +311,27 @@ class Inputs(Kind):
         self.same(self.outputs.pop()[1], name)
         self.engine.call(f"delete_subscription({quoted}, id)")
 
-    def in_subscription(self, name):
+    def in_subscription(self, name: Any) -> None:
         quoted = writeq(atom(name), self.engine.operators)
         self.engine.load(goals=f"subscribe(e(_), [], _, topic, {quoted})")
         self.engine.event("e(1)", 1)
         self.same(self.outputs.pop()[2], atom(name))
         self.engine.call(f"delete_subscription(topic, {quoted})")
 
-    def in_memory(self, name):
+    def in_memory(self, name: Any) -> None:
         quoted = writeq(atom(name), self.engine.operators)
         self.engine.load(goals=f"memorize(m(X), [], X, {quoted}, 3)")
         self.engine.event("m(1)", 1)
         self.engine.call(f"delete_memory({quoted})")
 
-    def in_node(self, name):
+    def in_node(self, name: Any) -> None:
         header = {"callerid": name, "type": "pkg/Type", "md5sum": "*", "message_definition": "int32 x"}
         definition = self.known.received(
             "pkg/Type", header["type"], header["message_definition"], header["md5sum"]
         )
         self._use(definition)
 
-    def in_module(self, name):
+    def in_module(self, name: Any) -> None:
         quoted = writeq(atom(name), self.engine.operators)
         for goal in (
             "use_module({})",
@@ -343,7 +344,7 @@ class Inputs(Kind):
             self.attempt(self.engine.call, goal.format(quoted))
         self.attempt(self.engine.load_rules, f":- module({quoted}, [foo/1]).\nfoo(1).")
 
-    def in_file(self, name):
+    def in_file(self, name: Any) -> None:
         quoted = writeq(atom(name), self.engine.operators)
         for goal in FILE_GOALS:
             self.attempt(self.engine.call, goal.format(quoted))

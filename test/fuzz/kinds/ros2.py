@@ -1,6 +1,7 @@
 """Definitions of ROS 2 mutated, of services and in IDL, too, and messages in CDR for those that are accepted."""
 
 import struct
+from typing import Any, Iterator, List
 
 from retalis import Definitions
 from retalis.messages.event_text_writer import make_text_writer
@@ -141,12 +142,12 @@ class Inputs(Kind):
 
     block_size = 100
 
-    def setup(self):
+    def setup(self) -> None:
         for encoding in ("utf-16-le", "utf-16-be", "utf-32-le", "utf-32-be"):  # imports the codecs
             "".encode(encoding)
         convert_idl("pkg/Kind", f"{IDL_START}}}; }}; }};", ["pkg/Kind"])  # imports lark
 
-    def generate(self, rng):
+    def generate(self, rng: Any) -> Any:
         what = rng.random()
         if what < 0.05:
             name = rng.choice(("pkg/msg/Kind", "pkg/srv/Kind_Event"))
@@ -163,8 +164,8 @@ class Inputs(Kind):
             text = mutate_text(rng, text, [text], PIECES)
         return to_bytes(f"{rng.choice(MSG_NAMES[:4])}\n{text}")
 
-    def definition(self, rng):
-        lines = []
+    def definition(self, rng: Any) -> str:
+        lines: List[Any] = []
         for at in range(rng.choice((0, 1, 2, 3, 6))):
             odd = rng.random() < 0.15
             kind = rng.choice(TYPES if odd else TYPES[:17])
@@ -174,7 +175,7 @@ class Inputs(Kind):
             lines.append(f"{kind}{array} {name}{rest}\n")
         return "".join(lines)
 
-    def run(self, data):
+    def run(self, data: Any) -> None:
         # Types that differ in arrays of nested types only have one checksum in ROS, which `Definitions` goes by.
         self.known = Definitions()
         name, _, text = to_text(data).partition("\n")
@@ -199,7 +200,7 @@ class Inputs(Kind):
             if again is not None and text_of(decoder.decode(again)) != text_of(term):
                 raise FindingError("difference", "it does not come back as it was", "ros2")
 
-    def messages(self, data):
+    def messages(self, data: Any) -> Iterator[Any]:
         """Return messages: zeros of all lengths, counts of one, and the bytes of the input itself."""
         for head in CDR:
             order = "<" if head == CDR[0] else ">"

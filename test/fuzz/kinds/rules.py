@@ -1,5 +1,7 @@
 """Texts of rule files, and events for their rules."""
 
+from typing import Any
+
 from events.operator_table import AGGREGATES, PAIRS
 
 from ..mutate import mutate_text, random_tokens, to_bytes, to_text
@@ -98,24 +100,24 @@ class Inputs(Kind):
     block_size = 8
     may_read_files = True  # a program that is loaded may name any file
 
-    def reset(self):
+    def reset(self) -> None:
         self.engine = create_silent_engine()
         self.time = 0
 
-    def generate(self, rng):
+    def generate(self, rng: Any) -> Any:
         if rng.random() < 0.1:
             return to_bytes(random_tokens(rng, PIECES))
         if rng.random() < 0.4:
             return to_bytes("".join(self.rule(rng) for _ in range(rng.choice((1, 1, 2, 3)))))
         return to_bytes(mutate_text(rng, rng.choice(self.texts), self.texts, PIECES))
 
-    def rule(self, rng):
+    def rule(self, rng: Any) -> str:
         """Return a rule that reads well, more often than not."""
         head = rng.choice(("h(X)", "h(X, Y)", "h", "a(X)", "h do foo(X)", "h do assertz(seen(X))", "'H'(Y)"))
         label = rng.choice(("", "", "", "l : ", "l([property(event_rule_window, 5)]) : "))
         return f"{label}{head} <- {self.pattern(rng, rng.choice((1, 2, 2, 3)))}.\n"
 
-    def pattern(self, rng, depth):
+    def pattern(self, rng: Any, depth: int) -> Any:
         if not depth or rng.random() < 0.1:
             return rng.choice(("a(X)", "b(Y)", "a(_)", "b(X)", "c", f"a({rng.choice(ARGUMENTS)})"))
         left = self.pattern(rng, depth - 1)
@@ -128,7 +130,7 @@ class Inputs(Kind):
             return f"({left} seq aggregate({rng.choice(KINDS)}, {self.pattern(rng, 0)}, S))"
         return rng.choice(STREAMS).format(left)
 
-    def run(self, data):
+    def run(self, data: Any) -> None:
         self.attempt(self.engine.load_rules, to_text(data))
         for event in EVENTS:
             self.time += 1

@@ -1,6 +1,7 @@
 """States with changed values, references, and lengths and right checksums, changed bytes, and pieces left out."""
 
 from time import process_time
+from typing import Any, List
 
 from retalis import Engine, Functor, RetalisError, String, UsageError, Var, atom, functor
 from retalis.prolog.terms.timestamps import FloatSeconds
@@ -92,9 +93,9 @@ QUERIES = (
 )
 
 
-def deep(number):
+def deep(number: int) -> Any:
     """Return sequences in one another."""
-    found = []
+    found: List[Any] = []
     for _ in range(number):
         found = [found]
     return found
@@ -106,7 +107,7 @@ class Inputs(Kind):
     block_size = 40
     may_warm_up = False
 
-    def setup(self):
+    def setup(self) -> None:
         self.states = []
         for rules, goals in PROGRAMS:
             engine = create_silent_engine()
@@ -135,7 +136,7 @@ class Inputs(Kind):
         ]
         self.shared = {(name, arity): functor(name, arity) for name in "abcf" for arity in range(3)}
 
-    def generate(self, rng):
+    def generate(self, rng: Any) -> Any:
         what = rng.random()
         if what < 0.05:
             whole = rng.choice(self.whole)
@@ -154,7 +155,7 @@ class Inputs(Kind):
             data = self.changed(rng, data, self.places(data))
         return pack_sections(dict(state, **{name: to_bytes(data)}))
 
-    def places(self, data, path=(), found=None):
+    def places(self, data: Any, path: Any = (), found: Any = None) -> Any:
         """Return the paths to all values."""
         found = [] if found is None else found
         found.append(path)
@@ -166,12 +167,12 @@ class Inputs(Kind):
                 self.places(item, (*path, key), found)
         return found
 
-    def changed(self, rng, data, places):
+    def changed(self, rng: Any, data: Any, places: Any) -> Any:
         """Return data with another value at one place."""
         path = rng.choice(places[1:] or places)
         return self.put(data, path, lambda old: self.other(rng, old))
 
-    def other(self, rng, old):
+    def other(self, rng: Any, old: Any) -> Any:
         """Return a value for another: of the same type, or of any."""
         what = rng.random()
         if old.__class__ is int and what < 0.5:
@@ -188,7 +189,7 @@ class Inputs(Kind):
             return dict(list(old.items())[1:])
         return rng.choice(self.values)
 
-    def put(self, data, path, change):
+    def put(self, data: Any, path: Any, change: Any) -> Any:
         if not path:
             return change(data)
         first, rest = path[0], path[1:]
@@ -205,7 +206,7 @@ class Inputs(Kind):
         except Exception:  # a named tuple that checks its values
             return data
 
-    def run(self, data):
+    def run(self, data: Any) -> None:
         try:
             engine = self.restored(data)
         except UsageError as error:
@@ -219,7 +220,7 @@ class Inputs(Kind):
         engine.logic.output = engine.logic.error_output = lambda text: None
         self.check_shared()
         before = process_time()
-        seen = []
+        seen: List[Any] = []
         engine.on_event(lambda *event: seen.append(None))
         for now in range(TIMES):
             # A rule that makes its own events is a valid program: each event then takes all that its limit allows.
@@ -239,11 +240,11 @@ class Inputs(Kind):
             ) from error
         LOGGED.check()
 
-    def restored(self, data):
+    def restored(self, data: Any) -> Any:
         """Return an engine with the state that an input is, or None where it has none."""
         return Engine.restore(data, settings=SETTINGS)
 
-    def check_shared(self):
+    def check_shared(self) -> None:
         """Check that the process is as before: all engines share functors."""
         for (name, arity), kind in self.shared.items():
             if (kind.name, kind.arity) != (name, arity) or kind is not functor(name, arity):

@@ -1,6 +1,7 @@
 """Incremental tables and the same program without tables: random changes, and the same answers."""
 
 import json
+from typing import Any, Iterator
 
 from retalis import Limits, RetalisError, Settings
 
@@ -25,10 +26,10 @@ class Inputs(Kind):
 
     block_size = 20
 
-    def setup(self):
+    def setup(self) -> None:
         create_silent_engine().load(DYNAMIC + FACTS)  # reads the library
 
-    def generate(self, rng):
+    def generate(self, rng: Any) -> Any:
         names, tabled, plain = ["n", "s", "up"], [], []
         for at in range(rng.choice((1, 2, 3, 4))):
             name = f"p{at}"
@@ -54,7 +55,7 @@ class Inputs(Kind):
         }
         return to_bytes(json.dumps(found))
 
-    def rules(self, rng, name, names):
+    def rules(self, rng: Any, name: Any, names: Any) -> Iterator[Any]:
         """Return clauses of a predicate over those before it, for both programs."""
         for _ in range(rng.choice((1, 1, 2))):
             bound = rng.choice(
@@ -67,7 +68,7 @@ class Inputs(Kind):
                 body = [f"findall(Y, ({', '.join(body).replace('X', 'Y')}), L), sort(L, S), length(S, X)"]
             yield (f"{name}(X) :- {', '.join(body)}.\n",) * 2
 
-    def literal(self, rng, names):
+    def literal(self, rng: Any, names: Any) -> Any:
         return rng.choice(
             (
                 f"{rng.choice(names)}(X)",
@@ -80,7 +81,7 @@ class Inputs(Kind):
             )
         )
 
-    def operation(self, rng, names):
+    def operation(self, rng: Any, names: Any) -> Any:
         """Return a goal, or an event after a mark."""
         what = rng.random()
         low, high = sorted(
@@ -106,7 +107,7 @@ class Inputs(Kind):
             return f"forall({name}(X), assertz(n(X)))"
         return f"catch(({name}(_), throw(a)), _, true), ignore(retract({fact}))"
 
-    def run(self, data):
+    def run(self, data: Any) -> None:
         try:
             found = json.loads(to_text(data))
             tabled, plain = (DYNAMIC + FACTS + found[name] + HELPERS for name in ("tabled", "plain"))
@@ -133,7 +134,7 @@ class Inputs(Kind):
                     )
         LOGGED.check()
 
-    def answers(self, engine, goal):
+    def answers(self, engine: Any, goal: Any) -> Any:
         """Return the set of answers, or the kind of the error."""
         try:
             found = sorted({engine.show(one["X"]) for one in engine.query(goal, 200)})

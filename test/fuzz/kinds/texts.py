@@ -1,5 +1,7 @@
 """Texts for the reader: a term or a syntax fault."""
 
+from typing import Any
+
 import retalis.events.language.event_operators  # noqa: F401 -- adds its operators to those of Prolog
 from retalis import Operators, SyntaxFault
 from retalis.prolog.syntax.event_text import EventReader
@@ -48,17 +50,17 @@ PIECES += (
 class Inputs(Kind):
     block_size = 1000
 
-    def reset(self):
+    def reset(self) -> None:
         self.operators = Operators.prolog()
         self.events = EventReader(self.operators)
         self.flags = (ReadFlags(), ReadFlags(iso=True, double_quotes="codes"), ReadFlags(event_text=True))
 
-    def generate(self, rng):
+    def generate(self, rng: Any) -> Any:
         if rng.random() < 0.4:
             return to_bytes(random_tokens(rng, PIECES if rng.random() < 0.3 else TOKENS))
         return to_bytes(mutate_text(rng, rng.choice(self.texts), self.texts, PIECES))
 
-    def run(self, data):
+    def run(self, data: Any) -> None:
         text = to_text(data)
         for found in read_program(text, self.operators, flags=self.flags[len(text) % 3]):
             if isinstance(found, SyntaxFault):

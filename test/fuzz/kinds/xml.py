@@ -1,6 +1,7 @@
 """Texts of ``pub_sub.xml``."""
 
 import os
+from typing import Any
 
 from retalis.events.program.topic_configuration import read_topics
 
@@ -41,11 +42,11 @@ PIECES += (
 class Inputs(Kind):
     block_size = 1000
 
-    def setup(self):
+    def setup(self) -> None:
         self.path = self.scratch / "pub_sub.xml"
         self.file = os.open(str(self.path), os.O_RDWR | os.O_CREAT)
 
-    def generate(self, rng):
+    def generate(self, rng: Any) -> Any:
         what = rng.random()
         if what < 0.1:
             return to_bytes(random_tokens(rng, PIECES))
@@ -53,9 +54,9 @@ class Inputs(Kind):
             return mutate_bytes(rng, rng.choice(self.corpus), self.corpus)
         return to_bytes(mutate_text(rng, rng.choice(self.texts), self.texts, PIECES))
 
-    def prepare(self, data):
+    def prepare(self, data: Any) -> None:
         os.ftruncate(self.file, 0)
         os.pwrite(self.file, data, 0)
 
-    def run(self, data):
+    def run(self, data: Any) -> None:
         self.attempt(read_topics, self.path)

@@ -1,5 +1,7 @@
 """Wrong and partial arguments of built-ins."""
 
+from typing import Any
+
 import pytest
 from prolog.support import answers, prolog
 
@@ -33,7 +35,7 @@ ERRORS = {
 
 
 @pytest.mark.parametrize("goal", ERRORS)
-def test_wrong_argument_is_an_error(goal):
+def test_wrong_argument_is_an_error(goal: Any) -> None:
     assert answers(prolog(), goal) == [ERRORS[goal]]
 
 
@@ -51,11 +53,11 @@ ANSWERS = {
 
 
 @pytest.mark.parametrize("goal", ANSWERS)
-def test_partial_argument_is_completed(goal):
+def test_partial_argument_is_completed(goal: Any) -> None:
     assert answers(prolog(), goal, len(ANSWERS[goal])) == ANSWERS[goal]
 
 
-def test_index_is_no_tail_of_its_list():
+def test_index_is_no_tail_of_its_list() -> None:
     """A list whose tail is the index cannot be a list, since the index is a number."""
     logic = prolog()
     assert answers(logic, "nth0(X, X, a)") == []
@@ -66,7 +68,7 @@ def test_index_is_no_tail_of_its_list():
     assert answers(logic, "nth0(I, [I, b|T], E, [1|R])", 4) == [{"I": "1", "T": "A", "E": "b", "R": "A"}]
 
 
-def test_integers_and_floats_compare_exactly():
+def test_integers_and_floats_compare_exactly() -> None:
     """Numbers are compared without rounding; 2**53 + 1 and 10**30 + 1 are not representable as floats."""
     logic = prolog("test(A, B) :- A > B.")
     for whole, near in (

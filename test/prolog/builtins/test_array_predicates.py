@@ -1,6 +1,7 @@
 """Predicates on arrays against numpy, for array terms and for lists."""
 
 import math
+from typing import Any, List
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ LOGIC = prolog()
 NUMBERS = st.lists(st.floats(-1e6, 1e6, width=32), min_size=1, max_size=40)
 
 
-def value_of(name, *arguments, following=()):
+def value_of(name: str, *arguments: Any, following: Any = ()) -> Any:
     """Return the value of the argument between two groups of arguments, None for failure."""
     result = Var()
     goal = functor(name, len(arguments) + 1 + len(following))(*arguments, result, *following)
@@ -25,14 +26,14 @@ def value_of(name, *arguments, following=()):
     return None
 
 
-def both(numbers, dtype="f4"):
+def both(numbers: Any, dtype: str = "f4") -> List[Any]:
     """Return an array term and the list that it stands for."""
     array = np.array(numbers, dtype)
     return [array_term(array), make_list(array.tolist())]
 
 
 @given(NUMBERS)
-def test_extremes_and_mean_equal_those_of_numpy(numbers):
+def test_extremes_and_mean_equal_those_of_numpy(numbers: Any) -> None:
     array = np.array(numbers, "f4")
     for term in both(numbers):
         assert value_of("array_min", term) == array.min()
@@ -41,31 +42,31 @@ def test_extremes_and_mean_equal_those_of_numpy(numbers):
 
 
 @given(NUMBERS, st.integers(0, 100) | st.floats(0, 100))
-def test_percentile_equals_that_of_numpy(numbers, percent):
+def test_percentile_equals_that_of_numpy(numbers: Any, percent: Any) -> None:
     expected = np.percentile(np.array(numbers, "f8"), percent)
     for term in both(numbers):
         assert value_of("array_percentile", term, percent) == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
 
 @pytest.mark.parametrize("dtype", ["f4", "f8", "i4", "u1"])
-def test_minimum_has_type_of_list_items(dtype):
+def test_minimum_has_type_of_list_items(dtype: str) -> None:
     for term in both(range(10), dtype):
         minimum = value_of("array_min", term)
         assert minimum.__class__ is (float if dtype[0] == "f" else int)
 
 
 @pytest.mark.parametrize("name", ["array_min", "array_max", "array_mean"])
-def test_empty_array_has_no_extremes_and_mean(name):
+def test_empty_array_has_no_extremes_and_mean(name: str) -> None:
     assert value_of(name, make_list([])) is None
     assert value_of(name, atom('""')) is None
 
 
-def test_empty_array_has_no_percentile():
+def test_empty_array_has_no_percentile() -> None:
     assert value_of("array_percentile", make_list([]), 50) is None
 
 
 @pytest.mark.parametrize("numbers", [[math.nan] * 9, [1.0, math.nan, 2.0, 3.0, math.inf]])
-def test_nan_is_an_evaluation_error(numbers):
+def test_nan_is_an_evaluation_error(numbers: Any) -> None:
     for term in both(numbers):
         for name, more in [
             ("array_min", ()),
@@ -77,7 +78,7 @@ def test_nan_is_an_evaluation_error(numbers):
                 value_of(name, term, *more)
 
 
-def test_infinity_is_ordered_but_has_no_mean():
+def test_infinity_is_ordered_but_has_no_mean() -> None:
     for term in both([1.0, math.inf, math.inf, 2.0, 3.0]):
         assert value_of("array_max", term) == math.inf
         assert value_of("array_percentile", term, 90) == math.inf
@@ -87,12 +88,12 @@ def test_infinity_is_ordered_but_has_no_mean():
 
 
 @pytest.mark.parametrize("percent", [-1, 100.5, math.nan])
-def test_percentage_out_of_range_is_refused(percent):
+def test_percentage_out_of_range_is_refused(percent: Any) -> None:
     with pytest.raises(PrologError, match="percentage"):
         value_of("array_percentile", make_list([1]), percent)
 
 
-def test_array_terms_are_not_decoded():
+def test_array_terms_are_not_decoded() -> None:
     term = array_term(np.arange(20.0))
     assert value_of("array_min", term) == 0
     assert value_of("array_percentile", term, 5) == pytest.approx(0.95)

@@ -2,6 +2,7 @@
 
 import math
 import random
+from typing import Any, List
 
 import pytest
 from prolog.support import answers, first, prolog
@@ -32,7 +33,7 @@ laid(X) :- ( X > 1 -> foo, bar ; X = 2, \+ baz -> true ; qux ).
 """
 
 
-def test_tabled_predicates_have_all_answers():
+def test_tabled_predicates_have_all_answers() -> None:
     logic = prolog(PROGRAM)
     assert sorted(answer["X"] for answer in answers(logic, "path(a, X)")) == ["a", "b", "c", "d"]
     assert sorted(answer["X"] for answer in answers(logic, "path(X, d)")) == ["a", "b", "c"]
@@ -46,7 +47,7 @@ def test_tabled_predicates_have_all_answers():
     assert answers(logic, "abolish_all_tables, path(a, X), X == e") == [{"X": "e"}]
 
 
-def test_phrase_parses_lists():
+def test_phrase_parses_lists() -> None:
     logic = prolog(PROGRAM)
     assert answers(logic, "phrase(greeting, [hello,world])") == [{}]
     assert answers(logic, "phrase(greeting, [hello,moon])") == []
@@ -57,7 +58,7 @@ def test_phrase_parses_lists():
     assert answers(logic, 'phrase(("ab", \\+ [0\'d], [X]), `abc`)') == [{"X": "99"}]
 
 
-def test_cleanup_and_limits_of_solutions_hold():
+def test_cleanup_and_limits_of_solutions_hold() -> None:
     logic = prolog()
     assert answers(
         logic, "setup_call_cleanup(true, member(X, [1,2]), nb_setval(c, X)), X = 2, nb_getval(c, V)"
@@ -75,9 +76,9 @@ def test_cleanup_and_limits_of_solutions_hold():
     assert answers(logic, "call_nth(member(X, [a,b,c]), 2)") == [{"X": "b"}]
 
 
-def test_capture_of_output_ends_with_its_goal():
+def test_capture_of_output_ends_with_its_goal() -> None:
     logic = prolog()
-    written = []
+    written: List[Any] = []
     logic.output = written.append
     assert first(logic, "with_output_to(string(S), (write(a), print('B c')))") == "\"a'B c'\""
     assert answers(logic, "catch(with_output_to(string(_), throw(x)), x, true), write(hi)") == [{}]
@@ -102,14 +103,14 @@ FORMATS = [
 
 
 @pytest.mark.parametrize(("form", "arguments", "text"), FORMATS)
-def test_format_directives_are_expanded(form, arguments, text):
+def test_format_directives_are_expanded(form: Any, arguments: Any, text: Any) -> None:
     result = first(prolog(), f'format(atom(A), "{form}", {arguments})')
     assert result.strip("'").replace("\\'", "'") == text
 
 
-def test_listing_lays_out_clauses():
+def test_listing_lays_out_clauses() -> None:
     logic = prolog(PROGRAM)
-    written = []
+    written: List[Any] = []
     logic.output = written.append
     assert answers(logic, "listing(laid/1), portray_clause(foo(_, X, X))") == [{"X": "A"}]
     assert "".join(written) == (
@@ -118,17 +119,17 @@ def test_listing_lays_out_clauses():
     )
 
 
-def test_negated_conjunction_is_in_parentheses():
+def test_negated_conjunction_is_in_parentheses() -> None:
     logic = prolog()
-    written = []
+    written: List[Any] = []
     logic.output = written.append
     assert answers(logic, "portray_clause((p :- \\+ (a, b), c))") == [{}]
     assert "".join(written) == "p :-\n    \\+ (   a,\n        b\n    ),\n    c.\n"
 
 
-def test_messages_are_sent_by_kind():
+def test_messages_are_sent_by_kind() -> None:
     logic = prolog()
-    messages = []
+    messages: List[Any] = []
     logic.message = lambda kind, text: messages.append((kind, text))
     assert answers(logic, 'print_message(warning, format("low: ~w", [3])), print_message(silent, x)') == [{}]
     assert messages == [("warning", "Warning: low: 3\n")]
@@ -177,11 +178,11 @@ TIMESTAMPS = [
 
 
 @pytest.mark.parametrize(("goal", "value"), TIMESTAMPS)
-def test_timestamp_predicate_has_value(goal, value):
+def test_timestamp_predicate_has_value(goal: Any, value: Any) -> None:
     assert first(prolog(), goal) == value
 
 
-def test_timestamps_compare_by_instant():
+def test_timestamps_compare_by_instant() -> None:
     logic = prolog()
     assert answers(logic, "less_datime(datime(2001,1,1,0,0,1), datime(2001,1,1,0,0,2,0))") == [{}]
     assert answers(logic, "equal_datime(datime(1970,1,1,0,0,1.5,0), 1.5)") == [{}]
@@ -189,12 +190,12 @@ def test_timestamps_compare_by_instant():
     assert answers(logic, "between_datime(1, 1, 3)") == [{}]
 
 
-def quaternion_about(axis, angle):
+def quaternion_about(axis: Any, angle: float) -> Any:
     size = math.sqrt(sum(value * value for value in axis))
     return [value / size * math.sin(angle / 2) for value in axis] + [math.cos(angle / 2)]
 
 
-def rotation(q):
+def rotation(q: Any) -> List[List[Any]]:
     x, y, z, w = q
     return [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -203,11 +204,11 @@ def rotation(q):
     ]
 
 
-def numbers(text):
+def numbers(text: str) -> Any:
     return eval(text)  # a list of lists of floats, as Python writes it too
 
 
-def test_pose_product_rotates_second_translation():
+def test_pose_product_rotates_second_translation() -> None:
     rng = random.Random(1)
     logic = prolog()
     for _ in range(20):
@@ -229,7 +230,7 @@ def test_pose_product_rotates_second_translation():
         assert moved == pytest.approx(numbers(first(logic, f"transform_point({v1},{matrix},X)")))
 
 
-def test_interpolation_of_poses_is_spherical():
+def test_interpolation_of_poses_is_spherical() -> None:
     logic = prolog()
     axis = [1, 2, 3]
     for fraction in (0, 0.25, 0.5, 1):
@@ -244,7 +245,7 @@ def test_interpolation_of_poses_is_spherical():
 
 
 @pytest.mark.parametrize("angle", [1e-12, 1e-9, 1e-8, 2e-8, 1e-7, 1e-5, 1e-3, 3.0, 3.14159])
-def test_interpolation_is_exact_for_any_angle(angle):
+def test_interpolation_is_exact_for_any_angle(angle: float) -> None:
     q1, q2 = quaternion_about([1, -2, 0.5], 0.2), quaternion_about([1, -2, 0.5], 0.2 + angle)
     goal = f"interpolate_quaternion([0,0,0],{q1},[0,0,0],{q2},[0.25],X)"
     expected = quaternion_about([1, -2, 0.5], 0.2 + 0.75 * angle)
@@ -262,19 +263,19 @@ def test_interpolation_is_exact_for_any_angle(angle):
         ("tf_point([0,0,0], ['X',1], X)", "domain_error(transform,['X',1])"),
     ],
 )
-def test_malformed_pose_is_an_error(goal, error):
+def test_malformed_pose_is_an_error(goal: str, error: str) -> None:
     assert answers(prolog(), goal) == [error]
 
 
-def test_empty_pose_product_is_identity():
+def test_empty_pose_product_is_identity() -> None:
     assert first(prolog(), "transform_quaternion([], X)") == "[[0.0,0.0,0.0],[0.0,0.0,0.0,1.0]]"
 
 
-def test_tabled_predicates_are_listed():
+def test_tabled_predicates_are_listed() -> None:
     logic = prolog(
         ":- table path/2.\npath(X, Y) :- edge(X, Y).\npath(X, Y) :- path(X, Z), edge(Z, Y).\nedge(1, 2)."
     )
-    written = []
+    written: List[Any] = []
     logic.output = written.append
     clauses = "path(A, B) :-\n    edge(A, B).\npath(A, B) :-\n    path(A, C),\n    edge(C, B).\n\n"
     assert answers(logic, "listing(path/2)")
@@ -286,9 +287,9 @@ def test_tabled_predicates_are_listed():
     assert first(logic, "nth_clause(path(_, _), 2, (H :- _)), H = path(A, A)") == {"H": "path(A,A)", "A": "A"}
 
 
-def test_retract_enumerates_clauses_of_call_time():
+def test_retract_enumerates_clauses_of_call_time() -> None:
     logic = prolog(":- dynamic(insect/1). insect(ant). insect(bee).")
-    written = []
+    written: List[Any] = []
     logic.output = written.append
     assert answers(logic, "retract(insect(I)), write(I), retract(insect(bee)), fail") == []
     assert "".join(written) == "antbee"
@@ -305,14 +306,14 @@ def test_retract_enumerates_clauses_of_call_time():
         ("[double_quotes(none)]", "domain_error(double_quotes,none)"),
     ],
 )
-def test_double_quotes_option_changes_read_term(options, term):
+def test_double_quotes_option_changes_read_term(options: str, term: str) -> None:
     assert first(prolog(), f"read_term_from_atom('\"ab\"', T, {options})") == term
 
 
 @pytest.mark.parametrize(
     ("form", "text"), [("~I", "1_234_567"), ("~2I", "1_23_45_67"), ("x~Iy", "x1_234_567y")]
 )
-def test_digits_are_grouped(form, text):
+def test_digits_are_grouped(form: str, text: str) -> None:
     assert first(prolog(), f"format(atom(A), '{form}', [1234567])") == f"'{text}'".strip(
         "'" if text[0] == "x" else ""
     )
@@ -321,9 +322,9 @@ def test_digits_are_grouped(form, text):
 @pytest.mark.parametrize(
     ("form", "text"), [("a~Nb", "a\nb"), ("a~n~Nb", "a\nb"), ("~Na", "a"), ("a~N~n~Nb", "a\n\nb")]
 )
-def test_newline_directive_ends_started_line(form, text):
+def test_newline_directive_ends_started_line(form: str, text: str) -> None:
     logic = prolog()
-    written = []
+    written: List[Any] = []
     logic.output = written.append
     assert answers(logic, f"format('{form}', [])") == [{}]
     assert "".join(written) == text
@@ -342,7 +343,7 @@ def test_newline_directive_ends_started_line(form, text):
         ("term_string(X, S, Options)", "instantiation_error"),
     ],
 )
-def test_term_string_uses_options(goal, expected):
+def test_term_string_uses_options(goal: str, expected: Any) -> None:
     solution = answers(prolog(), goal)[0]
     if isinstance(expected, dict):
         solution = {name: solution[name] for name in expected}
@@ -350,7 +351,7 @@ def test_term_string_uses_options(goal, expected):
 
 
 @pytest.mark.parametrize("text", ["' 12'", "'\\n12'", '" 12"', "'12 '", "'+ 12'"])
-def test_atom_number_fails_for_white_space(text):
+def test_atom_number_fails_for_white_space(text: str) -> None:
     assert answers(prolog(), f"atom_number({text}, X)") == []
 
 
@@ -368,11 +369,11 @@ def test_atom_number_fails_for_white_space(text):
         ("Degree, 30, Root, Remainder", ["instantiation_error"]),
     ],
 )
-def test_nth_integer_root_and_remainder(arguments, expected):
+def test_nth_integer_root_and_remainder(arguments: str, expected: Any) -> None:
     assert answers(prolog(), f"nth_integer_root_and_remainder({arguments})") == expected
 
 
-def test_root_of_huge_integer_is_exact_or_refused():
+def test_root_of_huge_integer_is_exact_or_refused() -> None:
     logic = prolog()
     goal = "X is 7 ** 5000 + 12345, nth_integer_root_and_remainder(D, X, R, M), X =:= R ** D + M, X < (R + 1) ** D"
     for degree in (2, 3, 7, 1000):

@@ -1,5 +1,7 @@
 """Meta-calls with limits, portions, blocking goals and ports."""
 
+from typing import Any, List
+
 import pytest
 from prolog.support import answers, first, prolog
 
@@ -8,7 +10,7 @@ from retalis.prolog.syntax.term_reader import read_term
 
 
 @pytest.fixture
-def logic():
+def logic() -> Any:
     return prolog("count(0) :- !.\ncount(N) :- M is N - 1, count(M).\np(1).\np(2) :- p(1).")
 
 
@@ -50,14 +52,14 @@ def logic():
         ("aggregate_all(nonsense, X, true, R)", ["domain_error(aggregate_template,nonsense)"]),
     ],
 )
-def test_meta_call_has_results(logic, goal, values):
+def test_meta_call_has_results(logic: Any, goal: str, values: Any) -> None:
     solutions = answers(logic, goal)
     shown = [answer["R"] if isinstance(answer, dict) else answer for answer in solutions]
     assert shown == values
     assert logic.machine.budget.ceilings == {}
 
 
-def nested_goal(step, innermost):
+def nested_goal(step: Any, innermost: str) -> str:
     """Return a goal that binds G to a term that nests ``step`` 3000 times around ``innermost``."""
     return f"numlist(1, 3000, _L), foldl([_, A, {step}]>>true, _L, {innermost}, G)"
 
@@ -82,26 +84,26 @@ def nested_goal(step, innermost):
         ("when(foo, true)", ["domain_error(when_condition,foo)"]),
     ],
 )
-def test_blocking_goals_run_or_are_errors(logic, goal, expected):
+def test_blocking_goals_run_or_are_errors(logic: Any, goal: str, expected: Any) -> None:
     assert answers(logic, goal) == expected
 
 
 @pytest.mark.parametrize(
     "condition", ["(A, nonvar(a))", "(nonvar(a), A)", "(A ; nonvar(a))", "(nonvar(_) ; A)"]
 )
-def test_deep_condition_of_when_is_checked(logic, condition):
+def test_deep_condition_of_when_is_checked(logic: Any, condition: str) -> None:
     assert answers(logic, f"{nested_goal(condition, 'nonvar(a)')}, when(G, X = 1)")[0]["X"] == "1"
 
 
 @pytest.mark.parametrize("step", ["\\+ A", "(A -> true)", "((A, _) , true)"])
-def test_goal_beyond_depth_limit_is_an_error(logic, step):
+def test_goal_beyond_depth_limit_is_an_error(logic: Any, step: str) -> None:
     answer = first(logic, f"{nested_goal(step, 'true')}, catch(G, error(E, _), true)")
     assert answer["E"] == "resource_error(term_size)"
     assert logic.machine.choices == []
 
 
-def test_trace_prints_ports(logic):
-    lines = []
+def test_trace_prints_ports(logic: Any) -> None:
+    lines: List[Any] = []
     logic.error_output = lines.append
     assert answers(logic, "trace(p(X)), X > 1, p(_)", 1) == [{"X": "2"}]
     assert [" ".join(line.split()[:3]) for line in lines][1:] == [
@@ -113,15 +115,15 @@ def test_trace_prints_ports(logic):
     ]
 
 
-def test_error_ends_tracing(logic):
-    lines = []
+def test_error_ends_tracing(logic: Any) -> None:
+    lines: List[Any] = []
     logic.error_output = lines.append
     assert answers(logic, "catch(trace(throw(x)), x, true)") == [{}]
     assert first(logic, "p(X)") == "1"
     assert [line.split()[0] for line in lines] == ["Call:", "Exception:"]
 
 
-def test_loading_library_uses_no_inferences(logic):
+def test_loading_library_uses_no_inferences(logic: Any) -> None:
     logic.limits = Limits(inferences=2000)
     assert answers(logic, "append([1], [2], L), list_to_assoc([], _)") == [{"L": "[1,2]"}]
 
@@ -142,7 +144,7 @@ def test_loading_library_uses_no_inferences(logic):
         ("current_char_conversion(X, b)", [{"X": "b"}]),
     ],
 )
-def test_standard_input_is_empty(logic, goal, expected):
+def test_standard_input_is_empty(logic: Any, goal: str, expected: Any) -> None:
     assert answers(logic, goal) == expected
 
 
@@ -159,16 +161,16 @@ def test_standard_input_is_empty(logic, goal, expected):
         ("must_be(stream, _)", ["instantiation_error"]),
     ],
 )
-def test_must_be_accepts_unusual_types(logic, goal, expected):
+def test_must_be_accepts_unusual_types(logic: Any, goal: str, expected: Any) -> None:
     assert answers(logic, goal) == expected
 
 
-def test_caret_outside_bagof_calls_goal(logic):
+def test_caret_outside_bagof_calls_goal(logic: Any) -> None:
     assert answers(logic, "X^member(X, [1,2])") == [{"X": "1"}, {"X": "2"}]
     assert answers(logic, "_^G") == ["instantiation_error"]
 
 
-def test_distinct_solutions_occur_once(logic):
+def test_distinct_solutions_occur_once(logic: Any) -> None:
     assert answers(logic, "distinct(X, member(X-_, [1-a,1-b,2-c]))") == [{"X": "1"}, {"X": "2"}]
     assert answers(logic, "distinct(member(X, [b,b,a]))") == [{"X": "b"}, {"X": "a"}]
 
@@ -187,7 +189,7 @@ def test_distinct_solutions_occur_once(logic):
         ("maplist(X/[X]>>true, [1,1]), L = X", ["1"]),
     ],
 )
-def test_lambda_shares_free_variables_only(logic, goal, values):
+def test_lambda_shares_free_variables_only(logic: Any, goal: str, values: Any) -> None:
     solutions = answers(logic, goal)
     assert [solution["L"] if isinstance(solution, dict) else solution for solution in solutions] == values
 
@@ -195,7 +197,7 @@ def test_lambda_shares_free_variables_only(logic, goal, values):
 @pytest.mark.parametrize(
     "goal", ["dif(X, a)", "freeze(X, true)", "when(ground(f(X)), true)", "dif(f(X), f(Y))"]
 )
-def test_error_of_blocking_goal_names_alternative(goal):
+def test_error_of_blocking_goal_names_alternative(goal: str) -> None:
     logic = prolog()
     with pytest.raises(PrologError) as error:
         logic.once(read_term(goal, logic.operators).term)
@@ -208,7 +210,7 @@ def test_error_of_blocking_goal_names_alternative(goal):
     ("goal", "is_current"),
     [("succ/2", True), ("(=)/2", True), ("no_such/2", False), ("p/1", True), ("p/2", False)],
 )
-def test_current_predicate_includes_builtins_by_flag(goal, is_current):
+def test_current_predicate_includes_builtins_by_flag(goal: str, is_current: bool) -> None:
     logic = prolog("p(1). :- dynamic(p/2).")
     assert logic.once(read_term(f"current_predicate({goal})", logic.operators).term) == is_current
     assert logic.once(read_term("current_predicate(succ/N)", logic.operators).term) is False

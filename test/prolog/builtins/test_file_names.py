@@ -1,5 +1,8 @@
 """Parts of file names, and resolution of files."""
 
+from pathlib import Path
+from typing import Any, Optional
+
 import pytest
 from prolog.support import answers, first, prolog
 
@@ -37,7 +40,7 @@ from retalis import Engine, Settings
         ("is_absolute_file_name('/a'), \\+ is_absolute_file_name(a), X = yes", "yes"),
     ],
 )
-def test_file_name_has_parts(goal, expected):
+def test_file_name_has_parts(goal: str, expected: Optional[str]) -> None:
     assert first(prolog(), goal) == expected
 
 
@@ -51,12 +54,12 @@ def test_file_name_has_parts(goal, expected):
         ("exists_directory(a)", "permission_error(access,source_sink,'.')"),
     ],
 )
-def test_invalid_file_name_is_an_error(goal, error):
+def test_invalid_file_name_is_an_error(goal: str, error: str) -> None:
     assert answers(prolog(), goal) == [error]
 
 
 @pytest.fixture
-def logic(tmp_path):
+def logic(tmp_path: Path) -> Any:
     (tmp_path / "kb.pl").write_text("p(1).\n")
     (tmp_path / "maps").mkdir()
     (tmp_path / "maps" / "hall.pl").write_text("room(hall).\n")
@@ -76,12 +79,14 @@ def logic(tmp_path):
         ("absolute_file_name('.', X, [relative_to('/other')])", "other"),
     ],
 )
-def test_file_name_is_resolved_in_program_folder(logic, tmp_path, goal, expected):
+def test_file_name_is_resolved_in_program_folder(
+    logic: Any, tmp_path: Path, goal: str, expected: str
+) -> None:
     path = f"{tmp_path}{expected}" if expected.startswith("/") else f"/{expected}"
     assert first(logic, goal) == f"'{path}'"
 
 
-def test_missing_file_is_reported(logic, tmp_path):
+def test_missing_file_is_reported(logic: Any, tmp_path: Path) -> None:
     assert answers(logic, "exists_directory(maps)") == [{}]
     assert answers(logic, "exists_directory('kb.pl')") == []
     assert answers(logic, "absolute_file_name(none, _, [access(read)])") == [

@@ -1,5 +1,7 @@
 """Directives of other Prologs as goals, and expansion of terms."""
 
+from typing import Any, List
+
 import pytest
 
 from retalis import Engine
@@ -25,13 +27,13 @@ from retalis import Engine
         'number_codes(X, "0\'%"), X =:= 37',
     ],
 )
-def test_directive_or_expansion_succeeds(goal):
+def test_directive_or_expansion_succeeds(goal: str) -> None:
     assert Engine().call(goal)
 
 
-def test_unknown_flag_decides_undefined_calls():
+def test_unknown_flag_decides_undefined_calls() -> None:
     engine = Engine()
-    messages = []
+    messages: List[Any] = []
     engine.logic.message = lambda kind, text: messages.append((kind, text))
     engine.load(rules="p :- nope(1). q(L) :- findall(X, nope(X), L).")
     assert engine.call("unknown(error, warning), \\+ p, \\+ p, q([])")

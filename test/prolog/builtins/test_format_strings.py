@@ -1,5 +1,7 @@
 """Printing of terms with user-defined hooks."""
 
+from typing import Any, List, Tuple
+
 import pytest
 from prolog.support import answers, prolog
 
@@ -14,9 +16,9 @@ portray(wrong) :- throw(oops).
 """
 
 
-def written(goal, program=PROGRAM):
+def written(goal: str, program: Any = PROGRAM) -> Tuple[Any, ...]:
     logic = prolog(program)
-    texts = []
+    texts: List[Any] = []
     logic.output = texts.append
     solutions = answers(logic, goal)
     assert solutions
@@ -37,16 +39,16 @@ def written(goal, program=PROGRAM):
         ("print(r(X)), var(X)", "one"),
     ],
 )
-def test_portray_hook_prints_terms(goal, text):
+def test_portray_hook_prints_terms(goal: str, text: str) -> None:
     assert written(goal)[0] == text
 
 
-def test_print_without_portray_writes_quoted():
+def test_print_without_portray_writes_quoted() -> None:
     assert written("print('A b')", "")[0] == "'A b'"
     assert written("print(a)", ":- dynamic(portray/1).")[0] == "a"
 
 
-def test_error_of_portray_is_error_of_print():
+def test_error_of_portray_is_error_of_print() -> None:
     assert written("catch(print(f(wrong)), E, true)")[1] == [{"E": "oops"}]
     (answer,) = written("catch(print(f(1)), error(E, _), true)", "portray(X) :- print(X).")[1]
     assert answer["E"].startswith("resource_error(")

@@ -1,5 +1,7 @@
 """Single-sided unification rules, as in SWI-Prolog 9."""
 
+from typing import Any
+
 import pytest
 
 from retalis import Engine, PrologError
@@ -17,7 +19,7 @@ none => fail.
 
 
 @pytest.fixture(scope="module")
-def engine():
+def engine() -> Any:
     rule_engine = Engine()
     rule_engine.load(rules=RULES)
     return rule_engine
@@ -38,18 +40,18 @@ def engine():
         "clause(none, _)",
     ],
 )
-def test_first_matching_rule_is_committed(engine, goal):
+def test_first_matching_rule_is_committed(engine: Any, goal: str) -> None:
     assert engine.call(goal)
 
 
 @pytest.mark.parametrize("goal", ["p(_, _)", "p(f(1,_), _)", "p(b, _)", "q(_, _)", "q(A, f(_))", "len(_, _)"])
-def test_call_without_matching_rule_is_an_error(engine, goal):
+def test_call_without_matching_rule_is_an_error(engine: Any, goal: str) -> None:
     with pytest.raises(PrologError) as error:
         engine.call(goal)
     assert "matching_rule" in engine.show(error.value.term)
 
 
-def test_added_rules_precede_error_of_no_match():
+def test_added_rules_precede_error_of_no_match() -> None:
     engine = Engine()
     assert engine.call(
         "assertz((p(1, X) => X = a)), assertz((p(2, X) => X = b)), asserta((p(0, X) => X = z))"

@@ -4,6 +4,7 @@ import importlib.util
 import random
 import shutil
 from pathlib import Path
+from typing import Any, List
 
 import pytest
 from prolog.support import NEVER, answers, first, prolog
@@ -46,18 +47,18 @@ other(1).
 
 
 @pytest.fixture(params=[0, NEVER])
-def logic(request):
+def logic(request: pytest.FixtureRequest) -> Any:
     system = prolog(PROGRAM, request.param)
     system.limits = Limits(inferences=5_000_000)
     return system
 
 
-def values(logic, goal):
+def values(logic: Any, goal: str) -> List[Any]:
     """Return the sorted values of X in the solutions of a goal."""
     return sorted(answer["X"] for answer in answers(logic, goal, 100))
 
 
-def test_change_reaches_tables_that_read_it(logic):
+def test_change_reaches_tables_that_read_it(logic: Any) -> None:
     assert values(logic, "path(a, X)") == ["b", "c"]
     assert first(logic, "count(N)") == "3"
     assert answers(logic, "assertz(edge(c, d))") == [{}]
@@ -75,7 +76,7 @@ def test_change_reaches_tables_that_read_it(logic):
     assert logic.machine.choices == [] == logic.machine.trail
 
 
-def test_only_changes_of_read_facts_reevaluate():
+def test_only_changes_of_read_facts_reevaluate() -> None:
     logic = prolog(PROGRAM.replace("[node/1, runs/1]", "[node/1]").replace("other/1.", "other/1, runs/1."))
     for _ in range(3):
         assert first(logic, "count(N)") == "3"
@@ -87,7 +88,7 @@ def test_only_changes_of_read_facts_reevaluate():
     assert first(logic, "aggregate_all(count, runs(_), N)") == "2"
 
 
-def test_negated_and_collected_facts_are_read(logic):
+def test_negated_and_collected_facts_are_read(logic: Any) -> None:
     assert values(logic, "alone(X)") == []
     assert values(logic, "unreached(X)") == ["a"]
     assert answers(logic, "assertz(node(d))") == [{}]
@@ -98,14 +99,14 @@ def test_negated_and_collected_facts_are_read(logic):
     assert values(logic, "unreached(X)") == ["a"]
 
 
-def test_moded_table_follows_changes_both_ways(logic):
+def test_moded_table_follows_changes_both_ways(logic: Any) -> None:
     assert first(logic, "cost(a, c, X)") == "2"
     assert first(logic, "assertz(edge(a, c)), cost(a, c, X)") == "1"
     assert first(logic, "retract(edge(a, c)), cost(a, c, X)") == "2"
     assert first(logic, "retract(edge(b, c)), (cost(a, c, X) -> true ; X = none)") == "none"
 
 
-def test_mutually_recursive_tables_follow_changes(logic):
+def test_mutually_recursive_tables_follow_changes(logic: Any) -> None:
     assert values(logic, "even(X)") == ["a", "c"]
     assert values(logic, "odd(X)") == ["b"]
     assert answers(logic, "assertz(edge(c, a))") == [{}]
@@ -116,7 +117,7 @@ def test_mutually_recursive_tables_follow_changes(logic):
     assert values(logic, "odd(X)") == []
 
 
-def test_tables_ignore_changes_of_opaque_facts(logic):
+def test_tables_ignore_changes_of_opaque_facts(logic: Any) -> None:
     assert values(logic, "plain(X)") == values(logic, "over(X)") == ["a", "b", "c"]
     assert values(logic, "stored(X)") == ["1"]
     assert answers(logic, "assertz(node(d)), assertz(other(2))") == [{}]
@@ -145,7 +146,7 @@ def test_tables_ignore_changes_of_opaque_facts(logic):
     ],
 )
 @pytest.mark.parametrize("compile_after", [0, 2, NEVER])
-def test_any_read_of_facts_is_recorded(reads, compile_after):
+def test_any_read_of_facts_is_recorded(reads: str, compile_after: Any) -> None:
     program = f"""
     :- dynamic fact/1 as incremental.
     known(X) :- fact(X).
@@ -159,7 +160,7 @@ def test_any_read_of_facts_is_recorded(reads, compile_after):
         assert first(logic, "retract(fact(1)), t(L)") == "[]"
 
 
-def test_table_depends_on_reads_of_complete_table(logic):
+def test_table_depends_on_reads_of_complete_table(logic: Any) -> None:
     clause = "size(_N) :- findall(_X-_Y, path(_X, _Y), _L), length(_L, _N)"
     assert answers(logic, f"table(size/1 as incremental), assertz(({clause}))") == [{}]
     assert answers(logic, "findall(_X, path(_X, _), _)") == [{}]
@@ -167,9 +168,9 @@ def test_table_depends_on_reads_of_complete_table(logic):
     assert first(logic, "assertz(edge(c, d)), size(N)") == "6"
 
 
-def test_change_during_evaluation_outdates_table():
+def test_change_during_evaluation_outdates_table() -> None:
     class Switch:
-        def version(self, part):
+        def version(self, part: Any) -> str:
             return "off"
 
     table, switch = Table(True), Switch()
@@ -179,7 +180,7 @@ def test_change_during_evaluation_outdates_table():
     assert table.is_outdated
 
 
-def test_later_declaration_reaches_compiled_code():
+def test_later_declaration_reaches_compiled_code() -> None:
     logic = prolog(
         ":- dynamic fact/1.\nfact(1). known(X) :- fact(X).\n:- table t/1 as incremental.\nt(X) :- known(X)."
     )
@@ -191,7 +192,7 @@ def test_later_declaration_reaches_compiled_code():
     assert values(logic, "assertz(fact(3)), t(X)") == ["1", "2", "3"]
 
 
-def test_indexed_facts_outdate_tables():
+def test_indexed_facts_outdate_tables() -> None:
     logic = prolog(":- dynamic f/2 as incremental.\n:- table t/2 as incremental.\nt(X, Y) :- f(X, Y).")
     assert answers(logic, "forall(between(1, 200, _I), assertz(f(_I, _I)))") == [{}]
     for number in range(1, 60):
@@ -201,7 +202,7 @@ def test_indexed_facts_outdate_tables():
     assert values(logic, "t(8, X)") == ["8", "new"]
 
 
-def test_evaluation_that_changes_its_facts_is_repeated():
+def test_evaluation_that_changes_its_facts_is_repeated() -> None:
     program = """
     :- dynamic q/1 as incremental.
     :- table a/1 as incremental.
@@ -214,13 +215,13 @@ def test_evaluation_that_changes_its_facts_is_repeated():
     assert values(logic, "a(X)") == ["9"]
 
 
-def test_change_between_answers_keeps_remaining_ones(logic):
+def test_change_between_answers_keeps_remaining_ones(logic: Any) -> None:
     goal = "findall(X, (path(a, X), retractall(edge(_, _))), X)"
     assert first(logic, goal) in ("[b,c]", "[c,b]")
     assert values(logic, "path(a, X)") == []
 
 
-def test_failed_evaluation_leaves_no_answers():
+def test_failed_evaluation_leaves_no_answers() -> None:
     program = """
     :- dynamic q/1 as incremental.
     :- table (a/1, b/1) as incremental.
@@ -251,7 +252,7 @@ rounds(0).
 
 
 @pytest.mark.parametrize(("ends", "expected"), [("true", "[{}]"), ("assertz(ends)", "['ended']")])
-def test_outdated_answers_of_rounds_are_dropped(ends, expected):
+def test_outdated_answers_of_rounds_are_dropped(ends: str, expected: str) -> None:
     logic = prolog(ROUNDS)
     start = f"{ends}, assertz(q(1)), assertz(way(on)), findall(_X, a(_X), _)"
     assert str(answers(logic, start)) == expected
@@ -260,7 +261,7 @@ def test_outdated_answers_of_rounds_are_dropped(ends, expected):
     assert values(logic, "a(X)") == ["2", "99"]
 
 
-def test_abolished_predicate_outdates_table():
+def test_abolished_predicate_outdates_table() -> None:
     logic = prolog(":- dynamic q/1 as incremental.\n:- table t/1 as incremental.\nt(X) :- q(X).\nt(0).")
     assert values(logic, "assertz(q(1)), t(X)") == ["0", "1"]
     assert answers(logic, "abolish(q/1), t(_)") == ["existence_error(procedure,q/1)"]
@@ -268,7 +269,7 @@ def test_abolished_predicate_outdates_table():
     assert values(logic, "assertz(q(2)), t(X)") == ["0", "2"]
 
 
-def test_changed_clauses_of_table_outdate_it():
+def test_changed_clauses_of_table_outdate_it() -> None:
     logic = prolog(":- table t/1 as incremental.\n:- dynamic t/1.\nt(1).")
     assert values(logic, "t(X)") == ["1"]
     assert values(logic, "assertz(t(2)), t(X)") == ["1", "2"]
@@ -279,7 +280,7 @@ def test_changed_clauses_of_table_outdate_it():
     assert values(other, "retractall(t(_)), assertz(t(3)), t(X)") == ["3"]
 
 
-def test_later_declaration_changes_options():
+def test_later_declaration_changes_options() -> None:
     logic = prolog(":- dynamic q/1 as incremental.\n:- table t/1.\nt(X) :- q(X).")
     assert values(logic, "assertz(q(1)), t(X)") == ["1"]
     assert values(logic, "assertz(q(2)), t(X)") == ["1"]
@@ -289,8 +290,8 @@ def test_later_declaration_changes_options():
     assert values(logic, "assertz(q(4)), t(X)") == ["1", "2", "3"]
 
 
-def test_properties_and_listing_show_options(logic):
-    def properties(goal):
+def test_properties_and_listing_show_options(logic: Any) -> None:
+    def properties(goal: str) -> List[Any]:
         return [
             name
             for name in values(logic, f"predicate_property({goal}, X)")
@@ -301,7 +302,7 @@ def test_properties_and_listing_show_options(logic):
     assert properties("plain(_)") == ["tabled", "tabled(variant)"]
     assert properties("edge(_, _)") == ["incremental"]
     assert properties("other(_)") == []
-    texts = []
+    texts: List[Any] = []
     logic.output = texts.append
     assert answers(logic, "listing([plain/1, edge/2])") == [{}]
     listed = "".join(texts)
@@ -330,14 +331,14 @@ def test_properties_and_listing_show_options(logic):
         ("dynamic([t], [])", "type_error(predicate_indicator,t)"),
     ],
 )
-def test_unknown_option_is_refused(goal, error):
+def test_unknown_option_is_refused(goal: str, error: str) -> None:
     assert answers(prolog(), goal) == [error]
 
 
 @pytest.mark.parametrize(
     "option", ["subsumptive", "shared", "monotonic", "lazy", "max_answers(3)", "subgoal_abstract(2)"]
 )
-def test_option_without_effect_gives_warning(option):
+def test_option_without_effect_gives_warning(option: str) -> None:
     logic, messages = prolog(), []
     logic.message = lambda kind, text: messages.append((kind, text))
     assert answers(logic, f"table(t/1 as (incremental, {option}))") == [{}]
@@ -346,7 +347,7 @@ def test_option_without_effect_gives_warning(option):
     assert answers(logic, "predicate_property(t(_), incremental)") == [{}]
 
 
-def test_effective_and_default_options_give_no_warning():
+def test_effective_and_default_options_give_no_warning() -> None:
     logic, messages = prolog(), []
     logic.message = lambda kind, text: messages.append(text)
     table = "table(t/1 as (variant, incremental, dynamic)), table(u/1 as opaque)"
@@ -356,7 +357,7 @@ def test_effective_and_default_options_give_no_warning():
 
 
 @pytest.mark.slow
-def test_outdated_tables_are_dropped():
+def test_outdated_tables_are_dropped() -> None:
     logic = prolog(":- dynamic q/1 as incremental.\n:- table t/2 as incremental.\nt(N, X) :- q(X), X < N.")
     assert answers(
         logic, "forall(between(1, 4000, _N), (retractall(q(_)), assertz(q(_N)), t(_N, _) ; true))"
@@ -385,15 +386,15 @@ _MONOTONE = (0, 2, 3, 4, 10)
 """Monotone goals, which may call a table that depends on the caller: more answers never refute others."""
 
 
-def random_rules(rng, names):
+def random_rules(rng: Any, names: Any) -> Any:
     """Return rules for pairs of predicates, which call each other, and those of earlier pairs in any way."""
-    rules = []
+    rules: List[Any] = []
     for index, name in enumerate(names):
         below, peers = names[: index // 2 * 2], names[index // 2 * 2 :][:2]
         rules.append(f"{name}(X0, X1) :- {rng.choice(('f(X0, X1)', 'f(X1, X0)', 'g(X0), X1 = X0'))}.")
         for _ in range(rng.randrange(1, 4)):
             size = rng.randrange(1, 4)
-            goals = []
+            goals: List[Any] = []
             for step in range(size):
                 if below and rng.random() < 0.6:
                     kind, other = rng.randrange(len(_GOALS)), rng.choice(below)
@@ -406,7 +407,7 @@ def random_rules(rng, names):
     return rules
 
 
-def random_changes(rng):
+def random_changes(rng: Any) -> Any:
     """Return a goal that changes the facts."""
     x, y = rng.randrange(4), rng.randrange(4)
     return rng.choice(
@@ -435,18 +436,18 @@ _FACTS = [
 _NAMES = ("p", "q", "r", "s")
 
 
-def sorted_answers(name, suffix=""):
+def sorted_answers(name: str, suffix: str = "") -> str:
     """Return a goal that binds S to the sorted answers of a predicate."""
     return f"aggregate_all(set(X-Y), {name}(X, Y), S{suffix})"
 
 
-def solutions(logic, goal):
+def solutions(logic: Any, goal: Any) -> List[Any]:
     """Return the values of S for each solution of a goal, or an error."""
     return [answer.get("S") if isinstance(answer, dict) else answer for answer in answers(logic, goal)]
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_incremental_tables_equal_fresh_ones(seed):
+def test_incremental_tables_equal_fresh_ones(seed: int) -> None:
     rng = random.Random(seed)
     rules = random_rules(rng, _NAMES)
     tables = ", ".join(f"{name}/2" for name in _NAMES)
@@ -474,9 +475,9 @@ def test_incremental_tables_equal_fresh_ones(seed):
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_incremental_tables_equal_untabled_predicates(seed):
+def test_incremental_tables_equal_untabled_predicates(seed: int) -> None:
     rng = random.Random(seed)
-    rules = []
+    rules: List[Any] = []
     for index, name in enumerate(_NAMES):  # each predicate calls only earlier ones
         rules += random_rules(rng, (*_NAMES[:index], name))[-3:] if index else ["p(X, Y) :- f(X, Y)."]
         rules = [rule for rule in rules if not rule.startswith(name) or f" {name}(" not in rule]
@@ -495,13 +496,13 @@ def test_incremental_tables_equal_untabled_predicates(seed):
         assert tabled_answers == plain_answers, (goal, rules)
 
 
-def _calls_itself_or_later(rule):
+def _calls_itself_or_later(rule: Any) -> bool:
     own, body = rule.split(" :- ")
     later = _NAMES[_NAMES.index(own[0]) :]
     return any(f"{name}(X" in body or f"{name}(_" in body or f"({name}," in body for name in later)
 
 
-def load_neighbor(name):
+def load_neighbor(name: str) -> Any:
     """Return a module of the folder above, which is not a package."""
     spec = importlib.util.spec_from_file_location(name, str(Path(__file__).parents[1] / f"{name}.py"))
     module = importlib.util.module_from_spec(spec)
@@ -512,7 +513,7 @@ def load_neighbor(name):
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("swipl") is None, reason="SWI-Prolog is not installed")
 @pytest.mark.parametrize("seed", range(4))
-def test_incremental_tables_equal_those_of_swi_prolog(seed, monkeypatch):
+def test_incremental_tables_equal_those_of_swi_prolog(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     # Restores the search path, to which the modules add their folder.
     monkeypatch.syspath_prepend(Path(__file__).parents[1])
     differential, swipl = load_neighbor("differential"), load_neighbor("swipl")
@@ -520,7 +521,7 @@ def test_incremental_tables_equal_those_of_swi_prolog(seed, monkeypatch):
     tables = ", ".join(f"{name}/2" for name in _NAMES)
     head = [f":- discontiguous {tables}.", f":- table ({tables}) as incremental."]
     program = "\n".join([*_FACTS, *head, *random_rules(rng, _NAMES)])
-    scripts = []
+    scripts: List[Any] = []
     for _ in range(40):
         steps = [
             random_changes(rng) if rng.random() < 0.5 else sorted_answers(rng.choice(_NAMES), step)

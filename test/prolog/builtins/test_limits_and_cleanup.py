@@ -1,5 +1,7 @@
 """Execution of cleanup goals."""
 
+from typing import Any, List
+
 import pytest
 from prolog.support import answers, prolog
 
@@ -9,12 +11,12 @@ MEMBER = "member(X, [1,2,3])"
 
 
 @pytest.fixture
-def written():
+def written() -> List[Any]:
     return []
 
 
 @pytest.fixture
-def logic(written):
+def logic(written: List[Any]) -> Any:
     system = prolog("""
         cut(G) :- setup_call_cleanup(write(s), G, write(c)), write(g), !, write(e).
         first(G) :- setup_call_cleanup(true, G, write(c)), !.
@@ -48,22 +50,22 @@ def logic(written):
         (f"findall(X, limit(2, call_cleanup({MEMBER}, write(c))), L), write(L)", "c[1,2]"),
     ],
 )
-def test_cleanup_runs_once(logic, written, goal, text):
+def test_cleanup_runs_once(logic: Any, written: List[Any], goal: str, text: str) -> None:
     assert logic.once(read_term(goal, logic.operators).term)
     assert "".join(written).replace("\n", "") == text
     assert logic.machine.choices == []
 
 
-def test_cut_undoes_bindings_of_cleanup(logic):
+def test_cut_undoes_bindings_of_cleanup(logic: Any) -> None:
     assert answers(logic, f"call_cleanup({MEMBER}, Y = 1), !, Z = Y") == [{"X": "1", "Y": "A", "Z": "A"}]
 
 
-def test_cleanup_uses_bindings_of_goal(logic, written):
+def test_cleanup_uses_bindings_of_goal(logic: Any, written: List[Any]) -> None:
     assert answers(logic, f"call_cleanup({MEMBER}, write(X)), !") == [{"X": "1"}]
     assert written == ["1"]
 
 
-def test_closed_solutions_run_cleanup(logic, written):
+def test_closed_solutions_run_cleanup(logic: Any, written: List[Any]) -> None:
     solutions = logic.solutions(read_term(f"call_cleanup({MEMBER}, write(c))", logic.operators).term)
     next(solutions)
     assert written == []
@@ -71,7 +73,7 @@ def test_closed_solutions_run_cleanup(logic, written):
     assert written == ["c"]
 
 
-def test_setup_may_bind_cleanup(logic, written):
+def test_setup_may_bind_cleanup(logic: Any, written: List[Any]) -> None:
     assert answers(logic, "setup_call_cleanup(G = write(x), true, G)") == [{"G": "write(x)"}]
     assert written == ["x"]
     assert answers(logic, "setup_call_cleanup(true, true, _)") == ["instantiation_error"]

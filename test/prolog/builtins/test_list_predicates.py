@@ -2,6 +2,7 @@
 
 import random
 from functools import cmp_to_key
+from typing import Any, Dict
 
 import pytest
 from prolog.support import answers, first, prolog
@@ -18,7 +19,7 @@ CONSTANTS = [
 ]
 
 
-def random_term(choose, depth, variables):
+def random_term(choose: Any, depth: int, variables: Any) -> Any:
     kind = choose.random()
     if kind < 0.15:
         return choose.choice(variables)
@@ -33,7 +34,7 @@ def random_term(choose, depth, variables):
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_sorting_follows_standard_order(seed):
+def test_sorting_follows_standard_order(seed: int) -> None:
     choose = random.Random(seed)
     names = [Var() for _ in range(4)]
     terms = [random_term(choose, 3, names) for _ in range(choose.randint(0, 60))]
@@ -56,23 +57,23 @@ def test_sorting_follows_standard_order(seed):
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_copies_are_variants(seed):
+def test_copies_are_variants(seed: int) -> None:
     """Small ground terms without bound variables are shared; all others are copied."""
     choose = random.Random(seed)
     for _ in range(50):
         term = random_term(choose, choose.randint(0, 5), [Var() for _ in range(2)] if seed % 2 else [1, NIL])
-        new = {}
+        new: Dict[Any, Any] = {}
         assert compare(copy(term, new), rebuild(term, new.__getitem__)) == 0
         assert set(new) == set(variables(term))
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_insertion_keeps_association_list_balanced(seed):
+def test_insertion_keeps_association_list_balanced(seed: int) -> None:
     choose = random.Random(seed)
     logic = prolog("put([], A, A). put([K-V|T], A0, A) :- put_assoc(K, A0, V, A1), put(T, A1, A).")
     keys = ["1", "1.0", "a", '"a"', "f(1)", "f(a)", "-3", "b", "[]", "g(X)", *map(str, range(20, 60))]
     pairs = [f"{choose.choice(keys)}-{index}" for index in range(choose.randint(0, 80))]
-    expected = {}
+    expected: Dict[Any, Any] = {}
     for key, value in (pair.rsplit("-", 1) for pair in pairs):
         expected[key] = value
     listed = ",".join(f"{key}-{value}" for key, value in expected.items())
@@ -95,7 +96,7 @@ def test_insertion_keeps_association_list_balanced(seed):
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_deletion_keeps_association_list_balanced(seed):
+def test_deletion_keeps_association_list_balanced(seed: int) -> None:
     choose = random.Random(seed)
     rules = """
     del([], A, A).
@@ -138,18 +139,18 @@ def test_deletion_keeps_association_list_balanced(seed):
         ("t(a,1,>,t,t(b,2,-,t,t))", "a", "t(b,2,-,t,t)"),
     ],
 )
-def test_deletion_builds_tree_of_swi_prolog(before, key, after):
+def test_deletion_builds_tree_of_swi_prolog(before: str, key: str, after: str) -> None:
     assert answers(prolog(), f"del_assoc({key}, {before}, _, A)") == [{"A": after}]
 
 
-def test_deletion_visits_one_path_of_large_tree():
+def test_deletion_visits_one_path_of_large_tree() -> None:
     creation = "findall(K-x, between(1, 10000, K), _Pairs), list_to_assoc(_Pairs, _A)"
     deletions = "call_with_inference_limit(forall(between(1, 100, K), del_assoc(K, _A, x, _)), 50000, Left)"
     (answer,) = answers(prolog(), f"{creation}, {deletions}")
     assert answer["Left"] == "!"
 
 
-def test_balance_may_be_bound_variable():
+def test_balance_may_be_bound_variable() -> None:
     tree = "t(d,1,<,t(b,2,X,t,t(c,3,Y,t,t)),t(e,4,-,t,t))"
     (answer,) = answers(prolog(), f"X = (>), Y = (-), del_assoc(e, {tree}, _, A)")
     assert answer["A"] == "t(c,3,-,t(b,2,-,t,t),t(d,1,-,t,t))"
@@ -159,7 +160,7 @@ def test_balance_may_be_bound_variable():
     assert answer["A"] == "t(a,1,-,t(0,1,-,t,t),t(b,1,-,t,t))"
 
 
-def test_deep_term_as_balance_does_not_crash():
+def test_deep_term_as_balance_does_not_crash() -> None:
     """Python hashes tuples by recursion in C: hashing a tuple that is deep enough crashes the process."""
     deep = NIL
     for _ in range(300_000):
@@ -171,7 +172,7 @@ def test_deep_term_as_balance_does_not_crash():
 
 
 @pytest.mark.slow
-def test_malformed_tree_fails_or_is_an_error():
+def test_malformed_tree_fails_or_is_an_error() -> None:
     logic = prolog()
     assert answers(logic, "put_assoc(a, t(b,1,x,t,t), 2, A)") == []
     assert answers(logic, "put_assoc(a, t(b,1,>,t,t(c,1,<,t,t)), 2, A)") == [
@@ -193,7 +194,7 @@ def test_malformed_tree_fails_or_is_an_error():
 
 
 @pytest.mark.parametrize("name", ["assoc_to_list", "assoc_to_keys", "assoc_to_values"])
-def test_first_malformed_node_decides_result(name):
+def test_first_malformed_node_decides_result(name: str) -> None:
     logic = prolog("")
     assert first(logic, f"Side = t, {name}(t(k,v,<,t,Side), L), length(L, 1)") is not None
     assert answers(logic, f"{name}(t(k,v,<,foo,_), L)") == []
@@ -224,17 +225,17 @@ downwards(O, A, B) :- compare(O, B, A).
         ("predsort(user:by_key, [2-a,1-b,0-c], L)", ["[0-c,1-b,2-a]"]),
     ],
 )
-def test_predsort_follows_order_of_goal(goal, lists):
+def test_predsort_follows_order_of_goal(goal: str, lists: Any) -> None:
     assert [answer["L"] for answer in answers(prolog(PREDSORT), goal)] == lists
 
 
-def test_predsort_backtracks_over_unspecified_order():
+def test_predsort_backtracks_over_unspecified_order() -> None:
     lists = [answer["L"] for answer in answers(prolog(PREDSORT), "predsort(any_order, [a,b,c], L)")]
     expected = "[a,b,c] [a,c] [b,a,c] [b,a] [b,c,a] [a,b] [a] [b,a] [a,c,b] [a,b] [c,a,b] [c,a] [c,b,a]"
     assert lists == expected.split()
 
 
-def test_predsort_sorts_downwards():
+def test_predsort_sorts_downwards() -> None:
     choose = random.Random(7)
     numbers = [choose.randrange(50) for _ in range(100)]
     goal = f"predsort(downwards, {numbers}, L)"

@@ -1,5 +1,7 @@
 """Depth limit of written terms."""
 
+from typing import Any, List
+
 import pytest
 from prolog.support import answers, prolog
 
@@ -25,26 +27,26 @@ from prolog.support import answers, prolog
         ("f(x)", 1, "f(...)"),
     ],
 )
-def test_parts_beyond_depth_limit_are_elided(term, depth, text):
+def test_parts_beyond_depth_limit_are_elided(term: str, depth: int, text: str) -> None:
     logic = prolog()
-    written = []
+    written: List[Any] = []
     logic.output = written.append
     assert answers(logic, f"write_term({term}, [max_depth({depth})])") == [{}]
     assert "".join(written) == text
 
 
-def test_cyclic_term_is_elided():
+def test_cyclic_term_is_elided() -> None:
     logic = prolog()
-    written = []
+    written: List[Any] = []
     logic.output = written.append
     assert answers(logic, "L = [a|L], T = f(T), write_term(L-T, [max_depth(4)]), fail") == []
     assert "".join(written) == "[a,a|...]-f(f(f(...)))"
 
 
 @pytest.mark.slow
-def test_deep_term_below_limit_is_written_completely():
+def test_deep_term_below_limit_is_written_completely() -> None:
     logic = prolog("deep(0, a) :- !. deep(N, f(T)) :- M is N - 1, deep(M, T).")
-    written = []
+    written: List[Any] = []
     logic.output = written.append
     assert answers(logic, "deep(5000, T), write_term(T, [max_depth(100000)]), fail") == []
     assert len("".join(written)) == 5000 * 3 + 1

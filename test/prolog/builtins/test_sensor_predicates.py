@@ -3,6 +3,7 @@
 import math
 import struct
 from base64 import b64encode
+from typing import Any, Dict, List, Optional, Tuple
 
 import pytest
 
@@ -26,17 +27,17 @@ IMAGE = functor("sensor_msgs__0__Image", 7)
 BOOLEANS = {True: atom("true"), False: atom("false")}
 
 
-def text(name):
+def text(name: str) -> Any:
     return atom(f'"{name}"')
 
 
-def base64_atom(data):
+def base64_atom(data: bytes) -> Any:
     """Return bytes as an atom in base64 with lines of 76 characters."""
     encoded = b64encode(data).decode()
     return text("FFFFFFFFFF" + "".join(encoded[i : i + 76] + "////" for i in range(0, len(encoded), 76)))
 
 
-def call(name, *inputs):
+def call(name: str, *inputs: Any) -> Any:
     """Return the value of the last argument of a predicate; None if it fails."""
     result = Var()
     if not LOGIC.once((functor(name, len(inputs) + 1), *inputs, result)):
@@ -45,7 +46,7 @@ def call(name, *inputs):
     return list_items(value) if value.__class__ is tuple or value is atom("[]") else value
 
 
-def error_of(name, *inputs):
+def error_of(name: str, *inputs: Any) -> Tuple[Any, ...]:
     """Return the formal term and the reason of a predicate's error."""
     with pytest.raises(PrologError) as error:
         call(name, *inputs)
@@ -55,13 +56,13 @@ def error_of(name, *inputs):
     return show(formal), getattr(reason, "name", None)
 
 
-def decoded(term):
+def decoded(term: Any) -> Any:
     """Return a message as it is received from a topic: decoded lazily."""
     definition = DEFINITIONS.find(term[0].name.replace("__0__", "/"))
     return DEFINITIONS.decoder(definition).lazy(DEFINITIONS.encoder(definition).encode(term))
 
 
-def equal_numbers(left, right):
+def equal_numbers(left: Any, right: Any) -> Any:
     """Return whether two lists contain the same numbers, where nan equals nan."""
     return len(left) == len(right) and all(
         type(left_number) is type(right_number)
@@ -78,7 +79,9 @@ TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 class Cloud:
     """A random cloud, with the structured array that its bytes are read by."""
 
-    def __init__(self, height, width, fields, gaps, row_padding, big, seed):
+    def __init__(
+        self, height: Any, width: Any, fields: Any, gaps: Any, row_padding: Any, big: Any, seed: Any
+    ) -> None:
         self.fields, self.names, offset, layout = [], [], gaps[0], {}
         for index, (name, code, count) in enumerate(fields):
             kind = (">" if big else "<") + TYPES[code]
@@ -97,7 +100,7 @@ class Cloud:
         self.data = numpy.random.RandomState(seed).bytes(height * self.row_step)
         self.height, self.width, self.big = height, width, big
 
-    def term(self, **changes):
+    def term(self, **changes: Any) -> Any:
         slots = {
             "header": HEADER,
             "height": self.height,
@@ -112,7 +115,7 @@ class Cloud:
         assert set(changes) <= set(slots)
         return CLOUD(*{**slots, **changes}.values())
 
-    def values(self, name):
+    def values(self, name: Any) -> Any:
         """Return the values of a field, read row by row."""
         rows = [
             numpy.frombuffer(
@@ -125,7 +128,7 @@ class Cloud:
 
 
 @st.composite
-def clouds(draw):
+def clouds(draw: Any) -> Cloud:
     names = draw(st.lists(st.sampled_from("abcdef"), min_size=1, max_size=4, unique=True))
     fields = [(name, draw(st.integers(1, 8)), draw(st.integers(0, 3))) for name in names]
     gaps = [draw(st.integers(0, 5)) for _ in range(len(names) + 1)]
@@ -142,7 +145,7 @@ def clouds(draw):
 
 
 @given(clouds())
-def test_cloud_field_has_values_of_layout(cloud):
+def test_cloud_field_has_values_of_layout(cloud: Any) -> None:
     for message in (cloud.term(), decoded(cloud.term())):
         for field in cloud.fields:
             name = field[1].name.strip('"')
@@ -152,13 +155,20 @@ def test_cloud_field_has_values_of_layout(cloud):
             assert equal_numbers(call("cloud_field", message, String(name)), expected)
 
 
-def xyz(points, kinds=("f4", "f4", "f4"), big=False, height=1, padding=0, extra=0):
+def xyz(
+    points: Any,
+    kinds: Any = ("f4", "f4", "f4"),
+    big: bool = False,
+    height: int = 1,
+    padding: int = 0,
+    extra: int = 0,
+) -> Tuple[Any, ...]:
     """Return a cloud of points and the stored coordinates as an array of shape (n, 3)."""
     order = ">" if big else "<"
     codes = {form: code for code, form in TYPES.items()}
     fields = [(name, codes[kind], 1) for name, kind in zip("xyz", kinds)]
     cloud = Cloud(height, len(points) // height, fields, [0, 0, 0, extra], padding, big, 0)
-    rows = []
+    rows: List[Any] = []
     stored = numpy.zeros((len(points), 3))
     for row in range(height):
         part = b""
@@ -188,7 +198,16 @@ COORDINATE = st.one_of(
     st.lists(st.floats(-4, 4), min_size=6, max_size=6),
     st.floats(0, 6),
 )
-def test_points_in_box_and_sphere_are_counted(points, height, padding, extra, big, kinds, box, radius):
+def test_points_in_box_and_sphere_are_counted(
+    points: List[Any],
+    height: Any,
+    padding: int,
+    extra: int,
+    big: bool,
+    kinds: Any,
+    box: List[Any],
+    radius: float,
+) -> None:
     points = points[: len(points) // height * height]
     cloud, stored = xyz(points, kinds, big, height, padding, extra)
     low, high = [min(a, b) for a, b in zip(box[:3], box[3:])], [max(a, b) for a, b in zip(box[:3], box[3:])]
@@ -202,7 +221,9 @@ def test_points_in_box_and_sphere_are_counted(points, height, padding, extra, bi
 
 @pytest.mark.parametrize("block", [1, 7, 64])
 @pytest.mark.parametrize(("height", "padding"), [(1, 0), (30, 0), (30, 4), (300, 4)])
-def test_large_clouds_are_counted_in_blocks(block, height, padding, monkeypatch):
+def test_large_clouds_are_counted_in_blocks(
+    block: int, height: int, padding: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(sensor_predicates, "_POINTS_PER_BLOCK", block)
     points = numpy.random.RandomState(1).uniform(-2, 2, (600, 3))
     cloud, stored = xyz(points, height=height, padding=padding)
@@ -213,20 +234,20 @@ def test_large_clouds_are_counted_in_blocks(block, height, padding, monkeypatch)
     assert call("cloud_near", cloud.term(), make_list([0] * 3), 1) == near
 
 
-def test_integer_coordinates_are_counted():
+def test_integer_coordinates_are_counted() -> None:
     cloud, _ = xyz([(1, 2, 3), (-1, 0, 2)], ("i2", "i1", "u1"))
     assert call("cloud_box", cloud.term(), make_list([0, 0, 0]), make_list([3, 3, 3])) == 1
     assert call("cloud_near", cloud.term(), make_list([-1, 0, 0]), 2) == 1
 
 
-def test_box_limit_is_not_rounded_to_float32():
+def test_box_limit_is_not_rounded_to_float32() -> None:
     cloud, _ = xyz([(0.1, 0.0, 0.0)])  # as float32, 0.1 is a little more
     box = make_list([0, 0, 0])
     assert call("cloud_box", cloud.term(), box, make_list([0.1, 1, 1])) == 0
     assert call("cloud_box", cloud.term(), box, make_list([0.1000001, 1, 1])) == 1
 
 
-def test_renamed_cloud_event_is_accepted():
+def test_renamed_cloud_event_is_accepted() -> None:
     cloud, _ = xyz([(0, 0, 0)])
     own = functor("front_cloud", 9)(*cloud.term()[1:])
     assert call("cloud_near", own, make_list([0, 0, 0]), 1) == 1
@@ -284,7 +305,7 @@ GOOD, _ = xyz([(0, 0, 0), (1, 1, 1)])
         ({"data": make_list([1.5])}, "type_error(bytes,[1.5])", "slot data"),
     ],
 )
-def test_malformed_cloud_is_an_error_naming_slot(changes, formal, reason):
+def test_malformed_cloud_is_an_error_naming_slot(changes: Dict[str, Any], formal: str, reason: str) -> None:
     for goal in (
         ("cloud_near", GOOD.term(**changes), make_list([0, 0, 0]), 1),
         ("cloud_box", GOOD.term(**changes), make_list([0, 0, 0]), make_list([1, 1, 1])),
@@ -295,14 +316,14 @@ def test_malformed_cloud_is_an_error_naming_slot(changes, formal, reason):
 @pytest.mark.parametrize(
     "slot", ["height", "width", "fields", "is_bigendian", "point_step", "row_step", "data"]
 )
-def test_unbound_slot_is_an_instantiation_error(slot):
+def test_unbound_slot_is_an_instantiation_error(slot: str) -> None:
     assert (
         error_of("cloud_near", GOOD.term(**{slot: Var()}), make_list([0, 0, 0]), 1)[0]
         == "instantiation_error"
     )
 
 
-def test_unread_slots_are_not_checked():
+def test_unread_slots_are_not_checked() -> None:
     message = GOOD.term(header=Var(), is_dense=atom("perhaps"))
     assert call("cloud_near", message, make_list([0, 0, 0]), 1) == 1
 
@@ -318,11 +339,11 @@ def test_unread_slots_are_not_checked():
         ("map_cell(map(h, 5, []), 1, 1, N)", "type_error('nav_msgs/MapMetaData',5)"),
     ],
 )
-def test_other_terms_are_type_errors(goal, error):
+def test_other_terms_are_type_errors(goal: str, error: str) -> None:
     assert answers(prolog(), goal) == [error]
 
 
-def test_invalid_position_and_radius_are_errors():
+def test_invalid_position_and_radius_are_errors() -> None:
     message = GOOD.term()
     assert error_of("cloud_near", message, make_list([0, 0]), 1)[0] == "type_error(position,[0,0])"
     assert (
@@ -355,7 +376,7 @@ ENCODINGS = dict(
 class Image:
     """A random image, whose values are read one by one with `struct`."""
 
-    def __init__(self, height, width, encoding, padding, big, seed):
+    def __init__(self, height: Any, width: Any, encoding: Any, padding: Any, big: Any, seed: Any) -> None:
         self.channels, kind = int(ENCODINGS[encoding][:-2]), ENCODINGS[encoding][-2:]
         self.code = (">" if big else "<") + numpy.dtype(kind).char
         self.size = struct.calcsize(self.code)
@@ -363,7 +384,7 @@ class Image:
         self.step = width * self.channels * self.size + padding
         self.data = numpy.random.RandomState(seed).bytes(height * self.step)
 
-    def term(self, **changes):
+    def term(self, **changes: Any) -> Any:
         slots = {
             "header": HEADER,
             "height": self.height,
@@ -376,7 +397,7 @@ class Image:
         assert set(changes) <= set(slots)
         return IMAGE(*{**slots, **changes}.values())
 
-    def pixel(self, x, y):
+    def pixel(self, x: Any, y: Any) -> List[Any]:
         offset = y * self.step + x * self.channels * self.size
         return [
             struct.unpack_from(self.code, self.data, offset + channel * self.size)[0]
@@ -385,7 +406,7 @@ class Image:
 
 
 @st.composite
-def images(draw):
+def images(draw: Any) -> Image:
     size = st.integers(0, 6)
     encoding = draw(st.sampled_from(sorted(ENCODINGS)))
     return Image(
@@ -398,12 +419,12 @@ def images(draw):
     )
 
 
-def as_list(value):
+def as_list(value: Any) -> Any:
     return value if isinstance(value, list) else [value]
 
 
 @given(images(), st.integers(-2, 7), st.integers(-2, 7), st.integers(0, 8), st.integers(0, 8))
-def test_image_values_follow_encoding(image, left, top, width, height):
+def test_image_values_follow_encoding(image: Any, left: int, top: int, width: int, height: int) -> None:
     everything = [image.pixel(x, y) for y in range(image.height) for x in range(image.width)]
     region = [
         image.pixel(x, y)
@@ -433,7 +454,7 @@ def test_image_values_follow_encoding(image, left, top, width, height):
             assert means is None
 
 
-def test_mean_of_large_image_does_not_overflow():
+def test_mean_of_large_image_does_not_overflow() -> None:
     tall = IMAGE(HEADER, 70_000, 3, text("mono8"), 0, 3, base64_atom(b"\xff" * 210_000))
     assert call("image_region_mean", tall, 0, 0, 3, 70_000) == 255.0
     wide = IMAGE(HEADER, 1, 40_000, text("16UC1"), 0, 80_000, base64_atom(b"\xff" * 80_000))
@@ -470,20 +491,22 @@ IMAGE_2X2 = Image(2, 2, "rgb8", 0, False, 1)
         ({"height": Var()}, "instantiation_error", None),
     ],
 )
-def test_malformed_image_is_an_error_naming_slot(changes, formal, reason):
+def test_malformed_image_is_an_error_naming_slot(
+    changes: Dict[str, Any], formal: str, reason: Optional[str]
+) -> None:
     message = IMAGE_2X2.term(**changes)
     assert error_of("image_array", message) == (formal, reason)
     assert error_of("image_pixel", message, 0, 0) == (formal, reason)
     assert error_of("image_region_mean", message, 0, 0, 1, 1) == (formal, reason)
 
 
-def test_fractional_pixel_coordinates_are_refused():
+def test_fractional_pixel_coordinates_are_refused() -> None:
     message = IMAGE_2X2.term()
     assert error_of("image_pixel", message, 0.5, 0)[0] == "type_error(integer,0.5)"
     assert error_of("image_region_mean", message, 0, 0, -1, 1)[0] == "domain_error(not_less_than_zero,-1)"
 
 
-def test_image_data_may_be_text_or_list():
+def test_image_data_may_be_text_or_list() -> None:
     slots = {"height": 2, "width": 2, "encoding": atom("mono8"), "step": 2}
     for data in (atom("abcd"), text("abcd"), String("abcd"), make_list([97, 98, 99, 100])):
         assert call("image_array", IMAGE_2X2.term(**slots, data=data)) == [97, 98, 99, 100]
@@ -500,7 +523,15 @@ POINT = functor("geometry_msgs__0__Point", 3)
 QUATERNION = functor("geometry_msgs__0__Quaternion", 4)
 
 
-def grid(width, height, cells, resolution=0.5, origin=(0.0, 0.0), turn=0.0, norm=1.0):
+def grid(
+    width: int,
+    height: int,
+    cells: Any,
+    resolution: float = 0.5,
+    origin: Any = (0.0, 0.0),
+    turn: float = 0.0,
+    norm: float = 1.0,
+) -> Any:
     rotation = QUATERNION(0.0, 0.0, norm * math.sin(turn / 2), norm * math.cos(turn / 2))
     pose = POSE(POINT(*map(float, origin), 0.0), rotation)
     return GRID(HEADER, INFO(make_list([0, 0]), resolution, width, height, pose), make_list(cells))
@@ -515,7 +546,9 @@ def grid(width, height, cells, resolution=0.5, origin=(0.0, 0.0), turn=0.0, norm
     st.floats(0.5, 2),
     st.data(),
 )
-def test_map_cell_is_selected_by_position(width, height, turn, origin, resolution, norm, data):
+def test_map_cell_is_selected_by_position(
+    width: int, height: int, turn: float, origin: Any, resolution: Any, norm: float, data: st.DataObject
+) -> None:
     cells = data.draw(st.lists(st.integers(-1, 100), min_size=width * height, max_size=width * height))
     message = grid(width, height, cells, resolution, origin, turn, norm)
     matrix = numpy.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
@@ -529,7 +562,7 @@ def test_map_cell_is_selected_by_position(width, height, turn, origin, resolutio
             assert call("map_cell", decoded(message), x, y) == expected
 
 
-def test_position_outside_map_has_no_cell():
+def test_position_outside_map_has_no_cell() -> None:
     message = grid(2, 1, [7, 8], 1.0)
     assert [call("map_cell", message, x, 0) for x in (0, 0.999, 1, 2, -0.001)] == [7, 7, 8, None, None]
     for odd in (math.nan, math.inf, -math.inf, 1e308):
@@ -537,7 +570,7 @@ def test_position_outside_map_has_no_cell():
         assert call("map_cell", message, 0, odd) is None
 
 
-def test_map_without_orientation_is_not_rotated():
+def test_map_without_orientation_is_not_rotated() -> None:
     assert call("map_cell", grid(2, 1, [7, 8], norm=0.0), 0.6, 0.1) == 8
 
 
@@ -559,7 +592,7 @@ def test_map_without_orientation_is_not_rotated():
         (grid(1, 1, [0], atom("fine")), "type_error(number,fine)", "slot info.resolution"),
     ],
 )
-def test_malformed_map_is_an_error_naming_slot(message, formal, reason):
+def test_malformed_map_is_an_error_naming_slot(message: Any, formal: str, reason: str) -> None:
     assert error_of("map_cell", message, 0, 0) == (formal, reason)
 
 
@@ -582,7 +615,7 @@ ODD_LIST = st.builds(make_list, st.lists(ODD, max_size=4))
 
 
 @given(st.data())
-def test_random_slots_are_read_or_refused(data):
+def test_random_slots_are_read_or_refused(data: st.DataObject) -> None:
     """Random slots have an answer, no answer, or an error that a program can catch."""
     value = st.one_of(ODD, ODD_LIST)
     good = {
@@ -606,7 +639,7 @@ def test_random_slots_are_read_or_refused(data):
         assert term_of_error is None or term_of_error[0] is functor("error", 2)
 
 
-def test_counted_points_use_inferences():
+def test_counted_points_use_inferences() -> None:
     logic = PrologSystem()
     logic.limits = Limits(inferences=1000)
     size = 12 * 100_000
@@ -618,7 +651,7 @@ def test_counted_points_use_inferences():
     assert logic.once(goal)
 
 
-def test_decoded_text_keeps_bytes_of_message():
+def test_decoded_text_keeps_bytes_of_message() -> None:
     cloud, stored = xyz([(index, 0, 0) for index in range(500)])
     message = deref(decoded(cloud.term()))
     assert show(message).count("FFFFFFFFFF") == 1
@@ -629,16 +662,16 @@ def test_decoded_text_keeps_bytes_of_message():
 @pytest.mark.parametrize(
     "name", ["", "C", "8U", "8UC513", "8UC1000", "8UC-1", "8UC\u0661", "8UC1 ", "RGB8", "C8UC1"]
 )
-def test_unknown_encoding_is_refused(name):
+def test_unknown_encoding_is_refused(name: str) -> None:
     assert error_of("image_array", IMAGE_2X2.term(encoding=text(name)))[0].startswith(
         "domain_error(image_encoding"
     )
 
 
-def test_last_long_text_is_decoded_once(monkeypatch):
-    decoded_texts = []
+def test_last_long_text_is_decoded_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    decoded_texts: List[Any] = []
 
-    def text_bytes(term):
+    def text_bytes(term: Any) -> Any:
         decoded_texts.append(term)
         return byte_texts.text_bytes(term)
 

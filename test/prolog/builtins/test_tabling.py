@@ -2,6 +2,7 @@
 
 import random
 from collections import Counter
+from typing import Any
 
 import pytest
 from prolog.support import answers, first, prolog
@@ -36,7 +37,7 @@ reads(T) :- atom_codes(T, Codes), phrase(expr, Codes).
 
 
 @pytest.fixture
-def logic():
+def logic() -> Any:
     system = prolog(PROGRAM)
     system.limits = Limits(inferences=5_000_000)
     return system
@@ -58,30 +59,30 @@ def logic():
         ),
     ],
 )
-def test_left_recursion_has_all_answers(logic, goal, value):
+def test_left_recursion_has_all_answers(logic: Any, goal: str, value: str) -> None:
     result = first(logic, goal)
     result = result["L"] if isinstance(result, dict) else result
     assert result == value
 
 
-def test_repeated_declaration_tables_once():
+def test_repeated_declaration_tables_once() -> None:
     logic = prolog(":- table p/1.\np(1).\n:- table p/1.\np(2).")
     assert answers(logic, "p(X)") == [{"X": "1"}, {"X": "2"}]
 
 
-def test_cut_keeps_table_complete(logic):
+def test_cut_keeps_table_complete(logic: Any) -> None:
     assert first(logic, "once(path(a, X))") == "b"
     assert len(answers(logic, "path(a, X)")) == 4
 
 
-def test_error_drops_incomplete_table():
+def test_error_drops_incomplete_table() -> None:
     logic = prolog(":- table r/1.\nr(X) :- r(Y), X is Y + 1, (X > 2 -> throw(big) ; true).\nr(1).")
     for _ in range(2):
         assert answers(logic, "r(X)") == ["big"]
     assert logic.machine.choices == []
 
 
-def test_failed_table_is_not_repeated_endlessly():
+def test_failed_table_is_not_repeated_endlessly() -> None:
     logic = prolog(
         ":- table p/1, c/1.\np(X) :- p(Y), X is Y + 1, X < 3.\np(0).\np(9) :- catch(c(_), _, true).\n"
         "c(1).\nc(_) :- p(_), throw(oops)."
@@ -110,14 +111,14 @@ def test_failed_table_is_not_repeated_endlessly():
         ("p(1).", "p(1.0)", "[]"),
     ],
 )
-def test_answers_of_tables_keep_terms(clauses, call, expected):
+def test_answers_of_tables_keep_terms(clauses: str, call: str, expected: str) -> None:
     logic = prolog(f":- table p/0, p/1, p/2.\n{clauses}")
     for _ in range(2):  # evaluated, and from the table
         assert first(logic, f"term_to_atom(_G, `{call}`), findall(_G, _G, L)") == expected
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_closure_of_random_graph_is_complete(seed):
+def test_closure_of_random_graph_is_complete(seed: int) -> None:
     """Symmetry and transitivity of the same predicate: many calls depend on each other."""
     rng = random.Random(seed)
     nodes = range(rng.randrange(3, 7))
@@ -142,11 +143,11 @@ def test_closure_of_random_graph_is_complete(seed):
 @pytest.mark.parametrize(
     "run", [lambda logic, goal: logic.once(goal), lambda logic, goal: next(logic.solutions(goal))]
 )
-def test_interrupt_drops_incomplete_table(run):
+def test_interrupt_drops_incomplete_table(run: Any) -> None:
     logic = prolog(":- table r/1.\nr(X) :- r(Y), waits, X is Y + 1, X < 4.\nr(1).")
     interrupts = [KeyboardInterrupt]
 
-    def waits(machine):
+    def waits(machine: Any) -> bool:
         if interrupts:
             raise interrupts.pop()
         return True
@@ -157,7 +158,7 @@ def test_interrupt_drops_incomplete_table(run):
     assert [answer["X"] for answer in answers(logic, "r(X)")] == ["1", "2", "3"]
 
 
-def test_cyclic_argument_is_refused():
+def test_cyclic_argument_is_refused() -> None:
     logic = prolog(":- table p/1.\np(_).")
     logic.limits = Limits(inferences=100_000)
     assert answers(logic, "X = f(Y, X), p(X)") == ["resource_error(term_size)"]
@@ -214,7 +215,7 @@ q(1, []).
         ("q(X, Y)", "[q(1,[])]"),
     ],
 )
-def test_modes_keep_best_answer(call, expected):
+def test_modes_keep_best_answer(call: str, expected: str) -> None:
     """The answers are those of SWI-Prolog, where a recursive table with `last` does not terminate."""
     logic = prolog(MODED)
     logic.limits = Limits(inferences=1_000_000)
@@ -223,7 +224,7 @@ def test_modes_keep_best_answer(call, expected):
         assert first(logic, goal) == expected
 
 
-def test_error_of_lattice_is_error_of_call():
+def test_error_of_lattice_is_error_of_call() -> None:
     logic = prolog(":- table n(_, lattice(n)).\nn(a, 1).\nn(a, 2).\nn(_, _, _) :- throw(worse).")
     for _ in range(2):
         assert answers(logic, "n(a, X)") == ["worse"]
@@ -243,7 +244,7 @@ def test_error_of_lattice_is_error_of_call():
         ("p(_, lattice(_))", "instantiation_error"),
     ],
 )
-def test_unknown_mode_is_refused(spec, error):
+def test_unknown_mode_is_refused(spec: str, error: str) -> None:
     assert answers(prolog(), f"table({spec})") == [error]
 
 
@@ -261,7 +262,7 @@ _GOALS = (
 )
 
 
-def closure(rules, edges):
+def closure(rules: Any, edges: Any) -> Any:
     """Return all answers of rules ``(name, [(kind, name)])`` along a chain of variables, bottom up."""
     pairs_by_name = {name: set() for name in "pqr"}
     while True:
@@ -278,7 +279,7 @@ def closure(rules, edges):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(60))
-def test_mutually_recursive_tables_are_complete(seed):
+def test_mutually_recursive_tables_are_complete(seed: int) -> None:
     rng = random.Random(seed)
     edges = {(rng.randrange(5), rng.randrange(5)) for _ in range(rng.randrange(1, 8))}
     rules = [("p", [(2, "p")])]
@@ -315,8 +316,8 @@ def test_mutually_recursive_tables_are_complete(seed):
         "p(X, Y) :- r(X, Y, _).\nr(X, Y, D) :- r(X, Z, E), edge(Z, Y), D is E + 1.\nr(X, X, 0).",
     ],
 )
-def test_table_takes_linear_number_of_steps(rules):
-    def steps(size):
+def test_table_takes_linear_number_of_steps(rules: str) -> None:
+    def steps(size: int) -> Any:
         edges = "".join(f"edge({number}, {number + 1}).\n" for number in range(size))
         logic = prolog(f":- table p/2, q/2, r(_, _, min).\n{rules}\n{edges}")
         counter = Counter()
@@ -328,8 +329,8 @@ def test_table_takes_linear_number_of_steps(rules):
     assert 0 < steps(800) < 2.5 * steps(400)
 
 
-def counted(function, counter):
-    def call(*args):
+def counted(function: Any, counter: Any) -> Any:
+    def call(*args: Any) -> Any:
         counter["calls"] += 1
         return function(*args)
 

@@ -1,5 +1,7 @@
 """Text streams: reading and writing files, and terminal input."""
 
+from typing import Any, List, Tuple
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -17,10 +19,10 @@ from retalis.prolog.syntax.tokenizer import ReadFlags
 class FileStore:
     """Files in a dictionary; those whose names begin with ``no`` are not allowed."""
 
-    def __init__(self, **files):
+    def __init__(self, **files: Any) -> None:
         self.files = files
 
-    def to_read(self, name, encoding="utf-8"):
+    def to_read(self, name: Any, encoding: str = "utf-8") -> Tuple[Any, ...]:
         name = atom(name.text) if isinstance(name, String) else name
         self._require(name)
         if name.name not in self.files:
@@ -28,23 +30,23 @@ class FileStore:
         text = self.files[name.name]
         return name.name, text if encoding == "utf-8" else text.encode().decode(encoding)
 
-    def to_write(self, name, more):
+    def to_write(self, name: Any, more: Any) -> Any:
         self._require(name)
         if not more or name.name not in self.files:
             self.files[name.name] = ""
         return name.name
 
-    def add(self, path, text, encoding="utf-8"):
+    def add(self, path: Any, text: Any, encoding: str = "utf-8") -> None:
         self.files[path] += text.encode(encoding).decode()
 
     @staticmethod
-    def _require(name):
+    def _require(name: Any) -> None:
         if name.name.startswith("no"):
             raise permission_error("open", "source_sink", name)
 
 
 @pytest.fixture
-def logic():
+def logic() -> Any:
     system = prolog(
         "... --> [] | [_], ... . "
         "copy(S) :- get_char(S,C), (C = end_of_file -> true ; open(out, append, O), write(O, C), close(O), copy(S))."
@@ -139,7 +141,7 @@ def logic():
         ("open(facts, read, S), findall(X, (repeat, read(S, X), X == end_of_file, !), [T])", "end_of_file"),
     ],
 )
-def test_input_stream_has_value(logic, goal, expected):
+def test_input_stream_has_value(logic: Any, goal: str, expected: str) -> None:
     (answer,) = answers(logic, goal, 1)
     assert answer["T"] == expected
 
@@ -171,24 +173,24 @@ def test_input_stream_has_value(logic, goal, expected):
         ("open(out, write, S), portray_clause(S, f(X)), print_message_lines(S, '', []), close(S)", "f(_).\n"),
     ],
 )
-def test_output_stream_writes_text(logic, goal, text):
+def test_output_stream_writes_text(logic: Any, goal: str, text: str) -> None:
     assert answers(logic, goal)
     assert logic.files.files["out"] == text
 
 
-def test_user_output_is_not_redirected(logic):
+def test_user_output_is_not_redirected(logic: Any) -> None:
     answers(logic, "tell(out), write(a), write(user_output, u), told, write(b)")
     assert "".join(logic.written) == "ub"
 
 
-def test_line_is_written_at_its_end(logic):
+def test_line_is_written_at_its_end(logic: Any) -> None:
     answers(logic, "open(out, write, S, [alias(out)]), write(S, one), nl(S), write(S, two)")
     assert logic.files.files["out"] == "one\n"
     answers(logic, "close(out)")
     assert logic.files.files["out"] == "one\ntwo"
 
 
-def test_streams_have_separate_columns(logic):
+def test_streams_have_separate_columns(logic: Any) -> None:
     answers(logic, "write(abc), tell(out), format('x~t~5|y~n'), told, format('~t~5|y')")
     assert logic.files.files["out"] == "x    y\n"
     assert "".join(logic.written) == "abc  y"
@@ -254,17 +256,17 @@ def test_streams_have_separate_columns(logic):
         ("open(facts, read, S), close(S), read(S, _)", "existence_error(stream,'$stream'(1))"),
     ],
 )
-def test_invalid_stream_operation_is_an_error(logic, goal, error):
+def test_invalid_stream_operation_is_an_error(logic: Any, goal: str, error: str) -> None:
     assert answers(logic, goal) == [error]
 
 
-def test_number_of_open_streams_is_limited(logic):
+def test_number_of_open_streams_is_limited(logic: Any) -> None:
     goal = "forall(between(1, {}, _), open(facts, read, _))"
     assert answers(logic, goal.format(MAX_OPEN_STREAMS)) == [{}]
     assert answers(logic, goal.format(1)) == ["resource_error(streams)"]
 
 
-def test_terminal_input_is_read_until_term_ends(logic):
+def test_terminal_input_is_read_until_term_ends(logic: Any) -> None:
     lines = iter(["\n", "point(1,\n", "  2). % so\n", "next. 'it''s'\n", ".\n", "wrong wrong.\n", "x"])
     logic.ask = lambda: next(lines, None)
     assert first(logic, "read(X)") == "point(1,2)"
@@ -276,8 +278,8 @@ def test_terminal_input_is_read_until_term_ends(logic):
     assert first(logic, "read(X)") == "end_of_file"
 
 
-def test_text_of_many_terms_is_parsed_once(monkeypatch):
-    reads = []
+def test_text_of_many_terms_is_parsed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    reads: List[Any] = []
     monkeypatch.setattr(text_streams, "read_program", lambda *args: reads.append(1) or read_program(*args))
     stream = InputStream("many", "p(1).\n" * 2000)
     operators, read = Operators.prolog(), 0
@@ -295,12 +297,12 @@ TERMS = st.sampled_from(
 @given(
     st.lists(st.tuples(TERMS, st.sampled_from([".\n", ". ", ".\n\n% c\n", " .\n"])), max_size=8), st.data()
 )
-def test_reading_by_characters_advances_to_same_offset(parts, data):
+def test_reading_by_characters_advances_to_same_offset(parts: List[Any], data: st.DataObject) -> None:
     text = "".join(term + end for term, end in parts)
     whole, mixed = InputStream("whole", text), InputStream("mixed", text)
     operators, flags = Operators.prolog(), ReadFlags()
 
-    def text_of(entry):
+    def text_of(entry: Any) -> Any:
         assert not isinstance(entry, SyntaxFault)
         return (
             None
@@ -321,14 +323,14 @@ def test_reading_by_characters_advances_to_same_offset(parts, data):
     assert mixed.read_character(False) == text[mixed.offset : mixed.offset + 1]
 
 
-def test_streams_are_separate_per_program(logic):
+def test_streams_are_separate_per_program(logic: Any) -> None:
     answers(logic, "open(facts, read, _)")
     assert len(streams_of(logic.machine).open_streams) == 1
     assert not streams_of(prolog().machine).open_streams
 
 
 @given(st.text("ab\n", max_size=30), st.lists(st.integers(0, 30), max_size=12))
-def test_position_has_line_and_column(text, places):
+def test_position_has_line_and_column(text: str, places: List[Any]) -> None:
     stream = InputStream("any", text)
     for place in places:
         if not stream.set_position(place):
@@ -339,11 +341,11 @@ def test_position_has_line_and_column(text, places):
         assert stream.line == before.count("\n") + 1
 
 
-def test_lines_of_long_text_are_counted_once():
+def test_lines_of_long_text_are_counted_once() -> None:
     class Text(str):
         looked = 0
 
-        def count(self, pattern, first, last):
+        def count(self, pattern: str, first: Any, last: Any) -> Any:
             Text.looked += last - first
             return super().count(pattern, first, last)
 
@@ -369,11 +371,11 @@ def test_lines_of_long_text_are_counted_once():
         ("(current_output(S), stream_property(S, mode(M)), write(M), close(S))", "append", ""),
     ],
 )
-def test_user_output_is_not_captured(goal, captured, written):
+def test_user_output_is_not_captured(goal: str, captured: str, written: str) -> None:
     """Output to the user by name is not captured, as in SWI-Prolog; a capture has a stream of its own."""
     logic, folder = prolog(), FileStore(out="")
     logic.files = folder
-    texts = []
+    texts: List[Any] = []
     logic.output = texts.append
     assert first(logic, f"with_output_to(string(Text), {goal}), Caught = Text, \\+ Text = 1") is not None
     assert answers(logic, f"with_output_to(atom(Text), {goal})")[0]["Text"] == f"{write_term(atom(captured))}"
@@ -392,14 +394,14 @@ def test_user_output_is_not_captured(goal, captured, written):
         ("(write(ab), line_position(user_output, P), write(P))", "ab0"),
     ],
 )
-def test_capture_keeps_its_column(goal, text):
+def test_capture_keeps_its_column(goal: str, text: str) -> None:
     logic = prolog()
     logic.files = FileStore(out="")
     answer = first(logic, f"with_output_to(string(Text), (current_output(S), {goal}))")
     assert answer["Text"] == f'"{text}"'
 
 
-def test_ended_capture_is_no_stream():
+def test_ended_capture_is_no_stream() -> None:
     logic = prolog()
     assert answers(logic, "with_output_to(string(_), current_output(S)), catch(nl(S), error(E, _), true)")[0][
         "E"

@@ -1,6 +1,7 @@
 """Clause selection by the distinguishing argument: same answers, and no choice point for the last clause."""
 
 from random import Random
+from typing import Any, Iterator, List
 
 import pytest
 from prolog.support import NEVER, answers, prolog
@@ -8,8 +9,8 @@ from prolog.support import NEVER, answers, prolog
 VALUES = ["a", "b", "c", "1", "2", "1.0", "f(a)", "f(b)", "g(a,b)", "[]", "[a]", '"s"', "_", "_"]
 
 
-def table(random, size, with_bodies):
-    clauses = []
+def table(random: Any, size: Any, with_bodies: Any) -> str:
+    clauses: List[Any] = []
     for number in range(size):
         values = [random.choice([*VALUES, str(number), f"k{number}", f"t{number}(x)"]) for _ in range(3)]
         head = f"p({', '.join(values)}, {number})"
@@ -17,7 +18,7 @@ def table(random, size, with_bodies):
     return "\n".join([*clauses, *[f"q({number})." for number in range(size) if number % 3]])
 
 
-def calls(random, size):
+def calls(random: Any, size: Any) -> Iterator[Any]:
     for _ in range(25):
         known = [*VALUES, "X", "Y", str(random.randrange(size)), f"k{random.randrange(size)}", "f(X)", "zzz"]
         yield f"p({', '.join(random.choice(known) for _ in range(3))}, N)"
@@ -28,7 +29,7 @@ def calls(random, size):
 @pytest.mark.parametrize("with_bodies", [False, True], ids=["facts", "rules"])
 @pytest.mark.parametrize("size", [3, 6, 12, 40])
 @pytest.mark.parametrize("seed", range(4))
-def test_known_arguments_do_not_change_answers(seed, size, with_bodies):
+def test_known_arguments_do_not_change_answers(seed: int, size: int, with_bodies: bool) -> None:
     random = Random(f"{seed} {size}")
     text = table(random, size, with_bodies)
     compiled, interpreted = prolog(text), prolog(text, NEVER)
@@ -62,9 +63,9 @@ RULES = " ".join(f"r(k{number}(X), {number}, X) :- true." for number in range(40
         "X = Y, m(7, Z, N)",
     ],
 )
-def test_last_candidate_leaves_no_choice_point(goal):
+def test_last_candidate_leaves_no_choice_point(goal: str) -> None:
     logic = prolog(f"{SMALL}\n{MANY}\n{RULES}\ncheck :- {goal}, '$left'.")
-    heights = []
+    heights: List[Any] = []
     logic.define("$left", 0, lambda machine: heights.append(len(machine.choices)) is None)
     for _ in range(20):
         assert answers(logic, "check") == [{}]
@@ -75,7 +76,7 @@ def test_last_candidate_leaves_no_choice_point(goal):
     assert heights[-2] == heights[-1]
 
 
-def test_changed_predicate_is_indexed_again():
+def test_changed_predicate_is_indexed_again() -> None:
     logic = prolog(
         ":- dynamic m/3, r/2.\n"
         + MANY
@@ -131,7 +132,7 @@ INLINE_GOALS = {
 
 @pytest.mark.parametrize("compile_after", [0, NEVER], ids=["compiled", "interpreted"])
 @pytest.mark.parametrize("goal", INLINE_GOALS)
-def test_inline_goals_have_answers_of_builtins(goal, compile_after):
+def test_inline_goals_have_answers_of_builtins(goal: Any, compile_after: Any) -> None:
     names = sorted(set("ABCNTUXYZ") & set(goal))
     call = f"go({', '.join(names)})" if names else "go"
     text = f"{call} :- {goal}."

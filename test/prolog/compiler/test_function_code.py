@@ -1,6 +1,7 @@
 """Predicates compiled to functions: same answers, errors and bindings as with frames."""
 
 import random
+from typing import Any, Iterator, List, Tuple
 
 import pytest
 from prolog.compiler.test_predicate_code import term
@@ -39,14 +40,14 @@ bound(X) :- X = g(_), X = g(1).
 """
 
 
-def compiled(logic, text, inputs, outputs):
+def compiled(logic: Any, text: str, inputs: Any, outputs: Any) -> Any:
     read = read_term(text, logic.operators)
     return logic.compile_goal(
         read.term, [read.names[name] for name in inputs], [read.names[name] for name in outputs]
     )
 
 
-def result_of(goal, values):
+def result_of(goal: Any, values: Any) -> Any:
     """Return the outputs of a goal as texts, the text of its error, or None."""
     try:
         outputs = goal.first_solution(values)
@@ -55,7 +56,7 @@ def result_of(goal, values):
     return None if outputs is None else tuple(map(show, outputs))
 
 
-def result_by_both(logic, text, inputs, outputs, values):
+def result_by_both(logic: Any, text: str, inputs: Any, outputs: Any, values: Any) -> Tuple[Any, ...]:
     """Return the result of a goal, equal by function and by frames, and whether a function returned it."""
     with_function = compiled(logic, text, inputs, outputs)
     by_frames = compiled(logic, text, inputs, outputs)
@@ -101,7 +102,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("text", "values", "expected", "is_function"), CASES)
-def test_functions_return_answers_of_frames(text, values, expected, is_function):
+def test_functions_return_answers_of_frames(text: Any, values: Any, expected: Any, is_function: Any) -> None:
     logic = prolog(PROGRAM)
     outputs = [name for name in "YZ" if name in text]
     inputs = ["X"] if values else []
@@ -110,7 +111,7 @@ def test_functions_return_answers_of_frames(text, values, expected, is_function)
     assert function == is_function
 
 
-def test_errors_have_context_of_predicate():
+def test_errors_have_context_of_predicate() -> None:
     logic = prolog(PROGRAM)
     result, function = result_by_both(logic, "wrong(X)", ["X"], [], (functor("f", 1)(1),))
     assert result == "error(type_error(evaluable,f/1),context(inc/2,A))"
@@ -120,14 +121,14 @@ def test_errors_have_context_of_predicate():
     )
 
 
-def test_error_outside_predicates_has_no_context():
+def test_error_outside_predicates_has_no_context() -> None:
     logic = prolog(PROGRAM)
     for _ in range(3):
         result, _ = result_by_both(logic, "two(Z), Y is X + 1, Y > Z", ["X"], ["Y"], (functor("f", 1)(1),))
         assert result == "error(type_error(evaluable,f/1),A)"
 
 
-def test_input_variables_are_unbound_after_call():
+def test_input_variables_are_unbound_after_call() -> None:
     logic = prolog(PROGRAM)
     var = Var()
     goal = compiled(logic, "two(X)", ["X"], ["X"])
@@ -139,7 +140,7 @@ def test_input_variables_are_unbound_after_call():
     assert logic.machine.trail == []
 
 
-def test_changed_facts_change_answers():
+def test_changed_facts_change_answers() -> None:
     logic = prolog(":- dynamic state/2. is_on(X) :- state(X, on).")
     goal = compiled(logic, "is_on(X)", ["X"], [])
     lamp = read_term("lamp", logic.operators).term
@@ -151,7 +152,7 @@ def test_changed_facts_change_answers():
     assert goal.first_solution((lamp,)) == ()
 
 
-def test_function_uses_index_of_facts():
+def test_function_uses_index_of_facts() -> None:
     logic = prolog(" ".join(f"p({n}, {n * n})." for n in range(200)) + " q(X, Y) :- p(X, Y), Y > 0.")
     assert result_by_both(logic, "q(X, Y)", ["X"], ["Y"], (12,)) == (("144",), True)
     assert result_by_both(logic, "q(X, Y)", ["X"], ["Y"], (0,)) == (None, True)
@@ -159,7 +160,7 @@ def test_function_uses_index_of_facts():
     assert result_by_both(logic, "p(_, Y)", [], ["Y"], ()) == (("0",), True)
 
 
-def test_added_clauses_are_called():
+def test_added_clauses_are_called() -> None:
     logic = prolog("p(1). q(X) :- p(X).")
     goal = compiled(logic, "q(X)", ["X"], [])
     assert goal.first_solution((2,)) is None
@@ -170,7 +171,7 @@ def test_added_clauses_are_called():
     assert goal.function(1) is BAIL
 
 
-def test_predicate_is_defined_after_goal():
+def test_predicate_is_defined_after_goal() -> None:
     logic = prolog()
     goal = compiled(logic, "inc(X, Y)", ["X"], ["Y"])
     logic.add_clause(read_term("inc(X, Y) :- Y is X + 1", logic.operators).term)
@@ -178,7 +179,7 @@ def test_predicate_is_defined_after_goal():
     assert goal.function(1) == (2,)
 
 
-def test_function_that_bails_out_is_dropped():
+def test_function_that_bails_out_is_dropped() -> None:
     logic = prolog(PROGRAM)
     goal = compiled(logic, "later(Y)", [], ["Y"])
     for _ in range(30):
@@ -186,7 +187,7 @@ def test_function_that_bails_out_is_dropped():
     assert goal.function is None
 
 
-def test_attempts_use_functions_or_frames():
+def test_attempts_use_functions_or_frames() -> None:
     logic = prolog(PROGRAM)
     machine = logic.machine
     for text, values, expected in (
@@ -195,9 +196,9 @@ def test_attempts_use_functions_or_frames():
         ("max(X, 3, Y), Y > 3", (4,), (4,)),
     ):
         goal = compiled(logic, text, ["X"] if values else [], ["Y"])
-        results = []
+        results: List[Any] = []
 
-        def record(outputs, results=results):
+        def record(outputs: Any, results: Any = results) -> Any:
             results.append(outputs)
             return machine.done
 
@@ -205,8 +206,8 @@ def test_attempts_use_functions_or_frames():
         assert results == [expected]
 
 
-def body(rng, names):
-    goals = []
+def body(rng: Any, names: Any) -> Any:
+    goals: List[Any] = []
     for _ in range(rng.randint(0, 3)):
         kind = rng.random()
         call = f"{rng.choice(names)}({term(rng)}, {term(rng)})"
@@ -225,7 +226,7 @@ def body(rng, names):
     return ", ".join(goals) or "true"
 
 
-def program(rng):
+def program(rng: Any) -> str:
     """Return clauses of p, q and r; each calls only those after it."""
     names = ["p", "q", "r", "s"]
     lines = ["s(1, a). s(2, b). s([a], X) :- X = 1."]
@@ -236,13 +237,13 @@ def program(rng):
 
 
 @pytest.mark.slow
-def test_random_goals_have_answers_of_frames():
+def test_random_goals_have_answers_of_frames() -> None:
     results, functions = zip(*[outcome for seed in range(150) for outcome in random_outcomes(seed)])
     assert sum(result is not None for result in results) > 100
     assert sum(functions) > 100
 
 
-def random_outcomes(seed):
+def random_outcomes(seed: Any) -> Iterator[Any]:
     """Yield the results of random goals, and whether functions returned them."""
     rng = random.Random(seed)
     text = program(rng)

@@ -2,6 +2,7 @@
 
 import random
 import signal
+from typing import Any, List
 
 import pytest
 from prolog.support import NEVER, answers, prolog
@@ -10,7 +11,7 @@ VARS = ["X", "Y", "Z", "U", "V"]
 CONSTANTS = ["a", "b", "1", "2", "[]", "1.5", '"s"']
 
 
-def term(rng, depth=0):
+def term(rng: Any, depth: int = 0) -> Any:
     kind = rng.random()
     if kind < 0.5 or depth > 2:
         return rng.choice(VARS)
@@ -21,13 +22,13 @@ def term(rng, depth=0):
     return f"f({term(rng, depth + 1)},{term(rng, depth + 1)})"
 
 
-def expression(rng, depth=0):
+def expression(rng: Any, depth: int = 0) -> Any:
     if depth > 1 or rng.random() < 0.5:
         return rng.choice([*VARS[:2], "1", "2", "0"])
     return f"({expression(rng, depth + 1)} {rng.choice('+-*')} {expression(rng, depth + 1)})"
 
 
-def goal(rng, level, depth=0):  # noqa: C901 - a case for each kind of goal
+def goal(rng: Any, level: Any, depth: int = 0) -> str:  # noqa: C901 - a case for each kind of goal
     kind = rng.randrange(16)
     if kind < 5 and level > 0:
         called = rng.randrange(level)
@@ -59,13 +60,13 @@ def goal(rng, level, depth=0):  # noqa: C901 - a case for each kind of goal
     return f"({body(rng, level, depth + 1)} -> {body(rng, level, depth + 1)})"
 
 
-def body(rng, level, depth=0):
+def body(rng: Any, level: Any, depth: int = 0) -> str:
     return ", ".join(goal(rng, level, depth) for _ in range(rng.randint(1, 3)))
 
 
-def program(seed):
+def program(seed: Any) -> str:
     rng = random.Random(seed)
-    clauses = []
+    clauses: List[Any] = []
     for level in range(4):
         for _ in range(rng.randint(1, 5)):
             head = f"p{level}({term(rng)},{term(rng)})"
@@ -76,7 +77,7 @@ def program(seed):
 CALLS = ("p3(X,Y)", "p3(a,Y)", "p3(X,X)", "p3(f(A,B),[1|C])", "p3([A|A],2)", "p2(X,1)", "p2(X,X)", "p1(Y,[])")
 
 
-def check(seed):
+def check(seed: Any) -> Any:
     """Compare the answers of a random program and return their number."""
     count = 0
     text = program(seed)
@@ -152,7 +153,7 @@ SEEDS += [
 
 @pytest.mark.slow
 @pytest.mark.parametrize("part", range(4))
-def test_random_programs_have_equal_answers(part):
+def test_random_programs_have_equal_answers(part: int) -> None:
     assert sum(check(seed) for seed in SEEDS[part::4]) > 50
 
 
@@ -211,7 +212,7 @@ BUILT = {
 
 @pytest.mark.parametrize("compile_after", [0, NEVER], ids=["compiled", "interpreted"])
 @pytest.mark.parametrize("goal", BUILT)
-def test_list_building_clauses_have_answers(goal, compile_after):
+def test_list_building_clauses_have_answers(goal: Any, compile_after: Any) -> None:
     assert answers(prolog(BUILDERS, compile_after), goal, 4) == BUILT[goal]
 
 
@@ -223,7 +224,7 @@ def test_list_building_clauses_have_answers(goal, compile_after):
     ],
 )
 @pytest.mark.parametrize("compile_after", [0, NEVER], ids=["compiled", "interpreted"])
-def test_long_lists_are_built(goal, compile_after):
+def test_long_lists_are_built(goal: str, compile_after: Any) -> None:
     assert answers(prolog(BUILDERS, compile_after), goal) == [{"N": "1001" if "[x]" in goal else "1000"}]
 
 
@@ -249,18 +250,18 @@ QUALIFIED_ANSWERS = {
 
 @pytest.mark.parametrize("compile_after", [0, NEVER], ids=["compiled", "interpreted"])
 @pytest.mark.parametrize("goal", QUALIFIED_ANSWERS)
-def test_qualified_goals_have_answers(goal, compile_after):
+def test_qualified_goals_have_answers(goal: Any, compile_after: Any) -> None:
     assert answers(prolog(QUALIFIED, compile_after), goal, 4) == QUALIFIED_ANSWERS[goal]
 
 
-def find_finite_seeds(low, high):
+def find_finite_seeds(low: int, high: int) -> None:
     """Check seeds and print them, except those whose programs take too long because they create cyclic terms."""
 
-    def raise_timeout(*_):
+    def raise_timeout(*_: Any) -> None:
         raise TimeoutError
 
     signal.signal(signal.SIGALRM, raise_timeout)
-    fine = []
+    fine: List[Any] = []
     for seed in range(low, high):
         signal.setitimer(signal.ITIMER_REAL, 0.5)
         try:
@@ -281,7 +282,7 @@ if __name__ == "__main__":
 
 @pytest.mark.parametrize("left", [0, 7, -7, 3.0, "a", 1 << 70, -(1 << 70)])
 @pytest.mark.parametrize("right", [0, 2, -2, 2.0, 1 << 64, (1 << 64) - 1, 1 << 66])
-def test_integer_division_is_equal_in_both_modes(left, right):
+def test_integer_division_is_equal_in_both_modes(left: Any, right: float) -> None:
     program = "div(X, Y, R) :- catch(Z is X // Y, error(E, _), Z = E), R = Z."
     goal = f"div({left}, {right}, R)"
     assert answers(prolog(program, 0), goal) == answers(prolog(program, NEVER), goal)

@@ -1,5 +1,7 @@
 """Compiled unification, compared with general unification."""
 
+from typing import Any, List
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,7 +15,7 @@ ATOMS = st.sampled_from([atom("a"), atom("[]"), atom("b")])
 SHARED = [Var() for _ in range(4)]
 
 
-def terms(leaves):
+def terms(leaves: Any) -> Any:
     return st.recursive(
         leaves,
         lambda inner: st.one_of(
@@ -31,9 +33,9 @@ VALUES = terms(st.one_of(ATOMS, st.integers(0, 3), st.sampled_from(SHARED)))
 
 @pytest.mark.slow
 @given(PATTERNS, VALUES)
-def test_compiled_pattern_unifies_as_terms(pattern, value):
+def test_compiled_pattern_unifies_as_terms(pattern: Any, value: Any) -> None:
     pattern, value = copy(pattern), copy(value)
-    trail = []
+    trail: List[Any] = []
     expected = None
     inputs = tuple(variables(functor("p", 1)(pattern)))
     both = functor("p", 2)(functor("v", len(inputs))(*inputs) if inputs else atom("none"), value)
@@ -55,12 +57,12 @@ def test_compiled_pattern_unifies_as_terms(pattern, value):
         assert is_variant(result, expected)
 
 
-def is_variant(left, right):
+def is_variant(left: Any, right: Any) -> bool:
     """Return whether two terms differ in the names of variables only."""
-    numbered = []
+    numbered: List[Any] = []
     for term in (left, right):
         term = copy(term)
-        trail = []
+        trail: List[Any] = []
         for number, var in enumerate(variables(term)):
             unify(var, functor("$", 1)(number), trail)
         numbered.append(resolve(term))

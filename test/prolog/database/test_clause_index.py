@@ -1,6 +1,7 @@
 """Clause indexes: candidates for a key, in order of addition."""
 
 from random import Random
+from typing import Any
 
 import pytest
 from prolog.support import NEVER, answers, prolog
@@ -11,7 +12,9 @@ from retalis.prolog.database.clause_index import Index
 
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("max_copies", [3, 1_000_000])
-def test_candidates_keep_order_of_addition(seed, max_copies, monkeypatch):
+def test_candidates_keep_order_of_addition(
+    seed: int, max_copies: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(clause_index, "_MAX_MERGED_COPIES", max_copies)
     random = Random(seed)
     index, added, comparisons = Index(), [], 0
@@ -26,7 +29,7 @@ def test_candidates_keep_order_of_addition(seed, max_copies, monkeypatch):
     assert comparisons > 10
 
 
-def test_unkeyed_clauses_are_merged_on_demand():
+def test_unkeyed_clauses_are_merged_on_demand() -> None:
     index = Index()
     for number in range(1000):
         index.add(number, number)
@@ -46,7 +49,7 @@ go(N) :- assertz(p(_, v(N))), p(7, _), !, M is N - 1, go(M).
 """
 
 
-def test_unkeyed_clauses_asserted_between_calls_match():
+def test_unkeyed_clauses_asserted_between_calls_match() -> None:
     logic = prolog(PROGRAM)
     assert answers(logic, "fill(50), p(7, 7), go(50)")
     assert answers(logic, "findall(X, p(7, X), [7, v(50), v(49) | Rest]), length(Rest, 48)")
@@ -71,7 +74,7 @@ FACTS = "p(7, X, X). p(8, X, f(X, _)). p(_, none, none). " + " ".join(
         ("p(X, 12, Y)", [{"X": "7", "Y": "12"}, {"X": "8", "Y": "f(12,A)"}, {"X": "12", "Y": "a"}]),
     ],
 )
-def test_facts_with_variables_match_in_both_modes(call, expected, compile_after):
+def test_facts_with_variables_match_in_both_modes(call: str, expected: Any, compile_after: Any) -> None:
     assert answers(prolog(FACTS, compile_after), call) == expected
 
 
@@ -86,6 +89,6 @@ def test_facts_with_variables_match_in_both_modes(call, expected, compile_after)
         ("p(7, f(X))", []),
     ],
 )
-def test_only_candidate_is_unified_completely(call, expected):
+def test_only_candidate_is_unified_completely(call: str, expected: Any) -> None:
     logic = prolog(" ".join(f"p({number}, {number})." for number in range(40)))
     assert answers(logic, call) == expected

@@ -1,6 +1,7 @@
 """Goals called from Python, nested attempts, limits, and predicates in Python."""
 
 import traceback
+from typing import Any, Iterator, List
 
 import pytest
 from prolog.support import answers, first, prolog
@@ -12,7 +13,7 @@ from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.system.prolog_system import PrologSystem
 
 
-def goal(logic, text, inputs, outputs):
+def goal(logic: Any, text: str, inputs: Any, outputs: Any) -> Any:
     read = read_term(text, logic.operators)
     return logic.compile_goal(
         read.term, [read.names[name] for name in inputs], [read.names[name] for name in outputs], name="test"
@@ -22,7 +23,7 @@ def goal(logic, text, inputs, outputs):
 FACTS = "p(1). p(2). p(3). q(X, Y) :- p(X), Y is X * 2."
 
 
-def test_inline_goal_is_compiled_to_function():
+def test_inline_goal_is_compiled_to_function() -> None:
     logic = prolog()
     compiled = goal(logic, "Z is Sec + NSec * 1.0e-9", ["Sec", "NSec"], ["Z"])
     assert compiled.function is not None
@@ -31,7 +32,7 @@ def test_inline_goal_is_compiled_to_function():
         compiled.first_solution((Var(), 1))
 
 
-def test_goal_returns_first_or_all_solutions():
+def test_goal_returns_first_or_all_solutions() -> None:
     logic = prolog(FACTS)
     compiled = goal(logic, "q(X, Y), Y > A", ["A"], ["X", "Y"])
     assert compiled.first_solution((2,)) == (2, 4)
@@ -40,7 +41,7 @@ def test_goal_returns_first_or_all_solutions():
     assert logic.machine.trail == [] == logic.machine.choices
 
 
-def test_first_solution_undoes_bindings():
+def test_first_solution_undoes_bindings() -> None:
     logic = prolog()
     compiled = goal(logic, "X = f(Y, Z), Y = 3", ["X"], ["Y", "Z", "X"])
     point = functor("f", 2)
@@ -55,22 +56,22 @@ def test_first_solution_undoes_bindings():
     assert logic.machine.trail == []
 
 
-def test_goal_that_is_not_callable_is_refused():
+def test_goal_that_is_not_callable_is_refused() -> None:
     logic = prolog()
     with pytest.raises(PrologError, match="callable"):
         logic.compile_goal((functor(",", 2), atom("a"), 1))
 
 
-def run(logic, frame):
+def run(logic: Any, frame: Any) -> Any:
     return logic.machine.run((Code("test", lambda _: frame()),))
 
 
-def test_attempt_continues_fails_or_reports_error():
+def test_attempt_continues_fails_or_reports_error() -> None:
     logic = prolog(FACTS)
     machine = logic.machine
-    results = []
+    results: List[Any] = []
 
-    def record(outputs):
+    def record(outputs: Any) -> Any:
         results.append(outputs)
         return machine.done
 
@@ -96,13 +97,13 @@ def test_attempt_continues_fails_or_reports_error():
     assert machine.trail == [] == machine.choices
 
 
-def test_nested_attempts_use_no_recursion():
+def test_nested_attempts_use_no_recursion() -> None:
     logic = prolog("step(0, 1).")
     machine = logic.machine
     find = goal(logic, "step(0, X)", [], ["X"])
     depth = 0
 
-    def repeat(outputs):
+    def repeat(outputs: Any) -> Any:
         nonlocal depth
         depth += 1
         return machine.done if depth == 5000 else machine.attempt(find, (), repeat, None, print)
@@ -118,7 +119,7 @@ LOOPS = "loop :- loop. grow(X) :- grow(f(X)). pile(N) :- M is N + 1, pile(M), tr
 @pytest.mark.parametrize(
     "text", ["loop", "grow(a)", "pile(0), true", "repeat, fail", "between(1, inf, X), X < 0"]
 )
-def test_goal_without_end_exceeds_inferences(text):
+def test_goal_without_end_exceeds_inferences(text: str) -> None:
     logic = prolog(LOOPS)
     logic.limits = Limits(inferences=200_000)
     assert answers(logic, text) == ["resource_error(inferences)"]
@@ -129,34 +130,34 @@ def test_goal_without_end_exceeds_inferences(text):
     assert answers(logic, "X = 1") == [{"X": "1"}]
 
 
-def test_goal_without_end_exceeds_seconds():
+def test_goal_without_end_exceeds_seconds() -> None:
     logic = prolog(LOOPS)
     logic.limits = Limits(seconds=0.05)
     assert answers(logic, "loop") == ["resource_error(seconds)"]
 
 
 @pytest.mark.slow
-def test_growing_stack_exceeds_memory():
+def test_growing_stack_exceeds_memory() -> None:
     logic = prolog("pile(T) :- pile([T,T,T,T,T,T|_]), true. piles(N) :- q(N), piles(N), q(N). q(_).")
     logic.limits = Limits(megabytes=50)
     assert answers(logic, "piles(1)") == ["resource_error(memory)"]
 
 
-def test_predicates_are_defined_in_python():
+def test_predicates_are_defined_in_python() -> None:
     logic = PrologSystem()
 
-    def double(machine, number, result):
+    def double(machine: Any, number: Any, result: Any) -> Any:
         value = deref(number)
         if value.__class__ is not int:
             raise type_error("integer", value)
         return machine.unify(result, value * 2)
 
-    def divisors(machine, number, result):
+    def divisors(machine: Any, number: Any, result: Any) -> Iterator[Any]:
         for value in range(1, deref(number) + 1):
             if deref(number) % value == 0 and machine.unify(result, value):
                 yield LAST if value == deref(number) else None
 
-    def twice(machine, args, frame):
+    def twice(machine: Any, args: Any, frame: Any) -> Any:
         return logic.control.call(args[0], logic.control.call(args[0], frame))
 
     logic.define("double", 2, double)
@@ -171,10 +172,10 @@ def test_predicates_are_defined_in_python():
 
 
 @pytest.mark.parametrize("after", ["", ", X = 1", ", twice"])
-def test_generator_without_arguments_is_backtracked(after):
+def test_generator_without_arguments_is_backtracked(after: str) -> None:
     logic = prolog(f"p(X) :- X = 1, twice{after}.\n", 0)
 
-    def twice(machine):
+    def twice(machine: Any) -> Iterator[Any]:
         yield None
         yield LAST
 
@@ -182,7 +183,7 @@ def test_generator_without_arguments_is_backtracked(after):
     assert len(answers(logic, "p(X)")) == (4 if "twice" in after else 2)
 
 
-def test_bindings_of_solutions_last_until_next():
+def test_bindings_of_solutions_last_until_next() -> None:
     logic = prolog(FACTS)
     read = read_term("p(X)", logic.operators)
     outer = logic.solutions(read.term)
@@ -196,10 +197,10 @@ def test_bindings_of_solutions_last_until_next():
     assert logic.machine.trail == [] == logic.machine.choices
 
 
-def test_traceback_shows_generated_code_and_rule():
+def test_traceback_shows_generated_code_and_rule() -> None:
     logic = prolog("broken(X) :- oops(X).")
 
-    def oops(machine, value):
+    def oops(machine: Any, value: Any) -> None:
         raise KeyError("bug")
 
     logic.define("oops", 1, oops)
@@ -210,14 +211,14 @@ def test_traceback_shows_generated_code_and_rule():
     assert "(M, " in text
 
 
-def test_changed_facts_are_called():
+def test_changed_facts_are_called() -> None:
     logic = prolog("a(X) :- b(X). b(1). :- dynamic(b/1).")
     assert answers(logic, "a(X)") == [{"X": "1"}]
     assert answers(logic, "assertz(b(2)), a(X)") == [{"X": "1"}, {"X": "2"}]
     assert answers(logic, "retract(b(1)), a(X)") == [{"X": "2"}]
 
 
-def test_program_overrides_library_for_itself():
+def test_program_overrides_library_for_itself() -> None:
     logic = prolog("append(mine, _, _). last(own, _). u(X) :- append(X, _, _).")
     assert answers(logic, "u(X)") == [{"X": "mine"}]
     assert first(logic, "append([[1], [2]], X)") == "[1,2]"

@@ -1,5 +1,7 @@
 """Predicates that are functions of some arguments, called by compiled clauses, terms and goals."""
 
+from typing import Any, Iterator, List, Tuple
+
 import pytest
 from prolog.support import NEVER, answers, prolog
 
@@ -18,20 +20,20 @@ last(X, Y) :- split(_, X, _), split(Y, X, _).
 """
 
 
-def half_of(term):
+def half_of(term: Any) -> Any:
     term = deref(term)
     if term.__class__ is not int:
         raise type_error("integer", term)
     return None if term % 2 else term // 2
 
 
-def split(term):
+def split(term: Any) -> Tuple[Any, ...]:
     value = deref(term)
     return value, value * 10
 
 
 @pytest.fixture(params=[0, NEVER], ids=["compiled", "interpreted"])
-def logic(request):
+def logic(request: pytest.FixtureRequest) -> Any:
     system = prolog(PROGRAM, request.param)
     system.define_function("half_of", 2, half_of)
     shows = (None, lambda value: (functor("f", 2), value, atom("end")))
@@ -67,20 +69,20 @@ CASES = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("goal", "expected"), CASES)
-def test_functions_have_answers_of_predicates(logic, goal, expected):
+def test_functions_have_answers_of_predicates(logic: Any, goal: Any, expected: Any) -> None:
     for _ in range(2):
         assert answers(logic, goal) == expected
     assert logic.machine.trail == []
 
 
-def test_clause_for_locked_function_is_refused():
+def test_clause_for_locked_function_is_refused() -> None:
     logic = prolog()
     logic.define_function("half_of", 2, half_of).is_locked = True
     with pytest.raises(PrologError, match="permission"):
         logic.add_clause((functor("half_of", 2), 1, 2))
 
 
-def test_compiled_clause_calls_new_definition():
+def test_compiled_clause_calls_new_definition() -> None:
     logic = prolog("twice(X, Y) :- half_of(Y, X).")
     logic.define_function("half_of", 2, half_of)
     assert answers(logic, "twice(X, 8)") == [{"X": "4"}]
@@ -89,12 +91,12 @@ def test_compiled_clause_calls_new_definition():
 
 
 @pytest.mark.parametrize("compile_after", [0, NEVER], ids=["compiled", "interpreted"])
-def test_function_is_used_if_first_argument_is_known(compile_after):
+def test_function_is_used_if_first_argument_is_known(compile_after: Any) -> None:
     logic = prolog("one(Y) :- number_of(b, Y).\nall(X, Y) :- number_of(X, Y).\n", compile_after)
     numbers = {"a": 1, "b": 2}
-    enumerated = []
+    enumerated: List[Any] = []
 
-    def enumerate_numbers(machine, name, value):
+    def enumerate_numbers(machine: Any, name: Any, value: Any) -> Iterator[Any]:
         enumerated.append(name)
         for key, number in numbers.items():
             if machine.unify_all((name, atom(key)), (value, number)):

@@ -1,5 +1,7 @@
 """Control constructs: cut, if-then-else, negation, exceptions, and deep nesting."""
 
+from typing import Any
+
 import pytest
 from prolog.support import NEVER, answers, first, prolog
 
@@ -73,7 +75,7 @@ CASES = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize("compile_after", [0, 1, NEVER])
-def test_control_constructs_follow_standard(compile_after):
+def test_control_constructs_follow_standard(compile_after: Any) -> None:
     logic = prolog(PROGRAM, compile_after)
     for _ in range(3):
         for goal, expected in CASES:
@@ -101,7 +103,7 @@ rethrow(X) :- catch(catch(throw(a), b, X = inner), a, X = outer).
 
 
 @pytest.mark.parametrize("compile_after", [0, NEVER])
-def test_catch_follows_standard(compile_after):
+def test_catch_follows_standard(compile_after: Any) -> None:
     logic = prolog(CATCHES, compile_after)
     assert first(logic, "catch(thrower(3), too_big(X), true)") == "3"
     assert answers(logic, "catch(thrower(1), _, fail)") == [{}]
@@ -116,7 +118,7 @@ def test_catch_follows_standard(compile_after):
     assert answers(logic, "h(Y)") == [{"Y": "c"}]
 
 
-def first_goal(logic, text):
+def first_goal(logic: Any, text: str) -> Any:
     return read_term(text, logic.operators).term
 
 
@@ -155,17 +157,17 @@ N = 300_000
         f"length(L, {N}), maplist(=(1), L), sum_list(L, {N})",
     ],
 )
-def test_deep_recursion_overflows_no_stack(goal):
+def test_deep_recursion_overflows_no_stack(goal: str) -> None:
     logic = prolog(DEEP)
     assert logic.once(first_goal(logic, goal))
 
 
-def test_deterministic_loop_does_not_fill_trail():
+def test_deterministic_loop_does_not_fill_trail() -> None:
     logic = prolog(DEEP)
     highest = 0
     count_slice = logic.machine.budget.count_slice
 
-    def record_height():
+    def record_height() -> None:
         nonlocal highest
         count_slice()
         highest = max(highest, len(logic.machine.trail))

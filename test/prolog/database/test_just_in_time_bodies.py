@@ -1,6 +1,7 @@
 """Just-in-time compilation of a running body, without a change of behaviour."""
 
 from random import Random
+from typing import Any, List
 
 import pytest
 from prolog.compiler.test_predicate_code import CALLS, SEEDS, program
@@ -14,7 +15,9 @@ from retalis.prolog.machine import machine
 @pytest.mark.slow
 @pytest.mark.parametrize("steps", [1, 3])
 @pytest.mark.parametrize("seed", SEEDS[:12])
-def test_bodies_compiled_at_any_step_keep_answers(seed, steps, monkeypatch):
+def test_bodies_compiled_at_any_step_keep_answers(
+    seed: Any, steps: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     text = program(seed)
     expected = [answers(prolog(text), call) for call in CALLS]
     monkeypatch.setattr(machine, "SLICE", (None,) * steps)
@@ -33,8 +36,8 @@ all(L) :- findall(N, sum(N), L).
 
 
 @pytest.fixture
-def compilations(monkeypatch):
-    arguments = []
+def compilations(monkeypatch: pytest.MonkeyPatch) -> Any:
+    arguments: List[Any] = []
     monkeypatch.setattr(
         just_in_time_bodies,
         "PredicateGenerator",
@@ -43,7 +46,7 @@ def compilations(monkeypatch):
     return arguments
 
 
-def test_search_of_one_call_is_compiled(compilations):
+def test_search_of_one_call_is_compiled(compilations: Any) -> None:
     fast, slow = prolog(SEARCH, NEVER), prolog(SEARCH)
     expected = sorted(
         a * 100 + b * 10 + c
@@ -64,26 +67,26 @@ refused :- call((member(Y, [1, z]), between(1, 60000, X), X > Y, fail)).
 """
 
 
-def test_builtin_after_search_is_compiled(compilations):
+def test_builtin_after_search_is_compiled(compilations: Any) -> None:
     logic = prolog(BUILT_IN, NEVER)
     assert first(logic, "big(L)") == "[59999,60000]"
     assert len(compilations) == 1
     assert first(logic, "wrong(E)") == "type_error(evaluable,z/0)"
 
 
-def test_short_search_is_not_compiled(compilations):
+def test_short_search_is_not_compiled(compilations: Any) -> None:
     assert first(prolog(SEARCH, NEVER), "first(N)") == "96"
     assert not compilations
 
 
-def test_compiled_bodies_are_dropped_after_query(compilations):
+def test_compiled_bodies_are_dropped_after_query(compilations: Any) -> None:
     logic = prolog(SEARCH, NEVER)
     assert first(logic, "all(L)")
     assert compilations
     assert len(logic.control.bodies) == 0
 
 
-def test_facts_change_during_compiled_search():
+def test_facts_change_during_compiled_search() -> None:
     text = """
     :- dynamic(limit/1).
     limit(3).
@@ -96,7 +99,7 @@ def test_facts_change_during_compiled_search():
     assert first(prolog(text, NEVER), "between(1, 9, X), limit(L), X > L, !") == {"X": "4", "L": "3"}
 
 
-def test_compiled_body_keeps_errors_and_cuts(monkeypatch):
+def test_compiled_body_keeps_errors_and_cuts(monkeypatch: pytest.MonkeyPatch) -> None:
     text = """
     go(S) :- between(1, 100, X), ( X =:= 60 -> Y = a ; Y = 1 ), catch(Z is X + Y, error(E, _), (S = X-E, !)), Z < 0.
     throws(N) :- between(1, 100, X), ( X > N -> throw(found(X)) ; true ), fail.
@@ -108,7 +111,7 @@ def test_compiled_body_keeps_errors_and_cuts(monkeypatch):
     assert expected[1] == ["found(51)"]
 
 
-def test_body_with_large_term_keeps_answer(compilations, monkeypatch):
+def test_body_with_large_term_keeps_answer(compilations: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(machine, "SLICE", (None,) * 3)
     random = Random(1)
     numbers = ", ".join(str(random.randrange(9)) for _ in range(500))
@@ -126,14 +129,16 @@ def test_body_with_large_term_keeps_answer(compilations, monkeypatch):
     ],
 )
 @pytest.mark.parametrize("steps", [1, 3, 50])
-def test_cut_bound_to_variable_is_local_to_body(goal, steps, monkeypatch):
+def test_cut_bound_to_variable_is_local_to_body(
+    goal: str, steps: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     expected = answers(prolog(SEARCH), goal)
     monkeypatch.setattr(machine, "SLICE", (None,) * steps)
     assert answers(prolog(SEARCH, NEVER), goal) == expected
 
 
-def test_number_of_observed_bodies_is_bounded(monkeypatch):
-    attempts = []
+def test_number_of_observed_bodies_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    attempts: List[Any] = []
     monkeypatch.setattr(
         just_in_time_bodies.JustInTimeBodies, "_compile", lambda self, body: attempts.append(body)
     )

@@ -1,5 +1,7 @@
 """Modules: local names, and goals in the context of another module."""
 
+from typing import Any, List
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -16,9 +18,9 @@ from retalis.prolog.system.logic_state import (
 from retalis.prolog.system.prolog_system import PrologSystem
 
 
-def load(logic, *texts):
+def load(logic: Any, *texts: Any) -> Any:
     """Load files in order."""
-    problems = []
+    problems: List[Any] = []
     for text in texts:
         with logic.database.modules.loading_file():
             for read in read_program(text, logic.operators, "file.pl"):
@@ -59,7 +61,7 @@ ok(X) :- X > 0.
 
 
 @pytest.fixture(params=[0, NEVER_COMPILE], ids=["compiled", "interpreted"])
-def both(request):
+def both(request: pytest.FixtureRequest) -> Any:
     return load(PrologSystem(compile_after=request.param), UTIL.replace("\\\\", "\\"), MINE)
 
 
@@ -103,11 +105,11 @@ def both(request):
         ),
     ],
 )
-def test_names_are_local_to_modules(both, goal, expected):
+def test_names_are_local_to_modules(both: Any, goal: str, expected: Any) -> None:
     assert first(both, goal) == expected
 
 
-def test_closure_is_called_in_module_of_caller(both):
+def test_closure_is_called_in_module_of_caller(both: Any) -> None:
     assert answers(both, "each(ok, [1, 2])") == [{}]
     assert answers(both, "util:each(ok, [0])") == []
     load(both, ":- module(other, [try/1]).\nok(X) :- X == own.\ntry(L) :- each(ok, L).")
@@ -115,8 +117,8 @@ def test_closure_is_called_in_module_of_caller(both):
     assert answers(both, "try([1])") == []
 
 
-def test_listing_shows_clauses_of_named_module(both):
-    output = []
+def test_listing_shows_clauses_of_named_module(both: Any) -> None:
+    output: List[Any] = []
     both.output = output.append
     assert answers(both, "listing(helper/2), listing(top), listing(util:total/1)")
     text = "".join(output)
@@ -125,14 +127,14 @@ def test_listing_shows_clauses_of_named_module(both):
     assert ":- dynamic total/1.\n\ntotal(0)." in text
 
 
-def test_clause_in_own_module_has_unqualified_body(both):
+def test_clause_in_own_module_has_unqualified_body(both: Any) -> None:
     load(both, ":- module(meta, [solve/1]).\nsolve(true).\nsolve((A, B)) :- solve(A), solve(B).\n"
          "solve(G) :- G \\= true, G \\= (_, _), clause(G, B), solve(B).\n"
          "p(X) :- q(X), r(X).\nq(1).\nq(2).\nr(2).\nall(L) :- findall(X, solve(p(X)), L).\n")  # fmt: skip
     assert first(both, "meta:all(X)") == "[2]"
 
 
-def test_equal_names_of_two_modules_are_separate():
+def test_equal_names_of_two_modules_are_separate() -> None:
     logic = load(
         prolog(),
         ":- module(one, [one/1]).\n:- dynamic seen/1.\none(X) :- part(X), \\+ seen(X), assertz(seen(X)).\npart(1).",
@@ -143,7 +145,7 @@ def test_equal_names_of_two_modules_are_separate():
     assert answers(logic, "one:seen(X)") == answers(logic, "two:seen(X)") == [{"X": "1"}]
 
 
-def test_second_export_of_name_gives_warning():
+def test_second_export_of_name_gives_warning() -> None:
     logic, warnings = prolog(), []
     logic.message = lambda kind, text: warnings.append(text)
     load(
@@ -174,18 +176,18 @@ def test_second_export_of_name_gives_warning():
         ]
 
 
-def test_module_redefines_builtin_for_itself():
+def test_module_redefines_builtin_for_itself() -> None:
     logic = load(
         prolog("own(X) :- print(X)."), ":- module(m, [say/1]).\nprint(X) :- X = shouted.\nsay(X) :- print(X)."
     )
     assert first(logic, "say(X)") == "shouted"
-    output = []
+    output: List[Any] = []
     logic.output = output.append
     assert answers(logic, "own(hello)") == [{}]
     assert output == ["hello"]
 
 
-def test_missing_predicate_is_called_in_program():
+def test_missing_predicate_is_called_in_program() -> None:
     logic = load(prolog("base(1)."), ":- module(m, [ask/1]).\nask(X) :- base(X).\n")
     assert first(logic, "ask(X)") == "1"
     load(logic, "base(2).")
@@ -194,7 +196,7 @@ def test_missing_predicate_is_called_in_program():
     assert answers(logic, "ask(X)") == [{"X": "own"}]
 
 
-def test_qualified_clauses_are_added_to_module():
+def test_qualified_clauses_are_added_to_module() -> None:
     logic = load(
         prolog(":- dynamic hook/1. :- multifile hook/1."),
         ":- module(m, []).\nuser:hook(X) :- own(X).\nown(m).\n:- dynamic there/1.\n",
@@ -204,9 +206,9 @@ def test_qualified_clauses_are_added_to_module():
     assert answers(logic, "m:there(X)") == [{"X": "1"}, {"X": "2"}]
 
 
-def test_invalid_export_leaves_module_defined():
+def test_invalid_export_leaves_module_defined() -> None:
     logic = PrologSystem()
-    problems = []
+    problems: List[Any] = []
     with logic.database.modules.loading_file():
         for read in read_program(":- module(m, [p/1, q(x)]).\np(X) :- own(X).\nown(1).\n", logic.operators):
             logic.load([(read.term, read.place)], lambda message, place: problems.append(message))
@@ -216,12 +218,12 @@ def test_invalid_export_leaves_module_defined():
     assert answers(logic, "own(X)")[0].startswith("existence_error")
 
 
-def test_exported_operators_are_declared():
+def test_exported_operators_are_declared() -> None:
     logic = load(prolog(), ":- module(m, [op(700, xfx, ===>), (===>)/2]).\na ===> b.\n")
     assert first(logic, "a ===> X") == "b"
 
 
-def test_assert_of_imported_name_changes_its_module():
+def test_assert_of_imported_name_changes_its_module() -> None:
     logic = load(prolog(), ":- module(store, [fact/1]).\n:- dynamic fact/1.\n")
     modules = logic.database.modules
     with modules.loading_file():
@@ -244,11 +246,11 @@ def test_assert_of_imported_name_changes_its_module():
         ("meta_predicate(_)", "instantiation_error"),
     ],
 )
-def test_invalid_modules_and_names_are_refused(goal, error):
+def test_invalid_modules_and_names_are_refused(goal: str, error: str) -> None:
     assert answers(prolog(), goal) == [error]
 
 
-def test_restored_modules_have_same_answers(both):
+def test_restored_modules_have_same_answers(both: Any) -> None:
     assert answers(both, "bump") == [{}]
     restored = PrologSystem()
     restore_program(restored, snapshot_program(both))
@@ -286,8 +288,8 @@ FORMS = [
 
 
 @st.composite
-def programs(draw):
-    lines = []
+def programs(draw: Any) -> str:
+    lines: List[Any] = []
     for index, name in enumerate(NAMES):
         lines += [f"{name}({value})." for value in draw(st.lists(VALUES, min_size=1, max_size=3))]
         if index + 1 < len(NAMES):  # calls of later predicates only terminate
@@ -300,8 +302,8 @@ def programs(draw):
 @pytest.mark.slow
 @settings(max_examples=12)
 @given(programs(), programs())
-def test_modules_with_same_names_are_independent(first_text, second_text):
-    def load_program(name, text):
+def test_modules_with_same_names_are_independent(first_text: Any, second_text: Any) -> None:
+    def load_program(name: str, text: Any) -> Any:
         return load(prolog(), f":- dynamic d/1.\n{text}\ngo_{name}(L) :- findall(X, a(X), L).")
 
     expected = [

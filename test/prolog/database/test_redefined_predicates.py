@@ -1,5 +1,7 @@
 """Redefinition of system predicates by a program, without effect on the library."""
 
+from typing import Any, Dict, List, Tuple
+
 import pytest
 from prolog.support import answers, first, prolog
 
@@ -9,7 +11,7 @@ from retalis.prolog.compiler.clause_nodes import PROTECTED_PREDICATES
 from retalis.prolog.database.predicate import NEVER_COMPILE
 
 
-def rule_for(key):
+def rule_for(key: Any) -> Tuple[Any, ...]:
     return (
         functor(":-", 2),
         (key, *[Var() for _ in range(key.arity)]) if key.arity else atom(key.name),
@@ -20,7 +22,7 @@ def rule_for(key):
 FREE = sorted({functor(*key) for key in ENTRIES} - PROTECTED_PREDICATES, key=str)
 
 
-def test_unprotected_builtins_are_redefined():
+def test_unprotected_builtins_are_redefined() -> None:
     logic = prolog()
     for key in FREE:
         logic.add_clause(rule_for(key))
@@ -28,7 +30,7 @@ def test_unprotected_builtins_are_redefined():
 
 
 @pytest.mark.parametrize("key", sorted(PROTECTED_PREDICATES, key=str), ids=str)
-def test_redefinition_of_protected_builtin_is_refused(key):
+def test_redefinition_of_protected_builtin_is_refused(key: Any) -> None:
     with pytest.raises(PrologError, match="modify"):
         prolog().add_clause(rule_for(key))
 
@@ -47,20 +49,22 @@ def test_redefinition_of_protected_builtin_is_refused(key):
         ("forall(X, X).", "forall(X, one)", [{"X": "one"}]),
     ],
 )
-def test_program_calls_its_own_definition(program, goal, expected, compile_after):
+def test_program_calls_its_own_definition(
+    program: str, goal: str, expected: List[Dict[str, Any]], compile_after: Any
+) -> None:
     logic = prolog(program, compile_after)
     assert answers(logic, goal) == expected
     assert answers(logic, goal) == expected
 
 
-def test_library_calls_builtin():
+def test_library_calls_builtin() -> None:
     logic = prolog("length(_, own). msort(_, []). between(_, _, none).")
     assert first(logic, "last([1, 2], X)") == "2"
     assert first(logic, "list_to_assoc([a-1], T)") == "t(a,1,-,t,t)"
     assert first(logic, "numlist(1, 3, X)") == "[1,2,3]"
 
 
-def test_compiled_code_calls_new_definition():
+def test_compiled_code_calls_new_definition() -> None:
     logic = prolog("a(X) :- succ(1, X).")
     for _ in range(20):
         assert answers(logic, "a(X)") == [{"X": "2"}]
@@ -73,7 +77,7 @@ def test_compiled_code_calls_new_definition():
     assert goal.all_solutions(()) == [(atom("own"),)]
 
 
-def test_assert_for_standard_builtin_is_refused():
+def test_assert_for_standard_builtin_is_refused() -> None:
     logic = prolog()
     with pytest.raises(PrologError, match="modify"):
         logic.once(goal := (functor("assertz", 1), (functor("atom_length", 2), 1, 2)))
@@ -83,9 +87,9 @@ def test_assert_for_standard_builtin_is_refused():
     assert answers(logic, "assertz(counter(a, b)), counter(a, X)") == [{"X": "b"}]
 
 
-def test_rules_of_file_call_its_own_definitions():
+def test_rules_of_file_call_its_own_definitions() -> None:
     engine = Engine()
-    outputs = []
+    outputs: List[Any] = []
     engine.on_output(lambda term, topic, name: outputs.append(engine.show(term)))
     engine.load(
         rules="b(X) <- a(X) where not(X).\nc(X) <- a(X) where between(1, 2, X).\n"
@@ -97,7 +101,7 @@ def test_rules_of_file_call_its_own_definitions():
     assert outputs == ["b(yes)", "c(yes)"]
 
 
-def test_refused_file_leaves_builtin():
+def test_refused_file_leaves_builtin() -> None:
     engine = Engine()
     with pytest.raises(ProgramErrors):
         engine.load(rules="succ(1, own) :- true.\nc <- a.\n:- throw(no).\n")
@@ -114,7 +118,7 @@ def test_refused_file_leaves_builtin():
         ("reset_db.\nreset_db.", True),
     ],
 )
-def test_facts_redefine_unless_they_may_be_goals(program, refused):
+def test_facts_redefine_unless_they_may_be_goals(program: str, refused: bool) -> None:
     engine = Engine()
     if refused:
         with pytest.raises(ProgramErrors, match="would replace"):

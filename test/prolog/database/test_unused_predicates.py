@@ -9,7 +9,7 @@ from retalis.prolog.database import predicate_table
 IS_UNDEFINED = "catch({}, error(existence_error(_, _), _), R = undefined)"
 
 
-def test_demoted_predicate_is_called_once_defined():
+def test_demoted_predicate_is_called_once_defined() -> None:
     logic = prolog("p :- foo, true.")
     for _ in range(300):
         assert answers(logic, IS_UNDEFINED.format("p"))[0]["R"] == "undefined"
@@ -17,7 +17,7 @@ def test_demoted_predicate_is_called_once_defined():
     assert answers(logic, "assertz(foo), p, R = defined")[0]["R"] == "defined"
 
 
-def test_asserted_and_retracted_names_are_bounded(monkeypatch):
+def test_asserted_and_retracted_names_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(predicate_table, "MAX_EMPTY_DYNAMIC", 50)
     logic = prolog("turn(N) :- atom_concat(seen_, N, Name), F =.. [Name, N], assertz(F), retract(F).")
     before = len(logic.database.predicates)
@@ -32,7 +32,7 @@ def test_asserted_and_retracted_names_are_bounded(monkeypatch):
 
 
 @pytest.mark.parametrize("goal", ["assertz(f(1)), retract(f(1))", "retractall(f(_))"])
-def test_emptied_predicate_stays_dynamic(goal):
+def test_emptied_predicate_stays_dynamic(goal: str) -> None:
     logic = prolog("p(X) :- f(X).")
     answers(logic, goal)
     logic.database.demote_unused()
@@ -42,7 +42,7 @@ def test_emptied_predicate_stays_dynamic(goal):
     assert answers(logic, "p(X)") == [{"X": "2"}]
 
 
-def test_declared_predicate_is_not_demoted():
+def test_declared_predicate_is_not_demoted() -> None:
     logic = prolog(":- dynamic f/1.")
     answers(logic, "assertz(f(1)), retract(f(1))")
     logic.database.demote_unused()
@@ -50,7 +50,7 @@ def test_declared_predicate_is_not_demoted():
     assert not logic.database.empty_dynamic
 
 
-def test_restore_keeps_emptied_predicates():
+def test_restore_keeps_emptied_predicates() -> None:
     engine = Engine()
     engine.load(rules="p(X) :- f(X).")
     assert engine.call("assertz(f(1)), retract(f(1)), assertz(g(1))")

@@ -2,6 +2,8 @@
 
 import errno
 import os
+from pathlib import Path
+from typing import Any, Set
 
 import pytest
 
@@ -10,7 +12,7 @@ from retalis.prolog.files.file_sandbox import FileSandbox, check_name
 
 
 @pytest.fixture
-def sandbox(tmp_path):
+def sandbox(tmp_path: Path) -> Any:
     sandbox_with_folders = FileSandbox()
     sandbox_with_folders.allow([tmp_path / "read"], [tmp_path / "write"])
     for name in ("read", "write", "own", "other"):
@@ -20,7 +22,7 @@ def sandbox(tmp_path):
     return sandbox_with_folders
 
 
-def test_allowed_files_are_read(sandbox, tmp_path):
+def test_allowed_files_are_read(sandbox: Any, tmp_path: Path) -> None:
     for name in ("read", "write", "own"):
         path = str(tmp_path / name / "a.txt")
         assert sandbox.is_file(path, path)
@@ -33,14 +35,14 @@ def test_allowed_files_are_read(sandbox, tmp_path):
         assert sandbox.read(path, path)
 
 
-def test_folder_with_longer_name_is_another(sandbox, tmp_path):
+def test_folder_with_longer_name_is_another(sandbox: Any, tmp_path: Path) -> None:
     (tmp_path / "reading").mkdir()
     (tmp_path / "reading" / "a.txt").write_text("")
     with pytest.raises(PrologError, match="No permission"):
         sandbox.read(str(tmp_path / "reading" / "a.txt"), "a")
 
 
-def test_loading_ends_after_error(sandbox):
+def test_loading_ends_after_error(sandbox: Any) -> None:
     with pytest.raises(UsageError), sandbox.loading():
         raise UsageError("x")
     assert not sandbox.is_loading
@@ -50,7 +52,7 @@ def test_loading_ends_after_error(sandbox):
         assert sandbox.is_loading
 
 
-def test_allowed_files_are_written(sandbox, tmp_path):
+def test_allowed_files_are_written(sandbox: Any, tmp_path: Path) -> None:
     path = str(tmp_path / "write" / "new.txt")
     sandbox.append(path, "one\n")
     sandbox.append(path, "two\n")
@@ -64,7 +66,7 @@ def test_allowed_files_are_written(sandbox, tmp_path):
     assert sandbox.default_output_folder == str(tmp_path / "write")
 
 
-def test_bytes_are_latin_1_characters(sandbox, tmp_path):
+def test_bytes_are_latin_1_characters(sandbox: Any, tmp_path: Path) -> None:
     path = str(tmp_path / "bytes")
     with sandbox.loading():
         sandbox.add_program_folder(tmp_path)
@@ -76,12 +78,14 @@ def test_bytes_are_latin_1_characters(sandbox, tmp_path):
 
 
 @pytest.mark.parametrize("is_error", [False, True])
-def test_full_disk_leaves_file_unchanged(sandbox, tmp_path, monkeypatch, is_error):
+def test_full_disk_leaves_file_unchanged(
+    sandbox: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_error: bool
+) -> None:
     path = tmp_path / "write" / "a.txt"
     content_before = path.read_bytes()
     write = os.write
 
-    def short_write(descriptor, data):
+    def short_write(descriptor: Any, data: Any) -> int:
         write(descriptor, data[:3])
         if is_error:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -94,7 +98,7 @@ def test_full_disk_leaves_file_unchanged(sandbox, tmp_path, monkeypatch, is_erro
     assert path.read_bytes() == content_before
 
 
-def test_invalid_file_names_are_refused():
+def test_invalid_file_names_are_refused() -> None:
     for name in (
         "",
         "a",
@@ -112,7 +116,7 @@ def test_invalid_file_names_are_refused():
             check_name(name)
 
 
-def test_no_file_is_left_open(sandbox, tmp_path):
+def test_no_file_is_left_open(sandbox: Any, tmp_path: Path) -> None:
     os.mkfifo(str(tmp_path / "read" / "pipe"))
     (tmp_path / "read" / "large").write_text("x" * 100)
     sandbox.max_bytes = 50
@@ -138,7 +142,7 @@ def test_no_file_is_left_open(sandbox, tmp_path):
 
 
 @pytest.mark.parametrize("empty", [True, False])
-def test_writing_starts_empty_or_with_content(sandbox, tmp_path, empty):
+def test_writing_starts_empty_or_with_content(sandbox: Any, tmp_path: Path, empty: bool) -> None:
     path = str(tmp_path / "write" / "a.txt")
     content_before = sandbox.read(path, path)
     sandbox.prepare_writing(path, path, empty)
@@ -148,7 +152,7 @@ def test_writing_starts_empty_or_with_content(sandbox, tmp_path, empty):
     assert sandbox.read(path, path) == ""
 
 
-def test_missing_path_is_neither_file_nor_folder(sandbox, tmp_path):
+def test_missing_path_is_neither_file_nor_folder(sandbox: Any, tmp_path: Path) -> None:
     for name in ("read", "read/a.txt", "read/none", "read/a.txt/none"):
         path = str(tmp_path / name)
         assert sandbox.is_file(path, path) == (name == "read/a.txt")
@@ -156,7 +160,9 @@ def test_missing_path_is_neither_file_nor_folder(sandbox, tmp_path):
 
 
 @pytest.mark.parametrize("limited", [True, False])
-def test_opened_file_is_checked_after_opening(sandbox, tmp_path, monkeypatch, limited):
+def test_opened_file_is_checked_after_opening(
+    sandbox: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limited: bool
+) -> None:
     """A parent folder may be replaced by a link after the check of the name."""
     if not limited:
         sandbox.allow(None, None)
@@ -175,18 +181,18 @@ def test_opened_file_is_checked_after_opening(sandbox, tmp_path, monkeypatch, li
         assert sandbox.read(path, "a") == "one\ntwo\nthree\n"
 
 
-def test_text_instead_of_folders_is_refused(sandbox):
+def test_text_instead_of_folders_is_refused(sandbox: Any) -> None:
     for folders in (("read", None), (None, b"write")):
         with pytest.raises(UsageError, match="expected a list of folders, found "):
             sandbox.allow(*folders)
 
 
-def test_size_limit_is_100_megabytes():
+def test_size_limit_is_100_megabytes() -> None:
     assert FileSandbox().max_bytes == 100_000_000
 
 
 @pytest.mark.parametrize("text", ["x" * 10, "\u00e9" * 5])
-def test_files_are_limited_in_bytes(sandbox, tmp_path, text):
+def test_files_are_limited_in_bytes(sandbox: Any, tmp_path: Path, text: str) -> None:
     sandbox.max_bytes = 10
     path = tmp_path / "write" / "new.txt"
     with pytest.raises(PrologError, match="would have more than 10 bytes"):
@@ -202,7 +208,7 @@ def test_files_are_limited_in_bytes(sandbox, tmp_path, text):
         sandbox.read(str(path), "new")
 
 
-def test_errors_distinguish_reads_and_writes(sandbox, tmp_path):
+def test_errors_distinguish_reads_and_writes(sandbox: Any, tmp_path: Path) -> None:
     for name in ("none", "a.txt/none"):
         with pytest.raises(PrologError, match=f"cannot read {tmp_path}/read/{name}"):
             sandbox.read(str(tmp_path / "read" / name), "name")
@@ -227,7 +233,9 @@ def test_errors_distinguish_reads_and_writes(sandbox, tmp_path):
         ([], None, {"own", "read", "write", "other"}, {"own", "read", "write", "other"}),
     ],
 )
-def test_settings_define_readable_and_writable_folders(sandbox, tmp_path, read, write, readable, writable):
+def test_settings_define_readable_and_writable_folders(
+    sandbox: Any, tmp_path: Path, read: Any, write: Any, readable: Set[Any], writable: Set[Any]
+) -> None:
     sandbox.allow(
         *(None if names is None else [tmp_path / name for name in names] for names in (read, write))
     )
@@ -257,7 +265,7 @@ def test_settings_define_readable_and_writable_folders(sandbox, tmp_path, read, 
                 _ = sandbox.default_output_folder
 
 
-def is_permitted(operation, path, *rest):
+def is_permitted(operation: Any, path: Any, *rest: Any) -> bool:
     """Return whether an operation on a file is permitted."""
     try:
         operation(str(path), *rest)

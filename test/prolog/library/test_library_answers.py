@@ -1,6 +1,7 @@
 """Libraries, compared with recorded answers of SWI-Prolog 9.0.4."""
 
 from pathlib import Path
+from typing import Any, List
 
 import pytest
 from prolog.support import show
@@ -18,19 +19,19 @@ MAX_SOLUTIONS = 5
 
 
 @pytest.fixture(scope="module")
-def logic():
+def logic() -> Any:
     return PrologSystem(compile_after=1 << 60)  # each goal is called once only
 
 
 @pytest.mark.parametrize(("goal", "answer"), ROWS, ids=[goal for goal, _ in ROWS])
-def test_library_goal_has_answer_of_swi_prolog(logic, goal, answer):
+def test_library_goal_has_answer_of_swi_prolog(logic: Any, goal: Any, answer: Any) -> None:
     assert answered(logic, goal) == answer
 
 
-def answered(logic, goal):
+def answered(logic: Any, goal: Any) -> Any:
     read = read_term(goal, logic.operators)
     names = [name for name in read.names if name[0] != "_"]
-    solutions = []
+    solutions: List[Any] = []
     try:
         for _ in logic.solutions(read.term):
             bindings = [(functor("=", 2), atom(name), read.names[name]) for name in names]

@@ -1,5 +1,8 @@
 """Arithmetic with timestamps: exact to the nanosecond in all forms, interpreted and compiled."""
 
+import random
+from typing import Any
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -22,7 +25,7 @@ greatest(A, B, X) :- X is max(A, B).
 SYSTEMS = [prolog(PROGRAM), prolog(PROGRAM, compile_after=NEVER)]
 
 
-def forms(instant):
+def forms(instant: Any) -> Any:
     """Return all terms that denote an instant (ns)."""
     year, month, day, hour, minute, second, rest = timestamps.datime_fields(instant)
     terms = [
@@ -35,14 +38,14 @@ def forms(instant):
     return terms
 
 
-def common_answer(goal):
+def common_answer(goal: str) -> Any:
     """Return the first answer to a goal, which is the same interpreted and compiled."""
     results = {str(first(logic, goal)) for logic in SYSTEMS}
     assert len(results) == 1
     return results.pop()
 
 
-def timestamp_pairs():
+def timestamp_pairs() -> Any:
     whole = st.integers(0, 4_000_000_000).map(lambda seconds: seconds * SECOND)
     instants = st.one_of(whole, st.integers(0, 4_000_000_000 * SECOND))
     near = st.tuples(instants, st.integers(-3, 3)).map(lambda pair: (pair[0], max(0, sum(pair))))
@@ -51,7 +54,7 @@ def timestamp_pairs():
 
 @settings(max_examples=60, derandomize=True, deadline=None)
 @given(timestamp_pairs(), st.randoms(use_true_random=False))
-def test_timestamps_are_exact_to_nanosecond(pair, random):
+def test_timestamps_are_exact_to_nanosecond(pair: Any, random: random.Random) -> None:
     left, right = pair
     left_form, right_form = random.choice(forms(left)), random.choice(forms(right))
     difference = write_term((left - right) / SECOND)
@@ -92,11 +95,11 @@ def test_timestamps_are_exact_to_nanosecond(pair, random):
         ("_T = [1,0], X is inf - _T", "evaluation_error(float_overflow)"),
     ],
 )
-def test_timestamp_evaluates_to_number(goal, value):
+def test_timestamp_evaluates_to_number(goal: str, value: str) -> None:
     assert common_answer(goal) == value
 
 
-def test_evaluated_timestamp_is_ordinary_number():
+def test_evaluated_timestamp_is_ordinary_number() -> None:
     logic = prolog("both(A, X) :- X is A, Y is max(A, 0), foo(X) = foo(Y), X == Y.")
     assert answers(logic, "both([5,5], X), X == 5.000000005, atom_number(A, X)") == [
         {"X": "5.000000005", "A": "'5.000000005'"}

@@ -2,6 +2,8 @@
 
 import pickle
 from itertools import islice
+from pathlib import Path
+from typing import Any, List
 
 import pytest
 from prolog.support import first, prolog
@@ -49,12 +51,12 @@ RUNAWAY = [
 ]
 
 
-def formal(error):
+def formal(error: Any) -> Any:
     return writeq(error.term[1])
 
 
 @pytest.fixture
-def engine():
+def engine() -> Any:
     loaded_engine = Engine(settings=Settings(limits=Limits(seconds=0.3, inferences=400_000, megabytes=300)))
     loaded_engine.load(rules=PROGRAM)
     return loaded_engine
@@ -62,14 +64,14 @@ def engine():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("goal", RUNAWAY)
-def test_runaway_goal_exceeds_limit(engine, goal):
+def test_runaway_goal_exceeds_limit(engine: Any, goal: Any) -> None:
     with pytest.raises(PrologError) as caught:
         engine.query(goal)
     assert formal(caught.value).startswith("resource_error")
     assert engine.call("X = 1")
 
 
-def test_growing_steps_exceed_limit(engine):
+def test_growing_steps_exceed_limit(engine: Any) -> None:
     with pytest.raises(PrologError) as caught:
         engine.query("double([1])")
     assert formal(caught.value).startswith("resource_error")
@@ -89,7 +91,7 @@ def test_growing_steps_exceed_limit(engine):
         "X is 7 ^ (7 ^ (7 ^ 7))",
     ],
 )
-def test_single_large_step_is_refused(engine, goal):
+def test_single_large_step_is_refused(engine: Any, goal: str) -> None:
     with pytest.raises(PrologError) as caught:
         engine.query(goal)
     assert formal(caught.value).startswith("resource_error")
@@ -103,7 +105,7 @@ def test_single_large_step_is_refused(engine, goal):
         (Limits(megabytes=20), "memory", "grow([])"),
     ],
 )
-def test_single_limit_ends_goal(limits, resource, goal):
+def test_single_limit_ends_goal(limits: Any, resource: str, goal: str) -> None:
     engine = Engine(settings=Settings(limits=limits))
     engine.load(rules=PROGRAM)
     with pytest.raises(PrologError) as caught:
@@ -111,15 +113,15 @@ def test_single_limit_ends_goal(limits, resource, goal):
     assert formal(caught.value) == f"resource_error({resource})"
 
 
-def test_program_catches_exceeded_limit(engine):
+def test_program_catches_exceeded_limit(engine: Any) -> None:
     (answer,) = engine.query("catch(loop, error(resource_error(R), _), true)")
     assert engine.show(answer["R"]) in ("seconds", "inferences")
 
 
-def test_event_after_runaway_goal_is_processed(caplog):
+def test_event_after_runaway_goal_is_processed(caplog: pytest.LogCaptureFixture) -> None:
     engine = Engine(settings=Settings(limits=Limits(inferences=100_000)))
     engine.load(rules="loop :- loop.\nout(X) <- in(X) where (X > 1 ; loop).\nseen(X) <- in(X).")
-    events = []
+    events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     engine.event("in(1)", 1)
     engine.event("in(2)", 2)
@@ -127,10 +129,10 @@ def test_event_after_runaway_goal_is_processed(caplog):
     assert "Not enough resources" in caplog.text
 
 
-def test_endless_chain_of_events_is_cut(caplog):
+def test_endless_chain_of_events_is_cut(caplog: pytest.LogCaptureFixture) -> None:
     engine = Engine(settings=Settings(max_depth=100))
     engine.load(rules="tick(N) <- tick(M) where N is M + 1.")
-    events = []
+    events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append(term))
     engine.event("tick(0)", 1)
     assert len(events) == 101
@@ -159,13 +161,13 @@ def test_endless_chain_of_events_is_cut(caplog):
         "halt",
     ],
 )
-def test_access_to_system_is_refused(engine, goal):
+def test_access_to_system_is_refused(engine: Any, goal: str) -> None:
     with pytest.raises(PrologError) as caught:
         engine.query(goal)
     assert formal(caught.value).startswith(("existence_error(procedure", "permission_error"))
 
 
-def test_files_outside_allowed_folders_are_refused(tmp_path):
+def test_files_outside_allowed_folders_are_refused(tmp_path: Path) -> None:
     inside, outside = tmp_path / "inside", tmp_path / "outside"
     for folder in (inside, outside):
         folder.mkdir()
@@ -183,13 +185,13 @@ def test_files_outside_allowed_folders_are_refused(tmp_path):
     assert engine.call(f"compile_event_file('{outside}/rules.txt')")
 
 
-def test_consult_loads_only_allowed_folders(tmp_path):
+def test_consult_loads_only_allowed_folders(tmp_path: Path) -> None:
     (tmp_path / "a.pl").write_text("p(1).\np(2).\n")
     (tmp_path / "b.pl").write_text("q(1).\nout(X) <- in(X) where q(X).\n")
     engine = Engine(settings=Settings(folders=(str(tmp_path),)))
     assert engine.call(f"consult(['{tmp_path}/a', '{tmp_path}/b.pl'])")
     assert [answer["X"] for answer in engine.query("p(X)")] == [1, 2]
-    events = []
+    events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     engine.event("in(1)", 1)
     assert events == ["in(1)", "out(1)"]
@@ -198,7 +200,7 @@ def test_consult_loads_only_allowed_folders(tmp_path):
             engine.call(goal)
 
 
-def test_loaded_rules_cannot_name_files_outside(tmp_path):
+def test_loaded_rules_cannot_name_files_outside(tmp_path: Path) -> None:
     (tmp_path / "inside").mkdir()
     (tmp_path / "secret.txt").write_text("p(1).\n")
     (tmp_path / "inside" / "rules.txt").write_text("use_module('../secret.txt').\n")
@@ -208,7 +210,7 @@ def test_loaded_rules_cannot_name_files_outside(tmp_path):
     assert not engine.query("catch(p(X), _, fail)")
 
 
-def test_new_budget_needs_no_check():
+def test_new_budget_needs_no_check() -> None:
     for limits in (Limits(), Limits(seconds=1.0)):
         budget = Engine(settings=Settings(limits=limits)).logic.machine.budget
         assert not budget.limited
@@ -218,9 +220,9 @@ def test_new_budget_needs_no_check():
 @pytest.mark.parametrize(
     "goal", ["numlist(1, 1000000, L), msort(L, M), M = [X|_]", "length(L, 3000000), X = L"]
 )
-def test_inline_goals_of_rules_are_limited(goal):
+def test_inline_goals_of_rules_are_limited(goal: str) -> None:
     engine = Engine(settings=Settings(limits=Limits(inferences=2000)))
-    errors = []
+    errors: List[Any] = []
     engine.rules.on_error = lambda error: errors.append(str(error))
     engine.load(rules=f"found(X) do ({goal}) <- e.")
     engine.event("e", 1)
@@ -242,10 +244,12 @@ CALLERS = "loop :- loop.\ncount(0).\ncount(N) :- N > 0, M is N - 1, count(M).\n"
         ),
     ],
 )
-def test_rule_goal_exceeds_limit_of_caller(operator, goal, kind, result, caplog):
+def test_rule_goal_exceeds_limit_of_caller(
+    operator: str, goal: str, kind: str, result: str, caplog: pytest.LogCaptureFixture
+) -> None:
     engine = Engine()
     engine.load(rules=f"{CALLERS}out <- in {operator} loop.\nseen <- in.")
-    events = []
+    events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     (answer,) = engine.query(goal)
     assert engine.show(answer["R"]) == result
@@ -253,14 +257,14 @@ def test_rule_goal_exceeds_limit_of_caller(operator, goal, kind, result, caplog)
     assert f"goal loop: the {kind} limit of a calling goal has been reached" in caplog.text
 
 
-def test_limit_set_by_rule_goal_is_its_own(caplog):
+def test_limit_set_by_rule_goal_is_its_own(caplog: pytest.LogCaptureFixture) -> None:
     engine = Engine()
     engine.load(rules=f"{CALLERS}out <- in where call_with_time_limit(0.05, loop).")
     assert engine.call("call_with_time_limit(10, new_event(in, [1,1]))")
     assert "Unhandled exception: time_limit_exceeded" in caplog.text
 
 
-def test_inferences_of_caller_count_for_rule_goals(caplog):
+def test_inferences_of_caller_count_for_rule_goals(caplog: pytest.LogCaptureFixture) -> None:
     engine = Engine(settings=Settings(limits=Limits(inferences=100_000)))
     engine.load(rules=f"{CALLERS}out <- in where (count(45000), \\+ fail).")
     assert engine.call("count(45000), new_event(in, [1,1])")
@@ -269,14 +273,14 @@ def test_inferences_of_caller_count_for_rule_goals(caplog):
     assert caplog.text.count("Not enough resources: inferences") == 1
 
 
-def test_second_limit_is_final_after_rule_goal():
+def test_second_limit_is_final_after_rule_goal() -> None:
     engine = Engine(settings=Settings(limits=Limits(inferences=100_000)))
     engine.load(rules=f"{CALLERS}out <- in where (count(10), \\+ fail).")
     with pytest.raises(PrologError, match="inferences"):
         engine.call("catch(loop, _, true), new_event(in, [1,1]), catch(loop, _, true)")
 
 
-def test_interrupt_removes_limits_of_calls():
+def test_interrupt_removes_limits_of_calls() -> None:
     engine = Engine()
     budget = engine.logic.machine.budget
     engine.logic.define("interrupt", 0, lambda machine: postpone(Interrupt()) is None)
@@ -288,7 +292,7 @@ def test_interrupt_removes_limits_of_calls():
 
 
 @pytest.mark.parametrize("limits", [Limits(), Limits(inferences=1000)])
-def test_interrupt_undoes_bindings(limits):
+def test_interrupt_undoes_bindings(limits: Any) -> None:
     engine = Engine(settings=Settings(limits=limits))
     engine.logic.define("interrupt", 1, lambda machine, term: postpone(Interrupt()) is None)
     engine.load(rules="b <- a(X) where (Y = f(X, Z), Z = 3, interrupt(Y), repeat, fail).")
@@ -297,11 +301,11 @@ def test_interrupt_undoes_bindings(limits):
     assert not engine.logic.machine.trail
 
 
-def test_limit_in_function_does_not_repeat_call():
+def test_limit_in_function_does_not_repeat_call() -> None:
     logic = prolog("p(X, Y) :- q(X, Y).\nq(X, Y) :- long(X, Y).")
-    calls = []
+    calls: List[Any] = []
 
-    def long(value):
+    def long(value: Any) -> Any:
         calls.append(value)
         check_limits(1_000_000)
         return value
@@ -317,7 +321,7 @@ def test_limit_in_function_does_not_repeat_call():
     assert first(logic, "catch(p(3, _), error(resource_error(inferences), _), true)") == {}
 
 
-def test_work_between_solutions_counts_with_query():
+def test_work_between_solutions_counts_with_query() -> None:
     logic = prolog("work(0) :- !.\nwork(N) :- M is N - 1, work(M).\nmany :- repeat, work(6000).")
     logic.limits = Limits(inferences=20_000)
     solutions = logic.solutions(functor("call", 1)(atom("many")))
@@ -329,7 +333,7 @@ def test_work_between_solutions_counts_with_query():
     assert logic.once(functor("work", 1)(6000))
 
 
-def test_limits_accept_integers_and_floats():
+def test_limits_accept_integers_and_floats() -> None:
     limits = Limits(seconds=1, inferences=1e6, megabytes=200.0)
     assert limits == (1.0, 1_000_000, 200.0, 1.0)
     assert isinstance(limits.inferences, int)
@@ -341,20 +345,20 @@ def test_limits_accept_integers_and_floats():
 @pytest.mark.parametrize(
     "value", [True, "1", -1, -0.5, float("nan"), float("inf"), 10**400, [1], 1 + 0j], ids=repr
 )
-def test_invalid_limits_are_refused(name, value):
+def test_invalid_limits_are_refused(name: Any, value: Any) -> None:
     with pytest.raises(UsageError, match=f"^{name}: expected a (whole )?number from 0 to 1e"):
         Limits(**{name: value})
     with pytest.raises(UsageError, match=f"^{name}: "):
         Limits()._replace(**{name: value})
 
 
-def test_fractional_inferences_are_refused():
+def test_fractional_inferences_are_refused() -> None:
     with pytest.raises(UsageError, match="^inferences: expected a whole number from 0 to 1e.20, found 1.5$"):
         Limits(inferences=1.5)
 
 
 @pytest.mark.slow
-def test_fractional_megabytes_end_event(caplog):
+def test_fractional_megabytes_end_event(caplog: pytest.LogCaptureFixture) -> None:
     engine = Engine(settings=Settings(limits=Limits(seconds=60.0, megabytes=5.0)))
     engine.load(rules=PROGRAM + "null_event do grow([]) <- in.")
     engine.event("in", 1)

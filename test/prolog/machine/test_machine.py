@@ -11,7 +11,7 @@ class OtherEntry(Entry):
     """An entry of another class."""
 
 
-def test_entries_without_other_references_are_dropped():
+def test_entries_without_other_references_are_dropped() -> None:
     kept, chained = Entry(), Entry()
     chained.next = Entry()
     entries = [Entry(), kept, OtherEntry(), chained.next, Entry()]

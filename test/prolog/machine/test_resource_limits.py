@@ -1,6 +1,7 @@
 """Budgets: remaining limits, nested entries, and limits of calls."""
 
 import threading
+from typing import Any, Iterator, List, Optional, Tuple
 from unittest.mock import patch
 
 import pytest
@@ -23,36 +24,36 @@ from retalis.prolog.machine.resource_limits import (
 class Executor:
     """An executor that executes an entry in this thread."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.thread, self.entry, self.following = threading.get_ident(), ("outer",), []
 
-    def replace_entry(self, entry):
+    def replace_entry(self, entry: Any) -> Any:
         """Set the entry; return the previous one."""
         previous, self.entry = self.entry, entry
         return previous
 
-    def call_next(self, work):
+    def call_next(self, work: Any) -> None:
         """Record work that follows the entry."""
         self.following.append(work)
 
 
 @pytest.fixture
-def budget():
+def budget() -> Any:
     return Budget()
 
 
-def test_budget_without_limits_has_no_remaining_ones(budget):
+def test_budget_without_limits_has_no_remaining_ones(budget: Any) -> None:
     assert budget.remaining_limits() is None
 
 
-def test_checked_inferences_are_subtracted(budget):
+def test_checked_inferences_are_subtracted(budget: Any) -> None:
     budget.set_limits(Limits(inferences=1000))
     assert budget.remaining_limits() == RemainingLimits(None, 1000, None)
     budget.check_limits(400)
     assert budget.remaining_limits() == RemainingLimits(None, 600, None)
 
 
-def test_lowest_ceiling_limits_inferences(budget):
+def test_lowest_ceiling_limits_inferences(budget: Any) -> None:
     budget.check_limits(5000)
     for limit in (300, 200):
         budget.add_ceiling(budget.ceiling_after(limit), CallLimitError("inference", atom("ball")))
@@ -63,21 +64,21 @@ def test_lowest_ceiling_limits_inferences(budget):
         budget.check_limits(51)
 
 
-def test_earliest_alarm_limits_seconds(budget):
+def test_earliest_alarm_limits_seconds(budget: Any) -> None:
     for instant in (1e12, 1e11):
         budget.add_alarm(instant, CallLimitError("time", atom("ball")))
     assert budget.remaining_limits() == RemainingLimits(1e11, None, None)
 
 
-def test_equal_ceilings_become_distinct(budget):
-    ceilings = []
+def test_equal_ceilings_become_distinct(budget: Any) -> None:
+    ceilings: List[Any] = []
     for _ in range(3):
         ceilings.append(budget.ceiling_after(10))
         budget.add_ceiling(ceilings[-1], CallLimitError("inference", atom("ball")))
     assert ceilings == [10, 11, 12]
 
 
-def test_memory_growth_beyond_limit_is_error(budget, monkeypatch):
+def test_memory_growth_beyond_limit_is_error(budget: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     used, now = [50 * MEGABYTE], [1.0]
     monkeypatch.setattr(_budget, "resident_bytes", lambda: used[0])
     monkeypatch.setattr(_budget, "monotonic", lambda: now[0])
@@ -92,7 +93,9 @@ def test_memory_growth_beyond_limit_is_error(budget, monkeypatch):
 
 
 @pytest.mark.parametrize("now", [0.0, 1.0])
-def test_remaining_memory_counts_from_present_size(budget, monkeypatch, now):
+def test_remaining_memory_counts_from_present_size(
+    budget: Any, monkeypatch: pytest.MonkeyPatch, now: float
+) -> None:
     """At time 0 the budget assumes that the memory has just been measured."""
     monkeypatch.setattr(_budget, "resident_bytes", lambda: 50 * MEGABYTE)
     monkeypatch.setattr(_budget, "monotonic", lambda: now)
@@ -100,7 +103,7 @@ def test_remaining_memory_counts_from_present_size(budget, monkeypatch, now):
     assert budget.remaining_limits() == RemainingLimits(None, None, 52 * MEGABYTE)
 
 
-def test_exceeded_seconds_are_granted_once_again(budget, monkeypatch):
+def test_exceeded_seconds_are_granted_once_again(budget: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     now = [100.0]
     monkeypatch.setattr(_budget, "monotonic", lambda: now[0])
     budget.set_limits(Limits(seconds=10.0))
@@ -116,7 +119,7 @@ def test_exceeded_seconds_are_granted_once_again(budget, monkeypatch):
             budget.check_limits(1)
 
 
-def test_refusal_of_goals_ends_with_entry(budget):
+def test_refusal_of_goals_ends_with_entry(budget: Any) -> None:
     budget.set_limits(Limits(inferences=10))
     with pytest.raises(LimitError) as error:
         budget.check_limits(11)
@@ -130,14 +133,14 @@ def test_refusal_of_goals_ends_with_entry(budget):
 
 
 @pytest.fixture
-def executor():
+def executor() -> Iterator[Any]:
     busy_executor = Executor()
     yield busy_executor
     busy_executor.thread = None  # the entry has ended
 
 
-def test_skipped_pattern_steps_are_counted_once(executor):
-    reports = []
+def test_skipped_pattern_steps_are_counted_once(executor: Any) -> None:
+    reports: List[Any] = []
     budget = Budget(Limits(inferences=100), executor)
     budget.on_stopped.add(lambda label, limit, steps, entry: reports.append((label, limit, steps)))
     meter = budget.meter("rule")
@@ -149,12 +152,12 @@ def test_skipped_pattern_steps_are_counted_once(executor):
     assert reports == [("rule", "inferences", 3)]
 
 
-def test_nested_entry_has_its_own_limits(executor):
+def test_nested_entry_has_its_own_limits(executor: Any) -> None:
     budget = Budget(Limits(inferences=1000), executor)
     budget.goal = outer = object()
     budget.check_limits(900)
 
-    def inner():
+    def inner() -> Any:
         assert executor.entry == ("inner",)
         assert budget.goal is None
         budget.goal = object()
@@ -167,7 +170,7 @@ def test_nested_entry_has_its_own_limits(executor):
     assert budget.remaining_limits() == RemainingLimits(None, 100, None)
 
 
-def test_output_is_limited_per_entry(executor):
+def test_output_is_limited_per_entry(executor: Any) -> None:
     budget = Budget(Limits(output_megabytes=1), executor)
     budget.count_output(MEGABYTE)
     with pytest.raises(LimitError, match="output") as error:
@@ -182,14 +185,14 @@ def test_output_is_limited_per_entry(executor):
     budget.count_output(MEGABYTE)
 
 
-def test_output_outside_entries_is_unlimited(budget):
+def test_output_outside_entries_is_unlimited(budget: Any) -> None:
     budget.set_limits(Limits(output_megabytes=1))
     for _ in range(3):
         budget.count_output(MEGABYTE)
 
 
-def test_unknown_memory_size_disables_limit(budget, monkeypatch):
-    def missing(*_):
+def test_unknown_memory_size_disables_limit(budget: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(*_: Any) -> None:
         raise FileNotFoundError
 
     monkeypatch.setattr(_budget, "open", missing, raising=False)
@@ -224,17 +227,17 @@ class BudgetModel:
 
     LIMITS = Limits(inferences=4000, seconds=10, output_megabytes=1)
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.now = 100.0
         self.pending = 0
         self.end()
 
-    def end(self):
+    def end(self) -> None:
         self.spent = self.printed = 0
         self.deadline = None
         self.rounds = 1
 
-    def count(self, steps):
+    def count(self, steps: int) -> Any:
         """Count steps and return the exceeded limit, or None."""
         self.spent += self.pending + steps
         self.pending = 0
@@ -244,7 +247,7 @@ class BudgetModel:
             self.deadline = self.now + self.LIMITS.seconds
         return "seconds" if self.now > self.deadline else None
 
-    def raised(self, limit):
+    def raised(self, limit: str) -> Optional[Tuple[Any, ...]]:
         """Return the error for an exceeded limit: its name and whether it is final."""
         if limit is None:
             return None
@@ -255,34 +258,34 @@ class BudgetModel:
             self.deadline = None
         return limit, final
 
-    def check_limits(self, steps):
+    def check_limits(self, steps: int) -> Any:
         return self.raised(self.count(steps))
 
-    def count_slice(self):
+    def count_slice(self) -> Any:
         return self.check_limits(len(SLICE))
 
-    def remaining_limits(self):
+    def remaining_limits(self) -> Any:
         return self.check_limits(0)
 
-    def count_loops(self):
+    def count_loops(self) -> Any:
         self.pending += len(LOOP)
         return self.check_limits(0) if self.pending >= len(SLICE) else None
 
-    def count_last_steps(self, steps):
+    def count_last_steps(self, steps: Any) -> None:
         self.pending += steps
         if self.pending >= len(SLICE):
             self.count(0)
 
-    def check_entry(self):
+    def check_entry(self) -> Any:
         pending, self.pending = self.pending, 0  # steps are counted when the next ones are
         error = self.check_limits(0)
         self.pending = pending
         return error
 
-    def inner(self):
+    def inner(self) -> None:
         self.pending = 0  # a nested entry takes over the steps that have not been checked
 
-    def write(self, size):
+    def write(self, size: Any) -> Any:
         if self.printed + size > MEGABYTE * (1.0 if self.rounds == 1 else 1.1):
             return self.raised("output")
         self.printed += size
@@ -291,7 +294,7 @@ class BudgetModel:
 
 @settings(deadline=None, derandomize=True, max_examples=300)
 @given(st.lists(STEPS, max_size=25))
-def test_budget_agrees_with_model_of_limits(steps):
+def test_budget_agrees_with_model_of_limits(steps: List[Any]) -> None:
     model, executor = BudgetModel(), Executor()
     budget = Budget(BudgetModel.LIMITS, executor)
     budget.goal = object()

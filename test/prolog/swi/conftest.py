@@ -1,6 +1,7 @@
 """SWI-Prolog for these tests. Without RETALIS_TEST_SWI=1 they are skipped; with it they fail if it is missing."""
 
 import os
+from typing import Any
 
 import pytest
 
@@ -55,7 +56,7 @@ pokes_later(X) :- retalis(near(a, X)), poke, X == c.
 
 
 @pytest.fixture(scope="session")
-def swi():
+def swi() -> Any:
     """Return the library of SWI-Prolog; fail if these tests are enabled and it is missing."""
     try:
         return find_library()
@@ -66,7 +67,7 @@ def swi():
 
 
 @pytest.fixture(scope="session")
-def folder(swi, tmp_path_factory):
+def folder(swi: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Return the folder of the file for SWI-Prolog; all tests of the process share both."""
     path = tmp_path_factory.mktemp("swi")
     (path / "kb.pl").write_text(KB)
@@ -74,10 +75,10 @@ def folder(swi, tmp_path_factory):
 
 
 @pytest.fixture
-def program(folder):
+def program(folder: Any) -> Any:
     """Return a function that creates an engine with the file for SWI-Prolog and rules."""
 
-    def make(rules="", **limits):
+    def make(rules: str = "", **limits: Any) -> Any:
         engine = Engine(settings=Settings(allow_swi=True))
         engine.load(rules=f":- use_swi('kb.pl').\n{rules}", folder=folder)
         engine.logic.limits = Limits(**limits)  # after loading, which has no limits
@@ -87,11 +88,11 @@ def program(folder):
 
 
 @pytest.fixture
-def engine(program):
+def engine(program: Any) -> Any:
     return program("near(a, b).\nnear(a, c).\n")
 
 
-def pytest_collection_modifyitems(items):
+def pytest_collection_modifyitems(items: Any) -> None:
     """Skip these tests outside a process of their own.
 
     SWI-Prolog and its signal handlers stay until the process ends.

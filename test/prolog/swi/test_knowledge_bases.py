@@ -1,6 +1,7 @@
 """Knowledge bases with libraries of SWI-Prolog, queried by rules: constraints, CHR, triples."""
 
 from pathlib import Path
+from typing import Any, List
 
 import pytest
 
@@ -9,11 +10,11 @@ from retalis import Engine, PrologError, Settings
 FOLDER = Path(__file__).resolve().parent / "bases"
 
 
-def derived_events(swi, rules, *events):
+def derived_events(swi: Any, rules: Any, *events: Any) -> List[Any]:
     """Return the events that rules derive from events, as text; the fixture `swi` requires the library."""
     engine = Engine(settings=Settings(allow_swi=True))
     engine.load(rules=rules, folder=FOLDER)
-    outputs = []
+    outputs: List[Any] = []
     engine.on_event(lambda term, start, end: outputs.append(engine.show(term)))
     for time, event in enumerate(events, 1):
         engine.event(event, time)
@@ -21,7 +22,7 @@ def derived_events(swi, rules, *events):
 
 
 @pytest.mark.slow
-def test_rules_query_finite_domain_constraints(swi):
+def test_rules_query_finite_domain_constraints(swi: Any) -> None:
     rules = (
         ":- use_swi('shifts.pl').\n"
         "planned(H) <- wanted(W) where (plan(W, H), H = [10|_]).\n"
@@ -38,7 +39,7 @@ def test_rules_query_finite_domain_constraints(swi):
 
 
 @pytest.mark.slow
-def test_rules_query_constraint_handling_rules(swi):
+def test_rules_query_constraint_handling_rules(swi: Any) -> None:
     rules = (
         ":- use_swi('doors.pl').\n"
         "near(L) <- doors(From, Doors) where ways(From, Doors, L).\n"
@@ -54,7 +55,7 @@ def test_rules_query_constraint_handling_rules(swi):
 
 
 @pytest.mark.slow
-def test_rules_query_and_change_triples(swi):
+def test_rules_query_and_change_triples(swi: Any) -> None:
     rules = (
         ":- use_swi('things.pl').\n"
         "stands(T, P) <- asked(T) where on(T, P).\n"
@@ -72,7 +73,7 @@ def test_rules_query_and_change_triples(swi):
     ]
 
 
-def test_variable_with_chr_constraints_is_refused(swi, tmp_path):
+def test_variable_with_chr_constraints_is_refused(swi: Any, tmp_path: Path) -> None:
     (tmp_path / "order.pl").write_text(
         ":- module(order, [under/2]).\n:- use_module(library(chr)).\n:- chr_constraint under(?, ?).\n"
         "under(X, X) <=> fail.\nunder(X, Y), under(Y, X) <=> fail.\n"

@@ -4,6 +4,7 @@ import ctypes
 import gc
 import signal
 import threading
+from typing import Any, Iterator, List, Tuple
 
 import pytest
 
@@ -16,7 +17,7 @@ class Stack(ctypes.Structure):
     _fields_ = [("place", ctypes.c_void_p), ("flags", ctypes.c_int), ("size", ctypes.c_size_t)]
 
 
-def signal_stack():
+def signal_stack() -> Tuple[Any, ...]:
     """Return the alternate signal stack of this thread."""
     stack = Stack()
     ctypes.CDLL(None).sigaltstack(None, ctypes.byref(stack))
@@ -24,22 +25,22 @@ def signal_stack():
 
 
 @pytest.fixture
-def alarms():
+def alarms() -> Iterator[None]:
     """Have the signal of alarms interrupt at safe points."""
     with deferred_interrupts(signal.SIGALRM):
         yield
 
 
 @pytest.mark.parametrize("goal", ["upto(3, X)", "engines(X)"])
-def test_signal_stack_of_thread_is_kept(program, goal):
+def test_signal_stack_of_thread_is_kept(program: Any, goal: str) -> None:
     """A stack inside an engine of SWI-Prolog would be freed with the engine."""
     before = signal_stack()
     engine = program()
     assert engine.query(goal)
     assert signal_stack() == before
-    stacks = []
+    stacks: List[Any] = []
 
-    def query():
+    def query() -> None:
         stacks.append(signal_stack())
         assert engine.query(goal)
         stacks.append(signal_stack())
@@ -53,7 +54,9 @@ def test_signal_stack_of_thread_is_kept(program, goal):
     assert signal_stack() == before
 
 
-def test_signal_before_callback_is_handled(engine, alarms, capfd):
+def test_signal_before_callback_is_handled(
+    engine: Any, alarms: Any, capfd: pytest.CaptureFixture[str]
+) -> None:
     """The handler runs when the callback enters Python."""
     for _ in range(5):
         with pytest.raises(Interrupt):
@@ -63,7 +66,7 @@ def test_signal_before_callback_is_handled(engine, alarms, capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_signal_after_callback_ends_goal(engine, alarms):
+def test_signal_after_callback_ends_goal(engine: Any, alarms: Any) -> None:
     with pytest.raises(Interrupt):
         engine.query("pokes_later(X)")
     assert len(engine.query("upto(2, A), inc(A, X)")) == 2

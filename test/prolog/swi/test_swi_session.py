@@ -2,6 +2,7 @@
 
 import gc
 import threading
+from typing import Any, Dict, List
 
 import pytest
 
@@ -9,14 +10,14 @@ from retalis import Limits, PrologError, RetalisError, Var, deref, functor
 from retalis.prolog.machine.resource_limits import LimitError
 
 
-def shown(engine, goal):
+def shown(engine: Any, goal: str) -> List[Dict[Any, Any]]:
     """Return the solutions of a goal, as text."""
     return [
         {name: engine.show(deref(term)) for name, term in solution.items()} for solution in engine.query(goal)
     ]
 
 
-def values(engine, goal, name="X"):
+def values(engine: Any, goal: str, name: str = "X") -> List[Any]:
     return [solution[name] for solution in shown(engine, goal)]
 
 
@@ -46,11 +47,11 @@ def values(engine, goal, name="X"):
         ("near(a, A), both(A, X)", ["b", "c"]),
     ],
 )
-def test_goal_has_all_solutions(engine, goal, expected):
+def test_goal_has_all_solutions(engine: Any, goal: str, expected: Any) -> None:
     assert values(engine, goal) == expected
 
 
-def test_shared_variables_stay_shared(engine):
+def test_shared_variables_stay_shared(engine: Any) -> None:
     (answer,) = engine.query("half_open(X, Y)")
     x, y = answer["X"], deref(answer["Y"])
     assert deref(y[1]) is deref(x)
@@ -59,22 +60,22 @@ def test_shared_variables_stay_shared(engine):
     assert deref(answer["X"]) is deref(answer["Y"]) is deref(answer["Z"])
 
 
-def test_rule_calls_swi_predicate(program):
+def test_rule_calls_swi_predicate(program: Any) -> None:
     engine = program("next_one(Y) <- number(X) where inc(X, Y).\nbig <- number(X) where upto(X, 5).\n")
-    outputs = []
+    outputs: List[Any] = []
     engine.on_event(lambda term, start, end: outputs.append(engine.show(term)))
     engine.event("number(4)", 1)
     engine.event("number(7)", 2)
     assert outputs == ["number(4)", "next_one(5)", "number(7)", "next_one(8)", "big"]
 
 
-def test_synchronized_query_calls_swi_predicate(program):
+def test_synchronized_query_calls_swi_predicate(program: Any) -> None:
     engine = program(
         "synchronized(found(Y), lookup(T, Y), [[m, T]]) <- ask(T).\n"
         "lookup(T, Y) :- prev(m, number(X), _, _, T), inc(X, Y).\n"
     )
     engine.load(goals="memorize(number(X), [], number(X), m, 10)")
-    outputs = []
+    outputs: List[Any] = []
     engine.on_event(lambda term, start, end: outputs.append(engine.show(term)))
     engine.event("number(6)", 1)
     engine.event("ask([2, 0])", 2)
@@ -96,19 +97,19 @@ def test_synchronized_query_calls_swi_predicate(program):
         ("cyclic(_)", "term_size"),
     ],
 )
-def test_errors_and_unsupported_terms_are_errors(engine, goal, message):
+def test_errors_and_unsupported_terms_are_errors(engine: Any, goal: str, message: str) -> None:
     with pytest.raises(PrologError, match=message):
         engine.query(goal)
     assert values(engine, "inc(1, X)") == ["2"]
 
 
-def test_error_of_swi_is_caught_by_its_term(engine):
+def test_error_of_swi_is_caught_by_its_term(engine: Any) -> None:
     (answer,) = shown(engine, "catch(bad(1), my_ball(A, B, _), true)")
     assert (answer["A"], answer["B"]) == ("1", '"text"')
     assert values(engine, "catch((upto(3, A), A > 1, bad(A)), my_ball(X, _, _), true)") == ["2"]
 
 
-def test_cut_and_error_run_cleanup_in_swi(engine):
+def test_cut_and_error_run_cleanup_in_swi(engine: Any) -> None:
     assert engine.call("forgets")
     engine.query("marks(X, cut), !")
     assert engine.call("noted(cut)")
@@ -120,14 +121,14 @@ def test_cut_and_error_run_cleanup_in_swi(engine):
     assert engine.call("forgets")
 
 
-def test_halt_does_not_end_process(engine):
+def test_halt_does_not_end_process(engine: Any) -> None:
     assert not engine.call("halts")
     assert values(engine, "inc(1, X)") == ["2"]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("goal", ["forever", "stubborn", "retrying", "sleeps", "upto(3, X), forever"])
-def test_endless_goal_exceeds_seconds(program, goal):
+def test_endless_goal_exceeds_seconds(program: Any, goal: str) -> None:
     engine = program(seconds=0.1)
     with pytest.raises(LimitError, match="seconds"):
         engine.query(goal)
@@ -136,7 +137,7 @@ def test_endless_goal_exceeds_seconds(program, goal):
 
 
 @pytest.mark.parametrize("goal", ["forever", "upto(3, X), forever"])
-def test_endless_goal_exceeds_inferences(program, goal):
+def test_endless_goal_exceeds_inferences(program: Any, goal: str) -> None:
     engine = program(inferences=50_000)
     with pytest.raises(PrologError, match="inferences"):
         engine.query(goal)
@@ -144,13 +145,13 @@ def test_endless_goal_exceeds_inferences(program, goal):
 
 
 @pytest.mark.slow
-def test_catching_goal_exceeds_inferences(program):
+def test_catching_goal_exceeds_inferences(program: Any) -> None:
     with pytest.raises(PrologError, match="inferences"):
         program(inferences=50_000).query("retrying")
 
 
 @pytest.mark.slow
-def test_growing_goal_exceeds_memory(program):
+def test_growing_goal_exceeds_memory(program: Any) -> None:
     with pytest.raises(PrologError, match="memory"):
         program(megabytes=50).query("piles")
     assert program().call("forgets")
@@ -163,31 +164,31 @@ def test_growing_goal_exceeds_memory(program):
         ("call_with_inference_limit(forever, 1000, R), throw(R)", "inference_limit_exceeded"),
     ],
 )
-def test_limits_of_calls_end_swi_goal(engine, goal, expected):
+def test_limits_of_calls_end_swi_goal(engine: Any, goal: str, expected: str) -> None:
     assert values(engine, f"catch(({goal}), X, true)") == [expected]
 
 
-def test_exceeded_limit_is_caught_once(program):
+def test_exceeded_limit_is_caught_once(program: Any) -> None:
     engine = program(seconds=0.05)
     assert values(engine, "catch(forever, error(X, _), true)") == ["resource_error(seconds)"]
     with pytest.raises(LimitError):
         engine.query("catch(forever, _, true), forever")
 
 
-def test_swi_goal_calls_program(engine):
+def test_swi_goal_calls_program(engine: Any) -> None:
     assert values(engine, "asks(near(a, _), X)") == ["[near(a,b),near(a,c)]"]
     assert values(engine, "asks(upto(3, _), X)") == ["[upto(3,1),upto(3,2),upto(3,3)]"]
     assert values(engine, "asks(asks(near(a, A), L), X)")[0].endswith("[near(a,b),near(a,c)])]")
 
 
-def test_error_of_callback_is_raised(engine):
+def test_error_of_callback_is_raised(engine: Any) -> None:
     with pytest.raises(PrologError, match="Unknown procedure: farther/1"):
         engine.query("asks(farther(a), X)")
     assert values(engine, "asks_safely(throw(oh(1)), X)") == ["oh(1)"]
     assert values(engine, "asks_safely(forever_not_there, error(X, _))")[0].startswith("existence_error")
 
 
-def test_callback_exceeds_limit(program):
+def test_callback_exceeds_limit(program: Any) -> None:
     engine = program("turning :- turning.\n", seconds=0.05)
     with pytest.raises(LimitError, match="seconds"):
         engine.query("asks(turning, X)")
@@ -195,7 +196,7 @@ def test_callback_exceeds_limit(program):
     assert values(engine, "inc(1, X)") == ["2"]
 
 
-def test_swi_goal_reads_memories(folder, program):
+def test_swi_goal_reads_memories(folder: Any, program: Any) -> None:
     (folder / "reading.pl").write_text(
         ":- module(reading, [newest/2, between_them/3, all/1]).\n"
         "newest(At, X) :- prev(m, number(X), _, _, At).\n"
@@ -213,10 +214,10 @@ def test_swi_goal_reads_memories(folder, program):
     assert values(engine, "all(X)") == ["[30,20,10]"]
 
 
-def test_threads_query_in_turn(engine):
+def test_threads_query_in_turn(engine: Any) -> None:
     results, errors = [], []
 
-    def query():
+    def query() -> None:
         try:
             results.append(values(engine, "upto(2, A), inc(A, X)"))
         except RetalisError as error:
@@ -230,9 +231,9 @@ def test_threads_query_in_turn(engine):
     assert (results, errors) == ([["2", "3"]] * 10, [])
 
 
-def test_tabling_works_in_each_thread(engine):
+def test_tabling_works_in_each_thread(engine: Any) -> None:
     """Tabling measures the free part of the C stack, which differs between threads."""
-    results = []
+    results: List[Any] = []
     deeper = [
         threading.Thread(target=lambda: results.append(values(engine, "count(2, X)"))) for _ in range(4)
     ]
@@ -245,13 +246,13 @@ def test_tabling_works_in_each_thread(engine):
     assert results == [["40"], *[["39"]] * 4]
 
 
-def test_solutions_of_other_thread_are_refused(program):
+def test_solutions_of_other_thread_are_refused(program: Any) -> None:
     logic = program().logic
     solutions = logic.solutions((functor("upto", 2), 3, Var()))
     next(solutions)
-    refusals = []
+    refusals: List[Any] = []
 
-    def continue_in_thread():
+    def continue_in_thread() -> None:
         with pytest.raises(RetalisError, match="by the thread that requested the first one"):
             next(solutions)
         refusals.append(True)
@@ -264,8 +265,8 @@ def test_solutions_of_other_thread_are_refused(program):
     assert logic.once((functor("inc", 2), 1, 2))
 
 
-def test_unfinished_solutions_of_thread_are_closed(engine):
-    def query():
+def test_unfinished_solutions_of_thread_are_closed(engine: Any) -> None:
+    def query() -> None:
         assert len(engine.query("upto(1000, X), upto(1000, Y)", most=3)) == 3
 
     thread = threading.Thread(target=query)
@@ -274,7 +275,7 @@ def test_unfinished_solutions_of_thread_are_closed(engine):
     assert values(engine, "upto(2, X)") == ["1", "2"]
 
 
-def test_new_engines_reuse_swi(program):
+def test_new_engines_reuse_swi(program: Any) -> None:
     for number in range(5):
         engine = program(f"own({number}).\n")
         assert values(engine, "upto(3, X), own(_), !") == ["1"]
@@ -282,7 +283,7 @@ def test_new_engines_reuse_swi(program):
     gc.collect()
 
 
-def test_many_open_goals_keep_their_solutions(program):
+def test_many_open_goals_keep_their_solutions(program: Any) -> None:
     engine = program("deep(0, []).\ndeep(N, [X|L]) :- N > 0, upto(2, X), M is N - 1, deep(M, L).\n")
     assert values(engine, "deep(300, L), !, length(L, X)") == ["300"]
     assert values(engine, "findall(L, deep(4, L), A), length(A, X)") == ["16"]

@@ -1,5 +1,7 @@
 """Round trip of terms through SWI-Prolog."""
 
+from typing import Any
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -36,14 +38,14 @@ PAIR = functor("-", 2)
 
 
 @pytest.fixture(scope="module")
-def logic(folder):
+def logic(folder: Any) -> Any:
     system = PrologSystem()
     path = str(folder / "kb.pl")
     use_swi(system, SwiFile(path, atom(path), NIL), warn=print)
     return system
 
 
-def echo(logic, term):
+def echo(logic: Any, term: Any) -> Any:
     """Return a term after its conversion to SWI-Prolog and back."""
     result = Var()
     assert logic.once((ECHO, term, result))
@@ -53,13 +55,13 @@ def echo(logic, term):
 @pytest.mark.slow
 @settings(max_examples=50)
 @given(term=TERMS)
-def test_terms_are_converted_both_ways(logic, term):
+def test_terms_are_converted_both_ways(logic: Any, term: Any) -> None:
     back = echo(logic, term)
     assert variant_key((PAIR, term, back)) == variant_key((PAIR, term, term))
 
 
 @pytest.mark.slow
-def test_large_terms_are_converted_both_ways(logic):
+def test_large_terms_are_converted_both_ways(logic: Any) -> None:
     nested = 0
     for _ in range(30_000):
         nested = (functor("f", 1), nested)
@@ -71,6 +73,6 @@ def test_large_terms_are_converted_both_ways(logic):
 
 
 @pytest.mark.slow
-def test_thousands_of_atoms_are_converted(logic):
+def test_thousands_of_atoms_are_converted(logic: Any) -> None:
     for number in range(4_500):
         assert echo(logic, atom(f"atom {number}")).name == f"atom {number}"

@@ -4,6 +4,8 @@ import ctypes
 import os
 import subprocess
 import sys
+from pathlib import Path
+from typing import Any
 
 import pytest
 from python_path import python_path
@@ -15,20 +17,20 @@ from retalis.prolog.swi import libswipl
 ALLOWED = Settings(allow_swi=True)
 
 
-def test_use_swi_requires_permission(tmp_path):
+def test_use_swi_requires_permission(tmp_path: Path) -> None:
     (tmp_path / "any.pl").write_text(":- module(any, [any/1]).\nany(1).\n")
     with pytest.raises(ProgramErrors, match="load swi_file .*: the setting allow_swi is off"):
         Engine().load(rules=":- use_swi('any.pl').", folder=tmp_path)
 
 
-def test_use_swi_at_run_time_is_refused(folder):
+def test_use_swi_at_run_time_is_refused(folder: Any) -> None:
     engine = Engine(settings=ALLOWED)
     engine.load(rules="near(a).", folder=folder)
     with pytest.raises(RetalisError, match="load swi_file .* only what the program's own files ask for"):
         engine.query("use_swi('kb.pl')")
 
 
-def test_missing_swi_prolog_is_reported(monkeypatch, tmp_path):
+def test_missing_swi_prolog_is_reported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "any.pl").write_text(":- module(any, [any/1]).\nany(1).\n")
     libswipl.find_library.cache_clear()
     session = pytest.importorskip("retalis.prolog.swi.swi_session")
@@ -39,14 +41,14 @@ def test_missing_swi_prolog_is_reported(monkeypatch, tmp_path):
         Engine(settings=ALLOWED).load(rules=":- use_swi('any.pl').", folder=tmp_path)
 
 
-def test_function_missing_in_older_version_is_reported(monkeypatch):
+def test_function_missing_in_older_version_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     class OldLibrary(ctypes.PyDLL):
         """A library that has not all of the functions."""
 
-        def __init__(self, name, **options):
+        def __init__(self, name: str, **options: Any) -> None:
             super().__init__("libc.so.6", **options)
 
-        def __getitem__(self, name):
+        def __getitem__(self, name: Any) -> Any:
             return super().__getitem__("abs" if name != "PL_is_acyclic" else name)
 
     find = libswipl.find_library.__wrapped__
@@ -63,7 +65,7 @@ def test_function_missing_in_older_version_is_reported(monkeypatch):
 
 
 @pytest.mark.slow
-def test_engine_without_use_swi_loads_no_bridge():
+def test_engine_without_use_swi_loads_no_bridge() -> None:
     environment = {**os.environ, "PYTHONPATH": python_path()}
     script = (
         "import sys, retalis; retalis.Engine(); "
@@ -76,7 +78,7 @@ def test_engine_without_use_swi_loads_no_bridge():
 
 
 @pytest.mark.slow
-def test_enabled_tests_fail_without_swi_prolog():
+def test_enabled_tests_fail_without_swi_prolog() -> None:
     script = (
         "import sys, pytest; from retalis.prolog.swi import libswipl; "
         "libswipl.LIBRARY_NAMES = libswipl.LIBRARY_PATTERNS = (); "
@@ -91,7 +93,7 @@ def test_enabled_tests_fail_without_swi_prolog():
     assert "skipped" not in process.stdout
 
 
-def test_named_predicates_are_defined(swi, folder):
+def test_named_predicates_are_defined(swi: Any, folder: Any) -> None:
     (folder / "plain.pl").write_text("near(a, b).\nnear(b, c).\nnext_to(X, Y) :- near(X, Y).\n")
     engine = Engine(settings=ALLOWED)
     engine.load(rules=":- use_swi('plain.pl', [next_to/2, near/2 as close_by]).", folder=folder)
@@ -100,7 +102,7 @@ def test_named_predicates_are_defined(swi, folder):
         engine.query("near(a, X)")
 
 
-def test_library_predicates_are_defined(swi):
+def test_library_predicates_are_defined(swi: Any) -> None:
     engine = Engine(settings=ALLOWED)
     engine.load(goals="use_swi(library(ugraphs), [vertices_edges_to_ugraph/3, reachable/3])")
     (answer,) = engine.query("vertices_edges_to_ugraph([], [a-b, b-c], G), reachable(b, G, L)")
@@ -122,13 +124,15 @@ def test_library_predicates_are_defined(swi):
         ("near(a).\n", "use_swi(library(not_there), [near/1])", "not_there"),
     ],
 )
-def test_invalid_use_is_reported(swi, folder, tmp_path, text, call, message):
+def test_invalid_use_is_reported(
+    swi: Any, folder: Any, tmp_path: Path, text: str, call: str, message: str
+) -> None:
     (tmp_path / "wrong.pl").write_text(text)
     with pytest.raises(ProgramErrors, match=message):
         Engine(settings=ALLOWED).load(rules=f":- {call}.", folder=tmp_path)
 
 
-def test_warning_of_swi_is_logged(swi, tmp_path, caplog):
+def test_warning_of_swi_is_logged(swi: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "doubtful.pl").write_text(
         ":- module(doubtful, [lonely/1]).\nlonely(X) :- near(Y).\nnear(1).\n"
     )
@@ -138,7 +142,7 @@ def test_warning_of_swi_is_logged(swi, tmp_path, caplog):
     assert "doubtful.pl:2: Singleton variables" in caplog.text
 
 
-def test_changed_file_is_loaded_again(swi, tmp_path):
+def test_changed_file_is_loaded_again(swi: Any, tmp_path: Path) -> None:
     path = tmp_path / "changing.pl"
     text = (
         ":- module(changing, [version/1, to/2]).\n:- table to/2.\nto(X, Y) :- to(X, Z), Y is Z + 1, Y < 5.\n"
@@ -155,7 +159,7 @@ def test_changed_file_is_loaded_again(swi, tmp_path):
     assert len(first.query("to(1, X)")) == 4
 
 
-def test_restored_engine_loads_swi_file_again(swi, tmp_path):
+def test_restored_engine_loads_swi_file_again(swi: Any, tmp_path: Path) -> None:
     (tmp_path / "kept.pl").write_text(
         ":- module(kept, [learn/1, known/1]).\n:- dynamic known/1.\nknown(0).\nlearn(X) :- assertz(known(X)).\n"
     )

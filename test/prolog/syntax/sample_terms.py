@@ -1,6 +1,7 @@
 """Strategies for random terms, and their comparison."""
 
 import struct
+from typing import Any, Dict, List, Tuple
 
 from hypothesis import strategies as st
 
@@ -8,10 +9,10 @@ from retalis import Atom, String, Var, atom, deref, functor
 from retalis.prolog.terms.types import CONS, NIL
 
 
-def shape(term):
+def shape(term: Any) -> Any:
     """Return a hashable value that is equal for terms that differ in the names of variables only."""
-    numbers = {}
-    flat = []
+    numbers: Dict[Any, Any] = {}
+    flat: List[Any] = []
     stack = [term]
     while stack:
         item = deref(stack.pop())
@@ -45,12 +46,12 @@ numbers = st.one_of(
 leaves = st.one_of(atoms, numbers, variables, st.text(max_size=4).map(String))
 
 
-def _compound(children):
-    def build(pair):
+def _compound(children: Any) -> Any:
+    def build(pair: Any) -> Tuple[Any, ...]:
         name, arguments = pair
         return (functor(name, len(arguments)), *arguments)
 
-    def make(pair):
+    def make(pair: Any) -> Any:
         items, tail = pair
         for item in reversed(items):
             tail = (CONS, item, tail)

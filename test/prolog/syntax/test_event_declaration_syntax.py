@@ -1,5 +1,7 @@
 """The prefix ``event`` of declarations, which is an ordinary name elsewhere."""
 
+from typing import Any
+
 import pytest
 
 from retalis import Operators, SyntaxFault
@@ -10,7 +12,7 @@ from retalis.prolog.syntax.tokenizer import ReadFlags
 OPERATORS = Operators.prolog()
 
 
-def read(text, flags=None):
+def read(text: str, flags: Any = None) -> Any:
     return writeq(read_term(text, OPERATORS, flags=flags or ReadFlags()).term, OPERATORS)
 
 
@@ -24,7 +26,7 @@ def read(text, flags=None):
         (":- event 'T one'.", ":-declare_event('T one')"),
     ],
 )
-def test_declaration_is_read_as_goal(text, term):
+def test_declaration_is_read_as_goal(text: str, term: str) -> None:
     assert read(text) == term
 
 
@@ -42,30 +44,30 @@ def test_declaration_is_read_as_goal(text, term):
         "a<-event seq b",
     ],
 )
-def test_event_stays_an_ordinary_name_elsewhere(text):
+def test_event_stays_an_ordinary_name_elsewhere(text: str) -> None:
     assert read(text) == text
 
 
 @pytest.mark.parametrize(
     "text", ["a :- event t.", "X = (event t)", ":- a, event t.", ":- event T.", "event t <- b."]
 )
-def test_declaration_inside_term_is_refused(text):
+def test_declaration_inside_term_is_refused(text: str) -> None:
     with pytest.raises(SyntaxFault, match="expected an operator"):
         read(text)
 
 
-def test_constructed_event_is_no_declaration():
+def test_constructed_event_is_no_declaration() -> None:
     with pytest.raises(SyntaxFault, match="expected an operator"):
         read("event t", ReadFlags(is_constructed=True))
 
 
-def test_operator_of_program_has_precedence():
+def test_operator_of_program_has_precedence() -> None:
     operators = OPERATORS.copy()
     operators.add(700, "xfx", "near")
     assert writeq(read_term("event near a", operators).term, operators) == "event near a"
 
 
-def test_parts_of_declaration_have_places():
+def test_parts_of_declaration_have_places() -> None:
     _, clause = read_program("x.\n  :- event t(a:atom, b:nubmer).", OPERATORS)
     declared = clause.term[1][1]
     assert [clause.place_of(declared, argument).column for argument in (0, 1, 2)] == [12, 14, 22]

@@ -1,6 +1,7 @@
 """Event text, read by shape, compared with the general reader."""
 
 import re
+from typing import Any, List
 
 import pytest
 from hypothesis import example, given, settings
@@ -25,25 +26,25 @@ TF = (
 )
 
 
-def read_completely(text):
+def read_completely(text: Any) -> Any:
     return read_term(text, OPERATORS, flags=ReadFlags(event_text=True)).term
 
 
-def outcome(read, text):
+def outcome(read: Any, text: Any) -> Any:
     try:
         return shape(read(text))
     except SyntaxFault as fault:
         return fault.message
 
 
-def check(text, reader=None):
+def check(text: str, reader: Any = None) -> None:
     reader = reader or EventReader()
     expected = outcome(read_completely, text)
     assert outcome(reader.read, text) == expected
     assert outcome(reader.read, text) == expected
 
 
-def test_repeated_tf_event_adds_no_cache_entry():
+def test_repeated_tf_event_adds_no_cache_entry() -> None:
     reader = EventReader()
     assert to_text(reader.read(TF)) == TF
     assert to_text(reader.read(TF)) == TF
@@ -105,7 +106,7 @@ def test_repeated_tf_event_adds_no_cache_entry():
         "e(`12`)",
     ],
 )
-def test_text_is_read_as_by_full_reader(text):
+def test_text_is_read_as_by_full_reader(text: str) -> None:
     check(text)
 
 
@@ -142,7 +143,7 @@ KNOWN = "event(e(0,[1,2],'a',b('b'),0.5,[]))"
         f"event(e({'1' * 5000},[1,2],'a',b('b'),0.5,[]))",
     ],
 )
-def test_text_of_known_shape_is_read_as_by_full_reader(text):
+def test_text_of_known_shape_is_read_as_by_full_reader(text: str) -> None:
     reader = EventReader()
     for _ in range(3):
         reader.read(KNOWN)
@@ -150,7 +151,7 @@ def test_text_of_known_shape_is_read_as_by_full_reader(text):
     check(KNOWN, reader)
 
 
-def test_number_of_numbers_does_not_change_terms():
+def test_number_of_numbers_does_not_change_terms() -> None:
     reader = EventReader()
     for text in (
         f"event(e([{','.join(['1.5'] * 36)}],'a'))",
@@ -165,14 +166,14 @@ def test_number_of_numbers_does_not_change_terms():
             check(text, reader)
 
 
-def test_alternating_shapes_are_read_as_by_full_reader():
+def test_alternating_shapes_are_read_as_by_full_reader() -> None:
     reader = EventReader()
     for text in [KNOWN, KNOWN, KNOWN.replace("0.5", "a"), KNOWN.replace("[]", "[1]"), KNOWN] * 3:
         check(text, reader)
         assert reader.ground is True
 
 
-def test_similar_shapes_are_distinguished():
+def test_similar_shapes_are_distinguished() -> None:
     reader = EventReader()
     items = [
         "1",
@@ -202,7 +203,7 @@ def test_similar_shapes_are_distinguished():
                 check(f"event(e({left},[{right}]))", reader)
 
 
-def test_special_floats_differ_from_quoted_atoms():
+def test_special_floats_differ_from_quoted_atoms() -> None:
     read = EventReader().read
     assert read("nan") != read("nan")
     assert read("-inf") == float("-inf")
@@ -211,7 +212,7 @@ def test_special_floats_differ_from_quoted_atoms():
 
 
 @pytest.mark.parametrize("size", [1, 17, 250, 1000])
-def test_long_arrays_are_read(size):
+def test_long_arrays_are_read(size: int) -> None:
     reader = EventReader()
     for start in (0, 5):
         text = f"scan([{','.join(str(number / 2) for number in range(start, start + size))}],x,7)"
@@ -223,7 +224,7 @@ def test_long_arrays_are_read(size):
     check(f"e(a,{','.join(['1'] * size)},[{','.join(['b', '1'] * size)}])", reader)
 
 
-def test_number_of_cached_shapes_is_bounded():
+def test_number_of_cached_shapes_is_bounded() -> None:
     reader = EventReader()
     for number in range(600):
         reader.read(f"e{number}(1)")
@@ -231,7 +232,7 @@ def test_number_of_cached_shapes_is_bounded():
 
 
 @pytest.mark.slow
-def test_deep_term_is_read():
+def test_deep_term_is_read() -> None:
     text = "f(" * 50_000 + "1" + ")" * 50_000
     reader = EventReader()
     assert to_text(reader.read(text)) == text
@@ -240,7 +241,7 @@ def test_deep_term_is_read():
 @pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(st.lists(terms, min_size=1, max_size=3))
-def test_written_terms_are_read_as_by_full_reader(written):
+def test_written_terms_are_read_as_by_full_reader(written: List[Any]) -> None:
     reader = EventReader()
     for term in written * 2:
         check(to_text(term), reader)
@@ -302,7 +303,7 @@ SHARED = EventReader()
 @settings(max_examples=1000, deadline=None)
 @given(st.lists(PIECES, max_size=12).map("".join))
 @example("f('\0')")
-def test_any_text_is_read_as_by_full_reader(text):
+def test_any_text_is_read_as_by_full_reader(text: Any) -> None:
     reader = SHARED  # shapes of earlier texts must not change the result
     for variant in (
         text,
@@ -315,16 +316,16 @@ def test_any_text_is_read_as_by_full_reader(text):
         check(variant, reader)
 
 
-def test_capitalized_booleans_are_read():
+def test_capitalized_booleans_are_read() -> None:
     for _ in range(2):  # by the full reader, then by its shape
         term = EventReader().read("event(p(True,False,Truth))")
         assert term[1][1:3] == (TRUE, FALSE)
         assert term[1][3].__class__ is Var
 
 
-def test_reader_reports_whether_term_is_ground():
+def test_reader_reports_whether_term_is_ground() -> None:
     reader = EventReader()
-    states = []
+    states: List[Any] = []
     for text in ("e(1,'a')", "e(2,'b')", "e(X,[1])", "e(Y,[2])", "e(1 + 2)", "e(1"):
         try:
             reader.read(text)

@@ -1,5 +1,7 @@
 """End and value of quoted text."""
 
+from typing import Any, Optional
+
 import pytest
 
 from retalis import Operators, SyntaxFault
@@ -32,7 +34,7 @@ OPERATORS = Operators.prolog()
         ("`a``'`", 6),
     ],
 )
-def test_closing_quote_ends_text(text, end):
+def test_closing_quote_ends_text(text: str, end: Optional[int]) -> None:
     assert quote_end(text, 0) == end
 
 
@@ -48,7 +50,7 @@ def test_closing_quote_ends_text(text, end):
         ("'a.\\", 3),
     ],
 )
-def test_unclosed_text_ends_with_clause(text, end):
+def test_unclosed_text_ends_with_clause(text: str, end: int) -> None:
     assert unclosed_quote_end(text, 0) == end
 
 
@@ -56,14 +58,14 @@ def test_unclosed_text_ends_with_clause(text, end):
     "text",
     ["f('\\x41\\',',b)", "f('\\x41\\','b')", "f('\\c\n ',1)", "'a'''", "f('a'',b)", "f('a\\x41\\''',\n1)"],
 )
-def test_readers_agree_on_quoted_text(text):
-    def outcome(read):
+def test_readers_agree_on_quoted_text(text: str) -> None:
+    def outcome(read: Any) -> Any:
         try:
             return read(text)
         except SyntaxFault as fault:
             return fault.message, fault.place.column
 
-    def read_completely(text):
+    def read_completely(text: Any) -> Any:
         return read_term(text, OPERATORS, "event text", ReadFlags(event_text=True)).term
 
     assert outcome(EventReader(OPERATORS).read) == outcome(read_completely)

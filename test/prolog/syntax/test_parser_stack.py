@@ -1,5 +1,7 @@
 """Syntax errors: messages and places."""
 
+from typing import Any
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -77,7 +79,7 @@ FAULTS = [
 
 
 @pytest.mark.parametrize(("text", "column", "parts"), FAULTS)
-def test_syntax_error_has_message_and_column(text, column, parts):
+def test_syntax_error_has_message_and_column(text: Any, column: Any, parts: Any) -> None:
     with pytest.raises(SyntaxFault) as error:
         read_term(text, OPERATORS, "rules.txt")
     fault = error.value
@@ -104,7 +106,7 @@ last(
 """
 
 
-def test_errors_of_program_are_reported_together():
+def test_errors_of_program_are_reported_together() -> None:
     read = list(read_program(PROGRAM, OPERATORS, "p"))
     terms = [writeq(entry.term).split("(")[0] for entry in read if isinstance(entry, ReadTerm)]
     faults = [entry.place.line for entry in read if isinstance(entry, SyntaxFault)]
@@ -112,18 +114,18 @@ def test_errors_of_program_are_reported_together():
     assert faults == [3, 5, 6, 7, 8, 9, 12]
 
 
-def test_caret_is_below_error():
+def test_caret_is_below_error() -> None:
     fault = list(read_program("a.\n\tb :- c d.\n", OPERATORS, "p"))[1]
     assert str(fault).split("\n")[1:] == ["\tb :- c d.", "\t       ^"]
 
 
-def test_missing_full_stop_of_last_clause_is_an_error():
+def test_missing_full_stop_of_last_clause_is_an_error() -> None:
     (fault,) = read_program("a :- b % c", OPERATORS)
     assert "expected a full stop" in fault.message
     assert fault.place.column == 7
 
 
-def test_parts_of_term_have_places():
+def test_parts_of_term_have_places() -> None:
     read = read_term("out(X) <-\n  a(X) seq (b * c) where X > 1.", OPERATORS, "p")
     where = read.term[2]
     assert str(read.place) == "p:1:1"
@@ -207,7 +209,7 @@ PIECES = st.sampled_from(
 @pytest.mark.slow
 @settings(max_examples=700, deadline=None)
 @given(st.lists(st.one_of(PIECES, st.just(" ")), max_size=25).map("".join) | st.text(max_size=30))
-def test_any_text_is_read_or_is_a_syntax_error(text):
+def test_any_text_is_read_or_is_a_syntax_error(text: Any) -> None:
     for entry in read_program(text, OPERATORS):
         assert isinstance(entry, (ReadTerm, SyntaxFault))
     for flags in (ReadFlags(), ReadFlags(iso=True), ReadFlags(event_text=True)):
@@ -224,7 +226,7 @@ def test_any_text_is_read_or_is_a_syntax_error(text):
     ("opening", "closing"), [("(", ")"), ("f(", ")"), ("[", "]"), ("{", "}"), ("- ", ""), ("[a|", "]")]
 )
 @pytest.mark.parametrize("rule", ["", "x <- "])
-def test_deep_nesting_is_read_or_refused(opening, closing, rule):
+def test_deep_nesting_is_read_or_refused(opening: str, closing: str, rule: str) -> None:
     depth = 30_000
     read_term(rule + opening * depth + "b" + closing * depth, OPERATORS)
     with pytest.raises(SyntaxFault):
@@ -235,6 +237,6 @@ def test_deep_nesting_is_read_or_refused(opening, closing, rule):
 @pytest.mark.parametrize(
     "text", ["'\\'", "' . ", '"\\\n', "0'", "1_ ", "'\\\n\\'", "(,", "a b\n", "/*", "\\"]
 )
-def test_long_repeated_text_is_read(text):
+def test_long_repeated_text_is_read(text: str) -> None:
     for entry in read_program(text * 20_000, OPERATORS):
         assert isinstance(entry, (ReadTerm, SyntaxFault))

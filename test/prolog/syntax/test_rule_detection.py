@@ -1,5 +1,7 @@
 """Event rules: scope of operators, and canonical terms."""
 
+from typing import Any, List
+
 import pytest
 
 from retalis import Operators
@@ -91,14 +93,14 @@ RULES = {
 
 
 @pytest.mark.parametrize("text", RULES)
-def test_rule_is_read_as_canonical_term(text):
+def test_rule_is_read_as_canonical_term(text: Any) -> None:
     read = read_term(text, OPERATORS)
     names = {variable: name for name, variable in read.names.items()}
     canonical = write_term(read.term, Operators(), variable_names=names).replace("'rule:'", "rule:")
     assert canonical == RULES[text]
 
 
-def test_rules_of_original_program_are_read():
+def test_rules_of_original_program_are_read() -> None:
     text = """
     null_event do split_tf(Transforms) <- tf__0__tfMessage(Transforms).
     split_ar_pose(Markers) <- ar_pose__0__ARMarkers(Header,Markers).
@@ -116,19 +118,19 @@ def test_rules_of_original_program_are_read():
     assert write_term(condition[2], ignore_ops=True, variable_names={}).startswith("+(")
 
 
-def test_new_operator_applies_from_next_clause():
+def test_new_operator_applies_from_next_clause() -> None:
     operators = Operators.prolog()
     reader = read_program("a.\nx ~~ y.\n p <- q ~~ r * s.", operators)
-    clauses = []
+    clauses: List[Any] = []
     for entry in reader:
         operators.add(700, "xfx", "~~")
         clauses.append(write_term(entry.term, Operators()))
     assert clauses == ["a", "~~(x,y)", "<-(p,seq(~~(q,r),s))"]
 
 
-def test_new_flags_apply_from_next_clause():
+def test_new_flags_apply_from_next_clause() -> None:
     reader = read_program('x("a"). x("a").', OPERATORS)
-    clauses = []
+    clauses: List[Any] = []
     for entry in reader:
         clauses.append(write_term(entry.term))
         reader.flags = reader.flags._replace(double_quotes="codes")

@@ -1,6 +1,7 @@
 """Written terms: ISO 13211-1, and SWI-Prolog 9 where the standard leaves it open."""
 
 import math
+from typing import Any
 
 import pytest
 
@@ -104,11 +105,11 @@ WRITTEN = {
 
 
 @pytest.mark.parametrize("text", WRITTEN)
-def test_writeq_quotes_and_spaces_terms(text):
+def test_writeq_quotes_and_spaces_terms(text: Any) -> None:
     assert writeq(read_term(text, OPERATORS).term, OPERATORS) == WRITTEN[text]
 
 
-def test_write_options_change_text():
+def test_write_options_change_text() -> None:
     term = read_term("f('A b',\"s\",x+1,[1,2],{y,z},- 1)", OPERATORS).term
     assert write_term(term, quoted=False) == "f(A b,s,x+1,[1,2],{y,z},- 1)"
     assert write_term(term, ignore_ops=True) == "f('A b',\"s\",+(x,1),[1,2],{','(y,z)},-(1))"
@@ -122,7 +123,7 @@ def test_write_options_change_text():
     )
 
 
-def test_variables_are_named_or_numbered():
+def test_variables_are_named_or_numbered() -> None:
     first, second = Var(), Var()
     second.ref = atom("b")
     term = (functor("f", 3), first, second, first)
@@ -130,13 +131,13 @@ def test_variables_are_named_or_numbered():
     assert write_term(term, variable_names={first: "X"}) == "f(X,b,X)"
 
 
-def test_lazy_terms_are_decoded():
+def test_lazy_terms_are_decoded() -> None:
     lazy = Lazy(functor("g", 1), lambda source: (functor("g", 1), source), 7)
     term = (functor("f", 2), lazy, (CONS, lazy, Lazy(CONS, lambda source: (CONS, source, NIL), 8)))
     assert to_text(term) == writeq(term) == "f(g(7),[g(7),8])"
 
 
-def test_event_text_has_no_operators():
+def test_event_text_has_no_operators() -> None:
     items = make_list([1, -2.5, math.inf, -math.inf, math.nan, 1e22, atom("nan"), String("s")])
     term = (functor("e", 2), items, atom('"/odom"'))
     assert to_text(term) == "e([1,-2.5,inf,-inf,nan,1.0e+22,'nan',\"s\"],'\"/odom\"')"
@@ -144,7 +145,7 @@ def test_event_text_has_no_operators():
 
 
 @pytest.mark.slow
-def test_long_and_deep_terms_are_written():
+def test_long_and_deep_terms_are_written() -> None:
     items = make_list(range(300_000))
     assert writeq(items).endswith(",299999]")
     assert to_text(items) == writeq(items)

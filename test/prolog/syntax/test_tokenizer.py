@@ -1,6 +1,7 @@
 """Tokens and terms of Prolog text, as SWI-Prolog 9 reads them where ISO leaves it open."""
 
 import math
+from typing import Any
 
 import pytest
 
@@ -14,7 +15,7 @@ from retalis.prolog.terms.types import NIL
 OPERATORS = Operators.prolog()
 
 
-def read(text, **flags):
+def read(text: str, **flags: Any) -> Any:
     return read_term(text, OPERATORS, flags=ReadFlags(**flags)).term
 
 
@@ -42,7 +43,7 @@ def read(text, **flags):
         ("-7", -7),
     ],
 )
-def test_number_has_value_and_type(text, value):
+def test_number_has_value_and_type(text: str, value: Any) -> None:
     number = read(text)
     assert number == value
     assert type(number) is type(value)
@@ -50,19 +51,19 @@ def test_number_has_value_and_type(text, value):
         assert read(write_term(value)) == value
 
 
-def test_long_integers_are_read_and_written():
+def test_long_integers_are_read_and_written() -> None:
     assert read("9" * 10_000) == 10**10_000 - 1
     assert write_term(10**20_000 + 7) == "1" + "0" * 19_999 + "7"
     assert write_term(-(10**9000)) == "-1" + "0" * 9000
 
 
-def test_nan_is_read_and_written():
+def test_nan_is_read_and_written() -> None:
     assert math.isnan(read("1.5NaN"))
     assert write_term(math.nan) == "1.5NaN"
 
 
 @pytest.mark.parametrize("text", ["1 000", "1e", "1r3", "1a", "2'12", "0x", "37'1", "1'1", "1.0e400"])
-def test_invalid_number_is_refused(text):
+def test_invalid_number_is_refused(text: str) -> None:
     with pytest.raises(SyntaxFault):
         read(text)
 
@@ -89,16 +90,16 @@ def test_invalid_number_is_refused(text):
         ("\ufeffa", "a"),
     ],
 )
-def test_atom_has_name(text, name):
+def test_atom_has_name(text: str, name: str) -> None:
     assert read(text) is atom(name)
 
 
-def test_comment_does_not_begin_inside_symbol_atom():
+def test_comment_does_not_begin_inside_symbol_atom() -> None:
     with pytest.raises(SyntaxFault):
         read("+/*x*/")
 
 
-def test_double_quotes_follow_flag():
+def test_double_quotes_follow_flag() -> None:
     codes, chars = make_list([97, 98]), make_list([atom("a"), atom("b")])
     assert read('"ab"') == String("ab")
     assert read('"ab"', double_quotes="codes") == codes == read("`ab`")
@@ -108,7 +109,7 @@ def test_double_quotes_follow_flag():
     assert read('""', double_quotes="codes") is NIL
 
 
-def test_nan_and_inf_are_numbers_in_event_text_only():
+def test_nan_and_inf_are_numbers_in_event_text_only() -> None:
     text = "e(nan,inf,-inf,'nan',nan(1),a-inf)"
     assert to_text(read(text, event_text=True)) == "e(nan,inf,-inf,'nan',nan(1),-(a,inf))"
     assert to_text(read(text)) == "e('nan','inf',-('inf'),'nan',nan(1),-(a,'inf'))"
@@ -151,11 +152,11 @@ TERMS = {
 
 
 @pytest.mark.parametrize("text", TERMS)
-def test_operators_are_read_as_canonical_term(text):
+def test_operators_are_read_as_canonical_term(text: Any) -> None:
     assert write_term(read(text), ignore_ops=True) == TERMS[text]
 
 
-def test_iso_flag_refuses_extensions():
+def test_iso_flag_refuses_extensions() -> None:
     for text in ("f(a:-b)", "[a:-b]", "- = x", "X = -", "1e10", "a:b"):
         operators = Operators.iso()
         with pytest.raises(SyntaxFault):
@@ -164,7 +165,7 @@ def test_iso_flag_refuses_extensions():
         read_term(text, Operators.iso(), flags=ReadFlags(iso=True))
 
 
-def test_variables_are_named_and_singletons_listed():
+def test_variables_are_named_and_singletons_listed() -> None:
     read = read_term("f(A,B,_C,_,A,_)", OPERATORS)
     assert list(read.names) == ["A", "B", "_C"]
     assert read.singletons == ["B"]

@@ -1,5 +1,7 @@
 """Round trip of terms: a written term is read as the same term."""
 
+from typing import Any, List
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -16,14 +18,14 @@ from retalis.prolog.system.prolog_system import PrologSystem
 EVENT = ReadFlags(event_text=True)
 
 
-def operator_tables():
+def operator_tables() -> Any:
     kinds = st.sampled_from(["xfx", "xfy", "yfx", "fy", "fx", "xf", "yf"])
     priorities = st.sampled_from([1, 100, 200, 200, 400, 500, 500, 700, 900, 999, 1000, 1001, 1150, 1200])
     usable = names.filter(lambda name: name not in (",", "|", "[]", "{}"))
     return st.lists(st.tuples(priorities, kinds, usable), max_size=12).map(_table)
 
 
-def _table(entries):
+def _table(entries: Any) -> Any:
     operators = Operators.prolog()
     for priority, kind, name in entries:
         if not (name in operators.infix and kind in ("xf", "yf")):  # ISO 13211-1, 8.14.3.3 forbids both
@@ -36,7 +38,7 @@ def _table(entries):
 @pytest.mark.slow
 @settings(max_examples=500, deadline=None)
 @given(terms, operator_tables())
-def test_written_term_is_read_as_same_term(term, operators):
+def test_written_term_is_read_as_same_term(term: Any, operators: Any) -> None:
     for text in (
         write_term(term, operators),
         write_term(term, operators, spacing=True),
@@ -50,14 +52,14 @@ def test_written_term_is_read_as_same_term(term, operators):
 @pytest.mark.slow
 @settings(max_examples=500, deadline=None)
 @given(terms)
-def test_event_text_is_read_as_same_term(term):
+def test_event_text_is_read_as_same_term(term: Any) -> None:
     """Strings excepted: in event text, ``"a"`` is the atom with the quotes inside."""
     read = read_term(to_text(term), Operators.prolog(), flags=EVENT).term
     expected = [_as_atom(item) for item in shape(term)]
     assert list(shape(read)) == expected
 
 
-def _as_atom(item):
+def _as_atom(item: Any) -> Any:
     is_string = not isinstance(item, Functor) and item[0] == "String"
     return ("Atom", atom(f'"{item[1].text}"')) if is_string else item
 
@@ -95,7 +97,7 @@ RULES = frozenset(
 """Operators of rules: their arguments are read as patterns, where `*` denotes another term than in Prolog."""
 
 
-def _applied(children):
+def _applied(children: Any) -> Any:
     prefix = st.sampled_from([":-", "?-", "\\+", "-", "@", "dynamic", "{}", "a", ":", "$", "+"])
     infix = st.sampled_from([":-", "-->", ",", ";", "->", "*->", "|", "=", "@", "-", "is", ":", "=>"])
     return st.one_of(
@@ -107,15 +109,15 @@ def _applied(children):
 clauses = st.recursive(st.one_of(terms, st.sampled_from(SYMBOLS).map(atom)), _applied, max_leaves=8)
 
 
-def _is_written_differently(item):
+def _is_written_differently(item: Any) -> Any:
     """Return whether a functor is written as a variable or read as a rule."""
     return item.__class__ is Functor and (item.name == "$VAR" or item.name in RULES)
 
 
-def check_written(logic, term):
+def check_written(logic: Any, term: Any) -> None:
     """Check that the text of each writing predicate is read as the same term."""
     for name in ("portray_clause", "writeq", "print", "write_canonical"):
-        written = []
+        written: List[Any] = []
         logic.output = written.append
         assert logic.once((functor(name, 1), term))
         text = "".join(written) + ("" if name == "portray_clause" else " .")
@@ -127,7 +129,7 @@ def check_written(logic, term):
 @pytest.mark.slow
 @settings(max_examples=400, deadline=None)
 @given(clauses.filter(lambda term: not any(map(_is_written_differently, shape(term)))), operator_tables())
-def test_written_clause_is_read_as_same_term(term, operators):
+def test_written_clause_is_read_as_same_term(term: Any, operators: Any) -> None:
     logic = PrologSystem()
     logic.operators.become(operators)
     check_written(logic, term)
@@ -159,7 +161,7 @@ FORMS = (
 
 
 @pytest.mark.parametrize("name", SYMBOLS)
-def test_operator_as_atom_is_read_as_same_term(name):
+def test_operator_as_atom_is_read_as_same_term(name: Any) -> None:
     """Alone, as argument, operand, item, head and goal."""
     logic = PrologSystem()
     text = f"({write_term(atom(name))})" if name != "," else "','"
@@ -167,7 +169,7 @@ def test_operator_as_atom_is_read_as_same_term(name):
         check_written(logic, read_term(form.format(text), logic.operators).term)
 
 
-def test_redefined_operator_is_written_without_layout():
+def test_redefined_operator_is_written_without_layout() -> None:
     logic = PrologSystem()
     assert logic.once(read_term("op(500, xfy, :-)", logic.operators).term)
     check_written(logic, read_term("':-'(:(a:b), \\+ a)", logic.operators).term)

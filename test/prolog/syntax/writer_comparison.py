@@ -31,7 +31,7 @@ WRITERS = ["writeq", "print", "write_canonical", "write", "portray_clause"]
 class Terms:
     """Generator of the texts of random terms, determined by its seed."""
 
-    def __init__(self, seed: int):
+    def __init__(self, seed: int) -> None:
         self.random = random.Random(seed)
 
     def term(self, depth: int) -> str:

@@ -4,7 +4,7 @@ import itertools
 import math
 import sys
 from pathlib import Path
-from typing import Any, Iterator, List
+from typing import Any, Dict, Iterator, List, Optional, Tuple
 
 import numpy
 import pytest
@@ -45,17 +45,17 @@ def is_even(number: int) -> bool:
 
 
 @foreign(name="parts", outputs=2)
-def split(text: str):
+def split(text: str) -> Any:
     return text.partition("-")[::2] if "-" in text else None
 
 
 @foreign(outputs=2)
-def steps(items: list):
+def steps(items: list) -> Iterator[Any]:
     yield from zip(items, items[1:])
 
 
 @foreign
-def swapped(term) -> Compound:
+def swapped(term) -> Compound:  # noqa: ANN001 - without an annotation, it receives the term's Python value
     return Compound(term.name, term.args[::-1])
 
 
@@ -84,13 +84,13 @@ ALL = (distance, upto, is_even, split, steps, swapped, kind, broken, broken_late
 
 
 @pytest.fixture
-def engine():
+def engine() -> Any:
     empty_engine = Engine()
     empty_engine.add_foreign(*ALL)
     return empty_engine
 
 
-def answers(engine, goal):
+def answers(engine: Any, goal: str) -> List[Dict[Any, Any]]:
     return [
         {name: engine.show(value) for name, value in answer.items() if name[0] != "_"}
         for answer in engine.query(goal)
@@ -118,7 +118,7 @@ def answers(engine, goal):
         ("findall(X, upto(2, X), L)", [{"X": "_", "L": "[1,2]"}]),
     ],
 )
-def test_foreign_function_returns_solutions(engine, goal, expected):
+def test_foreign_function_returns_solutions(engine: Any, goal: str, expected: Any) -> None:
     solutions = answers(engine, goal)
     assert [
         {name: "_" if value[:2] == "_G" else value for name, value in solution.items()}
@@ -137,13 +137,13 @@ def test_foreign_function_returns_solutions(engine, goal, expected):
         ("broken_later(X), fail", "python_error('KeyError',\"'x'\")"),
     ],
 )
-def test_wrong_arguments_and_exceptions_are_errors(engine, goal, formal):
+def test_wrong_arguments_and_exceptions_are_errors(engine: Any, goal: str, formal: str) -> None:
     with pytest.raises(PrologError) as caught:
         engine.query(goal)
     assert writeq(caught.value.term[1]) == formal
 
 
-def test_rule_calls_foreign_function():
+def test_rule_calls_foreign_function() -> None:
     engine = Engine()
     engine.add_foreign(distance)
     engine.load("near(D) <- at(X, Y) where (distance(X, Y, 0, 0, D), D < 2).")
@@ -154,7 +154,7 @@ def test_rule_calls_foreign_function():
     assert events == ["at(3,4)", "at(0,1)", "near(1.0)"]
 
 
-def test_invalid_foreign_functions_are_refused():
+def test_invalid_foreign_functions_are_refused() -> None:
     engine = Engine()
     with pytest.raises(UsageError, match="decorated"):
         engine.add_foreign(len)
@@ -176,7 +176,7 @@ def double(number: int) -> int:
 """
 
 
-def test_use_foreign_loads_module_of_program(tmp_path):
+def test_use_foreign_loads_module_of_program(tmp_path: Path) -> None:
     (tmp_path / "helpers.py").write_text(MODULE)
     rules = ":- use_foreign(helpers).\nb(Y) <- a(X) where double(X, Y).\n"
     (tmp_path / "rules.txt").write_text(rules)
@@ -194,7 +194,7 @@ def test_use_foreign_loads_module_of_program(tmp_path):
 
 
 @pytest.mark.parametrize("folders", [None, ()])
-def test_use_foreign_at_run_time_is_refused(tmp_path, folders):
+def test_use_foreign_at_run_time_is_refused(tmp_path: Path, folders: Optional[Tuple[Any, ...]]) -> None:
     (tmp_path / "helpers.py").write_text("import pathlib\npathlib.Path(__file__).with_name('ran').touch()\n")
     engine = Engine(settings=Settings(allow_foreign=True, folders=folders, write_folders=folders))
     errors: List[str] = []
@@ -212,7 +212,7 @@ def test_use_foreign_at_run_time_is_refused(tmp_path, folders):
     assert not (tmp_path / "ran").exists()
 
 
-def test_use_foreign_imports_module_by_name(monkeypatch, tmp_path):
+def test_use_foreign_imports_module_by_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "retalis_test_helpers.py").write_text(MODULE)
     monkeypatch.syspath_prepend(str(tmp_path))
     engine = Engine(settings=Settings(allow_foreign=True))
@@ -222,14 +222,14 @@ def test_use_foreign_imports_module_by_name(monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize("text", ["1 +", "import nothing_of_that_name", "raise RuntimeError('x')", "x = 1"])
-def test_invalid_module_is_refused(tmp_path, text):
+def test_invalid_module_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "bad.py").write_text(text)
     engine = Engine(settings=Settings(allow_foreign=True))
     with pytest.raises(ProgramErrors, match="cannot load |has no function"):
         engine.load(goals=f"use_foreign('{tmp_path / 'bad.py'}')")
 
 
-def test_result_of_other_type_is_an_error_of_goal():
+def test_result_of_other_type_is_an_error_of_goal() -> None:
     @foreign(outputs=2)
     def pair(number: int) -> int:
         return number
@@ -246,7 +246,7 @@ def test_result_of_other_type_is_an_error_of_goal():
         assert engine.call(f"catch({goal}, _, true)")
 
 
-def test_example_of_documentation_works(tmp_path):
+def test_example_of_documentation_works(tmp_path: Path) -> None:
     page = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "python-predicate.md"
     code = page.read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
     (tmp_path / "helpers.py").write_text(code)
@@ -257,7 +257,7 @@ def test_example_of_documentation_works(tmp_path):
     assert engine.call("is_even(4)")
 
 
-CLOSED = []
+CLOSED: List[Any] = []
 
 
 @foreign
@@ -276,7 +276,7 @@ def count_items(items: list) -> int:
 
 
 @foreign
-def depth(term) -> int:
+def depth(term: object) -> int:
     levels = 0
     while isinstance(term, Compound):
         term = term.args[0]
@@ -310,7 +310,7 @@ def raises_prolog_error(name: str) -> bool:
 
 
 @pytest.fixture
-def forms():
+def forms() -> Any:
     empty_engine = Engine()
     empty_engine.add_foreign(
         endless,
@@ -337,19 +337,19 @@ def forms():
         ("findall(X, limit(2, endless(1, X)), _)", [2]),
     ],
 )
-def test_cut_closes_generator(forms, goal, last_values):
+def test_cut_closes_generator(forms: Any, goal: str, last_values: List[int]) -> None:
     assert forms.call(goal)
     assert sorted(CLOSED) == sorted(last_values)
 
 
-def test_endless_generator_exceeds_limit(forms):
+def test_endless_generator_exceeds_limit(forms: Any) -> None:
     forms.logic.limits = Limits(inferences=20_000)
     with pytest.raises(PrologError, match="Not enough resources: inferences"):
         forms.call("endless(1, X), X < 0")
 
 
 @pytest.mark.slow
-def test_deep_and_long_terms_are_converted(forms):
+def test_deep_and_long_terms_are_converted(forms: Any) -> None:
     forms.load(rules="deep(0, a) :- !.\ndeep(N, s(T)) :- M is N - 1, deep(M, T).")
     assert forms.call("numlist(1, 100000, L), count_items(L, 100000)")
     assert forms.call("deep(50000, T), depth(T, 50000)")
@@ -370,7 +370,7 @@ def test_deep_and_long_terms_are_converted(forms):
         ("count_items([1])", "existence_error(procedure,count_items/1)"),
     ],
 )
-def test_failed_conversion_is_an_error_of_goal(forms, goal, formal):
+def test_failed_conversion_is_an_error_of_goal(forms: Any, goal: str, formal: Optional[str]) -> None:
     with pytest.raises(PrologError) as caught:
         forms.call(goal)
     if formal is None:
@@ -380,14 +380,14 @@ def test_failed_conversion_is_an_error_of_goal(forms, goal, formal):
     assert forms.call("count_items([1], 1)")
 
 
-def test_endless_result_exceeds_limit(forms):
+def test_endless_result_exceeds_limit(forms: Any) -> None:
     forms.logic.limits = Limits(inferences=20_000)
     with pytest.raises(PrologError, match="Not enough resources"):
         forms.call("numbers_without_end(X)")
 
 
-def test_ndarray_parameter_receives_array():
-    arrays = []
+def test_ndarray_parameter_receives_array() -> None:
+    arrays: List[Any] = []
 
     @foreign
     def doubled(values: numpy.ndarray) -> numpy.ndarray:
@@ -399,7 +399,7 @@ def test_ndarray_parameter_receives_array():
         return float(values.sum())
 
     @foreign
-    def class_name(values) -> str:
+    def class_name(values: object) -> str:
         return type(values).__name__
 
     engine = Engine()
@@ -417,7 +417,7 @@ def test_ndarray_parameter_receives_array():
 
 
 @pytest.mark.parametrize("term", ["X", "foo", "[a]", "[1|_]"])
-def test_other_terms_for_ndarray_are_errors(term):
+def test_other_terms_for_ndarray_are_errors(term: str) -> None:
     @foreign
     def count(values: numpy.ndarray) -> int:
         return len(values)
@@ -438,5 +438,5 @@ def test_other_terms_for_ndarray_are_errors(term):
         (numpy.arange(5, dtype="f2"), "[0.0,1.0,2.0,3.0,4.0]"),
     ],
 )
-def test_returned_array_is_converted_to_list(array, text):
+def test_returned_array_is_converted_to_list(array: Any, text: str) -> None:
     assert writeq(to_term(array)) == text

@@ -1,5 +1,7 @@
 """Errors of calls of undefined procedures, and the number of searches for their hints."""
 
+from typing import Any, List, Optional
+
 import pytest
 from prolog.support import NEVER, prolog
 
@@ -9,12 +11,12 @@ from retalis.prolog.system import undefined_procedures
 
 
 @pytest.fixture
-def searches(monkeypatch):
+def searches(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Return a list of the functors for which similar names have been searched."""
-    names = []
+    names: List[Any] = []
     find_similar = undefined_procedures.find_similar
 
-    def find(logic, key):
+    def find(logic: Any, key: Any) -> Any:
         names.append(str(key))
         return find_similar(logic, key)
 
@@ -22,13 +24,13 @@ def searches(monkeypatch):
     return names
 
 
-def error_text(logic, goal):
+def error_text(logic: Any, goal: str) -> str:
     with pytest.raises(PrologError) as error:
         logic.once(read_term(goal, logic.operators).term)
     return str(error.value)
 
 
-def test_error_names_caller_and_similar_procedure():
+def test_error_names_caller_and_similar_procedure() -> None:
     logic = prolog("caller(X) :- apend(X, [], _), true.")
     text = error_text(logic, "caller([])")
     assert "Unknown procedure: apend/3" in text
@@ -36,21 +38,21 @@ def test_error_names_caller_and_similar_procedure():
     assert "did you mean append/3?" in text
 
 
-def test_repeated_call_searches_once(searches):
+def test_repeated_call_searches_once(searches: Any) -> None:
     logic = prolog("caller(X) :- apend(X, [], _), true.")
     texts = {error_text(logic, "caller([])") for _ in range(200)}
     assert len(texts) == 1
     assert searches == ["apend/3"]
 
 
-def test_later_definition_is_suggested(searches):
+def test_later_definition_is_suggested(searches: Any) -> None:
     logic = prolog()
     assert "did you mean" not in error_text(logic, "mesure(_)")
     logic.add_clause(read_term("measure(1)", logic.operators).term)
     assert "did you mean measure/1?" in error_text(logic, "mesure(_)")
 
 
-def test_number_of_searched_names_is_bounded(searches):
+def test_number_of_searched_names_is_bounded(searches: Any) -> None:
     logic = prolog()
     for number in range(3000):
         assert "Unknown procedure" in error_text(logic, f"missing_{number}(x)")
@@ -79,7 +81,9 @@ p(missing).
         ("four([b])", ["four/1 (program.pl:6:"]),
     ],
 )
-def test_error_names_clauses_that_may_call(compile_after, goal, callers):
+def test_error_names_clauses_that_may_call(
+    compile_after: Any, goal: str, callers: Optional[List[str]]
+) -> None:
     logic = prolog(CALLERS, compile_after)
     with pytest.raises(PrologError) as error:
         logic.once(read_term(goal, logic.operators).term)

@@ -1,12 +1,15 @@
 """Output of goals to ``user_output`` and ``user_error``: escapes for control characters, and the limit of output."""
 
+from pathlib import Path
+from typing import Any, List, Optional
+
 import pytest
 
 from retalis import Engine, Limits, PrologError, Settings
 
 
 @pytest.fixture
-def engine():
+def engine() -> Any:
     quiet_engine = Engine()
     quiet_engine.printed, quiet_engine.complained = [], []
     quiet_engine.logic.print_to(quiet_engine.printed.append, quiet_engine.complained.append)
@@ -26,7 +29,7 @@ def engine():
         "tell(user), write('\\e[2J'), told",
     ],
 )
-def test_escape_characters_are_replaced_in_output(engine, goal):
+def test_escape_characters_are_replaced_in_output(engine: Any, goal: str) -> None:
     engine.query(goal)
     text = "".join(engine.printed)
     assert "\x1b" not in text
@@ -42,24 +45,24 @@ def test_escape_characters_are_replaced_in_output(engine, goal):
         "format(user_error, \"~w\", ['\\e[2J'])",
     ],
 )
-def test_escape_characters_are_replaced_in_user_error(engine, goal):
+def test_escape_characters_are_replaced_in_user_error(engine: Any, goal: str) -> None:
     engine.query(goal)
     assert "\\x1b[2J" in "".join(engine.complained)
     assert "\x1b" not in "".join(engine.complained)
 
 
-def test_rule_output_has_no_escape_characters(engine):
+def test_rule_output_has_no_escape_characters(engine: Any) -> None:
     engine.load(rules="null_event do (write(X), nl) <- in(X).")
     engine.event("in('\\e[31m\\x202e\\')", 1)
     assert "".join(engine.printed) == "\\x1b[31m\\u202e\n"
 
 
-def test_printable_text_is_written_unchanged(engine):
+def test_printable_text_is_written_unchanged(engine: Any) -> None:
     engine.query("write('a\\tb é 日本'), nl, write([1,'x y'])")
     assert "".join(engine.printed) == "a\tb é 日本\n[1,x y]"
 
 
-def test_captured_output_and_files_keep_escapes(tmp_path):
+def test_captured_output_and_files_keep_escapes(tmp_path: Path) -> None:
     engine = Engine(settings=Settings(write_folders=(str(tmp_path),)))
     answer = engine.query("with_output_to(codes(C), write('\\e[2J'))")
     assert engine.show(answer[0]["C"]) == "[27,91,50,74]"
@@ -68,7 +71,7 @@ def test_captured_output_and_files_keep_escapes(tmp_path):
     assert path.read_bytes() == b"\x1b[2J"
 
 
-def limited_engine(output_megabytes):
+def limited_engine(output_megabytes: Optional[float]) -> Any:
     engine = Engine(settings=Settings(limits=Limits(output_megabytes=output_megabytes)))
     engine.sizes = []
     add = lambda text: engine.sizes.append(len(text.encode()))  # noqa: E731
@@ -80,9 +83,9 @@ def limited_engine(output_megabytes):
 @pytest.mark.parametrize(
     "goal", ["repeat, format('~*c~n', [1000, 0'x]), fail", "repeat, write(user_error, 'é\\e'), fail"]
 )
-def test_endless_output_ends_at_one_megabyte(goal):
+def test_endless_output_ends_at_one_megabyte(goal: str) -> None:
     engine = Engine()
-    sizes = []
+    sizes: List[Any] = []
     engine.logic.print_to(*[lambda text: sizes.append(len(text.encode()))] * 2)
     with pytest.raises(PrologError, match="Not enough resources: output"):
         engine.query(goal)
@@ -90,14 +93,14 @@ def test_endless_output_ends_at_one_megabyte(goal):
     assert engine.call("write(x)")
 
 
-def test_text_beyond_limit_is_not_written():
+def test_text_beyond_limit_is_not_written() -> None:
     engine = limited_engine(0.001)
     with pytest.raises(PrologError, match="output"):
         engine.query("format('~*c', [1001, 0'x])")
     assert engine.sizes == []
 
 
-def test_handler_may_write_a_tenth_more():
+def test_handler_may_write_a_tenth_more() -> None:
     engine = limited_engine(0.1)
     writes = "repeat, write(aaaaaaaaaa), fail"
     goal = f"catch(({writes}), error(resource_error(output), _), ({writes}))"
@@ -106,7 +109,7 @@ def test_handler_may_write_a_tenth_more():
     assert 100_000 < sum(engine.sizes) <= 110_000
 
 
-def test_output_limit_holds_per_event(caplog):
+def test_output_limit_holds_per_event(caplog: pytest.LogCaptureFixture) -> None:
     engine = limited_engine(0.01)
     engine.load(
         rules="a(X) <- in(X).\nb(X) <- in(X).\nnull_event do format('~*c', [4000, 0'x]) <- a(_).\n"
@@ -121,7 +124,7 @@ def test_output_limit_holds_per_event(caplog):
     assert caplog.text.count("Not enough resources: output") == 1
 
 
-def test_cleanup_beyond_output_limit_is_ended():
+def test_cleanup_beyond_output_limit_is_ended() -> None:
     engine = limited_engine(0.001)
     with pytest.raises(PrologError, match="output"):
         engine.query(
@@ -131,7 +134,7 @@ def test_cleanup_beyond_output_limit_is_ended():
     assert engine.call("write(x)")
 
 
-def test_output_without_limit_is_written():
+def test_output_without_limit_is_written() -> None:
     engine = limited_engine(None)
     engine.query("between(1, 300, _), format('~*c', [10000, 0'x]), fail ; true")
     assert sum(engine.sizes) == 3_000_000

@@ -1,6 +1,7 @@
 """Conversion of terms to Python values, from Python values, and to JSON."""
 
 import json
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -31,7 +32,7 @@ VALUES = st.recursive(
         ("[a|b]", Compound("[|]", ["a", "b"])),
     ],
 )
-def test_term_is_converted_to_python_value(text, value):
+def test_term_is_converted_to_python_value(text: str, value: Any) -> None:
     assert to_python(read_term(text, Operators.prolog()).term) == value
 
 
@@ -50,24 +51,24 @@ def test_term_is_converted_to_python_value(text, value):
         (range(2), "[0,1]"),
     ],
 )
-def test_python_value_is_converted_to_term(value, text):
+def test_python_value_is_converted_to_term(value: Any, text: str) -> None:
     assert writeq(to_term(value)) == text
 
 
-def test_object_of_other_type_is_refused():
+def test_object_of_other_type_is_refused() -> None:
     for value in (None, object()):
         with pytest.raises(UsageError):
             to_term(value)
 
 
 @pytest.mark.slow
-def test_numpy_numbers_are_converted_to_terms():
+def test_numpy_numbers_are_converted_to_terms() -> None:
     numpy = pytest.importorskip("numpy")
     assert to_term(numpy.float64(1.5)) == 1.5
     assert type(to_term(numpy.int32(3))) is int
 
 
-def as_json(text):
+def as_json(text: Any) -> Any:
     return to_json(read_term(text, Operators.prolog(), "test").term, {}, 1000)
 
 
@@ -86,26 +87,26 @@ def as_json(text):
         ("[a|T]", {"functor": "[|]", "args": ["a", {"variable": "_1"}]}),
     ],
 )
-def test_terms_are_converted_to_json(text, expected):
+def test_terms_are_converted_to_json(text: str, expected: Any) -> None:
     assert json.loads(as_json(text)) == expected
 
 
 @pytest.mark.slow
 @given(VALUES)
-def test_json_of_python_value_is_equal(value):
+def test_json_of_python_value_is_equal(value: Any) -> None:
     assert json.loads(to_json(to_term(value), {}, 1_000_000)) == value
 
 
-def test_non_finite_floats_are_strings_in_json():
+def test_non_finite_floats_are_strings_in_json() -> None:
     assert [to_json(float(name), {}, 100) for name in ("nan", "inf", "-inf")] == ['"nan"', '"inf"', '"-inf"']
 
 
-def test_integer_of_any_size_is_converted_to_json():
+def test_integer_of_any_size_is_converted_to_json() -> None:
     assert to_json(10**5000, {}, 10_000) == "1" + "0" * 5000
 
 
 @pytest.mark.slow
-def test_deep_term_is_converted_to_json():
+def test_deep_term_is_converted_to_json() -> None:
     term = Var()
     for _ in range(100_000):
         term = functor("f", 1)(term)
@@ -115,12 +116,12 @@ def test_deep_term_is_converted_to_json():
 @pytest.mark.parametrize(
     "term", [make_list(range(1000)), functor("f", 1)(make_list([1] * 500)), 10**2000, to_term("x" * 2000)]
 )
-def test_json_beyond_length_limit_is_refused(term):
+def test_json_beyond_length_limit_is_refused(term: Any) -> None:
     with pytest.raises(UsageError, match="more than 1000 characters"):
         to_json(term, {}, 1000)
 
 
-def test_json_of_cyclic_term_is_refused():
+def test_json_of_cyclic_term_is_refused() -> None:
     loop = Var()
     loop.ref = functor("f", 1)(loop)
     with pytest.raises(UsageError):

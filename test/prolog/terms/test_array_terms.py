@@ -1,6 +1,7 @@
 """Array terms against the lists that they stand for."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from retalis.prolog.terms.types import NIL, Lazy
 
 
 @pytest.mark.parametrize("dtype", CODES)
-def test_array_term_keeps_numbers_and_type(dtype):
+def test_array_term_keeps_numbers_and_type(dtype: Any) -> None:
     numbers = np.arange(1, 21).astype(dtype) * (1 if dtype.endswith("1") else 3)
     term = array_term(numbers)
     array = array_of(term)
@@ -25,18 +26,18 @@ def test_array_term_keeps_numbers_and_type(dtype):
 
 
 @pytest.mark.parametrize("numbers", [np.arange(9, dtype=">i4"), np.arange(18, dtype="i4")[::2]])
-def test_byte_order_and_strides_are_normalized(numbers):
+def test_byte_order_and_strides_are_normalized(numbers: Any) -> None:
     assert array_of(array_term(numbers)).tolist() == numbers.tolist()
 
 
-def test_decoded_array_term_keeps_its_bytes():
+def test_decoded_array_term_keeps_its_bytes() -> None:
     term = array_term(np.arange(9.0))
     deref(term)
     assert term.decoded_term is not None
     assert array_of(term).tolist() == list(range(9))
 
 
-def test_array_term_is_a_copy():
+def test_array_term_is_a_copy() -> None:
     numbers = np.arange(9.0)
     term = array_term(numbers)
     numbers[0] = 5
@@ -44,20 +45,20 @@ def test_array_term_is_a_copy():
 
 
 @pytest.mark.parametrize("count", range(7))
-def test_short_array_is_a_list(count):
+def test_short_array_is_a_list(count: int) -> None:
     term = array_term(np.arange(count))
     assert (term.__class__ is Lazy) == (count > 4)
     assert array_of(term).tolist() == list(range(count))
 
 
-def test_wide_floats_are_converted_to_doubles():
+def test_wide_floats_are_converted_to_doubles() -> None:
     assert array_of(array_term(np.arange(9, dtype="g"))).dtype == np.dtype("f8")
 
 
 @pytest.mark.parametrize(
     "array", [np.zeros((2, 2)), np.array(1.0), np.array(["a"] * 9), np.array([True] * 9)]
 )
-def test_array_of_other_items_is_refused(array):
+def test_array_of_other_items_is_refused(array: Any) -> None:
     with pytest.raises(ValueError, match="not a list of numbers"):
         array_term(array)
 
@@ -74,13 +75,13 @@ def test_array_of_other_items_is_refused(array):
         ([1.5, math.inf, math.nan], "f8"),
     ],
 )
-def test_list_is_converted_to_array(items, dtype):
+def test_list_is_converted_to_array(items: Any, dtype: str) -> None:
     array = array_of(make_list(items))
     assert array.dtype == np.dtype(dtype)
     np.testing.assert_array_equal(array, np.array(items, dtype))
 
 
-def test_bound_variables_are_dereferenced():
+def test_bound_variables_are_dereferenced() -> None:
     item, tail, whole = Var(), Var(), Var()
     item.ref, tail.ref = 2, make_list([3.5])
     whole.ref = make_list([1, item], tail)
@@ -91,7 +92,7 @@ def test_bound_variables_are_dereferenced():
 
 
 @pytest.mark.parametrize("data", [b"", b"text", b"\x00\xff", bytes(range(256)) * 8])
-def test_byte_array_is_converted_to_array(data):
+def test_byte_array_is_converted_to_array(data: Any) -> None:
     lazy = Lazy(LAZY_STRING_FUNCTOR, BLOB, data)
     assert array_of(lazy).tobytes() == data
     assert lazy.decoded_term is None
@@ -100,7 +101,7 @@ def test_byte_array_is_converted_to_array(data):
 
 
 @pytest.mark.parametrize("term", [Var(), make_list([1, Var()]), make_list([1], Var())])
-def test_unbound_part_is_an_instantiation_error(term):
+def test_unbound_part_is_an_instantiation_error(term: Any) -> None:
     with pytest.raises(PrologError, match="not sufficiently instantiated"):
         array_of(term)
 
@@ -117,12 +118,12 @@ def test_unbound_part_is_an_instantiation_error(term):
         (make_list([NIL]), r"`number' expected, found `\[\]': item 0"),
     ],
 )
-def test_term_that_is_no_array_is_a_type_error(term, error):
+def test_term_that_is_no_array_is_a_type_error(term: Any, error: str) -> None:
     with pytest.raises(PrologError, match=error):
         array_of(term)
 
 
-def test_other_lazy_terms_are_no_arrays():
+def test_other_lazy_terms_are_no_arrays() -> None:
     assert lazy_array(Lazy(LAZY_STRING_FUNCTOR, lambda data: NIL, b"")) is None
     assert lazy_array(Var()) is None
     assert lazy_array(1) is None

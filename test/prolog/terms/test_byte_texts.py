@@ -2,6 +2,7 @@
 
 import base64
 import unicodedata
+from typing import Any, List, Optional
 
 import pytest
 from hypothesis import given
@@ -42,7 +43,7 @@ from retalis.prolog.terms.types import NIL
         ("FFFFFFFFFFü".encode(), '"FFFFFFFFFFRkZGRkZGRkZGRsO8////"'),
     ],
 )
-def test_string_is_converted_to_atom(data, name):
+def test_string_is_converted_to_atom(data: bytes, name: str) -> None:
     assert text_atom(data) is atom(name)
     assert text_bytes(atom(name)) == data
 
@@ -60,20 +61,20 @@ def test_string_is_converted_to_atom(data, name):
         (b"FFFFFFFFFF", '"FFFFFFFFFFRkZGRkZGRkZGRg==////"'),
     ],
 )
-def test_byte_array_is_converted_to_atom(data, name):
+def test_byte_array_is_converted_to_atom(data: bytes, name: str) -> None:
     assert blob_atom(data) is atom(name)
     assert text_bytes(atom(name)) == data
 
 
 @given(st.text(max_size=20))
-def test_text_with_control_characters_is_base64(text):
+def test_text_with_control_characters_is_base64(text: str) -> None:
     is_text = not text.startswith("FFFFFFFFFF") and all(
         char in "\t\n\r" or unicodedata.category(char) != "Cc" for char in text
     )
     assert (text_atom(text.encode()) is atom(f'"{text}"')) == is_text
 
 
-def test_base64_has_lines_of_76_characters():
+def test_base64_has_lines_of_76_characters() -> None:
     data = bytes(range(256))
     name = text_atom(data).name
     assert name.startswith('"FFFFFFFFFF')
@@ -83,14 +84,14 @@ def test_base64_has_lines_of_76_characters():
     assert len(lines.split("////")[0]) == 76
 
 
-def test_slashes_in_base64_are_no_line_breaks():
+def test_slashes_in_base64_are_no_line_breaks() -> None:
     data = b"\xff" * 60  # all of it "/" in base64
     assert text_atom(data).name == '"FFFFFFFFFF' + "/" * 76 + "////" + "/" * 4 + "////" + '"'
     assert text_bytes(text_atom(data)) == data
 
 
 @given(st.binary(max_size=300) | st.text(max_size=100).map(str.encode))
-def test_atom_is_converted_to_same_bytes(data):
+def test_atom_is_converted_to_same_bytes(data: Any) -> None:
     assert text_bytes(text_atom(data)) == data
     assert text_bytes(blob_atom(data)) == data
 
@@ -110,24 +111,24 @@ def test_atom_is_converted_to_same_bytes(data):
         (2.5, None),
     ],
 )
-def test_term_is_converted_to_bytes(term, data):
+def test_term_is_converted_to_bytes(term: Any, data: Optional[bytes]) -> None:
     assert text_bytes(term) == data
 
 
 @pytest.mark.parametrize(
     "broken", ["FFFFFFFFFFAA==", "FFFFFFFFFFA////", "FFFFFFFFFF?!==////", "FFFFFFFFFFé////"]
 )
-def test_invalid_base64_is_refused(broken):
+def test_invalid_base64_is_refused(broken: str) -> None:
     with pytest.raises(MessageError, match="base64"):
         text_bytes(atom(f'"{broken}"'))
 
 
-def test_lone_surrogate_is_refused():
+def test_lone_surrogate_is_refused() -> None:
     with pytest.raises(MessageError, match="code point 0xd800"):
         text_bytes(atom("a\ud800"))
 
 
-def outcome(text):
+def outcome(text: Any) -> Any:
     try:
         return text_bytes(atom(text))
     except MessageError as error:
@@ -141,7 +142,7 @@ def outcome(text):
         max_size=2,
     ),
 )
-def test_fast_base64_decoder_equals_general_one(data, changes):
+def test_fast_base64_decoder_equals_general_one(data: bytes, changes: List[Any]) -> None:
     lines = blob_atom(b"\0" + data).name[1 + len(byte_texts.BASE64_MARK) : -1]
     for place, replacement in changes:
         lines = lines[:place] + replacement + lines[place + 1 :]

@@ -1,5 +1,7 @@
 """Cyclic terms: comparison and unification as infinite terms, and early errors elsewhere."""
 
+from typing import Any, List
+
 import pytest
 from prolog.support import answers, prolog
 
@@ -12,7 +14,7 @@ REFUSED = ["resource_error(term_size)"]
 
 
 @pytest.fixture(scope="module")
-def logic():
+def logic() -> Any:
     system = prolog(compile_after=1 << 60)
     system.limits = Limits(seconds=20)
     system.output = lambda text: None
@@ -37,7 +39,7 @@ def logic():
         ("unify_with_occurs_check(f(A,B,A,1), f(a(A),a(B),B,2))", False),
     ],
 )
-def test_cyclic_terms_compare_as_infinite_terms(logic, goal, holds):
+def test_cyclic_terms_compare_as_infinite_terms(logic: Any, goal: str, holds: bool) -> None:
     assert bool(answers(logic, f"\\+ \\+ ({goal})")) is holds
 
 
@@ -58,11 +60,11 @@ def test_cyclic_terms_compare_as_infinite_terms(logic, goal, holds):
         "X = f(X), term_hash(X, _)",
     ],
 )
-def test_traversal_of_cyclic_term_is_refused(logic, goal):
+def test_traversal_of_cyclic_term_is_refused(logic: Any, goal: str) -> None:
     assert answers(logic, goal) == REFUSED
 
 
-def test_shared_subterm_is_not_cyclic():
+def test_shared_subterm_is_not_cyclic() -> None:
     part = (functor("f", 1), 1)
     term = (functor("g", 2), part, part)
     assert not contains_itself(term)
@@ -72,8 +74,8 @@ def test_shared_subterm_is_not_cyclic():
 
 
 @pytest.mark.slow
-def test_long_lists_are_unified():
-    trail = []
+def test_long_lists_are_unified() -> None:
+    trail: List[Any] = []
     last = Var()
     assert unify(make_list(range(200_000)), make_list([*range(199_999), last]), trail)
     assert last.ref == 199_999

@@ -5,6 +5,7 @@ import gc
 import pickle
 import sys
 import threading
+from typing import Any, List
 
 import pytest
 from reachability import reachable
@@ -13,13 +14,13 @@ from retalis import atom, functor
 from retalis.prolog.terms import types
 
 
-def test_equal_names_have_same_atom():
+def test_equal_names_have_same_atom() -> None:
     assert atom("base_link") is atom("base_link")
     assert atom("a") is not atom("b")
     assert copy.deepcopy(atom("a")) is pickle.loads(pickle.dumps(atom("a"))) is atom("a")
 
 
-def test_functor_of_atom_is_created_on_demand():
+def test_functor_of_atom_is_created_on_demand() -> None:
     name = atom("some name")
     assert name.functor is functor("some name", 0) is name.functor
     with pytest.raises(AttributeError):
@@ -27,7 +28,7 @@ def test_functor_of_atom_is_created_on_demand():
 
 
 @pytest.mark.slow
-def test_unreferenced_atoms_are_released():
+def test_unreferenced_atoms_are_released() -> None:
     kept = atom("kept text")
     for number in range(1000):
         atom(f"text {number}")
@@ -38,12 +39,12 @@ def test_unreferenced_atoms_are_released():
     assert atom("kept text") is kept
 
 
-def test_threads_create_same_atom():
+def test_threads_create_same_atom() -> None:
     interval = sys.getswitchinterval()
     sys.setswitchinterval(1e-6)
-    differing = []
+    differing: List[Any] = []
 
-    def work():
+    def work() -> None:
         for number in range(3000):
             name = f"name {number % 3}"
             created = atom(name)
@@ -61,7 +62,7 @@ def test_threads_create_same_atom():
     assert not differing
 
 
-def test_unreferenced_functors_are_released():
+def test_unreferenced_functors_are_released() -> None:
     first = functor("for_a_moment", 2)
     assert functor("for_a_moment", 2) is first
     kept = (first, 1, 2)

@@ -21,8 +21,7 @@ import sys
 import threading
 import time
 from collections import deque
-from types import FrameType
-from typing import Any, Callable, Deque, Iterable, Iterator, NoReturn, Optional, Tuple, TypeVar
+from typing import TYPE_CHECKING, Any, Callable, Deque, Iterable, Iterator, NoReturn, Optional, Tuple, TypeVar
 from weakref import WeakSet
 
 from ...events.dispatch.dispatcher import Dispatcher
@@ -30,6 +29,9 @@ from ...foundation.errors import RetalisError, UsageError
 from ...foundation.interrupts import PENDING, SafeExit, interruptible, raise_pending
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.types import atom
+
+if TYPE_CHECKING:
+    from types import FrameType
 
 UNNAMED_REQUEST = atom("a request")
 """Name, in warnings about its duration, of work that has no name of its own."""

@@ -66,7 +66,6 @@ from ..fused.fused_join import STALE_ARRIVALS_TOLERANCE
 from ..fused.fused_single_event import Continuation, compile_firing_action
 from ..language.pattern_tree import Pattern, RuleDefinition, WindowPattern
 from ..language.rule_head_parser import resolve_alarm
-from ..matches.consumption_policy import Emit
 from ..matches.expiration import (
     VISITED_SLICE_ENTRIES,
     ExpirationQueue,
@@ -82,7 +81,6 @@ from ..matches.match_types import (
     PartialMatch,
     check_policy,
 )
-from ..matches.negation import RuledOutSweep
 from ..streams.stream_operators import MATCH_KINDS
 from ..streams.windows import OpenWindow, Window
 from .after_match_skip import AfterMatchSkip, select_skip_state
@@ -91,6 +89,8 @@ from .rule_compiler import RuleCompiler
 from .stream_node import StreamNode
 
 if TYPE_CHECKING:
+    from ..matches.consumption_policy import Emit
+    from ..matches.negation import RuledOutSweep
     from ..rules.rule_base import RuleBase
 
 

@@ -62,7 +62,6 @@ from ..matches.match_types import (
     unify_sides,
     unify_values,
 )
-from ..matches.negation import DeferredNegations
 from ..matches.shared_run_buffer import NO_ITEMS, Run, identity_by_start, identity_by_start_interval
 from ..provenance.occurrences import MatchOrPair
 from ..streams.aggregates import SequenceAggregate
@@ -78,6 +77,7 @@ from .pattern_nodes import (
 )
 
 if TYPE_CHECKING:
+    from ..matches.negation import DeferredNegations
     from .event_rule import EventRule
 
 

@@ -71,7 +71,6 @@ from ..matches.match_types import (
     arrival_number_of,
     is_retracted,
 )
-from ..matches.negation import DeferredNegations
 from ..matches.watermarks import PatternWatermark, functors_of
 from ..provenance.occurrences import lineage_nodes_of
 from ..streams.row_pattern import MAX_STATES_PER_START
@@ -80,6 +79,7 @@ from ..streams.windows import KeyedWindow
 from .pattern_nodes import MatchCheck, NetworkNode, OperandBuffer, checks_of_negations
 
 if TYPE_CHECKING:
+    from ..matches.negation import DeferredNegations
     from .event_rule import EventRule
 
 

@@ -17,7 +17,6 @@ and included files are followed. No directive is executed for this.
 """
 
 import re
-from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Set, Tuple, Union
 
@@ -31,7 +30,6 @@ from ...foundation.errors import (
     UsageError,
 )
 from ...prolog.files.library_names import LIBRARY, check_library
-from ...prolog.files.source_files import SourceFiles
 from ...prolog.machine.errors import PrologError
 from ...prolog.syntax.operators import Operators
 from ...prolog.syntax.term_reader import OF_FILES, Program, ReadTerm, read_program
@@ -61,6 +59,9 @@ from .prolog_file_loader import PrologFileLoader, PrologSource
 from .source_preprocessing import ConditionalCompilation, TermExpansion
 
 if TYPE_CHECKING:
+    from os import PathLike
+
+    from ...prolog.files.source_files import SourceFiles
     from ..rules.rule_base import RuleBase
 
 _OP = functor("op", 3)

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Callable, List, NamedTuple, Optional
 
 from ...foundation.errors import Errors, Omission, Place, ProgramErrors, RetalisError, RuleError, SyntaxFault
 from ...prolog.files.library_names import declare_operators
-from ...prolog.files.source_files import SourceFiles
 from ...prolog.machine.errors import PrologError
 from ...prolog.machine.resource_limits import LimitError
 from ...prolog.syntax.term_reader import OF_FILES, Program, ReadTerm, read_program
@@ -32,6 +31,7 @@ from .file_directives import Directives, Goals
 from .source_preprocessing import ConditionalCompilation, TermExpansion
 
 if TYPE_CHECKING:
+    from ...prolog.files.source_files import SourceFiles
     from ..rules.rule_base import RuleBase
 
 

@@ -7,9 +7,8 @@ frequency, so that a rule that fails at each event does not flood the log.
 """
 
 import logging
-from os import PathLike
 from pathlib import Path
-from typing import Callable, Dict, Hashable, Iterator, List, Optional, Sequence, Tuple, Union
+from typing import TYPE_CHECKING, Callable, Dict, Hashable, Iterator, List, Optional, Sequence, Tuple, Union
 
 from ...foundation.callbacks import CallbackList
 from ...foundation.errors import Place, RecurringWarning, RetalisError, RuleError
@@ -44,6 +43,9 @@ from ..provenance.occurrences import Occurrence
 from .event_flags import MAX_WATERMARK_DELAY, Flags
 from .event_language_predicates import define_predicates
 from .timer_service import NodeTimers, RuleAlarm, Timers
+
+if TYPE_CHECKING:
+    from os import PathLike
 
 _UNLABELED = atom("unlabeled")
 

@@ -13,7 +13,6 @@ from collections import OrderedDict
 from typing import TYPE_CHECKING, Any, Callable, Hashable, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...foundation.errors import RuleError
-from ...prolog.machine.resource_limits import Meter
 from ...prolog.terms.term_traversal import SELF_KEYED, term_key
 from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS
 from ...prolog.terms.types import Values
@@ -33,6 +32,7 @@ from ...serialization.field_types import (
 from ...serialization.state_fields import ObjectFields, StateOwner, constraint, field
 
 if TYPE_CHECKING:
+    from ...prolog.machine.resource_limits import Meter
     from ...serialization.object_graph import ObjectWriter
 
 MATCH_KINDS = ("event match", "match", "run", "run cursor")

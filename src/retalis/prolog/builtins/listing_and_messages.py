@@ -5,10 +5,9 @@ characters, and variables named ``A``, ``B``, ... by their order. The text can b
 """
 
 from functools import lru_cache
-from typing import Any, Callable, Dict, Iterable, Iterator, List, Optional, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Dict, Iterable, Iterator, List, Optional, Tuple
 
 from ..compiler.clause_nodes import ARROW, NOT, SEMICOLON, SOFT_ARROW
-from ..database.clause_index import Clause
 from ..database.predicate import Predicate
 from ..machine.errors import ERROR, describe, indicator
 from ..machine.machine import LAST, Machine
@@ -20,6 +19,9 @@ from ..terms.types import COMMA, SLASH, TRUE, Atom, Functor, String, Term, Var, 
 from .argument_checks import atom_of, indicator_of
 from .builtin_registry import Solutions, deterministic, nondeterministic
 from .output_predicates import format_to_text, make_variable_names, write_to
+
+if TYPE_CHECKING:
+    from ..database.clause_index import Clause
 
 _NECK, _DIRECTIVE = functor(":-", 2), functor(":-", 1)
 _FORMAT = functor("format", 2)

@@ -8,7 +8,7 @@ If it meets a case that it does not implement (see `FunctionCode`), it returns `
 after `_MAX_BAILS` such attempts it is not tried again.
 """
 
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, Union
+from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Sequence, Tuple, Union
 
 from ...foundation.codegen import MAX_TERM_ARGUMENTS
 from ...foundation.errors import Place
@@ -24,8 +24,10 @@ from ..machine.resource_limits import LimitError
 from ..terms.term_traversal import copy, is_larger, resolve, variables
 from ..terms.types import Frame, Step, Term, Values, Var, deref, functor
 from ..terms.unification import undo
-from .predicate import Predicate
 from .predicate_table import Database
+
+if TYPE_CHECKING:
+    from .predicate import Predicate
 
 _MAX_BAILS = 20
 """Number of calls of the function that return `BAIL` after which the goal only runs on the machine."""

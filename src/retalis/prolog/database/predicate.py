@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Callable, Dict, Hashable, Iterator, List,
 
 from ...foundation.cancellation import check_limits
 from ..compiler.clause_nodes import PredicateResolver
-from ..compiler.function_code import FunctionCode
 from ..compiler.predicate_code import ClauseParts, PredicateGenerator, fact_search
 from ..machine.errors import PrologError
 from ..machine.machine import Code, Machine
@@ -33,6 +32,7 @@ from .clause_index import (
 )
 
 if TYPE_CHECKING:
+    from ..compiler.function_code import FunctionCode
     from .predicate_table import Database
 
 NEVER_COMPILE = 1 << 62

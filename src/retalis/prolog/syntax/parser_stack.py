@@ -14,14 +14,13 @@ operators than in a goal, so the table changes within a clause (see `rule_detect
 """
 
 import re
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import TYPE_CHECKING, Any, Dict, List, Optional, Sequence, Tuple
 
 from ...foundation.errors import SyntaxFault
 from ...foundation.similar_names import closest_name
 from ..terms.types import COMMA, CONS, NIL, Term, Var, functor
 from .operators import EVENT_SYNTAX, Operator, Operators
 from .rule_detection import ARROW, NO_RULES, RuleLayout
-from .slot_defaults import ParsedMessage
 from .tokenizer import (
     END,
     NAME,
@@ -34,6 +33,9 @@ from .tokenizer import (
     Source,
     token_description,
 )
+
+if TYPE_CHECKING:
+    from .slot_defaults import ParsedMessage
 
 _MAX_PRIORITY = 1200
 """Highest priority of operators, and so of terms."""
