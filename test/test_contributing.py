@@ -19,6 +19,7 @@ WITHOUT_EXAMPLE = {
     "src/retalis/prolog/builtins/builtin_registry.py",
     "src/retalis/prolog/builtins/__init__.py",
     "src/retalis/prolog/library/",
+    "test/prolog/builtins",
     "src/retalis/serialization/field_types.py",
     "src/retalis/serialization/state_file_format.py",
 }

@@ -121,7 +121,7 @@ def _element(slot: Any, texts: Any) -> Any:
         return st.tuples(st.integers(low, high), st.integers(0, 999_999_999)).map(list)
     if slot.type == "bool":
         return st.booleans()
-    if slot.type in ("float32", "float64"):
+    if slot.type.startswith("float"):
         # Event text has one NaN only, so other NaNs do not survive it.
         floats = st.floats(width=int(slot.type[5:]))
         return floats.map(lambda value: NAN if value != value else value)

@@ -44,7 +44,7 @@ from ..prolog.terms.types import (
 )
 from ..prolog.terms.types import String as PrologString
 from .decoder import find_number_decoder, raw_bytes
-from .type_definition import PRIMITIVES, TIMES, VARIABLE_LENGTH, Definition, Field, integer_range
+from .type_definition import FLOATS, PRIMITIVES, TIMES, VARIABLE_LENGTH, Definition, Field, integer_range
 
 _BOOLS: Dict[Atom, bool] = {TRUE: True, atom("True"): True, FALSE: False, atom("False"): False}
 _SPECIAL_FLOATS = {atom("nan"): float("nan"), atom("inf"): float("inf"), atom("infinite"): float("inf")}
@@ -513,8 +513,7 @@ _Packer = Callable[[str, Term, str], bytes]
 _PACKERS: Dict[str, _Packer] = {
     **dict.fromkeys(PRIMITIVES, _encode_integer),
     "bool": _encode_bool,
-    "float32": _encode_float,
-    "float64": _encode_float,
+    **dict.fromkeys(FLOATS, _encode_float),
     "string": _encode_string,
     "time": _encode_time,
     "duration": _encode_time,

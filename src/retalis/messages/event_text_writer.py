@@ -16,7 +16,7 @@ from ..prolog.syntax.event_text import to_text
 from ..prolog.terms.array_terms import MAX_EAGER_ELEMENTS
 from ..prolog.terms.types import Lazy, Term, atom
 from .decoder import Decoder, FrameDecoderGenerator, StampWatch, UnsupportedLayout
-from .type_definition import PRIMITIVES, TIMES, Definition, Field
+from .type_definition import FLOATS, PRIMITIVES, TIMES, Definition, Field
 
 _VALUE_DELIMITER = "\0"
 """Delimiter around the source of a value in a text; it occurs in no name."""
@@ -190,7 +190,7 @@ class _TextGenerator(FrameDecoderGenerator):
         # A boolean is written as an atom, and characters are bytes: neither is the value's own text.
         if code in "?c":
             raise UnsupportedLayout
-        return self._add_floats([code]) if code in "fd" else _delimit(self.add_to_run(code))
+        return self._add_floats([code]) if slot.type in FLOATS else _delimit(self.add_to_run(code))
 
     def read_fixed_array(self, slot: Field) -> str:
         length = slot.length or 0
@@ -218,7 +218,7 @@ class _TextGenerator(FrameDecoderGenerator):
 
 
 def _is_float(slot: Field) -> bool:
-    return slot.length is None and slot.type in ("float32", "float64")
+    return slot.length is None and slot.type in FLOATS
 
 
 def _delimit(source: str) -> str:

@@ -19,6 +19,7 @@ from ..prolog.syntax.term_writer import write_term
 from ..prolog.terms.term_traversal import copy
 from ..prolog.terms.types import atom
 from .type_definition import (
+    FLOATS,
     TIMES,
     VARIABLE_LENGTH,
     Definition,
@@ -177,7 +178,7 @@ class SlotNames:
 
 def _make_slot(slot: Field, default: object) -> MessageSlot:
     message = "" if slot.definition is None else functor_name(slot.type)
-    is_float = slot.type in ("float32", "float64")
+    is_float = slot.type in FLOATS
     return MessageSlot(slot.name, slot.describe(), message, slot.length is not None, default, is_float)  # type: ignore[arg-type]
 
 

@@ -12,7 +12,7 @@ from ..prolog.terms.byte_texts import blob_atom, text_atom, text_bytes
 from ..prolog.terms.list_terms import list_items, make_list
 from ..prolog.terms.types import FALSE, TRUE, Term, deref, functor
 from .decoder import raw_bytes
-from .type_definition import TIMES, Definition, Field
+from .type_definition import FLOATS, TIMES, Definition, Field
 
 
 def make_message_term(definition: Definition, values: Mapping[str, Any]) -> Term:
@@ -62,7 +62,7 @@ def _make_element(slot: Field, value: Any) -> Term:
         return make_list(timestamps.to_parts(value or 0))
     if slot.type == "bool":
         return TRUE if value else FALSE
-    return float(value or 0) if slot.type.startswith("float") else int(value or 0)
+    return float(value or 0) if slot.type in FLOATS else int(value or 0)
 
 
 def _read_slot(slot: Field, term: Term) -> Any:

@@ -71,6 +71,9 @@ PRIMITIVES: Dict[str, str] = {
 }
 """Number types and their `struct` codes; ``byte`` and ``char`` are old names of int8 and uint8."""
 
+FLOATS = frozenset(name for name, code in PRIMITIVES.items() if code in "efd")
+"""Types of floats; the other number types are ``bool`` and integers."""
+
 TIMES: Dict[str, str] = {"time": "II", "duration": "ii"}
 BUILTIN = frozenset(PRIMITIVES) | frozenset(TIMES) | {"string"}
 
@@ -723,7 +726,7 @@ def parse_constant(type_name: str, text: str) -> ConstantValue:
         if text not in _BOOL_TEXTS:
             raise ValueError(text)
         return _BOOL_TEXTS[text]
-    if type_name in ("float32", "float64"):
+    if type_name in FLOATS:
         return float(text)
     if len(text) > _MAX_INTEGER_CHARACTERS:
         raise ValueError(text)
@@ -742,7 +745,7 @@ EXPECTED_CONSTANT_TYPE = "expected bool, string, or a type of integers or floats
 def _describe_expected_value(type_name: str) -> str:
     if type_name == "bool":
         return "expected True, False, 1 or 0"
-    if type_name in ("float32", "float64"):
+    if type_name in FLOATS:
         return "expected a number"
     low, high = integer_range(PRIMITIVES[type_name])
     return f"expected an integer from {low} to {high}"

@@ -14,7 +14,7 @@ from typing import Any, Dict, Iterator, List, Mapping, NamedTuple, Optional, Set
 
 from ...foundation.errors import Place, RuleError
 from ...messages.message_notation import SENSOR_PREDICATES
-from ...messages.type_definition import Definition, Field, functor_name
+from ...messages.type_definition import FLOATS, PRIMITIVES, Definition, Field, functor_name
 from ...prolog.terms.types import Atom, CompoundTerm, Functor, String, Term, Var, deref, functor
 from ..language.event_declarations import ValueType, slot_value_type
 from ..language.event_operators import OperatorKind, names_of_kind
@@ -365,12 +365,7 @@ _NUMERIC_EQUIVALENTS = {
 
 _NUMERIC_EQUALITIES = frozenset((functor("=:=", 2), functor("=\\=", 2)))
 _ALTERNATIVES = frozenset((functor("or", 2), functor("\\/", 2), functor(";", 2), functor("->", 2)))
-_NUMBER_TYPES = {
-    **dict.fromkeys(("float32", "float64"), float),
-    **dict.fromkeys(
-        ("int8", "uint8", "byte", "char", "int16", "uint16", "int32", "uint32", "int64", "uint64"), int
-    ),
-}
+_NUMBER_TYPES = {name: float if name in FLOATS else int for name in PRIMITIVES if name != "bool"}
 _MAX_EXACT_INTEGER = 10**15
 """Limit up to which each integer is represented exactly by a float that is written with its digits."""
 
