@@ -5,7 +5,7 @@ from collections import defaultdict
 from typing import Any, Iterator, Optional, Set
 
 import pytest
-from source import FILES, TREES
+from source import FILES, NODES, TREES
 
 ENGINE = "engine/engine.py"
 
@@ -186,3 +186,26 @@ def test_parts_of_engine_are_accessed_by_its_module_only() -> None:
         if text_of(node.value).rpartition(".")[2].endswith("engine")
     ]
     assert accesses == []
+
+
+MODULES_OF_STATE = {
+    "current": ("events/dispatch/", "events/fused/"),
+    "cause": "events/dispatch/",
+    "condition_depth": "events/network/goal_evaluation.py",
+    "condition_interval": "events/network/goal_evaluation.py",
+}
+"""Modules that assign an attribute of shared state."""
+
+
+def assigned_attributes(nodes: Any) -> Iterator[Any]:
+    """Yield the attributes that a module assigns."""
+    for node in nodes:
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, (ast.Store, ast.Del)):
+            yield node.attr
+
+
+@pytest.mark.parametrize("name", MODULES_OF_STATE)
+def test_only_owner_assigns_state(name: Any) -> None:
+    assigning_modules = {path for path, nodes in NODES.items() if name in assigned_attributes(nodes)}
+    assert assigning_modules
+    assert all(path.startswith(MODULES_OF_STATE[name]) for path in assigning_modules), assigning_modules

@@ -13,7 +13,6 @@ from retalis import Term, functor
 from retalis.prolog.terms.term_traversal import copy
 
 from .after_match_skipping import Skipping
-from .conditions import Test, all_solutions
 from .goals import first, instance, show
 from .matches import POLICIES, Event, Gap, Match
 from .patterns import (
@@ -34,6 +33,7 @@ from .patterns import (
     take_out_subpatterns,
     walk,
 )
+from .rule_conditions import Test, all_solutions
 from .streams import Streams
 
 Fit = Callable[[Match, Match], Optional[Match]]

@@ -18,7 +18,6 @@ from events.operator_table import PAIRS
 from retalis import Term
 from retalis.prolog.terms.term_traversal import copy
 
-from .conditions import Conditions, all_solutions
 from .goals import first, instance, show
 from .matches import Event, Match
 from .patterns import (
@@ -38,6 +37,7 @@ from .patterns import (
     strip,
     walk,
 )
+from .rule_conditions import Conditions, all_solutions
 
 
 class Found(NamedTuple):

@@ -6,10 +6,10 @@ from typing import Any, Dict, List, Optional, Set, Tuple
 from retalis import Var
 from retalis.prolog.terms.term_traversal import variables
 
-from .conditions import Conditions
 from .goals import Bindings, GoalError, instance, number, unbound, unify
 from .matches import AGGREGATES, Gap, Match, Run
 from .patterns import Aggregate, Pattern, Rule, Star, Within, pattern_variables
+from .rule_conditions import Conditions
 
 
 class IdentifyingRepetitions(Conditions):

@@ -18,7 +18,6 @@ from typing import Counter as CounterOf
 from retalis import Term, functor
 from retalis.prolog.terms.term_traversal import copy
 
-from .conditions import Test
 from .evaluator import NOTHING, Fit, RuleState, Sides
 from .event_combinations import Combinations, Found, has_outer_absence
 from .event_combinations import defined_for as defined_without_state
@@ -37,6 +36,7 @@ from .patterns import (
     take_out_subpatterns,
     walk,
 )
+from .rule_conditions import Test
 
 REV = functor("rev", 1)
 Step = CounterOf[Tuple[str, Any, Any]]

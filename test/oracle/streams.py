@@ -11,12 +11,12 @@ from retalis import Term, Var, list_items, make_list
 from retalis.prolog.terms.term_traversal import variables
 from retalis.prolog.terms.types import NIL
 
-from .conditions import may_bind
 from .goals import Bindings, GoalError, instance, number, quotient, show, unbound, unify
 from .matches import Event, Match
 from .patterns import Aggregate, Awaited, Both, Pattern, Shaped, Star, Windowed, children
 from .repetition_runs import IdentifyingRepetitions
 from .row_pattern_matches import steps_of, whole_matches
+from .rule_conditions import may_bind
 
 
 @dataclass(eq=False)

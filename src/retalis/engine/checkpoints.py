@@ -38,7 +38,7 @@ from ..events.clock.clock import Clock
 from ..events.knowledge.memory import NO_POSITION, MemoryInstance
 from ..events.program.topic_configuration import GOALS, TOPICS
 from ..foundation.errors import UsageError
-from ..foundation.read_only_database import open_without_locks
+from ..foundation.read_only_sqlite import open_without_locks
 from ..messages.type_registry import Definitions
 from ..serialization.codec import from_bytes, to_bytes
 from ..serialization.columns import DecodedRecords, MemoryRecords, decode_records, encode_records

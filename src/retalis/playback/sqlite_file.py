@@ -4,7 +4,7 @@ The files are not trusted: a database may only have plain tables, and is limited
 instructions and of bytes.
 
 A recorder that was killed leaves its newest messages in the write-ahead log (``.db3-wal``). They are read, and
-nothing is written, as `read_only_database` describes.
+nothing is written, as `read_only_sqlite` describes.
 """
 
 import logging
@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Collection, Dict, Iterator, List, Optional, Tuple
 
 from ..foundation.interrupts import check_interrupt, is_interrupted
-from ..foundation.read_only_database import open_without_locks
+from ..foundation.read_only_sqlite import open_without_locks
 from .decompression import ChunkLimit, describe_error
 from .ros2_storage import Connection, Message
 from .rosbag1 import IncompleteBagError

@@ -1,4 +1,4 @@
-"""Rules of a program's folder that no goal reads."""
+"""Checks of predicates: rule files that no goal reads, constants meant as variables, and counters."""
 
 import os
 from pathlib import Path

@@ -4,7 +4,7 @@ from itertools import combinations, product
 from typing import Any, List, Optional
 
 import pytest
-from events.load_messages import errors_of, warnings_of
+from events.load_problems import errors_of, warnings_of
 from events.stream_programs import ProgramRunner
 
 COMPARISONS = ["X > 1", "X =< 1", "X == 1", "X = 1", "X \\== 1", "Y is X + 1", "X @< 1", "X =:= 1"]

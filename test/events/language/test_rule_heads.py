@@ -1,7 +1,7 @@
 """Errors in rule heads: events, alarms and synchronized queries."""
 
 import pytest
-from events.load_messages import assert_refused, warnings_of
+from events.load_problems import assert_refused, warnings_of
 from events.stream_programs import ProgramRunner, format_events
 
 from retalis import StreamClock

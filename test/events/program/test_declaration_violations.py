@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from events.load_messages import errors_of
+from events.load_problems import errors_of
 
 from retalis import Engine
 

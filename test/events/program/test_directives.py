@@ -1,7 +1,7 @@
 """Errors of directives, reported at the goal that failed."""
 
 import pytest
-from events.load_messages import errors_of, warnings_of
+from events.load_problems import errors_of, warnings_of
 from events.stream_programs import ProgramRunner
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, List
 
 import pytest
-from events.load_messages import assert_refused, errors_of
+from events.load_problems import assert_refused, errors_of
 from events.stream_programs import ProgramRunner, outputs_of
 
 from retalis import Engine, ProgramErrors, atom, functor

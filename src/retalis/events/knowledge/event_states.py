@@ -70,7 +70,7 @@ from ..matches.match_types import OPTIONAL_EVENT
 from ..matches.watermarks import PatternWatermark, Watermarks, functor_of
 from ..provenance.occurrences import Occurrence
 from .memory import Warn
-from .timeouts import Timeouts, are_increasing_orders
+from .timeout_queue import Timeouts, are_increasing_orders
 
 # Versions are unique among all declarations, so a table that depends on one declaration can compare numbers only.
 _VERSIONS = count()

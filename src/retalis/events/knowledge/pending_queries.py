@@ -64,7 +64,7 @@ from ..matches.watermarks import PatternWatermark, Watermarks, functor_of
 from ..network.event_rule import EventRule
 from .memory import MemoryInstance, Warn, key_of
 from .memory_registry import MemoryInstances
-from .timeouts import Timeouts, are_increasing_orders, timeout_of
+from .timeout_queue import Timeouts, are_increasing_orders, timeout_of
 from .transform_predicates import AwaitedTransform, ReachedTransforms, Transforms
 
 AwaitedSource = Union[MemoryInstance, AwaitedTransform]

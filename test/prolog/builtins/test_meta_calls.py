@@ -1,4 +1,4 @@
-"""Meta-calls with limits, portions, blocking goals and ports."""
+"""Meta-calls: limits, distinct solutions, blocking goals and traced ports."""
 
 from typing import Any, List
 

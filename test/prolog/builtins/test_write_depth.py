@@ -1,4 +1,4 @@
-"""Depth limit of written terms."""
+"""Depth limit of written terms, finite and cyclic."""
 
 from typing import Any, List
 

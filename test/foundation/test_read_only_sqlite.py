@@ -6,7 +6,7 @@ from typing import Any, Dict, List
 
 import pytest
 
-from retalis.foundation.read_only_database import open_without_locks
+from retalis.foundation.read_only_sqlite import open_without_locks
 
 
 @pytest.fixture

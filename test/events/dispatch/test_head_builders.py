@@ -1,4 +1,4 @@
-"""Compiled construction of terms, compared with copying; large terms are not compiled."""
+"""Compiled builders of the heads of rules, compared with copying; large terms are not compiled."""
 
 from typing import Any, List
 

@@ -1,7 +1,7 @@
 """Errors in aggregates whose collected values are never bound."""
 
 import pytest
-from events.load_messages import errors_of, warnings_of
+from events.load_problems import errors_of, warnings_of
 
 
 @pytest.mark.parametrize(

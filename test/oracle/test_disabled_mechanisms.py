@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from .mechanisms import MECHANISMS, noticing
+from .disabled_mechanisms import MECHANISMS, noticing
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Reading clause by clause in time linear in the clause."""
+"""Clauses without a full stop: read in linear time, and followed by clauses that are read."""
 
 from typing import Any, Dict, List, Tuple
 

@@ -1,4 +1,4 @@
-"""Options for limits: the same for each command, and no goal blocks a command forever."""
+"""Limits of goals as options: the same for each command, and no goal blocks a command forever."""
 
 import io
 import sys

@@ -1,4 +1,4 @@
-"""Random programs: outputs are equal whether a listener observes all events or only a few types.
+"""Unobserved events of random programs: outputs are equal whether a listener observes all events or only a few types.
 
 With few listeners, synchronized events of rules are not created, and messages use the fused paths.
 """

@@ -1,7 +1,7 @@
-"""Facts that are probably goals without an arrow."""
+"""Facts that are refused or reported, because they are probably goals or rules with another arrow."""
 
 import pytest
-from events.load_messages import warnings_of
+from events.load_problems import warnings_of
 
 from retalis import Engine, ProgramErrors
 

@@ -1,4 +1,4 @@
-"""Names of variables, and bounded time of the search for similar names."""
+"""Suggested names for findings: preference, and bounded time of the search for similar names."""
 
 from pathlib import Path
 from typing import Any, List

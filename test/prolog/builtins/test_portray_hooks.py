@@ -1,4 +1,4 @@
-"""Printing of terms with user-defined hooks."""
+"""Printing of terms by ``portray/1``, which a program defines."""
 
 from typing import Any, List, Tuple
 

@@ -1,4 +1,4 @@
-"""Merge of messages by time."""
+"""Merge of the messages of several files by time."""
 
 from typing import Any, Iterator, List, Set, Tuple
 
