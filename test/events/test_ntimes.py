@@ -227,7 +227,7 @@ def test_cost_of_repetitions_is_linear(policy: Any, times: int) -> None:
     assert rule.stored_match_count == times - 1
     assert program.feed(f"a(1,0)@{times}") == f"c(1)@0-{times}"
     assert program.feed(f"a(1,0)@{times + 1}") == f"c(1)@1-{times + 1}"
-    (node,) = [node for node, _, _ in rule.nodes if isinstance(node, RepeatNode)]
+    (node,) = [node for node in rule.nodes if isinstance(node, RepeatNode)]
     assert node.visit_count == times + 1
 
 
@@ -237,7 +237,7 @@ def test_window_removes_old_repetitions() -> None:
         program.engine.event(f"a({second})", second, second)
     rule = program.engine.rules.rules[0]
     assert rule.stored_match_count == 10
-    (node,) = [node for node, _, _ in rule.nodes if isinstance(node, RepeatNode)]
+    (node,) = [node for node in rule.nodes if isinstance(node, RepeatNode)]
     assert node.visit_count == 100
     assert sum(len(group.cursors) for group in node.groups.values()) <= 12
 
@@ -246,7 +246,7 @@ def test_groups_without_matches_are_removed() -> None:
     program = ProgramRunner("c(X) <- (a(X) ntimes 10) within 10.")
     for second in range(5000):
         program.engine.event(f"a({second})", second, second)
-    (node,) = [node for node, _, _ in program.engine.rules.rules[0].nodes if isinstance(node, RepeatNode)]
+    (node,) = [node for node in program.engine.rules.rules[0].nodes if isinstance(node, RepeatNode)]
     assert len(node.groups) <= 11
 
 

@@ -177,7 +177,12 @@ _HEADER = record_of(
     byte_order=TEXT,
     files=sequence_of(tuple_of(PATH, TEXT)),
     memories=sequence_of(
-        compact_record_of(StoredMemoryPosition, number=COUNT, dropped_count=COUNT, end=ANYTHING)
+        compact_record_of(
+            StoredMemoryPosition,
+            number=COUNT,
+            dropped_count=COUNT,
+            end=ANYTHING,
+        )
     ),
     written_at=SECONDS,
 )

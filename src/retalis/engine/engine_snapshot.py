@@ -134,14 +134,28 @@ class StoredProgram(NamedTuple):
 _STORED_PROGRAM = record_of(
     StoredProgram,
     rules=RULES,
-    memories=rows_of(StoredMemory, definition=_definition_type(MEMORIZE), is_active=BOOLEAN),
+    memories=rows_of(
+        StoredMemory,
+        definition=_definition_type(MEMORIZE),
+        is_active=BOOLEAN,
+    ),
     subscriptions=sequence_of(_definition_type(SUBSCRIBE)),
     states=sequence_of(CALLABLE_TERM),
     deployments=DEPLOYMENTS,
-    topics=rows_of(TopicRequest, topic=TEXT, message_type=TEXT, event=TEXT),
+    topics=rows_of(
+        TopicRequest,
+        topic=TEXT,
+        message_type=TEXT,
+        event=TEXT,
+    ),
     event_types=mapping_of(TEXT, TEXT),
     foreign_modules=sequence_of(PATH),
-    swi_files=rows_of(SwiFile, name=PATH, source=TERM, imports=TERM),
+    swi_files=rows_of(
+        SwiFile,
+        name=PATH,
+        source=TERM,
+        imports=TERM,
+    ),
 )
 
 

@@ -97,7 +97,12 @@ class StoredRules(NamedTuple):
     program_folders: List[str]
 
 
-_PROPERTY_FIELDS = record_of(Property, label=TERM, name=TEXT, value=TERM)
+_PROPERTY_FIELDS = record_of(
+    Property,
+    label=TERM,
+    name=TEXT,
+    value=TERM,
+)
 
 
 class _PropertyType(FieldType[Property]):
@@ -227,7 +232,7 @@ class _RulesAndNodes(ExternalObjects):
         if number is None:
             number = self._rule_numbers[id(rule)] = len(self.rules)
             self.rules.append(rule)
-            for node_number, (node, _, _) in enumerate(rule.nodes):
+            for node_number, node in enumerate(rule.nodes):
                 self._node_keys[id(node)] = number, node_number
         return number
 
@@ -263,7 +268,7 @@ class _RulesAndNodes(ExternalObjects):
         if kind == "node" and len(key) == 2 and key[0] < len(self.rules):
             nodes = self.rules[key[0]].nodes
             if key[1] < len(nodes):
-                return nodes[key[1]][0]
+                return nodes[key[1]]
         raise invalid_value(key, f"numbers of an object of kind {kind}")
 
 
@@ -423,7 +428,11 @@ class StoredNetwork(NamedTuple):
     state: object
 
 
-NETWORK = record_of(StoredNetwork, objects=ANYTHING, state=ANYTHING)
+NETWORK = record_of(
+    StoredNetwork,
+    objects=ANYTHING,
+    state=ANYTHING,
+)
 
 
 def snapshot_matches(

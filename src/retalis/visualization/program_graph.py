@@ -55,11 +55,19 @@ _CREATING_GOALS = frozenset(
 """Goals that create the event in their first argument."""
 
 _READING_GOALS = frozenset(
-    functor(name, arity)
-    for name, arity in (
-        *(("prev", 5), ("prev_binary", 5), ("next", 6), ("next_binary", 6), ("next_inf", 5)),
-        *(("newest_matching", 4), ("prev_matching", 5), ("next_inf_matching", 5), ("next_matching", 6)),
-        *(("access_mem", 3), ("memory_size", 2), ("memory_counter", 2)),
+    (
+        functor("prev", 5),
+        functor("prev_binary", 5),
+        functor("next", 6),
+        functor("next_binary", 6),
+        functor("next_inf", 5),
+        functor("newest_matching", 4),
+        functor("prev_matching", 5),
+        functor("next_inf_matching", 5),
+        functor("next_matching", 6),
+        functor("access_mem", 3),
+        functor("memory_size", 2),
+        functor("memory_counter", 2),
     )
 )
 """Goals that read the memory in their first argument."""

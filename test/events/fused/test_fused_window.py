@@ -38,9 +38,7 @@ def rule(aggregates: Any, grouped: Any, limit: str) -> str:
 
 def window_of(rules: Any) -> Any:
     [event_rule] = rules.rules
-    [stream_node_of_rule] = [
-        node for node, _, _ in event_rule.nodes if isinstance(node, stream_node.StreamNode)
-    ]
+    [stream_node_of_rule] = [node for node in event_rule.nodes if isinstance(node, stream_node.StreamNode)]
     return stream_node_of_rule
 
 

@@ -15,7 +15,7 @@ def _negations(program: Any) -> List[Any]:
     (rule,) = program.engine.rules.rules
     return [
         negation
-        for node, _, _ in rule.nodes
+        for node in rule.nodes
         for negation in getattr(node, "negations", ())
         if isinstance(negation, NegationBuffer)
     ]

@@ -46,9 +46,7 @@ class EngineDriver(Engine):
 
     def streams(self) -> List[Any]:
         """Return the operators of all rules."""
-        return [
-            node.stream for rule in self.event_rules for node, _, _ in rule.nodes if hasattr(node, "stream")
-        ]
+        return [node.stream for rule in self.event_rules for node in rule.nodes if hasattr(node, "stream")]
 
 
 EVERY = "{0}(N) <- aggregate(count, in(_), N, every({1})).\n"

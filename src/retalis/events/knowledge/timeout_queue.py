@@ -87,7 +87,14 @@ class Timeouts(StateOwner):
     """
 
     STATE = StateFields(
-        field("pending_deadlines", rows_of(Deadline, instant=INSTANT, order=COUNT)),
+        field(
+            "pending_deadlines",
+            rows_of(
+                Deadline,
+                instant=INSTANT,
+                order=COUNT,
+            ),
+        ),
         field("alarm_instants", sequence_of(INSTANT)),
     )
 

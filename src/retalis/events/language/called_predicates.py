@@ -4,32 +4,31 @@ The analysis descends into control constructs and meta-predicates with a known m
 Predicates that any goal of the program could define by ``assert`` and the like are never reported.
 """
 
-from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Set
+from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 
 from ...foundation.errors import Place, UndefinedPredicate
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.types import COMMA, CONS, SLASH, Atom, CompoundTerm, Functor, Term, Var, deref, functor
 
-_GOAL_POSITIONS = {
-    functor(name, arity): places
-    for name, arity, places in (
-        (",", 2, (1, 2)),
-        (";", 2, (1, 2)),
-        ("->", 2, (1, 2)),
-        ("*->", 2, (1, 2)),
-        ("\\+", 1, (1,)),
-        (":", 2, (2,)),
-        ("call", 1, (1,)),
-        ("once", 1, (1,)),
-        ("ignore", 1, (1,)),
-        ("forall", 2, (1, 2)),
-        ("findall", 3, (2,)),
-        ("findall", 4, (2,)),
-        ("aggregate_all", 3, (2,)),
-        ("catch", 3, (1, 3)),
-    )
+_GOAL_POSITIONS: Dict[Functor, Tuple[int, ...]] = {
+    COMMA: (1, 2),
+    functor(";", 2): (1, 2),
+    functor("->", 2): (1, 2),
+    functor("*->", 2): (1, 2),
+    functor("\\+", 1): (1,),
+    functor(":", 2): (2,),
+    functor("call", 1): (1,),
+    functor("once", 1): (1,),
+    functor("ignore", 1): (1,),
+    functor("forall", 2): (1, 2),
+    functor("findall", 3): (2,),
+    functor("findall", 4): (2,),
+    functor("aggregate_all", 3): (2,),
+    functor("catch", 3): (1, 3),
 }
+"""Positions of the arguments that are goals."""
+
 _DATABASE_UPDATES = frozenset(
     (
         *[

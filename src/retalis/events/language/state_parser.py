@@ -27,8 +27,20 @@ DEFAULT_MAX_OPEN = 10_000
 """Default maximum for states that hold at the same time."""
 
 _FROM, _UNTIL = functor("from", 1), functor("until", 1)
-_NUMBER_OPTIONS = {"past": ("max_past", 0, 1_000_000), "open": ("max_open", 1, 1_000_000)}
-"""Options with a number: the field of `StateForm`, minimum and maximum."""
+
+
+class _NumberOption(NamedTuple):
+    """Option with a number: the field of `StateForm`, and the limits of its value."""
+
+    field: str
+    minimum: int
+    maximum: int
+
+
+_NUMBER_OPTIONS = {
+    "past": _NumberOption(field="max_past", minimum=0, maximum=1_000_000),
+    "open": _NumberOption(field="max_open", minimum=1, maximum=1_000_000),
+}
 
 _OPTION_NOTATIONS = "the options are within(Seconds), past(Number) and open(Number)"
 
@@ -140,10 +152,10 @@ def _parse_options(term: Term) -> Dict[str, Any]:
                 raise UsageError("within(Seconds) needs a number of seconds above 0")
             fields["max_duration"] = from_seconds(value)
         elif name in _NUMBER_OPTIONS:
-            field, low, high = _NUMBER_OPTIONS[name]
-            if value.__class__ is not int or not low <= value <= high:
-                raise UsageError(f"{name}(Number) needs an integer from {low} to {high}")
-            fields[field] = value
+            option = _NUMBER_OPTIONS[name]
+            if value.__class__ is not int or not option.minimum <= value <= option.maximum:
+                raise UsageError(f"{name}(Number) needs an integer from {option.minimum} to {option.maximum}")
+            fields[option.field] = value
         else:
             raise UsageError(_OPTION_NOTATIONS)
     return fields

@@ -609,24 +609,17 @@ class ConsumptionPolicy(Enum):
         return self is ConsumptionPolicy.RECENT
 
 
-_SUPPORTED_POLICY_TRAITS = frozenset(
-    # (prefers_newest, consumes_partners, replaces_identical)
-    ((True, True, True), (True, True, False), (False, True, False), (False, False, False))
-)
-"""Combinations of the properties of a policy that the joins of the network implement."""
-
-
 def check_policy(policy: ConsumptionPolicy) -> None:
     """Reject a policy that the network would silently treat as another one.
 
     Raises:
         UsageError: for a combination of properties without a join.
     """
-    if (
-        policy.prefers_newest,
-        policy.consumes_partners,
-        policy.replaces_identical,
-    ) not in _SUPPORTED_POLICY_TRAITS:
+    # The joins that choose the newest partner consume it, and only they replace identical events.
+    is_supported = (policy.consumes_partners or not policy.prefers_newest) and (
+        policy.prefers_newest or not policy.replaces_identical
+    )
+    if not is_supported:
         raise UsageError(
             f"policy {policy.value}: the network has no join for a policy with newest={policy.prefers_newest}, "
             f"consuming={policy.consumes_partners}, replacing={policy.replaces_identical}"

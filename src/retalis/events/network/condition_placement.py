@@ -48,7 +48,7 @@ from ..matches.match_types import PartialMatch
 from ..matches.negation import DeferredNegations, NegationBuffer
 from ..matches.shared_run_buffer import NO_ITEMS
 from .goal_evaluation import RuleGoal, Test, compile_condition_test
-from .pattern_nodes import EventNode, NetworkNode
+from .pattern_nodes import BoundedNode, EventNode, NetworkNode
 
 if TYPE_CHECKING:
     from .event_rule import EventRule
@@ -124,7 +124,7 @@ class NegatedPattern:
         self,
         build: Callable[[], BuiltPattern],
         copies: List[Tuple[BuiltPattern, BuiltPattern]],
-        nodes: Sequence[Tuple[NetworkNode, Any, Any]],
+        nodes: Sequence[BoundedNode],
     ):
         self._nodes = nodes
         self._build = build
@@ -136,7 +136,7 @@ class NegatedPattern:
         node_count = len(self._nodes)
         built = self._build()
         # All nodes that the call has added belong to the negated pattern.
-        for node, _, _ in self._nodes[node_count:]:
+        for node in [bounded.node for bounded in self._nodes[node_count:]]:
             node.is_negated = True
             for buffer in node.buffers():
                 buffer.is_negated = True

@@ -194,9 +194,7 @@ class EventRule(StateOwner):
         # A rule with the same text can be compiled to other nodes by another version of the package.
         field(
             "node_states",
-            lambda rule: states_of(
-                [node for node, _, _ in rule.nodes], "its nodes differ from those in the state"
-            ),
+            lambda rule: states_of(rule.nodes, "its nodes differ from those in the state"),
         ),
         field(
             "stored_arrivals",
@@ -209,7 +207,11 @@ class EventRule(StateOwner):
         ),
         field(
             "stored_deferred_matches",
-            rows_of(DeferredMatch, buffer_number=COUNT, match=MATCH_REFERENCE),
+            rows_of(
+                DeferredMatch,
+                buffer_number=COUNT,
+                match=MATCH_REFERENCE,
+            ),
         ),
         field("_deferring_event", TOKEN),
         constraint(
@@ -274,8 +276,9 @@ class EventRule(StateOwner):
         head = definition.head
         compiler = RuleCompiler(self, [] if head is None else [head], definition.pattern)
         self.root = compiler.build()
-        self.nodes = compiler.nodes
-        self.shares_events = any(getattr(node, "shares_events", False) for node, _, _ in self.nodes)
+        self._bounded_nodes = compiler.nodes
+        self.nodes = [bounded.node for bounded in compiler.nodes]
+        self.shares_events = any(getattr(node, "shares_events", False) for node in self.nodes)
         self._builder: Optional[Callable[[Values], Term]] = None
 
     def configure(
@@ -301,7 +304,7 @@ class EventRule(StateOwner):
         self.idle = None if garbage is None else garbage[0]
         # Operators on streams have clocks of their own.
         self.maintains_clock = garbage is not None and not root.is_single_event
-        for node, span, retention_times in self.nodes:
+        for node, span, retention_times in self._bounded_nodes:
             retention = retention_times.out_of_order if options.out_of_order else retention_times.in_order
             node.set_span(
                 smaller_bound(span, window) if node.tests_label_window else span,
@@ -317,7 +320,7 @@ class EventRule(StateOwner):
         # Sweeps are for matches that never expire. One with a retention time may be needed until that has passed.
         sweeps = [
             sweep
-            for node, _, _ in self.nodes
+            for node in self.nodes
             for sweep in node.sweeps(options)
             if sweep.first_buffer.retention is None
         ]
@@ -354,12 +357,12 @@ class EventRule(StateOwner):
 
     def stream_node(self, pattern: Pattern) -> Optional[StreamNode]:
         """Return the node that evaluates an operator on streams; None if there is none for this pattern."""
-        nodes = [node for node, _, _ in self.nodes if isinstance(node, StreamNode)]
+        nodes = [node for node in self.nodes if isinstance(node, StreamNode)]
         return next((node for node in nodes if node.pattern is pattern), None)
 
     def open_windows(self) -> Iterator[Tuple[WindowPattern, Dict[str, Term], OpenWindow]]:
         """Yield the windows that have elements and have not ended, with the values of their keys by variable."""
-        for node, _, _ in self.nodes:
+        for node in self.nodes:
             if isinstance(node, StreamNode) and isinstance(node.stream, Window):
                 assert isinstance(node.pattern, WindowPattern)
                 for window in node.stream.open_windows(node.watermark_time()):
@@ -368,7 +371,7 @@ class EventRule(StateOwner):
                     yield node.pattern, dict(zip(names, window.key_values)), window
 
     def _buffers(self) -> List[Any]:
-        return [buffer for node, _, _ in self.nodes for buffer in node.buffers()]
+        return [buffer for node in self.nodes for buffer in node.buffers()]
 
     # ---- state -----------------------------------------------------------------------------------------
 
@@ -384,11 +387,11 @@ class EventRule(StateOwner):
     @property
     def node_states(self) -> List[State]:
         """The state of each node."""
-        return [node.snapshot() for node, _, _ in self.nodes]
+        return [node.snapshot() for node in self.nodes]
 
     @node_states.setter
     def node_states(self, states: Sequence[State]) -> None:
-        for (node, _, _), state in zip(self.nodes, states):
+        for node, state in zip(self.nodes, states):
             node.restore(state)
 
     @property
@@ -442,7 +445,7 @@ class EventRule(StateOwner):
         """Return whether the stored and deferred matches of a state fit the buffers that they are put into."""
         checks = [
             check
-            for (node, _, _), node_state in zip(self.nodes, state["node_states"])
+            for node, node_state in zip(self.nodes, state["node_states"])
             for check in node.buffer_checks(node_state)
         ]
         matches, buffer_numbers, _ = state["stored_arrivals"]
@@ -509,23 +512,23 @@ class EventRule(StateOwner):
     @property
     def match_count(self) -> int:
         """Number of matches in its buffers and in its operators on streams."""
-        return self.stored_match_count + sum(node.stored_count() for node, _, _ in self.nodes)
+        return self.stored_match_count + sum(node.stored_count() for node in self.nodes)
 
     @property
     def keys(self) -> int:
         """Number of keys with stored matches, and of keys with a state in operators on streams."""
         buffers = [buffer for buffer in self._buffers() if isinstance(buffer, MatchBuffer)]
-        return sum(len(buffer.newest) for buffer in buffers) + sum(node.keys() for node, _, _ in self.nodes)
+        return sum(len(buffer.newest) for buffer in buffers) + sum(node.keys() for node in self.nodes)
 
     @property
     def bytes(self) -> int:
         """Estimate of the memory of its state: numbers of matches and keys times measured constants."""
-        return self.stored_match_count * MATCH_BYTES + sum(node.bytes() for node, _, _ in self.nodes)
+        return self.stored_match_count * MATCH_BYTES + sum(node.bytes() for node in self.nodes)
 
     @property
     def watermark_delay(self) -> int:
         """Longest delay in ns by which its operators on streams wait for late events."""
-        nodes = [node for node, _, _ in self.nodes if isinstance(node, StreamNode)]
+        nodes = [node for node in self.nodes if isinstance(node, StreamNode)]
         return max((node.watermark.delay for node in nodes), default=0)
 
     @property
@@ -555,14 +558,14 @@ class EventRule(StateOwner):
             self._last_collection = min(self._last_collection, instant)
         if self.skip_state is not None:
             self.skip_state.return_to(instant)
-        for node, _, _ in self.nodes:
+        for node in self.nodes:
             if isinstance(node, StreamNode):
                 node.return_to(instant)
 
     def clear_matches(self) -> None:
         """Remove all partial matches, runs and negated matches."""
         self.deferred_matches = []
-        for node, _, _ in self.nodes:
+        for node in self.nodes:
             node.clear()
         for match in list(self.arrivals):
             match.discard()

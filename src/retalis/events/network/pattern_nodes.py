@@ -26,6 +26,7 @@ from typing import (
     Hashable,
     Iterable,
     List,
+    NamedTuple,
     Optional,
     Sequence,
     Set,
@@ -49,6 +50,7 @@ from ..language.pattern_tree import (
     own_terms,
 )
 from ..matches.consumption_policy import Emit
+from ..matches.expiration import Retention
 from ..matches.match_buffer import MatchBuffer
 from ..matches.match_types import (
     ComputedValues,
@@ -273,6 +275,20 @@ class NetworkNode(StateOwner):
     def can_retry(self, match_or_pair: MatchOrPair) -> bool:
         """Return whether ``retry`` accepts a match, or two matches, that a negated match has prevented."""
         return False
+
+
+class BoundedNode(NamedTuple):
+    """Node of a rule with its bounds.
+
+    Attributes:
+        node: the node.
+        span: interval bound in ns; None for no bound.
+        retention: retention times of the matches below it.
+    """
+
+    node: NetworkNode
+    span: Optional[int]
+    retention: Retention
 
 
 class EventNode(NetworkNode):

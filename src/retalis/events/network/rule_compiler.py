@@ -68,6 +68,7 @@ from .kleene_node import KleeneNode
 from .pattern_nodes import (
     ActionNode,
     BindNode,
+    BoundedNode,
     EarlyTestNode,
     EventNode,
     FilterNode,
@@ -97,7 +98,7 @@ class RuleCompiler(StreamCompiler):
         pattern: the pattern.
 
     Attributes:
-        nodes: all nodes, each with its interval bound in ns (None for no bound) and the retention of its matches.
+        nodes: all nodes with their bounds.
         stream_nodes: the operators on streams in the order of their alarms. As for events, the right
             operand of a pair precedes the left one: a match is completed before it is replaced.
         copies: further copies of negated patterns, each with the first one.
@@ -109,7 +110,7 @@ class RuleCompiler(StreamCompiler):
         self.shared_vars = find_shared_vars(head, pattern)
         self._occurrence_counts = occurrences(head, pattern)
         self._match_keys = MatchKeys(self.shared_vars)
-        self.nodes: List[Tuple[NetworkNode, Optional[int], Retention]] = []
+        self.nodes: List[BoundedNode] = []
         self.stream_nodes: List[StreamNode] = []
         self.copies: List[Tuple[BuiltPattern, BuiltPattern]] = []
         self._bindable_vars_cache: Dict[int, VarSet] = {}
@@ -231,7 +232,7 @@ class RuleCompiler(StreamCompiler):
     def _add(self, node: N, span: Optional[int], retention: Retention) -> N:
         if isinstance(node, StreamNode):
             self.stream_nodes.append(node)
-        self.nodes.append((node, span, retention))
+        self.nodes.append(BoundedNode(node, span, retention))
         return node
 
     def _add_filter(self, built: BuiltPattern, unwrapped: UnwrappedPattern, context: VarSet) -> BuiltPattern:

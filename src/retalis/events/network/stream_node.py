@@ -176,7 +176,12 @@ class Replay(StateOwner):
         field("_initial_state", lambda replay: optional(part_state(replay.create_operator()))),
         field(
             "_elements",
-            rows_of(ReceivedElement, channel=COUNT, element=reference("element"), instant=INSTANT),
+            rows_of(
+                ReceivedElement,
+                channel=COUNT,
+                element=reference("element"),
+                instant=INSTANT,
+            ),
         ),
         field(
             "stored_outputs",

@@ -575,14 +575,34 @@ _DIRECTIVE_CALLS = re.compile(r"[:?]-\s*(?:\(\s*)?([a-z]\w*)")
 
 _EVENT_PREDICATES = frozenset(
     (
-        "event", "declare_event", "new_event", "timer", "cancel_timer", "state", "delete_state",
-        "memorize", "memorize_diactive", "delete_memory", "subscribe", "delete_subscription",
-        "subscribe_to", "ins_event_rule", "del_event_rule", "del_all_event_rules",
-        "compile_event_file", "compile_events", "compile_event_rules", "execute_event_stream_file",
-        "fire_event_list", "fire_event_list_return_external_events", "set_etalis_flag", "reset_db",
-        "reset_etalis", "reset_etalis_state",
+        "event",
+        "declare_event",
+        "new_event",
+        "timer",
+        "cancel_timer",
+        "state",
+        "delete_state",
+        "memorize",
+        "memorize_diactive",
+        "delete_memory",
+        "subscribe",
+        "delete_subscription",
+        "subscribe_to",
+        "ins_event_rule",
+        "del_event_rule",
+        "del_all_event_rules",
+        "compile_event_file",
+        "compile_events",
+        "compile_event_rules",
+        "execute_event_stream_file",
+        "fire_event_list",
+        "fire_event_list_return_external_events",
+        "set_etalis_flag",
+        "reset_db",
+        "reset_etalis",
+        "reset_etalis_state",
     )
-)  # fmt: skip
+)
 """Predicates of the event language that no Prolog program uses."""
 
 OpenIncluded = Callable[[Term], Optional[Tuple[str, str]]]

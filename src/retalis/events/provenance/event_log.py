@@ -60,7 +60,15 @@ class EventLog(StateOwner):
     """
 
     STATE = StateFields(
-        field("stored_events", rows_of(StoredEvent, term=CALLABLE_TERM, start=INSTANT, end=INSTANT)),
+        field(
+            "stored_events",
+            rows_of(
+                StoredEvent,
+                term=CALLABLE_TERM,
+                start=INSTANT,
+                end=INSTANT,
+            ),
+        ),
     )
 
     def __init__(self, rules: "RuleBase"):

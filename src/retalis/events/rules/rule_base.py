@@ -404,7 +404,7 @@ class RuleBase(StateOwner):
                 options = options_with_property(options, prop.name, prop.word_value)
             else:
                 times.setdefault(prop.name, []).append(from_seconds(prop.numeric_value))
-        for node, _, _ in rule.nodes:
+        for node in rule.nodes:
             if isinstance(node, StreamNode):
                 setting = delay_setting(delay_values[0]) if delay_values else None
                 self.watermarks.configure(node.watermark, bool(delay_values), setting)

@@ -137,7 +137,14 @@ class DistinctUntilChanged(StreamOperator):
     """Operator that passes the first element of a key, and each element whose value differs from the previous one."""
 
     STATE = StateFields(
-        field("last_elements", rows_of(LastElement, reference_time=INSTANT, element=ELEMENT)),
+        field(
+            "last_elements",
+            rows_of(
+                LastElement,
+                reference_time=INSTANT,
+                element=ELEMENT,
+            ),
+        ),
     )
 
     emits_stored_elements = False

@@ -246,7 +246,11 @@ class Window(StreamOperator):
         field("last_order", COUNT),
         field(
             "keyed_windows",
-            rows_of(StoredWindow, reference_time=INSTANT, elements=sequence_of(ELEMENT, min_count=1)),
+            rows_of(
+                StoredWindow,
+                reference_time=INSTANT,
+                elements=sequence_of(ELEMENT, min_count=1),
+            ),
         ),
         constraint(
             "elements with distinct orders",

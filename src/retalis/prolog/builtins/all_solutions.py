@@ -145,7 +145,7 @@ def _enumerate_groups(
     return None
 
 
-_NEXT_GROUP = Code("bagof", lambda entry: _enumerate_groups(*entry[1:7]))
+_NEXT_GROUP = Code("bagof", lambda entry: _enumerate_groups(*entry[1:-1]))
 
 control("bagof/3")(_grouped_solutions(False))
 control("setof/3")(_grouped_solutions(True))

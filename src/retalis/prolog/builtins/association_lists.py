@@ -169,14 +169,10 @@ def _rotate(key: Term, value: Term, left: Any, right: Any, order: int) -> Compou
     if deref(balance) is (_LEFT if order < 0 else _RIGHT):
         # Single rotation: the child becomes the root of this subtree.
         if order < 0:
-            return (
-                *(_NODE, child_key, child_value, _EVEN, inner_left),
-                (_NODE, key, value, _EVEN, inner_right, right),
-            )
-        return (
-            *(_NODE, child_key, child_value, _EVEN),
-            *((_NODE, key, value, _EVEN, left, inner_left), inner_right),
-        )
+            left_node, right_node = inner_left, (_NODE, key, value, _EVEN, inner_right, right)
+        else:
+            left_node, right_node = (_NODE, key, value, _EVEN, left, inner_left), inner_right
+        return (_NODE, child_key, child_value, _EVEN, left_node, right_node)
     # Double rotation: the child's inner subtree becomes the root of this subtree.
     top: Any = deref(inner_right if order < 0 else inner_left)
     _, top_key, top_value, balance, top_left, top_right = top

@@ -329,7 +329,7 @@ def _enumerate_lengths(
     )
 
 
-_NEXT_LENGTH = Code("length", lambda entry: _enumerate_lengths(*entry[1:7]))
+_NEXT_LENGTH = Code("length", lambda entry: _enumerate_lengths(*entry[1:-1]))
 _NEXT_LENGTH.functor = functor("length", 2)
 
 

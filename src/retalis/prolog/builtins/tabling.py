@@ -252,6 +252,20 @@ _MIN_TABLES_BEFORE_DROP = 1000
 TabledCall = Callable[[Frame], Optional[Frame]]
 
 
+class StoredTable(NamedTuple):
+    """Complete table in a snapshot.
+
+    Attributes:
+        key: key of the call.
+        answers: values of the free variables of the call, by answer.
+        has_ground_answers: whether no answer contains variables.
+    """
+
+    key: Hashable
+    answers: List[Values]
+    has_ground_answers: bool
+
+
 class Tables:
     """All tables of a program, with the stack of those that are being evaluated."""
 
@@ -271,16 +285,14 @@ class Tables:
         self._drop_threshold = _MIN_TABLES_BEFORE_DROP
         self._guard_code = Guard("table", self._discard_evaluations)
         self._round_end_code = Code("table", self._end_round)
-        self._next_answer_code = Code("table", lambda entry: self._enumerate_answers(*entry[1:6]))
-        self._more_answers_code = Code("table", lambda entry: self._consume(*entry[1:5]))
+        self._next_answer_code = Code("table", lambda entry: self._enumerate_answers(*entry[1:-1]))
+        self._more_answers_code = Code("table", lambda entry: self._consume(*entry[1:-1]))
         self._padding_code = Code("table", self._drop_padding)
         self._guard_code.closes_goal = False
         self._add_answer_code = Code("answer", self._add_answer)
         self._combine_answer_code = Code("answer", self._combine_answer)
         self._replace_answer_code = Code("answer", self._replace_answer)
-        self._unify_modes_code = Code(
-            "table", lambda frame: frame[3] if machine.unify_all(*zip(*frame[1:3])) else None
-        )
+        self._unify_modes_code = Code("table", self._unify_modes)
 
     def clear(self) -> None:
         """Remove all tables, unless one is being evaluated."""
@@ -315,12 +327,12 @@ class Tables:
             for key, item in self.declarations_by_functor.items()
         ]
 
-    def snapshot(self) -> List[Tuple[Hashable, List[Values], bool]]:
-        """Return the complete tables as ``(key, answers, ground)``, without incremental ones; see `restore`."""
+    def snapshot(self) -> List[StoredTable]:
+        """Return the complete tables, without incremental ones; see `restore`."""
         complete = [(key, table) for key, table in self.by_call.items() if table.state == "complete"]
-        return [(key, table.answers, table.has_ground_answers) for key, table in complete]
+        return [StoredTable(key, table.answers, table.has_ground_answers) for key, table in complete]
 
-    def restore(self, saved_tables: List[Tuple[Hashable, List[Values], bool]]) -> None:
+    def restore(self, saved_tables: List[StoredTable]) -> None:
         """Add the complete tables that `snapshot` has returned."""
         for key, answers, ground in saved_tables:
             table = self.by_call[key] = Table()
@@ -346,6 +358,13 @@ class Tables:
             return call_without_modes(tuple(inner_frame), new_vars)
 
         return call
+
+    def _unify_modes(self, frame: Frame) -> Optional[Frame]:
+        """Unify the moded arguments of a call with those of its answer."""
+        arguments: Values
+        continuation: Frame
+        _, arguments, answer_arguments, continuation = frame
+        return continuation if self.machine.unify_all(*zip(arguments, answer_arguments)) else None
 
     def caller(  # noqa: C901  (what it returns runs at each call of a tabled predicate: one function)
         self, predicate: Predicate, modes: Sequence[Mode] = ()
@@ -589,7 +608,8 @@ class Tables:
         while len(self.ready_consumers) > ready_count:
             followed, consumer = self.ready_consumers.pop()
             if consumer.bindings is not None:
-                return self._resume(entry, followed, consumer)
+                self._begin_round(table, clauses, free_vars, continuation)
+                return self._resume(table, followed, consumer)
             # This consumer missed answers and cannot be resumed, so the round is repeated, which serves all others
             # too.
             has_new_answers = True
@@ -633,11 +653,9 @@ class Tables:
         for member in incremental[1:]:
             member.read_versions = incremental[0].read_versions
 
-    def _resume(self, entry: Frame, followed: Table, consumer: Consumer) -> Optional[Frame]:
+    def _resume(self, table: Table, followed: Table, consumer: Consumer) -> Optional[Frame]:
         """Resume a suspended call: restore its bindings, and return the answers that were added since."""
         choices, trail = self.machine.choices, self.machine.trail
-        table: Table = entry[1]
-        self._begin_round(*entry[1:5])
         # Cuts in the continuation remove choice points down to the heights at the suspension, so the stack is padded
         # to the same height.
         below = len(choices)

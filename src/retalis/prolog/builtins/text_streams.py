@@ -602,8 +602,18 @@ def syntax_error_in(stream: InputStream, term: Term, fault: SyntaxFault) -> Prol
 _POSITION = functor("$stream_position", 4)
 _PROPERTIES_WITHOUT_VALUE = ("input", "output")
 _PROPERTIES_WITH_VALUE = (
-    *("alias", "buffer", "encoding", "end_of_stream", "eof_action", "file_name", "mode", "newline"),
-    *("position", "reposition", "tty", "type"),
+    "alias",
+    "buffer",
+    "encoding",
+    "end_of_stream",
+    "eof_action",
+    "file_name",
+    "mode",
+    "newline",
+    "position",
+    "reposition",
+    "tty",
+    "type",
 )
 
 

@@ -454,9 +454,17 @@ PROTECTED_PREDICATES = frozenset(
         *CONTROL,
         *_FORMS,
         *(functor("call", arity) for arity in range(1, 9)),
-        *(functor("catch", 3), functor("throw", 1), functor("fail", 0), FALSE.functor, ONCE),
-        *(functor("unify_with_occurs_check", 2), functor("subsumes_term", 2), functor("ground", 1)),
-        *(functor("$arg", 3), functor("$no_rule", 2), functor("$within", 3)),
+        functor("catch", 3),
+        functor("throw", 1),
+        functor("fail", 0),
+        FALSE.functor,
+        ONCE,
+        functor("unify_with_occurs_check", 2),
+        functor("subsumes_term", 2),
+        functor("ground", 1),
+        functor("$arg", 3),
+        functor("$no_rule", 2),
+        functor("$within", 3),
     )
 )
 """Predicates that no program may define: control constructs, unification, comparison and type tests."""

@@ -69,7 +69,8 @@ _ROUNDING_FUNCTIONS = {functor(name, 1) for name in ("integer", "truncate", "rou
 _INSTANT_FUNCTIONS = {
     *(functor(name, 1) for name in ("+", "eval", "rational", "rationalize")),
     *(functor(name, 2) for name in ("max", "min")),
-    *(timestamps.DATIME6, timestamps.DATIME7),
+    timestamps.DATIME6,
+    timestamps.DATIME7,
 }
 """Functions whose value may be a timestamp that carries its exact instant (see `arithmetic`)."""
 _MAX_EXPRESSION_DEPTH = 30

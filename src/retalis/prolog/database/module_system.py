@@ -12,7 +12,20 @@ when it is called.
 """
 
 from contextlib import contextmanager
-from typing import Callable, Dict, FrozenSet, Iterable, Iterator, List, Optional, Sequence, Set, Tuple, Union
+from typing import (
+    Callable,
+    Dict,
+    FrozenSet,
+    Iterable,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+    Union,
+)
 
 from ..compiler.clause_nodes import PROTECTED_PREDICATES
 from ..machine.errors import indicator, instantiation_error, permission_error, type_error
@@ -96,13 +109,28 @@ def parse_meta_declaration(args: Tuple[object, ...]) -> ArgumentKinds:
 GRAMMAR_NAME = functor("//", 2)
 
 _GLOBAL_PREDICATES = PROTECTED_PREDICATES | {
-    *(functor(name, 2) for name in ("term_expansion", "goal_expansion")),
-    *(functor("portray", 1), functor("message_hook", 3)),
+    functor("term_expansion", 2),
+    functor("goal_expansion", 2),
+    functor("portray", 1),
+    functor("message_hook", 3),
 }
 """Predicates that belong to no module: control constructs and other fixed ones, and hooks that the system calls."""
 
-ModuleSnapshot = Tuple[List[Functor], List[Functor], List[str], List[str]]
-"""Module as plain data: exports, imports, names of its own predicates, names under which the imports are stored."""
+
+class ModuleSnapshot(NamedTuple):
+    """Module as plain data.
+
+    Attributes:
+        exports: functors of the exported predicates.
+        imports: functors of the imported predicates.
+        own_names: names of its own predicates.
+        import_names: for each import, the name under which the predicate is stored.
+    """
+
+    exports: List[Functor]
+    imports: List[Functor]
+    own_names: List[str]
+    import_names: List[str]
 
 
 def functor_of_indicator(term: CompoundTerm) -> Optional[Functor]:
@@ -319,27 +347,26 @@ class ModuleNames:
 
     def restore(self, modules: Dict[str, ModuleSnapshot]) -> None:
         """Add the modules that `snapshot` returned."""
-        # Older states have no names of imported predicates: those were stored under their plain names.
-        for name, (exports, imports, own_names, *import_names) in modules.items():
+        for name, saved in modules.items():
             module = self.modules.setdefault(name, Module(name))
-            module.exports.update(exports)
+            module.exports.update(saved.exports)
             module.shadowed_exports = module.exports & self._exported_elsewhere(module)
-            names = import_names[0] if import_names else [key.name for key in imports]
-            module.imports.update({key: functor(plain, key.arity) for key, plain in zip(imports, names)})
-            self._plain_names.update({f"{name}:{plain}": plain for plain in own_names})
+            for key, stored_name in zip(saved.imports, saved.import_names):
+                module.imports[key] = functor(stored_name, key.arity)
+            self._plain_names.update({f"{name}:{plain}": plain for plain in saved.own_names})
 
     def snapshot(self) -> Dict[str, ModuleSnapshot]:
         """Return all modules as plain data, for `restore`."""
         return {
-            name: (
-                sorted(module.exports, key=str),
-                sorted(module.imports, key=str),
-                sorted(
+            name: ModuleSnapshot(
+                exports=sorted(module.exports, key=str),
+                imports=sorted(module.imports, key=str),
+                own_names=sorted(
                     plain
                     for qualified_name, plain in self._plain_names.items()
                     if qualified_name == f"{name}:{plain}"
                 ),
-                [module.imports[key].name for key in sorted(module.imports, key=str)],
+                import_names=[module.imports[key].name for key in sorted(module.imports, key=str)],
             )
             for name, module in self.modules.items()
         }

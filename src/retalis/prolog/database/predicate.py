@@ -376,7 +376,7 @@ class Predicate:
         return self.indexes.select(self.clauses, frame)
 
     def _retry_call(self, entry: Frame) -> Optional[Frame]:
-        return self._advance(*entry[1:7])
+        return self._advance(*entry[1:-1])
 
     def _advance(  # noqa: C901 -- the loop of all interpreted calls; a call per clause would slow it
         self,

@@ -45,9 +45,21 @@ _PLAIN_TEXT = {
 """For each quote, text without the quote itself, escapes and line ends."""
 _PLAIN_TEXT_OF_LINE = re.compile(r"[^\\\n]*")
 _ESCAPED_CHARACTERS = {
-    "a": "\a", "b": "\b", "f": "\f", "n": "\n", "r": "\r", "t": "\t", "v": "\v", "0": "\0", "e": "\x1b",
-    "s": " ", "\\": "\\", "'": "'", '"': '"', "`": "`",
-}  # fmt: skip
+    "a": "\a",
+    "b": "\b",
+    "f": "\f",
+    "n": "\n",
+    "r": "\r",
+    "t": "\t",
+    "v": "\v",
+    "0": "\0",
+    "e": "\x1b",
+    "s": " ",
+    "\\": "\\",
+    "'": "'",
+    '"': '"',
+    "`": "`",
+}
 """Characters after a backslash, and the characters that they denote."""
 
 

@@ -44,6 +44,20 @@ class Operator(NamedTuple):
     type: str
 
 
+class OperatorChange(NamedTuple):
+    """Operator that differs from the standard one, see `Operators.changes`.
+
+    Attributes:
+        priority: 1 to 1200; 0 if the operator is removed.
+        type: see `Operator`.
+        name: its name.
+    """
+
+    priority: int
+    type: str
+    name: str
+
+
 DECLARE_EVENT = functor("declare_event", 1)
 DECLARING = Operator(1150, 0, 1149, DECLARE_EVENT, "fx")
 """The operator ``event`` of a declaration, ``:- event E.``.
@@ -306,14 +320,14 @@ class Operators:
             for name, operator in table.items():
                 yield operator.priority, operator.type, name
 
-    def changes(self) -> List[Tuple[int, str, str]]:
-        """Return priority, type and name of each operator that differs from `prolog`; 0 for one that it lacks.
+    def changes(self) -> List[OperatorChange]:
+        """Return each operator that differs from `prolog`; with priority 0 for one that it lacks.
 
         >>> operators = Operators.prolog()
         >>> operators.add(700, "xfx", "near")
         >>> operators.add(0, "fx", "dynamic")
-        >>> sorted(operators.changes())
-        [(0, 'fx', 'dynamic'), (700, 'xfx', 'near')]
+        >>> [(change.name, change.priority) for change in operators.changes()]
+        [('dynamic', 0), ('near', 700)]
         """
         standard = standard_operators()
         changes = []
@@ -324,12 +338,14 @@ class Operators:
         ):
             if table != standard_table:
                 changes += [
-                    (operator.priority, operator.type, name)
+                    OperatorChange(operator.priority, operator.type, name)
                     for name, operator in table.items()
                     if standard_table.get(name) != operator
                 ]
                 changes += [
-                    (0, operator.type, name) for name, operator in standard_table.items() if name not in table
+                    OperatorChange(0, operator.type, name)
+                    for name, operator in standard_table.items()
+                    if name not in table
                 ]
         return changes
 

@@ -20,15 +20,12 @@ from ..terms.types import CONS, CompoundTerm, Functor, Term, Var, deref, functor
 _ARROW = functor("<-", 2)
 _DO = functor("do", 2)
 _HEAD_WRAPPERS = {
-    functor(name, arity): 1
-    for name, arity in (
-        ("exceptionAlarm", 2),
-        ("exceptionAlarmAbsoluteDatime", 2),
-        ("synchronized", 3),
-        ("synchronized", 4),
-        ("syncronized", 3),
-        ("syncronized", 4),
-    )
+    functor("exceptionAlarm", 2): 1,
+    functor("exceptionAlarmAbsoluteDatime", 2): 1,
+    functor("synchronized", 3): 1,
+    functor("synchronized", 4): 1,
+    functor("syncronized", 3): 1,
+    functor("syncronized", 4): 1,
 }
 """Index of the event argument, for functors that wrap the event of a head.
 
@@ -37,18 +34,15 @@ Their other arguments are not constructed."""
 _REV = functor("rev", 1)
 
 _CONSTRUCTING_GOALS: Dict[Functor, int] = {
-    functor(name, arity): number
-    for name, arity, number in (
-        ("subscribe", 5, 3),
-        ("memorize", 5, 3),
-        ("memorize", 6, 3),
-        ("memorize_diactive", 5, 3),
-        ("event", 1, 1),
-        ("event", 2, 1),
-        ("new_event", 2, 1),
-        ("new_event", 3, 1),
-        ("new_event", 5, 1),
-    )
+    functor("subscribe", 5): 3,
+    functor("memorize", 5): 3,
+    functor("memorize", 6): 3,
+    functor("memorize_diactive", 5): 3,
+    functor("event", 1): 1,
+    functor("event", 2): 1,
+    functor("new_event", 2): 1,
+    functor("new_event", 3): 1,
+    functor("new_event", 5): 1,
 }
 """Index of the constructed argument, for goals that construct a term."""
 

@@ -5,7 +5,7 @@ goals have stored: flags, global variables, counters, and answers of tables. Bot
 contain no code: compiled code is generated again by the system that restores them.
 """
 
-from typing import TYPE_CHECKING, Any, Dict, List, NamedTuple, Optional, Tuple, Union
+from typing import TYPE_CHECKING, Any, Dict, List, NamedTuple, Optional, Union
 
 from ...foundation.errors import Place
 from ...serialization.field_types import (
@@ -29,16 +29,16 @@ from ...serialization.field_types import (
     one_of,
     optional,
     sequence_of,
-    tuple_of,
     with_path,
 )
 from ...serialization.state_fields import record_of
 from ..builtins.clause_predicates import declare_tabled
 from ..builtins.flags_operators_modules import restored_flags
-from ..builtins.tabling import tables_of
+from ..builtins.tabling import StoredTable, tables_of
 from ..database.clause_index import Clause
+from ..database.module_system import ModuleSnapshot
 from ..database.predicate import Predicate
-from ..syntax.operators import TYPES
+from ..syntax.operators import TYPES, OperatorChange
 from ..terms.types import Functor, Term
 from .prolog_system import PrologSystem
 
@@ -157,7 +157,7 @@ class ProgramSnapshot(NamedTuple):
         empty_dynamic: functors without clauses that goals have made dynamic.
     """
 
-    operators: List[Tuple[int, str, str]]
+    operators: List[OperatorChange]
     table_declarations: List[Term]
     predicates: List[PredicateSnapshot]
     observed_predicates: List[Functor]
@@ -166,7 +166,14 @@ class ProgramSnapshot(NamedTuple):
 
 PROGRAM = record_of(
     ProgramSnapshot,
-    operators=sequence_of(tuple_of(integer(0, 1200), one_of(*TYPES), TEXT)),
+    operators=sequence_of(
+        compact_record_of(
+            OperatorChange,
+            priority=integer(0, 1200),
+            type=one_of(*TYPES),
+            name=TEXT,
+        )
+    ),
     table_declarations=sequence_of(TERM),
     predicates=sequence_of(PlainType("a predicate with its clauses", _check_predicate)),
     observed_predicates=sequence_of(FUNCTOR),
@@ -189,7 +196,7 @@ class ValuesSnapshot(NamedTuple):
     global_variables: Dict[str, Term]
     column: int
     builtin_state: Dict[str, Dict[Any, Any]]
-    table_answers: Any
+    table_answers: List[StoredTable]
 
 
 _BUILTIN_STATE: Dict[str, FieldType[Any]] = {
@@ -200,7 +207,14 @@ _BUILTIN_STATE: Dict[str, FieldType[Any]] = {
     "counters of events": mapping_of(KEY, integer()),
     "flags of events": mapping_of(KEY, TERM),
     _MODULES: mapping_of(
-        TEXT, tuple_of(sequence_of(FUNCTOR), sequence_of(FUNCTOR), sequence_of(TEXT), sequence_of(TEXT))
+        TEXT,
+        compact_record_of(
+            ModuleSnapshot,
+            exports=sequence_of(FUNCTOR),
+            imports=sequence_of(FUNCTOR),
+            own_names=sequence_of(TEXT),
+            import_names=sequence_of(TEXT),
+        ),
     ),
     _META_ARGUMENTS: mapping_of(
         FUNCTOR, sequence_of(PlainType("the kind of an argument", _check_argument_kind), tuple)
@@ -241,7 +255,14 @@ VALUES = record_of(
     global_variables=mapping_of(TEXT, TERM),
     column=COUNT,
     builtin_state=_BuiltinState(),
-    table_answers=sequence_of(tuple_of(KEY, sequence_of(sequence_of(TERM, tuple)), BOOLEAN)),
+    table_answers=sequence_of(
+        compact_record_of(
+            StoredTable,
+            key=KEY,
+            answers=sequence_of(sequence_of(TERM, tuple)),
+            has_ground_answers=BOOLEAN,
+        )
+    ),
 )
 
 
