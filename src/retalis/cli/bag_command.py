@@ -64,8 +64,8 @@ from .option_values import (
     RELATIVE_TIMES_OPTION,
     TIMES_AS_STAMPS,
     TIMES_RELATIVE,
-    delay,
     non_negative,
+    parse_delay,
     positive_integer,
 )
 from .optional_ros_imports import installed_definitions
@@ -192,7 +192,7 @@ def add_source(parser: argparse.ArgumentParser, bags: str = "+", required: bool 
     )
     add(
         "--watermark-delay",
-        type=delay,
+        type=parse_delay,
         metavar="SECONDS",
         help="time that absent, windows, debounce, states and timeouts wait for messages received later than their "
         "stamps (default: auto, the recent lag of their topics, at most 1; 0: do not wait)",

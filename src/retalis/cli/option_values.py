@@ -75,6 +75,6 @@ def join_times_option(words: List[str]) -> List[str]:
     return joined
 
 
-def delay(text: str) -> Optional[float]:
+def parse_delay(text: str) -> Optional[float]:
     """Return a number of seconds from an option; None for ``auto``."""
     return None if text == "auto" else float(non_negative(float)(text))

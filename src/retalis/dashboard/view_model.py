@@ -387,7 +387,9 @@ class Snapshots:
         for subscription in status.subscriptions:
             name = f"output:{shorten(subscription.topic)}"
             counters[name] = counters.get(name, 0) + subscription.sent
-        counters.update({f"event:{key}": count.number_of_events for key, count in event_counts.items()})
+        counters.update(
+            {f"event:{key}": event_count.number_of_events for key, event_count in event_counts.items()}
+        )
         rows = [self._create_topic_row(topic, event_counts, status.now, counters) for topic in topics]
         self._update_graph([GraphTopic(topic.name, topic.event_name) for topic in topics])
         return Snapshot(
@@ -415,11 +417,11 @@ class Snapshots:
         row = topic._asdict()
         name = topic.event_name
         # The keys are functors as text, name/arity. The arity of a topic's events is not known here.
-        counts = [count for key, count in event_counts.items() if key.rpartition("/")[0] == name]
+        counts = [event_count for key, event_count in event_counts.items() if key.rpartition("/")[0] == name]
         message_count = topic.messages
         if message_count is None and counts:
-            message_count = sum(count.number_of_events for count in counts)
-            row["age"] = (now - max(count.end for count in counts)) / SECOND
+            message_count = sum(event_count.number_of_events for event_count in counts)
+            row["age"] = (now - max(event_count.end for event_count in counts)) / SECOND
         if message_count is not None:
             counters[f"topic:{topic.name}"] = message_count
         row["messages"] = message_count

@@ -373,7 +373,7 @@ class StatusReader:
             fired=parts.rules.fired,
             queued=len(parts.executor),
             queue=parts.settings.queue,
-            callers=parts.executor.callers,
+            callers=parts.executor.caller_count,
             dropped=parts.executor.dropped,
             errors=parts.reports.errors,
             warnings=parts.reports.warnings,

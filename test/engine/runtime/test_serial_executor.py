@@ -71,7 +71,7 @@ def test_other_work_is_executed_between_entries() -> None:
         elif then == "call":
             caller.start()
             deadline = time.monotonic() + 10
-            while not executor.callers and time.monotonic() < deadline:  # until the call waits
+            while not executor.caller_count and time.monotonic() < deadline:  # until the call waits
                 pass
         elif then == "each":
             executor.post_each(lambda *pair: done.append(pair), [(7, 8), (9, 10)])
@@ -322,7 +322,7 @@ def test_call_is_executed_before_queued_entries() -> None:
     def first() -> None:
         executor.post(done.append, "posted")
         caller.start()
-        while not executor.callers:  # until the call waits
+        while not executor.caller_count:  # until the call waits
             pass
 
     executor.post(first)
@@ -439,7 +439,7 @@ def test_exception_within_work_is_an_error_of_waiting_caller() -> None:
     threads[0].start()
     assert is_working.wait(10)
     threads[1].start()
-    while not executor.callers:  # until the call waits
+    while not executor.caller_count:  # until the call waits
         pass
     resume.set()
     for thread in threads:
@@ -564,7 +564,7 @@ def test_waiting_caller_takes_over_from_posting_thread(at_end_of_turn: Any) -> N
         caller = threading.Thread(target=executor.call, args=(lambda: work(0),), name="caller")
         callers.append(caller)
         caller.start()
-        while not executor.callers:
+        while not executor.caller_count:
             time.sleep(0.001)
 
     def post_burst() -> None:

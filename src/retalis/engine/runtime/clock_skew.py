@@ -279,7 +279,7 @@ class ClockSkewMonitor:
     ):
         self._reports = reports
         self._now = now
-        self._wall = real_time
+        self._real_time = real_time
         self._max_distance = None if max_distance_seconds is None else round(max_distance_seconds * SECOND)
         self._max_skew = (
             MAX_UNREPORTED_SKEW_NS
@@ -358,7 +358,7 @@ class ClockSkewMonitor:
             RefusedMessage: if a timestamp is too far away, or belongs to the previous epoch.
             EarlyMessage: if a timestamp may belong to the next epoch.
         """
-        now, real_time = self._now(), self._wall()
+        now, real_time = self._now(), self._real_time()
         farthest = 0
         self._check_epoch(frames, stamps, now)
         for key, stamp in stamps:

@@ -62,9 +62,8 @@ class QueuedCall:
     def __init__(self, work: Callable[[], object], entry: object = None):
         self._work = work
         self.entry = (work,) if entry is None else entry
-        self._ticket = [
-            None
-        ]  # popped once: by the thread that does the work, or by the caller if it no longer waits
+        # Popped once: by the thread that does the work, or by the caller if it stops waiting.
+        self._ticket = [None]
         self._state_changed = threading.Event()
         self._result: object = None
         self.error: Optional[BaseException] = None
@@ -191,7 +190,7 @@ class SerialExecutor:
         return len(self._queue)
 
     @property
-    def callers(self) -> int:
+    def caller_count(self) -> int:
         """Number of pending calls of other threads, including the running one."""
         return len(self._calls)
 
@@ -542,9 +541,9 @@ class SerialExecutor:
         if not self._lock.acquire(False):
             # The thread that holds the lock does not exist in this process, so the lock is never released.
             self._make_unusable(FORKED_IN_USE)
-        elif self._working_thread == _thread_id():
-            self._lock.release()  # the work that called fork continues
         else:
+            # The executor is idle, or this thread was working when it forked: its work continues with the lock that
+            # it already holds.
             self._lock.release()
 
     def _restore(self) -> None:

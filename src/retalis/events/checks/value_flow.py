@@ -341,8 +341,8 @@ class ValueFlow:
             kind = kind_of(fact[position])
             # Most facts of a table add nothing, so their places are not computed.
             if kind is not None and values is not None and kind not in values:
-                source = ValueOrigin("", deref(fact[position]), place_of(fact, position))
-                self._predicates[key][position - 1] = join(values, {kind: source})
+                origin = ValueOrigin("", deref(fact[position]), place_of(fact, position))
+                self._predicates[key][position - 1] = join(values, {kind: origin})
             elif kind is None:
                 self._predicates[key][position - 1] = None
 
@@ -551,9 +551,9 @@ class ValueFlow:
         self, kind: str, value: Optional[Term], bindings: Bindings, window: Optional[WindowPattern]
     ) -> Kinds:
         """Return the kinds of the result of an aggregate, and check the measured values."""
-        source = ValueOrigin(f"result of {kind}")
+        origin = ValueOrigin(f"result of {kind}")
         if kind in _LIST_RESULTS:
-            return {LIST: source}
+            return {LIST: origin}
         measured: Any = None if value is None else deref(value)
         known = bindings.get(measured) if measured.__class__ is Var else None
         kinds = None if known is None else known.kinds
@@ -568,12 +568,12 @@ class ValueFlow:
                     f"{self._name(measured)} is {self._describe(kinds)}: {kind} collects numbers", None
                 )
         if kind in _NUMERIC_RESULTS:
-            return {NUMBER: source}
+            return {NUMBER: origin}
         if kind in _ELEMENT_RESULTS:
             return kinds if measured.__class__ is Var else None
         # Measures of arrays are arrays, and the smallest timestamp is a timestamp.
         if is_numeric and kinds and set(kinds) <= {NUMBER, WORD}:
-            return {NUMBER: source}
+            return {NUMBER: origin}
         return None
 
     def _bind_event(self, event: Term, bindings: Bindings) -> None:

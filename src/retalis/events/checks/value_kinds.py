@@ -35,7 +35,7 @@ class ValueOrigin(NamedTuple):
 
 
 Kinds = Optional[Dict[str, ValueOrigin]]
-"""Kinds of a variable's values with a source each; None if they are unknown."""
+"""Kinds of a variable's values, each with an origin; None if they are unknown."""
 
 DESCRIPTIONS = {
     TEXT: "a text",
@@ -99,19 +99,19 @@ def kind_of(term: Term) -> Optional[str]:
     return None
 
 
-def kinds_of_slot(slot: Field, source: str) -> Kinds:
+def kinds_of_slot(slot: Field, origin: str) -> Kinds:
     """Return the kinds of the values of a message slot."""
     value_type = slot_value_type(slot)
     if value_type is None:
         # A message without slots is an atom.
         kind = COMPOUND if slot.definition is None or slot.definition.fields else ATOM
-        return {kind: ValueOrigin(source)}
-    return {value_type.term.name: ValueOrigin(source)} if isinstance(value_type.term, Atom) else None
+        return {kind: ValueOrigin(origin)}
+    return {value_type.term.name: ValueOrigin(origin)} if isinstance(value_type.term, Atom) else None
 
 
-def kinds_of_type(value_type: ValueType, source: str) -> Kinds:
+def kinds_of_type(value_type: ValueType, origin: str) -> Kinds:
     """Return the kinds of the values of a declared type."""
-    kinds = {kind: ValueOrigin(source) for form in value_type.forms for kind in _KINDS_OF_FORMS[form]}
+    kinds = {kind: ValueOrigin(origin) for form in value_type.forms for kind in _KINDS_OF_FORMS[form]}
     return kinds if len(kinds) <= MAX_KINDS else None
 
 
@@ -124,7 +124,7 @@ def join(first: Kinds, second: Kinds) -> Kinds:
     """Return the kinds of values that are in one of two sets."""
     if first is None or second is None:
         return None
-    # The first source of a kind is kept, so that the result is stable.
+    # The first origin of a kind is kept, so that the result is stable.
     result = {**second, **first}
     return result if len(result) <= MAX_KINDS else None
 
@@ -133,7 +133,7 @@ def meet(first: Kinds, second: Kinds) -> Kinds:
     """Return the kinds of values that are in both sets."""
     if first is None or second is None:
         return second if first is None else first
-    return {kind: source for kind, source in first.items() if overlaps(kind, second)}
+    return {kind: origin for kind, origin in first.items() if overlaps(kind, second)}
 
 
 def overlaps(kind: str, kinds: Kinds) -> bool:
@@ -157,17 +157,17 @@ def describe(kinds: Dict[str, ValueOrigin], show: Callable[[Term], str], file: O
         file: the file of the finding; constants of other files are shown with the name of theirs.
     """
     parts: Dict[str, None] = {}
-    for kind, source in kinds.items():
-        if source.text == _USED_AS_NUMBER:
-            parts[source.text] = None
-        elif source.constant is None:
-            parts[f"{DESCRIPTIONS[kind]} ({source.text})"] = None
+    for kind, origin in kinds.items():
+        if origin.text == _USED_AS_NUMBER:
+            parts[origin.text] = None
+        elif origin.constant is None:
+            parts[f"{DESCRIPTIONS[kind]} ({origin.text})"] = None
         else:
-            place = source.place
+            place = origin.place
             line = "" if place is None else f" in line {place.line}"
             if place is not None and place.source is not None and place.source != file:
                 line += f" of {os.path.basename(place.source)}"
-            parts[f"{DESCRIPTIONS[kind]} ({show(source.constant)}{line})"] = None
+            parts[f"{DESCRIPTIONS[kind]} ({show(origin.constant)}{line})"] = None
     return " or ".join(parts)
 
 
