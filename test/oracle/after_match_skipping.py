@@ -39,9 +39,9 @@ class Skipping:
         # After match: what starts with one that has fired. What comes later may start there again.
         return self.kind == "skip_to_next" and match.start in self.starts
 
-    def is_past(self, one: Union[Event, Match]) -> bool:
+    def is_past(self, occurrence: Union[Event, Match]) -> bool:
         """Tell whether something comes too late to be a part of a match: also an event that is late itself.
 
         What the event that is served makes is settled when it has been served.
         """
-        return self.kind == "skip_past_last" and self.served is not None and one.start <= self.served
+        return self.kind == "skip_past_last" and self.served is not None and occurrence.start <= self.served

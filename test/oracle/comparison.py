@@ -75,8 +75,8 @@ def engine_steps(
     engine.load(goals=goals)
     for text in texts:
         engine.load(rules=text)
-    for at, (term, start, end) in enumerate(stream):
-        if at in cuts:
+    for position, (term, start, end) in enumerate(stream):
+        if position in cuts:
             engine = Engine.restore(engine.snapshot())
             engine.on_event(lambda *event: steps[-1].append(as_text(*event)))
         steps.append([])
@@ -126,14 +126,14 @@ def difference(case: Case, used: Optional[Reset] = None) -> Optional[Tuple[Any, 
         steps = engine_steps(
             [case.text()], case.goals(), case.stream, None if clocked else used, clocked=clocked
         )
-        got: Any = in_steps(steps) if revises else sum(steps, [])
+        actual: Any = in_steps(steps) if revises else sum(steps, [])
     except RetalisError as error:
         if clocked and any(refusal in str(error) for refusal in REFUSED):
             return None
-        got = f"refused: {error}"
+        actual = f"refused: {error}"
     except Exception as error:  # noqa: BLE001 - an internal error is a difference too
-        got = f"{type(error).__name__}: {error}"
-    return None if got == expected else (expected, got)
+        actual = f"{type(error).__name__}: {error}"
+    return None if actual == expected else (expected, actual)
 
 
 # The smallest case.
@@ -155,32 +155,32 @@ def smaller_rules(rule: Rule) -> Iterator[Rule]:
         yield replace(rule, pattern=pattern)
     if rule.has_properties() or rule.label is not None:
         yield replace(rule, window=None, label=None, **NO_PROPERTIES)
-    for name, nothing in NO_PROPERTIES.items():
-        if getattr(rule, name) != nothing:
-            yield replace(rule, **{name: nothing})
+    for name, default in NO_PROPERTIES.items():
+        if getattr(rule, name) != default:
+            yield replace(rule, **{name: default})
     if rule.do is not None:
         yield replace(rule, do=None)
     if rule.head.__class__ is tuple:
-        for at in range(1, len(rule.head)):
-            rest = rule.head[1:at] + rule.head[at + 1 :]
+        for position in range(1, len(rule.head)):
+            arguments = rule.head[1:position] + rule.head[position + 1 :]
             name = rule.head[0].name
-            yield replace(rule, head=functor(name, len(rest))(*rest) if rest else atom(name))
+            yield replace(rule, head=functor(name, len(arguments))(*arguments) if arguments else atom(name))
 
 
 def smaller(case: Case) -> Iterator[Case]:
     """Yield simpler cases."""
-    for at in range(len(case.stream)):
-        yield replace(case, stream=case.stream[:at] + case.stream[at + 1 :])
-    for at in range(len(case.rules)):
+    for position in range(len(case.stream)):
+        yield replace(case, stream=case.stream[:position] + case.stream[position + 1 :])
+    for position in range(len(case.rules)):
         if len(case.rules) > 1:
-            yield replace(case, rules=case.rules[:at] + case.rules[at + 1 :])
+            yield replace(case, rules=case.rules[:position] + case.rules[position + 1 :])
     if case.out_of_order:
         yield replace(case, out_of_order=False)
     if case.neutral:
         yield replace(case, neutral=())
-    for at, rule in enumerate(case.rules):
+    for position, rule in enumerate(case.rules):
         for simpler in smaller_rules(rule):
-            yield replace(case, rules=(*case.rules[:at], simpler, *case.rules[at + 1 :]))
+            yield replace(case, rules=(*case.rules[:position], simpler, *case.rules[position + 1 :]))
 
 
 def shrink(case: Case, fails: Callable[[Case], bool]) -> Case:
@@ -196,9 +196,9 @@ def shrink(case: Case, fails: Callable[[Case], bool]) -> Case:
 
 def report(case: Case) -> str:
     """Describe a case that differs."""
-    found = difference(case)
-    assert found is not None
-    expected, got = found
+    outcome = difference(case)
+    assert outcome is not None
+    expected, actual = outcome
 
     def line(events: Any) -> str:
         if isinstance(events, str):
@@ -207,7 +207,7 @@ def report(case: Case) -> str:
             return " | ".join(line(step) for step in events)
         return " ".join(f"{t}@{float(s / SECOND):g}-{float(e / SECOND):g}" for t, s, e in events)
 
-    return f"{case!r}\nexpected {line(expected)}\n     got {line(got)}\n"
+    return f"{case!r}\nexpected {line(expected)}\n     got {line(actual)}\n"
 
 
 def kind_of(case: Case) -> str:

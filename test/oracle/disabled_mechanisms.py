@@ -44,7 +44,7 @@ from .comparison import difference
 from .patterns import Awaited, Shaped, Windowed, pattern_variables, walk
 from .strategies import Generator, random_case
 
-Notices = Callable[[int], Optional[bool]]
+Detection = Callable[[int], Optional[bool]]
 """Tells for a seed whether its case differs; None where it is not about that."""
 
 
@@ -52,30 +52,30 @@ class Mechanism(NamedTuple):
     """Mechanisms that can be disabled, and the cases that detect it."""
 
     off: Callable[[], ContextManager[Any]]
-    notices: Notices
+    detects: Detection
 
 
 # ---- what notices ------------------------------------------------------------------------------------
 
 
-def oracle_about(is_about: Callable[[Any], bool], times: int = 1) -> Notices:
+def oracle_about(is_about: Callable[[Any], bool], times: int = 1) -> Detection:
     """Compare random programs that have a certain pattern, so many times, with the oracle."""
 
-    def notices(seed: int) -> Optional[bool]:
+    def detects(seed: int) -> Optional[bool]:
         case = random_case(seed, 3, streams=True)
         if sum(is_about(node) for rule in case.rules for node in walk(rule.pattern)) < times:
             return None
         return difference(case) is not None
 
-    return notices
+    return detects
 
 
-def windows(*names: str) -> Notices:
+def windows(*names: str) -> Detection:
     """Compare programs that have one of these windows."""
     return oracle_about(lambda node: isinstance(node, Windowed) and node.window in names)
 
 
-def shapes(*names: str) -> Notices:
+def shapes(*names: str) -> Detection:
     """Compare programs that have one of these shapes."""
     return oracle_about(lambda node: isinstance(node, Shaped) and node.shape in names)
 
@@ -106,17 +106,17 @@ def replays(seed: int) -> bool:
     chance = Random(seed)
     rule = RULES[chance.choice([name for name in RULES if name not in ("joined", "change")])]
     events = random_events(chance, False)
-    gone = chance.choice(events)[0]
-    left = [event for event in events if event[0] != gone]
-    return remaining_outputs(rule, [*events, (f"rev({gone})", events[-1][1])]) != remaining_outputs(
-        rule, left
+    retracted = chance.choice(events)[0]
+    remaining = [event for event in events if event[0] != retracted]
+    return remaining_outputs(rule, [*events, (f"rev({retracted})", events[-1][1])]) != remaining_outputs(
+        rule, remaining
     )
 
 
-def states(within: Optional[int]) -> Notices:
+def states(within: Optional[int]) -> Detection:
     """Compare states with their definition."""
 
-    def notices(seed: int) -> bool:
+    def detects(seed: int) -> bool:
         chance, now = Random(seed), 1
         events: List[Tuple[str, str, int, int]] = []
         for _ in range(15):
@@ -129,7 +129,7 @@ def states(within: Optional[int]) -> Notices:
             engine.event(f"{kind}({key})", start, end)
         return bool(engine.events != ExpectedStates(events, within).expected_outputs())
 
-    return notices
+    return detects
 
 
 TIMES = {"every(2)": 2, "every(3)": 3, "every(2, from_now)": 2, "every(5, from_now)": 5, "after(4)": 0}
@@ -140,13 +140,17 @@ def timers(seed: int) -> bool:
     """Compare timers with a list that is looked through for the next one; of several the one that was set first."""
     chance, orders = Random(seed), count()
     names = {f"t{number}": chance.choice(list(TIMES)) for number in range(4)}
-    instants = [sum(chance.randrange(1, 5) for _ in range(at)) + 7 for at in range(6)]
+    instants = [sum(chance.randrange(1, 5) for _ in range(position)) + 7 for position in range(6)]
     instants.sort()
     first = instants[0]
     waiting = [
-        [first + 4 if when[0] == "a" else first + TIMES[when] - (0 if "now" in when else first % TIMES[when])]
-        + [next(orders), name, TIMES[when]]
-        for name, when in names.items()
+        [
+            first + 4
+            if setting[0] == "a"
+            else first + TIMES[setting] - (0 if "now" in setting else first % TIMES[setting])
+        ]
+        + [next(orders), name, TIMES[setting]]
+        for name, setting in names.items()
     ]
     expected: List[Any] = []
     for instant in instants:
@@ -157,12 +161,12 @@ def timers(seed: int) -> bool:
             if due[3]:
                 waiting.append([due[0] + due[3], next(orders), due[2], due[3]])
         expected.append(("e", instant))
-    engine, seen = Engine(), []
-    engine.on_event(lambda term, start, end: seen.append((engine.show(term), end // SECOND)))
-    engine.load(goals="\n".join(f"timer({name}, {when})" for name, when in names.items()))
+    engine, outputs = Engine(), []
+    engine.on_event(lambda term, start, end: outputs.append((engine.show(term), end // SECOND)))
+    engine.load(goals="\n".join(f"timer({name}, {setting})" for name, setting in names.items()))
     for instant in instants:
         engine.event("e", instant)
-    return seen != expected
+    return outputs != expected
 
 
 AHEAD = {
@@ -177,22 +181,26 @@ def ahead(seed: int) -> bool:
     """Compare a stream with and without a stamp that is further in the future than stamps may be."""
     chance = Random(seed)
     rule, places = AHEAD[chance.choice(list(AHEAD))], range(chance.randrange(3, 12))
-    wrong = chance.choice(places)
-    seen: List[List[str]] = []
-    for with_it in (True, False):
+    ahead_number = chance.choice(places)
+    runs: List[List[str]] = []
+    for has_event in (True, False):
         now, steps = [1000], Random(seed)
         engine = Engine(Clock(lambda now=now: now[0] * SECOND))
         engine.load(rules=rule)
-        found: List[str] = []
-        engine.on_event(lambda term, start, end, found=found, engine=engine: found.append(engine.show(term)))
+        outputs: List[str] = []
+        engine.on_event(
+            lambda term, start, end, outputs=outputs, engine=engine: outputs.append(engine.show(term))
+        )
         for number in places:
             now[0] += steps.randrange(4)
-            if number != wrong:
+            if number != ahead_number:
                 engine.event(f"a({number})", now[0])
-            elif with_it:
+            elif has_event:
                 engine.event(f"a({number})", now[0] + 10_000)
-        seen.append([one for one in found if not one.endswith((f"({wrong})", f",{wrong})"))])
-    return seen[0] != seen[1]
+        runs.append(
+            [output for output in outputs if not output.endswith((f"({ahead_number})", f",{ahead_number})"))]
+        )
+    return runs[0] != runs[1]
 
 
 def steps(seed: int) -> bool:
@@ -206,19 +214,19 @@ def steps(seed: int) -> bool:
 # ---- what is switched off ----------------------------------------------------------------------------
 
 
-def window(name: str, made: Callable[[Any, Any], Any]) -> Callable[[], ContextManager[Any]]:
+def window(name: str, replacement: Callable[[Any, Any], Any]) -> Callable[[], ContextManager[Any]]:
     """Have another window in the place of one."""
-    return lambda: patch.dict(stream_compiler._WINDOWS, {name: made})
+    return lambda: patch.dict(stream_compiler._WINDOWS, {name: replacement})
 
 
-def shape(name: str, made: Callable[[int], Any]) -> Callable[[], ContextManager[Any]]:
+def shape(name: str, replacement: Callable[[int], Any]) -> Callable[[], ContextManager[Any]]:
     """Replace a rate operator."""
-    return lambda: patch.dict(RATE_OPERATORS, {name: RATE_OPERATORS[name]._replace(create=made)})
+    return lambda: patch.dict(RATE_OPERATORS, {name: RATE_OPERATORS[name]._replace(create=replacement)})
 
 
-def method(owner: Any, name: str, made: Any) -> Callable[[], ContextManager[Any]]:
+def method(owner: Any, name: str, replacement: Any) -> Callable[[], ContextManager[Any]]:
     """Have another method in the place of one."""
-    return lambda: patch.object(owner, name, made)
+    return lambda: patch.object(owner, name, replacement)
 
 
 def nothing(*_: Any) -> None:
@@ -280,25 +288,25 @@ takers = RowPatternWindow._accepting_steps
 listed, planned = RowPatternNFA._transitions, RowPatternNFA.__init__
 
 
-def never_later(plan: Any, own: Any, marks: Any) -> None:
+def never_later(plan: Any, steps: Any, marks: Any) -> None:
     """Have no step wait for a later item."""
-    planned(plan, [one._replace(skips_rows=False) for one in own], marks)
+    planned(plan, [step._replace(skips_rows=False) for step in steps], marks)
 
 
-def later_steps_first(window: Any, way: Any, item: StreamElement) -> Any:
+def later_steps_first(window: Any, run: Any, item: StreamElement) -> Any:
     """Have what is preferred least be tried first."""
-    found, passing = takers(window, way, item)
-    return found[::-1], passing
+    accepting, passing = takers(window, run, item)
+    return accepting[::-1], passing
 
 
-def never_reluctant(plan: Any, at: int, enough: bool, more: bool) -> Any:
+def never_reluctant(plan: Any, position: int, may_end: bool, may_continue: bool) -> Any:
     """Let all steps match the maximum number of events."""
-    own = plan.steps
-    plan.steps = tuple([one._replace(reluctant=False) for one in own])
+    steps = plan.steps
+    plan.steps = tuple([step._replace(reluctant=False) for step in steps])
     try:
-        return listed(plan, at, enough, more)
+        return listed(plan, position, may_end, may_continue)
     finally:
-        plan.steps = own
+        plan.steps = steps
 
 
 def never_over(stream: Any, instant: int) -> List[StreamOutput]:
@@ -309,86 +317,84 @@ def never_over(stream: Any, instant: int) -> List[StreamOutput]:
 
 LONG = 10**9
 MECHANISMS: Dict[str, Mechanism] = {
-    "a window by time lets go": Mechanism(
+    "time window removes elements": Mechanism(
         method(SlidingTimeWindow, "_remove_before", nothing), windows("last")
     ),
-    "a window by number lets go": Mechanism(
+    "count window removes elements": Mechanism(
         window("newest", lambda make, form: SlidingCountWindow(make, LONG)), windows("newest")
     ),
-    "a batch is full": Mechanism(
+    "batch has a maximum size": Mechanism(
         window("batch", lambda make, form: TumblingCountWindow(make, LONG, form.running)),
         windows("batch", "running_batch"),
     ),
-    "a hopping window lets go": Mechanism(method(HoppingWindow, "_remove_before", nothing), windows("every")),
-    "a window from the first on is over": Mechanism(
+    "hopping window removes elements": Mechanism(
+        method(HoppingWindow, "_remove_before", nothing), windows("every")
+    ),
+    "anchored window ends": Mechanism(
         method(AnchoredTumblingWindow, "_close", never_over), windows("first", "running_first")
     ),
     "groups and keys": Mechanism(one_key, oracle_about(has_key)),
-    "stamps too far ahead": Mechanism(
+    "timestamps too far ahead": Mechanism(
         method(RuleBase, "compute_max_timestamp", lambda rules: 1 << 64), ahead
     ),
-    "the clock rings": Mechanism(method(NodeTimers, "_on_alarm", nothing), oracle_about(is_clocked)),
-    "older rules and lower patterns ring first": Mechanism(
-        method(NodeTimers, "add", younger_first), oracle_about(is_clocked, 2)
-    ),
-    "what must not happen ends a wait": Mechanism(
+    "alarms of the clock": Mechanism(method(NodeTimers, "_on_alarm", nothing), oracle_about(is_clocked)),
+    "order of deadlines": Mechanism(method(NodeTimers, "add", younger_first), oracle_about(is_clocked, 2)),
+    "absence is canceled by its event": Mechanism(
         method(AbsenceTimeout, "_cancel_pending", nothing),
         oracle_about(lambda node: isinstance(node, Awaited)),
     ),
-    "only of the same key": Mechanism(
+    "absence compares keys": Mechanism(
         lambda: patch.object(stream_compiler, "key_function", lambda places: lambda values: ()),
         oracle_about(shares),
     ),
-    "throttle remembers": Mechanism(shape("throttle", lambda span: Throttle(0, False)), shapes("throttle")),
-    "burst remembers": Mechanism(shape("burst", lambda span: Throttle(0, True)), shapes("burst")),
-    "debounce starts anew": Mechanism(shape("debounce", Unsettled), shapes("debounce")),
-    "change remembers": Mechanism(shape("change", lambda span: Unchanged()), shapes("change")),
-    "operators run again without what is taken back": Mechanism(
-        method(StreamNode, "invalid_results", lambda node: []), replays
-    ),
-    "an event ends a state": Mechanism(method(DeclaredState, "_end_state", nothing), states(None)),
-    "time ends a state": Mechanism(method(DeclaredState, "_end_by_timeout", nothing), states(3)),
-    "timers of one instant ring as they were set": Mechanism(method(Clock, "call_at", later_first), timers),
-    "timers ring before an event of their instant": Mechanism(method(Clock, "due", after_the_event), timers),
-    "later steps pass over": Mechanism(method(RowPatternNFA, "__init__", never_later), steps),
-    "steps are tried in their order": Mechanism(
-        method(RowPatternWindow, "_accepting_steps", later_steps_first), steps
-    ),
-    "reluctant steps take few": Mechanism(method(RowPatternNFA, "_transitions", never_reluctant), steps),
-    "steps end": Mechanism(lambda: patch.object(row_pattern, "ends_step", lambda *_: False), steps),
-    "conditions of steps look back": Mechanism(
+    "state of throttle": Mechanism(shape("throttle", lambda span: Throttle(0, False)), shapes("throttle")),
+    "state of burst": Mechanism(shape("burst", lambda span: Throttle(0, True)), shapes("burst")),
+    "debounce is restarted": Mechanism(shape("debounce", Unsettled), shapes("debounce")),
+    "state of change": Mechanism(shape("change", lambda span: Unchanged()), shapes("change")),
+    "replay after retraction": Mechanism(method(StreamNode, "invalid_results", lambda node: []), replays),
+    "state ends by an event": Mechanism(method(DeclaredState, "_end_state", nothing), states(None)),
+    "state ends by a timeout": Mechanism(method(DeclaredState, "_end_by_timeout", nothing), states(3)),
+    "order of timers": Mechanism(method(Clock, "call_at", later_first), timers),
+    "timers before events": Mechanism(method(Clock, "due", after_the_event), timers),
+    "later steps skip rows": Mechanism(method(RowPatternNFA, "__init__", never_later), steps),
+    "order of steps": Mechanism(method(RowPatternWindow, "_accepting_steps", later_steps_first), steps),
+    "reluctant steps": Mechanism(method(RowPatternNFA, "_transitions", never_reluctant), steps),
+    "end of steps": Mechanism(lambda: patch.object(row_pattern, "ends_step", lambda *_: False), steps),
+    "conditions on past rows": Mechanism(
         method(RowPatternNFA, "advance_navigations", lambda plan, marks, at, item: (item,) * len(marks)),
         steps,
     ),
 }
 
 
-def noticing(name: str, seeds: Iterator[int], cases: int, enough: int = 1 << 30) -> Tuple[int, int, int]:
-    """Try cases with a mechanism switched off.
+def count_detections(
+    name: str, seeds: Iterator[int], cases: int, max_differing: int = 1 << 30
+) -> Tuple[int, int, int]:
+    """Compare cases with a mechanism switched off.
 
     Args:
-        name: of the mechanism.
+        name: name of the mechanism.
         seeds: numbers of cases.
-        cases: how many that are about it, at most.
-        enough: how many that differ are enough.
+        cases: maximum number of cases that concern the mechanism.
+        max_differing: number of differing cases after which no more are compared.
 
     Returns:
-        How many were tried, how many differed, and how many of those differ also as the engine is.
+        The numbers of compared cases, of cases that differ, and of those that differ with the mechanism too.
     """
     mechanism = MECHANISMS[name]
-    tried = differing = wrong = 0
+    compared = differing = failing = 0
     for seed in seeds:
-        if tried == cases or differing == enough:
+        if compared == cases or differing == max_differing:
             break
         with mechanism.off():
-            found = mechanism.notices(seed)
-        if found is None:
+            differs = mechanism.detects(seed)
+        if differs is None:
             continue
-        tried += 1
-        if found:
+        compared += 1
+        if differs:
             differing += 1
-            wrong += bool(mechanism.notices(seed))
-    return tried, differing, wrong
+            failing += bool(mechanism.detects(seed))
+    return compared, differing, failing
 
 
 def main() -> int:
@@ -402,11 +408,11 @@ def main() -> int:
     failed = False
     for name in options.mechanism or MECHANISMS:
         begin = time.process_time()
-        tried, differing, wrong = noticing(name, count(options.seed), options.cases)
-        failed = failed or not differing or bool(wrong)
+        compared, differing, failing = count_detections(name, count(options.seed), options.cases)
+        failed = failed or not differing or bool(failing)
         spent = time.process_time() - begin
         print(
-            f"{name:<48} {tried:5} cases, {differing:5} differ, {wrong} also with it, {spent:.0f} s",
+            f"{name:<48} {compared:5} cases, {differing:5} differ, {failing} also with it, {spent:.0f} s",
             flush=True,
         )
     return 1 if failed else 0

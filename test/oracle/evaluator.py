@@ -64,19 +64,19 @@ class RuleState(Streams):
         absent = [node.absent for node in self.place if isinstance(node, (Awaited, Cnot, Fnot))]
         self.below_absent = {below for node in absent for below in walk(node)}
 
-    def fired_by(self, event: Event) -> List[Event]:
+    def derived_events(self, event: Event) -> List[Event]:
         """Take an event and return the events that the rule derives from it, in order."""
         self.begin_event(event)
-        fired = [result for made in self.whole(self.pattern, event) for _, result in self.fire(made)]
+        fired = [result for matches in self.whole(self.pattern, event) for _, result in self.fire(matches)]
         self.skip()
         return fired
 
-    def rung(self, place: int, instant: Any) -> List[Event]:
+    def due_events(self, place: int, instant: Any) -> List[Event]:
         """Return the events that the rule derives as something in it is due, in order."""
         self.skipping.begin_event()
-        self.ringing = place, instant
-        fired = [result for made in self.whole(self.pattern, NOTHING) for _, result in self.fire(made)]
-        self.ringing = None
+        self.current_alarm = place, instant
+        fired = [result for matches in self.whole(self.pattern, NOTHING) for _, result in self.fire(matches)]
+        self.current_alarm = None
         self.skip()
         return fired
 
@@ -95,18 +95,18 @@ class RuleState(Streams):
         if not isinstance(operator, (Do, Multiply)):
             return [[match] for match in self.arrive(node, event)]
         return [
-            self.that_pass(operator, conditions, self.acted(operator, made))
-            for made in self.whole(operator.pattern, event)
+            self.filter_conditions(operator, conditions, self.apply_goal(operator, matches))
+            for matches in self.whole(operator.pattern, event)
         ]
 
-    def fire(self, made: List[Match]) -> List[Tuple[Match, Event]]:
+    def fire(self, matches: List[Match]) -> List[Tuple[Match, Event]]:
         """Return what a match of the whole pattern fires, with what it is made of, unless another has skipped it."""
-        if not made or self.skipping.skips(made[0]):
+        if not matches or self.skipping.skips(matches[0]):
             return []
-        results = [(match, self.result_of(match)) for match in made]
+        results = [(match, self.result_of(match)) for match in matches]
         fired = [(match, result) for match, result in results if result is not None]
         if fired:
-            self.skipping.fired(made[0])
+            self.skipping.fired(matches[0])
         return fired
 
     def skip(self) -> None:
@@ -153,16 +153,18 @@ class RuleState(Streams):
         if isinstance(operator, Both):
             return self.two_sided(operator, event, tests, None)
         if isinstance(operator, STREAMED):
-            found = self.streamed(operator, event)
-            passed = [self.passes(match, tests) for match in found if self.in_window(match)]
+            matches = self.streamed(operator, event)
+            passed = [self.passes(match, tests) for match in matches if self.in_window(match)]
             return [match for match in passed if match is not None]
         if isinstance(operator, (Star, Aggregate)):
             starts = composed_first(self.arrive(operator.first, event))
             repetitions = composed_first(self.arrive(operator.repeated, event))
             return self.repetition(operator, starts, repetitions, conditions)
-        return self.that_pass(operator, conditions, self.single(operator, event))
+        return self.filter_conditions(operator, conditions, self.single(operator, event))
 
-    def that_pass(self, node: Pattern, conditions: List[Pattern], matches: List[Match]) -> List[Match]:
+    def filter_conditions(
+        self, node: Pattern, conditions: List[Pattern], matches: List[Match]
+    ) -> List[Match]:
         """Return those matches of an operator that pass its conditions."""
         tests = [self.test_of(condition) for condition in conditions]
         settled = [self.settle(match, node) for match in matches]
@@ -176,19 +178,21 @@ class RuleState(Streams):
         if isinstance(node, Or):  # Table, or: either happens, the interval is its own.
             return self.arrive(node.left, event) + self.arrive(node.right, event)
         if isinstance(node, (Do, Multiply)):
-            return self.acted(node, self.arrive(node.pattern, event))
+            return self.apply_goal(node, self.arrive(node.pattern, event))
         assert isinstance(node, (Cnot, Fnot))
         self._absent(node, event)
         allowed = [self.allowed(node, match) for match in self.arrive(node.pattern, event)]
         return [match for match in allowed if match is not None]
 
     @staticmethod
-    def acted(node: Any, matches: List[Match]) -> List[Match]:
+    def apply_goal(node: Any, matches: List[Match]) -> List[Match]:
         """Return what a do or event_multiply makes of matches."""
         if isinstance(node, Do):
             # Table, do: called once before the result fires; if it fails nothing fires.
-            solved = [(match, first(node.goal, match.bindings)) for match in matches]
-            return [replace(match, bindings=found) for match, found in solved if found is not None]
+            solutions = [(match, first(node.goal, match.bindings)) for match in matches]
+            return [
+                replace(match, bindings=bindings) for match, bindings in solutions if bindings is not None
+            ]
         return [
             replace(match, bindings=solution)
             for match in matches
@@ -233,21 +237,21 @@ class RuleState(Streams):
         for q in rights:
             if for_all:
                 # Table, forall_seq: all waiting P, oldest first, used up under every policy.
-                found = self._take(p_waiting, lambda p, q=q: fit(p, q), "all", used_up=True)
+                pairs = self._take(p_waiting, lambda p, q=q: fit(p, q), "all", is_consumed=True)
             else:
-                found = self.complete(p_waiting, lambda p, q=q: fit(p, q))
-            results += found
-            if not found:
-                self.left_alone(node, q)
-        left_over: List[Any] = []
+                pairs = self.complete(p_waiting, lambda p, q=q: fit(p, q))
+            results += pairs
+            if not pairs:
+                self.store_unmatched(node, q)
+        unmatched: List[Any] = []
         for p in lefts:
             # Patterns: a late first side is taken only under out_of_order.
-            found = self.complete(q_waiting, lambda q, p=p: fit(p, q)) if self.out_of_order else []
-            results += found
+            pairs = self.complete(q_waiting, lambda q, p=p: fit(p, q)) if self.out_of_order else []
+            results += pairs
             # Policies: having matched, it does not wait for others, except under unrestricted.
-            if not found or not (self.consuming or for_all):
-                left_over.append(p)
-        for p in left_over:
+            if not pairs or not (self.consuming or for_all):
+                unmatched.append(p)
+        for p in unmatched:
             self.wait(node, p_waiting, p, identical_too=for_all)
         if self.out_of_order:
             # Policies: the second side of a seq also waits, for late first sides.
@@ -266,46 +270,46 @@ class RuleState(Streams):
         lefts, rights, p_waiting, q_waiting = sides
         results: List[Match] = []
 
-        def as_left(p: Match) -> bool:
-            found = self.complete(q_waiting, lambda q: fit(p, q))
-            results.extend(found)
-            return bool(found)
+        def complete_as_left(p: Match) -> bool:
+            pairs = self.complete(q_waiting, lambda q: fit(p, q))
+            results.extend(pairs)
+            return bool(pairs)
 
-        def as_right(q: Match) -> bool:
-            found = self.complete(p_waiting, lambda p: fit(p, q))
-            results.extend(found)
-            return bool(found)
+        def complete_as_right(q: Match) -> bool:
+            pairs = self.complete(p_waiting, lambda p: fit(p, q))
+            results.extend(pairs)
+            return bool(pairs)
 
         # Policies: having matched, it does not wait for others, except under unrestricted.
         for p in lefts:
-            if not p.is_last() and (not as_left(p) or not self.consuming):
+            if not p.is_last() and (not complete_as_left(p) or not self.consuming):
                 self.wait(node, p_waiting, p)
         for q in rights:
-            if not q.is_last() and (not as_right(q) or not self.consuming):
+            if not q.is_last() and (not complete_as_right(q) or not self.consuming):
                 self.wait(node, q_waiting, q)
         # Policies: an event that fits both sides completes first (once: as the right side, else as the left one),
         # then waits. What a late start makes along with it is composed, and comes after it.
         completed = self.completed.setdefault(node, set())
         waits: List[Match] = []
 
-        def have_waiting() -> None:
+        def store_waiting() -> None:
             while waits:
                 self.wait(node, q_waiting, waits.pop(0))
 
         for q in [q for q in rights if q.is_last()]:
-            matched = as_right(q)
+            matched = complete_as_right(q)
             if matched and self.consuming and q.is_one_event():
                 completed.add(q.numbers)
             if not matched or not self.consuming:
                 waits.append(q)
                 if not q.is_one_event():
-                    have_waiting()
+                    store_waiting()
         for p in [p for p in lefts if p.is_last()]:
             if not p.is_one_event():
-                have_waiting()
-            if p.numbers in completed or not as_left(p) or not self.consuming:
+                store_waiting()
+            if p.numbers in completed or not complete_as_left(p) or not self.consuming:
                 self.wait(node, p_waiting, p)
-        have_waiting()
+        store_waiting()
         return results
 
     def fit(self, node: Both, p: Match, q: Match, tests: List[Test], cnot: Optional[Cnot]) -> Optional[Match]:
@@ -324,18 +328,18 @@ class RuleState(Streams):
             match = self.outside_gap(Gap(cnot, p.end, q.start), match)
         return match
 
-    def left_alone(self, node: Both, q: Match) -> None:
+    def store_unmatched(self, node: Both, q: Match) -> None:
         """Take note of a second side that found no first side: for revision to overrule."""
 
     # Who is taken, and who waits.
 
     def complete(self, waiting: List[Match], fit: Callable[[Match], Optional[Match]]) -> List[Match]:
         """Return the results of a completing event under the rule's policy."""
-        return self._take(waiting, fit, self.policy, used_up=self.consuming)
+        return self._take(waiting, fit, self.policy, is_consumed=self.consuming)
 
     @staticmethod
     def _take(
-        waiting: List[Match], fit: Callable[[Match], Optional[Match]], policy: str, used_up: bool
+        waiting: List[Match], fit: Callable[[Match], Optional[Match]], policy: str, is_consumed: bool
     ) -> List[Match]:
         """Return the results of a completing event with the partners that a policy takes.
 
@@ -347,7 +351,7 @@ class RuleState(Streams):
             if result is None:
                 continue  # Patterns: a partner that is rejected stays where it was.
             results.append(result)
-            if used_up:
+            if is_consumed:
                 waiting.remove(partner)
             if policy.startswith(("recent", "chronological")):
                 break  # Policies: the newest that fits, the oldest that fits; else all, oldest first.
@@ -401,7 +405,7 @@ class Program:
         dispatched.append(event)
         for state in self.states:
             state.now = self.now
-            for derived in state.fired_by(event):
+            for derived in state.derived_events(event):
                 dispatched += self.event(derived.term, derived.start, derived.end, depth + 1)
         return dispatched
 
@@ -412,9 +416,9 @@ class Program:
         while True:
             # Streams: in the order of the instants, then of the rules, then of their places in the rule.
             due = [
-                (when, number, place)
+                (deadline, number, place)
                 for number, state in enumerate(self.states)
-                for when, place in state.due()
+                for deadline, place in state.due()
             ]
             if not due or min(due)[0] > now:
                 self.now = now
@@ -422,7 +426,7 @@ class Program:
             self.now, number, place = min(due)
             state = self.states[number]
             state.now = self.now
-            for derived in state.rung(place, self.now):
+            for derived in state.due_events(place, self.now):
                 dispatched += self.event(derived.term, derived.start, derived.end, 1)
 
 

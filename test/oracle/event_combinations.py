@@ -40,11 +40,11 @@ from .patterns import (
 from .rule_conditions import Conditions, all_solutions
 
 
-class Found(NamedTuple):
+class TimedMatch(NamedTuple):
     """A match and the number of the arrival that completed it."""
 
     match: Match
-    at: int
+    arrival: int
 
 
 def defined_for(rules: Sequence[Rule]) -> bool:
@@ -81,90 +81,98 @@ class Combinations:
         self.out_of_order = rule.late_by(out_of_order)
         self.tests = Conditions(rule)
         self.now: Optional[int] = None
-        self._held: Set[Any] = set()
+        self._allowed_keys: Set[Any] = set()
 
-    def found(self, node: Pattern, events: Sequence[Event]) -> List[Found]:
+    def timed_matches(self, node: Pattern, events: Sequence[Event]) -> List[TimedMatch]:
         """Return all matches of a pattern."""
         operator, conditions = strip(node)
         matches = self._operator(operator, events, conditions)
         tests = [self.tests.test_of(condition) for condition in conditions]
         result: List[Any] = []
-        for match, at in matches:
+        for match, arrival in matches:
             settled = self.tests.settle(match, operator)
             passed = None if settled is None else self.tests.passes(settled, tests)
             if passed is not None:
-                result.append(Found(passed, at))
+                result.append(TimedMatch(passed, arrival))
         return result
 
-    def _operator(self, node: Any, events: Sequence[Event], conditions: List[Pattern]) -> Iterable[Found]:
+    def _operator(
+        self, node: Any, events: Sequence[Event], conditions: List[Pattern]
+    ) -> Iterable[TimedMatch]:
         if isinstance(node, Leaf):
-            return [Found(match, e.number) for e in events for match in self.tests.leaf(node, e)]
+            return [TimedMatch(match, e.number) for e in events for match in self.tests.leaf(node, e)]
         if isinstance(node, Or):
-            return self.found(node.left, events) + self.found(node.right, events)
+            return self.timed_matches(node.left, events) + self.timed_matches(node.right, events)
         if isinstance(node, Both):
             return [pair for _, _, pair in self._pairs(node, events)]
         if isinstance(node, Do):
-            solved = [
-                (first(node.goal, match.bindings), match, at)
-                for match, at in self.found(node.pattern, events)
+            solutions = [
+                (first(node.goal, match.bindings), match, arrival)
+                for match, arrival in self.timed_matches(node.pattern, events)
             ]
-            return [Found(replace(match, bindings=b), at) for b, match, at in solved if b is not None]
+            return [
+                TimedMatch(replace(match, bindings=b), arrival)
+                for b, match, arrival in solutions
+                if b is not None
+            ]
         if isinstance(node, Multiply):
             return [
-                Found(replace(match, bindings=bindings), at)
-                for match, at in self.found(node.pattern, events)
+                TimedMatch(replace(match, bindings=bindings), arrival)
+                for match, arrival in self.timed_matches(node.pattern, events)
                 for bindings in all_solutions(node.goal, match.bindings)
             ]
         assert isinstance(node, (Cnot, Fnot))
         return self._absent(node, events)
 
-    def _pairs(self, node: Both, events: Sequence[Event]) -> Iterable[Tuple[Match, Match, Found]]:
-        for p in self.found(node.left, events):
-            for q in self.found(node.right, events):
-                in_time = node.kind != "seq" or self.out_of_order or p.at < q.at
+    def _pairs(self, node: Both, events: Sequence[Event]) -> Iterable[Tuple[Match, Match, TimedMatch]]:
+        for p in self.timed_matches(node.left, events):
+            for q in self.timed_matches(node.right, events):
+                in_time = node.kind != "seq" or self.out_of_order or p.arrival < q.arrival
                 same = len(p.match.numbers) == 1 and p.match.numbers == q.match.numbers
                 if same or not in_time or not PAIRS[node.kind].fits(p.match, q.match):
                     continue
                 match = self.tests.join(p.match, q.match, *PAIRS[node.kind].interval(p.match, q.match), node)
                 if match is not None and self.tests.in_window(match):
-                    yield p.match, q.match, Found(match, max(p.at, q.at))
+                    yield p.match, q.match, TimedMatch(match, max(p.arrival, q.arrival))
 
-    def _absent(self, node: Any, events: Sequence[Event]) -> Iterable[Found]:
-        absent = self.found(node.absent, events)
+    def _absent(self, node: Any, events: Sequence[Event]) -> Iterable[TimedMatch]:
+        absent = self.timed_matches(node.absent, events)
         inner, between = strip(node.pattern)
         if isinstance(node, Cnot) and isinstance(inner, Both) and inner.kind == "seq":
             tests = [self.tests.test_of(condition) for condition in between]
-            for p, q, (match, at) in self._pairs(inner, events):
+            for p, q, (match, arrival) in self._pairs(inner, events):
                 passed = self.tests.passes(match, tests)
-                if passed is not None and self._is_free(
+                if passed is not None and self._is_allowed(
                     node,
                     passed,
-                    at,
+                    arrival,
                     [
-                        r_at
-                        for r, r_at in absent
+                        r_arrival
+                        for r, r_arrival in absent
                         if p.end < r.start and r.end < q.start and self.tests.agree(r, passed.bindings)
                     ],
                 ):
-                    yield Found(passed, at)
+                    yield TimedMatch(passed, arrival)
         else:
-            for match, at in self.found(node.pattern, events):
-                in_the_way = [
-                    r_at for r, r_at in absent if r.end < match.start and self.tests.agree(r, match.bindings)
+            for match, arrival in self.timed_matches(node.pattern, events):
+                absent_arrivals = [
+                    r_arrival
+                    for r, r_arrival in absent
+                    if r.end < match.start and self.tests.agree(r, match.bindings)
                 ]
-                if self._is_free(node, match, at, in_the_way):
-                    yield Found(match, at)
+                if self._is_allowed(node, match, arrival, absent_arrivals):
+                    yield TimedMatch(match, arrival)
 
-    def _is_free(self, node: Any, match: Match, at: int, in_the_way: List[int]) -> bool:
+    def _is_allowed(self, node: Any, match: Match, arrival: int, absent_arrivals: List[int]) -> bool:
         """Tell whether nothing suppresses a match; given when what is in its way arrived."""
-        if any(r_at <= at for r_at in in_the_way):
+        if any(r_arrival <= arrival for r_arrival in absent_arrivals):
             return False
         key = (id(node), match.variant(), tuple(sorted(match.numbers)))
-        if self.now is None or key in self._held:
+        if self.now is None or key in self._allowed_keys:
             return True
-        if at < self.now and in_the_way:
+        if arrival < self.now and absent_arrivals:
             return False
-        self._held.add(key)
+        self._allowed_keys.add(key)
         return True
 
 
@@ -183,14 +191,14 @@ def firings(
     clocks = list(accumulate((event.end for event in events), max))
     combinations = Combinations(rule, out_of_order)
     results: List[CounterOf[Tuple[str, Any, Any]]] = [Counter() for _ in events]
-    for match, at in combinations.found(combinations.tests.pattern, events):
+    for match, arrival in combinations.timed_matches(combinations.tests.pattern, events):
         if not combinations.tests.in_window(match):
             continue
         if youngest is not None and any(
-            events[number].end < clocks[at] - youngest for number in match.numbers
+            events[number].end < clocks[arrival] - youngest for number in match.numbers
         ):
             continue
         bindings = match.bindings if rule.do is None else first(rule.do, match.bindings)
         if bindings is not None:
-            results[at][show(copy(instance(rule.head, bindings))), match.start, match.end] += 1
+            results[arrival][show(copy(instance(rule.head, bindings))), match.start, match.end] += 1
     return results

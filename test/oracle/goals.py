@@ -53,8 +53,8 @@ def unify(left: Term, right: Term, bindings: Bindings) -> Optional[Bindings]:
     if left.__class__ is tuple and right.__class__ is tuple:
         if left[0] is not right[0]:
             return None
-        for one, other in zip(left[1:], right[1:]):
-            extended = unify(one, other, bindings)
+        for left_argument, right_argument in zip(left[1:], right[1:]):
+            extended = unify(left_argument, right_argument, bindings)
             if extended is None:
                 return None
             bindings = extended
@@ -62,21 +62,21 @@ def unify(left: Term, right: Term, bindings: Bindings) -> Optional[Bindings]:
     return bindings if left.__class__ is right.__class__ and left == right else None
 
 
-def merge(one: Bindings, other: Bindings) -> Optional[Bindings]:
+def merge(left: Bindings, right: Bindings) -> Optional[Bindings]:
     """Return both substitutions as one, or None where they disagree on a variable."""
-    result: Optional[Bindings] = one
-    for var, value in other.items():
+    result: Optional[Bindings] = left
+    for var, value in right.items():
         if result is None:
             return None
         result = unify(var, value, result)
     return result
 
 
-def identical(one: Term, other: Term) -> bool:
+def identical(left: Term, right: Term) -> bool:
     """Tell whether two terms without bound variables are the same: 1 and 1.0 are not."""
-    if one.__class__ is tuple and other.__class__ is tuple:
-        return len(one) == len(other) and one[0] is other[0] and all(map(identical, one[1:], other[1:]))
-    return one.__class__ is other.__class__ and one == other
+    if left.__class__ is tuple and right.__class__ is tuple:
+        return len(left) == len(right) and left[0] is right[0] and all(map(identical, left[1:], right[1:]))
+    return left.__class__ is right.__class__ and left == right
 
 
 def show(term: Term, bindings: Optional[Bindings] = None) -> str:
@@ -107,18 +107,18 @@ def _quoted(name: str) -> str:
 
 
 _COMPARE = {
-    "<": lambda one, other: one < other,
-    ">": lambda one, other: one > other,
-    "=<": lambda one, other: one <= other,
-    ">=": lambda one, other: one >= other,
-    "=:=": lambda one, other: one == other,
-    "=\\=": lambda one, other: one != other,
+    "<": lambda left, right: left < right,
+    ">": lambda left, right: left > right,
+    "=<": lambda left, right: left <= right,
+    ">=": lambda left, right: left >= right,
+    "=:=": lambda left, right: left == right,
+    "=\\=": lambda left, right: left != right,
 }
 _ARITHMETIC = {
-    "+": lambda one, other: one + other,
-    "-": lambda one, other: one - other,
-    "*": lambda one, other: one * other,
-    "mod": lambda one, other: one % other,
+    "+": lambda left, right: left + right,
+    "-": lambda left, right: left - right,
+    "*": lambda left, right: left * right,
+    "mod": lambda left, right: left % right,
     "min": min,
     "max": max,
 }
@@ -133,11 +133,11 @@ def number(term: Term, bindings: Bindings) -> Any:
     if term.__class__ is tuple and len(term) == 3 and term[0].name in _ARITHMETIC:
         return _ARITHMETIC[term[0].name](number(term[1], bindings), number(term[2], bindings))
     if term.__class__ is tuple and term[0] is CONS and value_of(term[2], bindings) is NIL:
-        only = value_of(term[1], bindings)
-        if only.__class__ is int:
-            return only  # [X] is the code X
-        if only.__class__ is Atom and len(only.name) == 1:
-            return ord(only.name)  # [x] that of the character
+        item = value_of(term[1], bindings)
+        if item.__class__ is int:
+            return item  # [X] is the code X
+        if item.__class__ is Atom and len(item.name) == 1:
+            return ord(item.name)  # [x] that of the character
     if term.__class__ is tuple and term[0] is CONS:
         parts = [value_of(item, bindings) for item in list_items(term) or ()]
         if len(parts) == 2 and all(part.__class__ is int for part in parts) and 0 <= parts[1] < 10**9:
@@ -147,11 +147,11 @@ def number(term: Term, bindings: Bindings) -> Any:
     raise GoalError(f"no number: {show(term, bindings)}")
 
 
-def quotient(one: Any, other: int) -> Any:
+def quotient(dividend: Any, divisor: int) -> Any:
     """Divide as ``/`` does: an integer where that is exact, else a float."""
-    if isinstance(one, int) and one % other == 0:
-        return one // other
-    return float(Fraction(one) / other) if isinstance(one, int) else one / other
+    if isinstance(dividend, int) and dividend % divisor == 0:
+        return dividend // divisor
+    return float(Fraction(dividend) / divisor) if isinstance(dividend, int) else dividend / divisor
 
 
 def solve(goal: Term, bindings: Bindings, facts: Optional[Dict[str, Term]] = None) -> Iterator[Bindings]:  # noqa: C901 - a case for each kind of goal
@@ -194,16 +194,16 @@ def solve(goal: Term, bindings: Bindings, facts: Optional[Dict[str, Term]] = Non
         if identical(instance(args[0], bindings), instance(args[1], bindings)) == (name == "=="):
             yield bindings
     elif name in ("@<", "@>") and len(args) == 2:
-        one, other = (_standard(value_of(arg, bindings)) for arg in args)
-        if one < other if name == "@<" else one > other:
+        left, right = (_standard(value_of(arg, bindings)) for arg in args)
+        if left < right if name == "@<" else left > right:
             yield bindings
     elif name == "member" and len(args) == 2:
-        rest = value_of(args[1], bindings)
-        while rest.__class__ is tuple and rest[0] is CONS:
-            extended = unify(args[0], rest[1], bindings)
+        items = value_of(args[1], bindings)
+        while items.__class__ is tuple and items[0] is CONS:
+            extended = unify(args[0], items[1], bindings)
             if extended is not None:
                 yield extended
-            rest = value_of(rest[2], bindings)
+            items = value_of(items[2], bindings)
     elif name in facts and len(args) == 1:
         extended = unify(args[0], facts[name], bindings)
         if extended is not None:

@@ -85,7 +85,7 @@ class Run:
     start: Match
     now: Match
     values: List[Any] = field(default_factory=list)
-    taken: List[Match] = field(default_factory=list)
+    repetitions: List[Match] = field(default_factory=list)
     """The repetitions that extended it."""
 
 

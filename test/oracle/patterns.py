@@ -199,8 +199,8 @@ class Rule:
 
     def has_properties(self) -> bool:
         """Tell whether its label says how it runs."""
-        said = self.window, self.policy, self.out_of_order
-        return self.after_match != "keep" or any(one is not None for one in said)
+        settings = self.window, self.policy, self.out_of_order
+        return self.after_match != "keep" or any(value is not None for value in settings)
 
     def policy_by(self, flag: str) -> str:
         """Return the policy by which it runs. Labels: a property overrides the flag."""
@@ -249,13 +249,13 @@ def walk(node: Pattern) -> Iterator[Pattern]:
 
 def pattern_variables(node: Pattern) -> List[Var]:
     """Return the variables of a pattern, those of its goals included, from left to right."""
-    found: List[Var] = []
+    result: List[Var] = []
     for part in parts(node):
         if isinstance(part, Pattern):
-            found += pattern_variables(part)
+            result += pattern_variables(part)
         elif not isinstance(part, (str, bool)) and part is not None:
-            found += variables(part)
-    return list(dict.fromkeys(found))
+            result += variables(part)
+    return list(dict.fromkeys(result))
 
 
 def expand(node: Pattern) -> Pattern:
@@ -270,23 +270,23 @@ def expand(node: Pattern) -> Pattern:
     # "ntimes N is exactly Q seq ... seq Q, named variables shared, each _ fresh in each repetition"
     result = expand(node.pattern)
     for _ in range(node.times - 1):
-        fresh = {var: Var() for var in node.own}
-        result = Both("seq", result, expand(renamed(node.pattern, fresh)))
+        copies = {var: Var() for var in node.own}
+        result = Both("seq", result, expand(renamed(node.pattern, copies)))
     return result
 
 
-def renamed(node: Pattern, fresh: Dict[Var, Var]) -> Pattern:
+def renamed(node: Pattern, replacements: Dict[Var, Var]) -> Pattern:
     """Return a pattern with other variables in the place of some."""
 
     def changed(part: Any) -> Any:
         if isinstance(part, Pattern):
-            return renamed(part, fresh)
+            return renamed(part, replacements)
         if part.__class__ is tuple and (not part or part[0].__class__ is Var):
-            return tuple([fresh.get(var, var) for var in part])
+            return tuple([replacements.get(var, var) for var in part])
         return (
             part
             if isinstance(part, (str, bool)) or part is None
-            else rebuild(part, lambda v: fresh.get(v, v))
+            else rebuild(part, lambda v: replacements.get(v, v))
         )
 
     return replace(node, **{field.name: changed(getattr(node, field.name)) for field in fields(node)})
@@ -315,8 +315,8 @@ def _terms(node: Pattern) -> List[Term]:
     """Return the terms in a pattern."""
     return [
         part
-        for one in walk(node)
-        for part in parts(one)
+        for descendant in walk(node)
+        for part in parts(descendant)
         if part is not None and not isinstance(part, (str, bool, Pattern))
     ]
 

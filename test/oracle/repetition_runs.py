@@ -105,13 +105,13 @@ class IdentifyingRepetitions(Conditions):
                 return None
         # Table: a variable that stands elsewhere in the rule has one value for the whole match, set by the
         # first repetition; any other is fresh each time.
-        fresh = self._only_inside(node)
-        kept = {var: instance(var, joined.bindings) for var in joined.bindings if var not in fresh}
-        own = {var: instance(var, joined.bindings) for var in joined.bindings if var in fresh}
-        renamed: Bindings = {var: Var() for var in fresh}
+        inside = self._only_inside(node)
+        bindings = {var: instance(var, joined.bindings) for var in joined.bindings if var not in inside}
+        own = {var: instance(var, joined.bindings) for var in joined.bindings if var in inside}
+        renamed: Bindings = {var: Var() for var in inside}
         pending = tuple(self._of_one_repetition(item, own, renamed) for item in joined.pending)
-        run.taken.append(q)
-        run.now = replace(joined, bindings=kept, terms=run.start.terms, pending=pending)
+        run.repetitions.append(q)
+        run.now = replace(joined, bindings=bindings, terms=run.start.terms, pending=pending)
         return self._result(node, run, conditions)
 
     @staticmethod

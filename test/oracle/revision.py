@@ -19,7 +19,7 @@ from retalis import Term, functor
 from retalis.prolog.terms.term_traversal import copy
 
 from .evaluator import NOTHING, Fit, RuleState, Sides
-from .event_combinations import Combinations, Found, has_outer_absence
+from .event_combinations import Combinations, TimedMatch, has_outer_absence
 from .event_combinations import defined_for as defined_without_state
 from .goals import first, instance, show
 from .matches import Event, Match, Run
@@ -76,7 +76,7 @@ def combines(rules: Sequence[Rule]) -> bool:
     They do not where taking back one event may make another that rules out what has happened: that is not taken back.
     """
     nodes = [node for rule in rules for node in walk(rule.pattern)]
-    negated = [node for one in nodes if isinstance(one, (Cnot, Fnot)) for node in walk(one.absent)]
+    negated = [node for node in nodes if isinstance(node, (Cnot, Fnot)) for node in walk(node.absent)]
     return not any(isinstance(node, (Cnot, Fnot)) for node in negated) and (
         defined_without_state(rules)
         and not any(isinstance(node, Within) for node in nodes)
@@ -108,11 +108,11 @@ class Recombined:
         step: Step = Counter([(show(term), start, end)])
         self.combinations.now = number
         if term.__class__ is tuple and term[0] is REV:
-            gone = show(term[1])
-            self.events = [event for event in self.events if show(event.term) != gone]
+            retracted = show(term[1])
+            self.events = [event for event in self.events if show(event.term) != retracted]
         else:
             self.events.append(Event(term, start, end, number))
-        before, self.fired = self.fired, self._holding()
+        before, self.fired = self.fired, self._matches_by_combination()
         for key, (text, _, _) in before.items():
             if key not in self.fired:
                 step[f"rev({text})", start, end] += 1
@@ -121,11 +121,13 @@ class Recombined:
                 step[fired] += 1
         return step
 
-    def _holding(self) -> Dict[Any, Tuple[str, Any, Any]]:
+    def _matches_by_combination(self) -> Dict[Any, Tuple[str, Any, Any]]:
         """Return what all events that were not taken back make, by the combination that made it."""
-        found: List[Found] = self.combinations.found(self.combinations.tests.pattern, self.events)
+        matches: List[TimedMatch] = self.combinations.timed_matches(
+            self.combinations.tests.pattern, self.events
+        )
         holding: Dict[Any, Any] = {}
-        for match, _ in found:
+        for match, _ in matches:
             bindings = match.bindings if self.rule.do is None else first(self.rule.do, match.bindings)
             if bindings is not None:
                 key: Any = (match.variant(), tuple(sorted(match.numbers)))
@@ -136,11 +138,11 @@ class Recombined:
 
 
 @dataclass(eq=False)
-class Passed:
+class ProcessedMatch:
     """A second side, or a repetition, that came and did not wait, and the events of all that it has completed."""
 
     match: Match
-    made: List[FrozenSet[int]] = field(default_factory=list)
+    completed_numbers: List[FrozenSet[int]] = field(default_factory=list)
 
 
 class RevisedState(RuleState):
@@ -151,39 +153,39 @@ class RevisedState(RuleState):
         self.suppressed: Dict[Pattern, List[Match]] = {}
         self.all_runs: List[Tuple[Any, Run, List[Pattern]]] = []
         self.again: Dict[Pattern, List[Match]] = {}
-        self.passed: Dict[Pattern, List[Passed]] = {}
+        self.passed: Dict[Pattern, List[ProcessedMatch]] = {}
         """Second sides and repetitions in the order in which they came, where these do not wait."""
-        self.gone: Set[int] = set()
+        self.retracted: Set[int] = set()
         self.reviving = False
 
     def forget(self, numbers: FrozenSet[int]) -> None:
         """Remove the partial matches that hold one of these events."""
-        self.gone |= numbers
+        self.retracted |= numbers
         for passed in self.passed.values():
-            passed[:] = [one for one in passed if not one.match.numbers & numbers]
+            passed[:] = [record for record in passed if not record.match.numbers & numbers]
         for waiting in [*self.waiting.values(), *self.suppressed.values()]:
             waiting[:] = [match for match in waiting if not match.numbers & numbers]
         for runs in self.runs.values():
             runs[:] = [run for run in runs if not run.start.numbers & numbers]
-        self.all_runs = [one for one in self.all_runs if not one[1].start.numbers & numbers]
+        self.all_runs = [record for record in self.all_runs if not record[1].start.numbers & numbers]
         for node, run, conditions in self.all_runs:
-            if any(q.numbers & numbers for q in run.taken):
-                self.again.setdefault(node, []).extend(self._once_more(node, run, conditions, numbers))
+            if any(q.numbers & numbers for q in run.repetitions):
+                self.again.setdefault(node, []).extend(self._replay_run(node, run, conditions, numbers))
 
-    def _once_more(
+    def _replay_run(
         self, node: Pattern, run: Run, conditions: List[Pattern], numbers: FrozenSet[int]
     ) -> List[Match]:
         """Extend a run again without the retracted events; return the results that contain such an event."""
-        taken, run.taken = run.taken, []
+        repetitions, run.repetitions = run.repetitions, []
         run.now, run.values = run.start, []
         results: List[Match] = []
-        lost = False
-        for q in taken:
+        is_changed = False
+        for q in repetitions:
             if q.numbers & numbers:
-                lost = True
+                is_changed = True
                 continue
             fired = self._extended(node, run, q, conditions)
-            if lost and fired is not None:
+            if is_changed and fired is not None:
                 results += fired
         return results
 
@@ -200,51 +202,55 @@ class RevisedState(RuleState):
         again = self.again.pop(node, []) if self.reviving else []
         passed = self.passed.setdefault(node, [])
         if not self.out_of_order:
-            passed += [Passed(q) for q in repetitions]
+            passed += [ProcessedMatch(q) for q in repetitions]
         return again + super().repetition(node, starts, repetitions, conditions)
 
     def _extended(self, node: Any, run: Run, q: Match, conditions: List[Pattern]) -> Optional[List[Match]]:
         """Process matches in the order of arrival, also those that a revision has released."""
-        if self.reviving and not self.came_before(run.start, q):
+        if self.reviving and not self.precedes(run.start, q):
             return None
         fired = super()._extended(node, run, q, conditions)
         if fired is not None:
-            for one in self.passed.get(node, []):
-                if one.match is q:
-                    one.made.append(run.start.numbers)
+            for record in self.passed.get(node, []):
+                if record.match is q:
+                    record.completed_numbers.append(run.start.numbers)
         return fired
 
     def _started(self, node: Any, p: Match, conditions: List[Pattern], waiting: List[Match]) -> List[Match]:
         """As always; a start that revision has set free takes what came after it."""
         if self.reviving and not self.out_of_order:
-            waiting = [one.match for one in self.passed[node] if self.left_for(p, one)]
+            waiting = [record.match for record in self.passed[node] if self.is_available(p, record)]
         return super()._started(node, p, conditions, waiting)
 
-    def came_before(self, p: Match, q: Match) -> bool:
+    def precedes(self, p: Match, q: Match) -> bool:
         """Tell whether a first side came before a second one, where that matters."""
         return self.out_of_order or max(p.numbers) < max(q.numbers)
 
-    def left_for(self, p: Match, passed: Passed, always: bool = False) -> bool:
+    def is_available(self, p: Match, passed: ProcessedMatch, always: bool = False) -> bool:
         """Tell whether what came can be for a first side set free: it came later, and is not used up.
 
         It is not where all that it has completed was taken back, and where it ``always`` takes all first sides.
         """
-        used_up = self.consuming and not always and any(not made & self.gone for made in passed.made)
-        return self.came_before(p, passed.match) and not used_up
+        is_consumed = (
+            self.consuming
+            and not always
+            and any(not numbers & self.retracted for numbers in passed.completed_numbers)
+        )
+        return self.precedes(p, passed.match) and not is_consumed
 
     def expire(self) -> None:
         """As always: what came is kept no longer than if it waited."""
         super().expire()
         if self.clock is not None:
             for node, passed in self.passed.items():
-                passed[:] = [one for one in passed if not self.expired(node, one.match)]
+                passed[:] = [record for record in passed if not self.expired(node, record.match)]
 
     def skip(self) -> None:
         """As always. What was noted of the past goes too, with what came before the end of a match and is skipped."""
         super().skip()
         for node, passed in self.passed.items():
             if node not in self.below_absent:
-                passed[:] = [one for one in passed if not self.skipping.skips(one.match)]
+                passed[:] = [record for record in passed if not self.skipping.skips(record.match)]
 
     def revive(self) -> List[List[Match]]:
         """Return the matches that were suppressed by what is gone, and would now fire."""
@@ -252,8 +258,8 @@ class RevisedState(RuleState):
         for node in [*self.suppressed, *self.again]:
             # After match: what would come back and was skipped does not.
             if node not in self.below_absent:
-                for back in (self.suppressed.get(node, []), self.again.get(node, [])):
-                    back[:] = [match for match in back if not self.skipping.is_past(match)]
+                for released in (self.suppressed.get(node, []), self.again.get(node, [])):
+                    released[:] = [match for match in released if not self.skipping.is_past(match)]
         self.reviving = True
         matches = self.whole(self.pattern, NOTHING)
         self.reviving = False
@@ -280,47 +286,49 @@ class RevisedState(RuleState):
         passed = self.passed.setdefault(node, [])
 
         def in_order(p: Match, q: Match) -> Optional[Match]:
-            return fit(p, q) if not self.reviving or self.came_before(p, q) else None
+            return fit(p, q) if not self.reviving or self.precedes(p, q) else None
 
         results: List[Match] = []
 
         def second(q: Match) -> None:
-            found = super(RevisedState, self)._in_order(node, sides._replace(lefts=[], rights=[q]), in_order)
-            passed.append(Passed(q, [match.numbers for match in found]))
-            results.extend(found)
+            matches = super(RevisedState, self)._in_order(
+                node, sides._replace(lefts=[], rights=[q]), in_order
+            )
+            passed.append(ProcessedMatch(q, [match.numbers for match in matches]))
+            results.extend(matches)
 
-        def first_one(p: Match) -> None:
-            found = self._later(node, p, passed, fit) if self.reviving else []
-            results.extend(found)
-            if not found or not (self.consuming or node.kind == "forall_seq"):
+        def first(p: Match) -> None:
+            matches = self._later(node, p, passed, fit) if self.reviving else []
+            results.extend(matches)
+            if not matches or not (self.consuming or node.kind == "forall_seq"):
                 super(RevisedState, self)._in_order(node, sides._replace(lefts=[p], rights=[]), fit)
 
-        coming = [*((q, second) for q in sides.rights), *((p, first_one) for p in sides.lefts)]
+        arrivals = [*((q, second) for q in sides.rights), *((p, first) for p in sides.lefts)]
         if self.reviving:  # as they came
-            coming.sort(key=lambda one: max(one[0].numbers))
-        for match, take in coming:
-            take(match)
+            arrivals.sort(key=lambda arrival: max(arrival[0].numbers))
+        for match, process in arrivals:
+            process(match)
         return results
 
-    def _later(self, node: Both, p: Match, passed: List[Passed], fit: Fit) -> List[Match]:
+    def _later(self, node: Both, p: Match, passed: List[ProcessedMatch], fit: Fit) -> List[Match]:
         """Return what a first side that revision has set free makes with second sides that came after it.
 
         It takes the first that is left for it; under unrestricted all.
         """
         for_all = node.kind == "forall_seq"
-        found: List[Any] = []
-        for one in passed:
-            match = fit(p, one.match) if self.left_for(p, one, for_all) else None
+        matches: List[Any] = []
+        for record in passed:
+            match = fit(p, record.match) if self.is_available(p, record, for_all) else None
             if match is not None:
-                found.append(match)
-                one.made.append(match.numbers)
-                alone = self.suppressed.get(node, [])
-                alone[:] = [q for q in alone if q is not one.match]
+                matches.append(match)
+                record.completed_numbers.append(match.numbers)
+                unmatched = self.suppressed.get(node, [])
+                unmatched[:] = [q for q in unmatched if q is not record.match]
                 if self.consuming or for_all:
                     break
-        return found
+        return matches
 
-    def left_alone(self, node: Both, q: Match) -> None:
+    def store_unmatched(self, node: Both, q: Match) -> None:
         """Note a second side of a seq that found none."""
         self.suppressed.setdefault(node, []).append(q)
 
@@ -328,20 +336,20 @@ class RevisedState(RuleState):
         """As always; where a cnot may have ruled pairs out, second sides that were left alone try again."""
         again: List[Match] = []
         if self.reviving and cnot is not None:
-            alone = self.suppressed.setdefault(node, [])
-            for q in list(alone):
+            unmatched = self.suppressed.setdefault(node, [])
+            for q in list(unmatched):
 
                 def fit(p: Match, q: Match = q) -> Optional[Match]:
-                    waited = max(p.numbers) < max(q.numbers)
-                    return self.fit(node, p, q, tests, cnot) if waited else None
+                    is_in_order = max(p.numbers) < max(q.numbers)
+                    return self.fit(node, p, q, tests, cnot) if is_in_order else None
 
-                found = self.complete(self.waiting[node, "left"], fit)
-                again += found
-                if found:
-                    alone.remove(q)
-                    for one in self.passed.get(node, []):
-                        if one.match is q:
-                            one.made += [match.numbers for match in found]
+                matches = self.complete(self.waiting[node, "left"], fit)
+                again += matches
+                if matches:
+                    unmatched.remove(q)
+                    for record in self.passed.get(node, []):
+                        if record.match is q:
+                            record.completed_numbers += [match.numbers for match in matches]
         return again + super().two_sided(node, event, tests, cnot)
 
 
@@ -360,7 +368,7 @@ class Tagged:
             step: Step = Counter()
             if term.__class__ is tuple and term[0] is REV:
                 step[show(term), start, end] += 1
-                self._take_back(show(term[1]), start, end, step)
+                self._retract(show(term[1]), start, end, step)
             else:
                 self._dispatch(Event(term, start, end), frozenset(), step)
             steps.append(step)
@@ -376,23 +384,23 @@ class Tagged:
             self._fire(state, state.whole(state.pattern, event), step)
 
     def _fire(self, state: RevisedState, whole: List[List[Match]], step: Step) -> None:
-        fired = [one for made in whole for one in state.fire(made)]
+        fired = [result for matches in whole for result in state.fire(matches)]
         state.skip()
         for match, result in fired:
             self._dispatch(result, match.numbers, step)
 
-    def _take_back(self, text: str, start: Any, end: Any, step: Step) -> None:
+    def _retract(self, text: str, start: Any, end: Any, step: Step) -> None:
         """Take back all occurrences of an event, everything derived from them, each once."""
-        gone: Set[int] = {n for n, (event, _) in self.alive.items() if show(event.term) == text}
-        external = set(gone)
+        retracted: Set[int] = {n for n, (event, _) in self.alive.items() if show(event.term) == text}
+        external = set(retracted)
         for number, (_, origin) in sorted(self.alive.items()):
-            if origin & gone:
-                gone.add(number)
-        for number in sorted(gone):
+            if origin & retracted:
+                retracted.add(number)
+        for number in sorted(retracted):
             event, _ = self.alive.pop(number)
             if number not in external:
                 step[f"rev({show(event.term)})", start, end] += 1
         for state in self.states:
-            state.forget(frozenset(gone))
+            state.forget(frozenset(retracted))
         for state in self.states:
             self._fire(state, state.revive(), step)

@@ -38,7 +38,7 @@ class Conditions:
     def __init__(self, rule: Rule) -> None:
         self.rule = rule
         self.pattern = expand(rule.pattern)
-        self.place = {node: at for at, node in enumerate(walk(self.pattern))}
+        self.place = {node: position for position, node in enumerate(walk(self.pattern))}
         self.left_of: Dict[Pattern, List[Var]] = {}
         self._note_left(self.pattern, [])
         self.limits: Dict[Pattern, List[Any]] = {}
@@ -70,9 +70,9 @@ class Conditions:
 
     def outside(self, node: Pattern) -> Set[Var]:
         """Return the variables of the rule outside of a pattern."""
-        found = set(variables(self.rule.head))
+        outside = set(variables(self.rule.head))
         if self.rule.do is not None:
-            found |= set(variables(self.rule.do))
+            outside |= set(variables(self.rule.do))
 
         def gather(other: Pattern) -> None:
             for part in parts(other):
@@ -81,11 +81,11 @@ class Conditions:
                 if isinstance(part, Pattern):
                     gather(part)
                 elif part is not None and not isinstance(part, (str, bool)):
-                    found.update(variables(part))
+                    outside.update(variables(part))
 
         if node is not self.pattern:
             gather(self.pattern)
-        return found
+        return outside
 
     # Conditions.
 
@@ -109,24 +109,24 @@ class Conditions:
 
         Patterns: a condition under several operators sees the variables of all patterns to its left.
         """
-        kept: List[Any] = []
+        pending: List[Any] = []
         bindings = match.bindings
         for item in match.pending:
             if isinstance(item, Gap):
                 if self.waits_for_left(item.node, bindings, node):
-                    kept.append(item)
+                    pending.append(item)
                 elif self.forbidden(item, bindings):
                     return None
                 continue
             if unbound(item.goal, bindings) & set(self.left_of[node]):
-                kept.append(Pending(instance(item.goal, bindings), item.facts))
+                pending.append(Pending(instance(item.goal, bindings), item.facts))
                 continue
             # Table, where: the goal's first solution, which may bind the head.
             solution = first(item.goal, bindings, item.facts)
             if solution is None:
                 return None
             bindings = solution
-        return replace(match, bindings=bindings, pending=tuple(kept))
+        return replace(match, bindings=bindings, pending=tuple(pending))
 
     def waits_for_left(self, absence: Any, bindings: Bindings, node: Pattern) -> bool:
         """Tell whether what must not happen has variables of patterns to the left that are still unbound."""
@@ -166,8 +166,8 @@ class Conditions:
         bindings = merge(p.bindings, q.bindings)
         if bindings is None:
             return None
-        taken, pending = p.numbers | q.numbers, p.pending + q.pending
-        joined = Match(start, end, bindings, p.terms + q.terms, taken, pending, composed=True)
+        numbers, pending = p.numbers | q.numbers, p.pending + q.pending
+        joined = Match(start, end, bindings, p.terms + q.terms, numbers, pending, composed=True)
         return self.settle(joined, node)
 
     def agree(self, absent: Match, of: Bindings) -> bool:
@@ -190,8 +190,8 @@ class Conditions:
         bindings = unify(node.term, copy(event.term), {})
         if bindings is None:
             return []
-        taken = ((self.place[node], show(event.term)),)
-        return [Match(event.start, event.end, bindings, taken, frozenset([event.number]))]
+        terms = ((self.place[node], show(event.term)),)
+        return [Match(event.start, event.end, bindings, terms, frozenset([event.number]))]
 
     # Windows.
 
@@ -217,15 +217,15 @@ class Conditions:
 
 def may_bind(node: Pattern) -> List[Var]:
     """Return the variables that a pattern may give values to: none that stands only in what must not happen."""
-    found: List[Var] = []
+    bound: List[Var] = []
     for part in parts(node):
         if isinstance(node, (Cnot, Fnot)) and part is node.absent:
             continue
         if isinstance(part, Pattern):
-            found += may_bind(part)
+            bound += may_bind(part)
         elif part is not None and not isinstance(part, (str, bool)):
-            found += variables(part)
-    return list(dict.fromkeys(found))
+            bound += variables(part)
+    return list(dict.fromkeys(bound))
 
 
 def all_solutions(goal: Term, bindings: Bindings) -> List[Bindings]:

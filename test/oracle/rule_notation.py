@@ -86,12 +86,12 @@ def pattern_of(term: Term) -> Pattern:
     name = term[0].name if term.__class__ is tuple else None
     args = term[1:] if term.__class__ is tuple else ()
     if name in ("seq", "and", "or") and len(args) == 2:
-        found = _sequence(*args) if name == "seq" else None
-        if found is not None:
-            return found
+        pattern = _sequence(*args) if name == "seq" else None
+        if pattern is not None:
+            return pattern
     if len(args) == 2 and name in PAIRS:
         return Both(name, pattern_of(args[0]), pattern_of(args[1]))
-    made: Dict[str, Any] = {
+    constructors: Dict[str, Any] = {
         "or": lambda p, q: Or(pattern_of(p), pattern_of(q)),
         "cnot": lambda p, q: Cnot(pattern_of(p), pattern_of(q)),
         "fnot": lambda p, q: Fnot(pattern_of(p), pattern_of(q)),
@@ -104,8 +104,8 @@ def pattern_of(term: Term) -> Pattern:
         "ntimes": lambda p, n: Ntimes(pattern_of(p), n),
         "<-": lambda head, p: Sub(head, pattern_of(p)),
     }
-    if len(args) == 2 and name in made:
-        result: Pattern = made[name](*args)
+    if len(args) == 2 and name in constructors:
+        result: Pattern = constructors[name](*args)
         return result
     return Leaf(term)
 
@@ -193,7 +193,7 @@ def _kinds(node: Windowed, names: Names) -> Iterator[str]:
 
 def _steps(node: Windowed, names: Names) -> str:
     """Write the steps of a window."""
-    found: List[Any] = []
+    texts: List[Any] = []
     for step in steps_of(node.steps):
         limit = "many" if step.most is None else step.most
         option = ",reluctant" if step.reluctant else ""
@@ -202,8 +202,8 @@ def _steps(node: Windowed, names: Names) -> str:
         text = f"{step.name}({step.least},{limit}{option})"
         if step.goal is not None:
             text += f" where ({write_term(step.goal, names)})"
-        found.append(f"later({text})" if step.later else text)
-    return f"steps([{','.join(found)}])"
+        texts.append(f"later({text})" if step.later else text)
+    return f"steps([{','.join(texts)}])"
 
 
 def write_pattern(node: Pattern, names: Names) -> str:  # noqa: C901 - a case for each kind of pattern
@@ -270,11 +270,13 @@ def write_rule(rule: Rule, form: str = "V{}") -> str:
     label = rule.label or ("label" if rule.has_properties() else None)
     if label is None:
         return text
-    said = {
+    settings = {
         "event_rule_window": None if rule.window is None else write_seconds(rule.window),
         "policy": rule.policy,
         "out_of_order": None if rule.out_of_order is None else ("on" if rule.out_of_order else "off"),
         "after_match": None if rule.after_match == "keep" else rule.after_match,
     }
-    properties = ",".join(f"property({name},{value})" for name, value in said.items() if value is not None)
+    properties = ",".join(
+        f"property({name},{value})" for name, value in settings.items() if value is not None
+    )
     return f"{label}([{properties}]) 'rule:' {text}" if properties else f"{label} 'rule:' {text}"

@@ -47,8 +47,10 @@ def scenarios(folder: Path) -> Iterator[Scenario]:
             continue
         expected = data.get("expected_sane", data["expected"])
         events = [(_term(text), *map(_seconds, stamps)) for text, stamps in data["stream"]]
-        wanted = [(show(_term(text)), _seconds(start), _seconds(end)) for text, start, end in expected]
-        yield Scenario(path.stem, rules, flags, events, wanted)  # type: ignore[arg-type]
+        expected_events = [
+            (show(_term(text)), _seconds(start), _seconds(end)) for text, start, end in expected
+        ]
+        yield Scenario(path.stem, rules, flags, events, expected_events)  # type: ignore[arg-type]
 
 
 def _flags(goals: List[str]) -> Optional[Dict[str, Any]]:
@@ -67,10 +69,10 @@ def _flags(goals: List[str]) -> Optional[Dict[str, Any]]:
 
 
 def _terms(text: str) -> List[Term]:
-    read = list(read_program(text, Operators.prolog(), "scenario"))
-    if not all(hasattr(item, "term") for item in read):
+    clauses = list(read_program(text, Operators.prolog(), "scenario"))
+    if not all(hasattr(item, "term") for item in clauses):
         return [None]
-    return [item.term for item in read]  # type: ignore[union-attr]
+    return [item.term for item in clauses]  # type: ignore[union-attr]
 
 
 def _term(text: str) -> Term:
@@ -101,8 +103,8 @@ def _rule(term: Term) -> Optional[Rule]:
 
 def _window(label: Term) -> Any:
     properties = list_items(label[1]) if label.__class__ is tuple else []
-    found = [item[2] for item in properties or [] if item[1].name in ("window", "event_rule_window")]
-    return min(found) if found else None
+    windows = [item[2] for item in properties or [] if item[1].name in ("window", "event_rule_window")]
+    return min(windows) if windows else None
 
 
 def _solvable(rule: Rule) -> bool:

@@ -31,10 +31,10 @@ def cut_difference(case: Case, places: Collection[int]) -> Optional[Tuple[Any, A
     except RetalisError:
         return None
     try:
-        got: Any = engine_steps([case.text()], case.goals(), case.stream, cuts=places, clocked=clocked)
+        actual: Any = engine_steps([case.text()], case.goals(), case.stream, cuts=places, clocked=clocked)
     except Exception as error:  # noqa: BLE001 - an internal error is a difference too
-        got = f"{type(error).__name__}: {error}"
-    return None if got == expected else (expected, got)
+        actual = f"{type(error).__name__}: {error}"
+    return None if actual == expected else (expected, actual)
 
 
 def cut_case(
@@ -100,16 +100,19 @@ def compare(options: argparse.Namespace) -> int:
     begin, differing = time.time(), 0
     for seed in range(options.seed, options.seed + options.cases):
         case, cuts = cut_case(seed, options.depth, options.revision, options.unsure, options.streams)
-        found = cut_difference(case, cuts)
-        if found is None:
+        difference = cut_difference(case, cuts)
+        if difference is None:
             continue
         differing += 1
         if differing <= options.show:
             every = range(len(case.stream))
             if cut_difference(case, every) is not None:
-                case = shrink(case, lambda one: cut_difference(one, range(len(one.stream))) is not None)
-                found = cut_difference(case, range(len(case.stream)))
-            print(f"seed {seed}: {case!r}\n{found}", flush=True)
+                case = shrink(
+                    case,
+                    lambda candidate: cut_difference(candidate, range(len(candidate.stream))) is not None,
+                )
+                difference = cut_difference(case, range(len(case.stream)))
+            print(f"seed {seed}: {case!r}\n{difference}", flush=True)
     seeds = f"seeds {options.seed} to {options.seed + options.cases - 1}"
     print(f"{options.cases} cases ({seeds}) cut, {differing} differ, {time.time() - begin:.0f} s")
     return 1 if differing else 0

@@ -123,8 +123,8 @@ class Case:
 
 def certain_in_order(node: Pattern) -> List[Var]:
     """Return the variables of `certain` in their order: a set's own is another in each run."""
-    found = certain(node)
-    return [var for var in pattern_variables(node) if var in found]
+    bound = certain(node)
+    return [var for var in pattern_variables(node) if var in bound]
 
 
 def certain(node: Pattern) -> Set[Var]:
@@ -296,36 +296,36 @@ class Generator:
     def windowed(self, depth: int, left: Tuple[Var, ...]) -> Pattern:
         """Draw a window over a pattern."""
         below = self.pattern(self.choice([0, 0, 0, min(depth - 1, 1)]))
-        sure = certain_in_order(below)
-        kinds = [self.choice([*RESULTS, "rate"] if sure else ["count", "rate"])]
-        kinds += [self.choice(["count", "list", "avg"] if sure else ["count"])] if self.chance(30) else []
-        values = make_list([self.choice(sure) for kind in kinds if kind not in ("count", "rate")])
+        bound = certain_in_order(below)
+        kinds = [self.choice([*RESULTS, "rate"] if bound else ["count", "rate"])]
+        kinds += [self.choice(["count", "list", "avg"] if bound else ["count"])] if self.chance(30) else []
+        values = make_list([self.choice(bound) for kind in kinds if kind not in ("count", "rate")])
         results = make_list([self.choice([Var(), Var(), Var(), 2, self.choice(self.pool)]) for _ in kinds])
         window = self.choice(list(WINDOWS))
         span: Any = self.choice([1, 2, 3] if window in ("newest", "batch", "running_batch") else SPANS)
         step = self.choice([span, span, *SPANS])
         if self.chance(25):
-            steps = self.steps(sure)
+            steps = self.steps(bound)
             kinds = [
                 f"{kind}@{self.choice(range(len(steps)))}" if self.chance(30) else kind for kind in kinds
             ]
             return Windowed(" ".join(kinds), below, values, results, "steps", 0, 0, make_list(steps))
         return Windowed(" ".join(kinds), below, values, results, window, span, step)
 
-    def steps(self, sure: List[Var]) -> List[Term]:
+    def steps(self, bound: List[Var]) -> List[Term]:
         """Draw the steps of a window with conditions of some variables."""
         names = ["one", "two", "three"][: self.choice([1, 1, 2, 2, 3])]
-        found: List[Any] = []
+        steps: List[Any] = []
         for name in names:
             least, more = self.choice([0, 1, 1, 2]), self.choice([0, 0, 1, "many"])
             most: Any = atom("many") if more == "many" else max(least + more, 1)
-            until = [self.look(sure, names)] if self.chance(20) else []
+            until = [self.step_condition(bound, names)] if self.chance(20) else []
             reluctant = not until and self.chance(30)
-            goals = [self.look(sure, names)] if self.chance(75) else []
+            goals = [self.step_condition(bound, names)] if self.chance(75) else []
             later = self.chance(35)
             if (later or not goals) and most.__class__ is not int and not until:
                 reluctant = True  # else nothing might end it
-            found.append(
+            steps.append(
                 functor("step", 7)(
                     atom(name),
                     least,
@@ -336,20 +336,24 @@ class Generator:
                     make_list(until),
                 )
             )
-        if not any(one[2] for one in found):
-            found[0] = (*found[0][:2], 1, *found[0][3:])
-        for at in range(len(found) - 1, -1, -1):  # a later one at the end would wait for more
-            if found[at][5].name == "later" and found[at][2] != found[at][3] and found[at][7] is NIL:
-                found[at] = (*found[at][:4], atom("reluctant"), *found[at][5:])
-            if found[at][2]:
+        if not any(step[2] for step in steps):
+            steps[0] = (*steps[0][:2], 1, *steps[0][3:])
+        for position in range(len(steps) - 1, -1, -1):  # a later one at the end would wait for more
+            if (
+                steps[position][5].name == "later"
+                and steps[position][2] != steps[position][3]
+                and steps[position][7] is NIL
+            ):
+                steps[position] = (*steps[position][:4], atom("reluctant"), *steps[position][5:])
+            if steps[position][2]:
                 break
-        return found
+        return steps
 
-    def look(self, sure: List[Var], names: List[str]) -> Term:
+    def step_condition(self, bound: List[Var], names: List[str]) -> Term:
         """Draw a condition of a step, which asks for no numbers; it may look back."""
-        if not sure:
+        if not bound:
             return atom(self.choice(["true", "true", "fail"]))
-        var = self.choice(sure)
+        var = self.choice(bound)
         kind = self.choice(["prev", "prev", "first", "last", "value", "value", "of"])
         if kind == "value":
             other: Term = self.value(2)
@@ -358,18 +362,18 @@ class Generator:
         else:
             other = functor(kind, 1)(var)
         goal = functor(self.choice(["==", "\\==", "@<", "@>", "@>"]), 2)(var, other)
-        return functor(",", 2)(goal, self.look(sure, names)) if self.chance(20) else goal
+        return functor(",", 2)(goal, self.step_condition(bound, names)) if self.chance(20) else goal
 
     def shaped(self, depth: int, left: Tuple[Var, ...]) -> Pattern:
         """Draw a pattern with matches that only partly continue."""
         below = self.pattern(self.choice([0, 0, min(depth - 1, 1)]))
-        sure = certain_in_order(below)
-        by = make_list([self.choice(sure)] if sure and self.chance(50) else [])
+        bound = certain_in_order(below)
+        by = make_list([self.choice(bound)] if bound and self.chance(50) else [])
         shape = self.choice(
-            ["throttle", "burst", "debounce", "change"] if sure else ["throttle", "burst", "debounce"]
+            ["throttle", "burst", "debounce", "change"] if bound else ["throttle", "burst", "debounce"]
         )
         if shape == "change":
-            return Shaped(below, shape, 0, make_list([self.choice(sure)]), by)
+            return Shaped(below, shape, 0, make_list([self.choice(bound)]), by)
         return Shaped(below, shape, self.choice(SPANS), make_list([]), by)
 
     def awaited(self, depth: int, left: Tuple[Var, ...]) -> Pattern:
@@ -383,9 +387,9 @@ class Generator:
         """Draw a pattern that is defined by the way."""
         self.subpatterns += 1
         below = self.pattern(depth)
-        shown = [var for var in pattern_variables(below) if var in certain(below) and self.chance(60)]
+        arguments = [var for var in pattern_variables(below) if var in certain(below) and self.chance(60)]
         name = f"s{self.subpatterns}"
-        return Sub(functor(name, len(shown))(*shown) if shown else atom(name), below)
+        return Sub(functor(name, len(arguments))(*arguments) if arguments else atom(name), below)
 
     def absent(self, below: Pattern, left: Tuple[Var, ...], depth: int) -> Pattern:
         """Draw what must not happen; its variables are those of the patterns before it, or its own.
@@ -419,14 +423,14 @@ class Generator:
             return atom("true")
         if kind == "fail":
             return atom("fail")
-        one = self.choice(usable)
+        variable = self.choice(usable)
         if kind == "is" and binds:
-            return functor("is", 2)(Var(), functor("+", 2)(one, 1))
+            return functor("is", 2)(Var(), functor("+", 2)(variable, 1))
         if kind == "member" and binds:
-            return functor("member", 2)(self.choice([Var(), one]), make_list([1, 2]))
+            return functor("member", 2)(self.choice([Var(), variable]), make_list([1, 2]))
         if kind == "equal":
-            return functor("=", 2)(one, self.choice(NUMBERS))
-        test = functor(self.choice(COMPARISONS), 2)(one, self.choice([*usable, *NUMBERS]))
+            return functor("=", 2)(variable, self.choice(NUMBERS))
+        test = functor(self.choice(COMPARISONS), 2)(variable, self.choice([*usable, *NUMBERS]))
         return functor("\\+", 1)(test) if kind == "not" else test
 
     def several(self, below: Pattern) -> Term:
@@ -460,25 +464,25 @@ class Generator:
         do = self.goal(body, (), binds=True) if self.chance(8) else None
         if do is not None and not bound_only:
             usable += [var for var in variables(do) if var not in usable]
-        shown = [var for var in usable if self.chance(70)]
+        arguments = [var for var in usable if self.chance(70)]
         if bound_only:
-            shown = shown[:1]
-        term = functor(head, len(shown))(*shown) if shown else atom(head)
+            arguments = arguments[:1]
+        term = functor(head, len(arguments))(*arguments) if arguments else atom(head)
         window = self.choice([None] * 12 + [1, 2, 4, 8, Fraction(3, 2)])
         window = None if has_steps(body) else window
         label = self.choice([None, f"r_{head}"]) if window is None else f"r_{head}"
-        made = Rule(term, body, label, window, do)
-        return with_own(made) if self.chance(50) else made
+        rule = Rule(term, body, label, window, do)
+        return with_own(rule) if self.chance(50) else rule
 
-    def value(self, odd: int = 5) -> Term:
+    def value(self, percent: int = 5) -> Term:
         """Draw an argument of an event; so many in a hundred are no integers."""
-        return self.choice([1.5, atom("x")]) if self.chance(odd) else self.choice(NUMBERS)
+        return self.choice([1.5, atom("x")]) if self.chance(percent) else self.choice(NUMBERS)
 
     def stream(self, size: int, rules: Sequence[Rule]) -> Stream:
         """Draw events: in order of their ends, or some of them late; equal, touching and nested intervals."""
         leaves = [node.term for rule in rules for node in walk(rule.pattern) if isinstance(node, Leaf)]
-        wanted = [term[0].name if term.__class__ is tuple else term.name for term in leaves]
-        names = [name for name in wanted if name in ARITY] * 4 + list(ARITY)
+        used_names = [term[0].name if term.__class__ is tuple else term.name for term in leaves]
+        names = [name for name in used_names if name in ARITY] * 4 + list(ARITY)
         late = self.chance(50)
         events: Stream = []
         now = 10

@@ -1,6 +1,6 @@
 """Operators on streams: windows, shapes, absence with a deadline. Comments name the sentences of the definition.
 
-What came to an operator is kept in a plain list for ever; who is in a window is looked for among all of them.
+All matches that an operator has received stay in a plain list. The elements of a window are searched in the whole list.
 """
 
 from dataclasses import dataclass, replace
@@ -20,22 +20,22 @@ from .rule_conditions import may_bind
 
 
 @dataclass(eq=False)
-class Taken:
-    """A match that came to an operator."""
+class Element:
+    """A match that an operator has received."""
 
     match: Match
     key: Any
     values: List[Any]
-    now: Any
-    """When it came, by the clock."""
+    arrival: Any
+    """Time of its arrival, by the clock."""
     newest: Any = None
-    """The newest end of all that came to the operator until then."""
+    """The latest end of all matches that the operator had received at that time."""
     entered: Any = None
-    """Of a window that is given on at an instant: at the end of which one it was in for the first time."""
-    on: bool = False
-    """Whether it was let through."""
-    over: bool = False
-    """Whether its window is over, or it waits no more."""
+    """End of the first hopping window that contained it."""
+    is_emitted: bool = False
+    """Whether a rate operator has emitted it."""
+    is_over: bool = False
+    """Whether its window has ended, or its wait."""
 
 
 class Streams(IdentifyingRepetitions):
@@ -43,15 +43,15 @@ class Streams(IdentifyingRepetitions):
 
     def __init__(self, rule: Any, policy: str, out_of_order: bool = False, expiry: bool = True) -> None:
         super().__init__(rule, policy, out_of_order, expiry)
-        self.taken: Dict[Pattern, List[Taken]] = {}
+        self.elements: Dict[Pattern, List[Element]] = {}
         self.absences: Dict[Pattern, List[Match]] = {}
         self.begins: Dict[Pattern, Dict[Any, Any]] = {}
         self.latest: Dict[Pattern, Any] = {}
-        """The newest present instant at which something came to an operator."""
+        """The latest time of arrival at an operator."""
         self.newest: Dict[Pattern, Any] = {}
         self.now: Any = 0
-        self.ringing: Optional[Tuple[int, Any]] = None
-        self.rank = {node: at for at, node in enumerate(from_below(self.pattern))}
+        self.current_alarm: Optional[Tuple[int, Any]] = None
+        self.rank = {node: position for position, node in enumerate(patterns_from_below(self.pattern))}
 
     def arrive(self, node: Pattern, event: Event) -> List[Match]:
         """Return the matches of a pattern that an event completes, in order."""
@@ -60,48 +60,48 @@ class Streams(IdentifyingRepetitions):
     def streamed(self, node: Any, event: Event) -> List[Match]:
         """Return the results of an operator on streams."""
         results: List[Match] = []
-        if self.ringing is not None and self.ringing[0] == self.rank[node]:
-            results += self._rung(node, self.ringing[1])
+        if self.current_alarm is not None and self.current_alarm[0] == self.rank[node]:
+            results += self._due_matches(node, self.current_alarm[1])
         if isinstance(node, Awaited):
             for q in self.arrive(node.absent, event):
                 self.now_at(node)
                 self.absences.setdefault(node, []).append(q)
             for p in self.arrive(node.pattern, event):
-                self._await(node, p)
+                self._store_pending(node, p)
             return results
         below = node.collected if isinstance(node, Windowed) else node.pattern
         for match in self.arrive(below, event):
             results += (
-                self._measured(node, match) if isinstance(node, Windowed) else self._shaped(node, match)
+                self._windowed(node, match) if isinstance(node, Windowed) else self._limited(node, match)
             )
         return results
 
     def now_at(self, node: Pattern) -> Any:
-        """Return the present instant for what comes to an operator; alarms of the past do not turn its time back."""
+        """Return the time of an arrival at an operator; alarms of the past do not turn its time back."""
         self.latest[node] = max(self.now, self.latest.get(node, self.now))
         return self.latest[node]
 
     def due(self) -> List[Tuple[Any, int]]:
-        """Return when something is due, and the rank of its operator."""
-        found: List[Any] = []
-        for node in self.taken:
+        """Return the next deadline of each operator, with the operator's rank."""
+        deadlines: List[Any] = []
+        for node in self.elements:
             instants = self._instants(node)
             if instants:
-                found.append((min(instants), self.rank[node]))
-        return found
+                deadlines.append((min(instants), self.rank[node]))
+        return deadlines
 
     def _instants(self, node: Any) -> List[Any]:
-        waiting = [one for one in self.taken[node] if not one.over]
+        waiting = [element for element in self.elements[node] if not element.is_over]
         if isinstance(node, Awaited) or (isinstance(node, Shaped) and node.shape == "debounce"):
-            return [one.match.end + node.seconds for one in waiting]
+            return [element.match.end + node.seconds for element in waiting]
         if isinstance(node, Windowed) and node.window in ("first", "running_first"):
-            return [self.begins[node][one.key] + node.span for one in waiting]
+            return [self.begins[node][element.key] + node.span for element in waiting]
         if isinstance(node, Windowed) and node.window == "every":
             return [
-                at
-                for one in waiting
-                for at in self._windows_of(node, one)
-                if at > max(one.now, self.reached(node))
+                end
+                for element in waiting
+                for end in self._windows_of(node, element)
+                if end > max(element.arrival, self.reached(node))
             ]
         return []
 
@@ -110,33 +110,37 @@ class Streams(IdentifyingRepetitions):
         return self.newest.get(node, 0)
 
     @staticmethod
-    def _windows_of(node: Any, one: Taken) -> List[Any]:
+    def _windows_of(node: Any, element: Element) -> List[Any]:
         """Windows: at each multiple t of M, those with t - N <= end < t."""
-        first = (one.match.end // node.step + 1) * node.step
-        found: List[Any] = []
-        while first <= one.match.end + node.span:
-            found.append(first)
-            first += node.step
-        return found
+        end = (element.match.end // node.step + 1) * node.step
+        ends: List[Any] = []
+        while end <= element.match.end + node.span:
+            ends.append(end)
+            end += node.step
+        return ends
 
     # Absence with a deadline.
 
-    def _await(self, node: Awaited, p: Match) -> None:
-        taken = self.taken.setdefault(node, [])
-        # Absence: a P that comes when its time is over is too late.
+    def _store_pending(self, node: Awaited, p: Match) -> None:
+        elements = self.elements.setdefault(node, [])
+        # Absence: a P that arrives after its deadline is too late.
         if p.end + node.seconds <= self.now_at(node):
             return
         if self.policy == "recent":
             # Absence: of two waiting variants that end less than N seconds apart, the later one replaces the other.
-            waiting = [one for one in taken if not one.over and one.match.variant() == p.variant()]
-            for one in waiting:
-                one.over = one.match.end <= p.end < one.match.end + node.seconds
-            if any(p.end < one.match.end < p.end + node.seconds for one in waiting):
+            waiting = [
+                element
+                for element in elements
+                if not element.is_over and element.match.variant() == p.variant()
+            ]
+            for element in waiting:
+                element.is_over = element.match.end <= p.end < element.match.end + node.seconds
+            if any(p.end < element.match.end < p.end + node.seconds for element in waiting):
                 return
-        taken.append(Taken(p, None, [], self.now))
+        elements.append(Element(p, None, [], self.now))
 
-    def _ruled_out(self, node: Awaited, p: Match) -> bool:
-        """Absence: a Q wholly between P's end and N seconds later, about the same."""
+    def _is_forbidden(self, node: Awaited, p: Match) -> bool:
+        """Absence: a Q with the same variables wholly between P's end and N seconds later."""
         return any(
             p.end < q.start and q.end < p.end + node.seconds and self.agree(q, p.bindings)
             for q in self.absences.get(node, [])
@@ -144,143 +148,149 @@ class Streams(IdentifyingRepetitions):
 
     # Shapes.
 
-    def _shaped(self, node: Shaped, match: Match) -> List[Match]:
-        taken = self.taken.setdefault(node, [])
+    def _limited(self, node: Shaped, match: Match) -> List[Match]:
+        elements = self.elements.setdefault(node, [])
         key = [self._key(instance(term, match.bindings)) for term in list_items(node.by) or []]
         value = [self._key(instance(term, match.bindings)) for term in list_items(node.value) or []]
-        newest = max([match.end, *(one.match.end for one in taken)])
-        same = [one for one in taken if one.key == key]
-        one = Taken(match, key, value, self.now, newest)
-        taken.append(one)
+        newest = max([match.end, *(element.match.end for element in elements)])
+        same = [element for element in elements if element.key == key]
+        element = Element(match, key, value, self.now, newest)
+        elements.append(element)
         if node.shape == "throttle":
-            # none that was let through ends less than N seconds before the newest end
-            one.on = not any(other.on and other.match.end > newest - node.seconds for other in same)
+            # no emitted element ends less than N seconds before the newest end
+            element.is_emitted = not any(
+                other.is_emitted and other.match.end > newest - node.seconds for other in same
+            )
         elif node.shape == "burst":
-            # none at all does
-            one.on = not any(other.match.end > newest - node.seconds for other in same)
+            # no element does
+            element.is_emitted = not any(other.match.end > newest - node.seconds for other in same)
         elif node.shape == "change":
-            # another value than in the last one
-            before = self._not_idle(node, [*same, one])[:-1]
-            one.on = not before or before[-1].values != value
+            # the value differs from that of the last element
+            before = self._not_idle(node, [*same, element])[:-1]
+            element.is_emitted = not before or before[-1].values != value
         elif match.end + node.seconds <= self.now_at(node):
-            one.over = True  # debounce: one that comes when its time is over is too late
+            element.is_over = True  # debounce: it arrives after its deadline
         else:
-            # debounce: waits for N seconds from its end; one with an end within these, as late or later, rules it out
-            waiting = [other for other in same if not other.over]
-            one.over = any(match.end < other.match.end < match.end + node.seconds for other in waiting)
+            # debounce: it waits for N seconds from its end; an element that ends within these replaces it
+            waiting = [other for other in same if not other.is_over]
+            element.is_over = any(match.end < other.match.end < match.end + node.seconds for other in waiting)
             for other in waiting:
-                other.over = other.match.end <= match.end < other.match.end + node.seconds
-        return [match] if one.on else []
+                other.is_over = other.match.end <= match.end < other.match.end + node.seconds
+        return [match] if element.is_emitted else []
 
     # Windows.
 
-    def _measured(self, node: Windowed, match: Match) -> List[Match]:
-        taken = self.taken.setdefault(node, [])
+    def _windowed(self, node: Windowed, match: Match) -> List[Match]:
+        elements = self.elements.setdefault(node, [])
         try:
             values = self._values(node, match)
         except GoalError:
             return []
-        newest = max([match.end, *(other.match.end for other in taken)])
-        one = Taken(match, self._group(node, match), values, self.now_at(node), newest)
-        return self._window[node.window](self, node, taken, one, newest)
+        newest = max([match.end, *(other.match.end for other in elements)])
+        element = Element(match, self._group(node, match), values, self.now_at(node), newest)
+        return self._window[node.window](self, node, elements, element, newest)
 
-    def _not_idle(self, node: Pattern, same: List[Taken]) -> List[Taken]:
-        """State of keys: after a time in which a within or a window lets nothing complete, a key begins anew."""
-        for at in range(len(same) - 1, 0, -1):
-            idle = same[at].newest - same[at - 1].newest
+    def _not_idle(self, node: Pattern, same: List[Element]) -> List[Element]:
+        """State of keys: after a time that exceeds a within or a window, the state of a key begins again."""
+        for position in range(len(same) - 1, 0, -1):
+            idle = same[position].newest - same[position - 1].newest
             window = self.rule.window
             if any(idle >= limit for limit in self.limits[node]) or (window is not None and idle > window):
-                return same[at:]
+                return same[position:]
         return same
 
-    def _last(self, node: Windowed, taken: List[Taken], one: Taken, newest: Any) -> List[Match]:
-        """last(N): those that began less than N seconds before the newest end; one that did not is late."""
-        taken.append(one)
-        inside = [other for other in taken if other.match.start > newest - node.span and other.key == one.key]
-        return self._given(node, inside) if one in inside else []
+    def _last(self, node: Windowed, elements: List[Element], element: Element, newest: Any) -> List[Match]:
+        """last(N): elements that began less than N seconds before the newest end; an earlier one is late."""
+        elements.append(element)
+        inside = [
+            other for other in elements if other.match.start > newest - node.span and other.key == element.key
+        ]
+        return self._window_match(node, inside) if element in inside else []
 
-    def _newest(self, node: Windowed, taken: List[Taken], one: Taken, newest: Any) -> List[Match]:
-        taken.append(one)
-        same = [other for other in taken if other.key == one.key]
-        return self._given(node, self._not_idle(node, same)[-node.span :])
+    def _newest(self, node: Windowed, elements: List[Element], element: Element, newest: Any) -> List[Match]:
+        elements.append(element)
+        same = [other for other in elements if other.key == element.key]
+        return self._window_match(node, self._not_idle(node, same)[-node.span :])
 
-    def _batch(self, node: Windowed, taken: List[Taken], one: Taken, newest: Any) -> List[Match]:
-        taken.append(one)
-        same = self._not_idle(node, [other for other in taken if other.key == one.key])
+    def _batch(self, node: Windowed, elements: List[Element], element: Element, newest: Any) -> List[Match]:
+        elements.append(element)
+        same = self._not_idle(node, [other for other in elements if other.key == element.key])
         size = (len(same) - 1) % node.span + 1
         if node.window == "running_batch" or size == node.span:
-            return self._given(node, same[-size:])
+            return self._window_match(node, same[-size:])
         return []
 
-    def _running(self, node: Windowed, taken: List[Taken], one: Taken, newest: Any) -> List[Match]:
-        """running(every(N)): those of the window of the newest end; one of an earlier window is late."""
-        taken.append(one)
-        here = [
+    def _running(self, node: Windowed, elements: List[Element], element: Element, newest: Any) -> List[Match]:
+        """running(every(N)): elements of the window of the newest end; one of an earlier window is late."""
+        elements.append(element)
+        inside = [
             other
-            for other in taken
-            if other.match.end // node.span == newest // node.span and other.key == one.key
+            for other in elements
+            if other.match.end // node.span == newest // node.span and other.key == element.key
         ]
-        return self._given(node, here) if one in here else []
+        return self._window_match(node, inside) if element in inside else []
 
-    def _from_first(self, node: Windowed, taken: List[Taken], one: Taken, newest: Any) -> List[Match]:
-        """every(N, first): a window begins with the end of its first, and is over N seconds later."""
+    def _from_first(
+        self, node: Windowed, elements: List[Element], element: Element, newest: Any
+    ) -> List[Match]:
+        """every(N, first): a window begins with the end of its first element, and ends N seconds later."""
         results = self._close(node, newest)
         begins = self.begins.setdefault(node, {})
-        end = one.match.end
-        here = [other for other in taken if other.key == one.key and not other.over]
-        if not here and end + node.span <= max(newest, one.now):
-            self._see(node, one)  # its window is over before it begins
+        end = element.match.end
+        inside = [other for other in elements if other.key == element.key and not other.is_over]
+        if not inside and end + node.span <= max(newest, element.arrival):
+            self._store_late(node, element)  # its window would have ended already
             return results
-        if not here:
-            begins[one.key] = end
-        elif not begins[one.key] <= end < begins[one.key] + node.span:
-            self._see(node, one)
+        if not inside:
+            begins[element.key] = end
+        elif not begins[element.key] <= end < begins[element.key] + node.span:
+            self._store_late(node, element)
             return results
-        taken.append(one)
+        elements.append(element)
         if node.window == "running_first":
-            results += self._given(node, [*here, one])
+            results += self._window_match(node, [*inside, element])
         return results
 
-    def _see(self, node: Windowed, one: Taken) -> None:
-        """Note one that is late: its end counts, it does not."""
-        one.over = True
-        one.key = None
-        self.taken[node].append(one)
+    def _store_late(self, node: Windowed, element: Element) -> None:
+        """Store a late element: its end counts, but no window contains it."""
+        element.is_over = True
+        element.key = None
+        self.elements[node].append(element)
 
     def _close(self, node: Windowed, instant: Any) -> List[Match]:
         """Emit the ended windows in the order of their starts."""
         begins = self.begins.setdefault(node, {})
-        open_ones = [one for one in self.taken[node] if not one.over]
-        keys = list(dict.fromkeys(one.key for one in open_ones))
+        open_elements = [element for element in self.elements[node] if not element.is_over]
+        keys = list(dict.fromkeys(element.key for element in open_elements))
         results: List[Any] = []
         for key in sorted(keys, key=lambda key: begins[key]):
             begin = begins[key]
             if begin + node.span <= instant:
-                inside = [one for one in open_ones if one.key == key]
-                for one in inside:
-                    one.over = True
+                inside = [element for element in open_elements if element.key == key]
+                for element in inside:
+                    element.is_over = True
                 if node.window == "first":
-                    results += self._given(node, inside, (begin, begin + node.span))
+                    results += self._window_match(node, inside, (begin, begin + node.span))
         return results
 
-    def _every(self, node: Windowed, taken: List[Taken], one: Taken, newest: Any) -> List[Match]:
-        one.over = not any(at > one.now for at in self._windows_of(node, one))
-        taken.append(one)
+    def _every(self, node: Windowed, elements: List[Element], element: Element, newest: Any) -> List[Match]:
+        element.is_over = not any(end > element.arrival for end in self._windows_of(node, element))
+        elements.append(element)
         return []
 
-    def _steps(self, node: Windowed, taken: List[Taken], one: Taken, newest: Any) -> List[Match]:
-        """Those that one more decides, which have ended at its end then."""
-        taken.append(one)
-        same = [other for other in taken if other.key == one.key]
+    def _steps(self, node: Windowed, elements: List[Element], element: Element, newest: Any) -> List[Match]:
+        """Matches of the steps that an element decides; they end at its end at the earliest."""
+        elements.append(element)
+        same = [other for other in elements if other.key == element.key]
         steps, items = steps_of(node.steps), [other.match.bindings for other in same]
         results: List[Any] = []
         for match in whole_matches(steps, items)[len(whole_matches(steps, items[:-1])) :]:
             inside = [same[place] for place, _ in match]
             interval = (
                 min(other.match.start for other in inside),
-                max(other.match.end for other in (*inside, one)),
+                max(other.match.end for other in (*inside, element)),
             )
-            results += self._given(node, inside, interval, [step for _, step in match])
+            results += self._window_match(node, inside, interval, [step for _, step in match])
         return results
 
     _window: Dict[str, Callable[..., List[Match]]] = {
@@ -295,82 +305,86 @@ class Streams(IdentifyingRepetitions):
         "every": _every,
     }
 
-    # What is due.
+    # Deadlines.
 
-    def _rung(self, node: Any, instant: Any) -> List[Match]:
-        waiting = [one for one in self.taken[node] if not one.over]
+    def _due_matches(self, node: Any, instant: Any) -> List[Match]:
+        waiting = [element for element in self.elements[node] if not element.is_over]
         if isinstance(node, Windowed):
             if node.window in ("first", "running_first"):
                 return self._close(node, instant)
             return self._hop(node, waiting, instant)
         results: List[Any] = []
-        for one in waiting:
-            if one.match.end + node.seconds == instant:
-                one.over = True
-                if isinstance(node, Shaped) or not self._ruled_out(node, one.match):
-                    results.append(replace(one.match, end=instant, composed=True))
+        for element in waiting:
+            if element.match.end + node.seconds == instant:
+                element.is_over = True
+                if isinstance(node, Shaped) or not self._is_forbidden(node, element.match):
+                    results.append(replace(element.match, end=instant, composed=True))
         return results
 
-    def _hop(self, node: Windowed, waiting: List[Taken], instant: Any) -> List[Match]:
+    def _hop(self, node: Windowed, waiting: List[Element], instant: Any) -> List[Match]:
         self.newest[node] = instant
-        for one in waiting:
-            if one.entered is None and one.match.end < instant:
-                one.entered = instant
-        inside = [one for one in waiting if instant - node.span <= one.match.end < instant]
-        inside.sort(key=lambda one: one.entered)
+        for element in waiting:
+            if element.entered is None and element.match.end < instant:
+                element.entered = instant
+        inside = [element for element in waiting if instant - node.span <= element.match.end < instant]
+        inside.sort(key=lambda element: element.entered)
         results: List[Match] = []
-        for key in dict.fromkeys(one.key for one in self._by_first(inside)):
-            group = [one for one in inside if one.key == key]
-            results += self._given(node, group, (instant - node.span, instant))
-        for one in waiting:
-            one.over = not any(at > instant for at in self._windows_of(node, one))
+        for key in dict.fromkeys(element.key for element in self._by_first(inside)):
+            group = [element for element in inside if element.key == key]
+            results += self._window_match(node, group, (instant - node.span, instant))
+        for element in waiting:
+            element.is_over = not any(end > instant for end in self._windows_of(node, element))
         return results
 
-    def _by_first(self, inside: List[Taken]) -> List[Taken]:
+    def _by_first(self, inside: List[Element]) -> List[Element]:
         """Groups are emitted in the order of their first elements."""
-        order = {id(one): at for taken in self.taken.values() for at, one in enumerate(taken)}
-        firsts: Dict[Any, Taken] = {}
-        for one in inside:
-            firsts.setdefault(one.key, one)
-        return sorted(firsts.values(), key=lambda one: order[id(one)])
+        order = {
+            id(element): position
+            for elements in self.elements.values()
+            for position, element in enumerate(elements)
+        }
+        firsts: Dict[Any, Element] = {}
+        for element in inside:
+            firsts.setdefault(element.key, element)
+        return sorted(firsts.values(), key=lambda element: order[id(element)])
 
-    # What a window gives on.
+    # Results of windows.
 
-    def _given(
-        self, node: Windowed, inside: List[Taken], interval: Any = None, steps: Sequence[int] = ()
+    def _window_match(
+        self, node: Windowed, inside: List[Element], interval: Any = None, steps: Sequence[int] = ()
     ) -> List[Match]:
         """Return the match of a window: from the first start to the last end, or the window's own interval."""
-        columns = list(zip(*(one.values for one in inside)))
-        found: List[Term] = []
+        columns = list(zip(*(element.values for element in inside)))
+        measured: List[Term] = []
         for word in node.kinds.split():
             kind, _, step = word.partition("@")
             values = [1] * len(inside) if kind in ("count", "rate") else list(columns.pop(0))
-            here = [place for place in range(len(inside)) if not step or steps[place] == int(step)]
+            members = [place for place in range(len(inside)) if not step or steps[place] == int(step)]
             result = self._result_of_kind(
-                kind, node, [values[at] for at in here], [inside[at] for at in here]
+                kind, node, [values[place] for place in members], [inside[place] for place in members]
             )
             if result is None:
                 return []
-            found.append(result)
+            measured.append(result)
         start, end = interval or (
-            min(one.match.start for one in inside),
-            max(one.match.end for one in inside),
+            min(element.match.start for element in inside),
+            max(element.match.end for element in inside),
         )
         bindings = self._of_group(node, inside[-1].match)
-        results = unify(node.results, make_list(found), bindings)
+        results = unify(node.results, make_list(measured), bindings)
         if results is None:
             return []
-        numbers = frozenset(number for one in inside for number in one.match.numbers)
+        numbers = frozenset(number for element in inside for number in element.match.numbers)
         return [Match(start, end, results, (), numbers, (), composed=True)]
 
     @staticmethod
-    def _result_of_kind(kind: str, node: Windowed, values: List[Any], inside: List[Taken]) -> Any:
+    def _result_of_kind(kind: str, node: Windowed, values: List[Any], inside: List[Element]) -> Any:
         if not inside:
             return {"count": 0, "sum": 0, "count_distinct": 0, "list": NIL, "distinct": NIL}.get(kind)
         if kind == "rate":
             if node.window not in ("newest", "batch", "running_batch", "steps"):
                 return len(values) / float(node.span)
-            ends = [one.match.end for one in inside]
+            ends = [element.match.end for element in inside]
             return (len(values) - 1) / float(max(ends) - min(ends)) if max(ends) > min(ends) else None
         return RESULTS[kind](values)
 
@@ -397,19 +411,19 @@ class Streams(IdentifyingRepetitions):
     def _values(node: Windowed, match: Match) -> List[Any]:
         kinds = [word.partition("@")[0] for word in node.kinds.split()]
         kinds = [kind for kind in kinds if kind not in ("count", "rate")]
-        found: List[Any] = []
+        values: List[Any] = []
         for kind, term in zip(kinds, list_items(node.values) or []):
             value = instance(term, match.bindings)
-            found.append(number(value, match.bindings) if kind in NUMERIC else value)
-        return found
+            values.append(number(value, match.bindings) if kind in NUMERIC else value)
+        return values
 
 
-def from_below(node: Pattern) -> List[Pattern]:
-    """Return a pattern and all below it: what is further right in a pair, or below, comes first."""
+def patterns_from_below(node: Pattern) -> List[Pattern]:
+    """Return a pattern and all below it: right sides precede left ones, and operands precede operators."""
     parted = children(node)
     if isinstance(node, (Both, Star, Aggregate)):
         parted.reverse()
-    return [one for child in parted for one in from_below(child)] + [node]
+    return [descendant for child in parted for descendant in patterns_from_below(child)] + [node]
 
 
 def quantile(part: Fraction, values: List[Any]) -> Any:
@@ -431,12 +445,12 @@ def deviation(values: List[Any]) -> Any:
     return float(spread) ** 0.5
 
 
-def different(values: List[Any]) -> List[Any]:
-    """Return those that are different terms, in their order."""
-    found: Dict[str, Any] = {}
+def distinct_terms(values: List[Any]) -> List[Any]:
+    """Return the values without repeated terms, in their order."""
+    terms: Dict[str, Any] = {}
     for value in values:
-        found.setdefault(show(value), value)
-    return list(found.values())
+        terms.setdefault(show(value), value)
+    return list(terms.values())
 
 
 NUMERIC = ("sum", "min", "max", "avg", "stddev", "median", "quantile")
@@ -452,7 +466,7 @@ RESULTS: Dict[str, Callable[[List[Any]], Any]] = {
     "first": lambda values: values[0],
     "last": lambda values: values[-1],
     "list": make_list,
-    "distinct": lambda values: make_list(different(values)),
-    "count_distinct": lambda values: len(different(values)),
+    "distinct": lambda values: make_list(distinct_terms(values)),
+    "count_distinct": lambda values: len(distinct_terms(values)),
 }
-"""What is measured of a window that is not empty. Its order is that in which its matches came into it."""
+"""Measures of a window that is not empty, over values in the order in which its elements entered it."""
