@@ -40,11 +40,11 @@ def show(campaign: Any, save: Any = None) -> None:
         flush=True,
     )
     for number, line in enumerate(campaign.findings.values(), 1):
-        why = known_reason(line)
-        if why:
-            print(f"  known: {line['what']} at {line['where']} ({line['times']} times): {why}")
+        cause = known_reason(line)
+        if cause:
+            print(f"  known: {line['category']} at {line['place']} ({line['times']} times): {cause}")
             continue
-        print(f"  {line['what']} at {line['where']} ({line['times']} times): {line['detail']}")
+        print(f"  {line['category']} at {line['place']} ({line['times']} times): {line['detail']}")
         print(f"    --replay {line['kind']}:{line['seed']}:{line['since']}-{line['number']}")
         if "input" in line:
             data = bytes.fromhex(line["input"])
@@ -55,14 +55,14 @@ def show(campaign: Any, save: Any = None) -> None:
                 (folder / f"{line['seed']}-{line['number']}-{number}").write_bytes(data)
 
 
-def replayed(text: Any) -> Any:
+def replay_campaign(text: Any) -> Any:
     """Return the campaign of inputs that are named as ``show`` prints them."""
-    kind, _, rest = text.partition(":")
-    seed, _, numbers = rest.partition(":")
+    kind, _, source = text.partition(":")
+    seed, _, numbers = source.partition(":")
     since, _, number = numbers.partition("-")
     if not (seed.isdigit() and since.isdigit() and number.isdigit()):
         campaign = Campaign(kind)
-        campaign.file(rest)
+        campaign.file(source)
         return campaign
     campaign = Campaign(kind, int(seed))
     campaign.replay(int(since), int(number))
@@ -73,16 +73,16 @@ def main(argv: Any) -> Any:
     """Do what the command line says; return the number of findings, as far as an exit status can tell."""
     options = arguments(argv)
     if options.replay:
-        campaign = replayed(options.replay)
+        campaign = replay_campaign(options.replay)
         show(campaign)
         return min(len(campaign.counted), 100)
-    found = 0
+    finding_count = 0
     for kind in options.kind or NAMES:
         campaign = Campaign(kind, options.seed)
         campaign.run(options.inputs, options.jobs, options.minutes, options.first)
         show(campaign, options.save)
-        found += len(campaign.counted)
-    return min(found, 100)
+        finding_count += len(campaign.counted)
+    return min(finding_count, 100)
 
 
 if __name__ == "__main__":

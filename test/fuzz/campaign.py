@@ -58,42 +58,43 @@ class Campaign:
         """Process inputs from a number on, with several processes at a time."""
         end = time.monotonic() + 60 * minutes if minutes else None
         share = -(-inputs // jobs)
-        parts = [
+        threads = [
             threading.Thread(
-                target=self._part, args=(first + at * share, min(share, inputs - at * share), end)
+                target=self._process_part,
+                args=(first + part_number * share, min(share, inputs - part_number * share), end),
             )
-            for at in range(jobs)
+            for part_number in range(jobs)
         ]
-        for part in parts:
-            part.start()
-        for part in parts:
-            part.join()
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
         self._confirm()
 
     def replay(self, first: Any, number: Any) -> None:
         """Process the inputs of a block up to a number."""
-        self._part(first, number - first + 1, None)
+        self._process_part(first, number - first + 1, None)
 
     def file(self, path: Any) -> None:
         """Process an input in a file."""
         with tempfile.TemporaryDirectory(prefix="fuzz", dir=FOLDER) as scratch:
             _Process(self, scratch, ["file", str(Path(path).resolve())]).wait()
 
-    def found(self, line: Any) -> None:
-        """Add a finding."""
+    def add_finding(self, line: Any) -> None:
+        """Add a finding, or count it."""
         with self._lock:
-            known = self.findings.setdefault(line["key"], dict(line, times=0))
-            known["times"] += 1
+            finding = self.findings.setdefault(line["key"], dict(line, times=0))
+            finding["times"] += 1
 
-    def add(self, figures: Any) -> None:
+    def add_counts(self, counts: Any) -> None:
         """Add the counts of a process that has ended."""
         with self._lock:
-            self.accepted_count += figures["taken"]
-            self.refused_count += figures["refused"]
-            self.slowest = max(self.slowest, figures["slowest"])
-            self.peak = max(self.peak, figures["peak"])
+            self.accepted_count += counts["accepted"]
+            self.refused_count += counts["refused"]
+            self.slowest = max(self.slowest, counts["slowest"])
+            self.peak = max(self.peak, counts["peak"])
 
-    def _part(self, first: Any, count: Any, end: Any) -> None:
+    def _process_part(self, first: Any, count: Any, end: Any) -> None:
         stop = first + count
         while first < stop:
             seconds = 0.0 if end is None else max(0.1, end - time.monotonic())
@@ -110,16 +111,20 @@ class Campaign:
     def _confirm(self) -> None:
         """Mark findings of time and memory that do not recur: another process may have slowed down the machine."""
         for line in list(self.findings.values()):
-            if line["what"] in ("time", "growth") and not known_reason(line):
-                again = Campaign(self.kind, self.seed)
-                again.replay(line["since"], line["number"])
-                if not any(one["what"] == line["what"] for one in again.findings.values()):
-                    line["what"] = "once"
+            if line["category"] in ("time", "growth") and not known_reason(line):
+                repetition = Campaign(self.kind, self.seed)
+                repetition.replay(line["since"], line["number"])
+                if not any(
+                    finding["category"] == line["category"] for finding in repetition.findings.values()
+                ):
+                    line["category"] = "once"
 
     @property
     def counted(self) -> List[Any]:
-        """The findings that count."""
-        return [line for line in self.findings.values() if line["what"] != "once" and not known_reason(line)]
+        """Findings that fail a test."""
+        return [
+            line for line in self.findings.values() if line["category"] != "once" and not known_reason(line)
+        ]
 
     @property
     def known(self) -> List[Any]:
@@ -129,22 +134,36 @@ class Campaign:
 
 def known_reason(line: Any) -> Any:
     """Return the reason why a finding is known, or ""."""
-    return reason(line["kind"], line["what"], f"{line['where']} {line['detail']}")
+    return reason(line["kind"], line["category"], f"{line['place']} {line['detail']}")
 
 
 class _Process:
-    """A process that works on inputs, and what it tells."""
+    """A worker process with its findings.
 
-    def __init__(self, campaign: Any, scratch: Any, what: Any) -> None:
+    Args:
+        campaign: the campaign that gets the findings.
+        scratch: a folder of the process's own.
+        arguments: command-line arguments that select the inputs.
+    """
+
+    def __init__(self, campaign: Any, scratch: Any, arguments: Any) -> None:
         self._campaign = campaign
         self._scratch = Path(scratch)
         (self._scratch / "progress").write_bytes(struct.pack("<qq", -1, 0))
-        inputs = self._scratch / "inputs"
-        inputs.mkdir()
+        folder = self._scratch / "inputs"
+        folder.mkdir()
         self._errors = (self._scratch / "errors").open("w+b")
-        command = [sys.executable, "-m", "fuzz.worker", campaign.kind, str(campaign.seed), str(inputs), *what]
-        (inputs / "progress").write_bytes(struct.pack("<qq", -1, 0))
-        self._progress = inputs / "progress"
+        command = [
+            sys.executable,
+            "-m",
+            "fuzz.worker",
+            campaign.kind,
+            str(campaign.seed),
+            str(folder),
+            *arguments,
+        ]
+        (folder / "progress").write_bytes(struct.pack("<qq", -1, 0))
+        self._progress = folder / "progress"
         self._process = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,
@@ -158,16 +177,16 @@ class _Process:
 
     def wait(self) -> Any:
         """Read its output until it ends; return the number of the input that has killed it, or None."""
-        guard = threading.Thread(target=self._guard, daemon=True)
+        guard = threading.Thread(target=self._stop_hanging_input, daemon=True)
         guard.start()
         for text in self._process.stdout:
             line = json.loads(text)
             if "done" in line:
                 self.done = line["done"]
                 self._ended = True
-                self._campaign.add(line)
+                self._campaign.add_counts(line)
             else:
-                self._campaign.found(line)
+                self._campaign.add_finding(line)
         status = self._process.wait()
         guard.join()
         self._errors.seek(0)
@@ -175,18 +194,18 @@ class _Process:
         self._errors.close()
         if self._ended:
             return None
-        number, since = self._at()
+        number, since = self._current_input()
         if number < 0:
             raise RuntimeError(f"a process of kind {self._campaign.kind} did not start: {errors}")
-        what = self._killed or f"died ({status})"
+        category = self._killed or f"died ({status})"
         places = [line.strip() for line in errors.splitlines() if "retalis/" in line]
-        where = self._subject() or (places[0].split("retalis/")[-1] if places else "somewhere")
-        self._campaign.found(
+        place = self._subject() or (places[0].split("retalis/")[-1] if places else "somewhere")
+        self._campaign.add_finding(
             {
-                "key": f"{what} {where}",
-                "what": what,
+                "key": f"{category} {place}",
+                "category": category,
                 "detail": errors[-1500:],
-                "where": where,
+                "place": place,
                 "kind": self._campaign.kind,
                 "seed": self._campaign.seed,
                 "number": number,
@@ -196,27 +215,27 @@ class _Process:
         )
         return number
 
-    def _at(self) -> Any:
+    def _current_input(self) -> Any:
         return struct.unpack("<qq", self._progress.read_bytes()[:16])
 
     def _subject(self) -> str:
         return self._progress.read_bytes()[16:].rstrip(b"\0").decode(errors="replace")
 
-    def _guard(self) -> None:
-        """End a process that stays at one input."""
-        last, since, used = None, time.monotonic(), 0.0
+    def _stop_hanging_input(self) -> None:
+        """End the process if it hangs at an input."""
+        previous, since, used_cpu = None, time.monotonic(), 0.0
         while True:
             try:
                 self._process.wait(POLL_INTERVAL_SECONDS)
                 return
             except subprocess.TimeoutExpired:
                 pass
-            at, now, cpu = self._at(), time.monotonic(), self._cpu()
-            if at != last or at[0] < 0:
-                last, since, used = at, now, cpu
-            elif cpu - used > MAX_INPUT_CPU_SECONDS or now - since > MAX_INPUT_SECONDS:
-                self._killed = "hang" if cpu - used > MAX_INPUT_CPU_SECONDS else "blocked"
-                self._process.send_signal(signal.SIGABRT)  # faulthandler tells where it is
+            current, now, cpu = self._current_input(), time.monotonic(), self._cpu()
+            if current != previous or current[0] < 0:
+                previous, since, used_cpu = current, now, cpu
+            elif cpu - used_cpu > MAX_INPUT_CPU_SECONDS or now - since > MAX_INPUT_SECONDS:
+                self._killed = "hang" if cpu - used_cpu > MAX_INPUT_CPU_SECONDS else "blocked"
+                self._process.send_signal(signal.SIGABRT)  # faulthandler prints the stack
                 return
 
     def _cpu(self) -> Any:

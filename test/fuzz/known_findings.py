@@ -9,23 +9,27 @@ class Known(NamedTuple):
 
     Attributes:
         kind: the kind of inputs.
-        what: pattern of what the input did, as in the table of README.md.
+        category: pattern of the category, as in the table of README.md.
         place: pattern of the place (a predicate in the kind `limits`) and the detail.
-        why: the cause, for the report.
+        cause: the cause, for the report.
     """
 
     kind: str
-    what: str
+    category: str
     place: str
-    why: str
+    cause: str
 
 
 KNOWN: Tuple[Known, ...] = ()
 
 
-def reason(kind: Any, what: Any, place: Any) -> Any:
+def reason(kind: Any, category: Any, place: Any) -> Any:
     """Return why a finding is known, or an empty text."""
-    for one in KNOWN:
-        if one.kind == kind and re.fullmatch(one.what, what) and re.search(one.place, place):
-            return one.why
+    for finding in KNOWN:
+        if (
+            finding.kind == kind
+            and re.fullmatch(finding.category, category)
+            and re.search(finding.place, place)
+        ):
+            return finding.cause
     return ""

@@ -103,7 +103,7 @@ class Inputs:
         self.events = [to_text(data) for data in corpus("event_texts")]
         self.headers = [json.loads(data) for data in corpus("headers") if data.startswith(b"{")]
         self.known = Definitions()
-        header = next(one for one in self.headers if one["type"] == "fuzz/A")
+        header = next(candidate for candidate in self.headers if candidate["type"] == "fuzz/A")
         self.definition = self.known.add("fuzz/A", header["message_definition"])
 
     def rng(self, kind: str, number: Any) -> Any:
@@ -117,12 +117,12 @@ class Inputs:
         return name, [self._field(rng, texts) for texts in FIELDS[name]]
 
     def _field(self, rng: Any, texts: Any) -> Any:
-        what = rng.random()
-        if what < 0.75:
+        draw = rng.random()
+        if draw < 0.75:
             return rng.choice(texts)
-        if what < 0.8:
+        if draw < 0.8:
             return random_tokens(rng, PIECES)
-        if what < 0.85:
+        if draw < 0.85:
             return rng.choice(ARGUMENTS)
         return mutate_text(rng, rng.choice(texts), texts, PIECES)
 

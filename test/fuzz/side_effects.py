@@ -11,25 +11,25 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Iterator
 
-SECONDS = 1.0
-"""CPU time of one input."""
+MAX_CPU_SECONDS = 1.0
+"""Maximum CPU time of an input."""
 
-GROWTH = 50 << 20
-"""Growth of the resident memory while one input is worked on, in bytes."""
+MAX_GROWTH_BYTES = 50 << 20
+"""Maximum growth of the resident memory during an input, in bytes."""
 
-LOOKS = 0.1
-"""Seconds of CPU time between two looks at an input that takes long."""
+CHECK_INTERVAL_SECONDS = 0.1
+"""Seconds of CPU time between two checks of an input that takes long."""
 
 CODE_MAKERS = ("retalis.foundation.codegen",)
-"""The modules that may compile and run source."""
+"""Modules that may compile and run source."""
 
 FINDERS = ("retalis.messages.type_registry",)
-"""The modules that look into the folders of ROS's packages for the names of message types."""
+"""Modules that list the folders of ROS packages to find message types."""
 
 PARSERS = ("ast",)
 """Modules that compile without running."""
 
-HARMLESS = frozenset(
+ALLOWED_EVENTS = frozenset(
     (
         "builtins.id",
         "array.__new__",
@@ -51,41 +51,45 @@ _PAGE = os.sysconf("SC_PAGE_SIZE")
 
 
 class ForbiddenActError(RuntimeError):
-    """Raised in the place of what an input may not do."""
+    """Raised instead of a forbidden act."""
 
 
-class Late(BaseException):
-    """An input has taken too long or too much; no handler in between may take it for an error of a goal."""
+class UsageExceeded(BaseException):
+    """An input exceeds a limit of time or memory. No handler of errors catches it."""
 
 
 class FindingError(Exception):
-    """Something that an input did, and that counts.
+    """A finding: an error or a forbidden side effect of an input.
 
     Attributes:
-        what: exception, action, time, growth, ...
-        where: the place in the package, so that many inputs with one cause are one finding.
+        category: exception, action, time, growth, ...
+        detail: description of this finding.
+        place: the place in the package; inputs with the same place are one finding.
     """
 
-    def __init__(self, what: Any, detail: Any, where: str = "") -> None:
-        super().__init__(what, detail, where)
-        self.what = what
+    def __init__(self, category: Any, detail: Any, place: str = "") -> None:
+        super().__init__(category, detail, place)
+        self.category = category
         self.detail = detail
-        self.where = where
+        self.place = place
 
 
 class Watch:
-    """Watches the work on one input at a time.
+    """Check of the side effects of one input at a time.
 
     Args:
-        scratch: the folder that inputs may read from.
-        reads: whether files anywhere may be read (programs that are loaded may name any).
-        marked: whether inputs have a mark that must not come up in a source (`mark`).
-        seconds: CPU time that one input may take.
-        growth: bytes by which the resident memory may grow while one input is worked on.
+        scratch: folder from which inputs may read.
+        reads: whether inputs may read any file, because programs may name any.
+        seconds: maximum CPU time of an input.
+        growth: maximum growth of the resident memory during an input, in bytes.
     """
 
     def __init__(
-        self, scratch: Any, reads: bool = False, seconds: Any = SECONDS, growth: Any = GROWTH
+        self,
+        scratch: Any,
+        reads: bool = False,
+        seconds: Any = MAX_CPU_SECONDS,
+        growth: Any = MAX_GROWTH_BYTES,
     ) -> None:
         self._scratch = str(scratch)
         self._reads = reads
@@ -100,69 +104,69 @@ class Watch:
         self.slowest = 0.0
 
     def install(self) -> None:
-        """Begin to watch; an audit hook stays for the life of the process."""
+        """Start the checks; an audit hook remains for the life of the process."""
         sys.addaudithook(self._audit)
-        signal.signal(signal.SIGPROF, self._look)
+        signal.signal(signal.SIGPROF, self._check_usage)
         self.start_timer()
 
     def start_timer(self) -> None:
         """Check the input periodically; a forked process needs its own timer."""
-        signal.setitimer(signal.ITIMER_PROF, LOOKS, LOOKS)
+        signal.setitimer(signal.ITIMER_PROF, CHECK_INTERVAL_SECONDS, CHECK_INTERVAL_SECONDS)
 
     @contextmanager
     def input(self) -> Iterator[None]:
-        """Watch the work on an input.
+        """Check the processing of an input.
 
         Raises:
-            FindingError: where it does what it must not.
+            FindingError: if it has a forbidden side effect.
         """
         del self.actions[:]
         self._before = self.resident()
         self._peak = _peak()
         self._start = time.process_time()
         self._armed = True
-        late = raised = None
+        usage_error = error_of_input = None
         try:
             yield
-        except Late as error:
-            late = error
-        except Exception as error:  # what was forbidden goes before what came of it
-            raised = error
+        except UsageExceeded as error:
+            usage_error = error
+        except Exception as error:  # a forbidden act has precedence over its consequences
+            error_of_input = error
         finally:
             self._armed = False
-        taken = time.process_time() - self._start
-        self.slowest = max(self.slowest, taken)
+        cpu_seconds = time.process_time() - self._start
+        self.slowest = max(self.slowest, cpu_seconds)
         if self.actions:
             raise FindingError("action", *self.actions[0])
-        if late is not None:
-            raise FindingError(*late.args)
-        if raised is not None:
-            raise raised
-        if taken > self._seconds:
-            raise FindingError("time", f"{taken:.1f} s", "in one step")
+        if usage_error is not None:
+            raise FindingError(*usage_error.args)
+        if error_of_input is not None:
+            raise error_of_input
+        if cpu_seconds > self._seconds:
+            raise FindingError("time", f"{cpu_seconds:.1f} s", "in one step")
         peak = _peak()
         if peak > self._peak and peak - self._before > self._growth:
             raise FindingError("growth", f"{(peak - self._before) >> 20} MB", "in one step")
 
     def resident(self) -> Any:
-        """Return the bytes in memory now."""
+        """Return the size of the resident memory in bytes."""
         return int(os.pread(self._statm, 100, 0).split()[1]) * _PAGE
 
-    def _look(self, number: Any, frame: Any) -> None:
+    def _check_usage(self, number: Any, frame: Any) -> None:
         if not self._armed:
             return
-        taken = time.process_time() - self._start
-        grown = self.resident() - self._before
-        if taken > self._seconds:
+        cpu_seconds = time.process_time() - self._start
+        growth = self.resident() - self._before
+        if cpu_seconds > self._seconds:
             self._armed = False
-            self.slowest = max(self.slowest, taken)
-            raise Late("time", f"{taken:.1f} s", place(frame))
-        if grown > self._growth:
+            self.slowest = max(self.slowest, cpu_seconds)
+            raise UsageExceeded("time", f"{cpu_seconds:.1f} s", place(frame))
+        if growth > self._growth:
             self._armed = False
-            raise Late("growth", f"{grown >> 20} MB", place(frame))
+            raise UsageExceeded("growth", f"{growth >> 20} MB", place(frame))
 
     def _audit(self, event: Any, arguments: Any) -> None:
-        if not self._armed or event in HARMLESS:
+        if not self._armed or event in ALLOWED_EVENTS:
             return
         if event in ("exec", "compile"):
             allowed = self._may_run(event, arguments)
@@ -186,8 +190,8 @@ class Watch:
         return module in CODE_MAKERS or (event == "compile" and module in PARSERS)
 
     def _may_connect(self, name: Any) -> Any:
-        """Tell whether a database may be opened: one in memory, or a file of the input's own that is only read."""
-        name = os.fsdecode(name)  # Python 3.8 tells it as bytes
+        """Return whether a database may be opened: one in memory, or a file of the input that is only read."""
+        name = os.fsdecode(name)  # Python 3.8 passes bytes
         own = name.startswith(f"file://{self._scratch}/")
         return name == ":memory:" or (own and name.partition("?")[2].split("&")[0] == "mode=ro")
 
@@ -206,21 +210,21 @@ class Watch:
 def place(frame: Any) -> Any:
     """Return the innermost place in the package of a frame or a traceback's frames."""
     while frame is not None:
-        found = _place(frame.f_code.co_filename, frame.f_lineno, frame.f_code.co_name)
-        if found:
-            return found
+        location = _place(frame.f_code.co_filename, frame.f_lineno, frame.f_code.co_name)
+        if location:
+            return location
         frame = frame.f_back
     return "outside the package"
 
 
 def raised_at(trace: Any) -> Any:
     """Return the innermost place in the package at which an exception was raised."""
-    found = ""
+    location = ""
     while trace is not None:
         code = trace.tb_frame.f_code
-        found = _place(code.co_filename, trace.tb_lineno, code.co_name) or found
+        location = _place(code.co_filename, trace.tb_lineno, code.co_name) or location
         trace = trace.tb_next
-    return found or "outside the package"
+    return location or "outside the package"
 
 
 def _place(path: Any, line: Any, function: Any) -> str:

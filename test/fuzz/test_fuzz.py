@@ -36,7 +36,7 @@ def check_campaign(kind: Any, inputs: Any, jobs: int) -> None:
     campaign = Campaign(kind)
     campaign.run(inputs, jobs)
     findings = [
-        f"{line['what']} at {line['where']}, {line['times']} times: {line['detail']}\n"
+        f"{line['category']} at {line['place']}, {line['times']} times: {line['detail']}\n"
         f"  --replay {kind}:{line['seed']}:{line['since']}-{line['number']} {bytes.fromhex(line.get('input', ''))!r}"
         for line in campaign.counted
     ]

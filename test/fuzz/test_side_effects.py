@@ -19,7 +19,7 @@ def findings() -> Dict[Any, Any]:
         campaign = Campaign("forbidden_acts")
         campaign.run(len(ACTS))
     acts = list(ACTS)
-    return {acts[line["number"]]: (line["what"], line["detail"]) for line in campaign.findings.values()}
+    return {acts[line["number"]]: (line["category"], line["detail"]) for line in campaign.findings.values()}
 
 
 @pytest.mark.slow
@@ -54,22 +54,22 @@ EXPECTED = {
 @pytest.mark.slow
 @pytest.mark.parametrize("act", EXPECTED)
 def test_forbidden_act_is_a_finding(findings: Dict[Any, Any], act: Any) -> None:
-    what, detail = EXPECTED[act]
-    assert findings[act][0] == what
+    category, detail = EXPECTED[act]
+    assert findings[act][0] == category
     assert findings[act][1].startswith(detail)
 
 
 @pytest.mark.slow
 def test_crash_of_process_is_a_finding(findings: Dict[Any, Any]) -> None:
-    what, detail = findings["crash"]
-    assert what == "died (-6)"
+    category, detail = findings["crash"]
+    assert category == "died (-6)"
     assert "forbidden_acts.py" in detail
 
 
 @pytest.mark.slow
 def test_uninterruptible_step_is_a_finding(findings: Dict[Any, Any]) -> None:
-    what, detail = findings["endless"]
-    assert what == "hang"
+    category, detail = findings["endless"]
+    assert category == "hang"
     assert "in endless" in detail
 
 
@@ -79,7 +79,7 @@ def test_input_file_is_replayed(tmp_path: Path) -> None:
     campaign = Campaign("forbidden_acts")
     campaign.file(path)
     ((line),) = campaign.counted
-    assert (line["what"], bytes.fromhex(line["input"])) == ("action", b"swallowed")
+    assert (line["category"], bytes.fromhex(line["input"])) == ("action", b"swallowed")
 
 
 @pytest.mark.slow
@@ -95,7 +95,7 @@ def test_number_determines_input() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "what", "place"),
+    ("kind", "category", "place"),
     [
         ("limits", "time", "ord_union/3 2.1 s"),
         ("limits", "exception", "ord_union/3 KeyError"),
@@ -104,5 +104,5 @@ def test_number_determines_input() -> None:
         ("states", "action", "open"),
     ],
 )
-def test_other_findings_are_not_known(kind: str, what: str, place: str) -> None:
-    assert not reason(kind, what, place)
+def test_other_findings_are_not_known(kind: str, category: str, place: str) -> None:
+    assert not reason(kind, category, place)

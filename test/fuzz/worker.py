@@ -87,7 +87,7 @@ class Worker:
 
     def run(self, numbers: Any, until: Any = None) -> None:
         """Process the inputs with some numbers."""
-        resident, base = self.watch.resident, None
+        resident, initial = self.watch.resident, None
         for number in numbers:
             if number % self.kind.block_size == 0 or number == numbers[0]:
                 if until is not None and time.monotonic() > until:
@@ -97,11 +97,11 @@ class Worker:
             self.processed_count += 1
             if self.processed_count == WARM_UP_INPUTS:
                 gc.collect()
-                base = resident()
-        if base is not None:
+                initial = resident()
+        if initial is not None:
             self.kind.reset()
             gc.collect()
-            growth = resident() - base
+            growth = resident() - initial
             if growth > MAX_LEAK_BYTES:
                 text = f"{growth >> 20} MB in {self.processed_count - WARM_UP_INPUTS} inputs"
                 self.report_finding(numbers[-1], b"", FindingError("leak", text, self.name))
@@ -145,8 +145,8 @@ class Worker:
             text = answer.read()
         status = os.waitpid(child, 0)[1]
         if not text:
-            what = "time" if os.WTERMSIG(status) == signal.SIGXCPU else "died"
-            return FindingError(what, f"status {status}", self.kind.subject(data))
+            category = "time" if os.WTERMSIG(status) == signal.SIGXCPU else "died"
+            return FindingError(category, f"status {status}", self.kind.subject(data))
         finding, (accepted, refused), slowest = json.loads(text)
         self.kind.accepted_count += accepted
         self.kind.refused_count += refused
@@ -170,17 +170,17 @@ class Worker:
 
     def report_finding(self, number: Any, data: bytes, problem: Any) -> None:
         """Report a finding, with a shortened input if possible."""
-        where, detail = problem.where, problem.detail
-        subject = self.kind.subject(data) if problem.what in ("time", "growth") else ""
+        place, detail = problem.place, problem.detail
+        subject = self.kind.subject(data) if problem.category in ("time", "growth") else ""
         if subject:  # one finding for each subject, wherever the watch interrupted the work
-            where, detail = subject, f"{detail} at {where}"
-        key = f"{problem.what} {where} {'' if subject else detail.split(':')[0][:40]}"
+            place, detail = subject, f"{detail} at {place}"
+        key = f"{problem.category} {place} {'' if subject else detail.split(':')[0][:40]}"
         times = self.report_counts[key] = self.report_counts.get(key, 0) + 1
         line = {
             "key": key,
-            "what": problem.what,
+            "category": problem.category,
             "detail": detail,
-            "where": where,
+            "place": place,
             "kind": self.name,
             "seed": self.seed,
             "number": number,
@@ -192,28 +192,28 @@ class Worker:
             line["input"] = small.hex()
         self.report(line)
 
-    def shorten(self, data: Any, problem: Any, most: int = 300) -> Any:
+    def shorten(self, data: Any, problem: Any, max_attempts: int = 300) -> Any:
         """Return a shorter input with the same problem, found by removing pieces."""
-        if problem.what in ("time", "growth", "leak") or not self.has_same_problem(data, problem):
+        if problem.category in ("time", "growth", "leak") or not self.has_same_problem(data, problem):
             return data
         size = len(data) // 2
-        while size and most:
-            at = 0
-            while at < len(data) and most:
-                most -= 1
-                shorter = data[:at] + data[at + size :]
+        while size and max_attempts:
+            position = 0
+            while position < len(data) and max_attempts:
+                max_attempts -= 1
+                shorter = data[:position] + data[position + size :]
                 if self.has_same_problem(shorter, problem):
                     data = shorter
                 else:
-                    at += size
+                    position += size
             size //= 2
         return data
 
     def has_same_problem(self, data: Any, problem: Any) -> Any:
         """Return whether an input alone causes the same problem."""
         self.kind.reset()
-        found = self.find_problem(data)
-        return found is not None and (found.what, found.where) == (problem.what, problem.where)
+        other = self.find_problem(data)
+        return other is not None and (other.category, other.place) == (problem.category, problem.place)
 
 
 def main(argv: Any) -> None:
@@ -244,7 +244,7 @@ def main(argv: Any) -> None:
     report(
         {
             "done": worker.processed_count,
-            "taken": kind.accepted_count,
+            "accepted": kind.accepted_count,
             "refused": kind.refused_count,
             "slowest": watch.slowest,
             "peak": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10,

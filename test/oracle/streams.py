@@ -1,6 +1,6 @@
 """Operators on streams: windows, shapes, absence with a deadline. Comments name the sentences of the definition.
 
-All matches that an operator has received stay in a plain list. The elements of a window are searched in the whole list.
+All matches that an operator has received stay in a plain list, which is searched for the elements of a window.
 """
 
 from dataclasses import dataclass, replace

@@ -9,7 +9,7 @@ import numpy  # noqa: F401 - predicates on arrays import it at the first call, a
 from retalis import Engine, Limits, RetalisError, Settings
 
 from ..mutate import to_text
-from ..side_effects import GROWTH, SECONDS, FindingError
+from ..side_effects import MAX_CPU_SECONDS, MAX_GROWTH_BYTES, FindingError
 
 try:  # names of types are looked for in it, and no input may import anything
     from rosbags.typesys import Stores, get_typestore
@@ -49,8 +49,8 @@ class Kind:
     may_read_files = False
     may_warm_up = True
     is_isolated = False
-    seconds = SECONDS
-    max_growth = GROWTH
+    seconds = MAX_CPU_SECONDS
+    max_growth = MAX_GROWTH_BYTES
 
     def __init__(self, scratch: Any) -> None:
         self.scratch = scratch

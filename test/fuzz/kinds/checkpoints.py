@@ -50,33 +50,35 @@ class Inputs(states.Inputs):
         engine = create_silent_engine()
         engine.load_program(self.folder)
         engine.load(states.PROGRAMS[0][0])
-        kept = Checkpointer(engine, CheckpointStorage(self.path), self.folder, Reports(), 0.5)
+        checkpointer = Checkpointer(engine, CheckpointStorage(self.path), self.folder, Reports(), 0.5)
         for now, event in enumerate(states.EVENTS, 1):
             engine.event(event, now)
-            kept.write()
-        kept.stop()
+            checkpointer.write()
+        checkpointer.stop()
         self.database = self.path.read_bytes()
         LOGGED.logged_error = None
 
     def generate(self, rng: Any) -> Any:
-        what = rng.random()
-        if what < 0.3:
+        draw = rng.random()
+        if draw < 0.3:
             return mutate_bytes(rng, self.database, [self.database])
         self.path.write_bytes(self.database)
         base = sqlite3.connect(str(self.path), isolation_level=None)
         base.execute("PRAGMA journal_mode = DELETE")
-        if what < 0.4:
+        if draw < 0.4:
             base.executescript(rng.choice(SCHEMAS))
         else:
             table = rng.choice(("sections", "sections", "records"))
             rows = base.execute(f"SELECT rowid, data FROM {table} ORDER BY rowid").fetchall()
-            at, data = rng.choice(rows)
-            if what < 0.55:
+            row_id, data = rng.choice(rows)
+            if draw < 0.55:
                 data = mutate_bytes(rng, data, [data])
             else:
-                found = from_bytes(data)
-                data = to_bytes(self.changed(rng, found, self.places(found)))
-            base.execute(f"UPDATE {table} SET data = ?, checked = ? WHERE rowid = ?", (data, crc32(data), at))
+                value = from_bytes(data)
+                data = to_bytes(self.changed(rng, value, self.places(value)))
+            base.execute(
+                f"UPDATE {table} SET data = ?, checked = ? WHERE rowid = ?", (data, crc32(data), row_id)
+            )
         base.close()
         return self.path.read_bytes()
 
@@ -88,5 +90,5 @@ class Inputs(states.Inputs):
     def restored(self, data: Any) -> Any:
         if self.attempt(read_checkpoint, self.path) is None:
             return None
-        found = resume(self.path, self.folder, StreamClock(), SETTINGS, Reports())
-        return None if found is None else found[0]
+        resumed = resume(self.path, self.folder, StreamClock(), SETTINGS, Reports())
+        return None if resumed is None else resumed[0]

@@ -41,8 +41,8 @@ def loop() -> None:
 
 
 def grow() -> None:
-    held = [bytes(1 << 20) + b"x" for _ in range(200)]
-    del held[:]
+    blocks = [bytes(1 << 20) + b"x" for _ in range(200)]
+    del blocks[:]
 
 
 def endless() -> Any:

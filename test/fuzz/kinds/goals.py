@@ -12,17 +12,17 @@ from .base import ARGUMENTS, LOGGED, Kind, create_silent_engine
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "reference" / "predicates.md"
 EXAMPLE = re.compile(r"`` (.+?) ``")
-MOST = 5
+MAX_SOLUTIONS = 5
 
 
 def examples() -> Any:
     """Return the examples of the page."""
-    found: List[Any] = []
+    goals: List[Any] = []
     for line in PAGE.read_text(encoding="utf-8").split("\n"):
         if line.startswith("| ``"):
             cells = re.split(r"(?<!\\) (?<!\\)\| ", line[2:-2])
-            found.append(EXAMPLE.findall(cells[4])[0].replace("\\|", "|"))
-    return found
+            goals.append(EXAMPLE.findall(cells[4])[0].replace("\\|", "|"))
+    return goals
 
 
 class Inputs(Kind):
@@ -51,18 +51,18 @@ class Inputs(Kind):
         return f"{name}({', '.join(arguments)})" if arity else name
 
     def argument(self, rng: Any, depth: Any) -> str:
-        what = rng.random()
-        if what > 0.93 and depth < 3:
+        draw = rng.random()
+        if draw > 0.93 and depth < 3:
             return f"({self.goal(rng, depth + 1)})"
-        if what > 0.88 and depth < 3:
+        if draw > 0.88 and depth < 3:
             return f"[{self.argument(rng, depth + 1)}, {self.argument(rng, depth + 1)}]"
-        if what > 0.83 and depth < 3:
+        if draw > 0.83 and depth < 3:
             return f"f({self.argument(rng, depth + 1)})"
         return f"({rng.choice(ARGUMENTS)})"
 
     def run(self, data: Any) -> None:
-        found = self.attempt(self.engine.query, to_text(data), MOST)
-        for solution in found or ():
+        solutions = self.attempt(self.engine.query, to_text(data), MAX_SOLUTIONS)
+        for solution in solutions or ():
             for value in solution.values():
                 self.attempt(self.engine.show, value)
         LOGGED.check()

@@ -23,7 +23,7 @@ class Inputs(Kind):
         self.installed.text("no_such_package/Type")
         self.headers = [json.loads(data) for data in self.corpus if data.startswith(b"{")]
         self.values = {
-            field: [str(one.get(field, "")) for one in self.headers] for field in (*FIELDS, "wanted")
+            field: [str(header.get(field, "")) for header in self.headers] for field in (*FIELDS, "wanted")
         }
 
     def reset(self) -> None:
@@ -33,10 +33,10 @@ class Inputs(Kind):
         header = dict(rng.choice(self.headers))
         for _ in range(rng.randint(1, 3)):
             field = rng.choice((*FIELDS, "message_definition", "wanted"))
-            what = rng.random()
-            if what < 0.1:
+            draw = rng.random()
+            if draw < 0.1:
                 header.pop(field, None)
-            elif what < 0.3:
+            elif draw < 0.3:
                 header[field] = rng.choice(self.values[field])
             else:
                 texts = self.values[field]
@@ -48,14 +48,14 @@ class Inputs(Kind):
             header = json.loads(to_text(data))
         except ValueError:  # an input that was shortened too far
             return
-        self.attempt(self.learn, header)
+        self.attempt(self.process_header, header)
 
-    def learn(self, header: Any) -> Any:
+    def process_header(self, header: Any) -> Any:
         """Do what the interface does with a connection."""
-        wanted = header.get("wanted", "pkg/Type")
+        requested_type = header.get("wanted", "pkg/Type")
         text, md5sum = header.get("message_definition", ""), header.get("md5sum", "*")
-        is_known = wanted in self.known
-        definition = self.known.received(wanted, header.get("type", "*"), text, md5sum)
+        is_known = requested_type in self.known
+        definition = self.known.received(requested_type, header.get("type", "*"), text, md5sum)
         decoder = self.known.decoder(definition)
         for message in (b"", bytes(64)):
             self.attempt(decoder.decode, message)

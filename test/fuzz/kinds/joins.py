@@ -60,7 +60,7 @@ class Inputs(Kind):
     may_read_files = True  # a program that is loaded may name any file
 
     def setup(self) -> None:
-        self.large = "[" + ",".join(f"p({at},[{at}.5,a])" for at in range(300)) + "]"
+        self.large = "[" + ",".join(f"p({number},[{number}.5,a])" for number in range(300)) + "]"
 
     def reset(self) -> None:
         self.engine = create_silent_engine(SETTINGS)
@@ -74,7 +74,8 @@ class Inputs(Kind):
         lines += [self.rule(rng) for _ in range(rng.choice((1, 1, 2, 3)))]
         if rng.random() < 0.1:  # as many events as limits allow
             lines += [
-                f"{one}(X) <- {other}(X) {rng.choice(('and', 'seq'))} {other}(_)." for one, other in CHAIN
+                f"{head}(X) <- {operand}(X) {rng.choice(('and', 'seq'))} {operand}(_)."
+                for head, operand in CHAIN
             ]
         return to_bytes("\n".join(lines) + MARK + "\n".join(self.events(rng)))
 
@@ -95,18 +96,18 @@ class Inputs(Kind):
     def pattern(self, rng: Any, depth: Any) -> str:
         if not depth:
             return f"{rng.choice('aabc')}({rng.choice('XXYYZ_')})"
-        what = rng.random()
-        if what < 0.6:
+        draw = rng.random()
+        if draw < 0.6:
             left, right = (self.pattern(rng, depth - 1 - rng.randrange(depth)) for _ in range(2))
             return f"({left} {rng.choice(JOINS)} {right})"
         inner = self.pattern(rng, depth - 1)
-        if what < 0.68:
+        if draw < 0.68:
             return f"({inner} within {rng.choice((1, 3, 60))})"
-        if what < 0.76:
+        if draw < 0.76:
             return f"({inner} where {rng.choice(('X = Y', 'X > 0', 'number(X)', chr(92) + '+ X = 1'))})"
-        if what < 0.82:
+        if draw < 0.82:
             return f"({inner} {rng.choice(('star_times', 'ntimes 2', 'ntimes 5'))})"
-        if what < 0.92:
+        if draw < 0.92:
             window = rng.choice((*WINDOWS, *STEPS)).format("X")
             measure = rng.choice(MEASURES).format("X")
             return f"aggregate({measure}, {rng.choice(('a(X)', 'a(X, Y)', 'b(X)', inner))}, S, {window})"
@@ -116,15 +117,15 @@ class Inputs(Kind):
     def events(self, rng: Any) -> Any:
         """Return lines of events: values repeat, so that many are partners of each other."""
         now = 1.0
-        few = rng.random() < 0.5  # the same event again and again: all pairs join
+        is_repeating = rng.random() < 0.5  # the same event again and again: all pairs join
         lines, sent = [], []
         for _ in range(rng.randint(5, MAX_EVENTS)):
             now += rng.choice((0, 0, 0.5, 1, 1, 10))
-            what = rng.random()
-            if sent and what < 0.08:
+            draw = rng.random()
+            if sent and draw < 0.08:
                 lines.append(f"{now} rev({rng.choice(sent)})")
                 continue
-            value = "1" if few else self.large if what > 0.97 else rng.choice(VALUES)
+            value = "1" if is_repeating else self.large if draw > 0.97 else rng.choice(VALUES)
             more = f", {rng.choice(VALUES)}" if rng.random() < 0.1 else ""
             event = f"{rng.choice('aabc')}({value}{more})"
             sent.append(event)
@@ -149,9 +150,9 @@ class Inputs(Kind):
                 continue
             before = process_time()
             self.attempt(self.engine.event, event, instant)
-            taken = process_time() - before
-            if taken > MAX_EVENT_SECONDS:
-                raise FindingError("time", f"{taken:.1f} s for {event[:80]}", "one event")
+            duration = process_time() - before
+            if duration > MAX_EVENT_SECONDS:
+                raise FindingError("time", f"{duration:.1f} s for {event[:80]}", "one event")
         del seen[:]
         self.attempt(self.engine.event, "ping_(1)", 1000.0)
         if is_loaded and self.engine.query("X = alive_(1)")[0]["X"] not in seen:

@@ -31,7 +31,7 @@ sum(N, A, T) :- M is N - 1, sum(M, A + A, T).
 p(X) :- q(X). p(1). q(2). yes(_). yes(_, _). yes(_, _, _). loop :- loop. grow(X) :- grow(f(X)).
 """
 
-MANY = 900_000
+ITEM_COUNT = 900_000
 DEPTH = 1_000_000
 
 
@@ -53,25 +53,25 @@ def _assoc(low: int, high: int) -> Any:
 def large_values() -> Dict[str, Any]:
     """Return terms that are made once, by the name of the global variable that holds them."""
     rng = random.Random(1)
-    numbers = list(range(MANY))
-    shuffled = rng.sample(numbers, MANY)
-    some = shuffled[: MANY // 3]
+    numbers = list(range(ITEM_COUNT))
+    shuffled = rng.sample(numbers, ITEM_COUNT)
+    sample = shuffled[: ITEM_COUNT // 3]
     names = [atom(f"item{number % 5000}") for number in shuffled]
     return {
         "long": make_list(numbers),
-        "mixed": make_list([names[at] if at % 2 else at for at in some]),
-        "pairs": make_list([(MINUS, at, at) for at in some]),
+        "mixed": make_list([names[number] if number % 2 else number for number in sample]),
+        "pairs": make_list([(MINUS, number, number) for number in sample]),
         "atoms": make_list(names),
-        "open": make_list(names[: MANY // 3], Var()),
-        "vars": make_list([Var() for _ in some]),
-        "codes": make_list([55] * MANY),
-        "lists": make_list([(functor("[|]", 2), at, NIL) for at in some]),
+        "open": make_list(names[: ITEM_COUNT // 3], Var()),
+        "vars": make_list([Var() for _ in sample]),
+        "codes": make_list([55] * ITEM_COUNT),
+        "lists": make_list([(functor("[|]", 2), number, NIL) for number in sample]),
         "text": atom("ab c," * (1 << 20)),
         "string": String("7é" * (1 << 21)),
         "digits": atom("9" * 1_000_000),
         "deep": _nested(DEPTH, atom("x")),
         "deep_open": _nested(DEPTH, Var()),
-        "flat": (functor("f", MANY), *numbers),
+        "flat": (functor("f", ITEM_COUNT), *numbers),
         "assoc": _assoc(1, 100_000),
         "huge": (1 << 1_040_000) // 7,
     }
@@ -141,18 +141,18 @@ USUAL = {
 
 SMALL_BY_NAME = {name: USUAL.get(names.split()[0], "V = _") for names in SORTS for name in names.split()}
 SIGNATURE = re.compile(r"([a-z]\w*)\(([^()]*)\)")
-LEFT_OUT = frozenset(("halt", "sleep", "nb_getval", "nb_setval"))
+EXCLUDED = frozenset(("halt", "sleep", "nb_getval", "nb_setval"))
 
 
 def signatures() -> Any:
     """Return the names of the arguments on the page of predicates, by name and arity."""
-    found: Dict[Any, Any] = {}
+    signatures: Dict[Any, Any] = {}
     for line in PAGE.read_text(encoding="utf-8").splitlines():
         if line.startswith("| ``"):
             for name, arguments in SIGNATURE.findall(line.split("|")[2]):
                 names = [argument.strip(" +-?:@[]") for argument in arguments.split(",")]
-                found[name, len(names)] = names
-    return found
+                signatures[name, len(names)] = names
+    return signatures
 
 
 class Inputs(Kind):
@@ -166,7 +166,7 @@ class Inputs(Kind):
     def setup(self) -> None:
         self.engine = None
         keys = create_silent_engine().logic.names()
-        self.keys = sorted((key.name, key.arity) for key in keys if key.arity and key.name not in LEFT_OUT)
+        self.keys = sorted((key.name, key.arity) for key in keys if key.arity and key.name not in EXCLUDED)
         self.quoted = {name: write_term(atom(name), None, quoted=True) for name, _ in self.keys}
         self.signatures = signatures()
         self.values = large_values()
@@ -181,22 +181,24 @@ class Inputs(Kind):
 
     def systematic(self) -> Any:
         """Return the inputs of all predicates with all kinds of values."""
-        found: List[Any] = []
+        inputs: List[Any] = []
         for name, arity in self.keys:
             names = self.signatures.get((name, arity), [""] * arity)
             small = [SMALL_BY_NAME.get(kind, "V = _") for kind in names]
             for value in LARGE:
-                for at in range(arity):
-                    found.append(self.goal(name, [*small[:at], value, *small[at + 1 :]]))
+                for position in range(arity):
+                    inputs.append(self.goal(name, [*small[:position], value, *small[position + 1 :]]))
                 if arity > 1:
-                    found.append(self.goal(name, [value], [0] * arity))
-        random.Random(2).shuffle(found)
-        return found
+                    inputs.append(self.goal(name, [value], [0] * arity))
+        random.Random(2).shuffle(inputs)
+        return inputs
 
     def goal(self, name: Any, values: Any, places: Any = None, head: str = "") -> Any:
         """Return the input that calls a predicate with some values, or with those at some places."""
         places = range(len(values)) if places is None else places
-        parts = [re.sub(r"\b([VWX]\d?)\b", rf"\g<1>_{at}", value) for at, value in enumerate(values)]
+        parts = [
+            re.sub(r"\b([VWX]\d?)\b", rf"\g<1>_{position}", value) for position, value in enumerate(values)
+        ]
         goal = f"{self.quoted[name]}({', '.join(f'V_{place}' for place in places)})"
         text = ", ".join((*parts, goal))
         if head:

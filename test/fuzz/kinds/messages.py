@@ -64,13 +64,13 @@ def valid(rng: Any, definition: Any) -> str:
 
 def _slot(rng: Any, slot: Any) -> Any:
     if slot.length is None:
-        return _one(rng, slot)
+        return _element(rng, slot)
     number = rng.choice((0, 1, 2, 5, 40)) if slot.length < 0 else slot.length
     start = struct.pack("<I", number) if slot.length < 0 else b""
-    return start + b"".join(_one(rng, slot) for _ in range(number))
+    return start + b"".join(_element(rng, slot) for _ in range(number))
 
 
-def _one(rng: Any, slot: Any) -> Any:
+def _element(rng: Any, slot: Any) -> Any:
     if slot.definition is not None:
         return valid(rng, slot.definition)
     if slot.type == "string":
@@ -99,7 +99,7 @@ class Inputs(Kind):
 
     def generate(self, rng: Any) -> Any:
         if not self.valid:
-            self._learn()
+            self._create_messages()
         name = rng.choice(self.names)
         data = rng.choice(self.valid[name])
         if rng.random() < 0.7:
@@ -107,7 +107,7 @@ class Inputs(Kind):
         texts = self.written[name]
         return f"encode {name}\n".encode() + to_bytes(mutate_text(rng, rng.choice(texts), texts, PIECES))
 
-    def _learn(self) -> None:
+    def _create_messages(self) -> None:
         rng = random.Random(1)
         for name, kind in self.types.items():
             self.valid[name] = [valid(rng, kind) for _ in range(20)]
@@ -122,9 +122,9 @@ class Inputs(Kind):
             self.decode(decoder, encoder, self.writers[name], body)
         else:
             term = self.attempt(self.reader.read, to_text(body))
-            made = None if term is None else self.attempt(encoder.encode, term, "/topic")
-            if made is not None:
-                text_of(decoder.decode(made))
+            message = None if term is None else self.attempt(encoder.encode, term, "/topic")
+            if message is not None:
+                text_of(decoder.decode(message))
 
     def decode(self, decoder: Any, encoder: Any, write: Any, data: Any) -> None:
         self.attempt(decoder.stamp, data)
@@ -140,10 +140,10 @@ class Inputs(Kind):
             raise FindingError("difference", f"{text_of(term)[:100]} is no {text[:100]}", "messages")
         read = self.attempt(self.reader.read, text)
         if read is not None:
-            made = self.attempt(encoder.encode, read)
-            if made is not None and text_of(decoder.decode(made)) != text:
+            message = self.attempt(encoder.encode, read)
+            if message is not None and text_of(decoder.decode(message)) != text:
                 raise FindingError("difference", "its text does not come back as the message", "messages")
         lazy = decoder.lazy(data)
-        again = encoder.encode(lazy)
-        if text_of(decoder.decode(again)) != text:
+        repeated = encoder.encode(lazy)
+        if text_of(decoder.decode(repeated)) != text:
             raise FindingError("difference", "it does not come back as it was", "messages")

@@ -144,10 +144,10 @@ class Inputs(Kind):
         self.reader = EventReader()
 
     def generate(self, rng: Any) -> Any:
-        what = rng.random()
-        if what < 0.3:
+        draw = rng.random()
+        if draw < 0.3:
             name = random_tokens(rng, PIECES, 2)
-        elif what < 0.6:
+        elif draw < 0.6:
             name = "a" + random_tokens(rng, PIECES, 3)
         else:
             name = random_tokens(rng, PIECES, 6)
@@ -155,25 +155,27 @@ class Inputs(Kind):
 
     def _input(self, place: Any, name: Any, number: Any) -> Any:
         mark = f"{MARK}{number}"
-        at = number % (len(name) + 1)
-        return to_bytes(json.dumps({"place": place, "name": name[:at] + mark + name[at:], "mark": mark}))
+        position = number % (len(name) + 1)
+        return to_bytes(
+            json.dumps({"place": place, "name": name[:position] + mark + name[position:], "mark": mark})
+        )
 
     def marker_of(self, data: Any) -> Any:
-        found = re.search(rb'"mark": "(zq\d+)"', data)
-        return found[1].decode() if found else ""
+        match = re.search(rb'"mark": "(zq\d+)"', data)
+        return match[1].decode() if match else ""
 
     def run(self, data: Any) -> None:
         try:
-            given = json.loads(to_text(data))
-            work, name = getattr(self, f"in_{given['place']}"), str(given["name"])
+            record = json.loads(to_text(data))
+            work, name = getattr(self, f"in_{record['place']}"), str(record["name"])
         except (ValueError, KeyError, TypeError, AttributeError):  # an input that was shortened too far
             return
         self.attempt(work, name)
         LOGGED.check()
 
-    def same(self, found: Any, name: Any) -> None:
-        if found != name:
-            raise FindingError("difference", f"{name!r} came back as {found!r}", "names")
+    def check_equal(self, result: Any, name: Any) -> None:
+        if result != name:
+            raise FindingError("difference", f"{name!r} came back as {result!r}", "names")
 
     # ---- messages ------------------------------------------------------------------------------------
 
@@ -181,19 +183,19 @@ class Inputs(Kind):
         decoder, encoder = self.known.decoder(definition), self.known.encoder(definition)
         term = decoder.decode(bytes(4))
         text = make_text_writer(decoder)(bytes(4))
-        self.same(text, text_of(term))
-        self.same(encoder.encode(self.reader.read(text)), bytes(4))
+        self.check_equal(text, text_of(term))
+        self.check_equal(encoder.encode(self.reader.read(text)), bytes(4))
         self.attempt(decoder.decode, b"")
         self.attempt(encoder.encode, atom("x"), "/t")
         return term
 
     def in_type(self, name: Any) -> None:
         term = self._use(self.known.add(f"pkg/{name}", "int32 x"))
-        self.same(term[0].name, functor_name(f"pkg/{name}"))
+        self.check_equal(term[0].name, functor_name(f"pkg/{name}"))
 
     def in_package(self, name: Any) -> None:
         term = self._use(self.known.add(f"{name}/Type", "int32 x"))
-        self.same(term[0].name, functor_name(f"{name}/Type"))
+        self.check_equal(term[0].name, functor_name(f"{name}/Type"))
 
     def in_field(self, name: Any) -> None:
         definition = self.known.add("pkg/Type", f"int32 {name}")
@@ -220,23 +222,23 @@ class Inputs(Kind):
         decoder = self.known.decoder(definition)
         text = make_text_writer(decoder)(data)
         term = self.reader.read(text)
-        self.same(text_of(term), text_of(decoder.decode(data)))
-        self.same(self.known.encoder(definition).encode(decoder.decode(data)), data)
+        self.check_equal(text_of(term), text_of(decoder.decode(data)))
+        self.check_equal(self.known.encoder(definition).encode(decoder.decode(data)), data)
         self.engine.post(decoder.decode(data))
 
     # ---- logic ---------------------------------------------------------------------------------------
 
     def in_atom(self, name: Any) -> None:
         text = writeq(atom(name), self.engine.operators)
-        found = self.engine.query(f"X = {text}")
-        self.same(found[0]["X"], atom(name))
-        self.same(self.reader.read(text_of((functor("f", 1), atom(name))))[1], atom(name))
+        solutions = self.engine.query(f"X = {text}")
+        self.check_equal(solutions[0]["X"], atom(name))
+        self.check_equal(self.reader.read(text_of((functor("f", 1), atom(name))))[1], atom(name))
 
     def in_functor(self, name: Any) -> None:
         text = writeq((functor(name, 1), 1), self.engine.operators)
         self.engine.load(rules=f"{text} :- true.\ncalls(X) :- {text}, X = 1.")
-        self.same(len(self.engine.query(text)), 1)
-        self.same(self.engine.query("calls(X)")[0]["X"], 1)
+        self.check_equal(len(self.engine.query(text)), 1)
+        self.check_equal(self.engine.query("calls(X)")[0]["X"], 1)
         self.engine.query(f"retractall({text})")
 
     def in_event(self, name: Any) -> None:
@@ -256,16 +258,16 @@ class Inputs(Kind):
 
     def in_variable(self, name: Any) -> None:
         read = read_term(f"f(_{name})", self.engine.operators)
-        for found in read.names:
-            if found not in f"_{name}":
-                raise FindingError("difference", f"{name!r} became {found!r}", "names")
+        for variable in read.names:
+            if variable not in f"_{name}":
+                raise FindingError("difference", f"{name!r} became {variable!r}", "names")
         self.engine.query(f"V{name} = 1, X = V{name}")
         self.engine.load(rules=f"v{MARK}(V{name}) <- a(V{name}) where V{name} > 1.")
 
     def in_string(self, name: Any) -> None:
         text = writeq(atom(name), self.engine.operators)
-        found = self.engine.query(f'atom_string({text}, S), atom_length(S, N), string_concat(S, "", S)')
-        self.same(found[0]["S"].text, name)
+        solutions = self.engine.query(f'atom_string({text}, S), atom_length(S, N), string_concat(S, "", S)')
+        self.check_equal(solutions[0]["S"].text, name)
         self.engine.load(rules=f"s({text}) <- a(X) where X = {text}.")
         self.engine.event(f"a({text})", 1)
 
@@ -274,7 +276,7 @@ class Inputs(Kind):
         self.engine.call(f"op(700, xfx, {quoted})")
         try:
             term = (functor(name, 2), 1, atom(name))
-            self.same(
+            self.check_equal(
                 writeq(
                     read_term(
                         writeq(term, self.engine.operators),
@@ -308,14 +310,14 @@ class Inputs(Kind):
         self.engine.event("e(1)", 1)
         if not self.outputs:
             raise FindingError("difference", f"{name!r} gets no output", "names")
-        self.same(self.outputs.pop()[1], name)
+        self.check_equal(self.outputs.pop()[1], name)
         self.engine.call(f"delete_subscription({quoted}, id)")
 
     def in_subscription(self, name: Any) -> None:
         quoted = writeq(atom(name), self.engine.operators)
         self.engine.load(goals=f"subscribe(e(_), [], _, topic, {quoted})")
         self.engine.event("e(1)", 1)
-        self.same(self.outputs.pop()[2], atom(name))
+        self.check_equal(self.outputs.pop()[2], atom(name))
         self.engine.call(f"delete_subscription(topic, {quoted})")
 
     def in_memory(self, name: Any) -> None:

@@ -59,7 +59,7 @@ ARRAYS = (
     "[-1]",
     "[<3]",
 )
-RESTS = (
+ENDINGS = (
     "",
     "",
     "",
@@ -74,7 +74,7 @@ RESTS = (
     "=5",
     " = 0x10",
 )
-RESTS += ('="a = b # c"', "='\\'x'", "=", " # comment", '="unclosed', " 1e999", "=1e999", " é", ' "é∀"')
+ENDINGS += ('="a = b # c"', "='\\'x'", "=", " # comment", '="unclosed', " 1e999", "=1e999", " é", ' "é∀"')
 NAMES = (
     "x",
     "y",
@@ -96,7 +96,7 @@ SEPARATOR = "=" * 80 + "\nMSG: "
 PIECES = (
     *TYPES,
     *ARRAYS,
-    *RESTS,
+    *ENDINGS,
     *NAMES,
     " ",
     "\n",
@@ -130,7 +130,7 @@ IDL_PIECES = (
     "#include <x>\n", "// c\n", "/* c */", '"s"', "'", "{", "}", "(", ")", "=", "\n",
 )  # fmt: skip
 IDL_START = "module pkg { module msg { enum E { A, B }; const long N = 3; struct Kind {"
-FOUND = {
+KNOWN_TYPES = {
     "pkg/Type": "int32 found\nstring<=3 name",
     "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
 }
@@ -148,13 +148,13 @@ class Inputs(Kind):
         convert_idl("pkg/Kind", f"{IDL_START}}}; }}; }};", ["pkg/Kind"])  # imports lark
 
     def generate(self, rng: Any) -> Any:
-        what = rng.random()
-        if what < 0.05:
+        draw = rng.random()
+        if draw < 0.05:
             name = rng.choice(("pkg/msg/Kind", "pkg/srv/Kind_Event"))
             return to_bytes(f"{name}\n{IDL_START}" + random_tokens(rng, IDL_PIECES, 25) + "}; }; };")
-        if what < 0.1:
+        if draw < 0.1:
             return to_bytes(f"{rng.choice(MSG_NAMES)}\n" + random_tokens(rng, PIECES, 15))
-        if what < 0.4 and self.texts:
+        if draw < 0.4 and self.texts:
             return to_bytes(mutate_text(rng, rng.choice(self.texts), self.texts, PIECES))
         text = self.definition(rng)
         for _ in range(rng.choice((0, 0, 1, 2))):
@@ -166,38 +166,38 @@ class Inputs(Kind):
 
     def definition(self, rng: Any) -> str:
         lines: List[Any] = []
-        for at in range(rng.choice((0, 1, 2, 3, 6))):
-            odd = rng.random() < 0.15
-            kind = rng.choice(TYPES if odd else TYPES[:17])
-            array = rng.choice(ARRAYS if odd else ARRAYS[:8])
-            name = rng.choice(NAMES) if odd else f"x{at}"
-            rest = rng.choice(RESTS) if odd else ""
-            lines.append(f"{kind}{array} {name}{rest}\n")
+        for number in range(rng.choice((0, 1, 2, 3, 6))):
+            is_unusual = rng.random() < 0.15
+            kind = rng.choice(TYPES if is_unusual else TYPES[:17])
+            array = rng.choice(ARRAYS if is_unusual else ARRAYS[:8])
+            name = rng.choice(NAMES) if is_unusual else f"x{number}"
+            ending = rng.choice(ENDINGS) if is_unusual else ""
+            lines.append(f"{kind}{array} {name}{ending}\n")
         return "".join(lines)
 
     def run(self, data: Any) -> None:
         # Types that differ in arrays of nested types only have one checksum in ROS, which `Definitions` goes by.
         self.known = Definitions()
         name, _, text = to_text(data).partition("\n")
-        found = self.attempt(parse_ros2_type, name, text, FOUND.get, text.startswith("module"))
-        if found is None:
+        parsed = self.attempt(parse_ros2_type, name, text, KNOWN_TYPES.get, text.startswith("module"))
+        if parsed is None:
             return
-        definition = found.definition
+        definition = parsed.definition
         decoder = self.attempt(self.known.decoder, definition)
         encoder = self.attempt(self.known.encoder, definition)
         if decoder is None or encoder is None:
             return
         write = make_text_writer(decoder)
         for raw in self.messages(data):
-            message = self.attempt(found.to_ros1, raw)
+            message = self.attempt(parsed.to_ros1, raw)
             if message is None:
                 continue
             # What was converted is a message of the definition, and comes back through text and term.
             term = decoder.decode(message)
             if text_of(term) != write(message):
                 raise FindingError("difference", "text and term do not agree", "ros2")
-            again = self.attempt(encoder.encode, decoder.lazy(message))
-            if again is not None and text_of(decoder.decode(again)) != text_of(term):
+            repeated = self.attempt(encoder.encode, decoder.lazy(message))
+            if repeated is not None and text_of(decoder.decode(repeated)) != text_of(term):
                 raise FindingError("difference", "it does not come back as it was", "ros2")
 
     def messages(self, data: Any) -> Iterator[Any]:

@@ -121,12 +121,12 @@ class Inputs(Kind):
         if not depth or rng.random() < 0.1:
             return rng.choice(("a(X)", "b(Y)", "a(_)", "b(X)", "c", f"a({rng.choice(ARGUMENTS)})"))
         left = self.pattern(rng, depth - 1)
-        what = rng.random()
-        if what < 0.65:
+        draw = rng.random()
+        if draw < 0.65:
             return f"({left} {rng.choice(SIDES)} {self.pattern(rng, depth - 1)})"
-        if what < 0.9:
+        if draw < 0.9:
             return f"({left} {rng.choice(GOALS)})"
-        if what < 0.95:
+        if draw < 0.95:
             return f"({left} seq aggregate({rng.choice(KINDS)}, {self.pattern(rng, 0)}, S))"
         return rng.choice(STREAMS).format(left)
 

@@ -76,8 +76,8 @@ alarm(X) <- a(X) seq absent(b(X), 4).
     ),
 )
 EVENTS = ("a(1)", "b(2)", "a(-1)", "c(1)", "a(f(Z, Z))", "b(1)", "a(2)")
-AFTER = ("b(7)", "c(2)", "a(1)", "rev(b(7))", "b(2)", "a(f(_))", "a(3)", "rev(a(2))", "c(1)", "a(-2)")
-TIMES = 100
+LATER_EVENTS = ("b(7)", "c(2)", "a(1)", "rev(b(7))", "b(2)", "a(f(_))", "a(3)", "rev(a(2))", "c(1)", "a(-2)")
+MAX_LATER_EVENTS = 100
 """Events that a restored engine takes."""
 
 MAX_EVENTS_SECONDS, MAX_DERIVED_EVENTS = 0.5, 1000
@@ -93,12 +93,12 @@ QUERIES = (
 )
 
 
-def deep(number: int) -> Any:
+def nested_lists(number: int) -> Any:
     """Return sequences in one another."""
-    found: List[Any] = []
+    nested: List[Any] = []
     for _ in range(number):
-        found = [found]
-    return found
+        nested = [nested]
+    return nested
 
 
 class Inputs(Kind):
@@ -131,23 +131,23 @@ class Inputs(Kind):
             -(1 << 63),
             1 << 80,
             [[]] * 50,
-            deep(100),
+            nested_lists(100),
             "\0",
         ]
         self.shared = {(name, arity): functor(name, arity) for name in "abcf" for arity in range(3)}
 
     def generate(self, rng: Any) -> Any:
-        what = rng.random()
-        if what < 0.05:
+        draw = rng.random()
+        if draw < 0.05:
             whole = rng.choice(self.whole)
             return whole[: rng.randrange(len(whole))]
         state, name = rng.choice(self.sections)
-        if what < 0.15:
+        if draw < 0.15:
             return mutate_bytes(rng, pack_sections(state), self.whole)
-        if what < 0.3:
+        if draw < 0.3:
             changed = mutate_bytes(rng, state[name], [state[name]])
             return pack_sections(dict(state, **{name: changed}))
-        if what < 0.35:
+        if draw < 0.35:
             other = rng.choice(self.states)
             return pack_sections(dict(state, **{name: other.get(name, b"")}))
         data = from_bytes(state[name])
@@ -155,17 +155,17 @@ class Inputs(Kind):
             data = self.changed(rng, data, self.places(data))
         return pack_sections(dict(state, **{name: to_bytes(data)}))
 
-    def places(self, data: Any, path: Any = (), found: Any = None) -> Any:
+    def places(self, data: Any, path: Any = (), paths: Any = None) -> Any:
         """Return the paths to all values."""
-        found = [] if found is None else found
-        found.append(path)
+        paths = [] if paths is None else paths
+        paths.append(path)
         if isinstance(data, (list, tuple)):
-            for at, item in enumerate(data):
-                self.places(item, (*path, at), found)
+            for position, item in enumerate(data):
+                self.places(item, (*path, position), paths)
         elif isinstance(data, dict):
             for key, item in data.items():
-                self.places(item, (*path, key), found)
-        return found
+                self.places(item, (*path, key), paths)
+        return paths
 
     def changed(self, rng: Any, data: Any, places: Any) -> Any:
         """Return data with another value at one place."""
@@ -174,16 +174,16 @@ class Inputs(Kind):
 
     def other(self, rng: Any, old: Any) -> Any:
         """Return a value for another: of the same type, or of any."""
-        what = rng.random()
-        if old.__class__ is int and what < 0.5:
+        draw = rng.random()
+        if old.__class__ is int and draw < 0.5:
             return old + rng.choice((-1, 1, 1000, -old - 1))
-        if old.__class__ is Ref and what < 0.7:
+        if old.__class__ is Ref and draw < 0.7:
             return Ref(max(0, old.number + rng.choice((-2, -1, 1, 2, -old.number, 5))))
-        if old.__class__ is Functor and what < 0.5:
+        if old.__class__ is Functor and draw < 0.5:
             return rng.choice((functor(old.name, old.arity + 1), functor("f", 1), functor("a", 1)))
-        if old.__class__ is str and what < 0.5:
+        if old.__class__ is str and draw < 0.5:
             return rng.choice((old + "x", old[1:], "no_such", "'"))
-        if isinstance(old, (list, dict)) and old and what < 0.5:
+        if isinstance(old, (list, dict)) and old and draw < 0.5:
             if isinstance(old, list):
                 return rng.choice((old[1:], old[:-1], old + old[:1], old + old, old[::-1], old[:1] * 1000))
             return dict(list(old.items())[1:])
@@ -192,13 +192,13 @@ class Inputs(Kind):
     def put(self, data: Any, path: Any, change: Any) -> Any:
         if not path:
             return change(data)
-        first, rest = path[0], path[1:]
+        head, tail = path[0], path[1:]
         if isinstance(data, dict):
-            return {**data, first: self.put(data[first], rest, change)} if first in data else data
-        if not isinstance(data, (list, tuple)) or first.__class__ is not int or first >= len(data):
+            return {**data, head: self.put(data[head], tail, change)} if head in data else data
+        if not isinstance(data, (list, tuple)) or head.__class__ is not int or head >= len(data):
             return data
         items = list(data)
-        items[first] = self.put(items[first], rest, change)
+        items[head] = self.put(items[head], tail, change)
         if isinstance(data, list):
             return items
         try:
@@ -220,20 +220,20 @@ class Inputs(Kind):
         engine.logic.output = engine.logic.error_output = lambda text: None
         self.check_shared()
         before = process_time()
-        seen: List[Any] = []
-        engine.on_event(lambda *event: seen.append(None))
-        for now in range(TIMES):
+        derived: List[Any] = []
+        engine.on_event(lambda *event: derived.append(None))
+        for now in range(MAX_LATER_EVENTS):
             # A rule that makes its own events is a valid program: each event then takes all that its limit allows.
-            if process_time() - before > MAX_EVENTS_SECONDS or len(seen) > MAX_DERIVED_EVENTS:
+            if process_time() - before > MAX_EVENTS_SECONDS or len(derived) > MAX_DERIVED_EVENTS:
                 break
-            self.attempt(engine.event, AFTER[now % len(AFTER)], 10 + now / 4)
+            self.attempt(engine.event, LATER_EVENTS[now % len(LATER_EVENTS)], 10 + now / 4)
         for query in QUERIES:
             self.attempt(engine.query, query, 5)
         engine.status()
         LOGGED.check()
         try:
-            again = engine.snapshot()
-            Engine.restore(again, settings=SETTINGS)
+            snapshot = engine.snapshot()
+            Engine.restore(snapshot, settings=SETTINGS)
         except RetalisError as error:
             raise FindingError(
                 "difference", f"the state of the restored engine: {error}"[:300], "states"

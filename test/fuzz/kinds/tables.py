@@ -31,8 +31,8 @@ class Inputs(Kind):
 
     def generate(self, rng: Any) -> Any:
         names, tabled, plain = ["n", "s", "up"], [], []
-        for at in range(rng.choice((1, 2, 3, 4))):
-            name = f"p{at}"
+        for number in range(rng.choice((1, 2, 3, 4))):
+            name = f"p{number}"
             for rule in self.rules(rng, name, names):
                 tabled.append(rule[0])
                 plain.append(rule[1])
@@ -47,13 +47,13 @@ class Inputs(Kind):
             else f":- table {heads} as incremental.\n"
         )
         operations = [self.operation(rng, names) for _ in range(rng.randint(3, 14))]
-        found = {
+        record = {
             "tabled": start + "".join(tabled) + "r(X, Y) :- e(X, Y).\nr(X, Y) :- r(X, Z), e(Z, Y).\n",
             "plain": "".join(plain) + "r(X, Y) :- e(X, Y).\nr(X, Y) :- e(X, Z), r(Z, Y).\n",
             "operations": operations,
             "goals": [*(f"{name}(X)" for name in names), "r(1, X)", "r(X, 3)", "r(A, B), X = A-B"],
         }
-        return to_bytes(json.dumps(found))
+        return to_bytes(json.dumps(record))
 
     def rules(self, rng: Any, name: Any, names: Any) -> Iterator[Any]:
         """Return clauses of a predicate over those before it, for both programs."""
@@ -83,35 +83,35 @@ class Inputs(Kind):
 
     def operation(self, rng: Any, names: Any) -> Any:
         """Return a goal, or an event after a mark."""
-        what = rng.random()
+        draw = rng.random()
         low, high = sorted(
             rng.sample(CONSTANTS, 2)
         )  # edges lead upwards, so that programs without tables end
         fact = rng.choice((f"e({low}, {high})", f"n({low})", f"s({high})"))
-        if what < 0.35:
+        if draw < 0.35:
             return f"{rng.choice(('assertz', 'asserta'))}({fact})"
-        if what < 0.6:
+        if draw < 0.6:
             return f"ignore(retract({fact}))"
-        if what < 0.65:
+        if draw < 0.65:
             return rng.choice(("retractall(e(_, _))", "retractall(n(_))", f"retractall(e({low}, _))"))
-        if what < 0.7:
+        if draw < 0.7:
             return "assertz((n(X) :- s(X)))"
-        if what < 0.8:
+        if draw < 0.8:
             return f"event {rng.choice(('pose', 'seen', 'a', 'b'))}({rng.choice(CONSTANTS)})"
         name = rng.choice(names)
-        if what < 0.84:  # an error while the answers of a table are read
+        if draw < 0.84:  # an error while the answers of a table are read
             return f"{name}(_), atom_length(_, _)"
-        if what < 0.9:  # a table that is not read to its end, or changes while it is read
+        if draw < 0.9:  # a table that is not read to its end, or changes while it is read
             return f"ignore((once({name}(X)), assertz(s(X))))"
-        if what < 0.95:
+        if draw < 0.95:
             return f"forall({name}(X), assertz(n(X)))"
         return f"catch(({name}(_), throw(a)), _, true), ignore(retract({fact}))"
 
     def run(self, data: Any) -> None:
         try:
-            found = json.loads(to_text(data))
-            tabled, plain = (DYNAMIC + FACTS + found[name] + HELPERS for name in ("tabled", "plain"))
-            operations, goals = found["operations"], found["goals"]
+            record = json.loads(to_text(data))
+            tabled, plain = (DYNAMIC + FACTS + record[name] + HELPERS for name in ("tabled", "plain"))
+            operations, goals = record["operations"], record["goals"]
         except (ValueError, KeyError, TypeError):  # an input that was shortened too far
             return
         engines = [create_silent_engine(SETTINGS), create_silent_engine(SETTINGS)]
@@ -125,11 +125,11 @@ class Inputs(Kind):
                 else:
                     self.attempt(engine.query, operation, 1)
             for goal in goals:
-                one, other = (self.answers(engine, goal) for engine in engines)
-                if one != other:
+                tabled_answers, plain_answers = (self.answers(engine, goal) for engine in engines)
+                if tabled_answers != plain_answers:
                     raise FindingError(
                         "difference",
-                        f"{goal} after {operation}: {one} with tables, {other} without",
+                        f"{goal} after {operation}: {tabled_answers} with tables, {plain_answers} without",
                         "tables",
                     )
         LOGGED.check()
@@ -137,12 +137,12 @@ class Inputs(Kind):
     def answers(self, engine: Any, goal: Any) -> Any:
         """Return the set of answers, or the kind of the error."""
         try:
-            found = sorted({engine.show(one["X"]) for one in engine.query(goal, 200)})
+            answers = sorted({engine.show(solution["X"]) for solution in engine.query(goal, 200)})
         except RetalisError as error:
             self.refused_count += 1
             return f"error {error.brief()}"[:60]
         self.accepted_count += 1
-        return found
+        return answers
 
 
 HELPERS = """

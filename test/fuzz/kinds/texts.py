@@ -62,12 +62,12 @@ class Inputs(Kind):
 
     def run(self, data: Any) -> None:
         text = to_text(data)
-        for found in read_program(text, self.operators, flags=self.flags[len(text) % 3]):
-            if isinstance(found, SyntaxFault):
-                str(found)
+        for clause in read_program(text, self.operators, flags=self.flags[len(text) % 3]):
+            if isinstance(clause, SyntaxFault):
+                str(clause)
                 self.refused_count += 1
             else:
-                write_term(found.term, self.operators)
+                write_term(clause.term, self.operators)
                 self.accepted_count += 1
         self.attempt(read_term, text, self.operators)
         self.attempt(self.events.read, text)

@@ -47,10 +47,10 @@ class Inputs(Kind):
         self.file = os.open(str(self.path), os.O_RDWR | os.O_CREAT)
 
     def generate(self, rng: Any) -> Any:
-        what = rng.random()
-        if what < 0.1:
+        draw = rng.random()
+        if draw < 0.1:
             return to_bytes(random_tokens(rng, PIECES))
-        if what < 0.25:
+        if draw < 0.25:
             return mutate_bytes(rng, rng.choice(self.corpus), self.corpus)
         return to_bytes(mutate_text(rng, rng.choice(self.texts), self.texts, PIECES))
 
