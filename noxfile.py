@@ -64,7 +64,7 @@ def everything(session: nox.Session) -> None:
 @nox.session
 def style(session: nox.Session) -> None:
     """Ruff and mypy, without ROS."""
-    session.install("-r", "requirements.txt", "ruff", "mypy", "types-PyYAML", "tornado>=6")
+    session.install("-r", "requirements.txt", "-r", "requirements-dev.txt")
     session.run("ruff", "check", ".")
     session.run("ruff", "format", "--check", ".")
     session.run("mypy", *(LENIENT if sys.version_info < (3, 9) else ()))

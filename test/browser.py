@@ -82,8 +82,10 @@ class Browser:
 
     def __init__(self, width: int = 1280, height: int = 900, dark: bool = False) -> None:
         self._folder = tempfile.mkdtemp(prefix="browser-")
-        self._socket = None
-        command = [chromium(), *OPTIONS, f"--user-data-dir={self._folder}", "about:blank"]
+        self._socket: Optional[WebSocketClientConnection] = None
+        program = chromium()
+        assert program is not None, "Chromium is not installed"
+        command = [program, *OPTIONS, f"--user-data-dir={self._folder}", "about:blank"]
         self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         self._loop = asyncio.new_event_loop()
         self._last_id = 0
@@ -134,11 +136,14 @@ class Browser:
         )
 
     async def _call(self, method: str, parameters: Dict[str, Any]) -> Any:
+        assert self._socket is not None
         self._last_id += 1
         request = {"id": self._last_id, "method": method, "params": parameters}
         await self._socket.write_message(json.dumps(request))
         while True:
-            message = json.loads(await self._socket.read_message())
+            text = await self._socket.read_message()
+            assert text is not None, "the browser has closed the connection"
+            message = json.loads(text)
             if message.get("id") == self._last_id:
                 assert "error" not in message, message
                 return message["result"]

@@ -1,20 +1,20 @@
 """Snippets of the documentation: running the fences of a page, and loading its scripts."""
 
 import contextlib
-import importlib.util
 import io
 import re
 import shlex
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any, List
+from typing import Any, Dict, List, Optional
 
+from checked_access import compound
 from python_path import python_path
 
 from retalis import Engine, PrologError
 from retalis.cli.toplevel_io import format_bindings
-from retalis.prolog.syntax.term_reader import read_program, read_term
+from retalis.prolog.syntax.term_reader import ReadTerm, read_program, read_term
 from retalis.prolog.syntax.term_writer import write_term
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -58,7 +58,7 @@ def call_goals(text: Any, engine: Any) -> str:
             ]
             answer = (" ;\n".join(answers) or "false") + "."
         except PrologError as error:
-            answer = write_term(error.term[1], engine.operators, quoted=True, spacing=True)
+            answer = write_term(compound(error.term)[1], engine.operators, quoted=True, spacing=True)
         blocks.append(f"{goal}\n{answer}")
     return "\n\n".join(blocks) + "\n"
 
@@ -68,12 +68,13 @@ class PageRun:
 
     def __init__(self, folder: Any) -> None:
         self.folder = folder
-        self.names = {}
-        self.printed = None
+        self.names: Dict[Any, Any] = {}
+        self.printed: Optional[str] = None
         self.start_section()
 
     def start_section(self) -> None:
-        self.engine, self.outputs = Engine(), []
+        self.engine = Engine()
+        self.outputs: List[Any] = []
         self.engine.on_output(
             lambda term, topic, name: self.outputs.append(f"{self.engine.show(term)} to {topic}\n")
         )
@@ -100,8 +101,9 @@ class PageRun:
         elif language == "goals":
             self.engine.load(goals=text)
         elif language == "stream":
-            for parsed in read_program(text, self.engine.operators):
-                self.engine.call(parsed.term)
+            for clause in read_program(text, self.engine.operators):
+                assert isinstance(clause, ReadTerm), clause
+                self.engine.call(clause.term)
         elif language == "outputs":
             return "".join(self.outputs)
         elif language == "python":
@@ -111,11 +113,3 @@ class PageRun:
         elif language == "text" and printed:
             return printed
         return text
-
-
-def load_script(name: Any) -> Any:
-    """Return a script of the documentation as a module."""
-    spec = importlib.util.spec_from_file_location(name, str(ROOT / "docs" / f"{name}.py"))
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module

@@ -31,7 +31,7 @@ def packed_zeros(compression: Any, megabytes: Any) -> Any:
     block = b"\0" * MEGABYTE
     if compression == "zstd":
         return zstd(block) * megabytes  # frames one after the other
-    packer = bz2.BZ2Compressor() if compression == "bz2" else lz4.frame.LZ4FrameCompressor()
+    packer: Any = bz2.BZ2Compressor() if compression == "bz2" else lz4.frame.LZ4FrameCompressor()
     parts = [packer.begin()] if compression == "lz4" else []
     parts += [packer.compress(block) for _ in range(megabytes)]
     parts.append(packer.flush())

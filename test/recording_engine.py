@@ -15,7 +15,8 @@ class RecordingEngine(Engine):
 
     def __init__(self, rules: str = "", goals: str = "", clock: Any = None, **settings: Any) -> None:
         super().__init__(clock, Settings(**settings))
-        self.outputs, self.events = [], []
+        self.outputs: List[Any] = []
+        self.events: List[Any] = []
         self.on_output(
             lambda term, topic, name: self.outputs.append((self.show(term), topic, self.show(name)))
         )

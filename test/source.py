@@ -1,12 +1,11 @@
 """Source files of the package, parsed once for all tests by ``docs/packages.py``."""
 
-import importlib.util
 from pathlib import Path
 
+from script_modules import load_script
+
 ROOT = Path(__file__).resolve().parents[1]
-_spec = importlib.util.spec_from_file_location("packages", str(ROOT / "docs" / "packages.py"))
-packages = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(packages)
+packages = load_script(ROOT / "docs" / "packages.py")
 
 SOURCE = packages.SOURCE
 

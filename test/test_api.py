@@ -97,6 +97,7 @@ def test_imports_for_type_checkers_equal_names() -> None:
     names = {
         alias.name: getattr(importlib.import_module(f"retalis.{statement.module}"), alias.name)
         for statement in block.body
+        if isinstance(statement, ast.ImportFrom)
         for alias in statement.names
     }
     assert sorted(names) == sorted(retalis.__all__)

@@ -1,14 +1,15 @@
 """``docs/reference/commands.md``, which docs/commands.py writes from the parsers of the command line."""
 
 import pytest
-from doc_pages import ROOT, load_script
+from doc_pages import ROOT
+from script_modules import load_script
 
 from retalis.cli.command_line import COMMANDS
 
 pytestmark = pytest.mark.docs
 
 PAGE = (ROOT / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
-commands = load_script("commands")
+commands = load_script(ROOT / "docs" / "commands.py")
 
 
 def test_page_equals_text_of_parsers() -> None:

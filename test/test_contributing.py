@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, Iterator
 
 import pytest
+from checked_access import search
 
 pytestmark = pytest.mark.docs
 
@@ -65,7 +66,7 @@ def test_named_marks_exist() -> None:
 
 @pytest.mark.parametrize("name", ["CONTRIBUTING.md", "noxfile.py", ".pre-commit-config.yaml"])
 def test_options_of_old_mypy_are_named(name: str) -> None:
-    options = re.search(
+    options = search(
         r"^MYPY_38_OPTIONS = \((.*)\)$", (ROOT / "install.py").read_text(encoding="utf-8"), re.MULTILINE
     )
     names = re.findall(r'"([^"]+)"', options.group(1))

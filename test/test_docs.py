@@ -5,10 +5,11 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any, Dict, Iterator, List, Set
+from typing import Any, Dict, Iterator, List, Set, Tuple
 from xml.etree import ElementTree
 
 import pytest
+from checked_access import stream_clock
 from python_path import python_path
 
 from retalis import Engine, Operators
@@ -100,7 +101,7 @@ def test_rules_and_goals_load_without_findings(text: Any, definitions: Any) -> N
         assert list(read_program(text, Operators.prolog(), "snippet"))
         engine.load(rules=text)
     findings = run_checks(ProgramModel(engine.rules, engine.knowledge, definitions, Topics()))
-    expected_checks = CHECKS_OF_WHOLE_PROGRAMS
+    expected_checks: Tuple[str, ...] = CHECKS_OF_WHOLE_PROGRAMS
     if "unrestricted" in text:  # the page shows the finding
         expected_checks = (*expected_checks, "waits-for-ever")
     assert [str(finding.problem) for finding in findings if finding.check not in expected_checks] == []
@@ -131,7 +132,7 @@ def test_rules_emit_shown_events(text: Any, line: Any) -> None:
         lambda term, *interval: events.append((engine.show(term), *map(format_instant, interval)))
     )
     for term, start, end in inputs:
-        engine.clock.move_to(timestamps.from_seconds(float(end)))
+        stream_clock(engine).move_to(timestamps.from_seconds(float(end)))
         engine.event(term, *(float(stamp) if "." in stamp else int(stamp) for stamp in (start, end)))
     emitted = [event for event in events if event not in inputs and not event[0].startswith(OMITTED_EVENTS)]
     assert emitted == expected

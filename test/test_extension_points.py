@@ -1,6 +1,6 @@
 """An aggregate, a stream operator and a node type, each added in one place, are saved in the middle of a match."""
 
-from typing import Any, List, Set
+from typing import Any, Dict, List, Set
 
 import pytest
 
@@ -65,7 +65,7 @@ class EveryThird(StreamOperator):
 
     def __init__(self) -> None:
         super().__init__()
-        self.counts = {}
+        self.counts: Dict[Any, Any] = {}
 
     def process(self, element: Any, now: Any, channel: Any) -> Any:
         count = self.counts.get(element.key, 0) + 1

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Iterator, List
 
 import pytest
+from checked_access import place_of
 from reachability import reachable
 
 from retalis import (
@@ -129,7 +130,7 @@ def test_hostile_xml_is_refused_with_position(name: Any, attribute: str, tmp_pat
     path.write_text(f"<publish_subscribe>\n <subscribe_to {attributes}/>\n</publish_subscribe>", "utf-8")
     with pytest.raises(ProgramErrors) as raised:
         read_topics(path)
-    assert raised.value.errors[0].place.line == 2
+    assert place_of(raised.value.errors[0]).line == 2
 
 
 @every_name
@@ -151,7 +152,7 @@ def test_hostile_definition_is_refused_with_position(
         assert record.getMessage().startswith("pkg/Type:2:")
         assert len(record.getMessage()) < 1000
         return
-    assert error.place.source.startswith("pkg/Type")
+    assert place_of(error).source.startswith("pkg/Type")
     assert len(error.message) < 1000
 
 

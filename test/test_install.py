@@ -13,6 +13,7 @@ from typing import Any, Dict, Iterator, List, Optional, Tuple
 from unittest.mock import patch
 
 import pytest
+from checked_access import given
 
 HERE = Path(__file__).resolve().parents[1]
 
@@ -141,7 +142,7 @@ class Recorder:
 
     def __init__(self, logs: Any) -> None:
         self.logs = logs
-        self.commands = []
+        self.commands: List[Any] = []
 
     def run_logged(self, title: Any, name: Any, command: Any, cwd: Any = None) -> None:
         self.commands.append(command)
@@ -378,8 +379,8 @@ echo >> {calls}
             (folder / command).write_text(bodies[body or command])
             (folder / command).chmod(0o755)
         for name in ("cp", "chmod"):
-            (folder / name).symlink_to(shutil.which(name))
-        shell = shutil.which("sh")
+            (folder / name).symlink_to(given(shutil.which(name)))
+        shell = given(shutil.which("sh"))
         process = subprocess.run(
             [shell, str(program), *arguments], env={"PATH": str(folder)}, capture_output=True, text=True
         )

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Iterator, List
 
 import pytest
+from checked_access import given
 
 HERE = Path(__file__).resolve().parents[1]
 
@@ -68,9 +69,10 @@ except KeyboardInterrupt:
 
 def test_stop_interrupts_process(shell: Any) -> None:
     process = subprocess.Popen([sys.executable, "-c", INTERRUPTIBLE], stdout=subprocess.PIPE)
-    process.stdout.readline()
+    output = given(process.stdout)
+    output.readline()
     shell.stop(process)
-    process.stdout.close()
+    output.close()
     assert process.returncode == 7
 
 

@@ -75,7 +75,7 @@ def test_length_of_code_is_linear(code_lengths: Any, program: Any, pattern: Any)
         del code_lengths[:]
         term = PATTERNS[pattern](count)
         engine = Engine()
-        engine.load(rules=rules.format(term) + "\n", goals=goal and goal.format(term))
+        engine.load(rules=rules.format(term) + "\n", goals=goal.format(term) if goal else "")
         engine.event("a", 1)
         total_lengths[count] = sum(code_lengths)
     assert total_lengths[4000] < 2.2 * total_lengths[2000] + 1000

@@ -1,9 +1,10 @@
 """Limits of an event: they include derived work; goals beyond them are refused, counted and reported once."""
 
 from pathlib import Path
-from typing import Any, List
+from typing import Any, List, Optional
 
 import pytest
+from checked_access import stream_clock
 
 from retalis import Engine, Limits, PrologError, Settings, functor
 from retalis.foundation.interrupts import Interrupt, postpone
@@ -17,14 +18,23 @@ count(N) :- N > 0, M is N - 1, count(M).
 SUBSCRIPTION_COUNT = 200
 
 
-def make(rules: str = "", goals: str = "", settings: Any = None, **limits: Any) -> Any:
-    engine = Engine(settings=settings or Settings(limits=Limits(**limits)))
+class RecordingEngine(Engine):
+    """An engine that records its events and outputs as text."""
+
+    def __init__(self, settings: Settings) -> None:
+        super().__init__(settings=settings)
+        self.events: List[str] = []
+        self.outputs: List[str] = []
+        self.on_event(lambda term, start, end: self.events.append(self.show(term)))
+        self.on_output(lambda term, topic, name: self.outputs.append(self.show(term)))
+
+
+def make(
+    rules: str = "", goals: str = "", settings: Optional[Settings] = None, **limits: Any
+) -> RecordingEngine:
+    engine = RecordingEngine(settings or Settings(limits=Limits(**limits)))
     engine.load_rules(RULES + rules)
     engine.load(goals=goals)
-    engine.events = []
-    engine.on_event(lambda term, start, end: engine.events.append(engine.show(term)))
-    engine.outputs = []
-    engine.on_output(lambda term, topic, name: engine.outputs.append(engine.show(term)))
     return engine
 
 
@@ -171,7 +181,7 @@ def test_alarm_has_own_limits(caplog: pytest.LogCaptureFixture) -> None:
         inferences=20_000,
     )
     engine.event("start(1)", 1)
-    engine.clock.move_to(10 * 10**9)
+    stream_clock(engine).move_to(10 * 10**9)
     engine.event("in(2)", 10)
     assert [event for event in engine.events if event.startswith("out")] == ["out(1)", "out(2)"]
     assert caplog.text == ""
@@ -183,7 +193,7 @@ def test_alarm_within_goal_does_not_use_its_limit(caplog: pytest.LogCaptureFixtu
         inferences=20_000,
     )
     engine.event("start(1)", 1)
-    engine.clock.move_to(10 * 10**9)
+    stream_clock(engine).move_to(10 * 10**9)
 
     def ring(machine: Any) -> bool:
         engine.event("tick", 10)
@@ -213,7 +223,12 @@ def test_repeated_exceptions_are_limited() -> None:
 
 def test_interrupt_does_not_use_limit_of_next_event() -> None:
     engine = make(goals=subscriptions("count(10000)", 1), inferences=30_000)
-    engine.logic.define("interrupt", 0, lambda machine: postpone(Interrupt()) is None)
+
+    def interrupt(machine: Any) -> bool:
+        postpone(Interrupt())
+        return True
+
+    engine.logic.define("interrupt", 0, interrupt)
     for number in range(3):
         with pytest.raises(Interrupt):
             engine.call("count(20000), interrupt, repeat, fail")

@@ -24,41 +24,48 @@ class RecordingReports(Reports):
 
     def __init__(self) -> None:
         super().__init__()
-        self.texts = []
+        self.texts: List[str] = []
 
     def warning(self, problem: Any, *more: Any) -> None:
         self.texts.append(str(problem))
         super().warning(problem, *more)
 
-    def take_stop_count(self) -> Any:
+    def take_stop_count(self) -> int:
         """Return the number of stops of pattern matching since the last call."""
         count = sum(REPORT in text for text in self.texts)
         self.texts.clear()
         return count
 
 
-def make(rules: str, inferences: Any = LIMIT, **settings: Any) -> Any:
+class RecordingEngine(Engine):
+    """An engine that records its events and counts the stops of pattern matching."""
+
+    def __init__(self, settings: Settings) -> None:
+        reports = RecordingReports()
+        super().__init__(settings=settings, reports=reports)
+        self.take_stop_count = reports.take_stop_count
+        self.events: List[str] = []
+        self.on_event(lambda term, start, end: self.events.append(self.brief(term)))
+        self.instant = 0
+
+
+def make(rules: str, inferences: Any = LIMIT, **settings: Any) -> RecordingEngine:
     limits = settings.pop("limits", Limits(inferences=inferences))
-    engine = Engine(
-        settings=Settings(limits=limits, limit_start=False, **settings), reports=RecordingReports()
-    )
+    engine = RecordingEngine(Settings(limits=limits, limit_start=False, **settings))
     engine.load(rules=rules + "alive(X) <- ping(X).\n")
-    engine.take_stop_count = engine.reports.take_stop_count
-    engine.events = []
-    engine.on_event(lambda term, start, end: engine.events.append(engine.brief(term)))
     return engine
 
 
-def send(engine: Any, *events: Any) -> List[Any]:
+def send(engine: RecordingEngine, *events: Any) -> List[Any]:
     """Send one event per second; return the events that are dispatched for the last one."""
     for event in events:
         engine.events.clear()
-        engine.now = getattr(engine, "now", 0) + 1
-        engine.event(event, engine.now)
+        engine.instant += 1
+        engine.event(event, engine.instant)
     return list(engine.events)
 
 
-def is_alive(engine: Any) -> Any:
+def is_alive(engine: RecordingEngine) -> bool:
     engine.events.clear()
     return send(engine, "ping(1)") == ["ping(1)", "alive(1)"] and engine.query("X = 1") == [{"X": 1}]
 
@@ -169,7 +176,7 @@ def test_results_of_many_keys_are_limited() -> None:
     for number in range(3000):
         engine.event(f"p({number})", 1 + number / 1000)
     engine.logic.limits = Limits(inferences=LIMIT)
-    engine.now = 20
+    engine.instant = 20
     send(engine, "ping(1)")
     assert engine.take_stop_count() == 1
     assert is_alive(engine)
@@ -289,7 +296,7 @@ def test_limit_of_memory_stops_patterns(caplog: pytest.LogCaptureFixture) -> Non
     for number in range(3000):
         engine.event(f"a({number})", 1 + number / 1000)
     before = used()
-    engine.now = 10
+    engine.instant = 10
     send(engine, "b(1)")
     assert "limit of memory" in caplog.text
     assert used() - before < 150

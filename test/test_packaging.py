@@ -14,6 +14,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
+from checked_access import given
 
 pytest.importorskip("setuptools")
 pytest.importorskip("wheel")
@@ -105,13 +106,13 @@ def test_metadata_agrees_with_package_manifest() -> None:
     for fact in (
         manifest.findtext("license"),
         manifest.findtext("author"),
-        manifest.find("maintainer").get("email"),
+        given(manifest.find("maintainer")).get("email"),
     ):
         assert f'"{fact}"' in metadata
     urls = manifest.findall("url")
     assert urls
     for url in urls:
-        assert f'{url.get("type").capitalize()} = "{url.text}"' in metadata
+        assert f'{url.attrib["type"].capitalize()} = "{url.text}"' in metadata
 
 
 def test_archive_has_files_for_build(built: Any) -> None:
@@ -145,14 +146,14 @@ def test_wheel_has_package_and_examples(built: Any) -> None:
     assert metadata["Author"]
     assert metadata["Maintainer-email"]
     assert metadata["Description-Content-Type"] == "text/markdown"
-    assert (metadata.get_payload() or metadata["Description"]).lstrip().startswith("# retalis")
-    assert set(metadata.get_all("Provides-Extra")) == {"dashboard", "dask", "parquet", "plot", "s3"}
+    page = str(metadata.get_payload() or metadata["Description"])
+    assert page.lstrip().startswith("# retalis")
+    assert set(metadata.get_all("Provides-Extra", [])) == {"dashboard", "dask", "parquet", "plot", "s3"}
     assert metadata["Requires-Python"] == ">=3.8"
     assert metadata["Project-URL"] == "Website, http://wiki.ros.org/retalis"
     assert {"ROS", "Prolog"} <= set(metadata["Keywords"].split(","))
-    assert "Programming Language :: Python :: 3.8" in metadata.get_all("Classifier")
-    assert "Typing :: Typed" in metadata.get_all("Classifier")
-    page = metadata.get_payload() or metadata["Description"]
+    assert "Programming Language :: Python :: 3.8" in metadata.get_all("Classifier", [])
+    assert "Typing :: Typed" in metadata.get_all("Classifier", [])
     assert re.findall(r"\]\((?!https?://)[^)]*\)", page) == []  # it has no files beside it
     assert "*(Image: A map: the robot's path" in page
     assert "Start at docs/index.md." in page

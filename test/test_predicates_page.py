@@ -2,11 +2,11 @@
 
 import re
 from pathlib import Path
-from typing import Any, Iterator, List
+from typing import Any, Callable, Iterator, List
 
 import pytest
 
-from retalis import Engine, Limits, PrologError, Var, functor
+from retalis import Engine, Limits, PrologError, Term, Var, functor
 from retalis.cli.toplevel_io import format_bindings
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import write_term
@@ -56,7 +56,8 @@ def test_example_has_answer_of_page(keys: Any, errors: Any, example: Any, answer
     assert keys[0].rpartition("/")[0] in example or keys[0][:2] in (",/", ">>"), (
         "the example shows another predicate"
     )
-    logic, outputs = system_for(keys), []
+    logic = system_for(keys)
+    outputs: List[Any] = []
     logic.limits = Limits(inferences=500_000)
     logic.output = logic.error_output = outputs.append
     parsed = read_term(example, logic.operators)
@@ -70,7 +71,7 @@ def test_example_has_answer_of_page(keys: Any, errors: Any, example: Any, answer
     assert (f"writes {text!r}; " if text else "") + answer_text == answer
 
 
-INVALID_ARGUMENTS = [Var, lambda: (functor("foo", 1), 1), lambda: 1]
+INVALID_ARGUMENTS: List[Callable[[], Term]] = [Var, lambda: (functor("foo", 1), 1), lambda: 1]
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, List
 
 import pytest
+from checked_access import search
 
 from retalis import Engine, Settings, UsageError
 from retalis.prolog.swi.libswipl import find_library
@@ -48,5 +49,5 @@ def test_example_emits_events_of_page(engine: Any) -> None:
 
 
 def test_caught_error_has_no_solution(engine: Any) -> None:
-    goal = re.search(r"`(catch\(reach.*?true\))`", PAGE.read_text(encoding="utf-8")).group(1)
+    goal = search(r"`(catch\(reach.*?true\))`", PAGE.read_text(encoding="utf-8")).group(1)
     assert engine.query(goal) == []

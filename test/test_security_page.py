@@ -69,8 +69,11 @@ def node_limits() -> Dict[Any, Any]:
     """Return the default limits of a node from the module of its parameters."""
     (path,) = [path for path in TREES if path.endswith("node/parameters.py")]
     for statement in TREES[path].body:
-        if isinstance(statement, ast.Assign) and statement.targets[0].id == "DEFAULT_LIMITS":
-            return {keyword.arg: keyword.value.value for keyword in statement.value.keywords}
+        if not isinstance(statement, ast.Assign) or not isinstance(statement.value, ast.Call):
+            continue
+        (target,) = statement.targets
+        if isinstance(target, ast.Name) and target.id == "DEFAULT_LIMITS":
+            return {keyword.arg: ast.literal_eval(keyword.value) for keyword in statement.value.keywords}
     raise AssertionError(path)
 
 
@@ -100,4 +103,5 @@ def test_page_and_launch_file_have_default(parameter: str, node: Any, engine: An
     texts = [NONE if value is None else f"{value:g}{unit}" for value in (node, engine)]
     assert rows[f"`~{parameter}`"] == texts
     launch_default = LAUNCH_DEFAULTS[parameter]
+    assert launch_default is not None
     assert launch_default == NONE or float(launch_default) == (node or 0)

@@ -1,6 +1,5 @@
 """Pages of the documentation site in a browser: cookbook, captions, widths, the start page, and repository links."""
 
-import importlib.util
 import os
 import re
 import shutil
@@ -12,6 +11,7 @@ from typing import Any
 import pytest
 from built_site import COOKBOOK, DOCS, NEEDS_SITE, SITE
 from doc_pages import FENCE, ROOT
+from script_modules import load_script
 
 pytestmark = NEEDS_SITE
 
@@ -167,9 +167,7 @@ def build_copy_with_repository(folder: Any, address: Any) -> Any:
     text = manifest.read_text(encoding="utf-8")
     url = f'<url type="repository">{address}</url>'
     manifest.write_text(text.replace("<author>", f"{url}\n  <author>"), encoding="utf-8")
-    specification = importlib.util.spec_from_file_location("site_installer", str(ROOT / "install.py"))
-    installer = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(installer)
+    installer = load_script(ROOT / "install.py", "site_installer")
     # The workspace of these sources has the virtual environment that has built their site.
     workspace = str(installer.default_workspace(ROOT, os.environ))
     build = subprocess.run(

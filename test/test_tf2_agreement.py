@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import Any, Dict, List, Tuple
 
 import pytest
+from checked_access import compound, items, name_of, number
 
-from retalis import BagReader, Definitions, Playback, deref, list_items
+from retalis import BagReader, Definitions, Playback, deref
 
 HERE = Path(__file__).resolve().parent
 NAO = HERE.parent / "examples" / "nao"
@@ -29,17 +30,17 @@ def play(program: Any, path: Any) -> Tuple[Any, ...]:
 
 
 def vector(term: Any) -> Any:
-    return tuple(deref(value) for value in deref(term)[1:])
+    return tuple(deref(value) for value in compound(term)[1:])
 
 
 class Pose:
     """Fields of a published PoseStamped."""
 
     def __init__(self, output: Any) -> None:
-        header, pose = deref(output.term[1]), deref(output.term[2])
-        seconds, nanoseconds = (deref(part) for part in list_items(header[2]))
+        header, pose = compound(output.term[1]), compound(output.term[2])
+        seconds, nanoseconds = (number(part) for part in items(header[2]))
         self.stamp = seconds * 10**9 + nanoseconds
-        self.marker = deref(header[3]).name.strip('"')
+        self.marker = name_of(header[3]).strip('"')
         self.topic = output.topic
         self.position, self.rotation = vector(pose[1]), vector(pose[2])
 
@@ -96,17 +97,17 @@ def observations(path: Any) -> Any:
         for record in bag.records(["/ar_pose_marker"]):
             definition = definitions.add(record.topic.type, record.topic.definition)
             message = definitions.decoder(definition).decode(record.data)
-            for marker in list_items(deref(message)[2]):
-                marker = deref(marker)
-                header, pose = deref(marker[1]), deref(deref(marker[3])[1])
-                seconds, nanoseconds = (deref(part) for part in list_items(header[2]))
-                key = deref(header[3]).name.strip('"'), seconds * 10**9 + nanoseconds
+            for item in items(compound(message)[2]):
+                marker = compound(item)
+                header, pose = compound(marker[1]), compound(compound(marker[3])[1])
+                seconds, nanoseconds = (number(part) for part in items(header[2]))
+                key = name_of(header[3]).strip('"'), seconds * 10**9 + nanoseconds
                 poses_by_key[key] = vector(pose[1]), vector(pose[2])
     return poses_by_key
 
 
 def test_known_face_near_marker_is_published(nao: Tuple[Any, ...]) -> None:
-    texts = [deref(output.term[1]).name for output in nao[2] if output.topic == "face_by_marker"]
+    texts = [name_of(output.term[1]) for output in nao[2] if output.topic == "face_by_marker"]
     assert texts
     assert all(" by 4x4_" in text for text in texts)
 
@@ -128,8 +129,8 @@ def test_head_of_pr2_agrees_with_tf2() -> None:
         if expected is None:
             continue
         compared += 1
-        position = [deref(value) for value in list_items(answers[0]["P"])]
-        rotation = [deref(value) for value in list_items(answers[0]["Q"])]
+        position = [deref(value) for value in items(answers[0]["P"])]
+        rotation = [deref(value) for value in items(answers[0]["Q"])]
         assert tf2.distance(position, expected[0]) < 2e-8
         assert tf2.angle(rotation, expected[1]) < 2e-8
     assert compared >= 200

@@ -3,7 +3,8 @@
 from typing import Any
 
 import pytest
-from doc_pages import load_script
+from doc_pages import ROOT
+from script_modules import load_script
 
 pytestmark = pytest.mark.docs
 
@@ -11,7 +12,7 @@ MAX_BYTES = 20_000
 WITHOUT_PICTURES = {"index", "predicates", "declared-events"}
 """Pages that define no operator and no setting that changes events."""
 
-timelines = load_script("timelines")
+timelines = load_script(ROOT / "docs" / "timelines.py")
 PAGES = sorted(timelines.PAGES.glob("*.md"))
 EXAMPLES = [example for page in PAGES for example in timelines.examples(page)]
 

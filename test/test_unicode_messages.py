@@ -7,7 +7,7 @@ from typing import Any, List
 
 import pytest
 
-from retalis import BagReader, BagWriter, Definitions, Engine, StreamClock
+from retalis import BagReader, BagWriter, Definitions, Engine, StreamClock, Term
 from retalis.cli.command_line import main
 from retalis.dashboard.view_model import RecentEvents
 from retalis.prolog.syntax.event_text import to_text
@@ -33,7 +33,7 @@ def message(text: str, raw: bytes = b"bytes") -> Any:
     return struct.pack("<I", len(data)) + data + struct.pack("<I", len(raw)) + raw
 
 
-def decode(data: Any) -> str:
+def decode(data: bytes) -> Term:
     return DEFINITIONS.decoder(NOTE).decode(data)
 
 

@@ -124,7 +124,7 @@ def foreign_assignments(path: Any, node: Any, created: Any) -> Iterator[Any]:
             if names and not any(
                 (name, field) in SET_BY_OTHERS for name in names for field in (None, target.attr)
             ):
-                yield f"{path}:{child.lineno}: {text_of(target)}"
+                yield f"{path}:{target.lineno}: {text_of(target)}"
         yield from foreign_assignments(path, child, created)
 
 
@@ -162,7 +162,7 @@ def test_constructors_assign_no_placeholder_functions() -> None:
         if isinstance(target, ast.Attribute) and text_of(target.value) not in ("self", "cls")
     }
     placeholders = [
-        f"{path}:{node.lineno}: {text_of(target)}"
+        f"{path}:{target.lineno}: {text_of(target)}"
         for path, tree in TREES.items()
         for constructor in ast.walk(tree)
         if isinstance(constructor, ast.FunctionDef) and constructor.name == "__init__"

@@ -9,19 +9,21 @@ tf2_py = pytest.importorskip("tf2_py", reason="tf2 is not installed")
 genpy = pytest.importorskip("genpy")
 geometry_msgs = pytest.importorskip("geometry_msgs.msg")
 
-from retalis import BagReader, Definitions, deref, list_items  # noqa: E402
+from checked_access import compound, items, name_of  # noqa: E402
+
+from retalis import BagReader, Definitions, deref  # noqa: E402
 
 
 def name(atom: Any) -> Any:
-    return deref(atom).name.strip('"').lstrip("/")
+    return name_of(atom).strip('"').lstrip("/")
 
 
 def numbers(term: Any) -> List[Any]:
-    return [deref(value) for value in deref(term)[1:]]
+    return [deref(value) for value in compound(term)[1:]]
 
 
 def stamp(header: Any) -> List[Any]:
-    return [deref(part) for part in list_items(deref(header)[2])]
+    return [deref(part) for part in items(compound(header)[2])]
 
 
 class Reference:
@@ -38,13 +40,13 @@ class Reference:
             for record in bag.records(["/tf"]):
                 definition = definitions.add(record.topic.type, record.topic.definition)
                 message = definitions.decoder(definition).decode(record.data)
-                for transform in list_items(deref(message)[1]):
-                    self._add(deref(transform))
+                for transform in items(compound(message)[1]):
+                    self._add(compound(transform))
 
-    def _add(self, transform: Any) -> None:
-        header = deref(transform[1])
+    def _add(self, transform: Tuple[Any, ...]) -> None:
+        header = compound(transform[1])
         seconds, nanoseconds = stamp(header)
-        translation, rotation = (numbers(part) for part in deref(transform[3])[1:])
+        translation, rotation = (numbers(part) for part in compound(transform[3])[1:])
         instant = seconds * 10**9 + nanoseconds
         self.add(name(header[3]), name(transform[2]), instant, translation, rotation)
 

@@ -5,6 +5,7 @@ import json
 import math
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Iterator, List
 
 import pytest
@@ -105,11 +106,7 @@ def test_table_of_streams_has_exponents(events: Any, capsys: pytest.CaptureFixtu
 
 
 def arguments(setting: Any) -> Any:
-    class Options:
-        operator = policy = None
-
-    Options.setting = [setting]
-    return Options
+    return SimpleNamespace(operator=None, policy=None, setting=[setting])
 
 
 def test_partners_wait_again_after_batch(events: Any) -> None:

@@ -124,10 +124,16 @@ def test_forbidden_folder_is_an_error(
         if str(path).startswith(f"{folder}/"):
             raise PermissionError(13, "Permission denied", str(path))
 
-    monkeypatch.setattr(
-        os, "stat", lambda path, *rest, **options: refuse(path) or real_stat(path, *rest, **options)
-    )
-    monkeypatch.setattr(Path, "read_text", lambda path, **options: refuse(path) or real_text(path, **options))
+    def stat(path: Any, *rest: Any, **options: Any) -> os.stat_result:
+        refuse(path)
+        return real_stat(path, *rest, **options)
+
+    def read_text(path: Path, **options: Any) -> str:
+        refuse(path)
+        return real_text(path, **options)
+
+    monkeypatch.setattr(os, "stat", stat)
+    monkeypatch.setattr(Path, "read_text", read_text)
     status, text = run_check(capsys, folder)
     assert status == 1
     assert f"error: cannot read {folder}/pub_sub.xml: Permission denied [RT1000]\n" in text

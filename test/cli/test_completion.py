@@ -14,6 +14,7 @@ from typing import Any, List
 import pytest
 from python_path import python_path
 
+from retalis import UsageError
 from retalis.cli import completion
 from retalis.cli.command_line import main, make_parser
 
@@ -75,7 +76,7 @@ def test_command_complete_prints_candidates(
 
 
 def no_ros(name: Any) -> None:
-    raise completion.UsageError("there is no ROS")
+    raise UsageError("there is no ROS")
 
 
 def test_script_of_shell_is_printed(capsys: pytest.CaptureFixture[str]) -> None:

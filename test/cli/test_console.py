@@ -12,6 +12,7 @@ from types import SimpleNamespace
 from typing import Any, List
 
 import pytest
+from checked_access import compound
 from python_path import python_path
 
 from retalis import Limits, Operators, Settings
@@ -202,7 +203,7 @@ def test_names_are_completed() -> None:
 
 def test_names_of_bindings_are_unique() -> None:
     read = read_term("f(_A, X)", Operators.prolog())
-    read.names["X"].ref = (read.term[0], read.names["_A"], 1)
+    read.names["X"].ref = (compound(read.term)[0], read.names["_A"], 1)
     assert format_bindings(read.names, Operators.prolog()) == "X = f(_, 1)"
 
 
@@ -311,14 +312,14 @@ def test_typed_goals_open_files_anywhere(ask: Any, tmp_path: Path, monkeypatch: 
     assert (tmp_path / "here" / "persistent.txt").read_text() == "event(a,[1,1]).\n"
 
 
-class TypedLines:
+class TypedLines(PipedInput):
     """A terminal with typed lines."""
 
     is_terminal = True
 
     def __init__(self, *lines: Any) -> None:
-        self.unread_text = ""
-        self.prompts = []
+        super().__init__(io.StringIO())
+        self.prompts: List[Any] = []
         self._lines = list(lines)
 
     def read_line(self, prompt: Any) -> Any:

@@ -84,8 +84,13 @@ def page(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Mon
 def test_start_page_is_opened(
     page: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    urls: List[Any] = []
-    monkeypatch.setattr(commands.webbrowser, "open", lambda url: urls.append(url) or True)
+    urls: List[str] = []
+
+    def open_page(url: str) -> bool:
+        urls.append(url)
+        return True
+
+    monkeypatch.setattr("webbrowser.open", open_page)
     assert main(["docs"]) == 0
     assert urls == [page.as_uri()]
     assert capsys.readouterr() == ("", "")
@@ -104,7 +109,7 @@ def test_json_has_path_of_site(page: Any, capsys: pytest.CaptureFixture[str]) ->
 def test_missing_browser_is_an_error_with_path(
     page: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(commands.webbrowser, "open", lambda url: False)
+    monkeypatch.setattr("webbrowser.open", lambda url: False)
     assert main(["docs"]) == 1
     assert capsys.readouterr().err == f"retalis docs: no browser can be started: open {page}\n"
 

@@ -5,10 +5,11 @@ from pathlib import Path
 from typing import Any, List
 
 import pytest
+from checked_access import items
 from events.stream_programs import term_text
 from events.test_scenarios import BASE, SCENARIOS, expected_results, short
 
-from retalis import Operators, SyntaxFault, deref, list_items
+from retalis import Operators, SyntaxFault, deref
 from retalis.cli.command_line import main
 from retalis.prolog.syntax.term_reader import read_program
 from retalis.prolog.terms.timestamps import from_term
@@ -45,7 +46,9 @@ class Run:
         arguments += write_option("stream", stream)
         arguments += write_option("queries", [f"{goal}." for goal in data.get("queries") or ()])
         self.status = main(arguments)
-        self.events, self.memory_events, self.printed = [], [], []
+        self.events: List[Any] = []
+        self.memory_events: List[Any] = []
+        self.printed: List[Any] = []
         captured = capsys.readouterr()
         self.error = captured.err
         for term in terms(captured.out):
@@ -58,7 +61,7 @@ class Run:
         if functor_name not in ("event", "memory_event"):
             self.printed.append(term_text(term))
             return
-        start, end = (from_term(stamp) for stamp in list_items(term[2]))
+        start, end = (from_term(stamp) for stamp in items(term[2]))
         events = self.events if functor_name == "event" else self.memory_events
         events.append((term_text(deref(term[1])), start, end))
 

@@ -140,8 +140,7 @@ def test_time_of_user_is_not_limited(capsys: pytest.CaptureFixture[str]) -> None
         is_terminal = True
 
         def wants_more(self) -> bool:
-            budget = console.engine.logic.machine.budget
-            entries.append(budget.executor.entry)
+            entries.append(console.engine.executor.entry)
             return True
 
     entries: List[Any] = []

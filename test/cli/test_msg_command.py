@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, Dict
 
 import pytest
 from rosbags import rosbag2
@@ -54,7 +54,7 @@ def test_type_of_bag_is_printed_in_each_format(bag: Any, capsys: pytest.CaptureF
 
 
 def test_type_of_ros2_bag_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    options = {"version": 8} if hasattr(rosbag2, "StoragePlugin") else {}
+    options: Dict[str, Any] = {"version": 8} if hasattr(rosbag2, "StoragePlugin") else {}
     with rosbag2.Writer(tmp_path / "two", **options) as writer:
         connection = writer.add_connection(
             "/solid", "my_msgs/msg/Solid", msgdef="float64[<=3] sizes [1, 2]\n", rihs01="RIHS01_0"
@@ -68,7 +68,7 @@ def test_type_of_ros2_bag_is_printed(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 
 def test_unreadable_type_of_bag_has_reason(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    options = {"version": 8} if hasattr(rosbag2, "StoragePlugin") else {}
+    options: Dict[str, Any] = {"version": 8} if hasattr(rosbag2, "StoragePlugin") else {}
     with rosbag2.Writer(tmp_path / "two", **options) as writer:
         writer.add_connection("/solid", "my_msgs/msg/Solid", msgdef="float64[<3] sizes\n", rihs01="RIHS01_0")
     assert main(["msg", "my_msgs/Solid", "--bag", str(tmp_path / "two")]) == 1

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from retalis import Engine, atom, explain, functor, make_list, record_origins
+from retalis import Engine, Term, atom, explain, functor, make_list, record_origins
 from retalis.dashboard.view_model import (
     MAX_EVENT_CHARACTERS,
     MAX_FUNCTORS,
@@ -78,7 +78,7 @@ def test_large_event_is_cut_without_decoding(engine: Any, term: Any) -> None:
 
 
 def test_deep_event_is_cut(engine: Any) -> None:
-    term = atom("deep")
+    term: Term = atom("deep")
     for _ in range(100_000):
         term = functor("f", 1)(term)
     text, whole = format_event_beginning(engine.show, term)

@@ -20,8 +20,8 @@ out(N) <- in(N) where (incCounter(c)).
 GOALS = "compile_event_file('r.txt')\nmemorize(in(_), [], _, m, 500)\n"
 
 
-def main(folder: Any, every: str = "0.02") -> None:
-    folder = Path(folder)
+def main(program_folder: str, every: str = "0.02") -> None:
+    folder = Path(program_folder)
     path = folder / "state.db"
     settings, reports = Settings(), Reports()
     resumed = resume(path, folder, Clock(), settings, reports)
@@ -34,6 +34,7 @@ def main(folder: Any, every: str = "0.02") -> None:
         engine = resumed[0]
         records = engine.query("access_mem(m, in(X), _)")
         last = records[0]["X"] if records else 0
+        assert isinstance(last, int), last
         (counts,) = engine.query("counter(c, C), memory_counter(m, M)")
         first = last
         print(counts["C"], len(records), counts["M"], last, flush=True)
@@ -46,10 +47,10 @@ def main(folder: Any, every: str = "0.02") -> None:
     checkpointer = Checkpointer(engine, CheckpointStorage(path), folder, reports, float(every), files)
     checkpointer.start()
     print("ready", flush=True)
-    for number in range(first + 1, 10_000_000):
-        engine.event(f"in({number})")
-        if number % 50 == 0:
-            print(number, time.time(), flush=True)
+    for value in range(first + 1, 10_000_000):
+        engine.event(f"in({value})")
+        if value % 50 == 0:
+            print(value, time.time(), flush=True)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from typing import Any, List, Tuple
 from zlib import crc32
 
 import pytest
+from checked_access import given
 from python_path import python_path
 from serialization.stored_fields import fields_of, to_fields
 
@@ -379,25 +380,26 @@ def test_file_is_consistent_after_random_kills(folder: Any) -> None:
             text=True,
             env={**os.environ, "PYTHONPATH": python_path()},
         )
+        output = given(process.stdout)
         try:
             if number:
-                counter, record_count, added, last = map(int, process.stdout.readline().split())
+                counter, record_count, added, last = map(int, output.readline().split())
                 assert counter == added == last
                 assert record_count == min(500, last)
                 assert previous <= last <= newest + 5000
                 previous = last
-                assert process.stdout.readline() == "True True\n"
-            assert process.stdout.readline() == "ready\n"
-            first = int(process.stdout.readline().split()[0])
+                assert output.readline() == "True True\n"
+            assert output.readline() == "ready\n"
+            first = int(output.readline().split()[0])
             target = first + generator.randrange(200, 3000)
-            for line in process.stdout:
+            for line in output:
                 newest = int(line.split()[0])
                 if newest >= target and (number or read_checkpoint(folder / "state.db") is not None):
                     break
         finally:
             process.kill()
             process.wait()
-            process.stdout.close()
+            output.close()
 
 
 def test_second_writer_stops_first_one(folder: Any, caplog: pytest.LogCaptureFixture) -> None:

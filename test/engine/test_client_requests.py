@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, List, Tuple
 
 import pytest
+from recording_engine import RecordingEngine
 
 from retalis import (
     Engine,
@@ -157,19 +158,16 @@ def test_deleted_memory_ends_wait(engine_with_memories: Any) -> None:
 
 
 @pytest.fixture
-def recording_engine() -> Any:
-    engine = Engine()
-    engine.recorded = []
-    engine.on_event(lambda term, start, end: engine.recorded.append(engine.show(term)))
-    return engine
+def recording_engine() -> RecordingEngine:
+    return RecordingEngine()
 
 
-def test_added_rule_fires_until_deleted(recording_engine: Any) -> None:
+def test_added_rule_fires_until_deleted(recording_engine: RecordingEngine) -> None:
     assert add_rule(recording_engine, "b(X) <- a(X).", "mine") == "mine"
     recording_engine.event("a(1)", 1)
     delete_rule(recording_engine, "mine")
     recording_engine.event("a(2)", 2)
-    assert recording_engine.recorded == ["a(1)", "b(1)", "a(2)"]
+    assert recording_engine.event_texts == ["a(1)", "b(1)", "a(2)"]
 
 
 @pytest.mark.parametrize(
@@ -183,16 +181,18 @@ def test_added_rule_fires_until_deleted(recording_engine: Any) -> None:
         ("b <- a", "'two words'", "'two words'"),
     ],
 )
-def test_rule_is_added_under_its_label(recording_engine: Any, rule: str, requested: str, label: str) -> None:
+def test_rule_is_added_under_its_label(
+    recording_engine: RecordingEngine, rule: str, requested: str, label: str
+) -> None:
     assert add_rule(recording_engine, rule, requested) == label
     recording_engine.event("a", 1)
-    assert recording_engine.recorded == ["a", "b"]
+    assert recording_engine.event_texts == ["a", "b"]
     delete_rule(recording_engine, label)
     recording_engine.event("a", 2)
-    assert recording_engine.recorded == ["a", "b", "a"]
+    assert recording_engine.event_texts == ["a", "b", "a"]
 
 
-def test_new_labels_are_unique(recording_engine: Any) -> None:
+def test_new_labels_are_unique(recording_engine: RecordingEngine) -> None:
     assert [add_rule(recording_engine, "b <- a") for _ in range(3)] == ["added_1", "added_2", "added_3"]
     delete_rule(recording_engine, "added_2")
     assert add_rule(recording_engine, "b <- a") == "added_2"
@@ -209,13 +209,15 @@ def test_new_labels_are_unique(recording_engine: Any) -> None:
         ("b <- c", "f(x)", "label: expected an atom"),
     ],
 )
-def test_invalid_rule_or_label_is_refused(recording_engine: Any, rule: str, label: str, message: str) -> None:
+def test_invalid_rule_or_label_is_refused(
+    recording_engine: RecordingEngine, rule: str, label: str, message: str
+) -> None:
     recording_engine.load(rules="there : b <- a.")
     with pytest.raises(UsageError, match=message):
         add_rule(recording_engine, rule, label)
 
 
-def test_errors_of_added_rule_have_line_and_caret(recording_engine: Any) -> None:
+def test_errors_of_added_rule_have_line_and_caret(recording_engine: RecordingEngine) -> None:
     with pytest.raises(SyntaxFault) as fault:
         add_rule(recording_engine, "b <- a seq\n  (c where X > )")
     assert str(fault.value).splitlines()[0].startswith("rule:2:16: ")
@@ -226,16 +228,16 @@ def test_errors_of_added_rule_have_line_and_caret(recording_engine: Any) -> None
         "rule:2:13: ntimes needs a positive integer\n   a ntimes x\n            ^"
     )
     recording_engine.event("a", 1)
-    assert recording_engine.recorded == ["a"]
+    assert recording_engine.event_texts == ["a"]
 
 
-def test_deleting_unknown_label_is_an_error(recording_engine: Any) -> None:
+def test_deleting_unknown_label_is_an_error(recording_engine: RecordingEngine) -> None:
     for label in ("none", "", "f(x)", "a b"):
         with pytest.raises(RetalisError):
             delete_rule(recording_engine, label)
 
 
-def test_added_rule_cannot_load_files(recording_engine: Any, tmp_path: Path) -> None:
+def test_added_rule_cannot_load_files(recording_engine: RecordingEngine, tmp_path: Path) -> None:
     (tmp_path / "secret.txt").write_text("secret.")
     add_rule(
         recording_engine,

@@ -160,6 +160,7 @@ def test_status_of_busy_engine_names_its_work() -> None:
     status = engine.status()
     released.set()
     thread.join()
+    assert status.work is not None
     assert status.work.what == "fire"
     assert status.work.event == "fire"
     assert "rule alarm: goal" in status.work.goal

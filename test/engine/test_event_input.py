@@ -2,9 +2,10 @@
 
 import logging
 from pathlib import Path
-from typing import Any, List, Tuple
+from typing import Any, Callable, List, Tuple
 
 import pytest
+from checked_access import stream_clock
 from recording_engine import RecordingEngine
 
 from retalis import (
@@ -146,7 +147,7 @@ def test_check_knows_events_of_subscribed_topics(tmp_path: Path) -> None:
 
 def test_events_without_time_have_distinct_times() -> None:
     engine = RecordingEngine()
-    engine.clock.move_to(5)
+    stream_clock(engine).move_to(5)
     engine.event("a")
     engine.event("b")
     assert engine.events == [("a", 5, 5), ("b", 6, 6)]
@@ -189,7 +190,7 @@ def test_stamp_arithmetic_is_equal_for_all_inputs(input_kind: str) -> None:
         elif input_kind == "datime":
             engine.event(name, timestamps.datime(instant), timestamps.datime(instant))
         else:
-            engine.clock.move_to(instant)
+            stream_clock(engine).move_to(instant)
             engine.event(name)
     assert [event for event, _, _ in engine.events] == ["s", "e", "late(10.25)"]
 
@@ -220,7 +221,7 @@ def test_end_before_start_is_refused() -> None:
     with pytest.raises(RetalisError):
         engine.event("a", 2, 1)
     with pytest.raises(UsageError):
-        engine.event("a", "soon")
+        engine.event("a", "soon")  # type: ignore[arg-type]
     assert engine.events == []
 
 
@@ -282,10 +283,11 @@ def test_instant_without_date_is_refused(text: str, caplog: pytest.LogCaptureFix
 
 def test_posted_term_and_text_have_same_stamp() -> None:
     shown: List[Any] = []
-    for post in (
+    posts: List[Callable[[Engine], None]] = [
         lambda engine: engine.post(atom("a"), 10**9 + 5),
         lambda engine: engine.post_text("event(a,[datime(1970,1,1,0,0,1,5),datime(1970,1,1,0,0,1,5)])"),
-    ):
+    ]
+    for post in posts:
         engine = Engine()
         engine.load(goals="memorize(a, [], _, m, 5)")
         post(engine)
@@ -318,7 +320,7 @@ def test_failed_goal_text_is_logged(caplog: pytest.LogCaptureFixture) -> None:
 def test_invalid_instant_of_post_is_refused() -> None:
     engine = Engine()
     with pytest.raises(ValueError, match="soon"):
-        engine.post(atom("a"), "soon")
+        engine.post(atom("a"), "soon")  # type: ignore[arg-type]
 
 
 def moved(instant: int) -> Any:
@@ -355,15 +357,16 @@ def test_event_without_time_on_unset_clock_is_refused() -> None:
         if engine is own:
             engine.event("first", 5)  # moves the default clock
         else:
-            engine.clock.move_to(5 * SECOND)
+            stream_clock(engine).move_to(5 * SECOND)
         engine.event("beat")
         assert starts[-1] == 5 * SECOND
 
 
 @pytest.mark.parametrize("post", ["post", "post_each", "post_text"])
-def test_posted_event_on_unset_clock_is_reported(post: str) -> None:
-    reports, errors_and_events = Reports(), []
-    reports.error = lambda error, *_: errors_and_events.append(str(error)[:30])
+def test_posted_event_on_unset_clock_is_reported(post: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    errors_and_events: List[str] = []
+    reports = Reports()
+    monkeypatch.setattr(reports, "error", lambda error, *_: errors_and_events.append(str(error)[:30]))
     engine = Engine(None, None, reports)
     engine.on_event(lambda term, start, end: errors_and_events.append(engine.show(term)))
     if post == "post":

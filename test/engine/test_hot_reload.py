@@ -44,8 +44,8 @@ class Program:
         self.folder = folder
         self.write(GOALS, RULES)
         self.engine = Engine(settings=settings)
-        self.seen = []
-        self.sent = []
+        self.seen: List[Any] = []
+        self.sent: List[Any] = []
         self.now = 0
         self.engine.on_event(lambda term, start, end: self.seen.append(self.engine.show(term)))
         self.engine.on_output(lambda term, topic, name: self.sent.append((topic, self.engine.show(term))))
@@ -533,7 +533,12 @@ def test_trial_writes_no_output_and_no_log(
 
 def test_events_during_reload_are_processed(program: Program) -> None:
     numbers = range(300)
-    sender = threading.Thread(target=lambda: [program.engine.post(FIRE(n), n * 10**9 + 1) for n in numbers])
+
+    def post_each() -> None:
+        for number in numbers:
+            program.engine.post(FIRE(number), number * 10**9 + 1)
+
+    sender = threading.Thread(target=post_each)
     sender.start()
     for number in range(10):
         program.reload(rules=RULES + f"n({number}) <- never.\n")

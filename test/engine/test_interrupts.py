@@ -167,7 +167,7 @@ def test_exception_at_any_point_makes_engine_unusable() -> None:
     engine.load(rules="b <- a.")
     state = engine.snapshot()
 
-    def interrupt(machine: Any) -> None:
+    def interrupt(machine: Any) -> bool:
         signal.default_int_handler(signal.SIGINT, None)
 
     engine.logic.define("interrupt", 0, interrupt)

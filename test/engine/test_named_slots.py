@@ -95,10 +95,10 @@ class RecordedReports(Reports):
 
     def __init__(self) -> None:
         super().__init__()
-        self.errors = []
+        self.texts: List[str] = []
 
     def error(self, error: Any, key: Any = None) -> None:
-        self.errors.append(str(error))
+        self.texts.append(str(error))
 
 
 def test_error_shows_named_slots(definitions: Any) -> None:
@@ -106,7 +106,7 @@ def test_error_shows_named_slots(definitions: Any) -> None:
     engine = Engine(reports=reports, definitions=definitions)
     engine.load(rules=f"{POINT}{{x: X}} <- a(X) where atom_length({POINT}{{y: X}}, 5).")
     engine.event("a(1)", 1)
-    (error,) = reports.errors
+    (error,) = reports.texts
     assert f"rule {POINT}{{x: X}}, at event a(1): goal atom_length({POINT}{{y: X}},5)" in error
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any, List
 
 import pytest
+from checked_access import compound, place_of
 
 from retalis import Definitions, Engine, Operators, RetalisError
 from retalis.engine.program_check import check_program, explain_missing_events, explain_output_mismatch
@@ -44,7 +45,7 @@ def test_findings_have_order_of_files(tmp_path: Path, definitions: Any) -> None:
     )
     (tmp_path / "rules.txt").write_text("a <- b within 1000000.\na <- a.\n")
     places = [
-        (finding.problem.place.source.rpartition("/")[2], finding.problem.place.line)
+        (place_of(finding.problem).source.rpartition("/")[2], place_of(finding.problem).line)
         for finding in check_program(tmp_path, definitions)
     ]
     assert places == [("goalPredicates.txt", 3), ("pub_sub.xml", 1), ("rules.txt", 1), ("rules.txt", 2)]
@@ -74,7 +75,7 @@ def test_missing_program_is_one_error(tmp_path: Path, definitions: Any) -> None:
     ],
 )
 def test_output_of_other_type_is_explained(subscription: str, mismatch: str) -> None:
-    goal = read_term(subscription, Operators.prolog()).term
+    goal = compound(read_term(subscription, Operators.prolog()).term)
     assert explain_output_mismatch(goal, "out", "std_msgs/Int32", Definitions()) == mismatch
     assert explain_output_mismatch(goal, "out", "far_msgs/Unknown", Definitions()) == ""
 

@@ -5,6 +5,7 @@ from random import Random
 from typing import Any, Dict, List
 
 import pytest
+from checked_access import stream_clock
 
 from retalis import Engine, StreamClock
 from retalis.prolog.terms.timestamps import SECOND, from_seconds
@@ -27,10 +28,10 @@ class FarStamps:
 
     def __init__(self, rules: Any = TIMED_RULES) -> None:
         self.engine = Engine()
-        self.warnings = []
+        self.warnings: List[Any] = []
         self.engine.rules.on_warning = lambda warning: self.warnings.append(warning.message)
         self.engine.load(rules=rules, goals="timer(beat, every(10)).")
-        self.counts = Counter()
+        self.counts: Counter[Any] = Counter()
         self.engine.on_event(lambda term, start, end: self.counts.update([functor_name(self.engine, term)]))
 
     def run(self, seconds: Any, wrong: Any = ()) -> Any:
@@ -203,7 +204,8 @@ def test_late_events_after_pause_move_clock_back_once() -> None:
 def test_rule_is_right_after_clock_returned(rule: str) -> None:
     results: List[Any] = []
     for wrong in ({}, {50: 3600}):
-        run, outputs = FarStamps(rule), []
+        run = FarStamps(rule)
+        outputs: List[Any] = []
         # The longest window, of 10 s, has only events after the return.
         run.run(range(63), wrong)
         run.engine.on_event(
@@ -241,7 +243,8 @@ def test_operator_continues_after_clock_returned(rule: str) -> None:
 def test_subscription_continues_after_clock_returned() -> None:
     counts: List[Any] = []
     for wrong in ({}, {50: 3600}):
-        run, sent = FarStamps("pair <- left seq right."), []
+        run = FarStamps("pair <- left seq right.")
+        sent: List[Any] = []
         run.engine.load(goals="subscribe(tick with throttle(5), [], tick, ticks, a)")
         run.run(range(56), wrong)
         run.engine.on_output(lambda term, topic, name, sent=sent: sent.append(term))
@@ -316,7 +319,7 @@ def test_restored_engine_has_same_outputs(seed: int, has_receipt_clock: bool) ->
         receipt = max(receipt, from_seconds(min(time, receipt / SECOND + 3 if receipt else time)))
         for program in (engine, restored):
             if has_receipt_clock:
-                program.clock.move_to(receipt)
+                stream_clock(program).move_to(receipt)
             program.event(name, time)
         if random.random() < 0.3:
             restored = Engine.restore(restored.snapshot())

@@ -29,7 +29,9 @@ class ProgramRunner:
     ) -> None:
         settings = Settings() if folder is None else Settings(folders=[folder])
         self.engine = Engine(clock or StreamClock(FUTURE), settings)
-        self.errors, self.warnings, self.events = [], [], []
+        self.errors: List[Any] = []
+        self.warnings: List[Any] = []
+        self.events: List[Any] = []
         self.engine.rules.on_error = lambda error: self.errors.append(error)
         self.engine.rules.on_warning = lambda error: self.warnings.append(error)
         self.engine.on_event(lambda *event: self.events.append(event))

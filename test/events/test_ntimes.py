@@ -93,7 +93,9 @@ OUTER_PATTERNS = [
 
 def random_stream(generator: Any, has_late_events: Any, has_retractions: Any) -> Any:
     """Return events: some touching or overlapping, some with variables, some late or taken back."""
-    events, retractable, clock_time = [], [], 10
+    events: List[Any] = []
+    retractable: List[Any] = []
+    clock_time = 10
     for _ in range(generator.choice([8, 12, 24])):
         clock_time += generator.choice([0, 0, 1, 1, 1, 2])
         end = (

@@ -2,7 +2,7 @@
 
 import re
 from pathlib import Path
-from typing import Any, Iterator
+from typing import Any, Dict, Iterator
 
 import pytest
 from events.stream_programs import FUTURE, format_events, term_text
@@ -18,7 +18,7 @@ MEMORY_EVENTS = ("memory_created(", "memory_updated(", "memory_deleted(")
 def programs() -> Iterator[Any]:
     for block in FILE.read_text(encoding="utf-8").split("\n## ")[1:]:
         name, *lines = block.strip().split("\n")
-        parts = {"goal": [], "rule": [], "stream": [], "events": [], "output": []}
+        parts: Dict[Any, Any] = {"goal": [], "rule": [], "stream": [], "events": [], "output": []}
         for line in lines:
             part, _, text = line.partition(" ")
             parts[part].append(text.strip())

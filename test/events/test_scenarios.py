@@ -32,7 +32,10 @@ class ScenarioRun:
         now = NOW if "Absolute" in str(data["rules"]) else BASE
         self.clock = StreamClock(now)
         self.engine = Engine(self.clock, Settings(write_folders=(str(folder),)))
-        self.events, self.memory_events, self.outputs, self.errors = [], [], [], []
+        self.events: List[Any] = []
+        self.memory_events: List[Any] = []
+        self.outputs: List[Any] = []
+        self.errors: List[Any] = []
         self.engine.on_event(self._event)
         self.engine.on_output(
             lambda term, topic, name: self.outputs.append(term_text((OUTPUT, term, atom(topic), name)))

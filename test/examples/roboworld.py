@@ -5,7 +5,7 @@ import sys
 from contextlib import contextmanager
 from itertools import count
 from types import ModuleType, SimpleNamespace
-from typing import Any, Dict, Iterator
+from typing import Any, Dict, Iterator, List
 
 SECOND = 10**9
 START = 1_700_000_000 * SECOND
@@ -148,10 +148,10 @@ class RobotWorld:
         self._definitions = definitions
         self._order = count()
         self.now = 0
-        self.messages = []
-        self.published = []
-        self._callbacks = {}
-        self._timers = []
+        self.messages: List[Any] = []
+        self.published: List[Any] = []
+        self._callbacks: Dict[Any, Any] = {}
+        self._timers: List[Any] = []
 
     def run(self, script: Any, messages: Any) -> Any:
         """Run the script of a node over messages: tuples of time, topic, definition and slots by name."""

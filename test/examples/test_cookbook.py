@@ -1,7 +1,6 @@
 """``examples/cookbook``: each recipe has the expected outputs, and so has its rospy node."""
 
 import ast
-import importlib.util
 import logging
 import re
 import sys
@@ -10,6 +9,7 @@ from typing import Any, List, Tuple
 
 import pytest
 from examples.roboworld import SECOND, START, RobotWorld, to_slots
+from script_modules import load_script
 
 from retalis import BagReader, Playback
 from retalis.cli.command_line import main
@@ -33,10 +33,7 @@ COMPILED_ONLY = {"places"}
 @pytest.fixture(scope="module")
 def recipes() -> Any:
     """Return the script that writes the bags; it is not imported by name, which the script of the NAO also has."""
-    spec = importlib.util.spec_from_file_location("cookbook_make_bag", str(FOLDER / "make_bag.py"))
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_script(FOLDER / "make_bag.py", "cookbook_make_bag")
 
 
 @pytest.mark.slow

@@ -3,12 +3,12 @@
 The bags are read with rosbags, and the messages with numpy only.
 """
 
-import importlib.util
 import math
 from pathlib import Path
 from typing import Any, Dict, List, Tuple
 
 import pytest
+from script_modules import load_script
 
 numpy = pytest.importorskip("numpy")
 from rosbags.rosbag1 import Reader  # noqa: E402
@@ -23,10 +23,7 @@ STORE = get_typestore(Stores.ROS1_NOETIC)
 @pytest.fixture(scope="module")
 def recipes() -> Any:
     """Return the script that writes the bags."""
-    spec = importlib.util.spec_from_file_location("cookbook_make_bag", str(FOLDER / "make_bag.py"))
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_script(FOLDER / "make_bag.py", "cookbook_make_bag")
 
 
 @pytest.fixture
@@ -36,7 +33,8 @@ def play(recipes: Any, definitions: Any, tmp_path: Path) -> Any:
     def run(name: Any) -> Tuple[Any, ...]:
         path = tmp_path / f"{name}.bag"
         recipes.make_bag(FOLDER / name, path, definitions)
-        problems, events = [], []
+        problems: List[Any] = []
+        events: List[Any] = []
         playback = Playback(FOLDER / name, problems.append)
         playback.engine.on_event(lambda term, start, end: events.append(values_of(term)))
         with BagReader(path) as bag:

@@ -1,6 +1,5 @@
 """Demonstration of the NAO example: processes, progress, and report."""
 
-import importlib.util
 import io
 import subprocess
 import sys
@@ -9,6 +8,7 @@ from types import SimpleNamespace
 from typing import Any, Iterator, List
 
 import pytest
+from script_modules import load_script
 
 NAO = Path(__file__).resolve().parents[2] / "examples" / "nao"
 
@@ -16,9 +16,7 @@ NAO = Path(__file__).resolve().parents[2] / "examples" / "nao"
 @pytest.fixture(scope="module")
 def demo() -> Iterator[Any]:
     sys.path.append(str(NAO))
-    spec = importlib.util.spec_from_file_location("demo", str(NAO / "demo.py"))
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = load_script(NAO / "demo.py")
     yield module
     sys.path.remove(str(NAO))
 

@@ -1,6 +1,5 @@
 """``examples/fleet``: a restored robot continues, and a killed fleet loses and repeats no output."""
 
-import importlib.util
 import json
 import os
 import re
@@ -16,6 +15,7 @@ from typing import Any, List
 
 import pytest
 from python_path import python_path
+from script_modules import load_script
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "examples" / "fleet"
@@ -48,10 +48,7 @@ runpy.run_module("bytewax.run", run_name="__main__")
 
 
 def load_module(name: str) -> Any:
-    spec = importlib.util.spec_from_file_location(f"fleet_{name}", str(FOLDER / f"{name}.py"))
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_script(FOLDER / f"{name}.py", f"fleet_{name}")
 
 
 robot = load_module("robot")

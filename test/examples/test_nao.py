@@ -8,7 +8,7 @@ from bisect import bisect_left
 from collections import defaultdict
 from math import acos, sin
 from pathlib import Path
-from typing import Any, Dict, List, Set, Tuple
+from typing import Any, DefaultDict, Dict, List, Set, Tuple
 
 import pytest
 
@@ -110,7 +110,7 @@ def test_bag_has_topics_with_rates(bag_and_truth: Tuple[Any, ...], records: Any)
             ("/ar_pose_marker", "ar_pose/ARMarkers"),
             ("/face_recognition/feedback", "face_recognition/FaceRecognitionActionFeedback"),
         }
-    counts = defaultdict(int)
+    counts: DefaultDict[Any, Any] = defaultdict(int)
     for topic, _, _ in records:
         counts[topic] += 1
     assert counts == {

@@ -48,10 +48,11 @@ class Stream:
         self.ended = False
         self.late = self._newest = 0.0
         self.turns = 0
-        self.poses = {}
-        self.times = Counter()
+        self.poses: Dict[Any, Any] = {}
+        self.times: Counter[Any] = Counter()
         self._lock = threading.Lock()
-        self._publishers, self._links = {}, {}
+        self._publishers: Dict[Any, Any] = {}
+        self._links: Dict[Any, Any] = {}
         with BagReader(path) as bag:
             records = list(bag.records())
             self._records = [

@@ -33,7 +33,7 @@ import tempfile
 import threading
 import time
 from pathlib import Path
-from typing import Any, Dict
+from typing import Any, Dict, List
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
@@ -78,7 +78,7 @@ class Processes:
         self._direct = str(direct).lower()
         self._port = port
         self._output = log.open("wb")
-        self.running = {}
+        self.running: Dict[Any, Any] = {}
         for name in ("master", *NODES):
             self.start(name)
 
@@ -137,7 +137,7 @@ class Caller(threading.Thread):
         self._random = random.Random(seed)
         self.paused = self.ended = False
         self.calls = 0
-        self.failures = []
+        self.failures: List[Any] = []
 
     def run(self) -> None:
         while not self.ended:
@@ -190,8 +190,8 @@ class Soak:
         self.stream = Stream(folder / "nao.bag", options.speed, options.images, options.size)
         self.expected = reference(folder / "nao.bag", ROOT / "application_source")
         self.caller = Caller(options.seed)
-        self.restarts = []
-        self.rows = []
+        self.restarts: List[Any] = []
+        self.rows: List[Any] = []
         self.drops = Drops()
         self._random = random.Random(options.seed)
         rospy.Subscriber("/diagnostics", DiagnosticArray, self._add_statuses, queue_size=100)

@@ -1,7 +1,7 @@
 """Bounds of caches, and the list of all caches of the package with their bounds."""
 
 import ast
-from typing import Any, Dict, Iterator, List
+from typing import Any, Dict, Iterator, List, Union
 
 import pytest
 from source import NODES, TREES
@@ -67,9 +67,9 @@ def caches() -> Iterator[Any]:
         values = constants(tree)
         for node in NODES[path]:
             for part in ast.iter_child_nodes(node):
-                created = [call for call in ast.walk(part) if is_cache(call)]
+                created = [call for call in ast.walk(part) if isinstance(call, ast.Call) and is_cache(call)]
                 if created and isinstance(part, (ast.Assign, ast.AnnAssign, ast.Return)):
-                    bounds = OWN_BOUNDS[created[0].func.id] or [
+                    bounds = OWN_BOUNDS[class_of(created[0])] or [
                         bound(call, values) for call in arguments(created[0])
                     ]
                     yield path, name_of(part, node), bounds
@@ -80,7 +80,9 @@ def constants(tree: Any) -> Any:
     values: Dict[Any, Any] = {}
     for node in tree.body:
         if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant):
-            values.update((target.id, node.value.value) for target in node.targets)
+            values.update(
+                (target.id, node.value.value) for target in node.targets if isinstance(target, ast.Name)
+            )
     return values
 
 
@@ -95,8 +97,13 @@ def own_bounds(kind: Any, tree: Any) -> Any:
     return None
 
 
-def is_cache(node: Any) -> Any:
-    return isinstance(node, ast.Call) and getattr(node.func, "id", None) in OWN_BOUNDS
+def class_of(call: ast.Call) -> str:
+    """Return the name of the called class or function; "" if it is not a plain name."""
+    return call.func.id if isinstance(call.func, ast.Name) else ""
+
+
+def is_cache(call: ast.Call) -> bool:
+    return class_of(call) in OWN_BOUNDS
 
 
 def arguments(call: Any) -> List[Any]:
@@ -104,12 +111,15 @@ def arguments(call: Any) -> List[Any]:
     return [*call.args, *(keyword.value for keyword in call.keywords)]
 
 
-def name_of(statement: Any, function: Any) -> Any:
+def name_of(statement: Union[ast.Assign, ast.AnnAssign, ast.Return], function: Any) -> str:
     """Return the name to which a cache is assigned, or of the function that returns it."""
     if isinstance(statement, ast.Return):
         return function.name
     target = statement.target if isinstance(statement, ast.AnnAssign) else statement.targets[0]
-    return target.id if isinstance(target, ast.Name) else f"self.{target.attr}"
+    if isinstance(target, ast.Name):
+        return target.id
+    assert isinstance(target, ast.Attribute)
+    return f"self.{target.attr}"
 
 
 def bound(argument: Any, values: Any) -> Any:
@@ -135,7 +145,7 @@ OWN_BOUNDS = {
 
 
 def test_number_of_entries_is_bounded() -> None:
-    cache = Cache(10, 1 << 20)
+    cache: Cache[int, int] = Cache(10, 1 << 20)
     for number in range(100):
         assert cache.store(number, -number, 8) == -number
         assert cache[number] == -number
@@ -143,7 +153,7 @@ def test_number_of_entries_is_bounded() -> None:
 
 
 def test_bytes_of_entries_are_bounded() -> None:
-    cache = Cache(1000, 100_000, 50_000)
+    cache: Cache[int, str] = Cache(1000, 100_000, 50_000)
     for number in range(1000):
         cache.store(number, "", 9000)
         assert cache.total_bytes <= 100_000
@@ -153,7 +163,7 @@ def test_bytes_of_entries_are_bounded() -> None:
 
 
 def test_too_large_value_is_not_stored() -> None:
-    cache = Cache(10, 10_000, 1000)
+    cache: Cache[str, int] = Cache(10, 10_000, 1000)
     cache.store("small", 1, 10)
     assert cache.store("large", 2, 1000) == 2
     assert list(cache) == ["small"]

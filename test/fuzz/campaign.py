@@ -10,8 +10,9 @@ import tempfile
 import threading
 import time
 from pathlib import Path
-from typing import Any, List
+from typing import Any, Dict, List
 
+from checked_access import given
 from python_path import python_path
 
 from .known_findings import reason
@@ -49,7 +50,7 @@ class Campaign:
     def __init__(self, kind: Any, seed: int = 1) -> None:
         self.kind = kind
         self.seed = seed
-        self.findings = {}
+        self.findings: Dict[Any, Any] = {}
         self.done = self.accepted_count = self.refused_count = self.deaths = self.peak = 0
         self.slowest = 0.0
         self._lock = threading.Lock()
@@ -179,7 +180,7 @@ class _Process:
         """Read its output until it ends; return the number of the input that has killed it, or None."""
         guard = threading.Thread(target=self._stop_hanging_input, daemon=True)
         guard.start()
-        for text in self._process.stdout:
+        for text in given(self._process.stdout):
             line = json.loads(text)
             if "done" in line:
                 self.done = line["done"]

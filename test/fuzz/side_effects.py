@@ -9,7 +9,7 @@ import sysconfig
 import time
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Iterator
+from typing import Any, Iterator, List
 
 MAX_CPU_SECONDS = 1.0
 """Maximum CPU time of an input."""
@@ -100,7 +100,7 @@ class Watch:
         self._before = self._peak = 0
         self._statm = os.open("/proc/self/statm", os.O_RDONLY)
         self.mark = ""
-        self.actions = []
+        self.actions: List[Any] = []
         self.slowest = 0.0
 
     def install(self) -> None:

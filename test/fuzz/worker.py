@@ -62,7 +62,7 @@ class Worker:
         self.rng = random.Random()
         self.block_start = 0
         self.processed_count = 0
-        self.report_counts = {}
+        self.report_counts: Dict[Any, Any] = {}
 
     def warm_up(self) -> None:
         """Process some inputs of the corpus, then start to check side effects."""

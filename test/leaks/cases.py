@@ -6,6 +6,8 @@ A case sets up what its rounds need and returns a function that executes the rou
 import struct
 from typing import Any, Callable, Dict
 
+from checked_access import stream_clock
+
 from retalis import Definitions, Engine, Operators, Reports, RetalisError, Settings, atom, functor
 from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.syntax.event_text import EventReader, event_text, to_text
@@ -132,7 +134,7 @@ def alarms() -> Round:
 
     def do(number: int) -> None:
         one.event(f"start(s_{number})", 10 * number)
-        one.clock.move_to((10 * number + 5) * 10**9)
+        stream_clock(one).move_to((10 * number + 5) * 10**9)
         one.advance()
 
     return do
@@ -157,7 +159,7 @@ def partial_matches() -> Round:
     one = engine("out(X) <- (hot(X) seq cold(X)) within 5.")
 
     def do(number: int) -> None:
-        one.clock.move_to(number * 10**9)
+        stream_clock(one).move_to(number * 10**9)
         one.event(f"hot(h_{number})", number)
 
     return do

@@ -325,7 +325,7 @@ def genpy_references(with_stores: bool = True) -> Iterator[Any]:
 
 
 def _genpy_reference(definition: Any, message_class: Any) -> Reference:
-    def write(message: Any) -> str:
+    def write(message: Any) -> bytes:
         buffer = io.BytesIO()
         message.serialize(buffer)
         return buffer.getvalue()

@@ -1,7 +1,7 @@
 """Stamps and frames in serialized messages."""
 
 import struct
-from typing import Any, List, Tuple
+from typing import Any, Dict, List, Tuple
 
 import pytest
 from hypothesis import given, settings
@@ -117,7 +117,10 @@ class LastSecond:
 def test_observer_reports_each_new_second_once(kind: Any, messages: List[Any]) -> None:
     """The observer reports each new second of a frame and no other stamp."""
     decoder, reader = DEFINITIONS.decoder(DEFINITIONS.find(kind)), make_stamp_reader(DEFINITIONS.find(kind))
-    reports, last_seconds, expected, seconds = [], {}, [], {}
+    reports: List[Any] = []
+    last_seconds: Dict[Any, Any] = {}
+    expected: List[Any] = []
+    seconds: Dict[Any, Any] = {}
 
     def report(stamps: Any) -> None:
         reports.append(stamps)

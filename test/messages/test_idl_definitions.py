@@ -3,6 +3,7 @@
 from typing import Any, List
 
 import pytest
+from checked_access import place_of
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -136,7 +137,7 @@ def test_unsupported_definition_is_reported_with_place(slots: str, before: str, 
     with pytest.raises(MessageError) as error:
         convert(slots, before)
     assert problem in error.value.message
-    assert error.value.place.line == 1
+    assert place_of(error.value).line == 1
 
 
 def test_missing_type_is_reported() -> None:
@@ -147,7 +148,7 @@ def test_missing_type_is_reported() -> None:
 def test_incomplete_text_is_reported_at_its_end() -> None:
     with pytest.raises(MessageError, match="found the end") as error:
         convert_idl("p/X", "module p {\n struct X { long a; }", ["p/X"])
-    assert error.value.place.line == 2
+    assert place_of(error.value).line == 2
 
 
 @pytest.mark.parametrize(

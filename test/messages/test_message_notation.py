@@ -3,6 +3,7 @@
 from typing import Any, List, Tuple
 
 import pytest
+from checked_access import place_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -117,7 +118,7 @@ def test_error_in_named_slots_has_place() -> None:
         with pytest.raises(SyntaxFault) as error:
             read(text)
         assert message in error.value.message, text
-        assert (text, error.value.place.column) == (text, column)
+        assert (text, place_of(error.value).column) == (text, column)
 
 
 def test_other_braces_are_read_as_in_prolog() -> None:
@@ -169,7 +170,7 @@ def test_unknown_type_is_reported_with_similar_name() -> None:
         with pytest.raises(SyntaxFault) as error:
             read(text)
         assert (text, error.value.message) == (text, message)
-        assert (text, error.value.place.column) == (text, column)
+        assert (text, place_of(error.value).column) == (text, column)
 
 
 def test_named_slots_without_types_are_refused() -> None:

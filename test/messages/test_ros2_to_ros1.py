@@ -4,6 +4,7 @@ import struct
 from typing import Any, List, Tuple
 
 import pytest
+from checked_access import place_of
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -116,7 +117,7 @@ def test_constant_out_of_range_is_omitted() -> None:
 def test_error_in_definition_has_line(text: str) -> None:
     with pytest.raises(MessageError) as error:
         read(f"int32 good\n{text}\n")
-    assert error.value.place.line == 2
+    assert place_of(error.value).line == 2
 
 
 def test_undefined_and_recursive_types_are_errors() -> None:
@@ -484,7 +485,7 @@ def test_error_in_idl_names_line_of_whole_text() -> None:
     )
     with pytest.raises(MessageError) as error:
         read(text, "p/srv/Go_Event")
-    assert (error.value.place.line, error.value.place.column) == (7, 30)
+    assert (place_of(error.value).line, place_of(error.value).column) == (7, 30)
 
 
 def test_odd_constant_of_ros2_is_ignored_with_warning(caplog: pytest.LogCaptureFixture) -> None:

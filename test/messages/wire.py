@@ -29,7 +29,7 @@ CODES = {
 NAN = float("nan")
 
 
-def serialize(definition: Any, values: Any) -> str:
+def serialize(definition: Any, values: Any) -> bytes:
     return b"".join(_slot(slot, value) for slot, value in zip(definition.fields, values))
 
 

@@ -20,7 +20,7 @@ import tempfile
 import time
 from collections import Counter
 from pathlib import Path
-from typing import Any, List, Tuple
+from typing import Any, Dict, List, Tuple
 
 import pytest
 from coverage import CoverageData
@@ -54,7 +54,7 @@ def main(argv: Any) -> int:
     """Run a campaign; return the exit status."""
     options = _options(argv)
     sampled = _sample(options)
-    results = Counter()
+    results: Counter[Any] = Counter()
     with tempfile.TemporaryDirectory(prefix="mutation-") as folder, open(options.log, "a") as log:
         copy = _Copy(Path(folder) / "copy", options.tests, options.slow)
         copy.record(sorted({path for _, path, _, _ in sampled}))
@@ -149,7 +149,7 @@ class _Copy:
         self._root = root
         self._paths = paths
         self._slow = slow
-        self._tests = {}
+        self._tests: Dict[Any, Any] = {}
 
     def record(self, paths: List[Any]) -> None:
         """Run the tests and record which of them execute which lines of some modules.
@@ -222,7 +222,7 @@ class _Copy:
     def _tests_of(self, path: Any, line: Any) -> List[Any]:
         """Return the tests that execute a line, those of its package first."""
         lines = self._tests[path]
-        executed = next(
+        executed: List[Any] = next(
             (lines[at] for at in range(line, line - SAME_STATEMENT_LINES, -1) if lines.get(at)), []
         )
         package = Path("test", *Path(path).relative_to("src/retalis").parts[:-1]).as_posix()

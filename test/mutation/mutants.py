@@ -6,7 +6,7 @@ aliases and module constants are left alone: a change there alters nothing, or o
 
 import ast
 import re
-from typing import Any, NamedTuple
+from typing import Any, List, NamedTuple
 
 COMPARISONS = {
     ast.Lt: ("<", "<="),
@@ -71,7 +71,7 @@ def _compiles(source: str) -> bool:
 
 class _Finder(ast.NodeVisitor):
     def __init__(self, source: str) -> None:
-        self.mutants = []
+        self.mutants: List[Any] = []
         self._data = source.encode()
         self._lines = [0]
         for line in self._data.splitlines(keepends=True):

@@ -1,6 +1,6 @@
 """Hosts of programs, and another node, on a network in memory."""
 
-from typing import Any
+from typing import Any, Dict
 
 from node.memory_transport import MemoryTransport
 
@@ -32,7 +32,7 @@ class Robot:
 
     def __init__(self, network: Any) -> None:
         self.transport = MemoryTransport(network, "/robot")
-        self.received = {}
+        self.received: Dict[Any, Any] = {}
 
     def publish(self, topic: Any, is_latched: bool = False) -> Any:
         """Return a publisher of texts."""

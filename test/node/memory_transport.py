@@ -4,7 +4,7 @@ Publishers and subscribers of one `MemoryNetwork` exchange messages at once, in 
 """
 
 from types import SimpleNamespace
-from typing import Any, List
+from typing import Any, Dict, List
 
 from retalis import UsageError
 from retalis.events.knowledge.transform_buffer import TransformBuffer
@@ -25,10 +25,10 @@ class MemoryNetwork:
 
     def __init__(self, now: int = 1_000 * 10**9) -> None:
         self.now = now
-        self.subscriptions = {}
-        self.publications = {}
-        self.services = {}
-        self.timers = []
+        self.subscriptions: Dict[Any, Any] = {}
+        self.publications: Dict[Any, Any] = {}
+        self.services: Dict[Any, Any] = {}
+        self.timers: List[Any] = []
 
     def move_time(self, seconds: Any) -> None:
         """Advance the time and call each due timer at its time."""
@@ -65,7 +65,7 @@ class MemorySubscription:
     def __init__(self, network: Any, node: Any, topic: Any, connect: Any, ignores_own: Any) -> None:
         self.network, self.node, self.topic, self.connect = network, node, topic, connect
         self.ignores_own = ignores_own
-        self.receivers = {}
+        self.receivers: Dict[Any, Any] = {}
 
     def publisher_count(self) -> int:
         return len(self.receivers)
@@ -86,7 +86,7 @@ class MemoryPublication:
 
     def __init__(self, network: Any, topic: Any, source: Any) -> None:
         self.network, self.topic, self.source = network, topic, source
-        self.messages = []
+        self.messages: List[Any] = []
         self.dropped = 0
 
     @property
@@ -145,7 +145,8 @@ class MemoryTransport:
         self.node_name = node_name
         self.is_time_simulated = is_time_simulated
         self.create_transform_buffer = TransformBuffer
-        self.clock_callbacks, self.shutdown_callbacks = [], []
+        self.clock_callbacks: List[Any] = []
+        self.shutdown_callbacks: List[Any] = []
         self.is_ended = False
         self._parameters = parameters or {}
 

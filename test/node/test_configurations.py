@@ -1,9 +1,10 @@
 """Ten bags on a network in memory: the outputs of the node equal those of playback, in the same order."""
 
 from pathlib import Path
-from typing import Any, List, Tuple
+from typing import Any, Dict, List, Tuple
 
 import pytest
+from checked_access import fail
 from node.configuration_bags import BAGS, DEFINITIONS_BY_TOPIC, write_bag
 from node.hosts import start_host
 from node.memory_transport import MemoryNetwork, MemoryTransport
@@ -27,9 +28,9 @@ def record_outputs(engine: Any) -> Any:
 def run_offline(path: Any) -> Tuple[Any, ...]:
     """Return the outputs of playback of a bag, as texts and as messages by topic."""
     with BagReader(path) as bag:
-        playback = Playback(PROGRAM, pytest.fail, bag=bag)
+        playback = Playback(PROGRAM, fail, bag=bag)
         texts = record_outputs(playback.engine)
-        messages = {topic: [] for topic in PUBLISHED}
+        messages: Dict[Any, Any] = {topic: [] for topic in PUBLISHED}
         for output in playback.run(bag):
             if output.topic in messages:
                 messages[output.topic].append(output.data)

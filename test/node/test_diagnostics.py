@@ -34,7 +34,7 @@ class Listener:
     """
 
     def __init__(self, network: Any) -> None:
-        self.messages = []
+        self.messages: List[Any] = []
         self._received = threading.Event()
         transport = MemoryTransport(network, "/listener")
         transport.subscribe(DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, lambda source: self, 10)

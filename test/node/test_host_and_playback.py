@@ -156,7 +156,7 @@ def run_on_bag(program: Any, definitions: Any, folder: Any, rows: Any) -> Tuple[
     with BagReader(path) as bag:
         playback = Playback(program, errors.append, bag=bag)
         events = record_events(playback.engine)
-        outputs = {"/alarm": [], "/gate": []}
+        outputs: Dict[Any, Any] = {"/alarm": [], "/gate": []}
         untyped: List[Any] = []
         for output in playback.run(bag):
             if output.topic == "untyped":

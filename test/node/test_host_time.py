@@ -46,7 +46,8 @@ class SimulatedClock:
     def __init__(self) -> None:
         self._network = MemoryNetwork(now=0)
         self.transport = MemoryTransport(self._network, is_time_simulated=True)
-        self.ends, self._begun = [], threading.Semaphore(0)
+        self.ends: List[Any] = []
+        self._begun = threading.Semaphore(0)
         self.time = SimulatedTime(self.transport, Reports())
         self.time.start([threading.Lock()], self._record)
 

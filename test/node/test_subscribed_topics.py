@@ -282,7 +282,8 @@ def test_unknown_type_is_found_without_processing(topics: Any, network: Any) -> 
 
 
 def test_requests_before_start_are_executed_once() -> None:
-    callbacks, subscribed = [], []
+    callbacks: List[Any] = []
+    subscribed: List[Any] = []
     requests = RequestQueue(callbacks.append)
     requests.put("first")
     requests.start(subscribed.append, lambda request: subscribed.append(request.upper()))

@@ -1,7 +1,7 @@
 """Warnings about topics without publishers after the start, and detection of lost messages."""
 
 from struct import pack
-from typing import Any, Tuple
+from typing import Any, List, Tuple
 
 import pytest
 
@@ -50,7 +50,8 @@ class Connection:
 
     def __init__(self, has_header: bool = True) -> None:
         self.now = 0.0
-        self.counts, self.reports = InputCounts(lambda: 0), []
+        self.counts = InputCounts(lambda: 0)
+        self.reports: List[Any] = []
         self.monitor = LossMonitor(self.counts, has_header, self.reports.append, lambda: self.now)
 
     def read(self, *numbers: Any, waited: float = 0.0, busy: float = 1.0) -> None:

@@ -7,6 +7,8 @@ import sys
 import time
 from typing import Any, Collection, List, Optional, Tuple
 
+from checked_access import stream_clock
+
 from retalis import Engine, Limits, RetalisError, Settings, StreamClock, UsageError
 from retalis.prolog.terms.timestamps import SECOND
 
@@ -70,7 +72,7 @@ def clock_steps(program: ClockProgram, cuts: Collection[int] = ()) -> List[List[
         if position in cuts:
             engine = listen(Engine.restore(engine.snapshot(), clock=StreamClock(), settings=SETTINGS))
         steps.append([])
-        engine.clock.move_to(int(instant * SECOND))
+        stream_clock(engine).move_to(int(instant * SECOND))
         engine.advance()
         if event is not None:
             engine.event(event, instant)

@@ -5,23 +5,26 @@ import threading
 from contextlib import closing
 from io import BytesIO
 from pathlib import Path
-from typing import Any, List, Tuple
+from typing import Any, Dict, Generator, List, Sequence, Tuple
 
 import pytest
 from malicious_bags import record, ros1_bag
 
 from retalis import BagError, BagReader
+from retalis.playback import decompression
 from retalis.playback import rosbag1 as module
 from retalis.playback.decompression import ChunkLimit
 from retalis.playback.rosbag1 import MAX_CHUNKS_AHEAD, MAX_REPEATS, Chunk, read_chunks
 
 LIMIT = ChunkLimit(1)
+ChunkFile = Tuple[BytesIO, Dict[int, Chunk]]
 TEXTS = [bytes([number]) * (number * 1000) for number in range(1, 9)]
 
 
-def make_chunk_file(compression: str, texts: Any = TEXTS) -> Tuple[Any, ...]:
+def make_chunk_file(compression: str, texts: Sequence[bytes] = TEXTS) -> ChunkFile:
     """Return a file of chunks and their positions by number."""
-    data, chunks = b"", {}
+    data = b""
+    chunks: Dict[int, Chunk] = {}
     for number, text in enumerate(texts):
         chunk = bz2.compress(text) if compression == "bz2" else text
         chunks[number] = Chunk(len(data), len(chunk), len(text), compression)
@@ -30,7 +33,7 @@ def make_chunk_file(compression: str, texts: Any = TEXTS) -> Tuple[Any, ...]:
 
 
 @pytest.fixture(params=["none", "bz2"])
-def chunk_file(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Any:
+def chunk_file(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> ChunkFile:
     monkeypatch.setattr("os.cpu_count", lambda: 4)
     return make_chunk_file(request.param)
 
@@ -41,7 +44,7 @@ def decompression_threads() -> List[Any]:
 
 @pytest.mark.parametrize("cores", [1, 2, 8])
 def test_chunks_are_yielded_in_requested_order(
-    chunk_file: Any, cores: int, monkeypatch: pytest.MonkeyPatch
+    chunk_file: ChunkFile, cores: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("os.cpu_count", lambda: cores)
     order = [0, 0, 0, 1, 2, 2, 1, 7, 0, 0, 3]
@@ -50,7 +53,7 @@ def test_chunks_are_yielded_in_requested_order(
     assert decompression_threads() == []
 
 
-def test_broken_chunk_is_an_error_in_its_turn(chunk_file: Any) -> None:
+def test_broken_chunk_is_an_error_in_its_turn(chunk_file: ChunkFile) -> None:
     file, chunks = chunk_file
     good = chunks[2]
     for broken in (
@@ -61,9 +64,10 @@ def test_broken_chunk_is_an_error_in_its_turn(chunk_file: Any) -> None:
         good._replace(compression="xz"),
         None,
     ):
-        chunks[2] = broken
         if broken is None:
             del chunks[2]
+        else:
+            chunks[2] = broken
         texts = read_chunks(file, chunks, [0, 1, 2, 3], LIMIT)
         assert [next(texts), next(texts)] == TEXTS[:2]
         with pytest.raises(ValueError, match="chunk at byte 2"):
@@ -75,7 +79,7 @@ def test_number_of_chunks_ahead_is_limited(monkeypatch: pytest.MonkeyPatch) -> N
     unpacked = threading.Semaphore(0)
     calls: List[Any] = []
 
-    def unpack(*arguments: Any, really: Any = module.unpack) -> Any:
+    def unpack(*arguments: Any, really: Any = decompression.unpack) -> Any:
         calls.append(1)
         unpacked.release()
         return really(*arguments)
@@ -96,7 +100,7 @@ def test_number_of_chunks_ahead_is_limited(monkeypatch: pytest.MonkeyPatch) -> N
 def test_repeated_chunk_is_held_within_limit(cores: int, monkeypatch: pytest.MonkeyPatch) -> None:
     unpacked_sizes: List[Any] = []
 
-    def unpack(compression: Any, data: Any, size: Any, really: Any = module.unpack) -> Any:
+    def unpack(compression: Any, data: Any, size: Any, really: Any = decompression.unpack) -> Any:
         unpacked_sizes.append(size)
         return really(compression, data, size)
 
@@ -171,8 +175,12 @@ def test_messages_of_equal_time_are_in_order_of_their_topics(tmp_path: Path) -> 
 
 def test_passes_over_one_bag_are_independent(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "a.bag", {"/a": [1, 3, 5], "/b": [2, 4, 6]})
-    with BagReader(path) as bag, closing(bag.records(["/a"])) as first, closing(bag.records()) as second:
-        pairs = [(one.time, other.time) for one, other in zip(first, second)]
+    with BagReader(path) as bag:
+        first, second = bag.records(["/a"]), bag.records()
+        assert isinstance(first, Generator)
+        assert isinstance(second, Generator)
+        with closing(first), closing(second):
+            pairs = [(one.time, other.time) for one, other in zip(first, second)]
     assert pairs == [(1, 1), (3, 2), (5, 3)]
 
 

@@ -4,10 +4,11 @@ import json
 import struct
 import tempfile
 from pathlib import Path
-from typing import Any, List, Tuple
+from typing import Any, Dict, List, Tuple
 
 import numpy
 import pytest
+from checked_access import fail
 from malicious_bags import packed_zeros, zstd
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -78,7 +79,7 @@ def test_compressed_ros1_bag_is_read(tmp_path: Path, compression: str) -> None:
     writer = rosbag1.Writer(tmp_path / "a.bag")
     writer.set_compression(rosbag1.Writer.CompressionFormat[compression])
     with writer:
-        options = {"msgdef": STRING.full_text, "md5sum": STRING.md5sum}
+        options: Dict[str, Any] = {"msgdef": STRING.full_text, "md5sum": STRING.md5sum}
         connection = writer.add_connection("/chatter", "std_msgs/msg/String", **options)
         writer.write(connection, SECOND, struct.pack("<I", 2) + b"hi")
     assert compression.lower().encode() in (tmp_path / "a.bag").read_bytes()
@@ -121,7 +122,8 @@ def test_events_of_ros2_bag_are_those_of_ros1(tmp_path: Path, storage: Any) -> N
         '<subscribe_to name="level" msg_type="my_msgs/msg/Level"/></publish_subscribe>'
     )
     (program / "goalPredicates.txt").write_text("")
-    records, problems = [], []
+    records: List[Any] = []
+    problems: List[Any] = []
     playback = Playback(program, problems.append)
     recorder = RunRecorder(playback, records.append)
     with MergedBag([ros2_bag(tmp_path / "two", storage)]) as bags:
@@ -232,7 +234,7 @@ def test_unreadable_topic_of_program_is_reported(
         ("/chatter", "std_msgs/msg/String", "string data\n", HELLO),
     )
     with MergedBag([folder]) as bags:
-        list(Playback(program, pytest.fail).run(bags))
+        list(Playback(program, fail).run(bags))
     expected = (
         f"{folder}: left out: topic /gone (my_msgs/Gone): the type my_msgs/Lost is not defined in the bag or on "
         "this system"

@@ -1,6 +1,7 @@
 """Merge of the messages of several files by time."""
 
-from typing import Any, Iterator, List, Set, Tuple
+from functools import partial
+from typing import Any, Callable, Iterator, List, Set, Tuple
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -8,7 +9,9 @@ from hypothesis import strategies as st
 from retalis.playback.ros2_storage import merge_by_time
 
 
-def make_sources(times_by_source: Any, open_sources: Any = None) -> List[Tuple[Any, ...]]:
+def make_sources(
+    times_by_source: Any, open_sources: Any = None
+) -> List[Tuple[int, Callable[[], Iterator[Tuple[int, int, bytes]]]]]:
     """Return sources of messages for `merge_by_time`, sorted by their first time."""
 
     def read(number: Any, times: Any) -> Iterator[Any]:
@@ -20,15 +23,12 @@ def make_sources(times_by_source: Any, open_sources: Any = None) -> List[Tuple[A
             open_sources.discard(number)
 
     ordered = sorted((sorted(times) for times in times_by_source), key=lambda times: times[:1])
-    return [
-        (times[0] if times else 0, lambda number=number, times=times: read(number, times))
-        for number, times in enumerate(ordered)
-    ]
+    return [(times[0] if times else 0, partial(read, number, times)) for number, times in enumerate(ordered)]
 
 
 @given(st.lists(st.lists(st.integers(0, 12), max_size=6), max_size=6))
 def test_merge_sorts_messages_by_time(times_by_source: List[Any]) -> None:
-    merged = list(merge_by_time(make_sources(times_by_source)))
+    merged: List[Any] = list(merge_by_time(make_sources(times_by_source)))
     sources = [list(read()) for _, read in make_sources(times_by_source)]
     # A stable sort keeps messages with equal times in the order of their sources.
     assert merged == sorted((message for source in sources for message in source), key=lambda item: item[1])

@@ -6,6 +6,8 @@ from types import SimpleNamespace
 from typing import Any, Dict, Iterator, List, Optional, Tuple
 
 import pytest
+from checked_access import fail
+from logging_handlers import RecordingHandler
 from parsing import parse_term
 
 from retalis import (
@@ -75,8 +77,7 @@ def bag(tmp_path: Path, definitions: Any) -> Any:
 
 def run(program: Any, path: Any, **options: Any) -> Any:
     problems: List[Any] = []
-    handler = logging.Handler()
-    handler.emit = lambda record: problems.append(record.getMessage())
+    handler = RecordingHandler(problems)
     logging.getLogger("retalis").addHandler(handler)
     try:
         return play(program, path, problems, **options)
@@ -292,8 +293,9 @@ def test_alarm_fires_at_its_own_time(program: Any, bag: Any) -> None:
 def test_output_precedes_next_message(program: Any, bag: Any) -> None:
     path = bag(*points(1, 2, 3))
     goals = "subscribe(my_msgs__0__Point(X), [X < 3], _, out, 1)"
-    message_counts, outputs = [], []
-    playback = Playback(program("", goals, IN + OUT), report=pytest.fail)
+    message_counts: List[Any] = []
+    outputs: List[Any] = []
+    playback = Playback(program("", goals, IN + OUT), report=fail)
     with BagReader(path) as reader:
         for output in playback.run(reader, message_counts.append):
             outputs.append((output.time // SECOND, playback.clock.now() // SECOND, message_counts[-1]))
@@ -301,9 +303,11 @@ def test_output_precedes_next_message(program: Any, bag: Any) -> None:
     assert message_counts == [1, 2, 3]
 
 
-def test_damage_is_reported_after_earlier_messages(program: Any, bag: Any) -> None:
+def test_damage_is_reported_after_earlier_messages(
+    program: Any, bag: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = bag(*points(1, 2, 3))
-    playback = Playback(program("", "", IN), report=pytest.fail)
+    playback = Playback(program("", "", IN), report=fail)
     starts: List[Any] = []
     playback.engine.on_event(lambda event, start, end: starts.append(start))
     with BagReader(path) as reader:
@@ -313,7 +317,7 @@ def test_damage_is_reported_after_earlier_messages(program: Any, bag: Any) -> No
             yield from list(undamaged_records(topics, **options))[:2]
             raise BagError("the rest cannot be read")
 
-        reader.records = records
+        monkeypatch.setattr(reader, "records", records)
         with pytest.raises(BagError, match="the rest cannot be read"):
             list(playback.run(reader))
     assert starts == [SECOND, 2 * SECOND]
@@ -415,7 +419,8 @@ def test_slots_of_types_in_bag_can_be_named(program: Any, bag: Any) -> None:
     )
     topics = '<subscribe_to name="in" msg_type="my_msgs/Stamped" event="fix"/>'
     folder = program("at(F, X) <- fix{x: X, header: {frame_id: F}}.", "", topics + OUT)
-    problems, outputs = [], []
+    problems: List[Any] = []
+    outputs: List[Any] = []
     with BagReader(path) as reader:
         playback = Playback(folder, problems.append, bag=reader)
         playback.engine.on_event(lambda event, start, end: outputs.append(to_text(event)))
@@ -459,7 +464,8 @@ def test_goals_subscribe_at_start_and_later(program: Any, bag: Any) -> None:
 def test_restored_program_keeps_subscribed_topics(program: Any, bag: Any) -> None:
     path = bag((SECOND, "/a", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
     folder = program("", "subscribe_to('/a', 'my_msgs/Point', at_a)")
-    problems, events = [], []
+    problems: List[Any] = []
+    events: List[Any] = []
     with BagReader(path) as reader:
         state = Playback(folder, problems.append, bag=reader).engine.snapshot()
         playback = Playback(folder, problems.append, bag=reader, state=state)
@@ -522,8 +528,10 @@ class PendingQueries:
 
 
 def test_number_of_recorded_queries_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    engine, records, pending_queries = Engine(), [], PendingQueries()
-    playback = SimpleNamespace(engine=engine, clock=SimpleNamespace(now=lambda: 5))
+    engine = Engine()
+    records: List[Any] = []
+    pending_queries = PendingQueries()
+    playback: Any = SimpleNamespace(engine=engine, clock=SimpleNamespace(now=lambda: 5))
     recorder = RunRecorder(playback, records.append)
     monkeypatch.setattr(engine.knowledge, "pending_queries", pending_queries)
     recorder.update_waits()

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Iterator, List
 
 import pytest
+from checked_access import fail
 from python_path import python_path
 from source import ROOT
 from worker_tasks import run_task, run_task_in_folder
@@ -23,11 +24,14 @@ pytestmark = pytest.mark.slow
 
 
 def test_tasks_are_divided_among_processes(tmp_path: Path) -> None:
-    results = dict(run_in_processes(run_task, ["pid"] * 6, 2, str(tmp_path), pytest.fail))
+    results = dict(
+        run_in_processes(run_task, ["pid"] * 6, 2, str(tmp_path), lambda number, reason: fail(reason))
+    )
     assert sorted(results) == list(range(6))
     assert os.getpid() not in results.values()
     assert len(set(results.values())) <= 2
     for process in set(results.values()):
+        assert isinstance(process, int)
         with pytest.raises(ProcessLookupError):
             os.kill(process, 0)
 

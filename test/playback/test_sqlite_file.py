@@ -9,7 +9,7 @@ import struct
 import sys
 from contextlib import closing
 from pathlib import Path
-from typing import Any, Dict, List, Tuple
+from typing import Any, Dict, Generator, List, Tuple
 
 import pytest
 
@@ -118,6 +118,7 @@ def test_reading_can_end_after_file_is_closed(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr(sys, "unraisablehook", unraisable.append)
     file = SqliteFile(sqlite_bag(tmp_path / "a.db3", messages=[(1, HELLO), (2, HELLO)]), ChunkLimit(1))
     messages = file.read([1], None, None)
+    assert isinstance(messages, Generator)
     next(messages)
     file.close()
     messages.close()

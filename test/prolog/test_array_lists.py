@@ -1,7 +1,7 @@
 """Array terms and the lists that they stand for: goals have the same answers for both."""
 
 import math
-from typing import Any, Tuple
+from typing import Any, List, Tuple
 
 import numpy as np
 import pytest
@@ -230,7 +230,8 @@ def answers_of(text: Any, values: Any) -> Tuple[Any, ...]:
     for name, value in values.items():
         if name in names:
             names.pop(name).ref = value
-    solutions, output = [], []
+    solutions: List[Any] = []
+    output: List[Any] = []
     logic.output = output.append
     goals = logic.solutions(read.term)
     try:

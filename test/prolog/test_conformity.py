@@ -1,15 +1,13 @@
 """Conformity to the ISO standard, except for the documented differences."""
 
-import importlib.util
 import re
 from pathlib import Path
 from typing import Any, Dict
 
 import pytest
+from script_modules import load_script
 
-_spec = importlib.util.spec_from_file_location("conformity", str(Path(__file__).with_name("conformity.py")))
-conformity = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(conformity)
+conformity = load_script(Path(__file__).with_name("conformity.py"))
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "explanation" / "compatibility.md"
 FILES = ("goals.txt", "syntax.txt")

@@ -1,18 +1,16 @@
 """Recorded answers of SWI-Prolog 9.0.4 to goals over the built-ins; ``differential.py`` asks it for more."""
 
-import importlib.util
 from pathlib import Path
 from typing import Any, Dict
 
 import pytest
+from script_modules import load_script
 
 FOLDER = Path(__file__).parent
 DIFFERING_GOALS = FOLDER / "goals_differing.txt"
 """Goals with other answers, each after the reason."""
 
-_spec = importlib.util.spec_from_file_location("differential", str(FOLDER / "differential.py"))
-differential = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(differential)
+differential = load_script(FOLDER / "differential.py")
 
 
 def differing() -> Dict[Any, Any]:

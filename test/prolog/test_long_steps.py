@@ -226,7 +226,9 @@ def test_limit_stops_loop_between_iterations(logic: Any) -> None:
 )
 def test_conversion_is_checked_while_it_runs(work: Any) -> None:
     """The number of items converted between two checks is bounded."""
-    converted, largest, checks = [], [0], [0]
+    converted: List[Any] = []
+    largest = [0]
+    checks = [0]
 
     def check(pieces: Any, size: Any) -> None:
         largest[0] = max(largest[0], len(converted))

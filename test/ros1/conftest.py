@@ -46,7 +46,7 @@ class Space:
                 del self.env[name]
         self.script = script
         self.logs = logs
-        self.started = []
+        self.started: List[Any] = []
 
     def command(self, *words: Any) -> List[Any]:
         """Return the command for a shell that sources setup.bash."""

@@ -5,7 +5,7 @@ import subprocess
 import threading
 import time
 from http.client import HTTPException
-from typing import Any, List
+from typing import Any, Dict, List
 from xmlrpc.client import Error, ServerProxy
 
 import roslib.packages
@@ -44,7 +44,7 @@ class Collector:
 
     def __init__(self, topic: Any, message_class: Any) -> None:
         self.topic = topic
-        self.messages = []
+        self.messages: List[Any] = []
         self._changed = threading.Condition()
         self._subscriber = rospy.Subscriber(topic, message_class, self._store, queue_size=10_000)
 
@@ -132,7 +132,7 @@ class NodeProcesses:
 
     def __init__(self, program: Any, *arguments: Any) -> None:
         self._arguments = [f"_program:={program}", *arguments]
-        self._running = {}
+        self._running: Dict[Any, Any] = {}
 
     def start(self, name: Any, *arguments: Any) -> None:
         """Start a node, with further arguments of its own."""

@@ -9,7 +9,7 @@ import time
 import unittest
 from itertools import permutations
 from pathlib import Path
-from typing import Any, List, Tuple
+from typing import Any, Dict, List, Tuple
 
 import rosgraph
 import roslib.packages
@@ -68,7 +68,7 @@ class Nodes(unittest.TestCase):
     all_orders = False
 
     def setUp(self) -> None:
-        self.running = {}
+        self.running: Dict[Any, Any] = {}
         self.options = ["_direct:=false"]
         self.events = rospy.Publisher("retalisInputEvents", String, queue_size=100)
         self.news = rospy.Publisher("news", Int32, queue_size=100)

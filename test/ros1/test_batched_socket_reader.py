@@ -90,7 +90,8 @@ def test_messages_are_read_at_any_cut(
     messages = [b"first", b"", b"second", b"x" * 300]
     stream = b"".join(map(frame, messages))
     assert stream.startswith(read)
-    link, batches = new_link(receiver, read), []
+    link = new_link(receiver, read)
+    batches: List[Any] = []
     send_in_pieces(sender, stream[len(read) :], 7)
     with pytest.raises(TransportTerminated):
         new_reader(link, batches)()

@@ -292,7 +292,7 @@ def test_slow_connection_that_ends_is_closed(make_writer: Any, link: Any) -> Non
 def test_other_connection_class_writes_its_messages(make_writer: Any, link: Any) -> None:
     class OtherConnection:
         def __init__(self) -> None:
-            self.sent = []
+            self.sent: List[Any] = []
             self.closed = False
 
         def write_data(self, data: Any) -> None:
@@ -414,7 +414,9 @@ def test_outputs_are_sent_to_interface_in_order(
 
 
 def test_only_published_outputs_wait_for_interface(monkeypatch: pytest.MonkeyPatch) -> None:
-    connections, written, listeners = [], [], []
+    connections: List[Any] = []
+    written: List[Any] = []
+    listeners: List[Any] = []
 
     def publisher(topic: Any, message_class: Any, listener: Any, latch: Any, queue_size: Any) -> Any:
         listeners.append(listener)

@@ -23,8 +23,8 @@ class RecordingWriter:
     def __init__(self) -> None:
         self.publisher = SimpleNamespace(name="/topic")
         self.counts = SimpleNamespace(dropped=0)
-        self.connected = []
-        self.written = []
+        self.connected: List[Any] = []
+        self.written: List[Any] = []
 
     def connections(self) -> List[Any]:
         return [SimpleNamespace(_connection=SimpleNamespace(endpoint_id=name)) for name in self.connected]

@@ -2,7 +2,7 @@
 
 import socket
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, List
 
 import pytest
 
@@ -17,7 +17,7 @@ class Link:
     """A connection."""
 
     def __init__(self) -> None:
-        self.received = []
+        self.received: List[Any] = []
         self.done = False
 
 
@@ -25,7 +25,7 @@ class TopicWriter:
     """Records the frames that are written to each connection."""
 
     def __init__(self) -> None:
-        self._open = []
+        self._open: List[Any] = []
         self.counts = SimpleNamespace(sent=0, dropped=0)
 
     def connections(self) -> Any:

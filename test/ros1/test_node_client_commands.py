@@ -8,6 +8,7 @@ from typing import Any, List
 from xmlrpc.client import ServerProxy
 
 import pytest
+from checked_access import given
 
 LIVE = ("rosrun", "retalis", "retalis")
 
@@ -164,14 +165,14 @@ def test_status_and_watch_survive_new_master(node: Any) -> None:
     status = subprocess.Popen(node.command(*LIVE, "status", "--json", "--every", "0.1"), **words)
     watch = subprocess.Popen(node.command(*LIVE, "watch", "--inputs", "--count", "1"), **words)
     try:
-        status.stdout.readline()
+        given(status.stdout).readline()
         node.expect(lambda nodes, services: any(name.startswith("/retalis_watch") for name in nodes))
         master = node.started[0]
         master.send_signal(signal.SIGINT)
         master.wait(timeout=60)
-        assert "unable to contact master" in status.stderr.readline()
+        assert "unable to contact master" in given(status.stderr).readline()
         node.start_master()
-        status.stdout.readline()
+        given(status.stdout).readline()
         node.expect(lambda nodes, services: any(name.startswith("/retalis_watch") for name in nodes))
         node.start("rostopic", "pub", "-r", "5", "/retalisInputEvents", "std_msgs/String", "event(fever_(1))")
         assert watch.communicate(timeout=60)[0] == "input: event(fever_(1))\n"

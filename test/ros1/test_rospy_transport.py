@@ -51,7 +51,9 @@ def test_running_clock_is_not_warned_of(warnings: Any, monkeypatch: pytest.Monke
 
 class RecordingReceiver:
     def __init__(self, source: Any) -> None:
-        self.source, self.messages, self.ends = source, [], []
+        self.source = source
+        self.messages: List[Any] = []
+        self.ends: List[Any] = []
 
     def receive(self, messages: Any) -> None:
         self.messages += messages

@@ -1,14 +1,15 @@
 """Encoding of data and terms as bytes."""
 
 import tracemalloc
-from typing import Any, List
+from functools import partial
+from typing import Any, List, Sequence
 
 import msgpack
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retalis import String, UsageError, Var, atom, functor, make_list
+from retalis import String, Term, UsageError, Var, atom, functor, make_list
 from retalis.prolog.terms.term_traversal import term_key
 from retalis.prolog.terms.timestamps import FloatSeconds, Stamp
 from retalis.prolog.terms.types import Lazy
@@ -29,9 +30,14 @@ TERMS = st.recursive(
 F2 = functor("f", 2)
 
 
+def decoded(data: object) -> Any:
+    """Return data as they are after encoding and decoding."""
+    return from_bytes(to_bytes(data))
+
+
 @given(TERMS)
 def test_terms_are_decoded(term: Any) -> None:
-    assert term_key(from_bytes(to_bytes(term))) == term_key(term)
+    assert term_key(decoded(term)) == term_key(term)
 
 
 @given(
@@ -45,13 +51,13 @@ def test_tuples_and_mappings_are_decoded_as_lists(data: List[Any]) -> None:
 
 @given(TERMS)
 def test_keys_of_terms_are_decoded(term: Any) -> None:
-    assert KEY.check(from_bytes(to_bytes([term_key(term)]))[0]) == term_key(term)
+    assert KEY.check(decoded([term_key(term)])[0]) == term_key(term)
 
 
 def test_shared_variable_is_decoded_once() -> None:
     var, bound = Var(), Var()
     bound.ref = atom("x")
-    first, second, third = from_bytes(to_bytes([var, (functor("f", 1), var), bound]))
+    first, second, third = decoded([var, (functor("f", 1), var), bound])
     assert first is second[1]
     assert third is atom("x")
 
@@ -70,7 +76,7 @@ def test_lazy_term_is_encoded_as_its_value() -> None:
 
 
 def test_instants_keep_their_types() -> None:
-    whole, stamp, plain = from_bytes(to_bytes([FloatSeconds(5), Stamp.of(7, F2(1, 2)), 9]))
+    whole, stamp, plain = decoded([FloatSeconds(5), Stamp.of(7, F2(1, 2)), 9])
     assert (whole, stamp, plain) == (5, 7, 9)
     assert [instant.__class__ for instant in (whole, stamp, plain)] == [FloatSeconds, Stamp, int]
     assert stamp.term == F2(1, 2)
@@ -83,18 +89,18 @@ def test_deep_terms_are_decoded(is_left_nested: bool) -> None:
     if is_left_nested:
         for number in range(5_000):
             term = functor("s", 2)(term, number)
-    decoded = from_bytes(to_bytes([["x", [term, (term, 1)]]]))[0][1][0]
-    assert term_key(decoded) == term_key(term)
+    (pair,) = decoded([["x", [term, (term, 1)]]])
+    assert term_key(pair[1][0]) == term_key(term)
 
 
 def test_shared_subterm_is_encoded_once() -> None:
-    term = atom("x")
+    term: Term = atom("x")
     for _ in range(3000):
         term = F2(term, term)
     data = to_bytes(term)
     assert len(data) < 200_000
-    decoded = from_bytes(data)
-    assert decoded[1] is decoded[2]
+    shared: Any = from_bytes(data)
+    assert shared[1] is shared[2]
 
 
 def test_cyclic_term_is_refused() -> None:
@@ -111,15 +117,19 @@ def test_object_of_other_type_is_an_error() -> None:
         to_bytes([print])
 
 
-def pack_parts(data: Any, atoms: Any = (), names: Any = (), arities: Any = (), nodes: Any = ()) -> str:
+def pack_parts(
+    data: object,
+    atoms: Sequence[object] = (),
+    names: Sequence[object] = (),
+    arities: Sequence[object] = (),
+    nodes: Sequence[object] = (),
+) -> bytes:
     """Return bytes in the format of `to_bytes` with arbitrary parts."""
     parts = ((list(atoms), list(names), list(arities), len(nodes)), *nodes, data)
     return b"".join(msgpack.packb(part, use_bin_type=True) for part in parts)
 
 
-ATOM, FUNCTOR, _, _, _, NODE, _, KIND, _, STAMP = (
-    lambda data, code=code: msgpack.ExtType(code, data) for code in range(10)
-)
+ATOM, FUNCTOR, _, _, _, NODE, _, KIND, _, STAMP = (partial(msgpack.ExtType, code) for code in range(10))
 
 
 @pytest.mark.parametrize(
@@ -155,8 +165,8 @@ def test_malformed_bytes_are_refused(data: Any) -> None:
     "arguments", [[1], [1, 2, 3], [1, None], [1, [2]], [1, "x"], [1, FUNCTOR(b"\0")], [1, b"x"], [1, True]]
 )
 def test_invalid_arguments_are_not_decoded_as_term(arguments: Any) -> None:
-    decoded = from_bytes(pack_parts([FUNCTOR(b"\0"), *arguments], names=["f"], arities=[2]))
-    assert decoded.__class__ in (list, FlatKey)
+    value = from_bytes(pack_parts([FUNCTOR(b"\0"), *arguments], names=["f"], arities=[2]))
+    assert value.__class__ in (list, FlatKey)
 
 
 @pytest.mark.parametrize("depth", [1, 400])

@@ -156,8 +156,8 @@ def test_nao_topic_has_path_to_output() -> None:
     graph = program_graph(engine, [GraphTopic("/tf", "tf__0__tfMessage")])
     assert graph.omitted_count == 0
     edges_by_ends = {(edge.source, edge.target): edge for edge in graph.edges}
-    path = ("topic:/tf", "event:tf__0__tfMessage/1", "rule:0", "event:tf/4", "memory:odom_base", "query:2")
-    path += ("event:geometry_msgs__0__PoseStamped/2", "output:marker1")
+    path = ["topic:/tf", "event:tf__0__tfMessage/1", "rule:0", "event:tf/4", "memory:odom_base", "query:2"]
+    path += ["event:geometry_msgs__0__PoseStamped/2", "output:marker1"]
     for source, target in zip(path, path[1:]):
         assert (source, target) in edges_by_ends
     assert edges_by_ends["event:tf/4", "memory:odom_base"] == GraphEdge(

@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 from xml.sax.saxutils import escape
 
 import pytest
+from checked_access import search
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -42,7 +43,7 @@ def test_text_has_nodes_edges_and_legend() -> None:
 def test_colours_equal_those_of_page() -> None:
     page = (ROOT / "src/retalis/dashboard/page/dashboard.css").read_text(encoding="utf-8")
     for style_name, style in NODE_STYLES.items():
-        assert re.search(rf"--{style_name}: (#\w+)", page).group(1) == style.colour
+        assert search(rf"--{style_name}: (#\w+)", page).group(1) == style.colour
 
 
 def test_kinds_have_distinct_colours() -> None:
@@ -85,7 +86,7 @@ def test_picture_has_limited_aspect_ratio(folder: str, tmp_path: Path) -> None:
     engine.load_program(ROOT / folder)
     draw_graph(dot_text(program_graph(engine), folder), tmp_path / "program.svg")
     svg = ElementTree.parse(tmp_path / "program.svg").getroot()
-    width, height = (float(svg.get(name)[:-2]) for name in ("width", "height"))
+    width, height = (float(svg.attrib[name][:-2]) for name in ("width", "height"))
     assert 1 / 3 <= width / height <= 3
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, List
 
 import pytest
+from checked_access import search
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -127,7 +128,7 @@ def test_marks_overlap_only_if_all_rows_are_used(marks: Any) -> None:
 def test_texts_of_run_are_not_markup() -> None:
     run = read_records([{"event": "</script><b>(1)", "start": 0, "end": SECOND}, *RUN])
     text = timeline_page(run, "<i>title</i>")
-    data = json.loads(re.search(r'type="application/json">(.*?)</script>', text, re.DOTALL).group(1))
+    data = json.loads(search(r'type="application/json">(.*?)</script>', text, re.DOTALL).group(1))
     assert data["title"] == "<i>title</i>"
     assert data["lanes"][0]["marks"] == [[0.0, 1.0, "</script><b>(1)", 0]]
     assert "not all marks" not in data["about"]

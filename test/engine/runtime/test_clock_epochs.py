@@ -3,7 +3,7 @@
 import struct
 import threading
 from random import Random
-from typing import Any, List
+from typing import Any, Dict, List
 
 import pytest
 from hypothesis import given, settings
@@ -37,13 +37,13 @@ class SimulatedNode:
             lambda: round(self.wall * SECOND),
             buffers_early_messages=self.epochs.buffers_early_messages,
         )
-        self.taken = []
+        self.taken: List[Any] = []
         self.epochs.register_callbacks(
             [threading.Lock()], self.skew.begin_epoch, lambda end: self.taken.append("run")
         )
-        self.takers = {}
+        self.takers: Dict[Any, Any] = {}
 
-    def clock(self, seconds: int) -> None:
+    def clock(self, seconds: float) -> None:
         self.epochs.update_clock(round(seconds * SECOND))
         self.epochs.update()
 
@@ -398,7 +398,8 @@ def play_bag_in_loop(node: SimulatedNode, draw: Any, loops: Any, is_late: Any, h
 
 
 def test_failed_callback_of_run_is_reported() -> None:
-    node, ends = SimulatedNode(), []
+    node = SimulatedNode()
+    ends: List[Any] = []
 
     def fail(end: Any) -> None:
         raise ValueError("not now")

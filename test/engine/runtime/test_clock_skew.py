@@ -2,11 +2,12 @@
 
 import logging
 import struct
-from typing import Any, List
+from typing import Any, Dict, List
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from logging_handlers import RecordingHandler
 
 from retalis import Definitions, Reports
 from retalis.engine.runtime import clock_skew
@@ -32,14 +33,14 @@ class Bench:
         self.skew = ClockSkewMonitor(self.reports, lambda: self.now, lambda: self.wall, **options)
         known = Definitions()
         self.decoder = known.decoder(known.add("my_robot/Seen", "Header header" + HEADER))
-        self.watching = {}
+        self.watching: Dict[Any, Any] = {}
 
     def pass_time(self, wall: Any, now: Any = None) -> None:
         """Advance the clocks by seconds."""
         self.wall += round(wall * SECOND)
         self.now += round((wall if now is None else now) * SECOND)
 
-    def send(self, stamp: int, frame: str = "map", topic: str = "/seen", publisher: str = "/robot") -> bool:
+    def send(self, stamp: float, frame: str = "map", topic: str = "/seen", publisher: str = "/robot") -> bool:
         """Return whether a message is accepted."""
         nanoseconds = round(stamp * SECOND)
         data = struct.pack("<IIII", 0, *divmod(nanoseconds, SECOND), len(frame)) + frame.encode()
@@ -219,9 +220,8 @@ def test_repeated_bag_gives_one_warning_per_topic(bench: Bench, caplog: pytest.L
 
 def test_number_of_warnings_is_bounded(bench: Bench) -> None:
     logger = logging.getLogger("retalis")
-    records: List[Any] = []
-    handler = logging.Handler()
-    handler.emit = lambda record: records.append(record)
+    records: List[str] = []
+    handler = RecordingHandler(records)
     logger.addHandler(handler)
     for number in range(1000):
         bench.send(ROBOT, frame=str(number))

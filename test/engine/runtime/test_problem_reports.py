@@ -37,7 +37,7 @@ def test_internal_error_is_logged_with_traceback(logged: Any) -> None:
     reports = Reports()
     for _ in range(10):
         try:
-            {}["key"]
+            raise KeyError("key")
         except KeyError as error:
             reports.error(error)
     assert len(logged.records) == 4

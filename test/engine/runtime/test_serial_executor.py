@@ -2,9 +2,10 @@ import threading
 import time
 from contextlib import nullcontext
 from types import SimpleNamespace
-from typing import Any, Iterator, List, Tuple
+from typing import Any, Callable, Iterator, List, Tuple
 
 import pytest
+from checked_access import fail
 
 from retalis import UsageError
 from retalis.engine.runtime import serial_executor
@@ -19,7 +20,8 @@ from retalis.foundation.interrupts import Interrupt, postpone
 
 
 def make(size: int = 100, **options: Any) -> Tuple[Any, ...]:
-    drops, errors = [], []
+    drops: List[Any] = []
+    errors: List[Any] = []
     return SerialExecutor(size, drops.append, errors.append, **options), drops, errors
 
 
@@ -116,7 +118,8 @@ def test_post_each_queues_while_another_thread_works(busy: Any) -> None:
 
 def test_post_each_executes_directly_when_idle(busy: Any) -> None:
     executor, _, _ = make()
-    done, seen = [], []
+    done: List[Any] = []
+    seen: List[Any] = []
     end = busy(executor)
 
     def entries() -> Iterator[Any]:
@@ -214,7 +217,7 @@ def test_call_returns_result_or_raises() -> None:
     executor, _, errors = make()
     assert executor.call(lambda: 7) == 7
     with pytest.raises(KeyError):
-        executor.call(lambda: {}["x"])
+        executor.call(lambda: {"y": 1}["x"])
     assert errors == []
 
 
@@ -406,11 +409,12 @@ def test_exception_within_work_makes_executor_unusable(exception: Any) -> None:
     executor, _, errors = make()
     with pytest.raises(exception):
         executor.call(end_with(exception()))
-    for use in (
+    uses: List[Callable[[], object]] = [
         lambda: executor.call(lambda: 1),
         lambda: executor.post(errors.append, 1),
         lambda: executor.post_each(lambda first, second: errors.append(first), [(1, 2)]),
-    ):
+    ]
+    for use in uses:
         with pytest.raises(UsageError, match="continue with a new engine"):
             use()
     assert errors == []
@@ -452,7 +456,7 @@ def test_exception_while_error_is_handled_makes_executor_unusable() -> None:
         def restore(self, state: Any) -> None:
             raise KeyboardInterrupt
 
-    executor = SerialExecutor(10, str, str)
+    executor = SerialExecutor(10, fail, lambda error: None)
     executor.add_recovery(Interrupted())
     with pytest.raises(KeyboardInterrupt):
         executor.call(end_with(ValueError()))
@@ -484,8 +488,13 @@ def test_timed_out_call_is_not_executed_later() -> None:
 
 
 def test_queued_call_is_executed_once_and_keeps_result() -> None:
-    done: List[Any] = []
-    call = QueuedCall(lambda: done.append(1) or 7)
+    done: List[int] = []
+
+    def work() -> int:
+        done.append(1)
+        return 7
+
+    call = QueuedCall(work)
     assert not call.is_running
     call()
     call()
@@ -505,7 +514,7 @@ def test_exception_of_queued_call_is_raised_by_result(exception: Any, expected: 
 
 
 def test_cancelled_call_is_not_executed() -> None:
-    done: List[Any] = []
+    done: List[int] = []
     call = QueuedCall(lambda: done.append(1))
     assert call.claim()
     call()

@@ -6,24 +6,38 @@ from pathlib import Path
 from typing import Any, List, Optional, Tuple
 
 import pytest
+from checked_access import fail
 
 from retalis import Engine, Limits, Settings, atom, functor
 from retalis.engine.runtime import watchdog as _watchdog
+from retalis.engine.runtime.serial_executor import SerialExecutor
 from retalis.engine.runtime.watchdog import RunningWork, Watchdog, describe_work
 from retalis.prolog.machine.resource_limits import Budget, LimitError
 
 
-class Executor:
-    """The state of an executor that a watchdog reads."""
+class Executor(SerialExecutor):
+    """An executor whose entries a test begins and ends, and which runs no work."""
 
     def __init__(self) -> None:
-        self.thread = self.entry = None
+        super().__init__(10, fail, fail)
 
     def begin(self, *entry: Any) -> None:
-        self.thread, self.entry = threading.get_ident(), entry
+        self._working_thread, self.entry = threading.get_ident(), entry
+
+    def end(self) -> None:
+        self._working_thread = None
 
     def call_next(self, work: Any) -> None:
         pass
+
+
+class RecordingWatchdog(Watchdog):
+    """A watchdog that warns after 1 s and ends entries after 10 s, with its warnings."""
+
+    def __init__(self, executor: Executor) -> None:
+        self.budget = Budget(Limits(seconds=10.0), executor)
+        self.warned: List[Any] = []
+        super().__init__(executor, self.budget, 1.0, lambda *warning: self.warned.append(warning))
 
 
 @pytest.fixture
@@ -32,34 +46,29 @@ def executor() -> Executor:
 
 
 @pytest.fixture
-def watched(executor: Executor) -> Any:
-    """A watchdog that warns after 1 s and ends entries after 10 s, with its warnings."""
-    budget = Budget(Limits(seconds=10.0), executor)
-    warned: List[Any] = []
-    dog = Watchdog(executor, budget, 1.0, lambda seconds, entry: warned.append((seconds, entry)))
-    dog.warned, dog.budget = warned, budget
-    return dog
+def watched(executor: Executor) -> RecordingWatchdog:
+    return RecordingWatchdog(executor)
 
 
-def test_warnings_of_long_entry_double_in_interval(executor: Executor, watched: Any) -> None:
+def test_warnings_of_long_entry_double_in_interval(executor: Executor, watched: RecordingWatchdog) -> None:
     executor.begin("a")
     for instant in (0.0, 0.5, 1.1, 1.3, 1.9, 2.2, 3.0, 4.5, 5.0):
         watched.sample(instant)
     assert watched.warned == [(1.1, ("a",)), (2.2, ("a",)), (4.5, ("a",))]
 
 
-def test_equal_entries_are_timed_separately(executor: Executor, watched: Any) -> None:
+def test_equal_entries_are_timed_separately(executor: Executor, watched: RecordingWatchdog) -> None:
     for instant in range(20):
         executor.begin("a")
         watched.sample(float(instant))
         if instant % 3 == 0:
-            executor.thread = None
+            executor.end()
             watched.sample(instant + 0.5)
     assert watched.warned == []
     assert not watched.budget.needs_check
 
 
-def test_entry_over_time_limit_may_clean_up(executor: Executor, watched: Any) -> None:
+def test_entry_over_time_limit_may_clean_up(executor: Executor, watched: RecordingWatchdog) -> None:
     executor.begin("a")
     watched.sample(0.0)
     watched.sample(9.9)
@@ -76,7 +85,7 @@ def test_entry_over_time_limit_may_clean_up(executor: Executor, watched: Any) ->
     assert caught.value.is_final
 
 
-def test_late_time_limit_does_not_affect_next_entry(executor: Executor, watched: Any) -> None:
+def test_late_time_limit_does_not_affect_next_entry(executor: Executor, watched: RecordingWatchdog) -> None:
     executor.begin("a")
     watched.sample(0.0)
     watched.sample(10.1)
@@ -85,7 +94,7 @@ def test_late_time_limit_does_not_affect_next_entry(executor: Executor, watched:
     assert not watched.budget.needs_check
 
 
-def test_running_entry_is_found_between_samples(executor: Executor, watched: Any) -> None:
+def test_running_entry_is_found_between_samples(executor: Executor, watched: RecordingWatchdog) -> None:
     assert watched.find_running_entry(0.0) is None
     for first, name in ((1.0, "a"), (10.0, "b")):
         executor.begin(name)
@@ -96,7 +105,7 @@ def test_running_entry_is_found_between_samples(executor: Executor, watched: Any
         assert watched.find_running_entry(first + 3.0) == ((name,), 3.0)
         assert watched.warned == [(1.0, (name,)), (2.0, (name,))]
         watched.warned.clear()
-    executor.thread = None
+    executor.end()
     assert watched.find_running_entry(14.0) is None
 
 
@@ -139,7 +148,7 @@ def test_description_names_functor_of_entry(entry: Optional[Tuple[Any, ...]], na
 
 def test_watchdog_without_limits_ignores_long_entries(executor: Executor) -> None:
     budget = Budget(executor=executor)
-    dog = Watchdog(executor, budget, None, lambda seconds, entry: pytest.fail("warned"))
+    dog = Watchdog(executor, budget, None, lambda seconds, entry: fail("warned"))
     executor.begin("a")
     for instant in (0.0, 1e3, 1e6):
         dog.sample(instant)

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, List
 
 import pytest
+from checked_access import stream_clock
 from doc_pages import ROOT
 
 from retalis import Engine
@@ -324,7 +325,7 @@ def _check_events(definitions: Any, rules: Any, arrivals: Any) -> Any:
     outputs: List[Any] = []
     engine.on_event(lambda term, start, end: outputs.append(term))
     for term, start, end in arrivals:
-        engine.clock.move_to(from_seconds(float(end)))
+        stream_clock(engine).move_to(from_seconds(float(end)))
         engine.event(term, *(float(stamp) if "." in stamp else int(stamp) for stamp in (start, end)))
     checked = 0
     for event in outputs:

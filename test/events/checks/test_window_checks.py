@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any, List
 
 import pytest
+from checked_access import place_of
 
 from retalis import Definitions, Engine
 from retalis.engine.program_check import check_program
@@ -71,7 +72,10 @@ def test_comment_suppresses_finding_of_window(tmp_path: Path) -> None:
     path.write_text(f"long(X) <- a(X) seq b(X).\n{rule}\n")
     (finding,) = check_program(path, Definitions())
     assert (finding.severity, finding.problem.code) == ("info", "RT1211")
-    assert (finding.problem.place.line, finding.problem.place.column) == (2, rule.index("last(2)") + 1)
+    assert (place_of(finding.problem).line, place_of(finding.problem).column) == (
+        2,
+        rule.index("last(2)") + 1,
+    )
     assert "the rule null do new_event(long_end(X), [E, E]) <- long(X) check t2(E)" in finding.problem.message
     path.write_text(f"long(X) <- a(X) seq b(X).\n{rule} % retalis: ignore=RT1211\n")
     assert check_program(path, Definitions()) == []

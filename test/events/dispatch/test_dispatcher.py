@@ -1,6 +1,6 @@
 """Dispatch: order, constants, depth, and isolation of errors."""
 
-from typing import Any, List, Tuple
+from typing import Any, Dict, List, Tuple
 
 import pytest
 from events.stream_programs import ProgramRunner, outputs_of, term_text
@@ -30,7 +30,7 @@ DONE = (Done(),)
 class Recorder:
     def __init__(self) -> None:
         self.dispatcher = Dispatcher()
-        self.calls = []
+        self.calls: List[Any] = []
 
     def listen(self, name: str, pattern: Any, phase: Any = ListenerPhase.RULES) -> Any:
         def action(term: Any, values: Any, start: Any, end: Any, frame: Any) -> Any:
@@ -234,7 +234,8 @@ def test_listeners_are_called_up_to_depth_limit(depth: int) -> None:
 @pytest.mark.parametrize("depth", [1, 3, 4, 5, 6, 1000])
 def test_depth_limit_applies_to_derived_events(depth: int) -> None:
     engine = Engine(settings=Settings(max_depth=depth))
-    errors, events = [], []
+    errors: List[Any] = []
+    events: List[Any] = []
     engine.rules.on_error = errors.append
     engine.on_event(lambda term, start, end: events.append(term))
     engine.load(rules=f"n(Y) <- n(X) where (X < {depth + 1}, Y is X + 1).")
@@ -267,7 +268,8 @@ def with_variables(term: Any, variables_by_name: Any) -> Any:
 
 def matched_values(pattern: Any, term: Any) -> Any:
     """Return the text of the values of a pattern's variables, None if the event does not match."""
-    copies, trail = {}, []
+    copies: Dict[Any, Any] = {}
+    trail: List[Any] = []
     order = variables(pattern)
     if not unify(copy(pattern, copies), term, trail):
         undo(trail, 0)

@@ -27,7 +27,7 @@ class OutputRecorder:
     def __init__(self, rules: Any, goals: str = "", settings: Any = None) -> None:
         self.engine = Engine(StreamClock(0), settings)
         self.engine.load(rules=rules, goals=goals)
-        self.outputs = []
+        self.outputs: List[Any] = []
         self.engine.on_output(lambda term, topic, name: self.outputs.append(self.engine.show(term)))
 
     def post(self, *items: Any) -> None:

@@ -18,7 +18,7 @@ ALARM = "alarm(R) <- bump(R) where holds(docked(R)).\n"
 class StateEngine(Engine):
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
-        self.events = []
+        self.events: List[Any] = []
         self.on_event(
             lambda term, start, end: self.events.append((self.show(term), start / SECOND, end / SECOND))
         )

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, List, Set
 
 import pytest
+from checked_access import stream_clock
 
 from retalis import Engine, RetalisError
 
@@ -124,7 +125,7 @@ def test_clock_moved_back_clears_tables() -> None:
     program = TableEngine()
     program.feed("pos(a)")
     assert program.values_of_x("m(X)") == ["a"]
-    program.clock.move_to(-1, back=True)
+    stream_clock(program).move_to(-1, back=True)
     program.feed("other")
     assert program.values_of_x("m(X)") == []
 

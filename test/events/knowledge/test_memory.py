@@ -16,7 +16,7 @@ class Model:
 
     def __init__(self, size: Any) -> None:
         self.size = size
-        self.records = []
+        self.records: List[Any] = []
 
     def add(self, name: Any, end: Any) -> bool:
         if self.size and len(self.records) == self.size and end < self.records[0][1]:

@@ -24,7 +24,7 @@ class SelectiveEngine(Engine):
 
     def __init__(self, rules: str = "", goals: str = "", **settings: Any) -> None:
         super().__init__(settings=Settings(**settings))
-        self.events = []
+        self.events: List[Any] = []
         for name, arity in RECORDED_TYPES:
             pattern = functor(name, arity)(*(Var() for _ in range(arity))) if arity else atom(name)
             self.dispatcher.listen(ListenerPhase.TRACE, pattern, self._record)

@@ -13,7 +13,7 @@ MEMORIES = "memorize(v(_), [], _, m, 10)\nmemorize(w(_), [], _, n, 10)"
 class TimeoutEngine(Engine):
     def __init__(self, rules: Any = QUERY_RULE, goals: Any = MEMORIES) -> None:
         super().__init__()
-        self.events = []
+        self.events: List[Any] = []
         self.on_event(self._record)
         self.load(rules=rules, goals=goals)
         self.events.clear()

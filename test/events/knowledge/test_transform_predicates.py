@@ -3,6 +3,7 @@
 from typing import Any, Dict, List
 
 import pytest
+from checked_access import stream_clock
 
 from retalis import Engine, PrologError, Reports, Settings, StreamClock
 from retalis.prolog.terms.timestamps import SECOND
@@ -18,11 +19,11 @@ class TransformEngine:
     """An engine with transforms, and lists of its events and warnings."""
 
     def __init__(self, rules: Any = RULES, goals: str = "", **settings: Any) -> None:
-        self.warnings = []
+        self.warnings: List[Any] = []
         reports = Reports()
         reports.warning = lambda problem, *_, **__: self.warnings.append(str(problem))
         self.engine = Engine(None, Settings(**settings), reports)
-        self.events = []
+        self.events: List[Any] = []
         self.engine.on_event(self.note)
         self.engine.load(rules=rules, goals=goals)
 
@@ -260,7 +261,7 @@ def test_clock_moved_back_clears_history() -> None:
     program.transform("map", "base", 5, 1)
     program.transform("base", "camera", 5, 1, is_static=True)
     program.event("marker(a, 50)", 50)
-    program.engine.clock.move_to(3 * SECOND, back=True)
+    stream_clock(program.engine).move_to(3 * SECOND, back=True)
     program.engine.advance()
     assert program.waiting() == []
     assert program.answers("tf_missing(map, camera, 5, R)") == [{"R": "after(base,none)"}]

@@ -1,6 +1,7 @@
 """Errors in rule heads: events, alarms and synchronized queries."""
 
 import pytest
+from checked_access import stream_clock
 from events.load_problems import assert_refused, warnings_of
 from events.stream_programs import ProgramRunner, format_events
 
@@ -91,7 +92,7 @@ def test_alarm_in_the_future_is_not_reported() -> None:
     )
     program.feed("a@1")
     program.events.clear()
-    program.engine.clock.move_to(4 * SECOND)
+    stream_clock(program.engine).move_to(4 * SECOND)
     program.engine.advance()
     assert format_events(program.events) == "f@1-2 e@1-3"
     assert program.warnings == []

@@ -2,7 +2,7 @@
 
 import random
 from collections import deque
-from typing import Any, List
+from typing import Any, Deque, List
 
 import pytest
 
@@ -169,7 +169,7 @@ def test_removed_matches_are_dropped(step: int) -> None:
     ("queue", "add"), [(ExpirationQueue(), add_by_instant), (StartExpirationQueue(10), add_by_start)]
 )
 def test_matches_removed_after_visit_are_dropped(queue: Any, add: Any) -> None:
-    stored = deque()
+    stored: Deque[Any] = deque()
     for order in range(20_000):
         stored.append(StoredMatch(order))
         add(queue, stored[-1], len(stored))

@@ -21,7 +21,7 @@ class EngineDriver:
     def __init__(self, rules: Any, goals: str = "", **engine_settings: Any) -> None:
         self.clock = StreamClock()
         self.engine = Engine(self.clock, Settings(**engine_settings))
-        self.derived = []
+        self.derived: List[Any] = []
         self.engine.on_event(self.record)
         self.engine.load(rules=rules, goals=goals)
 

@@ -4,7 +4,7 @@ An odd value costs at most its own event. The results of other keys are those of
 value is counted as an error of its rule, no error reaches the caller, and later rules match the event.
 """
 
-from typing import Any, Tuple
+from typing import Any, Dict, List, Tuple
 
 import pytest
 from hypothesis import given, settings
@@ -85,7 +85,9 @@ class OddEngine(Engine):
 
     def __init__(self, rule: Any) -> None:
         super().__init__()
-        self.errors, self.results, self.later_count = [], {}, 0
+        self.errors: List[Any] = []
+        self.results: Dict[Any, Any] = {}
+        self.later_count = 0
         self.rules.on_error = lambda error: self.errors.append(error.message)
         self.rules.on_warning = lambda warning: None
         self.load(rules=f"{CLAUSES}{rule}\nlater(K) <- in(K,_).")

@@ -43,7 +43,7 @@ def random_events(generator: Any, few_values: bool) -> Any:
 def remaining_outputs(rule: Any, events: Any) -> Any:
     """Return the count of each output that is not retracted, after all deadlines."""
     engine = Engine()
-    counts = Counter()
+    counts: Counter[Any] = Counter()
 
     def record(term: Any, start: Any, end: Any) -> None:
         text = engine.show(term)

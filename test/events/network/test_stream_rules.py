@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, Iterator, List, Tuple
 
 import pytest
+from checked_access import stream_clock
 from events.stream_programs import outputs_of
 from events.streams.operator_driver import entry_count
 
@@ -19,7 +20,8 @@ class EngineDriver(Engine):
         super().__init__(clock)
         rules_of_engine = self.rules
         rules_of_engine.max_stored = rules_of_engine.max_stored if max_stored is None else max_stored
-        self.outputs, self.reports = [], []
+        self.outputs: List[Any] = []
+        self.reports: List[Any] = []
         rules_of_engine.on_error = rules_of_engine.on_warning = lambda error: self.reports.append(
             error.message
         )
@@ -113,7 +115,7 @@ def test_clock_moved_back_clears_state() -> None:
     engine = EngineDriver(rules)
     engine.feed("in(1)@50")
     assert sum(len(stream) for stream in engine.streams()) == 5
-    engine.clock.move_to(0, back=True)
+    stream_clock(engine).move_to(0, back=True)
     engine.advance()
     assert sum(len(stream) for stream in engine.streams()) == 0
     assert sum(rule.match_count for rule in engine.event_rules) == 0

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, List
 
 import pytest
+from checked_access import place_of
 from events.load_problems import assert_refused, errors_of
 from events.stream_programs import ProgramRunner, outputs_of
 
@@ -59,7 +60,7 @@ def test_too_deep_pattern_is_refused_at_position(pattern: str) -> None:
     with pytest.raises(ProgramErrors) as caught:
         program.engine.load(rules=f"b <- a.\nc <- {pattern}.")
     (error,) = caught.value.errors
-    assert (error.place.line, "too deeply" in error.message) == (2, True)
+    assert (place_of(error).line, "too deeply" in error.message) == (2, True)
     assert program.feed("a@1") == "d@1-1"
 
 
@@ -279,7 +280,7 @@ def test_first_errors_are_kept_and_others_counted() -> None:
     with pytest.raises(ProgramErrors) as caught:
         engine.load(rules="".join(f"out_{number} <- ).\n" for number in range(1000)))
     errors = caught.value.errors
-    assert [error.place.line for error in errors[:-1]] == list(range(1, 101))
+    assert [place_of(error).line for error in errors[:-1]] == list(range(1, 101))
     assert errors[-1].message == "there are 900 more"
     with pytest.raises(ProgramErrors) as caught:
         engine.load(goals="fail\n" * 1000)

@@ -3,6 +3,7 @@
 from typing import Any, List
 
 import pytest
+from checked_access import place_of
 
 from retalis import Operators, SyntaxFault
 from retalis.events.program.goal_file import read_goals
@@ -14,7 +15,7 @@ def goals_of(text: str) -> Any:
     goals: List[Any] = []
     for goal in read_goals(text, Operators.prolog(), "goals"):
         if isinstance(goal, SyntaxFault):
-            goals.append(("error", goal.place.line))
+            goals.append(("error", place_of(goal).line))
         else:
             goals.append((writeq(goal.term), goal.place.line))
     return goals
@@ -47,11 +48,11 @@ def test_missing_full_stop_is_reported() -> None:
         error for error in read_goals(text, Operators.prolog(), "goals") if isinstance(error, SyntaxFault)
     ]
     lines_with_advice = [
-        error.place.line
+        place_of(error).line
         for error in errors
         if "a goal over several lines ends with a full stop" in error.message
     ]
-    assert [error.place.line for error in errors] == [1, 2, 3, 5, 6, 7]
+    assert [place_of(error).line for error in errors] == [1, 2, 3, 5, 6, 7]
     assert lines_with_advice == [1, 5]
 
 

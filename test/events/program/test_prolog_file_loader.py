@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any, Dict, List, Tuple
 
 import pytest
+from checked_access import place_of
 from events.stream_programs import ProgramRunner
 
 from retalis import Definitions, Engine, Limits, Omission, ProgramErrors, PrologError, Settings
@@ -81,7 +82,7 @@ def test_errors_of_used_prolog_file_keep_rules(program: Any, tmp_path: Path) -> 
 def test_file_without_valid_terms_is_refused(program: Any) -> None:
     with pytest.raises(ProgramErrors) as caught:
         program.engine.load(rules="p(.\n:- no_such_goal.\n")
-    assert [error.place.line for error in caught.value.errors] == [1, 2]
+    assert [place_of(error).line for error in caught.value.errors] == [1, 2]
     assert program.warnings == []
 
 
@@ -190,7 +191,7 @@ def test_check_reports_omissions_as_errors(tmp_path: Path) -> None:
     (tmp_path / "kb.pl").write_text("p(1).\np(.\n")
     findings = check_program(tmp_path, Definitions())
     assert [
-        (finding.severity, finding.problem.place.line) for finding in findings if finding.check == "load"
+        (finding.severity, place_of(finding.problem).line) for finding in findings if finding.check == "load"
     ] == [("error", 2)]
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any, List
 
 import pytest
+from checked_access import place_of
 from events.stream_programs import ProgramRunner, format_events
 
 from retalis import Engine, ProgramErrors, PrologError, RetalisError, Settings, StreamClock, atom
@@ -21,7 +22,7 @@ def errors_of(operation: Any) -> List[str]:
     with pytest.raises(ProgramErrors) as caught:
         operation()
     return [
-        f"{error.place.source}:{error.place.line}:{error.place.column}: {error.message}"
+        f"{place_of(error).source}:{place_of(error).line}:{place_of(error).column}: {error.message}"
         for error in caught.value.errors
     ]
 

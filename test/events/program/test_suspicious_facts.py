@@ -1,6 +1,7 @@
 """Facts that are refused or reported, because they are probably goals or rules with another arrow."""
 
 import pytest
+from checked_access import place_of
 from events.load_problems import warnings_of
 
 from retalis import Engine, ProgramErrors
@@ -24,7 +25,7 @@ def test_fact_of_built_in_predicate_is_refused(goal: str, key: str) -> None:
     (error,) = caught.value.errors
     assert error.message.startswith(f"a fact of {key} would replace the built-in predicate")
     assert "write :- before a goal" in error.message
-    assert (error.place.line, error.place.column) == (3, 3)
+    assert (place_of(error).line, place_of(error).column) == (3, 3)
     assert not engine.call("catch(fact(1), _, fail)")
     assert engine.logic.is_system_predicate(next(k for k in engine.logic.names() if str(k) == key))
 

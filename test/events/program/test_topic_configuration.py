@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from checked_access import place_of
 
 from retalis import Engine, ProgramErrors, PrologError, Settings, TopicType, UsageError
 from retalis.events.program.topic_configuration import (
@@ -94,7 +95,7 @@ def test_invalid_event_name_is_refused(tmp_path: Path, event: str, message: str)
         read_configuration(tmp_path, f"<publish_subscribe>{line}</publish_subscribe>")
     (error,) = caught.value.errors
     assert message in error.message
-    assert error.place.line == 1
+    assert place_of(error).line == 1
 
 
 @pytest.mark.parametrize(
@@ -134,7 +135,7 @@ def test_error_has_position(tmp_path: Path, text: str, message: str, line: int, 
         read_configuration(tmp_path, text)
     (error,) = caught.value.errors
     assert message in error.message
-    assert (error.place.line, error.place.column) == (line, column)
+    assert (place_of(error).line, place_of(error).column) == (line, column)
 
 
 def test_all_errors_are_reported(tmp_path: Path) -> None:

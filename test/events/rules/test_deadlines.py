@@ -23,7 +23,7 @@ class Node:
         self.position = position
         self.watermark = PatternWatermark()
         self.alarm_instant = None
-        self.next_instants = []
+        self.next_instants: List[Any] = []
 
     def request(self, instant: int) -> None:
         """Request an alarm at an instant, unless an earlier one is requested."""
@@ -54,7 +54,7 @@ class TimerBench:
             dispatcher=SimpleNamespace(run_without_context=lambda work: work()),
         )
         self.deadlines = NodeTimers(rules)
-        self.alarms = []
+        self.alarms: List[Any] = []
 
     def node(self, name: str, serial: int, position: int = 0) -> Node:
         return Node(self, name, serial, position)

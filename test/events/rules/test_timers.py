@@ -15,7 +15,7 @@ from retalis.prolog.terms.timestamps import SECOND
 class TimerEngine(Engine):
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
-        self.events = []
+        self.events: List[Any] = []
         self.on_event(self._record_event)
 
     def _record_event(self, term: Any, start: Any, end: Any) -> None:

@@ -80,7 +80,7 @@ class OperatorDriver:
         self.make_operator = make_operator
         self.restore_before = restore_before
         self.operator = self._create()
-        self.outputs = []
+        self.outputs: List[Any] = []
 
     def _create(self) -> Any:
         operator = self.make_operator()

@@ -1,6 +1,6 @@
 """Absence with a deadline, compared with its definition."""
 
-from typing import Any, List
+from typing import Any, Dict, List
 
 from events.streams.operator_driver import Arrival, OperatorDriver, arrival_lists, element_of, entry_count
 from hypothesis import example, given
@@ -82,7 +82,8 @@ def test_absence_with_open_keys(arrivals: Any, restore_before: Any, span: Any, a
 
 def outputs_of_latest_ends(arrivals: Any, span: Any) -> Any:
     """Return the outputs if of the waiting elements with one key only the one that ends last is kept."""
-    waiting, outputs = {}, []
+    waiting: Dict[Any, Any] = {}
+    outputs: List[Any] = []
     for arrival in [*arrivals, Arrival(-1, "", 0, 0, 1, 1, 1 << 40)]:
         for key, other in list(waiting.items()):
             if other.end + span <= arrival.clock_time:

@@ -30,7 +30,7 @@ class ReportRecorder:
     """Observer of an engine that records all reports."""
 
     def __init__(self) -> None:
-        self.reports = []
+        self.reports: List[Any] = []
 
     def __getattr__(self, name: Any) -> Any:
         return lambda *arguments: self.reports.append(" ".join(map(str, arguments)))

@@ -1,6 +1,6 @@
 """Eviction of key states: idle keys, excess keys, row pattern matches over their time bound."""
 
-from typing import Any
+from typing import Any, List
 
 import pytest
 
@@ -30,7 +30,8 @@ class RuleRunner:
 
     def __init__(self, pattern: Any, *flags: Any, label: str = "r") -> None:
         self.engine = Engine()
-        self.outputs, self.warnings = [], []
+        self.outputs: List[Any] = []
+        self.warnings: List[Any] = []
         self.engine.rules.on_warning = lambda error: self.warnings.append(error.message)
         for name, value in flags:
             assert self.engine.call(f"set_etalis_flag({name}, {value})")

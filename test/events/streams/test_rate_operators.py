@@ -105,7 +105,10 @@ ROWS_WITH_ENDS_AHEAD = st.lists(
 @given(ROWS_WITH_ENDS_AHEAD, RESTORE_POSITIONS, SPANS)
 def test_debounce_of_ends_ahead_of_clock(rows: Any, restore_before: Any, span: Any) -> None:
     """An element waits a span from its end; an element of its key that ends in this span cancels it."""
-    clock_time, arrivals, waiting, settled = 20, [], [], []
+    clock_time = 20
+    arrivals: List[Any] = []
+    waiting: List[Any] = []
+    settled: List[Any] = []
     for number, (key, step, ahead) in enumerate(rows):
         clock_time += step
         arrivals.append(Arrival(number, key, clock_time + ahead, clock_time + ahead, 1, 0, clock_time))

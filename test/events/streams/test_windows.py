@@ -1,6 +1,6 @@
 """Windows, compared with their definitions over plain lists."""
 
-from typing import Any, List
+from typing import Any, Dict, List
 
 import pytest
 from events.streams.operator_driver import (
@@ -127,7 +127,8 @@ def test_hopping_window(arrivals: Any, restore_before: Any, span: int, every: in
 @given(ARRIVAL_LISTS, RESTORE_POSITIONS, st.integers(1, 6), st.booleans())
 def test_anchored_tumbling_window(arrivals: Any, restore_before: Any, span: int, running: bool) -> None:
     """A window begins at the end of its first element, and ends when the clock is a span later."""
-    expected, open_windows = [], {}
+    expected: List[Any] = []
+    open_windows: Dict[Any, Any] = {}
 
     def close(now: int) -> None:
         closing = sorted(

@@ -118,7 +118,8 @@ class Inputs(Kind):
         """Return lines of events: values repeat, so that many are partners of each other."""
         now = 1.0
         is_repeating = rng.random() < 0.5  # the same event again and again: all pairs join
-        lines, sent = [], []
+        lines: List[Any] = []
+        sent: List[Any] = []
         for _ in range(rng.randint(5, MAX_EVENTS)):
             now += rng.choice((0, 0, 0.5, 1, 1, 10))
             draw = rng.random()

@@ -210,7 +210,8 @@ class Inputs(Kind):
     def generate(self, rng: Any) -> Any:
         name, arity = rng.choice(self.keys)
         names = self.signatures.get((name, arity), [""] * arity)
-        values, places = [], []
+        values: List[Any] = []
+        places: List[Any] = []
         for kind in names:
             if places and rng.random() < 0.15:  # one term twice: the walk meets itself
                 places.append(rng.choice(places))

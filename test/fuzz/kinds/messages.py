@@ -2,7 +2,7 @@
 
 import random
 import struct
-from typing import Any
+from typing import Any, Dict
 
 from retalis import Definitions
 from retalis.messages.event_text_writer import make_text_writer
@@ -57,7 +57,7 @@ PIECES += (
 )
 
 
-def valid(rng: Any, definition: Any) -> str:
+def valid(rng: Any, definition: Any) -> bytes:
     """Return the bytes of a random message."""
     return b"".join(_slot(rng, slot) for slot in definition.fields)
 
@@ -92,7 +92,7 @@ class Inputs(Kind):
             self.types[name] = self.known.add(name, text)
         self.names = sorted(self.types)
         self.writers = {name: make_text_writer(self.known.decoder(kind)) for name, kind in self.types.items()}
-        self.valid = {}
+        self.valid: Dict[Any, Any] = {}
 
     def reset(self) -> None:
         self.reader = EventReader()

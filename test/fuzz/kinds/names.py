@@ -6,7 +6,7 @@ mark for that.
 
 import json
 import re
-from typing import Any
+from typing import Any, List
 
 from retalis import Definitions, atom, functor
 from retalis.messages.event_text_writer import make_text_writer
@@ -139,7 +139,7 @@ class Inputs(Kind):
     def reset(self) -> None:
         self.known = Definitions(self.installed)
         self.engine = create_silent_engine()
-        self.outputs = []
+        self.outputs: List[Any] = []
         self.engine.on_output(lambda term, topic, name: self.outputs.append((term, topic, name)))
         self.reader = EventReader()
 

@@ -120,7 +120,22 @@ class Inputs(Kind):
         LOGGED.logged_error = None
         self.whole = [pack_sections(state) for state in self.states]
         self.sections = [(state, name) for state in self.states for name in state]
-        self.values = [1, -1, 1 << 70, 0.5, float("nan"), None, True, "", "text", b"", [], (), {}, atom("a")]
+        self.values: List[Any] = [
+            1,
+            -1,
+            1 << 70,
+            0.5,
+            float("nan"),
+            None,
+            True,
+            "",
+            "text",
+            b"",
+            [],
+            (),
+            {},
+            atom("a"),
+        ]
         self.values += [(functor("f", 1), 1), (functor("f", 2), 1), [1], (1, 2, 3), *NUMBERS]
         self.values += [Var(), String("s"), functor("f", 1), FloatSeconds(5), float("inf"), -1e300, 10**400]
         self.values += [

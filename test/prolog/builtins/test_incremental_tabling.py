@@ -1,6 +1,5 @@
 """Incremental tables: correct answers after any change."""
 
-import importlib.util
 import random
 import shutil
 from pathlib import Path
@@ -8,6 +7,7 @@ from typing import Any, List
 
 import pytest
 from prolog.support import NEVER, answers, first, prolog
+from script_modules import load_script
 
 from retalis import Limits
 from retalis.prolog.builtins.tabling import Table, tables_of
@@ -504,10 +504,7 @@ def _calls_itself_or_later(rule: Any) -> bool:
 
 def load_neighbor(name: str) -> Any:
     """Return a module of the folder above, which is not a package."""
-    spec = importlib.util.spec_from_file_location(name, str(Path(__file__).parents[1] / f"{name}.py"))
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_script(Path(__file__).parents[1] / f"{name}.py")
 
 
 @pytest.mark.slow

@@ -82,7 +82,10 @@ class Cloud:
     def __init__(
         self, height: Any, width: Any, fields: Any, gaps: Any, row_padding: Any, big: Any, seed: Any
     ) -> None:
-        self.fields, self.names, offset, layout = [], [], gaps[0], {}
+        self.fields: List[Any] = []
+        self.names: List[Any] = []
+        offset = gaps[0]
+        layout: Dict[Any, Any] = {}
         for index, (name, code, count) in enumerate(fields):
             kind = (">" if big else "<") + TYPES[code]
             layout[name] = (numpy.dtype((kind, (count or 1,))), offset)

@@ -2,7 +2,7 @@
 
 import random
 from collections import Counter
-from typing import Any
+from typing import Any, Dict
 
 import pytest
 from prolog.support import answers, first, prolog
@@ -264,7 +264,7 @@ _GOALS = (
 
 def closure(rules: Any, edges: Any) -> Any:
     """Return all answers of rules ``(name, [(kind, name)])`` along a chain of variables, bottom up."""
-    pairs_by_name = {name: set() for name in "pqr"}
+    pairs_by_name: Dict[Any, Any] = {name: set() for name in "pqr"}
     while True:
         before = {name: len(pairs) for name, pairs in pairs_by_name.items()}
         for name, goals in rules:
@@ -320,7 +320,7 @@ def test_table_takes_linear_number_of_steps(rules: str) -> None:
     def steps(size: int) -> Any:
         edges = "".join(f"edge({number}, {number + 1}).\n" for number in range(size))
         logic = prolog(f":- table p/2, q/2, r(_, _, min).\n{rules}\n{edges}")
-        counter = Counter()
+        counter: Counter[Any] = Counter()
         tables = tables_of(logic.machine)
         tables.bind_answer = counted(tables.bind_answer, counter)
         assert int(first(logic, "aggregate_all(count, p(0, _), N)")) >= size // 2

@@ -25,7 +25,9 @@ class Executor:
     """An executor that executes an entry in this thread."""
 
     def __init__(self) -> None:
-        self.thread, self.entry, self.following = threading.get_ident(), ("outer",), []
+        self.thread = threading.get_ident()
+        self.entry = ("outer",)
+        self.following: List[Any] = []
 
     def replace_entry(self, entry: Any) -> Any:
         """Set the entry; return the previous one."""

@@ -3,6 +3,7 @@
 from typing import Any, Optional
 
 import pytest
+from checked_access import place_of
 
 from retalis import Operators, SyntaxFault
 from retalis.prolog.syntax.event_text import EventReader
@@ -63,7 +64,7 @@ def test_readers_agree_on_quoted_text(text: str) -> None:
         try:
             return read(text)
         except SyntaxFault as fault:
-            return fault.message, fault.place.column
+            return fault.message, place_of(fault).column
 
     def read_completely(text: Any) -> Any:
         return read_term(text, OPERATORS, "event text", ReadFlags(event_text=True)).term

@@ -3,6 +3,7 @@
 from typing import Any
 
 import pytest
+from checked_access import place_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -83,9 +84,11 @@ def test_syntax_error_has_message_and_column(text: Any, column: Any, parts: Any)
     with pytest.raises(SyntaxFault) as error:
         read_term(text, OPERATORS, "rules.txt")
     fault = error.value
-    assert (fault.place.source, fault.place.line, fault.place.column) == ("rules.txt", 1, column), (
-        fault.message
-    )
+    assert (place_of(fault).source, place_of(fault).line, place_of(fault).column) == (
+        "rules.txt",
+        1,
+        column,
+    ), fault.message
     for part in parts:
         assert part in fault.message
 
@@ -109,7 +112,7 @@ last(
 def test_errors_of_program_are_reported_together() -> None:
     read = list(read_program(PROGRAM, OPERATORS, "p"))
     terms = [writeq(entry.term).split("(")[0] for entry in read if isinstance(entry, ReadTerm)]
-    faults = [entry.place.line for entry in read if isinstance(entry, SyntaxFault)]
+    faults = [place_of(entry).line for entry in read if isinstance(entry, SyntaxFault)]
     assert terms == ["ok", "baz", "h", "ok"]
     assert faults == [3, 5, 6, 7, 8, 9, 12]
 
@@ -122,7 +125,7 @@ def test_caret_is_below_error() -> None:
 def test_missing_full_stop_of_last_clause_is_an_error() -> None:
     (fault,) = read_program("a :- b % c", OPERATORS)
     assert "expected a full stop" in fault.message
-    assert fault.place.column == 7
+    assert place_of(fault).column == 7
 
 
 def test_parts_of_term_have_places() -> None:
