@@ -122,9 +122,9 @@ class _PropertyType(FieldType[Property]):
 
         return check
 
-    def encoder(self, graph: ObjectWriter) -> Encode[Property]:
+    def encoder(self) -> Encode[Property]:
         """See `FieldType.encoder`."""
-        return _PROPERTY_FIELDS.encoder(graph)
+        return _PROPERTY_FIELDS.encoder()
 
 
 PROPERTIES = sequence_of(_PropertyType())

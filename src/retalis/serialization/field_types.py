@@ -46,8 +46,8 @@ Row = TypeVar("Row", bound=NamedTuple)
 ValueCheck = Callable[[object], Value]
 """Returns a decoded value in the form that its owner uses, or raises a `UsageError`."""
 
-Encode = Callable[[Value], object]
-"""Returns the value of a field as data that the codec accepts."""
+Encode = Callable[[Value, "ObjectWriter"], object]
+"""Returns the value of a field as data that the codec accepts, given the writer of the objects that it refers to."""
 
 ColumnCheck = Callable[[object, Sequence[int]], Sequence[Value]]
 """Returns the values of a column, given the numbers of the objects or rows that have them."""
@@ -180,14 +180,14 @@ class FieldType(Generic[Value]):
         """
         return self.checker(NO_CONTEXT)(value)
 
-    def encoder(self, graph: ObjectWriter) -> Optional[Encode[Value]]:
+    def encoder(self) -> Optional[Encode[Value]]:
         """Return the encoding of a value; None if it is stored unchanged."""
         return None
 
     def encode(self, value: Value) -> object:
         """Return the encoding of a value of a type without references."""
-        encode = self.encoder(NO_OBJECTS)
-        return value if encode is None else encode(value)
+        encode = self.encoder()
+        return value if encode is None else encode(value, NO_OBJECTS)
 
     def column_checker(self, context: ReadContext) -> ColumnCheck[Value]:
         """Return the check of a column."""
@@ -207,8 +207,15 @@ class FieldType(Generic[Value]):
 
     def encode_column(self, graph: ObjectWriter, values: List[Value]) -> object:
         """Return the encoding of a column."""
-        encode = self.encoder(graph)
-        return values if encode is None else list(map(encode, values))
+        encode = self.encoder()
+        return values if encode is None else [encode(value, graph) for value in values]
+
+
+def encode_each(
+    values: Iterable[object], encodings: Sequence[Optional[Encode[Any]]], graph: ObjectWriter
+) -> List[object]:
+    """Return the encodings of values of several types; see `FieldType.encoder`."""
+    return [value if encode is None else encode(value, graph) for encode, value in zip(encodings, values)]
 
 
 def check_items(values: Iterable[object], check: ValueCheck[Value]) -> List[Value]:
@@ -528,10 +535,12 @@ class optional(FieldType[Optional[Item]]):  # noqa: N801 - reads as a function, 
         check = self._content.checker(context)
         return lambda value: None if value is None else check(value)
 
-    def encoder(self, graph: ObjectWriter) -> Optional[Encode[Optional[Item]]]:
+    def encoder(self) -> Optional[Encode[Optional[Item]]]:
         """See `FieldType.encoder`."""
-        encode = self._content.encoder(graph)
-        return None if encode is None else lambda value: None if value is None else encode(value)
+        encode = self._content.encoder()
+        return (
+            None if encode is None else lambda value, graph: None if value is None else encode(value, graph)
+        )
 
 
 class sequence_of(FieldType[Sequence[Item]]):  # noqa: N801
@@ -574,12 +583,12 @@ class sequence_of(FieldType[Sequence[Item]]):  # noqa: N801
 
         return check_sequence
 
-    def encoder(self, graph: ObjectWriter) -> Optional[Encode[Sequence[Item]]]:
+    def encoder(self) -> Optional[Encode[Sequence[Item]]]:
         """See `FieldType.encoder`."""
-        encode = self._content.encoder(graph)
+        encode = self._content.encoder()
         if encode is not None:
-            return lambda values: list(map(encode, values))
-        return None if self._make in (list, tuple) else list
+            return lambda values, graph: [encode(value, graph) for value in values]
+        return None if self._make in (list, tuple) else lambda values, graph: list(values)
 
 
 class tuple_of(FieldType[Tuple[Any, ...]]):  # noqa: N801
@@ -607,14 +616,12 @@ class tuple_of(FieldType[Tuple[Any, ...]]):  # noqa: N801
 
         return check_tuple
 
-    def encoder(self, graph: ObjectWriter) -> Optional[Encode[Tuple[object, ...]]]:
+    def encoder(self) -> Optional[Encode[Tuple[object, ...]]]:
         """See `FieldType.encoder`."""
-        encodings = [content.encoder(graph) for content in self._contents]
+        encodings = [content.encoder() for content in self._contents]
         if not any(encodings):
             return None
-        return lambda values: [
-            value if encode is None else encode(value) for encode, value in zip(encodings, values)
-        ]
+        return lambda values, graph: encode_each(values, encodings, graph)
 
 
 class mapping_of(FieldType[Dict[Key, Item]]):  # noqa: N801
@@ -637,10 +644,12 @@ class mapping_of(FieldType[Dict[Key, Item]]):  # noqa: N801
 
         return check_mapping
 
-    def encoder(self, graph: ObjectWriter) -> Encode[Dict[Key, Item]]:
+    def encoder(self) -> Encode[Dict[Key, Item]]:
         """See `FieldType.encoder`."""
-        encode = self._pairs.encoder(graph) or list
-        return lambda mapping: encode(list(mapping.items()))
+        encode = self._pairs.encoder()
+        if encode is None:
+            return lambda mapping, graph: list(mapping.items())
+        return lambda mapping, graph: encode(list(mapping.items()), graph)
 
 
 class nested_pairs_of(FieldType[NestedPairs[Item]]):  # noqa: N801
@@ -662,10 +671,10 @@ class nested_pairs_of(FieldType[NestedPairs[Item]]):  # noqa: N801
 
         return check_pairs
 
-    def encoder(self, graph: ObjectWriter) -> Encode[NestedPairs[Item]]:
+    def encoder(self) -> Encode[NestedPairs[Item]]:
         """See `FieldType.encoder`."""
 
-        def encode(pairs: NestedPairs[Item]) -> List[Item]:
+        def encode(pairs: NestedPairs[Item], graph: ObjectWriter) -> List[Item]:
             values: List[Item] = []
             while pairs:
                 pairs, item = pairs
@@ -721,17 +730,16 @@ class reference(FieldType[object]):  # noqa: N801
         is_reference = objects_of(context).is_reference
         return lambda value: read(value) if is_reference(value) else check_other(value)
 
-    def encoder(self, graph: ObjectWriter) -> Encode[object]:
+    def encoder(self) -> Encode[object]:
         """See `FieldType.encoder`."""
-        to_reference, is_object = graph.reference_to, graph.is_object
-        encode_other = None if self._accepts is None else self._accepts.encoder(graph)
+        encode_other = None if self._accepts is None else self._accepts.encoder()
 
-        def encode(value: object) -> object:
+        def encode(value: object, graph: ObjectWriter) -> object:
             if value is None:
                 return None
-            if is_object(value):
-                return to_reference(value)
-            return value if encode_other is None else encode_other(value)
+            if graph.is_object(value):
+                return graph.reference_to(value)
+            return value if encode_other is None else encode_other(value, graph)
 
         return encode
 
@@ -780,9 +788,9 @@ class references(FieldType[Sequence[object]]):  # noqa: N801
         objects = objects_of(context)
         return lambda value: objects.objects_by_number(items_of(value), self._kinds)
 
-    def encoder(self, graph: ObjectWriter) -> Encode[Sequence[object]]:
+    def encoder(self) -> Encode[Sequence[object]]:
         """See `FieldType.encoder`."""
-        return lambda values: list(map(graph.number_of, values))
+        return lambda values, graph: list(map(graph.number_of, values))
 
 
 class parts_of(FieldType[Optional[Tuple[object, ...]]]):  # noqa: N801
@@ -819,15 +827,16 @@ class parts_of(FieldType[Optional[Tuple[object, ...]]]):  # noqa: N801
 
         return lambda value: None if value is None else tuple(check_items(items_of(value), check_part))
 
-    def encoder(self, graph: ObjectWriter) -> Encode[Optional[Tuple[object, ...]]]:
+    def encoder(self) -> Encode[Optional[Tuple[object, ...]]]:
         """See `FieldType.encoder`."""
-        number_of, is_object = graph.number_of, graph.is_object
 
-        def encode_part(part: object) -> object:
+        def encode(parts: Optional[Tuple[object, ...]], graph: ObjectWriter) -> object:
+            if parts is None:
+                return None
             # A number of an object and a number that is a part itself must differ.
-            return number_of(part) if is_object(part) else [part]
+            return [graph.number_of(part) if graph.is_object(part) else [part] for part in parts]
 
-        return lambda parts: None if parts is None else list(map(encode_part, parts))
+        return encode
 
 
 def objects_of(context: ReadContext) -> ObjectReader:

@@ -31,6 +31,7 @@ from .field_types import (
     ReadContext,
     ValueCheck,
     check_items,
+    encode_each,
     invalid_value,
     items_of,
     sequence_of,
@@ -133,7 +134,7 @@ class ObjectWriter:
             self._objects[kind] += objects
             for entry in _fields_of(kind):
                 # Columns without references are encoded at the end, all at once.
-                if _may_have_references(entry, self):
+                if callable(entry.type) or entry.type.encoder() is not None:
                     column = _encode_values(entry, objects, self)
                     self._columns[kind, entry.name] += items_of(column)
 
@@ -174,10 +175,6 @@ def _fields_of(kind: str) -> Sequence[StoredField]:
     return state_fields.fields
 
 
-def _may_have_references(entry: StoredField, graph: ObjectWriter) -> bool:
-    return callable(entry.type) or entry.type.encoder(graph) is not None
-
-
 def _encode_values(entry: StoredField, objects: Sequence[object], graph: ObjectWriter) -> object:
     """Return the column of a field; None if all values are None, or those of another field."""
     values: List[object] = list(map(attrgetter(entry.attribute), objects))
@@ -185,8 +182,7 @@ def _encode_values(entry: StoredField, objects: Sequence[object], graph: ObjectW
     if entry.same_as is not None and all(map(is_, map(attrgetter(entry.same_as), objects), values)):
         return None
     if callable(entry.type):
-        encodings = [entry.type(item).encoder(graph) for item in objects]
-        return [value if encode is None else encode(value) for encode, value in zip(encodings, values)]
+        return encode_each(values, [entry.type(item).encoder() for item in objects], graph)
     return entry.type.encode_column(graph, values)
 
 

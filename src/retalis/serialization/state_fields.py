@@ -44,6 +44,7 @@ from .field_types import (
     State,
     Value,
     ValueCheck,
+    encode_each,
     invalid_value,
     items_of,
     optional,
@@ -224,12 +225,18 @@ class StateFields(FieldList):
         # Checkpoints write all states twice a second, so what does not depend on the owner is computed once.
         self._names = [entry.name for entry in self.fields]
         self._attributes = [entry.attribute for entry in self.fields]
-        self._part_positions = [position for position, entry in enumerate(self.fields) if entry.is_part]
-        self._encoded_fields = [
-            (position, entry)
-            for position, entry in enumerate(self.fields)
-            if not isinstance(entry.type, PlainType)
+        self._parts = [
+            (position, entry.attribute) for position, entry in enumerate(self.fields) if entry.is_part
         ]
+        self._encoded_fields: List[Tuple[int, Encode[Any]]] = []
+        self._fields_of_owner: List[Tuple[int, StoredField]] = []
+        for position, entry in enumerate(self.fields):
+            if isinstance(entry.type, FieldType):
+                encode = entry.type.encoder()
+                if encode is not None:
+                    self._encoded_fields.append((position, encode))
+            elif not entry.is_part:
+                self._fields_of_owner.append((position, entry))
 
     def check_state(self, value: object, owner: object, context: ReadContext) -> State:
         """Return the values of the fields by name.
@@ -255,7 +262,7 @@ class StateFields(FieldList):
     def values_of(self, owner: object) -> State:
         """Return the values of the fields of an object by name."""
         values = [getattr(owner, attribute) for attribute in self._attributes]
-        for position in self._part_positions:
+        for position, _ in self._parts:
             if values[position] is not None:
                 values[position] = values[position].snapshot()
         return dict(zip(self._names, values))
@@ -263,10 +270,16 @@ class StateFields(FieldList):
     def encode_state(self, state: State, owner: object, graph: ObjectWriter) -> List[object]:
         """Return the encoding of a state."""
         values = list(map(state.__getitem__, self._names))
-        for position, entry in self._encoded_fields:
-            encode = entry.type_for(owner).encoder(graph)
-            if encode is not None:
-                values[position] = encode(values[position])
+        for position, attribute in self._parts:
+            if values[position] is not None:
+                part: StateOwner = getattr(owner, attribute)
+                values[position] = part.STATE.encode_state(values[position], part, graph)
+        for position, encode in self._encoded_fields:
+            values[position] = encode(values[position], graph)
+        for position, entry in self._fields_of_owner:
+            encode_for_owner = entry.type_for(owner).encoder()
+            if encode_for_owner is not None:
+                values[position] = encode_for_owner(values[position], graph)
         return named_values(self._names, values)
 
 
@@ -343,10 +356,10 @@ class part_state(FieldType[State]):  # noqa: N801
         inner_context = context if self._check_item is None else context._replace(check_item=self._check_item)
         return lambda value: part.STATE.check_state(value, part, inner_context)
 
-    def encoder(self, graph: ObjectWriter) -> Encode[State]:
+    def encoder(self) -> Encode[State]:
         """See `FieldType.encoder`."""
         part = self._part
-        return lambda state: part.STATE.encode_state(state, part, graph)
+        return lambda state, graph: part.STATE.encode_state(state, part, graph)
 
 
 class states_of(FieldType[List[State]], Generic[Owner]):  # noqa: N801
@@ -384,9 +397,9 @@ class states_of(FieldType[List[State]], Generic[Owner]):  # noqa: N801
 
         return check
 
-    def encoder(self, graph: ObjectWriter) -> Encode[List[State]]:
+    def encoder(self) -> Encode[List[State]]:
         """See `FieldType.encoder`."""
-        return lambda states: [
+        return lambda states, graph: [
             [type(owner).__name__, owner.STATE.encode_state(state, owner, graph)]
             for owner, state in zip(self._owners, states)
         ]
@@ -431,10 +444,10 @@ class rows_of(FieldType[List[Row]], FieldList):  # noqa: N801
 
         return check
 
-    def encoder(self, graph: ObjectWriter) -> Encode[List[Row]]:
+    def encoder(self) -> Encode[List[Row]]:
         """See `FieldType.encoder`."""
 
-        def encode(rows: List[Row]) -> List[object]:
+        def encode(rows: List[Row], graph: ObjectWriter) -> List[object]:
             if not rows:
                 return [0, []]
             columns = [
@@ -463,6 +476,8 @@ class record_of(FieldType[Row], FieldList):  # noqa: N801
         assert tuple(fields) == record_class._fields, record_class
         self.record_name = record_class.__name__
         self.name = f"{self.record_name}: ({', '.join(self.describe())})"
+        self._names = list(fields)
+        self._encodings = [content.encoder() for content in fields.values()]
         self._make: Callable[..., Row] = record_class
 
     def checker(self, context: ReadContext) -> ValueCheck[Row]:
@@ -480,13 +495,10 @@ class record_of(FieldType[Row], FieldList):  # noqa: N801
 
         return check
 
-    def encoder(self, graph: ObjectWriter) -> Encode[Row]:
+    def encoder(self) -> Encode[Row]:
         """See `FieldType.encoder`."""
-        names = [entry.name for entry in self.fields]
-        encodings = [entry.type_for(None).encoder(graph) for entry in self.fields]
-        return lambda record: named_values(
-            names, [value if encode is None else encode(value) for encode, value in zip(encodings, record)]
-        )
+        names, encodings = self._names, self._encodings
+        return lambda record, graph: named_values(names, encode_each(record, encodings, graph))
 
 
 def _unwrapped(stored: object) -> object:

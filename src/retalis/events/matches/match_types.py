@@ -129,14 +129,14 @@ class TokenKeys(FieldType[Hashable]):
 
         return check_key
 
-    def encoder(self, graph: "ObjectWriter") -> Encode[Hashable]:
+    def encoder(self) -> Encode[Hashable]:
         """See `FieldType.encoder`."""
 
-        def encode(key: Any) -> object:
+        def encode(key: Any, graph: "ObjectWriter") -> object:
             if graph.is_object(key):
                 return graph.reference_to(key)
             is_sequence = key.__class__ is tuple and not (key and key[0].__class__ is Functor)
-            return [encode(item) for item in key] if is_sequence else key
+            return [encode(item, graph) for item in key] if is_sequence else key
 
         return encode
 

@@ -33,7 +33,6 @@ from ...serialization.state_fields import ObjectFields, StateOwner, constraint, 
 
 if TYPE_CHECKING:
     from ...prolog.machine.resource_limits import Meter
-    from ...serialization.object_graph import ObjectWriter
 
 MATCH_KINDS = ("event match", "match", "run", "run cursor")
 """Kinds of stored matches, see `ObjectFields`."""
@@ -140,9 +139,9 @@ class _ElementType(FieldType[StreamElement]):
 
         return check
 
-    def encoder(self, graph: "ObjectWriter") -> Optional[Encode[StreamElement]]:
+    def encoder(self) -> Optional[Encode[StreamElement]]:
         """See `FieldType.encoder`."""
-        return self._reference.encoder(graph)
+        return self._reference.encoder()
 
 
 ELEMENT = _ElementType()

@@ -5,7 +5,7 @@ goals have stored: flags, global variables, counters, and answers of tables. Bot
 contain no code: compiled code is generated again by the system that restores them.
 """
 
-from typing import TYPE_CHECKING, Any, Dict, List, NamedTuple, Optional, Union
+from typing import Any, Dict, List, NamedTuple, Optional, Union
 
 from ...foundation.errors import Place
 from ...serialization.field_types import (
@@ -41,9 +41,6 @@ from ..database.predicate import Predicate
 from ..syntax.operators import TYPES, OperatorChange
 from ..terms.types import Functor, Term
 from .prolog_system import PrologSystem
-
-if TYPE_CHECKING:
-    from ...serialization.object_graph import ObjectWriter
 
 _SAVED_STATE_KEYS = ("counters", "flags", "flag", "gensym", "counters of events", "flags of events")
 """Keys of `PrologSystem.state` whose values are saved, under the same keys, in `ValuesSnapshot.builtin_state`."""
@@ -242,9 +239,9 @@ class _BuiltinState(FieldType[Dict[str, Dict[Any, Any]]]):
 
         return check
 
-    def encoder(self, graph: "ObjectWriter") -> Encode[Dict[str, Dict[Any, Any]]]:
+    def encoder(self) -> Encode[Dict[str, Dict[Any, Any]]]:
         """See `FieldType.encoder`."""
-        return lambda data_by_key: [
+        return lambda data_by_key, graph: [
             [name, _BUILTIN_STATE[name].encode(data)] for name, data in data_by_key.items()
         ]
 
