@@ -335,3 +335,35 @@ def counted(function: Any, counter: Any) -> Any:
         return function(*args)
 
     return call
+
+
+TABLED_PREDICATES = r"""
+:- table path/2, conn/2, fib/2.
+edge(a,b). edge(b,c). edge(c,a). edge(c,d).
+path(X,Y) :- path(X,Z), edge(Z,Y).
+path(X,Y) :- edge(X,Y).
+conn(X,Y) :- conn(Y,X).
+conn(X,Y) :- edge(X,Y).
+fib(0,0). fib(1,1).
+fib(N,F) :- N > 1, A is N-1, B is N-2, fib(A,X), fib(B,Y), F is X+Y.
+:- table even/1, odd/1.
+even(0). even(N) :- odd(M), M < 10, N is M+1.
+odd(N) :- even(M), M < 10, N is M+1.
+:- table broken/1.
+broken(X) :- broken(Y), X is Y + foo.
+broken(1).
+"""
+
+
+def test_tabled_predicates_have_all_answers() -> None:
+    logic = prolog(TABLED_PREDICATES)
+    assert sorted(answer["X"] for answer in answers(logic, "path(a, X)")) == ["a", "b", "c", "d"]
+    assert sorted(answer["X"] for answer in answers(logic, "path(X, d)")) == ["a", "b", "c"]
+    assert sorted(answer["X"] for answer in answers(logic, "conn(b, X)")) == ["a", "c"]
+    assert first(logic, "fib(100, F)") == "354224848179261915075"
+    assert [answer["X"] for answer in answers(logic, "even(X)")] == ["0", "2", "4", "6", "8", "10"]
+    assert answers(logic, "broken(X)") == ["type_error(evaluable,foo/0)"]
+    assert answers(logic, "broken(X)") == ["type_error(evaluable,foo/0)"]
+    assert logic.state["tables"].active == []
+    assert answers(logic, "assertz(edge(d, e)), path(a, X), X == e") == []
+    assert answers(logic, "abolish_all_tables, path(a, X), X == e") == [{"X": "e"}]

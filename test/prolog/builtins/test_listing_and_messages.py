@@ -1,0 +1,53 @@
+"""Listing of clauses, and messages."""
+
+from typing import Any, List
+
+from prolog.support import answers, first, prolog
+
+PROGRAM = r"""
+laid(X) :- ( X > 1 -> foo, bar ; X = 2, \+ baz -> true ; qux ).
+"""
+
+
+def test_listing_lays_out_clauses() -> None:
+    logic = prolog(PROGRAM)
+    written: List[Any] = []
+    logic.output = written.append
+    assert answers(logic, "listing(laid/1), portray_clause(foo(_, X, X))") == [{"X": "A"}]
+    assert "".join(written) == (
+        "laid(A) :-\n    (   A>1\n    ->  foo,\n        bar\n    ;   A=2,\n        \\+ baz\n    ->  true\n"
+        "    ;   qux\n    ).\n\nfoo(_, A, A).\n"
+    )
+
+
+def test_negated_conjunction_is_in_parentheses() -> None:
+    logic = prolog()
+    written: List[Any] = []
+    logic.output = written.append
+    assert answers(logic, "portray_clause((p :- \\+ (a, b), c))") == [{}]
+    assert "".join(written) == "p :-\n    \\+ (   a,\n        b\n    ),\n    c.\n"
+
+
+def test_tabled_predicates_are_listed() -> None:
+    logic = prolog(
+        ":- table path/2.\npath(X, Y) :- edge(X, Y).\npath(X, Y) :- path(X, Z), edge(Z, Y).\nedge(1, 2)."
+    )
+    written: List[Any] = []
+    logic.output = written.append
+    clauses = "path(A, B) :-\n    edge(A, B).\npath(A, B) :-\n    path(A, C),\n    edge(C, B).\n\n"
+    assert answers(logic, "listing(path/2)")
+    assert "".join(written) == f":- table path/2.\n\n{clauses}"
+    written.clear()
+    assert answers(logic, "listing")
+    assert "".join(written).count("path(A, B) :-") == 2
+    assert answers(logic, "predicate_property(path(_, _), number_of_clauses(N))") == [{"N": "2"}]
+    assert first(logic, "nth_clause(path(_, _), 2, (H :- _)), H = path(A, A)") == {"H": "path(A,A)", "A": "A"}
+
+
+def test_messages_are_sent_by_kind() -> None:
+    logic = prolog()
+    messages: List[Any] = []
+    logic.message = lambda kind, text: messages.append((kind, text))
+    assert answers(logic, 'print_message(warning, format("low: ~w", [3])), print_message(silent, x)') == [{}]
+    assert messages == [("warning", "Warning: low: 3\n")]
+    assert answers(logic, "assertion(1 > 2)") == ["assertion_error(fail,user:(1>2))"]
