@@ -112,8 +112,8 @@ def rules(work: str, events: List[StreamEvent], emit: Emit) -> Run:
     from retalis.events.dispatch.listeners import ListenerPhase
 
     engine = Engine(StreamClock(events[-1][2]))
-    engine.load(rules=RULES[work])
     engine.rules.max_stored = 10**8
+    engine.load(rules=RULES[work])
 
     def heard(term: Any, values: Any, start: int, end: int, after: Any) -> Any:
         emit(*term[1:])

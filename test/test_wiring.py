@@ -22,9 +22,9 @@ SET_BY_OTHERS = {
     ("Scope", None): "record of the code generator, which its modules share",
     ("Predicate", None): "record of the predicate table, which declarations and loaders fill",
     ("Program", "flags"): "read flags, which the directives of an included file pass on",
-    ("EventRule", "order"): "counter of matches, which buffers advance for each match",
-    ("EventRule", "stored_match_count"): "counter, see `order`",
-    ("EventRule", "dropped_count"): "counter, see `order`",
+    ("MatchStore", "order"): "counter of matches, which buffers advance for each match",
+    ("MatchStore", "stored_match_count"): "counter, see `order`",
+    ("MatchStore", "dropped_count"): "counter, see `order`",
     ("EventRule", "dropped_alarm_count"): "counter, see `order`",
     ("EventRule", "late_count"): "counter, see `order`",
     ("EventRule", "ahead_count"): "counter, see `order`",
@@ -32,7 +32,7 @@ SET_BY_OTHERS = {
     ("EventNode", "rank"): "numbered by the compiler that builds the nodes, when all of them exist",
     ("ActionNode", "tests_label_window"): "see `rank`",
     ("FilterNode", "tests_label_window"): "see `rank`",
-    ("LineageTracker", "blocking_match"): "second result of the last test of a node",
+    ("MatchStore", "blocking_match"): "second result of the last test of a node",
 }
 """Attributes that modules other than the owner's set, with the reason; None for all attributes of a class."""
 

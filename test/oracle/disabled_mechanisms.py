@@ -23,9 +23,9 @@ from events.streams.test_row_pattern import VALUE, expected_outputs, outputs_of_
 from retalis import Clock, Engine, list_items, make_list
 from retalis.events.knowledge.event_states import DeclaredState
 from retalis.events.network import stream_compiler
+from retalis.events.network.node_timers import NodeTimers
 from retalis.events.network.stream_node import StreamNode
 from retalis.events.rules.rule_base import RuleBase
-from retalis.events.rules.timer_service import NodeTimers
 from retalis.events.streams import row_pattern
 from retalis.events.streams.absence_timeout import AbsenceTimeout
 from retalis.events.streams.rate_operators import RATE_OPERATORS, Debounce, DistinctUntilChanged, Throttle

@@ -313,9 +313,9 @@ class Console:
             self.reports,
             installed_definitions(),
         )
-        self._rules = self.engine.program.rules
+        self._loader = self.engine.program.loader
         # As in other top levels, singleton variables of loaded clauses are reported.
-        self._rules.warn_of_singletons()
+        self._loader.warn_of_singletons()
         self._files = LoadedFiles(self.engine)
         self.engine.on_output(self._print_output)
         self.logic = self.engine.program.logic
@@ -489,7 +489,7 @@ class Console:
             try:
                 if clause.singletons:
                     self._warn(f"singleton variables: {', '.join(clause.singletons)}", clause)
-                self.engine.do(lambda: self._rules.load_terms([(clause.term, clause.place)]))  # noqa: B023
+                self.engine.do(lambda: self._loader.load_terms([(clause.term, clause.place)]))  # noqa: B023
             except ProgramErrors as errors:
                 for error in errors.errors:
                     self._reporter(error)

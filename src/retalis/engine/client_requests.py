@@ -239,7 +239,7 @@ def add_rule(engine: Engine, text: str, label: str = "") -> str:
     # The label is chosen within the exclusive call: another request could use it in between.
     def add() -> str:
         rule_label = _choose_label(engine, parsed_rule, label)
-        engine.program.rules.loader.load_read_term(parsed_rule)
+        engine.program.loader.load_read_term(parsed_rule)
         return engine.show(rule_label)
 
     return run_restricted(engine, add)

@@ -15,6 +15,7 @@ from ..events.knowledge.memory import MemoryInstance
 from ..events.knowledge.subscriptions import Subscription, SubscriptionKey
 from ..events.language.rule_head_parser import Property
 from ..events.network.event_rule import EventRule
+from ..events.program.event_file_loader import EventFileLoader
 from ..events.rules.rule_base import RuleBase
 from ..events.rules.timer_service import ProgramTimer, Timers
 from ..prolog.database.clause_index import Clause
@@ -41,11 +42,12 @@ _CLAUSE_FUNCTOR = functor(":-", 2)
 
 
 class LoadedProgram(NamedTuple):
-    """The program of an engine: its predicates, rules and knowledge."""
+    """The program of an engine: its predicates, rules and knowledge, and the loader that adds to them."""
 
     logic: PrologSystem
     rules: RuleBase
     knowledge: KnowledgeBase
+    loader: EventFileLoader
 
 
 ItemKey = TypeVar("ItemKey", bound=Hashable)

@@ -158,7 +158,7 @@ class Engine:
         )
         self.clock, self.settings = parts.clock, parts.settings
         self.program = parts.program
-        self.logic, self.rules, self.knowledge = parts.program
+        self.logic, self.rules, self.knowledge = parts.logic, parts.rules, parts.knowledge
         self.dispatcher, self.executor, self.reports = parts.dispatcher, parts.executor, parts.reports
         self.event_input, self.input_topics = parts.event_input, parts.input_topics
         self.deployments, self.watchdog = parts.deployments, parts.watchdog

@@ -8,6 +8,8 @@ from ..events.clock.clock import Clock
 from ..events.dispatch.dispatcher import Dispatcher
 from ..events.knowledge.knowledge_base import OWN_EVENTS, KnowledgeBase
 from ..events.language.rule_head_parser import WATERMARK_DELAY
+from ..events.program.event_file_loader import EventFileLoader
+from ..events.program.event_language_predicates import define_predicates
 from ..events.rules.event_flags import MAX_WATERMARK_DELAY, Flags
 from ..events.rules.event_input_predicates import define_new_event
 from ..events.rules.rule_base import RuleBase
@@ -144,6 +146,8 @@ class EngineParts:
             on_warning=reports.warning,
             is_external_event=lambda key: key in OWN_EVENTS or key.name in slots.events,
         )
+        file_loader = EventFileLoader(rules)
+        define_predicates(rules, file_loader)
         self.knowledge = knowledge = KnowledgeBase(
             logic,
             dispatcher,
@@ -151,6 +155,7 @@ class EngineParts:
             callbacks.pass_output,
             reports.warning,
             rules,
+            file_loader.warn_unknown_calls,
             buffer=settings.transform_buffer(settings.tf_cache),
         )
         rules.flags.on_numeric_change("max_gap", knowledge.gaps.set_limit)
@@ -168,8 +173,10 @@ class EngineParts:
             rules.declared_events,
         )
         self.input_topics = InputTopics(logic, slots, reports)
-        self.loader = ProgramLoader(logic, rules, executor, dispatcher, settings.limit_start, goals.call_once)
-        self.program = LoadedProgram(logic, rules, knowledge)
+        self.loader = ProgramLoader(
+            logic, file_loader, files, executor, dispatcher, settings.limit_start, goals.call_once
+        )
+        self.program = LoadedProgram(logic, rules, knowledge, file_loader)
         self.deployments: Dict[str, Deployment] = {}
         define_new_event(logic, dispatcher)
         define_use_foreign(logic, executor, files, settings.allow_foreign)

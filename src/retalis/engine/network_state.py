@@ -14,11 +14,11 @@ from ..events.knowledge.timeout_queue import TIMEOUT_ALARMS, StoredTimeoutAlarm,
 from ..events.language.rule_head_parser import Property
 from ..events.matches.match_types import NO_REPETITIONS, RepetitionChain
 from ..events.network.event_rule import EventRule
+from ..events.network.lineage import LineageCut
+from ..events.network.node_timers import RULE_ALARMS, RuleAlarm, StoredRuleAlarm
 from ..events.network.pattern_nodes import NetworkNode
 from ..events.program.event_file_checker import reread_rule
-from ..events.provenance.lineage import LineageCut
 from ..events.rules.rule_base import RuleBase
-from ..events.rules.timer_service import RULE_ALARMS, RuleAlarm, StoredRuleAlarm
 from ..foundation.errors import Place
 from ..prolog.system.logic_state import PLACE
 from ..prolog.terms.types import Atom, Term, Var
@@ -373,7 +373,7 @@ class NetworkState(StateOwner):
     @rule_alarms.setter
     def rule_alarms(self, alarms: Sequence[StoredRuleAlarm]) -> None:
         for due_at, order, rule, term, start, instant, token in alarms:
-            self._clock.put_back(due_at, order, RuleAlarm(self.rules, rule, term, start, instant, token))
+            self._clock.put_back(due_at, order, RuleAlarm(rule, term, start, instant, token))
 
     @property
     def timeout_alarms(self) -> List[StoredTimeoutAlarm]:

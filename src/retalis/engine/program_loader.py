@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Callable, Optional, TypeVar
 
 from ..events.dispatch.dispatcher import Dispatcher
+from ..events.program.event_file_loader import EventFileLoader
 from ..events.program.goal_file import FileGoal, errors_of_goal, read_file_goals
 from ..events.program.topic_configuration import GOALS, event_types, read_text
-from ..events.rules.rule_base import RuleBase
 from ..foundation.errors import (
     Errors,
     ProgramErrors,
@@ -19,6 +19,7 @@ from ..foundation.errors import (
     RuleError,
     UsageError,
 )
+from ..prolog.files.source_files import SourceFiles
 from ..prolog.machine.resource_limits import NO_LIMITS
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.types import Term
@@ -40,7 +41,8 @@ class ProgramLoader:
 
     Args:
         logic: calls goals.
-        rules: receives rules.
+        file_loader: loads rules.
+        files: files of the program.
         executor: runs the goals; its `entry` is set to the running goal, for the watchdog.
         dispatcher: its event context is restored if loading raises an exception.
         limits_file_goals: whether the limits of later goals also apply to goals of files.
@@ -50,15 +52,16 @@ class ProgramLoader:
     def __init__(
         self,
         logic: PrologSystem,
-        rules: RuleBase,
+        file_loader: EventFileLoader,
+        files: SourceFiles,
         executor: SerialExecutor,
         dispatcher: Dispatcher,
         limits_file_goals: bool,
         call_once: Callable[[Term], bool],
     ):
         self._logic = logic
-        self._rules = rules
-        self._files = rules.files
+        self._file_loader = file_loader
+        self._files = files
         self._executor = executor
         self._dispatcher = dispatcher
         self._limits_file_goals = limits_file_goals
@@ -69,7 +72,7 @@ class ProgramLoader:
         has_both = bool(rules and goals)
         # Goals and rules may refer to each other, so warnings about unknown predicates wait until both are loaded.
         if has_both:
-            self._rules.loader.defer_warnings()
+            self._file_loader.defer_warnings()
         try:
             if goals:
                 self.call_goals(goals, f"goals of {source}" if source == "text" else source, folder)
@@ -77,12 +80,12 @@ class ProgramLoader:
                 self.load_rules(rules, source, folder)
         finally:
             if has_both:
-                self._executor.call(self._rules.loader.log_deferred_warnings, (UNNAMED_REQUEST,))
+                self._executor.call(self._file_loader.log_deferred_warnings, (UNNAMED_REQUEST,))
 
     def load_rules(self, text: str, source: str, folder: Optional[Path]) -> None:
         """Load the text of an event file; see `Engine.load_rules`."""
         self._register_program_folder(folder)
-        self._run_with_file_permissions(folder, lambda: self._rules.load_text(text, source, folder))
+        self._run_with_file_permissions(folder, lambda: self._file_loader.load_text(text, source, folder))
 
     def call_goals(self, text: str, source: str, folder: Optional[Path]) -> None:
         """Call the goals of a goal file; see `Engine.call_goals`."""

@@ -21,7 +21,7 @@ from ..events.language.pattern_tree import AggregatePattern, RatePattern, Window
 from ..events.language.stream_parser import subscription_event
 from ..events.matches.match_types import AfterMatchSkipStrategy
 from ..events.network.event_rule import EventRule
-from ..events.provenance.occurrences import Occurrence
+from ..events.network.occurrences import Occurrence
 from ..foundation.cancellation import check_limits, set_limit_check
 from ..foundation.errors import RetalisError, UsageError, format_count
 from ..foundation.similar_names import did_you_mean

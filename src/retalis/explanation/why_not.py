@@ -49,9 +49,9 @@ from ..events.language.stream_parser import rate_operator_term, step_term, windo
 from ..events.matches.match_types import NetworkOptions
 from ..events.network.event_rule import EventRule
 from ..events.network.goal_evaluation import Evaluators
+from ..events.network.occurrences import Occurrence
 from ..events.network.stream_compiler import create_rate_operator
 from ..events.network.stream_node import StreamNode
-from ..events.provenance.occurrences import Occurrence
 from ..events.streams.aggregates import SequenceAggregate
 from ..events.streams.rate_operators import RATE_OPERATORS
 from ..events.streams.row_pattern import RowPatternWindow

@@ -146,8 +146,8 @@ class RunningProgram:
 
     def require_transforms(self) -> None:
         """Read transforms if the rules use them."""
-        _, rules, knowledge = self.engine.program
-        knowledge.transforms.require_if_mentioned(rules.terms())
+        program = self.engine.program
+        program.knowledge.transforms.require_if_mentioned(program.rules.terms())
 
     def subscribe_transforms(self) -> None:
         """Subscribe to the topics of transforms."""

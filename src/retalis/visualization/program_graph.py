@@ -141,7 +141,7 @@ class GraphTopic(NamedTuple):
 
 def graph_key(engine: Engine, topics: Iterable[GraphTopic]) -> Hashable:
     """Return a key that changes when the graph of the program changes."""
-    _, rules, knowledge = engine.program
+    rules, knowledge = engine.program.rules, engine.program.knowledge
     return (
         tuple([rule.serial for rule in rules.rules]),
         tuple([id(memory) for memory in list(knowledge.memories)]),

@@ -77,6 +77,7 @@ def run_program(
             return lambda *arguments: reports.append((name, [str(argument) for argument in arguments]))
 
     engine = Engine(None, Settings(), ReportRecorder())
+    engine.rules.max_stored = max_stored
     engine.load(goals=goals, rules=text)
     for arity in (0, 1, 2, 3):
         pattern = functor("out", arity)(*(Var() for _ in range(arity))) if arity else atom("out")
@@ -87,7 +88,6 @@ def run_program(
                 outputs.append(event_text(engine, term, start, end)) or frame
             ),
         )
-    engine.rules.max_stored = max_stored
     for position, (term, start, end) in enumerate(events):
         if position == restore_before:
             if change:
@@ -172,8 +172,8 @@ def test_fused_join_equals_plain_nodes_on_many_streams(batch: Any) -> None:
 @pytest.mark.parametrize("max_stored", [10**6, 50])
 def test_removed_matches_leave_expiration_queue(max_stored: int) -> None:
     engine = Engine(StreamClock(10**6 * SECOND))
-    engine.load(rules="out(K) <- (a(K) seq b(K)) within 100000.")
     engine.rules.max_stored = max_stored
+    engine.load(rules="out(K) <- (a(K) seq b(K)) within 100000.")
     [rule] = engine.rules.rules
     left, right = functor("a", 1), functor("b", 1)
     for key in range(4000):

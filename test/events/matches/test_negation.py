@@ -181,7 +181,7 @@ def _eager_sweeps(monkeypatch: pytest.MonkeyPatch) -> None:
         ("VISITED_SLICE_ENTRIES", 3),
         ("_MATCHES_PER_SWEEP_STEP", 1),
     ):
-        monkeypatch.setattr(f"retalis.events.network.event_rule.{name}", value)
+        monkeypatch.setattr(f"retalis.events.matches.match_store.{name}", value)
 
 
 @pytest.mark.usefixtures("_eager_sweeps")
@@ -287,7 +287,7 @@ def test_next_sweep_begins_earlier_after_removals(monkeypatch: pytest.MonkeyPatc
         ("VISITED_SLICE_ENTRIES", 20),
         ("_MATCHES_PER_SWEEP_STEP", 1),
     ):
-        monkeypatch.setattr(f"retalis.events.network.event_rule.{name}", value)
+        monkeypatch.setattr(f"retalis.events.matches.match_store.{name}", value)
     program = ProgramRunner("o(X) <- (a(X) seq b(X)) cnot c.", policy="chronological")
     for second in range(600):
         program.engine.event(f"a({second})" if second < 300 else f"b({second - 300})", second)
@@ -300,10 +300,9 @@ def test_next_sweep_begins_earlier_after_removals(monkeypatch: pytest.MonkeyPatc
 @pytest.mark.slow
 def test_event_removes_few_expired_matches() -> None:
     program = ProgramRunner("o(X) <- (a(X) seq b(X)) cnot c(X).")
-    rules = program.engine.rules
     event_count = 20_000
-    rules.max_stored = event_count + 2 * SLICE_ENTRIES
-    (rule,) = rules.rules
+    (rule,) = program.engine.rules.rules
+    rule.max_stored = event_count + 2 * SLICE_ENTRIES
     previous_count = 0
     for second in range(event_count + 5 * SLICE_ENTRIES):
         # First sides with equal values replace the oldest ones, until the number of matches exceeds the limit.
@@ -313,7 +312,7 @@ def test_event_removes_few_expired_matches() -> None:
         )
         assert previous_count - len(rule.arrivals) <= SLICE_ENTRIES
         previous_count = len(rule.arrivals)
-    assert rule.stored_match_count == rules.max_stored
+    assert rule.stored_match_count == rule.max_stored
     assert rule.dropped_count
 
 

@@ -31,7 +31,7 @@ def errors_of(operation: Any) -> List[str]:
 @pytest.mark.parametrize("name", ["'sub/one.pl'", '"sub/one.pl"', "sub/one", "'sub/one'"])
 def test_used_file_is_loaded_before_rules(program: Any, tmp_path: Path, form: str, name: str) -> None:
     write(tmp_path, main=f"d <- c.\n{form.format(name)}.", sub__one=":- use_module(two).", sub__two="c <- a.")
-    program.engine.rules.load_file(tmp_path / "main.pl")
+    program.engine.program.loader.load_file(tmp_path / "main.pl")
     assert program.feed("a@1") == "c@1-1 d@1-1"
 
 
@@ -42,10 +42,10 @@ def test_ensured_file_is_loaded_once(program: Any, tmp_path: Path) -> None:
         main=":- ensure_loaded(one). :- ensure_loaded('./one.pl').",
         more="use_module(one).",
     )
-    program.engine.rules.load_file("main.pl")
+    program.engine.program.loader.load_file("main.pl")
     assert program.engine.call("ensure_loaded(one)")
     assert program.feed("a@1") == "c@1-1"
-    program.engine.rules.load_file("more.pl")
+    program.engine.program.loader.load_file("more.pl")
     assert program.feed("a@2") == "c@2-2 c@2-2"
 
 
@@ -56,7 +56,7 @@ def test_consulted_file_is_relative_to_directive(program: Any, tmp_path: Path, g
     write(tmp_path, inner__main=f":- {goal}. d <- c.")
     (tmp_path / "inner" / "sub").mkdir()
     write(tmp_path / "inner", sub__one="c <- a.")
-    program.engine.rules.load_file("inner/main.pl")
+    program.engine.program.loader.load_file("inner/main.pl")
     assert program.feed("a@1") == "c@1-1 d@1-1"
 
 
@@ -67,13 +67,13 @@ def test_directive_of_used_file_is_relative_to_it(program: Any, tmp_path: Path) 
         sub__one=":- compile_event_file('two.pl').",
         sub__two="c <- a.",
     )
-    program.engine.rules.load_file("main.pl")
+    program.engine.program.loader.load_file("main.pl")
     assert program.feed("a@1") == "c@1-1"
 
 
 def test_files_that_ensure_each_other_are_loaded_once(program: Any, tmp_path: Path) -> None:
     write(tmp_path, one=":- ensure_loaded(two). c <- a.", two=":- ensure_loaded(one). d <- a.")
-    program.engine.rules.load_file("one.pl")
+    program.engine.program.loader.load_file("one.pl")
     assert program.feed("a@1") == "d@1-1 c@1-1"
 
 
@@ -123,7 +123,7 @@ def test_errors_of_files_are_in_order(program: Any, tmp_path: Path) -> None:
 @pytest.mark.parametrize("form", ["include", "use_module"])
 def test_cycle_of_files_is_one_error(program: Any, tmp_path: Path, form: str) -> None:
     write(tmp_path, one=f"c <- a.\n:- {form}(two).", two=f":- {form}(one).\nd <- a.")
-    errors = errors_of(lambda: program.engine.rules.load_file("one.pl"))
+    errors = errors_of(lambda: program.engine.program.loader.load_file("one.pl"))
     assert errors == ["two.pl:1:4: one.pl loads itself"]
     text = (tmp_path / "one.pl").read_text()
     assert errors_of(lambda: program.engine.load_rules(text, "one.pl", tmp_path)) == [

@@ -23,6 +23,7 @@ from ...prolog.terms.types import EventAction, Frame, Var
 from ..language.event_operators import EventOperator
 from ..matches.consumption_policy import Emit, MatchSide
 from ..matches.match_buffer import MatchBuffer
+from ..matches.match_store import STALE_ARRIVALS_TOLERANCE
 from ..matches.match_types import (
     ComputedValues,
     EventMatch,
@@ -32,9 +33,6 @@ from ..matches.match_types import (
 )
 from ..matches.negation import NegationBuffer
 from .fused_single_event import Continuation
-
-STALE_ARRIVALS_TOLERANCE = 1000
-"""Stale entries in the list of arrivals of a rule that are tolerated in addition to twice the stored matches."""
 
 _SET_ORDER = "rule.order = match.order = event_end if event_end > rule.order else rule.order + 1"
 _RETURN_FRAME = "return frame"
@@ -315,7 +313,7 @@ class _ActionGenerator:
             "arrivals.append(match)",
             *expiration_statements,
             Block(
-                f"if {sweep_test}stored_count > network.max_stored"
+                f"if {sweep_test}stored_count > rule.max_stored"
                 " or len(arrivals) > 2 * stored_count + STALE_ARRIVALS_TOLERANCE:",
                 ["rule.remove_excess()"],
             ),

@@ -58,6 +58,7 @@ class KnowledgeBase:
         deliver: receives the events of subscriptions.
         warn: receives warnings as text.
         rules: rules of the program; they check patterns, and call subscriptions that send later.
+        warn_unknown_calls: warns of unknown predicates in conditions; takes these and the name of their owner.
         buffer: buffer of the transforms.
     """
 
@@ -69,11 +70,13 @@ class KnowledgeBase:
         deliver: Deliver,
         warn: Warn,
         rules: RuleBase,
+        warn_unknown_calls: Callable[[Term, str], None],
         buffer: TransformBuffer,
     ):
         self._logic = logic
         self._dispatcher = dispatcher
         self._rules = rules
+        self._warn_unknown_calls = warn_unknown_calls
         self._warn = warn
         # Checked before a memory, subscription or state is made.
         self._check_pattern = rules.declared_events.require_declared
@@ -193,7 +196,7 @@ class KnowledgeBase:
         # Checks run before the memory is created, so an error leaves no memory behind.
         self._check_pattern(arguments[0])
         next_frame = self.memories.create((MEMORIZE, *arguments), active, frame)
-        self._rules.warn_unknown_calls(arguments[1], f"memory {self._logic.brief(arguments[3])}")
+        self._warn_unknown_calls(arguments[1], f"memory {self._logic.brief(arguments[3])}")
         return next_frame
 
     def _memorize_by_flag(self, machine: Machine, arguments: Sequence[Term], frame: Frame) -> Frame:
@@ -215,7 +218,7 @@ class KnowledgeBase:
     def _subscribe(self, machine: Machine, *arguments: Term) -> bool:
         self._check_pattern(subscription_event(arguments[0]))
         self.subscriptions.create((SUBSCRIBE, *arguments))
-        self._rules.warn_unknown_calls(arguments[1], f"subscription {self._logic.brief(arguments[4])}")
+        self._warn_unknown_calls(arguments[1], f"subscription {self._logic.brief(arguments[4])}")
         return True
 
     def _delete_subscription(self, machine: Machine, topic: Term, name: Term) -> bool:

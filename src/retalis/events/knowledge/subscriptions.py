@@ -34,8 +34,8 @@ from ..language.pattern_tree import RatePattern
 from ..language.stream_parser import subscription_event, subscription_rate_operator
 from ..matches.match_types import EventMatch, NetworkOptions
 from ..matches.watermarks import PatternWatermark, functor_of
+from ..network.network_context import NetworkContext
 from ..network.stream_compiler import compile_rate_spec
-from ..rules.rule_base import RuleBase
 from ..streams.stream_operators import StreamElement, StreamOperator, StreamOutput
 from .memory import (
     Recording,
@@ -65,7 +65,7 @@ class OutputRateLimiter(StateOwner):
         rate_pattern: the rate operator.
         event: pattern of the events.
         title: name of the subscription in reports.
-        rules: the rule base, which sets the alarms and provides the limits.
+        network: sets the alarms and provides the limits.
         warn: receives warnings.
         position: position among all subscriptions.
         send: sends the term of an event.
@@ -95,7 +95,7 @@ class OutputRateLimiter(StateOwner):
         rate_pattern: RatePattern,
         event: Term,
         title: str,
-        rules: RuleBase,
+        network: NetworkContext,
         warn: Warn,
         position: int,
         send: Callable[[Term], None],
@@ -103,7 +103,7 @@ class OutputRateLimiter(StateOwner):
         self._spec = compile_rate_spec(rate_pattern, variables(event))
         self.value_counts = (len(rate_pattern.keys), int(rate_pattern.value is not None))
         self._title = title
-        self._rules = rules
+        self._network = network
         self._warn = warn
         self._send_term = send
         self.position = position
@@ -111,15 +111,15 @@ class OutputRateLimiter(StateOwner):
         self.alarm_instant: Optional[int] = None
         functors = frozenset((functor_of(event),))
         self.watermark = (
-            rules.watermarks.watch(functors) if self._spec.uses_clock else PatternWatermark(functors)
+            network.watermarks.watch(functors) if self._spec.uses_clock else PatternWatermark(functors)
         )
         self.late_count = self.dropped_count = self.ahead_count = self._evicted_count = 0
         self._stream = self._create_stream()
 
     def _create_stream(self) -> StreamOperator:
         stream = self._spec.create_operator(NetworkOptions())
-        stream.limit_time(self._rules.compute_max_timestamp)
-        stream.set_bounds(self._rules.key_bounds)
+        stream.limit_time(self._network.compute_max_timestamp)
+        stream.set_bounds(self._network.key_bounds)
         self._evicted_count = 0
         return stream
 
@@ -146,12 +146,12 @@ class OutputRateLimiter(StateOwner):
             start: start of its interval.
             end: end of its interval.
         """
-        now = self._rules.alarm_time() - self.watermark.delay if self._spec.uses_clock else 0
+        now = self._network.alarm_time() - self.watermark.delay if self._spec.uses_clock else 0
         stream = self._stream
         previous_late_count, previous_ahead_count = stream.late_count, stream.ahead_count
         # A flag may have changed the bounds, which are replaced as a whole.
-        if stream.bounds is not self._rules.key_bounds:
-            stream.set_bounds(self._rules.key_bounds)
+        if stream.bounds is not self._network.key_bounds:
+            stream.set_bounds(self._network.key_bounds)
         # The element contains the term that is sent; the operator only reads its key, values and interval.
         try:
             element = StreamElement(term, start, end, *self._spec.key_and_values(values))
@@ -162,7 +162,7 @@ class OutputRateLimiter(StateOwner):
         if stream.ahead_count != previous_ahead_count:
             self.ahead_count += 1
             self._warn(
-                f"{self._title}: {self._rules.describe_ahead(end)}: it does not advance the time of the rate "
+                f"{self._title}: {self._network.describe_ahead(end)}: it does not advance the time of the rate "
                 f"operator, and debounce ignores it; {self.ahead_count} so far",
                 ("ahead", self._title),
             )
@@ -172,11 +172,11 @@ class OutputRateLimiter(StateOwner):
             self._warn(
                 f"{self._title}: {self._spec.late_report}; {self.late_count} so far", ("late", self._title)
             )
-        if len(stream) > self._rules.max_stored:
+        if len(stream) > self._network.max_stored:
             outputs = [*outputs, *stream.drop_oldest()]
             self.dropped_count += 1
             reason = (
-                f"more than {self._rules.max_stored} events are held; "
+                f"more than {self._network.max_stored} events are held; "
                 f"{self.dropped_count} of the oldest have been dropped"
             )
             self._warn(f"{self._title}: {reason} so far", ("dropped", self._title))
@@ -215,7 +215,7 @@ class OutputRateLimiter(StateOwner):
             and (self.alarm_instant is None or instant < self.alarm_instant)
         ):
             self.alarm_instant = instant
-            self._rules.set_node_alarm(self, instant)
+            self._network.set_node_alarm(self, instant)
 
     # ---- state ---------------------------------------------------------------------------------------
 
@@ -294,17 +294,22 @@ class Subscriptions:
         dispatcher: dispatcher of the events that are delivered.
         deliver: receives the events that are sent.
         warn: receives warnings, and reports about conditions that raised an error.
-        rules: rules of the program; they call the rate limiters at their deadlines.
+        network: sets the alarms of the rate limiters and provides their limits.
     """
 
     def __init__(
-        self, logic: PrologSystem, dispatcher: Dispatcher, deliver: Deliver, warn: Warn, rules: RuleBase
+        self,
+        logic: PrologSystem,
+        dispatcher: Dispatcher,
+        deliver: Deliver,
+        warn: Warn,
+        network: NetworkContext,
     ):
         self._logic = logic
         self._dispatcher = dispatcher
         self._deliver = deliver
         self._warn = warn
-        self._rules = rules
+        self._network = network
         self._next_position = count()
         self._all: Dict[SubscriptionKey, Subscription] = {}
         self._detached: Dict[SubscriptionKey, Subscription] = {}
@@ -439,7 +444,7 @@ class Subscriptions:
     ) -> OutputRateLimiter:
         """Return the rate limiter, with the state of an unchanged subscription that was detached."""
         rate_limiter = OutputRateLimiter(
-            rate_operator, event, title, self._rules, self._warn, next(self._next_position), send
+            rate_operator, event, title, self._network, self._warn, next(self._next_position), send
         )
         if unchanged is not None and unchanged.rate_limiter is not None:
             rate_limiter.restore(unchanged.rate_limiter.snapshot())

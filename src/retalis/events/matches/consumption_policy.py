@@ -28,7 +28,6 @@ number of the last event of a match, see `arrival_number_of`.
 
 from collections import deque
 from typing import (
-    TYPE_CHECKING,
     Any,
     Callable,
     Deque,
@@ -50,9 +49,6 @@ from ...serialization.field_types import sequence_of
 from ...serialization.state_fields import StateFields, StateOwner, constraint, field
 from .match_buffer import MatchBuffer, has_equal_key
 from .match_types import MATCH_REFERENCE, PartialMatch, arrival_number_of, lineage_sources, unify_sides
-
-if TYPE_CHECKING:
-    from ..provenance.lineage import LineageTracker
 
 Emit = Callable[[PartialMatch, Frame], Frame]
 """Takes a match and the frame to continue with; returns the next frame."""
@@ -372,22 +368,22 @@ class RetainedMatches(StateOwner):
         """Store and retain a match; see `MatchBuffer.add`."""
         self.buffer.add(match, key)
         self._retained.append(match)
-        if len(self._retained) > min(MAX_RETAINED_MATCHES, self.buffer.rule.network.max_stored // 2):
+        if len(self._retained) > min(MAX_RETAINED_MATCHES, self.buffer.rule.max_stored // 2):
             self._retained.popleft().discard()
 
 
-def is_revived(tracker: "LineageTracker", arrival_number: int) -> bool:
+def is_revived(current_number: Callable[[], int], arrival_number: int) -> bool:
     """Return whether a match whose last event has a number is revived: it does not contain the current event."""
-    return arrival_number < tracker.current_number()
+    return arrival_number < current_number()
 
 
 def join_revived_first(
-    tracker: "LineageTracker", side: MatchSide, consumes: bool, joins_all: bool, emit: Emit
+    current_number: Callable[[], int], side: MatchSide, consumes: bool, joins_all: bool, emit: Emit
 ) -> Emit:
     """Return the action for a first operand: it is stored, or joins with later second operands if it is revived.
 
     Args:
-        tracker: returns the number of the current event.
+        current_number: returns the number of the current event.
         side: the first operand, with the buffer of the partners to search.
         consumes: whether the policy consumes partners.
         joins_all: whether a second operand joins with all stored first ones and is not consumed by them.
@@ -399,7 +395,7 @@ def join_revived_first(
         key = own_buffer.key_of(match)
         arrival_number = arrival_number_of(match)
         results: List[PartialMatch] = []
-        if is_revived(tracker, arrival_number):
+        if is_revived(current_number, arrival_number):
             for partner in metered(
                 other_buffer.partner_list(key, match.start, match.end), own_buffer.rule.meter
             ):
@@ -423,7 +419,7 @@ def join_revived_first(
     return on_match
 
 
-def join_in_order(tracker: "LineageTracker", join: Join) -> Join:
+def join_in_order(current_number: Callable[[], int], join: Join) -> Join:
     """Return a join of a second and a first operand for second operands that may be revived.
 
     A revived second operand joins only with first operands that arrived before it.
@@ -431,7 +427,7 @@ def join_in_order(tracker: "LineageTracker", join: Join) -> Join:
 
     def join_if_earlier(match: PartialMatch, partner: PartialMatch) -> Optional[PartialMatch]:
         arrival_number = arrival_number_of(match)
-        if is_revived(tracker, arrival_number) and arrival_number_of(partner) >= arrival_number:
+        if is_revived(current_number, arrival_number) and arrival_number_of(partner) >= arrival_number:
             return None
         return join(match, partner)
 
@@ -439,13 +435,13 @@ def join_in_order(tracker: "LineageTracker", join: Join) -> Join:
 
 
 def earlier_partners(
-    match: PartialMatch, partners: Iterable[PartialMatch], tracker: "LineageTracker"
+    match: PartialMatch, partners: Iterable[PartialMatch], current_number: Callable[[], int]
 ) -> Iterable[PartialMatch]:
     """Return the partners that a match may join: all, or the earlier ones if the match is revived."""
     arrival_number = arrival_number_of(match)
     return (
         [partner for partner in partners if arrival_number_of(partner) < arrival_number]
-        if is_revived(tracker, arrival_number)
+        if is_revived(current_number, arrival_number)
         else partners
     )
 

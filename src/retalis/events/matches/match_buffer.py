@@ -22,7 +22,7 @@ from .interval_index import MAX_VALUE, MIN_VALUE, IntervalBounds, IntervalIndex,
 from .match_types import EventMatch, IdentifiedEventMatch, PartialMatch
 
 if TYPE_CHECKING:
-    from ..network.event_rule import EventRule
+    from .match_store import MatchStore
 
 
 MAX_MISSES_BEFORE_INDEX, MAX_MISSES_WITH_INDEX = 32, 4
@@ -65,7 +65,7 @@ class MatchBuffer:
 
     def __init__(
         self,
-        rule: "EventRule",
+        rule: "MatchStore",
         shared_positions: Tuple[int, ...],
         on_relink: Callable[[], None] = lambda: None,
     ):

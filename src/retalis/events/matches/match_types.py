@@ -23,6 +23,7 @@ from typing import (
     List,
     NamedTuple,
     Optional,
+    Protocol,
     Tuple,
     Union,
 )
@@ -56,8 +57,6 @@ from ..streams.stream_operators import MATCH_KINDS
 
 if TYPE_CHECKING:
     from ...serialization.object_graph import ObjectWriter
-    from .match_buffer import MatchBuffer
-    from .shared_run_buffer import RunGroup
 
 
 REPETITION_KINDS = ("repetition chain", "no repetitions")
@@ -141,6 +140,21 @@ class TokenKeys(FieldType[Hashable]):
         return encode
 
 
+class MatchContainer(Protocol):
+    """Container of stored matches: a `MatchBuffer` or a run group."""
+
+    @property
+    def retention(self) -> Optional[int]:
+        """Retention time of its matches in ns; None for no bound."""
+
+    @property
+    def is_negated(self) -> bool:
+        """True if its matches belong to a negated pattern; those are not skipped after a match."""
+
+    def remove(self, match: "PartialMatch", /) -> None:
+        """Remove a match."""
+
+
 class EventMatch:
     """A match of one event without duration whose arguments are the values of its pattern.
 
@@ -179,7 +193,7 @@ class EventMatch:
     start: int
     # Declared as Any: code that reads it knows that the match is of a single event.
     term: Any
-    buffer: "Union[MatchBuffer, RunGroup, None]"
+    buffer: "Optional[MatchContainer]"
     key: Hashable
     older: "PartialMatch"
     newer: "PartialMatch"

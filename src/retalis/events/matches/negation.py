@@ -17,7 +17,7 @@ with the matches that rule them out. `RuledOutSweep` removes the oldest of both.
 
 from bisect import bisect_left, bisect_right
 from collections import deque
-from typing import TYPE_CHECKING, Callable, Deque, Dict, Hashable, List, Optional, Sequence, Tuple
+from typing import TYPE_CHECKING, Callable, Deque, Dict, Hashable, List, Optional, Protocol, Sequence, Tuple
 
 from ...prolog.terms.types import Frame, Values
 from .interval_index import BEFORE, BETWEEN, MAX_VALUE, MIN_VALUE
@@ -25,8 +25,7 @@ from .match_buffer import MatchBuffer, has_equal_key, key_function
 from .match_types import NetworkOptions, PartialMatch, unify_sides
 
 if TYPE_CHECKING:
-    from ..network.event_rule import EventRule
-    from ..network.pattern_nodes import NetworkNode
+    from .match_store import MatchStore
 
 
 _STALE_TOLERANCE = 1000
@@ -96,7 +95,17 @@ class _Frontier:
         return None
 
 
-DeferredNegations = List[Tuple["NegationBuffer", "NetworkNode"]]
+class NegatedNode(Protocol):
+    """The node of a negated pattern: any node of the network."""
+
+    def bind(self, emit: Callable[[PartialMatch, Frame], Frame], options: NetworkOptions, /) -> None:
+        """Emit the matches of the pattern to a function."""
+
+    def accepts(self, match: PartialMatch, /) -> bool:
+        """Return whether a stored match has the values and the event that the node requires."""
+
+
+DeferredNegations = List[Tuple["NegationBuffer", NegatedNode]]
 """Negation buffers that conditions contain, with the nodes of their negated patterns."""
 
 
@@ -119,7 +128,7 @@ class NegationBuffer:
         frontiers: frontiers by key.
     """
 
-    def __init__(self, rule: "EventRule", shared: Sequence[Tuple[int, int]], is_unbounded: bool):
+    def __init__(self, rule: "MatchStore", shared: Sequence[Tuple[int, int]], is_unbounded: bool):
         self.rule = rule
         self.shared = tuple(shared)
         self.is_unbounded = is_unbounded
@@ -136,7 +145,7 @@ class NegationBuffer:
         """Drop the frontiers; each is built again at its next use."""
         self.frontiers = {}
 
-    def bind(self, negated: "NetworkNode", options: NetworkOptions) -> None:
+    def bind(self, negated: "NegatedNode", options: NetworkOptions) -> None:
         """Receive the matches of a node, and connect the buffers that the conditions contain."""
         negated.bind(self.on_match, options)
         self.bind_deferred_negations(options)
@@ -163,7 +172,7 @@ class NegationBuffer:
 
     def uses_frontiers(self) -> bool:
         """Return whether only times matter: matches have no conditions, and events are not retracted."""
-        return self.condition is None and not self.rule.network.options.tracks_events
+        return self.condition is None and not self.rule.options.tracks_events
 
     def _is_needed(self, key: Hashable, match: PartialMatch) -> bool:
         newest_match = self.buffer.newest.get(key)
@@ -271,7 +280,7 @@ class NegationBuffer:
                 if condition is None or condition(pair_values, negated_match):
                     # The lineage records what prevented the pair, so that the pair is tried again if this match is
                     # retracted.
-                    self.rule.network.tracker.blocking_match = match
+                    self.rule.blocking_match = match
                     return True
         return False
 

@@ -164,9 +164,13 @@ class Watermarks(StateOwner):
         """Return a new watermark for a pattern; it is kept up to date as long as the caller refers to it."""
         watermark = PatternWatermark(functors)
         self._patterns.add(watermark)
-        self.is_observing = True
+        self.start_observing()
         self._is_outdated = True
         return watermark
+
+    def start_observing(self) -> None:
+        """Record lags from now on."""
+        self.is_observing = True
 
     def configure(self, watermark: PatternWatermark, has_own_setting: bool, setting: DelaySetting) -> None:
         """Set the pattern's own setting, or none."""

@@ -46,9 +46,9 @@ from ..language.pattern_tree import (
 )
 from ..matches.match_types import PartialMatch
 from ..matches.negation import DeferredNegations, NegationBuffer
-from ..matches.shared_run_buffer import NO_ITEMS
 from .goal_evaluation import RuleGoal, Test, compile_condition_test
 from .pattern_nodes import BoundedNode, EventNode, NetworkNode
+from .shared_run_buffer import NO_ITEMS
 
 if TYPE_CHECKING:
     from .event_rule import EventRule
@@ -347,16 +347,15 @@ def create_negation_buffer(
     for condition in negated.deferred:
         test, known_vars = compile_deferred_test(rule, negation.deferred_negations, condition, known_vars)
         tests.append(test)
-    tracker = rule.network.tracker
 
     def holds_for(values: Values, match: PartialMatch) -> bool:
         known_values: Any = values + tuple([match.values[position] for position in new_positions])
-        previous_blocker = tracker.blocking_match
+        previous_blocker = rule.blocking_match
         for test in tests:
             known_values = test(known_values, match.start, match.end)
             if known_values is None:
                 # If a negation of the negated pattern itself failed, it has replaced what blocks the other match.
-                tracker.blocking_match = previous_blocker
+                rule.blocking_match = previous_blocker
                 return False
         return True
 

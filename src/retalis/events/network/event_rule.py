@@ -1,7 +1,7 @@
 """Event rules at run time: node tree, clock, stored matches, and the firing of the head.
 
 An `EventRule` owns the nodes that the compiler builds from its pattern, and connects them for the current options
-(`EventRule.configure`). It counts and limits the partial matches that are stored in all of its buffers. A match
+(`EventRule.configure`). It is the `MatchStore` of the partial matches in all of its buffers. A match
 leaves its buffer when
 
 * it is consumed or replaced (`consumption_policy`),
@@ -11,20 +11,17 @@ leaves its buffer when
 * the rule has too many matches: then the oldest one is dropped and reported.
 
 The rule's clock is the largest end of the events that it has matched. A time stamp too far in the future does not
-advance it. ``arrivals`` lists the stored matches in order of arrival; matches that have left their buffers remain in
-the list until they are the larger part of it, and are then removed in slices.
+advance it.
 
 A complete match fires the head of the rule: it dispatches an event, or sets an alarm for one. If neither a window
 nor tracking needs the match, its values go directly to generated code (`compile_firing_action`).
 """
 
-from collections import deque
 from itertools import chain
 from typing import (
     TYPE_CHECKING,
     Any,
     Callable,
-    Deque,
     Dict,
     Hashable,
     Iterator,
@@ -62,18 +59,15 @@ from ...serialization.state_fields import (
 )
 from ..dispatch.listeners import Listener, ListenerPhase
 from ..dispatch.matcher_compiler import compile_builder
-from ..fused.fused_join import STALE_ARRIVALS_TOLERANCE
 from ..fused.fused_single_event import Continuation, compile_firing_action
 from ..language.pattern_tree import Pattern, RuleDefinition, WindowPattern
 from ..language.rule_head_parser import resolve_alarm
 from ..matches.expiration import (
-    VISITED_SLICE_ENTRIES,
     ExpirationQueue,
-    StartExpirationQueue,
-    remove_stale_entries,
     smaller_bound,
 )
 from ..matches.match_buffer import MatchBuffer
+from ..matches.match_store import MatchStore
 from ..matches.match_types import (
     MATCH_REFERENCE,
     TOKEN,
@@ -90,8 +84,7 @@ from .stream_node import StreamNode
 
 if TYPE_CHECKING:
     from ..matches.consumption_policy import Emit
-    from ..matches.negation import RuledOutSweep
-    from ..rules.rule_base import RuleBase
+    from .network_context import NetworkContext
 
 
 class RuleMetrics(StateOwner):
@@ -142,42 +135,26 @@ class DeferredMatch(NamedTuple):
     match: PartialMatch
 
 
-_NO_SWEEP = 1 << 62
-"""Sweep threshold of a rule without sweeps, which no number of matches exceeds."""
-
 MATCH_BYTES = 930
 """Memory of a partial match with two small arguments, in bytes; measured with tracemalloc on CPython 3.11."""
 
-_MATCHES_PER_SWEEP_STEP = 250
-"""Number of further stored matches after which a sweep visits its next slice."""
 
-
-class EventRule(StateOwner):
+class EventRule(MatchStore):
     """One event rule of the program.
 
     Attributes:
         name: its name in reports.
         serial: position among the rules; older ones receive events first.
-        meter: counts its pattern work; None if nothing is counted.
         from_outside: whether it was added by a service or topic, not by the program.
-        options: its options, see `configure`.
         skip_state: state of its after-match skip strategy; None if it skips nothing.
         window: longest interval that its label allows, in ns; None for no bound.
         idle: time in ns after which the state of a key without new events is dropped; None for no bound.
         listeners: the listeners of its event nodes.
-        stored_match_count: number of matches that are stored in buffers and run groups.
-        arrivals: these, oldest first, together with stale entries. Never assigned again, because generated code
-            binds it.
         metrics: its counters.
-        order: the largest order of its matches so far. Each stored match has a larger one, which is its end if the
-            end is larger. Then both are one object.
         maintains_clock: whether its clock advances, because matches expire by it.
         clock: largest end of the events that its patterns matched.
         max_timestamp: largest time stamp that is known to be allowed to advance its clock.
         completion: receives the values of complete matches, if nothing is tracked.
-        expiration_queue: stored matches by expiration.
-        sweep_threshold: number of stored matches above which `remove_excess` continues to remove matches that are
-            ruled out.
     """
 
     STATE = StateFields(
@@ -232,7 +209,8 @@ class EventRule(StateOwner):
         ),
     )
 
-    def __init__(self, network: "RuleBase", definition: RuleDefinition, serial: int, name: str):
+    def __init__(self, network: "NetworkContext", definition: RuleDefinition, serial: int, name: str):
+        super().__init__(network.max_stored)
         self.network = network
         self.meter = network.logic.machine.budget.meter(self)
         self.definition = definition
@@ -241,30 +219,18 @@ class EventRule(StateOwner):
         self.label = definition.label
         self.serial = serial
         self.name = name
-        self.options = NetworkOptions()
         self.skip_state: Optional[AfterMatchSkip] = None
         self.window: Optional[int] = None
         self.idle: Optional[int] = None
-        self.stored_match_count = 0
-        self.dropped_count = 0
         self.metrics = RuleMetrics()
         self.dropped_alarm_count = 0
         self.past_alarm_count = 0
         self.late_count = 0
         self.ahead_count = 0
         self.maintains_clock = False
-        self._tracks_stored = False
         self.clock: int = BEFORE_ALL_INSTANTS
         self.max_timestamp: int = BEFORE_ALL_INSTANTS
         self.completion: Optional[Continuation] = None
-        self.order = 0
-        self.arrivals: Deque[PartialMatch] = deque()
-        self._next_slice_start = 0
-        self.expiration_queue = StartExpirationQueue(None)
-        self.sweep_threshold = _NO_SWEEP
-        self._is_sweeping = False
-        self._sweeps: List[RuledOutSweep] = []
-        self._has_unvisited_matches = False
         self._main_retention: Optional[int] = None
         self._last_collection: Optional[int] = None
         self._garbage_control: Optional[Tuple[int, int]] = None
@@ -316,7 +282,7 @@ class EventRule(StateOwner):
         retentions = [buffer.retention for buffer in self._buffers() if buffer.retention is not None]
         # The most frequent retention time has the queue that generated code uses.
         self._main_retention = max(retentions, key=retentions.count) if retentions else None
-        self._tracks_stored = self.maintains_clock or options.tracks_events or skip_state is not None
+        self.tracks_stored = self.maintains_clock or options.tracks_events or skip_state is not None
         # Sweeps are for matches that never expire. One with a retention time may be needed until that has passed.
         sweeps = [
             sweep
@@ -324,10 +290,9 @@ class EventRule(StateOwner):
             for sweep in node.sweeps(options)
             if sweep.first_buffer.retention is None
         ]
-        self._sweeps = [] if skip_state is not None else sweeps
         if options.tracks_events:
             self._expand_matches()
-        self._end_sweep()
+        self.set_sweeps([] if skip_state is not None else sweeps)
         self._enqueue_all_expirations()
         # Each node listens again in `bind`, in the order that its new options require.
         self.unlisten()
@@ -353,7 +318,7 @@ class EventRule(StateOwner):
             if isinstance(buffer, MatchBuffer):
                 expanded_by_match.update(buffer.expand())
         if expanded_by_match:
-            self._reset_arrivals([expanded_by_match.get(match, match) for match in self.arrivals])
+            self.reset_arrivals([expanded_by_match.get(match, match) for match in self.arrivals])
 
     def stream_node(self, pattern: Pattern) -> Optional[StreamNode]:
         """Return the node that evaluates an operator on streams; None if there is none for this pattern."""
@@ -374,15 +339,6 @@ class EventRule(StateOwner):
         return [buffer for node in self.nodes for buffer in node.buffers()]
 
     # ---- state -----------------------------------------------------------------------------------------
-
-    @property
-    def last_order(self) -> int:
-        """The largest order as a plain integer; it may be an instant of another class."""
-        return int(self.order)
-
-    @last_order.setter
-    def last_order(self, order: int) -> None:
-        self.order = order
 
     @property
     def node_states(self) -> List[State]:
@@ -417,7 +373,7 @@ class EventRule(StateOwner):
             # The node has restored the matches of its run groups (position -1).
             if position >= 0:
                 buffers[position].put_back(list(matches))
-        self._reset_arrivals(arrivals.matches)
+        self.reset_arrivals(arrivals.matches)
         self.stored_match_count = len(set(self.arrivals))
 
     @property
@@ -455,11 +411,6 @@ class EventRule(StateOwner):
             for match, number in chain(zip(matches, buffer_numbers), deferred)
         )
 
-    def _reset_arrivals(self, stored_matches: List[PartialMatch]) -> None:
-        self.arrivals.clear()
-        self.arrivals.extend(stored_matches)
-        self._end_sweep()
-
     def _enqueue_all_expirations(self) -> None:
         """Enter all stored matches into the expiration queues by their current retention times."""
         self._clear_expirations()
@@ -480,11 +431,6 @@ class EventRule(StateOwner):
         self.listeners.append(
             listen(ListenerPhase.RULES, leaf.term, action, rank, is_fused, unread_variables=self._unused)
         )
-
-    @property
-    def sweeps_ruled_out(self) -> bool:
-        """True if matches that are ruled out are removed; see `RuledOutSweep`."""
-        return bool(self._sweeps)
 
     @property
     def collects_garbage(self) -> bool:
@@ -569,9 +515,8 @@ class EventRule(StateOwner):
             node.clear()
         for match in list(self.arrivals):
             match.discard()
-        self.arrivals.clear()
+        self.reset_arrivals(())
         self._clear_expirations()
-        self._end_sweep()
 
     def defer_storage(self, buffer: MatchBuffer, match: PartialMatch, key: Hashable) -> None:
         """Store a match in a buffer when the next event is dispatched; immediately outside of a dispatch."""
@@ -629,78 +574,7 @@ class EventRule(StateOwner):
             else:
                 self._end_queue.add(match.latest_end, match, self.stored_match_count)
 
-    def count_stored(self, match: PartialMatch, retention: Optional[int]) -> None:
-        """Count a match that has been stored; if there are too many, drop the oldest."""
-        self.stored_match_count += 1
-        arrivals = self.arrivals
-        arrivals.append(match)
-        # Most rules need none of this: no expiration, no tracking, no skip strategy.
-        if self._tracks_stored:
-            self._track_stored(match, retention)
-        stored_count = self.stored_match_count
-        if (
-            stored_count > self.sweep_threshold
-            or stored_count > self.network.max_stored
-            or len(arrivals) > 2 * stored_count + STALE_ARRIVALS_TOLERANCE
-        ):
-            self.remove_excess()
-
-    def remove_excess(self) -> None:
-        """Drop the oldest match if there are too many; remove stale entries if they are the larger part."""
-        max_entries = 2 * self.stored_match_count + STALE_ARRIVALS_TOLERANCE
-        if self.stored_match_count > self.sweep_threshold or (
-            self._is_sweeping and len(self.arrivals) > max_entries
-        ):
-            self._sweep()
-        elif len(self.arrivals) > max_entries:
-            self._next_slice_start = remove_stale_entries(self.arrivals, self._next_slice_start) or 0
-            # Fewer matches are stored than at the last pass, so the next one begins earlier.
-            if self._sweeps:
-                self.sweep_threshold = min(
-                    self.sweep_threshold, 2 * (self.stored_match_count + STALE_ARRIVALS_TOLERANCE)
-                )
-        if self.stored_match_count > self.network.max_stored:
-            self._drop_oldest()
-        if len(self.expiration_queue) > max_entries:
-            self.expiration_queue.remove_stale(self.stored_match_count)
-
-    def _sweep(self) -> None:
-        """Remove some of the matches that are ruled out; see `RuledOutSweep`.
-
-        A pass visits the stored matches slice by slice, then removes negated matches in slices. The next pass begins
-        when twice as many matches are stored, so each match is visited a constant number of times on average.
-        """
-        if not self._is_sweeping:
-            self._is_sweeping = self._has_unvisited_matches = True
-            self._next_slice_start = 0
-            for sweep in self._sweeps:
-                sweep.begin_pass(self.order)
-        # First operands are visited completely before any negated match is removed; see `RuledOutSweep.begin_pass`.
-        if self._has_unvisited_matches:
-            next_start = remove_stale_entries(self.arrivals, self._next_slice_start, self._visit_match)
-            self._has_unvisited_matches = next_start is not None
-            self._next_slice_start = next_start or 0
-        if not self._has_unvisited_matches and all(
-            sweep.drop_negated(VISITED_SLICE_ENTRIES) for sweep in self._sweeps
-        ):
-            self._end_sweep()
-        else:
-            self.sweep_threshold = self.stored_match_count + _MATCHES_PER_SWEEP_STEP
-
-    def _visit_match(self, match: PartialMatch) -> None:
-        for sweep in self._sweeps:
-            sweep.visit_match(match)
-
-    def _end_sweep(self) -> None:
-        """End the current pass, if any, and set the number of matches at which the next one begins."""
-        self._is_sweeping = self._has_unvisited_matches = False
-        for sweep in self._sweeps:
-            sweep.begin_pass(self.order)
-        self.sweep_threshold = (
-            2 * (self.stored_match_count + STALE_ARRIVALS_TOLERANCE) if self._sweeps else _NO_SWEEP
-        )
-
-    def _track_stored(self, match: PartialMatch, retention: Optional[int]) -> None:
+    def track_stored(self, match: PartialMatch, retention: Optional[int]) -> None:
         """Enter a stored match into the expiration queues, and register it with the events that it contains."""
         # A match that arrives after its retention time cannot be part of a result.
         if retention is not None and match.start + retention < self.clock:
@@ -714,27 +588,15 @@ class EventRule(StateOwner):
         if self.skip_state is not None:
             self.skip_state.add_entry(match)
 
+    def report_dropped(self) -> None:
+        """Report that a match was dropped."""
+        self.network.report_dropped(self)
+
     def _enqueue_expiration(self, match: PartialMatch, retention: Optional[int]) -> None:
         if retention is not None:
             self.expiration_queue.add(retention, match, self.stored_match_count)
         if self._garbage_control is not None:
             self._end_queue.add(match.latest_end, match, self.stored_match_count)
-
-    def _drop_oldest(self) -> None:
-        """Drop the oldest matches until the limit is met; visit at most one slice of entries."""
-        arrivals, max_stored = self.arrivals, self.network.max_stored
-        max_visits = min(VISITED_SLICE_ENTRIES, len(arrivals))
-        for _ in range(max_visits):
-            oldest = arrivals.popleft()
-            # The slice of `remove_stale_entries` begins at this position, which moves with the first entry.
-            if self._next_slice_start:
-                self._next_slice_start -= 1
-            if oldest.buffer is not None:
-                oldest.discard()
-                self.dropped_count += 1
-                self.network.report_dropped(self)
-                if self.stored_match_count <= max_stored:
-                    return
 
     def _complete_values(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
         window = self.window

@@ -44,8 +44,8 @@ from ..matches.interval_index import interval_bounds
 from ..matches.match_buffer import MatchBuffer
 from ..matches.match_types import ComputedValues, NetworkOptions, PartialMatch, TokenKeys, is_retracted
 from ..matches.negation import DeferredNegations, NegationBuffer, RuledOutSweep
-from ..provenance.occurrences import MatchOrPair
 from .goal_evaluation import Test
+from .occurrences import MatchOrPair
 from .pattern_nodes import (
     EventNode,
     Fuse,
@@ -232,8 +232,8 @@ class JoinNode(NetworkNode):
         for node, negation in zip(self.negated_nodes, self.negations):
             _bind(node, negation.on_match, options, self._fuse_negation(node, negation, options))
             negation.bind_deferred_negations(options)
-        for negation, node in self.deferred_negations:
-            negation.bind(node, options)
+        for negation, negated in self.deferred_negations:
+            negation.bind(negated, options)
         return left_action
 
     def _accepts_late_left(self, options: NetworkOptions) -> bool:
@@ -267,7 +267,7 @@ class JoinNode(NetworkNode):
         )
         join = self._compile_join(False)
         if self._revives_operands(options) and self.right_can_be_revived:
-            join = join_in_order(self.rule.network.tracker, join)
+            join = join_in_order(self.rule.network.tracker.current_number, join)
         stores_unmatched, stores_matched = (
             is_unordered or accepts_late or retains_right,
             accepts_late or retains_right,
@@ -298,9 +298,11 @@ class JoinNode(NetworkNode):
         is_unordered = operator.completes_in_any_order
         left_action: Tuple[Emit, Optional[Fuse]] = store_only(left), self._fuse(left, False, emit, options)
         if self._retains_right(options):
-            tracker = self.rule.network.tracker
+            current_number = self.rule.network.tracker.current_number
             left_action = (
-                join_revived_first(tracker, left, policy.consumes_partners, operator.joins_all_left, emit),
+                join_revived_first(
+                    current_number, left, policy.consumes_partners, operator.joins_all_left, emit
+                ),
                 None,
             )
         if operator.joins_all_left:
@@ -458,19 +460,19 @@ class JoinNode(NetworkNode):
         join: Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]] = shared_function(
             "\n".join(lines) + "\n", namespace, f"join by {operator.name}"
         )
-        if self.rule.network.options.tracks_events and (self.negations or self.deferred_negations):
+        if self.rule.options.tracks_events and (self.negations or self.deferred_negations):
             return self._record_suppressed_joins(join, left_arrives)
         return join
 
     def _record_suppressed_joins(
         self, join: Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]], left_arrives: bool
     ) -> Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]]:
-        tracker = self.rule.network.tracker
+        rule, tracker = self.rule, self.rule.network.tracker
 
         def join_and_record(match: PartialMatch, partner: PartialMatch) -> Optional[PartialMatch]:
-            tracker.blocking_match = None
+            rule.blocking_match = None
             result = join(match, partner)
-            if result is None and tracker.blocking_match is not None:
+            if result is None and rule.blocking_match is not None:
                 tracker.record_suppressed(self, (match, partner) if left_arrives else (partner, match))
             return result
 

@@ -62,11 +62,10 @@ from ..matches.match_types import (
     unify_sides,
     unify_values,
 )
-from ..matches.shared_run_buffer import NO_ITEMS, Run, identity_by_start, identity_by_start_interval
-from ..provenance.occurrences import MatchOrPair
 from ..streams.aggregates import SequenceAggregate
 from .condition_placement import RepetitionItems, append_item
 from .goal_evaluation import Test
+from .occurrences import MatchOrPair
 from .pattern_nodes import (
     IdentityFunction,
     MatchCheck,
@@ -75,6 +74,7 @@ from .pattern_nodes import (
     checks_of_negations,
     computed_values_getter,
 )
+from .shared_run_buffer import NO_ITEMS, Run, identity_by_start, identity_by_start_interval
 
 if TYPE_CHECKING:
     from ..matches.negation import DeferredNegations
@@ -419,7 +419,8 @@ class KleeneNode(KleeneValues):
             buffer.add(run, key)
             result = self._result_without_repetitions(run) if emits_empty_result else None
             if self.accepts_late_starts or (
-                self.retains_repetitions and is_revived(self.rule.network.tracker, arrival_number_of(run))
+                self.retains_repetitions
+                and is_revived(self.rule.network.tracker.current_number, arrival_number_of(run))
             ):
                 results = [] if result is None else [result]
                 results += self._results_of_earlier(run, key)
@@ -474,7 +475,7 @@ class KleeneNode(KleeneValues):
             extended, result = False, None
             runs: Iterable[PartialMatch] = self.buffer.partners(key, match.start, match.end, newest)
             if joins_in_order:
-                runs = earlier_partners(match, runs, self.rule.network.tracker)
+                runs = earlier_partners(match, runs, self.rule.network.tracker.current_number)
             for run in metered(runs, meter):
                 extended, result = extend(run, match, has_equal_key(key, run))
                 if extended:
@@ -498,7 +499,7 @@ class KleeneNode(KleeneValues):
             key = self.repetition_buffer.key_of(match)
             runs: Iterable[PartialMatch] = self.buffer.partner_list(key, match.start, match.end)
             if joins_in_order:
-                runs = earlier_partners(match, runs, self.rule.network.tracker)
+                runs = earlier_partners(match, runs, self.rule.network.tracker.current_number)
             # The repetition is stored before results are emitted: a start that follows from a result must find it.
             if stores_repetition:
                 self._store_repetition(match, key)
@@ -561,11 +562,11 @@ class KleeneNode(KleeneValues):
 
         If a negation prevents it, record that, to try again if the cause is retracted.
         """
-        tracker = self.rule.network.tracker
-        tracker.blocking_match = None
+        rule = self.rule
+        rule.blocking_match = None
         extended, result = self.extend(run, match, shares_values)
-        if not extended and tracker.blocking_match is not None:
-            tracker.record_suppressed(self, (run, match))
+        if not extended and rule.blocking_match is not None:
+            rule.network.tracker.record_suppressed(self, (run, match))
         return extended, result
 
     def _add_repetition(

@@ -59,10 +59,10 @@ from ..matches.match_types import (
     PartialMatch,
     identity,
 )
-from ..matches.negation import DeferredNegations, NegationBuffer, RuledOutSweep
-from ..matches.shared_run_buffer import Run, RunGroup, RunGroupBuffer
-from ..provenance.occurrences import MatchOrPair
+from ..matches.negation import DeferredNegations, NegatedNode, NegationBuffer, RuledOutSweep
 from .goal_evaluation import RuleGoal, Test
+from .occurrences import MatchOrPair
+from .shared_run_buffer import Run, RunGroup, RunGroupBuffer
 
 if TYPE_CHECKING:
     from .event_rule import EventRule
@@ -152,7 +152,7 @@ def computed_values_getter(
     return lambda values: tuple([values[position] for position in hidden_positions])
 
 
-def checks_of_negations(negations: Iterable[Tuple[NegationBuffer, "NetworkNode"]]) -> List["MatchCheck"]:
+def checks_of_negations(negations: Iterable[Tuple[NegationBuffer, NegatedNode]]) -> List["MatchCheck"]:
     """Return the check of each of `NegationBuffer.buffers`, for negations with their negated nodes."""
     return [
         check

@@ -41,7 +41,10 @@ from ..matches.consumption_policy import Emit, emit_each, metered
 from ..matches.interval_index import interval_bounds
 from ..matches.match_buffer import MatchBuffer, key_function
 from ..matches.match_types import NetworkOptions, PartialMatch, identity
-from ..matches.shared_run_buffer import (
+from .join_node import JoinNode
+from .occurrences import lineage_nodes_of
+from .pattern_nodes import IdentityFunction, MatchCheck, NetworkNode, OperandBuffer, accepts_none
+from .shared_run_buffer import (
     BufferSlice,
     RunCursor,
     RunGroup,
@@ -51,9 +54,6 @@ from ..matches.shared_run_buffer import (
     set_slice_parts,
     slices_of,
 )
-from ..provenance.occurrences import lineage_nodes_of
-from .join_node import JoinNode
-from .pattern_nodes import IdentityFunction, MatchCheck, NetworkNode, OperandBuffer, accepts_none
 
 if TYPE_CHECKING:
     from .event_rule import EventRule

@@ -37,11 +37,12 @@ from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.list_terms import conjuncts, list_items
 from ...prolog.terms.term_traversal import copy
 from ...prolog.terms.types import Atom, Functor, Term, deref, functor
-from ..language.called_predicates import PredicateCall, undefined_call_warnings
+from ..language.called_predicates import PredicateCall, calls_in_goals, undefined_call_warnings
 from ..language.pattern_parser import no_place
 from ..language.pattern_tree import RuleDefinition
 from ..language.rule_head_parser import RULE, Property, is_rule
 from ..network.event_rule import EventRule
+from ..rules.rule_base import RuleBase
 from .event_file_checker import (
     DIRECTIVES,
     PROPERTY_FACT,
@@ -62,7 +63,6 @@ if TYPE_CHECKING:
     from os import PathLike
 
     from ...prolog.files.source_files import SourceFiles
-    from ..rules.rule_base import RuleBase
 
 _OP = functor("op", 3)
 _SET_FLAG = functor("set_prolog_flag", 2)
@@ -71,7 +71,7 @@ _SET_FLAG = functor("set_prolog_flag", 2)
 class LoadSavepoint:
     """Part of the state before a load that costs little time; it suffices if only rules and properties were added."""
 
-    def __init__(self, rules: "RuleBase", loaded: Set[Path]):
+    def __init__(self, rules: RuleBase, loaded: Set[Path]):
         self._rules = rules
         self._loaded = loaded
         self._serial = rules.serial
@@ -90,7 +90,7 @@ class LoadSavepoint:
 class LoadRollback:
     """State of the program before a load: clauses, rules, properties and operators."""
 
-    def __init__(self, rules: "RuleBase"):
+    def __init__(self, rules: RuleBase):
         self._rules = rules
         self._active = set(rules.rules)
         predicates = list(rules.logic.database.predicates.values())
@@ -165,11 +165,13 @@ class _ReadingState(NamedTuple):
 class EventFileLoader:
     """Loads event files into a `RuleBase`."""
 
-    def __init__(self, rules: "RuleBase"):
+    def __init__(self, rules: RuleBase):
         self._rules = rules
         self._files: SourceFiles = rules.files
         self._directives = Directives(rules.logic)
-        self._prolog_loader = PrologFileLoader(rules, self._directives, self.use_file)
+        self._prolog_loader = PrologFileLoader(
+            rules, self._directives, self.use_file, self._warn_of_singletons
+        )
         self._expansion = TermExpansion(rules.logic)
         self._active_files: List[CheckedProgram] = []
         """Files that are taking effect, outermost first."""
@@ -177,9 +179,15 @@ class EventFileLoader:
         """Rollbacks of the load in progress; entries after the first two belong to nested loads."""
         self._deferred_calls: Optional[List[PredicateCall]] = None
         self._modules = rules.logic.database.modules
+        self._warns_of_singletons = False
 
-    def record_calls(self, calls: List[PredicateCall]) -> None:
-        """Warn about unknown predicates, at the end of the load in progress or now."""
+    def warn_of_singletons(self) -> None:
+        """Warn of variables that occur only once in a clause that is loaded from now on."""
+        self._warns_of_singletons = True
+
+    def warn_unknown_calls(self, conditions: Term, caller: str) -> None:
+        """Warn of unknown predicates in conditions, at the end of the load in progress or now."""
+        calls = calls_in_goals(conditions, caller)
         if self._active_files:
             self._active_files[0].calls.extend(calls)
         else:
@@ -196,7 +204,11 @@ class EventFileLoader:
         self._warn_of_undefined_predicates(calls or [])
 
     def load_text(self, text: str, source: str, folder: Optional[Path]) -> None:
-        """Load a text; see `RuleBase.load_text`."""
+        """Load the text of an event file; relative names of files start in ``folder``.
+
+        Raises:
+            ProgramErrors: all errors; nothing of the text is active.
+        """
         if folder is None:
             self._load(text, source)
             return
@@ -204,7 +216,13 @@ class EventFileLoader:
             self._load(text, source)
 
     def load_file(self, path: Union[str, "PathLike[str]"]) -> None:
-        """Load a file; see `RuleBase.load_file`."""
+        """Load an event file.
+
+        Raises:
+            ProgramErrors: all errors; nothing of the file is active.
+            PrologError: if the file does not exist or the name is invalid.
+            UsageError: if the file cannot be read.
+        """
         self._load_file(self._files.resolve(path))
 
     def use_file(self, name: Term, once: bool) -> None:
@@ -230,7 +248,11 @@ class EventFileLoader:
         self._modules.import_exports(self._files.module(path))
 
     def load_terms(self, terms: Sequence[Tuple[Term, Optional[Place]]]) -> None:
-        """Load terms; see `RuleBase.load_terms`."""
+        """Load terms like the contents of an event file.
+
+        Raises:
+            ProgramErrors: all errors; nothing is active.
+        """
         logic = self._rules.logic
         state = self._start_reading(
             FileChecker(logic.brief, self._rules.declared_events.current_declarations()), Errors()
@@ -328,12 +350,15 @@ class EventFileLoader:
             state.checker.check_read_term(read_term)
         else:
             state.checker.check_term(expanded, no_place, read_term.place)
-        if read_term.singletons and self._rules.warn_singletons:
-            names = ", ".join(read_term.singletons)
-            self._rules.on_warning(RuleError(f"singleton variables: {names}", read_term.place))
+        self._warn_of_singletons(read_term)
         # The directive runs after the checks, but the rest of the file is read with its operators and flags.
         if directive is not None:
             apply_reader_settings(directive, program)
+
+    def _warn_of_singletons(self, read_term: ReadTerm) -> None:
+        if read_term.singletons and self._warns_of_singletons:
+            names = ", ".join(read_term.singletons)
+            self._rules.on_warning(RuleError(f"singleton variables: {names}", read_term.place))
 
     def _include(
         self,

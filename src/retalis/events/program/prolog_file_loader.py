@@ -18,6 +18,7 @@ from ...prolog.terms.types import Atom, Term, Var, atom, deref, functor
 from ..language.called_predicates import PredicateCall
 from ..language.pattern_parser import no_place
 from ..language.rule_head_parser import Property
+from ..rules.rule_base import RuleBase
 from .event_file_checker import (
     DIRECTIVES,
     EntryKind,
@@ -32,8 +33,6 @@ from .source_preprocessing import ConditionalCompilation, TermExpansion
 
 if TYPE_CHECKING:
     from ...prolog.files.source_files import SourceFiles
-    from ..rules.rule_base import RuleBase
-
 
 _END_OF_FILE = atom("end_of_file")
 _MODULE_DECLARATIONS = frozenset((functor("module", 2), functor("module", 3)))
@@ -58,12 +57,20 @@ class PrologFileLoader:
         rules: receives clauses and rules.
         directives: runs directives.
         load_file: loads files that directives name.
+        warn_of_singletons: called with each clause that is read.
     """
 
-    def __init__(self, rules: "RuleBase", directives: Directives, load_file: LoadFile):
+    def __init__(
+        self,
+        rules: RuleBase,
+        directives: Directives,
+        load_file: LoadFile,
+        warn_of_singletons: Callable[[ReadTerm], None],
+    ):
         self._rules = rules
         self._directives = directives
         self._load_file = load_file
+        self._warn_of_singletons = warn_of_singletons
 
     def load(self, source: PrologSource, record_calls: Callable[[List[PredicateCall]], None]) -> None:
         """Consult a file.
@@ -75,7 +82,9 @@ class PrologFileLoader:
         flags = self._rules.logic.flags
         saved_flags = {name: flags[name] for name in _FILE_FLAGS}
         try:
-            _FileConsultation(self._rules, self._directives, self._load_file, record_calls).load(source)
+            _FileConsultation(
+                self._rules, self._directives, self._load_file, self._warn_of_singletons, record_calls
+            ).load(source)
         finally:
             flags.update(saved_flags)
 
@@ -133,9 +142,10 @@ class _FileConsultation:
 
     def __init__(
         self,
-        rules: "RuleBase",
+        rules: RuleBase,
         directives: Directives,
         load_file: LoadFile,
+        warn_of_singletons: Callable[[ReadTerm], None],
         record_calls: Callable[[List[PredicateCall]], None],
     ):
         self._rules = rules
@@ -143,6 +153,7 @@ class _FileConsultation:
         self._files: SourceFiles = rules.files
         self._directives = directives
         self._load_file = load_file
+        self._warn_of_singletons = warn_of_singletons
         self._record_calls = record_calls
         self._omitted = _OmittedTerms(rules.on_warning, None)
         self._conditions = ConditionalCompilation(self._condition_holds)
@@ -226,10 +237,7 @@ class _FileConsultation:
         term = deref(read_term.term)
         if self._process_expansion(term, read_term, place):
             return
-        if read_term.singletons and self._rules.warn_singletons:
-            self._rules.on_warning(
-                RuleError(f"singleton variables: {', '.join(read_term.singletons)}", place)
-            )
+        self._warn_of_singletons(read_term)
         self._check_and_run(self._expansion.expand_goals(term), read_term, place)
 
     def _process_expansion(self, term: Term, read_term: Optional[ReadTerm], place: Optional[Place]) -> bool:

@@ -3,11 +3,13 @@
 import logging
 import os
 from collections import deque
-from typing import TYPE_CHECKING, Deque, Iterable, Iterator, List, NamedTuple, Optional
+from typing import Callable, Deque, Iterable, Iterator, List, NamedTuple, Optional
 
 from ...foundation.errors import RetalisError, UsageError
 from ...prolog.database.goal_terms import functor_of
 from ...prolog.database.predicate import Predicate
+from ...prolog.database.predicate_table import Database
+from ...prolog.files.file_sandbox import FileSandbox
 from ...prolog.machine.machine import Machine
 from ...prolog.terms.term_traversal import copy
 from ...prolog.terms.timestamps import interval_term
@@ -16,9 +18,7 @@ from ...prolog.terms.unification import undo, unify
 from ...serialization.field_types import CALLABLE_TERM, INSTANT
 from ...serialization.state_fields import StateFields, StateOwner, field, rows_of
 from ..dispatch.listeners import Listener, ListenerPhase
-
-if TYPE_CHECKING:
-    from ..rules.rule_base import RuleBase
+from ..network.network_context import NetworkContext
 
 log = logging.getLogger("retalis.events")
 
@@ -34,15 +34,15 @@ _LOG_SELECTORS = tuple(functor(name, 1) for name in ("external_trigger", "print_
 class EventSelector(Predicate):
     """Predicate whose facts select events to be logged or written; its first fact starts the recording."""
 
-    def __init__(self, rules: "RuleBase", event_log: "EventLog", key: Functor):
-        super().__init__(rules.logic.database, key)
+    def __init__(self, database: Database, key: Functor, start_recording: Callable[[], None]):
+        super().__init__(database, key)
         self.dynamic = True
-        self._log = event_log
+        self._start_recording = start_recording
 
     def record_change(self) -> None:
         """Start the recording when a clause is added or removed."""
         super().record_change()
-        self._log.start_recording()
+        self._start_recording()
 
 
 class StoredEvent(NamedTuple):
@@ -57,6 +57,10 @@ class EventLog(StateOwner):
     """Log of all events.
 
     A listener exists only while a flag or fact requires it; without one, the log costs nothing.
+
+    Args:
+        network: the program, its events, and the reports.
+        sandbox: writes the file of persistent events.
     """
 
     STATE = StateFields(
@@ -71,8 +75,9 @@ class EventLog(StateOwner):
         ),
     )
 
-    def __init__(self, rules: "RuleBase"):
-        self._rules = rules
+    def __init__(self, network: NetworkContext, sandbox: FileSandbox):
+        self._network = network
+        self._sandbox = sandbox
         self._events: Deque[StoredEvent] = deque(maxlen=_MAX_STORED_EVENTS)
         self._storing_listener: Optional[Listener] = None
         self._recording_listener: Optional[Listener] = None
@@ -80,7 +85,7 @@ class EventLog(StateOwner):
 
     def set_storing(self, is_on: bool) -> None:
         """Start or stop storing events."""
-        dispatcher = self._rules.dispatcher
+        dispatcher = self._network.dispatcher
         if is_on and self._storing_listener is None:
             self._storing_listener = dispatcher.listen(ListenerPhase.TRACE, Var(), self._store_event)
         elif not is_on and self._storing_listener is not None:
@@ -107,41 +112,41 @@ class EventLog(StateOwner):
     def define_predicates(self) -> None:
         """Define the predicates whose facts select events."""
         for key in (_PERSISTENCE_SELECTOR, *_LOG_SELECTORS):
-            self._rules.logic.database.predicates[key] = EventSelector(self._rules, self, key)
+            database = self._network.logic.database
+            database.predicates[key] = EventSelector(database, key, self._start_recording)
 
-    def start_recording(self) -> None:
+    def _start_recording(self) -> None:
         """Start to write and log the events that facts of the program select."""
         if self._recording_listener is None:
-            self._recording_listener = self._rules.dispatcher.listen(ListenerPhase.TRACE, Var(), self._record)
+            self._recording_listener = self._network.dispatcher.listen(
+                ListenerPhase.TRACE, Var(), self._record
+            )
 
     def _record(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
         if self._is_selected(_PERSISTENCE_SELECTOR, term):
             self._write((_EVENT2, term, interval_term(start, end)))
         if any(self._is_selected(key, term) for key in _LOG_SELECTORS):
             event_term = (_EVENT2, term, interval_term(start, end))
-            log.info("%s", self._rules.logic.show(event_term))
+            log.info("%s", self._network.logic.show(event_term))
         return frame
 
     def _write(self, event: Term) -> None:
         """Append an event to the file of persistent events; failures are counted, and some of them reported."""
-        rules = self._rules
+        sandbox, text = self._sandbox, self._network.logic.show(event)
         try:
-            sandbox = rules.files.sandbox
-            sandbox.append(
-                os.path.join(sandbox.default_output_folder, _PERSISTENT_FILE), f"{rules.logic.show(event)}.\n"
-            )
+            sandbox.append(os.path.join(sandbox.default_output_folder, _PERSISTENT_FILE), f"{text}.\n")
         except RetalisError as error:
             self._failed_write_count += 1
             # Reported at the counts 1, 2, 4, 8 and so on: a full disk must not produce one warning per event.
             if self._failed_write_count & (self._failed_write_count - 1) == 0:
-                rules.on_warning(
+                self._network.on_warning(
                     UsageError(
                         f"{self._failed_write_count} persistent events could not be written: {error.message}"
                     )
                 )
 
     def _is_selected(self, key: Functor, term: Term) -> bool:
-        predicate = self._rules.logic.database.predicates.get(key)
+        predicate = self._network.logic.database.predicates.get(key)
         # A program may redefine or abolish the predicate.
         if predicate is None or predicate.kind != "user":
             return False

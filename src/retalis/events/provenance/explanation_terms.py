@@ -8,11 +8,11 @@ explained recursively.
 """
 
 from typing import (
-    TYPE_CHECKING,
     Any,
     Callable,
     Dict,
     Hashable,
+    Iterable,
     Iterator,
     List,
     Optional,
@@ -46,14 +46,10 @@ from ..language.pattern_tree import (
 )
 from ..language.stream_parser import rate_operator_term, window_term
 from ..matches.match_types import ComputedValues, PartialMatch, RepetitionChain
-from ..matches.shared_run_buffer import repetitions
-from .lineage import LineageTracker
-from .occurrences import Occurrence
-
-if TYPE_CHECKING:
-    from ..network.event_rule import EventRule
-    from ..rules.rule_base import RuleBase
-
+from ..network.event_rule import EventRule
+from ..network.lineage import LineageTracker
+from ..network.occurrences import Occurrence
+from ..network.shared_run_buffer import repetitions
 
 _EVENT = functor("event", 2)
 _CLAUSE_BODY = functor("clause_body", 2)
@@ -75,9 +71,14 @@ EventFormatter = Callable[[Occurrence], Term]
 
 
 class Justifier:
-    """Explanations of events that the tracker remembers, and of events that did not occur."""
+    """Explanations of events that the tracker remembers, and of events that did not occur.
 
-    def __init__(self, rules: "RuleBase", tracker: LineageTracker):
+    Args:
+        rules: the active rules.
+        tracker: the lineage of events.
+    """
+
+    def __init__(self, rules: Iterable[EventRule], tracker: LineageTracker):
         self._rules = rules
         self._tracker = tracker
 
@@ -134,7 +135,7 @@ class Justifier:
 class _MissingEventExplainer:
     """Why-not explanation of one event, with a limit for the number of visited rules."""
 
-    def __init__(self, rules: "RuleBase", tracker: LineageTracker):
+    def __init__(self, rules: Iterable[EventRule], tracker: LineageTracker):
         self._rules = rules
         self._tracker = tracker
         self._keys_in_progress: Set[Hashable] = set()
@@ -147,14 +148,14 @@ class _MissingEventExplainer:
         if key not in self._keys_in_progress:
             # Rules may be recursive: an event is not explained again within its own explanation.
             self._keys_in_progress.add(key)
-            for rule in self._rules.rules:
+            for rule in self._rules:
                 explained = self._explain_rule(rule, event, interval)
                 if explained is not None:
                     explanations.append(explained)
             self._keys_in_progress.discard(key)
         return explanations or [(_JUSTIFICATION, _UNLABELED, (_HEAD, event, interval), _FAILED)]
 
-    def _explain_rule(self, rule: "EventRule", event: Term, interval: Term) -> Optional[Term]:
+    def _explain_rule(self, rule: EventRule, event: Term, interval: Term) -> Optional[Term]:
         head = rule.definition.head
         if head is None or not self._rules_left:
             return None
@@ -370,7 +371,7 @@ def _event_term(occurrence: Occurrence) -> Term:
     return (_EVENT, occurrence.term, interval_term(occurrence.start, occurrence.end))
 
 
-def _label_of(rule: Optional["EventRule"]) -> Term:
+def _label_of(rule: Optional[EventRule]) -> Term:
     return _UNLABELED if rule is None or rule.label is None else rule.label
 
 

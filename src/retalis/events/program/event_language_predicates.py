@@ -5,10 +5,11 @@ Predicates that load files follow SWI-Prolog (``consult/1``, ``use_module/1,2``,
 """
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Dict, Hashable, Iterator, Sequence, Tuple
+from typing import Dict, Hashable, Iterator, Sequence, Tuple
 
 from ...foundation.errors import UsageError
 from ...prolog.builtins.argument_checks import callable_of
+from ...prolog.files.source_files import SourceFiles
 from ...prolog.machine.errors import domain_error, existence_error, instantiation_error
 from ...prolog.machine.machine import Machine
 from ...prolog.system.prolog_system import PrologSystem
@@ -17,22 +18,23 @@ from ...prolog.terms.term_traversal import copy, freeze, resolve
 from ...prolog.terms.timestamps import interval_term, lazy_term
 from ...prolog.terms.types import CONS, NIL, Atom, Term, Var, atom, deref, functor
 from ...prolog.terms.unification import undo
+from ..language.pattern_parser import no_place
+from ..language.rule_head_parser import is_rule
 from ..provenance.event_log import enumerate_stored_events
-from .event_flags import FLAGS
-from .event_input_predicates import EVENT2, define_event_predicates, file_name_of, require_list
-from .timer_service import define_timers
-
-if TYPE_CHECKING:
-    from .rule_base import RuleBase
+from ..rules.event_flags import FLAGS
+from ..rules.event_input_predicates import EVENT2, define_event_predicates, file_name_of, require_list
+from ..rules.rule_base import RuleBase
+from ..rules.timer_service import define_timers
+from .event_file_checker import FileChecker
+from .event_file_loader import EventFileLoader
 
 _IF_OPTION = functor("if", 1)
 _LOAD_IF_CHANGED = ("not_loaded", "changed")
 _NO_VALUE = atom("nil")
 
 
-def define_load_predicates(rules: "RuleBase") -> None:
+def define_load_predicates(logic: PrologSystem, files: SourceFiles, loader: EventFileLoader) -> None:
     """Define the predicates that load files, except those that `_RulePredicates` defines."""
-    logic, loader = rules.logic, rules.loader
 
     def load(machine: Machine, names: Term, options: Term = NIL) -> bool:
         option_terms = [deref(option) for option in list_items(options) or ()]
@@ -48,7 +50,7 @@ def define_load_predicates(rules: "RuleBase") -> None:
         return True
 
     def load_context(machine: Machine, key: Term, value: Term) -> Iterator[bool]:
-        path = rules.files.innermost_file
+        path = files.innermost_file
         for entry in () if path is None else _create_load_context(path):
             # Bindings are undone before the next solution, because the machine expects none from a previous one.
             mark = len(machine.trail)
@@ -80,13 +82,13 @@ def _create_load_context(path: Path) -> Tuple[Tuple[Term, Term], ...]:
     )
 
 
-def define_predicates(rules: "RuleBase") -> None:
+def define_predicates(rules: RuleBase, loader: EventFileLoader) -> None:
     """Define all predicates of the event language for a program's rules."""
     logic = rules.logic
-    _RulePredicates(rules).define(logic)
+    _RulePredicates(rules, loader).define(logic)
     _FlagPredicates(rules).define(logic)
     define_event_predicates(rules)
-    define_load_predicates(rules)
+    define_load_predicates(logic, rules.files, loader)
     define_timers(logic, rules.timers, rules.declared_events.require_declared)
     _QueryPredicates(rules).define(logic)
 
@@ -106,8 +108,9 @@ def _unify_each_solution(
 class _RulePredicates:
     """Predicates that add and delete rules and load files."""
 
-    def __init__(self, rules: "RuleBase"):
+    def __init__(self, rules: RuleBase, loader: EventFileLoader):
         self.rules = rules
+        self.loader = loader
 
     def define(self, logic: PrologSystem) -> None:
         logic.define("ins_event_rule", 1, self.insert_rule)
@@ -128,10 +131,20 @@ class _RulePredicates:
         logic.define("reset_etalis", 0, self.reset_etalis)
 
     def insert_rule(self, machine: Machine, rule: Term) -> bool:
-        return bool(self.rules.insert(callable_of(rule)))
+        term = callable_of(rule)
+        # The term is copied, because backtracking over the goal undoes its bindings.
+        self.loader.load_terms([(copy(term), None)])
+        return is_rule(term)
 
     def delete_rule(self, machine: Machine, rule: Term) -> bool:
-        self.rules.delete(callable_of(rule))
+        term = deref(callable_of(rule))
+        if not is_rule(term):
+            self.rules.delete(term)
+            return True
+        checker = FileChecker()
+        checker.check_term(copy(term), no_place, None)
+        if checker.rules:
+            self.rules.delete_equal(checker.rules[0])
         return True
 
     def delete_rules(self, machine: Machine, head: Term) -> bool:
@@ -139,25 +152,25 @@ class _RulePredicates:
         return True
 
     def load_file(self, machine: Machine, path: Term) -> bool:
-        self.rules.loader.load_file(file_name_of(path))
+        self.loader.load_file(file_name_of(path))
         return True
 
     def consult(self, machine: Machine, names: Term) -> bool:
         items = list_items(names)
         for name in [names] if items is None else items:
-            self.rules.loader.use_file(name, once=False)
+            self.loader.use_file(name, once=False)
         return True
 
     def load_module(self, machine: Machine, name: Term) -> bool:
-        self.rules.loader.use_file(name, once=False)
+        self.loader.use_file(name, once=False)
         return True
 
     def ensure_loaded(self, machine: Machine, name: Term) -> bool:
-        self.rules.loader.use_file(name, once=True)
+        self.loader.use_file(name, once=True)
         return True
 
     def load_terms(self, machine: Machine, terms: Term) -> bool:
-        self.rules.load_terms([(term, None) for term in require_list(terms)])
+        self.loader.load_terms([(term, None) for term in require_list(terms)])
         return True
 
     def reset_db(self, machine: Machine) -> bool:
@@ -188,7 +201,7 @@ class _RulePredicates:
 class _FlagPredicates:
     """Predicates that set and read flags and counters."""
 
-    def __init__(self, rules: "RuleBase"):
+    def __init__(self, rules: RuleBase):
         self.rules = rules
         # Stored with the state of the built-ins, so that snapshots include it.
         state = rules.logic.state
@@ -267,7 +280,7 @@ def _key_of_term(term: Term) -> Hashable:
 class _QueryPredicates:
     """Predicates that query intervals, stored events and explanations."""
 
-    def __init__(self, rules: "RuleBase"):
+    def __init__(self, rules: RuleBase):
         self.rules = rules
 
     def define(self, logic: PrologSystem) -> None:

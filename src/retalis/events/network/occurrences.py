@@ -36,10 +36,10 @@ from ..matches.match_types import (
 from ..streams.stream_operators import MATCH_KINDS
 
 if TYPE_CHECKING:
-    from ..network.event_rule import EventRule
-    from ..network.join_node import JoinNode
-    from ..network.kleene_node import KleeneNode
-    from ..network.pattern_nodes import EarlyTestNode, NotNode
+    from .event_rule import EventRule
+    from .join_node import JoinNode
+    from .kleene_node import KleeneNode
+    from .pattern_nodes import EarlyTestNode, NotNode
 
     # Nodes that try a match again when the negated match that suppressed it was retracted.
     SuppressingNode = Union[EarlyTestNode, JoinNode, KleeneNode, NotNode]

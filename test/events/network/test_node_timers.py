@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from retalis import StreamClock
 from retalis.events.matches.watermarks import PatternWatermark
-from retalis.events.rules.timer_service import NodeTimers
+from retalis.events.network.node_timers import NodeTimers
 
 
 class Node:
@@ -48,12 +48,8 @@ class TimerBench:
     def __init__(self) -> None:
         machine = SimpleNamespace(done=None, run=lambda frame: frame)
         self.clock = StreamClock()
-        rules = SimpleNamespace(
-            clock=self.clock,
-            logic=SimpleNamespace(machine=machine),
-            dispatcher=SimpleNamespace(run_without_context=lambda work: work()),
-        )
-        self.deadlines = NodeTimers(rules)
+        dispatcher = SimpleNamespace(run_without_context=lambda work: work())
+        self.deadlines = NodeTimers(self.clock, dispatcher, machine)
         self.alarms: List[Any] = []
 
     def node(self, name: str, serial: int, position: int = 0) -> Node:
@@ -61,7 +57,7 @@ class TimerBench:
 
     def advance_to(self, instant: int) -> Tuple[Any, ...]:
         """Move the clock to an instant; return the alarms that ran, and the errors that they raised."""
-        self.alarms = []
+        self.alarms: List[Any] = []
         self.clock.move_to(instant)
         errors: List[Any] = []
         while True:

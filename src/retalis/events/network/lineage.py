@@ -31,16 +31,16 @@ from typing import (
     Union,
 )
 
-from ...prolog.machine.resource_limits import Meter
+from ...prolog.machine.resource_limits import Budget, Meter
 from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.types import Frame, Term, Values, Var, functor
 from ...serialization.field_types import COUNT, references
 from ...serialization.state_fields import NextNumber, StateFields, StateOwner, field
+from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import CAUSE, END, PARENT, START, TERM, TOKEN, Context, Listener, ListenerPhase
 from ..language.rule_head_parser import SYNCHRONIZED
 from ..matches.consumption_policy import metered
 from ..matches.match_types import PartialMatch, RepetitionChain, lineage_sources
-from ..matches.shared_run_buffer import Run
 from .occurrences import (
     LineageNode,
     MatchOrPair,
@@ -51,11 +51,11 @@ from .occurrences import (
 )
 
 if TYPE_CHECKING:
-    from ..network.event_rule import EventRule
-    from ..network.kleene_node import KleeneNode
-    from ..network.stream_node import StreamNode
-    from ..rules.rule_base import RuleBase
+    from .event_rule import EventRule
+    from .kleene_node import KleeneNode
     from .occurrences import SuppressingNode
+    from .shared_run_buffer import Run
+    from .stream_node import StreamNode
 
     # Nodes that compute results again without repetitions or elements whose events were retracted.
     RecomputingNode = Union[KleeneNode, StreamNode]
@@ -79,9 +79,13 @@ RetractionStep = Callable[[Frame], Frame]
 class LineageTracker(StateOwner):
     """Recorder of events and their lineage; executes retractions.
 
+    Args:
+        dispatcher: dispatches the events.
+        budget: limits the work of retractions.
+        report_nothing_retracted: called with an event that ``rev`` does not find, and the rule that retracts it.
+
     Attributes:
         listeners: the listeners of the tracker; none if events are not tracked.
-        blocking_match: the negated match that made the last test of a node fail; None if another test failed.
     """
 
     STATE = StateFields(
@@ -90,29 +94,37 @@ class LineageTracker(StateOwner):
         field("next_event_number", COUNT),
     )
 
-    def __init__(self, rules: "RuleBase"):
-        self._rules = rules
+    def __init__(
+        self,
+        dispatcher: Dispatcher,
+        budget: Budget,
+        report_nothing_retracted: "Callable[[Term, Optional[EventRule]], None]",
+    ):
+        self._dispatcher = dispatcher
+        self._budget = budget
+        self._report_nothing_retracted = report_nothing_retracted
+        self._tracks_events = False
         self._remembered_events: Deque[Occurrence] = deque()
         self._occurrences_by_term: Dict[Hashable, List[Occurrence]] = {}
         self.listeners: List[Listener] = []
-        self.blocking_match: Optional[PartialMatch] = None
         self._next_suppressed_number = count()
         self._next_event_number = count(1)
         self._alarm_number = 0
 
-    def configure(self) -> None:
-        """Start or stop tracking according to the flags."""
-        dispatcher = self._rules.dispatcher
+    def configure(self, tracks_events: bool, executes_retractions: bool) -> None:
+        """Start or stop tracking, and executing events ``rev(E)``."""
+        self._tracks_events = tracks_events
+        dispatcher = self._dispatcher
         for listener in self.listeners:
             dispatcher.remove(listener)
         self.listeners = []
-        if not self._rules.options.tracks_events:
+        if not tracks_events:
             dispatcher.track_lineage(None)
             self.clear()
             return
         dispatcher.track_lineage(self._create_token)
         self.listeners.append(dispatcher.listen(ListenerPhase.TRACE, Var(), self._remember))
-        if self._rules.flags.is_on("revision_flag"):
+        if executes_retractions:
             self.listeners.append(dispatcher.listen(ListenerPhase.RULES, (REV, Var()), self._retract, (-1,)))
 
     next_suppressed_number = NextNumber("_next_suppressed_number", "Number of the next suppressed match.")
@@ -126,7 +138,7 @@ class LineageTracker(StateOwner):
 
     @stored_events.setter
     def stored_events(self, events: Iterable[Occurrence]) -> None:
-        self._remembered_events = deque(events if self._rules.options.tracks_events else ())
+        self._remembered_events = deque(events if self._tracks_events else ())
         self._occurrences_by_term.clear()
         for occurrence in self._remembered_events:
             self._occurrences_by_term.setdefault(term_key(occurrence.term), []).append(occurrence)
@@ -138,7 +150,7 @@ class LineageTracker(StateOwner):
 
     def current_number(self) -> int:
         """Return the number of the current event, or of the current deadline if the clock has activated a node."""
-        dispatcher = self._rules.dispatcher
+        dispatcher = self._dispatcher
         number: int = self._alarm_number if dispatcher.current is None else dispatcher.token().number
         return number
 
@@ -172,7 +184,7 @@ class LineageTracker(StateOwner):
         return occurrence
 
     def _remember(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
-        occurrence: Occurrence = self._rules.dispatcher.token()
+        occurrence: Occurrence = self._dispatcher.token()
         occurrence.number = next(self._next_event_number)
         self._remembered_events.append(occurrence)
         self._occurrences_by_term.setdefault(term_key(term), []).append(occurrence)
@@ -217,22 +229,23 @@ class LineageTracker(StateOwner):
                     if not isinstance(match_or_run, PartialMatch) or match_or_run.buffer is not None
                 ]
 
-    def register_repetition(self, run: Run, match: PartialMatch, node: "KleeneNode") -> None:
+    def register_repetition(self, run: "Run", match: PartialMatch, node: "KleeneNode") -> None:
         """Record that a run was extended by a match."""
         for occurrence in lineage_nodes_of(match):
             if not occurrence.forgotten:
                 occurrence.dependents.append((node, run, match))
 
     def record_suppressed(self, node: "SuppressingNode", match_or_pair: MatchOrPair) -> None:
-        """Record a match that was not emitted, if `blocking_match` has suppressed it.
+        """Record a match that was not emitted, if `MatchStore.blocking_match` has suppressed it.
 
         Args:
             node: the node that tries the match again if the blocking match is retracted.
             match_or_pair: the suppressed match, or the two matches that were not joined.
         """
-        if self.blocking_match is not None:
+        blocking_match = node.rule.blocking_match
+        if blocking_match is not None:
             entry = Suppressed(node, match_or_pair, next(self._next_suppressed_number))
-            for occurrence in lineage_nodes_of(self.blocking_match):
+            for occurrence in lineage_nodes_of(blocking_match):
                 if not occurrence.forgotten:
                     occurrence.suppressed.append(entry)
 
@@ -241,7 +254,7 @@ class LineageTracker(StateOwner):
 
         For a ``rev`` event that another retraction dispatched, only the occurrence that it names is retracted.
         """
-        token = self._rules.dispatcher.token()
+        token = self._dispatcher.token()
         retracted = token.retracts
         retries: List[Tuple[RetryingNode, MatchOrPair]] = []
         invalidated: List[LineageNode] = []
@@ -252,7 +265,7 @@ class LineageTracker(StateOwner):
                 if not occurrence.retracted
             ]
             if not retracted:
-                self._rules.report_nothing_retracted(values[0], token.rule)
+                self._report_nothing_retracted(values[0], token.rule)
                 return frame
             # The work is charged to the rule that sent ``rev``, else to one that derived an event from the retracted
             # ones.
@@ -268,7 +281,7 @@ class LineageTracker(StateOwner):
         return retraction.run((retraction, frame))
 
     def _create_meter(self, rule: object) -> Optional[Meter]:
-        return self._rules.logic.machine.budget.meter(rule)
+        return self._budget.meter(rule)
 
     def _remove_derived(
         self, retracted: List[Occurrence], meter: Optional[Meter]
@@ -283,7 +296,7 @@ class LineageTracker(StateOwner):
         marked = _mark_retracted(retracted, meter)
         if marked is None:
             return None
-        self._rules.dispatcher.count_retraction()
+        self._dispatcher.count_retraction()
         # ``rev(E)`` itself reports the retraction of E, so no further ``rev`` event is dispatched for these.
         for occurrence in retracted:
             occurrence.reported = True
@@ -356,7 +369,7 @@ class LineageTracker(StateOwner):
     def _retry(self, node: "RetryingNode", match_or_pair: Any, frame: Frame) -> Frame:
         """Try a match again, and return the next frame."""
         # Nodes store some matches of an event only when the next event arrives; ``rev`` is such an event.
-        node.rule.store_deferred_of_earlier_events(self._rules.dispatcher.token())
+        node.rule.store_deferred_of_earlier_events(self._dispatcher.token())
         return node.retry(match_or_pair, frame)
 
     def _create_rev_step(self, occurrence: Occurrence, start: int, end: int) -> RetractionStep:
@@ -364,7 +377,7 @@ class LineageTracker(StateOwner):
         term = (REV, occurrence.term)
         token = Occurrence(term, start, end, None, None)
         token.retracts = [occurrence]
-        return lambda frame: self._rules.dispatcher.dispatch(term, start, end, frame, token)
+        return lambda frame: self._dispatcher.dispatch(term, start, end, frame, token)
 
     def occurrences_of(self, term: Term) -> List[Occurrence]:
         """Return the remembered events with a term that are not retracted, the oldest first."""

@@ -42,8 +42,7 @@ from ...serialization.field_types import (
     tuple_of,
 )
 from ...serialization.state_fields import ObjectFields, constraint, field
-from ..streams.stream_operators import MATCH_KINDS
-from .match_types import (
+from ..matches.match_types import (
     MATCH_REFERENCE,
     MATCH_VALUES,
     NO_REPETITIONS,
@@ -53,10 +52,11 @@ from .match_types import (
     Parts,
     identity,
 )
+from ..streams.stream_operators import MATCH_KINDS
 
 if TYPE_CHECKING:
-    from ..network.kleene_node import KleeneNode
-    from ..network.repeat_node import RepeatNode
+    from .kleene_node import KleeneNode
+    from .repeat_node import RepeatNode
 
 
 _HASH_MASK = (1 << 61) - 1
