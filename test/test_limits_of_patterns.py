@@ -16,7 +16,7 @@ GROWING = UNRESTRICTED + "a(f(X)) <- a(X) seq a(Y).\n"
 FIVE = UNRESTRICTED + "b <- a(A) and a(B) and a(C) and a(D) and a(E).\n"
 PAIRS = UNRESTRICTED + "p(X) <- a(X) seq b(_).\n"
 REPORT = "while patterns were matched"
-LIMIT = 2000
+MAX_INFERENCES = 2000
 
 
 class RecordingReports(Reports):
@@ -49,7 +49,7 @@ class RecordingEngine(Engine):
         self.instant = 0
 
 
-def make(rules: str, inferences: Any = LIMIT, **settings: Any) -> RecordingEngine:
+def make(rules: str, inferences: Any = MAX_INFERENCES, **settings: Any) -> RecordingEngine:
     limits = settings.pop("limits", Limits(inferences=inferences))
     engine = RecordingEngine(Settings(limits=limits, limit_start=False, **settings))
     engine.load(rules=rules + "alive(X) <- ping(X).\n")
@@ -85,7 +85,7 @@ def test_explosion_of_matches_stops_at_limit(
     engine = make(rules)
     for event in events:
         dispatched = send(engine, event)
-        assert len(dispatched) <= LIMIT
+        assert len(dispatched) <= MAX_INFERENCES
         stop_count = engine.take_stop_count()
         assert stop_count <= 1
     assert stop_count
@@ -165,7 +165,7 @@ def test_work_of_steps_is_limited() -> None:
     steps = "steps([x(0, many) where X > 0, later(y(1, 2, reluctant)) where X > 1, z where X < 0])"
     engine = make(f"q(N) <- aggregate(count, p(X), N, {steps}).\nr <- q(_).\n{PAIRS}", 1_000_000)
     send(engine, *[f"a({number})" for number in range(1, 100)])
-    engine.logic.limits = Limits(inferences=LIMIT // 10)
+    engine.logic.limits = Limits(inferences=MAX_INFERENCES // 10)
     send(engine, "b(1)")
     assert engine.take_stop_count() == 1
     assert is_alive(engine)
@@ -175,7 +175,7 @@ def test_results_of_many_keys_are_limited() -> None:
     engine = make("q(X, N) <- aggregate(count, p(X), N, every(10)).\n", 1_000_000)
     for number in range(3000):
         engine.event(f"p({number})", 1 + number / 1000)
-    engine.logic.limits = Limits(inferences=LIMIT)
+    engine.logic.limits = Limits(inferences=MAX_INFERENCES)
     engine.instant = 20
     send(engine, "ping(1)")
     assert engine.take_stop_count() == 1

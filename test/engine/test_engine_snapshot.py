@@ -3,9 +3,9 @@
 import random
 from pathlib import Path
 from typing import Any, List
-from weakref import WeakKeyDictionary
 
 import pytest
+from engine.emissions import record_emissions, show
 
 from retalis import (
     Engine,
@@ -18,7 +18,6 @@ from retalis import (
     make_list,
     record_origins,
 )
-from retalis.prolog.terms.term_traversal import variables
 from retalis.prolog.terms.timestamps import SECOND
 
 ALARM = "exceptionAlarm(late(X), 5) <- start(X).\nwarned(X) <- late(X)."
@@ -33,9 +32,9 @@ PROGRAMS = {
     ),
     "window": ("pair(X, Y) <- (a(X) seq b(Y)) within 3.", "", ["a(1)", "x", "a(2)"], ["b(1)", "b(2)"]),
     "absence": ("p(X) <- (a(X) seq b(Y)) cnot c(_).", "", ["a(1)", "c(1)", "a(2)"], ["b(1)", "b(2)"]),
-    "never": ("p(X) <- a(X) fnot b(X).", "", ["b(1)"], ["a(1)", "a(2)"]),
+    "negation": ("p(X) <- a(X) fnot b(X).", "", ["b(1)"], ["a(1)", "a(2)"]),
     "repetitions": ("p(X, Y) <- a(X) seq (b(Y) star_times).", "", ["a(1)", "b(1)"], ["b(2)", "a(2)", "b(3)"]),
-    "many of one": (
+    "repeated pattern": (
         "p <- a(_) ntimes 4.",
         "",
         ["a(1)", "a(2)", "a(3)"],
@@ -79,7 +78,7 @@ PROGRAMS = {
         ["pose(1)", "seen(1)"],
         ["pose(2)", "pose(3)", "seen(2)"],
     ),
-    "query for a time": (
+    "query with a timeout": (
         "synchronized(at(X), true, [[m, 1000]], [timeout(3)]) <- seen(X).",
         "memorize(pose(_), [], _, m, 3)\nsubscribe(query_given_up(_, _, _), [], _, out, g)",
         ["pose(1)", "seen(1)"],
@@ -123,33 +122,18 @@ QUERIES = {
 }
 
 
-def show(engine: Any, term: Any) -> Any:
-    """Return the text of a term, with names for variables, whose numbers differ between engines."""
-    names = {var: f"V{number}" for number, var in enumerate(variables(term))}
-    return engine.logic.show(term, names=names)
-
-
-EMITTED: "WeakKeyDictionary[Engine, List[Any]]" = WeakKeyDictionary()
-"""Events and outputs of each engine that `record_emitted` has got."""
-
-
-def emitted_of(engine: Engine) -> List[Any]:
-    return EMITTED[engine]
-
-
-def record_emitted(engine: Engine) -> Engine:
-    emitted = EMITTED[engine] = []
-    engine.on_event(lambda term, start, end: emitted.append((show(engine, term), int(start), int(end))))
-    engine.on_output(
-        lambda term, topic, name: emitted.append(("out", show(engine, term), topic, show(engine, name)))
-    )
-    return engine
-
-
 def feed(engine: Any, events: Any, first: int) -> None:
+    """Feed one event per second from a first second on; an event may be a pair with its own time."""
     for second, event in enumerate(events, first):
-        term, when = event if isinstance(event, tuple) else (event, second)
-        engine.event(term, when)
+        text, seconds = event if isinstance(event, tuple) else (event, second)
+        engine.event(text, seconds)
+
+
+def emissions_of(engine: Engine, events: Any, first: int) -> List[Any]:
+    """Feed events to an engine; return the events and outputs that it emits for them."""
+    emissions = record_emissions(engine)
+    feed(engine, events, first)
+    return emissions
 
 
 @pytest.mark.parametrize("name", PROGRAMS)
@@ -160,11 +144,10 @@ def test_restored_engine_emits_same_events(name: Any) -> None:
     feed(original, before, 1)
     first = Engine.restore(original.snapshot())
     second = Engine.restore(Engine.restore(first.snapshot()).snapshot())
-    for engine in (original, first, second):
-        feed(record_emitted(engine), after, len(before) + 1)
-    assert emitted_of(original)
-    assert emitted_of(first) == emitted_of(original)
-    assert emitted_of(second) == emitted_of(original)
+    expected = emissions_of(original, after, len(before) + 1)
+    assert expected
+    assert emissions_of(first, after, len(before) + 1) == expected
+    assert emissions_of(second, after, len(before) + 1) == expected
 
 
 @pytest.mark.parametrize("name", QUERIES)
@@ -238,11 +221,11 @@ def test_rules_of_services_are_restored_before_reload(tmp_path: Path) -> None:
     restored = Engine.restore(original.snapshot())
     (tmp_path / "r.txt").write_text("three : p(X) <- a(X) seq d.\nfact(2).\n")
     assert restored.reload(tmp_path) == original.reload(tmp_path)
-    for engine in (original, restored):
-        feed(record_emitted(engine), ["b", "c", "d", "a(2)", "d"], 2)
-        assert engine.query("fact(X)") == [{"X": 2}]
-    assert emitted_of(original)
-    assert emitted_of(restored) == emitted_of(original)
+    events = ["b", "c", "d", "a(2)", "d"]
+    expected = emissions_of(original, events, 2)
+    assert expected
+    assert emissions_of(restored, events, 2) == expected
+    assert original.query("fact(X)") == restored.query("fact(X)") == [{"X": 2}]
 
 
 def test_alarm_of_deleted_rule_is_restored() -> None:
@@ -251,10 +234,9 @@ def test_alarm_of_deleted_rule_is_restored() -> None:
     original.event("start(1)", 1)
     assert original.call("del_event_rule(l)")
     restored = Engine.restore(original.snapshot())
-    for engine in (original, restored):
-        feed(record_emitted(engine), ["x"], 20)
-    assert emitted_of(restored) == emitted_of(original)
-    assert len(emitted_of(original)) == 2
+    expected = emissions_of(original, ["x"], 20)
+    assert len(expected) == 2
+    assert emissions_of(restored, ["x"], 20) == expected
 
 
 DUE_AT_ONE_INSTANT = {
@@ -279,10 +261,10 @@ def test_restore_keeps_order_of_alarms_at_one_instant(name: Any) -> None:
     engine.load(rules=rules, goals=goals)
     feed(engine, events, 1)
     restored = Engine.restore(Engine.restore(engine.snapshot()).snapshot())
-    for either in (engine, restored):
-        feed(record_emitted(either), ["tick"], 9)
-    assert {end for _, _, end in emitted_of(engine)[:2]} == {emitted_of(engine)[0][-1]}
-    assert emitted_of(restored) == emitted_of(engine)
+    expected = emissions_of(engine, ["tick"], 9)
+    (_, _, first_end), (_, _, second_end) = expected[:2]
+    assert first_end == second_end
+    assert emissions_of(restored, ["tick"], 9) == expected
 
 
 def test_restore_omits_retracted_state() -> None:
@@ -293,10 +275,10 @@ def test_restore_omits_retracted_state() -> None:
     )
     feed(engine, ["a(1)", "a(2)", "rev(a(1))", "c"], 1)
     restored = Engine.restore(engine.snapshot())
-    for either in (engine, restored):
-        feed(record_emitted(either), ["c", "a(1)", "c", "c", "c", "c", "c"], 5)
-    assert ("open([2,1])", 7 * SECOND, 7 * SECOND) in emitted_of(engine)
-    assert emitted_of(restored) == emitted_of(engine)
+    events = ["c", "a(1)", "c", "c", "c", "c", "c"]
+    expected = emissions_of(engine, events, 5)
+    assert ("open([2,1])", 7 * SECOND, 7 * SECOND) in expected
+    assert emissions_of(restored, events, 5) == expected
 
 
 def test_own_clock_is_not_moved_by_events() -> None:
@@ -317,9 +299,8 @@ def test_restored_rules_call_given_foreign_predicates() -> None:
     original = Engine()
     original.add_foreign(half)
     original.load(rules="p(Y) <- a(X) where half(X, Y).")
-    restored = record_emitted(Engine.restore(original.snapshot(), foreign=(half,)))
-    restored.event("a(3)", 1)
-    assert emitted_of(restored)[-1][0] == "p(1.5)"
+    restored = Engine.restore(original.snapshot(), foreign=(half,))
+    assert emissions_of(restored, ["a(3)"], 1)[-1][0] == "p(1.5)"
 
 
 def test_python_module_is_loaded_from_program_folder(tmp_path: Path) -> None:
@@ -377,9 +358,8 @@ def test_memory_of_size_zero_keeps_its_progress() -> None:
     original = Engine()
     original.load(rules="synchronized(got(X), true, [[m, 2]]) <- ask(X).", goals="memorize(a, [], _, m, 0)")
     original.event("a", 3)
-    restored = record_emitted(Engine.restore(original.snapshot()))
-    restored.event("ask(1)", 4)
-    assert "got(1)" in [emitted[0] for emitted in emitted_of(restored)]
+    restored = Engine.restore(original.snapshot())
+    assert "got(1)" in [emission[0] for emission in emissions_of(restored, ["ask(1)"], 4)]
 
 
 def test_query_continues_without_deleted_memory() -> None:
@@ -392,10 +372,9 @@ def test_query_continues_without_deleted_memory() -> None:
     feed(original, ["b"], 6)
     assert original.call("delete_memory(n)")
     restored = Engine.restore(original.snapshot())
-    for engine in (original, restored):
-        feed(record_emitted(engine), ["a"], 7)
-    assert emitted_of(restored) == emitted_of(original)
-    assert emitted_of(restored)
+    expected = emissions_of(original, ["a"], 7)
+    assert expected
+    assert emissions_of(restored, ["a"], 7) == expected
 
 
 @pytest.mark.parametrize(

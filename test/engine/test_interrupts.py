@@ -6,7 +6,7 @@ from typing import Any, List
 import pytest
 from recording_engine import RecordingEngine
 
-from retalis import Engine, Limits, PrologError, UsageError, foreign
+from retalis import Engine, Limits, PrologError, UsageError, foreign, functor
 from retalis.foundation.interrupts import Interrupt, deferred_interrupts, postpone
 
 JOIN = "pair(X) <- a(X) seq b(X). out(X) <- pair(X). c <- a(_) seq b(_) where (stop, repeat, fail)."
@@ -69,12 +69,12 @@ def test_event_is_interrupted_and_later_ones_are_not(
     way: str, limits: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
     engine = make(JOIN, **limits)
+    term = functor("b", 1)(1)
     ways = {
         "event": lambda: engine.event("b(1)", 2),
-        "post": lambda: engine.post(engine.read("b(1)"), 2_000_000_000),
-        "post_each": lambda: engine.post_each([(engine.read("b(1)"), 2_000_000_000)]),
+        "post": lambda: engine.post(term, 2_000_000_000),
+        "post_each": lambda: engine.post_each([(term, 2_000_000_000)]),
     }
-    engine.read = lambda text: engine.query(f"X = {text}")[0]["X"]
     engine.event("a(1)", 1)
     engine.event("a(2)", 1)
     with deferred_interrupts(), pytest.raises(Interrupt):

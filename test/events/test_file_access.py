@@ -9,6 +9,7 @@ from typing import Any, Dict, Iterator, List, Optional, Tuple
 
 import pytest
 from python_path import python_path
+from recording_engine import RecordingEngine
 
 from retalis import Engine, ProgramErrors, RetalisError, Settings, StreamClock, atom, functor, make_list
 from retalis.prolog.terms.types import CONS, NIL
@@ -110,20 +111,14 @@ def cases(place: Any) -> Dict[str, Any]:
 
 
 def engine_of(place: Any, **settings: Any) -> Any:
-    engine = Engine(StreamClock(), Settings(allow_goals=True, **settings))
+    engine = RecordingEngine(clock=StreamClock(), allow_goals=True, **settings)
     engine.load(rules="secret(0). tell(X) :- event(X).", folder=place / "program")
     return engine
 
 
 def was_read(engine: Any) -> Any:
     """Return whether a file has been loaded: its clause is defined, or its event was emitted."""
-    return len(engine.query("secret(_)")) > 1 or "secret" in engine.fired
-
-
-def record_events(engine: Any) -> Any:
-    engine.fired = []
-    engine.on_event(lambda term, start, end: engine.fired.append(engine.show(term)))
-    return engine
+    return len(engine.query("secret(_)")) > 1 or "secret" in engine.event_texts
 
 
 def error_text(function: Any, *args: Any, **options: Any) -> Optional[str]:
@@ -161,7 +156,7 @@ def check_access(engine: Any, expected_error: Any, text: Any, name: Any) -> None
 def test_file_access_of_python_calls(place: Any, goal: Any) -> None:
     for name, (expected_error, _) in cases(place).items():
         for method in ("call", "query"):
-            engine = record_events(engine_of(place))
+            engine = engine_of(place)
             check_access(engine, expected_error, error_text(getattr(engine, method), GOALS[goal](name)), name)
 
 
@@ -184,7 +179,7 @@ def test_file_access_of_goals_of_events(
     place: Any, caplog: pytest.LogCaptureFixture, goal: Any, trigger: Any
 ) -> None:
     for name, (expected_error, _) in cases(place).items():
-        engine = record_events(engine_of(place))
+        engine = engine_of(place)
         caplog.clear()
         assert engine.call((functor("nb_setval", 2), atom("goal"), (functor("t", 1), GOALS[goal](name))))
         run = "nb_getval(goal, t(G)), call(G)"
@@ -215,7 +210,7 @@ def test_file_access_of_goals_of_events(
 def test_file_access_of_loading_goals(place: Any, goal: Any) -> None:
     for name, (_, expected_error) in cases(place).items():
         for place_of_goal in ("goals", "directive"):
-            engine = record_events(engine_of(place))
+            engine = engine_of(place)
             text = engine.logic.show(GOALS[goal](name))
             text = (
                 text
@@ -232,7 +227,7 @@ def test_file_access_of_loading_goals(place: Any, goal: Any) -> None:
                 places = [error.place for error in errors.errors]
             assert None not in places, name[:50]
             if expected_error is None and goal == "execute_event_stream_file":
-                assert "secret" in engine.fired
+                assert "secret" in engine.event_texts
             else:
                 check_access(engine, expected_error, text_of_errors, name)
 
@@ -254,9 +249,9 @@ def test_added_suffix_does_not_extend_access(place: Any, goal: Any) -> None:
         "pipe": MISSING,
         "y" * 254: MISSING,
     }.items():
-        engine = record_events(engine_of(place))
+        engine = engine_of(place)
         check_access(engine, expected_error, error_text(engine.call, GOALS[goal](name)), name)
-        engine = record_events(Engine())
+        engine = RecordingEngine()
         engine.load(rules="secret(0). tell(X) :- event(X).")
         text_of_errors = error_text(engine.load, goals=engine.show(GOALS[goal](name)), folder=program)
         if expected_error is None or (expected_error is REFUSED and not name.startswith("dangling")):
@@ -277,7 +272,7 @@ def test_files_loaded_by_files_are_restricted(place: Any) -> None:
     ):
         (program / "sub" / "other.pl").write_text(":- compile_event_file('../../outside/secret.pl').")
         (program / f"more{number}.pl").write_text(text)
-        engine = record_events(engine_of(place))
+        engine = engine_of(place)
         assert "No permission to open source_sink" in error_text(engine.call, f"consult(more{number})")
         assert not was_read(engine)
         engine.load(goals=f"consult(more{number})", folder=program)
@@ -286,7 +281,7 @@ def test_files_loaded_by_files_are_restricted(place: Any) -> None:
 
 
 def test_names_are_relative_to_program_folder(place: Any) -> None:
-    engine = record_events(engine_of(place))
+    engine = engine_of(place)
     assert engine.call("exists_file('in.pl'), exists_file(\"sub/in.pl\"), consult(sub/in)")
     assert was_read(engine)
     (place / "here" / "new.pl").write_text("")
@@ -311,7 +306,7 @@ def test_exists_file_has_access_of_loading(place: Any) -> None:
 
 def test_program_without_folder_reads_no_files(place: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(place / "program")
-    engine = record_events(Engine())
+    engine = RecordingEngine()
     engine.load(rules=":- ensure_loaded(in). secret(0).")
     assert was_read(engine)
     for goal in ("ensure_loaded(sub/in)", "exists_file('in.pl')", f"exists_file('{place}/program/in.pl')"):
@@ -330,7 +325,7 @@ def test_settings_allow_folders(place: Any) -> None:
         {"write_folders": (str(place / "outside"),)},
         {"write_folders": None},
     ):
-        engine = record_events(engine_of(place, **settings))
+        engine = engine_of(place, **settings)
         assert engine.call(f"exists_file({outside}), consult({outside})")
         assert was_read(engine)
     beside = engine_of(place, folders=(str(place / "out"),))
@@ -473,7 +468,7 @@ def swap_pipe(path: Any, outside: Any) -> None:
 def test_file_replaced_before_opening_is_not_read(
     place: Any, monkeypatch: pytest.MonkeyPatch, goal: Any, swap: Any, hook: str
 ) -> None:
-    engine = record_events(engine_of(place))
+    engine = engine_of(place)
     path = place / "program" / "sub" / "in.pl"
     real = getattr(os, hook)
     calls: List[Any] = []

@@ -14,6 +14,25 @@ POLICIES = ("recent", "recent_2", "chronological", "chronological_2", "unrestric
 PARTNER = ("z", 0, 0.2)
 
 
+class DerivingEngine(Engine):
+    """An engine that records derived events, each as text with its start and end in seconds."""
+
+    def __init__(self) -> None:
+        super().__init__(clock=StreamClock(1000 * SECOND))
+        self._derived: List[Tuple[str, float, float]] = []
+        self.on_event(self._record)
+
+    def record_anew(self) -> List[Tuple[str, float, float]]:
+        """Return a new list, to which events are added until the next call."""
+        self._derived = []
+        return self._derived
+
+    def _record(self, term: Any, start: Any, end: Any) -> None:
+        text = self.show(term)
+        if text.startswith(("out", "rev")):
+            self._derived.append((text, int(start) / SECOND, int(end) / SECOND))
+
+
 class ProgramRun:
     """A program executed on a stream, by an engine whose former programs are removed.
 
@@ -25,7 +44,7 @@ class ProgramRun:
     def __init__(self, engine: Any, rules: Any, stream: Any, policy: Any, **flags: Any) -> None:
         self.engine = engine
         self.engine.rules.reset()
-        self.derived = engine.derived = []
+        self.derived = engine.record_anew()
         self._flag("event_consumption_policy", policy)
         for name, value in flags.items():
             self._flag(name, value)
@@ -47,16 +66,7 @@ class ProgramRun:
 @pytest.fixture
 def run() -> Any:
     """Return a function that runs a program; all runs of a test share the engine."""
-    engine = Engine(clock=StreamClock(1000 * SECOND))
-    engine.derived = []
-
-    def record(term: Any, start: Any, end: Any) -> None:
-        text = engine.show(term)
-        if text.startswith(("out", "rev")):
-            engine.derived.append((text, int(start) / SECOND, int(end) / SECOND))
-
-    engine.on_event(record)
-    return partial(ProgramRun, engine)
+    return partial(ProgramRun, DerivingEngine())
 
 
 NIGHTLY_POLICIES = ("recent_2", "chronological_2")

@@ -25,13 +25,13 @@ from retalis.messages.type_registry import InstalledTypes  # noqa: E402
 
 pytestmark = pytest.mark.slow
 
-SECONDS = 12
+BAG_SECONDS = 12
 
 
 @pytest.fixture(scope="module")
 def bag_and_truth(tmp_path_factory: pytest.TempPathFactory) -> Tuple[Any, ...]:
     path = tmp_path_factory.mktemp("nao") / "nao.bag"
-    return path, make_bag.make_bag(path, SECONDS, seed=3)
+    return path, make_bag.make_bag(path, BAG_SECONDS, seed=3)
 
 
 @pytest.fixture(scope="module")
@@ -114,15 +114,15 @@ def test_bag_has_topics_with_rates(bag_and_truth: Tuple[Any, ...], records: Any)
     for topic, _, _ in records:
         counts[topic] += 1
     assert counts == {
-        "/tf": 1900 * SECONDS,
-        "/ar_pose_marker": 7 * SECONDS,
-        "/face_recognition/feedback": 3 * SECONDS,
+        "/tf": 1900 * BAG_SECONDS,
+        "/ar_pose_marker": 7 * BAG_SECONDS,
+        "/face_recognition/feedback": 3 * BAG_SECONDS,
     }
 
 
 def test_transforms_of_chain_have_rates_and_order(records: Any) -> None:
     histories = transforms(records)
-    rates = {pair: len(history) / SECONDS for pair, history in histories.items()}
+    rates = {pair: len(history) / BAG_SECONDS for pair, history in histories.items()}
     assert [rates[parent, child] for parent, child, _ in nao_robot.CHAIN] == [10, 50, 10, 10, 50]
     assert set(rates.values()) <= {8, 10, 12, 50}
     for parent, child, _ in nao_robot.CHAIN:
@@ -165,7 +165,7 @@ def test_interpolated_poses_locate_markers(bag_and_truth: Tuple[Any, ...], recor
         pose = nao_robot.compose(pose, (tuple(position), tuple(rotation)))
         assert nao_robot.distance(pose[0], truth.markers[name][0]) < 0.01
         located[name] = pose[0]
-    assert count == len(truth.complete) > 7 * SECONDS - 5
+    assert count == len(truth.complete) > 7 * BAG_SECONDS - 5
     comparisons = nao_truth.compare(truth, located)
     assert [entry.marker for entry in comparisons] == list(nao_robot.MARKERS)
     assert all(entry.good for entry in comparisons)
@@ -183,7 +183,7 @@ def test_observations_have_delays_and_are_stored(bag_and_truth: Tuple[Any, ...],
     assert 0.2e9 < max(delays) <= 0.5e9
     stamps = sorted(observation.stamp for observation in truth.observations)
     gaps = {second - first for first, second in zip(stamps, stamps[1:])}
-    assert len(gaps) > SECONDS
+    assert len(gaps) > BAG_SECONDS
 
 
 def test_bag_has_faces(records: Any) -> None:
@@ -249,4 +249,4 @@ def test_rosbag_reads_bag(bag_and_truth: Tuple[Any, ...], tmp_path: Path) -> Non
         check=False,
         timeout=60,
     )
-    assert process.stdout.strip() == str(1910 * SECONDS), process.stderr
+    assert process.stdout.strip() == str(1910 * BAG_SECONDS), process.stderr

@@ -42,7 +42,7 @@ kept(T) :- nb_setval(k, T), nb_getval(k, U), kept(f(T, U)).
 store(N) :- assertz(item(N)), M is N + 1, store(M).
 """
 
-LIMIT = 200_000
+MAX_INFERENCES = 200_000
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def error_of(logic: Any, goal: str, **limits: Any) -> Any:
 
 @pytest.mark.parametrize("goal", ["X = [a|X], length(X, _)", "X = [a|X], memberchk(b, X)"])
 def test_cyclic_list_is_refused(logic: Any, goal: str) -> None:
-    assert error_of(logic, goal, inferences=LIMIT) == "resource_error(term_size)"
+    assert error_of(logic, goal, inferences=MAX_INFERENCES) == "resource_error(term_size)"
 
 
 def test_ground_visits_cyclic_term_once(logic: Any) -> None:
@@ -130,7 +130,7 @@ def test_ground_visits_cyclic_term_once(logic: Any) -> None:
     ],
 )
 def test_long_step_exceeds_limit(logic: Any, goal: str) -> None:
-    assert error_of(logic, goal, inferences=LIMIT) in (
+    assert error_of(logic, goal, inferences=MAX_INFERENCES) in (
         "resource_error(inferences)",
         "resource_error(memory)",
     )
@@ -188,14 +188,14 @@ def test_large_integers_are_exact(logic: Any, goal: str, value: int) -> None:
 
 @pytest.mark.slow
 def test_limit_in_long_step_is_caught(logic: Any) -> None:
-    logic.limits = Limits(inferences=LIMIT)
+    logic.limits = Limits(inferences=MAX_INFERENCES)
     goal = "wide(T, _), catch(copy_term(T, _), error(resource_error(R), _), true), R == inferences"
     assert logic.once(read_term(goal, logic.operators).term)
 
 
 @pytest.mark.slow
 def test_limit_error_names_goal(logic: Any) -> None:
-    logic.limits = Limits(inferences=LIMIT)
+    logic.limits = Limits(inferences=MAX_INFERENCES)
     with pytest.raises(PrologError) as error:
         logic.once(read_term("wide(T, _), copy_term(T, _)", logic.operators).term)
     assert "copy_term/2" in error.value.message

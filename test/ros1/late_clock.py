@@ -26,13 +26,13 @@ from retalis import (  # noqa: E402
 
 PROGRAM = Path(__file__).resolve().parents[2] / "application_source"
 MARKERS = [f"marker{number}" for number in range(1, 9)]
-SECONDS = 4.0
+BAG_SECONDS = 4.0
 SPEED = 2.0
 LATE_SECONDS = 0.4
 """Seconds of a bag that are sent before the clock goes back to its start."""
 
 LATE_MESSAGES = 40
-"""Number of messages of the previous run that are received after its end."""
+"""Number of messages of the previous epoch that are received after its end."""
 
 
 class LateClock(unittest.TestCase):
@@ -42,7 +42,7 @@ class LateClock(unittest.TestCase):
         self.bags = []
         for seed in (3, 4):
             path = Path(folder.name) / f"{seed}.bag"
-            make_bag(path, seconds=SECONDS, seed=seed)
+            make_bag(path, seconds=BAG_SECONDS, seed=seed)
             with BagReader(path) as bag:
                 types = {topic.name: (topic.type, topic.definition) for topic in bag.topics}
                 records = [(record.time, record.topic.name, record.data) for record in bag.records()]

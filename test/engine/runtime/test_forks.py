@@ -15,7 +15,7 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),  # later Pythons warn of a fork beside threads
 ]
 
-SECONDS = 60
+CHILD_TIMEOUT_SECONDS = 60
 """Time limit of a child process."""
 
 REFUSED = (
@@ -29,7 +29,7 @@ def in_child(work: Any) -> Any:
     pid = os.fork()
     if pid == 0:
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.alarm(SECONDS)
+        signal.alarm(CHILD_TIMEOUT_SECONDS)
         try:
             try:
                 text = str(work())
@@ -73,12 +73,12 @@ def busy(engine: Any) -> Iterator[Any]:
 
     def wait(*_: Any) -> None:
         started.set()
-        released.wait(SECONDS)
+        released.wait(CHILD_TIMEOUT_SECONDS)
 
     engine.on_event(wait)
     worker = threading.Thread(target=lambda: engine.event("in(1)", 1))
     worker.start()
-    assert started.wait(SECONDS)
+    assert started.wait(CHILD_TIMEOUT_SECONDS)
     yield engine
     released.set()
     worker.join()
@@ -143,7 +143,7 @@ def in_process(work: Any) -> Any:
     receiver, sender = context.Pipe(duplex=False)
 
     def run() -> None:
-        signal.alarm(SECONDS)
+        signal.alarm(CHILD_TIMEOUT_SECONDS)
         try:
             sender.send(str(work()))
         except UsageError as error:

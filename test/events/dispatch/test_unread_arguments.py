@@ -18,12 +18,14 @@ def announced_arguments(engine: Any, event_functor: Any = IMAGE) -> Set[Any]:
     return set(engine.dispatcher.projection.announce().get(event_functor, ()))
 
 
-def engine_with(rules: str = "", goals: str = "") -> Any:
-    engine = Engine()
-    engine.outputs = []
-    engine.on_output(lambda term, topic, name: engine.outputs.append(engine.show(term)))
-    engine.load(rules=rules, goals=goals)
-    return engine
+class OutputEngine(Engine):
+    """An engine with a program, whose outputs are recorded; a listener of all events would read all arguments."""
+
+    def __init__(self, rules: str = "", goals: str = "") -> None:
+        super().__init__()
+        self.outputs: List[str] = []
+        self.on_output(lambda term, topic, name: self.outputs.append(self.show(term)))
+        self.load(rules=rules, goals=goals)
 
 
 @pytest.mark.parametrize(
@@ -56,33 +58,35 @@ def engine_with(rules: str = "", goals: str = "") -> Any:
     ],
 )
 def test_unread_arguments_are_announced(rules: str, goals: str, unread: Set[Any]) -> None:
-    assert announced_arguments(engine_with(rules, goals)) == unread
+    assert announced_arguments(OutputEngine(rules, goals)) == unread
 
 
 @pytest.mark.slow
 def test_deep_and_long_patterns_are_analyzed() -> None:
     deep = "f(" * 20_000 + "x" + ")" * 20_000
-    assert announced_arguments(engine_with(goals=f"subscribe(image(H, _, {deep}), [], seen(H), t, s)")) == {2}
+    assert announced_arguments(OutputEngine(goals=f"subscribe(image(H, _, {deep}), [], seen(H), t, s)")) == {
+        2
+    }
     slots = ",".join(f"X{number}" for number in range(20_000))
-    engine = engine_with(goals=f"subscribe(image({slots}), [], seen(X7), t, s)")
+    engine = OutputEngine(goals=f"subscribe(image({slots}), [], seen(X7), t, s)")
     assert announced_arguments(engine, functor("image", 20_000)) == set(range(1, 20_001)) - {8}
 
 
 def test_listener_of_all_events_reads_all_arguments() -> None:
-    engine = engine_with("seen(H, 1) <- image(H, _, _).")
+    engine = OutputEngine("seen(H, 1) <- image(H, _, _).")
     assert announced_arguments(engine) == {2, 3}
     engine.on_event(lambda term, start, end: None)
     assert announced_arguments(engine) == set()
 
 
 def test_storage_of_events_reads_all_arguments() -> None:
-    engine = engine_with("seen(H, 1) <- image(H, _, _).")
+    engine = OutputEngine("seen(H, 1) <- image(H, _, _).")
     engine.call("set_etalis_flag(store_fired_events, on)")
     assert announced_arguments(engine) == set()
 
 
 def test_changes_are_announced() -> None:
-    engine = engine_with("seen(H, 1) <- image(H, _, _).")
+    engine = OutputEngine("seen(H, 1) <- image(H, _, _).")
     changes: List[Any] = []
     engine.dispatcher.on_change.add(lambda: changes.append(announced_arguments(engine)))
     engine.call("memorize(image(_, N, _), [], got(N), m, 10)")
@@ -100,7 +104,7 @@ def test_changes_are_announced() -> None:
     ],
 )
 def test_later_reader_ignores_incomplete_events(goal: str) -> None:
-    engine = engine_with("seen(H, 1) <- image(H, _, _).", SEEN)
+    engine = OutputEngine("seen(H, 1) <- image(H, _, _).", SEEN)
     assert announced_arguments(engine) == {2, 3}
     assert engine.call(goal)
     assert 3 not in announced_arguments(engine)
@@ -113,7 +117,7 @@ def test_later_reader_ignores_incomplete_events(goal: str) -> None:
 
 
 def test_fused_action_ignores_incomplete_events() -> None:
-    engine = engine_with("seen(H, 1) <- image(H, _, _).")
+    engine = OutputEngine("seen(H, 1) <- image(H, _, _).")
     assert announced_arguments(engine) == {2, 3}
     engine.call("del_event_rule((seen(H, 1) <- image(H, _, _)))")
     engine.load_rules(
@@ -126,7 +130,7 @@ def test_fused_action_ignores_incomplete_events() -> None:
 
 def test_announced_functors_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(listeners, "MAX_PROJECTED_FUNCTORS", 5)
-    engine = engine_with(
+    engine = OutputEngine(
         goals="".join(f"subscribe(kind{number}(_), [], seen, t, {number})\n" for number in range(10))
     )
     assert len(engine.dispatcher.projection.announce()) == 5
@@ -162,7 +166,7 @@ def test_omission_of_unread_arguments_keeps_outputs(parts: Any, goals: Any, even
     goals_of_run = "\n".join(GOALS[number] for number in sorted(goals | {0}))
     results: List[Any] = []
     for leaves_out in (False, True):
-        engine = engine_with(rules, goals_of_run)
+        engine = OutputEngine(rules, goals_of_run)
         unread = announced_arguments(engine) if leaves_out else ()
         for instant, event in enumerate(events, 1):
             values = [atom(value) if isinstance(value, str) else value for value in event]
@@ -177,7 +181,7 @@ def test_omission_of_unread_arguments_keeps_outputs(parts: Any, goals: Any, even
 
 
 def test_trace_listener_gets_incomplete_events() -> None:
-    engine = engine_with("seen(H, 1) <- image(H, _, _).")
+    engine = OutputEngine("seen(H, 1) <- image(H, _, _).")
     assert announced_arguments(engine) == {2, 3}
     event, terms = Var(), []
 

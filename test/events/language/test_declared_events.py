@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from recording_engine import RecordingEngine
 
 from retalis import Engine, ProgramErrors, PrologError, UsageError
 from retalis.engine.client_requests import add_rule
@@ -17,11 +18,7 @@ VALUE = f"value of temperature/2 is a number, found hot; declared as {FORM}"
 
 @pytest.fixture
 def engine() -> Any:
-    engine = Engine()
-    engine.load(rules=DECLARATION)
-    engine.events = []
-    engine.on_event(lambda term, start, end: engine.events.append(engine.show(term)))
-    return engine
+    return RecordingEngine(DECLARATION)
 
 
 @pytest.mark.parametrize(
@@ -47,7 +44,7 @@ def test_goal_against_declaration_is_refused(engine: Any, goal: str, message: An
         assert message.replace("a <- temperature(_): ", "") in str(caught.value)
     else:
         engine.call(goal)
-    assert engine.events == []
+    assert engine.event_texts == []
     assert not list(engine.knowledge.memories)
     assert not list(engine.knowledge.subscriptions)
 
@@ -57,14 +54,14 @@ def test_event_against_declaration_is_refused(engine: Any) -> None:
         engine.event("temperature(left, hot)", 1)
     engine.event("temperature(left, 3)", 1)
     engine.event("temperatures(left)", 1)
-    assert engine.events == ["temperature(left,3)", "temperatures(left)"]
+    assert engine.event_texts == ["temperature(left,3)", "temperatures(left)"]
 
 
 def test_text_against_declaration_is_refused(engine: Any, caplog: pytest.LogCaptureFixture) -> None:
     for _ in range(4):
         engine.post_text("event(temperature(left,hot),[1,1])")
     engine.post_text("event(temperature(left,90.5),[1,1])")
-    assert engine.events == ["temperature(left,90.5)"]
+    assert engine.event_texts == ["temperature(left,90.5)"]
     message = f"event refused: event(temperature(left,hot),[1,1]): {VALUE}"
     assert [record.getMessage().partition("\n")[0] for record in caplog.records] == [message] * 3
 
@@ -83,7 +80,7 @@ def test_undeclared_event_is_refused_if_flag_is_set(engine: Any) -> None:
     engine.call("memorize(temperature(_, _), [], _, m, 5), memorize(memory_deleted(_), [], _, n, 5)")
     engine.call("set_etalis_flag(undeclared_events, allowed)")
     engine.event("smoke(hall)", 1)
-    assert engine.events[-1] == "smoke(hall)"
+    assert engine.event_texts[-1] == "smoke(hall)"
 
 
 def test_reset_removes_declarations(engine: Any) -> None:
@@ -91,7 +88,7 @@ def test_reset_removes_declarations(engine: Any) -> None:
     engine.event("temperature(1)", 1)
     engine.load(rules=":- event temperature(value:number).")
     engine.event("temperature(2)", 2)
-    assert engine.events == ["temperature(1)", "temperature(2)"]
+    assert engine.event_texts == ["temperature(1)", "temperature(2)"]
 
 
 def test_file_with_error_declares_nothing(engine: Any) -> None:
@@ -100,13 +97,13 @@ def test_file_with_error_declares_nothing(engine: Any) -> None:
     with pytest.raises(ProgramErrors):
         engine.load(rules=":- event smoke(room:atom).\n:- throw(no).")
     engine.event("smoke(1)", 1)
-    assert engine.events == ["smoke(1)"]
+    assert engine.event_texts == ["smoke(1)"]
 
 
 def test_invalid_asserted_declaration_is_ignored(engine: Any) -> None:
     engine.call("assertz('$declared_event'(3))")
     engine.event("temperature(left, 3)", 1)
-    assert engine.events == ["temperature(left,3)"]
+    assert engine.event_texts == ["temperature(left,3)"]
 
 
 def test_declarations_are_restored(engine: Any) -> None:

@@ -46,13 +46,18 @@ class FileStore:
 
 
 @pytest.fixture
-def logic() -> Any:
+def written() -> List[str]:
+    """Return the texts that are written to ``user_output``."""
+    return []
+
+
+@pytest.fixture
+def logic(written: List[str]) -> Any:
     system = prolog(
         "... --> [] | [_], ... . "
         "copy(S) :- get_char(S,C), (C = end_of_file -> true ; open(out, append, O), write(O, C), close(O), copy(S))."
     )
-    system.written = []
-    system.output = system.written.append
+    system.output = written.append
     system.files = FileStore(
         terms="a(1). b(X, Y, X).\nfoo bar. c.\nrest\nlast line",
         empty="",
@@ -178,9 +183,9 @@ def test_output_stream_writes_text(logic: Any, goal: str, text: str) -> None:
     assert logic.files.files["out"] == text
 
 
-def test_user_output_is_not_redirected(logic: Any) -> None:
+def test_user_output_is_not_redirected(logic: Any, written: List[str]) -> None:
     answers(logic, "tell(out), write(a), write(user_output, u), told, write(b)")
-    assert "".join(logic.written) == "ub"
+    assert "".join(written) == "ub"
 
 
 def test_line_is_written_at_its_end(logic: Any) -> None:
@@ -190,10 +195,10 @@ def test_line_is_written_at_its_end(logic: Any) -> None:
     assert logic.files.files["out"] == "one\ntwo"
 
 
-def test_streams_have_separate_columns(logic: Any) -> None:
+def test_streams_have_separate_columns(logic: Any, written: List[str]) -> None:
     answers(logic, "write(abc), tell(out), format('x~t~5|y~n'), told, format('~t~5|y')")
     assert logic.files.files["out"] == "x    y\n"
-    assert "".join(logic.written) == "abc  y"
+    assert "".join(written) == "abc  y"
 
 
 @pytest.mark.parametrize(
