@@ -18,10 +18,8 @@ def events(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     monkeypatch.syspath_prepend(str(BENCH))
     monkeypatch.delitem(sys.modules, "events", raising=False)
     module = importlib.import_module("events")
-    for name in (
-        "limit_gc_pauses",
-        "restore_gc",
-    ):  # these would collect the garbage of other tests for each figure
+    # These would collect the garbage of other tests for each figure.
+    for name in ("limit_gc_pauses", "restore_gc"):
         monkeypatch.setattr(module.event_streams, name, lambda: None)
     yield module
     sys.modules.pop("events", None)
@@ -61,7 +59,7 @@ def test_figures_of_runs_are_merged_into_table(
 @pytest.mark.slow
 @pytest.mark.parametrize("setting", ["values", "alike", "times", "shuffled"])
 def test_completing_events_complete_matches(events: Any, setting: str) -> None:
-    for name, policy, _ in events.cells(arguments(setting)):
+    for name, policy, _ in events.cells(SimpleNamespace(operator=None, policy=None, setting=[setting])):
         if name in events.CASES:
             (row,) = events.measure(name, policy, setting, 10, 1.0)
             completes_all = setting == "alike" and (policy == "unrestricted" or events.CASES[name].takes_all)
@@ -103,10 +101,6 @@ def test_table_of_streams_has_exponents(events: Any, capsys: pytest.CaptureFixtu
     assert [line.split(" | ")[0] for line in lines[3:]] == ["| `last_avg`", "| `throttle`"]
     for line in lines[3:]:
         assert -1 < float(line.split(" | ")[-1].strip(" |")) < 1
-
-
-def arguments(setting: Any) -> Any:
-    return SimpleNamespace(operator=None, policy=None, setting=[setting])
 
 
 def test_partners_wait_again_after_batch(events: Any) -> None:

@@ -37,7 +37,7 @@ def test_output_of_rule_is_delivered_to_subscriber() -> None:
     engine.event("heat(cellar)", 2)
     engine.event("heat(kitchen)", 3)
     assert engine.outputs == [("warn(kitchen)", "alarms", "a")]
-    assert engine.events[-1] == ("alarm(kitchen)", 10**9, 3 * 10**9)
+    assert engine.events[-1] == ("alarm(kitchen)", SECOND, 3 * SECOND)
 
 
 def test_invalid_date_is_no_number() -> None:
@@ -100,7 +100,7 @@ def test_events_of_goals_are_processed_first() -> None:
     engine = RecordingEngine("null do new_event(b, 5, 7) <- a.\nc <- b.\nd <- a.")
     engine.event("a", 1)
     assert [event for event, _, _ in engine.events] == ["a", "b", "c", "null", "d"]
-    assert engine.events[1][1:] == (5 * 10**9 + 7,) * 2
+    assert engine.events[1][1:] == (5 * SECOND + 7,) * 2
 
 
 def test_engine_continues_after_endless_chain(caplog: pytest.LogCaptureFixture) -> None:
@@ -121,10 +121,10 @@ def test_long_chain_overflows_no_stack() -> None:
 
 def test_time_going_back_clears_matches_and_memories(caplog: pytest.LogCaptureFixture) -> None:
     engine = RecordingEngine("c <- a seq b.", "memorize(a, [], _, m, 5)")
-    stream_clock(engine).move_to(100 * 10**9)
+    stream_clock(engine).move_to(100 * SECOND)
     engine.event("a", 100)
     assert len(engine.query("access_mem(m, _, _)")) == 1
-    stream_clock(engine).move_to(10 * 10**9, back=True)
+    stream_clock(engine).move_to(10 * SECOND, back=True)
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.event("b", 101)
     assert [event for event, _, _ in engine.events if not event.startswith("memory_")] == ["a", "b"]
@@ -156,12 +156,12 @@ def test_moved_clock_separates_waiting_events() -> None:
 def test_alarm_is_emitted_at_its_time() -> None:
     engine = RecordingEngine("exceptionAlarm(late, 5) <- a.")
     engine.event("a", 1)
-    stream_clock(engine).move_to(5 * 10**9)
+    stream_clock(engine).move_to(5 * SECOND)
     engine.advance()
     assert [event for event, _, _ in engine.events] == ["a"]
-    stream_clock(engine).move_to(6 * 10**9)
+    stream_clock(engine).move_to(6 * SECOND)
     engine.advance()
-    assert engine.events[-1] == ("late", 10**9, 6 * 10**9)
+    assert engine.events[-1] == ("late", SECOND, 6 * SECOND)
 
 
 def test_alarm_in_callback_keeps_current_event() -> None:
@@ -172,23 +172,22 @@ def test_alarm_in_callback_keeps_current_event() -> None:
     )
 
     def advance(term: Any, topic: Any, name: Any) -> None:
-        stream_clock(engine).move_to(5 * 10**9)
+        stream_clock(engine).move_to(5 * SECOND)
         engine.event("d", 5)
 
     engine.on_output(advance)
     engine.event("a", 1)
     engine.event("b", 4)
     events = [event for event in engine.events if not event[0].startswith("memory_")]
-    second = 10**9
     assert events == [
-        ("a", second, second),
-        ("b", 4 * second, 4 * second),
-        ("late", second, 2 * second),
-        ("d", 5 * second, 5 * second),
-        ("c", 4 * second, 4 * second),
+        ("a", SECOND, SECOND),
+        ("b", 4 * SECOND, 4 * SECOND),
+        ("late", SECOND, 2 * SECOND),
+        ("d", 5 * SECOND, 5 * SECOND),
+        ("c", 4 * SECOND, 4 * SECOND),
     ]
     (record,) = engine.query("access_mem(m, b, [Start, End])")
-    assert [timestamps.from_term(record[name]) for name in ("Start", "End")] == [4 * second] * 2
+    assert [timestamps.from_term(record[name]) for name in ("Start", "End")] == [4 * SECOND] * 2
     assert engine.dispatcher.current is None
 
 
@@ -284,7 +283,7 @@ def test_alarms_beyond_limit_are_dropped() -> None:
         engine.event(f"e({number})", 1)
     assert len(engine.clock.alarms) == 3
     assert ["1 have been dropped" in warnings[0], "2 have been dropped" in warnings[1]] == [True, True]
-    stream_clock(engine).move_to(20 * 10**9)
+    stream_clock(engine).move_to(20 * SECOND)
     engine.advance()
     assert [text for text in events if text.startswith("late")] == ["late(0)", "late(1)", "late(2)"]
 

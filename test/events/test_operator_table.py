@@ -181,9 +181,8 @@ def test_late_result_matches_with_out_of_order(run: Any, row: Any, policy: Any) 
     """Results of an operator are late for z, and match it only if the flag is set."""
     rule = f"out(X) <- ({row.pattern}) seq z."
     stream = (("z", 90, 91), *row.fires)
-    late_results = (
-        [] if row.expires else [(start, 91) for start, _ in row.results]
-    )  # z moves the clock of the rule
+    # z moves the clock of the rule.
+    late_results = [] if row.expires else [(start, 91) for start, _ in row.results]
     results = run(rule, stream, policy, out_of_order="on").intervals
     assert results == (late_results if policy == "unrestricted" else late_results[:1])
     assert run(rule, (("z", 90, 91), *row.never), policy, out_of_order="on").intervals == []

@@ -5,7 +5,7 @@ from typing import Any, Dict
 
 import pytest
 
-from fuzz import campaign as module
+from fuzz import campaign as campaign_module
 from fuzz.campaign import Campaign
 from fuzz.kinds.forbidden_acts import ACTS
 from fuzz.known_findings import reason
@@ -15,7 +15,7 @@ from fuzz.known_findings import reason
 def findings() -> Dict[Any, Any]:
     """The findings by the acts of ``kinds/forbidden_acts.py``."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "MAX_INPUT_CPU_SECONDS", 1.5)
+        patch.setattr(campaign_module, "MAX_INPUT_CPU_SECONDS", 1.5)
         campaign = Campaign("forbidden_acts")
         campaign.run(len(ACTS))
     acts = list(ACTS)

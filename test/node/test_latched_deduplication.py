@@ -15,24 +15,24 @@ MAP = ("/map", "/map_server", "http://robot:4711/")
 
 
 def test_last_message_is_repeated_by_connection() -> None:
-    inputs = LatchedMessageDeduplicator()
+    deduplicator = LatchedMessageDeduplicator()
     first, second, third = LatchedConnection(*MAP), LatchedConnection(*MAP), LatchedConnection(*MAP)
-    assert not inputs.record_message(first.describe_message(b"a"))
-    assert not inputs.record_message(first.describe_message(b"b"))
-    assert inputs.record_message(second.describe_message(b"b"))
-    assert not inputs.record_message(third.describe_message(b"a"))
+    assert not deduplicator.record_message(first.describe_message(b"a"))
+    assert not deduplicator.record_message(first.describe_message(b"b"))
+    assert deduplicator.record_message(second.describe_message(b"b"))
+    assert not deduplicator.record_message(third.describe_message(b"a"))
 
 
 def test_message_published_again_is_no_repetition() -> None:
-    inputs = LatchedMessageDeduplicator()
+    deduplicator = LatchedMessageDeduplicator()
     connection = LatchedConnection(*MAP)
-    assert [inputs.record_message(connection.describe_message(b"a")) for _ in range(3)] == [
+    assert [deduplicator.record_message(connection.describe_message(b"a")) for _ in range(3)] == [
         False,
         False,
         False,
     ]
     new_connection = LatchedConnection(*MAP)
-    assert [inputs.record_message(new_connection.describe_message(b"a")) for _ in range(3)] == [
+    assert [deduplicator.record_message(new_connection.describe_message(b"a")) for _ in range(3)] == [
         True,
         False,
         False,
@@ -48,33 +48,35 @@ def test_message_published_again_is_no_repetition() -> None:
     ],
 )
 def test_message_of_other_publisher_is_no_repetition(other: Tuple[Any, ...]) -> None:
-    inputs = LatchedMessageDeduplicator()
-    assert not inputs.record_message(LatchedConnection(*MAP).describe_message(b"a"))
-    assert not inputs.record_message(LatchedConnection(*other).describe_message(b"a"))
-    assert inputs.record_message(LatchedConnection(*MAP).describe_message(b"a"))
+    deduplicator = LatchedMessageDeduplicator()
+    assert not deduplicator.record_message(LatchedConnection(*MAP).describe_message(b"a"))
+    assert not deduplicator.record_message(LatchedConnection(*other).describe_message(b"a"))
+    assert deduplicator.record_message(LatchedConnection(*MAP).describe_message(b"a"))
 
 
 def test_publisher_without_address_has_no_repetition() -> None:
-    inputs = LatchedMessageDeduplicator()
+    deduplicator = LatchedMessageDeduplicator()
     for _ in range(2):
-        assert not inputs.record_message(LatchedConnection("/map", "/map_server", "").describe_message(b"a"))
+        assert not deduplicator.record_message(
+            LatchedConnection("/map", "/map_server", "").describe_message(b"a")
+        )
 
 
 def test_message_of_previous_epoch_is_no_repetition() -> None:
     epoch = 0
-    inputs = LatchedMessageDeduplicator(lambda: epoch)
-    assert not inputs.record_message(LatchedConnection(*MAP).describe_message(b"a"))
+    deduplicator = LatchedMessageDeduplicator(lambda: epoch)
+    assert not deduplicator.record_message(LatchedConnection(*MAP).describe_message(b"a"))
     epoch = 1
-    assert not inputs.record_message(LatchedConnection(*MAP).describe_message(b"a"))
-    assert inputs.record_message(LatchedConnection(*MAP).describe_message(b"a"))
+    assert not deduplicator.record_message(LatchedConnection(*MAP).describe_message(b"a"))
+    assert deduplicator.record_message(LatchedConnection(*MAP).describe_message(b"a"))
 
 
 def test_least_recent_publisher_is_evicted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(latched_deduplication, "MAX_PUBLISHERS", 2)
-    inputs = LatchedMessageDeduplicator()
+    deduplicator = LatchedMessageDeduplicator()
 
     def repeats(topic: Any) -> Any:
-        return inputs.record_message(
+        return deduplicator.record_message(
             LatchedConnection(topic, "/node", "http://robot:1/").describe_message(b"a")
         )
 

@@ -87,9 +87,8 @@ class ProjectionPublisher:
         text = json.dumps(
             {str(functor): sorted(positions) for functor, positions in unread_positions.items()}
         )
-        if (
-            len(text) > MAX_CONTROL_CHARACTERS
-        ):  # the receiver would reject it; "{}" means that everything is read
+        # The receiver would reject a longer text; "{}" means that everything is read.
+        if len(text) > MAX_CONTROL_CHARACTERS:
             text = "{}"
         if text != self._last_published:
             self._publisher.publish(String(text))

@@ -210,9 +210,8 @@ def test_ruled_out_match_waits_until_window_ends() -> None:
     program = ProgramRunner("o(X) <- ((a(X) seq (b(X) seq d)) cnot c(X)) within 50.")
     program.feed("a(1)@1 b(1)@2 c(1)@3")
     program.feed(" ".join(f"a({second})@{second} c({second})@{second + 0.5}" for second in range(4, 30)))
-    assert (
-        program.feed("d@30") == "o(1)@1-30"
-    )  # the second side overlaps c(1), which does not rule the pair out
+    # The second side overlaps c(1), which does not rule the pair out.
+    assert program.feed("d@30") == "o(1)@1-30"
     program.feed("a(0)@200")
     assert program.engine.rules.match_count < 5
 

@@ -203,9 +203,8 @@ class Inputs(Kind):
         text = ", ".join((*parts, goal))
         if head:
             return to_bytes(f"{head}{name}/{len(places)}\n{text}")
-        return to_bytes(
-            f"{name}/{len(places)}\n\\+ \\+ ({text})"
-        )  # without copying the values into the answer
+        # Without copying the values into the answer.
+        return to_bytes(f"{name}/{len(places)}\n\\+ \\+ ({text})")
 
     def generate(self, rng: Any) -> Any:
         name, arity = rng.choice(self.keys)

@@ -748,9 +748,8 @@ class Budget:
             self.needs_check = True
             return error
         error.is_final = self.allowance_count > 1
-        self.needs_check = (
-            self._refusal_limit is not None
-        )  # tells the receiver of the error whether goals are refused already
+        # The next check tells the receiver of the error whether goals are refused already.
+        self.needs_check = self._refusal_limit is not None
         # The use is not reset after a final error, so that every later check throws again: catching it is useless.
         if error.is_final:
             return error

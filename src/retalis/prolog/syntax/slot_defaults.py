@@ -225,9 +225,8 @@ def _integer_to_float(value: Term) -> Term:
         return value
     try:
         return float(value)
-    except (
-        OverflowError
-    ):  # An integer that is too large for a float is not converted, and matches no message.
+    except OverflowError:
+        # An integer that is too large for a float is not converted, and matches no message.
         return value
 
 
