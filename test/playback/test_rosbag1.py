@@ -15,7 +15,7 @@ from malicious_bags import record, ros1_bag
 
 from retalis import BagError, BagReader
 from retalis.playback import decompression
-from retalis.playback import rosbag1 as module
+from retalis.playback import rosbag1 as rosbag1_module
 from retalis.playback.decompression import ChunkLimit
 from retalis.playback.rosbag1 import MAX_CHUNKS_AHEAD, MAX_REPEATS, Chunk, read_chunks
 
@@ -365,13 +365,13 @@ def test_number_of_chunks_ahead_is_limited(monkeypatch: pytest.MonkeyPatch) -> N
     unpacked = threading.Semaphore(0)
     calls: List[Any] = []
 
-    def unpack(*arguments: Any, really: Any = decompression.unpack) -> Any:
+    def unpack(*arguments: Any, original: Any = decompression.unpack) -> Any:
         calls.append(1)
         unpacked.release()
-        return really(*arguments)
+        return original(*arguments)
 
     monkeypatch.setattr("os.cpu_count", lambda: 4)
-    monkeypatch.setattr(module, "unpack", unpack)
+    monkeypatch.setattr(rosbag1_module, "unpack", unpack)
     texts = read_chunks(*make_chunk_file("bz2"), range(8), LIMIT)
     assert next(texts) == TEXTS[0]
     for _ in range(MAX_CHUNKS_AHEAD + 1):
@@ -386,12 +386,12 @@ def test_number_of_chunks_ahead_is_limited(monkeypatch: pytest.MonkeyPatch) -> N
 def test_repeated_chunk_is_held_within_limit(cores: int, monkeypatch: pytest.MonkeyPatch) -> None:
     unpacked_sizes: List[Any] = []
 
-    def unpack(compression: Any, data: Any, size: Any, really: Any = decompression.unpack) -> Any:
+    def unpack(compression: Any, data: Any, size: Any, original: Any = decompression.unpack) -> Any:
         unpacked_sizes.append(size)
-        return really(compression, data, size)
+        return original(compression, data, size)
 
     monkeypatch.setattr("os.cpu_count", lambda: cores)
-    monkeypatch.setattr(module, "unpack", unpack)
+    monkeypatch.setattr(rosbag1_module, "unpack", unpack)
     texts = [bytes(300_000), bytes(400_000), bytes(900_000)]
     file, positions = make_chunk_file("bz2", texts)
     order = [0, 1] * 50

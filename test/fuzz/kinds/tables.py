@@ -84,9 +84,8 @@ class Inputs(Kind):
     def operation(self, rng: Any, names: Any) -> Any:
         """Return a goal, or an event after a mark."""
         draw = rng.random()
-        low, high = sorted(
-            rng.sample(CONSTANTS, 2)
-        )  # edges lead upwards, so that programs without tables end
+        # Edges lead upwards, so that programs without tables end.
+        low, high = sorted(rng.sample(CONSTANTS, 2))
         fact = rng.choice((f"e({low}, {high})", f"n({low})", f"s({high})"))
         if draw < 0.35:
             return f"{rng.choice(('assertz', 'asserta'))}({fact})"
