@@ -6,6 +6,7 @@ from typing import Any, Iterator
 
 import pytest
 from checked_access import search
+from contributing_snippets import SNIPPETS, Snippet
 
 pytestmark = pytest.mark.docs
 
@@ -55,6 +56,18 @@ def test_named_files_exist() -> None:
     paths = [text for text in QUOTED.findall(PAGE) if is_path(text)]
     assert len(paths) > 20
     assert [path for path in paths if not (ROOT / path).exists()] == []
+
+
+@pytest.mark.parametrize(
+    "snippet",
+    [snippet for snippets in SNIPPETS.values() for snippet in snippets],
+    ids=lambda snippet: snippet.path,
+)
+def test_place_of_snippet_is_unique(snippet: Snippet) -> None:
+    path = ROOT / snippet.path
+    assert path.exists() != snippet.place.endswith(", a new file")
+    if snippet.relation is not None:
+        snippet.find_line(path.read_text(encoding="utf-8").splitlines())
 
 
 def test_named_marks_exist() -> None:

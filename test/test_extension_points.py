@@ -1,85 +1,38 @@
 """An aggregate, a stream operator and a node type, each added in one place, are saved in the middle of a match."""
 
-from typing import Any, Dict, List, Set
+from types import ModuleType
+from typing import Any, List, Set
 
 import pytest
+from contributing_snippets import SNIPPETS
 
 from retalis import Engine, UsageError
 from retalis.events.matches.match_types import MATCH_REFERENCE
 from retalis.events.network.pattern_nodes import FilterNode
-from retalis.events.streams.aggregates import (
-    AGGREGATES,
-    COMPARABLE_NUMBER,
-    Accumulator,
-    AggregateFunction,
-    Fold,
-    present_elements,
-)
-from retalis.events.streams.rate_operators import RATE_OPERATORS, RateOperator
-from retalis.events.streams.stream_operators import StreamOperator, StreamOutput
+from retalis.events.streams import aggregates, rate_operators
 from retalis.serialization.codec import from_bytes, to_bytes
-from retalis.serialization.field_types import COUNT, KEY, ORDERED, mapping_of, optional, tuple_of
+from retalis.serialization.field_types import optional
 from retalis.serialization.state_fields import StateFields, constraint, field
 from retalis.serialization.state_file_format import pack_sections, unpack_sections
 
 
-class RangeAccumulator(Accumulator):
-    """Difference of the largest and the smallest value of a window."""
+def add_entries(section: str, module: ModuleType, opening: str, closing: str) -> Any:
+    """Return the entries that a section of ``CONTRIBUTING.md`` adds to a table, between brackets.
 
-    value_rule = COMPARABLE_NUMBER
-    scans_window = True
-
-    def result(self, elements: Any, count: Any) -> Any:
-        values = [element.values[self.index] for element in present_elements(elements)]
-        return max(values) - min(values)
-
-
-def extended(extremes: Any, value: Any) -> Any:
-    """Return the smallest and the largest value with one more."""
-    return (value, value) if extremes is None else (min(extremes[0], value), max(extremes[1], value))
-
-
-RANGE = AggregateFunction(
-    "range",
-    "range(X)",
-    RangeAccumulator,
-    Fold(
-        initial_state=None,
-        state_type=optional(tuple_of(ORDERED, ORDERED)),
-        empty_result=None,
-        add=extended,
-        result=lambda extremes: extremes[1] - extremes[0],
-    ),
-)
+    Args:
+        section: heading of the section.
+        module: module of the table.
+        opening: opening bracket of the table.
+        closing: closing bracket of the table.
+    """
+    definitions, entries = [snippet for snippet in SNIPPETS[section] if snippet.path.startswith("src/")]
+    names = dict(vars(module))
+    exec(definitions.text, names)
+    return eval(f"{opening}{entries.text}{closing}", names)
 
 
-class EveryThird(StreamOperator):
-    """Passes each third element of a key."""
-
-    STATE = StateFields(
-        field("counts", mapping_of(KEY, COUNT)),
-        constraint("counts below 3", lambda operator, state: max(state["counts"].values(), default=0) < 3),
-    )
-
-    emits_stored_elements = False
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.counts: Dict[Any, Any] = {}
-
-    def process(self, element: Any, now: Any, channel: Any) -> Any:
-        count = self.counts.get(element.key, 0) + 1
-        self.counts[element.key] = count % 3
-        return [] if count < 3 else [StreamOutput((element,), element.start, element.end)]
-
-
-EVERY_THIRD = RateOperator(
-    notation="every_third(Seconds) or every_third(Seconds, Key)",
-    takes_seconds=True,
-    create=lambda span: EveryThird(),
-    is_delayed=False,
-    block_reason="it is not the third one",
-)
+(RANGE,) = add_entries("An aggregate (`avg`)", aggregates, "(", ")")
+EVERY_THIRD = add_entries("A rate operator (`burst`)", rate_operators, "{", "}")
 
 
 class SecondMatchNode(FilterNode):
@@ -111,8 +64,9 @@ class SecondMatchNode(FilterNode):
 @pytest.fixture
 def extensions(monkeypatch: pytest.MonkeyPatch) -> None:
     """Add the three extensions."""
-    monkeypatch.setitem(AGGREGATES, "range", RANGE)
-    monkeypatch.setitem(RATE_OPERATORS, "every_third", EVERY_THIRD)
+    monkeypatch.setitem(aggregates.AGGREGATES, RANGE.name, RANGE)
+    for name, operator in EVERY_THIRD.items():
+        monkeypatch.setitem(rate_operators.RATE_OPERATORS, name, operator)
     monkeypatch.setattr("retalis.events.network.rule_compiler.FilterNode", SecondMatchNode)
 
 
