@@ -41,7 +41,7 @@ from ..serialization.codec import from_bytes
 from ..serialization.columns import decode_records
 from ..serialization.field_types import ReadContext
 from ..serialization.state_file_format import changes_since, pack_sections, unpack_sections
-from .deployment_contents import Deployment
+from .deployment import Deployment
 from .engine_parts import EngineParts
 from .engine_settings import Settings
 from .engine_snapshot import EngineSnapshot, convert_errors, create_clock, decode_sections, encode_state

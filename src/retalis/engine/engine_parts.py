@@ -22,7 +22,7 @@ from ..prolog.syntax.operators import Operators
 from ..prolog.system.foreign_functions import define_use_foreign
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.types import Term
-from .deployment_contents import Deployment, LoadedProgram
+from .deployment import Deployment, LoadedProgram
 from .engine_settings import Settings
 from .event_input import EventInput, InputTopics, TextInput
 from .program_loader import ProgramLoader

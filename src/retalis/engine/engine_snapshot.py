@@ -62,7 +62,7 @@ from ..serialization.state_fields import (
     record_of,
     rows_of,
 )
-from .deployment_contents import DEPLOYMENTS, StoredDeployment, restore_deployments, save_deployments
+from .deployment import DEPLOYMENTS, StoredDeployment, restore_deployments, save_deployments
 from .event_input import TopicRequest
 from .network_state import (
     NETWORK,

@@ -37,7 +37,7 @@ from ..prolog.database.predicate import Predicate
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.term_traversal import term_key
 from ..prolog.terms.types import atom
-from .deployment_contents import (
+from .deployment import (
     EMPTY_DEPLOYMENT,
     Clauses,
     Deployment,

@@ -23,7 +23,7 @@ from ..prolog.files.source_files import SourceFiles
 from ..prolog.machine.resource_limits import NO_LIMITS
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.types import Term
-from .deployment_contents import (
+from .deployment import (
     EMPTY_DEPLOYMENT,
     Deployment,
     current_deployment,

@@ -12,7 +12,7 @@ from contextlib import closing
 from time import monotonic
 from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple, Union
 
-from ..engine.deployment_contents import LoadedProgram
+from ..engine.deployment import LoadedProgram
 from ..engine.engine import Engine
 from ..events.checks.program_model import MIN_SIMILARITY
 from ..events.knowledge.event_states import DeclaredState, OpenState

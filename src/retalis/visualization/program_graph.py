@@ -27,7 +27,7 @@ from typing import (
     Tuple,
 )
 
-from ..engine.deployment_contents import LoadedProgram
+from ..engine.deployment import LoadedProgram
 from ..engine.engine import Engine
 from ..events.knowledge.transform_predicates import TF, TRANSFORM_PREDICATES
 from ..events.language.pattern_tree import EventPattern, own_terms, walk
