@@ -1,6 +1,6 @@
 """Events that a fired match skips: `after_match` in the label of a rule.
 
-Comments name the sentence of the language's definition that the code next to them realises.
+Comments name the section of the language's definition that the code next to them implements.
 """
 
 from typing import Any, Set, Union
@@ -15,33 +15,37 @@ class Skipping:
     def __init__(self, rule: Rule) -> None:
         self.kind = rule.after_match
         self.end: Any = None
-        """The largest end of those that have fired."""
-        self.served: Any = None
-        """The same when the event came that is served."""
+        """The largest end of the matches that have fired."""
+        self.previous_end: Any = None
+        """The largest end before the current event."""
         self.starts: Set[Any] = set()
-        """The starts of those that have fired at the event that is served."""
+        """The starts of the matches that have fired at the current event."""
 
     def begin_event(self) -> None:
-        """Take note that another event has come."""
+        """Begin the processing of an event."""
         self.starts = set()
-        self.served = self.end
+        self.previous_end = self.end
 
     def fired(self, match: Match) -> None:
-        """Note a match that has fired."""
+        """Record a match that has fired."""
         self.end = match.end if self.end is None else max(self.end, match.end)
         self.starts.add(match.start)
 
     def skips(self, match: Match) -> bool:
-        """Tell whether one that has fired skips a match, whole or partial, at the event that is served."""
+        """Return whether a fired match skips a complete or partial match at the current event."""
         if self.kind == "skip_past_last":
-            # After match: what starts at or before the end of a match that has fired.
+            # After match: matches that start at or before the end of a fired match are skipped.
             return self.end is not None and match.start <= self.end
-        # After match: what starts with one that has fired. What comes later may start there again.
+        # After match: matches that start with a fired match are skipped; those of later events are not.
         return self.kind == "skip_to_next" and match.start in self.starts
 
     def is_past(self, occurrence: Union[Event, Match]) -> bool:
-        """Tell whether something comes too late to be a part of a match: also an event that is late itself.
+        """Return whether an event or match starts too early to be a part of a match.
 
-        What the event that is served makes is settled when it has been served.
+        Matches that fire at the current event count from the next event on.
         """
-        return self.kind == "skip_past_last" and self.served is not None and occurrence.start <= self.served
+        return (
+            self.kind == "skip_past_last"
+            and self.previous_end is not None
+            and occurrence.start <= self.previous_end
+        )

@@ -27,7 +27,7 @@ REFUSED = (
     "rate needs a window of at least two events",
     "a measured value has a variable",
 )
-"""What the language refuses and what is drawn all the same."""
+"""Errors of programs that the language refuses, which `strategies` generates nevertheless."""
 Fired = List[Tuple[str, Any, Any]]
 
 
@@ -36,23 +36,23 @@ def new_engine() -> Engine:
     return Engine(clock=StreamClock(100_000 * SECOND))
 
 
-class Reset:
-    """An engine for many cases: after each everything of it is reset, which costs less than a new one."""
+class ReusableEngine:
+    """An engine for many cases, which is reset before each of them: faster than a new engine."""
 
     def __init__(self, engine: Optional[Engine] = None) -> None:
         self.engine = engine or new_engine()
         self.steps: List[Fired] = []
         self.engine.on_event(lambda *event: self.steps[-1].append(as_text(*event)))
 
-    def ready(self) -> Engine:
-        """Return the engine with nothing in it."""
+    def reset(self) -> Engine:
+        """Return the engine without rules and state."""
         self.steps = []
         self.engine.rules.reset()
         return self.engine
 
 
 def as_text(term: Term, start: Any, end: Any) -> Tuple[str, int, int]:
-    """Return an event as it is compared."""
+    """Return an event in the form in which events are compared."""
     return show(term), int(start), int(end)
 
 
@@ -60,17 +60,17 @@ def engine_steps(
     texts: Sequence[str],
     goals: str,
     stream: Iterable[Tuple[Term, Any, Any]],
-    used: Optional[Reset] = None,
+    used: Optional[ReusableEngine] = None,
     cuts: Collection[int] = (),
     clocked: bool = False,
 ) -> List[Fired]:
-    """Run rules, one file after the other, over a stream; return what the engine dispatches for each event.
+    """Run rules, one file after the other, over a stream; return the dispatched events for each event.
 
-    Before the events whose places are in ``cuts`` its state is taken, and taken up by another engine that goes on.
+    Before the events at the positions in ``cuts``, another engine is restored from the engine's state, and continues.
     """
     if used is None:
-        used = Reset(Engine() if clocked else None)
-    engine = used.ready()
+        used = ReusableEngine(Engine() if clocked else None)
+    engine = used.reset()
     steps = used.steps
     engine.load(goals=goals)
     for text in texts:
@@ -90,17 +90,17 @@ def engine_events(texts: Sequence[str], goals: str, stream: Iterable[Tuple[Term,
 
 
 def answer(case: Case) -> Fired:
-    """Return what the oracle says, in nanoseconds."""
+    """Return the events that the oracle derives, with times in ns."""
     return [(term, start * SECOND, end * SECOND) for term, start, end in case.expected()]
 
 
 def in_steps(steps: Iterable[Any]) -> List[Fired]:
-    """Return steps with the events of each in one order: which comes first is not defined under revision."""
+    """Return steps with sorted events, because revision defines no order within a step."""
     return [sorted(step.elements() if isinstance(step, Counter) else step) for step in steps]
 
 
 def revised_answer(case: Case) -> List[Fired]:
-    """Return what the oracle says for each event where events are taken back."""
+    """Return the events that the oracle derives at each step of a stream with retractions."""
     steps = revision.run_with_revision(case.rules, case.stream, case.policy, case.out_of_order)
     return in_steps(
         [(term, start * SECOND, end * SECOND) for term, start, end in step.elements()] for step in steps
@@ -108,16 +108,16 @@ def revised_answer(case: Case) -> List[Fired]:
 
 
 def is_defined(case: Case) -> bool:
-    """Tell whether the oracle says what a case does."""
+    """Return whether the oracle defines the results of a case."""
     return not case.revises() or revision.defined_for(case.rules, case.policy, case.out_of_order)
 
 
-def difference(case: Case, used: Optional[Reset] = None) -> Optional[Tuple[Any, Any]]:
-    """Return what was expected and what the engine did instead, or None where they agree."""
+def difference(case: Case, used: Optional[ReusableEngine] = None) -> Optional[Tuple[Any, Any]]:
+    """Return the expected and the actual events of a case, or None if they are equal."""
     if not is_defined(case):
         return None
     revises = case.revises()
-    clocked = case.has_streams()  # such a case has a clock that follows its stream
+    clocked = case.has_streams()  # these cases have a clock that follows the stream
     try:
         expected: Any = revised_answer(case) if revises else answer(case)
     except RecursionError:
@@ -140,7 +140,7 @@ def difference(case: Case, used: Optional[Reset] = None) -> Optional[Tuple[Any, 
 
 
 def smaller_patterns(node: Pattern) -> Iterator[Pattern]:
-    """Yield patterns that are a bit simpler: one operator or argument less."""
+    """Yield patterns with one operator or argument less."""
     for field in fields(node):
         part = getattr(node, field.name)
         if isinstance(part, Pattern):
@@ -211,13 +211,13 @@ def report(case: Case) -> str:
 
 
 def kind_of(case: Case) -> str:
-    """Return a name for what a shrunk case is about, so that a difference is shown only once."""
+    """Return the operators of a shrunk case as text, so that each kind of difference is shown only once."""
     words = [word for word in case.text().replace("(", " ").replace(")", " ").split() if word.islower()]
     return " ".join(word for word in words if len(word) > 1 and not word.startswith(("out", "v")))
 
 
 def add_options(parser: argparse.ArgumentParser, cases: int, show: int) -> None:
-    """Add the options that say which cases are drawn, and how many differences are shown."""
+    """Add the options for the generated cases and the number of printed differences."""
     parser.add_argument("--cases", type=int, default=cases)
     parser.add_argument("--seed", type=int, default=0, help="number of the first case")
     parser.add_argument("--depth", type=int, default=4)
@@ -245,14 +245,14 @@ def main() -> int:
     kinds: Any = Counter()
     differing = 0
     compared = 0
-    used: Optional[Reset] = None
+    used: Optional[ReusableEngine] = None
     for seed in count(options.seed):
         if compared == options.cases:
             break
         case = random_case(seed, options.depth, options.revision, options.unsure, options.streams)
         compared += is_defined(case)
         if used is None or compared % 500 == 0:
-            used = None if options.new else Reset()
+            used = None if options.new else ReusableEngine()
         if difference(case, used) is None:
             continue
         differing += 1

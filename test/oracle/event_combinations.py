@@ -1,10 +1,10 @@
-"""Under ``unrestricted``, what fires, without any state: all combinations that satisfy the whole pattern.
+"""Evaluator without state for policy ``unrestricted``: all combinations of events that satisfy the whole pattern.
 
-Every combination that satisfies the whole pattern is to fire exactly once, on its last arrival.
-All assignments of the events to the leaves are made, and those stay that hold together; each belongs to the
-arrival that completed it. Only conditions and the tables of times are those of the other evaluator.
+Each of these combinations fires exactly once, at its last arrival. The evaluator enumerates all assignments of events
+to the leaves of the pattern, and keeps those that satisfy its operators; each belongs to the arrival that completed
+it. It shares only conditions and the tables of times with the other evaluator.
 
-Star_times, aggregates and forall_seq are not here: their results depend on runs and on what was used up.
+Star_times, aggregates and forall_seq are not supported: their results depend on runs and on consumed events.
 """
 
 from collections import Counter
@@ -48,7 +48,7 @@ class TimedMatch(NamedTuple):
 
 
 def defined_for(rules: Sequence[Rule]) -> bool:
-    """Tell whether the rules are in the domain of this evaluator: one rule, no runs, no forall_seq."""
+    """Return whether this evaluator supports the rules: one rule, no runs, no forall_seq."""
     if len(rules) != 1 or has_outer_absence(rules[0]):
         return False
     if rules[0].policy_by("unrestricted") != "unrestricted" or rules[0].after_match != "keep":
@@ -61,7 +61,7 @@ def defined_for(rules: Sequence[Rule]) -> bool:
 
 
 def has_outer_absence(rule: Rule) -> bool:
-    """Tell whether a cnot or fnot forbids something with variables of patterns further left."""
+    """Return whether a pattern that a cnot or fnot forbids has variables of patterns further left."""
     tests = Conditions(rule)
     return any(
         isinstance(node, (Cnot, Fnot)) and tests.waits_for_left(node, {}, node) for node in tests.place
@@ -72,8 +72,8 @@ class Combinations:
     """All matches of one rule's pattern in a list of events.
 
     Attributes:
-        now: where events are taken back, the number of the last arrival. What was suppressed by something that is
-            gone looks then at all there is, also at what has come after it; what has held before goes on to hold.
+        now: the number of the last arrival if events are retracted. A match that a retracted event suppressed is
+            then tested against all events, including later ones; matches that held before continue to hold.
     """
 
     def __init__(self, rule: Rule, out_of_order: bool) -> None:
@@ -164,7 +164,7 @@ class Combinations:
                     yield TimedMatch(match, arrival)
 
     def _is_allowed(self, node: Any, match: Match, arrival: int, absent_arrivals: List[int]) -> bool:
-        """Tell whether nothing suppresses a match; given when what is in its way arrived."""
+        """Return whether nothing suppresses a match, given the arrivals of the events that would."""
         if any(r_arrival <= arrival for r_arrival in absent_arrivals):
             return False
         key = (id(node), match.variant(), tuple(sorted(match.numbers)))
@@ -182,10 +182,10 @@ def firings(
     out_of_order: bool = False,
     youngest: Any = None,
 ) -> List[CounterOf[Tuple[str, Any, Any]]]:
-    """Return what fires at each arrival, as multisets: the order is not this evaluator's business.
+    """Return the matches that fire at each arrival, as multisets, because this evaluator defines no order.
 
-    With ``youngest``, only of combinations in which nothing ended longer ago than so many seconds, by the newest
-    end that has arrived: what garbage control of that window has to leave.
+    With ``youngest``, only combinations whose events ended at most that many seconds before the newest end fire:
+    those that garbage control with this window must keep.
     """
     events = [Event(term, start, end, number) for number, (term, start, end) in enumerate(stream)]
     clocks = list(accumulate((event.end for event in events), max))

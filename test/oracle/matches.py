@@ -24,7 +24,7 @@ class Event(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Pending:
-    """A condition that waits for variables of patterns to its left, with what t1 and t2 are for it."""
+    """A condition that needs variables of patterns to its left, with its values of t1 and t2."""
 
     goal: Term
     facts: Dict[str, Term]
@@ -32,37 +32,37 @@ class Pending:
 
 @dataclass(frozen=True, eq=False)
 class Gap:
-    """Events that cnot or fnot forbids, with variables that patterns to the left have not bound yet."""
+    """Interval in which cnot or fnot forbids events, with variables that patterns to the left have not bound yet."""
 
     node: Any
     """The cnot or fnot."""
     after: Any
-    """When the gap begins; None where any time before counts."""
+    """Start of the gap; None if it has no start."""
     before: Any
     fresh: Optional[Bindings] = None
-    """In a repetition: the values of the variables that each repetition has of its own."""
+    """In a repetition: the values of the variables that are fresh in each repetition."""
 
 
 @dataclass(frozen=True, eq=False)
 class Match:
-    """An occurrence of a pattern: its interval, what its variables stand for, the events that make it up."""
+    """An occurrence of a pattern: its interval, the values of its variables, and its events."""
 
     start: Any
     end: Any
     bindings: Bindings
     terms: Tuple[Tuple[int, str], ...]
-    """For each leaf that took part: its place in the rule and the text of its event; no repetitions."""
+    """For each matched leaf: its place in the rule and the text of its event, without repetitions."""
     numbers: FrozenSet[int]
-    """The numbers of all events that make up this match."""
+    """The numbers of all events of this match."""
     pending: Tuple[Any, ...] = ()
-    """What is still to be tested: `Pending` and `Gap`."""
+    """Tests that are not decided yet: `Pending` and `Gap`."""
     composed: bool = False
-    """Whether it is no single event though it was made of one: a window that has one, or what a time has ended."""
+    """Whether it counts as composed although it has one event: a window of one element, or one with a deadline."""
     along: bool = False
-    """Whether it was made of a late start of a run, a single event, and what came before: it is served with that."""
+    """Whether it consists of a late start of a run and earlier events; it is processed together with the start."""
 
     def variant(self) -> Any:
-        """Return a key that two matches share when they are the very same event term.
+        """Return a key that two matches share if their event terms are variants of each other.
 
         The term of a composed event is its pattern with all variables replaced, those of goals included.
         """
@@ -70,17 +70,17 @@ class Match:
         return self.terms, tuple(values)
 
     def is_one_event(self) -> bool:
-        """Tell whether this is a single event, not a composed one."""
+        """Return whether this is a single event, not a composed one."""
         return len(self.numbers) == 1 and not self.composed
 
     def is_last(self) -> bool:
-        """Tell whether it is served after what is composed: the event itself, and what is made along with it."""
+        """Return whether it is processed after composed matches: the event itself, and matches of a late start."""
         return self.along or self.is_one_event()
 
 
 @dataclass(eq=False)
 class Run:
-    """A running star_times or aggregate: its start, where it stands, and what it has collected."""
+    """A running star_times or aggregate: its start, its last repetition, and the collected values."""
 
     start: Match
     now: Match

@@ -52,7 +52,7 @@ class Where(Pattern):
 
 @dataclass(frozen=True, eq=False)
 class Prolog(Where):
-    """``pattern seq prolog(goal)``, or with ``before`` the other way round: the same as `Where`."""
+    """``pattern seq prolog(goal)``, or with ``before`` in the opposite order; equivalent to `Where`."""
 
     before: bool = False
     name: str = "prolog"
@@ -116,7 +116,7 @@ class Star(Pattern):
 
 @dataclass(frozen=True, eq=False)
 class Ntimes(Pattern):
-    """``pattern ntimes times``; the variables ``own`` stand once in the rule and are written ``_``."""
+    """``pattern ntimes times``; the variables ``own`` occur once in the rule and are written ``_``."""
 
     pattern: Pattern
     times: int
@@ -138,8 +138,8 @@ class Aggregate(Pattern):
 class Windowed(Pattern):
     """``aggregate(kinds, collected, results, window)``; kinds are words, values and results lists of terms.
 
-    The window is the name of one of `WINDOWS`, which says what span and step are, or ``steps``. A word may end with
-    the number of the step that it is of, as in ``max@1``.
+    The window is a name in `WINDOWS`, which defines the meaning of span and step, or ``steps``. A word may end with
+    the number of its step, as in ``max@1``.
     """
 
     kinds: str
@@ -154,7 +154,7 @@ class Windowed(Pattern):
 
 @dataclass(frozen=True, eq=False)
 class Shaped(Pattern):
-    """``pattern with shape(seconds, by)``, or with a list of the value that has to change in place of seconds."""
+    """``pattern with shape(seconds, by)``, or with a list of the observed value in place of seconds."""
 
     pattern: Pattern
     shape: str
@@ -182,7 +182,7 @@ class Sub(Pattern):
 
 @dataclass(frozen=True, eq=False)
 class Rule:
-    """``head <- pattern``, with a label that may carry a window in seconds, and what overrides the flags."""
+    """``head <- pattern``, with a label that may have a window in seconds and properties that override flags."""
 
     head: Term
     pattern: Pattern
@@ -191,28 +191,28 @@ class Rule:
     do: Optional[Term] = None
     """The goal of ``head do goal <- pattern``."""
     policy: Optional[str] = None
-    """A policy of its own; None for that of the flag."""
+    """Its consumption policy; None for that of the flag."""
     out_of_order: Optional[bool] = None
-    """Whether it takes late first sides, whatever the flag says; None as the flag says."""
+    """Whether it accepts late first sides; None if the flag decides."""
     after_match: str = "keep"
-    """What a match that has fired skips: nothing, skip_past_last or skip_to_next."""
+    """After-match skip strategy of a fired match: keep, skip_past_last or skip_to_next."""
 
     def has_properties(self) -> bool:
-        """Tell whether its label says how it runs."""
+        """Return whether its label has properties."""
         settings = self.window, self.policy, self.out_of_order
         return self.after_match != "keep" or any(value is not None for value in settings)
 
     def policy_by(self, flag: str) -> str:
-        """Return the policy by which it runs. Labels: a property overrides the flag."""
+        """Return its consumption policy. Labels: a property overrides the flag."""
         return flag if self.policy is None else self.policy
 
     def late_by(self, flag: bool) -> bool:
-        """Tell whether late first sides are taken. Labels: a property overrides the flag."""
+        """Return whether it accepts late first sides. Labels: a property overrides the flag."""
         return flag if self.out_of_order is None else self.out_of_order
 
 
 NO_PROPERTIES: Dict[str, Any] = {"policy": None, "out_of_order": None, "after_match": "keep"}
-"""What a rule says that overrides no flag."""
+"""Properties of a rule that override no flag."""
 WINDOWS = {
     "last": "last({0})",
     "newest": "last({0},events)",
@@ -223,13 +223,13 @@ WINDOWS = {
     "running": "running(every({0}))",
     "every": "last({0},every({1}))",
 }
-"""How windows are written: with their span and step."""
+"""Notation of windows with their span and step."""
 STREAMED = (Windowed, Shaped, Awaited)
 CONDITIONS = (Where, Check, Within)
 
 
 def parts(node: Pattern) -> List[Any]:
-    """Return what a pattern is made of, from left to right: patterns, terms, numbers."""
+    """Return the parts of a pattern from left to right: patterns, terms and numbers."""
     if isinstance(node, Prolog) and node.before:
         return [node.goal, node.pattern]
     return [getattr(node, field.name) for field in fields(node) if field.name != "own"]
@@ -259,7 +259,7 @@ def pattern_variables(node: Pattern) -> List[Var]:
 
 
 def expand(node: Pattern) -> Pattern:
-    """Return a pattern with every ``Q ntimes N`` written out."""
+    """Return a pattern with every ``Q ntimes N`` expanded to a sequence."""
     changed: Dict[Any, Any] = {}
     for field in fields(node):
         part = getattr(node, field.name)
@@ -276,7 +276,7 @@ def expand(node: Pattern) -> Pattern:
 
 
 def renamed(node: Pattern, replacements: Dict[Var, Var]) -> Pattern:
-    """Return a pattern with other variables in the place of some."""
+    """Return a pattern with some variables replaced by others."""
 
     def changed(part: Any) -> Any:
         if isinstance(part, Pattern):
@@ -293,7 +293,7 @@ def renamed(node: Pattern, replacements: Dict[Var, Var]) -> Pattern:
 
 
 def with_own(rule: Rule) -> Rule:
-    """Return a rule in which the variables that stand only once, in an ``ntimes``, are written ``_``."""
+    """Return a rule in which variables that occur only once, within an ``ntimes``, are written ``_``."""
     terms = [rule.head, *([] if rule.do is None else [rule.do])]
     counts = Counter(_occurrences((*terms, *_terms(rule.pattern))))
 

@@ -1,4 +1,4 @@
-"""Star_times and aggregates: runs that a start begins and repetitions extend in place."""
+"""Star_times and aggregates: runs, which a start begins and repetitions extend in place."""
 
 from dataclasses import replace
 from typing import Any, Dict, List, Optional, Set, Tuple
@@ -27,7 +27,7 @@ class IdentifyingRepetitions(Conditions):
     def repetition(
         self, node: Any, starts: List[Match], repetitions: List[Match], conditions: List[Pattern]
     ) -> List[Match]:
-        """Take new starts and repetitions of a star_times or aggregate; return what fires."""
+        """Process new starts and repetitions of a star_times or aggregate; return the matches that fire."""
         runs = self.runs.setdefault(node, [])
         waiting = self.waiting.setdefault((node, "repeated"), [])
         results: List[Match] = []
@@ -38,7 +38,7 @@ class IdentifyingRepetitions(Conditions):
                     continue
                 results += fired
                 if self.consuming:
-                    break  # Policies: the newest or the oldest that fits; unrestricted all.
+                    break  # Policies: the newest or the oldest fitting run; under unrestricted all.
         for p in starts:
             results += self._started(node, p, conditions, waiting)
         if self.out_of_order:
@@ -75,7 +75,7 @@ class IdentifyingRepetitions(Conditions):
         return Run(p, p)
 
     def wait(self, node: Pattern, waiting: List[Match], match: Match, identical_too: bool = False) -> None:
-        """Have a match wait at its place."""
+        """Store a match at its place."""
         if self.policy == "recent" and not identical_too:
             # Policies: under recent an arrival replaces the same term at the same place, whatever the stamps.
             variant = match.variant()
@@ -84,7 +84,7 @@ class IdentifyingRepetitions(Conditions):
             waiting.append(match)
 
     def _extended(self, node: Any, run: Run, q: Match, conditions: List[Pattern]) -> Optional[List[Match]]:
-        """Extend a run in place and return what fires, or None where the repetition does not fit."""
+        """Extend a run in place and return the match that fires, or None if the repetition does not fit."""
         # Table: a star_times starts after the last one (or the start) ended, an aggregate after the start.
         last = run.now if isinstance(node, Star) else run.start
         if not last.end < q.start:
@@ -103,7 +103,7 @@ class IdentifyingRepetitions(Conditions):
                 run.values = [*run.values, self._value(node, joined)]
             except GoalError:
                 return None
-        # Table: a variable that stands elsewhere in the rule has one value for the whole match, set by the
+        # Table: a variable that occurs elsewhere in the rule has one value for the whole match, set by the
         # first repetition; any other is fresh each time.
         inside = self._only_inside(node)
         bindings = {var: instance(var, joined.bindings) for var in joined.bindings if var not in inside}
@@ -116,7 +116,7 @@ class IdentifyingRepetitions(Conditions):
 
     @staticmethod
     def _of_one_repetition(item: Any, own: Bindings, renamed: Bindings) -> Any:
-        """Return what is still to be tested with the variables that each repetition has of its own."""
+        """Return the undecided tests with the values of the variables that are fresh in each repetition."""
         if isinstance(item, Gap):
             return item if item.fresh is not None else replace(item, fresh=own)
         return replace(item, goal=instance(item.goal, renamed))
@@ -143,15 +143,15 @@ class IdentifyingRepetitions(Conditions):
 
     @staticmethod
     def _about_result(node: Any, condition: Any) -> bool:
-        """Tell whether a condition asks for an aggregate's result: it chooses what fires, not the run."""
+        """Return whether a condition uses the result of an aggregate: it then selects matches, not runs."""
         if isinstance(node, Star) or isinstance(condition, Within):
             return False
         return bool(unbound(node.result, {}) & unbound(condition.goal, {}))
 
     def _only_inside(self, node: Any) -> Set[Var]:
-        """Return the variables of the repeated pattern that stand nowhere else in the rule.
+        """Return the variables of the repeated pattern that occur nowhere else in the rule.
 
-        That an aggregate says which variable it adds up is no other place.
+        The expression that an aggregate collects does not count as another occurrence.
         """
         outside = self.outside(node.repeated)
         if isinstance(node, Aggregate) and node.value is not None:

@@ -1,13 +1,13 @@
-"""Revision: ``rev(E)`` takes back every occurrence of E, and what was derived from it.
+"""Revision: ``rev(E)`` retracts every occurrence of E, and all events that were derived from it.
 
-Two ways, as the policies need it:
+There are two methods:
 
-* under ``unrestricted`` nothing but the events counts, so the combinations are made anew without what was taken
-  back; what is missing then is taken back, what is new fires (`Recombined`);
-* under the others partners were used up and do not return, so matches carry the events they are made of, and
-  those that hold one that was taken back go (`Tagged`). So it is done for star_times and aggregates under any policy.
+* Under ``unrestricted`` the results depend on the events only, so the combinations are computed again without the
+  retracted events: results that are missing then are retracted, new ones fire (`Recombined`).
+* Under the other policies consumed partners do not return, so matches have the numbers of their events, and those
+  with a retracted event are removed (`Tagged`). Star_times and aggregates always use this method.
 
-In which order things are taken back is not defined: what follows from one event is compared as a multiset.
+The order of retractions is not defined: the consequences of one event are compared as a multiset.
 """
 
 from collections import Counter
@@ -44,12 +44,12 @@ Stream = Iterable[Tuple[Term, Any, Any]]
 
 
 def defined_for(rules: Sequence[Rule], policy: str, out_of_order: bool) -> bool:
-    """Tell whether the revision of these rules is defined here."""
+    """Return whether the oracle defines the revision of these rules."""
     plain = take_out_subpatterns(list(rules))
     if any(has_outer_absence(rule) for rule in plain):
         return False
-    if any(rule.after_match != "keep" and len(list(coming_back(rule))) > 1 for rule in plain):
-        return False  # what comes back first skips the others, and the order is not defined
+    if any(rule.after_match != "keep" and len(list(revisable_parts(rule))) > 1 for rule in plain):
+        return False  # the first match that returns skips the others, and their order is not defined
     nodes = [node for rule in rules for node in walk(rule.pattern)]
     if any(isinstance(node, STREAMED) for node in nodes):
         return False  # see test_streams.py of the network
@@ -63,7 +63,7 @@ def defined_for(rules: Sequence[Rule], policy: str, out_of_order: bool) -> bool:
     return not limited and not (late and any(isinstance(node, Cnot) for node in nodes))
 
 
-def coming_back(rule: Rule) -> Iterator[Pattern]:
+def revisable_parts(rule: Rule) -> Iterator[Pattern]:
     """Yield the parts of a rule whose results may return when an event is retracted."""
     for node in walk(rule.pattern):
         if isinstance(node, (Cnot, Fnot, Star, Aggregate)):
@@ -71,9 +71,10 @@ def coming_back(rule: Rule) -> Iterator[Pattern]:
 
 
 def combines(rules: Sequence[Rule]) -> bool:
-    """Tell whether all combinations of events say what holds under ``unrestricted``, and no run or window does.
+    """Return whether the combinations of events alone determine the results under ``unrestricted``.
 
-    They do not where taking back one event may make another that rules out what has happened: that is not taken back.
+    They do not if there are runs or windows, or if the retraction of an event may derive another event that forbids a
+    match that has fired: such a match is not retracted.
     """
     nodes = [node for rule in rules for node in walk(rule.pattern)]
     negated = [node for node in nodes if isinstance(node, (Cnot, Fnot)) for node in walk(node.absent)]
@@ -85,7 +86,7 @@ def combines(rules: Sequence[Rule]) -> bool:
 
 
 def run_with_revision(rules: Sequence[Rule], stream: Stream, policy: str, out_of_order: bool) -> List[Step]:
-    """Return what is dispatched at each event of the stream, itself included, as multisets."""
+    """Return the dispatched events at each event of the stream, which is included, as multisets."""
     if len(rules) == 1 and rules[0].policy_by(policy) == "unrestricted" and combines(rules):
         return Recombined(rules[0], out_of_order).run(stream)
     return Tagged(rules, policy, out_of_order).run(stream)
@@ -101,7 +102,7 @@ class Recombined:
         self.fired: Dict[Any, Tuple[str, Any, Any]] = {}
 
     def run(self, stream: Stream) -> List[Step]:
-        """Return what is dispatched at each event."""
+        """Return the dispatched events at each event."""
         return [self._step(number, *item) for number, item in enumerate(stream)]
 
     def _step(self, number: int, term: Term, start: Any, end: Any) -> Step:
@@ -122,7 +123,7 @@ class Recombined:
         return step
 
     def _matches_by_combination(self) -> Dict[Any, Tuple[str, Any, Any]]:
-        """Return what all events that were not taken back make, by the combination that made it."""
+        """Return the results of all events that were not retracted, by their combination."""
         matches: List[TimedMatch] = self.combinations.timed_matches(
             self.combinations.tests.pattern, self.events
         )
@@ -139,14 +140,14 @@ class Recombined:
 
 @dataclass(eq=False)
 class ProcessedMatch:
-    """A second side, or a repetition, that came and did not wait, and the events of all that it has completed."""
+    """A second side or a repetition that was not stored, and the events of all matches that it has completed."""
 
     match: Match
     completed_numbers: List[FrozenSet[int]] = field(default_factory=list)
 
 
 class RevisedState(RuleState):
-    """A rule's state that forgets events, and tries again what they suppressed."""
+    """State of a rule that can remove events, and evaluates again the matches that they suppressed."""
 
     def __init__(self, rule: Rule, policy: str, out_of_order: bool) -> None:
         super().__init__(rule, policy, out_of_order)
@@ -154,7 +155,7 @@ class RevisedState(RuleState):
         self.all_runs: List[Tuple[Any, Run, List[Pattern]]] = []
         self.again: Dict[Pattern, List[Match]] = {}
         self.passed: Dict[Pattern, List[ProcessedMatch]] = {}
-        """Second sides and repetitions in the order in which they came, where these do not wait."""
+        """Second sides and repetitions that were not stored, in the order of arrival."""
         self.retracted: Set[int] = set()
         self.reviving = False
 
@@ -190,7 +191,7 @@ class RevisedState(RuleState):
         return results
 
     def begin(self, node: Any, p: Match, conditions: List[Pattern]) -> Run:
-        """Begin a run and remember it, also when it is replaced."""
+        """Begin a run and store it, even after it has been replaced."""
         run = super().begin(node, p, conditions)
         self.all_runs.append((node, run, conditions))
         return run
@@ -198,7 +199,7 @@ class RevisedState(RuleState):
     def repetition(
         self, node: Any, starts: List[Match], repetitions: List[Match], conditions: List[Pattern]
     ) -> List[Match]:
-        """As always, after what runs result in without what is gone."""
+        """Extend `RuleState` by the results of runs without the retracted events, which come first."""
         again = self.again.pop(node, []) if self.reviving else []
         passed = self.passed.setdefault(node, [])
         if not self.out_of_order:
@@ -206,7 +207,7 @@ class RevisedState(RuleState):
         return again + super().repetition(node, starts, repetitions, conditions)
 
     def _extended(self, node: Any, run: Run, q: Match, conditions: List[Pattern]) -> Optional[List[Match]]:
-        """Process matches in the order of arrival, also those that a revision has released."""
+        """Process matches in the order of arrival, including those that a revision has released."""
         if self.reviving and not self.precedes(run.start, q):
             return None
         fired = super()._extended(node, run, q, conditions)
@@ -217,19 +218,20 @@ class RevisedState(RuleState):
         return fired
 
     def _started(self, node: Any, p: Match, conditions: List[Pattern], waiting: List[Match]) -> List[Match]:
-        """As always; a start that revision has set free takes what came after it."""
+        """Extend `RuleState`: a start that revision has released takes repetitions that came after it."""
         if self.reviving and not self.out_of_order:
             waiting = [record.match for record in self.passed[node] if self.is_available(p, record)]
         return super()._started(node, p, conditions, waiting)
 
     def precedes(self, p: Match, q: Match) -> bool:
-        """Tell whether a first side came before a second one, where that matters."""
+        """Return whether a first side arrived before a second one, if the order of arrival matters."""
         return self.out_of_order or max(p.numbers) < max(q.numbers)
 
     def is_available(self, p: Match, passed: ProcessedMatch, always: bool = False) -> bool:
-        """Tell whether what came can be for a first side set free: it came later, and is not used up.
+        """Return whether a processed match fits a released first side: it arrived later, and is not consumed.
 
-        It is not where all that it has completed was taken back, and where it ``always`` takes all first sides.
+        It is not consumed if all matches that it has completed were retracted, or if it ``always`` takes all first
+        sides.
         """
         is_consumed = (
             self.consuming
@@ -239,24 +241,24 @@ class RevisedState(RuleState):
         return self.precedes(p, passed.match) and not is_consumed
 
     def expire(self) -> None:
-        """As always: what came is kept no longer than if it waited."""
+        """Extend `RuleState`: processed matches expire like stored ones."""
         super().expire()
         if self.clock is not None:
             for node, passed in self.passed.items():
                 passed[:] = [record for record in passed if not self.expired(node, record.match)]
 
     def skip(self) -> None:
-        """As always. What was noted of the past goes too, with what came before the end of a match and is skipped."""
+        """Extend `RuleState`: recorded matches that a fired match skips are deleted, too."""
         super().skip()
         for node, passed in self.passed.items():
             if node not in self.below_absent:
                 passed[:] = [record for record in passed if not self.skipping.skips(record.match)]
 
     def revive(self) -> List[List[Match]]:
-        """Return the matches that were suppressed by what is gone, and would now fire."""
+        """Return the matches that retracted events suppressed and that fire now."""
         self.skipping.begin_event()
         for node in [*self.suppressed, *self.again]:
-            # After match: what would come back and was skipped does not.
+            # After match: a skipped match does not return.
             if node not in self.below_absent:
                 for released in (self.suppressed.get(node, []), self.again.get(node, [])):
                     released[:] = [match for match in released if not self.skipping.is_past(match)]
@@ -266,7 +268,7 @@ class RevisedState(RuleState):
         return matches
 
     def single(self, node: Pattern, event: Event) -> List[Match]:
-        """As always, and what P cnot R and P fnot R rejected is noted, to be tried again."""
+        """Extend `RuleState`: matches that P cnot R and P fnot R reject are recorded, to be evaluated again."""
         if not isinstance(node, (Cnot, Fnot)):
             return super().single(node, event)
         self._absent(node, event)
@@ -280,7 +282,7 @@ class RevisedState(RuleState):
         return [match for match in candidates if match not in rejected]
 
     def _in_order(self, node: Both, sides: Sides, fit: Fit) -> List[Match]:
-        """As always; where revision has set a side free, the others are those that it could have met."""
+        """Extend `RuleState`: the partners of a released side are those that it could have had."""
         if self.out_of_order:
             return super()._in_order(node, sides, fit)
         passed = self.passed.setdefault(node, [])
@@ -304,16 +306,16 @@ class RevisedState(RuleState):
                 super(RevisedState, self)._in_order(node, sides._replace(lefts=[p], rights=[]), fit)
 
         arrivals = [*((q, second) for q in sides.rights), *((p, first) for p in sides.lefts)]
-        if self.reviving:  # as they came
+        if self.reviving:  # in the order of arrival
             arrivals.sort(key=lambda arrival: max(arrival[0].numbers))
         for match, process in arrivals:
             process(match)
         return results
 
     def _later(self, node: Both, p: Match, passed: List[ProcessedMatch], fit: Fit) -> List[Match]:
-        """Return what a first side that revision has set free makes with second sides that came after it.
+        """Return the matches of a released first side with second sides that arrived after it.
 
-        It takes the first that is left for it; under unrestricted all.
+        It takes the first one that was not consumed; under unrestricted all.
         """
         for_all = node.kind == "forall_seq"
         matches: List[Any] = []
@@ -329,11 +331,11 @@ class RevisedState(RuleState):
         return matches
 
     def store_unmatched(self, node: Both, q: Match) -> None:
-        """Note a second side of a seq that found none."""
+        """Record a second side of a seq without a first side."""
         self.suppressed.setdefault(node, []).append(q)
 
     def two_sided(self, node: Both, event: Event, tests: List[Test], cnot: Optional[Cnot]) -> List[Match]:
-        """As always; where a cnot may have ruled pairs out, second sides that were left alone try again."""
+        """Extend `RuleState`: second sides without partners are evaluated again, as a cnot may have rejected them."""
         again: List[Match] = []
         if self.reviving and cnot is not None:
             unmatched = self.suppressed.setdefault(node, [])
@@ -354,7 +356,7 @@ class RevisedState(RuleState):
 
 
 class Tagged:
-    """Rules under a policy that uses partners up."""
+    """Rules under a policy that consumes partners."""
 
     def __init__(self, rules: Sequence[Rule], policy: str, out_of_order: bool) -> None:
         self.states = [RevisedState(rule, policy, out_of_order) for rule in take_out_subpatterns(list(rules))]
@@ -362,7 +364,7 @@ class Tagged:
         self.count = 0
 
     def run(self, stream: Stream) -> List[Step]:
-        """Return what is dispatched at each event."""
+        """Return the dispatched events at each event."""
         steps: List[Any] = []
         for term, start, end in stream:
             step: Step = Counter()
@@ -390,7 +392,7 @@ class Tagged:
             self._dispatch(result, match.numbers, step)
 
     def _retract(self, text: str, start: Any, end: Any, step: Step) -> None:
-        """Take back all occurrences of an event, everything derived from them, each once."""
+        """Retract all occurrences of an event and everything derived from them, each once."""
         retracted: Set[int] = {n for n, (event, _) in self.alive.items() if show(event.term) == text}
         external = set(retracted)
         for number, (_, origin) in sorted(self.alive.items()):

@@ -1,6 +1,6 @@
-"""Conditions and windows of one rule: what a match must pass, and when.
+"""Conditions and windows of one rule: tests of its matches, and the clock that expires them.
 
-Comments name the sentence of the language's definition that the code next to them realises.
+Comments name the section of the language's definition that the code next to them implements.
 """
 
 from dataclasses import replace
@@ -29,7 +29,7 @@ from .patterns import (
 )
 
 Test = Callable[[Match], Optional[Match]]
-"""What a match must pass: the match with what the test binds, or None."""
+"""Test of a match: returns the match with the bindings of the test, or None."""
 
 
 class Conditions:
@@ -46,7 +46,7 @@ class Conditions:
         self.clock: Any = None
 
     def _note_left(self, node: Pattern, before: List[Var]) -> None:
-        """Note for each pattern which variables stand to its left."""
+        """Store the variables to the left of each pattern."""
         self.left_of[node] = list(before)
         seen = list(before)
         for part in parts(node):
@@ -57,14 +57,14 @@ class Conditions:
                 seen += variables(part)
 
     def _note_limits(self, node: Pattern, limits: List[Any]) -> None:
-        """Note for each pattern the seconds of each within around it."""
+        """Store the seconds of each within around each pattern."""
         if isinstance(node, Within):
             limits = [*limits, node.seconds]
         self.limits[node] = limits
         if isinstance(node, STREAMED):
-            limits = []  # Streams: a within is about what is given on
+            limits = []  # Streams: a within limits the emitted matches.
         for child in children(node):
-            # What must not happen is no part of the match that a within is about.
+            # A forbidden pattern is no part of the match that a within limits.
             own = isinstance(node, (Cnot, Fnot)) and child is node.absent
             self._note_limits(child, [] if own else limits)
 
@@ -105,7 +105,7 @@ class Conditions:
         return test
 
     def settle(self, match: Match, node: Pattern) -> Optional[Match]:
-        """Call the conditions of a match that need nothing more from the left; None where one does not hold.
+        """Call the conditions of a match whose variables are bound; return None if one does not hold.
 
         Patterns: a condition under several operators sees the variables of all patterns to its left.
         """
@@ -129,13 +129,13 @@ class Conditions:
         return replace(match, bindings=bindings, pending=tuple(pending))
 
     def waits_for_left(self, absence: Any, bindings: Bindings, node: Pattern) -> bool:
-        """Tell whether what must not happen has variables of patterns to the left that are still unbound."""
+        """Return whether a forbidden pattern has variables of patterns to the left that are still unbound."""
         mentioned = set(pattern_variables(absence.absent)) & set(self.left_of[absence])
         left = set(self.left_of[node])
         return any(unbound(var, bindings) & left for var in mentioned)
 
     def forbidden(self, gap: Gap, bindings: Bindings) -> bool:
-        """Tell whether something that must not happen lies in a gap."""
+        """Return whether a forbidden event lies in a gap."""
         for r in self.absent(gap.node):
             inside = r.end < gap.before and (gap.after is None or gap.after < r.start)
             if inside and self.agree(r, {**bindings, **(gap.fresh or {})}):
@@ -143,18 +143,18 @@ class Conditions:
         return False
 
     def absent(self, node: Pattern) -> List[Match]:
-        """Return what is known to have happened that a cnot or fnot forbids."""
+        """Return the matches of the pattern that a cnot or fnot forbids."""
         raise NotImplementedError
 
     def outside_gap(self, gap: Gap, match: Match) -> Optional[Match]:
-        """Return a match that nothing forbids as far as that can be told now, else None."""
+        """Return a match unless a forbidden event is known to rule it out, else None."""
         if self.waits_for_left(gap.node, match.bindings, gap.node):
             return replace(match, pending=(*match.pending, gap))
         return None if self.forbidden(gap, match.bindings) else match
 
     @staticmethod
     def passes(match: Match, tests: Iterable[Test]) -> Optional[Match]:
-        """Return a match with what all tests bind, or None where one rejects it."""
+        """Return a match with the bindings of all tests, or None if one rejects it."""
         result: Optional[Match] = match
         for test in tests:
             if result is not None:
@@ -162,7 +162,7 @@ class Conditions:
         return result
 
     def join(self, p: Match, q: Match, start: Any, end: Any, node: Pattern) -> Optional[Match]:
-        """Return two matches as one where their shared variables agree."""
+        """Return two matches as one if their shared variables agree, else None."""
         bindings = merge(p.bindings, q.bindings)
         if bindings is None:
             return None
@@ -171,9 +171,9 @@ class Conditions:
         return self.settle(joined, node)
 
     def agree(self, absent: Match, of: Bindings) -> bool:
-        """Tell whether what must not happen is about these bindings: variables agree, conditions hold.
+        """Return whether a forbidden match applies to these bindings: its variables agree and its conditions hold.
 
-        What must not have happened for it to happen is a condition like others.
+        A pattern that the forbidden one itself forbids is one of these conditions.
         """
         bindings = merge(of, absent.bindings)
         for item in absent.pending:
@@ -216,7 +216,7 @@ class Conditions:
 
 
 def may_bind(node: Pattern) -> List[Var]:
-    """Return the variables that a pattern may give values to: none that stands only in what must not happen."""
+    """Return the variables that a pattern may bind: none that occurs only in a forbidden pattern."""
     bound: List[Var] = []
     for part in parts(node):
         if isinstance(node, (Cnot, Fnot)) and part is node.absent:

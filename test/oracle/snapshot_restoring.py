@@ -1,4 +1,4 @@
-"""Engines against engines that take up the state of one another half way; as a command: see README.md."""
+"""Comparison of engines with engines that are restored in the middle of a stream; as a command: see README.md."""
 
 import argparse
 import logging
@@ -23,9 +23,9 @@ SETTINGS = Settings(limits=Limits(inferences=100 * MAX_EVENTS))
 
 
 def cut_difference(case: Case, places: Collection[int]) -> Optional[Tuple[Any, Any]]:
-    """Return what an engine does, and what engines do that take up its state at some places; None where they agree.
+    """Return the events of an engine and of engines that are restored at some places; None if they are equal.
 
-    Here the order of events counts too.
+    The order of events is compared, too.
     """
     try:
         clocked = case.has_streams()
@@ -42,7 +42,7 @@ def cut_difference(case: Case, places: Collection[int]) -> Optional[Tuple[Any, A
 def cut_case(
     seed: int, depth: int, revision: bool = False, unsure: bool = False, streams: bool = False
 ) -> Tuple[Case, List[int]]:
-    """Return a random case, and one or two places at which its state is taken."""
+    """Return a random case, and one or two places at which the engine is restored."""
     chance = random.Random(seed)
     case = random_case(seed, depth, revision, unsure, streams)
     return case, sorted(
@@ -98,7 +98,7 @@ def clock_difference(seed: int) -> Optional[Tuple[Any, Any]]:
 
 
 def compare(options: argparse.Namespace) -> int:
-    """Compare cases; print those that differ, shrunk where they do so cut everywhere."""
+    """Compare cases; print those that differ, shrunk if they also differ when restored at every place."""
     begin, differing = time.time(), 0
     for seed in range(options.seed, options.seed + options.cases):
         case, cuts = cut_case(seed, options.depth, options.revision, options.unsure, options.streams)

@@ -389,7 +389,7 @@ class Streams(IdentifyingRepetitions):
         return RESULTS[kind](values)
 
     def _group_variables(self, node: Windowed) -> List[Var]:
-        """A variable of Q that stands elsewhere in the rule has one value for the whole match."""
+        """A variable of Q that occurs elsewhere in the rule has one value for the whole match."""
         outside = self.outside(node) | set(variables(node.results))
         return [var for var in may_bind(node.collected) if var in outside]
 
