@@ -1,5 +1,5 @@
-# ruff: noqa: SLF001 - what is switched off is inside the engine
-"""One mechanism after the other is switched off in the engine, and cases have to differ: else nothing would notice.
+# ruff: noqa: SLF001 - the disabled mechanisms are private parts of the engine
+"""Engines with one disabled mechanism, whose results have to differ in some cases: otherwise no case tests it.
 
 Operators on streams are compared with the oracle, states and replay with their own definitions, and timers with a
 plain list. As a command: see README.md.
@@ -45,7 +45,7 @@ from .patterns import Awaited, Shaped, Windowed, pattern_variables, walk
 from .strategies import Generator, random_case
 
 Detection = Callable[[int], Optional[bool]]
-"""Tells for a seed whether its case differs; None where it is not about that."""
+"""Returns whether the case of a seed differs; None if it does not concern the mechanism."""
 
 
 class Mechanism(NamedTuple):
@@ -55,11 +55,11 @@ class Mechanism(NamedTuple):
     detects: Detection
 
 
-# ---- what notices ------------------------------------------------------------------------------------
+# ---- detection ---------------------------------------------------------------------------------------
 
 
 def oracle_about(is_about: Callable[[Any], bool], times: int = 1) -> Detection:
-    """Compare random programs that have a certain pattern, so many times, with the oracle."""
+    """Compare random programs that contain a pattern a minimum number of times with the oracle."""
 
     def detects(seed: int) -> Optional[bool]:
         case = random_case(seed, 3, streams=True)
@@ -81,12 +81,12 @@ def shapes(*names: str) -> Detection:
 
 
 def has_key(node: Any) -> bool:
-    """Tell whether an operator may have groups."""
+    """Return whether an operator may have groups."""
     return isinstance(node, Windowed) or (isinstance(node, Shaped) and bool(list_items(node.by)))
 
 
 def is_clocked(node: Any) -> bool:
-    """Tell whether the clock ends something of an operator."""
+    """Return whether an operator has deadlines."""
     return (
         isinstance(node, Awaited)
         or (isinstance(node, Shaped) and node.shape == "debounce")
@@ -95,14 +95,14 @@ def is_clocked(node: Any) -> bool:
 
 
 def shares(node: Any) -> bool:
-    """Tell whether what must not happen for some time has to agree with what comes before."""
+    """Return whether an absent pattern shares variables with the pattern before it."""
     if not isinstance(node, Awaited):
         return False
     return bool(set(pattern_variables(node.pattern)) & set(pattern_variables(node.absent)))
 
 
 def replays(seed: int) -> bool:
-    """Compare what stands when an event was taken back with what there is without it."""
+    """Compare the events that remain after a retraction with those of a stream without the event."""
     chance = Random(seed)
     rule = RULES[chance.choice([name for name in RULES if name not in ("joined", "change")])]
     events = random_events(chance, False)
@@ -137,7 +137,7 @@ TIMES = {"every(2)": 2, "every(3)": 3, "every(2, from_now)": 2, "every(5, from_n
 
 
 def timers(seed: int) -> bool:
-    """Compare timers with a list that is looked through for the next one; of several the one that was set first."""
+    """Compare timers with a list that is searched for the next one; of several, the oldest."""
     chance, orders = Random(seed), count()
     names = {f"t{number}": chance.choice(list(TIMES)) for number in range(4)}
     instants = [sum(chance.randrange(1, 5) for _ in range(position)) + 7 for position in range(6)]
@@ -211,11 +211,11 @@ def steps(seed: int) -> bool:
     return bool(outputs_of_rule(rule_of(drawn), readings) != expected_outputs(drawn, readings))
 
 
-# ---- what is switched off ----------------------------------------------------------------------------
+# ---- disabled mechanisms -----------------------------------------------------------------------------
 
 
 def window(name: str, replacement: Callable[[Any, Any], Any]) -> Callable[[], ContextManager[Any]]:
-    """Have another window in the place of one."""
+    """Replace a window."""
     return lambda: patch.dict(stream_compiler._WINDOWS, {name: replacement})
 
 
@@ -225,7 +225,7 @@ def shape(name: str, replacement: Callable[[int], Any]) -> Callable[[], ContextM
 
 
 def method(owner: Any, name: str, replacement: Any) -> Callable[[], ContextManager[Any]]:
-    """Have another method in the place of one."""
+    """Replace a method."""
     return lambda: patch.object(owner, name, replacement)
 
 
@@ -234,7 +234,7 @@ def nothing(*_: Any) -> None:
 
 
 class Unchanged(DistinctUntilChanged):
-    """Lets everything through."""
+    """Passes all elements."""
 
     def process(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.process`."""
@@ -242,7 +242,7 @@ class Unchanged(DistinctUntilChanged):
 
 
 class Unsettled(Debounce):
-    """Has everything wait by itself."""
+    """Gives each element a key of its own."""
 
     def process(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.process`."""
@@ -252,7 +252,7 @@ class Unsettled(Debounce):
 
 @contextmanager
 def one_key() -> Iterator[None]:
-    """Have everything be of the same group."""
+    """Put all elements into one group."""
     begin = StreamElement.__init__
 
     def same(item: StreamElement, *arguments: Any) -> None:
@@ -264,12 +264,12 @@ def one_key() -> Iterator[None]:
 
 
 def later_first(clock: Clock, instant: int, alarm: Any) -> None:
-    """Set an alarm that rings before those of the same instant which were set earlier."""
+    """Set an alarm that fires before earlier alarms of the same instant."""
     heapq.heappush(clock.alarms, (instant, -next(clock._order), alarm))
 
 
 def after_the_event(clock: Clock, until: Optional[int] = None) -> Any:
-    """Have alarms ring only when their instant is over."""
+    """Fire alarms only after their instant."""
     reached = clock.reached() if until is None else until
     if not clock.alarms or clock.alarms[0][0] >= reached:
         return None
@@ -278,7 +278,7 @@ def after_the_event(clock: Clock, until: Optional[int] = None) -> Any:
 
 
 def younger_first(deadlines: NodeTimers, node: Any, instant: int) -> None:
-    """Have nodes of younger rules, and those further right or above, ring first."""
+    """Fire the deadlines of younger rules, and of nodes further right or above, first."""
     entry = (instant, -node.rule.serial, -node.position, next(deadlines._numbers), node)
     heapq.heappush(deadlines._heap, entry)
     deadlines._set_alarm()
@@ -289,12 +289,12 @@ listed, planned = RowPatternNFA._transitions, RowPatternNFA.__init__
 
 
 def never_later(plan: Any, steps: Any, marks: Any) -> None:
-    """Have no step wait for a later item."""
+    """Let no step skip rows."""
     planned(plan, [step._replace(skips_rows=False) for step in steps], marks)
 
 
 def later_steps_first(window: Any, run: Any, item: StreamElement) -> Any:
-    """Have what is preferred least be tried first."""
+    """Try the accepting steps in reverse order."""
     accepting, passing = takers(window, run, item)
     return accepting[::-1], passing
 
@@ -310,7 +310,7 @@ def never_reluctant(plan: Any, position: int, may_end: bool, may_continue: bool)
 
 
 def never_over(stream: Any, instant: int) -> List[StreamOutput]:
-    """Have no window be over."""
+    """Let no window end."""
     stream.next_deadline = None
     return []
 

@@ -1,7 +1,7 @@
 """Evaluator: the whole pattern processes each event with plain lists of its buffered matches.
 
-Nothing here is fast and nothing is shared: no index, no expiry unless it is asked for, one list for each
-operand place. Comments name the sentence of the language's definition that the code next to them realises.
+It has no index, and expiry only on request; each operand has a list. Comments
+name the sentence of the language's definition that the code next to them realises.
 """
 
 from dataclasses import replace
@@ -41,7 +41,7 @@ Fit = Callable[[Match, Match], Optional[Match]]
 
 
 NOTHING = Event(functor("an event that no rule is about", 1)(0), 0, 0, 0)
-"""What patterns are looked at for where something is due, or may be there after all."""
+"""The event with which patterns are evaluated at deadlines, and after retractions."""
 
 
 class Sides(NamedTuple):
@@ -54,7 +54,7 @@ class Sides(NamedTuple):
 
 
 class RuleState(Streams):
-    """One rule and everything that waits in it."""
+    """One rule and its partial matches."""
 
     def __init__(self, rule: Rule, policy: str, out_of_order: bool = False, expiry: bool = True) -> None:
         super().__init__(rule, policy, out_of_order, expiry)
@@ -65,14 +65,14 @@ class RuleState(Streams):
         self.below_absent = {below for node in absent for below in walk(node)}
 
     def derived_events(self, event: Event) -> List[Event]:
-        """Take an event and return the events that the rule derives from it, in order."""
+        """Process an event; return the events that the rule derives from it, in order."""
         self.begin_event(event)
         fired = [result for matches in self.whole(self.pattern, event) for _, result in self.fire(matches)]
         self.skip()
         return fired
 
     def due_events(self, place: int, instant: Any) -> List[Event]:
-        """Return the events that the rule derives as something in it is due, in order."""
+        """Return the events that the rule derives at a deadline, in order."""
         self.skipping.begin_event()
         self.current_alarm = place, instant
         fired = [result for matches in self.whole(self.pattern, NOTHING) for _, result in self.fire(matches)]
@@ -81,7 +81,7 @@ class RuleState(Streams):
         return fired
 
     def begin_event(self, event: Event) -> None:
-        """Do what is done before the pattern takes an event."""
+        """Advance the clock of the rule, and drop expired matches, before an event is processed."""
         self.advance(event)
         self.expire()
         self.skipping.begin_event()
@@ -89,7 +89,7 @@ class RuleState(Streams):
     def whole(self, node: Pattern, event: Event) -> List[List[Match]]:
         """Return the matches of the whole pattern that an event completes, in order.
 
-        After match: of each, what the outermost do and event_multiply make of it, which is one match.
+        After match: each item is a match, or all results of the outermost do or event_multiply for one match.
         """
         operator, conditions = strip(node)
         if not isinstance(operator, (Do, Multiply)):
@@ -100,7 +100,7 @@ class RuleState(Streams):
         ]
 
     def fire(self, matches: List[Match]) -> List[Tuple[Match, Event]]:
-        """Return what a match of the whole pattern fires, with what it is made of, unless another has skipped it."""
+        """Return the events of the results of one match of the whole pattern, unless another match has skipped it."""
         if not matches or self.skipping.skips(matches[0]):
             return []
         results = [(match, self.result_of(match)) for match in matches]
@@ -122,7 +122,7 @@ class RuleState(Streams):
                 runs[:] = [run for run in runs if not self.skipping.skips(run.start)]
 
     def leaf(self, node: Leaf, event: Event) -> List[Match]:
-        """As always. After match: an event that is skipped is no part of a match; what is forbidden stays so."""
+        """After match: a skipped event is not part of a match; forbidden events remain forbidden."""
         if self.skipping.is_past(event) and node not in self.below_absent:
             return []
         return super().leaf(node, event)
@@ -144,7 +144,7 @@ class RuleState(Streams):
         operator, conditions = strip(node)
         tests = [self.test_of(condition) for condition in conditions]
         if isinstance(operator, Cnot):
-            # Policies: cnot looks through conditions to a seq.
+            # Policies: conditions may be between a cnot and its seq.
             inner, between = strip(operator.pattern)
             if isinstance(inner, Both) and inner.kind == "seq":
                 self._absent(operator, event)
@@ -186,9 +186,9 @@ class RuleState(Streams):
 
     @staticmethod
     def apply_goal(node: Any, matches: List[Match]) -> List[Match]:
-        """Return what a do or event_multiply makes of matches."""
+        """Return the results of a do or event_multiply for matches."""
         if isinstance(node, Do):
-            # Table, do: called once before the result fires; if it fails nothing fires.
+            # Table, do: the goal is called once before the result fires, and must succeed.
             solutions = [(match, first(node.goal, match.bindings)) for match in matches]
             return [
                 replace(match, bindings=bindings) for match, bindings in solutions if bindings is not None
@@ -204,11 +204,11 @@ class RuleState(Streams):
         return self.outside_gap(Gap(node, None, match.start), match)
 
     def absent(self, node: Pattern) -> List[Match]:
-        """Return what has happened that a cnot or fnot forbids."""
+        """Return the stored matches that a cnot or fnot forbids."""
         return self.waiting.get((node, "absent"), [])
 
     def _absent(self, node: Any, event: Event) -> None:
-        """Note what must not happen; policies: an R is never used up."""
+        """Store forbidden matches. Policies: they are never consumed."""
         self.waiting.setdefault((node, "absent"), []).extend(self.arrive(node.absent, event))
 
     # Two sides.
@@ -230,7 +230,7 @@ class RuleState(Streams):
         return self._in_order(node, sides, fit)
 
     def _in_order(self, node: Both, sides: Sides, fit: Fit) -> List[Match]:
-        """Policies, for seq and its like: an event that fits both sides completes first, then waits."""
+        """Policies, for seq and forall_seq: an event that fits both sides completes first, then waits."""
         lefts, rights, p_waiting, q_waiting = sides
         results: List[Match] = []
         for_all = node.kind == "forall_seq"
@@ -245,7 +245,7 @@ class RuleState(Streams):
                 self.store_unmatched(node, q)
         unmatched: List[Any] = []
         for p in lefts:
-            # Patterns: a late first side is taken only under out_of_order.
+            # Patterns: a late first side is accepted only under out_of_order.
             pairs = self.complete(q_waiting, lambda q, p=p: fit(p, q)) if self.out_of_order else []
             results += pairs
             # Policies: having matched, it does not wait for others, except under unrestricted.
@@ -262,7 +262,7 @@ class RuleState(Streams):
     def _either_order(  # noqa: C901 - one case after the other, as the semantics say it
         self, node: Both, sides: Sides, fit: Fit
     ) -> List[Match]:
-        """Take the sides in either order of arrival.
+        """Join the sides in either order of arrival.
 
         Composed sides come first, left before right, each completing or waiting; then the event itself where it
         is a side.
@@ -288,7 +288,7 @@ class RuleState(Streams):
             if not q.is_last() and (not complete_as_right(q) or not self.consuming):
                 self.wait(node, q_waiting, q)
         # Policies: an event that fits both sides completes first (once: as the right side, else as the left one),
-        # then waits. What a late start makes along with it is composed, and comes after it.
+        # then waits. The matches of a late start are composed, and follow it.
         completed = self.completed.setdefault(node, set())
         waits: List[Match] = []
 
@@ -313,7 +313,7 @@ class RuleState(Streams):
         return results
 
     def fit(self, node: Both, p: Match, q: Match, tests: List[Test], cnot: Optional[Cnot]) -> Optional[Match]:
-        """Return what a pair makes. To fit is all of times, shared variables, conditions, windows."""
+        """Return the join of a pair if times, shared variables, conditions and windows fit."""
         if not PAIRS[node.kind].fits(p, q):
             return None
         # Patterns: one single event is not both sides; composed sides may share events.
@@ -329,9 +329,9 @@ class RuleState(Streams):
         return match
 
     def store_unmatched(self, node: Both, q: Match) -> None:
-        """Take note of a second side that found no first side: for revision to overrule."""
+        """Record a second side without a first side; used by revision."""
 
-    # Who is taken, and who waits.
+    # Partners and waiting matches.
 
     def complete(self, waiting: List[Match], fit: Callable[[Match], Optional[Match]]) -> List[Match]:
         """Return the results of a completing event under the rule's policy."""
@@ -341,7 +341,7 @@ class RuleState(Streams):
     def _take(
         waiting: List[Match], fit: Callable[[Match], Optional[Match]], policy: str, is_consumed: bool
     ) -> List[Match]:
-        """Return the results of a completing event with the partners that a policy takes.
+        """Return the results of a completing event with the partners that a policy selects.
 
         ``waiting`` is in order of arrival, and so newest and oldest mean arrival, never stamps.
         """
@@ -358,7 +358,7 @@ class RuleState(Streams):
         return results
 
     def expire(self) -> None:
-        """Drop what can no longer complete by the rule's clock."""
+        """Drop matches that can no longer complete, by the rule's clock."""
         if self.clock is None or not self.expiry:
             return
         for (node, side), waiting in self.waiting.items():
@@ -369,12 +369,12 @@ class RuleState(Streams):
 
 
 def composed_first(matches: List[Match]) -> List[Match]:
-    """Return new matches of one side in the order in which they are served: the event itself last."""
+    """Return new matches of one side in the order of processing: the event itself last."""
     return sorted(matches, key=Match.is_last)
 
 
 class Program:
-    """Rules and their state: takes events and returns everything that is dispatched."""
+    """Rules with their state, which process events."""
 
     def __init__(
         self,
@@ -394,11 +394,11 @@ class Program:
     def event(self, term: Term, start: Any, end: Any, depth: int = 0) -> List[Event]:
         """Dispatch an event: return it and all that is derived from it, in order of dispatch.
 
-        Depth first, the rules oldest first; what is derived inside is finished before the next rule.
+        Depth first, the oldest rules first: events that a rule derives are processed before the next rule.
         """
         if depth > self.depth:
             raise RecursionError("rules that feed each other without end")
-        # Time: what is due at the stamp of an event, or before it, comes before the event.
+        # Time: deadlines up to the timestamp of an event precede the event.
         dispatched = [] if depth else self._until(end)
         self.count += 1
         event = Event(term, start, end, self.count)
@@ -410,7 +410,7 @@ class Program:
         return dispatched
 
     def _until(self, instant: Any) -> List[Event]:
-        """Let everything happen that is due until an instant, one after the other."""
+        """Process all deadlines until an instant, one after the other."""
         dispatched: List[Event] = []
         now = max(self.now, instant)
         while True:

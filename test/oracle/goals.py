@@ -1,6 +1,6 @@
 """The oracle's own logic: substitutions as dictionaries, and an evaluator for simple goals.
 
-A substitution maps variables to terms and is never changed, only extended by making a new one.
+A substitution maps variables to terms. It is never changed; an extension is a new substitution.
 """
 
 from fractions import Fraction
@@ -17,7 +17,7 @@ class GoalError(Exception):
 
 
 def value_of(term: Term, bindings: Bindings) -> Term:
-    """Follow a variable to what it stands for."""
+    """Return the value of a term that may be a bound variable."""
     while term.__class__ is Var and term in bindings:
         term = bindings[term]
     return term
@@ -32,7 +32,7 @@ def instance(term: Term, bindings: Bindings) -> Term:
 
 
 def unbound(term: Term, bindings: Bindings) -> Set[Var]:
-    """Return the variables that are left in a term."""
+    """Return the unbound variables of a term."""
     term = value_of(term, bindings)
     if term.__class__ is Var:
         return {term}
@@ -63,7 +63,7 @@ def unify(left: Term, right: Term, bindings: Bindings) -> Optional[Bindings]:
 
 
 def merge(left: Bindings, right: Bindings) -> Optional[Bindings]:
-    """Return both substitutions as one, or None where they disagree on a variable."""
+    """Return the union of two substitutions, or None if a variable has two values."""
     result: Optional[Bindings] = left
     for var, value in right.items():
         if result is None:
@@ -73,7 +73,7 @@ def merge(left: Bindings, right: Bindings) -> Optional[Bindings]:
 
 
 def identical(left: Term, right: Term) -> bool:
-    """Tell whether two terms without bound variables are the same: 1 and 1.0 are not."""
+    """Return whether two terms without bound variables are identical; 1 and 1.0 are not."""
     if left.__class__ is tuple and right.__class__ is tuple:
         return len(left) == len(right) and left[0] is right[0] and all(map(identical, left[1:], right[1:]))
     return left.__class__ is right.__class__ and left == right
@@ -213,7 +213,7 @@ def solve(goal: Term, bindings: Bindings, facts: Optional[Dict[str, Term]] = Non
 
 
 def _standard(term: Term) -> Any:
-    """Return what puts numbers and atoms in the standard order: by value, a float before an equal integer."""
+    """Return a key of the standard order of numbers and atoms: by value, a float before an equal integer."""
     if term.__class__ is Atom:
         return (1, term.name, 0)
     return (0, term, int(term.__class__ is int))

@@ -1,4 +1,4 @@
-"""Windows of steps, by trying all ways in their order over the plain list of what has come.
+"""Windows of steps, by a search of all assignments in their order over the list of all events.
 
 A step is the term ``step(Name, Least, Most, Mode, Where, Goal, Until)``: Most is a number or ``many``, Mode is
 ``greedy`` or ``reluctant``, Where ``later`` or ``next``, and the goals are lists of none or one.
@@ -11,13 +11,13 @@ from retalis import Atom, Term, Var, list_items
 from .goals import Bindings, first, instance, value_of
 
 Assignment = Tuple[Tuple[int, int], ...]
-"""Places of items, and the numbers of the steps that took them."""
+"""Positions of items, with the indexes of the steps that match them."""
 OPEN = "open"
-"""Nobody can say yet: it depends on what comes."""
+"""Undecided: the result depends on later events."""
 
 
 class Step(NamedTuple):
-    """A step as its term has it."""
+    """A step of a window."""
 
     name: str
     least: int
@@ -58,14 +58,14 @@ def whole_matches(steps: Sequence[Step], items: Sequence[Bindings]) -> List[Assi
 
 
 class Trial:
-    """The ways in which a match may begin at an item, one after the other."""
+    """Search for a match that begins at an item."""
 
     def __init__(self, steps: Sequence[Step], items: Sequence[Bindings]) -> None:
         self.steps = steps
         self.items = items
 
     def begin(self, position: int) -> Any:
-        """Return the first match in order, None where there is none, `OPEN` where what comes decides."""
+        """Return the first match in order, None if there is none, `OPEN` if later events decide."""
         return self._try(self._before(0), position, ())
 
     def _before(self, step: int) -> List[Any]:
@@ -75,7 +75,7 @@ class Trial:
         return self._order(step, self.steps[step].least == 0, True)
 
     def _order(self, step: int, may_end: bool, may_continue: bool) -> List[Any]:
-        """At each Q: first, whether the step goes on, then whether one after it begins; reluctant: the other way."""
+        """At each Q, the step continues or a following step begins; reluctant steps prefer the latter."""
         same, following = [step] if may_continue else [], self._before(step + 1) if may_end else []
         return following + same if self.steps[step].reluctant else same + following
 
@@ -93,7 +93,7 @@ class Trial:
         return self._try_steps(choices, position, assigned, [])
 
     def _try_steps(self, choices: List[int], position: int, assigned: Assignment, unused: List[int]) -> Any:
-        """Try some steps; what one of the unused ones, which come after the end, would take is not passed over."""
+        """Try some steps. Items that fit an unused step, which follows the end, are not skipped."""
         if not choices:
             return None
         if position == len(self.items):
@@ -127,7 +127,7 @@ class Trial:
         return bool(results) and all(results)
 
     def _evaluate(self, goal: Term, step: int, position: int, assigned: Assignment) -> List[Optional[bool]]:
-        """For each part of a condition whether it holds; None where it looks back at what is not there."""
+        """Return for each part of a condition whether it holds; None if it refers to a missing earlier item."""
         results: List[Optional[bool]] = []
         for part in conjuncts(goal):
             missing: List[bool] = []
@@ -158,7 +158,7 @@ def conjuncts(goal: Term) -> List[Term]:
 
 
 def insert_past_values(term: Term, past: Callable[[str, str, Var], Term]) -> Term:
-    """Return a condition with values in the place of what it looks back at."""
+    """Return a condition in which references to earlier items are replaced by their values."""
     term = value_of(term, {})
     if term.__class__ is not tuple:
         return term

@@ -44,7 +44,7 @@ _TOKEN = re.compile(r"\s*(-?\d+(?:\.\d+)?|[A-Z_]\w*|[a-z]\w*|'[^']*'|\[\]|[-+*/<
 
 
 class Reader:
-    """Reads terms; the same name is the same variable for the life of the reader (one rule)."""
+    """Reader of the terms of one rule: a name denotes the same variable in all of them."""
 
     def __init__(self) -> None:
         self.names: Dict[str, Var] = {}
@@ -82,7 +82,7 @@ class Reader:
 
 
 def pattern_of(term: Term) -> Pattern:
-    """Return the pattern that a term in prefix notation (or read by the package's reader) stands for."""
+    """Return the pattern of a term in prefix notation, or of a term of the package's reader."""
     name = term[0].name if term.__class__ is tuple else None
     args = term[1:] if term.__class__ is tuple else ()
     if name in ("seq", "and", "or") and len(args) == 2:
@@ -150,7 +150,7 @@ def brief(events: Iterable[Tuple[str, Any, Any]]) -> str:
 
 
 class Names(Dict[Var, str]):
-    """Names of a rule's variables, given out as they are met."""
+    """Names of a rule's variables, numbered by their first occurrence."""
 
     def __init__(self, form: str = "V{}") -> None:
         super().__init__()

@@ -108,7 +108,7 @@ def _window(label: Term) -> Any:
 
 
 def _solvable(rule: Rule) -> bool:
-    """Tell whether the oracle's own evaluator knows all goals of a rule."""
+    """Return whether the oracle's evaluator knows all goals of a rule."""
     goals = [node.goal for node in walk(rule.pattern) if isinstance(node, (Where, Check, Do, Multiply))]
     if rule.do is not None:
         goals.append(rule.do)

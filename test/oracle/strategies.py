@@ -79,11 +79,11 @@ class Case:
     """Other flags, with their values: they change no event."""
 
     def expected(self, **options: Any) -> List[Tuple[str, Any, Any]]:
-        """Return what the oracle says."""
+        """Return the events of the oracle."""
         return run(self.rules, self.stream, policy=self.policy, out_of_order=self.out_of_order, **options)
 
     def text(self, form: str = "V{}") -> str:
-        """Return the rules as the engine reads them; ``form`` makes names of variables."""
+        """Return the text of the rules; ``form`` is the format of variable names."""
         return "\n".join(write_rule(rule, form) for rule in self.rules)
 
     def goals(self) -> str:
@@ -97,7 +97,7 @@ class Case:
         return "".join(f"{flag}.\n" for flag in flags)
 
     def revises(self) -> bool:
-        """Tell whether the stream takes events back."""
+        """Return whether the stream retracts events."""
         return any(is_revision(term) for term, _, _ in self.stream)
 
     def policies(self) -> Set[str]:
@@ -105,11 +105,11 @@ class Case:
         return {self.policy, *(rule.policy_by(self.policy) for rule in self.rules)}
 
     def has_streams(self) -> bool:
-        """Tell whether operators on streams are part of the program, so that it goes by the clock."""
+        """Return whether the program has operators on streams, which depend on the clock."""
         return any(isinstance(node, STREAMED) for rule in self.rules for node in walk(rule.pattern))
 
     def has_limits(self) -> bool:
-        """Tell whether a window or a within is part of the program."""
+        """Return whether the program has a window or a within."""
         return any(
             rule.window is not None or any(isinstance(node, Within) for node in walk(rule.pattern))
             for rule in self.rules
@@ -122,7 +122,7 @@ class Case:
 
 
 def certain_in_order(node: Pattern) -> List[Var]:
-    """Return the variables of `certain` in their order: a set's own is another in each run."""
+    """Return the variables of `certain` in the order of the pattern."""
     bound = certain(node)
     return [var for var in pattern_variables(node) if var in bound]
 
@@ -158,12 +158,12 @@ def bindable(node: Pattern) -> List[Var]:
 
 
 def has_steps(pattern: Pattern) -> bool:
-    """Tell whether a window of steps is part of a pattern: the oracle does not define which starts time ends."""
+    """Return whether a pattern has a window of steps, for which the oracle does not define the effect of limits."""
     return any(isinstance(node, Windowed) and node.window == "steps" for node in walk(pattern))
 
 
 class Generator:
-    """Draws rules, streams and cases; every decision goes through ``choice``."""
+    """Generator of rules, streams and cases; ``choice`` makes all decisions."""
 
     def __init__(
         self, choice: Choice, revision: bool = False, unsure: bool = False, streams: bool = False
@@ -174,15 +174,15 @@ class Generator:
         self.unsure = unsure
         """Draw conditions also over variables that some matches of a pattern leave open."""
         self.revision = revision
-        """Leave out what revision is not defined for, and take events back."""
+        """Draw only programs for which revision is defined, and retractions."""
         self.negating = False
-        """Draw mostly what must not happen, and in that again what must not happen, repetitions and conditions."""
+        """Draw mostly absences, whose patterns contain absences, repetitions and conditions, too."""
         self.pool = [Var(), Var(), Var()]
         self.names: Dict[str, int] = dict(ARITY)
         self.subpatterns = 0
 
     def chance(self, percent: int) -> bool:
-        """Return True in so many of a hundred draws; the simple answer is False."""
+        """Return True with a probability in percent; hypothesis shrinks it to False."""
         return bool(self.choice([False] * (100 - percent) + [True] * percent))
 
     def known(self, node: Pattern) -> List[Var]:
@@ -201,7 +201,7 @@ class Generator:
         return Leaf(functor(name, len(arguments))(*arguments) if arguments else atom(name))
 
     def pattern(self, depth: int, left: Tuple[Var, ...] = ()) -> Pattern:  # noqa: C901 - a case for each kind of pattern
-        """Draw a pattern of up to so many operators above each other."""
+        """Draw a pattern up to a depth of operators."""
         if depth == 0 or self.chance(5 if self.negating else 15):
             return self.leaf()
         kinds = ["seq"] * 5 + ["and"] * 2 + [*EITHER_ORDER, "or", "where", "where", "check", "do", "multiply"]
@@ -324,7 +324,7 @@ class Generator:
             goals = [self.step_condition(bound, names)] if self.chance(75) else []
             later = self.chance(35)
             if (later or not goals) and most.__class__ is not int and not until:
-                reluctant = True  # else nothing might end it
+                reluctant = True  # otherwise the step might never end
             steps.append(
                 functor("step", 7)(
                     atom(name),
@@ -338,7 +338,7 @@ class Generator:
             )
         if not any(step[2] for step in steps):
             steps[0] = (*steps[0][:2], 1, *steps[0][3:])
-        for position in range(len(steps) - 1, -1, -1):  # a later one at the end would wait for more
+        for position in range(len(steps) - 1, -1, -1):  # a later step at the end would wait for more
             if (
                 steps[position][5].name == "later"
                 and steps[position][2] != steps[position][3]
@@ -350,7 +350,7 @@ class Generator:
         return steps
 
     def step_condition(self, bound: List[Var], names: List[str]) -> Term:
-        """Draw a condition of a step, which asks for no numbers; it may look back."""
+        """Draw a condition of a step without arithmetic; it may refer to earlier items."""
         if not bound:
             return atom(self.choice(["true", "true", "fail"]))
         var = self.choice(bound)
@@ -377,14 +377,14 @@ class Generator:
         return Shaped(below, shape, self.choice(SPANS), make_list([]), by)
 
     def awaited(self, depth: int, left: Tuple[Var, ...]) -> Pattern:
-        """Draw a pattern and what must not happen for some time after it."""
+        """Draw a pattern and its absence with a deadline."""
         below = self.pattern(min(depth - 1, self.choice([0, 0, 1, 2])), left)
         return Awaited(
             below, self.absent(below, (), self.choice([0, 0, min(depth - 1, 1)])), self.choice(SPANS)
         )
 
     def subpattern(self, depth: int) -> Sub:
-        """Draw a pattern that is defined by the way."""
+        """Draw a named pattern."""
         self.subpatterns += 1
         below = self.pattern(depth)
         arguments = [var for var in pattern_variables(below) if var in certain(below) and self.chance(60)]
@@ -392,9 +392,9 @@ class Generator:
         return Sub(functor(name, len(arguments))(*arguments) if arguments else atom(name), below)
 
     def absent(self, below: Pattern, left: Tuple[Var, ...], depth: int) -> Pattern:
-        """Draw what must not happen; its variables are those of the patterns before it, or its own.
+        """Draw an absent pattern; its variables are those of the patterns before it, or its own.
 
-        It is any pattern: with operators, conditions over what stands to its left, and what must not happen itself.
+        It may have operators, conditions over variables further left, and absences.
         """
         pool = [*[var for var in variables_in_order(below) if var in certain(below)][:2], Var()]
         if left and self.chance(75 if self.negating else 25):
@@ -412,7 +412,7 @@ class Generator:
     # Goals.
 
     def goal(self, below: Pattern, left: Tuple[Var, ...], binds: bool = False, outer: int = 30) -> Term:
-        """Draw a condition over the variables of a pattern; so many in a hundred also over those to its left."""
+        """Draw a condition over the variables of a pattern; ``outer`` percent also over those to its left."""
         own = self.known(below)
         further = [var for var in left if var not in own]
         usable = own + (further if further and self.chance(outer) else [])
@@ -475,7 +475,7 @@ class Generator:
         return with_own(rule) if self.chance(50) else rule
 
     def value(self, percent: int = 5) -> Term:
-        """Draw an argument of an event; so many in a hundred are no integers."""
+        """Draw an argument of an event; ``percent`` of them are no integers."""
         return self.choice([1.5, atom("x")]) if self.chance(percent) else self.choice(NUMBERS)
 
     def stream(self, size: int, rules: Sequence[Rule]) -> Stream:
@@ -506,7 +506,7 @@ class Generator:
         return events
 
     def related(self, start: int, end: int) -> Tuple[int, int]:
-        """Draw an interval that is equal to another, meets it, or starts, finishes or holds it."""
+        """Draw an interval that equals, meets, starts, finishes or contains another one."""
         by = self.choice([1, 2])
         options = [
             (start, end),
@@ -518,7 +518,7 @@ class Generator:
         return self.choice(options)
 
     def with_revisions(self, stream: Stream) -> Stream:
-        """Draw events to be taken back some time after they happened."""
+        """Insert retractions of earlier events into a stream."""
         result: Stream = []
         for event in stream:
             result.append(event)
@@ -556,7 +556,7 @@ class Generator:
         )
 
     def with_properties(self, rule: Rule) -> Rule:
-        """Draw what a rule's label says in the place of the flags; last of all, so that the rest is as without."""
+        """Draw the properties of a rule's label; they are drawn last, so that they do not change the rest."""
         if not self.chance(40):
             return rule
         return replace(
@@ -569,7 +569,7 @@ class Generator:
 
 
 def is_revision(term: Term) -> bool:
-    """Tell whether an event takes others back."""
+    """Return whether an event is a retraction."""
     return term.__class__ is tuple and term[0] is REV
 
 
@@ -580,7 +580,7 @@ def variables_in_order(node: Pattern) -> List[Var]:
 
 @st.composite
 def drawn_cases(draw: Any, depth: int = 4, revision: bool = False) -> Case:
-    """Programs with streams, drawn by hypothesis piece by piece; with ``revision``, some events are taken back."""
+    """Programs with streams, drawn by hypothesis piece by piece; with ``revision``, some events are retracted."""
     return Generator(lambda options: draw(st.sampled_from(list(options))), revision).case(depth)
 
 
