@@ -31,7 +31,6 @@ from ..serialization.field_types import (
     TERM,
     TEXT,
     VARIABLE,
-    Encode,
     FieldType,
     ReadContext,
     State,
@@ -105,29 +104,19 @@ _PROPERTY_FIELDS = record_of(
 )
 
 
-class _PropertyType(FieldType[Property]):
-    """Properties of labels."""
+def _property_checker(context: ReadContext) -> ValueCheck[Property]:
+    check_fields = _PROPERTY_FIELDS.checker(context)
 
-    name = "a property of a label"
+    def check(value: object) -> Property:
+        label_property = check_fields(value)
+        if not isinstance(label_property.label, Atom) or label_property.error_text is not None:
+            raise invalid_value(value, label_property.error_text or "a property of a label")
+        return label_property
 
-    def checker(self, context: ReadContext) -> ValueCheck[Property]:
-        """See `FieldType.checker`."""
-        check_fields = _PROPERTY_FIELDS.checker(context)
-
-        def check(value: object) -> Property:
-            label_property = check_fields(value)
-            if not isinstance(label_property.label, Atom) or label_property.error_text is not None:
-                raise invalid_value(value, label_property.error_text or self.name)
-            return label_property
-
-        return check
-
-    def encoder(self) -> Encode[Property]:
-        """See `FieldType.encoder`."""
-        return _PROPERTY_FIELDS.encoder()
+    return check
 
 
-PROPERTIES = sequence_of(_PropertyType())
+PROPERTIES = sequence_of(FieldType("a property of a label", _property_checker, _PROPERTY_FIELDS.encoder))
 
 RULES = record_of(
     StoredRules,

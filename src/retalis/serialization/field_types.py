@@ -157,20 +157,24 @@ NO_OBJECTS: ObjectWriter = None  # type: ignore[assignment]
 class FieldType(Generic[Value]):
     """Type of the values of a field: how they are checked and encoded, one by one and as a column.
 
-    Attributes:
+    Args:
         name: description in `StateFields.describe`.
+        checker: returns the check of a value.
+        encoder: encoding of a value; None if it is stored unchanged.
+        has_sources: whether values can have references to what an object consists of, see `reference`.
     """
 
-    name = ""
-
-    @property
-    def has_sources(self) -> bool:
-        """True if values can have references to what an object consists of, see `reference`."""
-        return False
-
-    def checker(self, context: ReadContext) -> ValueCheck[Value]:
-        """Return the check of a value."""
-        raise NotImplementedError
+    def __init__(
+        self,
+        name: str,
+        checker: Callable[[ReadContext], ValueCheck[Value]],
+        encoder: Optional[Encode[Value]] = None,
+        has_sources: bool = False,
+    ):
+        self.name = name
+        self.checker = checker
+        self.encoder = encoder
+        self.has_sources = has_sources
 
     def check(self, value: object) -> Value:
         """Check a value of a type without references.
@@ -180,14 +184,9 @@ class FieldType(Generic[Value]):
         """
         return self.checker(NO_CONTEXT)(value)
 
-    def encoder(self) -> Optional[Encode[Value]]:
-        """Return the encoding of a value; None if it is stored unchanged."""
-        return None
-
     def encode(self, value: Value) -> object:
         """Return the encoding of a value of a type without references."""
-        encode = self.encoder()
-        return value if encode is None else encode(value, NO_OBJECTS)
+        return value if self.encoder is None else self.encoder(value, NO_OBJECTS)
 
     def column_checker(self, context: ReadContext) -> ColumnCheck[Value]:
         """Return the check of a column."""
@@ -205,9 +204,9 @@ class FieldType(Generic[Value]):
 
         return check_column
 
-    def encode_column(self, graph: ObjectWriter, values: List[Value]) -> object:
+    def encode_column(self, values: List[Value], graph: ObjectWriter) -> object:
         """Return the encoding of a column."""
-        encode = self.encoder()
+        encode = self.encoder
         return values if encode is None else [encode(value, graph) for value in values]
 
 
@@ -239,17 +238,9 @@ class PlainType(FieldType[Value]):
     """
 
     def __init__(self, name: str, check: ValueCheck[Value], classes: FrozenSet[type] = frozenset()):
-        self.name = name
+        super().__init__(name, lambda context: check)
         self.classes = classes
         self._check = check
-
-    def check(self, value: object) -> Value:
-        """See `FieldType.check`."""
-        return self._check(value)
-
-    def checker(self, context: ReadContext) -> ValueCheck[Value]:
-        """See `FieldType.checker`."""
-        return self._check
 
     def check_all(self, values: Sequence[object]) -> Sequence[Value]:
         """Return checked values."""
@@ -492,7 +483,7 @@ class _InstantType(PlainType[int]):
 
         return check_column
 
-    def encode_column(self, graph: ObjectWriter, values: List[int]) -> object:
+    def encode_column(self, values: List[int], graph: ObjectWriter) -> object:
         """See `FieldType.encode_column`."""
         return encode_instants(values)
 
@@ -518,33 +509,30 @@ INSTANT = _InstantType("an instant", _check_instant)
 CLOCK_INSTANT = _InstantType("an instant that a clock can reach", _check_clock_instant)
 
 
-class optional(FieldType[Optional[Item]]):  # noqa: N801 - reads as a function, as all types do
-    """Values of a type, or None."""
+def optional(content: FieldType[Item]) -> FieldType[Optional[Item]]:
+    """Return the type of values of a type, or None."""
 
-    def __init__(self, content: FieldType[Item]):
-        self.name = f"{content.name}, or nothing"
-        self._content = content
-
-    @property
-    def has_sources(self) -> bool:
-        """See `FieldType.has_sources`."""
-        return self._content.has_sources
-
-    def checker(self, context: ReadContext) -> ValueCheck[Optional[Item]]:
-        """See `FieldType.checker`."""
-        check = self._content.checker(context)
+    def checker(context: ReadContext) -> ValueCheck[Optional[Item]]:
+        check = content.checker(context)
         return lambda value: None if value is None else check(value)
 
-    def encoder(self) -> Optional[Encode[Optional[Item]]]:
-        """See `FieldType.encoder`."""
-        encode = self._content.encoder()
-        return (
-            None if encode is None else lambda value, graph: None if value is None else encode(value, graph)
-        )
+    name, encode = f"{content.name}, or nothing", content.encoder
+    if encode is None:
+        return FieldType(name, checker, None, content.has_sources)
+    return FieldType(
+        name,
+        checker,
+        lambda value, graph: None if value is None else encode(value, graph),
+        content.has_sources,
+    )
 
 
-class sequence_of(FieldType[Sequence[Item]]):  # noqa: N801
-    """Sequences of values of one type.
+def sequence_of(
+    content: FieldType[Item],
+    make: Callable[[Sequence[Item]], Sequence[Item]] = list,
+    min_count: int = 0,
+) -> FieldType[Sequence[Item]]:
+    """Return the type of sequences of values of one type.
 
     Args:
         content: type of the items.
@@ -552,25 +540,7 @@ class sequence_of(FieldType[Sequence[Item]]):  # noqa: N801
         min_count: minimum number of items.
     """
 
-    def __init__(
-        self,
-        content: FieldType[Item],
-        make: Callable[[Sequence[Item]], Sequence[Item]] = list,
-        min_count: int = 0,
-    ):
-        self.name = f"a sequence of [{content.name}]"
-        self._content = content
-        self._make = make
-        self._min_count = min_count
-
-    @property
-    def has_sources(self) -> bool:
-        """See `FieldType.has_sources`."""
-        return self._content.has_sources
-
-    def checker(self, context: ReadContext) -> ValueCheck[Sequence[Item]]:
-        """See `FieldType.checker`."""
-        content, make, min_count = self._content, self._make, self._min_count
+    def checker(context: ReadContext) -> ValueCheck[Sequence[Item]]:
         check = content.checker(context)
         check_all = content.check_all if isinstance(content, PlainType) else None
 
@@ -583,57 +553,52 @@ class sequence_of(FieldType[Sequence[Item]]):  # noqa: N801
 
         return check_sequence
 
-    def encoder(self) -> Optional[Encode[Sequence[Item]]]:
-        """See `FieldType.encoder`."""
-        encode = self._content.encoder()
-        if encode is not None:
-            return lambda values, graph: [encode(value, graph) for value in values]
-        return None if self._make in (list, tuple) else lambda values, graph: list(values)
+    name, encode = f"a sequence of [{content.name}]", content.encoder
+    if encode is not None:
+        return FieldType(
+            name,
+            checker,
+            lambda values, graph: [encode(value, graph) for value in values],
+            content.has_sources,
+        )
+    is_stored_unchanged = make in (list, tuple)
+    return FieldType(
+        name,
+        checker,
+        None if is_stored_unchanged else lambda values, graph: list(values),
+        content.has_sources,
+    )
 
 
-class tuple_of(FieldType[Tuple[Any, ...]]):  # noqa: N801
-    """Tuples with one type for each item."""
+def tuple_of(*contents: FieldType[Any]) -> FieldType[Tuple[Any, ...]]:
+    """Return the type of tuples with one type for each item."""
 
-    def __init__(self, *contents: FieldType[Any]):
-        self.name = f"({', '.join(content.name for content in contents)})"
-        self._contents = contents
-
-    @property
-    def has_sources(self) -> bool:
-        """See `FieldType.has_sources`."""
-        return any(content.has_sources for content in self._contents)
-
-    def checker(self, context: ReadContext) -> ValueCheck[Tuple[object, ...]]:
-        """See `FieldType.checker`."""
-        checks = [content.checker(context) for content in self._contents]
-        length = len(checks)
+    def checker(context: ReadContext) -> ValueCheck[Tuple[object, ...]]:
+        checks = [content.checker(context) for content in contents]
 
         def check_tuple(value: object) -> Tuple[object, ...]:
             values = items_of(value)
-            if len(values) != length:
-                raise invalid_value(value, f"{length} items")
+            if len(values) != len(checks):
+                raise invalid_value(value, f"{len(checks)} items")
             return tuple([check(item) for check, item in zip(checks, values)])
 
         return check_tuple
 
-    def encoder(self) -> Optional[Encode[Tuple[object, ...]]]:
-        """See `FieldType.encoder`."""
-        encodings = [content.encoder() for content in self._contents]
-        if not any(encodings):
-            return None
-        return lambda values, graph: encode_each(values, encodings, graph)
+    encodings = [content.encoder for content in contents]
+    return FieldType(
+        f"({', '.join(content.name for content in contents)})",
+        checker,
+        (lambda values, graph: encode_each(values, encodings, graph)) if any(encodings) else None,
+        any(content.has_sources for content in contents),
+    )
 
 
-class mapping_of(FieldType[Dict[Key, Item]]):  # noqa: N801
-    """Mappings, stored as pairs, without duplicate keys."""
+def mapping_of(key: FieldType[Key], content: FieldType[Item]) -> FieldType[Dict[Key, Item]]:
+    """Return the type of mappings, stored as pairs, without duplicate keys."""
+    pairs_type = sequence_of(tuple_of(key, content))
 
-    def __init__(self, key: FieldType[Key], content: FieldType[Item]):
-        self.name = f"a mapping from [{key.name}] to [{content.name}]"
-        self._pairs = sequence_of(tuple_of(key, content))
-
-    def checker(self, context: ReadContext) -> ValueCheck[Dict[Key, Item]]:
-        """See `FieldType.checker`."""
-        check_pairs = self._pairs.checker(context)
+    def checker(context: ReadContext) -> ValueCheck[Dict[Key, Item]]:
+        check_pairs = pairs_type.checker(context)
 
         def check_mapping(value: object) -> Dict[Key, Item]:
             pairs = check_pairs(value)
@@ -644,24 +609,22 @@ class mapping_of(FieldType[Dict[Key, Item]]):  # noqa: N801
 
         return check_mapping
 
-    def encoder(self) -> Encode[Dict[Key, Item]]:
-        """See `FieldType.encoder`."""
-        encode = self._pairs.encoder()
-        if encode is None:
-            return lambda mapping, graph: list(mapping.items())
-        return lambda mapping, graph: encode(list(mapping.items()), graph)
+    encode_pairs = pairs_type.encoder
+    return FieldType(
+        f"a mapping from [{key.name}] to [{content.name}]",
+        checker,
+        lambda mapping, graph: (
+            list(mapping.items()) if encode_pairs is None else encode_pairs(list(mapping.items()), graph)
+        ),
+    )
 
 
-class nested_pairs_of(FieldType[NestedPairs[Item]]):  # noqa: N801
-    """Linked lists ``((((), first), second), third)``, stored as sequences: nested data would be as deep as long."""
+def nested_pairs_of(content: FieldType[Item]) -> FieldType[NestedPairs[Item]]:
+    """Return the type of `NestedPairs`, stored as sequences: nested data would be as deep as long."""
+    items_type = sequence_of(content)
 
-    def __init__(self, content: FieldType[Item]):
-        self.name = f"nested pairs of [{content.name}]"
-        self._content = sequence_of(content)
-
-    def checker(self, context: ReadContext) -> ValueCheck[NestedPairs[Item]]:
-        """See `FieldType.checker`."""
-        check = self._content.checker(context)
+    def checker(context: ReadContext) -> ValueCheck[NestedPairs[Item]]:
+        check = items_type.checker(context)
 
         def check_pairs(value: object) -> NestedPairs[Item]:
             pairs: NestedPairs[Item] = ()
@@ -671,172 +634,44 @@ class nested_pairs_of(FieldType[NestedPairs[Item]]):  # noqa: N801
 
         return check_pairs
 
-    def encoder(self) -> Encode[NestedPairs[Item]]:
-        """See `FieldType.encoder`."""
+    def encode(pairs: NestedPairs[Item], graph: ObjectWriter) -> List[Item]:
+        values: List[Item] = []
+        while pairs:
+            pairs, item = pairs
+            values.append(item)
+        values.reverse()
+        return values
 
-        def encode(pairs: NestedPairs[Item], graph: ObjectWriter) -> List[Item]:
-            values: List[Item] = []
-            while pairs:
-                pairs, item = pairs
-                values.append(item)
-            values.reverse()
-            return values
+    return FieldType(f"nested pairs of [{content.name}]", checker, encode)
 
-        return encode
+
+def compact_record_of(row_class: Type[Row], **fields: FieldType[Any]) -> FieldType[Row]:
+    """Return the type of named tuples that occur often; they are stored as sequences, and their fields do not change.
+
+    Args:
+        row_class: class of the records.
+        fields: type of each of its fields.
+    """
+    assert tuple(fields) == row_class._fields, row_class
+    assert not any(content.encoder for content in fields.values()), row_class
+    make: Callable[..., Row] = row_class
+
+    def checker(context: ReadContext) -> ValueCheck[Row]:
+        checks = [with_path(name, content.checker(context)) for name, content in fields.items()]
+
+        def check(value: object) -> Row:
+            values = items_of(value)
+            if len(values) != len(checks):
+                raise invalid_value(value, f"{len(checks)} items")
+            return make(*[check_value(item) for check_value, item in zip(checks, values)])
+
+        return check
+
+    contents = ", ".join(f"{name}: {content.name}" for name, content in fields.items())
+    return FieldType(f"{row_class.__name__}: ({contents})", checker)
 
 
 # ---- references to objects -------------------------------------------------------------------------------
-
-
-class reference(FieldType[object]):  # noqa: N801
-    """References to objects of some kinds.
-
-    Args:
-        kinds: names of `ObjectFields`, or of external objects, see `ObjectWriter`.
-        is_optional: whether the value can be None.
-        is_source: whether an object with this field consists of the object that it refers to. No object consists of
-            itself, because the engine follows such references recursively.
-        accepts: type of values other than references; None if there are none.
-    """
-
-    def __init__(
-        self,
-        *kinds: str,
-        is_optional: bool = False,
-        is_source: bool = False,
-        accepts: Optional[FieldType[Any]] = None,
-    ):
-        self.name = f"a reference to {' or '.join(kinds)}"
-        if is_optional:
-            self.name += ", or nothing"
-        if accepts is not None:
-            self.name += f", or {accepts.name}"
-        self._kinds = kinds
-        self._is_optional = is_optional
-        self._is_source = is_source
-        self._accepts = accepts
-
-    @property
-    def has_sources(self) -> bool:
-        """See `FieldType.has_sources`."""
-        return self._is_source
-
-    def checker(self, context: ReadContext) -> ValueCheck[object]:
-        """See `FieldType.checker`."""
-        read = objects_of(context).reference_reader(self._kinds, self._is_source)
-        if self._accepts is None:
-            return (lambda value: None if value is None else read(value)) if self._is_optional else read
-        check_other = self._accepts.checker(context)
-        is_reference = objects_of(context).is_reference
-        return lambda value: read(value) if is_reference(value) else check_other(value)
-
-    def encoder(self) -> Encode[object]:
-        """See `FieldType.encoder`."""
-        encode_other = None if self._accepts is None else self._accepts.encoder()
-
-        def encode(value: object, graph: ObjectWriter) -> object:
-            if value is None:
-                return None
-            if graph.is_object(value):
-                return graph.reference_to(value)
-            return value if encode_other is None else encode_other(value, graph)
-
-        return encode
-
-    def column_checker(self, context: ReadContext) -> ColumnCheck[object]:
-        """See `FieldType.column_checker`."""
-        if self._accepts is not None:
-            return super().column_checker(context)
-        objects = objects_of(context)
-        kinds, is_source, is_optional = self._kinds, self._is_source, self._is_optional
-
-        def check_column(column: object, numbers: Sequence[int]) -> Sequence[object]:
-            referenced = items_of(column)
-            present = [number for number in referenced if number is not None]
-            present_objects = objects.objects_by_number(present, kinds)
-            if is_source:
-                for number, source in zip(numbers, referenced):
-                    if isinstance(source, int):
-                        objects.sources_of(number).append(source)
-            if len(present) == len(referenced):
-                return present_objects
-            if not is_optional:
-                raise invalid_value(None, self.name)
-            remaining = iter(present_objects)
-            return [None if number is None else next(remaining) for number in referenced]
-
-        return check_column
-
-    def encode_column(self, graph: ObjectWriter, values: List[object]) -> object:
-        """See `FieldType.encode_column`."""
-        # A column has numbers, which need less space than references.
-        if self._accepts is not None:
-            return super().encode_column(graph, values)
-        number_of = graph.number_of
-        return [None if value is None else number_of(value) for value in values]
-
-
-class references(FieldType[Sequence[object]]):  # noqa: N801
-    """Sequences of many objects, stored as their numbers."""
-
-    def __init__(self, *kinds: str):
-        self.name = f"references to {' or '.join(kinds)}"
-        self._kinds = kinds
-
-    def checker(self, context: ReadContext) -> ValueCheck[Sequence[object]]:
-        """See `FieldType.checker`."""
-        objects = objects_of(context)
-        return lambda value: objects.objects_by_number(items_of(value), self._kinds)
-
-    def encoder(self) -> Encode[Sequence[object]]:
-        """See `FieldType.encoder`."""
-        return lambda values, graph: list(map(graph.number_of, values))
-
-
-class parts_of(FieldType[Optional[Tuple[object, ...]]]):  # noqa: N801
-    """Parts that an object consists of: objects as their numbers, other values as sequences of one item.
-
-    Args:
-        kinds: kinds of the objects.
-        accepts: type of the other values.
-    """
-
-    def __init__(self, *kinds: str, accepts: FieldType[Any]):
-        self.name = f"objects, {' or '.join(kinds)}, or {accepts.name}"
-        self._kinds = kinds
-        self._accepts = accepts
-
-    @property
-    def has_sources(self) -> bool:
-        """See `FieldType.has_sources`."""
-        return True
-
-    def checker(self, context: ReadContext) -> ValueCheck[Optional[Tuple[object, ...]]]:
-        """See `FieldType.checker`."""
-        objects = objects_of(context)
-        kinds, check_other = self._kinds, self._accepts.checker(context)
-
-        def check_part(part: object) -> object:
-            if type(part) is int:
-                (found,) = objects.objects_by_number([part], kinds)
-                objects.current_sources.append(part)
-                return found
-            if len(items_of(part)) != 1:
-                raise invalid_value(part, "1 item")
-            return check_other(items_of(part)[0])
-
-        return lambda value: None if value is None else tuple(check_items(items_of(value), check_part))
-
-    def encoder(self) -> Encode[Optional[Tuple[object, ...]]]:
-        """See `FieldType.encoder`."""
-
-        def encode(parts: Optional[Tuple[object, ...]], graph: ObjectWriter) -> object:
-            if parts is None:
-                return None
-            # A number of an object and a number that is a part itself must differ.
-            return [graph.number_of(part) if graph.is_object(part) else [part] for part in parts]
-
-        return encode
 
 
 def objects_of(context: ReadContext) -> ObjectReader:
@@ -845,29 +680,126 @@ def objects_of(context: ReadContext) -> ObjectReader:
     return context.objects
 
 
-class compact_record_of(FieldType[Row]):  # noqa: N801
-    """Named tuples, stored as sequences, for records that occur often; their fields do not change.
+class _ReferenceType(FieldType[object]):
+    """References to objects, which a column has as numbers."""
+
+    def __init__(self, name: str, kinds: Sequence[str], is_optional: bool, is_source: bool):
+        def checker(context: ReadContext) -> ValueCheck[object]:
+            read = objects_of(context).reference_reader(kinds, is_source)
+            return (lambda value: None if value is None else read(value)) if is_optional else read
+
+        super().__init__(
+            name,
+            checker,
+            lambda value, graph: None if value is None else graph.reference_to(value),
+            is_source,
+        )
+        self._kinds = kinds
+        self._is_optional = is_optional
+
+    def column_checker(self, context: ReadContext) -> ColumnCheck[object]:
+        """See `FieldType.column_checker`."""
+        objects = objects_of(context)
+
+        def check_column(column: object, numbers: Sequence[int]) -> Sequence[object]:
+            referenced = items_of(column)
+            present = [number for number in referenced if number is not None]
+            present_objects = objects.objects_by_number(present, self._kinds)
+            if self.has_sources:
+                for number, source in zip(numbers, referenced):
+                    if isinstance(source, int):
+                        objects.sources_of(number).append(source)
+            if len(present) == len(referenced):
+                return present_objects
+            if not self._is_optional:
+                raise invalid_value(None, self.name)
+            remaining = iter(present_objects)
+            return [None if number is None else next(remaining) for number in referenced]
+
+        return check_column
+
+    def encode_column(self, values: List[object], graph: ObjectWriter) -> object:
+        """See `FieldType.encode_column`."""
+        # Numbers need less space than references.
+        return [None if value is None else graph.number_of(value) for value in values]
+
+
+def reference(
+    *kinds: str,
+    is_optional: bool = False,
+    is_source: bool = False,
+    accepts: Optional[FieldType[Any]] = None,
+) -> FieldType[object]:
+    """Return the type of references to objects of some kinds.
 
     Args:
-        record_class: class of the record.
-        fields: type of each of its fields.
+        kinds: names of `ObjectFields`, or of external objects, see `ObjectWriter`.
+        is_optional: whether the value can be None.
+        is_source: whether an object with this field consists of the object that it refers to. No object consists of
+            itself, because the engine follows such references recursively.
+        accepts: type of values other than references; None if there are none.
+    """
+    name = f"a reference to {' or '.join(kinds)}"
+    if is_optional:
+        name += ", or nothing"
+    if accepts is None:
+        return _ReferenceType(name, kinds, is_optional, is_source)
+    accepted: FieldType[Any] = accepts
+
+    def checker(context: ReadContext) -> ValueCheck[object]:
+        objects = objects_of(context)
+        read, check_other = objects.reference_reader(kinds, is_source), accepted.checker(context)
+        return lambda value: read(value) if objects.is_reference(value) else check_other(value)
+
+    def encode(value: object, graph: ObjectWriter) -> object:
+        if graph.is_object(value):
+            return graph.reference_to(value)
+        return value if value is None or accepted.encoder is None else accepted.encoder(value, graph)
+
+    return FieldType(f"{name}, or {accepts.name}", checker, encode, is_source)
+
+
+def references(*kinds: str) -> FieldType[Sequence[object]]:
+    """Return the type of sequences of many objects, stored as their numbers."""
+
+    def checker(context: ReadContext) -> ValueCheck[Sequence[object]]:
+        objects = objects_of(context)
+        return lambda value: objects.objects_by_number(items_of(value), kinds)
+
+    return FieldType(
+        f"references to {' or '.join(kinds)}",
+        checker,
+        lambda values, graph: list(map(graph.number_of, values)),
+    )
+
+
+def parts_of(*kinds: str, accepts: FieldType[Any]) -> FieldType[Optional[Tuple[object, ...]]]:
+    """Return the type of parts that an object consists of: objects as numbers, other values as sequences of one item.
+
+    Args:
+        kinds: kinds of the objects.
+        accepts: type of the other values.
     """
 
-    def __init__(self, record_class: Type[Row], **fields: FieldType[Any]):
-        contents = ", ".join(f"{name}: {content.name}" for name, content in fields.items())
-        self.name = f"{record_class.__name__}: ({contents})"
-        assert tuple(fields) == record_class._fields, record_class
-        self._make: Callable[..., Row] = record_class
-        self._fields = fields
+    def checker(context: ReadContext) -> ValueCheck[Optional[Tuple[object, ...]]]:
+        objects = objects_of(context)
+        check_other = accepts.checker(context)
 
-    def checker(self, context: ReadContext) -> ValueCheck[Row]:
-        """See `FieldType.checker`."""
-        checks = [with_path(name, content.checker(context)) for name, content in self._fields.items()]
+        def check_part(part: object) -> object:
+            if type(part) is int:
+                (item,) = objects.objects_by_number([part], kinds)
+                objects.current_sources.append(part)
+                return item
+            if len(items_of(part)) != 1:
+                raise invalid_value(part, "1 item")
+            return check_other(items_of(part)[0])
 
-        def check(value: object) -> Row:
-            values = items_of(value)
-            if len(values) != len(checks):
-                raise invalid_value(value, f"{len(checks)} items")
-            return self._make(*[check_value(item) for check_value, item in zip(checks, values)])
+        return lambda value: None if value is None else tuple(check_items(items_of(value), check_part))
 
-        return check
+    def encode(parts: Optional[Tuple[object, ...]], graph: ObjectWriter) -> object:
+        if parts is None:
+            return None
+        # A number of an object and a number that is a part itself must differ.
+        return [graph.number_of(part) if graph.is_object(part) else [part] for part in parts]
+
+    return FieldType(f"objects, {' or '.join(kinds)}, or {accepts.name}", checker, encode, has_sources=True)

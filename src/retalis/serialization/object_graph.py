@@ -134,7 +134,7 @@ class ObjectWriter:
             self._objects[kind] += objects
             for entry in _fields_of(kind):
                 # Columns without references are encoded at the end, all at once.
-                if callable(entry.type) or entry.type.encoder() is not None:
+                if callable(entry.type) or entry.type.encoder is not None:
                     column = _encode_values(entry, objects, self)
                     self._columns[kind, entry.name] += items_of(column)
 
@@ -182,8 +182,8 @@ def _encode_values(entry: StoredField, objects: Sequence[object], graph: ObjectW
     if entry.same_as is not None and all(map(is_, map(attrgetter(entry.same_as), objects), values)):
         return None
     if callable(entry.type):
-        return encode_each(values, [entry.type(item).encoder() for item in objects], graph)
-    return entry.type.encode_column(graph, values)
+        return encode_each(values, [entry.type(item).encoder for item in objects], graph)
+    return entry.type.encode_column(values, graph)
 
 
 _HEAD = tuple_of(sequence_of(TEXT), ANYTHING, sequence_of(tuple_of(TEXT, ANYTHING)))

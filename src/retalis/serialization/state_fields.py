@@ -18,8 +18,8 @@ from typing import (
     Any,
     Callable,
     Dict,
-    Generic,
     List,
+    Mapping,
     NamedTuple,
     Optional,
     Sequence,
@@ -126,7 +126,7 @@ def constraint(expected: str, holds: Callable[..., bool]) -> Constraint:
 
 
 class FieldList:
-    """Fields and constraints of a record; the base class of the three kinds of declarations.
+    """Fields and constraints of a record; the base class of `StateFields` and `ObjectFields`.
 
     Args:
         declared: the fields, in the order in which they are set, and the constraints.
@@ -232,7 +232,7 @@ class StateFields(FieldList):
         self._fields_of_owner: List[Tuple[int, StoredField]] = []
         for position, entry in enumerate(self.fields):
             if isinstance(entry.type, FieldType):
-                encode = entry.type.encoder()
+                encode = entry.type.encoder
                 if encode is not None:
                     self._encoded_fields.append((position, encode))
             elif not entry.is_part:
@@ -252,10 +252,8 @@ class StateFields(FieldList):
         mapping = self.mapping_of(value, context)
         state: State = {}
         for entry in self.fields:
-            stored = mapping[entry.name]
-            if isinstance(stored, SameForAll):
-                stored = stored.value
-            state[entry.name] = with_path(entry.name, entry.type_for(owner).checker(context))(stored)
+            check = with_path(entry.name, entry.type_for(owner).checker(context))
+            state[entry.name] = check(_unwrapped(mapping[entry.name]))
         self.check_constraints(owner, state)
         return state
 
@@ -277,7 +275,7 @@ class StateFields(FieldList):
         for position, encode in self._encoded_fields:
             values[position] = encode(values[position], graph)
         for position, entry in self._fields_of_owner:
-            encode_for_owner = entry.type_for(owner).encoder()
+            encode_for_owner = entry.type_for(owner).encoder
             if encode_for_owner is not None:
                 values[position] = encode_for_owner(values[position], graph)
         return named_values(self._names, values)
@@ -336,34 +334,33 @@ class NextNumber:
         setattr(owner, self._attribute, count(number))
 
 
-class part_state(FieldType[State]):  # noqa: N801
-    """States of a part of an object; the type depends on the object.
+def part_state(
+    part: StateOwner, check_item: Optional[Callable[[object, int], None]] = None
+) -> FieldType[State]:
+    """Return the type of states of a part of an object; it depends on the object.
 
     Args:
         part: the part.
         check_item: check of the objects in its state, given the object and a channel; see `ReadContext.check_item`.
     """
 
-    name = "the state of a part"
-
-    def __init__(self, part: StateOwner, check_item: Optional[Callable[[object, int], None]] = None):
-        self._part = part
-        self._check_item = check_item
-
-    def checker(self, context: ReadContext) -> ValueCheck[State]:
-        """See `FieldType.checker`."""
-        part = self._part
-        inner_context = context if self._check_item is None else context._replace(check_item=self._check_item)
+    def checker(context: ReadContext) -> ValueCheck[State]:
+        inner_context = context if check_item is None else context._replace(check_item=check_item)
         return lambda value: part.STATE.check_state(value, part, inner_context)
 
-    def encoder(self) -> Encode[State]:
-        """See `FieldType.encoder`."""
-        part = self._part
-        return lambda state, graph: part.STATE.encode_state(state, part, graph)
+    return FieldType(
+        "the state of a part",
+        checker,
+        lambda state, graph: part.STATE.encode_state(state, part, graph),
+    )
 
 
-class states_of(FieldType[List[State]], Generic[Owner]):  # noqa: N801
-    """States of several objects, each with the name of its class.
+def states_of(
+    owners: Sequence[Owner],
+    expected: str,
+    title: Callable[[Owner], str] = lambda owner: type(owner).__name__,
+) -> FieldType[List[State]]:
+    """Return the type of the states of several objects, each with the name of its class.
 
     Args:
         owners: the objects, in order.
@@ -371,134 +368,111 @@ class states_of(FieldType[List[State]], Generic[Owner]):  # noqa: N801
         title: returns the name of an object in error texts; by default its class.
     """
 
-    name = "the states of several objects"
-
-    def __init__(
-        self,
-        owners: Sequence[Owner],
-        expected: str,
-        title: Callable[[Owner], str] = lambda owner: type(owner).__name__,
-    ):
-        self._owners = owners
-        self._expected = expected
-        self._title = title
-
-    def checker(self, context: ReadContext) -> ValueCheck[List[State]]:
-        """See `FieldType.checker`."""
-
+    def checker(context: ReadContext) -> ValueCheck[List[State]]:
         def check(value: object) -> List[State]:
             named_states = _NAMED_STATES.check(value)
-            if [name for name, _ in named_states] != [type(owner).__name__ for owner in self._owners]:
-                raise UsageError(self._expected)
+            if [name for name, _ in named_states] != [type(owner).__name__ for owner in owners]:
+                raise UsageError(expected)
             return [
-                with_path(self._title(owner), part_state(owner).checker(context))(state)
-                for owner, (_, state) in zip(self._owners, named_states)
+                with_path(title(owner), part_state(owner).checker(context))(state)
+                for owner, (_, state) in zip(owners, named_states)
             ]
 
         return check
 
-    def encoder(self) -> Encode[List[State]]:
-        """See `FieldType.encoder`."""
-        return lambda states, graph: [
+    return FieldType(
+        "the states of several objects",
+        checker,
+        lambda states, graph: [
             [type(owner).__name__, owner.STATE.encode_state(state, owner, graph)]
-            for owner, state in zip(self._owners, states)
-        ]
+            for owner, state in zip(owners, states)
+        ],
+    )
 
 
 _NAMED_STATES = sequence_of(tuple_of(TEXT, ANYTHING))
 _NO_PART: PlainType[Optional[State]] = PlainType("nothing, because there is no such part", lambda value: None)
 
 
-class rows_of(FieldType[List[Row]], FieldList):  # noqa: N801
-    """Tables: sequences of named tuples, stored in columns.
+def _row_fields(row_class: Type[Row], contents: Mapping[str, FieldType[Any]]) -> FieldList:
+    assert tuple(contents) == row_class._fields, row_class
+    fields = FieldList(*(field(name, content) for name, content in contents.items()))
+    fields.record_name = row_class.__name__
+    return fields
+
+
+def rows_of(row_class: Type[Row], **contents: FieldType[Any]) -> FieldType[List[Row]]:
+    """Return the type of tables: sequences of named tuples, stored in columns.
 
     Args:
         row_class: class of the rows.
-        fields: type of each of its fields.
+        contents: type of each of its fields.
     """
+    fields = _row_fields(row_class, contents)
+    make: Callable[..., Row] = row_class
 
-    def __init__(self, row_class: Type[Row], **fields: FieldType[Any]):
-        FieldList.__init__(self, *(field(name, content) for name, content in fields.items()))
-        assert tuple(fields) == row_class._fields, row_class
-        self.record_name = row_class.__name__
-        self.name = f"rows of {self.record_name}: ({', '.join(self.describe())})"
-        self._make: Callable[..., Row] = row_class
-
-    def checker(self, context: ReadContext) -> ValueCheck[List[Row]]:
-        """See `FieldType.checker`."""
-
+    def checker(context: ReadContext) -> ValueCheck[List[Row]]:
         def check(value: object) -> List[Row]:
             row_count, stored = _TABLE.check(value)
             if not row_count and not stored:
                 return []
-            mapping = self.mapping_of(stored, context)
+            mapping = fields.mapping_of(stored, context)
             columns: Dict[str, Sequence[object]] = {}
             # Columns of the file first: their lengths are checked before a value is repeated for an added field.
-            for entry in sorted(self.fields, key=lambda entry: isinstance(mapping[entry.name], SameForAll)):
-                content = entry.type_for(None)
-                columns[entry.name] = with_path(
-                    entry.name,
-                    lambda column, content=content: check_column(content, column, range(row_count), context),  # type: ignore[misc]
-                )(mapping[entry.name])
-            return list(map(self._make, *(columns[entry.name] for entry in self.fields)))
+            for name in sorted(contents, key=lambda name: isinstance(mapping[name], SameForAll)):
+                columns[name] = with_path(
+                    name,
+                    lambda column, content=contents[name]: check_column(  # type: ignore[misc]
+                        content, column, range(row_count), context
+                    ),
+                )(mapping[name])
+            return list(map(make, *(columns[name] for name in contents)))
 
         return check
 
-    def encoder(self) -> Encode[List[Row]]:
-        """See `FieldType.encoder`."""
+    def encode(rows: List[Row], graph: ObjectWriter) -> List[object]:
+        if not rows:
+            return [0, []]
+        columns = [
+            content.encode_column(list(column), graph)
+            for content, column in zip(contents.values(), zip(*rows))
+        ]
+        return [len(rows), named_values(list(contents), columns)]
 
-        def encode(rows: List[Row], graph: ObjectWriter) -> List[object]:
-            if not rows:
-                return [0, []]
-            columns = [
-                entry.type_for(None).encode_column(graph, list(column))
-                for entry, column in zip(self.fields, zip(*rows))
-            ]
-            return [len(rows), named_values([entry.name for entry in self.fields], columns)]
-
-        return encode
+    return FieldType(f"rows of {fields.record_name}: ({', '.join(fields.describe())})", checker, encode)
 
 
 _TABLE = tuple_of(COUNT, ANYTHING)
 """A table: number of rows, and columns."""
 
 
-class record_of(FieldType[Row], FieldList):  # noqa: N801
-    """Named tuples, stored as mappings from names to values.
+def record_of(row_class: Type[Row], **contents: FieldType[Any]) -> FieldType[Row]:
+    """Return the type of named tuples, stored as mappings from names to values.
 
     Args:
-        record_class: class of the record.
-        fields: type of each of its fields.
+        row_class: class of the records.
+        contents: type of each of its fields.
     """
+    fields = _row_fields(row_class, contents)
+    make: Callable[..., Row] = row_class
 
-    def __init__(self, record_class: Type[Row], **fields: FieldType[Any]):
-        FieldList.__init__(self, *(field(name, content) for name, content in fields.items()))
-        assert tuple(fields) == record_class._fields, record_class
-        self.record_name = record_class.__name__
-        self.name = f"{self.record_name}: ({', '.join(self.describe())})"
-        self._names = list(fields)
-        self._encodings = [content.encoder() for content in fields.values()]
-        self._make: Callable[..., Row] = record_class
-
-    def checker(self, context: ReadContext) -> ValueCheck[Row]:
-        """See `FieldType.checker`."""
-        checks = [
-            (entry.name, with_path(entry.name, entry.type_for(None).checker(context)))
-            for entry in self.fields
-        ]
+    def checker(context: ReadContext) -> ValueCheck[Row]:
+        checks = {name: with_path(name, content.checker(context)) for name, content in contents.items()}
 
         def check(value: object) -> Row:
-            mapping = self.mapping_of(value, context)
-            return self._make(
-                **{name: check_value(_unwrapped(mapping[name])) for name, check_value in checks}
+            mapping = fields.mapping_of(value, context)
+            return make(
+                **{name: check_value(_unwrapped(mapping[name])) for name, check_value in checks.items()}
             )
 
         return check
 
-    def encoder(self) -> Encode[Row]:
-        """See `FieldType.encoder`."""
-        names, encodings = self._names, self._encodings
-        return lambda record, graph: named_values(names, encode_each(record, encodings, graph))
+    names, encodings = list(contents), [content.encoder for content in contents.values()]
+    return FieldType(
+        f"{fields.record_name}: ({', '.join(fields.describe())})",
+        checker,
+        lambda record, graph: named_values(names, encode_each(record, encodings, graph)),
+    )
 
 
 def _unwrapped(stored: object) -> object:

@@ -40,7 +40,6 @@ from ...serialization.field_types import (
     KEY,
     MATCH_VALUE,
     TERM,
-    Encode,
     FieldType,
     PlainType,
     ReadContext,
@@ -111,33 +110,26 @@ LINEAGE_FIELDS = (
 """Stored links of the nodes of a lineage."""
 
 
-class TokenKeys(FieldType[Hashable]):
-    """Keys that consist of terms, or of identities of events."""
+def _token_key_checker(context: ReadContext) -> ValueCheck[Hashable]:
+    check_token = TOKEN.checker(context)
+    is_reference = objects_of(context).is_reference
 
-    name = "a key of terms or identities of events"
+    def check_key(value: object) -> Hashable:
+        if isinstance(value, list) and any(map(is_reference, value)):
+            return tuple([check_key(item) for item in value])
+        return check_token(value) if is_reference(value) else KEY.check(value)
 
-    def checker(self, context: ReadContext) -> ValueCheck[Hashable]:
-        """See `FieldType.checker`."""
-        check_token = TOKEN.checker(context)
-        is_reference = objects_of(context).is_reference
+    return check_key
 
-        def check_key(value: object) -> Hashable:
-            if isinstance(value, list) and any(map(is_reference, value)):
-                return tuple([check_key(item) for item in value])
-            return check_token(value) if is_reference(value) else KEY.check(value)
 
-        return check_key
+def _encode_token_key(key: Any, graph: "ObjectWriter") -> object:
+    if graph.is_object(key):
+        return graph.reference_to(key)
+    is_sequence = key.__class__ is tuple and not (key and key[0].__class__ is Functor)
+    return [_encode_token_key(item, graph) for item in key] if is_sequence else key
 
-    def encoder(self) -> Encode[Hashable]:
-        """See `FieldType.encoder`."""
 
-        def encode(key: Any, graph: "ObjectWriter") -> object:
-            if graph.is_object(key):
-                return graph.reference_to(key)
-            is_sequence = key.__class__ is tuple and not (key and key[0].__class__ is Functor)
-            return [encode(item, graph) for item in key] if is_sequence else key
-
-        return encode
+TOKEN_KEY = FieldType("a key of terms or identities of events", _token_key_checker, _encode_token_key)
 
 
 class MatchContainer(Protocol):

@@ -42,7 +42,7 @@ from ..matches.consumption_policy import (
 from ..matches.expiration import retention_for_late
 from ..matches.interval_index import interval_bounds
 from ..matches.match_buffer import MatchBuffer
-from ..matches.match_types import ComputedValues, NetworkOptions, PartialMatch, TokenKeys, is_retracted
+from ..matches.match_types import TOKEN_KEY, ComputedValues, NetworkOptions, PartialMatch, is_retracted
 from ..matches.negation import DeferredNegations, NegationBuffer, RuledOutSweep
 from .goal_evaluation import Test
 from .occurrences import MatchOrPair
@@ -81,7 +81,7 @@ class JoinNode(NetworkNode):
     """
 
     STATE = StateFields(
-        field("completed_keys", sequence_of(TokenKeys())),
+        field("completed_keys", sequence_of(TOKEN_KEY)),
         part("retained_matches"),
     )
 

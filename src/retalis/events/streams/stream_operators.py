@@ -21,7 +21,6 @@ from ...serialization.field_types import (
     INSTANT,
     MATCH_VALUE,
     TERM,
-    Encode,
     FieldType,
     ReadContext,
     ValueCheck,
@@ -110,25 +109,16 @@ class StreamOutput(NamedTuple):
     error: Optional[RuleError] = None
 
 
-class _ElementType(FieldType[StreamElement]):
-    """Elements in the state of an operator.
+def _element_type(channel: int) -> FieldType[StreamElement]:
+    """Return the type of elements in the state of an operator.
 
     Args:
         channel: channel of the elements, see `StreamOperator.process`.
     """
+    reference_type = reference("element")
 
-    def __init__(self, channel: int = 0):
-        self.name = f"an element of channel {channel}"
-        self._channel = channel
-        self._reference = reference("element")
-
-    def checker(self, context: ReadContext) -> ValueCheck[StreamElement]:
-        """See `FieldType.checker`."""
-        check_reference, check_item, channel = (
-            self._reference.checker(context),
-            context.check_item,
-            self._channel,
-        )
+    def checker(context: ReadContext) -> ValueCheck[StreamElement]:
+        check_reference, check_item = reference_type.checker(context), context.check_item
 
         def check(value: object) -> StreamElement:
             element = check_reference(value)
@@ -139,14 +129,12 @@ class _ElementType(FieldType[StreamElement]):
 
         return check
 
-    def encoder(self) -> Optional[Encode[StreamElement]]:
-        """See `FieldType.encoder`."""
-        return self._reference.encoder()
+    return FieldType(f"an element of channel {channel}", checker, reference_type.encoder)
 
 
-ELEMENT = _ElementType()
+ELEMENT = _element_type(0)
 ELEMENTS = sequence_of(ELEMENT)
-FORBIDDEN_ELEMENTS = sequence_of(_ElementType(1))
+FORBIDDEN_ELEMENTS = sequence_of(_element_type(1))
 
 
 def have_distinct_orders(elements: Sequence[StreamElement], last_order: int) -> bool:

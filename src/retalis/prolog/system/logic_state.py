@@ -17,11 +17,8 @@ from ...serialization.field_types import (
     KEY,
     TERM,
     TEXT,
-    Encode,
     FieldType,
     PlainType,
-    ReadContext,
-    ValueCheck,
     compact_record_of,
     integer,
     invalid_value,
@@ -220,30 +217,13 @@ _BUILTIN_STATE: Dict[str, FieldType[Any]] = {
 """Types of `ValuesSnapshot.builtin_state` by key."""
 
 
-class _BuiltinState(FieldType[Dict[str, Dict[Any, Any]]]):
-    """Data of built-in predicates by key; a key without data is omitted."""
-
-    name = "data of built-in predicates"
-
-    def checker(self, context: ReadContext) -> ValueCheck[Dict[str, Dict[Any, Any]]]:
-        """See `FieldType.checker`."""
-
-        def check(value: object) -> Dict[str, Dict[Any, Any]]:
-            data_by_key = mapping_of(TEXT, ANYTHING).check(value)
-            for name in data_by_key:
-                if name not in _BUILTIN_STATE:
-                    raise invalid_value(name, "a kind of state of built-in predicates")
-            return {
-                name: with_path(name, _BUILTIN_STATE[name].check)(data) for name, data in data_by_key.items()
-            }
-
-        return check
-
-    def encoder(self) -> Encode[Dict[str, Dict[Any, Any]]]:
-        """See `FieldType.encoder`."""
-        return lambda data_by_key, graph: [
-            [name, _BUILTIN_STATE[name].encode(data)] for name, data in data_by_key.items()
-        ]
+def _check_builtin_state(value: object) -> Dict[str, Dict[Any, Any]]:
+    """Check data of built-in predicates by key; a key without data is omitted."""
+    data_by_key = mapping_of(TEXT, ANYTHING).check(value)
+    for name in data_by_key:
+        if name not in _BUILTIN_STATE:
+            raise invalid_value(name, "a kind of state of built-in predicates")
+    return {name: with_path(name, _BUILTIN_STATE[name].check)(data) for name, data in data_by_key.items()}
 
 
 VALUES = record_of(
@@ -251,7 +231,13 @@ VALUES = record_of(
     flags=mapping_of(TEXT, TERM),
     global_variables=mapping_of(TEXT, TERM),
     column=COUNT,
-    builtin_state=_BuiltinState(),
+    builtin_state=FieldType(
+        "data of built-in predicates",
+        lambda context: _check_builtin_state,
+        lambda data_by_key, graph: [
+            [name, _BUILTIN_STATE[name].encode(data)] for name, data in data_by_key.items()
+        ],
+    ),
     table_answers=sequence_of(
         compact_record_of(
             StoredTable,
