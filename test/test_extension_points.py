@@ -26,7 +26,8 @@ def add_entries(section: str, module: ModuleType, opening: str, closing: str) ->
         closing: closing bracket of the table.
     """
     definitions, entries = [snippet for snippet in SNIPPETS[section] if snippet.path.startswith("src/")]
-    names = dict(vars(module))
+    # The classes are those of this module: others list the classes of the package.
+    names = {**vars(module), "__name__": __name__}
     exec(definitions.text, names)
     return eval(f"{opening}{entries.text}{closing}", names)
 
