@@ -11,8 +11,7 @@ from ...prolog.machine.resource_limits import record_caught_error
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.timestamps import SECOND, format_distance
 from ...prolog.terms.types import Term, Values
-from ...serialization.field_types import COUNT
-from ...serialization.state_fields import StateFields, StateOwner, field
+from ...serialization.state_fields import StateOwner
 from ..clock.clock import Clock
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import TERM
@@ -51,8 +50,6 @@ class NetworkContext(StateOwner):
         watermarks: lags of the topics, and the watermarks that timeouts wait for.
         failed_retraction_count: number of events ``rev(E)`` without an event E.
     """
-
-    STATE = StateFields(field("failed_retraction_count", COUNT))
 
     def __init__(
         self,

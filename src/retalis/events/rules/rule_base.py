@@ -108,7 +108,9 @@ class RuleBase(NetworkContext):
     """
 
     STATE = StateFields(
-        *NetworkContext.STATE.extended(field("serial", COUNT), field("fired_by_deleted_rules", COUNT))
+        field("serial", COUNT),
+        field("fired_by_deleted_rules", COUNT),
+        field("failed_retraction_count", COUNT),
     )
 
     def __init__(
