@@ -1,1 +1,1 @@
-"""Inputs that nobody would write, against every place where the package takes some; see README.md."""
+"""Random and mutated inputs for all interfaces of the package that accept input; see README.md."""

@@ -1,4 +1,4 @@
-"""Feed the package with inputs that nobody would write: see README.md.
+"""Run campaigns of random and mutated inputs: see README.md.
 
 Usage (with ``test`` on the path): python -m fuzz [--kind KIND] [--inputs N] [--seed S] [--minutes M] [--jobs J]
 """
@@ -31,7 +31,7 @@ def arguments(argv: Any) -> Any:
 
 
 def show(campaign: Any, save: Any = None) -> None:
-    """Print what a campaign has found; save the inputs."""
+    """Print the findings of a campaign; save their inputs."""
     print(
         f"{campaign.kind}: {campaign.done} inputs, {campaign.accepted_count} steps taken, "
         f"{campaign.refused_count} refused, "
@@ -70,7 +70,7 @@ def replay_campaign(text: Any) -> Any:
 
 
 def main(argv: Any) -> Any:
-    """Do what the command line says; return the number of findings, as far as an exit status can tell."""
+    """Run the command line; return the number of findings, at most 100, as exit status."""
     options = arguments(argv)
     if options.replay:
         campaign = replay_campaign(options.replay)

@@ -19,10 +19,10 @@ from .known_findings import reason
 
 HERE = Path(__file__).resolve().parent
 MAX_INPUT_CPU_SECONDS = 10.0
-"""CPU seconds of one input after which its process is killed, because no handler could end it."""
+"""Maximum CPU time of an input in seconds; its process is killed afterwards."""
 
 MAX_INPUT_SECONDS = 60.0
-"""Seconds of one input after which its process is killed."""
+"""Maximum duration of an input in seconds; its process is killed afterwards."""
 
 POLL_INTERVAL_SECONDS = 0.5
 """Seconds between two checks of a process."""

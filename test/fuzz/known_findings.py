@@ -1,4 +1,4 @@
-"""Findings whose repair is planned: a campaign counts them, goes on, and does not fail because of them."""
+"""Findings whose repair is planned: a campaign counts them and does not fail."""
 
 import re
 from typing import Any, NamedTuple, Tuple

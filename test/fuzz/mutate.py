@@ -79,12 +79,12 @@ def random_tokens(rng: Any, tokens: Any, max_tokens: int = 25) -> str:
 
 
 def to_bytes(text: Any) -> bytes:
-    """Return the bytes of an input that is text; lone surrogates are kept."""
+    """Return the bytes of an input that is text; lone surrogates are encoded, too."""
     return text.encode("utf-8", "surrogatepass")
 
 
 def to_text(data: Any) -> str:
-    """Return the text of such an input, or of any bytes."""
+    """Return the text of such an input; invalid bytes are replaced."""
     return data.decode("utf-8", "replace" if _is_broken(data) else "surrogatepass")
 
 

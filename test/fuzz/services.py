@@ -127,7 +127,7 @@ class Inputs:
         return mutate_text(rng, rng.choice(texts), texts, PIECES)
 
     def text(self, number: Any) -> Any:
-        """Return a text for one of the String topics."""
+        """Return a text for a topic of type String."""
         rng = self.rng("text", number)
         if rng.random() < 0.3:
             return f"event({rng.choice('ab')}({rng.choice(ARGUMENTS)}))"

@@ -1,4 +1,4 @@
-"""Worker process that processes inputs one after the other, and may die of one.
+"""Worker process that processes inputs one after the other; an input may end it.
 
 It writes a line of JSON for each finding, and finally one with counts. It stores the number of the current input in a
 small file, so that its parent knows the input that has killed it.

@@ -24,5 +24,5 @@ NAMES = (
 
 
 def kind_of(name: Any) -> Any:
-    """Return the class of a kind: only what it needs is imported."""
+    """Return the class of a kind; only its module is imported."""
     return import_module(f"{__name__}.{name}").Inputs

@@ -4,14 +4,14 @@ import logging
 from pathlib import Path
 from typing import Any, List
 
-import numpy  # noqa: F401 - predicates on arrays import it at the first call, and no input may import anything
+import numpy  # noqa: F401 - predicates on arrays import it at the first call, and no input may import a module
 
 from retalis import Engine, Limits, RetalisError, Settings
 
 from ..mutate import to_text
 from ..side_effects import MAX_CPU_SECONDS, MAX_GROWTH_BYTES, FindingError
 
-try:  # names of types are looked for in it, and no input may import anything
+try:  # message types are searched in it, and no input may import a module
     from rosbags.typesys import Stores, get_typestore
 except ImportError:
     pass

@@ -1,4 +1,4 @@
-"""Texts on the topic of events, for an engine that takes events only."""
+"""Texts of events, for an engine that accepts events only."""
 
 from typing import Any
 

@@ -24,7 +24,7 @@ def undocumented() -> None:
 def swallowed() -> None:
     try:
         os.system("true")
-    except Exception:  # what was forbidden counts even where it was caught
+    except Exception:  # a forbidden act is a finding even if its error is caught
         return
 
 

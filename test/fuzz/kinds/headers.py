@@ -51,7 +51,7 @@ class Inputs(Kind):
         self.attempt(self.process_header, header)
 
     def process_header(self, header: Any) -> Any:
-        """Do what the interface does with a connection."""
+        """Process a header as the ROS interface does for a connection."""
         requested_type = header.get("wanted", "pkg/Type")
         text, md5sum = header.get("message_definition", ""), header.get("md5sum", "*")
         is_known = requested_type in self.known

@@ -16,7 +16,7 @@ MARK = "\n%%\n"
 
 MAX_EVENTS = 25
 MAX_EVENT_SECONDS = 1.0
-"""CPU time that one event may take, 20 times its limit."""
+"""Maximum CPU time of one event in seconds, 20 times its limit."""
 
 SETTINGS = Settings(
     limits=Limits(seconds=0.05, inferences=10_000, megabytes=30), max_depth=20, queue=100, folders=()
@@ -48,7 +48,7 @@ FLAGS = (
     "set_etalis_flag(garbage_control, off)",
 )
 CHAIN = tuple(zip("cdefgijk", "acdefgij"))
-"""Heads and events of rules of which each takes what the one before it gives."""
+"""Heads and events of a chain of rules: each rule processes the events of the previous one."""
 ALIVE = "\nalive_(X) <- ping_(X).\n"
 """Added to each program: whatever its events have used up, the next event works."""
 VALUES = ("0", "1", "1", "2", "-1", "2.5", "x", "_", "f(Z, Z)", "nan", "[1, 2]", "'\"t\"'")

@@ -21,7 +21,7 @@ from .goals import PAGE
 SETTINGS = Settings(limits=Limits(seconds=0.2, megabytes=50), limit_start=False, folders=())
 
 SLACK = float(os.environ.get("FUZZ_SLACK", "1"))
-"""Factor on what an input may use, for machines that are busy with other work."""
+"""Factor on the limits of an input, for machines that are busy with other work."""
 
 PROGRAM = """
 wide(0, T, T) :- !.
@@ -51,7 +51,7 @@ def _assoc(low: int, high: int) -> Any:
 
 
 def large_values() -> Dict[str, Any]:
-    """Return terms that are made once, by the name of the global variable that holds them."""
+    """Return the large terms by the names of their global variables; they are created once."""
     rng = random.Random(1)
     numbers = list(range(ITEM_COUNT))
     shuffled = rng.sample(numbers, ITEM_COUNT)
@@ -77,7 +77,7 @@ def large_values() -> Dict[str, Any]:
     }
 
 
-# A value is a goal that binds V, so that a text of few characters stands for a large term.
+# A value is a goal that binds V, so that a short text denotes a large term.
 LISTS = (
     "nb_getval(long, V)",
     "nb_getval(mixed, V)",
@@ -212,7 +212,7 @@ class Inputs(Kind):
         values: List[Any] = []
         places: List[Any] = []
         for kind in names:
-            if places and rng.random() < 0.15:  # one term twice: the walk meets itself
+            if places and rng.random() < 0.15:  # the same term twice
                 places.append(rng.choice(places))
                 continue
             choice = BY_NAME.get(kind, ALL) if rng.random() < 0.75 else ALL
@@ -226,6 +226,6 @@ class Inputs(Kind):
         return to_text(data).partition("\n")[0][:60]
 
     def run(self, data: Any) -> None:
-        # One answer, and no text of it: the time counts that the built-in takes.
+        # One answer without its text: only the time of the built-in counts.
         self.attempt(self.engine.query, to_text(data).partition("\n")[2], 1)
         LOGGED.check()

@@ -1,7 +1,7 @@
-"""Names that look like something else, in every place where a name can come in.
+"""Names with unusual characters, in all places that accept a name.
 
-A name comes back as it was or is refused with a documented error, and it never comes up in a source: each has a
-mark for that.
+A name is returned unchanged or refused with a documented error. It has a mark, which must not occur in generated
+source.
 """
 
 import json

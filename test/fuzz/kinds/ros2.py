@@ -176,7 +176,7 @@ class Inputs(Kind):
         return "".join(lines)
 
     def run(self, data: Any) -> None:
-        # Types that differ in arrays of nested types only have one checksum in ROS, which `Definitions` goes by.
+        # Types that differ in arrays of nested types only have one checksum in ROS, the key of `Definitions`.
         self.known = Definitions()
         name, _, text = to_text(data).partition("\n")
         parsed = self.attempt(parse_ros2_type, name, text, KNOWN_TYPES.get, text.startswith("module"))
@@ -192,7 +192,7 @@ class Inputs(Kind):
             message = self.attempt(parsed.to_ros1, raw)
             if message is None:
                 continue
-            # What was converted is a message of the definition, and comes back through text and term.
+            # A converted message is a message of the definition; its text and its term can be read again.
             term = decoder.decode(message)
             if text_of(term) != write(message):
                 raise FindingError("difference", "text and term do not agree", "ros2")
@@ -201,7 +201,7 @@ class Inputs(Kind):
                 raise FindingError("difference", "it does not come back as it was", "ros2")
 
     def messages(self, data: Any) -> Iterator[Any]:
-        """Return messages: zeros of all lengths, counts of one, and the bytes of the input itself."""
+        """Yield messages: zeros of all lengths, counts of one, and the bytes of the input."""
         for head in CDR:
             order = "<" if head == CDR[0] else ">"
             for size in range(0, 80, 4):

@@ -78,10 +78,10 @@ alarm(X) <- a(X) seq absent(b(X), 4).
 EVENTS = ("a(1)", "b(2)", "a(-1)", "c(1)", "a(f(Z, Z))", "b(1)", "a(2)")
 LATER_EVENTS = ("b(7)", "c(2)", "a(1)", "rev(b(7))", "b(2)", "a(f(_))", "a(3)", "rev(a(2))", "c(1)", "a(-2)")
 MAX_LATER_EVENTS = 100
-"""Events that a restored engine takes."""
+"""Number of events that a restored engine processes."""
 
 MAX_EVENTS_SECONDS, MAX_DERIVED_EVENTS = 0.5, 1000
-"""CPU time, and number of events that rules have made of them, after which it takes no more."""
+"""CPU time in seconds, and number of derived events, after which it gets no further events."""
 
 QUERIES = (
     "memory_size(M, N)",
@@ -94,7 +94,7 @@ QUERIES = (
 
 
 def nested_lists(number: int) -> Any:
-    """Return sequences in one another."""
+    """Return a list that is nested to a depth."""
     nested: List[Any] = []
     for _ in range(number):
         nested = [nested]
@@ -114,7 +114,7 @@ class Inputs(Kind):
             engine.load(rules, goals)
             for now, event in enumerate(EVENTS, 1):
                 engine.event(event, now)
-            for number in range(60 if "tfs" in goals else 0):  # so many are kept by columns
+            for number in range(60 if "tfs" in goals else 0):  # enough records to be stored by columns
                 engine.event(f"tf(a{number % 3}, v({number}.5, {number}))", 8 + number / 100)
             self.states.append(unpack_sections(engine.snapshot()).sections)
         LOGGED.logged_error = None
@@ -183,7 +183,7 @@ class Inputs(Kind):
         return paths
 
     def changed(self, rng: Any, data: Any, places: Any) -> Any:
-        """Return data with another value at one place."""
+        """Return data in which one value is replaced."""
         path = rng.choice(places[1:] or places)
         return self.put(data, path, lambda old: self.other(rng, old))
 
@@ -238,7 +238,7 @@ class Inputs(Kind):
         derived: List[Any] = []
         engine.on_event(lambda *event: derived.append(None))
         for now in range(MAX_LATER_EVENTS):
-            # A rule that makes its own events is a valid program: each event then takes all that its limit allows.
+            # A rule that derives its own events is a valid program: each event then uses its whole limit.
             if process_time() - before > MAX_EVENTS_SECONDS or len(derived) > MAX_DERIVED_EVENTS:
                 break
             self.attempt(engine.event, LATER_EVENTS[now % len(LATER_EVENTS)], 10 + now / 4)

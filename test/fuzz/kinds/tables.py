@@ -40,7 +40,7 @@ class Inputs(Kind):
                 names.append(name)
         declared = [name for name in names[3:] if rng.random() < 0.9] + ["r"]
         heads = ", ".join(f"{name}/{2 if name == 'r' else 1}" for name in declared)
-        # What tables read and is not tabled itself is read by the table that calls it.
+        # The table that calls a predicate without a table reads its clauses.
         start = (
             f":- table ({heads}) as incremental.\n"
             if ", " in heads
