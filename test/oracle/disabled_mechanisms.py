@@ -76,7 +76,7 @@ def windows(*names: str) -> Detection:
 
 
 def shapes(*names: str) -> Detection:
-    """Compare programs that have one of these shapes."""
+    """Compare programs that have one of these rate operators."""
     return oracle_about(lambda node: isinstance(node, Shaped) and node.shape in names)
 
 
@@ -133,7 +133,7 @@ def states(within: Optional[int]) -> Detection:
 
 
 TIMES = {"every(2)": 2, "every(3)": 3, "every(2, from_now)": 2, "every(5, from_now)": 5, "after(4)": 0}
-"""How timers are set, and their periods."""
+"""Schedules of timers, and their periods in seconds."""
 
 
 def timers(seed: int) -> bool:
@@ -178,7 +178,7 @@ AHEAD = {
 
 
 def ahead(seed: int) -> bool:
-    """Compare a stream with and without a stamp that is further in the future than stamps may be."""
+    """Compare a stream with and without a timestamp too far in the future."""
     chance = Random(seed)
     rule, places = AHEAD[chance.choice(list(AHEAD))], range(chance.randrange(3, 12))
     ahead_number = chance.choice(places)
@@ -204,7 +204,7 @@ def ahead(seed: int) -> bool:
 
 
 def steps(seed: int) -> bool:
-    """Compare windows of steps over readings with trying all ways in their order."""
+    """Compare row patterns over readings with an exhaustive search."""
     chance = Random(seed)
     drawn = make_list(Generator(chance.choice).steps([VALUE]))
     readings = [(chance.choice("aab"), chance.randrange(4)) for _ in range(14)]

@@ -37,7 +37,7 @@ from .rule_conditions import Test, all_solutions
 from .streams import Streams
 
 Fit = Callable[[Match, Match], Optional[Match]]
-"""The test of a pair: the match that the two sides make, or None."""
+"""Test of a pair: returns the match of the two sides, or None."""
 
 
 NOTHING = Event(functor("an event that no rule is about", 1)(0), 0, 0, 0)
@@ -45,7 +45,7 @@ NOTHING = Event(functor("an event that no rule is about", 1)(0), 0, 0, 0)
 
 
 class Sides(NamedTuple):
-    """The matches of two sides: those that an event has completed on each, and those that wait on each."""
+    """Matches of two sides: those that an event has completed, and the stored ones."""
 
     lefts: List[Match]
     rights: List[Match]
@@ -59,7 +59,7 @@ class RuleState(Streams):
     def __init__(self, rule: Rule, policy: str, out_of_order: bool = False, expiry: bool = True) -> None:
         super().__init__(rule, policy, out_of_order, expiry)
         self.completed: Dict[Pattern, Set[FrozenSet[int]]] = {}
-        """The single events that have completed as the right side; revision may set free a left side of theirs."""
+        """Single events that have completed matches as the right side; revision may release their left sides."""
         self.skipping = Skipping(rule)
         absent = [node.absent for node in self.place if isinstance(node, (Awaited, Cnot, Fnot))]
         self.below_absent = {below for node in absent for below in walk(node)}
@@ -165,14 +165,14 @@ class RuleState(Streams):
     def filter_conditions(
         self, node: Pattern, conditions: List[Pattern], matches: List[Match]
     ) -> List[Match]:
-        """Return those matches of an operator that pass its conditions."""
+        """Return the matches of an operator that satisfy its conditions."""
         tests = [self.test_of(condition) for condition in conditions]
         settled = [self.settle(match, node) for match in matches]
         passed = [self.passes(match, tests) for match in settled if match is not None]
         return [match for match in passed if match is not None]
 
     def single(self, node: Pattern, event: Event) -> List[Match]:
-        """Return the new matches of a pattern that has no partners to choose."""
+        """Return the new matches of a pattern that selects no partners."""
         if isinstance(node, Leaf):
             return self.leaf(node, event)
         if isinstance(node, Or):  # Table, or: either happens, the interval is its own.
@@ -236,7 +236,7 @@ class RuleState(Streams):
         for_all = node.kind == "forall_seq"
         for q in rights:
             if for_all:
-                # Table, forall_seq: all waiting P, oldest first, used up under every policy.
+                # Table, forall_seq: all stored P, oldest first, consumed under every policy.
                 pairs = self._take(p_waiting, lambda p, q=q: fit(p, q), "all", is_consumed=True)
             else:
                 pairs = self.complete(p_waiting, lambda p, q=q: fit(p, q))
@@ -248,18 +248,18 @@ class RuleState(Streams):
             # Patterns: a late first side is accepted only under out_of_order.
             pairs = self.complete(q_waiting, lambda q, p=p: fit(p, q)) if self.out_of_order else []
             results += pairs
-            # Policies: having matched, it does not wait for others, except under unrestricted.
+            # Policies: after a match it is not stored, except under unrestricted.
             if not pairs or not (self.consuming or for_all):
                 unmatched.append(p)
         for p in unmatched:
             self.wait(node, p_waiting, p, identical_too=for_all)
         if self.out_of_order:
-            # Policies: the second side of a seq also waits, for late first sides.
+            # Policies: the second side of a seq is stored, too, for late first sides.
             for q in rights:
                 self.wait(node, q_waiting, q)
         return results
 
-    def _either_order(  # noqa: C901 - one case after the other, as the semantics say it
+    def _either_order(  # noqa: C901 - the cases in the order of the definition
         self, node: Both, sides: Sides, fit: Fit
     ) -> List[Match]:
         """Join the sides in either order of arrival.
@@ -280,7 +280,7 @@ class RuleState(Streams):
             results.extend(pairs)
             return bool(pairs)
 
-        # Policies: having matched, it does not wait for others, except under unrestricted.
+        # Policies: after a match it is not stored, except under unrestricted.
         for p in lefts:
             if not p.is_last() and (not complete_as_left(p) or not self.consuming):
                 self.wait(node, p_waiting, p)
@@ -324,7 +324,7 @@ class RuleState(Streams):
             return None
         match = self.passes(joined, tests)
         if match is not None and cnot is not None:
-            # Table, cnot: no matching R lay wholly between.
+            # Table, cnot: no matching R is entirely between the two.
             match = self.outside_gap(Gap(cnot, p.end, q.start), match)
         return match
 
@@ -343,18 +343,18 @@ class RuleState(Streams):
     ) -> List[Match]:
         """Return the results of a completing event with the partners that a policy selects.
 
-        ``waiting`` is in order of arrival, and so newest and oldest mean arrival, never stamps.
+        ``waiting`` is in order of arrival, so newest and oldest refer to arrival, not to timestamps.
         """
         results: List[Any] = []
         for partner in list(reversed(waiting)) if policy.startswith("recent") else list(waiting):
             result = fit(partner)
             if result is None:
-                continue  # Patterns: a partner that is rejected stays where it was.
+                continue  # Patterns: a rejected partner keeps its place.
             results.append(result)
             if is_consumed:
                 waiting.remove(partner)
             if policy.startswith(("recent", "chronological")):
-                break  # Policies: the newest that fits, the oldest that fits; else all, oldest first.
+                break  # Policies: the newest or the oldest fitting partner; else all, oldest first.
         return results
 
     def expire(self) -> None:
@@ -392,7 +392,7 @@ class Program:
         self.now: Any = 0
 
     def event(self, term: Term, start: Any, end: Any, depth: int = 0) -> List[Event]:
-        """Dispatch an event: return it and all that is derived from it, in order of dispatch.
+        """Dispatch an event: return it and all events that are derived from it, in order of dispatch.
 
         Depth first, the oldest rules first: events that a rule derives are processed before the next rule.
         """

@@ -80,7 +80,7 @@ def identical(left: Term, right: Term) -> bool:
 
 
 def show(term: Term, bindings: Optional[Bindings] = None) -> str:
-    """Return the canonical text of a term; variables are A, B, ... in the order they are met."""
+    """Return the canonical text of a term; variables are A, B, ... in the order of their occurrence."""
     return _show(instance(term, bindings or {}), {})
 
 
@@ -148,7 +148,7 @@ def number(term: Term, bindings: Bindings) -> Any:
 
 
 def quotient(dividend: Any, divisor: int) -> Any:
-    """Divide as ``/`` does: an integer where that is exact, else a float."""
+    """Return the quotient as ``/`` does: an integer if it is exact, else a float."""
     if isinstance(dividend, int) and dividend % divisor == 0:
         return dividend // divisor
     return float(Fraction(dividend) / divisor) if isinstance(dividend, int) else dividend / divisor
@@ -160,7 +160,7 @@ def solve(goal: Term, bindings: Bindings, facts: Optional[Dict[str, Term]] = Non
     ``facts`` are terms that hold for a predicate of one argument (``t1``, ``t2`` of check).
 
     Raises:
-        GoalError: where Prolog would.
+        GoalError: if Prolog raises an error.
     """
     goal = value_of(goal, bindings)
     facts = facts or {}
@@ -220,7 +220,7 @@ def _standard(term: Term) -> Any:
 
 
 def first(goal: Term, bindings: Bindings, facts: Optional[Dict[str, Term]] = None) -> Optional[Bindings]:
-    """Return the first solution of a goal, or None: also where it raises an error.
+    """Return the first solution of a goal; None if it fails or raises an error.
 
     "A goal that fails stops that firing silently; a goal that raises an error stops that firing."
     """

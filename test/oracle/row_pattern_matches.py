@@ -42,7 +42,7 @@ def steps_of(term: Term) -> List[Step]:
 
 
 def whole_matches(steps: Sequence[Step], items: Sequence[Bindings]) -> List[Assignment]:
-    """Return the matches in a list of items that are decided at its end."""
+    """Return the matches in a list of items that its end decides."""
     matches: List[Assignment] = []
     position = 0
     while position < len(items):
@@ -151,7 +151,7 @@ class Trial:
 
 
 def conjuncts(goal: Term) -> List[Term]:
-    """Return the parts of a goal between its commas."""
+    """Return the conjuncts of a goal."""
     if goal.__class__ is tuple and goal[0].name == ",":
         return [part for argument in goal[1:] for part in conjuncts(argument)]
     return [goal]

@@ -1,8 +1,8 @@
-"""Texts of the oracle: a small notation to write tests in, and rules written out for the engine to read.
+"""Texts of the oracle: a small notation for tests, and rules in the notation of the engine.
 
-Terms here are canonical (``<(X,Y)``, no operators); patterns are prefix terms, ``seq(a(X),b(Y))``, read into
-`patterns`. What is written out for the engine is the language's own notation, with every operator's
-operands in parentheses.
+Terms are canonical (``<(X,Y)``, no operators); patterns are prefix terms, ``seq(a(X),b(Y))``, which are read to
+`patterns`. Rules for the engine are written in the notation of the language, with the operands of each operator in
+parentheses.
 """
 
 import re
@@ -111,7 +111,7 @@ def pattern_of(term: Term) -> Pattern:
 
 
 def _sequence(left: Term, right: Term) -> Any:
-    """Return the patterns that are written with seq and are no sequence of two events."""
+    """Return the patterns that are written with seq but are not sequences of two events."""
     for goal, other, before in ((right, left, False), (left, right, True)):
         if goal.__class__ is tuple and goal[0].name in ("prolog", "query", "db") and len(goal) == 2:
             return Prolog(pattern_of(other), goal[1], before, goal[0].name)
@@ -162,7 +162,7 @@ class Names(Dict[Var, str]):
 
 
 def write_term(term: Term, names: Names) -> str:
-    """Write a term canonically, so that no operator matters."""
+    """Write a term canonically, without operators."""
     if term.__class__ is Var:
         return names[term]
     items = list_items(term)
@@ -181,7 +181,7 @@ def write_seconds(seconds: Any) -> str:
 
 
 def _kinds(node: Windowed, names: Names) -> Iterator[str]:
-    """Yield the kinds of a window's aggregates as rules have them."""
+    """Yield the aggregates of a window in the notation of rules."""
     values = list_items(node.values) or []
     for word in node.kinds.split():
         kind, _, step = word.partition("@")

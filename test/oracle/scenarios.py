@@ -23,7 +23,7 @@ SOLVED = frozenset("true fail false = \\= == \\== < > =< >= =:= =\\= is member \
 
 
 class Scenario(NamedTuple):
-    """A program, its stream, and the events that are to be dispatched."""
+    """A program, its stream, and the expected events."""
 
     name: str
     rules: List[Rule]
@@ -85,7 +85,7 @@ def _seconds(text: str) -> Any:
 
 
 def _rule(term: Term) -> Optional[Rule]:
-    """Return a rule, or None where the clause is none."""
+    """Return a rule, or None if the clause is none."""
     if term.__class__ is not tuple or len(term) != 3:
         return None
     if term[0].name == "rule:":

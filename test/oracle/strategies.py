@@ -1,7 +1,7 @@
 """Random rules and streams, for hypothesis and for long runs with a plain random generator.
 
-Both draw through one function, ``choice(options)``, so that a case is the same kind of thing in either.
-Rules are over few names, few variables and small integers, so that matches happen.
+Both draw with one function, ``choice(options)``, so that they generate the same kinds of cases. Rules have few
+names, few variables and small integers, so that many events match.
 """
 
 from dataclasses import dataclass, replace
@@ -76,7 +76,7 @@ class Case:
     out_of_order: bool
     stream: Tuple[Tuple[Term, int, int], ...]
     neutral: Tuple[str, ...] = ()
-    """Other flags, with their values: they change no event."""
+    """Other flags with their values, which change no event."""
 
     def expected(self, **options: Any) -> List[Tuple[str, Any, Any]]:
         """Return the events of the oracle."""
@@ -101,7 +101,7 @@ class Case:
         return any(is_revision(term) for term, _, _ in self.stream)
 
     def policies(self) -> Set[str]:
-        """Return the policies by which its rules run."""
+        """Return the consumption policies of its rules."""
         return {self.policy, *(rule.policy_by(self.policy) for rule in self.rules)}
 
     def has_streams(self) -> bool:
@@ -141,7 +141,7 @@ def certain(node: Pattern) -> Set[Var]:
         return certain(node.first) | set(variables(node.result))
     if isinstance(node, Windowed):
         kinds = [word.partition("@")[0] for word in node.kinds.split()]
-        results = zip(kinds, list_items(node.results) or [])  # lists are no numbers to look at
+        results = zip(kinds, list_items(node.results) or [])  # lists are not compared as numbers
         return {var for kind, term in results for var in variables(term) if kind not in ("list", "distinct")}
     if isinstance(node, (Cnot, Fnot, Within, Ntimes, Shaped, Awaited)):
         return certain(node.pattern)
@@ -170,9 +170,9 @@ class Generator:
     ) -> None:
         self.choice = choice
         self.streams = streams
-        """Draw windows, shapes and absences with a deadline too."""
+        """Draw windows, rate operators and absences with a deadline, too."""
         self.unsure = unsure
-        """Draw conditions also over variables that some matches of a pattern leave open."""
+        """Draw also conditions on variables that some matches of a pattern leave unbound."""
         self.revision = revision
         """Draw only programs for which revision is defined, and retractions."""
         self.negating = False
@@ -218,7 +218,7 @@ class Generator:
             "forall_seq",
         ]
         kinds += ["cnot", "fnot", "fnot", "where", "star", "aggregate"] * (3 * self.negating)
-        if self.streams:  # the stamps of what is due are no numbers
+        if self.streams:  # the timestamps of deadlines are no numbers
             kinds = [kind for kind in kinds if kind != "check"]
         kinds += ["windowed", "windowed", "shaped", "shaped", "awaited", "awaited"] * (2 * self.streams)
         kind = self.choice([*kinds, "subpattern"])
@@ -500,7 +500,7 @@ class Generator:
             events.append(
                 (functor(name, len(arguments))(*arguments) if arguments else atom(name), start, end)
             )
-        if late and self.chance(30):  # some much later, when the windows of others are over
+        if late and self.chance(30):  # some much later, after the windows of others have ended
             for _ in range(size // 3):
                 events.append(events.pop(self.choice(range(size))))
         return events
@@ -548,7 +548,7 @@ class Generator:
         policy, late = self.choice(POLICIES), self.chance(30)
         neutral = self.choice([(), *NEUTRAL])
         case = Case(tuple(self.with_properties(rule) for rule in rules), policy, late, tuple(stream), neutral)
-        # of rules that are drawn for another policy, the combinations may be too many
+        # rules that are drawn for another policy may have too many combinations
         return (
             replace(case, stream=case.stream[:SHORT])
             if "unrestricted" in case.policies() - {policy}
@@ -589,7 +589,7 @@ def cases(
 ) -> st.SearchStrategy[Case]:
     """Programs with streams, drawn as the number of a case.
 
-    More of them fire than of those drawn piece by piece; `comparison.shrink` makes them small.
+    Their rules fire more often than those drawn step by step; `comparison.shrink` makes them small.
     """
     return st.integers(0, 10**9).map(lambda seed: random_case(seed, depth, revision, unsure, streams))
 
