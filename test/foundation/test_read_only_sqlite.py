@@ -1,3 +1,5 @@
+"""SQLite databases without a writer: logs, links, and errors."""
+
 import shutil
 import sqlite3
 from contextlib import closing

@@ -1,3 +1,5 @@
+"""Fixtures of the tests on ROS: ports, and a workspace with a master of its own."""
+
 import os
 import shutil
 import signal

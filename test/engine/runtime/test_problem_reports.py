@@ -1,3 +1,5 @@
+"""Problem reports: rates and texts of the log, counts, and late events."""
+
 import logging
 from typing import Any
 

@@ -1,3 +1,5 @@
+"""Serial executor: order, errors, waiting calls, full queues, and callbacks."""
+
 import threading
 import time
 from contextlib import nullcontext

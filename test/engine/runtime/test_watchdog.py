@@ -9,7 +9,7 @@ import pytest
 from checked_access import fail
 
 from retalis import Engine, Limits, Settings, atom, functor
-from retalis.engine.runtime import watchdog as _watchdog
+from retalis.engine.runtime import watchdog as watchdog_module
 from retalis.engine.runtime.serial_executor import SerialExecutor
 from retalis.engine.runtime.watchdog import RunningWork, Watchdog, describe_work
 from retalis.prolog.machine.resource_limits import Budget, LimitError
@@ -148,21 +148,21 @@ def test_description_names_functor_of_entry(entry: Optional[Tuple[Any, ...]], na
 
 def test_watchdog_without_limits_ignores_long_entries(executor: Executor) -> None:
     budget = Budget(executor=executor)
-    dog = Watchdog(executor, budget, None, lambda seconds, entry: fail("warned"))
+    watchdog = Watchdog(executor, budget, None, lambda seconds, entry: fail("warned"))
     executor.begin("a")
     for instant in (0.0, 1e3, 1e6):
-        dog.sample(instant)
+        watchdog.sample(instant)
     assert not budget.needs_check
 
 
 def test_time_limit_covers_sum_of_short_goals(caplog: pytest.LogCaptureFixture) -> None:
     engine = Engine(settings=Settings(limits=Limits(seconds=10.0)))
     engine.load_rules("".join(f"out({number}) <- in where slow({number}).\n" for number in range(10)))
-    dog, now = engine.watchdog, [0.0]
+    watchdog, now = engine.watchdog, [0.0]
 
     def slow(machine: Any, number: Any) -> bool:
         now[0] += 3.0
-        dog.sample(now[0])
+        watchdog.sample(now[0])
         return True
 
     engine.logic.define("slow", 1, slow)
@@ -188,11 +188,11 @@ def test_warning_names_rule_goal_and_event(
     rules: str, goals: str, named: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     engine = Engine(settings=Settings(watchdog=1.0))
-    dog = engine.watchdog
+    watchdog = engine.watchdog
 
     def hold(machine: Any) -> bool:
-        dog.sample(0.0)
-        dog.sample(1.5)
+        watchdog.sample(0.0)
+        watchdog.sample(1.5)
         return True
 
     engine.logic.define("hold", 0, hold)
@@ -207,11 +207,11 @@ def test_warning_names_rule_goal_and_event(
 
 def test_warning_names_loading_goals_and_queries(caplog: pytest.LogCaptureFixture, tmp_path: Path) -> None:
     engine = Engine(settings=Settings(watchdog=1.0, limits=Limits(seconds=1.0), limit_start=False))
-    dog, now = engine.watchdog, [0.0]
+    watchdog, now = engine.watchdog, [0.0]
 
     def hold(machine: Any, number: Any) -> bool:
         for _ in range(5):
-            dog.sample(now[0])
+            watchdog.sample(now[0])
             now[0] += 1.5
         return True
 
@@ -233,17 +233,17 @@ def test_limit_holds_if_warning_fails(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     engine = Engine(settings=Settings(watchdog=1.0, limits=Limits(seconds=1.0)))
-    dog, budget = engine.watchdog, engine.logic.machine.budget
+    watchdog, budget = engine.watchdog, engine.logic.machine.budget
 
     def changed_meanwhile(*_: Any) -> None:
         assert budget.needs_check
         raise RuntimeError("changed size during iteration")
 
-    monkeypatch.setattr(_watchdog, "_make_slow_work_warning", changed_meanwhile)
+    monkeypatch.setattr(watchdog_module, "_make_slow_work_warning", changed_meanwhile)
 
     def hold(machine: Any) -> Any:
-        dog.sample(0.0)
-        dog.sample(1.5)
+        watchdog.sample(0.0)
+        watchdog.sample(1.5)
         return budget.needs_check
 
     engine.logic.define("hold", 0, hold)

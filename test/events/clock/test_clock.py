@@ -1,3 +1,5 @@
+"""Clocks: timestamps, alarms, and jumps of time."""
+
 from typing import Any, List
 
 import pytest

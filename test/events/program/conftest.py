@@ -1,3 +1,5 @@
+"""Fixture of the tests of program files."""
+
 from pathlib import Path
 from typing import Any
 

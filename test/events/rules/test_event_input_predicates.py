@@ -1,3 +1,5 @@
+"""Reader of input events: timestamps in all forms, and the short path for events."""
+
 from typing import Any, Optional, Tuple
 
 import pytest

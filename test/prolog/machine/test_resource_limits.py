@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retalis import Limits, atom
-from retalis.prolog.machine import resource_limits as _budget
+from retalis.prolog.machine import resource_limits
 from retalis.prolog.machine.resource_limits import (
     LOOP,
     MEGABYTE,
@@ -82,8 +82,8 @@ def test_equal_ceilings_become_distinct(budget: Any) -> None:
 
 def test_memory_growth_beyond_limit_is_error(budget: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     used, now = [50 * MEGABYTE], [1.0]
-    monkeypatch.setattr(_budget, "resident_bytes", lambda: used[0])
-    monkeypatch.setattr(_budget, "monotonic", lambda: now[0])
+    monkeypatch.setattr(resource_limits, "resident_bytes", lambda: used[0])
+    monkeypatch.setattr(resource_limits, "monotonic", lambda: now[0])
     budget.set_limits(Limits(megabytes=2))
     for used[0] in (50 * MEGABYTE, 52 * MEGABYTE):
         now[0] += 1.0
@@ -99,15 +99,15 @@ def test_remaining_memory_counts_from_present_size(
     budget: Any, monkeypatch: pytest.MonkeyPatch, now: float
 ) -> None:
     """At time 0 the budget assumes that the memory has just been measured."""
-    monkeypatch.setattr(_budget, "resident_bytes", lambda: 50 * MEGABYTE)
-    monkeypatch.setattr(_budget, "monotonic", lambda: now)
+    monkeypatch.setattr(resource_limits, "resident_bytes", lambda: 50 * MEGABYTE)
+    monkeypatch.setattr(resource_limits, "monotonic", lambda: now)
     budget.set_limits(Limits(megabytes=2))
     assert budget.remaining_limits() == RemainingLimits(None, None, 52 * MEGABYTE)
 
 
 def test_exceeded_seconds_are_granted_once_again(budget: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     now = [100.0]
-    monkeypatch.setattr(_budget, "monotonic", lambda: now[0])
+    monkeypatch.setattr(resource_limits, "monotonic", lambda: now[0])
     budget.set_limits(Limits(seconds=10.0))
     budget.check_limits(1)
     for final in (False, True):
@@ -197,9 +197,9 @@ def test_unknown_memory_size_disables_limit(budget: Any, monkeypatch: pytest.Mon
     def missing(*_: Any) -> None:
         raise FileNotFoundError
 
-    monkeypatch.setattr(_budget, "open", missing, raising=False)
+    monkeypatch.setattr(resource_limits, "open", missing, raising=False)
     budget.set_limits(Limits(megabytes=0))
-    assert _budget.resident_bytes() == 0
+    assert resource_limits.resident_bytes() == 0
     budget.check_limits(1)
     budget.check_limits(1)
 
@@ -303,7 +303,7 @@ def test_budget_agrees_with_model_of_limits(steps: List[Any]) -> None:
     budget.inner = lambda: budget.run_as_entry(("inner",), lambda: budget.check_limits(0))
     budget.write = budget.count_output
     try:
-        with patch.object(_budget, "monotonic", lambda: model.now):
+        with patch.object(resource_limits, "monotonic", lambda: model.now):
             for name, *number in steps:
                 if name == "wait":
                     model.now += number[0]
