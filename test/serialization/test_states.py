@@ -81,7 +81,7 @@ def test_unchanged_state_is_restored(state: Any) -> None:
         ("run", ["clock"], [1], "clock: '[1]': expected alternating names and values"),
         ("run", ["clock", "newest"], 1 << 100, "clock: newest: '1267650600228229401496703205376': expected"),
         ("run", ["clock", "newest"], 1 << 80, "expected an instant that a clock can reach"),
-        ("run", ["sent_counts"], [], "expected a count of outputs"),
+        ("run", ["subscriptions", "sent_counts"], [], "expected a count of outputs"),
         ("run", [], [], "expected the fields clock_follows_events"),
         ("values", ["flags"], [["double_quotes", atom("x")]], "Prolog flag 'double_quotes'"),
         ("values", ["builtin_state"], [["other", 1]], "a kind of state of built-in predicates"),

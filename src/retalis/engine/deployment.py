@@ -135,9 +135,9 @@ class Deployment(NamedTuple):
 EMPTY_DEPLOYMENT = Deployment([], {}, {}, {}, {}, {}, set(), set(), set(), {}, {})
 
 
-def current_deployment(logic: PrologSystem, rules: RuleBase, knowledge: KnowledgeBase) -> Deployment:
+def current_deployment(program: LoadedProgram) -> Deployment:
     """Return all items of an engine's program."""
-    database = logic.database
+    rules, knowledge, database = program.rules, program.knowledge, program.logic.database
     # A tabled predicate is wrapped; its clauses belong to the inner predicate.
     predicates = [predicate.hidden_predicate or predicate for predicate in list(database.predicates.values())]
     own_predicates = [

@@ -45,10 +45,10 @@ from .deployment import Deployment
 from .engine_parts import EngineParts
 from .engine_settings import Settings
 from .engine_snapshot import EngineSnapshot, convert_errors, create_clock, decode_sections, encode_state
-from .engine_status import DEFAULT_LISTING_LIMIT, Status, StatusReader
+from .engine_status import DEFAULT_LISTING_LIMIT, Status
 from .event_input import Subscribe
 from .hot_reload import NullReports, create_fixed_clock, create_trial_settings, reload_folder
-from .program_loader import load_folder
+from .program_loader import ProgramLoader
 from .runtime.problem_reports import Reports
 from .runtime.serial_executor import UNNAMED_REQUEST
 
@@ -161,11 +161,11 @@ class Engine:
         self.logic, self.rules, self.knowledge = parts.logic, parts.rules, parts.knowledge
         self.dispatcher, self.executor, self.reports = parts.dispatcher, parts.executor, parts.reports
         self.event_input, self.input_topics = parts.event_input, parts.input_topics
-        self.deployments, self.watchdog = parts.deployments, parts.watchdog
+        self.deployments, self.watchdog = parts.loader.deployments, parts.watchdog
         # Bound once, which saves an attribute access per event.
         self._dispatch_event = parts.event_input.dispatch_event
         self._dispatch_message = parts.event_input.dispatch_message
-        self._status_reader = StatusReader(parts)
+        self._status_reader = parts.status_reader
         self._has_event_callbacks = False
         # After an error in a file, checks of the whole program would report the absence of its rules.
         self._is_program_complete = True
@@ -221,7 +221,7 @@ class Engine:
             UsageError: if the file cannot be read.
         """
         self._is_program_complete = False
-        load_folder(self._parts, Path(folder))
+        self._parts.loader.load_folder(Path(folder))
         self._is_program_complete = True
 
     def reload(self, folder: Union[str, Path]) -> List[str]:
@@ -242,12 +242,12 @@ class Engine:
             ProgramErrors: all errors; the program is unchanged.
             UsageError: if a file cannot be read, or if a goal or callback of this engine calls this method.
         """
-        changes = reload_folder(self._parts, Path(folder), self._create_trial)
+        changes = reload_folder(self._parts.loader, self.executor, Path(folder), self._create_trial)
         self._is_program_complete = True
         return changes
 
-    def _create_trial(self) -> EngineParts:
-        """Return the parts of a second engine with the same settings, time and foreign predicates."""
+    def _create_trial(self) -> ProgramLoader:
+        """Return the loader of a second engine with the same settings, time and foreign predicates."""
         trial_engine = Engine(
             create_fixed_clock(self.clock.now()),
             create_trial_settings(self.settings),
@@ -257,7 +257,7 @@ class Engine:
         trial_engine.input_topics.copy_for_trial(self.input_topics)
         for sources in self._foreign_sources:
             trial_engine.add_foreign(*sources)
-        return trial_engine._parts  # noqa: SLF001
+        return trial_engine._parts.loader  # noqa: SLF001 - the same class
 
     def call_goals(self, text: str, source: str, folder: Optional[Path] = None) -> None:
         """Call the goals of a goal file in order; see `load`.
@@ -728,7 +728,7 @@ class Engine:
         def encode() -> Dict[str, bytes]:
             # The state is encoded within the exclusive call, because the variables of rules may be bound to other
             # values as soon as the engine continues.
-            engine_snapshot = EngineSnapshot(self._parts)
+            engine_snapshot = self.incremental_snapshot()
             return encode_state(engine_snapshot.capture(), engine_snapshot.encode_records())
 
         return pack_sections(
@@ -741,7 +741,7 @@ class Engine:
         >>> sorted(Engine().incremental_snapshot().capture())
         ['clauses', 'matches', 'program', 'run', 'values']
         """
-        return EngineSnapshot(self._parts)
+        return self._parts.create_snapshot()
 
     @classmethod
     def restore(
@@ -790,9 +790,8 @@ class Engine:
                 for name, data in file.sections.items()
                 if name.startswith("memory ")
             ]
-            EngineSnapshot(engine._parts).restore(  # noqa: SLF001 - the same class
-                sections, records, folder, changes
-            )
+            snapshot = engine.incremental_snapshot()
+            engine.executor.call(lambda: snapshot.restore(sections, records, folder, changes))
             return engine
 
         return convert_errors(create)

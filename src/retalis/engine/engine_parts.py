@@ -22,8 +22,10 @@ from ..prolog.syntax.operators import Operators
 from ..prolog.system.foreign_functions import define_use_foreign
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.types import Term
-from .deployment import Deployment, LoadedProgram
+from .deployment import LoadedProgram
 from .engine_settings import Settings
+from .engine_snapshot import EngineSnapshot, ForeignSources, RunState
+from .engine_status import StatusReader
 from .event_input import EventInput, InputTopics, TextInput
 from .program_loader import ProgramLoader
 from .runtime.problem_reports import Reports
@@ -111,7 +113,6 @@ class EngineParts:
         slots: slots of messages, and the types of event names.
         goals: calls goals outside of events.
         program: predicates, rules and knowledge.
-        deployments: deployments by the real path of the program's folder.
     """
 
     def __init__(
@@ -173,14 +174,38 @@ class EngineParts:
             rules.declared_events,
         )
         self.input_topics = InputTopics(logic, slots, reports)
+        self.program = program = LoadedProgram(logic, rules, knowledge, file_loader)
         self.loader = ProgramLoader(
-            logic, file_loader, files, executor, dispatcher, settings.limit_start, goals.call_once
+            program,
+            executor,
+            dispatcher,
+            settings.limit_start,
+            goals.call_once,
+            self.input_topics.declare_event_types,
         )
-        self.program = LoadedProgram(logic, rules, knowledge, file_loader)
-        self.deployments: Dict[str, Deployment] = {}
+        self.status_reader = StatusReader(
+            program, executor, event_input, reports, self.watchdog, settings.queue
+        )
+        self._run_state = RunState(
+            clock, rules.watermarks, event_input, dispatcher, executor, knowledge.subscriptions
+        )
+        self._foreign_sources = ForeignSources(
+            logic, files, executor, settings.allow_foreign, settings.allow_swi, reports.warning
+        )
         define_new_event(logic, dispatcher)
         define_use_foreign(logic, executor, files, settings.allow_foreign)
         define_use_swi(logic, files, settings.allow_swi, reports.warning)
+
+    def create_snapshot(self) -> EngineSnapshot:
+        """Return a reader and restorer of the state."""
+        return EngineSnapshot(
+            self.program,
+            self._run_state,
+            self.input_topics,
+            self.slots,
+            self.loader.deployments,
+            self._foreign_sources,
+        )
 
 
 def _set_default_flags(flags: Flags, settings: Settings) -> None:

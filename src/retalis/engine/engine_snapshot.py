@@ -3,7 +3,6 @@
 from operator import gt, itemgetter
 from pathlib import Path
 from typing import (
-    TYPE_CHECKING,
     Any,
     Callable,
     Dict,
@@ -16,11 +15,16 @@ from typing import (
     TypeVar,
 )
 
-from ..events.clock.clock import StreamClock
+from ..events.clock.clock import Clock, StreamClock
+from ..events.dispatch.dispatcher import Dispatcher
 from ..events.knowledge.knowledge_base import MEMORIZE, SUBSCRIBE
 from ..events.knowledge.memory import MemoryInstance
+from ..events.knowledge.subscriptions import Subscriptions
+from ..events.matches.watermarks import Watermarks
 from ..events.network.event_rule import EventRule
 from ..foundation.errors import RetalisError, UsageError
+from ..messages.message_notation import SlotNames
+from ..prolog.files.source_files import SourceFiles
 from ..prolog.swi.use_swi import SwiFile, use_swi
 from ..prolog.system.foreign_functions import define_foreign, load_module
 from ..prolog.system.logic_state import (
@@ -31,13 +35,13 @@ from ..prolog.system.logic_state import (
     snapshot_program,
     snapshot_values,
 )
+from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.types import Functor, Term
 from ..serialization.codec import from_bytes, to_bytes
 from ..serialization.columns import DecodedRecords, MemoryRecords, encode_records
 from ..serialization.field_types import (
     BOOLEAN,
     CALLABLE_TERM,
-    COUNT,
     NO_OBJECTS,
     PATH,
     TERM,
@@ -55,15 +59,21 @@ from ..serialization.field_types import (
 from ..serialization.state_fields import (
     StateFields,
     StateOwner,
-    constraint,
     field,
     part,
     read_named_values,
     record_of,
     rows_of,
 )
-from .deployment import DEPLOYMENTS, StoredDeployment, restore_deployments, save_deployments
-from .event_input import TopicRequest
+from .deployment import (
+    DEPLOYMENTS,
+    Deployment,
+    LoadedProgram,
+    StoredDeployment,
+    restore_deployments,
+    save_deployments,
+)
+from .event_input import EventInput, InputTopics, TopicRequest
 from .network_state import (
     NETWORK,
     RULES,
@@ -74,9 +84,7 @@ from .network_state import (
     snapshot_matches,
     stored_rules,
 )
-
-if TYPE_CHECKING:
-    from .engine_parts import EngineParts
+from .runtime.serial_executor import SerialExecutor
 
 Sections = Dict[str, Any]
 """Sections of a state by name, as data that `to_bytes` accepts."""
@@ -160,82 +168,143 @@ _STORED_PROGRAM = record_of(
 
 
 class RunState(StateOwner):
-    """Clock and counters of an parts.
+    """Clock and counters of an engine.
 
     Args:
-        parts: parts of the parts.
+        clock: the clock.
+        watermarks: lags of the topics.
+        event_input: counts the events.
+        dispatcher: numbers the events.
+        executor: counts the dropped requests.
+        subscriptions: count their outputs.
     """
 
     STATE = StateFields(
         field("clock_follows_events", BOOLEAN),
-        field("sent_counts", sequence_of(COUNT)),
         # The clock is restored late, because adding rules and timers may read it or set alarms.
         part("clock"),
         part("watermarks"),
         part("event_input"),
-        field("dropped_count", COUNT),
-        field("next_token_number", COUNT),
-        constraint(
-            "a count of outputs for each subscription",
-            lambda run, state: len(state["sent_counts"]) == len(run.sent_counts),
-        ),
+        part("dispatcher"),
+        part("executor"),
+        part("subscriptions"),
     )
 
-    def __init__(self, parts: "EngineParts"):
-        self._parts = parts
-        self.clock = parts.clock
-        self.watermarks = parts.rules.watermarks
-        self.event_input = parts.event_input
+    def __init__(
+        self,
+        clock: Clock,
+        watermarks: Watermarks,
+        event_input: EventInput,
+        dispatcher: Dispatcher,
+        executor: SerialExecutor,
+        subscriptions: Subscriptions,
+    ):
+        self.clock = clock
+        self.watermarks = watermarks
+        self.event_input = event_input
+        self.dispatcher = dispatcher
+        self.executor = executor
+        self.subscriptions = subscriptions
 
     @property
     def clock_follows_events(self) -> bool:
         """True if the clock follows the timestamps of events; it decides how an engine is created."""
-        return self._parts.event_input.stream_clock is not None
+        return self.event_input.stream_clock is not None
 
     @clock_follows_events.setter
     def clock_follows_events(self, follows: bool) -> None:
         """Ignore the value: an engine can be restored with another clock."""
 
-    @property
-    def sent_counts(self) -> List[int]:
-        """Number of events that each subscription has sent."""
-        return [
-            subscription.sent_counter.count for _, subscription in self._parts.knowledge.subscriptions.items()
-        ]
 
-    @sent_counts.setter
-    def sent_counts(self, counts: Sequence[int]) -> None:
-        for (_, subscription), count in zip(self._parts.knowledge.subscriptions.items(), counts):
-            subscription.sent_counter.count = count
+class ForeignSources:
+    """Python modules and files of SWI-Prolog that a restored program loads again.
 
-    @property
-    def dropped_count(self) -> int:
-        """Number of requests that the executor has dropped."""
-        return self._parts.executor.dropped
+    Args:
+        logic: receives the predicates.
+        files: files of the program.
+        executor: runs the foreign predicates.
+        allow_foreign: whether Python modules may be loaded.
+        allow_swi: whether SWI-Prolog may be used.
+        warn: receives warnings.
+    """
 
-    @dropped_count.setter
-    def dropped_count(self, count: int) -> None:
-        self._parts.executor.restore(count)
+    def __init__(
+        self,
+        logic: PrologSystem,
+        files: SourceFiles,
+        executor: SerialExecutor,
+        allow_foreign: bool,
+        allow_swi: bool,
+        warn: Callable[..., None],
+    ):
+        self._logic = logic
+        self._files = files
+        self._executor = executor
+        self._allow_foreign = allow_foreign
+        self._allow_swi = allow_swi
+        self._warn = warn
 
-    @property
-    def next_token_number(self) -> int:
-        """Number of the next token of an event."""
-        return self._parts.dispatcher.next_token_number
+    def load_modules(self, modules: Sequence[str], folder: Optional[Path]) -> None:
+        """Load the Python modules of the program again; they must be in its folder."""
+        for name in modules:
+            # The state is data from outside: it must not make the engine execute a module that the settings or the
+            # location would not allow.
+            path = Path(name)
+            if not self._allow_foreign:
+                raise UsageError(
+                    f"the program has loaded Python from {name}: the setting allow_foreign is off"
+                )
+            if folder is None or (path.is_absolute() and folder.resolve() not in path.resolve().parents):
+                raise UsageError(
+                    f"the program has loaded Python from {name}, which is not in a folder of its own"
+                )
+            files = self._files
+            with files.loading(folder):
+                define_foreign(self._logic, self._executor, load_module(name, files))
+            self._logic.foreign_modules[name] = None
 
-    @next_token_number.setter
-    def next_token_number(self, number: int) -> None:
-        self._parts.dispatcher.next_token_number = number
+    def load_swi_files(self, files: Sequence[SwiFile], folder: Optional[Path]) -> None:
+        """Make SWI-Prolog load the files of the program again; they must be in its folder."""
+        for file in files:
+            if not self._allow_swi:
+                raise UsageError(f"the program has SWI-Prolog load {file.name}: the setting allow_swi is off")
+            if file.is_path and (folder is None or folder.resolve() not in Path(file.name).resolve().parents):
+                raise UsageError(
+                    f"the program has SWI-Prolog load {file.name}, which is not in a folder of its own"
+                )
+            with self._files.loading(folder):
+                use_swi(self._logic, file, self._warn)
+            text = f"SWI-Prolog has loaded {file.name} again: facts that its clauses had asserted are not restored"
+            self._warn(text, ("swi", file.name))
 
 
 class EngineSnapshot:
-    """Snapshot of an engine: reads its state, or restores a state into it.
+    """Snapshot of an engine: reads its state, or restores a state into it. No event or goal may be active meanwhile.
 
     Args:
-        parts: parts of the engine. No event or goal may be active during a call.
+        program: the program.
+        run_state: clock and counters.
+        input_topics: topics that goals have requested.
+        slots: the types of event names.
+        deployments: the deployments by folder.
+        foreign_sources: loads Python modules and files of SWI-Prolog again.
     """
 
-    def __init__(self, parts: "EngineParts"):
-        self._parts = parts
+    def __init__(
+        self,
+        program: LoadedProgram,
+        run_state: RunState,
+        input_topics: InputTopics,
+        slots: SlotNames,
+        deployments: Dict[str, Deployment],
+        foreign_sources: ForeignSources,
+    ):
+        self._program = program
+        self._run_state = run_state
+        self._input_topics = input_topics
+        self._slots = slots
+        self._deployments = deployments
+        self._foreign_sources = foreign_sources
         self._signature: Any = None
 
     def capture(self, include_program: bool = True, max_explained_events: Optional[int] = None) -> Sections:
@@ -248,19 +317,15 @@ class EngineSnapshot:
         Raises:
             UsageError: if an event or goal is active.
         """
-        parts = self._parts
-        logic, rules, knowledge = parts.logic, parts.rules, parts.knowledge
+        logic, rules, knowledge = self._program.logic, self._program.rules, self._program.knowledge
         # While a goal runs, choice points and bindings on the trail belong to its state, and they cannot be saved.
-        if parts.dispatcher.current is not None or logic.machine.choices:
+        if rules.dispatcher.current is not None or logic.machine.choices:
             raise UsageError("a goal or callback of an engine cannot take a snapshot of it")
-        matches, numbered_rules = snapshot_matches(
-            NetworkState(rules, knowledge, parts.clock), max_explained_events
-        )
-        run = RunState(parts)
+        matches, numbered_rules = snapshot_matches(NetworkState(rules, knowledge), max_explained_events)
         sections = {
             "values": VALUES.encode(snapshot_values(logic)),
             "matches": NETWORK.encode(matches),
-            "run": encode_state_alone(run),
+            "run": encode_state_alone(self._run_state),
         }
         # The program rarely changes, so checkpoints omit it while its signature stays the same.
         signature = self._program_signature(numbered_rules)
@@ -274,14 +339,13 @@ class EngineSnapshot:
 
     def _program_signature(self, numbered_rules: List[EventRule]) -> object:
         """Return a value that changes whenever the program changes."""
-        parts = self._parts
-        rules, knowledge = parts.rules, parts.knowledge
+        logic, rules, knowledge = self._program.logic, self._program.rules, self._program.knowledge
         # Lists of objects are compared by identity: definitions are immutable, so a change replaces an object. The
         # objects stay referenced by the signature, so no new object can get the address of an old one.
         return (
-            parts.logic.database.change_count,
-            len(parts.logic.database.predicates),
-            parts.logic.operators.changes(),
+            logic.database.change_count,
+            len(logic.database.predicates),
+            logic.operators.changes(),
             [rule.serial for rule in numbered_rules],
             len(rules.rules),
             rules.all_properties(),
@@ -289,35 +353,34 @@ class EngineSnapshot:
             list(knowledge.memories),
             knowledge.subscriptions.items(),
             list(knowledge.states),
-            parts.input_topics.snapshot(),
-            dict(parts.slots.events),
+            self._input_topics.snapshot(),
+            dict(self._slots.events),
             set(rules.files.loaded),
             rules.files.sandbox.program_folders,
-            list(parts.logic.foreign_modules),
-            list(parts.logic.swi_files),
-            sorted(parts.deployments),
-            list(parts.deployments.values()),
+            list(logic.foreign_modules),
+            list(logic.swi_files),
+            sorted(self._deployments),
+            list(self._deployments.values()),
         )
 
     def _stored_program(self, numbered_rules: List[EventRule]) -> StoredProgram:
         """Return section ``program``."""
-        parts = self._parts
-        knowledge = parts.knowledge
+        logic, knowledge = self._program.logic, self._program.knowledge
         return StoredProgram(
-            rules=stored_rules(parts.rules, numbered_rules),
+            rules=stored_rules(self._program.rules, numbered_rules),
             memories=[StoredMemory(instance.definition, instance.active) for instance in knowledge.memories],
             subscriptions=[subscription.definition for _, subscription in knowledge.subscriptions.items()],
             states=[state.form.term for state in knowledge.states],
-            deployments=save_deployments(parts.deployments, parts.logic, knowledge, numbered_rules),
-            topics=parts.input_topics.snapshot(),
-            event_types=dict(parts.slots.events),
-            foreign_modules=list(parts.logic.foreign_modules),
-            swi_files=[SwiFile(*file) for file in parts.logic.swi_files.values()],
+            deployments=save_deployments(self._deployments, logic, knowledge, numbered_rules),
+            topics=self._input_topics.snapshot(),
+            event_types=dict(self._slots.events),
+            foreign_modules=list(logic.foreign_modules),
+            swi_files=[SwiFile(*file) for file in logic.swi_files.values()],
         )
 
     def encode_records(self) -> List[Any]:
         """Return the encoded records of each memory."""
-        return [encode_records(records_since(instance)) for instance in self._parts.knowledge.memories]
+        return [encode_records(records_since(instance)) for instance in self._program.knowledge.memories]
 
     def restore(
         self,
@@ -338,26 +401,16 @@ class EngineSnapshot:
             RetalisError: the reason why the state cannot be restored.
         """
         context = ReadContext(changes=changes)
-        self._parts.executor.call(lambda: self._restore(sections, records, folder, context))
-
-    def _restore(
-        self,
-        sections: Sections,
-        records: Sequence[Sequence[DecodedRecords]],
-        folder: Optional[Path],
-        context: ReadContext,
-    ) -> None:
-        parts = self._parts
-        logic, rules, knowledge = parts.logic, parts.rules, parts.knowledge
+        logic, rules, knowledge = self._program.logic, self._program.rules, self._program.knowledge
         program = _read_section("program", _STORED_PROGRAM, sections, context)
         clauses = _read_section("clauses", PROGRAM, sections, context)
         values = _read_section("values", VALUES, sections, context)
         # The order matters: event types and foreign predicates are needed to compile clauses, clauses to compile
         # rules, and rules and memories to restore partial matches and records. The deployments follow, because they
         # refer to all items by position.
-        parts.slots.events.update(program.event_types)
-        self._load_foreign(program.foreign_modules, folder)
-        self._load_swi(program.swi_files, folder)
+        self._slots.events.update(program.event_types)
+        self._foreign_sources.load_modules(program.foreign_modules, folder)
+        self._foreign_sources.load_swi_files(program.swi_files, folder)
         restore_program(logic, clauses)
         restore_values(logic, values)
         with logic.precompiling_goals(lambda: [rule.definition.term for rule in rules.rules]):
@@ -371,14 +424,14 @@ class EngineSnapshot:
                 knowledge.subscriptions.create(definition)
             for definition in program.states:
                 knowledge.states.declare(definition)
-        run = RunState(parts)
+        run = self._run_state
         read_run = with_path("section run", lambda value: run.STATE.check_state(value, run, context))
         run_state = read_run(sections["run"])
         if len(memories) != len(records):
             raise UsageError("the state is damaged: expected records for each memory")
         for instance, batches in zip(memories, records):
             restore_records(instance, batches)
-        network = NetworkState(rules, knowledge, parts.clock)
+        network = NetworkState(rules, knowledge)
         with_path(
             "section matches",
             lambda value: restore_matches(network, NETWORK.checker(context)(value), numbered_rules, context),
@@ -386,46 +439,11 @@ class EngineSnapshot:
         rules.files.set_loaded(map(Path, program.rules.loaded_files))
         # Each event checks the flag before it looks up a declaration; here it is not known whether there are any.
         rules.declared_events.check_all()
-        parts.deployments.update(
+        self._deployments.update(
             restore_deployments(program.deployments, logic, knowledge, rules.timers, numbered_rules)
         )
-        parts.input_topics.restore(program.topics)
+        self._input_topics.restore(program.topics)
         run.restore(run_state)
-
-    def _load_foreign(self, modules: Sequence[str], folder: Optional[Path]) -> None:
-        """Load the Python modules of the program again; they must be in its folder."""
-        parts = self._parts
-        for name in modules:
-            # The state is data from outside: it must not make the engine execute a module that the settings or the
-            # location would not allow.
-            path = Path(name)
-            if not parts.settings.allow_foreign:
-                raise UsageError(
-                    f"the program has loaded Python from {name}: the setting allow_foreign is off"
-                )
-            if folder is None or (path.is_absolute() and folder.resolve() not in path.resolve().parents):
-                raise UsageError(
-                    f"the program has loaded Python from {name}, which is not in a folder of its own"
-                )
-            files = parts.rules.files
-            with files.loading(folder):
-                define_foreign(parts.logic, parts.executor, load_module(name, files))
-            parts.logic.foreign_modules[name] = None
-
-    def _load_swi(self, files: Sequence[SwiFile], folder: Optional[Path]) -> None:
-        """Make SWI-Prolog load the files of the program again; they must be in its folder."""
-        parts = self._parts
-        for file in files:
-            if not parts.settings.allow_swi:
-                raise UsageError(f"the program has SWI-Prolog load {file.name}: the setting allow_swi is off")
-            if file.is_path and (folder is None or folder.resolve() not in Path(file.name).resolve().parents):
-                raise UsageError(
-                    f"the program has SWI-Prolog load {file.name}, which is not in a folder of its own"
-                )
-            with parts.rules.files.loading(folder):
-                use_swi(parts.logic, file, parts.reports.warning)
-            text = f"SWI-Prolog has loaded {file.name} again: facts that its clauses had asserted are not restored"
-            parts.reports.warning(text, ("swi", file.name))
 
 
 def records_since(instance: MemoryInstance, position: int = 0) -> MemoryRecords:

@@ -16,8 +16,11 @@ from ..events.rules.rule_base import RuleBase
 from ..events.rules.timer_service import FIRST_INSTANT
 from ..foundation.errors import shorten
 from ..prolog.terms.types import Term, Var, deref
-from .engine_parts import EngineParts
-from .runtime.watchdog import describe_work
+from .deployment import LoadedProgram
+from .event_input import EventInput
+from .runtime.problem_reports import Reports
+from .runtime.serial_executor import SerialExecutor
+from .runtime.watchdog import Watchdog, describe_work
 
 DEFAULT_LISTING_LIMIT = 100
 """Default limit for the listed rules, memories, subscriptions and queries."""
@@ -343,10 +346,31 @@ class StatusReader:
     """Reads the status of an engine from any thread.
 
     Texts of rules and patterns are cached between calls, as long as their items are listed.
+
+    Args:
+        program: the program of the engine.
+        executor: executor of the engine, with its queue.
+        event_input: counts the events.
+        reports: counts errors and warnings.
+        watchdog: knows since when the present work runs.
+        max_queued: maximum length of the queue.
     """
 
-    def __init__(self, parts: EngineParts):
-        self._parts = parts
+    def __init__(
+        self,
+        program: LoadedProgram,
+        executor: SerialExecutor,
+        event_input: EventInput,
+        reports: Reports,
+        watchdog: Watchdog,
+        max_queued: int,
+    ):
+        self._program = program
+        self._executor = executor
+        self._event_input = event_input
+        self._reports = reports
+        self._watchdog = watchdog
+        self._max_queued = max_queued
         self._texts: _CachedTexts = {}
 
     def read(self, limit: int) -> Status:
@@ -355,64 +379,67 @@ class StatusReader:
         Args:
             limit: limit for the listed items of each kind.
         """
-        parts = self._parts
+        rules_of_program, knowledge = self._program.rules, self._program.knowledge
+        executor, clock = self._executor, rules_of_program.clock
         texts: _CachedTexts = {}
         format_term = self._make_term_formatter(texts)
-        format_brief = parts.logic.brief
-        rules, omitted_rules = _list_rules(parts.rules, format_term, format_brief, limit)
-        memories, omitted_memories = _list_memories(parts.knowledge, format_term, format_brief, limit)
+        format_brief = self._program.logic.brief
+        rules, omitted_rules = _list_rules(rules_of_program, format_term, format_brief, limit)
+        memories, omitted_memories = _list_memories(knowledge, format_term, format_brief, limit)
         subscriptions, omitted_subscriptions = _list_subscriptions(
-            parts.knowledge, format_term, format_brief, limit
+            knowledge, format_term, format_brief, limit
         )
-        waiting, omitted_queries = _list_queries(parts.knowledge, format_brief, limit)
+        waiting, omitted_queries = _list_queries(knowledge, format_brief, limit)
         # Replaced and not extended, so that texts of deleted rules are not kept.
         self._texts = texts
         return Status(
-            now=int(parts.clock.present()),
-            taken=parts.event_input.event_count,
-            fired=parts.rules.fired,
-            queued=len(parts.executor),
-            queue=parts.settings.queue,
-            callers=parts.executor.caller_count,
-            dropped=parts.executor.dropped,
-            errors=parts.reports.errors,
-            warnings=parts.reports.warnings,
-            matches=parts.rules.match_count,
-            alarms=len(parts.clock.alarms),
-            next_alarm=_find_next_alarm(parts.clock),
+            now=int(clock.present()),
+            taken=self._event_input.event_count,
+            fired=rules_of_program.fired,
+            queued=len(executor),
+            queue=self._max_queued,
+            callers=executor.caller_count,
+            dropped=executor.dropped,
+            errors=self._reports.errors,
+            warnings=self._reports.warnings,
+            matches=rules_of_program.match_count,
+            alarms=len(clock.alarms),
+            next_alarm=_find_next_alarm(clock),
             work=self._read_work(),
             rules=rules,
             memories=memories,
             subscriptions=subscriptions,
             waiting=waiting,
             left_out=LeftOut(omitted_rules, omitted_memories, omitted_subscriptions, omitted_queries),
-            transforms=_read_transforms(parts.knowledge.transforms),
+            transforms=_read_transforms(knowledge.transforms),
             lags=tuple(
-                [LagStatus(str(functor), lag) for functor, lag in parts.rules.watermarks.lags()][:limit]
+                [LagStatus(str(functor), lag) for functor, lag in rules_of_program.watermarks.lags()][:limit]
             ),
-            ahead=parts.event_input.far_ahead_count,
+            ahead=self._event_input.far_ahead_count,
         )
 
     def count_records(self) -> int:
         """Return the number of partial matches and of records in memories."""
         # Called during garbage collections, so it adds up counters and does not visit records. A memory removes old
         # records in blocks, so `ends` can be longer than `size`.
-        memories = [instance.memory for instance in list(self._parts.knowledge.memories)]
-        return self._parts.rules.match_count + sum(min(len(memory.ends), memory.size) for memory in memories)
+        memories = [instance.memory for instance in list(self._program.knowledge.memories)]
+        return self._program.rules.match_count + sum(
+            min(len(memory.ends), memory.size) for memory in memories
+        )
 
     def _read_work(self) -> Optional[Work]:
         # The watchdog keeps the start time of the entry, which the engine itself does not record.
-        running = self._parts.watchdog.find_running_entry(time.monotonic())
+        running = self._watchdog.find_running_entry(time.monotonic())
         if running is None:
             return None
         entry, seconds = running
-        work = describe_work(self._parts.logic, self._parts.dispatcher, entry)
+        work = describe_work(self._program.logic, self._program.rules.dispatcher, entry)
         place = "" if work.place is None else str(work.place)
         return Work(work.entry, round(seconds, 3), work.goal, work.event, place)
 
     def _make_term_formatter(self, texts: _CachedTexts) -> _FormatTerm:
         """Return a function that converts terms to text with a cache, and stores the used texts in ``texts``."""
-        cached_texts, format_brief = self._texts, self._parts.logic.brief
+        cached_texts, format_brief = self._texts, self._program.logic.brief
 
         def format_term(term: Term, names: Optional[Mapping[Var, str]] = None) -> str:
             key = id(term)

@@ -377,6 +377,10 @@ class InputTopics:
         """Return the message types by the event names that goals have given."""
         return {request.event: request.message_type for request in reversed(self._requests) if request.event}
 
+    def declare_event_types(self, folder_types: Dict[str, str]) -> None:
+        """Set the message types by event names: those of a folder, and those that goals have given."""
+        self._slots.set_events({**self.event_types(), **folder_types})
+
     def _subscribe_to(self, machine: Machine, topic: Term, message_type: Term, *event: Term) -> bool:
         """Execute the goal ``subscribe_to(Topic, MessageType)``, or ``subscribe_to/3`` with a name for the events."""
         request = TopicRequest(

@@ -17,7 +17,7 @@ import os
 from collections import Counter
 from pathlib import Path
 from threading import get_ident
-from typing import TYPE_CHECKING, Callable, Dict, Hashable, Iterable, List, Sequence
+from typing import Callable, Dict, Hashable, Iterable, List, Sequence
 
 from ..events.clock.clock import Clock, StreamClock
 from ..events.knowledge.memory import MemoryInstance
@@ -36,21 +36,20 @@ from ..prolog.database.clause_index import Clause
 from ..prolog.database.predicate import Predicate
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.term_traversal import term_key
-from ..prolog.terms.types import atom
+from ..prolog.terms.types import Term, atom
 from .deployment import (
     EMPTY_DEPLOYMENT,
     Clauses,
     Deployment,
+    LoadedProgram,
     clause_key,
+    current_deployment,
     pair_equal_rules,
 )
 from .engine_settings import Settings
-from .program_loader import load_files, program_items, resolve_path
+from .program_loader import LOADING_WORK, ProgramLoader, resolve_path
 from .runtime.problem_reports import Reports
-from .runtime.serial_executor import UNNAMED_REQUEST
-
-if TYPE_CHECKING:
-    from .engine_parts import EngineParts
+from .runtime.serial_executor import UNNAMED_REQUEST, SerialExecutor
 
 TimersByKey = Dict[Hashable, ProgramTimer]
 
@@ -58,7 +57,6 @@ _MAX_NAMED_CHANGES = 20
 """Maximum number of changes that are listed per kind of item."""
 
 
-_LOADING_WORK = atom("the program's folder")
 _ROLLBACK_WORK = atom("putting the old program back")
 """Names of work in warnings of the watchdog and of limits."""
 
@@ -248,56 +246,68 @@ def create_trial_settings(settings: Settings) -> Settings:
     return settings._replace(limit_start=True, watchdog=None)
 
 
-def reload_folder(parts: "EngineParts", folder: Path, new_engine: Callable[[], "EngineParts"]) -> List[str]:
-    """Load a program's folder again; see `Engine.reload`."""
-    key = resolve_path(folder)
+def reload_folder(
+    loader: ProgramLoader, executor: SerialExecutor, folder: Path, create_trial: Callable[[], ProgramLoader]
+) -> List[str]:
+    """Load a program's folder again; see `Engine.reload`.
+
+    Args:
+        loader: loader of the running engine.
+        executor: executor of the running engine.
+        folder: folder of the program.
+        create_trial: returns the loader of a trial engine.
+    """
+    program, deployments, key = loader.program, loader.deployments, resolve_path(folder)
     # The executor would run the reload inside the goal that requests it, whose own clauses would be removed.
-    if parts.executor.thread == get_ident():
+    if executor.thread == get_ident():
         raise UsageError("a goal or callback of an engine cannot reload its program")
+    trial = create_trial()
     # An event file may need definitions of other files, so it is not loaded alone into a trial engine.
     if os.path.isfile(folder):
-        trial_deployment = program_items(new_engine())
+        trial_deployment = current_deployment(trial.program)
     else:
-        trial_deployment = load_into_trial(
-            parts, new_engine(), parts.deployments.get(key, EMPTY_DEPLOYMENT), folder
+        trial_deployment = trial.load_alone(folder, program.rules.files.omitted)
+        check_ids(
+            trial_deployment,
+            executor.call(lambda: current_deployment(program)),
+            deployments.get(key, EMPTY_DEPLOYMENT),
+            program.logic.brief,
         )
 
     def replace_deployment() -> List[str]:
-        transaction = ReloadTransaction(parts, parts.deployments.get(key, EMPTY_DEPLOYMENT), trial_deployment)
+        transaction = ReloadTransaction(program, deployments.get(key, EMPTY_DEPLOYMENT), trial_deployment)
+        files = program.rules.files
         try:
-            with parts.rules.files.reloading(parts.rules.files.omitted):
-                return transaction.run(lambda: load_files(parts, folder))
+            with files.reloading(files.omitted):
+                return transaction.run(lambda: loader.load_files(folder))
         finally:
-            parts.deployments[key] = transaction.deployment
+            deployments[key] = transaction.deployment
 
-    return parts.executor.call(
-        lambda: parts.dispatcher.run_restoring_context(replace_deployment), (UNNAMED_REQUEST,)
+    return executor.call(
+        lambda: program.rules.dispatcher.run_restoring_context(replace_deployment), (UNNAMED_REQUEST,)
     )
 
 
-def load_into_trial(
-    parts: "EngineParts", trial: "EngineParts", old_deployment: Deployment, folder: Path
-) -> Deployment:
-    """Load a program into a trial engine; return the deployment there.
+def check_ids(
+    trial_deployment: Deployment,
+    current_items: Deployment,
+    old_deployment: Deployment,
+    show: Callable[[Term], str],
+) -> None:
+    """Check that services have not used ids of a program for their own items meanwhile.
 
     Args:
-        parts: parts of the running engine.
-        trial: the trial engine.
+        trial_deployment: deployment of the folder in the trial engine.
+        current_items: all items of the running engine.
         old_deployment: deployment of the folder in the running engine.
-        folder: folder of the program.
+        show: returns the text of an id.
 
     Raises:
-        ProgramErrors: all errors of the program, and ids that services have used for their own items meanwhile.
+        ProgramErrors: all ids that are in use.
     """
-    trial.logic.discard_output()
-    with trial.rules.files.reloading(parts.rules.files.omitted):
-        trial.executor.call(lambda: load_files(trial, folder), (_LOADING_WORK,))
-    trial_deployment = program_items(trial)
     # An id that exists in the running engine but not in the deployment was added by a service. Loading the folder
     # would fail on it only after the old program has been set aside, so it is reported here.
-    current_items = parts.executor.call(lambda: program_items(parts))
     conflicts = Errors()
-    show = parts.logic.brief
     for key, instance in trial_deployment.memories.items():
         if key in current_items.memories and key not in old_deployment.memories:
             conflicts.append(
@@ -314,21 +324,20 @@ def load_into_trial(
             )
     if conflicts:
         raise ProgramErrors(conflicts)
-    return trial_deployment
 
 
 class ReloadTransaction:
     """Replacement of a folder's old deployment by its new one.
 
     Args:
-        parts: parts of the running engine; it must be idle during `run`.
+        program: program of the running engine, which must be idle during `run`.
         old_deployment: the old deployment, as recorded after the last load.
         trial_deployment: the deployment in the trial engine.
     """
 
-    def __init__(self, parts: "EngineParts", old_deployment: Deployment, trial_deployment: Deployment):
-        self._parts = parts
-        self._previous_items = program_items(parts)
+    def __init__(self, program: LoadedProgram, old_deployment: Deployment, trial_deployment: Deployment):
+        self._program = program
+        self._previous_items = current_deployment(program)
         # Items of the deployment may have been deleted, replaced or retracted since it was recorded.
         self._old_deployment = self._select_remaining(old_deployment)
         self._recorded_deployment = old_deployment
@@ -342,17 +351,17 @@ class ReloadTransaction:
         Raises:
             RetalisError: the reason of a failure; the old program has been restored.
         """
-        budget = self._parts.logic.machine.budget
+        budget = self._program.logic.machine.budget
         try:
             self._deactivate_old()
             # The program without the folder. The difference to it after the load is the new deployment.
-            program_without_folder = program_items(self._parts)
-            budget.run_as_entry((_LOADING_WORK,), load)
+            program_without_folder = current_deployment(self._program)
+            budget.run_as_entry((LOADING_WORK,), load)
             # Answers of tabled predicates may depend on clauses that were replaced.
-            tables_of(self._parts.logic.machine).clear()
-            self.deployment = program_items(self._parts).added_since(program_without_folder)
+            tables_of(self._program.logic.machine).clear()
+            self.deployment = current_deployment(self._program).added_since(program_without_folder)
             description = describe_changes(
-                self._parts.logic,
+                self._program.logic,
                 self._old_deployment,
                 self.deployment,
                 self._pair_unchanged_rules(),
@@ -398,7 +407,7 @@ class ReloadTransaction:
     def _deactivate_old(self) -> None:
         """Set the items of the old deployment aside."""
         # They are not deleted: the load reactivates those with an equal definition, with their state.
-        rules, knowledge, old = self._parts.rules, self._parts.knowledge, self._old_deployment
+        rules, knowledge, old = self._program.rules, self._program.knowledge, self._old_deployment
         for rule in old.rules:
             rules.detach(rule)
         for predicate, clauses in old.clauses.items():
@@ -426,14 +435,14 @@ class ReloadTransaction:
         if len(predicate):
             return
         # The predicate starts again as if it had never been loaded: uncompiled, and not dynamic unless declared so.
-        predicate.compile_after = self._parts.logic.database.compile_after
+        predicate.compile_after = self._program.logic.database.compile_after
         if predicate in self._old_deployment.dynamic:
             predicate.dynamic = False
         key = predicate.functor
-        library = self._parts.logic.database.library.shadowed_predicates.get(key)
+        library = self._program.logic.database.library.shadowed_predicates.get(key)
         if key in self._old_deployment.replaced and library is not None:
             # The library predicate that the folder had redefined becomes visible again.
-            self._parts.logic.database.restore_library(library)
+            self._program.logic.database.restore_library(library)
         elif not predicate.dynamic:
             predicate.kind = "undefined"
 
@@ -451,7 +460,7 @@ class ReloadTransaction:
 
     def _restore_unchanged(self, program_without_folder: Deployment) -> None:
         """Replace new rules by the equal old ones, and retract the clauses that had been retracted."""
-        rules = self._parts.rules
+        rules = self._program.rules
         old_rules = self._pair_unchanged_rules()
         own_rules = []
         for rule in self.deployment.rules:
@@ -495,17 +504,17 @@ class ReloadTransaction:
 
     def _delete_unused(self) -> None:
         """Delete the items that were set aside and not reactivated; emit the events for deleted memories."""
-        knowledge = self._parts.knowledge
+        knowledge = self._program.knowledge
         knowledge.subscriptions.discard_detached()
-        self._parts.rules.timers.discard_detached()
+        self._program.rules.timers.discard_detached()
         knowledge.states.discard_detached()
         for instance in knowledge.memories.discard_detached():
             self._report_deleted(instance)
 
     def _report_deleted(self, instance: MemoryInstance) -> None:
-        knowledge, machine = self._parts.knowledge, self._parts.logic.machine
+        knowledge, machine = self._program.knowledge, self._program.logic.machine
         if knowledge.memories.find(instance.id) is None:
-            self._parts.dispatcher.run_without_context(
+            self._program.rules.dispatcher.run_without_context(
                 lambda: machine.run(knowledge.memories.report_deleted(instance, machine.done))
             )
 
@@ -519,7 +528,7 @@ class ReloadTransaction:
         """
         try:
             # The restoration has limits of its own: the failed load may have used up those of the request.
-            self._parts.logic.machine.budget.run_as_entry((_ROLLBACK_WORK,), self._undo)
+            self._program.logic.machine.budget.run_as_entry((_ROLLBACK_WORK,), self._undo)
         except Exception as undo_error:
             raise UsageError(
                 f"the program does not load ({error}), "
@@ -528,7 +537,7 @@ class ReloadTransaction:
 
     def _undo(self) -> None:
         """Restore flags, rules, memories, subscriptions, timers, states and clauses."""
-        rules, knowledge, before = self._parts.rules, self._parts.knowledge, self._previous_items
+        rules, knowledge, before = self._program.rules, self._program.knowledge, self._previous_items
         for name, value in before.flags.items():
             if value is not None:
                 rules.flags.set(name, value)
@@ -540,12 +549,12 @@ class ReloadTransaction:
         rules.timers.restore_all(before.timers)
         knowledge.states.restore_all(before.states)
         self._undo_clauses()
-        tables_of(self._parts.logic.machine).clear()
+        tables_of(self._program.logic.machine).clear()
 
     def _undo_clauses(self) -> None:
         """Restore the clauses of all predicates; removed clause objects cannot be added again, so they are copied."""
-        database = self._parts.logic.database
-        for predicate, clauses in program_items(self._parts).clauses.items():
+        database = self._program.logic.database
+        for predicate, clauses in current_deployment(self._program).clauses.items():
             if predicate not in self._previous_items.clauses:
                 self._remove_clauses(predicate, clauses)
         copies: Dict[Clause, Clause] = {}
@@ -564,7 +573,7 @@ class ReloadTransaction:
             key: [copies.get(clause, clause) for clause in clause_list]
             for key, clause_list in self._recorded_deployment.clauses.items()
         }
-        present_subscriptions = dict(self._parts.knowledge.subscriptions.items())
+        present_subscriptions = dict(self._program.knowledge.subscriptions.items())
         subscriptions = {key: present_subscriptions[key] for key in self._old_deployment.subscriptions}
         self.deployment = self._recorded_deployment._replace(
             clauses=restored_clauses, subscriptions=subscriptions

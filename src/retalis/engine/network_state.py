@@ -8,7 +8,6 @@ are external to it, and named by their numbers.
 from types import MappingProxyType
 from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
 
-from ..events.clock.clock import Clock
 from ..events.knowledge.knowledge_base import KnowledgeBase
 from ..events.knowledge.timeout_queue import TIMEOUT_ALARMS, StoredTimeoutAlarm, TimeoutAlarm, Timeouts
 from ..events.language.rule_head_parser import Property
@@ -267,7 +266,6 @@ class NetworkState(StateOwner):
     Args:
         rules: the rule base.
         knowledge: the knowledge base.
-        clock: the clock of the engine.
     """
 
     STATE = StateFields(
@@ -307,10 +305,10 @@ class NetworkState(StateOwner):
         ),
     )
 
-    def __init__(self, rules: RuleBase, knowledge: KnowledgeBase, clock: Clock):
+    def __init__(self, rules: RuleBase, knowledge: KnowledgeBase):
         self.rules = rules
         self.knowledge = knowledge
-        self._clock = clock
+        self._clock = rules.clock
         self.active_rules = rules.rules
         self.tracker = rules.tracker
         self.timers = rules.timers

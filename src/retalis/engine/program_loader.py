@@ -1,15 +1,14 @@
 """Loading of a program's files.
 
 While files are loaded, their goals may read any file, and they can have other limits than goals that run later.
-`load_folder` records what a folder has created (its `Deployment`), so that `hot_reload` can replace it.
+`ProgramLoader.load_folder` records what a folder has created (its `Deployment`), so that `hot_reload` can replace it.
 """
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Callable, Optional, TypeVar
+from typing import Callable, Dict, Optional, TypeVar
 
 from ..events.dispatch.dispatcher import Dispatcher
-from ..events.program.event_file_loader import EventFileLoader
 from ..events.program.goal_file import FileGoal, errors_of_goal, read_file_goals
 from ..events.program.topic_configuration import GOALS, event_types, read_text
 from ..foundation.errors import (
@@ -19,60 +18,63 @@ from ..foundation.errors import (
     RuleError,
     UsageError,
 )
-from ..prolog.files.source_files import SourceFiles
 from ..prolog.machine.resource_limits import NO_LIMITS
-from ..prolog.system.prolog_system import PrologSystem
-from ..prolog.terms.types import Term
+from ..prolog.terms.types import Term, atom
 from .deployment import (
     EMPTY_DEPLOYMENT,
     Deployment,
+    LoadedProgram,
     current_deployment,
 )
 from .runtime.serial_executor import UNNAMED_REQUEST, SerialExecutor
 
-if TYPE_CHECKING:
-    from .engine_parts import EngineParts
-
 Result = TypeVar("Result")
+
+
+LOADING_WORK = atom("the program's folder")
+"""Name in reports for the load of a folder during a reload."""
 
 
 class ProgramLoader:
     """Loads the texts of a program.
 
     Args:
-        logic: calls goals.
-        file_loader: loads rules.
-        files: files of the program.
+        program: receives the contents of the files.
         executor: runs the goals; its `entry` is set to the running goal, for the watchdog.
         dispatcher: its event context is restored if loading raises an exception.
         limits_file_goals: whether the limits of later goals also apply to goals of files.
         call_once: calls a goal, and returns whether it succeeds.
+        declare_event_types: receives the message types by the event names that a folder gives them.
+
+    Attributes:
+        program: see above.
+        deployments: deployments by the real path of the program's folder.
     """
 
     def __init__(
         self,
-        logic: PrologSystem,
-        file_loader: EventFileLoader,
-        files: SourceFiles,
+        program: LoadedProgram,
         executor: SerialExecutor,
         dispatcher: Dispatcher,
         limits_file_goals: bool,
         call_once: Callable[[Term], bool],
+        declare_event_types: Callable[[Dict[str, str]], None],
     ):
-        self._logic = logic
-        self._file_loader = file_loader
-        self._files = files
+        self.program = program
+        self.deployments: Dict[str, Deployment] = {}
+        self._files = program.rules.files
         self._executor = executor
         self._dispatcher = dispatcher
         self._limits_file_goals = limits_file_goals
         self._call_once = call_once
+        self._declare_event_types = declare_event_types
 
     def load(self, rules: str, goals: str, source: str, folder: Optional[Path]) -> None:
         """Load the texts of a program; see `Engine.load`."""
         has_both = bool(rules and goals)
         # Goals and rules may refer to each other, so warnings about unknown predicates wait until both are loaded.
         if has_both:
-            self._file_loader.defer_warnings()
+            self.program.loader.defer_warnings()
         try:
             if goals:
                 self.call_goals(goals, f"goals of {source}" if source == "text" else source, folder)
@@ -80,12 +82,12 @@ class ProgramLoader:
                 self.load_rules(rules, source, folder)
         finally:
             if has_both:
-                self._executor.call(self._file_loader.log_deferred_warnings, (UNNAMED_REQUEST,))
+                self._executor.call(self.program.loader.log_deferred_warnings, (UNNAMED_REQUEST,))
 
     def load_rules(self, text: str, source: str, folder: Optional[Path]) -> None:
         """Load the text of an event file; see `Engine.load_rules`."""
         self._register_program_folder(folder)
-        self._run_with_file_permissions(folder, lambda: self._file_loader.load_text(text, source, folder))
+        self._run_with_file_permissions(folder, lambda: self.program.loader.load_text(text, source, folder))
 
     def call_goals(self, text: str, source: str, folder: Optional[Path]) -> None:
         """Call the goals of a goal file; see `Engine.call_goals`."""
@@ -93,7 +95,7 @@ class ProgramLoader:
         errors = Errors()
         # Each goal is read after the previous one has run, because a goal may define operators for later goals.
         for goal in read_file_goals(
-            text, source, folder, self._logic.operators, self._files, self._run_with_file_permissions
+            text, source, folder, self.program.logic.operators, self._files, self._run_with_file_permissions
         ):
             if isinstance(goal, RetalisError):
                 errors.append(goal)
@@ -106,9 +108,45 @@ class ProgramLoader:
         if errors:
             raise ProgramErrors(errors)
 
+    def load_folder(self, folder: Path) -> None:
+        """Load a program's folder or an event file, and record its deployment; see `Engine.load_program`."""
+        key = resolve_path(folder)
+        before = current_deployment(self.program)
+        try:
+            self.load_files(folder)
+        finally:
+            # Also after an error: what was loaded before the error belongs to the folder, and a reload replaces it.
+            self.deployments[key] = self.deployments.get(key, EMPTY_DEPLOYMENT).union(
+                current_deployment(self.program).added_since(before)
+            )
+
+    def load_alone(self, folder: Path, omitted: Dict[str, int]) -> Deployment:
+        """Load a program's folder into an engine that serves this trial only; return the deployment.
+
+        Args:
+            folder: the folder.
+            omitted: numbers of the terms that may be omitted from each file, see `SourceFiles.reloading`.
+        """
+        self.program.logic.discard_output()
+        with self._files.reloading(omitted):
+            self._executor.call(lambda: self.load_files(folder), (LOADING_WORK,))
+        return current_deployment(self.program)
+
+    def load_files(self, folder: Path) -> None:
+        """Load a program's folder or an event file, without a record of its deployment."""
+        if os.path.isfile(folder):
+            self.load_rules(read_text(folder), str(folder), folder.parent)
+            return
+        if not os.path.isdir(folder):
+            raise UsageError(f"cannot read {folder}: there is no such file or folder")
+        path = folder / GOALS
+        # Types of event names must be known before the goals run: rules in the folder are checked against them.
+        self._declare_event_types(event_types(folder))
+        self.call_goals(read_text(path), str(path), folder)
+
     def _call_file_goal(self, goal: FileGoal) -> bool:
         """Call a goal of a goal file."""
-        budget = self._logic.machine.budget
+        budget = self.program.logic.machine.budget
         # The watchdog names this entry, with its place in the file, if the goal takes long.
         self._executor.replace_entry(goal)
         limits = budget.limits
@@ -136,24 +174,6 @@ class ProgramLoader:
         )
 
 
-def program_items(parts: "EngineParts") -> Deployment:
-    """Return all items of the engine's current program."""
-    return current_deployment(parts.logic, parts.rules, parts.knowledge)
-
-
-def load_folder(parts: "EngineParts", folder: Path) -> None:
-    """Load a program's folder or an event file, and record its deployment; see `Engine.load_program`."""
-    deployments, key = parts.deployments, resolve_path(folder)
-    before = program_items(parts)
-    try:
-        load_files(parts, folder)
-    finally:
-        # Also after an error: what was loaded before the error belongs to the folder, and a reload replaces it.
-        deployments[key] = deployments.get(key, EMPTY_DEPLOYMENT).union(
-            program_items(parts).added_since(before)
-        )
-
-
 def resolve_path(folder: Path) -> str:
     """Return the absolute path of a folder, which identifies its deployment."""
     try:
@@ -161,17 +181,3 @@ def resolve_path(folder: Path) -> str:
     except ValueError as error:
         # The name contains a NUL character or surrogates.
         raise UsageError(f"cannot read {str(folder)!r}: {error}") from error
-
-
-def load_files(parts: "EngineParts", folder: Path) -> None:
-    """Load a program's folder or an event file, without a record of its deployment."""
-    loader = parts.loader
-    if os.path.isfile(folder):
-        loader.load_rules(read_text(folder), str(folder), folder.parent)
-        return
-    if not os.path.isdir(folder):
-        raise UsageError(f"cannot read {folder}: there is no such file or folder")
-    path = folder / GOALS
-    # Types of event names must be known before the goals run: rules in the folder are checked against them.
-    parts.slots.set_events({**parts.input_topics.event_types(), **event_types(folder)})
-    loader.call_goals(read_text(path), str(path), folder)

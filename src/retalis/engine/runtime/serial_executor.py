@@ -29,6 +29,8 @@ from ...foundation.errors import RetalisError, UsageError
 from ...foundation.interrupts import PENDING, SafeExit, interruptible, raise_pending
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.types import atom
+from ...serialization.field_types import COUNT
+from ...serialization.state_fields import StateFields, StateOwner, field
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -143,7 +145,7 @@ class Recovery:
         """Return to a state of `state`, or to the idle state if it is None."""
 
 
-class SerialExecutor:
+class SerialExecutor(StateOwner):
     """A bounded queue of work, and the lock with which one thread at a time does it.
 
     Args:
@@ -160,6 +162,8 @@ class SerialExecutor:
         dropped: number of entries that were dropped because the queue was full.
         refusal: reason for which all work is refused; empty while the executor can be used.
     """
+
+    STATE = StateFields(field("dropped", COUNT))
 
     def __init__(
         self,
@@ -202,10 +206,6 @@ class SerialExecutor:
     def add_recovery(self, recovery: Recovery) -> None:
         """Set what returns to an earlier state after an error, once the data exists."""
         self._recovery = recovery
-
-    def restore(self, dropped: int) -> None:
-        """Set the number of dropped entries to that of another executor."""
-        self.dropped = dropped
 
     def replace_entry(self, entry: object) -> object:
         """Set the identity of the current work; return the previous one."""
@@ -649,7 +649,7 @@ class EngineRecovery(Recovery):
         """Return the states of machine, dispatcher and compiler, for `restore`."""
         return (
             self._logic.machine.state(),
-            self._dispatcher.state(),
+            self._dispatcher.context_state(),
             self._logic.new_goals,
         )
 
@@ -657,5 +657,5 @@ class EngineRecovery(Recovery):
         """Return to a state of `state`, or to the idle state if it is None."""
         saved_machine, saved_dispatch, new_goals = (None, (None, None), None) if state is None else state
         self._logic.machine.restore(saved_machine)
-        self._dispatcher.restore(*saved_dispatch)
+        self._dispatcher.restore_context(*saved_dispatch)
         self._logic.continue_precompiling(new_goals)

@@ -28,7 +28,8 @@ from ...prolog.machine.resource_limits import Budget, record_caught_error
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.term_traversal import copy, has_no_variables, is_ground, term_key
 from ...prolog.terms.types import Atom, EventAction, Frame, Functor, Term, Values, Var, deref
-from ...serialization.state_fields import NextNumber
+from ...serialization.field_types import COUNT
+from ...serialization.state_fields import NextNumber, StateFields, StateOwner, field
 from .discrimination_tree import Plan, PushdownFilter, SwitchNode, make_plan, matches_all_events
 from .listeners import (
     CALL_LISTENERS,
@@ -194,7 +195,7 @@ class ListenerIndex:
         return plan
 
 
-class Dispatcher(ListenerIndex):
+class Dispatcher(ListenerIndex, StateOwner):
     """Dispatcher of events to listeners.
 
     Args:
@@ -212,6 +213,8 @@ class Dispatcher(ListenerIndex):
             match. It takes the rule and the action that creates the event, and returns an action that may be fused,
             or None if the head of the rule does not allow it.
     """
+
+    STATE = StateFields(field("next_token_number", COUNT))
 
     def __init__(self, logic: Optional[PrologSystem] = None, max_depth: int = 1000) -> None:
         super().__init__()
@@ -333,7 +336,7 @@ class Dispatcher(ListenerIndex):
                 self._run(frame)
             self.current = current
         except BaseException:
-            self.restore(current, cause)
+            self.restore_context(current, cause)
             raise
 
     def _defer_frame(self, frame: Frame, depth: int) -> Frame:
@@ -429,11 +432,11 @@ class Dispatcher(ListenerIndex):
         "_tokens", "The number of the next event, if events are identified by numbers."
     )
 
-    def state(self) -> Tuple[Any, Any]:
-        """Return the current context and cause, for `restore`."""
+    def context_state(self) -> Tuple[Any, Any]:
+        """Return the current context and cause, for `restore_context`."""
         return self.current, self.cause
 
-    def restore(self, current: Any, cause: Any) -> None:
+    def restore_context(self, current: Any, cause: Any) -> None:
         """Restore an earlier context and cause.
 
         Args:
@@ -467,21 +470,21 @@ class Dispatcher(ListenerIndex):
 
     def run_restoring_context(self, work: Callable[[], Result]) -> Result:
         """Return the result of ``work``; if it raises an exception, restore the context first."""
-        state = self.state()
+        state = self.context_state()
         try:
             return work()
         except BaseException:
-            self.restore(*state)
+            self.restore_context(*state)
             raise
 
     def run_without_context(self, work: Callable[[], Result]) -> Result:
         """Return the result of ``work``; the events that it dispatches are not derived from the current event."""
-        state = self.state()
-        self.restore(None, None)
+        state = self.context_state()
+        self.restore_context(None, None)
         try:
             return work()
         finally:
-            self.restore(*state)
+            self.restore_context(*state)
 
     def ground(self) -> bool:
         """Return whether the current event has no variables."""

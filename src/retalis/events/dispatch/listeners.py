@@ -128,7 +128,7 @@ class _RestoreContext:
     def run(frame: Frame) -> Frame:
         next_frame: Frame
         _, dispatcher, context, next_frame = frame
-        dispatcher.restore(context, dispatcher.cause)
+        dispatcher.restore_context(context, dispatcher.cause)
         return next_frame
 
 
@@ -139,7 +139,7 @@ class _RestoreCause:
     def run(frame: Frame) -> Frame:
         next_frame: Frame
         _, dispatcher, cause, next_frame = frame
-        dispatcher.restore(dispatcher.current, cause)
+        dispatcher.restore_context(dispatcher.current, cause)
         return next_frame
 
 

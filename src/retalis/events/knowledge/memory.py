@@ -162,7 +162,7 @@ def compile_recording(
         try:
             solution = find_solution(values) if ground else find_solution_of_nonground(values)
         except PrologError as error:
-            dispatcher.restore(event, dispatcher.cause)
+            dispatcher.restore_context(event, dispatcher.cause)
             if record_caught_error(error):
                 warn(f"{name}: event {logic.brief(term)}: {error}", name)
             return None

@@ -26,8 +26,8 @@ from ...prolog.machine.errors import domain_error, permission_error
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.term_traversal import copy, term_key, variables
 from ...prolog.terms.types import MINUS, Atom, EventAction, Frame, Term, Values, deref
-from ...serialization.field_types import COUNT, State, invalid_value
-from ...serialization.state_fields import StateFields, StateOwner, field, part
+from ...serialization.field_types import COUNT, State, invalid_value, sequence_of
+from ...serialization.state_fields import StateFields, StateOwner, constraint, field, part
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import Listener, ListenerPhase
 from ..language.pattern_tree import RatePattern
@@ -286,7 +286,7 @@ class Subscription(NamedTuple):
         return term_key(self.definition)
 
 
-class Subscriptions:
+class Subscriptions(StateOwner):
     """All subscriptions of a program; topic and id together are the key.
 
     Args:
@@ -296,6 +296,14 @@ class Subscriptions:
         warn: receives warnings, and reports about conditions that raised an error.
         network: sets the alarms of the rate limiters and provides their limits.
     """
+
+    STATE = StateFields(
+        field("sent_counts", sequence_of(COUNT)),
+        constraint(
+            "a count of outputs for each subscription",
+            lambda subscriptions, state: len(state["sent_counts"]) == len(subscriptions.items()),
+        ),
+    )
 
     def __init__(
         self,
@@ -316,6 +324,16 @@ class Subscriptions:
 
     def __iter__(self) -> Iterator[SubscriptionKey]:
         return iter(list(self._all))
+
+    @property
+    def sent_counts(self) -> List[int]:
+        """Number of events that each subscription has sent."""
+        return [subscription.sent_counter.count for subscription in self._all.values()]
+
+    @sent_counts.setter
+    def sent_counts(self, counts: Sequence[int]) -> None:
+        for subscription, sent_count in zip(self._all.values(), counts):
+            subscription.sent_counter.count = sent_count
 
     def patterns(self) -> Iterator[Tuple[Term, SubscriptionKey]]:
         """Yield the pattern of each subscription with topic and id."""

@@ -145,7 +145,7 @@ class RuleGoal:
         except PrologError as error:
             # An error may leave a nested dispatch unfinished; the event that was served before the condition is
             # current again.
-            self._dispatcher.restore(current, self._dispatcher.cause)
+            self._dispatcher.restore_context(current, self._dispatcher.cause)
             self.report_error(error)
             return None
         finally:

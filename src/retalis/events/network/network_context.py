@@ -11,7 +11,6 @@ from ...prolog.machine.resource_limits import record_caught_error
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.timestamps import SECOND, format_distance
 from ...prolog.terms.types import Term, Values
-from ...serialization.state_fields import StateOwner
 from ..clock.clock import Clock
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import TERM
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
     from .event_rule import EventRule
 
 
-class NetworkContext(StateOwner):
+class NetworkContext:
     """Parts of the engine, limits and reports that the nodes of all rules share.
 
     Args:

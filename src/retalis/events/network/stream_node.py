@@ -124,10 +124,10 @@ class ReentrancyQueue:
         _, current, next_frame = frame
         # All work is done: the event that was dispatched before becomes current again.
         if not self._deferred_work:
-            dispatcher.restore(current, dispatcher.cause)
+            dispatcher.restore_context(current, dispatcher.cause)
             return next_frame  # type: ignore[no-any-return]
         event, work = self._deferred_work.popleft()
-        dispatcher.restore(event, dispatcher.cause)
+        dispatcher.restore_context(event, dispatcher.cause)
         return work(frame)
 
 

@@ -16,7 +16,7 @@ from ...prolog.terms.timestamps import from_seconds
 from ...prolog.terms.types import Functor, Term, Trail, atom
 from ...prolog.terms.unification import unify
 from ...serialization.field_types import COUNT
-from ...serialization.state_fields import StateFields, field
+from ...serialization.state_fields import StateFields, StateOwner, field
 from ..clock.clock import Clock
 from ..dispatch.dispatcher import Dispatcher
 from ..language.event_declarations import STRICTLY, UNDECLARED, DeclaredEvents
@@ -91,7 +91,7 @@ _NETWORK_FLAGS = frozenset(
 """Flags that change the options of network nodes."""
 
 
-class RuleBase(NetworkContext):
+class RuleBase(NetworkContext, StateOwner):
     """The event rules of a program.
 
     Args:
