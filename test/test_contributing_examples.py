@@ -16,13 +16,13 @@ COPIED = ("src", "docs", "test", "examples", "CONTRIBUTING.md", "README.md", "pa
 
 
 class Tree:
-    """Copy of the source tree with the snippets of a section.
+    """Copy of the source tree with the snippets of some sections.
 
     Attributes:
         folder: root of the copy.
     """
 
-    def __init__(self, folder: Path, section: str):
+    def __init__(self, folder: Path, *sections: str):
         self.folder = folder
         for name in COPIED:
             if (ROOT / name).is_dir():
@@ -30,8 +30,9 @@ class Tree:
                 shutil.copytree(str(ROOT / name), str(folder / name), ignore=ignored)
             else:
                 shutil.copy(str(ROOT / name), str(folder / name))
-        for snippet in SNIPPETS[section]:
-            snippet.add_to(folder)
+        for section in sections:
+            for snippet in SNIPPETS[section]:
+                snippet.add_to(folder)
 
     def run(self, *arguments: str, text: str = "") -> "subprocess.CompletedProcess[str]":
         """Run Python with the copy of the package; return the ended process."""
@@ -141,6 +142,34 @@ def test_operator_is_added(tmp_path: Path) -> None:
         "straddles or test_syntax_highlighting or page or covers or cover",
     )
     assert "0 differ" in tree.output("-m", "oracle.comparison", "--cases", "50")
+
+
+STREAM_RULES = """\
+span(R) <- aggregate(range(X), a(X), R, last(5)).
+span_after(Y, R) <- b(Y) seq aggregate(range(X), a(X), R).
+third(X) <- (a(X) with every_third(1)).
+"""
+STREAM = "event(b(0),[0,0]).\n" + "".join(f"event(a({value}),[{value},{value}]).\n" for value in (1, 2, 4, 8))
+STREAM_OUTPUT = """\
+event(span(0),[1,1]).
+event(span(1),[1,2]).
+event(span(3),[1,4]).
+event(span(4),[4,8]).
+event(span_after(0,0),[0,1]).
+event(span_after(0,1),[0,2]).
+event(span_after(0,3),[0,4]).
+event(span_after(0,7),[0,8]).
+event(third(4),[4,4]).
+"""
+
+
+def test_aggregate_and_rate_operator_are_added(tmp_path: Path) -> None:
+    """Both are parsed and evaluated; ``test_extension_points`` tests snapshots of both."""
+    tree = Tree(tmp_path, "An aggregate (`avg`)", "A rate operator (`burst`)")
+    (tmp_path / "rules.txt").write_text(STREAM_RULES)
+    (tmp_path / "stream.txt").write_text(STREAM)
+    output = tree.output("-m", "retalis", "events", "--rules", "rules.txt", "--stream", "stream.txt")
+    assert sorted(set(output.splitlines()) - set(STREAM.splitlines())) == STREAM_OUTPUT.splitlines()
 
 
 BUILTIN_GOALS = """\
