@@ -140,7 +140,9 @@ class TextInterfaceNode:
 
         def handle(data: bytes) -> None:
             instant = stamp(data)
-            unread = self._unread.of(decoder.functor) if len(data) > MIN_PROJECTED_BYTES else None
+            unread = (
+                self._unread.omissible_positions(decoder.functor) if len(data) > MIN_PROJECTED_BYTES else None
+            )
             text = write_without_unread(decoder, data, unread, NOT_READ) if unread else write(data)
             add(event_text(text, receipt_stamp() if instant is None else instant))
 

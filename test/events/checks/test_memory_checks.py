@@ -1,4 +1,4 @@
-"""References to missing memories."""
+"""Checks of memories: missing ones, records that no memory has, and memories of size zero."""
 
 from pathlib import Path
 from typing import Any, List

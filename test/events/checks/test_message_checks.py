@@ -30,7 +30,7 @@ def warnings(
     goals: str = "",
     types: Any = ("my_msgs/Warm", "my_msgs/Empty"),
 ) -> List[Any]:
-    """Return what is said of messages in a program."""
+    """Return the findings about messages in a program."""
     engine = Engine()
     engine.on_event(lambda term, start, end: None)
     engine.load(rules=rules, goals=goals)
@@ -163,7 +163,7 @@ def test_slot_named_in_parentheses_is_reported(tmp_path: Path) -> None:
 
 
 def output_warnings(definitions: Any, folder: Any, goal: str, rules: str = "") -> List[Any]:
-    """Return what is said of a subscription of topic ``out``, whose type is ``my_msgs/Warm``."""
+    """Return the findings about a subscription of topic ``out``, whose type is ``my_msgs/Warm``."""
     engine = Engine()
     engine.load(rules=rules, goals=goal)
     topics = Topics(published=(topic_type("out", "my_msgs/Warm"),))

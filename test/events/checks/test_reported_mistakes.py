@@ -32,7 +32,7 @@ alarm('"hit"') <- hit where access_mem(hits, _, _).
 
 
 def mistakes() -> Iterator[Any]:
-    """Yield the mistakes of the table: what they add to each file, and what is said."""
+    """Yield the mistakes of the table: the lines that they add to each file, and the findings."""
     for entry in TABLE.read_text(encoding="utf-8").split("\n## ")[1:]:
         name, *lines = entry.rstrip().split("\n")
         lines_by_part = defaultdict(list)

@@ -19,7 +19,7 @@ go(1) <- pos(_).
 
 
 def messages_of_check(folder: Any, rules: Any, check: str) -> List[Any]:
-    """Return what a check says of a program, which has no errors."""
+    """Return the findings of a check in a program without errors."""
     (folder / "pub_sub.xml").write_text("<publish_subscribe></publish_subscribe>\n")
     (folder / "goalPredicates.txt").write_text(f"compile_event_file('rules.txt')\n{MEMORY}")
     (folder / "rules.txt").write_text(rules)
@@ -29,7 +29,7 @@ def messages_of_check(folder: Any, rules: Any, check: str) -> List[Any]:
 
 
 def stale_table_messages(folder: Any, rules: Any) -> Any:
-    """Return what is said of tables in a program."""
+    """Return the findings about tables in a program."""
     return messages_of_check(folder, RULES + rules, "stale-tables")
 
 
@@ -117,7 +117,7 @@ def test_each_table_of_chain_is_named(tmp_path: Path) -> None:
         ":- dynamic q/1 as opaque.\n:- table t/1 as incremental.\nt(X) :- q(X).\nnote(P) :- assertz(q(P)).\n",
         # a predicate of the program's own by the name of one that reads memories
         ":- table t/1.\nt(X) :- prev(X, 1, 2, 3, 4).\nprev(a, _, _, _, _) :- true.\n",
-        # what is read is not what changes
+        # the table reads other predicates than those that change
         ":- dynamic q/1, p/1.\n:- table t/1.\nt(X) :- q(X).\nnote(P) :- assertz(p(P)).\n",
         ":- table t/1.\nt(X) :- length(X, 2).\nuser :- t(_), prev(pos, _, _, _, [1,0]).\n",
     ],

@@ -1,4 +1,4 @@
-"""Time checks of programs with many rules."""
+"""Checks of times: instants and cycles in long chains of rules, missed pairs, unbounded keys, and spans."""
 
 from typing import Any, List, Optional
 

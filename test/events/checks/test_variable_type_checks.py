@@ -1,4 +1,4 @@
-"""Comparisons of integers with values that are floats, and vice versa."""
+"""Checks of value types: integers and floats, arrays and messages as arguments, and inexact decimals."""
 
 from typing import Any, List, Optional
 

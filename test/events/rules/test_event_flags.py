@@ -13,7 +13,7 @@ EVENTS = (("a(1)", 1), ("a(9)", 50), ("b(1)", 51))
 
 
 def engine_and_outputs(rules: str, stream: Any = EVENTS, **flags: Any) -> Tuple[Any, ...]:
-    """Return the engine after a stream of instants, and what it derived."""
+    """Return the engine after a stream of events, and the derived events."""
     engine = Engine(clock=StreamClock(1000 * SECOND))
     for name, value in flags.items():
         assert engine.call(f"set_etalis_flag({name}, {value})")

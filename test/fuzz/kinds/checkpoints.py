@@ -38,7 +38,7 @@ SCHEMAS = (
 
 
 class Inputs(states.Inputs):
-    """An input is the bytes of a database, whole: without a log beside it."""
+    """Inputs are the bytes of complete databases, without a write-ahead log."""
 
     def setup(self) -> None:
         super().setup()

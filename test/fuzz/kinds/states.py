@@ -256,7 +256,7 @@ class Inputs(Kind):
         LOGGED.check()
 
     def restored(self, data: Any) -> Any:
-        """Return an engine with the state that an input is, or None where it has none."""
+        """Return an engine that is restored from an input, or None if the input has no state."""
         return Engine.restore(data, settings=SETTINGS)
 
     def check_shared(self) -> None:
