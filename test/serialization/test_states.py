@@ -93,7 +93,7 @@ def test_unchanged_state_is_restored(state: Any) -> None:
         ("program", ["deployments"], [["\0", []]], "expected a path"),
         ("clauses", ["operators"], [[1201, "xfx", "near"]], "expected an integer from 0 to 1200"),
         ("clauses", ["operators"], [[700, "fff", "near"]], "'fff': expected one of "),
-        ("matches", ["state", "rule_states"], [], "expected the states of 3 rules"),
+        ("matches", ["state", "rule_states"], [], "expected the state of each rule"),
         ("matches", [*ARRIVALS, "matches", 0], 10_000, "expected references to event match or match"),
         ("matches", [*ARRIVALS, "matches", 0], 2, "expected references to event match or match"),
         ("matches", [*ARRIVALS, "matches", 0], Ref(0), "expected an integer"),

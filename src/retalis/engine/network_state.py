@@ -47,9 +47,9 @@ from ..serialization.state_fields import (
     constraint,
     field,
     part,
+    part_list,
     record_of,
     rows_of,
-    states_of,
 )
 
 # ---- definitions of rules ----------------------------------------------------------------------------
@@ -269,31 +269,17 @@ class NetworkState(StateOwner):
     """
 
     STATE = StateFields(
-        field(
-            "rule_states",
-            lambda network: states_of(
-                network.active_rules,
-                f"expected the states of {len(network.active_rules)} rules",
-                title=lambda rule: rule.name,
-            ),
+        part_list(
+            "rule_states", "active_rules", "expected the state of each rule", title=lambda rule: rule.name
         ),
         part("tracker"),
         part("pending_queries"),
-        field(
-            "declared_states",
-            lambda network: states_of(
-                list(network.knowledge.states), "expected the intervals of each declared state"
-            ),
-        ),
+        part_list("declared_states", "state_declarations", "expected the intervals of each declared state"),
         field("rule_alarms", RULE_ALARMS),
         field("timeout_alarms", TIMEOUT_ALARMS),
         part("timers"),
-        field(
-            "rate_limiters",
-            lambda network: states_of(
-                network.knowledge.subscriptions.rate_limiters(),
-                "expected the output rate of each subscription that has one",
-            ),
+        part_list(
+            "rate_limiters", "rate_limiters", "expected the output rate of each subscription that has one"
         ),
         part("event_log"),
         part("rules"),
@@ -307,43 +293,14 @@ class NetworkState(StateOwner):
 
     def __init__(self, rules: RuleBase, knowledge: KnowledgeBase):
         self.rules = rules
-        self.knowledge = knowledge
         self._clock = rules.clock
         self.active_rules = rules.rules
         self.tracker = rules.tracker
         self.timers = rules.timers
         self.event_log = rules.event_log
         self.pending_queries = knowledge.pending_queries
-
-    @property
-    def rule_states(self) -> List[State]:
-        """The state of each active rule."""
-        return [rule.snapshot() for rule in self.active_rules]
-
-    @rule_states.setter
-    def rule_states(self, states: Sequence[State]) -> None:
-        for rule, state in zip(self.active_rules, states):
-            rule.restore(state)
-
-    @property
-    def declared_states(self) -> List[State]:
-        """The intervals of each declared state."""
-        return [declaration.snapshot() for declaration in self.knowledge.states]
-
-    @declared_states.setter
-    def declared_states(self, states: Sequence[State]) -> None:
-        for declaration, state in zip(self.knowledge.states, states):
-            declaration.restore(state)
-
-    @property
-    def rate_limiters(self) -> List[State]:
-        """The state of each rate limiter."""
-        return [rate_limiter.snapshot() for rate_limiter in self.knowledge.subscriptions.rate_limiters()]
-
-    @rate_limiters.setter
-    def rate_limiters(self, states: Sequence[State]) -> None:
-        for rate_limiter, state in zip(self.knowledge.subscriptions.rate_limiters(), states):
-            rate_limiter.restore(state)
+        self.state_declarations = list(knowledge.states)
+        self.rate_limiters = knowledge.subscriptions.rate_limiters()
 
     # Alarms of the same instant are called in the order in which they were set. Those of timers are stored with the
     # timers. Nodes have one alarm, which comes before all others; it is set again from their deadlines.
@@ -380,7 +337,7 @@ class NetworkState(StateOwner):
 
     def _all_timeouts(self) -> List[Timeouts]:
         """Return the deadlines of pending queries, then those of each declared state."""
-        return [self.pending_queries.timeouts, *(declared.timeouts for declared in self.knowledge.states)]
+        return [self.pending_queries.timeouts, *(declared.timeouts for declared in self.state_declarations)]
 
     def can_set_alarms(self, state: State) -> bool:
         """Return whether the alarms and timers of a state have distinct orders, and owners."""

@@ -25,7 +25,6 @@ from typing import (
     Sequence,
     Tuple,
     Type,
-    TypeVar,
     Union,
     overload,
 )
@@ -56,8 +55,6 @@ from .field_types import (
 if TYPE_CHECKING:
     from .object_graph import ObjectWriter
 
-Owner = TypeVar("Owner", bound="StateOwner")
-
 # ---- fields and their owners -------------------------------------------------------------------------------
 
 DeclaredType = Union[FieldType[Any], Callable[[Any], FieldType[Any]]]
@@ -73,6 +70,7 @@ class StoredField(NamedTuple):
         attribute: name of the attribute, or of a property with a setter.
         same_as: name of an earlier field with the same values for most objects: such a column is not stored.
         is_part: whether the attribute is a `StateOwner`, or None, whose state is stored.
+        is_part_list: whether the attribute is a sequence of `StateOwner` whose states are stored.
     """
 
     name: str
@@ -80,6 +78,7 @@ class StoredField(NamedTuple):
     attribute: str
     same_as: Optional[str] = None
     is_part: bool = False
+    is_part_list: bool = False
 
     def type_for(self, owner: object) -> FieldType[Any]:
         """Return the type of the field of an object."""
@@ -106,6 +105,25 @@ def part(name: str, check_item: str = "") -> StoredField:
         return optional(part_state(state_owner, getattr(owner, check_item) if check_item else None))
 
     return StoredField(name.lstrip("_"), type_for, name, is_part=True)
+
+
+def part_list(
+    name: str, attribute: str, expected: str, title: Callable[[Any], str] = lambda part: type(part).__name__
+) -> StoredField:
+    """Return a field for the states of several parts: an attribute that is a sequence of `StateOwner`.
+
+    Args:
+        name: name of the field.
+        attribute: name of the attribute.
+        expected: text of the error if the state has parts of other classes.
+        title: returns the name of a part in error texts; by default its class.
+    """
+    return StoredField(
+        name,
+        lambda owner: states_of(getattr(owner, attribute), expected, title),
+        attribute,
+        is_part_list=True,
+    )
 
 
 class Constraint(NamedTuple):
@@ -228,6 +246,9 @@ class StateFields(FieldList):
         self._parts = [
             (position, entry.attribute) for position, entry in enumerate(self.fields) if entry.is_part
         ]
+        self._part_list_positions = [
+            position for position, entry in enumerate(self.fields) if entry.is_part_list
+        ]
         self._encoded_fields: List[Tuple[int, Encode[Any]]] = []
         self._fields_of_owner: List[Tuple[int, StoredField]] = []
         for position, entry in enumerate(self.fields):
@@ -263,6 +284,8 @@ class StateFields(FieldList):
         for position, _ in self._parts:
             if values[position] is not None:
                 values[position] = values[position].snapshot()
+        for position in self._part_list_positions:
+            values[position] = [part.snapshot() for part in values[position]]
         return dict(zip(self._names, values))
 
     def encode_state(self, state: State, owner: object, graph: ObjectWriter) -> List[object]:
@@ -296,7 +319,10 @@ class StateOwner:
         """Set the state that an equal object has returned from `snapshot`."""
         for entry in self.STATE.fields:
             value = saved[entry.name]
-            if not entry.is_part:
+            if entry.is_part_list:
+                for part, state in zip(getattr(self, entry.attribute), value):
+                    part.restore(state)
+            elif not entry.is_part:
                 setattr(self, entry.attribute, value)
             elif value is not None:
                 getattr(self, entry.attribute).restore(value)
@@ -356,17 +382,9 @@ def part_state(
 
 
 def states_of(
-    owners: Sequence[Owner],
-    expected: str,
-    title: Callable[[Owner], str] = lambda owner: type(owner).__name__,
+    owners: Sequence[StateOwner], expected: str, title: Callable[[Any], str]
 ) -> FieldType[List[State]]:
-    """Return the type of the states of several objects, each with the name of its class.
-
-    Args:
-        owners: the objects, in order.
-        expected: text of the error if the classes are others.
-        title: returns the name of an object in error texts; by default its class.
-    """
+    """Return the type of the states of several objects, each with the name of its class; see `part_list`."""
 
     def checker(context: ReadContext) -> ValueCheck[List[State]]:
         def check(value: object) -> List[State]:

@@ -53,9 +53,9 @@ from ...serialization.state_fields import (
     constraint,
     field,
     part,
+    part_list,
     record_of,
     rows_of,
-    states_of,
 )
 from ..dispatch.listeners import Listener, ListenerPhase
 from ..dispatch.matcher_compiler import compile_builder
@@ -169,10 +169,7 @@ class EventRule(MatchStore):
         field("_last_collection", optional(INSTANT)),
         part("skip_state"),
         # A rule with the same text can be compiled to other nodes by another version of the package.
-        field(
-            "node_states",
-            lambda rule: states_of(rule.nodes, "its nodes differ from those in the state"),
-        ),
+        part_list("node_states", "nodes", "its nodes differ from those in the state"),
         field(
             "stored_arrivals",
             record_of(
@@ -339,16 +336,6 @@ class EventRule(MatchStore):
         return [buffer for node in self.nodes for buffer in node.buffers()]
 
     # ---- state -----------------------------------------------------------------------------------------
-
-    @property
-    def node_states(self) -> List[State]:
-        """The state of each node."""
-        return [node.snapshot() for node in self.nodes]
-
-    @node_states.setter
-    def node_states(self, states: Sequence[State]) -> None:
-        for node, state in zip(self.nodes, states):
-            node.restore(state)
 
     @property
     def stored_arrivals(self) -> Arrivals:
