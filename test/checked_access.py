@@ -7,11 +7,12 @@ import pytest
 
 from retalis import Atom, Engine, RetalisError, StreamClock, Term, deref, list_items
 from retalis.foundation.errors import Place
+from retalis.prolog.terms.types import Lazy
 
 Value = TypeVar("Value")
 
 
-def given(value: Optional[Value]) -> Value:
+def required(value: Optional[Value]) -> Value:
     """Return a value that is not None."""
     assert value is not None
     return value
@@ -26,7 +27,7 @@ def compound(term: Term) -> Tuple[Any, ...]:
 
 def items(term: Term) -> List[Term]:
     """Return the items of a proper list."""
-    return given(list_items(term))
+    return required(list_items(term))
 
 
 def name_of(term: Term) -> str:
@@ -45,7 +46,7 @@ def number(term: Term) -> Union[int, float]:
 
 def place_of(error: RetalisError) -> Place:
     """Return the position of an error in a source text."""
-    return given(error.place)
+    return required(error.place)
 
 
 def stream_clock(engine: Engine) -> StreamClock:
@@ -64,3 +65,9 @@ def search(pattern: str, text: str, flags: int = 0) -> Match[str]:
 def fail(problem: object) -> NoReturn:
     """Fail the test; for a callback that must not be called."""
     pytest.fail(str(problem))
+
+
+def lazy(term: object) -> Lazy:
+    """Return a term whose value is decoded when it is needed."""
+    assert isinstance(term, Lazy), term
+    return term

@@ -13,7 +13,7 @@ from typing import Any, Dict, Iterator, List, Optional, Tuple
 from unittest.mock import patch
 
 import pytest
-from checked_access import given
+from checked_access import required
 
 HERE = Path(__file__).resolve().parents[1]
 
@@ -379,8 +379,8 @@ echo >> {calls}
             (folder / command).write_text(bodies[body or command])
             (folder / command).chmod(0o755)
         for name in ("cp", "chmod"):
-            (folder / name).symlink_to(given(shutil.which(name)))
-        shell = given(shutil.which("sh"))
+            (folder / name).symlink_to(required(shutil.which(name)))
+        shell = required(shutil.which("sh"))
         process = subprocess.run(
             [shell, str(program), *arguments], env={"PATH": str(folder)}, capture_output=True, text=True
         )

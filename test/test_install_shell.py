@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Iterator, List
 
 import pytest
-from checked_access import given
+from checked_access import required
 
 HERE = Path(__file__).resolve().parents[1]
 
@@ -69,7 +69,7 @@ except KeyboardInterrupt:
 
 def test_stop_interrupts_process(shell: Any) -> None:
     process = subprocess.Popen([sys.executable, "-c", INTERRUPTIBLE], stdout=subprocess.PIPE)
-    output = given(process.stdout)
+    output = required(process.stdout)
     output.readline()
     shell.stop(process)
     output.close()

@@ -14,7 +14,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
-from checked_access import given
+from checked_access import required
 
 pytest.importorskip("setuptools")
 pytest.importorskip("wheel")
@@ -106,7 +106,7 @@ def test_metadata_agrees_with_package_manifest() -> None:
     for fact in (
         manifest.findtext("license"),
         manifest.findtext("author"),
-        given(manifest.find("maintainer")).get("email"),
+        required(manifest.find("maintainer")).get("email"),
     ):
         assert f'"{fact}"' in metadata
     urls = manifest.findall("url")

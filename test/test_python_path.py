@@ -32,5 +32,5 @@ def test_tests_extend_search_path() -> None:
         for value in re.findall(r"""PYTHONPATH["']: *(\S.*)""", path.read_text(encoding="utf-8"))
         if not value.startswith("python_path(")
     }
-    # It tests the removal of the variable.
-    assert replacing == {"test/test_install_shell.py"}
+    # The first tests the removal of the variable, the second starts it with a copy of the package.
+    assert replacing == {"test/test_install_shell.py", "test/test_contributing_examples.py"}

@@ -9,7 +9,7 @@ from typing import Any, List, Optional
 
 import pytest
 from bags_and_program import SECOND, make_bag, make_program
-from checked_access import given
+from checked_access import required
 
 from retalis import BagReader
 from retalis.cli.bag_command import _MAX_MESSAGE_CHARACTERS, BagTask, add_parser, play_bag, single_bag_options
@@ -99,7 +99,7 @@ def test_failed_playback_leaves_no_file(program: Any, tmp_path: Path) -> None:
         file.write(b"\xff" * 5000)
     before = set(os.listdir(tmp_path))
     result = play_bag(make_task(program, bag, tmp_path / "result", "jsonl"), str(tmp_path))
-    assert given(result.failure).startswith(f"{bag}")
+    assert required(result.failure).startswith(f"{bag}")
     assert set(os.listdir(tmp_path)) == before
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Tuple
 
 import pytest
+from recorded_calls import preceded_by
 from source import ROOT
 
 from retalis import BagWriter, Definitions
@@ -124,16 +125,8 @@ def test_forbidden_folder_is_an_error(
         if str(path).startswith(f"{folder}/"):
             raise PermissionError(13, "Permission denied", str(path))
 
-    def stat(path: Any, *rest: Any, **options: Any) -> os.stat_result:
-        refuse(path)
-        return real_stat(path, *rest, **options)
-
-    def read_text(path: Path, **options: Any) -> str:
-        refuse(path)
-        return real_text(path, **options)
-
-    monkeypatch.setattr(os, "stat", stat)
-    monkeypatch.setattr(Path, "read_text", read_text)
+    monkeypatch.setattr(os, "stat", preceded_by(refuse, real_stat))
+    monkeypatch.setattr(Path, "read_text", preceded_by(refuse, real_text))
     status, text = run_check(capsys, folder)
     assert status == 1
     assert f"error: cannot read {folder}/pub_sub.xml: Permission denied [RT1000]\n" in text

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Dict, List, Tuple
 
 import pytest
-from checked_access import given
+from checked_access import required
 from python_path import python_path
 
 from retalis import Engine
@@ -445,15 +445,17 @@ def test_event_is_printed_before_next_line(tmp_path: Path) -> None:
     )
     try:
         for number in (1, 2):
-            given(child.stdin).write(f"event(ping({number}),[{number},{number}]).\n".encode())
-            assert given(child.stdout).readline().startswith(b"event(ping")
-            assert given(child.stdout).readline() == f"event(pong({number}),[{number},{number}]).\n".encode()
-        given(child.stdin).close()
+            required(child.stdin).write(f"event(ping({number}),[{number},{number}]).\n".encode())
+            assert required(child.stdout).readline().startswith(b"event(ping")
+            assert (
+                required(child.stdout).readline() == f"event(pong({number}),[{number},{number}]).\n".encode()
+            )
+        required(child.stdin).close()
         assert child.wait(30) == 0
     finally:
         child.kill()
         child.wait()
-        given(child.stdout).close()
+        required(child.stdout).close()
 
 
 def test_closed_reader_ends_command_silently(tmp_path: Path) -> None:
@@ -466,14 +468,14 @@ def test_closed_reader_ends_command_silently(tmp_path: Path) -> None:
         env={"PYTHONPATH": python_path(), "PATH": "/usr/bin:/bin"},
     )
     try:
-        assert given(child.stdout).readline() == b"event(a(0),[0,0]).\n"
-        given(child.stdout).close()
-        assert given(child.stderr).read() == b""
+        assert required(child.stdout).readline() == b"event(a(0),[0,0]).\n"
+        required(child.stdout).close()
+        assert required(child.stderr).read() == b""
         assert child.wait(30) == 1
     finally:
         child.kill()
         child.wait()
-        given(child.stderr).close()
+        required(child.stderr).close()
 
 
 def test_missing_options_are_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
@@ -729,8 +731,8 @@ def test_command_and_engine_derive_same_events(run: Any, offsets: Dict[Any, Any]
     engine.on_event(lambda term, start, end: outputs.append(f"{engine.show(term)} {start} {end}"))
     engine.load(rules=AHEAD_RULES, goals="timer(beat, every(10)).")
     events = [read_term(line, engine.operators, "line").term for line in stream.splitlines()]
-    for event in (given(event_of(term)) for term in events):
+    for event in (required(event_of(term)) for term in events):
         engine.event(event.term, *event.interval_terms())
-    printed = [given(event_of(read_term(line, engine.operators, "line").term)) for line in lines]
+    printed = [required(event_of(read_term(line, engine.operators, "line").term)) for line in lines]
     assert len(outputs) > 1000
     assert [f"{engine.show(event.term)} {event.start} {event.end}" for event in printed] == outputs

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from checked_access import given
+from checked_access import required
 from python_path import python_path
 
 from retalis import BagWriter, Definitions
@@ -149,10 +149,10 @@ def test_interrupt_of_goal_has_status_130(folder: Any, is_piped: bool) -> None:
     )
     try:
         if is_piped:
-            commands = given(command.stdin)
+            commands = required(command.stdin)
             commands.write(f"{goal}\ntrue.\n")
             commands.flush()
-        assert given(command.stdout).readline() == "started\n"
+        assert required(command.stdout).readline() == "started\n"
         command.send_signal(signal.SIGINT)
         output, errors = command.communicate(timeout=60)
     finally:

@@ -12,7 +12,7 @@ from typing import Any, List, Tuple
 from zlib import crc32
 
 import pytest
-from checked_access import given
+from checked_access import required
 from python_path import python_path
 from serialization.stored_fields import fields_of, to_fields
 
@@ -380,7 +380,7 @@ def test_file_is_consistent_after_random_kills(folder: Any) -> None:
             text=True,
             env={**os.environ, "PYTHONPATH": python_path()},
         )
-        output = given(process.stdout)
+        output = required(process.stdout)
         try:
             if number:
                 counter, record_count, added, last = map(int, output.readline().split())

@@ -7,6 +7,7 @@ from typing import Any, List, Optional
 
 import pytest
 from checked_access import compound, place_of, stream_clock
+from recorded_calls import recording
 from recording_engine import RecordingEngine
 
 from retalis import (
@@ -437,13 +438,7 @@ def test_number_of_searched_similar_names_is_bounded(
     engine = Engine()
     searches: List[Any] = []
     procedures = engine.logic.undefined_procedures
-    suggest = procedures.suggest
-
-    def record(key: Any) -> Any:
-        searches.append(key)
-        return suggest(key)
-
-    monkeypatch.setattr(procedures, "suggest", record)
+    monkeypatch.setattr(procedures, "suggest", recording(searches, procedures.suggest))
     engine.load(rules="".join(f"h <- a(X) where (unknown{number}(X)).\n" for number in range(200)))
     assert len(caplog.records) == 200
     assert 0 < len(searches) < 60

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any, List
 
 import pytest
-from engine.emissions import record_emissions, show
 
 from retalis import (
     Engine,
@@ -19,6 +18,8 @@ from retalis import (
     record_origins,
 )
 from retalis.prolog.terms.timestamps import SECOND
+
+from .emissions import record_emissions, show
 
 ALARM = "exceptionAlarm(late(X), 5) <- start(X).\nwarned(X) <- late(X)."
 

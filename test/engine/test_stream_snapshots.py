@@ -4,9 +4,10 @@ import random
 from typing import Any, List
 
 import pytest
-from engine.emissions import record_emissions
 
 from retalis import Engine
+
+from .emissions import record_emissions
 
 AGGREGATES = "[count, sum(X), avg(X), median(X), min(X), max(X), stddev(X), list(X), distinct(X)]"
 MORE_AGGREGATES = "[count_distinct(X), quantile(0.9, X), first(X), last(X), rate]"

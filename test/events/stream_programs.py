@@ -27,7 +27,7 @@ class ProgramRunner:
     def __init__(
         self, rules: str = "", flags: Any = (), policy: Any = None, clock: Any = None, folder: Any = None
     ) -> None:
-        settings = Settings() if folder is None else Settings(folders=[folder])
+        settings = Settings() if folder is None else Settings(folders=(str(folder),))
         self.engine = Engine(clock or StreamClock(FUTURE), settings)
         self.errors: List[Any] = []
         self.warnings: List[Any] = []

@@ -7,7 +7,7 @@ import re
 from collections import Counter
 from dataclasses import replace
 from itertools import cycle
-from typing import Any, List, Tuple
+from typing import Any, Dict, List, Tuple
 from unittest.mock import patch
 
 import pytest
@@ -74,7 +74,11 @@ def test_stream_operators_equal_oracle(case: Any) -> None:
 @settings(quick, max_examples=30)
 @given(cases())
 def test_partner_lookup_by_time_equals_oracle(case: Any) -> None:
-    limits = {"MAX_MISSES_BEFORE_INDEX": 0, "MAX_MISSES_WITH_INDEX": 0, "MAX_COMPARED_IDENTITIES": 0}
+    limits: Dict[str, Any] = {
+        "MAX_MISSES_BEFORE_INDEX": 0,
+        "MAX_MISSES_WITH_INDEX": 0,
+        "MAX_COMPARED_IDENTITIES": 0,
+    }
     with patch.multiple(match_buffer, **limits), patch.object(interval_index, "MAX_NODE_KEYS", 4):
         assert difference(case) is None
 

@@ -117,7 +117,7 @@ def random_stream(generator: Any, has_late_events: Any, has_retractions: Any) ->
 
 
 def random_flags(generator: Any, has_late_events: Any, has_retractions: Any) -> Any:
-    flags = ["revision_flag"] * has_retractions + ["out_of_order"] * (
+    flags: List[Any] = ["revision_flag"] * has_retractions + ["out_of_order"] * (
         has_late_events and generator.random() < 0.7
     )
     flags += ["etalis_justification"] * (generator.random() < 0.2)

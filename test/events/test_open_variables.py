@@ -3,9 +3,10 @@
 from typing import Any
 
 import pytest
-from oracle.comparison import Case, answer, difference
+from oracle.comparison import answer, difference
 from oracle.matches import POLICIES
 from oracle.rule_notation import brief, rule, stream
+from oracle.strategies import Case
 
 from retalis.prolog.terms.timestamps import SECOND
 

@@ -349,7 +349,7 @@ def test_lineage_of_repetitions_is_linear(pattern: str) -> None:
     program = ProgramRunner(f"c(N) <- {pattern}.", ["etalis_justification"], "unrestricted")
     program.feed("s@0 b(7)@0 " + " ".join(f"a({second})@{second}" for second in range(1, 301)))
     events = program.engine.rules.tracker.remembered_events()
-    links = [
+    links: List[Any] = [
         *events,
         *(chain for event in events for chain in event.derived if isinstance(chain, RepetitionChain)),
     ]

@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any, List, NamedTuple, Tuple
 
 import pytest
+from checked_access import number
 from events.contradictions import CONTRADICTED, Contradiction
 from events.stream_programs import term_text
 from parsing import parse_term
 
-from retalis import Engine, Operators, RetalisError, Settings, StreamClock, atom, deref, functor
+from retalis import Engine, Operators, RetalisError, Settings, StreamClock, atom, functor
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.terms.timestamps import SECOND, from_term, to_term
@@ -46,7 +47,7 @@ class ScenarioRun:
         self._run(data, folder)
 
     def _sleep(self, machine: Any, seconds: Any) -> bool:
-        self.clock.move_to(self.clock.now() + int(deref(seconds) * SECOND))
+        self.clock.move_to(self.clock.now() + int(number(seconds) * SECOND))
         return True
 
     def _event(self, term: Any, start: Any, end: Any) -> None:
@@ -156,8 +157,8 @@ def expected_results(name: Any, data: Any) -> ExpectedResults:
     ]
     sane = data.get("queries_sane")
     answers: List[Any] = []
-    for number, result in enumerate(data.get("query_results") or ()):
-        solutions = contradiction.answers.get(number, result["solutions"] if sane is None else sane[number])
+    for index, result in enumerate(data.get("query_results") or ()):
+        solutions = contradiction.answers.get(index, result["solutions"] if sane is None else sane[index])
         failed = solutions and solutions[0].startswith("error: ")
         answers.append("an error" if failed else [term_text(parse_term(text)) for text in solutions])
     return ExpectedResults(

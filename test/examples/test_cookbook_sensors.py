@@ -123,7 +123,8 @@ def test_point_counts_in_zones_equal_numpy(play: Any) -> None:
 
 def test_cells_of_goals_equal_numpy(play: Any) -> None:
     events, messages = play("map_cell")
-    grid, expected = None, []
+    grid: Any = None
+    expected: List[Any] = []
     for _, topic, message in messages:
         if topic == "/map":
             grid = message

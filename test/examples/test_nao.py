@@ -11,6 +11,9 @@ from pathlib import Path
 from typing import Any, DefaultDict, Dict, List, Set, Tuple
 
 import pytest
+from checked_access import required
+
+from retalis import Term
 
 pytest.importorskip("rosbags")
 NAO = Path(__file__).parents[2] / "examples" / "nao"
@@ -48,15 +51,15 @@ def records(bag_and_truth: Tuple[Any, ...]) -> Any:
     return messages
 
 
-def plain(term: str) -> Any:
+def plain(term: Term) -> Any:
     """Return a term as nested lists and texts."""
-    term = deref(term)
-    items = list_items(term)
+    value = deref(term)
+    items = list_items(value)
     if items is not None:
         return [plain(item) for item in items]
-    if term.__class__ is tuple:
-        return [plain(argument) for argument in term[1:]]
-    return getattr(term, "name", term)
+    if isinstance(value, tuple):
+        return [plain(argument) for argument in value[1:]]
+    return getattr(value, "name", value)
 
 
 def nanoseconds(stamp: Any) -> Any:
@@ -242,7 +245,7 @@ ROSBAG = shutil.which("rosbag", path=f"/usr/bin{os.pathsep}{os.environ.get('PATH
 def test_rosbag_reads_bag(bag_and_truth: Tuple[Any, ...], tmp_path: Path) -> None:
     environment = {**os.environ, "PATH": "/usr/bin:" + os.environ["PATH"], "ROS_LOG_DIR": str(tmp_path)}
     process = subprocess.run(
-        [ROSBAG, "info", "--yaml", "--key=messages", str(bag_and_truth[0])],
+        [required(ROSBAG), "info", "--yaml", "--key=messages", str(bag_and_truth[0])],
         capture_output=True,
         text=True,
         env=environment,

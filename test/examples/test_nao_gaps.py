@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Any, Dict, List, Tuple
 
 import pytest
+from checked_access import compound, items, number
 
-from retalis import BagReader, BagWriter, Playback, Settings, deref, list_items
+from retalis import BagReader, BagWriter, Playback, Settings
 from retalis.cli.command_line import main
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -53,8 +54,8 @@ def play(path: Any, settings: Any = None) -> Tuple[Any, ...]:
     with BagReader(path) as bag:
         for output in playback.run(bag):
             if output.topic.startswith("marker"):
-                header, pose = deref(output.term[1]), deref(output.term[2])
-                seconds, rest = (deref(part) for part in list_items(header[2]))
+                header, pose = compound(compound(output.term)[1]), compound(output.term)[2]
+                seconds, rest = (number(part) for part in items(header[2]))
                 poses[output.topic, seconds * SECOND + rest] = playback.engine.show(pose)
     answers = playback.engine.query("access_mem(base_torso, _, [T, _]), absoluteTime(T, S)")
     midnight = make_bag.START - make_bag.START % 86400

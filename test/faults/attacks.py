@@ -154,6 +154,12 @@ FIXED_BODIES = (
 
 
 class Attacks(unittest.TestCase):
+    characters: Any
+    log: Collector
+    nodes: Any
+    seed: Any
+    requests: Any
+
     @classmethod
     def setUpClass(cls) -> None:
         numbers = [int(word) for word in sys.argv[1:] if word.isdigit()]
@@ -254,7 +260,7 @@ class Attacks(unittest.TestCase):
                 )
                 self.assertLess(max(waits, default=0.0), ANSWER_TIMEOUT_SECONDS, (name, text[:10]))
 
-    invalid_answers = ()
+    invalid_answers: Tuple[Any, ...] = ()
 
     def call_large(self, name: Any, proxy: Any, fields: Any) -> None:
         """Call a service; its answer must be an error, or "ok" for a valid text."""

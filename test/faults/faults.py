@@ -61,6 +61,12 @@ def received_count(topic: str) -> Any:
 
 
 class Faults(unittest.TestCase):
+    log: Collector
+    subscribe: Any
+    unsubscribe: Any
+    add_input: Any
+    strings: Any
+
     @classmethod
     def setUpClass(cls) -> None:
         wait_for_message_path()
@@ -92,8 +98,9 @@ class Faults(unittest.TestCase):
         wait_until(other.is_connected, "the other receiver")
         command = [sys.executable, "-c", LISTENER]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as listener:
+            output: Any = listener.stdout
             try:
-                self.assertEqual(listener.stdout.readline(), "ready\n")
+                self.assertEqual(output.readline(), "ready\n")
                 wait_until(lambda: self.listeners() == 2, "the one that will stop")
                 listener.send_signal(signal.SIGSTOP)
                 before = resident("/retalis_ros_interface")
@@ -106,7 +113,7 @@ class Faults(unittest.TestCase):
                 self.wait_for_report("does not keep up with topic /face_by_marker")
                 listener.send_signal(signal.SIGCONT)
                 texts.publish(encode("the last"))
-                self.assertEqual(listener.stdout.readline(), "the last\n")
+                self.assertEqual(output.readline(), "the last\n")
             finally:
                 listener.kill()
         other.close()

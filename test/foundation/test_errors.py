@@ -5,7 +5,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
-from checked_access import given
+from checked_access import required
 
 from retalis import Operators, Place
 from retalis.foundation.errors import (
@@ -51,7 +51,7 @@ def test_long_text_is_shortened() -> None:
 @pytest.mark.slow
 def test_error_in_long_line_is_short() -> None:
     (fault,) = read_program("f(" + "a," * 100_000 + "b c).", Operators.prolog(), "file")
-    assert given(fault.place).column == 200_005
+    assert required(fault.place).column == 200_005
     assert len(str(fault)) < 1000
 
 

@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from checked_access import given
+from checked_access import required
 
 from retalis.foundation.ros_names import name_fault, ros1_type_name, topic_fault, type_fault
 
@@ -57,6 +57,6 @@ def test_valid_topic_is_accepted(name: str) -> None:
 
 def test_error_names_invalid_character() -> None:
     assert topic_fault("a//b") == "expected a topic name, found 'a//b', which has \"//\" in it"
-    assert given(type_fault('a/b:=__import__("os")')).endswith(
+    assert required(type_fault('a/b:=__import__("os")')).endswith(
         """found 'a/b:=__import__("os")': ':' is not allowed in it"""
     )

@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 from typing import Any, Dict, List
 
-from checked_access import given
+from checked_access import required
 from python_path import python_path
 
 from .known_findings import reason
@@ -180,7 +180,7 @@ class _Process:
         """Read its output until it ends; return the number of the input that has killed it, or None."""
         guard = threading.Thread(target=self._stop_hanging_input, daemon=True)
         guard.start()
-        for text in given(self._process.stdout):
+        for text in required(self._process.stdout):
             line = json.loads(text)
             if "done" in line:
                 self.done = line["done"]

@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any, Iterator, List, NamedTuple, Set
 
 from messages.wire import CODES, serialize
-from retalis import Definitions, MessageError, atom, functor
+from retalis import Definitions, MessageError, Term, atom, functor
 from retalis.messages.type_definition import VARIABLE_LENGTH
 from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.terms.types import CONS, NIL, deref
@@ -183,7 +183,7 @@ PACK = struct.Struct("<d").pack
 
 
 def prolog_list(items: List[Any]) -> Any:
-    term = NIL
+    term: Term = NIL
     for item in reversed(items):
         term = (CONS, item, term)
     return term

@@ -4,9 +4,10 @@ import struct
 from typing import Any, List
 
 import pytest
+from checked_access import compound, items, name_of
 from reachability import reachable
 
-from retalis import Definitions, MessageError, atom, deref, functor, list_items, make_list
+from retalis import Definitions, MessageError, Term, atom, deref, functor, list_items, make_list
 from retalis.foundation.bounded_caches import Cache
 from retalis.messages.decoder import cached_texts
 from retalis.messages.type_registry import InstalledTypes
@@ -20,8 +21,8 @@ def decoder(text: str, name: str = "pkg/Type") -> Any:
     return registry.decoder(registry.add(name, text))
 
 
-def args(term: str) -> List[Any]:
-    return [deref(part) for part in deref(term)[1:]]
+def args(term: Term) -> List[Term]:
+    return [deref(part) for part in compound(term)[1:]]
 
 
 def header(sequence: int, seconds: int, nanoseconds: int, frame: bytes) -> Any:
@@ -103,7 +104,7 @@ def test_unread_arrays_are_not_decoded() -> None:
     for part in (image, ranges):
         assert part.__class__ is Lazy
         assert part.decoded_term is None
-    assert deref(image).name.startswith('"FFFFFFFFFFAAAA')
+    assert name_of(image).startswith('"FFFFFFFFFFAAAA')
 
 
 def test_lazy_message_is_decoded_on_access() -> None:
@@ -160,7 +161,7 @@ def test_truncated_message_is_an_error() -> None:
 
 def test_array_of_empty_messages_is_limited() -> None:
     message_decoder = decoder("Nothing[] all\n" + "=" * 80 + "\nMSG: pkg/Nothing\n")
-    assert list_items(args(message_decoder.decode(struct.pack("<I", 3)))[0]) == [atom("pkg__0__Nothing")] * 3
+    assert items(args(message_decoder.decode(struct.pack("<I", 3)))[0]) == [atom("pkg__0__Nothing")] * 3
     with pytest.raises(MessageError):
         message_decoder.decode(struct.pack("<I", 2**32 - 1))
 
@@ -183,7 +184,7 @@ def test_cache_of_strings_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     for number in range(50):
         name = b"name%d" % number
         data = struct.pack("<II", 1, len(name)) + name
-        first, second = (list_items(args(message_decoder.decode(data))[0])[0] for _ in range(2))
+        first, second = (items(args(message_decoder.decode(data))[0])[0] for _ in range(2))
         assert first is second is cached_texts[name] is atom(f'"name{number}"')
         assert len(cached_texts) <= 10
 
@@ -228,7 +229,7 @@ def test_number_of_empty_elements_is_limited(text: Any, data: Any) -> None:
 def test_limit_of_empty_elements_is_configurable() -> None:
     definitions = Definitions(InstalledTypes([], [], include_rosbags=False), max_empty_elements=3)
     message_decoder = definitions.decoder(definitions.add("pkg/Type", "pkg/Empty[] x\n" + EMPTY))
-    assert len(list_items(args(message_decoder.decode(struct.pack("<I", 3)))[0])) == 3
+    assert len(items(args(message_decoder.decode(struct.pack("<I", 3)))[0])) == 3
     with pytest.raises(MessageError, match="a pkg/Type has 4 zero-byte elements in its arrays: at most 3"):
         message_decoder.decode(struct.pack("<I", 4))
     with pytest.raises(MessageError, match="they end inside slot x"):

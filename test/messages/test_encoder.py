@@ -2,10 +2,11 @@
 
 import struct
 from functools import partial
-from typing import Any, Iterator, List, Optional, Tuple
+from typing import Any, Dict, Iterator, List, Optional, Tuple
 
 import numpy as np
 import pytest
+from checked_access import compound, required
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -68,7 +69,7 @@ def error_of(kind: str, value: Any) -> Any:
 
 
 def pose(**parts: Any) -> Any:
-    values = {
+    values: Dict[str, Any] = {
         "seq": 1,
         "stamp": make_list([2, 3]),
         "frame": atom('"odom"'),
@@ -316,7 +317,7 @@ def test_lazy_array_of_other_type_is_converted() -> None:
     registry = Definitions(InstalledTypes([], [], include_rosbags=False))
     names = ("float64[6]", "float64[7]", "float32[6]", "float64[]", "int64[6]")
     types = [registry.add(f"pkg/Type{index}", f"{kind} x\n") for index, kind in enumerate(names)]
-    six = registry.decoder(types[0]).decode(struct.pack("<6d", *range(6)))[1]
+    six = compound(registry.decoder(types[0]).decode(struct.pack("<6d", *range(6))))[1]
     terms = [(functor(f"pkg__0__Type{index}", 1), six) for index in range(5)]
     assert isinstance(six, Lazy)
     encode = [registry.encoder(kind).encode for kind in types]
@@ -428,7 +429,7 @@ def test_undecoded_parts_are_copied() -> None:
     )
     term = registry.decoder(definition).decode(data)
     assert registry.encoder(definition).encode(term) == data
-    assert all(part.decoded_term is None for part in term[1:])
+    assert all(part.decoded_term is None for part in compound(term)[1:])
 
 
 ARRAYS = Definitions(InstalledTypes([], [], include_rosbags=False)).add(
@@ -501,7 +502,7 @@ MSG: my_robot/Nothing
 )
 def test_mismatch_of_term_with_variables_is_found(text: str, term: str, mismatch: Optional[str]) -> None:
     found_mismatch = find_fault(define(text), read_term(term, Operators.prolog()).term)
-    assert found_mismatch is None if mismatch is None else mismatch in found_mismatch
+    assert found_mismatch is None if mismatch is None else mismatch in required(found_mismatch)
 
 
 def test_huge_message_is_not_filled() -> None:
@@ -518,5 +519,6 @@ def test_variable_matches_any_message(slot_type: Any, array: str) -> None:
     definition = define(f"{slot_type}{array} a\n{PARTS}")
     assert find_fault(definition, Var()) is None
     assert find_fault(definition, (functor("my_robot__0__Thing", 1), Var())) is None
-    assert "Thing" in find_fault(definition, (functor("my_robot__0__Thing", 2), Var(), Var()))
-    assert "expected" in find_fault(definition, (functor("my_robot__0__Thing", 1), (functor("f", 1), Var())))
+    assert "Thing" in required(find_fault(definition, (functor("my_robot__0__Thing", 2), Var(), Var())))
+    wrong_slot = (functor("my_robot__0__Thing", 1), (functor("f", 1), Var()))
+    assert "expected" in required(find_fault(definition, wrong_slot))

@@ -79,7 +79,8 @@ def test_changed_floats_have_text_of_their_terms(rows: List[Any]) -> None:
     write = make_text_writer(message_decoder)
     for row in rows:
         for _ in range(2):
-            data = twisted(*row[:3], row[3:6], row[6])
+            x, y, z, *t, w = row
+            data = twisted(x, y, z, t, w)
             assert write(data) == to_text(message_decoder.decode(data))
 
 

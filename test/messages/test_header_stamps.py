@@ -4,6 +4,7 @@ import struct
 from typing import Any, Dict, List, Tuple
 
 import pytest
+from checked_access import required
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -50,7 +51,7 @@ def transform(second: int, nanosecond: int, frame: str, child: str) -> str:
 
 
 def read(kind: str, text: str) -> List[Tuple[Any, ...]]:
-    stamps = make_stamp_reader(DEFINITIONS.find(kind))(encode(kind, text))
+    stamps = required(make_stamp_reader(DEFINITIONS.find(kind)))(encode(kind, text))
     return [(format_frame_key(key), instant / SECOND) for key, instant in stamps]
 
 
@@ -89,7 +90,10 @@ def test_stamps_of_all_frames_are_read(kind: str, text: str, expected: Any) -> N
 
 def test_slots_have_separate_frame_keys() -> None:
     text = f"t__0__Markers({header(1, 0, 'a')},[],[t__0__M({header(2, 0, 'a')},'\"n\"')])"
-    keys = [key for key, _ in make_stamp_reader(DEFINITIONS.find("t/Markers"))(encode("t/Markers", text))]
+    keys = [
+        key
+        for key, _ in required(make_stamp_reader(DEFINITIONS.find("t/Markers")))(encode("t/Markers", text))
+    ]
     assert len(set(keys)) == 2
 
 
@@ -141,7 +145,7 @@ def test_observer_reports_each_new_second_once(kind: Any, messages: List[Any]) -
         data = encode(kind, text)
         assert reads[nanosecond % 2](data) == make_text_writer(decoder)(data)
         assert observed.stamp(data) == decoder.stamp(data)
-        stamps = reader(data)
+        stamps = required(reader)(data)
         if any(seconds.get(key) != instant // SECOND for key, instant in stamps):
             expected.append(stamps)
         seconds.update((key, instant // SECOND) for key, instant in stamps)
@@ -152,7 +156,7 @@ def test_message_written_again_is_not_reported_again() -> None:
     reports: List[Any] = []
     observed = make_observed_decoder(DEFINITIONS.decoder(DEFINITIONS.find("t/Frames")), {}, reports.append)
     data = encode("t/Frames", f"t__0__Frames([{transform(5, 0, 'a', 'b')}])")
-    assert make_text_writer(observed)(data) == make_text_writer(observed.plain)(data)
+    assert make_text_writer(observed)(data) == make_text_writer(required(observed.plain))(data)
     assert len(reports) == 1
 
 

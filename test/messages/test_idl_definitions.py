@@ -1,6 +1,6 @@
 """Definitions in IDL, converted to the syntax of ``.msg`` files."""
 
-from typing import Any, List
+from typing import Any, List, Sequence
 
 import pytest
 from checked_access import place_of
@@ -93,7 +93,7 @@ def test_names_are_searched_from_innermost_scope() -> None:
     """
     types = convert_idl("p/X", text, ["p/X"])
     assert types["p/X"].splitlines()[0].startswith("p/T")
-    assert parse_ros2_type("p/msg/X", text.replace("::p::T b; ::T c;", ""), {}.get, is_idl=True)
+    assert parse_ros2_type("p/msg/X", text.replace("::p::T b; ::T c;", ""), lambda name: None, is_idl=True)
 
 
 def test_slots_of_base_type_are_first() -> None:
@@ -166,7 +166,7 @@ def test_incomplete_text_is_reported_at_its_end() -> None:
 )  # fmt: skip
 def test_deep_and_long_texts_are_refused(text: str) -> None:
     with pytest.raises(MessageError):
-        parse_ros2_type("p/X", text, {}.get, is_idl=True)
+        parse_ros2_type("p/X", text, lambda name: None, is_idl=True)
 
 
 # ---- any definitions ---------------------------------------------------------------------------------
@@ -187,11 +187,14 @@ ELEMENTS = st.one_of(
 )
 
 
+def product(lengths: Sequence[int]) -> int:
+    return lengths[0] * product(lengths[1:]) if lengths else 1
+
+
 def with_array(element: Any) -> Any:
     """Return strategies for a slot of an element type: alone, in a sequence, or in an array of any dimensions."""
     idl, msg = element
     dimensions = st.lists(st.integers(1, 4), min_size=1, max_size=3)
-    product = lambda lengths: lengths[0] * product(lengths[1:]) if lengths else 1  # noqa: E731
     return st.one_of(
         st.just((f"{idl} {{}}", msg)),
         st.sampled_from(["", ", 5"]).map(lambda bound: (f"sequence<{idl}{bound}> {{}}", f"{msg}[]")),

@@ -3,7 +3,7 @@
 from typing import Any, List, Tuple
 
 import pytest
-from checked_access import place_of
+from checked_access import place_of, required
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -198,7 +198,7 @@ SHOWN_TEXTS = (
 
 def test_term_is_shown_with_its_named_slots() -> None:
     for text in SHOWN_TEXTS:
-        OPERATORS.message_types.notations.clear()
+        required(OPERATORS.message_types).notations.clear()
         read_result = read_term(text, OPERATORS)
         shown = PROGRAM.show(read_result.term, names={var: name for name, var in read_result.names.items()})
         assert shown == text

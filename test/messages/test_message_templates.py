@@ -64,7 +64,7 @@ def check_templates(definition: Any) -> None:
 
 @pytest.mark.slow
 def test_templates_of_installed_types_are_read() -> None:
-    store = get_typestore(Stores.ROS1_NOETIC)
+    store: Any = get_typestore(Stores.ROS1_NOETIC)
     names = getattr(store, "fielddefs", None) or store.FIELDDEFS  # the name depends on the version of rosbags
     checked = 0
     for name in sorted(names):

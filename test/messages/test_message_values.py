@@ -16,7 +16,7 @@ SAMPLE = DEFINITIONS.add(
     "time stamp\nduration length\nbool ok\nstring name\nuint8[] data\n"
     "uint32[2] pair\nlab/Point[] path\nlab/Point first\n",
 )
-TEXT = st.text(st.characters(blacklist_characters="\0", blacklist_categories=("Cs",)), max_size=2000)
+TEXT = st.text(st.characters(blacklist_characters="\0", blacklist_categories=["Cs"]), max_size=2000)
 POINTS = st.fixed_dictionaries(
     {"x": st.floats(allow_nan=False, allow_infinity=False), "y": st.integers(-128, 127)}
 )

@@ -4,7 +4,7 @@ import struct
 from typing import Any, List, Tuple
 
 import pytest
-from checked_access import place_of
+from checked_access import compound, place_of
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -431,7 +431,7 @@ def decode_gid(gid: bytes) -> Any:
     """Return the term of a byte array."""
     definitions = Definitions()
     array = definitions.add("my_msgs/Gid", "char[16] gid")
-    return definitions.decoder(array).decode(gid)[1]
+    return compound(definitions.decoder(array).decode(gid))[1]
 
 
 def test_empty_request_of_service_has_a_byte() -> None:

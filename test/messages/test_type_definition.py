@@ -4,9 +4,10 @@ import re
 from hashlib import md5
 from keyword import iskeyword
 from pathlib import Path
-from typing import Any, List, Tuple
+from typing import Any, Callable, List, Tuple
 
 import pytest
+from checked_access import fail
 from reachability import reachable
 
 from retalis import Definitions, MessageError
@@ -188,7 +189,7 @@ def test_malformed_section_is_refused() -> None:
 @pytest.mark.parametrize("name", ["Type", "pkg/", "pkg/a/b", "1pkg/Type", ""])
 def test_invalid_type_name_is_refused(name: str) -> None:
     with pytest.raises(MessageError, match="expected a message type"):
-        parse(name, "int8 x\n", lambda written, package: None)
+        parse(name, "int8 x\n", lambda written, package: fail(written))
 
 
 def test_functor_name_denotes_type() -> None:
@@ -300,13 +301,14 @@ def test_long_blanks_are_scanned_once(text: str, column: int, part: str) -> None
 
 
 def test_measure_beyond_limit_is_reported() -> None:
-    for field, limit in (
-        ("slot_count", MAX_SLOTS),
-        ("depth", MAX_TYPE_DEPTH),
-        ("min_size", MAX_MESSAGE_BYTES),
-    ):
-        assert Measure(**{field: limit}).exceeded_limit() == ""
-        assert str(limit) in Measure(**{field: limit + 1}).exceeded_limit()
+    cases: List[Tuple[Callable[[int], Measure], int]] = [
+        (lambda count: Measure(slot_count=count), MAX_SLOTS),
+        (lambda depth: Measure(depth=depth), MAX_TYPE_DEPTH),
+        (lambda size: Measure(min_size=size), MAX_MESSAGE_BYTES),
+    ]
+    for create, limit in cases:
+        assert create(limit).exceeded_limit() == ""
+        assert str(limit) in create(limit + 1).exceeded_limit()
 
 
 @pytest.mark.parametrize(
@@ -355,6 +357,8 @@ def slots_of_rosbags(text: Any) -> Any:
     except TypesysError:
         return None
     slots: List[Any] = []
+    node: Any
+    content: Any
     for name, (node, content) in fields:
         length = None
         if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):

@@ -8,7 +8,7 @@ from typing import Any, List
 
 from hypothesis import strategies as st
 
-from retalis import Definition, atom, functor
+from retalis import Definition, Term, atom, functor
 from retalis.prolog.terms.types import CONS, NIL
 
 CODES = {
@@ -86,7 +86,7 @@ def _text(value: bytes) -> Any:
 
 
 def _list(items: Any) -> Any:
-    term = NIL
+    term: Term = NIL
     for item in reversed(items):
         term = (CONS, item, term)
     return term
@@ -123,7 +123,7 @@ def _element(slot: Any, texts: Any) -> Any:
         return st.booleans()
     if slot.type.startswith("float"):
         # Event text has one NaN only, so other NaNs do not survive it.
-        floats = st.floats(width=int(slot.type[5:]))
+        floats = st.floats(width=32 if slot.type == "float32" else 64)
         return floats.map(lambda value: NAN if value != value else value)
     code = CODES[slot.type]
     bits = 8 * struct.calcsize(code)

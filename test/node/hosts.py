@@ -52,7 +52,15 @@ class Robot:
         self.transport.subscribe(topic, STRING.name, lambda source: Receiver(), 10)
 
 
-def start_host(network: Any, folder: Any, **parameters: Any) -> Any:
+class RunningHost(ProgramHost):
+    """A host, with its transport and its reports as further attributes."""
+
+    def __init__(self, context: HostContext, transport: MemoryTransport, reports: Reports) -> None:
+        super().__init__(context, PlainTextExchange(context))
+        self.transport, self.reports = transport, reports
+
+
+def start_host(network: Any, folder: Any, **parameters: Any) -> RunningHost:
     """Start the program of a folder on a network.
 
     Args:
@@ -66,6 +74,4 @@ def start_host(network: Any, folder: Any, **parameters: Any) -> Any:
     transport = MemoryTransport(network, parameters={"program": str(folder), "diagnostics": 0, **parameters})
     reports = Reports()
     context = HostContext(transport, read_parameters(transport.parameters(), lambda: folder), reports)
-    host = ProgramHost(context, PlainTextExchange(context))
-    host.transport, host.reports = transport, reports
-    return host
+    return RunningHost(context, transport, reports)

@@ -4,7 +4,7 @@ Publishers and subscribers of one `MemoryNetwork` exchange messages at once, in 
 """
 
 from types import SimpleNamespace
-from typing import Any, Dict, List
+from typing import Any, Callable, Dict, List
 
 from retalis import UsageError
 from retalis.events.knowledge.transform_buffer import TransformBuffer
@@ -144,7 +144,7 @@ class MemoryTransport:
         self.network = network
         self.node_name = node_name
         self.is_time_simulated = is_time_simulated
-        self.create_transform_buffer = TransformBuffer
+        self.create_transform_buffer: Callable[[float], TransformBuffer] = TransformBuffer
         self.clock_callbacks: List[Any] = []
         self.shutdown_callbacks: List[Any] = []
         self.is_ended = False

@@ -71,10 +71,10 @@ def network() -> Any:
 
 
 @pytest.fixture
-def transport(network: Any) -> Iterator[Any]:
+def transport(network: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """Return a transport with the type of diagnostics, which does not depend on the installation of ROS."""
     transport = MemoryTransport(network, "/ns/retalis")
-    transport.installed_types = lambda include_rosbags=True: InstalledTypes()
+    monkeypatch.setattr(transport, "installed_types", lambda include_rosbags=True: InstalledTypes())
     yield transport
     transport.shut_down()
 

@@ -9,24 +9,25 @@ from retalis import Definitions, MessageError, Reports, UsageError, atom, functo
 from retalis.node.published_topics import OutputRelay, PublishedTopics, UntypedTopicWarnings
 from retalis.node.text_exchange import WATCH
 
+NAME = atom("id")
 TEXT = functor("std_msgs__0__String", 1)(atom('"a"'))
 
 
 def test_outputs_of_load_are_relayed_in_order() -> None:
     received: List[Any] = []
     relay = OutputRelay(10, Reports())
-    relay("a", "topic", "id")
-    relay("b", "topic", "id")
+    relay(atom("a"), "topic", NAME)
+    relay(atom("b"), "topic", NAME)
     relay.start(lambda *output: received.append(output), lambda *output: received.append("second"))
-    relay("c", "topic", "id")
-    assert received == [item for name in "abc" for item in ((name, "topic", "id"), "second")]
+    relay(atom("c"), "topic", NAME)
+    assert received == [item for name in "abc" for item in ((atom(name), "topic", NAME), "second")]
 
 
 def test_excess_outputs_of_load_are_dropped() -> None:
     reports, received = Reports(), []
     relay = OutputRelay(2, reports)
     for number in range(5):
-        relay(number, "topic", "id")
+        relay(number, "topic", NAME)
     relay.start(lambda term, topic, name: received.append(term))
     assert (received, reports.warnings) == ([3, 4], 3)
 
@@ -36,13 +37,17 @@ def network() -> Any:
     return MemoryNetwork()
 
 
+class Topics(PublishedTopics):
+    """Published topics, with their definitions and reports as attributes."""
+
+    def __init__(self, network: MemoryNetwork) -> None:
+        self.definitions, self.reports = Definitions(), Reports()
+        super().__init__(MemoryTransport(network), self.definitions, 5, self.reports)
+
+
 @pytest.fixture
-def topics(network: Any) -> Any:
-    """Return published topics, with their definitions and reports as attributes."""
-    definitions, reports = Definitions(), Reports()
-    topics = PublishedTopics(MemoryTransport(network), definitions, 5, reports)
-    topics.definitions, topics.reports = definitions, reports
-    return topics
+def topics(network: Any) -> Topics:
+    return Topics(network)
 
 
 def test_output_is_published_as_message(network: Any, topics: Any) -> None:

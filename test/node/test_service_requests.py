@@ -5,11 +5,13 @@ from typing import Any, Dict, List
 
 import pytest
 from node.memory_transport import MemoryNetwork, MemoryTransport
+from recorded_calls import recording
 
 from retalis import Engine, Reports
 from retalis.node import services
 from retalis.node.published_topics import UntypedTopicWarnings
 from retalis.node.services import EngineServices, ListService, QueryServices, offer_service
+from retalis.prolog.terms.term_traversal import variables
 
 
 @pytest.fixture
@@ -37,8 +39,7 @@ def test_long_format_is_traversed_few_times(
     network: Any, engine: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     traversed: List[Any] = []
-    variables = services.variables
-    monkeypatch.setattr(services, "variables", lambda term: traversed.append(term) or variables(term))
+    monkeypatch.setattr(services, "variables", recording(traversed, variables))
     slots = ",".join(f"X{number}" for number in range(200))
     request = {"event": f"a({slots})", "conditions": "", "format": f"b({slots},Y)"}
     assert network.call("/add_memory", id="m", size="5", **request) == {"result": "ok"}
@@ -54,7 +55,7 @@ def test_unbound_variable_of_format_is_warned_of(
 
 def test_long_request_is_not_parsed(network: Any, transport: Any) -> None:
     handled: List[Any] = []
-    offer_service(transport, "~query", "Query", lambda request: handled.append(request) or {"result": "ok"})
+    offer_service(transport, "~query", "Query", recording(handled, lambda request: {"result": "ok"}))
     half = services.MAX_REQUEST_CHARACTERS // 2
 
     def call(goal: str, wait_for: List[str]) -> Any:

@@ -285,8 +285,9 @@ def test_requests_before_start_are_executed_once() -> None:
     callbacks: List[Any] = []
     subscribed: List[Any] = []
     requests = RequestQueue(callbacks.append)
-    requests.put("first")
-    requests.start(subscribed.append, lambda request: subscribed.append(request.upper()))
+    first: Any = "first"
+    requests.put(first)
+    requests.start(subscribed.append, lambda request: subscribed.append(str(request).upper()))
     assert subscribed == ["first", "FIRST"]
     for callback in callbacks:
         callback()

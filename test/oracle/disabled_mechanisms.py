@@ -143,13 +143,15 @@ def timers(seed: int) -> bool:
     instants = [sum(chance.randrange(1, 5) for _ in range(position)) + 7 for position in range(6)]
     instants.sort()
     first = instants[0]
-    waiting = [
+    waiting: List[List[Any]] = [
         [
             first + 4
             if setting[0] == "a"
-            else first + TIMES[setting] - (0 if "now" in setting else first % TIMES[setting])
+            else first + TIMES[setting] - (0 if "now" in setting else first % TIMES[setting]),
+            next(orders),
+            name,
+            TIMES[setting],
         ]
-        + [next(orders), name, TIMES[setting]]
         for name, setting in names.items()
     ]
     expected: List[Any] = []
@@ -185,7 +187,11 @@ def ahead(seed: int) -> bool:
     runs: List[List[str]] = []
     for has_event in (True, False):
         now, steps = [1000], Random(seed)
-        engine = Engine(Clock(lambda now=now: now[0] * SECOND))
+
+        def read_time(now: List[int] = now) -> int:
+            return now[0] * SECOND
+
+        engine = Engine(Clock(read_time))
         engine.load(rules=rule)
         outputs: List[str] = []
         engine.on_event(
@@ -279,7 +285,8 @@ def after_the_event(clock: Clock, until: Optional[int] = None) -> Any:
 
 def younger_first(deadlines: NodeTimers, node: Any, instant: int) -> None:
     """Fire the deadlines of younger rules, and of nodes further right or above, first."""
-    entry = (instant, -node.rule.serial, -node.position, next(deadlines._numbers), node)
+    due_time, number = instant + node.watermark.delay, next(deadlines._next_number)
+    entry = (due_time, -node.rule.serial, -node.position, number, instant, node)
     heapq.heappush(deadlines._heap, entry)
     deadlines._set_alarm()
 

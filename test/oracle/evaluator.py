@@ -5,6 +5,7 @@ name the sentence of the language's definition that the code next to them realis
 """
 
 from dataclasses import replace
+from functools import partial
 from typing import Any, Callable, Dict, FrozenSet, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 from events.operator_table import EITHER_ORDER, PAIRS
@@ -233,20 +234,24 @@ class RuleState(Streams):
         """Policies, for seq and forall_seq: an event that fits both sides completes first, then waits."""
         lefts, rights, p_waiting, q_waiting = sides
         results: List[Match] = []
+
+        def with_second(q: Match, p: Match) -> Optional[Match]:
+            return fit(p, q)
+
         for_all = node.kind == "forall_seq"
         for q in rights:
             if for_all:
                 # Table, forall_seq: all stored P, oldest first, consumed under every policy.
-                pairs = self._take(p_waiting, lambda p, q=q: fit(p, q), "all", is_consumed=True)
+                pairs = self._take(p_waiting, partial(with_second, q), "all", is_consumed=True)
             else:
-                pairs = self.complete(p_waiting, lambda p, q=q: fit(p, q))
+                pairs = self.complete(p_waiting, partial(with_second, q))
             results += pairs
             if not pairs:
                 self.store_unmatched(node, q)
         unmatched: List[Any] = []
         for p in lefts:
             # Patterns: a late first side is accepted only under out_of_order.
-            pairs = self.complete(q_waiting, lambda q, p=p: fit(p, q)) if self.out_of_order else []
+            pairs = self.complete(q_waiting, partial(fit, p)) if self.out_of_order else []
             results += pairs
             # Policies: after a match it is not stored, except under unrestricted.
             if not pairs or not (self.consuming or for_all):

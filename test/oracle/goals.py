@@ -4,7 +4,7 @@ A substitution maps variables to terms. It is never changed; an extension is a n
 """
 
 from fractions import Fraction
-from typing import Any, Dict, Iterator, Optional, Set
+from typing import Any, Callable, Dict, Iterator, List, Optional, Set
 
 from retalis import Atom, String, Term, Var, atom, functor, list_items, make_list
 from retalis.prolog.terms.types import CONS, NIL, Lazy
@@ -114,7 +114,7 @@ _COMPARE = {
     "=:=": lambda left, right: left == right,
     "=\\=": lambda left, right: left != right,
 }
-_ARITHMETIC = {
+_ARITHMETIC: Dict[str, Callable[[Any, Any], Any]] = {
     "+": lambda left, right: left + right,
     "-": lambda left, right: left - right,
     "*": lambda left, right: left * right,
@@ -139,7 +139,7 @@ def number(term: Term, bindings: Bindings) -> Any:
         if item.__class__ is Atom and len(item.name) == 1:
             return ord(item.name)  # [x] that of the character
     if term.__class__ is tuple and term[0] is CONS:
-        parts = [value_of(item, bindings) for item in list_items(term) or ()]
+        parts: List[Any] = [value_of(item, bindings) for item in list_items(term) or ()]
         if len(parts) == 2 and all(part.__class__ is int for part in parts) and 0 <= parts[1] < 10**9:
             return parts[0] + (parts[1] / 1e9 if parts[1] else 0)  # [Sec,NSec] is a time
     if term.__class__ is tuple and term[0] is functor("-", 1):

@@ -33,7 +33,7 @@ def steps_of(term: Term) -> List[Step]:
     steps: List[Any] = []
     for step in list_items(term) or []:
         name, least, most, mode, continuation, goal, until = step[1:]  # type: ignore[index]
-        goals = [(list_items(part) or [None])[0] for part in (goal, until)]
+        goals = [next(iter(list_items(part) or []), None) for part in (goal, until)]
         limit = None if most.__class__ is Atom else most
         steps.append(
             Step(name.name, least, limit, mode.name == "reluctant", continuation.name == "later", *goals)

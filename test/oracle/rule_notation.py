@@ -9,6 +9,7 @@ import re
 from fractions import Fraction
 from typing import Any, Dict, Iterable, Iterator, List, Tuple
 
+from checked_access import compound
 from events.operator_table import AGGREGATES, PAIRS
 
 from retalis import Term, Var, atom, functor, list_items, make_list
@@ -235,7 +236,7 @@ def write_pattern(node: Pattern, names: Names) -> str:  # noqa: C901 - a case fo
     if isinstance(node, Awaited):
         return f"{inner(node.pattern)} seq absent({inner(node.absent)},{write_seconds(node.seconds)})"
     if isinstance(node, Shaped):
-        first = write_seconds(node.seconds) if node.seconds else write_term(node.value[1], names)
+        first = write_seconds(node.seconds) if node.seconds else write_term(compound(node.value)[1], names)
         key = "" if list_items(node.by) == [] else "," + write_term(node.by, names)
         return f"{inner(node.pattern)} with {node.shape}({first}{key})"
     if isinstance(node, Windowed):

@@ -11,7 +11,7 @@ from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Tuple
 
 import retalis.events.language.event_operators  # noqa: F401 -- adds its operators to those of Prolog
 from retalis import Operators, Term, deref, list_items
-from retalis.prolog.syntax.term_reader import read_program, read_term
+from retalis.prolog.syntax.term_reader import ReadTerm, read_program, read_term
 from retalis.prolog.terms.list_terms import conjuncts
 from retalis.prolog.terms.timestamps import SECOND, from_term
 
@@ -68,11 +68,10 @@ def _flags(goals: List[str]) -> Optional[Dict[str, Any]]:
     return None if flags.get("policy") == "foo" else flags
 
 
-def _terms(text: str) -> List[Term]:
+def _terms(text: str) -> List[Any]:
     clauses = list(read_program(text, Operators.prolog(), "scenario"))
-    if not all(hasattr(item, "term") for item in clauses):
-        return [None]
-    return [item.term for item in clauses]  # type: ignore[union-attr]
+    terms = [item.term for item in clauses if isinstance(item, ReadTerm)]
+    return terms if len(terms) == len(clauses) else [None]
 
 
 def _term(text: str) -> Term:
@@ -102,8 +101,8 @@ def _rule(term: Term) -> Optional[Rule]:
 
 
 def _window(label: Term) -> Any:
-    properties = list_items(label[1]) if label.__class__ is tuple else []
-    windows = [item[2] for item in properties or [] if item[1].name in ("window", "event_rule_window")]
+    properties: List[Any] = (list_items(label[1]) if label.__class__ is tuple else None) or []
+    windows = [item[2] for item in properties if item[1].name in ("window", "event_rule_window")]
     return min(windows) if windows else None
 
 

@@ -9,6 +9,7 @@ from fractions import Fraction
 from random import Random
 from typing import Any, Callable, Dict, List, Optional, Sequence, Set, Tuple
 
+from checked_access import compound, name_of
 from events.operator_table import AGGREGATES, EITHER_ORDER
 from hypothesis import strategies as st
 
@@ -65,6 +66,11 @@ NEUTRAL = (
 SHORT = 20
 SPANS = (1, 2, 3, 5, Fraction(1, 2), Fraction(5, 2))
 COMPARISONS = ("<", ">", "=<", ">=", "=:=", "=\\=", "==", "\\==")
+
+
+def event_name(term: Term) -> str:
+    """Return the name of an event: of an atom, or of the functor of a compound term."""
+    return compound(term)[0].name if term.__class__ is tuple else name_of(term)
 
 
 @dataclass(frozen=True)
@@ -481,7 +487,7 @@ class Generator:
     def stream(self, size: int, rules: Sequence[Rule]) -> Stream:
         """Draw events: in order of their ends, or some of them late; equal, touching and nested intervals."""
         leaves = [node.term for rule in rules for node in walk(rule.pattern) if isinstance(node, Leaf)]
-        used_names = [term[0].name if term.__class__ is tuple else term.name for term in leaves]
+        used_names = [event_name(term) for term in leaves]
         names = [name for name in used_names if name in ARITY] * 4 + list(ARITY)
         late = self.chance(50)
         events: Stream = []
@@ -561,7 +567,7 @@ class Generator:
             return rule
         return replace(
             rule,
-            label=f"r_{rule.head[0].name if rule.head.__class__ is tuple else rule.head.name}",
+            label=f"r_{event_name(rule.head)}",
             policy=self.choice([None, *POLICIES]),
             out_of_order=self.choice([None, None, False, True, True]),
             after_match=self.choice(["keep", "skip_past_last", "skip_to_next"]),

@@ -4,7 +4,7 @@ The expected texts list the derived events in order.
 """
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, Dict
 
 import pytest
 from oracle.evaluator import run
@@ -270,7 +270,7 @@ def test_late_events_match_out_of_order() -> None:
 def test_after_match_strategy_skips_events(
     after_match: str, pairs: str, repeated: str, results: str, again: str
 ) -> None:
-    skipping = {"after_match": after_match}
+    skipping: Dict[str, Any] = {"after_match": after_match}
     several = fired("seq(a(X),b)", "a(1)@1 a(2)@2 b@3 b@4", "out(X)", "unrestricted", **skipping)
     assert several == pairs
     assert fired("ntimes(a,2)", "a@1 a@2 a@3 a@4", **skipping) == repeated

@@ -16,12 +16,13 @@ from pathlib import Path
 from typing import Any, Dict, Iterator, List, Tuple
 
 import pytest
+from parsing import read_clauses
 
 from retalis import Engine, PrologError, functor
 from retalis.foundation.errors import TermTooLarge
 from retalis.prolog.database.predicate import COMPILE_AFTER, NEVER_COMPILE
 from retalis.prolog.database.predicate_table import Database
-from retalis.prolog.syntax.term_reader import read_program, read_term
+from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.system.prolog_system import PrologSystem
 from retalis.prolog.terms.term_traversal import copy, variables
@@ -58,8 +59,8 @@ def answers(program: str, goal: str, compile_after: int, limit: int = 30) -> Lis
     """Return the answers of two calls of a goal that is the body of a clause."""
     logic = PrologSystem(compile_after=compile_after)
     logic.output = logic.error_output = lambda text: None
-    for read in read_program(program, logic.operators, "program"):
-        logic.load([(read.term, read.place)], lambda message, place: None)
+    for clause in read_clauses(program, logic.operators, "program"):
+        logic.load([(clause.term, clause.place)], lambda message, place: None)
     read = read_term(goal, logic.operators)
     head = (functor("goal of the test", 1), (functor("v", len(read.names)), *read.names.values()))
     results: List[str] = []
@@ -91,19 +92,19 @@ class Recorder:
 
     def __init__(self, mode: str) -> None:
         self.results: Dict[str, List[str]] = {}
-        self._lines: List[str] = []
+        self._lines: List[Any] = []
         self._patch(MODES[mode])
 
     def _patch(self, compile_after: int) -> None:
         init, solutions, init_engine = Database.__init__, PrologSystem.solutions, Engine.__init__
         recorder = self
 
-        def database(self: Any, machine: Any, _: int = 0) -> None:
-            init(self, machine, compile_after)
+        def database(self: Any, machine: Any, _: int, *functions: Any) -> None:
+            init(self, machine, compile_after, *functions)
 
         def record_solutions(self: Any, goal: Any) -> Iterator[None]:
             line: List[str] = [shown(goal)]
-            recorder._lines.append(line)  # type: ignore[arg-type]
+            recorder._lines.append(line)
             inner = solutions(self, goal)
             try:
                 for _ in inner:
@@ -113,15 +114,19 @@ class Recorder:
                 line.append(fault(error))
                 raise
             finally:
-                inner.close()  # type: ignore[attr-defined]
+                inner.close()
 
         def engine(self: Any, *args: Any, **names: Any) -> None:
             init_engine(self, *args, **names)
             self.on_event(lambda term, start, end: recorder._lines.append(f"{shown(term)} {start} {end}"))
 
-        Database.__init__ = database  # type: ignore[method-assign]
-        PrologSystem.solutions = record_solutions  # type: ignore[method-assign]
-        Engine.__init__ = engine  # type: ignore[method-assign]
+        # For the rest of the process: the plugin is loaded before the tests.
+        for owner, name, replacement in (
+            (Database, "__init__", database),
+            (PrologSystem, "solutions", record_solutions),
+            (Engine, "__init__", engine),
+        ):
+            setattr(owner, name, replacement)
 
     @pytest.hookimpl(hookwrapper=True)
     def pytest_runtest_call(self, item: Any) -> Iterator[None]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Iterator, List, NamedTuple, Tuple
 
 from retalis import Limits, PrologError, SyntaxFault, Term, atom, deref, functor, list_items, make_list
-from retalis.prolog.syntax.term_reader import read_program, read_term
+from retalis.prolog.syntax.term_reader import ReadTerm, read_program, read_term
 from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.syntax.tokenizer import ReadFlags
 from retalis.prolog.system.prolog_system import PrologSystem
@@ -63,7 +63,9 @@ def prepared(program: str) -> Tuple[PrologSystem, List[str]]:
     logic.limits = Limits(inferences=2_000_000)
     written: List[str] = []
     logic.output = logic.error_output = written.append
-    terms = [(read.term, read.place) for read in read_program(program, logic.operators, "program", ISO)]
+    clauses = list(read_program(program, logic.operators, "program", ISO))
+    terms = [(read.term, read.place) for read in clauses if isinstance(read, ReadTerm)]
+    assert len(terms) == len(clauses)
     logic.load(terms, lambda message, place: written.append(f"{place}: {message}"))
     assert not written, written
     logic.flags["iso"] = atom("true")
@@ -118,7 +120,7 @@ def _binds(logic: PrologSystem, goal: Any, answer: str) -> Tuple[bool, str]:
     expected = read_term(answer, logic.operators, flags=ISO)
     names = list(dict.fromkeys(name for name in goal.names if name in expected.names))
     solutions = _alternatives(expected.term)
-    results: List[Term] = []
+    results: List[Any] = []
     requested = [goal.names[name] for name in names]
     others = [goal.names[name] for name in goal.names]
     try:
@@ -132,9 +134,10 @@ def _binds(logic: PrologSystem, goal: Any, answer: str) -> Tuple[bool, str]:
     if len(results) != len(solutions):
         return False, shown
     for result, solution in zip(results, solutions):
-        values = dict(zip(goal.names, list_items(deref(result[2])[1]) or []))
+        values_of_result: Any = deref(result[2])
+        values = dict(zip(goal.names, list_items(values_of_result[1]) or []))
         known = {var: values[name] for name, var in expected.names.items() if name in values}
-        equations = [deref(equation) for equation in conjuncts(solution)]
+        equations: List[Any] = [deref(equation) for equation in conjuncts(solution)]
         ours = make_list([known[equation[1]] for equation in equations])
         renamed = functools.partial(_renamed, known)
         theirs = make_list([rebuild(equation[2], renamed) for equation in equations])

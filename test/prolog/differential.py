@@ -11,6 +11,8 @@ from collections import Counter
 from pathlib import Path
 from typing import Any, List
 
+from retalis import Term
+
 sys.path.insert(0, str(Path(__file__).parent))
 
 from difference_classes import REASONS, reason  # noqa: E402, F401
@@ -54,7 +56,7 @@ def answer(text: str) -> str:
     return result + (f" printed {write_term(String(printed))}" if printed else "")
 
 
-def solutions(logic: PrologSystem, goal: object) -> str:
+def solutions(logic: PrologSystem, goal: Term) -> str:
     """Return the first instances of a goal that are true, as the text of a list."""
     instances: List[Any] = []
     for _ in logic.solutions(goal):
@@ -64,7 +66,7 @@ def solutions(logic: PrologSystem, goal: object) -> str:
     return f"[{','.join(instances)}]"
 
 
-def fault(term: object) -> str:
+def fault(term: Term) -> str:
     """Return the text of an error: of its formal term, or of the ball."""
     if term.__class__ is not tuple or term[0] is not _ERROR:
         return f"ball({shown(term)})"
@@ -74,7 +76,7 @@ def fault(term: object) -> str:
     return f"error({shown(formal)})"
 
 
-def shown(term: object) -> str:
+def shown(term: Term) -> str:
     """Return a term as canonical text with its variables named in order."""
     try:
         numbered = copy(term)

@@ -4,9 +4,10 @@ import random
 from typing import Any, Iterator, List
 
 import pytest
+from checked_access import compound
 from prolog.support import prolog
 
-from retalis import Limits, PrologError, String, Var, atom, functor, make_list
+from retalis import Limits, PrologError, String, Term, Var, atom, functor, make_list
 from retalis.foundation.cancellation import set_limit_check
 from retalis.prolog.builtins import list_predicates
 from retalis.prolog.builtins.atoms_and_strings import _split, _split_words
@@ -62,7 +63,7 @@ def error_of(logic: Any, goal: str, **limits: Any) -> Any:
     logic.limits = Limits(**limits)
     with pytest.raises(PrologError) as error:
         logic.once(read_term(goal, logic.operators).term)
-    return writeq(error.value.term[1])
+    return writeq(compound(error.value.term)[1])
 
 
 @pytest.mark.parametrize("goal", ["X = [a|X], length(X, _)", "X = [a|X], memberchk(b, X)"])
@@ -321,7 +322,7 @@ def test_sorting_is_checked_while_it_runs(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_error_text_of_large_term_is_short(logic: Any) -> None:
-    deep = atom("x")
+    deep: Term = atom("x")
     for _ in range(100_000):
         deep = (functor("f", 1), deep)
     terms = [deep, make_list(range(100_000)), (functor("f", 100_000), *range(100_000)), 3**600_000]

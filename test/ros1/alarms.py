@@ -27,6 +27,10 @@ RULES = (
 
 
 class Alarms(unittest.TestCase):
+    outputs: Collector
+    to_engine: rospy.Publisher
+    clock: rospy.Publisher
+
     @classmethod
     def setUpClass(cls) -> None:
         cls.outputs = Collector("retalisOutputEvents", String)

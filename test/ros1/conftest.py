@@ -116,7 +116,7 @@ class Space:
     def state(self) -> Tuple[Any, ...]:
         """Return the nodes and services of the master, empty sets without a master."""
         try:
-            master = ServerProxy(self.env["ROS_MASTER_URI"])
+            master: Any = ServerProxy(self.env["ROS_MASTER_URI"])
             publications, subscriptions, services = master.getSystemState("/test")[2]
         except OSError:
             return set(), set()
@@ -126,8 +126,10 @@ class Space:
     def pid(self, node: Any) -> Any:
         """Return the process of a node, None if it does not answer."""
         try:
-            uri = ServerProxy(self.env["ROS_MASTER_URI"]).lookupNode("/test", node)[2]
-            return ServerProxy(uri).getPid("/test")[2] if uri else None
+            master: Any = ServerProxy(self.env["ROS_MASTER_URI"])
+            uri = master.lookupNode("/test", node)[2]
+            server: Any = ServerProxy(uri) if uri else None
+            return server.getPid("/test")[2] if uri else None
         except OSError:
             return None
 

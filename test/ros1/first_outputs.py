@@ -7,6 +7,7 @@ rostest retalis first_outputs.test starts:=50
 import sys
 import unittest
 from pathlib import Path
+from typing import Any, Dict, List
 
 import rospy
 import rostest
@@ -58,7 +59,7 @@ class FirstOutputs(unittest.TestCase):
             topic: [message.data for message in collector.messages]
             for topic, collector in self.outputs.items()
         }
-        expected = {"ready": [1, 2], "where": ["hall"], "greeting": ["hello"] * 2}
+        expected: Dict[str, List[Any]] = {"ready": [1, 2], "where": ["hall"], "greeting": ["hello"] * 2}
         self.assertEqual(received, {topic: values * self.starts for topic, values in expected.items()})
 
     def test_direct_topics_lose_no_output(self) -> None:

@@ -92,6 +92,7 @@ def is_served_by_publisher(link: Any) -> bool:
     It writes its header earlier. A message that it publishes in between is not sent to this subscriber.
     """
     try:
+        publisher: Any
         with ServerProxy(link.endpoint_id) as publisher:
             bus_info = publisher.getBusInfo(rospy.get_name())[2]
     except (OSError, Error, HTTPException):  # the publisher is ending

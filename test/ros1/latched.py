@@ -241,7 +241,8 @@ class WithoutText(Nodes):
 
 if __name__ == "__main__":
     if "publisher" in sys.argv:
-        sys.exit(publish())
+        publish()
+        sys.exit()
     rospy.init_node("latched")
     Nodes.all_orders = "all" in sys.argv
     rostest.rosrun("retalis", "latched", OverText if "text" in sys.argv else WithoutText)

@@ -55,6 +55,17 @@ class RawHeaderPublisher:
 
 
 class MalformedInputsTest(unittest.TestCase):
+    seed: Any
+    inputs: Any
+    services: Any
+    events: rospy.Publisher
+    to_topics: rospy.Publisher
+    outputs: Collector
+    log: Collector
+    processes: Any
+    check_count: int
+    count: Any
+
     @classmethod
     def setUpClass(cls) -> None:
         wait_for_message_path()
@@ -83,7 +94,8 @@ class MalformedInputsTest(unittest.TestCase):
     def pids(cls) -> List[Any]:
         """Return the processes of the nodes."""
         master = rospy.get_master()
-        return [ServerProxy(master.lookupNode(node)[2]).getPid("/malformed_inputs")[2] for node in NODES]
+        servers: List[Any] = [ServerProxy(master.lookupNode(node)[2]) for node in NODES]
+        return [server.getPid("/malformed_inputs")[2] for server in servers]
 
     def resident(self) -> List[int]:
         """Return the memory of each node in kB."""

@@ -24,6 +24,10 @@ PART = "nowhere_msgs__0__Part('\"arm\"')"
 
 
 class Outputs(unittest.TestCase):
+    log: Collector
+    events: rospy.Publisher
+    outputs: Collector
+
     @classmethod
     def setUpClass(cls) -> None:
         cls.log = Collector("/rosout", Log)

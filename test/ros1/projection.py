@@ -22,6 +22,11 @@ PATTERN = "std_msgs__0__UInt8MultiArray(Layout, {})"
 
 
 class Projection(unittest.TestCase):
+    outputs: Collector
+    images: rospy.Publisher
+    subscribe: Any
+    interface: Any
+
     @classmethod
     def setUpClass(cls) -> None:
         wait_for_message_path()

@@ -38,6 +38,13 @@ SERVICES = {
 
 
 class Services(unittest.TestCase):
+    proxies: Any
+    outputs: Collector
+    log: Collector
+    events: rospy.Publisher
+    is_flowing: Any
+    flow: Any
+
     @classmethod
     def setUpClass(cls) -> None:
         wait_for_message_path()
@@ -148,7 +155,7 @@ class Services(unittest.TestCase):
             f'a/b",__import__("os").system("touch {harm}"),"',
         ):
             members = {"_type": "a/B", "_md5sum": "0" * 32, "_full_text": "int32 x\n", "__slots__": ["_buff"]}
-            hostile = type("Hostile", (rospy.AnyMsg,), members)
+            hostile: Any = type("Hostile", (rospy.AnyMsg,), members)
             publisher = rospy.Publisher("hostile", hostile, queue_size=10)
             hostile._type = kind  # the master checks the type of a publisher, but not that of its connections
             self.call("add_input_subscription", topic="hostile", message_type="unknown_msgs/Kind")

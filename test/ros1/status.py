@@ -20,6 +20,18 @@ from retalis import srv  # noqa: E402
 
 
 class Status(unittest.TestCase):
+    embedded: Any
+    interface: Any
+    list: Any
+    list_interface: Any
+    query: Any
+    add_rule: Any
+    add_memory: Any
+    add_subscription: Any
+    add_input: Any
+    diagnostics: Collector
+    events: rospy.Publisher
+
     @classmethod
     def setUpClass(cls) -> None:
         cls.embedded = rospy.get_param("retalis/embedded")

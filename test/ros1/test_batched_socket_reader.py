@@ -2,11 +2,13 @@
 
 import socket
 import struct
+import sys
 from io import BytesIO
 from types import SimpleNamespace
 from typing import Any, Dict, Iterator, List, Tuple
 
 import pytest
+from checked_access import fail
 
 rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
@@ -64,8 +66,8 @@ def callback(message: Any) -> None:
 
 
 def make_subscriber(callbacks: Any = (callback,), **topic: Any) -> Any:
-    topic = SimpleNamespace(callbacks=[(function, None) for function in callbacks], **topic)
-    return SimpleNamespace(impl=topic, callback=callback)
+    impl = SimpleNamespace(callbacks=[(function, None) for function in callbacks], **topic)
+    return SimpleNamespace(impl=impl, callback=callback)
 
 
 def new_reader(link: Any, batches: Any, callbacks: Any = (callback,)) -> Any:
@@ -127,7 +129,7 @@ def test_connection_without_attribute_is_unchanged(missing: str) -> None:
     subscriber = make_subscriber(
         data_class=rospy.AnyMsg, connections=[link], add_connection=lambda link: True
     )
-    read_in_batches(subscriber, print, 0.001)
+    read_in_batches(subscriber, lambda header: fail(header), 0.001)
     assert link.receive_once is None
 
 
@@ -138,10 +140,10 @@ def test_topic_with_other_callbacks_is_unchanged(callbacks: Any) -> None:
         data_class=rospy.AnyMsg, connections=[link], add_connection=lambda link: True
     )
     subscriber.impl.callbacks = callbacks
-    read_in_batches(subscriber, print, 0.001)
+    read_in_batches(subscriber, lambda header: fail(header), 0.001)
     assert link.receive_once is None
     del subscriber.impl.callbacks
-    read_in_batches(subscriber, print, 0.001)
+    read_in_batches(subscriber, lambda header: fail(header), 0.001)
     assert link.receive_once is None
 
 
@@ -287,7 +289,7 @@ class OptionSocket:
 def socket_mark_window() -> Tuple[Any, ...]:
     """Return a socket, its low water mark, and a function that records windows of wake-ups."""
     time = [0.0]
-    sock = OptionSocket()
+    sock: Any = OptionSocket()
     mark = LowWaterMark(sock, 0.001, lambda: time[0])
 
     def window(seconds: Any, messages: int, size: int = 100, windows: int = 1) -> None:
@@ -298,9 +300,7 @@ def socket_mark_window() -> Tuple[Any, ...]:
     return sock, mark, window
 
 
-linux = pytest.mark.skipif(
-    not batched_socket_reader.sys.platform.startswith("linux"), reason="for Linux's sockets"
-)
+linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="for Linux's sockets")
 
 
 @linux

@@ -423,7 +423,11 @@ def test_only_published_outputs_wait_for_interface(monkeypatch: pytest.MonkeyPat
         return SimpleNamespace(name=topic, impl=SimpleNamespace(connections=connections), listener=listener)
 
     def write(text: str) -> Any:
-        return lambda: written.append(text) or text
+        def convert() -> str:
+            written.append(text)
+            return text
+
+        return convert
 
     monkeypatch.setattr(rospy, "Publisher", publisher)
     reports = Reports()

@@ -11,7 +11,7 @@ import pytest
 
 from retalis import Reports
 
-pytest.importorskip("rospy")
+rospy = pytest.importorskip("rospy")
 
 from retalis.ros1 import first_outputs  # noqa: E402
 from retalis.ros1.first_outputs import StartupQueue, SubscriberWait  # noqa: E402
@@ -46,7 +46,7 @@ def writer() -> RecordingWriter:
 
 
 @pytest.fixture
-def queue(writer: RecordingWriter) -> Any:
+def queue(writer: Any) -> Any:
     return StartupQueue(writer, 3, Reports())
 
 
@@ -85,8 +85,8 @@ def start_wait(monkeypatch: pytest.MonkeyPatch) -> Any:
             checks.append(seconds)
             is_connected(len(checks))
 
-        monkeypatch.setattr(first_outputs.rospy, "get_master", lambda: master)
-        monkeypatch.setattr(first_outputs.rospy, "is_shutdown", lambda: False)
+        monkeypatch.setattr(rospy, "get_master", lambda: master)
+        monkeypatch.setattr(rospy, "is_shutdown", lambda: False)
         monkeypatch.setattr(first_outputs, "wallsleep", check)
         reports = Reports()
         wait = SubscriberWait(reports)

@@ -5,13 +5,13 @@ from types import SimpleNamespace
 from typing import Any, Dict, List
 
 import pytest
+from recording_reports import RecordingReports
 
 rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
 from retalis import MessageError, UsageError, functor  # noqa: E402
 from retalis.engine.event_input import TopicRequest  # noqa: E402
 from retalis.engine.runtime.problem_reports import Reports  # noqa: E402
-from retalis.ros1 import internode_topics  # noqa: E402
 from retalis.ros1.internode_topics import (  # noqa: E402
     MAX_CONTROL_CHARACTERS,
     InputTopicChangesReceiver,
@@ -29,11 +29,11 @@ def interface(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Return the projection of the interface, with connections of rospy and warnings in lists."""
     sources: List[Any] = []
     impl = SimpleNamespace(connections=sources)
-    monkeypatch.setattr(internode_topics.rospy, "Subscriber", lambda *_, **__: SimpleNamespace(impl=impl))
-    texts, warnings = [SimpleNamespace(endpoint_id="/retalis")], []
-    reports = SimpleNamespace(warning=lambda text, kind: warnings.append(text))
+    monkeypatch.setattr(rospy, "Subscriber", lambda *_, **__: SimpleNamespace(impl=impl))
+    texts = [SimpleNamespace(endpoint_id="/retalis")]
+    reports = RecordingReports()
     projection = ProjectionReceiver(lambda: texts, reports)
-    return SimpleNamespace(projection=projection, sources=sources, texts=texts, warnings=warnings)
+    return SimpleNamespace(projection=projection, sources=sources, texts=texts, reports=reports)
 
 
 def receive_control_message(interface: Any, text: str, header: Any = HEADER) -> None:
@@ -84,8 +84,8 @@ def test_malformed_message_is_reported_and_ignored(interface: Any, text: str) ->
     receive_control_message(interface, '{"image/3": [3]}')
     receive_control_message(interface, text)
     assert interface.projection.omissible_positions(IMAGE) == set()
-    assert len(interface.warnings) == 1
-    assert len(interface.warnings[0]) < 1000
+    assert len(interface.reports.texts) == 1
+    assert len(interface.reports.texts[0]) < 1000
 
 
 SUBSCRIPTION = ["right", "std_msgs/Bool", "bumper_right"]
@@ -180,8 +180,8 @@ class Subscriptions:
 @pytest.fixture
 def receiver(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Return the receiver of changes, and the subscriptions that it changes."""
-    monkeypatch.setattr(internode_topics.rospy, "Subscriber", lambda *_, **__: None)
-    subscriptions = Subscriptions(a=("std_msgs/Int8", "number"), b=("std_msgs/Bool",))
+    monkeypatch.setattr(rospy, "Subscriber", lambda *_, **__: None)
+    subscriptions: Any = Subscriptions(a=("std_msgs/Int8", "number"), b=("std_msgs/Bool",))
     return SimpleNamespace(
         changes=InputTopicChangesReceiver(subscriptions, "auto", Reports()), subscriptions=subscriptions
     )

@@ -52,11 +52,11 @@ def reports() -> Any:
 
 
 @pytest.fixture
-def make_buffer(topic_writer: TopicWriter, reports: Any) -> Any:
+def make_buffer(topic_writer: Any, reports: Any) -> Any:
     return lambda queue=100, epoch=lambda: 0: LateJoinerBuffer(topic_writer, ENGINE, queue, reports, epoch)
 
 
-def test_texts_before_connection_are_buffered(topic_writer: TopicWriter, make_buffer: Any) -> None:
+def test_texts_before_connection_are_buffered(topic_writer: Any, make_buffer: Any) -> None:
     buffer = make_buffer()
     buffer.send(b"1", 1)
     buffer.send(b"2", 1)
@@ -68,7 +68,7 @@ def test_texts_before_connection_are_buffered(topic_writer: TopicWriter, make_bu
     assert engine.received == [b"123", b"4"]
 
 
-def test_other_subscribers_get_later_texts(topic_writer: TopicWriter, make_buffer: Any) -> None:
+def test_other_subscribers_get_later_texts(topic_writer: Any, make_buffer: Any) -> None:
     buffer = make_buffer()
     buffer.send(b"1", 1)
     other = topic_writer.connect()
@@ -84,7 +84,7 @@ def test_other_subscribers_get_later_texts(topic_writer: TopicWriter, make_buffe
     assert engine.received == [b"1234", b"5"]
 
 
-def test_each_peer_gets_newest_latched_messages_once(topic_writer: TopicWriter, make_buffer: Any) -> None:
+def test_each_peer_gets_newest_latched_messages_once(topic_writer: Any, make_buffer: Any) -> None:
     buffer = make_buffer()
     buffer.latch("map", lambda: b"A", 1)
     buffer.send(b"a", 1)
@@ -105,7 +105,7 @@ def test_each_peer_gets_newest_latched_messages_once(topic_writer: TopicWriter, 
     assert second.received == [b"B3"]
 
 
-def test_late_identified_peer_gets_missing_texts(topic_writer: TopicWriter, make_buffer: Any) -> None:
+def test_late_identified_peer_gets_missing_texts(topic_writer: Any, make_buffer: Any) -> None:
     buffer = make_buffer()
     buffer.latch("map", lambda: b"A", 1)
     buffer.send(b"a", 1)
@@ -120,7 +120,7 @@ def test_late_identified_peer_gets_missing_texts(topic_writer: TopicWriter, make
     assert buffer.subscribers_to_identify() == []
 
 
-def test_third_party_is_known_after_identification(topic_writer: TopicWriter, make_buffer: Any) -> None:
+def test_third_party_is_known_after_identification(topic_writer: Any, make_buffer: Any) -> None:
     buffer = make_buffer()
     engine, other = topic_writer.connect(), topic_writer.connect()
     assert buffer.subscribers_to_identify() == [engine, other]
@@ -131,7 +131,7 @@ def test_third_party_is_known_after_identification(topic_writer: TopicWriter, ma
     assert not buffer.is_third_party(engine)
 
 
-def test_identification_attempts_are_limited(topic_writer: TopicWriter, make_buffer: Any) -> None:
+def test_identification_attempts_are_limited(topic_writer: Any, make_buffer: Any) -> None:
     buffer = make_buffer()
     other = topic_writer.connect()
     attempts = 0
@@ -142,7 +142,7 @@ def test_identification_attempts_are_limited(topic_writer: TopicWriter, make_buf
 
 
 def test_full_buffer_drops_and_counts_oldest_texts(
-    topic_writer: TopicWriter, make_buffer: Any, reports: Any, monkeypatch: pytest.MonkeyPatch
+    topic_writer: Any, make_buffer: Any, reports: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     buffer = make_buffer(queue=5)
     for number in range(4):
@@ -160,7 +160,7 @@ def test_full_buffer_drops_and_counts_oldest_texts(
 
 
 def test_number_of_latched_messages_is_limited(
-    topic_writer: TopicWriter, make_buffer: Any, reports: Any, monkeypatch: pytest.MonkeyPatch
+    topic_writer: Any, make_buffer: Any, reports: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(late_joiners, "MAX_LATCHED_MESSAGES", 2)
     buffer = make_buffer()
@@ -174,7 +174,7 @@ def test_number_of_latched_messages_is_limited(
     assert reports.warnings == 2
 
 
-def test_discard_keeps_newer_latched_messages(topic_writer: TopicWriter, make_buffer: Any) -> None:
+def test_discard_keeps_newer_latched_messages(topic_writer: Any, make_buffer: Any) -> None:
     buffer = make_buffer()
     for key in ("a", "b"):
         buffer.latch(key, key.encode, 1)
@@ -186,7 +186,7 @@ def test_discard_keeps_newer_latched_messages(topic_writer: TopicWriter, make_bu
     assert set(buffer.latched_batch_numbers()) == {"b"}
 
 
-def test_marks_are_sent_to_peer_only(topic_writer: TopicWriter, make_buffer: Any) -> None:
+def test_marks_are_sent_to_peer_only(topic_writer: Any, make_buffer: Any) -> None:
     buffer = make_buffer()
     buffer.send(b"a", 1, b"<mark a>")
     engine, other = topic_writer.connect(), topic_writer.connect()
@@ -198,7 +198,7 @@ def test_marks_are_sent_to_peer_only(topic_writer: TopicWriter, make_buffer: Any
     assert other.received == [b"b", b"c"]
 
 
-def test_unneeded_texts_wait_for_identification(topic_writer: TopicWriter, make_buffer: Any) -> None:
+def test_unneeded_texts_wait_for_identification(topic_writer: Any, make_buffer: Any) -> None:
     buffer = make_buffer()
     buffer.send(b"a", 1, for_peer=False)
     other = topic_writer.connect()
@@ -213,16 +213,14 @@ def test_unneeded_texts_wait_for_identification(topic_writer: TopicWriter, make_
     assert peer.received == [b"bd"]
 
 
-def test_unneeded_texts_count_as_no_loss(topic_writer: TopicWriter, make_buffer: Any, reports: Any) -> None:
+def test_unneeded_texts_count_as_no_loss(topic_writer: Any, make_buffer: Any, reports: Any) -> None:
     buffer = make_buffer(queue=3)
     for _ in range(10):
         buffer.send(b"a", 1, for_peer=False)
     assert (reports.warnings, topic_writer.counts.dropped) == (0, 0)
 
 
-def test_warning_names_peer(
-    topic_writer: TopicWriter, reports: Any, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_warning_names_peer(topic_writer: Any, reports: Any, caplog: pytest.LogCaptureFixture) -> None:
     buffer = LateJoinerBuffer(topic_writer, INTERFACE, 1, reports)
     for _ in range(2):
         buffer.send(b"a", 1)
@@ -231,7 +229,7 @@ def test_warning_names_peer(
     ]
 
 
-def test_texts_of_previous_epoch_are_discarded(topic_writer: TopicWriter, make_buffer: Any) -> None:
+def test_texts_of_previous_epoch_are_discarded(topic_writer: Any, make_buffer: Any) -> None:
     epoch = [0]
     buffer = make_buffer(epoch=lambda: epoch[0])
     buffer.send(b"1", 1)
@@ -243,9 +241,7 @@ def test_texts_of_previous_epoch_are_discarded(topic_writer: TopicWriter, make_b
     assert engine.received == [b"2"]
 
 
-def test_error_of_latched_message_is_reported(
-    topic_writer: TopicWriter, make_buffer: Any, reports: Any
-) -> None:
+def test_error_of_latched_message_is_reported(topic_writer: Any, make_buffer: Any, reports: Any) -> None:
     def write() -> None:
         raise RuleError("no such year")
 
@@ -275,7 +271,7 @@ def test_closed_connection_is_detected() -> None:
     assert not late_joiners.has_ended(SimpleNamespace())
 
 
-def test_peer_gets_preamble_first(topic_writer: TopicWriter, reports: Any) -> None:
+def test_peer_gets_preamble_first(topic_writer: Any, reports: Any) -> None:
     buffer = LateJoinerBuffer(topic_writer, ENGINE, 100, reports, lambda: 0, lambda: b"run ")
     buffer.send(b"before", 1)
     node, other = topic_writer.connect(), topic_writer.connect()

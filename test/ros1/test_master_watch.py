@@ -35,7 +35,7 @@ class Master:
 
     def __init__(self, space: Any) -> None:
         self._space = space
-        self.uri = ServerProxy(space.env["ROS_MASTER_URI"])
+        self.uri: Any = ServerProxy(space.env["ROS_MASTER_URI"])
         self.start()
 
     def start(self) -> None:

@@ -8,7 +8,7 @@ from typing import Any, List
 from xmlrpc.client import ServerProxy
 
 import pytest
-from checked_access import given
+from checked_access import required
 
 LIVE = ("rosrun", "retalis", "retalis")
 
@@ -165,14 +165,14 @@ def test_status_and_watch_survive_new_master(node: Any) -> None:
     status = subprocess.Popen(node.command(*LIVE, "status", "--json", "--every", "0.1"), **words)
     watch = subprocess.Popen(node.command(*LIVE, "watch", "--inputs", "--count", "1"), **words)
     try:
-        given(status.stdout).readline()
+        required(status.stdout).readline()
         node.expect(lambda nodes, services: any(name.startswith("/retalis_watch") for name in nodes))
         master = node.started[0]
         master.send_signal(signal.SIGINT)
         master.wait(timeout=60)
-        assert "unable to contact master" in given(status.stderr).readline()
+        assert "unable to contact master" in required(status.stderr).readline()
         node.start_master()
-        given(status.stdout).readline()
+        required(status.stdout).readline()
         node.expect(lambda nodes, services: any(name.startswith("/retalis_watch") for name in nodes))
         node.start("rostopic", "pub", "-r", "5", "/retalisInputEvents", "std_msgs/String", "event(fever_(1))")
         assert watch.communicate(timeout=60)[0] == "input: event(fever_(1))\n"
@@ -198,7 +198,8 @@ def test_messages_of_rospy_are_not_in_output(node: Any, command: List[str]) -> N
         prefix = f"/retalis_{command[0]}"
         node.expect(lambda nodes, services: any(name.startswith(prefix) for name in nodes))
         node_name = next(name for name in node.state()[0] if name.startswith(prefix))
-        address = ServerProxy(node.env["ROS_MASTER_URI"]).lookupNode("/test", node_name)[2]
+        master: Any = ServerProxy(node.env["ROS_MASTER_URI"])
+        address = master.lookupNode("/test", node_name)[2]
         ServerProxy(address).shutdown("/test", "for a test")  # rospy prints this request
         running.send_signal(signal.SIGINT)
         output, messages = running.communicate(timeout=60)

@@ -8,6 +8,7 @@ import urllib.request
 from typing import Any, Set
 
 import pytest
+from checked_access import required
 
 from retalis.dashboard.page_server import DASHBOARD_PORT
 
@@ -101,7 +102,7 @@ def test_used_port_is_replaced_and_logged(devel: Any) -> None:
         launch(devel, f"dashboard:={port}")
         message = re.compile(rf"port {port} is taken: the dashboard is at http://127\.0\.0\.1:(\d+)/")
         devel.expect(lambda nodes, services: message.search(devel.printed()))
-        next_port = int(message.search(devel.printed())[1])
+        next_port = int(required(message.search(devel.printed()))[1])
         assert port < next_port
         with open_page(next_port) as response:
             assert response.read()

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from checked_access import given
+from checked_access import required
 
 NODES = ("retalis_node", "retalis_ros_converter.py")
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -195,9 +195,9 @@ exec(open({str(script)!r}).read())
             stderr=subprocess.PIPE,
             preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
         ) as process:
-            ready = threading.Thread(target=given(process.stdout).readline)
+            ready = threading.Thread(target=required(process.stdout).readline)
             ready.start()
             ready.join(TIMEOUT_SECONDS)
             process.send_signal(number)
             assert process.wait(TIMEOUT_SECONDS) == -number
-            assert given(process.stderr).read() == b""
+            assert required(process.stderr).read() == b""

@@ -91,8 +91,8 @@ def play(seed: Any, counts: Any) -> None:
                 pose = answer(buffer, *arguments)
                 assert equal(pose, expected), (seed, position, type(buffer), arguments, pose, expected)
         else:
-            for buffer in (reference, *buffers):
-                getattr(buffer, operation)(*arguments)
+            for target in (reference, *buffers):
+                getattr(target, operation)(*arguments)
 
 
 @pytest.mark.parametrize("part", range(4))

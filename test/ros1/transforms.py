@@ -29,6 +29,12 @@ def stamped(parent: str, child: str, seconds: int, x: float) -> Any:
 
 
 class Transforms(unittest.TestCase):
+    events: rospy.Publisher
+    outputs: Collector
+    static: Any
+    moving: Any
+    request_count: int
+
     @classmethod
     def setUpClass(cls) -> None:
         cls.events = rospy.Publisher("retalisInputEvents", String, queue_size=100)

@@ -25,9 +25,12 @@ def test_equal_name_is_preferred_suggestion() -> None:
 
 def test_comparisons_of_names_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     compared: List[Any] = []
-    monkeypatch.setattr(
-        program_model, "closest_name", lambda name, names, alike=0.66: compared.append(len(names)) or ""
-    )
+
+    def closest_name(name: str, names: Any, alike: float = 0.66) -> str:
+        compared.append(len(names))
+        return ""
+
+    monkeypatch.setattr(program_model, "closest_name", closest_name)
     nearby, keys = FunctorSuggestions(), [functor(f"known_{number}", 1) for number in range(400)]
     for number in range(400):
         nearby.suggest(functor(f"unknown_{number}", 1), keys)

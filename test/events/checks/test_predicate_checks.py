@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, List
 
 import pytest
+from recorded_calls import preceded_by
 
 from retalis import Definitions, Engine, ProgramErrors
 from retalis.engine.program_check import check_program
@@ -44,10 +45,8 @@ def test_folder_without_permission_is_no_error(tmp_path: Path, monkeypatch: pyte
         if str(path).startswith(f"{tmp_path}/"):
             raise PermissionError(13, "Permission denied", str(path))
 
-    monkeypatch.setattr(
-        os, "stat", lambda path, *rest, **options: refuse(path) or real_stat(path, *rest, **options)
-    )
-    monkeypatch.setattr(Path, "stat", lambda path, **options: refuse(path) or real_path_stat(path, **options))
+    monkeypatch.setattr(os, "stat", preceded_by(refuse, real_stat))
+    monkeypatch.setattr(Path, "stat", preceded_by(refuse, real_path_stat))
     assert unread_files(Engine(), tmp_path) == []
 
 

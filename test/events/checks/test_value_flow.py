@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, List
 
 import pytest
-from checked_access import stream_clock
+from checked_access import required, stream_clock
 from doc_pages import ROOT
 
 from retalis import Engine
@@ -340,7 +340,7 @@ def _check_events(definitions: Any, rules: Any, arrivals: Any) -> Any:
 
 def test_kinds_of_a_predicate_are_those_of_its_clauses(definitions: Any) -> None:
     flow = ValueFlow(model_of(definitions, "p(X, Y) :- q(X), Y is 1. q(anna). q([1]). r(_)."))
-    assert [sorted(kinds) for kinds in flow.kinds_of_predicate(functor("p", 2))] == [
+    assert [sorted(required(kinds)) for kinds in required(flow.kinds_of_predicate(functor("p", 2)))] == [
         ["atom", "list"],
         ["number"],
     ]

@@ -3,6 +3,7 @@
 from typing import Any, List
 
 import pytest
+from checked_access import required
 
 from retalis import Clock, Engine, StreamClock, atom
 from retalis.prolog.terms.timestamps import SECOND
@@ -22,11 +23,11 @@ def test_due_alarms_are_returned_in_order() -> None:
     assert clock.next_alarm() == 10
     assert clock.due() is None
     clock.move_to(15)
-    instant, alarm = clock.due()
+    instant, alarm = required(clock.due())
     alarm(instant)
     assert clock.due() is None
     clock.move_to(20)
-    instant, alarm = clock.due()
+    instant, alarm = required(clock.due())
     alarm(instant)
     assert called == [("a", 10), ("b", 20)]
     assert clock.next_alarm() is None
@@ -159,8 +160,13 @@ def test_reset_of_followed_clock_is_detected() -> None:
 
 
 def test_pending_alarm_adds_no_reads_of_time_source() -> None:
-    reads: List[Any] = []
-    clock = Clock(lambda: reads.append(1) or 5 * SECOND)
+    reads: List[int] = []
+
+    def read() -> int:
+        reads.append(1)
+        return 5 * SECOND
+
+    clock = Clock(read)
     clock.call_at(9 * SECOND, print)
     assert clock.is_quiet()
     assert len(reads) == 1

@@ -25,6 +25,11 @@ class Listener:
         return self._pattern
 
 
+def plan_of(listeners: List[Any]) -> Any:
+    """Return the plan of objects of `Listener`."""
+    return make_plan(listeners)
+
+
 def chosen_listeners(plan: Any, term: Tuple[Any, ...]) -> List[Any]:
     """Return the orders of the listeners that a plan chooses for an event."""
     while hasattr(plan, "branch"):
@@ -34,7 +39,7 @@ def chosen_listeners(plan: Any, term: Tuple[Any, ...]) -> List[Any]:
 
 def test_branches_keep_order_of_listeners() -> None:
     patterns = [(P, 1, 2), (P, Var(), 2), (P, 1, Var()), (P, 2, 2), (P, Var(), Var()), (P, 1, 2)]
-    plan = make_plan([Listener(order, pattern) for order, pattern in enumerate(patterns)])
+    plan = plan_of([Listener(order, pattern) for order, pattern in enumerate(patterns)])
     assert chosen_listeners(plan, (P, 1, 2)) == [0, 1, 2, 4, 5]
     assert chosen_listeners(plan, (P, 2, 2)) == [1, 3, 4]
     assert chosen_listeners(plan, (P, 3, 2)) == [1, 4]
@@ -47,16 +52,16 @@ def test_up_to_six_constants_choose_listeners(arity: int) -> None:
     """Further constants would be tested by the matchers of all remaining listeners."""
     key = functor("q", arity)
     constants = [5] * (arity - 1)
-    plan = make_plan([Listener(order, (key, *constants, order)) for order in range(100)])
+    plan = plan_of([Listener(order, (key, *constants, order)) for order in range(100)])
     assert chosen_listeners(plan, (key, *constants, 7)) == [7]
     assert chosen_listeners(plan, (key, *constants, 100)) == []
-    nested = make_plan([Listener(order, (P, Var(), (P, 5, (P, 5, order)))) for order in range(100)])
+    nested = plan_of([Listener(order, (P, Var(), (P, 5, (P, 5, order)))) for order in range(100)])
     assert chosen_listeners(nested, (P, 1, (P, 5, (P, 5, 7)))) == [7]
 
 
 def test_new_constant_reads_its_listeners_only() -> None:
     listeners = [Listener(order, (P, order, Var())) for order in range(100)]
-    plan = make_plan(listeners)
+    plan = plan_of(listeners)
     counts_before = [listener.read_count for listener in listeners]
     assert chosen_listeners(plan, (P, 7, 1)) == [7]
     assert [

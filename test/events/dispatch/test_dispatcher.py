@@ -285,7 +285,9 @@ def matched_values(pattern: Any, term: Any) -> Any:
 def test_event_reaches_unifying_listeners_in_order(
     listeners: List[Any], events: List[Any], data: st.DataObject
 ) -> None:
-    dispatcher, calls, active_listeners = Dispatcher(), [], []
+    dispatcher = Dispatcher()
+    calls: List[Any] = []
+    active_listeners: List[Any] = []
 
     def listen(number: Any, pattern: Any, phase: Any) -> None:
         def action(term: Any, values: Any, start: Any, end: Any, continuation: Any) -> Any:
@@ -300,7 +302,8 @@ def test_event_reaches_unifying_listeners_in_order(
     for number, (pattern, *rest) in enumerate(listeners):
         listen(number, with_variables(pattern, {}), *rest)
     for instant, event in enumerate(events):
-        if active_listeners and data.draw(st.booleans()):
+        removes = bool(active_listeners) and data.draw(st.booleans())
+        if removes:
             dispatcher.remove(active_listeners.pop(data.draw(st.integers(0, len(active_listeners) - 1)))[-1])
         term = with_variables(event, {})
         del calls[:]

@@ -27,9 +27,9 @@ TERMS = st.recursive(
 @given(TERMS, st.lists(TERMS, max_size=4))
 def test_built_term_equals_copy(term: Any, values: List[Any]) -> None:
     order = VARS[: len(values)]
-    values = tuple(copy(value) for value in values)
+    copies = tuple(copy(value) for value in values)
     build = compile_builder(term, order, "term")
-    first, second = build(values), build(values)
+    first, second = build(copies), build(copies)
     assert term_text((G, first, make_list(values))) == term_text(
         (G, copy(term, dict(zip(order, values))), make_list(values))
     )

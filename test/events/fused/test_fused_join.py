@@ -7,6 +7,7 @@ from unittest.mock import patch
 
 import pytest
 from events.fused.fused_path_plugin import PATHS
+from recording_reports import RecordingReports
 
 from retalis import Engine, Settings, StreamClock, Var, atom, functor
 from retalis.events.dispatch.listeners import ListenerPhase
@@ -70,24 +71,19 @@ def run_program(
         change: a goal to call at this position.
         posted: whether events of an instant are posted, so that fused actions may process them.
     """
-    outputs, reports = [], []
-
-    class ReportRecorder:
-        def __getattr__(self, name: Any) -> Any:
-            return lambda *arguments: reports.append((name, [str(argument) for argument in arguments]))
-
-    engine = Engine(None, Settings(), ReportRecorder())
+    outputs: List[Any] = []
+    reports = RecordingReports()
+    engine = Engine(None, Settings(), reports)
     engine.rules.max_stored = max_stored
     engine.load(goals=goals, rules=text)
+
+    def record_output(term: Any, values: Any, start: Any, end: Any, frame: Any) -> Any:
+        outputs.append(event_text(engine, term, start, end))
+        return frame
+
     for arity in (0, 1, 2, 3):
         pattern = functor("out", arity)(*(Var() for _ in range(arity))) if arity else atom("out")
-        engine.dispatcher.listen(
-            ListenerPhase.SUBSCRIPTIONS,
-            pattern,
-            lambda term, values, start, end, frame: (
-                outputs.append(event_text(engine, term, start, end)) or frame
-            ),
-        )
+        engine.dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, pattern, record_output)
     for position, (term, start, end) in enumerate(events):
         if position == restore_before:
             if change:
@@ -102,7 +98,7 @@ def run_program(
         else:
             engine.event_at(term, start * SECOND, end * SECOND)
         assert engine.dispatcher.current is None
-    return outputs, reports, [rule_state(engine, rule) for rule in engine.rules.rules]
+    return outputs, reports.records, [rule_state(engine, rule) for rule in engine.rules.rules]
 
 
 def event_text(engine: Any, term: Any, start: Any, end: Any) -> Tuple[Any, ...]:

@@ -8,8 +8,10 @@ from events.fused.fused_path_plugin import PATHS
 from hypothesis import example, given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st
+from recording_reports import RecordingReports
 
 from retalis import Engine, Settings, String, atom, functor, make_list
+from retalis.events.fused.fused_window import compile_fused_window
 from retalis.events.network import stream_node
 from retalis.events.streams.running_statistics import ExactSum
 from retalis.prolog.terms.timestamps import SECOND
@@ -45,13 +47,8 @@ def window_of(rules: Any) -> Any:
 def run_program(text: Any, events: Any, max_stored: int) -> Tuple[Any, ...]:
     """Return events, reports, the final state and its size."""
     outputs: List[Any] = []
-    reports: List[Any] = []
-
-    class ReportRecorder:
-        def __getattr__(self, name: Any) -> Any:
-            return lambda *arguments: reports.append((name, [str(argument) for argument in arguments]))
-
-    engine = Engine(None, Settings(), ReportRecorder())
+    reports = RecordingReports()
+    engine = Engine(None, Settings(), reports)
     engine.on_event(lambda term, start, end: outputs.append((engine.show(term), start, end)))
     engine.load(rules=text)
     rules = engine.rules
@@ -68,7 +65,7 @@ def run_program(text: Any, events: Any, max_stored: int) -> Tuple[Any, ...]:
     ]
     return (
         outputs,
-        reports,
+        reports.records,
         (clock, following, late_count, order, elements),
         event_rule.match_count,
         event_rule.metrics.firing_count,
@@ -101,7 +98,6 @@ def test_fused_window_equals_plain_nodes(
 def test_most_elements_use_fused_path(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a hundred elements in order, the plain node processes few, the first ones among them."""
     plain_calls: List[Any] = []
-    compile_fused_window = stream_node.compile_fused_window
 
     def counting(form: Any, limit: Any, node: Any, plain: Any, *others: Any) -> Any:
         def counted(*arguments: Any) -> Any:

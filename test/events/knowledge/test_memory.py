@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from retalis import atom
 from retalis.events.knowledge.memory import NO_POSITION, Memory
 
 ENDS = st.lists(st.integers(0, 30), max_size=60)
@@ -59,8 +60,8 @@ def test_lookups_by_time_equal_linear_search(size: int, ends: Any, instant: int)
 def test_latest_end_is_known_without_records() -> None:
     memory = Memory(0)
     assert memory.latest_end is None
-    assert memory.add(("a", 1, 5))
-    assert memory.add(("b", 1, 3))
+    assert memory.add((atom("a"), 1, 5))
+    assert memory.add((atom("b"), 1, 3))
     assert memory.latest_end == 5
     assert len(memory) == 0
 
@@ -68,7 +69,7 @@ def test_latest_end_is_known_without_records() -> None:
 def test_added_and_late_records_are_counted() -> None:
     memory = Memory(2)
     for end in (10, 20, 5):
-        memory.add(("x", end, end))
+        memory.add((atom("x"), end, end))
     assert (memory.added_count, memory.late_count) == (2, 1)
 
 
@@ -79,7 +80,7 @@ def test_reader_ignores_later_records() -> None:
     reader = memory.newest_first()
     assert next(reader)[0] == 2
     for end in (1, 5, 6, 7):
-        memory.add(("late", end, end))
+        memory.add((atom("late"), end, end))
     assert [term for term, _, _ in reader] == [1, 0]
 
 
@@ -93,7 +94,7 @@ def test_memory_stores_little_more_than_its_size() -> None:
 
 def test_clear_removes_records() -> None:
     memory = Memory(3)
-    memory.add(("x", 1, 1))
+    memory.add((atom("x"), 1, 1))
     memory.clear()
     assert len(memory) == 0
     assert memory.latest_end is None

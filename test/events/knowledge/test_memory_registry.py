@@ -5,6 +5,7 @@ import re
 from typing import Any, List, Optional
 
 import pytest
+from checked_access import compound, name_of
 from recording_engine import RecordingEngine
 
 from retalis import Engine, PrologError, UsageError, atom, deref, list_items
@@ -110,7 +111,7 @@ def test_lookups_keep_form_of_interval() -> None:
 
 def test_size_and_count_are_queried(engine_with_three_records: Any) -> None:
     assert engine_with_three_records.query("memory_size(m, N), memory_counter(m, C)") == [{"N": 3, "C": 4}]
-    assert [deref(answer["Id"]).name for answer in engine_with_three_records.query("memory_size(Id, _)")] == [
+    assert [name_of(answer["Id"]) for answer in engine_with_three_records.query("memory_size(Id, _)")] == [
         "m"
     ]
 
@@ -197,8 +198,8 @@ def test_invalid_memory_is_refused(goal: str, error: str) -> None:
     engine = RecordingEngine(goals="memorize(v(X), [], _, m, 3)")
     with pytest.raises(PrologError) as caught:
         engine.call(goal)
-    assert engine.show(caught.value.term[1]) == error
-    assert [deref(answer["Id"]).name for answer in engine.query("memory_size(Id, _)")] == ["m"]
+    assert engine.show(compound(caught.value.term)[1]) == error
+    assert [name_of(answer["Id"]) for answer in engine.query("memory_size(Id, _)")] == ["m"]
 
 
 def test_error_of_condition_is_reported(caplog: pytest.LogCaptureFixture) -> None:

@@ -11,7 +11,7 @@ from typing import Any, List
 import pytest
 from recording_engine import RecordingEngine
 
-from retalis import Engine, Limits, Settings, Var, atom, functor
+from retalis import Engine, Limits, Settings, Term, Var, atom, functor
 from retalis.events.dispatch.dispatcher import Dispatcher
 from retalis.events.dispatch.listeners import DEPTH, ListenerPhase
 
@@ -422,7 +422,8 @@ def test_error_in_query_of_message_is_isolated(make_engine: Any, caplog: pytest.
     engine = make_engine("syncronized(done(X), X > 1, [[m, T]]) <- ask(X, T).\ndone(rule) <- v(_).", MEMORY)
     make_query, value = functor("ask", 2), functor("v", 1)
     engine.post(value(0), 10**9)
-    for second, argument in enumerate((2, atom("a"), 3, atom("b")), 1):
+    arguments: List[Term] = [2, atom("a"), 3, atom("b")]
+    for second, argument in enumerate(arguments, 1):
         engine.post(make_query(argument, 1.0), second * 10**9)
         assert engine.dispatcher.current is None
     engine.post(value(1), 20 * 10**9)

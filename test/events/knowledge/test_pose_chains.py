@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, List, Tuple
 
 import pytest
+from checked_access import compound, required
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -213,7 +214,7 @@ def test_invalid_chain_is_refused(goal: str, error: str) -> None:
     engine.event("part([0,0,0], [0,0,1])", 1.0)
     with pytest.raises(PrologError) as raised:
         engine.query(goal)
-    assert engine.show(raised.value.term[1]).replace("_G", "_").startswith(error.split("_]")[0])
+    assert engine.show(compound(raised.value.term)[1]).replace("_G", "_").startswith(error.split("_]")[0])
 
 
 def test_removed_record_is_not_used() -> None:
@@ -256,7 +257,7 @@ def solutions_or_error(engine: Any, goal: str) -> Any:
     try:
         return solutions(engine, goal)
     except PrologError as error:
-        return engine.show(error.term[1])
+        return engine.show(compound(error.term)[1])
 
 
 RECORDS = st.lists(
@@ -312,10 +313,14 @@ def test_similar_record_goals_are_fused(first: str, second: str, joined: bool) -
     calls: List[Any] = []
     engine.load(rules=ADJACENT_GOALS.format(first, second))
     predicate = engine.logic.database.predicate(functor("prev", 5))
-    joins = predicate.functional_modes.joins
-    predicate.functional_modes = predicate.functional_modes._replace(
-        joins=lambda goals, counts: calls.append(joins(goals, counts)) or calls[-1]
-    )
+    modes = required(predicate.functional_modes)
+    joins = required(modes.joins)
+
+    def record(goals: Any, counts: Any) -> Any:
+        calls.append(joins(goals, counts))
+        return calls[-1]
+
+    predicate.functional_modes = modes._replace(joins=record)
     for _ in range(30):
         assert not engine.call("joined(nothing, 1, _)")
     assert any(calls) == joined

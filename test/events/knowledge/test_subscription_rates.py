@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any, List
 
 import pytest
+from checked_access import required
 from recording_engine import RecordingEngine
 
 from retalis import Clock, Engine, PrologError
@@ -101,17 +102,17 @@ def test_deleted_subscription_sends_nothing() -> None:
 
 def test_stopped_rate_sends_nothing() -> None:
     engine = RecordingEngine(goals="subscribe(a(X) with debounce(2), [], _, t, 1)")
-    engine.knowledge.subscriptions.items()[0][1].rate_limiter.stop()
+    required(engine.knowledge.subscriptions.items()[0][1].rate_limiter).stop()
     engine.event("a(1)", 1)
     engine.event("b", 9)
     assert engine.outputs == []
 
 
-def test_late_and_dropped_events_are_counted() -> None:
+def test_late_and_dropped_events_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     engine = RecordingEngine(goals="subscribe(a(X) with debounce(2, X), [], _, t, 1)")
     reports: List[Any] = []
-    engine.reports.warning = lambda text, *rest: reports.append(text)
-    rate = engine.knowledge.subscriptions.items()[0][1].rate_limiter
+    monkeypatch.setattr(engine.reports, "warning", lambda text, *rest: reports.append(text))
+    rate = required(engine.knowledge.subscriptions.items()[0][1].rate_limiter)
     rate._warn = engine.reports.warning  # noqa: SLF001
     engine.event("b", 10)
     engine.event("a(1)", 1)
@@ -137,14 +138,11 @@ def test_reset_clears_state_of_rates() -> None:
         engine.event("a(2)", 10)
         assert [(term, name) for term, _, name in engine.outputs] == [("a(1)", "1"), ("a(2)", "1")]
     now = [1000 * SECOND]
-    engine = Engine(Clock(lambda: now[0]))
-    engine.load(goals=goal)
-    outputs: List[Any] = []
-    engine.on_output(lambda term, topic, name: outputs.append(engine.show(term)))
+    engine = RecordingEngine(goals=goal, clock=Clock(lambda: now[0]))
     for instant in (1000, 10, 11, 20):
         now[0] = instant * SECOND
         engine.event(f"a({instant})")
-    assert outputs == ["a(1000)", "a(10)", "a(11)"]
+    assert [term for term, _, _ in engine.outputs] == ["a(1000)", "a(10)", "a(11)"]
 
 
 def test_rates_are_restored() -> None:

@@ -8,6 +8,7 @@ from recording_engine import RecordingEngine
 
 from retalis import Engine, PrologError, atom
 from retalis.events.knowledge import memory
+from retalis.prolog.terms.term_traversal import variables
 
 
 def test_accepted_events_are_sent_by_template() -> None:
@@ -116,7 +117,6 @@ def test_variable_subscribes_to_all_events() -> None:
 
 def test_variables_of_long_template_are_not_searched(monkeypatch: pytest.MonkeyPatch) -> None:
     searched: List[Any] = []
-    variables = memory.variables
 
     class SearchedList(list):
         def __contains__(self, variable: Any) -> bool:

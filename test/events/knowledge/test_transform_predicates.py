@@ -4,8 +4,9 @@ from typing import Any, Dict, List
 
 import pytest
 from checked_access import stream_clock
+from recording_reports import RecordingReports
 
-from retalis import Engine, PrologError, Reports, Settings, StreamClock
+from retalis import Engine, PrologError, Settings, StreamClock
 from retalis.prolog.terms.timestamps import SECOND
 
 NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
@@ -19,10 +20,8 @@ class TransformEngine:
     """An engine with transforms, and lists of its events and warnings."""
 
     def __init__(self, rules: Any = RULES, goals: str = "", **settings: Any) -> None:
-        self.warnings: List[Any] = []
-        reports = Reports()
-        reports.warning = lambda problem, *_, **__: self.warnings.append(str(problem))
-        self.engine = Engine(None, Settings(**settings), reports)
+        self.reports = RecordingReports()
+        self.engine = Engine(None, Settings(**settings), self.reports)
         self.events: List[Any] = []
         self.engine.on_event(self.note)
         self.engine.load(rules=rules, goals=goals)
@@ -32,7 +31,7 @@ class TransformEngine:
         if text.startswith(("seen", "late", "got")):
             self.events.append(text)
 
-    def transform(self, parent: str, child: str, second: Any, x: int, is_static: bool = False) -> None:
+    def transform(self, parent: str, child: str, second: Any, x: float, is_static: bool = False) -> None:
         numbers = (float(x), 0.0, 0.0, *NO_ROTATION)
         transform = (parent, child, round(second * SECOND), numbers)
         self.engine.do(lambda: self.engine.knowledge.transforms.store_message([transform], is_static))
@@ -124,7 +123,7 @@ def test_frame_may_be_argument_of_event() -> None:
     assert program.events == [f"got({pose(2)})"]
     program.event("ask(7, 2)", 2)
     program.event("ask(f(x), 2)", 2)
-    assert len([text for text in program.warnings if "names of frames" in text]) == 2
+    assert len([text for text in program.reports.texts if "names of frames" in text]) == 2
 
 
 def test_query_waits_for_transforms_and_memories() -> None:
@@ -202,11 +201,11 @@ def test_unknown_frame_is_reported_once() -> None:
     program = TransformEngine(rules="")
     # A frame is not reported as unknown before any frame is known.
     assert not program.engine.call("tf_lookup(map, camara, 3, _)")
-    assert not program.warnings
+    assert not program.reports.texts
     program.transform("map", "camera", 2, 1)
     for _ in range(3):
         assert not program.engine.call("tf_lookup(map, camara, 3, _)")
-    assert program.warnings == ["tf_lookup: there is no frame 'camara' yet; did you mean 'camera'?"]
+    assert program.reports.texts == ["tf_lookup: there is no frame 'camara' yet; did you mean 'camera'?"]
 
 
 def test_wide_gap_has_no_transform() -> None:
@@ -288,7 +287,9 @@ def test_pending_queries_are_restored() -> None:
 def test_invalid_transforms_are_reported() -> None:
     program = TransformEngine(rules="")
     program.transform("map", "map", 1, 1)
-    assert program.warnings == ["the transform of frame 'map' is refused: a frame cannot be its own parent"]
+    assert program.reports.texts == [
+        "the transform of frame 'map' is refused: a frame cannot be its own parent"
+    ]
 
 
 def test_transforms_are_required_if_program_reads_them() -> None:

@@ -1,9 +1,10 @@
 """Declared events at run time: refused events, and lifetime of declarations."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, List
 
 import pytest
+from recorded_calls import recording
 from recording_engine import RecordingEngine
 
 from retalis import Engine, ProgramErrors, PrologError, UsageError
@@ -135,16 +136,13 @@ def test_reload_replaces_declarations(engine: Any, tmp_path: Path) -> None:
 
 
 def test_declaration_is_parsed_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    parsed, lookups = [], []
+    parsed: List[Any] = []
+    lookups: List[Any] = []
     parse_clause = event_declarations._parse_clause  # noqa: SLF001
     parse_clauses = event_declarations.DeclaredEvents._parse_clauses  # noqa: SLF001
+    monkeypatch.setattr(event_declarations, "_parse_clause", recording(parsed, parse_clause))
     monkeypatch.setattr(
-        event_declarations, "_parse_clause", lambda clause: parsed.append(1) or parse_clause(clause)
-    )
-    monkeypatch.setattr(
-        event_declarations.DeclaredEvents,
-        "_parse_clauses",
-        lambda self: lookups.append(1) or parse_clauses(self),
+        event_declarations.DeclaredEvents, "_parse_clauses", recording(lookups, parse_clauses)
     )
     engine = Engine()
     for number in range(30):

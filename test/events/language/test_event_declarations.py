@@ -3,6 +3,7 @@
 from typing import Any, List
 
 import pytest
+from checked_access import compound
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -16,7 +17,7 @@ from retalis.events.language.event_declarations import (
     parse_value_type,
 )
 from retalis.events.program.event_file_checker import FileChecker
-from retalis.prolog.syntax.term_reader import read_program, read_term
+from retalis.prolog.syntax.term_reader import ReadTerm, read_program, read_term
 from retalis.prolog.syntax.term_writer import writeq
 
 OPERATORS = Operators.prolog()
@@ -54,7 +55,7 @@ def no_position(part: Any, number: int = 0) -> Any:
 
 
 def declarations_of(text: str) -> List[Any]:
-    goal = read_term(f":- event {text}.", OPERATORS).term[1]
+    goal = compound(read_term(f":- event {text}.", OPERATORS).term)[1]
     return [declaration for declaration, _ in parse_declarations(goal, no_position)]
 
 
@@ -92,6 +93,7 @@ def test_rules_that_follow_declarations_have_no_errors(data: st.DataObject, decl
     )
     checker = FileChecker(declarations=Declarations(str))
     for clause in read_program(rules, OPERATORS):
+        assert isinstance(clause, ReadTerm), clause
         checker.check_read_term(clause)
     assert list(checker.errors) == []
     assert len(checker.rules) == 2

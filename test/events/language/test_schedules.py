@@ -3,6 +3,7 @@
 from typing import Any
 
 import pytest
+from checked_access import required
 from hypothesis import given
 from hypothesis import strategies as st
 from parsing import parse_term
@@ -18,7 +19,7 @@ DAY = 86_400
 def test_next_instant_is_first_multiple_after_present(milliseconds: int, now: int, aligned: bool) -> None:
     period = milliseconds * 10**6
     schedule = parse_schedule(parse_term(f"every({milliseconds / 1000}{'' if aligned else ', from_now'})"))
-    next_instant = schedule.next_instant(now)
+    next_instant = required(schedule.next_instant(now))
     assert schedule.repeats
     assert schedule.period == period
     assert now < next_instant <= now + period
@@ -68,7 +69,7 @@ def test_error_of_schedule_names_expected_form(text: str, message: str) -> None:
     with pytest.raises(UsageError) as raised:
         parse_schedule(parse_term(text))
     assert message in raised.value.message
-    assert message in schedule_error(parse_term(text))
+    assert message in required(schedule_error(parse_term(text)))
 
 
 @pytest.mark.parametrize("text", ["W", "every(N)", "at(H,0,0)", "every(2)", "at(datime(Y,1,1,0,0,0,0))"])

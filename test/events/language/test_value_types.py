@@ -3,6 +3,7 @@
 from typing import Any
 
 import pytest
+from checked_access import required
 from parsing import parse_term
 
 from retalis import UsageError
@@ -67,7 +68,10 @@ def test_message_types_exclude_each_other() -> None:
 
 
 def test_list_types_may_be_nested() -> None:
-    assert parse_value_type(parse_term("list(list(atom))")).items.items is VALUE_TYPES["atom"]
+    assert (
+        required(required(parse_value_type(parse_term("list(list(atom))"))).items).items
+        is VALUE_TYPES["atom"]
+    )
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 import random
 from collections import deque
-from typing import Any, Deque, List
+from typing import Any, Deque, List, Optional
 
 import pytest
 
@@ -20,7 +20,7 @@ class StoredMatch:
 
     def __init__(self, order: Any) -> None:
         self.order = order
-        self.buffer = self
+        self.buffer: Optional[StoredMatch] = self
 
     def discard(self) -> None:
         """Remove the match from its buffer."""
@@ -35,7 +35,7 @@ def test_matches_expire_after_their_instant(max_delay: int) -> None:
     for order in range(500):
         instant = order + generator.randint(0, max_delay)
         matches.append((instant, StoredMatch(order)))
-        queue.add(*matches[-1], stored_count=500)
+        queue.add(instant, matches[-1][1], stored_count=500)
         queue.expire(order - 50)
         assert all((match.buffer is None) == (instant < order - 50) for instant, match in matches)
     assert len(queue) == sum(match.buffer is not None for _, match in matches)
@@ -132,7 +132,7 @@ def test_removed_matches_are_dropped_in_slices(queue: Any, add: Any) -> None:
 
 
 def test_slices_restart_after_last_entry() -> None:
-    matches = deque(StoredMatch(order) for order in range(2 * SLICE_ENTRIES))
+    matches: Deque[Any] = deque(StoredMatch(order) for order in range(2 * SLICE_ENTRIES))
     for match in list(matches)[:SLICE_ENTRIES]:
         match.discard()
     assert remove_stale_entries(matches, 0) == 0
@@ -143,7 +143,7 @@ def test_slices_restart_after_last_entry() -> None:
     "match_count", [0, 1, SLICE_ENTRIES - 1, SLICE_ENTRIES, SLICE_ENTRIES + 1, 3 * SLICE_ENTRIES + 7]
 )
 def test_slices_keep_order_and_reach_all_entries(match_count: Any) -> None:
-    matches = deque(StoredMatch(order) for order in range(match_count))
+    matches: Deque[Any] = deque(StoredMatch(order) for order in range(match_count))
     for match in list(matches)[::3]:
         match.discard()
     start = 0
@@ -156,7 +156,7 @@ def test_slices_keep_order_and_reach_all_entries(match_count: Any) -> None:
 def test_removed_matches_are_dropped(step: int) -> None:
     queue = ExpirationQueue()
     for order in range(20_000):
-        match = StoredMatch(order)
+        match: Any = StoredMatch(order)
         queue.add(order * step, match, stored_count=1)
         if order:
             match.discard()

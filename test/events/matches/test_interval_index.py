@@ -49,7 +49,7 @@ def test_index_equals_linear_search(by_end: bool, in_order: bool, width: int) ->
         start = order if in_order else generator.randrange(width)
         return start, start + generator.randrange(width // 3)
 
-    matches = [Interval(order, *interval(order)) for order in range(300)]
+    matches: List[Any] = [Interval(order, *interval(order)) for order in range(300)]
     index = IntervalIndex(matches, by_end)
     for order in range(300, 1500):
         if generator.random() < (0.6 if order < 900 else 0.3) or len(matches) < 2:
@@ -69,7 +69,7 @@ def test_index_equals_linear_search(by_end: bool, in_order: bool, width: int) ->
 
 @pytest.mark.parametrize("newest", [False, True])
 def test_index_may_change_during_search(newest: bool) -> None:
-    matches = [Interval(order, order % 7, order % 7 + 1) for order in range(200)]
+    matches: List[Any] = [Interval(order, order % 7, order % 7 + 1) for order in range(200)]
     index = IntervalIndex(matches, False)
     limits = (3, 3, MIN_VALUE, MAX_VALUE)
     expected = linear_search(matches, limits, newest, MAX_VALUE if newest else MIN_VALUE)
@@ -77,7 +77,8 @@ def test_index_may_change_during_search(newest: bool) -> None:
     for match in index.search(limits, newest, MAX_VALUE if newest else MIN_VALUE):
         orders.append(match.order)
         if len(orders) == 2:
-            index.add(Interval(200, 3, 4))
+            matches.append(Interval(200, 3, 4))
+            index.add(matches.pop())
             index.remove(matches[expected[2]])
     assert orders == expected[:2] + expected[3:]
 
@@ -113,7 +114,7 @@ class CountingInt(int):
 def test_search_compares_few_matches(
     by_end: bool, limits: Tuple[Any, ...], newest: bool, beyond: Any
 ) -> None:
-    matches = [Interval(order, CountingInt(order), CountingInt(order)) for order in range(5000)]
+    matches: List[Any] = [Interval(order, CountingInt(order), CountingInt(order)) for order in range(5000)]
     index = IntervalIndex(matches, by_end)
     CountingInt.comparison_count = 0
     orders = [match.order for match in index.search(limits, newest, beyond)]
@@ -124,7 +125,7 @@ def test_search_compares_few_matches(
 
 @pytest.mark.parametrize("initial_count", [1, 1000, 2000])
 def test_removed_matches_are_not_referenced(initial_count: int) -> None:
-    matches = [Interval(order, order, order) for order in range(2000)]
+    matches: List[Any] = [Interval(order, order, order) for order in range(2000)]
     index = IntervalIndex(matches[:initial_count], False)
     for number in range(initial_count, 2000):
         index.add(matches[number])
@@ -139,7 +140,7 @@ def test_removed_matches_are_not_referenced(initial_count: int) -> None:
 
 
 def test_index_without_searches_is_idle() -> None:
-    matches = [Interval(order, order, order) for order in range(10)]
+    matches: List[Any] = [Interval(order, order, order) for order in range(10)]
     index = IntervalIndex(matches, False)
     for order in range(10, 30):
         assert not index.is_idle

@@ -1,6 +1,6 @@
 """Match buffers: order of arrival, partners by time, and changes during iteration."""
 
-from typing import Any, List, Optional
+from typing import Any, Dict, List, Optional
 from unittest.mock import patch
 
 import pytest
@@ -26,15 +26,19 @@ class Rule:
         self.stored_match_count += 1
 
 
+def rule_of_buffer() -> Any:
+    return Rule()
+
+
 @pytest.fixture
 def buffer() -> Any:
     """Return a buffer of the left side of ``meets``, with one shared variable."""
-    buffer = MatchBuffer(Rule(), (0,))
+    buffer = MatchBuffer(rule_of_buffer(), (0,))
     buffer.partner_bounds = interval_bounds("meets", None, False)
     return buffer
 
 
-def store_match(buffer: Any, value: int, start: int, end: int) -> Any:
+def store_match(buffer: Any, value: Any, start: int, end: int) -> Any:
     """Store a match with a value in the buffer, and return it."""
     match = PartialMatch((value,), start, end, None, atom("p"), None)
     buffer.add(match, buffer.key_of(match))
@@ -164,12 +168,16 @@ CHANGES = st.one_of(
 def test_buffer_equals_linear_search(operator: Optional[str], identity_count: Optional[int]) -> None:
     """The thresholds are small here, so that indexes by time and by identity are created."""
     bounds = None if operator is None else interval_bounds(operator, None, True)
-    limits = {"MAX_MISSES_BEFORE_INDEX": 3, "MAX_MISSES_WITH_INDEX": 1, "MAX_COMPARED_IDENTITIES": 1}
+    limits: Dict[str, Any] = {
+        "MAX_MISSES_BEFORE_INDEX": 3,
+        "MAX_MISSES_WITH_INDEX": 1,
+        "MAX_COMPARED_IDENTITIES": 1,
+    }
 
     @settings(deadline=None, derandomize=True, max_examples=60)
     @given(st.lists(CHANGES, min_size=10, max_size=50))
     def check(steps: List[Any]) -> None:
-        buffer = MatchBuffer(Rule(), (0,))
+        buffer = MatchBuffer(rule_of_buffer(), (0,))
         buffer.partner_bounds = bounds
         if identity_count is not None:
             buffer.set_identity_function(lambda match: (match.key, match.start % identity_count))

@@ -4,6 +4,7 @@ import random
 from typing import Any, List, Tuple
 
 import pytest
+from checked_access import stream_clock
 from events.stream_programs import ProgramRunner, outputs_of
 
 from retalis import Engine
@@ -333,7 +334,7 @@ def test_newest_ruled_out_matches_wait_for_late_event() -> None:
 def test_windows_expire_with_pinned_clock(rule: str) -> None:
     engine = Engine()
     rules = engine.rules
-    rules.clock.pin(0)
+    stream_clock(engine).pin(0)
     engine.load(rules=rule)
     for second in range(1000):
         engine.event(f"{'ac'[second % 2]}({second})", second)

@@ -4,6 +4,7 @@ from itertools import product
 from typing import Any, Optional
 
 import pytest
+from checked_access import required
 
 from retalis.events.language.event_operators import PAIR_OPERATORS
 from retalis.events.matches.interval_index import BEFORE, BETWEEN, MAX_VALUE, MIN_VALUE, interval_bounds
@@ -39,13 +40,13 @@ def test_matching_partners_are_within_bounds(name: Any, span: Optional[int]) -> 
 @pytest.mark.parametrize("left", [False, True])
 def test_partners_within_bounds_match(name: str, left: bool) -> None:
     for interval, partner in product(INTERVALS, repeat=2):
-        if within(interval_bounds(name, None, left).limits(*interval), partner):
+        if within(required(interval_bounds(name, None, left)).limits(*interval), partner):
             assert fits(PAIR_OPERATORS[name], None, *((interval, partner) if left else (partner, interval)))
 
 
 def test_partners_of_and_are_bounded_by_window_only() -> None:
     assert interval_bounds("and", None, True) is None
-    assert interval_bounds("and", 10, True).limits(5, 7) == (-3, MAX_VALUE, MIN_VALUE, 15)
+    assert required(interval_bounds("and", 10, True)).limits(5, 7) == (-3, MAX_VALUE, MIN_VALUE, 15)
 
 
 @pytest.mark.parametrize(
@@ -59,7 +60,7 @@ def test_partners_of_and_are_bounded_by_window_only() -> None:
     ],
 )
 def test_most_limited_instant_is_indexed(name: str, left: bool, by_end: bool) -> None:
-    assert interval_bounds(name, None, left).by_end is by_end
+    assert required(interval_bounds(name, None, left)).by_end is by_end
 
 
 def test_bounds_of_negated_events() -> None:

@@ -1,7 +1,7 @@
 """Consumption policies, windows, labels and flags."""
 
 from enum import Enum
-from typing import Any, List
+from typing import Any, List, cast
 
 import pytest
 from events.stream_programs import ProgramRunner, format_events, outputs_of
@@ -229,7 +229,7 @@ def test_policy_without_join_is_refused() -> None:
     for policy in ConsumptionPolicy:
         check_policy(policy)
     with pytest.raises(UsageError, match="policy newest_of_all: the network has no join"):
-        check_policy(PolicyWithoutJoin.NEWEST)
+        check_policy(cast("ConsumptionPolicy", PolicyWithoutJoin.NEWEST))
 
 
 def test_refused_policy_leaves_rule_unchanged() -> None:
@@ -238,5 +238,7 @@ def test_refused_policy_leaves_rule_unchanged() -> None:
     (rule,) = engine.rules.rules
     options = rule.options
     with pytest.raises(UsageError, match="no join"):
-        rule.configure(options._replace(policy=PolicyWithoutJoin.NEWEST), None, None)
+        rule.configure(
+            options._replace(policy=cast("ConsumptionPolicy", PolicyWithoutJoin.NEWEST)), None, None
+        )
     assert rule.options is options

@@ -1,7 +1,7 @@
 """Deadlines of nodes: order, independence, and a single alarm of the clock."""
 
 from types import SimpleNamespace
-from typing import Any, Dict, List, Tuple
+from typing import Any, Dict, List, Optional, Tuple, Union
 
 import pytest
 from events.stream_programs import ProgramRunner, format_events
@@ -22,7 +22,7 @@ class Node:
         self.rule = SimpleNamespace(serial=serial, active=True)
         self.position = position
         self.watermark = PatternWatermark()
-        self.alarm_instant = None
+        self.alarm_instant: Optional[int] = None
         self.next_instants: List[Any] = []
 
     def request(self, instant: int) -> None:
@@ -46,18 +46,18 @@ class TimerBench:
     """Node timers with a clock, and a machine that does nothing."""
 
     def __init__(self) -> None:
-        machine = SimpleNamespace(done=None, run=lambda frame: frame)
+        machine: Any = SimpleNamespace(done=None, run=lambda frame: frame)
         self.clock = StreamClock()
-        dispatcher = SimpleNamespace(run_without_context=lambda work: work())
+        dispatcher: Any = SimpleNamespace(run_without_context=lambda work: work())
         self.deadlines = NodeTimers(self.clock, dispatcher, machine)
         self.alarms: List[Any] = []
 
-    def node(self, name: str, serial: int, position: int = 0) -> Node:
+    def node(self, name: Union[str, int], serial: int, position: int = 0) -> Node:
         return Node(self, name, serial, position)
 
     def advance_to(self, instant: int) -> Tuple[Any, ...]:
         """Move the clock to an instant; return the alarms that ran, and the errors that they raised."""
-        self.alarms: List[Any] = []
+        self.alarms = []
         self.clock.move_to(instant)
         errors: List[Any] = []
         while True:
@@ -73,8 +73,8 @@ class TimerBench:
 def test_alarms_are_ordered_by_instant_rule_and_node() -> None:
     timer_bench = TimerBench()
     nodes = {
-        name: timer_bench.node(name, *order)
-        for name, *order in [("b0", 2, 0), ("a1", 1, 1), ("a0", 1, 0), ("c", 3)]
+        name: timer_bench.node(name, serial, position)
+        for name, serial, position in [("b0", 2, 0), ("a1", 1, 1), ("a0", 1, 0), ("c", 3, 0)]
     }
     for name, instant in (("b0", 50), ("a1", 50), ("c", 40), ("a0", 50)):
         nodes[name].request(instant)

@@ -1,6 +1,7 @@
 """Goals of a stream operator that emit events for it, reset it or change its flags."""
 
-from typing import Any, Tuple
+from functools import partial
+from typing import Any, List, Tuple
 
 import pytest
 
@@ -120,10 +121,17 @@ def test_condition_of_absent_event_emits_events() -> None:
 
 def test_deferred_work_runs_in_order() -> None:
     dispatcher = Dispatcher()
-    queue, executed, end_frame = ReentrancyQueue(dispatcher), [], ("end",)
+    queue = ReentrancyQueue(dispatcher)
+    executed: List[int] = []
+    end_frame: Any = ("end",)
+
+    def work(number: int, frame: Any) -> Any:
+        executed.append(number)
+        return frame
+
     assert queue.prepend_deferred_work(end_frame) is end_frame
     for number in (1, 2):
-        queue.defer(lambda frame, number=number: executed.append(number) or frame)
+        queue.defer(partial(work, number))
     frame = queue.prepend_deferred_work(end_frame)
     while frame is not end_frame:
         frame = frame[0].run(frame)

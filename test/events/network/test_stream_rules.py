@@ -21,8 +21,8 @@ class EngineDriver(Engine):
         rules_of_engine = self.rules
         rules_of_engine.max_stored = rules_of_engine.max_stored if max_stored is None else max_stored
         self.outputs: List[Any] = []
-        self.reports: List[Any] = []
-        rules_of_engine.on_error = rules_of_engine.on_warning = lambda error: self.reports.append(
+        self.problems: List[str] = []
+        rules_of_engine.on_error = rules_of_engine.on_warning = lambda error: self.problems.append(
             error.message
         )
         self.load(rules=rules)
@@ -80,7 +80,7 @@ def test_deadlines_of_one_instant_are_ordered() -> None:
 def test_error_of_rule_leaves_other_deadlines(rule: str) -> None:
     engine = EngineDriver(EVERY.format("a", 2) + rule + "\n" + EVERY.format("z", 2))
     assert engine.feed("in(1)@1 in(2)@1.5 in(3)@3 tick@9") == "a(2)@0-2 z(2)@0-2 a(1)@2-4 z(1)@2-4"
-    assert engine.reports
+    assert engine.problems
 
 
 @pytest.mark.parametrize(
@@ -152,8 +152,10 @@ def test_oldest_element_is_dropped_at_limit(name: Any, flags: str) -> None:
     (stream,) = engine.streams()
     assert entry_count(stream) <= 100
     assert engine.event_rules[0].dropped_count == 145
-    assert len(engine.reports) == 8
-    assert engine.reports[0].endswith("more than 5 partial matches; 1 of the oldest have been dropped so far")
+    assert len(engine.problems) == 8
+    assert engine.problems[0].endswith(
+        "more than 5 partial matches; 1 of the oldest have been dropped so far"
+    )
     if name in ("last", "running"):
         assert engine.outputs[-1] == "w([144,145,146,147,148,149])@14.4-14.9"
     if name in ("debounce", "awaited"):
@@ -179,20 +181,20 @@ def test_late_elements_are_counted_and_reported_seldom() -> None:
     engine = EngineDriver("w(N) <- aggregate(count, in(_), N, last(2)).")
     engine.feed("in(1)@10 " + "in(1)@5 " * 9)
     assert engine.event_rules[0].late_count == 9
-    assert [report.rpartition("; ")[2] for report in engine.reports] == [
+    assert [report.rpartition("; ")[2] for report in engine.problems] == [
         "1 so far",
         "2 so far",
         "4 so far",
         "8 so far",
     ]
-    assert "its window has ended" in engine.reports[0]
+    assert "its window has ended" in engine.problems[0]
 
 
 def test_refused_value_is_reported_and_skipped() -> None:
     engine = EngineDriver("w(S) <- aggregate(sum(X), in(X), S, last(100)).")
     assert engine.feed("in(1)@1 in(a)@2 in(inf)@2.5 in(1+1)@3") == "w(1)@1-1 w(3)@1-3"
     assert engine.event_rules[0].metrics.error_count == 2
-    assert [report.rpartition(", ")[2] for report in engine.reports] == [
+    assert [report.rpartition(", ")[2] for report in engine.problems] == [
         "at event in(a): aggregate sum: the value is 'a': expected a number",
         "at event in(inf): aggregate sum: the value is 'inf': expected a number",
     ]
@@ -227,7 +229,7 @@ def results_of_patterns(aggregate: str, value: str, factor: str = "") -> Iterato
     engine.feed(f"s@0 a(1)@1 a({value})@2")
     for number, _ in enumerate(patterns):
         results = [output.partition("@")[0] for output in engine.outputs if output.startswith(f"r{number}(")]
-        reports = [report for report in engine.reports if report.startswith(f"rule r{number}(R), ")]
+        reports = [report for report in engine.problems if report.startswith(f"rule r{number}(R), ")]
         yield results[-1].replace(f"r{number}(", "r(") if results else "", reports
 
 
@@ -294,7 +296,7 @@ def test_nan_is_not_compared(aggregate: str) -> None:
 def test_overflow_of_running_sum_is_reported(aggregate: str) -> None:
     engine = EngineDriver(f"r(R) <- s seq aggregate({aggregate}(X), a(X), R).")
     engine.feed("s@0 a(1.5e308)@1 a(1.5e308)@2 a(-1.5e308)@3")
-    assert [report.rpartition(": ")[2] for report in engine.reports] == ["a number is too large"]
+    assert [report.rpartition(": ")[2] for report in engine.problems] == ["a number is too large"]
     assert [output for output in engine.outputs if output.startswith("r(")][-1] == "r(0.0)@0-3"
 
 
@@ -311,7 +313,7 @@ def test_rates_are_rounded_once() -> None:
 def test_overflow_of_window_is_reported_once() -> None:
     engine = EngineDriver("w(S) <- aggregate(sum(X), in(X), S, every(2, events)).")
     assert engine.feed("in(1.0e308)@1 in(1.0e308)@2 in(1)@3 in(2)@4") == "w(3)@3-4"
-    assert [report.rpartition(": ")[2] for report in engine.reports] == [
+    assert [report.rpartition(": ")[2] for report in engine.problems] == [
         "the result is too large for a float"
     ]
 
@@ -349,7 +351,7 @@ def test_timed_output_matches_outer_pattern(policy: Any, flag: Any) -> None:
     engine = EngineDriver("\n".join(rules))
     engine.feed("begin@0.5 in(3)@3")
     outputs = engine.feed("tick@6 end@7 tick@20")
-    assert engine.reports == []
+    assert engine.problems == []
     assert sorted(output.partition("@")[0] for output in outputs.split() if output[:3] != "end") == sorted(
         heads
     )
@@ -417,7 +419,7 @@ def test_window_in_the_past_does_not_begin(window: str, output: str) -> None:
     engine = EngineDriver(f"w(N) <- aggregate(count, in(_), N, {window}).")
     assert engine.feed("in(1)@1 tick@10 in(2)@6 in(3)@7 tick@10.5") == output
     assert [rule.late_count for rule in engine.event_rules] == [2]
-    assert "its window has ended" in engine.reports[0]
+    assert "its window has ended" in engine.problems[0]
     assert engine.feed("in(4)@8 tick@20").startswith("w(1)@8-")
 
 
@@ -471,7 +473,7 @@ def test_complete_matches_are_emitted_at_limit(flags: str) -> None:
         f"w([{number}])" for number in range(20)
     ]
     assert engine.event_rules[0].dropped_count == 3
-    assert engine.reports
+    assert engine.problems
 
 
 def test_array_of_another_length_costs_only_its_event() -> None:
@@ -490,8 +492,8 @@ def test_array_of_another_length_costs_only_its_event() -> None:
         expected = plain.feed(" ".join([*samples, odd[2], "tick@2 tick@3"]))
         assert mixed.feed(" ".join([*samples, *odd, "tick@2 tick@3"])) == expected
         assert "r(c,5,[5,1,2])" in expected
-        assert len(mixed.reports) == mixed.event_rules[0].metrics.error_count == 2
-        assert {report.split("aggregate max: ")[1] for report in mixed.reports} == {
+        assert len(mixed.problems) == mixed.event_rules[0].metrics.error_count == 2
+        assert {report.split("aggregate max: ")[1] for report in mixed.problems} == {
             "the value is '[1,2,3,4]': expected an array of 3 elements",
             "the value is 'long': expected a number",
         }
@@ -500,7 +502,7 @@ def test_array_of_another_length_costs_only_its_event() -> None:
 def test_report_of_refused_value_names_key() -> None:
     engine = EngineDriver("r(K,M) <- aggregate(max(V), in(K,V), M, every(1)).")
     assert engine.feed("in(a,[1,2,3])@1.1 in(a,[1,2,3,4])@1.2 tick@3") == "r(a,[1,2,3])@1-2"
-    assert engine.reports == [
+    assert engine.problems == [
         "rule r(K,M), at key a: aggregate max: the value is '[1,2,3,4]': expected an array of 3 elements"
     ]
 
@@ -512,14 +514,14 @@ def test_length_of_arrays_may_change_in_empty_window(window: str) -> None:
     engine = EngineDriver(f"r(M) <- aggregate(max(V), in(V), M, {window}).")
     assert "[1,2,3]" in engine.feed("in([1,2,3])@1.1 tick@2")
     assert "[1,2,3,4]" in engine.feed("in([1,2,3,4])@9.1 tick@10")
-    assert engine.reports == []
+    assert engine.problems == []
 
 
 def test_length_of_arrays_may_change_after_key_is_idle() -> None:
     rules = "q([property(ttl, 5)]) : r(M) <- aggregate(max(V), in(V), M, last(3,events))."
     engine = EngineDriver(rules)
     assert engine.feed("in([1,2,3])@1 in([1,2,3,4])@9") == "r([1,2,3])@1-1 r([1,2,3,4])@9-9"
-    assert engine.reports == []
+    assert engine.problems == []
 
 
 def test_array_after_numbers_is_refused() -> None:
@@ -528,8 +530,8 @@ def test_array_after_numbers_is_refused() -> None:
         engine.feed("in([1,2,3],5)@1 in([1,2,4],[1])@2 in([1,2,5],6)@3")
         == "r([1,2,3],5)@1-1 r([1,2,5],6)@1-3"
     )
-    assert len(engine.reports) == 1
-    assert "the value is '[1]': expected a number" in engine.reports[0]
+    assert len(engine.problems) == 1
+    assert "the value is '[1]': expected a number" in engine.problems[0]
 
 
 def test_average_beyond_floats_is_reported() -> None:
@@ -539,12 +541,12 @@ def test_average_beyond_floats_is_reported() -> None:
         engine.feed(f"p@1 in({huge})@2 in(0)@3 in({-huge + 3})@4")
         == f"p@1-1 r({huge})@1-2 later@2-2 later@3-3 r(1)@1-4 later@4-4"
     )
-    assert len(engine.reports) == 1
-    assert engine.reports[0].endswith("aggregate avg: the result is too large for a float")
+    assert len(engine.problems) == 1
+    assert engine.problems[0].endswith("aggregate avg: the result is too large for a float")
 
 
 def test_error_of_alarm_stops_no_other_alarm(caplog: pytest.LogCaptureFixture) -> None:
-    def fail(machine: Any) -> None:
+    def fail(machine: Any) -> bool:
         raise KeyError("defect")
 
     rules = (
@@ -563,7 +565,7 @@ def test_event_between_hopping_windows_is_ignored() -> None:
     engine = EngineDriver("n(N) <- aggregate(count, in(_), N, last(1,every(10))).")
     assert engine.feed("in(1)@3 in(2)@9.5 in(3)@14 in(4)@12 tick@30") == "n(1)@9-10"
     assert engine.event_rules[0].late_count == 0
-    assert engine.reports == []
+    assert engine.problems == []
     # An event of a window that has ended is late.
     assert engine.feed("in(5)@29.5") == ""
     assert engine.event_rules[0].late_count == 1

@@ -8,6 +8,7 @@ import pytest
 from checked_access import place_of
 from events.load_problems import assert_refused, errors_of
 from events.stream_programs import ProgramRunner, outputs_of
+from recorded_calls import recording
 
 from retalis import Engine, ProgramErrors, atom, functor
 from retalis.prolog.database.predicate import Predicate
@@ -250,10 +251,8 @@ def test_rule_changes_do_not_scan_program(monkeypatch: pytest.MonkeyPatch) -> No
     engine = program.engine
     reads: List[Any] = []
     active_clauses = Predicate.active_clauses
-    monkeypatch.setattr(
-        Predicate, "active_clauses", lambda predicate: reads.append(predicate) or active_clauses(predicate)
-    )
-    monkeypatch.setattr(type(engine.rules), "rules", property(lambda rules: reads.append(rules) or []))
+    monkeypatch.setattr(Predicate, "active_clauses", recording(reads, active_clauses))
+    monkeypatch.setattr(type(engine.rules), "rules", property(recording(reads, lambda rules: [])))
     assert engine.call("ins_event_rule(r([property(window,5)]) : (d(X) <- e(X) and f(X)))")
     assert program.feed("e(1)@1 f(1)@2") == "d(1)@1-2"
     assert engine.call("del_event_rule(r)")

@@ -64,9 +64,10 @@ def test_rules_call_predicates_of_modules(folder: Any) -> None:
     assert values(engine, "help(X)") == ["rules"]
 
 
-def test_event_file_is_no_module(folder: Any) -> None:
-    engine, messages = Engine(), []
-    engine.logic.message = lambda kind, text: messages.append(text)
+def test_event_file_is_no_module(folder: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    engine = Engine()
+    messages: List[str] = []
+    monkeypatch.setattr(engine.logic, "message", lambda kind, text: messages.append(text))
     engine.load_rules(":- module(m, []).\nb <- a where own.\nown.\n")
     assert "module/2 has no effect" in messages[0]
     assert engine.call("own")

@@ -154,7 +154,7 @@ def test_invalid_utf_8_is_reported_with_line(tmp_path: Path) -> None:
     path.write_bytes("a.\nb. % gr\u00fcn\n".encode("latin-1"))
     with pytest.raises(UsageError, match=r"latin.txt: not UTF-8 text \(line 2: invalid start byte 0xfc\)"):
         read_text(path)
-    engine = Engine(settings=Settings(folders=[tmp_path]))
+    engine = Engine(settings=Settings(folders=(str(tmp_path),)))
     with pytest.raises(PrologError, match=r"not UTF-8 text \(line 2: invalid start byte 0xfc\)"):
         engine.call(f"compile_event_file('{path}')")
 

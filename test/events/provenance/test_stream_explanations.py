@@ -3,6 +3,7 @@
 from typing import Any
 
 import pytest
+from checked_access import compound
 
 from retalis import Engine
 
@@ -17,7 +18,7 @@ def explanation_of(rules: str, stream: Any, event: str) -> Any:
         term, end = item.rsplit("@", 1)
         engine.event(term, int(end))
     (answer, *_) = engine.query(f"justify_event({event}, _, E), (E = [J] -> true ; J = E)")
-    _, _, _, body = answer["J"]
+    _, _, _, body = compound(answer["J"])
     return engine.show(body)
 
 

@@ -3,6 +3,7 @@
 from typing import Any, Optional, Tuple
 
 import pytest
+from checked_access import required
 from reachability import count_entries
 
 from retalis import Operators, RetalisError, functor
@@ -73,14 +74,14 @@ def test_timestamps_keep_instants_beyond_cache() -> None:
     for second in list(range(60)) * 2:
         for minute in (3, 4):
             timestamp = f"datime(1970,1,1,0,{minute},{second},5)"
-            event = reader.parse_event(f"event(a,[{timestamp},{timestamp}])")
+            event = required(reader.parse_event(f"event(a,[{timestamp},{timestamp}])"))
             assert event.start == event.end == (minute * 60 + second) * 10**9 + 5
             assert type(event.start) is int
     assert count_entries(reader) - count_before <= 64 + 10
 
 
 def test_nested_event_with_timestamps_is_unwrapped() -> None:
-    event = event_of(EventReader(Operators.prolog()).read("event(event(a(1),[2,3]))"))
+    event = required(event_of(EventReader(Operators.prolog()).read("event(event(a(1),[2,3]))")))
     assert (event.term, event.start, event.end) == (functor("a", 1)(1), 2 * SECOND, 3 * SECOND)
     with pytest.raises(RetalisError, match="interval"):
         event_of(EventReader(Operators.prolog()).read("event(event(a(1),2))"))
@@ -89,9 +90,9 @@ def test_nested_event_with_timestamps_is_unwrapped() -> None:
 def test_reader_reports_ground_events() -> None:
     reader = InputReader(Operators.prolog())
     timestamp = "datime(2014,10,19,19,50,5,1)"
-    assert reader.parse_event(f"event(a(1),[{timestamp},{timestamp}])").ground is True
-    assert reader.parse_event(f"event(a(X),[{timestamp},{timestamp}])").ground is False
-    assert reader.parse_event("event(a(1))").ground is None
+    assert required(reader.parse_event(f"event(a(1),[{timestamp},{timestamp}])")).ground is True
+    assert required(reader.parse_event(f"event(a(X),[{timestamp},{timestamp}])")).ground is False
+    assert required(reader.parse_event("event(a(1))")).ground is None
 
 
 def test_timestamp_of_thousands_of_digits_is_refused() -> None:

@@ -6,10 +6,12 @@ from typing import Any, List
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from recorded_calls import recording
 
 from retalis import Engine, ProgramErrors, PrologError, RetalisError, StreamClock
 from retalis.events.rules import timer_service
 from retalis.prolog.terms.timestamps import SECOND
+from retalis.prolog.terms.unification import may_unify
 
 
 class TimerEngine(Engine):
@@ -118,10 +120,7 @@ def test_cancel_removes_unifying_timers() -> None:
 
 def test_cancel_compares_candidates_only(monkeypatch: pytest.MonkeyPatch) -> None:
     compared: List[Any] = []
-    unifies = timer_service.may_unify
-    monkeypatch.setattr(
-        timer_service, "may_unify", lambda timer, pattern: compared.append(timer) or unifies(timer, pattern)
-    )
+    monkeypatch.setattr(timer_service, "may_unify", recording(compared, may_unify))
     engine = load_engine("\n".join(f"timer(a({number}, b), after(9))" for number in range(50)))
     engine.load(goals="timer(a(_, c), after(9))\ntimer(a(_, b), after(9))")
     assert engine.query("cancel_timer(a(7, b), N)") == [{"N": 2}]

@@ -1,18 +1,19 @@
 """Windows over arrays, compared with numpy."""
 
-from typing import Any, List, Tuple
+from typing import Any, Dict, List, Optional, Tuple
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from recording_reports import RecordingReports
 
-from retalis import Engine, Settings, functor, make_list
+from retalis import Engine, Reports, Settings, functor, make_list
 from retalis.prolog.builtins.argument_checks import array_of
 from retalis.prolog.terms.array_terms import array_term
 from retalis.prolog.terms.timestamps import SECOND
 
-NUMPY_FUNCTIONS = {
+NUMPY_FUNCTIONS: Dict[str, Any] = {
     "sum(X)": np.sum,
     "avg(X)": np.mean,
     "min(X)": np.nanmin,
@@ -26,19 +27,9 @@ SCAN = functor("scan", 2)
 ROWS = st.lists(st.lists(st.floats(-100, 100, width=32), min_size=6, max_size=6), min_size=1, max_size=9)
 
 
-class ReportRecorder:
-    """Observer of an engine that records all reports."""
-
-    def __init__(self) -> None:
-        self.reports: List[Any] = []
-
-    def __getattr__(self, name: Any) -> Any:
-        return lambda *arguments: self.reports.append(" ".join(map(str, arguments)))
-
-
-def engine_of(rules: str, observer: Any = None) -> Tuple[Any, ...]:
+def engine_of(rules: str, reports: Optional[Reports] = None) -> Tuple[Any, ...]:
     """Return an engine, and the list that receives the arrays of its events."""
-    engine, results = Engine(None, Settings(), observer or ReportRecorder()), []
+    engine, results = Engine(None, Settings(), reports or RecordingReports()), []
     engine.on_event(
         lambda term, start, end: results.append(array_of(term[2])) if term[0].name == "out" else None
     )
@@ -105,27 +96,27 @@ def test_median_of_infinite_elements() -> None:
 
 @pytest.mark.parametrize("aggregate", NUMPY_FUNCTIONS)
 def test_other_values_are_refused_beside_arrays(aggregate: Any) -> None:
-    observer = ReportRecorder()
-    engine, results = engine_of(f"out(K, R) <- aggregate({aggregate}, scan(K, X), R, last(10)).", observer)
+    reports = RecordingReports()
+    engine, results = engine_of(f"out(K, R) <- aggregate({aggregate}, scan(K, X), R, last(10)).", reports)
     send(engine, array_term(np.arange(6)), 0)
     send(engine, array_term(np.arange(6)), 1)
     count = len(results)
     for second, value in enumerate([7, make_list([1, 2, 3]), array_term(np.arange(7))], 2):
         send(engine, value, second)
     assert len(results) == count
-    assert sum("expected an array of 6 elements" in report for report in observer.reports) == 3
+    assert sum("expected an array of 6 elements" in report for report in reports.texts) == 3
     send(engine, array_term(np.arange(6)), 5)
     assert len(results) == count + 1
 
 
 @pytest.mark.parametrize("aggregate", NUMPY_FUNCTIONS)
 def test_arrays_are_refused_beside_numbers(aggregate: Any) -> None:
-    observer = ReportRecorder()
-    engine, results = engine_of(f"out(K, R) <- aggregate({aggregate}, scan(K, X), R, last(10)).", observer)
+    reports = RecordingReports()
+    engine, results = engine_of(f"out(K, R) <- aggregate({aggregate}, scan(K, X), R, last(10)).", reports)
     send(engine, array_term(np.arange(6)), 1, key=2)
     engine.event_at(SCAN(1, 5), 2 * SECOND, 2 * SECOND)
     send(engine, array_term(np.arange(6)), 3)
-    assert any("expected a number" in report for report in observer.reports)
+    assert any("expected a number" in report for report in reports.texts)
     send(engine, array_term(np.arange(6)), 4, key=2)
     np.testing.assert_allclose(results[-1], NUMPY_FUNCTIONS[aggregate](np.stack([np.arange(6)] * 2), axis=0))
 

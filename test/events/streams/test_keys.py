@@ -1,8 +1,9 @@
 """Eviction of key states: idle keys, excess keys, row pattern matches over their time bound."""
 
-from typing import Any, List
+from typing import Any, List, Tuple
 
 import pytest
+from checked_access import required
 
 from retalis import Engine
 
@@ -79,7 +80,8 @@ def test_element_after_expired_start_begins_match() -> None:
 @pytest.mark.parametrize("bound", ["within", "window", "ttl", "flag", "garbage"])
 @pytest.mark.parametrize("operator", UNTIMED)
 def test_bound_evicts_idle_keys(operator: Any, bound: str) -> None:
-    pattern, flags, label = UNTIMED[operator], [], "r"
+    pattern, label = UNTIMED[operator], "r"
+    flags: List[Tuple[str, Any]] = []
     if bound == "within":
         pattern = f"{pattern} within 5"
     elif bound == "flag":
@@ -219,9 +221,9 @@ def test_flags_bound_rates_of_subscriptions() -> None:
     for number in range(100):
         engine.event(f"q({number}, 1)", number, number)
     ((_, subscription),) = engine.knowledge.subscriptions.items()
-    assert len(subscription.rate_limiter) <= 6
+    assert len(required(subscription.rate_limiter)) <= 6
     assert engine.call("set_etalis_flag(state_ttl, -1)")
     assert engine.call("set_etalis_flag(max_keys, 3)")
     for number in range(100):
         engine.event(f"q({number}, 1)", 100, 100)
-    assert len(subscription.rate_limiter) == 3
+    assert len(required(subscription.rate_limiter)) == 3

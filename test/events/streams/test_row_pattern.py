@@ -91,7 +91,7 @@ WAITING = (
 def pattern_operator(engine: Any) -> Any:
     """Return the operator of the only rule of an engine."""
     (rule,) = engine.rules.rules
-    return next(node.stream for node, _, _ in rule.nodes if hasattr(node, "stream"))
+    return next(node.stream for node in rule.nodes if hasattr(node, "stream"))
 
 
 def test_memory_for_element_is_independent_of_matches() -> None:

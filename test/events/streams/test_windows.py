@@ -1,6 +1,6 @@
 """Windows, compared with their definitions over plain lists."""
 
-from typing import Any, Dict, List
+from typing import Any, Callable, Dict, List
 
 import pytest
 from events.streams.operator_driver import (
@@ -174,7 +174,7 @@ def test_aligned_tumbling_window(arrivals: Any, restore_before: Any, span: int) 
     )
 
 
-WINDOWS = {
+WINDOWS: Dict[str, Callable[[], Any]] = {
     "last seconds": lambda: SlidingTimeWindow(list_accumulators, 100),
     "last items": lambda: SlidingCountWindow(list_accumulators, 100),
     "batches": lambda: TumblingCountWindow(list_accumulators, 100, False),
@@ -238,7 +238,7 @@ def test_refused_value_leaves_no_group() -> None:
 
 def test_window_after_failed_sum_has_result() -> None:
     """The sum of a window overflows; the window ends nevertheless."""
-    factories = [
+    factories: List[Callable[[], Any]] = [
         lambda: TumblingCountWindow(sum_accumulators, 2, False),
         lambda: HoppingWindow(sum_accumulators, 10, 10),
     ]

@@ -65,7 +65,7 @@ class Kind:
     def reset(self) -> None:
         """Create the objects that inputs change."""
 
-    def generate(self, rng: Any) -> None:
+    def generate(self, rng: Any) -> bytes:
         """Return a random input."""
         raise NotImplementedError
 

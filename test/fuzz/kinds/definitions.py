@@ -1,6 +1,6 @@
 """Texts of message definitions."""
 
-from typing import Any
+from typing import Any, Tuple
 
 from retalis import Definitions
 from retalis.messages.event_text_writer import make_text_writer
@@ -10,7 +10,7 @@ from ..mutate import mutate_text, random_tokens, to_bytes, to_text
 from ..side_effects import FindingError
 from .base import Kind
 
-PIECES = (
+PIECES: Tuple[str, ...] = (
     "int32 ",
     "string ",
     "float64[] ",

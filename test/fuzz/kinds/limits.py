@@ -8,9 +8,9 @@ are a sample. Random inputs follow.
 import os
 import random
 import re
-from typing import Any, Dict, List
+from typing import Any, Dict, List, Optional
 
-from retalis import Limits, Settings, String, Var, atom, functor, make_list
+from retalis import Engine, Limits, Settings, String, Var, atom, functor, make_list
 from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.terms.types import MINUS, NIL
 
@@ -164,7 +164,7 @@ class Inputs(Kind):
     max_growth = int(SLACK * (100 << 20))
 
     def setup(self) -> None:
-        self.engine = None
+        self.engine: Optional[Engine] = None
         keys = create_silent_engine().logic.names()
         self.keys = sorted((key.name, key.arity) for key in keys if key.arity and key.name not in EXCLUDED)
         self.quoted = {name: write_term(atom(name), None, quoted=True) for name, _ in self.keys}
@@ -227,5 +227,6 @@ class Inputs(Kind):
 
     def run(self, data: Any) -> None:
         # One answer without its text: only the time of the built-in counts.
+        assert self.engine is not None
         self.attempt(self.engine.query, to_text(data).partition("\n")[2], 1)
         LOGGED.check()

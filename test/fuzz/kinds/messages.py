@@ -2,7 +2,7 @@
 
 import random
 import struct
-from typing import Any, Dict
+from typing import Any, Dict, Tuple
 
 from retalis import Definitions
 from retalis.messages.event_text_writer import make_text_writer
@@ -15,7 +15,16 @@ from .base import CORPUS, Kind
 
 SIZES = {"bool": "?", "int8": "b", "byte": "b", "uint8": "B", "char": "B", "int16": "h", "uint16": "H"}
 SIZES.update(int32="i", uint32="I", int64="q", uint64="Q", float32="f", float64="d")
-TEXTS = (b"", b"/map", b"base_link", "é".encode(), b'a "quoted" \\ one', b"\xff\xfe", b"it's\n", b"x" * 300)
+TEXTS: Tuple[bytes, ...] = (
+    b"",
+    b"/map",
+    b"base_link",
+    "é".encode(),
+    b'a "quoted" \\ one',
+    b"\xff\xfe",
+    b"it's\n",
+    b"x" * 300,
+)
 # Beyond ASCII: several scripts, separators, controls of C1, cut, overlong and surrogate sequences, long texts.
 TEXTS += tuple(
     text.encode()
@@ -29,7 +38,7 @@ TEXTS += (
     "ü".encode() * 700 + b"\xc3",
     "FFFFFFFFFFü".encode(),
 )
-PIECES = (
+PIECES: Tuple[str, ...] = (
     "nan",
     "inf",
     "-inf",

@@ -6,7 +6,9 @@ source.
 
 import json
 import re
-from typing import Any, List
+from typing import Any, List, Tuple
+
+from checked_access import compound
 
 from retalis import Definitions, atom, functor
 from retalis.messages.event_text_writer import make_text_writer
@@ -21,7 +23,7 @@ from ..mutate import random_tokens, to_bytes, to_text
 from ..side_effects import FindingError
 from .base import LOGGED, Kind, create_silent_engine
 
-PIECES = (
+PIECES: Tuple[str, ...] = (
     "'",
     '"',
     "\\",
@@ -105,7 +107,14 @@ PIECES += (
     "%",
 )
 MARK = "zq"
-FILE_GOALS = ("consult({})", "ensure_loaded({})", "include({})", "[{}]", "exists_file({})", "consult(foo/{})")
+FILE_GOALS: Tuple[str, ...] = (
+    "consult({})",
+    "ensure_loaded({})",
+    "include({})",
+    "[{}]",
+    "exists_file({})",
+    "consult(foo/{})",
+)
 FILE_GOALS += (
     "compile_event_file({})",
     "compile_events({})",
@@ -232,7 +241,7 @@ class Inputs(Kind):
         text = writeq(atom(name), self.engine.operators)
         solutions = self.engine.query(f"X = {text}")
         self.check_equal(solutions[0]["X"], atom(name))
-        self.check_equal(self.reader.read(text_of((functor("f", 1), atom(name))))[1], atom(name))
+        self.check_equal(compound(self.reader.read(text_of((functor("f", 1), atom(name)))))[1], atom(name))
 
     def in_functor(self, name: Any) -> None:
         text = writeq((functor(name, 1), 1), self.engine.operators)

@@ -1,7 +1,7 @@
 """Definitions of ROS 2 mutated, of services and in IDL, too, and messages in CDR for those that are accepted."""
 
 import struct
-from typing import Any, Iterator, List
+from typing import Any, Iterator, List, Tuple
 
 from retalis import Definitions
 from retalis.messages.event_text_writer import make_text_writer
@@ -13,7 +13,7 @@ from ..mutate import mutate_text, random_tokens, to_bytes, to_text
 from ..side_effects import FindingError
 from .base import Kind
 
-TYPES = (
+TYPES: Tuple[str, ...] = (
     "int32",
     "string",
     "wstring",
@@ -59,7 +59,7 @@ ARRAYS = (
     "[-1]",
     "[<3]",
 )
-ENDINGS = (
+ENDINGS: Tuple[str, ...] = (
     "",
     "",
     "",

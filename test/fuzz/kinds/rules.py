@@ -1,13 +1,13 @@
 """Texts of rule files, and events for their rules."""
 
-from typing import Any
+from typing import Any, Tuple
 
 from events.operator_table import AGGREGATES, PAIRS
 
 from ..mutate import mutate_text, random_tokens, to_bytes, to_text
 from .base import ARGUMENTS, LOGGED, Kind, create_silent_engine
 
-PIECES = (
+PIECES: Tuple[str, ...] = (
     " <- ",
     " or ",
     " where ",
@@ -61,7 +61,7 @@ PIECES += (
     ";",
 )
 SIDES = (*PAIRS, "or", "cnot", "fnot")
-GOALS = (
+GOALS: Tuple[str, ...] = (
     "where X > 1",
     "where (Y = X, foo(Y))",
     "within 3",

@@ -1,6 +1,6 @@
 """Texts for the reader: a term or a syntax fault."""
 
-from typing import Any
+from typing import Any, Tuple
 
 import retalis.events.language.event_operators  # noqa: F401 -- adds its operators to those of Prolog
 from retalis import Operators, SyntaxFault
@@ -12,7 +12,7 @@ from retalis.prolog.syntax.tokenizer import ReadFlags
 from ..mutate import TOKENS, mutate_text, random_tokens, to_bytes, to_text
 from .base import Kind
 
-PIECES = (
+PIECES: Tuple[str, ...] = (
     " :- ",
     " <- ",
     " do ",

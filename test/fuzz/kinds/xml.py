@@ -1,14 +1,14 @@
 """Texts of ``pub_sub.xml``."""
 
 import os
-from typing import Any
+from typing import Any, Tuple
 
 from retalis.events.program.topic_configuration import read_topics
 
 from ..mutate import mutate_bytes, mutate_text, random_tokens, to_bytes
 from .base import Kind
 
-PIECES = (
+PIECES: Tuple[str, ...] = (
     "<subscribe_to ",
     "<publish_to ",
     'name="',

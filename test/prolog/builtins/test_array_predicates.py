@@ -5,6 +5,7 @@ from typing import Any, List
 
 import numpy as np
 import pytest
+from checked_access import lazy
 from hypothesis import given
 from hypothesis import strategies as st
 from prolog.support import prolog
@@ -97,4 +98,4 @@ def test_array_terms_are_not_decoded() -> None:
     term = array_term(np.arange(20.0))
     assert value_of("array_min", term) == 0
     assert value_of("array_percentile", term, 5) == pytest.approx(0.95)
-    assert term.decoded_term is None
+    assert lazy(term).decoded_term is None

@@ -6,7 +6,7 @@ from typing import Any, Dict
 import pytest
 from prolog.support import answers, first, prolog
 
-from retalis import functor
+from retalis import Term, functor
 from retalis.prolog.terms.types import NIL
 
 
@@ -105,7 +105,7 @@ def test_balance_may_be_bound_variable() -> None:
 
 def test_deep_term_as_balance_does_not_crash() -> None:
     """Python hashes tuples by recursion in C: hashing a tuple that is deep enough crashes the process."""
-    deep = NIL
+    deep: Term = NIL
     for _ in range(300_000):
         deep = (functor("f", 1), deep)
     logic = prolog()

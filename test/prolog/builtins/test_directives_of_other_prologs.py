@@ -31,10 +31,10 @@ def test_directive_or_expansion_succeeds(goal: str) -> None:
     assert Engine().call(goal)
 
 
-def test_unknown_flag_decides_undefined_calls() -> None:
+def test_unknown_flag_decides_undefined_calls(monkeypatch: pytest.MonkeyPatch) -> None:
     engine = Engine()
     messages: List[Any] = []
-    engine.logic.message = lambda kind, text: messages.append((kind, text))
+    monkeypatch.setattr(engine.logic, "message", lambda kind, text: messages.append((kind, text)))
     engine.load(rules="p :- nope(1). q(L) :- findall(X, nope(X), L).")
     assert engine.call("unknown(error, warning), \\+ p, \\+ p, q([])")
     assert messages == [("warning", "Unknown procedure: nope/1")]

@@ -63,7 +63,7 @@ def logic(tmp_path: Path) -> Any:
     (tmp_path / "kb.pl").write_text("p(1).\n")
     (tmp_path / "maps").mkdir()
     (tmp_path / "maps" / "hall.pl").write_text("room(hall).\n")
-    engine = Engine(settings=Settings(folders=[tmp_path]))
+    engine = Engine(settings=Settings(folders=(str(tmp_path),)))
     engine.load_program(tmp_path / "kb.pl")
     return engine.logic
 

@@ -2,6 +2,7 @@
 
 from typing import Any, List
 
+import pytest
 from prolog.support import answers, first, prolog
 
 PROGRAM = r"""
@@ -44,10 +45,10 @@ def test_tabled_predicates_are_listed() -> None:
     assert first(logic, "nth_clause(path(_, _), 2, (H :- _)), H = path(A, A)") == {"H": "path(A,A)", "A": "A"}
 
 
-def test_messages_are_sent_by_kind() -> None:
+def test_messages_are_sent_by_kind(monkeypatch: pytest.MonkeyPatch) -> None:
     logic = prolog()
     messages: List[Any] = []
-    logic.message = lambda kind, text: messages.append((kind, text))
+    monkeypatch.setattr(logic, "message", lambda kind, text: messages.append((kind, text)))
     assert answers(logic, 'print_message(warning, format("low: ~w", [3])), print_message(silent, x)') == [{}]
     assert messages == [("warning", "Warning: low: 3\n")]
     assert answers(logic, "assertion(1 > 2)") == ["assertion_error(fail,user:(1>2))"]

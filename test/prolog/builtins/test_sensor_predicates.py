@@ -6,6 +6,7 @@ from base64 import b64encode
 from typing import Any, Dict, List, Optional, Tuple
 
 import pytest
+from checked_access import compound
 
 numpy = pytest.importorskip("numpy")
 from hypothesis import given  # noqa: E402
@@ -50,7 +51,7 @@ def error_of(name: str, *inputs: Any) -> Tuple[Any, ...]:
     """Return the formal term and the reason of a predicate's error."""
     with pytest.raises(PrologError) as error:
         call(name, *inputs)
-    formal, context = error.value.term[1:]
+    formal, context = compound(error.value.term)[1:]
     context = deref(context)
     reason = deref(context[2]) if context.__class__ is tuple and len(context) == 3 else None
     return show(formal), getattr(reason, "name", None)
@@ -530,7 +531,7 @@ def grid(
     width: int,
     height: int,
     cells: Any,
-    resolution: float = 0.5,
+    resolution: Any = 0.5,
     origin: Any = (0.0, 0.0),
     turn: float = 0.0,
     norm: float = 1.0,
@@ -629,6 +630,8 @@ def test_random_slots_are_read_or_refused(data: st.DataObject) -> None:
         ),
         GRID: (grid(2, 2, [0] * 4), [("map_cell", [0.6, 0.6])]),
     }
+    term: Any
+    goals: Any
     term, goals = good[data.draw(st.sampled_from(list(good)))]
     slots = list(term)
     for position in data.draw(st.lists(st.integers(2, len(slots) - 1), max_size=3)):
@@ -639,7 +642,7 @@ def test_random_slots_are_read_or_refused(data: st.DataObject) -> None:
             call(name, tuple(slots), *inputs)
         except PrologError as error:
             term_of_error = error.term
-        assert term_of_error is None or term_of_error[0] is functor("error", 2)
+        assert term_of_error is None or compound(term_of_error)[0] is functor("error", 2)
 
 
 def test_counted_points_use_inferences() -> None:
@@ -656,7 +659,7 @@ def test_counted_points_use_inferences() -> None:
 
 def test_decoded_text_keeps_bytes_of_message() -> None:
     cloud, stored = xyz([(index, 0, 0) for index in range(500)])
-    message = deref(decoded(cloud.term()))
+    message = compound(decoded(cloud.term()))
     assert show(message).count("FFFFFFFFFF") == 1
     assert message[8].source == cloud.data
     assert call("cloud_field", message, atom("x")) == stored[:, 0].tolist()

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from prolog.support import answers, first, prolog
+from recorded_calls import recording
 
 from retalis import Operators, String, SyntaxFault, atom
 from retalis.prolog.builtins import text_streams
@@ -53,7 +54,7 @@ def written() -> List[str]:
 
 @pytest.fixture
 def logic(written: List[str]) -> Any:
-    system = prolog(
+    system: Any = prolog(
         "... --> [] | [_], ... . "
         "copy(S) :- get_char(S,C), (C = end_of_file -> true ; open(out, append, O), write(O, C), close(O), copy(S))."
     )
@@ -285,7 +286,7 @@ def test_terminal_input_is_read_until_term_ends(logic: Any) -> None:
 
 def test_text_of_many_terms_is_parsed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     reads: List[Any] = []
-    monkeypatch.setattr(text_streams, "read_program", lambda *args: reads.append(1) or read_program(*args))
+    monkeypatch.setattr(text_streams, "read_program", recording(reads, read_program))
     stream = InputStream("many", "p(1).\n" * 2000)
     operators, read = Operators.prolog(), 0
     while stream.read_term(operators, ReadFlags()) is not None:
@@ -350,7 +351,8 @@ def test_lines_of_long_text_are_counted_once() -> None:
     class Text(str):
         looked = 0
 
-        def count(self, pattern: str, first: Any, last: Any) -> Any:
+        def count(self, pattern: str, *limits: Any) -> int:
+            first, last = limits
             Text.looked += last - first
             return super().count(pattern, first, last)
 
@@ -378,7 +380,8 @@ def test_lines_of_long_text_are_counted_once() -> None:
 )
 def test_user_output_is_not_captured(goal: str, captured: str, written: str) -> None:
     """Output to the user by name is not captured, as in SWI-Prolog; a capture has a stream of its own."""
-    logic, folder = prolog(), FileStore(out="")
+    logic: Any = prolog()
+    folder = FileStore(out="")
     logic.files = folder
     texts: List[Any] = []
     logic.output = texts.append
@@ -400,7 +403,7 @@ def test_user_output_is_not_captured(goal: str, captured: str, written: str) -> 
     ],
 )
 def test_capture_keeps_its_column(goal: str, text: str) -> None:
-    logic = prolog()
+    logic: Any = prolog()
     logic.files = FileStore(out="")
     answer = first(logic, f"with_output_to(string(Text), (current_output(S), {goal}))")
     assert answer["Text"] == f'"{text}"'

@@ -6,6 +6,8 @@ from typing import Any, Iterator, List
 import pytest
 from prolog.support import NEVER, answers, prolog
 
+from retalis.prolog.machine.machine import Machine
+
 VALUES = ["a", "b", "c", "1", "2", "1.0", "f(a)", "f(b)", "g(a,b)", "[]", "[a]", '"s"', "_", "_"]
 
 
@@ -65,13 +67,18 @@ RULES = " ".join(f"r(k{number}(X), {number}, X) :- true." for number in range(40
 )
 def test_last_candidate_leaves_no_choice_point(goal: str) -> None:
     logic = prolog(f"{SMALL}\n{MANY}\n{RULES}\ncheck :- {goal}, '$left'.")
-    heights: List[Any] = []
-    logic.define("$left", 0, lambda machine: heights.append(len(machine.choices)) is None)
+    heights: List[int] = []
+
+    def record_height(machine: Machine) -> bool:
+        heights.append(len(machine.choices))
+        return True
+
+    logic.define("$left", 0, record_height)
     for _ in range(20):
         assert answers(logic, "check") == [{}]
     assert len(set(heights[-5:])) == 1
     baseline = prolog("check :- '$left'.")
-    baseline.define("$left", 0, lambda machine: heights.append(len(machine.choices)) is None)
+    baseline.define("$left", 0, record_height)
     assert answers(baseline, "check") == [{}]
     assert heights[-2] == heights[-1]
 

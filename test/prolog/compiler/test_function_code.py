@@ -4,6 +4,7 @@ import random
 from typing import Any, Iterator, List, Tuple
 
 import pytest
+from checked_access import required
 from prolog.compiler.test_predicate_code import term
 from prolog.support import NEVER, prolog, show
 
@@ -202,7 +203,7 @@ def test_attempts_use_functions_or_frames() -> None:
             results.append(outputs)
             return machine.done
 
-        assert machine.run(machine.attempt(goal, values, record, machine.done, results.append))
+        assert machine.run(required(machine.attempt(goal, values, record, machine.done, results.append)))
         assert results == [expected]
 
 

@@ -1,7 +1,7 @@
 """Clause indexes: candidates for a key, in order of addition."""
 
 from random import Random
-from typing import Any
+from typing import Any, List, Optional, Tuple
 
 import pytest
 from prolog.support import NEVER, answers, prolog
@@ -17,7 +17,10 @@ def test_candidates_keep_order_of_addition(
 ) -> None:
     monkeypatch.setattr(clause_index, "_MAX_MERGED_COPIES", max_copies)
     random = Random(seed)
-    index, added, comparisons = Index(), [], 0
+    # The index does not read the clauses, so numbers stand in.
+    index: Any = Index()
+    added: List[Tuple[Optional[str], int]] = []
+    comparisons = 0
     for number in range(60):
         key = random.choice([None, "a", "a", "b", "c"] if number > 5 else ["a", "b"])
         index.add(key, number)
@@ -30,7 +33,7 @@ def test_candidates_keep_order_of_addition(
 
 
 def test_unkeyed_clauses_are_merged_on_demand() -> None:
-    index = Index()
+    index: Any = Index()
     for number in range(1000):
         index.add(number, number)
     for number in range(1000):

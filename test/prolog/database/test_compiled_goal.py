@@ -4,6 +4,7 @@ import traceback
 from typing import Any, Iterator, List
 
 import pytest
+from checked_access import required
 from prolog.support import answers, first, prolog
 
 from retalis import Limits, PrologError, Var, atom, deref, functor
@@ -153,12 +154,14 @@ def test_predicates_are_defined_in_python() -> None:
         return machine.unify(result, value * 2)
 
     def divisors(machine: Any, number: Any, result: Any) -> Iterator[Any]:
-        for value in range(1, deref(number) + 1):
-            if deref(number) % value == 0 and machine.unify(result, value):
-                yield LAST if value == deref(number) else None
+        dividend = deref(number)
+        assert isinstance(dividend, int)
+        for value in range(1, dividend + 1):
+            if dividend % value == 0 and machine.unify(result, value):
+                yield LAST if value == dividend else None
 
     def twice(machine: Any, args: Any, frame: Any) -> Any:
-        return logic.control.call(args[0], logic.control.call(args[0], frame))
+        return logic.control.call(args[0], required(logic.control.call(args[0], frame)))
 
     logic.define("double", 2, double)
     logic.define_nondeterministic("divisor", 2, divisors)
@@ -200,7 +203,7 @@ def test_bindings_of_solutions_last_until_next() -> None:
 def test_traceback_shows_generated_code_and_rule() -> None:
     logic = prolog("broken(X) :- oops(X).")
 
-    def oops(machine: Any, value: Any) -> None:
+    def oops(machine: Any, value: Any) -> bool:
         raise KeyError("bug")
 
     logic.define("oops", 1, oops)

@@ -3,6 +3,8 @@
 from typing import Any, Iterator, List, Tuple
 
 import pytest
+from checked_access import name_of
+from checked_access import number as number_of
 from prolog.support import NEVER, answers, prolog
 
 from retalis import PrologError, atom, deref, functor
@@ -28,7 +30,7 @@ def half_of(term: Any) -> Any:
 
 
 def split(term: Any) -> Tuple[Any, ...]:
-    value = deref(term)
+    value = number_of(term)
     return value, value * 10
 
 
@@ -102,9 +104,7 @@ def test_function_is_used_if_first_argument_is_known(compile_after: Any) -> None
             if machine.unify_all((name, atom(key)), (value, number)):
                 yield True
 
-    logic.define_nondeterministic(
-        "number_of", 2, enumerate_numbers, lambda name: numbers.get(deref(name).name)
-    )
+    logic.define_nondeterministic("number_of", 2, enumerate_numbers, lambda name: numbers.get(name_of(name)))
     assert answers(logic, "one(Y)") == [{"Y": "2"}]
     assert answers(logic, "X = a, number_of(X, Y)") == [{"X": "a", "Y": "1"}]
     assert answers(logic, "number_of(a, 2)") == []

@@ -162,7 +162,7 @@ def test_deep_recursion_overflows_no_stack(goal: str) -> None:
     assert logic.once(first_goal(logic, goal))
 
 
-def test_deterministic_loop_does_not_fill_trail() -> None:
+def test_deterministic_loop_does_not_fill_trail(monkeypatch: pytest.MonkeyPatch) -> None:
     logic = prolog(DEEP)
     highest = 0
     count_slice = logic.machine.budget.count_slice
@@ -172,6 +172,6 @@ def test_deterministic_loop_does_not_fill_trail() -> None:
         count_slice()
         highest = max(highest, len(logic.machine.trail))
 
-    logic.machine.budget.count_slice = record_height
+    monkeypatch.setattr(logic.machine.budget, "count_slice", record_height)
     assert logic.once(first_goal(logic, "state(s(a, b), 100000, S), S = s(_, _)"))
     assert 0 < highest < 50_000

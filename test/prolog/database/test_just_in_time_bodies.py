@@ -38,10 +38,15 @@ all(L) :- findall(N, sum(N), L).
 @pytest.fixture
 def compilations(monkeypatch: pytest.MonkeyPatch) -> Any:
     arguments: List[Any] = []
+
+    def record(*args: Any) -> PredicateGenerator:
+        arguments.append(args)
+        return PredicateGenerator(*args)
+
     monkeypatch.setattr(
         just_in_time_bodies,
         "PredicateGenerator",
-        lambda *args: arguments.append(args) or PredicateGenerator(*args),
+        record,
     )
     return arguments
 

@@ -5,10 +5,10 @@ from typing import Any, List
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from parsing import read_clauses
 from prolog.support import answers, first, prolog
 
 from retalis.prolog.database.predicate import NEVER_COMPILE
-from retalis.prolog.syntax.term_reader import read_program
 from retalis.prolog.system.logic_state import (
     restore_program,
     restore_values,
@@ -23,7 +23,7 @@ def load(logic: Any, *texts: Any) -> Any:
     problems: List[Any] = []
     for text in texts:
         with logic.database.modules.loading_file():
-            for read in read_program(text, logic.operators, "file.pl"):
+            for read in read_clauses(text, logic.operators, "file.pl"):
                 logic.load([(read.term, read.place)], lambda message, place: problems.append(message))
     assert problems == []
     return logic
@@ -145,9 +145,9 @@ def test_equal_names_of_two_modules_are_separate() -> None:
     assert answers(logic, "one:seen(X)") == answers(logic, "two:seen(X)") == [{"X": "1"}]
 
 
-def test_second_export_of_name_gives_warning() -> None:
+def test_second_export_of_name_gives_warning(monkeypatch: pytest.MonkeyPatch) -> None:
     logic, warnings = prolog(), []
-    logic.message = lambda kind, text: warnings.append(text)
+    monkeypatch.setattr(logic, "message", lambda kind, text: warnings.append(text))
     load(
         logic,
         ":- module(one, [p/1]).\np(one).",
@@ -162,7 +162,7 @@ def test_second_export_of_name_gives_warning() -> None:
             modules.begin_module(name, [])
             for exporter in used:
                 modules.import_exports(exporter)
-            for read in read_program("ask(X) :- p(X).", logic.operators):
+            for read in read_clauses("ask(X) :- p(X).", logic.operators):
                 logic.add_clause(read.term)
     assert "into four: already imported from one" in warnings.pop()
     assert len(warnings) == 1
@@ -210,7 +210,7 @@ def test_invalid_export_leaves_module_defined() -> None:
     logic = PrologSystem()
     problems: List[Any] = []
     with logic.database.modules.loading_file():
-        for read in read_program(":- module(m, [p/1, q(x)]).\np(X) :- own(X).\nown(1).\n", logic.operators):
+        for read in read_clauses(":- module(m, [p/1, q(x)]).\np(X) :- own(X).\nown(1).\n", logic.operators):
             logic.load([(read.term, read.place)], lambda message, place: problems.append(message))
     assert len(problems) == 1
     assert "predicate_indicator" in problems[0]
@@ -229,7 +229,7 @@ def test_assert_of_imported_name_changes_its_module() -> None:
     with modules.loading_file():
         modules.begin_module("user_of_it", [])
         modules.import_exports("store")
-        for read in read_program("add(X) :- assertz(fact(X)).", logic.operators):
+        for read in read_clauses("add(X) :- assertz(fact(X)).", logic.operators):
             logic.add_clause(read.term)
     assert first(logic, "user_of_it:add(1), fact(X)") == "1"
 

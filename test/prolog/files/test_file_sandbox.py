@@ -2,6 +2,7 @@
 
 import errno
 import os
+from functools import partial
 from pathlib import Path
 from typing import Any, Set
 
@@ -123,10 +124,7 @@ def test_no_file_is_left_open(sandbox: Any, tmp_path: Path) -> None:
     descriptors_before = os.listdir("/proc/self/fd")
     for name in ("a.txt", "pipe", "large", "none", "../other/a.txt", "."):
         path = str(tmp_path / "read" / name)
-        for operation in (
-            lambda path=path: sandbox.read(path, path),
-            lambda path=path: sandbox.append(path, "x" * 40),
-        ):
+        for operation in (partial(sandbox.read, path, path), partial(sandbox.append, path, "x" * 40)):
             try:
                 operation()
             except RetalisError:

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any, List
 
 import pytest
+from checked_access import compound
 from prolog.support import show
 
 from retalis import PrologError, atom, functor, make_list
@@ -39,5 +40,5 @@ def answered(logic: Any, goal: Any) -> Any:
             if len(solutions) == MAX_SOLUTIONS:
                 break
     except PrologError as error:
-        return f"error({show(error.term[1])})"
+        return f"error({show(compound(error.term)[1])})"
     return show(make_list(solutions))

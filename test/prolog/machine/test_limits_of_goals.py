@@ -280,10 +280,15 @@ def test_second_limit_is_final_after_rule_goal() -> None:
         engine.call("catch(loop, _, true), new_event(in, [1,1]), catch(loop, _, true)")
 
 
+def interrupt(machine: Any, *arguments: Any) -> bool:
+    postpone(Interrupt())
+    return True
+
+
 def test_interrupt_removes_limits_of_calls() -> None:
     engine = Engine()
     budget = engine.logic.machine.budget
-    engine.logic.define("interrupt", 0, lambda machine: postpone(Interrupt()) is None)
+    engine.logic.define("interrupt", 0, interrupt)
     for call in ("call_with_time_limit(60, {})", "call_with_inference_limit({}, 10000, _)"):
         with pytest.raises(Interrupt):
             engine.call(call.format("(interrupt, repeat, fail)"))
@@ -294,7 +299,7 @@ def test_interrupt_removes_limits_of_calls() -> None:
 @pytest.mark.parametrize("limits", [Limits(), Limits(inferences=1000)])
 def test_interrupt_undoes_bindings(limits: Any) -> None:
     engine = Engine(settings=Settings(limits=limits))
-    engine.logic.define("interrupt", 1, lambda machine, term: postpone(Interrupt()) is None)
+    engine.logic.define("interrupt", 1, interrupt)
     engine.load(rules="b <- a(X) where (Y = f(X, Z), Z = 3, interrupt(Y), repeat, fail).")
     with pytest.raises(Interrupt):
         engine.event("a(1)", 1)
@@ -334,8 +339,9 @@ def test_work_between_solutions_counts_with_query() -> None:
 
 
 def test_limits_accept_integers_and_floats() -> None:
-    limits = Limits(seconds=1, inferences=1e6, megabytes=200.0)
-    assert limits == (1.0, 1_000_000, 200.0, 1.0)
+    inferences: Any = 1e6
+    limits = Limits(seconds=1, inferences=inferences, megabytes=200.0)
+    assert tuple(limits) == (1.0, 1_000_000, 200.0, 1.0)
     assert isinstance(limits.inferences, int)
     assert limits._replace(seconds=None) == Limits(None, 1_000_000, 200)
     assert pickle.loads(pickle.dumps(limits)) == limits
@@ -354,7 +360,7 @@ def test_invalid_limits_are_refused(name: Any, value: Any) -> None:
 
 def test_fractional_inferences_are_refused() -> None:
     with pytest.raises(UsageError, match="^inferences: expected a whole number from 0 to 1e.20, found 1.5$"):
-        Limits(inferences=1.5)
+        Limits(inferences=1.5)  # type: ignore[arg-type]
 
 
 @pytest.mark.slow

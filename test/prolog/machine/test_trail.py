@@ -6,6 +6,8 @@ from retalis.prolog.machine.machine import drop_unshared
 class Entry:
     """An entry that may refer to another one."""
 
+    next: "Entry"
+
 
 class OtherEntry(Entry):
     """An entry of another class."""

@@ -5,6 +5,7 @@ import threading
 from typing import Any, Dict, List
 
 import pytest
+from checked_access import compound
 
 from retalis import Limits, PrologError, RetalisError, Var, deref, functor
 from retalis.prolog.machine.resource_limits import LimitError
@@ -53,7 +54,7 @@ def test_goal_has_all_solutions(engine: Any, goal: str, expected: Any) -> None:
 
 def test_shared_variables_stay_shared(engine: Any) -> None:
     (answer,) = engine.query("half_open(X, Y)")
-    x, y = answer["X"], deref(answer["Y"])
+    x, y = answer["X"], compound(answer["Y"])
     assert deref(y[1]) is deref(x)
     assert deref(y[2]) is deref(y[3])
     (answer,) = engine.query("both(X, Y), both(Y, Z)")

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retalis import String, Var, atom, deref, functor, make_list
+from retalis import String, Term, Var, atom, deref, functor, make_list
 from retalis.prolog.swi.use_swi import SwiFile, use_swi
 from retalis.prolog.system.prolog_system import PrologSystem
 from retalis.prolog.terms.term_traversal import variant_key
@@ -62,7 +62,7 @@ def test_terms_are_converted_both_ways(logic: Any, term: Any) -> None:
 
 @pytest.mark.slow
 def test_large_terms_are_converted_both_ways(logic: Any) -> None:
-    nested = 0
+    nested: Term = 0
     for _ in range(30_000):
         nested = (functor("f", 1), nested)
     long = make_list([(PAIR, number, String("text")) for number in range(3_000)])

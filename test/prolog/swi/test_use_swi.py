@@ -58,8 +58,8 @@ def test_function_missing_in_older_version_is_reported(monkeypatch: pytest.Monke
         UsageError, match=r"SWI-Prolog 7\.6\.4 or later: 'libc\.so\.6' is older.*PL_initialise"
     ):
         find()
-    monkeypatch.setattr(libswipl.ctypes, "PyDLL", OldLibrary)
-    monkeypatch.setattr(libswipl.ctypes, "CDLL", OldLibrary)
+    monkeypatch.setattr(ctypes, "PyDLL", OldLibrary)
+    monkeypatch.setattr(ctypes, "CDLL", OldLibrary)
     with pytest.raises(UsageError, match="PL_is_acyclic"):
         find()
 

@@ -3,9 +3,11 @@
 from typing import Any
 
 import pytest
+from checked_access import compound
+from parsing import read_clauses
 
 from retalis import Operators, SyntaxFault
-from retalis.prolog.syntax.term_reader import read_program, read_term
+from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import writeq
 from retalis.prolog.syntax.tokenizer import ReadFlags
 
@@ -68,6 +70,6 @@ def test_operator_of_program_has_precedence() -> None:
 
 
 def test_parts_of_declaration_have_places() -> None:
-    _, clause = read_program("x.\n  :- event t(a:atom, b:nubmer).", OPERATORS)
-    declared = clause.term[1][1]
+    _, clause = read_clauses("x.\n  :- event t(a:atom, b:nubmer).", OPERATORS)
+    declared = compound(clause.term)[1][1]
     assert [clause.place_of(declared, argument).column for argument in (0, 1, 2)] == [12, 14, 22]

@@ -4,12 +4,13 @@ import re
 from typing import Any, List
 
 import pytest
+from checked_access import compound, items
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from reachability import count_entries, reachable
 from sample_terms import shape, terms
 
-from retalis import Operators, SyntaxFault, Var, atom, list_items
+from retalis import Operators, SyntaxFault, Var, atom
 from retalis.foundation.bounded_caches import Cache
 from retalis.prolog.syntax.event_text import EventReader, to_text
 from retalis.prolog.syntax.term_reader import read_term
@@ -217,7 +218,7 @@ def test_long_arrays_are_read(size: int) -> None:
     for start in (0, 5):
         text = f"scan([{','.join(str(number / 2) for number in range(start, start + size))}],x,7)"
         check(text, reader)
-        assert len(list_items(reader.read(text)[1])) == size
+        assert len(items(compound(reader.read(text))[1])) == size
     text = f"path([{','.join(f'p({number},a)' for number in range(size))}])"
     check(text, reader)
     check(f"[{','.join(['1'] * size)}|2]", reader)
@@ -318,7 +319,7 @@ def test_any_text_is_read_as_by_full_reader(text: Any) -> None:
 
 def test_capitalized_booleans_are_read() -> None:
     for _ in range(2):  # by the full reader, then by its shape
-        term = EventReader().read("event(p(True,False,Truth))")
+        term = compound(EventReader().read("event(p(True,False,Truth))"))
         assert term[1][1:3] == (TRUE, FALSE)
         assert term[1][3].__class__ is Var
 

@@ -3,9 +3,11 @@
 from typing import Any, List
 
 import pytest
+from checked_access import compound
+from parsing import read_clauses
 
 from retalis import Operators
-from retalis.prolog.syntax.term_reader import read_program, read_term
+from retalis.prolog.syntax.term_reader import ReadTerm, read_program, read_term
 from retalis.prolog.syntax.term_writer import write_term
 
 OPERATORS = Operators.prolog()
@@ -111,10 +113,10 @@ def test_rules_of_original_program_are_read() -> None:
     )
       <- ar_marker(Seq,Name,RelPose,Sec,NSec) where (Z is Sec + (NSec * 0.000000001) ).
     """
-    read = list(read_program(text, OPERATORS))
-    assert [entry.term[0].name for entry in read] == ["<-", "<-", "<-"]
+    read = list(read_clauses(text, OPERATORS))
+    assert [compound(entry.term)[0].name for entry in read] == ["<-", "<-", "<-"]
     assert read[1].singletons == ["Header"]
-    condition = read[2].term[2][2]
+    condition = compound(read[2].term)[2][2]
     assert write_term(condition[2], ignore_ops=True, variable_names={}).startswith("+(")
 
 
@@ -123,6 +125,7 @@ def test_new_operator_applies_from_next_clause() -> None:
     reader = read_program("a.\nx ~~ y.\n p <- q ~~ r * s.", operators)
     clauses: List[Any] = []
     for entry in reader:
+        assert isinstance(entry, ReadTerm)
         operators.add(700, "xfx", "~~")
         clauses.append(write_term(entry.term, Operators()))
     assert clauses == ["a", "~~(x,y)", "<-(p,seq(~~(q,r),s))"]
@@ -132,6 +135,7 @@ def test_new_flags_apply_from_next_clause() -> None:
     reader = read_program('x("a"). x("a").', OPERATORS)
     clauses: List[Any] = []
     for entry in reader:
+        assert isinstance(entry, ReadTerm)
         clauses.append(write_term(entry.term))
         reader.flags = reader.flags._replace(double_quotes="codes")
     assert clauses == ['x("a")', "x([97])"]

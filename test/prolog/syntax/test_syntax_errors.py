@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from checked_access import place_of
+from checked_access import compound, place_of, required
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -124,13 +124,14 @@ def test_caret_is_below_error() -> None:
 
 def test_missing_full_stop_of_last_clause_is_an_error() -> None:
     (fault,) = read_program("a :- b % c", OPERATORS)
+    assert isinstance(fault, SyntaxFault)
     assert "expected a full stop" in fault.message
-    assert place_of(fault).column == 7
+    assert required(fault.place).column == 7
 
 
 def test_parts_of_term_have_places() -> None:
     read = read_term("out(X) <-\n  a(X) seq (b * c) where X > 1.", OPERATORS, "p")
-    where = read.term[2]
+    where = compound(read.term)[2]
     assert str(read.place) == "p:1:1"
     assert str(read.place_of(read.term)) == "p:1:8"
     assert str(read.place_of(where)) == "p:2:20"

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from retalis import Operators, String, Var, atom, functor, make_list
+from retalis import Operators, String, Term, Var, atom, functor, make_list
 from retalis.prolog.syntax.event_text import to_text
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import write_term, writeq
@@ -149,7 +149,7 @@ def test_long_and_deep_terms_are_written() -> None:
     items = make_list(range(300_000))
     assert writeq(items).endswith(",299999]")
     assert to_text(items) == writeq(items)
-    deep = atom("a")
+    deep: Term = atom("a")
     for _ in range(100_000):
         deep = (functor("-", 1), deep)
     assert writeq(deep) == "- " * 99_999 + "-a"

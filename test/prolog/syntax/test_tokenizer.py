@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 import pytest
+from checked_access import compound
 
 from retalis import Operators, String, SyntaxFault, atom, make_list
 from retalis.prolog.syntax.event_text import to_text
@@ -169,5 +170,5 @@ def test_variables_are_named_and_singletons_listed() -> None:
     read = read_term("f(A,B,_C,_,A,_)", OPERATORS)
     assert list(read.names) == ["A", "B", "_C"]
     assert read.singletons == ["B"]
-    assert read.term[1] is read.term[5] is read.names["A"]
-    assert read.term[4] is not read.term[6]
+    assert compound(read.term)[1] is compound(read.term)[5] is read.names["A"]
+    assert compound(read.term)[4] is not compound(read.term)[6]

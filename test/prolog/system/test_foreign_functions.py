@@ -8,6 +8,7 @@ from typing import Any, Dict, Iterator, List, Optional, Tuple
 
 import numpy
 import pytest
+from checked_access import compound, lazy
 
 from retalis import (
     Compound,
@@ -55,7 +56,8 @@ def steps(items: list) -> Iterator[Any]:
 
 
 @foreign
-def swapped(term) -> Compound:  # noqa: ANN001 - without an annotation, it receives the term's Python value
+# Without an annotation, the argument is the term's Python value.
+def swapped(term) -> Compound:  # type: ignore[no-untyped-def]  # noqa: ANN001
     return Compound(term.name, term.args[::-1])
 
 
@@ -140,7 +142,7 @@ def test_foreign_function_returns_solutions(engine: Any, goal: str, expected: An
 def test_wrong_arguments_and_exceptions_are_errors(engine: Any, goal: str, formal: str) -> None:
     with pytest.raises(PrologError) as caught:
         engine.query(goal)
-    assert writeq(caught.value.term[1]) == formal
+    assert writeq(compound(caught.value.term)[1]) == formal
 
 
 def test_rule_calls_foreign_function() -> None:
@@ -376,7 +378,7 @@ def test_failed_conversion_is_an_error_of_goal(forms: Any, goal: str, formal: Op
     if formal is None:
         assert writeq(caught.value.term) == "my_error(a)"
     else:
-        assert writeq(caught.value.term[1]).startswith(formal)
+        assert writeq(compound(caught.value.term)[1]).startswith(formal)
     assert forms.call("count_items([1], 1)")
 
 
@@ -410,7 +412,7 @@ def test_ndarray_parameter_receives_array() -> None:
         shown = writeq(result)
     assert arrays[0].dtype == numpy.dtype("f4")
     assert not arrays[0].flags.writeable
-    assert ranges.decoded_term is None
+    assert lazy(ranges).decoded_term is None
     assert shown == "[0.0,2.0,4.0,6.0,8.0,10.0,12.0,14.0,16.0]"
     (answer,) = engine.query("doubled([1,2,3], L), total(L, T), class_name(L, K), total('\"ab\"', B)")
     assert [engine.show(answer[name]) for name in "LTKB"] == ["[2,4,6]", "12.0", "list", "195.0"]

@@ -7,7 +7,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retalis import Compound, Operators, String, UsageError, Var, atom, functor, make_list, to_python, to_term
+from retalis import (
+    Compound,
+    Operators,
+    String,
+    Term,
+    UsageError,
+    Var,
+    atom,
+    functor,
+    make_list,
+    to_python,
+    to_term,
+)
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import writeq
 from retalis.prolog.system.value_conversion import to_json
@@ -107,7 +119,7 @@ def test_integer_of_any_size_is_converted_to_json() -> None:
 
 @pytest.mark.slow
 def test_deep_term_is_converted_to_json() -> None:
-    term = Var()
+    term: Term = Var()
     for _ in range(100_000):
         term = functor("f", 1)(term)
     assert to_json(term, {}, 10_000_000).count("functor") == 100_000

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from checked_access import lazy
 
 from retalis import PrologError, String, Var, atom, deref, make_list
 from retalis.prolog.builtins.argument_checks import array_of
@@ -21,7 +22,7 @@ def test_array_term_keeps_numbers_and_type(dtype: Any) -> None:
     assert array.dtype == numbers.dtype
     assert array.tolist() == numbers.tolist()
     assert not array.flags.writeable
-    assert term.decoded_term is None
+    assert lazy(term).decoded_term is None
     assert writeq(term) == writeq(make_list(numbers.tolist()))
 
 
@@ -33,7 +34,7 @@ def test_byte_order_and_strides_are_normalized(numbers: Any) -> None:
 def test_decoded_array_term_keeps_its_bytes() -> None:
     term = array_term(np.arange(9.0))
     deref(term)
-    assert term.decoded_term is not None
+    assert lazy(term).decoded_term is not None
     assert array_of(term).tolist() == list(range(9))
 
 
@@ -88,7 +89,7 @@ def test_bound_variables_are_dereferenced() -> None:
     assert array_of(whole).tolist() == [1, 2, 3.5]
     whole.ref = array_term(np.arange(9))
     assert array_of(whole).tolist() == list(range(9))
-    assert whole.ref.decoded_term is None
+    assert lazy(whole.ref).decoded_term is None
 
 
 @pytest.mark.parametrize("data", [b"", b"text", b"\x00\xff", bytes(range(256)) * 8])
