@@ -47,9 +47,8 @@ _MAX_UNSHARED_ITEMS = 2_000_000
 
 _MAX_ARITY = 10_000_000
 
-_TERMS = frozenset((int, float, Atom, String, Var, tuple))
-_VALUES = _TERMS | {FloatSeconds, Stamp}
-"""Classes of terms, and of values of a match."""
+_VALUES = TERM.classes | {FloatSeconds, Stamp}
+"""Classes of values of a match."""
 
 _IN_KEYS = frozenset((int, str, Atom, Functor, String, FlatKey, type, type(None)))
 """Classes of the items of keys."""
@@ -332,7 +331,7 @@ class _StateReader:
         if isinstance(first, Functor):
             # A functor with another number of arguments would break code that relies on the arity.
             if len(items) == first.arity + 1 and (
-                _TERMS.issuperset(map(type, items[1:]))
+                TERM.classes.issuperset(map(type, items[1:]))
                 or (first.name == ITEM_FUNCTOR_NAME and _VALUES.issuperset(map(type, items[1:])))
             ):
                 return tuple(items)

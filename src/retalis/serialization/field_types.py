@@ -78,7 +78,6 @@ class FlatKey(tuple):  # type: ignore[type-arg]
 
 
 _SEQUENCES = (list, tuple)
-_TERMS: FrozenSet[type] = frozenset((int, float, Atom, String, Var, tuple))
 _INSTANTS: FrozenSet[type] = frozenset((int, FloatSeconds, Stamp))
 _KEYS: FrozenSet[type] = frozenset((int, Atom, String, Functor))
 
@@ -254,20 +253,15 @@ class PlainType(FieldType[Value]):
         return lambda column, numbers: self.check_all(items_of(column))
 
 
-def instances(expected_class: Type[Value], expected: str) -> PlainType[Value]:
-    """Return the type of the instances of exactly one class; ``expected`` describes it in the error."""
+def instances(expected: str, *classes: Type[Value]) -> PlainType[Value]:
+    """Return the type of the instances of exactly these classes; ``expected`` describes them in the error."""
 
     def check(value: object) -> Value:
-        if type(value) is not expected_class:
+        if type(value) not in classes:
             raise invalid_value(value, expected)
-        return value
+        return value  # type: ignore[return-value]
 
-    return PlainType(expected, check, frozenset((expected_class,)))
-
-
-def _check_nothing(value: object) -> None:
-    if value is not None:
-        raise invalid_value(value, "nothing")
+    return PlainType(expected, check, frozenset(classes))
 
 
 def _check_path(value: object) -> str:
@@ -282,28 +276,9 @@ def _check_seconds(value: object) -> float:
     raise invalid_value(value, "a number of seconds")
 
 
-def _check_term(value: object) -> Term:
-    # The arguments were checked when the term was decoded.
-    if type(value) not in _TERMS:
-        raise invalid_value(value, "a term")
-    return value  # type: ignore[return-value]
-
-
 def _check_match_value(value: object) -> Term:
     # An integer is a term; the start or end of a part of a match is an instant of another class.
-    return INSTANT.check(value) if type(value) in (FloatSeconds, Stamp) else _check_term(value)
-
-
-def _check_callable_term(value: object) -> Union[Atom, CompoundTerm]:
-    if type(value) is tuple or type(value) is Atom:
-        return value
-    raise invalid_value(value, "an atom or a compound term")
-
-
-def _check_compound_term(value: object) -> CompoundTerm:
-    if type(value) is not tuple:
-        raise invalid_value(value, "a compound term")
-    return value
+    return INSTANT.check(value) if type(value) in (FloatSeconds, Stamp) else TERM.check(value)
 
 
 def _check_key(value: object, depth: int = MAX_KEY_DEPTH) -> Hashable:
@@ -320,14 +295,8 @@ def _check_key(value: object, depth: int = MAX_KEY_DEPTH) -> Hashable:
     raise invalid_value(value, "a key")
 
 
-def _check_number(value: object) -> float:
-    if type(value) is int or type(value) is float:
-        return value
-    raise invalid_value(value, "a number")
-
-
 def _check_finite_number(value: object) -> float:
-    number = _check_number(value)
+    number = NUMBER.check(value)
     # An integer can be too large for a float, and is finite.
     if type(number) is float and not isfinite(number):
         raise invalid_value(value, "a finite number")
@@ -335,27 +304,28 @@ def _check_finite_number(value: object) -> float:
 
 
 def _check_comparable_number(value: object) -> float:
-    number = _check_number(value)
+    number = NUMBER.check(value)
     if number != number:  # not a number
         raise invalid_value(value, "a number with an order")
     return number
 
 
 ANYTHING: PlainType[object] = PlainType("any data, which its owner checks", lambda value: value)
-BOOLEAN = instances(bool, "true or false")
-TEXT = instances(str, "a text")
-ATOM = instances(Atom, "an atom")
-FUNCTOR = instances(Functor, "a functor")
-VARIABLE = instances(Var, "a variable")
-NOTHING = PlainType("nothing", _check_nothing)
+BOOLEAN = instances("true or false", bool)
+TEXT = instances("a text", str)
+FUNCTOR = instances("a functor", Functor)
+VARIABLE = instances("a variable", Var)
+NOTHING = instances("nothing", type(None))
 PATH = PlainType("a path", _check_path)
 SECONDS = PlainType("a number of seconds", _check_seconds)
-TERM = PlainType("a term", _check_term, _TERMS)
+TERM: PlainType[Term] = instances("a term", int, float, Atom, String, Var, tuple)
+"""A term; the arguments of compound terms are checked when they are decoded."""
+
 MATCH_VALUE = PlainType("a term, or an instant of a part of a match", _check_match_value)
-CALLABLE_TERM = PlainType("an atom or a compound term", _check_callable_term)
-COMPOUND_TERM = PlainType("a compound term", _check_compound_term, frozenset((tuple,)))
+CALLABLE_TERM: PlainType[Term] = instances("an atom or a compound term", Atom, tuple)
+COMPOUND_TERM: PlainType[CompoundTerm] = instances("a compound term", tuple)
 KEY = PlainType("a key of constants, terms of constants, and tuples of such keys", _check_key)
-NUMBER = PlainType("a number", _check_number)
+NUMBER: PlainType[float] = instances("a number", int, float)
 FINITE = PlainType("a finite number", _check_finite_number)
 ORDERED = PlainType("a number with an order", _check_comparable_number)
 

@@ -224,17 +224,15 @@ class ObjectReader:
         # Objects exist before their attributes are set, since references form cycles.
         objects_by_kind = {kind: self._create(kind, columns[kind]) for kind in kinds}
         numbers_by_kind = self._order_objects(objects_by_kind)
-        for kind, objects in objects_by_kind.items():
-            if kind in KINDS:
-                self._set_attributes(kind, objects, numbers_by_kind[kind], columns[kind])
+        stored_kinds = [kind for kind in kinds if kind in KINDS]
+        for kind in stored_kinds:
+            self._set_attributes(kind, objects_by_kind[kind], numbers_by_kind[kind], columns[kind])
         self._check_acyclic()
-        for kind, objects in objects_by_kind.items():
-            if kind in KINDS:
-                _derive_attributes(kind, objects)
+        for kind in stored_kinds:
+            _derive_attributes(kind, objects_by_kind[kind])
         # Constraints can read derived attributes of other objects.
-        for kind, objects in objects_by_kind.items():
-            if kind in KINDS:
-                _check_constraints(kind, objects)
+        for kind in stored_kinds:
+            _check_constraints(kind, objects_by_kind[kind])
 
     def context(self) -> ReadContext:
         """Return the context of states that refer to these objects."""
