@@ -486,13 +486,11 @@ def optional(content: FieldType[Item]) -> FieldType[Optional[Item]]:
         check = content.checker(context)
         return lambda value: None if value is None else check(value)
 
-    name, encode = f"{content.name}, or nothing", content.encoder
-    if encode is None:
-        return FieldType(name, checker, None, content.has_sources)
+    encode = content.encoder
     return FieldType(
-        name,
+        f"{content.name}, or nothing",
         checker,
-        lambda value, graph: None if value is None else encode(value, graph),
+        None if encode is None else lambda value, graph: None if value is None else encode(value, graph),
         content.has_sources,
     )
 
@@ -506,7 +504,7 @@ def sequence_of(
 
     Args:
         content: type of the items.
-        make: makes the owner's form from the sequence of items; the values are stored in its order of iteration.
+        make: makes the owner's form from the sequence of items, which are stored in its order of iteration.
         min_count: minimum number of items.
     """
 
@@ -523,19 +521,13 @@ def sequence_of(
 
         return check_sequence
 
-    name, encode = f"a sequence of [{content.name}]", content.encoder
-    if encode is not None:
-        return FieldType(
-            name,
-            checker,
-            lambda values, graph: [encode(value, graph) for value in values],
-            content.has_sources,
-        )
-    is_stored_unchanged = make in (list, tuple)
+    encode = content.encoder
+    # The codec accepts no other sequences, so that their items must have an encoding, which makes a list.
+    assert encode is not None or make in (list, tuple)
     return FieldType(
-        name,
+        f"a sequence of [{content.name}]",
         checker,
-        None if is_stored_unchanged else lambda values, graph: list(values),
+        None if encode is None else lambda values, graph: [encode(value, graph) for value in values],
         content.has_sources,
     )
 
