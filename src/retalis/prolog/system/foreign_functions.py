@@ -210,11 +210,8 @@ def _deterministic_function(
             if not spec.output_count:
                 return result is not False
             return result is not None and _unify_outputs(machine, arguments[input_count:], result)
-        except Exception as error:
-            # Any exception of a user's function is an error of the goal and must not end the program.
-            raise _goal_error(error, key) from error
-        except BaseException as exception:
-            raise machine.budget.end_entry(exception) from exception
+        except BaseException as error:
+            raise _goal_error(machine, error, key) from error
         finally:
             executor.end_callback(outer_callback)
 
@@ -243,10 +240,8 @@ def _generator_function(
                     )
                 except StopIteration:
                     return
-                except Exception as error:  # an error of the goal, see `_deterministic_function`
-                    raise _goal_error(error, key) from error
-                except BaseException as exception:
-                    raise machine.budget.end_entry(exception) from exception
+                except BaseException as error:
+                    raise _goal_error(machine, error, key) from error
                 finally:
                     executor.end_callback(outer_callback)
                 if is_solution:
@@ -265,9 +260,13 @@ def _unify_outputs(machine: Machine, outputs: Sequence[Term], result: Any) -> bo
     return machine.unify_all(*[(output, to_term(value)) for output, value in zip(outputs, result)])
 
 
-def _goal_error(error: Exception, key: Functor) -> RetalisError:
+def _goal_error(machine: Machine, error: BaseException, key: Functor) -> RetalisError:
+    """Return the error of a goal whose function has raised an exception."""
     if isinstance(error, RetalisError):
         return error
+    # An interrupt ends the whole entry. Any other exception of a user's function must not end the program.
+    if not isinstance(error, Exception):
+        return machine.budget.end_entry(error)
     context = (functor("context", 2), _indicator(key), Var())
     formal = (_PYTHON_ERROR, atom(type(error).__name__), String(str(error)))
     return PrologError((_ERROR, formal, context))
