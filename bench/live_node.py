@@ -2,7 +2,7 @@
 """Cost of the nodes with the NAO's messages on a real master: CPU, delay, losses, memory, start time.
 
     bench/live_node.py [--seconds N] [--speed 1 5 10 20] [--way idle roscpp direct kept embedded converter] [--runs N]
-                  [--memory MESSAGES] [--starts N] [--json FILE] [--plot FILE]
+                  [--memory MESSAGES] [--starts N] [--interrupts N] [--json FILE] [--plot FILE]
 
 Needs ROS and the built package on the path (``source devel/setup.bash``). Starts its own master on a free port.
 The configurations run alternately, and the medians of the runs are shown.
@@ -12,16 +12,19 @@ be built). CPU is user and system time of the nodes' processes from ``/proc``, u
 percent of a core. ``idle = 1`` is the CPU time of node retalis, compared with the median of ``idle`` at that speed.
 The delay is the time from sending the message that completes a marker's data to the receipt of its pose. Lost are the
 messages that did not arrive at the engine's node: sent messages minus those that its connections have delivered.
+``--interrupts`` measures the time from SIGINT, at `INTERRUPTED_SPEED`, to the end of node retalis.
 """
 
 import argparse
 import json
 import os
+import signal
 import statistics
 import struct
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from bisect import bisect_right
 from pathlib import Path
@@ -46,6 +49,9 @@ WAYS = {
 checkpoints, ``converter`` passes messages as text."""
 
 PATIENCE = 20.0
+
+INTERRUPTED_SPEED = 10.0
+"""Speed of the messages that an interrupted node receives."""
 
 
 TICK = 0.0005
@@ -399,16 +405,45 @@ def starts(number: int) -> Dict[str, float]:
     return found
 
 
+def node_command() -> List[str]:
+    """Return the command of node retalis with the program of the NAO."""
+    import rospkg
+
+    return [sys.executable, str(Path(rospkg.RosPack().get_path("retalis")) / "nodes" / "retalis_node")]
+
+
+def interrupts(player: Player, number: int) -> List[Dict[str, Any]]:
+    """Interrupt a node under load; return the seconds until its end, and its exit status, of each run."""
+    runs = []
+    for _ in range(number):
+        started = Started()
+        try:
+            process = started(node_command())
+            player.advertise()
+            wait_until(player.connected)
+            playing = threading.Thread(target=player.play, args=(INTERRUPTED_SPEED,))
+            playing.start()
+            # The queues fill meanwhile; the bag lasts longer.
+            time.sleep(1.0)
+            sent = time.monotonic()
+            process.send_signal(signal.SIGINT)
+            status = process.wait(PATIENCE)
+            runs.append({"seconds": time.monotonic() - sent, "status": status})
+            playing.join()
+        finally:
+            player.close()
+            started.end()
+    return runs
+
+
 def one_start() -> Any:
     """Start node retalis; return the wall and CPU seconds until its services are offered."""
     import rosgraph
-    import rospkg
 
     master = rosgraph.Master("/bench")
-    program = Path(rospkg.RosPack().get_path("retalis")) / "nodes" / "retalis_node"
     started = Started()
     began = time.monotonic()
-    pid = started([sys.executable, str(program)]).pid
+    pid = started(node_command()).pid
     try:
         while time.monotonic() < began + PATIENCE:
             try:
@@ -440,6 +475,8 @@ def measure(options: argparse.Namespace, folder: Path) -> Dict[str, Any]:
         result["memory"] = memory_curve(options.memory, folder)
     if options.starts:
         result["starts"] = starts(options.starts)
+    if options.interrupts:
+        result["interrupts"] = interrupts(bench.player, options.interrupts)
     return result
 
 
@@ -449,6 +486,10 @@ def report(result: Dict[str, Any]) -> None:
         print(line(row))
     for done, held in result.get("memory", ()):
         print(f"after {done:9.0f} messages the node holds {held:.1f} MB")
+    if "interrupts" in result:
+        times = [run["seconds"] for run in result["interrupts"]]
+        statuses = sorted({run["status"] for run in result["interrupts"]})
+        print(f"interrupt: {min(times):.3f} to {max(times):.3f} s in {len(times)} runs, status {statuses}")
     if "starts" in result:
         print("start: " + ", ".join(f"{name} {value:.3f} s" for name, value in result["starts"].items()))
 
@@ -460,10 +501,13 @@ def arguments(given: Optional[List[str]] = None) -> argparse.Namespace:
     )
     parser.add_argument("--seconds", type=above_zero, default=20.0, help="length of the bag")
     parser.add_argument("--speed", type=above_zero, nargs="+", default=[1.0, 5.0, 10.0, 20.0])
-    parser.add_argument("--way", nargs="+", choices=list(WAYS), default=list(WAYS))
+    parser.add_argument("--way", nargs="*", choices=list(WAYS), default=list(WAYS))
     parser.add_argument("--runs", type=positive, default=1)
     parser.add_argument("--memory", type=int, default=0, help="messages through which memory is watched")
     parser.add_argument("--starts", type=int, default=0, help="how often the node's start is timed")
+    parser.add_argument(
+        "--interrupts", type=int, default=0, help="how often a node under load is interrupted"
+    )
     parser.add_argument("--json", type=target, help="write the figures there")
     parser.add_argument("--plot", type=target, help="draw them there")
     return parser.parse_args(given)
