@@ -7,6 +7,9 @@ The generators (`body_code`, `inline_goals`, `function_code`) walk the nodes and
 A cut names a `Height`: the height of the choice point stack at entry of the clause, or of the condition or ``once/1``
 around it. Control constructs nested deeper than `_MAX_CONTROL_DEPTH` and conjunctions that a module call expands to
 become `Interpret` nodes, which run from their term.
+
+`FunctionalModes` describes built-ins that are functions of some of their arguments, which compiled clauses call
+without unifying the outputs.
 """
 
 from typing import (
@@ -44,9 +47,9 @@ from ..terms.types import (
     deref,
     functor,
 )
+from ..terms.unification import unify
 
 if TYPE_CHECKING:
-    from ..database.module_system import Modules
     from ..database.predicate import Predicate
     from .function_code import FunctionCode
 
@@ -74,14 +77,65 @@ GoalJoiner = Callable[[Sequence[CompoundTerm], Mapping[Any, int]], Optional[Join
 """Function that joins consecutive goals; takes the goals and how often each variable occurs in the clause."""
 
 
+class FunctionalModes(NamedTuple):
+    """Modes of a deterministic predicate that is implemented by a function from input to output arguments.
+
+    Compiled clauses unify the outputs inline: an output that no goal uses is never converted, and the first
+    occurrence of a variable becomes a local name for the value, without a binding.
+
+    Attributes:
+        function: takes the inputs; returns the output, or a tuple of several, or None if the predicate fails.
+        inputs: positions of the inputs among the arguments.
+        outputs: positions of the outputs.
+        to_term_functions: for each output, the function that converts the returned value to a term; None if the value
+            is a term.
+        has_single_output: whether there is one output, which is returned without a tuple.
+        joins: function that joins consecutive goals that begin with this predicate, or None; see `inline_goals`.
+    """
+
+    function: Callable[..., Any]
+    inputs: Tuple[int, ...]
+    outputs: Tuple[int, ...]
+    to_term_functions: Tuple[Optional[Callable[..., Term]], ...]
+    has_single_output: bool
+    joins: Optional[GoalJoiner] = None
+
+    def predicate(self) -> Callable[..., bool]:
+        """Return the predicate as a function for `PredicateTable.define`."""
+        function, inputs, has_single_output = self.function, self.inputs, self.has_single_output
+        outputs = tuple(zip(self.outputs, self.to_term_functions))
+
+        def call(machine: Machine, *args: Term) -> bool:
+            result = function(*[args[position] for position in inputs])
+            if result is None:
+                return False
+            for value, (position, to_term) in zip((result,) if has_single_output else result, outputs):
+                if not unify(args[position], value if to_term is None else to_term(value), machine.trail):
+                    return False
+            return True
+
+        return call
+
+
+def functional(
+    function: Callable[..., Any],
+    arity: int,
+    outputs: Tuple[int, ...] = (),
+    to_term_functions: Tuple[Optional[Callable[..., Term]], ...] = (),
+) -> FunctionalModes:
+    """Return the modes of a function; without ``outputs`` the last argument is the only output."""
+    has_single_output = not outputs
+    outputs = outputs or (arity - 1,)
+    inputs = tuple(position for position in range(arity) if position not in outputs)
+    return FunctionalModes(
+        function, inputs, outputs, to_term_functions or (None,) * len(outputs), has_single_output
+    )
+
+
 class PredicateResolver(Protocol):
     """Predicates as the compiler reads them: those of the program (`Database`) or of the library (`LibraryView`)."""
 
     machine: Machine
-
-    @property
-    def modules(self) -> "Modules":
-        """Modules of the program."""
 
     @property
     def is_library(self) -> bool:
@@ -97,6 +151,9 @@ class PredicateResolver(Protocol):
 
     def predicate(self, key: Functor, /) -> "Predicate":
         """Return the predicate of a functor."""
+
+    def resolve_qualified_goal(self, goal: CompoundTerm, /) -> Term:
+        """Return the goal that ``Module:Goal`` calls."""
 
     def is_inline(self, key: Functor, /) -> bool:
         """Return whether a predicate is a deterministic built-in."""
@@ -344,7 +401,7 @@ class BodyParser:
         if key is COLON:
             if deref(goal[1]).__class__ is Var or deref(goal[2]).__class__ is Var:
                 return CallNode("call", CALL, (goal,), False)
-            module_goal = self._database.modules.resolve_qualified_goal(goal)
+            module_goal = self._database.resolve_qualified_goal(goal)
             # A node stands for one goal, so a module call that expands to a conjunction is interpreted.
             is_conjunction = module_goal.__class__ is tuple and module_goal[0] is COMMA
             return Interpret(module_goal, cut) if is_conjunction else self._goal_node(module_goal, cut, depth)

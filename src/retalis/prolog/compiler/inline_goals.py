@@ -14,7 +14,7 @@ check. For an operand of unknown class the generated code tests for the common c
 (``machine.arithmetic.evaluate_exact``) for the rest, so results and errors are those of the interpreter.
 """
 
-from typing import TYPE_CHECKING, Any, Dict, FrozenSet, List, Mapping, Optional, Sequence, Set, Tuple
+from typing import Any, Dict, FrozenSet, List, Mapping, Optional, Sequence, Set, Tuple
 
 from ..machine.arithmetic import EVALUABLE
 from ..terms import timestamps
@@ -29,6 +29,7 @@ from .clause_nodes import (
     CallNode,
     Cut,
     Fail,
+    FunctionalModes,
     GoalNode,
     IfThenElse,
     JoinedGoals,
@@ -38,9 +39,6 @@ from .clause_nodes import (
 )
 from .code_scope import Operand, Scope, ScopeState
 from .unification_code import decoded_local, differs, forget_fresh, match, write_argument, write_functor
-
-if TYPE_CHECKING:
-    from ..database.clause_index import FunctionalModes
 
 _MAX_JOINED_GOALS = 4
 """Consecutive goals that one function may evaluate."""
@@ -252,7 +250,7 @@ def _write_joined(scope: Scope, node: CallNode) -> None:
         match(scope, result, output)
 
 
-def _write_function(scope: Scope, node: CallNode, modes: "FunctionalModes") -> None:
+def _write_function(scope: Scope, node: CallNode, modes: FunctionalModes) -> None:
     """Write a call of a function and the unification of its outputs; outputs to void variables are skipped."""
     inputs = [node.args[position] for position in modes.inputs]
     result = scope.temp()

@@ -8,18 +8,13 @@ does not depend on the number of keys.
 
 Retracted clauses stay in indexes and lists. Each records the generation that retracted it, and a call sees the
 clauses that were alive when it began (the logical update view).
-
-`FunctionalModes` describes built-ins that are functions of some of their arguments, which compiled clauses call
-without unifying the outputs.
 """
 
-from typing import TYPE_CHECKING, Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Dict, Iterable, List, Optional, Sequence, Tuple
 
 from ...foundation.codegen import MAX_TERM_ARGUMENTS
 from ...foundation.errors import Place
-from ..compiler.clause_nodes import GoalJoiner
 from ..compiler.predicate_code import key_of
-from ..machine.machine import Machine
 from ..terms.term_traversal import copy, is_ground, is_larger
 from ..terms.types import TRUE, Atom, Frame, Step, Term, Trail, Var
 from ..terms.unification import unify
@@ -341,58 +336,3 @@ def indexed_step(
         return otherwise(frame)
 
     return run
-
-
-class FunctionalModes(NamedTuple):
-    """Modes of a deterministic predicate that is implemented by a function from input to output arguments.
-
-    Compiled clauses unify the outputs inline: an output that no goal uses is never converted, and the first
-    occurrence of a variable becomes a local name for the value, without a binding.
-
-    Attributes:
-        function: takes the inputs; returns the output, or a tuple of several, or None if the predicate fails.
-        inputs: positions of the inputs among the arguments.
-        outputs: positions of the outputs.
-        to_term_functions: for each output, the function that converts the returned value to a term; None if the value
-            is a term.
-        has_single_output: whether there is one output, which is returned without a tuple.
-        joins: function that joins consecutive goals that begin with this predicate, or None; see `inline_goals`.
-    """
-
-    function: Callable[..., Any]
-    inputs: Tuple[int, ...]
-    outputs: Tuple[int, ...]
-    to_term_functions: Tuple[Optional[Callable[..., Term]], ...]
-    has_single_output: bool
-    joins: Optional[GoalJoiner] = None
-
-    def predicate(self) -> Callable[..., bool]:
-        """Return the predicate as a function for `PredicateTable.define`."""
-        function, inputs, has_single_output = self.function, self.inputs, self.has_single_output
-        outputs = tuple(zip(self.outputs, self.to_term_functions))
-
-        def call(machine: Machine, *args: Term) -> bool:
-            result = function(*[args[position] for position in inputs])
-            if result is None:
-                return False
-            for value, (position, to_term) in zip((result,) if has_single_output else result, outputs):
-                if not unify(args[position], value if to_term is None else to_term(value), machine.trail):
-                    return False
-            return True
-
-        return call
-
-
-def functional(
-    function: Callable[..., Any],
-    arity: int,
-    outputs: Tuple[int, ...] = (),
-    to_term_functions: Tuple[Optional[Callable[..., Term]], ...] = (),
-) -> FunctionalModes:
-    """Return the modes of a function; without ``outputs`` the last argument is the only output."""
-    has_single_output = not outputs
-    outputs = outputs or (arity - 1,)
-    inputs = tuple(position for position in range(arity) if position not in outputs)
-    return FunctionalModes(
-        function, inputs, outputs, to_term_functions or (None,) * len(outputs), has_single_output
-    )

@@ -13,7 +13,7 @@ marked with the generation of their removal and dropped later. Lists that runnin
 from typing import TYPE_CHECKING, Any, Callable, Dict, Hashable, Iterator, List, Optional, Tuple
 
 from ...foundation.cancellation import check_limits
-from ..compiler.clause_nodes import PredicateResolver
+from ..compiler.clause_nodes import FunctionalModes, PredicateResolver
 from ..compiler.predicate_code import ClauseParts, PredicateGenerator, fact_search
 from ..machine.errors import PrologError
 from ..machine.machine import Code, Machine
@@ -23,7 +23,6 @@ from ..terms.unification import undo, unify
 from .clause_index import (
     NEVER_RETRACTED,
     Clause,
-    FunctionalModes,
     Indexes,
     indexed_step,
     keys_of,

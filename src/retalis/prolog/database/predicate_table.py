@@ -19,7 +19,7 @@ from ..compiler.clause_nodes import PROTECTED_PREDICATES
 from ..compiler.function_code import FunctionCode
 from ..machine.errors import indicator, permission_error
 from ..machine.machine import Code, Machine
-from ..terms.types import Frame, Functor, Step, Term, deref, functor
+from ..terms.types import CompoundTerm, Frame, Functor, Step, Term, deref, functor
 from .goal_interpreter import Control
 from .module_system import Modules
 from .predicate import NEVER_COMPILE, Predicate
@@ -282,6 +282,10 @@ class Database:
         self.discard_compiled_code()
         return program_predicate
 
+    def resolve_qualified_goal(self, goal: CompoundTerm) -> Term:
+        """Return the goal that ``Module:Goal`` calls."""
+        return self.modules.resolve_qualified_goal(goal)
+
 
 class LibraryView:
     """View of the predicates for the clauses of the library, without redefinitions by the program.
@@ -302,10 +306,9 @@ class LibraryView:
         self.machine = database.machine
         self.shadowed_predicates: Dict[Functor, Predicate] = {}
 
-    @property
-    def modules(self) -> Modules:
-        """Modules of the program."""
-        return self._database.modules
+    def resolve_qualified_goal(self, goal: CompoundTerm) -> Term:
+        """Return the goal that ``Module:Goal`` calls."""
+        return self._database.resolve_qualified_goal(goal)
 
     @property
     def interpret(self) -> Code:

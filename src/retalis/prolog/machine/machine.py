@@ -309,8 +309,8 @@ class Machine:
             elif budget.has_use and not base and not budget.is_processing_entry:
                 budget.reset()
 
-    def check(self, frame: Frame, goal: "CompiledGoal") -> bool:
-        """Return whether a `CompiledGoal` that keeps the choice points has a solution; keep no bindings.
+    def check(self, frame: Frame, goal: object) -> bool:
+        """Return whether a goal that keeps the choice points has a solution; keep no bindings.
 
         Unlike `run`, it executes the first step without pushing a choice point; most goals finish in that step.
 

@@ -45,8 +45,8 @@ from ..builtins import (  # noqa: F401
 from ..builtins.builtin_registry import ENTRIES
 from ..builtins.flags_operators_modules import default_flags
 from ..builtins.grammar_and_ssu_rules import translate_rule
-from ..compiler.clause_nodes import PROTECTED_PREDICATES
-from ..database.clause_index import Clause, functional
+from ..compiler.clause_nodes import PROTECTED_PREDICATES, functional
+from ..database.clause_index import Clause
 from ..database.goal_interpreter import control_predicates
 from ..database.goal_terms import functor_of, split_clause
 from ..database.predicate import Predicate
