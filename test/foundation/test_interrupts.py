@@ -6,8 +6,11 @@ import subprocess
 import sys
 import threading
 from typing import Any, Iterator, List
+from xmlrpc.client import ServerProxy
+from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
+from checked_access import required
 from python_path import python_path
 
 from retalis import Engine, UsageError
@@ -63,6 +66,26 @@ def test_signal_in_wait_is_raised_at_once() -> None:
         with pytest.raises(KeyboardInterrupt):
             check_interrupt()
     assert steps == ["recorded"]
+
+
+def test_signal_in_remote_call_is_raised_at_once() -> None:
+    has_ended = threading.Event()
+
+    def signal_and_wait() -> bool:
+        signal.pthread_kill(required(threading.main_thread().ident), signal.SIGINT)
+        return has_ended.wait(60)
+
+    with SimpleXMLRPCServer(("localhost", 0), logRequests=False) as server:
+        server.register_function(signal_and_wait)
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            with deferred_interrupts(), pytest.raises(Interrupt):
+                ServerProxy(f"http://localhost:{server.server_address[1]}").signal_and_wait()
+        finally:
+            has_ended.set()
+            server.shutdown()
+            thread.join()
 
 
 def test_pending_signal_is_raised_before_wait() -> None:

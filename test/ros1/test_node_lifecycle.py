@@ -7,7 +7,9 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
-from typing import Any
+from socketserver import ThreadingMixIn
+from typing import Any, Iterator
+from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
 from checked_access import required
@@ -159,6 +161,48 @@ def test_node_ends_while_master_is_blocked(devel: Any, master: Any, node: Any, p
         assert end_by_signal(process, signal.SIGINT) == 0
     finally:
         master.send_signal(signal.SIGCONT)
+
+
+class SilentMaster(ThreadingMixIn, SimpleXMLRPCServer):
+    """A master that answers that it is there, and no other call.
+
+    Attributes:
+        has_call: set when another call has arrived.
+        is_closing: ends the calls.
+    """
+
+    daemon_threads = True
+
+    def __init__(self, port: int) -> None:
+        super().__init__(("localhost", port), logRequests=False)
+        self.has_call, self.is_closing = threading.Event(), threading.Event()
+
+    def _dispatch(self, method: str, params: Any) -> Any:
+        if method != "getPid":
+            self.has_call.set()
+            self.is_closing.wait()
+        return 1, "", os.getpid()
+
+
+@pytest.fixture
+def silent_master(devel: Any) -> Iterator[SilentMaster]:
+    with SilentMaster(devel.port) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield server
+        server.is_closing.set()
+        server.shutdown()
+        thread.join()
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_signal_while_master_is_silent_ends_construction(
+    silent_master: SilentMaster, node: Any, program: Any, devel: Any, number: Any
+) -> None:
+    process = node("retalis_node", program())
+    assert silent_master.has_call.wait(TIMEOUT_SECONDS)
+    assert end_by_signal(process, number) == 0
+    assert "Traceback" not in devel.printed()
 
 
 @pytest.mark.parametrize("name", NODES)

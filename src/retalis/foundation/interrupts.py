@@ -11,6 +11,7 @@ executor raises the interrupt after the end of the event (see `prolog.machine.re
 
 Where the process only waits, for input, for a lock or for time to pass, no data is half changed at any step. Such
 code is marked by `interruptible`, and the handler raises the interrupt at once. It is pending if Python ignores it.
+A call by XML-RPC is such a wait without a mark, because its caller has to expect that the connection breaks.
 
 If the process is in code without safe points, a second signal ends it after `MAX_RESPONSE_SECONDS`.
 """
@@ -120,8 +121,15 @@ def are_deferred() -> bool:
     return _HandlerState.thread is not None
 
 
+def _is_remote_call(frame: Optional[FrameType]) -> bool:
+    """Return whether a frame belongs to a call by XML-RPC."""
+    while frame is not None and frame.f_globals.get("__name__") != "xmlrpc.client":
+        frame = frame.f_back
+    return frame is not None
+
+
 def _handle_signal(number: int, frame: Optional[FrameType]) -> None:
-    if _HandlerState.is_waiting:
+    if _HandlerState.is_waiting or _is_remote_call(frame):
         # Reset first, because the code that handles the exception is not a wait.
         _HandlerState.is_waiting = False
         raise Interrupt
