@@ -135,7 +135,7 @@ class Engine:
     Attributes:
         clock: the time of the program.
         settings: limits and sizes.
-        program: predicates, rules and knowledge, for other packages of retalis.
+        program: predicates, rules, knowledge and loader, for other packages of retalis.
 
     The parts are attributes, too, for tests: ``logic`` (Prolog), ``dispatcher``, ``rules``, ``knowledge`` (memories,
     queries, subscriptions), ``reports``, ``executor``, ``watchdog``, ``deployments`` (the loaded folders),

@@ -112,7 +112,7 @@ class EngineParts:
     Attributes:
         slots: slots of messages, and the types of event names.
         goals: calls goals outside of events.
-        program: predicates, rules and knowledge.
+        program: predicates, rules, knowledge and their loader.
     """
 
     def __init__(
