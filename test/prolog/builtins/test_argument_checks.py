@@ -84,3 +84,20 @@ def test_integers_and_floats_compare_exactly() -> None:
         assert answers(logic, f"msort([{whole}, {near}], [_, {whole}])") == [{}]
         assert answers(logic, f"{whole} is max({whole}, {near}), {near} is min({whole}, {near})") == [{}]
     assert answers(logic, "X is 10 ** 30 + 1, Y is 1.0e30, X < Y, compare(<, X, Y), R = yes")[0]["R"] == "yes"
+
+
+@pytest.mark.parametrize(
+    ("goal", "expected"),
+    [
+        ("must_be(encoding, utf8)", [{}]),
+        ("must_be(encoding, foo)", ["type_error(encoding,foo)"]),
+        ("must_be(stream, user_output)", [{}]),
+        ("must_be(stream, a)", ["type_error(stream,a)"]),
+        ("must_be(dict, a)", ["type_error(dict,a)"]),
+        ("must_be(list_of, [a])", ["existence_error(type,list_of)"]),
+        ("must_be(list(a, b), [a])", ["existence_error(type,list(a,b))"]),
+        ("must_be(stream, _)", ["instantiation_error"]),
+    ],
+)
+def test_must_be_accepts_unusual_types(goal: str, expected: Any) -> None:
+    assert answers(prolog(), goal) == expected

@@ -1,12 +1,11 @@
-"""Meta-calls: limits, distinct solutions, blocking goals and traced ports."""
+"""Meta-calls: limits, lambdas, distinct solutions, and goals of deep terms."""
 
-from typing import Any, List
+from typing import Any
 
 import pytest
 from prolog.support import answers, first, prolog
 
-from retalis import Limits, PrologError
-from retalis.prolog.syntax.term_reader import read_term
+from retalis import Limits
 
 
 @pytest.fixture
@@ -64,37 +63,6 @@ def nested_goal(step: Any, innermost: str) -> str:
     return f"numlist(1, 3000, _L), foldl([_, A, {step}]>>true, _L, {innermost}, G)"
 
 
-@pytest.mark.parametrize(
-    ("goal", "expected"),
-    [
-        ("dif(a, b)", [{}]),
-        ("dif(a, a)", []),
-        ("dif(f(X, a), f(X, b))", [{"X": "A"}]),
-        ("dif(f(X), f(X))", []),
-        ("dif(X, a)", ["instantiation_error"]),
-        ("dif(f(X), f(Y))", ["instantiation_error"]),
-        ("X = 1, freeze(X, Y = 2)", [{"X": "1", "Y": "2"}]),
-        ("freeze(X, true)", ["instantiation_error"]),
-        ("when(ground(f(a)), X = 1)", [{"X": "1"}]),
-        ("when((nonvar(a), ground(b)), X = 1)", [{"X": "1"}]),
-        ("when((nonvar(X) ; nonvar(b)), X = 1)", [{"X": "1"}]),
-        ("when(?=(X, X), X = 1)", [{"X": "1"}]),
-        ("when(nonvar(X), true)", ["instantiation_error"]),
-        ("when(X, true)", ["instantiation_error"]),
-        ("when(foo, true)", ["domain_error(when_condition,foo)"]),
-    ],
-)
-def test_blocking_goals_run_or_are_errors(logic: Any, goal: str, expected: Any) -> None:
-    assert answers(logic, goal) == expected
-
-
-@pytest.mark.parametrize(
-    "condition", ["(A, nonvar(a))", "(nonvar(a), A)", "(A ; nonvar(a))", "(nonvar(_) ; A)"]
-)
-def test_deep_condition_of_when_is_checked(logic: Any, condition: str) -> None:
-    assert answers(logic, f"{nested_goal(condition, 'nonvar(a)')}, when(G, X = 1)")[0]["X"] == "1"
-
-
 @pytest.mark.parametrize("step", ["\\+ A", "(A -> true)", "((A, _) , true)"])
 def test_goal_beyond_depth_limit_is_an_error(logic: Any, step: str) -> None:
     answer = first(logic, f"{nested_goal(step, 'true')}, catch(G, error(E, _), true)")
@@ -102,67 +70,9 @@ def test_goal_beyond_depth_limit_is_an_error(logic: Any, step: str) -> None:
     assert logic.machine.choices == []
 
 
-def test_trace_prints_ports(logic: Any) -> None:
-    lines: List[Any] = []
-    logic.error_output = lines.append
-    assert answers(logic, "trace(p(X)), X > 1, p(_)", 1) == [{"X": "2"}]
-    assert [" ".join(line.split()[:3]) for line in lines][1:] == [
-        "Exit: (1) p(1)",
-        "Redo: (1) p(1)",
-        "Call: (2) p(1)",
-        "Exit: (2) p(1)",
-        "Exit: (1) p(2)",
-    ]
-
-
-def test_error_ends_tracing(logic: Any) -> None:
-    lines: List[Any] = []
-    logic.error_output = lines.append
-    assert answers(logic, "catch(trace(throw(x)), x, true)") == [{}]
-    assert first(logic, "p(X)") == "1"
-    assert [line.split()[0] for line in lines] == ["Call:", "Exception:"]
-
-
 def test_loading_library_uses_no_inferences(logic: Any) -> None:
     logic.limits = Limits(inferences=2000)
     assert answers(logic, "append([1], [2], L), list_to_assoc([], _)") == [{"L": "[1,2]"}]
-
-
-@pytest.mark.parametrize(
-    ("goal", "expected"),
-    [
-        ("read_term(user_input, X, [])", [{"X": "end_of_file"}]),
-        ("read(user_input, X)", [{"X": "end_of_file"}]),
-        ("get_char(X)", [{"X": "end_of_file"}]),
-        ("peek_code(user_input, X)", [{"X": "-1"}]),
-        ("get_char(user_output, _)", ["permission_error(input,stream,user_output)"]),
-        ("get_char(s, _)", ["existence_error(stream,s)"]),
-        ("get_char(_, _)", ["instantiation_error"]),
-        ("at_end_of_stream(user_input)", [{}]),
-        ("current_output(S), write(S, '')", [{"S": "user_output"}]),
-        ("char_conversion(a, bc)", ["representation_error(character)"]),
-        ("current_char_conversion(X, b)", [{"X": "b"}]),
-    ],
-)
-def test_standard_input_is_empty(logic: Any, goal: str, expected: Any) -> None:
-    assert answers(logic, goal) == expected
-
-
-@pytest.mark.parametrize(
-    ("goal", "expected"),
-    [
-        ("must_be(encoding, utf8)", [{}]),
-        ("must_be(encoding, foo)", ["type_error(encoding,foo)"]),
-        ("must_be(stream, user_output)", [{}]),
-        ("must_be(stream, a)", ["type_error(stream,a)"]),
-        ("must_be(dict, a)", ["type_error(dict,a)"]),
-        ("must_be(list_of, [a])", ["existence_error(type,list_of)"]),
-        ("must_be(list(a, b), [a])", ["existence_error(type,list(a,b))"]),
-        ("must_be(stream, _)", ["instantiation_error"]),
-    ],
-)
-def test_must_be_accepts_unusual_types(logic: Any, goal: str, expected: Any) -> None:
-    assert answers(logic, goal) == expected
 
 
 def test_caret_outside_bagof_calls_goal(logic: Any) -> None:
@@ -192,27 +102,3 @@ def test_distinct_solutions_occur_once(logic: Any) -> None:
 def test_lambda_shares_free_variables_only(logic: Any, goal: str, values: Any) -> None:
     solutions = answers(logic, goal)
     assert [solution["L"] if isinstance(solution, dict) else solution for solution in solutions] == values
-
-
-@pytest.mark.parametrize(
-    "goal", ["dif(X, a)", "freeze(X, true)", "when(ground(f(X)), true)", "dif(f(X), f(Y))"]
-)
-def test_error_of_blocking_goal_names_alternative(goal: str) -> None:
-    logic = prolog()
-    with pytest.raises(PrologError) as error:
-        logic.once(read_term(goal, logic.operators).term)
-    name = goal[: goal.index("(")]
-    assert f"(in {name}/2): goals cannot wait for a variable" in error.value.message
-    assert "use_swi" in error.value.message
-
-
-@pytest.mark.parametrize(
-    ("goal", "is_current"),
-    [("succ/2", True), ("(=)/2", True), ("no_such/2", False), ("p/1", True), ("p/2", False)],
-)
-def test_current_predicate_includes_builtins_by_flag(goal: str, is_current: bool) -> None:
-    logic = prolog("p(1). :- dynamic(p/2).")
-    assert logic.once(read_term(f"current_predicate({goal})", logic.operators).term) == is_current
-    assert logic.once(read_term("current_predicate(succ/N)", logic.operators).term) is False
-    assert logic.once(read_term("set_prolog_flag(iso, true)", logic.operators).term)
-    assert logic.once(read_term(f"current_predicate({goal})", logic.operators).term) == (goal == "p/1")
