@@ -18,9 +18,9 @@ def logic(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     bench = importlib.import_module("logic")
     assert bench.__file__ == str(BENCH / "logic.py")
     monkeypatch.setattr(bench, "limit_gc_pauses", lambda: None)
-    deepest = sys.getrecursionlimit()
+    recursion_limit = sys.getrecursionlimit()
     yield bench
-    sys.setrecursionlimit(deepest)  # ProbLog raises it for all
+    sys.setrecursionlimit(recursion_limit)  # ProbLog raises it for all
     sys.modules.pop("logic", None)
 
 

@@ -51,12 +51,12 @@ class Run:
         self.printed: List[Any] = []
         captured = capsys.readouterr()
         self.error = captured.err
-        for term in terms(captured.out):
-            self._sort(term)
+        for term in read_printed_terms(captured.out):
+            self._add_term(term)
         with open("outputs.out", encoding="utf-8") as file:
-            self.outputs = [term_text(term) for term in terms(file.read())]
+            self.outputs = [term_text(term) for term in read_printed_terms(file.read())]
 
-    def _sort(self, term: Any) -> None:
+    def _add_term(self, term: Any) -> None:
         functor_name = term[0].name if term.__class__ is tuple else ""
         if functor_name not in ("event", "memory_event"):
             self.printed.append(term_text(term))
@@ -75,7 +75,7 @@ def write_option(name: str, lines: Any) -> Any:
     return [f"--{name.rstrip('0123456789')}", f"{name}.in"]
 
 
-def terms(text: Any) -> Any:
+def read_printed_terms(text: Any) -> Any:
     """Return the printed terms, without other lines that a program prints."""
     printed_terms: List[Any] = []
     for line in text.splitlines():
@@ -85,7 +85,7 @@ def terms(text: Any) -> Any:
     return printed_terms
 
 
-def agree(events: Any, expected_events: Any) -> bool:
+def events_agree(events: Any, expected_events: Any) -> bool:
     """Return whether events are the expected ones, where stamps of the clock may be later."""
     if len(events) != len(expected_events):
         return False
@@ -112,7 +112,7 @@ def test_recorded_scenario_is_reproduced(
     run = Run(data, capsys)
     expected = expected_results(path.stem, data)
     if expected.short is None or path.stem in STAMPED:
-        assert agree(run.events, expected.events)
+        assert events_agree(run.events, expected.events)
     else:
         assert short(run.events) == expected.short
     assert run.outputs == expected.outputs

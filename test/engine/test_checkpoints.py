@@ -85,8 +85,7 @@ def test_resumed_engine_continues_from_last_checkpoint(folder: Any) -> None:
                 "counter(c, X), memory_counter(m, Y)"
             )
     other = resume_engine(folder)
-    events: List[Any] = []
-    other.on_event(lambda term, start, end: events.append(other.show(term)))
+    events = record_events(other)
     other.event("in(x)", 5000)
     assert "pair(1170,x)" in events
     assert "n(1171)" in events
@@ -117,7 +116,7 @@ def test_checkpoint_writes_only_changes(folder: Any) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 6))])
+@pytest.mark.parametrize("seed", range(6))
 def test_random_changes_are_restored(folder: Any, seed: Any) -> None:
     generator = random.Random(seed)
     engine = start_engine(folder)
@@ -205,19 +204,19 @@ def test_unfinished_file_has_no_checkpoint(folder: Any, monkeypatch: pytest.Monk
     results: List[Any] = []
     connect = sqlite3.connect
 
-    def look(statement: Any) -> None:
+    def read_during_statement(statement: Any) -> None:
         try:
             results.append((statement, read_checkpoint(path)))
         except UsageError as error:
             results.append((statement, error))
 
-    def watched(name: Any, **options: Any) -> Any:
+    def connect_with_trace(name: Any, **options: Any) -> Any:
         base = connect(name, **options)
         if name == str(path):
-            base.set_trace_callback(look)
+            base.set_trace_callback(read_during_statement)
         return base
 
-    monkeypatch.setattr(sqlite3, "connect", watched)
+    monkeypatch.setattr(sqlite3, "connect", connect_with_trace)
     CheckpointStorage(path).close()
     statements = [statement for statement, _ in results]
     assert any("application_id" in statement for statement in statements)

@@ -283,7 +283,8 @@ def test_alarms_beyond_limit_are_dropped() -> None:
     for number in range(5):
         engine.event(f"e({number})", 1)
     assert len(engine.clock.alarms) == 3
-    assert ["1 have been dropped" in warnings[0], "2 have been dropped" in warnings[1]] == [True, True]
+    assert "1 have been dropped" in warnings[0]
+    assert "2 have been dropped" in warnings[1]
     stream_clock(engine).move_to(20 * SECOND)
     engine.advance()
     assert [text for text in events if text.startswith("late")] == ["late(0)", "late(1)", "late(2)"]

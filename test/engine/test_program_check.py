@@ -80,7 +80,7 @@ def test_output_of_other_type_is_explained(subscription: str, mismatch: str) -> 
     assert explain_output_mismatch(goal, "out", "far_msgs/Unknown", Definitions()) == ""
 
 
-def messages_of_refused_program(
+def finding_messages(
     folder: Any, definitions: Any, topics: str = "", rules: str = "", goals: str = ""
 ) -> List[Any]:
     (folder / "pub_sub.xml").write_text(f"<publish_subscribe>{topics}</publish_subscribe>")
@@ -91,20 +91,18 @@ def messages_of_refused_program(
 
 def test_events_of_refused_topics_are_not_reported(tmp_path: Path, definitions: Any) -> None:
     topics = '<subscribe_to name="said" msg_type="std_msgs/String" event="Said"/>'
-    (message,) = messages_of_refused_program(
-        tmp_path, definitions, topics, "a(T) <- said{data: T}. b(T) <- siad(T)."
-    )
+    (message,) = finding_messages(tmp_path, definitions, topics, "a(T) <- said{data: T}. b(T) <- siad(T).")
     assert message.startswith("<subscribe_to>: the name of an event begins with a small letter")
 
 
 def test_predicates_of_refused_rules_are_not_reported(tmp_path: Path, definitions: Any) -> None:
     goals = "subscribe(low(V), [helper(V)], V, warn, w1)\nmemorize(low(m), [], m, lows, 3)"
-    (message,) = messages_of_refused_program(
+    (message,) = finding_messages(
         tmp_path, definitions, rules="low(V) <- heat(V) where helper(V.\nhelper(V) :- V < 3.\n", goals=goals
     )
     assert message.startswith('expected ")" for the "("')
 
 
 def test_predicates_of_valid_rules_are_reported(tmp_path: Path, definitions: Any) -> None:
-    messages = messages_of_refused_program(tmp_path, definitions, rules="low(V) <- heat(V) where helper(V).")
+    messages = finding_messages(tmp_path, definitions, rules="low(V) <- heat(V) where helper(V).")
     assert "there is no predicate helper/1 yet; define it, or write :- dynamic helper/1." in messages

@@ -48,7 +48,7 @@ from ..prolog.syntax.term_reader import read_term
 from ..prolog.terms import timestamps
 from ..prolog.terms.types import Term, atom, functor
 from .command_options import (
-    PRINT_OPEN,
+    OPEN_HELP,
     add_chunk_limit_option,
     add_direct,
     add_end_of_input,
@@ -134,7 +134,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     )
     add("--json", action="store_true", help="print one JSON object per line instead of terms")
     add("-q", "--quiet", action="store_true", help="print no outputs")
-    add_end_of_input(parser, PRINT_OPEN)
+    add_end_of_input(parser, OPEN_HELP)
     add_many_bags_options(parser)
     add_folders(parser)
     add_limits(parser)

@@ -167,7 +167,7 @@ def add_end_of_input(parser: argparse.ArgumentParser, open_effect: str) -> None:
     )
 
 
-PRINT_OPEN = (
+OPEN_HELP = (
     "print at the end, in lines that start with %%, the declared states that are open, and the windows that have "
     "not ended with the number of their elements"
 )

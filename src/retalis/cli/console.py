@@ -13,7 +13,7 @@ import time
 from contextlib import closing, nullcontext
 from io import StringIO
 from pathlib import Path
-from typing import Callable, Dict, Iterable, Iterator, List, NamedTuple, Optional, Tuple, Union, cast
+from typing import Callable, Dict, Iterable, Iterator, List, NamedTuple, Optional, Set, Tuple, Union, cast
 
 from ..engine.client_requests import decode_bindings, read_bindings
 from ..engine.engine import Engine
@@ -91,7 +91,9 @@ def help_lines(name: str, defined: Iterable[str]) -> List[str]:
 
 def apropos_lines(word: str, defined: Iterable[str]) -> List[str]:
     """Return a line for each predicate whose name or description contains a word; see `help_lines`."""
-    lower_word, documented, lines = word.lower(), set(), []
+    lower_word = word.lower()
+    documented: Set[str] = set()
+    lines: List[str] = []
     for row in _read_rows():
         if lower_word in row.description.lower() or any(lower_word in key.lower() for key in row.keys):
             documented.update(row.keys)

@@ -45,7 +45,7 @@ from ..prolog.terms import timestamps
 from ..prolog.terms.term_traversal import rebuild, variables
 from ..prolog.terms.types import Frame, Functor, Term, deref
 from .command_options import (
-    PRINT_OPEN,
+    OPEN_HELP,
     add_end_of_input,
     add_folders,
     add_limits,
@@ -247,7 +247,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     )
     add("--clock", metavar="TERM", help="pin the clock: datime(2001,1,1,0,0,0,0) or seconds")
     add("--json", action="store_true", help="print one JSON object per line instead of terms")
-    add_end_of_input(parser, PRINT_OPEN)
+    add_end_of_input(parser, OPEN_HELP)
     add_folders(parser)
     add_limits(parser)
     parser.set_defaults(run=run, reject_usage=parser.error)

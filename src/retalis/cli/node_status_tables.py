@@ -73,7 +73,7 @@ _LIST_TITLES = {
 
 
 def format_status(
-    before: PlainRecord, current: PlainRecord, seconds: float, columns: int, has_engine: bool = True
+    before: PlainRecord, current: PlainRecord, seconds: float, terminal_width: int, has_engine: bool = True
 ) -> List[str]:
     """Return the status of a node as lines that fit a terminal, with rates and ages, without empty columns.
 
@@ -91,7 +91,7 @@ def format_status(
         before: former answer of service ``~list``, as a dictionary; instants are in seconds, or None.
         current: present answer.
         seconds: time between the two.
-        columns: width of the terminal in characters.
+        terminal_width: width of the terminal in characters.
         has_engine: whether the node has an engine.
     """
     time = _StatusTime(current.get("now"), seconds)
@@ -107,13 +107,13 @@ def format_status(
     omitted_counts = [name for name in current if name.startswith("more_") and current[name]]
     summary += [f"{current[name]} more {name[len('more_') :]}" for name in omitted_counts]
     # Non-breaking spaces keep each part in one line while the text is wrapped.
-    lines = wrap("  ".join(part.replace(" ", "\xa0") for part in summary), columns)
+    lines = wrap("  ".join(part.replace(" ", "\xa0") for part in summary), terminal_width)
     lines = [line.replace("\xa0", " ") for line in lines]
     for name, table_form in _TABLE_FORMS.items():
         if current.get(name):
-            rows = _format_rows(table_form, before.get(name, ()), current[name], time, columns - 2)
+            rows = _format_rows(table_form, before.get(name, ()), current[name], time, terminal_width - 2)
             lines += ["", name, *(f"  {line}" for line in _align_columns(rows))]
-    return [line[:columns] for line in lines]
+    return [line[:terminal_width] for line in lines]
 
 
 class _StatusTime(NamedTuple):

@@ -4,7 +4,6 @@ import asyncio
 import socket
 import threading
 from errno import EADDRINUSE
-from typing import Any, List
 
 from ..foundation.errors import UsageError
 from .view_model import UPDATE_PERIOD_SECONDS, DashboardSource, LiveUpdates, Snapshots
@@ -55,8 +54,8 @@ class Dashboard:
         self._source = source
         self._period = period
         # The port is bound here and not in the thread, so that the caller gets the error.
-        self._sockets = _listen_on_free_port(port, port_count)
-        self.port: int = self._sockets[0].getsockname()[1]
+        self._socket = _listen_on_free_port(port, port_count)
+        self.port: int = self._socket.getsockname()[1]
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._run, daemon=True, name="dashboard")
         self._thread.start()
@@ -82,7 +81,7 @@ class Dashboard:
         snapshots = Snapshots(self._source)
         live_updates = LiveUpdates(snapshots, self._period)
         server = self._create_server(self._source, snapshots, live_updates)
-        server.add_sockets(self._sockets)
+        server.add_socket(self._socket)
         try:
             self._loop.run_forever()
         finally:
@@ -105,7 +104,7 @@ async def _cancel_tasks() -> None:
     await asyncio.gather(*other_tasks, return_exceptions=True)
 
 
-def _listen_on_free_port(port: int, port_count: int) -> List[Any]:
+def _listen_on_free_port(port: int, port_count: int) -> socket.socket:
     """Return a listening socket on a port, or on one of the next ones if it is in use.
 
     Raises:
@@ -114,7 +113,7 @@ def _listen_on_free_port(port: int, port_count: int) -> List[Any]:
     ports = range(port, max(port + 1, min(port + port_count, _PORT_END)))
     for candidate in ports:
         try:
-            return [_bind_socket(candidate)]
+            return _bind_socket(candidate)
         except (OSError, OverflowError) as error:
             # Any other error, such as missing permissions, would occur for the next ports, too.
             if getattr(error, "errno", None) != EADDRINUSE or candidate == ports[-1]:

@@ -20,7 +20,7 @@ from tornado.web import Application, HTTPError, RequestHandler
 
 from ..engine.client_requests import ask
 from ..explanation.event_explanations import explain, records_origins
-from ..foundation.errors import RetalisError, SyntaxFault, printable_json, shorten
+from ..foundation.errors import RetalisError, printable_json, shorten
 from ..prolog.machine.resource_limits import Limits
 from .view_model import DashboardSource, LiveUpdates, Snapshots
 
@@ -49,6 +49,7 @@ MAX_LINE_CHARACTERS = 1_000
 """Limit for the characters of a line of an explanation."""
 
 MAX_ERROR_CHARACTERS = 1_000
+"""Limit for the characters of an error."""
 
 NOT_RECORDED = "what events come from is not recorded: start the node with explain:=true"
 QUERIES_NOT_ALLOWED = "queries are not allowed: start the node with dashboard_queries:=true"
@@ -107,16 +108,14 @@ class AnswerService:
         answer: asyncio.Future[PageAnswer] = loop.create_future()
 
         def set_answer(result: PageAnswer) -> None:
+            # The answer is cancelled if the page was closed.
             if not answer.done():
-                # Cancelled if the page was closed.
                 answer.set_result(result)
 
         def run_work() -> None:
             result: PageAnswer = ErrorAnswer("internal error")
             try:
                 result = work()
-            except SyntaxFault as fault:
-                result = ErrorAnswer(shorten(fault.brief(), MAX_ERROR_CHARACTERS))
             except RetalisError as error:
                 result = ErrorAnswer(shorten(error.brief(), MAX_ERROR_CHARACTERS))
             finally:
@@ -303,9 +302,7 @@ class StreamHandler(LocalHandler):
 class AnswerHandler(LocalHandler):
     """Answers requests in JSON with JSON."""
 
-    def initialize(
-        self, answer: Callable[[Dict[str, Any]], PageAnswer], answer_service: AnswerService
-    ) -> None:
+    def initialize(self, answer: Callable[[Json], PageAnswer], answer_service: AnswerService) -> None:
         """Store the answering function; tornado calls this for each request."""
         self._answer = answer
         self._answer_service = answer_service

@@ -43,7 +43,7 @@ class Binding(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """Solutions of a goal, each as the values of its variables; ``complete`` tells whether there are no others."""
+    """Solutions of a goal, each as the values of its variables; ``complete`` is true if there are no others."""
 
     solutions: List[List[Binding]]
     complete: bool
@@ -105,7 +105,7 @@ def ask(
 
 
 def run_restricted(engine: Engine, work: Callable[[], Result], work_name: Term = UNNAMED_REQUEST) -> Result:
-    """Execute a function as `Engine.do`.
+    """Return the result of a function that is executed exclusively, as by `Engine.do`.
 
     Its goals, and those of rules that it adds, may not change flags unless the settings allow it.
     """
@@ -124,7 +124,7 @@ def read_bindings(
 
     Args:
         engine: the engine.
-        names: the variables.
+        names: the variables by their names.
         characters_left: maximum length of the values together, in characters of JSON.
 
     Raises:

@@ -116,6 +116,7 @@ def check_program(
     engine = Engine(Clock(time.time_ns), settings, collector, definitions)
     engine.program.logic.discard_output()
     direct_types = direct_topics(direct, topics, strip_slashes)
+    # Requested topics are recorded by the engine, which subscribes to none of them.
     engine.on_topic_request(lambda topic: None, topics, direct_types)
     try:
         engine.load_program(folder)
@@ -206,11 +207,8 @@ def _sort_findings(findings: List[Finding]) -> List[Finding]:
 
     def make_sort_key(finding: Finding) -> Tuple[int, int, int]:
         place = finding.problem.place
-        return (
-            (file_positions[_normalize_source(place)], 0, 0)
-            if place is None
-            else (file_positions[_normalize_source(place)], place.line, place.column)
-        )
+        line, column = (0, 0) if place is None else (place.line, place.column)
+        return file_positions[_normalize_source(place)], line, column
 
     return sorted(findings, key=make_sort_key)
 

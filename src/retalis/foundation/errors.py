@@ -264,12 +264,12 @@ class RecurringWarning(RuleError):
 class Omission(RetalisError):
     """A warning about a term, clause or directive of a Prolog file that was skipped because of an error.
 
-    >>> found = []
-    >>> class Told(Reports):
+    >>> warnings = []
+    >>> class WarningCollector(Reports):
     ...     def warning(self, problem, kind=None, texts=1, once=False):
-    ...         found.append(problem)
-    >>> Engine(reports=Told()).load(rules="a(1). a(2. a(3).")
-    >>> [(type(problem) is Omission, problem.place.column) for problem in found]
+    ...         warnings.append(problem)
+    >>> Engine(reports=WarningCollector()).load(rules="a(1). a(2. a(3).")
+    >>> [(type(problem) is Omission, problem.place.column) for problem in warnings]
     [(True, 10)]
     """
 

@@ -1,4 +1,4 @@
-"""Suggested names for findings: preference, and bounded time of the search for similar names."""
+"""Names in findings: preferred suggestions, and bounded work for suggestions and for names of variables."""
 
 from pathlib import Path
 from typing import Any, List
@@ -31,11 +31,11 @@ def test_comparisons_of_names_are_limited(monkeypatch: pytest.MonkeyPatch) -> No
         return ""
 
     monkeypatch.setattr(program_model, "closest_name", closest_name)
-    nearby, keys = FunctorSuggestions(), [functor(f"known_{number}", 1) for number in range(400)]
+    suggestions, keys = FunctorSuggestions(), [functor(f"known_{number}", 1) for number in range(400)]
     for number in range(400):
-        nearby.suggest(functor(f"unknown_{number}", 1), keys)
+        suggestions.suggest(functor(f"unknown_{number}", 1), keys)
     assert 0 < sum(compared) <= program_model.MAX_COMPARISONS
-    assert nearby.suggest(functor("known_7", 2), keys) == "known_7/1"
+    assert suggestions.suggest(functor("known_7", 2), keys) == "known_7/1"
 
 
 class CountingNames(dict):

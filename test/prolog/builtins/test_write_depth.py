@@ -50,4 +50,7 @@ def test_deep_term_below_limit_is_written_completely() -> None:
     logic.output = written.append
     assert answers(logic, "deep(5000, T), write_term(T, [max_depth(100000)]), fail") == []
     assert len("".join(written)) == 5000 * 3 + 1
-    assert answers(logic, "write_term(a, [max_depth(x)])") == ["type_error(integer,x)"]
+
+
+def test_depth_that_is_no_integer_is_refused() -> None:
+    assert answers(prolog(), "write_term(a, [max_depth(x)])") == ["type_error(integer,x)"]

@@ -30,6 +30,9 @@ _SAMPLES_PER_LIMIT = 5
 _MAX_CONJUNCTION_DEPTH = 1000
 """Maximum depth of conjunctions for finding the first goal."""
 
+_UNNAMED_ENTRY = "a request"
+"""Name of an entry without a term or text."""
+
 _MIN_SAMPLE_INTERVAL_SECONDS = 0.005
 _MAX_SAMPLE_INTERVAL_SECONDS = 0.5
 
@@ -217,9 +220,9 @@ def describe_work(logic: PrologSystem, dispatcher: Dispatcher, entry: object) ->
         place = goal.place
         goal_text = f"{goal.name}: goal {shorten(logic.show(goal.term))}"
     elif goal is not None:
-        goal_text = f"goal {_describe_entry((_find_first_goal(goal),))}"
+        goal_text = f"goal {_describe_term(goal)}"
     return RunningWork(
-        _describe_entry(entry), goal_text, "" if current is None else _describe_entry((current[TERM],)), place
+        _describe_entry(entry), goal_text, "" if current is None else _describe_term(current[TERM]), place
     )
 
 
@@ -234,13 +237,15 @@ def _find_first_goal(term: Any) -> Any:
 
 
 def _describe_entry(entry: object) -> str:
-    """Return a short name of an entry: the functor of its term, or the beginning of its text.
+    """Return a short name of an entry, a tuple that begins with a term or a text; other objects have no name."""
+    return _describe_term(entry[0]) if isinstance(entry, tuple) and entry else _UNNAMED_ENTRY
 
-    An entry is a tuple that begins with the term or the text; other objects have no name.
-    """
-    goal = _find_first_goal(entry[0]) if isinstance(entry, tuple) and entry else None
+
+def _describe_term(term: Any) -> str:
+    """Return a short name of a term or text: the functor of its first goal, or the beginning of the text."""
+    goal = _find_first_goal(term)
     if isinstance(goal, str):
         return shorten(goal)
     if isinstance(goal, Atom):
         return shorten(goal.name)
-    return shorten(str(goal[0])) if isinstance(goal, tuple) else "a request"
+    return shorten(str(goal[0])) if isinstance(goal, tuple) else _UNNAMED_ENTRY

@@ -298,7 +298,7 @@ def _subscriptions_with_topic(program: ProgramModel) -> Iterator[Tuple[EventCons
     """Yield the subscriptions whose topic is no variable, each with its topic."""
     for subscription in program.subscriptions:
         if not is_variable(subscription.term[4]):
-            yield subscription, program.topic(subscription.term[4])
+            yield subscription, program.topic_of(subscription.term[4])
 
 
 def _may_be_same_topic(first: str, second: str) -> bool:

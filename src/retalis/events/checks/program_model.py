@@ -155,8 +155,7 @@ def subterms(parent: CompoundTerm, position: int, place_of: PlaceLookup) -> Iter
         term = subterm.term
         if term.__class__ is tuple:
             stack += [
-                Subterm(deref(term[position]), term, position, place_of)
-                for position in range(len(term) - 1, 0, -1)
+                Subterm(deref(term[index]), term, index, place_of) for index in range(len(term) - 1, 0, -1)
             ]
 
 
@@ -344,19 +343,19 @@ class EventConsumer(NamedTuple):
         return Subterm(event, self.term if event is consumed else _as_compound(consumed), 1, self.place_of)
 
     @property
-    def form(self) -> Term:
+    def template(self) -> Term:
         """The template of its records or outputs, as written."""
         return deref(self.term[3])
 
     @property
     def stores_whole_event(self) -> bool:
         """True if the template is a free variable such as ``_``: then the event itself is stored or sent."""
-        return is_event_variable(self.pattern, deref(self.term[2]), self.form)
+        return is_event_variable(self.pattern, deref(self.term[2]), self.template)
 
     @property
     def output_term(self) -> Term:
         """The term that is stored or sent: the template, or the event itself."""
-        return self.pattern if self.stores_whole_event else self.form
+        return self.pattern if self.stores_whole_event else self.template
 
 
 class StateDeclaration(NamedTuple):
@@ -535,7 +534,7 @@ class ProgramModel:
                 continue
             if subterm.key is SUBSCRIBE:
                 self.subscriptions.append(EventConsumer(term, "", subterm.place_of))
-                keys_in_files.add((self.topic(term[4]), term_key(deref(term[5]))))
+                keys_in_files.add((self.topic_of(term[4]), term_key(deref(term[5]))))
             else:
                 self.memories.append(EventConsumer(term, "", subterm.place_of))
                 keys_in_files.add(("", term_key(deref(term[4]))))
@@ -571,7 +570,7 @@ class ProgramModel:
                     StateDeclaration(state.form, constant_place_lookup(None), f"{state.name}: ")
                 )
 
-    def topic(self, term: Term) -> str:
+    def topic_of(self, term: Term) -> str:
         """Return the topic of a subscription, which need not be an atom, as text."""
         topic: Any = deref(term)
         return str(topic.name) if hasattr(topic, "name") else self.logic.show(topic, quoted=False)

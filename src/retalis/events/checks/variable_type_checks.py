@@ -105,7 +105,7 @@ def find_type_conflicts(program: ProgramModel) -> Iterator[RuleError]:
     for consumer in (*program.memories, *program.subscriptions):
         events = [event_of_consumer(consumer)]
         for error in _check_clause(
-            program, wrap_term(consumer.term), consumer.place_of, program.names, events, consumer.form
+            program, wrap_term(consumer.term), consumer.place_of, program.names, events, consumer.template
         ):
             yield RuleError(f"{consumer.prefix}{error.message}", error.place)
 
