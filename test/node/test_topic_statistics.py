@@ -123,6 +123,16 @@ def test_end_of_delayed_connection_is_reported() -> None:
     assert connection.reports == ["it closed the connection: messages that were still in its queue are lost"]
 
 
+@pytest.mark.parametrize("busy", [MIN_BEHIND_SECONDS / 100, 2 * MIN_BEHIND_SECONDS])
+def test_end_after_idle_time_is_not_reported(busy: float) -> None:
+    connection = Connection()
+    for number in range(3):
+        connection.read(number, waited=0.0, busy=busy)
+    connection.now += 98.0
+    connection.monitor.close(is_incomplete=False)
+    assert connection.reports == []
+
+
 def test_end_after_short_burst_is_not_reported() -> None:
     connection = Connection()
     connection.read(1, busy=MIN_BEHIND_SECONDS / 4)

@@ -57,7 +57,8 @@ class InputCounts:
 
 
 MIN_BEHIND_SECONDS = 0.2
-"""Seconds for which a node must have been behind a publisher for the end of the connection to be a probable loss."""
+"""Seconds for which a node must have been behind a publisher for the end of the connection to be a probable loss; and
+longest idle time before that end."""
 
 _read_uint32 = Struct("<I").unpack_from
 
@@ -118,7 +119,12 @@ class LossMonitor:
             self._counts.missing += 1
             self._report("it closed the connection within a message: those in its queue are lost, too")
         # Shorter: a publisher that sends some messages and ends has probably sent all of them.
-        elif self._behind_since is not None and self._now() - self._behind_since > MIN_BEHIND_SECONDS:
+        # After an idle time, the publisher's queue was empty.
+        elif (
+            self._behind_since is not None
+            and self._end - self._behind_since > MIN_BEHIND_SECONDS
+            and self._now() - self._end < MIN_BEHIND_SECONDS
+        ):
             self._report("it closed the connection: messages that were still in its queue are lost")
 
     def _check_sequence(self, messages: List[bytes]) -> None:

@@ -7,8 +7,9 @@ rclpy offer for each method. `MessageTransport` is the part of it that a
 `RunningProgram` needs, and that a bag implements too.
 
 All methods may be called from any thread. A transport calls back in threads of its own, also before the method that
-registers the function has returned. Calls for different sources, timers and requests may overlap; the calls for one
-source may not. Topics are named by their full names, as `Transport.resolve_topic` returns them.
+registers the function has returned, but never while it holds a lock that its methods need. Calls for different
+sources, timers and requests may overlap; the calls for one source may not. Topics are named by their full names, as
+`Transport.resolve_topic` returns them.
 """
 
 from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Protocol, Set
@@ -21,12 +22,14 @@ from ..messages.type_registry import InstalledTypes
 class MessageSource(NamedTuple):
     """A publisher of a subscribed topic, or all of them if the middleware does not tell them apart.
 
+    Without text and checksum, the messages have the type as it is known on this machine; ``MessageSource("/camera")``
+    suffices. A source with a text names the type, too.
+
     Attributes:
         node: full name of the publishing node; "" if unknown.
         message_type: type of its messages, ``package/Type``; ``*`` if unknown.
         definition: text of the definition with its nested types; "" if unknown.
-        md5sum: checksum of the type in ROS 1; "" if unknown. Without text and checksum, the type is taken as it is
-            known on this machine.
+        md5sum: checksum of the type in ROS 1; "" if unknown.
         is_latched: whether it sends its last message to each new subscriber.
         address: identifies the process of the node; "" if unknown.
     """
@@ -58,10 +61,16 @@ class MessageReceiver(Protocol):
         """Return the event of a message with its instant; None if it is dropped. Errors are reported here."""
 
     def receive(self, messages: List[bytes]) -> None:
-        """Process serialized messages that were read together. Errors are reported here and not raised."""
+        """Process serialized messages that were read together. Errors are reported here and not raised.
+
+        The time between two calls shows whether the source waits for this node, which is a sign of lost messages.
+        """
 
     def close(self, is_incomplete: bool) -> None:
-        """Record that the source has ended its connection, within a message if it is incomplete."""
+        """Record that the source has ended its connection, within a message if it is incomplete.
+
+        This follows the last call of `receive`. It is not needed when the node ends or the subscription is closed.
+        """
 
 
 Connect = Callable[[MessageSource], MessageReceiver]
@@ -85,7 +94,7 @@ class TopicSubscription(Protocol):
 
 
 class TopicPublication(Protocol):
-    """An advertised topic."""
+    """An advertised topic, which lasts until the node ends."""
 
     @property
     def sent(self) -> int:
@@ -99,7 +108,7 @@ class TopicPublication(Protocol):
         """Return the number of connected subscribers, or 1 if it is unknown: with 0 no texts are written for them."""
 
     def send(self, message: bytes) -> None:
-        """Publish a serialized message, without waiting for subscribers."""
+        """Publish a serialized message, without waiting for subscribers. After the end of the node it is ignored."""
 
 
 class Timer(Protocol):
@@ -152,7 +161,7 @@ class MessageTransport(Protocol):
             message_type: expected type. Sources with other types are connected too, and it is ``connect`` that
                 accepts or refuses them.
             connect: returns the receiver of each source's messages.
-            queue_size: number of messages to queue, if the transport has a queue.
+            queue_size: number of messages to queue, if the transport has a queue; beyond it, the oldest are dropped.
             max_delay: seconds for which a message of a fast topic may wait for the next ones; may be ignored.
             ignores_own: whether messages of this node are not received.
         """
@@ -162,12 +171,13 @@ class MessageTransport(Protocol):
     ) -> TopicPublication:
         """Publish a topic.
 
-        If subscribers connect late, the first messages wait some seconds for those that exist already.
+        If subscribers that exist already connect only some time after this call, the transport stores the first
+        messages for some seconds until then.
 
         Args:
             topic: full name of the topic.
             definition: type of its messages.
-            queue_size: number of messages to queue for one subscriber.
+            queue_size: number of messages to queue for one subscriber; beyond it, the oldest are dropped.
             is_latched: whether each new subscriber receives the last message.
         """
 
@@ -192,11 +202,15 @@ class Transport(MessageTransport, Protocol):
     def on_clock(self, callback: Callable[[int], object]) -> None:
         """Call a function with each new instant of simulated time in ns, after `now` returns it.
 
-        Nothing is to be done for time that is not simulated.
+        The calls do not overlap. Nothing is to be done for time that is not simulated.
         """
 
     def call_later(self, delay: int, callback: Callable[[], object]) -> Timer:
-        """Call a function once, after ``delay`` nanoseconds of the transport's time."""
+        """Call a function once, after ``delay`` nanoseconds of the transport's time.
+
+        A delay that is not positive means as soon as possible. If simulated time goes back, the function may be
+        called early or late: it reads the time itself.
+        """
 
     def parameters(self) -> Dict[str, Any]:
         """Return the node's own parameters by name, without ``~``, as plain values, lists and dictionaries."""
@@ -214,15 +228,24 @@ class Transport(MessageTransport, Protocol):
         """Offer a service of package ``retalis``.
 
         Args:
-            name: name of the service, to be resolved; ``~name`` is in the namespace of the node.
+            name: name of the service, to be resolved as the middleware does; ``~name`` is in the namespace of the
+                node.
             service_type: name of its type, such as ``List`` for ``srv/List.srv``.
             handler: returns the fields of the response to a request, and may wait for seconds. A request is an object
-                with all fields of its type in ``__dict__``. In the response, missing fields are zero or empty, and
-                nested messages are dictionaries. Times and durations are integers in nanoseconds in both.
+                with all fields of its type in ``__dict__``, also those that the caller has left out. In the response,
+                missing fields are zero or empty, and nested messages are dictionaries. Times and durations are
+                integers in nanoseconds in both. Errors of the caller are in the field ``result``; an exception is a
+                bug of the handler.
         """
 
     def graph(self) -> Optional[NodeGraph]:
-        """Return the topics and services of all nodes; None if they cannot be found out now."""
+        """Return the topics and services of all nodes; None if they cannot be found out now.
+
+        Topics without publishers may be missing.
+        """
 
     def on_shutdown(self, callback: Callable[[], object]) -> None:
-        """Call a function when the node ends, after `is_shut_down` is true; timers may no longer fire then."""
+        """Call a function when the node ends, after `is_shut_down` is true; timers may no longer fire then.
+
+        The functions are called one after the other, in the order of their registration.
+        """
