@@ -14,7 +14,7 @@ nox.options.reuse_existing_virtualenvs = True
 
 WITHOUT_ROS = ("--ignore", "test/ros1")
 
-LENIENT = ("--no-warn-unused-ignores", "--no-warn-return-any")
+MYPY_38_OPTIONS = ("--no-warn-unused-ignores", "--no-warn-return-any")
 """Options of the last mypy for Python 3.8, see `MYPY_38_OPTIONS` in ``install.py``."""
 
 
@@ -67,7 +67,7 @@ def style(session: nox.Session) -> None:
     session.install("-r", "requirements.txt", "-r", "requirements-dev.txt")
     session.run("ruff", "check", ".")
     session.run("ruff", "format", "--check", ".")
-    session.run("mypy", *(LENIENT if sys.version_info < (3, 9) else ()))
+    session.run("mypy", *(MYPY_38_OPTIONS if sys.version_info < (3, 9) else ()))
 
 
 @nox.session(python=False)
