@@ -42,39 +42,39 @@ def receive_control_message(interface: Any, text: str, header: Any = HEADER) -> 
 
 
 def test_all_arguments_are_read_initially(interface: Any) -> None:
-    assert interface.projection.omissible_positions(IMAGE) == set()
+    assert interface.projection.unread_positions(IMAGE) == set()
 
 
 def test_newest_message_defines_unread_arguments(interface: Any) -> None:
     receive_control_message(interface, '{"image/3": [2, 3], "other/1": [1]}')
-    assert interface.projection.omissible_positions(IMAGE) == {2, 3}
-    assert interface.projection.omissible_positions(functor("image", 2)) == set()
+    assert interface.projection.unread_positions(IMAGE) == {2, 3}
+    assert interface.projection.unread_positions(functor("image", 2)) == set()
     receive_control_message(interface, '{"image/3": [3]}')
-    assert interface.projection.omissible_positions(IMAGE) == {3}
+    assert interface.projection.unread_positions(IMAGE) == {3}
     receive_control_message(interface, "{}")
-    assert interface.projection.omissible_positions(IMAGE) == set()
+    assert interface.projection.unread_positions(IMAGE) == set()
 
 
 def test_other_subscribers_need_all_arguments(interface: Any) -> None:
     receive_control_message(interface, '{"image/3": [3]}')
     interface.texts.append(SimpleNamespace(endpoint_id="/rostopic_1"))
-    assert interface.projection.omissible_positions(IMAGE) == set()
+    assert interface.projection.unread_positions(IMAGE) == set()
     del interface.texts[0]
-    assert interface.projection.omissible_positions(IMAGE) == set()
+    assert interface.projection.unread_positions(IMAGE) == set()
     del interface.texts[0]
-    assert interface.projection.omissible_positions(IMAGE) == set()
+    assert interface.projection.unread_positions(IMAGE) == set()
     interface.texts.append(SimpleNamespace(endpoint_id="/retalis"))
-    assert interface.projection.omissible_positions(IMAGE) == {3}
+    assert interface.projection.unread_positions(IMAGE) == {3}
 
 
 def test_message_of_closed_connection_is_ignored(interface: Any) -> None:
     receive_control_message(interface, '{"image/3": [3]}')
     interface.sources[0].done = True
-    assert interface.projection.omissible_positions(IMAGE) == set()
+    assert interface.projection.unread_positions(IMAGE) == set()
     interface.sources[:] = [SimpleNamespace(header=dict(HEADER), done=False)]  # restarted, without a message
-    assert interface.projection.omissible_positions(IMAGE) == set()
+    assert interface.projection.unread_positions(IMAGE) == set()
     del interface.sources[:]
-    assert interface.projection.omissible_positions(IMAGE) == set()
+    assert interface.projection.unread_positions(IMAGE) == set()
 
 
 @pytest.mark.parametrize(
@@ -83,7 +83,7 @@ def test_message_of_closed_connection_is_ignored(interface: Any) -> None:
 def test_malformed_message_is_reported_and_ignored(interface: Any, text: str) -> None:
     receive_control_message(interface, '{"image/3": [3]}')
     receive_control_message(interface, text)
-    assert interface.projection.omissible_positions(IMAGE) == set()
+    assert interface.projection.unread_positions(IMAGE) == set()
     assert len(interface.reports.texts) == 1
     assert len(interface.reports.texts[0]) < 1000
 

@@ -116,7 +116,7 @@ class ProjectionReceiver:
         self._received: Optional[_ReceivedPositions] = None
         self._subscriber = rospy.Subscriber(UNREAD_ARGUMENTS_TOPIC, String, self._receive, queue_size=10)
 
-    def omissible_positions(self, functor: Functor) -> FrozenSet[int]:
+    def unread_positions(self, functor: Functor) -> FrozenSet[int]:
         """Return the argument positions of events that may be omitted now.
 
         This is valid only for a text that is sent at once. A text that is stored for later subscribers has to be

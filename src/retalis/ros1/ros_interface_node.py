@@ -86,7 +86,7 @@ class TextInterfaceNode:
         skew = context.make_skew_monitor()
         self._receipts = Receipts(time.now)
         self._texts = EventTextPublisher(INPUT, parameters.queue, reports, self._receipts.epoch, time.epochs)
-        self._unread = ProjectionReceiver(self._texts.connections, reports)
+        self._projection = ProjectionReceiver(self._texts.connections, reports)
         self._published = PublishedTopics(transport, context.definitions, parameters.queue, reports)
         lock = threading.Lock()
         self._subscribed = subscribed = SubscribedTopics(
@@ -141,7 +141,9 @@ class TextInterfaceNode:
         def handle(data: bytes) -> None:
             instant = stamp(data)
             unread = (
-                self._unread.omissible_positions(decoder.functor) if len(data) > MIN_PROJECTED_BYTES else None
+                self._projection.unread_positions(decoder.functor)
+                if len(data) > MIN_PROJECTED_BYTES
+                else None
             )
             text = write_without_unread(decoder, data, unread, NOT_READ) if unread else write(data)
             add(event_text(text, receipt_stamp() if instant is None else instant))
