@@ -621,10 +621,8 @@ def check_policy(policy: ConsumptionPolicy) -> None:
     Raises:
         UsageError: for a combination of properties without a join.
     """
-    # The joins that choose the newest partner consume it, and only they replace identical events.
-    is_supported = (policy.consumes_partners or not policy.prefers_newest) and (
-        policy.prefers_newest or not policy.replaces_identical
-    )
+    # The joins that choose the newest partner consume it. The other joins do not replace identical events.
+    is_supported = policy.consumes_partners if policy.prefers_newest else not policy.replaces_identical
     if not is_supported:
         raise UsageError(
             f"policy {policy.value}: the network has no join for a policy with newest={policy.prefers_newest}, "

@@ -269,19 +269,16 @@ class LineageTracker(StateOwner):
                 return frame
             # The work is charged to the rule that sent ``rev``, else to one that derived an event from the retracted
             # ones.
-            meter = self._create_meter(token.rule or _find_deriving_rule(retracted))
+            meter = self._budget.meter(token.rule or _find_deriving_rule(retracted))
             removal = self._remove_derived(retracted, meter)
             if removal is None:
                 return frame
             invalidated, retries = removal
         else:
-            meter = self._create_meter(token.rule)
+            meter = self._budget.meter(token.rule)
         steps = self._create_steps([*retracted, *invalidated], retries, start, end)
         retraction = _RetractionSteps(metered(steps, meter))
         return retraction.run((retraction, frame))
-
-    def _create_meter(self, rule: object) -> Optional[Meter]:
-        return self._budget.meter(rule)
 
     def _remove_derived(
         self, retracted: List[Occurrence], meter: Optional[Meter]

@@ -111,8 +111,8 @@ class EventLog(StateOwner):
 
     def define_predicates(self) -> None:
         """Define the predicates whose facts select events."""
+        database = self._network.logic.database
         for key in (_PERSISTENCE_SELECTOR, *_LOG_SELECTORS):
-            database = self._network.logic.database
             database.predicates[key] = EventSelector(database, key, self._start_recording)
 
     def _start_recording(self) -> None:
