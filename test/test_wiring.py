@@ -10,8 +10,18 @@ from source import FILES, NODES, TREES
 ENGINE = "engine/engine.py"
 
 ENGINE_PARTS = {
-    *("deployments", "dispatcher", "event_input", "executor", "input_topics", "knowledge", "loader", "logic"),
-    *("reports", "rules", "slots", "watchdog"),
+    "deployments",
+    "dispatcher",
+    "event_input",
+    "executor",
+    "input_topics",
+    "knowledge",
+    "loader",
+    "logic",
+    "reports",
+    "rules",
+    "slots",
+    "watchdog",
 }
 """Parts of `Engine` that other modules do not access."""
 

@@ -383,7 +383,7 @@ def columns(state: Any, kind: str) -> Any:
     return fields_of(kinds[kind]) if kind in kinds else None
 
 
-def refused(state: Any, path: Any, value: Any, message: str) -> None:
+def assert_refused(state: Any, path: Any, value: Any, message: str) -> None:
     Engine.restore(pack_sections(state))
     with pytest.raises(UsageError, match=message):
         Engine.restore(changed(state, "matches", path, value))
@@ -415,7 +415,7 @@ def test_match_that_does_not_fit_its_node_is_refused(rule: str, attribute: str, 
         # The values of this match are the arguments of its event.
         kind, column = "event match", "term"
         value = functor("a", len(value) or 3)(*(value or [1, 2, 3])) if attribute == "values" else value
-    refused(state, ["objects", 2, kind, column, 0], value, "expected")
+    assert_refused(state, ["objects", 2, kind, column, 0], value, "expected")
 
 
 def test_wrong_number_of_repetitions_is_refused() -> None:
@@ -426,7 +426,7 @@ def test_wrong_number_of_repetitions_is_refused() -> None:
     )
     parts = columns(state, "match")["parts"]
     longest = max(index for index, numbers in enumerate(parts) if numbers is not None and len(numbers) > 1)
-    refused(state, ["objects", 2, "match", "parts", longest], parts[longest][:1], "expected")
+    assert_refused(state, ["objects", 2, "match", "parts", longest], parts[longest][:1], "expected")
 
 
 def test_shared_repetitions_are_restored() -> None:
@@ -456,13 +456,13 @@ def test_shared_repetitions_are_restored() -> None:
 )
 def test_deadline_of_window_without_one_is_refused(window: str, due: int) -> None:
     state = state_of(f"p(N) <- aggregate(count, a(_), N, {window}).", ["a(1)"])
-    refused(state, [*OPERATOR, "next_deadline"], due, "expected nothing")
+    assert_refused(state, [*OPERATOR, "next_deadline"], due, "expected nothing")
 
 
 @pytest.mark.parametrize("due", [None, 0, 1, 4 * SECOND + 1, -(1 << 62)])
 def test_wrong_end_of_next_window_is_refused(due: Any) -> None:
     state = state_of("p(N) <- aggregate(count, a(_), N, last(4, every(2))).", ["a(1)", "a(2)", "a(3)"])
-    refused(
+    assert_refused(
         state, [*OPERATOR, "next_deadline"], due, "expected the end of the next window|expected an instant"
     )
 
@@ -487,8 +487,8 @@ def test_invalid_suppressed_match_is_refused() -> None:
     )
     match = columns(state, "suppressed")["match_or_pair"][0][0]
     path = ["objects", 2, "suppressed", "match_or_pair", 0]
-    refused(state, path, match, "expected a suppressed match that its node can try again")
-    refused(state, path, [match, match], "expected a suppressed match that its node can try again")
+    assert_refused(state, path, match, "expected a suppressed match that its node can try again")
+    assert_refused(state, path, [match, match], "expected a suppressed match that its node can try again")
 
 
 @pytest.mark.parametrize(
@@ -515,5 +515,5 @@ def test_output_without_elements_is_refused() -> None:
         "set_etalis_flag(revision_flag, on)",
     )
     outputs = [*NODES, 1, 1, "replay", "stored_outputs", 1]
-    refused(state, [*outputs, "elements", 0], [], "elements: item 0: '.*': expected at least 1 items")
-    refused(state, outputs, [], "expected the fields elements, start")
+    assert_refused(state, [*outputs, "elements", 0], [], "elements: item 0: '.*': expected at least 1 items")
+    assert_refused(state, outputs, [], "expected the fields elements, start")
