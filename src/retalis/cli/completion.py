@@ -63,8 +63,8 @@ def run(options: argparse.Namespace) -> int:
     if options.shell in SCRIPTS:
         print(Path(__file__).with_name(SCRIPTS[options.shell]).read_text(encoding="utf-8"), end="")
         return 0
+    # Without words, the number is an empty text, which is reported as invalid.
     number, *words = options.words or [""]
-    # Without words, the empty text is reported as an invalid number.
     if not number.isdecimal() or not 0 < int(number) <= len(words):
         raise UsageError("complete words: expected the number of a word, then the words of a command line")
     for word in list_candidates(options.root_parser, [*words, ""][1 : int(number) + 1], list_names):

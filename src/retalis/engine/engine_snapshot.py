@@ -279,7 +279,9 @@ class ForeignSources:
 
 
 class EngineSnapshot:
-    """Snapshot of an engine: reads its state, or restores a state into it. No event or goal may be active meanwhile.
+    """Snapshot of an engine: reads its state, or restores a state into it.
+
+    No event or goal may be active during a call.
 
     Args:
         program: the program.

@@ -294,7 +294,7 @@ def check_ids(
     old_deployment: Deployment,
     show: Callable[[Term], str],
 ) -> None:
-    """Check that services have not used ids of a program for their own items meanwhile.
+    """Check that no service has added an item with an id of the new program.
 
     Args:
         trial_deployment: deployment of the folder in the trial engine.

@@ -47,7 +47,7 @@ class ProgramLoader:
         declare_event_types: receives the message types by the event names that a folder gives them.
 
     Attributes:
-        program: see above.
+        program: the program that receives the contents of the files.
         deployments: deployments by the real path of the program's folder.
     """
 

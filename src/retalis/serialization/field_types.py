@@ -522,7 +522,7 @@ def sequence_of(
         return check_sequence
 
     encode = content.encoder
-    # The codec accepts no other sequences, so that their items must have an encoding, which makes a list.
+    # The codec accepts lists and tuples only. Other sequences are stored as lists, which the encoding of items makes.
     assert encode is not None or make in (list, tuple)
     return FieldType(
         f"a sequence of [{content.name}]",

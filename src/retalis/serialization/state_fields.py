@@ -249,15 +249,15 @@ class StateFields(FieldList):
         self._part_list_positions = [
             position for position, entry in enumerate(self.fields) if entry.is_part_list
         ]
+        # Fields with an encoding, and fields whose type depends on the owner.
         self._encoded_fields: List[Tuple[int, Encode[Any]]] = []
         self._fields_of_owner: List[Tuple[int, StoredField]] = []
         for position, entry in enumerate(self.fields):
-            if isinstance(entry.type, FieldType):
-                encode = entry.type.encoder
-                if encode is not None:
-                    self._encoded_fields.append((position, encode))
-            elif not entry.is_part:
-                self._fields_of_owner.append((position, entry))
+            if not isinstance(entry.type, FieldType):
+                if not entry.is_part:
+                    self._fields_of_owner.append((position, entry))
+            elif entry.type.encoder is not None:
+                self._encoded_fields.append((position, entry.type.encoder))
 
     def check_state(self, value: object, owner: object, context: ReadContext) -> State:
         """Return the values of the fields by name.

@@ -169,7 +169,7 @@ class Watermarks(StateOwner):
         return watermark
 
     def start_observing(self) -> None:
-        """Record lags from now on."""
+        """Start recording lags."""
         self.is_observing = True
 
     def configure(self, watermark: PatternWatermark, has_own_setting: bool, setting: DelaySetting) -> None:

@@ -1,8 +1,8 @@
 """Event rules at run time: node tree, clock, stored matches, and the firing of the head.
 
 An `EventRule` owns the nodes that the compiler builds from its pattern, and connects them for the current options
-(`EventRule.configure`). It is the `MatchStore` of the partial matches in all of its buffers. A match
-leaves its buffer when
+(`EventRule.configure`). It is the `MatchStore` of the partial matches in all of its buffers. A match leaves its
+buffer when
 
 * it is consumed or replaced (`consumption_policy`),
 * its retention time ends, or it ended before the window of garbage control (`EventRule.advance_clock`),
@@ -10,7 +10,7 @@ leaves its buffer when
 * a sweep finds that it is ruled out (`RuledOutSweep`), or
 * the rule has too many matches: then the oldest one is dropped and reported.
 
-The rule's clock is the largest end of the events that it has matched. A time stamp too far in the future does not
+The rule's clock is the largest end of the events that it has matched. A timestamp too far in the future does not
 advance it.
 
 A complete match fires the head of the rule: it dispatches an event, or sets an alarm for one. If neither a window
@@ -62,10 +62,7 @@ from ..dispatch.matcher_compiler import compile_builder
 from ..fused.fused_single_event import Continuation, compile_firing_action
 from ..language.pattern_tree import Pattern, RuleDefinition, WindowPattern
 from ..language.rule_head_parser import resolve_alarm
-from ..matches.expiration import (
-    ExpirationQueue,
-    smaller_bound,
-)
+from ..matches.expiration import ExpirationQueue, smaller_bound
 from ..matches.match_buffer import MatchBuffer
 from ..matches.match_store import MatchStore
 from ..matches.match_types import (
