@@ -2,15 +2,11 @@
 
 import json
 import threading
-from typing import Any, Dict, List
+from typing import Any, List
 
 import pytest
 
 from retalis import Engine, Limits, Settings, StreamClock, foreign
-
-
-def rules_of(engine: Any) -> Dict[Any, Any]:
-    return {rule.text: rule for rule in engine.status().rules}
 
 
 @pytest.mark.parametrize(

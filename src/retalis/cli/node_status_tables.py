@@ -352,10 +352,6 @@ def format_table(rows: Sequence[PlainRecord]) -> List[str]:
     )
 
 
-def _is_table(value: Any) -> bool:
-    return isinstance(value, list) and bool(value) and isinstance(value[0], Mapping)
-
-
 def _format_value(value: Any) -> str:
     """Return a value as one line of at most `MAX_COLUMN_WIDTH` characters."""
     if value is None or value == []:

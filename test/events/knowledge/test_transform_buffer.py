@@ -18,7 +18,6 @@ from retalis.events.knowledge import transform_buffer  # noqa: E402
 from retalis.events.knowledge.transform_buffer import REPEATED, CoordinateFrame, TransformBuffer  # noqa: E402
 
 SECOND = 10**9
-ROTATED = (0.0, 0.0, math.sin(0.5), math.cos(0.5))
 NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
 
 

@@ -5,7 +5,7 @@ from typing import Any, Dict, List, Tuple
 
 from hypothesis import strategies as st
 
-from retalis import Atom, String, Var, atom, deref, functor
+from retalis import String, Var, atom, deref, functor
 from retalis.prolog.terms.types import CONS, NIL
 
 
@@ -65,4 +65,3 @@ def _compound(children: Any) -> Any:
 
 
 terms = st.recursive(leaves, _compound, max_leaves=12)
-ground_atoms = st.builds(lambda name: name if isinstance(name, Atom) else atom(name), atoms)

@@ -94,16 +94,14 @@ def conjunctions_of(program: ProgramModel) -> Iterator[Conjunction]:
         for node, bounds in _conditions_with_bounds(rule.definition.pattern):
             # The first group has the goals that must hold; the others are parts of alternatives and negations.
             for index, goals in enumerate(_place_goals(wrap_term(node.goal), 1, rule.place_of)):
-                failure = "" if index else _consequence_of_failure(program, rule, node)
+                failure = "" if index else _consequence_of_failure(rule, node)
                 yield Conjunction(goals, rule.definition.term, False, names, {} if index else bounds, failure)
     for clause in program.clauses:
         for goals in _place_goals(clause.parent, clause.position, clause.place_of):
             yield Conjunction(goals, clause.parent, True, program.names, {})
 
 
-def _consequence_of_failure(
-    program: ProgramModel, rule: SourceRule, node: Union[ConditionPattern, ActionPattern]
-) -> str:
+def _consequence_of_failure(rule: SourceRule, node: Union[ConditionPattern, ActionPattern]) -> str:
     """Return the consequence if the goal of ``do`` always fails, or "" if the rule has no event or is disabled."""
     head = event_raised_by(rule.definition.head)
     key = None if head is None else key_of(head)

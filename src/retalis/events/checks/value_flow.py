@@ -241,7 +241,7 @@ class ValueFlow:
         """Return the kinds of the arguments with which a predicate succeeds; None for an unknown predicate."""
         return self._predicates.get(key)
 
-    # Definition of what is followed
+    # Initial values
 
     def _define_events(self) -> None:
         """Find the events that only this program produces."""

@@ -43,7 +43,7 @@ class NetworkContext:
 
     Attributes:
         max_stored: maximum number of partial matches of a rule (the oldest are dropped) and of alarms (further ones
-            are dropped).
+            are dropped). A rule reads it when it is created.
         future: maximum time in ns by which a timestamp may be ahead of the clock and still advance windows.
         tracker: the lineage of events, if a flag requires it.
         watermarks: lags of the topics, and the watermarks that timeouts wait for.
