@@ -215,7 +215,7 @@ def test_builtin_is_added(tmp_path: Path) -> None:
 MESSAGE_PROGRAM = """
 from retalis import BagWriter, Definitions, MessageError, atom, functor
 from retalis.messages.event_text_writer import make_text_writer
-from retalis.messages.message_values import make_message_term, read_message_term
+from retalis.messages.message_dictionaries import make_message_term, read_message_term
 
 definitions = Definitions()
 half = definitions.add("lab/Half", "float16 MAX=65504.0\\nfloat16 x\\nfloat16[3] y\\nfloat16[] z\\n")

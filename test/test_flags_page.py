@@ -7,7 +7,7 @@ import pytest
 from source import ROOT
 
 from retalis import Engine, PrologError
-from retalis.events.rules.event_flags import FLAGS
+from retalis.events.rules.language_flags import FLAGS
 
 pytestmark = pytest.mark.docs
 

@@ -7,10 +7,10 @@ import pytest
 from events.stream_programs import ProgramRunner, format_events, outputs_of
 
 from retalis import StreamClock
-from retalis.events.matches import consumption_policy, match_store
+from retalis.events.matches import consumption_policy, match_limit
 from retalis.events.matches.match_types import RepetitionChain
 from retalis.events.network import lineage
-from retalis.events.network.occurrences import Occurrence
+from retalis.events.network.derivation_graph import Occurrence
 from retalis.prolog.terms.timestamps import SECOND
 
 
@@ -316,7 +316,7 @@ def count_occurrences() -> Any:
 def test_forgotten_events_of_a_chain_are_freed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lineage, "MAX_REMEMBERED_EVENTS", 20)
     # Matches that have left their buffers remain in the list of arrivals up to this number, with their events.
-    monkeypatch.setattr(match_store, "STALE_ARRIVALS_TOLERANCE", 0)
+    monkeypatch.setattr(match_limit, "STALE_ARRIVALS_TOLERANCE", 0)
     program = ProgramRunner("n(M) <- n(N) seq tick where M is N + 1.", ["etalis_justification"], "recent")
     program.feed("n(0)@0 " + " ".join(f"tick@{instant}" for instant in range(1, 50)))
     occurrence_count = count_occurrences()

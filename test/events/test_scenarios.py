@@ -1,6 +1,6 @@
 """Recorded programs of the original engine (``test/data/scenarios``, whose README lists the compared results).
 
-`contradictions` lists the scenarios that contradict the language reference.
+`contradicted_recordings` lists the scenarios that contradict the language reference.
 """
 
 import json
@@ -9,7 +9,7 @@ from typing import Any, List, NamedTuple, Tuple
 
 import pytest
 from checked_access import number
-from events.contradictions import CONTRADICTED, Contradiction
+from events.contradicted_recordings import CONTRADICTED, Contradiction
 from events.stream_programs import term_text
 from parsing import parse_term
 

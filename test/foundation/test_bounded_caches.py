@@ -35,7 +35,7 @@ CACHES = {
     ("ros1/text_topics.py", "self._full_names"): (1000, 1 << 20),
     ("events/rules/event_input_predicates.py", "self._seconds"): (64, 64 << 10),
     ("events/dispatch/dispatcher.py", "self._plans"): (10_000, 16 << 20),
-    ("prolog/system/undefined_procedures.py", "self._hints"): (1000, 1 << 20),
+    ("prolog/system/undefined_procedure_hints.py", "self._hints"): (1000, 1 << 20),
     ("prolog/syntax/event_text.py", "self._builders"): (512, 8_192_000),
     ("prolog/syntax/event_text.py", "self._readers_by_skeleton"): (512, 8 << 20),
     ("prolog/syntax/event_text.py", "self._reader_by_name"): (256, 1 << 18),

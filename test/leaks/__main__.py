@@ -22,7 +22,7 @@ WARM_UP_ROUNDS = 60
 SWEEP_LIMITS = (
     ("events.dispatch.dispatcher", "_MIN_FILTERS_TO_SWEEP"),
     ("events.fused.fused_join", "STALE_ARRIVALS_TOLERANCE"),
-    ("events.matches.match_store", "STALE_ARRIVALS_TOLERANCE"),
+    ("events.matches.match_limit", "STALE_ARRIVALS_TOLERANCE"),
     ("events.matches.expiration", "_STALE_TOLERANCE"),
     ("events.matches.negation", "_STALE_TOLERANCE"),
     ("engine.runtime.problem_reports", "_MAX_PROBLEMS"),

@@ -5,7 +5,7 @@ from typing import Any, Dict
 from node.memory_transport import MemoryTransport
 
 from retalis import Definitions, Reports
-from retalis.messages.message_values import make_message_term, read_message_term
+from retalis.messages.message_dictionaries import make_message_term, read_message_term
 from retalis.node.host_context import HostContext
 from retalis.node.parameters import read_parameters
 from retalis.node.plain_text_exchange import PlainTextExchange

@@ -7,7 +7,7 @@ import pytest
 from node.memory_transport import MemoryNetwork, MemoryTransport
 
 from retalis import Definitions, Engine, Reports, StreamClock, Work
-from retalis.messages.message_values import read_message_term
+from retalis.messages.message_dictionaries import read_message_term
 from retalis.messages.type_registry import InstalledTypes
 from retalis.node.diagnostics import (
     DIAGNOSTICS_TOPIC,

@@ -8,7 +8,7 @@ import pytest
 from node.memory_transport import MemoryNetwork, MemoryTransport
 
 from retalis import BagReader, BagWriter, Definitions, Playback, Reports
-from retalis.messages.message_values import make_message_term
+from retalis.messages.message_dictionaries import make_message_term
 from retalis.node.host_context import HostContext
 from retalis.node.parameters import read_parameters
 from retalis.node.plain_text_exchange import PlainTextExchange

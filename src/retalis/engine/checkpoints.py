@@ -62,7 +62,7 @@ from .engine_snapshot import convert_errors, decode_sections, records_since
 from .runtime.problem_reports import Reports
 
 if TYPE_CHECKING:
-    from .deployment import Deployment
+    from .loaded_items import Deployment
 
 APPLICATION_ID = 0x72746C73
 """``PRAGMA application_id`` of a checkpoint file, the letters ``rtls``."""

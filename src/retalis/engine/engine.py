@@ -41,13 +41,13 @@ from ..serialization.codec import from_bytes
 from ..serialization.columns import decode_records
 from ..serialization.field_types import ReadContext
 from ..serialization.state_file_format import changes_since, pack_sections, unpack_sections
-from .deployment import Deployment
 from .engine_parts import EngineParts
 from .engine_settings import Settings
 from .engine_snapshot import EngineSnapshot, convert_errors, create_clock, decode_sections, encode_state
 from .engine_status import DEFAULT_LISTING_LIMIT, Status
 from .event_input import Subscribe
 from .hot_reload import NullReports, create_fixed_clock, create_trial_settings, reload_folder
+from .loaded_items import Deployment
 from .program_loader import ProgramLoader
 from .runtime.problem_reports import Reports
 from .runtime.serial_executor import UNNAMED_REQUEST

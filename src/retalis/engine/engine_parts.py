@@ -10,8 +10,8 @@ from ..events.knowledge.knowledge_base import OWN_EVENTS, KnowledgeBase
 from ..events.language.rule_head_parser import WATERMARK_DELAY
 from ..events.program.event_file_loader import EventFileLoader
 from ..events.program.event_language_predicates import define_predicates
-from ..events.rules.event_flags import MAX_WATERMARK_DELAY, Flags
 from ..events.rules.event_input_predicates import define_new_event
+from ..events.rules.language_flags import MAX_WATERMARK_DELAY, Flags
 from ..events.rules.rule_base import RuleBase
 from ..messages.message_notation import SlotNames
 from ..messages.type_registry import Definitions
@@ -22,11 +22,11 @@ from ..prolog.syntax.operators import Operators
 from ..prolog.system.foreign_functions import define_use_foreign
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.types import Term
-from .deployment import LoadedProgram
 from .engine_settings import Settings
 from .engine_snapshot import EngineSnapshot, ForeignSources, RunState
 from .engine_status import StatusReader
 from .event_input import EventInput, InputTopics, TextInput
+from .loaded_items import LoadedProgram
 from .program_loader import ProgramLoader
 from .runtime.problem_reports import Reports
 from .runtime.serial_executor import EngineRecovery, SerialExecutor

@@ -65,7 +65,8 @@ from ..serialization.state_fields import (
     record_of,
     rows_of,
 )
-from .deployment import (
+from .event_input import EventInput, InputTopics, TopicRequest
+from .loaded_items import (
     DEPLOYMENTS,
     Deployment,
     LoadedProgram,
@@ -73,7 +74,6 @@ from .deployment import (
     restore_deployments,
     save_deployments,
 )
-from .event_input import EventInput, InputTopics, TopicRequest
 from .network_state import (
     NETWORK,
     RULES,

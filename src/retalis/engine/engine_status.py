@@ -16,8 +16,8 @@ from ..events.rules.rule_base import RuleBase
 from ..events.rules.timer_service import FIRST_INSTANT
 from ..foundation.errors import shorten
 from ..prolog.terms.types import Term, Var, deref
-from .deployment import LoadedProgram
 from .event_input import EventInput
+from .loaded_items import LoadedProgram
 from .runtime.problem_reports import Reports
 from .runtime.serial_executor import SerialExecutor
 from .runtime.watchdog import Watchdog, describe_work

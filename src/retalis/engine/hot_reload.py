@@ -37,7 +37,8 @@ from ..prolog.database.predicate import Predicate
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.term_traversal import term_key
 from ..prolog.terms.types import Term, atom
-from .deployment import (
+from .engine_settings import Settings
+from .loaded_items import (
     EMPTY_DEPLOYMENT,
     Clauses,
     Deployment,
@@ -46,7 +47,6 @@ from .deployment import (
     current_deployment,
     pair_equal_rules,
 )
-from .engine_settings import Settings
 from .program_loader import LOADING_WORK, ProgramLoader, resolve_path
 from .runtime.problem_reports import Reports
 from .runtime.serial_executor import UNNAMED_REQUEST, SerialExecutor

@@ -16,7 +16,7 @@ from ..events.network.event_rule import EventRule
 from ..events.network.lineage import LineageCut
 from ..events.network.node_timers import RULE_ALARMS, RuleAlarm, StoredRuleAlarm
 from ..events.network.pattern_nodes import NetworkNode
-from ..events.program.event_file_checker import reread_rule
+from ..events.program.event_file_parser import reread_rule
 from ..events.rules.rule_base import RuleBase
 from ..foundation.errors import Place
 from ..prolog.system.logic_state import PLACE

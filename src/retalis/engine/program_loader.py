@@ -20,7 +20,7 @@ from ..foundation.errors import (
 )
 from ..prolog.machine.resource_limits import NO_LIMITS
 from ..prolog.terms.types import Term, atom
-from .deployment import (
+from .loaded_items import (
     EMPTY_DEPLOYMENT,
     Deployment,
     LoadedProgram,

@@ -9,7 +9,7 @@ from typing import Dict, Iterator, List, Optional, TypedDict, Union
 from ..events.language.stream_parser import window_term
 from ..prolog.syntax.term_writer import canonical_text
 from ..prolog.terms import timestamps
-from .deployment import LoadedProgram
+from .loaded_items import LoadedProgram
 
 
 class EventRecord(TypedDict):

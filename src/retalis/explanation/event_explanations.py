@@ -12,16 +12,16 @@ from contextlib import closing
 from time import monotonic
 from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple, Union
 
-from ..engine.deployment import LoadedProgram
 from ..engine.engine import Engine
+from ..engine.loaded_items import LoadedProgram
 from ..events.checks.program_model import MIN_SIMILARITY
 from ..events.knowledge.event_states import DeclaredState, OpenState
 from ..events.knowledge.subscriptions import Subscription, SubscriptionKey
 from ..events.language.pattern_tree import AggregatePattern, RatePattern, WindowPattern, walk
 from ..events.language.stream_parser import subscription_event
 from ..events.matches.match_types import AfterMatchSkipStrategy
+from ..events.network.derivation_graph import Occurrence
 from ..events.network.event_rule import EventRule
-from ..events.network.occurrences import Occurrence
 from ..foundation.cancellation import check_limits, set_limit_check
 from ..foundation.errors import RetalisError, UsageError, format_count
 from ..foundation.similar_names import did_you_mean

@@ -15,7 +15,7 @@ from ..engine.engine_status import RuleStatus, Status
 from ..engine.runtime.problem_reports import Reports
 from ..foundation.errors import MessageError, RetalisError, format_count, printable, shorten
 from ..messages.encoder import Encoder
-from ..messages.message_values import make_message_term
+from ..messages.message_dictionaries import make_message_term
 from ..messages.type_registry import Definitions
 from ..prolog.machine.resource_limits import resident_bytes
 from .topic_statistics import InputStatus, OutputStatus

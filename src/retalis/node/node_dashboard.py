@@ -15,7 +15,7 @@ from ..engine.runtime.problem_reports import Reports
 from ..events.program.topic_configuration import TopicEvent, TopicType
 from ..foundation.errors import UsageError
 from ..messages.decoder import Decoder
-from ..messages.message_values import read_message_term
+from ..messages.message_dictionaries import read_message_term
 from ..messages.type_registry import Definitions
 from ..prolog.terms.timestamps import SECOND
 from .diagnostics import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE

@@ -27,8 +27,8 @@ from typing import (
     Tuple,
 )
 
-from ..engine.deployment import LoadedProgram
 from ..engine.engine import Engine
+from ..engine.loaded_items import LoadedProgram
 from ..events.knowledge.transform_predicates import TF, TRANSFORM_PREDICATES
 from ..events.language.pattern_tree import EventPattern, own_terms, walk
 from ..events.language.rule_head_parser import ALARMS, SYNCHRONIZED, sets_timer

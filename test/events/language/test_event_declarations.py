@@ -16,7 +16,7 @@ from retalis.events.language.event_declarations import (
     parse_declarations,
     parse_value_type,
 )
-from retalis.events.program.event_file_checker import FileChecker
+from retalis.events.program.event_file_parser import EventFileParser
 from retalis.prolog.syntax.term_reader import ReadTerm, read_program, read_term
 from retalis.prolog.syntax.term_writer import writeq
 
@@ -91,12 +91,12 @@ def test_rules_that_follow_declarations_have_no_errors(data: st.DataObject, decl
     rules = f":- event {declaration_text}.\n" + "".join(
         f"made <- {event()} and ({event()} or {event()}) and {event()}.\n" for _ in range(2)
     )
-    checker = FileChecker(declarations=Declarations(str))
+    parser = EventFileParser(declarations=Declarations(str))
     for clause in read_program(rules, OPERATORS):
         assert isinstance(clause, ReadTerm), clause
-        checker.check_read_term(clause)
-    assert list(checker.errors) == []
-    assert len(checker.rules) == 2
+        parser.parse_read_term(clause)
+    assert list(parser.errors) == []
+    assert len(parser.rules) == 2
 
 
 @pytest.mark.parametrize(

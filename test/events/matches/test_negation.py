@@ -182,7 +182,7 @@ def _eager_sweeps(monkeypatch: pytest.MonkeyPatch) -> None:
         ("VISITED_SLICE_ENTRIES", 3),
         ("_MATCHES_PER_SWEEP_STEP", 1),
     ):
-        monkeypatch.setattr(f"retalis.events.matches.match_store.{name}", value)
+        monkeypatch.setattr(f"retalis.events.matches.match_limit.{name}", value)
 
 
 @pytest.mark.usefixtures("_eager_sweeps")
@@ -287,7 +287,7 @@ def test_next_sweep_begins_earlier_after_removals(monkeypatch: pytest.MonkeyPatc
         ("VISITED_SLICE_ENTRIES", 20),
         ("_MATCHES_PER_SWEEP_STEP", 1),
     ):
-        monkeypatch.setattr(f"retalis.events.matches.match_store.{name}", value)
+        monkeypatch.setattr(f"retalis.events.matches.match_limit.{name}", value)
     program = ProgramRunner("o(X) <- (a(X) seq b(X)) cnot c.", policy="chronological")
     for second in range(600):
         program.engine.event(f"a({second})" if second < 300 else f"b({second - 300})", second)

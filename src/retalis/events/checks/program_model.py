@@ -44,7 +44,7 @@ from ..language.pattern_parser import PlaceLookup, no_place
 from ..language.pattern_tree import EventPattern, RuleDefinition, own_terms, walk
 from ..language.state_parser import StateForm, declares_state, parse_state_declaration
 from ..language.stream_parser import subscription_event
-from ..program.event_file_checker import EntryKind, FileChecker
+from ..program.event_file_parser import EntryKind, EventFileParser
 from ..program.goal_file import goal_of, read_goals
 from ..program.topic_configuration import GOALS, Topics, TopicType, read_text
 from ..rules.rule_base import RuleBase
@@ -267,12 +267,12 @@ def _add_file(sources: ParsedSources, program: Iterable[Union[ReadTerm, SyntaxFa
     for read_term in program:
         if isinstance(read_term, SyntaxFault):
             continue
-        checker = FileChecker()
-        checker.check_read_term(read_term)
+        parser = EventFileParser()
+        parser.parse_read_term(read_term)
         sources.read_terms.append(read_term)
-        for definition in [*checker.rules, *checker.nested_rules]:
+        for definition in [*parser.rules, *parser.nested_rules]:
             sources.rules.append(SourceRule(definition, read_term.place_of))
-        for entry in checker.entries:
+        for entry in parser.entries:
             if entry.kind is EntryKind.CLAUSE:
                 sources.clauses.append(source_clause_of(entry.term, read_term.place_of, read_term.place))
             elif entry.kind is EntryKind.DIRECTIVE:

@@ -23,7 +23,7 @@ from ...prolog.terms.types import EventAction, Frame, Var
 from ..language.event_operators import EventOperator
 from ..matches.consumption_policy import Emit, MatchSide
 from ..matches.match_buffer import MatchBuffer
-from ..matches.match_store import STALE_ARRIVALS_TOLERANCE
+from ..matches.match_limit import STALE_ARRIVALS_TOLERANCE
 from ..matches.match_types import (
     ComputedValues,
     EventMatch,

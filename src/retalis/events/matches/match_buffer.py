@@ -22,7 +22,7 @@ from .interval_index import MAX_VALUE, MIN_VALUE, IntervalBounds, IntervalIndex,
 from .match_types import EventMatch, IdentifiedEventMatch, PartialMatch
 
 if TYPE_CHECKING:
-    from .match_store import MatchStore
+    from .match_limit import MatchStore
 
 
 MAX_MISSES_BEFORE_INDEX, MAX_MISSES_WITH_INDEX = 32, 4

@@ -25,7 +25,7 @@ from .match_buffer import MatchBuffer, has_equal_key, key_function
 from .match_types import NetworkOptions, PartialMatch, unify_sides
 
 if TYPE_CHECKING:
-    from .match_store import MatchStore
+    from .match_limit import MatchStore
 
 
 _STALE_TOLERANCE = 1000

@@ -64,7 +64,7 @@ from ..language.pattern_tree import Pattern, RuleDefinition, WindowPattern
 from ..language.rule_head_parser import resolve_alarm
 from ..matches.expiration import ExpirationQueue, smaller_bound
 from ..matches.match_buffer import MatchBuffer
-from ..matches.match_store import MatchStore
+from ..matches.match_limit import MatchStore
 from ..matches.match_types import (
     MATCH_REFERENCE,
     TOKEN,

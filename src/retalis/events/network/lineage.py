@@ -41,7 +41,7 @@ from ..dispatch.listeners import CAUSE, END, PARENT, START, TERM, TOKEN, Context
 from ..language.rule_head_parser import SYNCHRONIZED
 from ..matches.consumption_policy import metered
 from ..matches.match_types import PartialMatch, RepetitionChain, lineage_sources
-from .occurrences import (
+from .derivation_graph import (
     LineageNode,
     MatchOrPair,
     Occurrence,
@@ -51,9 +51,9 @@ from .occurrences import (
 )
 
 if TYPE_CHECKING:
+    from .derivation_graph import SuppressingNode
     from .event_rule import EventRule
     from .kleene_node import KleeneNode
-    from .occurrences import SuppressingNode
     from .shared_run_buffer import Run
     from .stream_node import StreamNode
 

@@ -19,10 +19,10 @@ from ..language.rule_head_parser import is_absolute_alarm
 from ..matches.match_types import NetworkOptions
 from ..matches.watermarks import Watermarks
 from ..streams.stream_operators import KeyBounds
+from .derivation_graph import Occurrence
 from .goal_evaluation import ConditionState, TimedNode
 from .lineage import LineageTracker
 from .node_timers import NodeTimers, RuleAlarm
-from .occurrences import Occurrence
 
 if TYPE_CHECKING:
     from .event_rule import EventRule

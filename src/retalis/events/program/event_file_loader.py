@@ -2,7 +2,7 @@
 
 1. Read: terms are read and expanded; included files take the place of their directives. Operators are declared in a
    copy of the operator table.
-2. Check: `FileChecker` and the logic check all terms, and rules are compiled. Files that are used are read and
+2. Check: `EventFileParser` and the logic check all terms, and rules are compiled. Files that are used are read and
    checked at this point, too, so an error anywhere rejects the whole program. Nothing has changed yet.
 3. Act: clauses are added, directives run, rules are activated.
 
@@ -43,12 +43,12 @@ from ..language.pattern_tree import RuleDefinition
 from ..language.rule_head_parser import RULE, Property, is_rule
 from ..network.event_rule import EventRule
 from ..rules.rule_base import RuleBase
-from .event_file_checker import (
+from .event_file_parser import (
     DIRECTIVES,
     PROPERTY_FACT,
     TOO_DEEP,
     EntryKind,
-    FileChecker,
+    EventFileParser,
     FileEntry,
     clause_error,
     fact_error,
@@ -156,7 +156,7 @@ class CheckedProgram(NamedTuple):
 class _ReadingState(NamedTuple):
     """State of the reading of a file and its included files."""
 
-    checker: FileChecker
+    parser: EventFileParser
     operators: Operators
     errors: Errors
     conditions: ConditionalCompilation
@@ -255,15 +255,15 @@ class EventFileLoader:
         """
         logic = self._rules.logic
         state = self._start_reading(
-            FileChecker(logic.brief, self._rules.declared_events.current_declarations()), Errors()
+            EventFileParser(logic.brief, self._rules.declared_events.current_declarations()), Errors()
         )
         for term, place in terms:
             name = included_file_name(term)
             if name is None:
-                state.checker.check_term(copy(term), no_place, place)
+                state.parser.parse_term(copy(term), no_place, place)
             else:
                 self._include(name, place, state)
-        self._check_and_activate(lambda errors: self._check_contents(state.checker, errors), state.errors)
+        self._check_and_activate(lambda errors: self._check_contents(state.parser, errors), state.errors)
 
     def load_read_term(self, read_term: ReadTerm) -> None:
         """Load a parsed term like an event file of one term.
@@ -272,11 +272,11 @@ class EventFileLoader:
             ProgramErrors: all errors; nothing is active.
         """
         rules = self._rules
-        checker = FileChecker(declarations=rules.declared_events.current_declarations())
-        checker.check_read_term(read_term)
+        parser = EventFileParser(declarations=rules.declared_events.current_declarations())
+        parser.parse_read_term(read_term)
         # `precompiling_goals` compiles goals and predicates now, so that the first events do not wait for it.
         with rules.logic.precompiling_goals(lambda: [rule.definition.term for rule in rules.rules]):
-            self._check_and_activate(lambda errors: self._check_contents(checker, errors), Errors())
+            self._check_and_activate(lambda errors: self._check_contents(parser, errors), Errors())
 
     def _load_file(self, path: Path) -> None:
         text = self._files.text(path)
@@ -292,17 +292,17 @@ class EventFileLoader:
         if not is_event_file(text, self._rules.logic, self._open_included):
             return CheckedProgram([PrologSource(text, source)], [], [])
         state = self._start_reading(
-            FileChecker(declarations=self._rules.declared_events.current_declarations()), errors
+            EventFileParser(declarations=self._rules.declared_events.current_declarations()), errors
         )
         self._read(read_program(text, state.operators, source, OF_FILES), state)
         errors.extend(state.conditions.unclosed_errors())
-        return self._check_contents(state.checker, errors)
+        return self._check_contents(state.parser, errors)
 
     def _open_included(self, name: Term) -> Tuple[str, str]:
         path = self._files.find(name)
         return self._files.text(path), str(path)
 
-    def _start_reading(self, checker: FileChecker, errors: Errors) -> _ReadingState:
+    def _start_reading(self, parser: EventFileParser, errors: Errors) -> _ReadingState:
         def condition_holds(goal: Term, place: Optional[Place]) -> bool:
             try:
                 return self._rules.logic.once(goal)
@@ -310,7 +310,7 @@ class EventFileLoader:
                 raise RuleError(f"this condition raises an error: {error.message}", place) from error
 
         return _ReadingState(
-            checker, self._rules.logic.operators.copy(), errors, ConditionalCompilation(condition_holds)
+            parser, self._rules.logic.operators.copy(), errors, ConditionalCompilation(condition_holds)
         )
 
     def _read(self, program: Program, state: _ReadingState) -> None:
@@ -341,15 +341,15 @@ class EventFileLoader:
         expansion = self._expansion.expand_term(term)
         if expansion is not None:
             for expanded_term in expansion:
-                state.checker.check_term(
+                state.parser.parse_term(
                     self._expansion.expand_goals(expanded_term), no_place, read_term.place
                 )
             return
         expanded = self._expansion.expand_goals(term)
         if expanded is term:
-            state.checker.check_read_term(read_term)
+            state.parser.parse_read_term(read_term)
         else:
-            state.checker.check_term(expanded, no_place, read_term.place)
+            state.parser.parse_term(expanded, no_place, read_term.place)
         self._warn_of_singletons(read_term)
         # The directive runs after the checks, but the rest of the file is read with its operators and flags.
         if directive is not None:
@@ -381,13 +381,13 @@ class EventFileLoader:
         except (UsageError, PrologError) as error:
             state.errors.append(RuleError(error.message, place))
 
-    def _check_contents(self, checker: FileChecker, errors: Errors) -> CheckedProgram:
+    def _check_contents(self, parser: EventFileParser, errors: Errors) -> CheckedProgram:
         """Complete the check of a file: check clauses and used files, and compile the rules."""
-        errors.extend(checker.errors)
+        errors.extend(parser.errors)
         logic = self._rules.logic
         entries: List[Union[FileEntry, PrologSource, CheckedProgram]] = []
-        defined_predicates = predicates_defined_in(checker.entries)
-        for entry in checker.entries:
+        defined_predicates = predicates_defined_in(parser.entries)
+        for entry in parser.entries:
             logic.machine.budget.check_interrupt()
             if entry.kind is EntryKind.CLAUSE:
                 problem = clause_error(logic, entry.term) or fact_error(logic, entry.term, defined_predicates)
@@ -400,17 +400,17 @@ class EventFileLoader:
             else:
                 entries.append(entry)
         # A predicate ``t1/1`` or ``t2/1`` of the program itself may be called in every goal.
-        for call in checker.interval_calls:
+        for call in parser.interval_calls:
             if call.key not in defined_predicates and logic.is_system_predicate(call.key):
                 message = (
                     f"{call.key} is defined only in the goals of check: "
                     "write check instead of where, do or another operator"
                 )
                 errors.append(RuleError(message, call.place))
-        rules = self._compile_rules([*checker.rules, *checker.nested_rules], errors)
-        for warning in checker.warnings.with_omitted_count():
+        rules = self._compile_rules([*parser.rules, *parser.nested_rules], errors)
+        for warning in parser.warnings.with_omitted_count():
             self._rules.on_warning(warning)
-        return CheckedProgram(entries, rules, checker.calls)
+        return CheckedProgram(entries, rules, parser.calls)
 
     def _compile_rules(self, definitions: List[RuleDefinition], errors: Errors) -> List[EventRule]:
         rules = []

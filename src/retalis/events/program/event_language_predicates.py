@@ -18,15 +18,15 @@ from ...prolog.terms.term_traversal import copy, freeze, resolve
 from ...prolog.terms.timestamps import interval_term, lazy_term
 from ...prolog.terms.types import CONS, NIL, Atom, Term, Var, atom, deref, functor
 from ...prolog.terms.unification import undo
+from ..dispatch.event_recording import enumerate_stored_events
 from ..language.pattern_parser import no_place
 from ..language.rule_head_parser import is_rule
-from ..provenance.event_log import enumerate_stored_events
-from ..rules.event_flags import FLAGS
 from ..rules.event_input_predicates import EVENT2, define_event_predicates, file_name_of, require_list
+from ..rules.language_flags import FLAGS
 from ..rules.rule_base import RuleBase
 from ..rules.timer_service import define_timers
-from .event_file_checker import FileChecker
 from .event_file_loader import EventFileLoader
+from .event_file_parser import EventFileParser
 
 _IF_OPTION = functor("if", 1)
 _LOAD_IF_CHANGED = ("not_loaded", "changed")
@@ -141,10 +141,10 @@ class _RulePredicates:
         if not is_rule(term):
             self.rules.delete(term)
             return True
-        checker = FileChecker()
-        checker.check_term(copy(term), no_place, None)
-        if checker.rules:
-            self.rules.delete_equal(checker.rules[0])
+        parser = EventFileParser()
+        parser.parse_term(copy(term), no_place, None)
+        if parser.rules:
+            self.rules.delete_equal(parser.rules[0])
         return True
 
     def delete_rules(self, machine: Machine, head: Term) -> bool:

@@ -19,10 +19,10 @@ from ..language.called_predicates import PredicateCall
 from ..language.pattern_parser import no_place
 from ..language.rule_head_parser import Property
 from ..rules.rule_base import RuleBase
-from .event_file_checker import (
+from .event_file_parser import (
     DIRECTIVES,
     EntryKind,
-    FileChecker,
+    EventFileParser,
     FileEntry,
     clause_error,
     fact_error,
@@ -158,7 +158,7 @@ class _FileConsultation:
         self._omitted = _OmittedTerms(rules.on_warning, None)
         self._conditions = ConditionalCompilation(self._condition_holds)
         self._expansion = TermExpansion(rules.logic)
-        self._checker = FileChecker(rules.logic.brief, rules.declared_events.current_declarations())
+        self._parser = EventFileParser(rules.logic.brief, rules.declared_events.current_declarations())
         self._final_entries: List[FileEntry] = []
 
     def load(self, source: PrologSource) -> None:
@@ -252,15 +252,15 @@ class _FileConsultation:
 
     def _check_and_run(self, term: Term, read_term: Optional[ReadTerm], place: Optional[Place]) -> None:
         """Process a term; if it is the one that was read, the places of its parts are known."""
-        checker = self._checker
+        parser = self._parser
         if read_term is not None and term is deref(read_term.term):
-            checker.check_read_term(read_term, place)
+            parser.parse_read_term(read_term, place)
         else:
-            checker.check_term(term, no_place, place)
-        entries = checker.entries[:]
-        checker.entries.clear()
-        # The checker accumulates results for a whole file, so the results of this term are removed after each term.
-        if not self._accept_checked(checker):
+            parser.parse_term(term, no_place, place)
+        entries = parser.entries[:]
+        parser.entries.clear()
+        # The parser accumulates results for a whole file, so the results of this term are removed after each term.
+        if not self._accept_parsed(parser):
             return
         for entry in entries:
             try:
@@ -268,19 +268,19 @@ class _FileConsultation:
             except RetalisError as error:
                 self._omit(error, entry.place or place)
 
-    def _accept_checked(self, checker: FileChecker) -> bool:
+    def _accept_parsed(self, parser: EventFileParser) -> bool:
         """Report the findings about a term and activate its rules; return whether there are no errors."""
-        if checker.warnings:
-            for warning in checker.warnings:
+        if parser.warnings:
+            for warning in parser.warnings:
                 self._rules.on_warning(warning)
-            checker.warnings.clear()
-        if checker.calls:
-            self._record_calls(checker.calls[:])
-            checker.calls.clear()
-        # Copied, because the checker uses its lists again for the next term.
-        errors, rules = checker.errors[:], [*checker.rules, *checker.nested_rules]
+            parser.warnings.clear()
+        if parser.calls:
+            self._record_calls(parser.calls[:])
+            parser.calls.clear()
+        # Copied, because the parser uses its lists again for the next term.
+        errors, rules = parser.errors[:], [*parser.rules, *parser.nested_rules]
         if errors or rules:
-            for results in (checker.errors, checker.rules, checker.nested_rules):
+            for results in (parser.errors, parser.rules, parser.nested_rules):
                 results.clear()
         for error in errors:
             self._omitted.append(error)

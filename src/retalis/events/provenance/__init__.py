@@ -1,1 +1,1 @@
-"""Provenance of events: lineage, event log and justification."""
+"""Provenance of events: lineage and justification."""

@@ -46,9 +46,9 @@ from ..language.pattern_tree import (
 )
 from ..language.stream_parser import rate_operator_term, window_term
 from ..matches.match_types import ComputedValues, PartialMatch, RepetitionChain
+from ..network.derivation_graph import Occurrence
 from ..network.event_rule import EventRule
 from ..network.lineage import LineageTracker
-from ..network.occurrences import Occurrence
 from ..network.shared_run_buffer import repetitions
 
 _EVENT = functor("event", 2)

@@ -19,6 +19,7 @@ from ...serialization.field_types import COUNT
 from ...serialization.state_fields import StateFields, StateOwner, field
 from ..clock.clock import Clock
 from ..dispatch.dispatcher import Dispatcher
+from ..dispatch.event_recording import EventLog
 from ..language.event_declarations import STRICTLY, UNDECLARED, DeclaredEvents
 from ..language.pattern_tree import RuleDefinition
 from ..language.rule_head_parser import WATERMARK_DELAY, Property, has_timeout
@@ -27,9 +28,8 @@ from ..matches.watermarks import delay_setting
 from ..network.event_rule import EventRule
 from ..network.network_context import NetworkContext
 from ..network.stream_node import StreamNode
-from ..provenance.event_log import EventLog
 from ..provenance.explanation_terms import Justifier
-from .event_flags import MAX_WATERMARK_DELAY, Flags
+from .language_flags import MAX_WATERMARK_DELAY, Flags
 from .timer_service import Timers
 
 _UNLABELED = atom("unlabeled")
@@ -142,7 +142,7 @@ class RuleBase(NetworkContext, StateOwner):
         self._properties: Dict[Hashable, List[Property]] = {}
         self.declared_events = DeclaredEvents(logic, self._requires_declarations, is_external_event)
         self.justifier = Justifier(self._rule_index, self.tracker)
-        self.event_log = EventLog(self, files.sandbox)
+        self.event_log = EventLog(dispatcher, logic, files.sandbox, on_warning)
         self.timers = Timers(self)
 
     # ---- rules ---------------------------------------------------------------------------------------

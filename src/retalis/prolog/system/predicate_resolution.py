@@ -56,7 +56,7 @@ from ..machine.resource_limits import Budget
 from ..syntax.operators import Operators
 from ..syntax.term_reader import read_program
 from ..terms.types import Frame, Functor, Step, Term, Values, Var, deref, functor
-from .undefined_procedures import UndefinedProcedures
+from .undefined_procedure_hints import UndefinedProcedures
 
 LIBRARY_FOLDER = Path(__file__).resolve().parent.parent / "library"
 

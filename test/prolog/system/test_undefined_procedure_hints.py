@@ -7,20 +7,20 @@ from prolog.support import NEVER, prolog
 
 from retalis.prolog.machine.errors import PrologError
 from retalis.prolog.syntax.term_reader import read_term
-from retalis.prolog.system import undefined_procedures
+from retalis.prolog.system import undefined_procedure_hints
 
 
 @pytest.fixture
 def searches(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Return a list of the functors for which similar names have been searched."""
     names: List[Any] = []
-    find_similar = undefined_procedures.find_similar
+    find_similar = undefined_procedure_hints.find_similar
 
     def find(logic: Any, key: Any) -> Any:
         names.append(str(key))
         return find_similar(logic, key)
 
-    monkeypatch.setattr(undefined_procedures, "find_similar", find)
+    monkeypatch.setattr(undefined_procedure_hints, "find_similar", find)
     return names
 
 

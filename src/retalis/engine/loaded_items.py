@@ -1,4 +1,4 @@
-"""Deployments: the rules, clauses and other items of a program, and the part that one folder has created.
+"""Items that one load has created: the rules, clauses and other items of a program, and the part of one folder.
 
 A deployment (Esper's term for everything that one load has created) is the difference between two states of the
 program: `current_deployment` reads all items, and `Deployment.added_since` subtracts an earlier state. A reload

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from oracle.evaluator import run
-from oracle.scenarios import scenarios
+from oracle.recorded_scenarios import scenarios
 
 FOLDERS = [
     Path(os.environ.get("RETALIS_SCENARIOS", "")),

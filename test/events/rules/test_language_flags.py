@@ -5,7 +5,7 @@ from typing import Any, List, Tuple
 import pytest
 
 from retalis import Engine, ProgramErrors, PrologError, Settings, StreamClock, UsageError
-from retalis.events.rules.event_flags import FLAGS
+from retalis.events.rules.language_flags import FLAGS
 from retalis.prolog.terms.timestamps import SECOND
 
 RULE = "out(X) <- a(X) seq b(X)."

@@ -1,4 +1,4 @@
-"""Wiring: objects are complete after construction, and state is set by its owner."""
+"""Ownership of attributes: objects are complete after construction, and state is set by its owner."""
 
 import ast
 from collections import defaultdict

@@ -1,4 +1,4 @@
-"""Occurrences of events, which are the nodes of their lineage.
+"""Derivation graph: occurrences of events, repetitions, and the links between them.
 
 An `Occurrence` is an event that was dispatched, with links in both directions: to the match that it was derived from,
 and to the occurrences derived from it. These links are the derivation graph (why-provenance). Negation adds links of

@@ -1,4 +1,4 @@
-"""Log of all events: stores, writes or logs them if flags or facts of the program request it."""
+"""Recording of events: stores, writes or logs them if flags or facts of the program request it."""
 
 import logging
 import os
@@ -11,14 +11,15 @@ from ...prolog.database.predicate import Predicate
 from ...prolog.database.predicate_table import Database
 from ...prolog.files.file_sandbox import FileSandbox
 from ...prolog.machine.machine import Machine
+from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.term_traversal import copy
 from ...prolog.terms.timestamps import interval_term
 from ...prolog.terms.types import SLASH, Atom, Frame, Functor, Term, Trail, Values, Var, deref, functor
 from ...prolog.terms.unification import undo, unify
 from ...serialization.field_types import CALLABLE_TERM, INSTANT
 from ...serialization.state_fields import StateFields, StateOwner, field, rows_of
-from ..dispatch.listeners import Listener, ListenerPhase
-from ..network.network_context import NetworkContext
+from .dispatcher import Dispatcher
+from .listeners import Listener, ListenerPhase
 
 log = logging.getLogger("retalis.events")
 
@@ -59,8 +60,10 @@ class EventLog(StateOwner):
     A listener exists only while a flag or fact requires it; without one, the log costs nothing.
 
     Args:
-        network: the program, its events, and the reports.
+        dispatcher: dispatches the events.
+        logic: contains the facts that select events.
         sandbox: writes the file of persistent events.
+        on_warning: called with each warning.
     """
 
     STATE = StateFields(
@@ -75,9 +78,15 @@ class EventLog(StateOwner):
         ),
     )
 
-    def __init__(self, network: NetworkContext, sandbox: FileSandbox):
-        self._network = network
-        self._sandbox = sandbox
+    def __init__(
+        self,
+        dispatcher: Dispatcher,
+        logic: PrologSystem,
+        sandbox: FileSandbox,
+        on_warning: Callable[[RetalisError], None],
+    ):
+        self._dispatcher, self._logic = dispatcher, logic
+        self._sandbox, self._on_warning = sandbox, on_warning
         self._events: Deque[StoredEvent] = deque(maxlen=_MAX_STORED_EVENTS)
         self._storing_listener: Optional[Listener] = None
         self._recording_listener: Optional[Listener] = None
@@ -85,7 +94,7 @@ class EventLog(StateOwner):
 
     def set_storing(self, is_on: bool) -> None:
         """Start or stop storing events."""
-        dispatcher = self._network.dispatcher
+        dispatcher = self._dispatcher
         if is_on and self._storing_listener is None:
             self._storing_listener = dispatcher.listen(ListenerPhase.TRACE, Var(), self._store_event)
         elif not is_on and self._storing_listener is not None:
@@ -111,42 +120,40 @@ class EventLog(StateOwner):
 
     def define_predicates(self) -> None:
         """Define the predicates whose facts select events."""
-        database = self._network.logic.database
+        database = self._logic.database
         for key in (_PERSISTENCE_SELECTOR, *_LOG_SELECTORS):
             database.predicates[key] = EventSelector(database, key, self._start_recording)
 
     def _start_recording(self) -> None:
         """Start to write and log the events that facts of the program select."""
         if self._recording_listener is None:
-            self._recording_listener = self._network.dispatcher.listen(
-                ListenerPhase.TRACE, Var(), self._record
-            )
+            self._recording_listener = self._dispatcher.listen(ListenerPhase.TRACE, Var(), self._record)
 
     def _record(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
         if self._is_selected(_PERSISTENCE_SELECTOR, term):
             self._write((_EVENT2, term, interval_term(start, end)))
         if any(self._is_selected(key, term) for key in _LOG_SELECTORS):
             event_term = (_EVENT2, term, interval_term(start, end))
-            log.info("%s", self._network.logic.show(event_term))
+            log.info("%s", self._logic.show(event_term))
         return frame
 
     def _write(self, event: Term) -> None:
         """Append an event to the file of persistent events; failures are counted, and some of them reported."""
-        sandbox, text = self._sandbox, self._network.logic.show(event)
+        sandbox, text = self._sandbox, self._logic.show(event)
         try:
             sandbox.append(os.path.join(sandbox.default_output_folder, _PERSISTENT_FILE), f"{text}.\n")
         except RetalisError as error:
             self._failed_write_count += 1
             # Reported at the counts 1, 2, 4, 8 and so on: a full disk must not produce one warning per event.
             if self._failed_write_count & (self._failed_write_count - 1) == 0:
-                self._network.on_warning(
+                self._on_warning(
                     UsageError(
                         f"{self._failed_write_count} persistent events could not be written: {error.message}"
                     )
                 )
 
     def _is_selected(self, key: Functor, term: Term) -> bool:
-        predicate = self._network.logic.database.predicates.get(key)
+        predicate = self._logic.database.predicates.get(key)
         # A program may redefine or abolish the predicate.
         if predicate is None or predicate.kind != "user":
             return False

@@ -1,4 +1,4 @@
-"""Stored matches of a rule: their order, their number, and the removal of those that are too many.
+"""Limit of the stored matches of a rule: their order, their number, and the removal of those that are too many.
 
 `MatchStore` lists the stored matches in order of arrival. Matches that have left their buffers remain in the list
 until they are the larger part of it, and are then removed in slices. If a rule has too many matches, those that a

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retalis import Definitions, MessageError
-from retalis.messages.message_values import make_message_term, read_message_term
+from retalis.messages.message_dictionaries import make_message_term, read_message_term
 
 DEFINITIONS = Definitions()
 DEFINITIONS.add("lab/Point", "float64 x\nint8 y")

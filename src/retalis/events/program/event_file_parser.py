@@ -1,4 +1,4 @@
-"""Checker of event files: classification of terms as rules, clauses, directives and properties, with diagnostics.
+"""Parser of event files: classification of terms as rules, clauses, directives and properties, with diagnostics.
 
 The terms of a file are checked before anything takes effect. Each becomes a `FileEntry` or a `RuleDefinition`;
 problems are collected, so that all errors of a file are reported together. Terms that look like misspelled rules get
@@ -122,7 +122,7 @@ class FileEntry(NamedTuple):
     goals: Goals = []
 
 
-class FileChecker:
+class EventFileParser:
     """Classifies the terms of a file and collects errors and warnings.
 
     Args:
@@ -144,14 +144,14 @@ class FileChecker:
         self.interval_calls: List[PredicateCall] = []
         self._names: Dict[Var, str] = {}
 
-    def check_read_term(self, read_term: ReadTerm, place: Optional[Place] = None) -> None:
-        """Check a term that was read from a text; ``place`` is its position if known."""
+    def parse_read_term(self, read_term: ReadTerm, place: Optional[Place] = None) -> None:
+        """Classify and check a term that was read from a text; ``place`` is its position if known."""
         self._names = {var: name for name, var in read_term.names.items()}
-        self.check_term(read_term.term, read_term.place_of, place or read_term.place)
+        self.parse_term(read_term.term, read_term.place_of, place or read_term.place)
         self._names = {}
 
-    def check_term(self, term: Term, place_of: PlaceLookup, place: Optional[Place]) -> None:
-        """Check a term; ``place_of`` returns the position of a part, ``place`` is the position of the term."""
+    def parse_term(self, term: Term, place_of: PlaceLookup, place: Optional[Place]) -> None:
+        """Classify and check a term; ``place_of`` returns the place of a part, ``place`` is that of the term."""
         term = deref(term)
         # Problems beyond these counts are those of this term.
         previous_counts = [(problems, len(problems)) for problems in (self.errors, self.warnings)]
@@ -451,7 +451,7 @@ def reread_rule(
     """
     if not is_unlabelled_rule(term):
         raise RuleError("expected an event rule", place)
-    return FileChecker().parse_rule(term, label, no_place, place, names)
+    return EventFileParser().parse_rule(term, label, no_place, place, names)
 
 
 def _is_labelled(term: Term) -> bool:
