@@ -222,6 +222,25 @@ def test_invalid_value_is_refused(state: Any, section: str, path: Any, value: An
     assert message in str(caught.value)
 
 
+def test_element_of_two_operators_is_refused() -> None:
+    engine = Engine(StreamClock())
+    engine.load("v(N) <- aggregate(count, a(_), N, last(10)).\nw(N) <- aggregate(count, a(_), N, last(20)).")
+    engine.event("a(1)", 1)
+    state = unpack_sections(engine.snapshot()).sections
+    rule_states = ["state", "rule_states"]
+    window = ["node_states", 1, 1, "stream", "keyed_windows", 1, "elements"]
+    elements: List[Any] = []
+
+    def record(old: Any) -> Any:
+        elements.append(old)
+        return old
+
+    changed(state, "matches", [*rule_states, 0, 1, *window], record)
+    assert Engine.restore(changed(state, "matches", [*rule_states, 0, 1, *window], elements[0])).snapshot()
+    with pytest.raises(UsageError, match="StreamElement: expected an object of one owner"):
+        Engine.restore(changed(state, "matches", [*rule_states, 1, 1, *window], elements[0]))
+
+
 @pytest.mark.parametrize("missing", ["program", "clauses", "values", "matches", "run", "memory 0"])
 def test_missing_section_is_refused(state: Any, missing: str) -> None:
     with pytest.raises(UsageError, match="no section|expected records for each memory"):

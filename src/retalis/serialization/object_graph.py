@@ -209,6 +209,8 @@ class ObjectReader:
         self, value: object, external: ExternalObjects, changes: Mapping[str, Sequence[FieldChange]] = {}
     ):
         self.current_sources: List[int] = []
+        self._owners: Dict[int, object] = {}
+        """Owners of the objects that `claim` has recorded, by the identity of the object."""
         self._external = external
         self._context = ReadContext(self, changes)
         self._objects: List[object] = []
@@ -233,6 +235,15 @@ class ObjectReader:
         # Constraints can read derived attributes of other objects.
         for kind in stored_kinds:
             _check_constraints(kind, objects_by_kind[kind])
+
+    def claim(self, item: object, owner: object) -> None:
+        """Record that an object belongs to one owner.
+
+        Raises:
+            UsageError: if it belongs to another one.
+        """
+        if self._owners.setdefault(id(item), owner) != owner:
+            raise UsageError(f"{type(item).__name__}: expected an object of one owner")
 
     def context(self) -> ReadContext:
         """Return the context of states that refer to these objects."""

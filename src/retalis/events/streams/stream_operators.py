@@ -119,12 +119,16 @@ def _element_type(channel: int) -> FieldType[StreamElement]:
 
     def checker(context: ReadContext) -> ValueCheck[StreamElement]:
         check_reference, check_item = reference_type.checker(context), context.check_item
+        objects = context.objects
 
         def check(value: object) -> StreamElement:
             element = check_reference(value)
             assert isinstance(element, StreamElement)
             # The owner of the operator knows the patterns that its elements match.
             check_item(element, channel)
+            # Operators number and remove their elements.
+            if objects is not None:
+                objects.claim(element, check_item)
             return element
 
         return check
