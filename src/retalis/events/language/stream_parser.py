@@ -35,7 +35,7 @@ from ...foundation.similar_names import did_you_mean
 from ...prolog.terms import timestamps
 from ...prolog.terms.list_terms import list_items, make_list
 from ...prolog.terms.term_traversal import variables
-from ...prolog.terms.timestamps import from_seconds
+from ...prolog.terms.timestamps import MAX_TIMESTAMP, SECOND, from_seconds
 from ...prolog.terms.types import COMMA, Atom, CompoundTerm, Term, Var, atom, deref, functor, functor_name
 from ..streams.aggregates import AGGREGATES, Setting
 from ..streams.rate_operators import RATE_OPERATORS
@@ -335,7 +335,11 @@ def _parse_seconds(name: str, term: CompoundTerm, position: int, create_error: C
         raise create_error(
             f"{name} needs a positive number of seconds{bracket_advice(name, seconds)}", term, position
         )
-    return from_seconds(seconds)
+    nanoseconds = from_seconds(seconds)
+    # Instants after a timestamp and a longer time could not be stored in states.
+    if nanoseconds > MAX_TIMESTAMP:
+        raise create_error(f"{name} needs at most {MAX_TIMESTAMP // SECOND:.1e} seconds", term, position)
+    return nanoseconds
 
 
 def rate_operator_term(rate_pattern: RatePattern) -> Term:
