@@ -33,7 +33,7 @@ from retalis.foundation import codegen
 from retalis.foundation.bounded_caches import Cache
 from retalis.foundation.errors import printable
 from retalis.messages.event_text_writer import make_text_writer
-from retalis.messages.ros2_to_ros1 import parse_ros2_type
+from retalis.messages.ros2_definitions import parse_ros2_type
 from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import writeq

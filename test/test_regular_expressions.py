@@ -143,7 +143,7 @@ CASES: Dict[str, Case] = {
     ),
     # messages/idl_definitions.py
     r"\w+|.": Case("match", "the word once", ("",), ("a", " ", "_", "\n")),
-    # messages/ros2_to_ros1.py
+    # messages/ros2_definitions.py
     r"\s*(?P<type>[\w/]+)(?P<bound><=[0-9]+)?(?P<array>\[(?:<=)?[0-9]*\])?\s+"
     r"(?P<name>\w+)(?P<rest>(?:[\s=#].*)?)$": Case(
         "match",

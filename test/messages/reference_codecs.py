@@ -221,15 +221,17 @@ def term_of(definition: Any, message: Any) -> Any:
 
 
 def _attribute(message: Any, name: Any) -> Any:
-    # Both references append "_" to the keywords of Python.
-    return getattr(message, name) if hasattr(message, name) else getattr(message, f"{name}_")
+    # rosbags and genpy append "_" to the keywords of Python; headers of ROS 2 have no number.
+    return getattr(message, name) if hasattr(message, name) else getattr(message, f"{name}_", 0)
 
 
 def _slot_term(slot: Any, value: Any) -> Any:
     if slot.length is None:
         return _single_term(slot, value)
     if slot.type in ("uint8", "char"):
-        return blob_atom(value if isinstance(value, bytes) else bytes(bytearray(value)))
+        # rclpy has the elements of an array of bytes as objects of this type.
+        is_split = isinstance(value, list) and value and isinstance(value[0], bytes)
+        return blob_atom(b"".join(value) if is_split else bytes(bytearray(value)))
     return prolog_list([_single_term(slot, item) for item in getattr(value, "tolist", lambda: value)()])
 
 
@@ -247,8 +249,13 @@ def _single_term(slot: Any, value: Any) -> Any:
         return atom("true" if value else "false")
     if slot.type in ("float32", "float64"):
         return float(value)
-    # rosbags has no signed bytes.
-    return int(value) - 256 if slot.type == "byte" and value > 127 else int(value)
+    # rclpy has bytes as objects of this type.
+    if isinstance(value, bytes):
+        return value[0]
+    # rosbags has no signed bytes in ROS 1, and no unsigned ones in ROS 2.
+    if slot.type == "byte" and value > 127:
+        return int(value) - 256
+    return int(value) % 256 if slot.type == "uint8" else int(value)
 
 
 # ---- The references ----

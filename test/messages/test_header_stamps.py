@@ -11,11 +11,13 @@ from hypothesis import strategies as st
 from retalis import Definitions, MessageError, Operators
 from retalis.messages.event_text_writer import make_text_writer
 from retalis.messages.header_stamps import format_frame_key, make_observed_decoder, make_stamp_reader
+from retalis.messages.type_definition import SerializationFormat
 from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.syntax.event_text import to_text
 from retalis.prolog.syntax.term_reader import read_term
 
 SECOND = 10**9
+FORMATS = list(SerializationFormat)
 BAR = "\n" + "=" * 80 + "\n"
 HEADER = BAR + "MSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
 TRANSFORM = BAR + "MSG: t/T\nHeader header\nstring child_frame_id\nfloat64[7] values\n" + HEADER
@@ -38,8 +40,11 @@ for _name, _text in TYPES.items():
     DEFINITIONS.add(_name, _text)
 
 
-def encode(kind: str, text: str) -> bytes:
-    return DEFINITIONS.encoder(DEFINITIONS.find(kind)).encode(read_term(text, Operators.prolog()).term)
+def encode(
+    kind: str, text: str, serialization_format: SerializationFormat = SerializationFormat.ROS1
+) -> bytes:
+    encoder = DEFINITIONS.encoder(DEFINITIONS.find(kind), serialization_format)
+    return encoder.encode(read_term(text, Operators.prolog()).term)
 
 
 def header(second: int, nanosecond: int, frame: str) -> str:
@@ -50,8 +55,9 @@ def transform(second: int, nanosecond: int, frame: str, child: str) -> str:
     return f"t__0__T({header(second, nanosecond, frame)},'\"{child}\"',[0,0,0,0,0,0,1])"
 
 
-def read(kind: str, text: str) -> List[Tuple[Any, ...]]:
-    stamps = required(make_stamp_reader(DEFINITIONS.find(kind)))(encode(kind, text))
+def read(kind: str, text: str, serialization_format: SerializationFormat) -> List[Tuple[Any, ...]]:
+    read_stamps = required(make_stamp_reader(DEFINITIONS.find(kind), serialization_format))
+    stamps = read_stamps(encode(kind, text, serialization_format))
     return [(format_frame_key(key), instant / SECOND) for key, instant in stamps]
 
 
@@ -84,8 +90,22 @@ def test_type_without_stamps_has_no_reader() -> None:
         ),
     ],
 )
-def test_stamps_of_all_frames_are_read(kind: str, text: str, expected: Any) -> None:
-    assert read(kind, text) == expected
+@pytest.mark.parametrize("serialization_format", FORMATS)
+def test_stamps_of_all_frames_are_read(
+    kind: str, text: str, expected: Any, serialization_format: SerializationFormat
+) -> None:
+    assert read(kind, text, serialization_format) == expected
+
+
+def test_big_endian_stamps_are_read() -> None:
+    read_stamps = required(make_stamp_reader(DEFINITIONS.find("t/Own"), SerializationFormat.CDR))
+    message = struct.pack(">4xiII4s4xd", 5, 6, 4, b"map\0", 1.0)
+    assert read_stamps(message) == [(message[12:20], 5 * SECOND + 6)]
+
+
+def test_negative_stamp_in_cdr_is_omitted() -> None:
+    read_stamps = required(make_stamp_reader(DEFINITIONS.find("t/Own"), SerializationFormat.CDR))
+    assert read_stamps(struct.pack("<HHiII4s4xd", 256, 0, -5, 6, 4, b"map\0", 1.0)) == []
 
 
 def test_slots_have_separate_frame_keys() -> None:
@@ -97,11 +117,15 @@ def test_slots_have_separate_frame_keys() -> None:
     assert len(set(keys)) == 2
 
 
-@given(st.sampled_from(sorted(TYPES)), st.binary(max_size=200))
-def test_stamps_of_any_bytes_are_bounded(kind: Any, data: bytes) -> None:
-    read = make_stamp_reader(DEFINITIONS.find(kind))
+@given(st.sampled_from(sorted(TYPES)), st.binary(max_size=200), st.sampled_from(FORMATS))
+def test_stamps_of_any_bytes_are_bounded(
+    kind: str, data: bytes, serialization_format: SerializationFormat
+) -> None:
+    read = make_stamp_reader(DEFINITIONS.find(kind), serialization_format)
     if read is not None:
-        assert len(read(data)) <= len(data) // 16
+        if serialization_format is SerializationFormat.CDR:
+            data = b"\0\1\0\0" + data
+        assert len(read(data)) <= len(data) // 12
 
 
 class LastSecond:
@@ -117,10 +141,14 @@ class LastSecond:
     st.lists(
         st.tuples(st.integers(0, 5), st.integers(0, 3), st.sampled_from(["", "map", "odom"])), max_size=20
     ),
+    st.sampled_from(FORMATS),
 )
-def test_observer_reports_each_new_second_once(kind: Any, messages: List[Any]) -> None:
+def test_observer_reports_each_new_second_once(
+    kind: str, messages: List[Any], serialization_format: SerializationFormat
+) -> None:
     """The observer reports each new second of a frame and no other stamp."""
-    decoder, reader = DEFINITIONS.decoder(DEFINITIONS.find(kind)), make_stamp_reader(DEFINITIONS.find(kind))
+    decoder = DEFINITIONS.decoder(DEFINITIONS.find(kind), serialization_format)
+    reader = make_stamp_reader(DEFINITIONS.find(kind), serialization_format)
     reports: List[Any] = []
     last_seconds: Dict[Any, Any] = {}
     expected: List[Any] = []
@@ -142,7 +170,7 @@ def test_observer_reports_each_new_second_once(kind: Any, messages: List[Any]) -
             "t/Frames": f"t__0__Frames([{transform(second, nanosecond, frame, 'b')}])",
             "t/Markers": f"t__0__Markers({header(second, nanosecond, frame)},[],[])",
         }[kind]
-        data = encode(kind, text)
+        data = encode(kind, text, serialization_format)
         assert reads[nanosecond % 2](data) == make_text_writer(decoder)(data)
         assert observed.stamp(data) == decoder.stamp(data)
         stamps = required(reader)(data)
@@ -163,7 +191,9 @@ def test_message_written_again_is_not_reported_again() -> None:
 @pytest.mark.parametrize("child", ["", "b"])
 @pytest.mark.parametrize("frame", ["", "a"])
 def test_unnamed_frames_are_shown_as_empty(frame: str, child: str) -> None:
-    assert read("t/Frames", f"t__0__Frames([{transform(5, 0, frame, child)}])") == [(f"{frame} > {child}", 5)]
+    text = f"t__0__Frames([{transform(5, 0, frame, child)}])"
+    for serialization_format in FORMATS:
+        assert read("t/Frames", text, serialization_format) == [(f"{frame} > {child}", 5)]
 
 
 def test_observed_decoder_limits_empty_elements() -> None:

@@ -11,7 +11,7 @@ pytest.importorskip("lark")
 
 from retalis import MessageError  # noqa: E402
 from retalis.messages.idl_definitions import convert_idl  # noqa: E402
-from retalis.messages.ros2_to_ros1 import parse_ros2_type  # noqa: E402
+from retalis.messages.ros2_definitions import parse_ros2_type  # noqa: E402
 
 
 def convert(slots: str, before: str = "", name: str = "X") -> Any:
@@ -268,8 +268,8 @@ def test_types_of_rosbags_are_equal_in_idl_and_msg() -> None:
     count = 0
     for name, (constants, slots) in definitions.items():
         if slots and name.count("/msg/") == 1:
-            expected = parse_ros2_type(name, find(name.replace("/msg/", "/")), find).definition
-            converted = parse_ros2_type(name, write_idl(name, constants, slots), find, is_idl=True).definition
+            expected = parse_ros2_type(name, find(name.replace("/msg/", "/")), find)
+            converted = parse_ros2_type(name, write_idl(name, constants, slots), find, is_idl=True)
             assert [slot.describe() for slot in converted.fields] == [
                 slot.describe() for slot in expected.fields
             ], name

@@ -4,6 +4,7 @@ import pytest
 
 pytest.importorskip("rosbags")
 
+from messages import cdr_reference_codecs  # noqa: E402
 from messages.reference_codecs import compare_messages, rosbags_references  # noqa: E402
 
 MESSAGES_PER_TYPE = 10
@@ -39,3 +40,12 @@ def test_all_types_agree_with_rosbags() -> None:
         compare_messages(reference, MESSAGES_PER_TYPE)
         types += 1
     assert types > 300
+
+
+@pytest.mark.slow
+def test_all_types_of_ros2_agree_with_rosbags() -> None:
+    types = 0
+    for reference in cdr_reference_codecs.rosbags_references():
+        cdr_reference_codecs.compare_messages(reference, MESSAGES_PER_TYPE)
+        types += 1
+    assert types > 150

@@ -9,6 +9,7 @@ from typing import Any, Callable, Dict, List
 from retalis import UsageError
 from retalis.events.knowledge.transform_buffer import TransformBuffer
 from retalis.foundation.ros_names import topic_fault
+from retalis.messages.type_definition import SerializationFormat
 from retalis.messages.type_registry import InstalledTypes
 from retalis.node.transport import MessageSource, NodeGraph
 
@@ -142,6 +143,7 @@ class MemoryTransport:
         is_time_simulated: bool = False,
     ) -> None:
         self.network = network
+        self.format = SerializationFormat.ROS1
         self.node_name = node_name
         self.is_time_simulated = is_time_simulated
         self.create_transform_buffer: Callable[[float], TransformBuffer] = TransformBuffer

@@ -20,7 +20,7 @@ SECOND = 10**9
 
 def read(path: Any) -> List[Tuple[Any, ...]]:
     with MergedBag([path], max_chunk_megabytes=1) as bags:
-        return [(record.time // SECOND, record.data[4:]) for record in bags.records()]
+        return [(record.time // SECOND, record.data[8:-1]) for record in bags.records()]
 
 
 CHUNKS = [

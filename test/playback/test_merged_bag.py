@@ -13,7 +13,7 @@ from malicious_bags import packed_zeros, zstd
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from retalis import BagError, BagWriter, Definitions, Playback, UsageError
+from retalis import BagError, BagWriter, Definitions, Playback, RetalisError, UsageError
 from retalis.playback.bag_locations import MergedBag
 from retalis.playback.playback import RunRecorder
 from retalis.prolog.syntax.event_text import to_text
@@ -206,7 +206,7 @@ def test_unreadable_type_excludes_only_its_topics(
     )
     with MergedBag([folder]) as bags:
         assert [topic.name for topic in bags.topics] == ["/chatter"]
-        assert [record.data for record in bags.records()] == [struct.pack("<I", 5) + b"hello"]
+        assert [record.data for record in bags.records()] == [HELLO]
     assert [record.getMessage() for record in caplog.records] == [
         f"{folder}: left out: topic /broken (my_msgs/Broken): my_msgs/Broken:1:1: expected 'type name' or "
         "'type NAME=value', found 'float64[<3] x'",
@@ -258,7 +258,7 @@ def test_bounds_and_defaults_are_read(tmp_path: Path, storage: Any) -> None:
         (record,) = bags.records()
     definitions = Definitions()
     definition = definitions.add(topic.type, topic.definition, topic.md5sum)
-    event_text = to_text(definitions.decoder(definition).decode(record.data))
+    event_text = to_text(definitions.decoder(definition, topic.format).decode(record.data))
     assert event_text == f"my_msgs__0__Bounded('\"hi\"',['\"a\"'],[0.5],'{text}',200,[])"
 
 
@@ -268,8 +268,7 @@ def test_idl_definition_is_read(tmp_path: Path) -> None:
     with MergedBag([folder]) as bags:
         slots = bags.topics[0].definition.split("\n")[:3]
         assert slots == ["string name", "float64[] few", "std_msgs/Header header"]
-        expected = struct.pack("<I2sIdIIII", 2, b"hi", 1, 0.5, 0, 4, 5, 0)
-        assert [record.data for record in bags.records()] == [expected]
+        assert [record.data for record in bags.records()] == [raw]
 
 
 @pytest.mark.parametrize(
@@ -301,17 +300,32 @@ def test_invalid_idl_is_reported_with_position(
     assert problem.format("its definition in IDL cannot be parsed") in message
 
 
+def raise_error(error: RetalisError) -> None:
+    raise error
+
+
 def test_messages_of_wrong_size_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     folder = typed_bag(
         tmp_path / "two",
         STORAGES[-1],
         ("/chatter", "std_msgs/msg/String", "string data\n", HELLO, HELLO[:-2], b"", HELLO),
     )
+    program = tmp_path / "program"
+    program.mkdir()
+    (program / "pub_sub.xml").write_text(
+        '<publish_subscribe><subscribe_to name="chatter" msg_type="std_msgs/String"/></publish_subscribe>'
+    )
+    (program / "goalPredicates.txt").write_text("")
+    events: List[str] = []
+    playback = Playback(program, report=raise_error)
+    playback.engine.on_event(lambda term, start, end: events.append(to_text(term)))
     with MergedBag([folder]) as bags:
-        assert read(bags) == [("/chatter", 1), ("/chatter", 4)]
+        assert len(bags.topics) == 1
+        assert list(playback.run(bags)) == []
+    assert events == ["std_msgs__0__String('\"hello\"')"] * 2
     assert [record.getMessage() for record in caplog.records] == [
-        f"{folder}: a message on /chatter is dropped: 8 bytes of CDR are not a std_msgs/String",
-        f"{folder}: 2 messages on /chatter dropped",
+        "a message on /chatter is dropped: 8 bytes of CDR are not a std_msgs/String",
+        "2 times in all: a message on /chatter is dropped: 8 bytes of CDR are not a std_msgs/String",
     ]
 
 

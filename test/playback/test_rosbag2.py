@@ -9,9 +9,11 @@ import pytest
 rosbag2 = pytest.importorskip("rosbags.rosbag2")
 
 from malicious_bags import HELLO, folder_bag, mcap, mcap_message, mcap_topic, sqlite_bag  # noqa: E402
+from messages.ros2_types import decode_text  # noqa: E402
 from rosbags.typesys import Stores, get_typestore  # noqa: E402
 
-from retalis import BagError  # noqa: E402
+from retalis import BagError, Definitions  # noqa: E402
+from retalis.messages.type_definition import SerializationFormat  # noqa: E402
 from retalis.playback.bag_locations import MergedBag  # noqa: E402
 
 SECOND = 10**9
@@ -54,7 +56,7 @@ def test_records_equal_those_of_rosbags(tmp_path: Path, storage: Any, mode: Any)
             ]
             with MergedBag([folder]) as bags:
                 records = [
-                    (record.topic.name, record.time, record.data[4:])
+                    (record.topic.name, record.time, record.data[8:-1])
                     for record in bags.records(None, start, stop)
                 ]
                 assert records == expected
@@ -67,7 +69,7 @@ def test_records_equal_those_of_rosbags(tmp_path: Path, storage: Any, mode: Any)
 
 def read(path: Any) -> List[Tuple[Any, ...]]:
     with MergedBag([path], max_chunk_megabytes=1) as bags:
-        return [(record.time // SECOND, record.data[4:]) for record in bags.records()]
+        return [(record.time // SECOND, record.data[8:-1]) for record in bags.records()]
 
 
 @pytest.mark.parametrize(
@@ -174,7 +176,7 @@ def test_type_with_empty_definition_has_no_slots(tmp_path: Path) -> None:
     topic = mcap_topic("my_msgs/msg/Go", "ros2msg", "")
     path.write_bytes(mcap([mcap_message(1, b"\0\1\0\0\0")], topic=topic))
     topic, data = read_message(path)
-    assert (topic.type, topic.definition, data) == ("my_msgs/Go", "", b"")
+    assert (topic.type, topic.definition, data) == ("my_msgs/Go", "", b"\0\1\0\0\0")
 
 
 def test_type_without_schema_is_searched(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -185,7 +187,7 @@ def test_type_without_schema_is_searched(tmp_path: Path, caplog: pytest.LogCaptu
             "the type is not defined in the bag or on this system"
         ]
     path.write_bytes(mcap([mcap_message(1)], topic=mcap_topic("std_msgs/msg/String", "", "")))
-    assert read_message(path)[1] == b"\5\0\0\0hello"
+    assert read_message(path)[1] == HELLO
 
 
 def test_messages_of_ros1_in_mcap_are_read(tmp_path: Path) -> None:
@@ -194,6 +196,7 @@ def test_messages_of_ros1_in_mcap_are_read(tmp_path: Path) -> None:
     path.write_bytes(mcap([mcap_message(1, b"\2\0\0\0hi")], profile="ros1", topic=topic))
     topic, data = read_message(path)
     assert (topic.type, topic.md5sum) == ("std_msgs/String", "992ce8a1687cec8c8bd883ec73ca41d1")
+    assert topic.format is SerializationFormat.ROS1
     assert data == b"\2\0\0\0hi"
 
 
@@ -214,7 +217,10 @@ def test_service_events_of_mcap_are_read(tmp_path: Path) -> None:
     path.write_bytes(mcap([mcap_message(1, EVENT)], topic=topic))
     topic, data = read_message(path)
     assert topic.type == "my_msgs/Go_Event"
-    assert data.endswith(struct.pack("<qIbI", 7, 1, 3, 0))
+    assert data == EVENT
+    assert decode_text(Definitions().add(topic.type, topic.definition), data).endswith(
+        ",7),[my_msgs__0__Go_Request(3)],[])"
+    )
 
 
 def test_service_events_of_database_are_read(tmp_path: Path) -> None:
@@ -225,5 +231,4 @@ def test_service_events_of_database_are_read(tmp_path: Path) -> None:
     """
     path = sqlite_bag(tmp_path / "a.db3", rows=rows, messages=[(1, EVENT)])
     topic, data = read_message(path)
-    assert (topic.name, topic.type) == ("/go/_service_event", "my_msgs/Go_Event")
-    assert data.endswith(struct.pack("<qIbI", 7, 1, 3, 0))
+    assert (topic.name, topic.type, data) == ("/go/_service_event", "my_msgs/Go_Event", EVENT)

@@ -49,6 +49,7 @@ from .type_definition import (
     VARIABLE_LENGTH,
     Definition,
     Field,
+    SerializationFormat,
     check_empty_elements,
     describe_mismatch,
     element_size,
@@ -215,6 +216,9 @@ class DecoderGenerator:
         run_variables: variables of the values of the run.
     """
 
+    byte_order = "<"
+    """Byte order of numbers, as a `struct` prefix."""
+
     def __init__(self) -> None:
         self.lines: List[str] = []
         self._bound_names = bound_names = codegen.BoundNames(
@@ -240,13 +244,17 @@ class DecoderGenerator:
         """Return the global name that the generated source uses for an atom or a functor."""
         return self._bound_names.constant(value, value)
 
+    def functor_constant(self, definition: Definition) -> str:
+        """Return the global name of the functor of a message's terms."""
+        return self.constant(functor(definition.functor_name, len(definition.fields)))
+
     # The following methods add the statements that read a value, and return the expression of its term.
 
     def read_message(self, definition: Definition) -> str:
         """Return the expression of a whole message."""
         if not definition.fields:
             return self.constant(atom(definition.functor_name))
-        functor_name = self.constant(functor(definition.functor_name, len(definition.fields)))
+        functor_name = self.functor_constant(definition)
         slots = [self.read_slot(slot) for slot in definition.fields]
         return f"({functor_name}, {', '.join(slots)})"
 
@@ -282,15 +290,15 @@ class DecoderGenerator:
         if count <= MAX_EAGER_ELEMENTS and slot.definition is None:
             items = [self.read_value(slot._replace(length=None)) for _ in range(count)]
             return "".join(f"(C, {item}, " for item in items) + "N" + ")" * count
-        size = element_size(slot)
+        size = self.element_size(slot)
         if size is None:
             return self.read_elements(slot, str(count))
         if not size:
             return self.read_repeated_list(slot, str(count))
-        value = self.add_to_run(f"{count * size}s")
+        value = self.add_elements_to_run(slot, count * size)
         # The functor of a list is known before its elements are, so that patterns can reject the term without
         # decoding it.
-        return f"Lazy(C, {self.new_name('make', _find_array_decoder(slot))}, {value})"
+        return f"Lazy(C, {self.new_name('make', self.find_array_decoder(slot))}, {value})"
 
     def read_variable_array(self, slot: Field) -> str:
         """Return the expression of an array whose length precedes its elements."""
@@ -298,20 +306,20 @@ class DecoderGenerator:
         self.end_run()
         if slot.is_bytes:
             return self.read_bytes(count)
-        size = element_size(slot)
+        size = self.element_size(slot)
         if size is None:
             return self.read_elements(slot, count)
         if not size:
             return self.read_repeated_list(slot, count)
         value = self.new_name("t")
-        make = self.new_name("make", _find_array_decoder(slot))
+        make = self.new_name("make", self.find_array_decoder(slot))
         # The count is not compared with the message's size here: slices beyond the end are empty, and the final
         # comparison of offset and length fails.
-        self.advance(f"{count} * {size}")
+        elements = self.advance_over_elements(slot, count, size)
         self.lines += [
             f"if not {count}: {value} = N",
-            f"elif {count} <= {MAX_EAGER_ELEMENTS}: {value} = {make}(data[s:o])",
-            f"else: {value} = Lazy(C, {make}, data[s:o])",
+            f"elif {count} <= {MAX_EAGER_ELEMENTS}: {value} = {make}({elements})",
+            f"else: {value} = Lazy(C, {make}, {elements})",
         ]
         return value
 
@@ -324,7 +332,7 @@ class DecoderGenerator:
     def read_elements(self, slot: Field, count: str) -> str:
         """Return the expression of an array whose elements differ in size."""
         self.end_run()
-        read = self.new_name("read", make_variable_array_decoder(*_compile_element(slot)))
+        read = self.new_name("read", make_variable_array_decoder(*self.compile_element(slot)))
         value = self.new_name("t")
         self.lines.append(f"{value}, o = {read}(data, {self.run_offset()}, {count})")
         # The end of the array is only known when the generated code runs: offsets restart at the variable `o`.
@@ -351,6 +359,55 @@ class DecoderGenerator:
         self.lines.append(f"{value} = blob(data[s:o])")
         return value
 
+    # Arrays of elements of equal size.
+
+    def element_size(self, slot: Field) -> Optional[int]:
+        """Return the number of bytes from one element of a slot to the next, or None if it varies."""
+        return element_size(slot)
+
+    def add_elements_to_run(self, slot: Field, size: int) -> str:
+        """Add the bytes of all elements of a slot to the run; return the expression of these bytes."""
+        return self.add_to_run(f"{size}s")
+
+    def advance_over_elements(self, slot: Field, count: str, size: int) -> str:
+        """Advance over ``count`` elements of ``size`` bytes; return the expression of their bytes."""
+        self.advance(f"{count} * {size}")
+        return "data[s:o]"
+
+    def find_array_decoder(self, slot: Field) -> ArrayDecode:
+        """Return the function that decodes the bytes of an array."""
+        return find_number_decoder(slot) or self.compile_records(slot)
+
+    def compile_records(self, slot: Field) -> ArrayDecode:
+        """Return the function that decodes an array of records of equal size into a list."""
+        generator = self.create_element_generator()
+        result = generator.read_value(slot._replace(length=None))
+        # All elements have the same layout, so the run is never ended and its format covers a whole element.
+        layout = Struct(generator.byte_order + generator.run_format)
+        return compile_array_decoder(
+            slot.describe(), layout, generator.run_variables, result, generator.globals
+        )
+
+    # Arrays of elements of different sizes.
+
+    def create_element_generator(self) -> "DecoderGenerator":
+        """Return a generator for one element of an array."""
+        return DecoderGenerator()
+
+    def min_element_size(self, slot: Field) -> int:
+        """Return the minimum size of an element in bytes."""
+        return measure_of(slot).min_size
+
+    def compile_element(self, slot: Field) -> Tuple[Callable[[bytes, int], Tuple[Term, int]], int]:
+        """Return the function that decodes one element of an array, and the minimum size of an element in bytes."""
+        generator = self.create_element_generator()
+        result = generator.read_value(slot._replace(length=None))
+        generator.end_run()
+        lines = ["def element(data, o):", *("  " + line for line in generator.lines)]
+        lines.append(f"  return {result}, {generator.run_offset()}")
+        element = codegen.function(lines, generator.globals, f"decode element {slot.type}", "element")
+        return element, self.min_element_size(slot)
+
     # Runs of slots of fixed size.
 
     def add_to_run(self, code: str) -> str:
@@ -367,7 +424,7 @@ class DecoderGenerator:
         """End the run: add the statement that unpacks it."""
         if not self.run_format:
             return
-        layout = Struct("<" + self.run_format)
+        layout = Struct(self.byte_order + self.run_format)
         unpack = self.new_name("S", layout.unpack_from)
         self.lines.append(f"{', '.join(self.run_variables)}, = {unpack}(data, {self.run_offset()})")
         # The variable `o` stays where it is: a constant added at compile time is cheaper than an assignment at run
@@ -379,30 +436,6 @@ class DecoderGenerator:
         """Set ``s`` and ``o`` to the start and the end of the next ``size`` bytes."""
         self.lines += [f"s = {self.run_offset()}", f"o = s + {size}"]
         self.run_base, self.run_shift = "o", 0
-
-
-def _compile_element(slot: Field) -> Tuple[Callable[[bytes, int], Tuple[Term, int]], int]:
-    """Return the function that decodes one element of an array, and the minimum size of an element in bytes."""
-    generator = DecoderGenerator()
-    result = generator.read_value(slot._replace(length=None))
-    generator.end_run()
-    lines = ["def element(data, o):", *("  " + line for line in generator.lines)]
-    lines.append(f"  return {result}, {generator.run_offset()}")
-    element = codegen.function(lines, generator.globals, f"decode element {slot.type}", "element")
-    return element, measure_of(slot).min_size
-
-
-def _compile_records(slot: Field) -> Callable[[bytes], Term]:
-    """Return the function that decodes an array of elements of equal size into a list."""
-    generator = DecoderGenerator()
-    result = generator.read_value(slot._replace(length=None))
-    # All elements have the same layout, so the run is never ended and its format covers a whole element.
-    layout = Struct("<" + generator.run_format)
-    return compile_array_decoder(slot.describe(), layout, generator.run_variables, result, generator.globals)
-
-
-def _find_array_decoder(slot: Field) -> Callable[[bytes], Term]:
-    return find_number_decoder(slot) or _compile_records(slot)
 
 
 CACHED_VALUE_BYTES = 400
@@ -453,6 +486,9 @@ class FrameDecoderGenerator(DecoderGenerator):
 
     def __init__(self, watch: Optional[StampWatch] = None) -> None:
         super().__init__()
+        self._initialize_frames(watch)
+
+    def _initialize_frames(self, watch: Optional[StampWatch]) -> None:
         self.watch = watch
         self.string_variables: List[str] = []
         self.leading_format = ""
@@ -504,7 +540,7 @@ class FrameDecoderGenerator(DecoderGenerator):
         if definition.measure.may_have_empty_elements:
             raise UnsupportedLayout
         result = self.read_message(definition)
-        head, tail = Struct("<" + self.leading_format), Struct("<" + self.run_format)
+        head, tail = Struct(self.byte_order + self.leading_format), Struct(self.byte_order + self.run_format)
         if not self.string_variables or not (head.size or tail.size):
             raise UnsupportedLayout
         result = self.finish_expression(result)
@@ -513,21 +549,18 @@ class FrameDecoderGenerator(DecoderGenerator):
         lines = ["def decode(data):", "  try:"]
         if self.leading_variables:
             lines.append(f"    {', '.join(self.leading_variables)}, = head(data)")
-        if self.element_count:
-            # Checked before the lookup: with another count, the key would contain the elements' numbers and fill the
-            # cache.
-            lines.append(f"    if {self.element_count} != 1: return fallback(data)")
-        # The strings' bytes are those between the two runs of numbers. A key of other lengths is parsed by `learn`,
-        # which returns None if the counts in it do not add up, for example in a truncated message.
+        # Checked before the lookup: with another count of elements, the key would contain the elements' numbers and
+        # fill the cache.
+        lines += [f"    if {condition}: return fallback(data)" for condition in self.mismatch_conditions()]
+        lines += [f"    {line}" for line in self.key_statements(head.size, tail.size)]
         lines += [
-            f"    key = data[{head.size}:{-tail.size if tail.size else ''}]",
             "    k = known(key)",
             "    if k is None:",
             "      k = learn(key)",
             "      if k is None: return fallback(data)",
         ]
         if tail.size:
-            lines.append(f"    {', '.join(self.run_variables)}, = tail(data, {-tail.size})")
+            lines.append(f"    {', '.join(self.run_variables)}, = tail(data, {self.tail_offset(tail.size)})")
         lines += ["  except StructError:", "    return fallback(data)"]
         # A cached entry has the strings, the values beside them, and the frame's state, which `observe` replaces.
         variables = list(self.string_variables)
@@ -540,16 +573,48 @@ class FrameDecoderGenerator(DecoderGenerator):
         lines += self.generate_text_updates(tail.size)
         return [*lines, f"  return {result}"]
 
+    def mismatch_conditions(self) -> List[str]:
+        """Return conditions of the leading numbers under which a message does not have the layout."""
+        return [f"{self.element_count} != 1"] if self.element_count else []
+
+    def key_statements(self, head_size: int, tail_size: int) -> List[str]:
+        """Return the statements that set ``key`` to the bytes of the strings.
+
+        Args:
+            head_size: number of bytes before the strings.
+            tail_size: number of bytes of the numbers after the strings.
+        """
+        # The strings' bytes are those between the two runs of numbers. A key of other lengths is parsed by `learn`,
+        # which returns None if the counts in it do not add up, for example in a truncated message.
+        return [f"key = data[{head_size}:{-tail_size if tail_size else ''}]"]
+
+    def tail_offset(self, tail_size: int) -> str:
+        """Return the expression of the offset of the numbers after the strings."""
+        return str(-tail_size)
+
+    def stamp_index(self) -> int:
+        """Return the index of the seconds among the leading numbers, if the message begins with a stamp."""
+        # The seconds follow ``seq``, and the array's count if there is an array.
+        return 2 if self.element_count else 1
+
+    def stamp_format(self) -> str:
+        """Return the `struct` codes up to the nanoseconds of a stamp at the beginning."""
+        return "I" * (self.stamp_index() + 2)
+
+    def read_strings(self, key: bytes) -> Optional[Tuple[Term, ...]]:
+        """Return the strings in the bytes from the first to the last one; None if they do not fill it exactly."""
+        return read_texts(key, len(self.string_variables))
+
     def _observer_call(self, watch: StampWatch) -> List[str]:
         """Return the statements that call the observer if the second of the stamp differs from the frame's state.
 
         Raises:
             UnsupportedLayout: if not all strings name frames, or the message does not begin with a header's stamp.
         """
-        # The seconds follow ``seq``, and the array's count if there is an array.
-        second_index = 2 if self.element_count else 1
-        integers = "I" * (second_index + 2)
-        if len(self.string_variables) != watch.string_count or not self.leading_format.startswith(integers):
+        second_index = self.stamp_index()
+        if len(self.string_variables) != watch.string_count or not self.leading_format.startswith(
+            self.stamp_format()
+        ):
             raise UnsupportedLayout
         get_state, call_observer = watch.get_state, watch.observe
 
@@ -574,12 +639,12 @@ class FrameDecoderGenerator(DecoderGenerator):
         cache: Cache[bytes, object] = (
             Cache(2048, 2 << 20, 1024 + cached_bytes) if cached_bytes else create_text_cache()
         )
-        string_count = len(self.string_variables)
+        string_count, read_strings = len(self.string_variables), self.read_strings
         cached_value, has_watch = self.to_cached_value, self.watch is not None
         uncomputed = [None] * len(self.cached_variables)
 
         def learn(key: bytes) -> object:
-            strings = read_texts(key, string_count)
+            strings = read_strings(key)
             if strings is None:
                 return None
             values = [cached_value(text) for text in strings]
@@ -638,14 +703,29 @@ class Decoder:
 
     __slots__ = ("definition", "functor", "decode", "stamp", "watch", "plain")
 
+    format = SerializationFormat.ROS1
+    """Format of the messages."""
+    frame_generator = FrameDecoderGenerator
+    """Generator for the layout "numbers, then strings, then numbers" in this format."""
+
     def __init__(self, definition: Definition, max_empty_elements: int = MAX_EMPTY_ELEMENTS):
         self.definition = definition
         self.functor = functor(definition.functor_name, len(definition.fields))
-        self.decode: Decode = _compile_decode(definition, max_empty_elements)
-        self.stamp: Callable[[bytes], Optional[int]] = _compile_stamp(definition)
+        self.decode: Decode = self._compile_decode(max_empty_elements)
+        self.stamp: Callable[[bytes], Optional[int]] = self._compile_stamp()
         # Set by `make_watching_decoder`, on a copy.
         self.watch: Optional[StampWatch] = None
         self.plain: Optional[Decoder] = None
+
+    def _compile_decode(self, max_empty_elements: int) -> Decode:
+        """Return the decoding function: the frame decoder if it supports the type."""
+        decode = _compile_general_decode(self.definition)
+        if self.definition.measure.may_have_empty_elements:
+            return _with_element_limit(self.definition, max_empty_elements, decode)
+        return compile_frame_decoder_or(decode, self)
+
+    def _compile_stamp(self) -> Callable[[bytes], Optional[int]]:
+        return _compile_stamp(self.definition)
 
     def lazy(self, data: bytes) -> Term:
         """Return a term that is decoded on first access.
@@ -677,14 +757,35 @@ def make_watching_decoder(decoder: Decoder, watch: StampWatch) -> Decoder:
 
     # The original decoder stays as it is: it is shared by all subscribers to topics of this type.
     observed_decoder = copy(decoder)
-    observed_decoder.decode = _compile_frame_decoder(decoder.definition, fallback, watch)
+    observed_decoder.decode = _compile_frame_decoder(decoder, fallback, watch)
     observed_decoder.watch = watch
     observed_decoder.plain = decoder
     return observed_decoder
 
 
-def _compile_decode(definition: Definition, max_empty_elements: int) -> Decode:
-    """Return the decoding function of a type: the frame decoder if it supports the type."""
+def compile_frame_decoder_or(fallback: Decode, decoder: Decoder) -> Decode:
+    """Return a decoding function for the layout of `FrameDecoderGenerator`, or ``fallback`` for other types.
+
+    Args:
+        fallback: decodes messages of any layout.
+        decoder: decoder of the type.
+    """
+    try:
+        return _compile_frame_decoder(decoder, fallback)
+    except UnsupportedLayout:
+        return fallback
+
+
+def _compile_frame_decoder(decoder: Decoder, fallback: Decode, watch: Optional[StampWatch] = None) -> Decode:
+    generator = decoder.frame_generator(watch)
+    lines = generator.generate(decoder.definition, fallback)
+    title = f"decode {decoder.definition.name}"
+    decode: Decode = codegen.function(lines, generator.globals, title, "decode")
+    return decode
+
+
+def _compile_general_decode(definition: Definition) -> Decode:
+    """Return the decoding function for any layout."""
     generator = DecoderGenerator()
     generator.run_base = "0"
     result = generator.read_message(definition)
@@ -697,20 +798,6 @@ def _compile_decode(definition: Definition, max_empty_elements: int) -> Decode:
         "  except StructError: raise_mismatch(data)",
         f"  return {result}",
     ]
-    decode: Decode = codegen.function(lines, generator.globals, f"decode {definition.name}", "decode")
-    if definition.measure.may_have_empty_elements:
-        return _with_element_limit(definition, max_empty_elements, decode)
-    try:
-        return _compile_frame_decoder(definition, decode)
-    except UnsupportedLayout:
-        return decode
-
-
-def _compile_frame_decoder(
-    definition: Definition, fallback: Decode, watch: Optional[StampWatch] = None
-) -> Decode:
-    generator = FrameDecoderGenerator(watch)
-    lines = generator.generate(definition, fallback)
     decode: Decode = codegen.function(lines, generator.globals, f"decode {definition.name}", "decode")
     return decode
 

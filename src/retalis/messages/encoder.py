@@ -70,35 +70,50 @@ class Encoder:
 
     def __init__(self, definition: Definition):
         self.definition = definition
-        self.encode: Callable[..., bytes] = _compile_encoder(definition)
+        self.encode: Callable[..., bytes] = self._compile_encode()
+
+    def _compile_encode(self) -> Callable[..., bytes]:
+        return _compile_encoder(self.definition)
 
 
-class _UnusualForm(Exception):
+class UnusualForm(Exception):
     """Raised by the generated function for terms that `encode_slot_by_slot` must handle."""
 
 
-class _PackedTexts(Cache[Atom, bytes]):
-    """Cache of serialized strings (length and bytes) by atom."""
+class PackedTexts(Cache[Atom, bytes]):
+    """Cache of serialized strings by atom.
+
+    Args:
+        pack_text: returns the serialized string of its bytes.
+    """
+
+    def __init__(self, pack_text: Callable[[bytes], bytes]):
+        super().__init__(max_entries=2048, max_bytes=1 << 20, max_entry_bytes=1024)
+        self._pack_text = pack_text
 
     def serialize(self, term: Term) -> bytes:
         """Return the serialized string of a term, and store it if the term is an atom."""
         encoded_bytes = text_bytes(term) if term.__class__ is Atom else raw_bytes(term)
         if encoded_bytes is None:
-            raise _UnusualForm
-        packed: bytes = pack("<I", len(encoded_bytes)) + encoded_bytes
+            raise UnusualForm
+        packed = self._pack_text(encoded_bytes)
         return (
             self.store(term, packed, getsizeof(term.name) + len(packed)) if term.__class__ is Atom else packed
         )
 
 
-_packed_texts = _PackedTexts(max_entries=2048, max_bytes=1 << 20, max_entry_bytes=1024)
+def _pack_text(encoded_bytes: bytes) -> bytes:
+    return pack("<I", len(encoded_bytes)) + encoded_bytes
+
+
+_packed_texts = PackedTexts(_pack_text)
 
 # Unpacking a term of an unexpected form raises one of these. They select `encode_slot_by_slot`, which raises the
 # error for the caller.
-_FALLBACK_ERRORS = (_UnusualForm, MessageError, ValueError, TypeError, KeyError, StructError, OverflowError)
+FALLBACK_ERRORS = (UnusualForm, MessageError, ValueError, TypeError, KeyError, StructError, OverflowError)
 
 
-class _EncoderGenerator:
+class EncoderGenerator:
     """Generator of the encoding function of one message type.
 
     Attributes:
@@ -124,8 +139,8 @@ class _EncoderGenerator:
                 "bools": _BOOLS,
                 "packed": _packed_texts.get,
                 "serialize": _packed_texts.serialize,
-                "UnusualForm": _UnusualForm,
-                "errors": _FALLBACK_ERRORS,
+                "UnusualForm": UnusualForm,
+                "errors": FALLBACK_ERRORS,
                 "join": b"".join,
             }
         )
@@ -136,15 +151,23 @@ class _EncoderGenerator:
     def add_message(self, definition: Definition, value: str) -> None:
         """Add a message: unpack its slots, check its functor, and add the slots."""
         if not definition.fields:
-            self.checks.append(f"{value} is not {self.new_name('A', atom(definition.functor_name))}")
+            self.check_empty_message(definition, value)
             return
+        for slot, variable in zip(definition.fields, self.unpack_message(definition, value)):
+            self.add_slot(slot, variable)
+
+    def check_empty_message(self, definition: Definition, value: str) -> None:
+        """Add the check that a value is the atom of a type without slots."""
+        self.checks.append(f"{value} is not {self.new_name('A', atom(definition.functor_name))}")
+
+    def unpack_message(self, definition: Definition, value: str) -> List[str]:
+        """Unpack a message, and check its functor; return the variables of its slots."""
         functor_variable = self.new_name("f")
         slot_variables = [self.new_name("v") for _ in definition.fields]
         self.lines.append(f"{functor_variable}, {', '.join(slot_variables)} = {value}")
         expected_functor = functor(definition.functor_name, len(definition.fields))
         self.checks.append(f"{functor_variable} is not {self.new_name('F', expected_functor)}")
-        for slot, variable in zip(definition.fields, slot_variables):
-            self.add_slot(slot, variable)
+        return slot_variables
 
     def add_slot(self, slot: Field, value: str) -> None:
         """Add a slot: a single value or an array."""
@@ -157,7 +180,11 @@ class _EncoderGenerator:
             for item in self.unpack_list(value, slot.length):
                 self.add_value(slot, item)
         else:
-            self.add_expression(f"{self.new_name('array', _compile_array_packer(slot))}({value})")
+            self.add_array(slot, value)
+
+    def add_array(self, slot: Field, value: str) -> None:
+        """Add an array that is not unpacked in the generated code."""
+        self.add_expression(f"{self.new_name('array', _compile_array_packer(slot))}({value})")
 
     def add_value(self, slot: Field, value: str) -> None:
         """Add a single value of a slot's type."""
@@ -190,15 +217,18 @@ class _EncoderGenerator:
 
     def add_bytes(self, slot: Field, value: str) -> None:
         """Add an array of bytes."""
-        packed = f"(packed({value}) or serialize({value}))"
         if slot.length == VARIABLE_LENGTH:
-            self.add_expression(packed)
-            return
+            self.add_expression(f"(packed({value}) or serialize({value}))")
+        else:
+            self.add_expression(self.unpack_bytes(slot, value))
+
+    def unpack_bytes(self, slot: Field, value: str) -> str:
+        """Unpack an array of a fixed number of bytes, and check the number; return the variable of the bytes."""
         encoded_bytes = self.new_name("v")
         # The cache includes the length, which an array of fixed length does not have on the wire.
-        self.lines.append(f"{encoded_bytes} = {packed}[4:]")
+        self.lines.append(f"{encoded_bytes} = (packed({value}) or serialize({value}))[4:]")
         self.checks.append(f"len({encoded_bytes}) != {slot.length}")
-        self.add_expression(encoded_bytes)
+        return encoded_bytes
 
     def add_to_run(self, code: str, value: str) -> None:
         """Add a value to the run, by its `struct` code."""
@@ -226,15 +256,19 @@ class _EncoderGenerator:
 
     def generate_statements(self) -> List[str]:
         """Return the statements of the function."""
-        # All conditions are tested in one statement after unpacking. If one of them is true,
-        # `encode_slot_by_slot` encodes the term.
         result = self.make_result_expression()
-        type_check = [f"if {' or '.join(self.checks)}: raise UnusualForm"] if self.checks else []
-        return [*self.lines, *type_check, f"return {result}"]
+        return [*self.lines, *self.generate_type_check(), f"return {result}"]
+
+    def generate_type_check(self) -> List[str]:
+        """Return the statement that raises `UnusualForm` if a condition of `checks` is true, or nothing.
+
+        All conditions are tested in one statement, after the term was unpacked.
+        """
+        return [f"if {' or '.join(self.checks)}: raise UnusualForm"] if self.checks else []
 
 
 def _compile_encoder(definition: Definition) -> Callable[..., bytes]:
-    generator = _EncoderGenerator()
+    generator = EncoderGenerator()
     generator.add_message(definition, "term")
     lines = [
         "def encode(term, topic=''):",
@@ -254,19 +288,19 @@ def _compile_array_packer(slot: Field) -> Callable[[Term], bytes]:
     decoder = find_number_decoder(slot)
     if decoder is not None:
         return _make_number_packer(slot, decoder)
-    generator = _EncoderGenerator()
+    generator = EncoderGenerator()
     generator.add_value(slot._replace(length=None), "term")
     lines = ["def encode(term):", *("  " + line for line in generator.generate_statements())]
     element = codegen.function(lines, generator.globals, f"encode element {slot.type}", "encode")
     length = slot.length
 
     def encode(term: Term) -> bytes:
-        items = _list_items(term)
+        items = list_of_usual_form(term)
         # The count precedes the elements only if the definition does not fix it.
         if length == VARIABLE_LENGTH:
             return pack("<I", len(items)) + b"".join(map(element, items))
         if len(items) != length:
-            raise _UnusualForm
+            raise UnusualForm
         return b"".join(map(element, items))
 
     return encode
@@ -284,23 +318,23 @@ def _make_number_packer(slot: Field, decoder: ArrayDecoder) -> Callable[[Term], 
             encoded_bytes = bytes(term.source)
             count = len(encoded_bytes) // size
         else:
-            items = _list_items(term)
+            items = list_of_usual_form(term)
             count = len(items)
             encoded_bytes = pack(f"<{count}{code}", *items)
         if length == VARIABLE_LENGTH:
             return pack("<I", count) + encoded_bytes
         if count != length:
-            raise _UnusualForm
+            raise UnusualForm
         return encoded_bytes
 
     return encode
 
 
-def _list_items(term: Term) -> List[Term]:
-    """Return the items of a list.
+def list_of_usual_form(term: Term) -> List[Term]:
+    """Return the items of a list without variables in its structure.
 
     Raises:
-        ValueError, TypeError, _UnusualForm: if the term is not a list.
+        ValueError, TypeError, UnusualForm: if the term is not such a list.
     """
     if term.__class__ is Lazy:
         term = term.term()
@@ -310,7 +344,7 @@ def _list_items(term: Term) -> List[Term]:
     while tail is not NIL:
         cons, item, tail = tail
         if cons is not CONS:
-            raise _UnusualForm
+            raise UnusualForm
         items.append(item)
     return items
 

@@ -16,7 +16,7 @@ from ..prolog.syntax.event_text import to_text
 from ..prolog.terms.array_terms import MAX_EAGER_ELEMENTS
 from ..prolog.terms.types import Lazy, Term, atom
 from .decoder import Decoder, FrameDecoderGenerator, StampWatch, UnsupportedLayout
-from .type_definition import FLOATS, PRIMITIVES, TIMES, Definition, Field
+from .type_definition import FLOATS, PRIMITIVES, TIMES, Definition, Field, SerializationFormat
 
 _VALUE_DELIMITER = "\0"
 """Delimiter around the source of a value in a text; it occurs in no name."""
@@ -44,6 +44,8 @@ def make_text_writer(decoder: Decoder) -> Callable[[bytes], str]:
     def write_decoded(data: bytes) -> str:
         return to_text(decoder.decode(data))
 
+    if decoder.format is not SerializationFormat.ROS1:
+        return write_decoded
     generator = _TextGenerator(decoder.watch)
     try:
         lines = generator.generate(decoder.definition, write_decoded)

@@ -2,20 +2,36 @@
 
 A stamp is a time with the frame that it belongs to (``frame_id`` and, if it follows, ``child_frame_id``). Stamps are
 read from the message's own header and from the headers of array elements, at offsets that are computed from the type
-definition: nothing is decoded. Every message is inspected, so the common case must be cheap: the observer is called
-only if the second of a frame's stamp differs from the last one observed. For types that `FrameDecoderGenerator`
-supports, that comparison is part of the generated decoding function; for other types it happens when the message's
-time is read.
+definition: nothing is decoded. `Ros1Walker` and `CdrWalker` find these offsets in the two formats of messages. Every
+message is inspected, so the common case must be cheap: the observer is called only if the second of a frame's stamp
+differs from the last one observed. For types that `FrameDecoderGenerator` supports, that comparison is part of the
+generated decoding function; for other types it happens when the message's time is read.
 """
 
 from copy import copy
 from struct import Struct
 from struct import error as StructError
-from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Tuple
+from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Tuple, Union
 
 from ..prolog.terms.timestamps import SECOND
+from .cdr_decoder import (
+    BYTE_ORDERS,
+    ENCAPSULATION_BYTES,
+    MAX_SECONDS,
+    aligned_offset,
+    cdr_slots,
+    number_layout,
+)
 from .decoder import Decoder, StampWatch, UnsupportedLayout, make_watching_decoder
-from .type_definition import HEADER, VARIABLE_LENGTH, Definition, Field, find_slot_end
+from .type_definition import (
+    HEADER,
+    TIMES,
+    VARIABLE_LENGTH,
+    Definition,
+    Field,
+    SerializationFormat,
+    find_slot_end,
+)
 
 FrameStamp = Tuple[bytes, int]
 """Bytes that identify a frame, and a time in nanoseconds."""
@@ -37,11 +53,14 @@ _unpack_header = Struct("<4xIII").unpack_from
 _unpack_uint32 = Struct("<I").unpack_from
 
 
-def make_stamp_reader(definition: Definition) -> Optional[ReadStamps]:
+def make_stamp_reader(
+    definition: Definition, serialization_format: SerializationFormat = SerializationFormat.ROS1
+) -> Optional[ReadStamps]:
     """Return the function that reads the stamps of messages of a type; None if the type has no stamps.
 
     Zero stamps are unset and are omitted. If the bytes are malformed, the stamps before the error are returned.
     """
+    create_walker = CdrWalker if serialization_format is SerializationFormat.CDR else Ros1Walker
     fields = _stamped_fields(definition)
     if not fields:
         return None
@@ -49,7 +68,7 @@ def make_stamp_reader(definition: Definition) -> Optional[ReadStamps]:
     def read_stamps(data: bytes) -> List[FrameStamp]:
         stamps: List[FrameStamp] = []
         try:
-            _collect_stamps(data, fields, stamps)
+            _collect_stamps(create_walker(data), fields, stamps)
         except StructError:  # decoding the message reports the error
             pass
         return stamps
@@ -71,7 +90,7 @@ def make_observed_decoder(decoder: Decoder, states: Mapping[bytes, Any], observe
     """
     definition, stamp, get_state = decoder.definition, decoder.stamp, states.get
     # Types without stamps keep their decoder, so that monitoring costs nothing for them.
-    read_stamps = make_stamp_reader(definition)
+    read_stamps = make_stamp_reader(definition, decoder.format)
     if read_stamps is None:
         return decoder
     read_all_stamps: ReadStamps = read_stamps
@@ -123,7 +142,11 @@ def _count_frame_strings(definition: Definition) -> int:
 
 
 def _make_header_stamp_reader(get_state: Callable[[bytes], Any], fallback: ReadStamp) -> ReadStamp:
-    """Return a fast reader for messages whose only stamp is that of their header."""
+    """Return a fast reader for messages whose only stamp is that of their header.
+
+    In little-endian CDR, four bytes precede the message in place of ``seq``. Others are read by ``fallback``, because
+    they name no known frame.
+    """
 
     def read_header_stamp(data: bytes) -> Optional[int]:
         try:
@@ -147,8 +170,10 @@ def format_frame_key(key: bytes) -> str:
         # A last byte may follow, which distinguishes fields with the same frame.
         while offset + 4 <= len(key):
             (size,) = _unpack_uint32(key, offset)
-            names.append(key[offset + 4 : offset + 4 + size].decode("utf-8", "replace"))
+            name = key[offset + 4 : offset + 4 + size]
             offset += 4 + size
+            # In CDR a zero ends the name.
+            names.append(name.rstrip(b"\0").decode("utf-8", "replace"))
     except StructError:
         return repr(key)
     return " > ".join(names)
@@ -212,36 +237,171 @@ def _has_child(definition: Definition) -> bool:
 
 
 def _count_trailing_bytes(definition: Definition) -> Optional[int]:
-    """Return the number of bytes after the frames, or None if it varies."""
+    """Return the number of bytes after the frames in ROS 1, or None if it varies."""
     frame_count = 2 if _has_child(definition) else 1
     measure = Definition(definition.name, definition.fields[frame_count:]).measure
     return measure.min_size if measure.is_fixed_size else None
 
 
-def _collect_stamps(data: bytes, fields: List[_StampedField], stamps: List[FrameStamp]) -> None:
-    """Add the stamps of a message to ``stamps``, so that those before an error are known."""
-    # Offsets as on the wire: seq, secs, nsecs, length of frame_id (4 bytes each), then the frame's name.
-    offset = 0
-    for field, suffix, has_child, trailing_bytes in fields:
-        if has_child is None:
-            offset = find_slot_end(data, field, offset)
-            continue
-        count = 1 if field.length is None else field.length
+class HeaderPosition(NamedTuple):
+    """A header in a message.
+
+    Attributes:
+        second: seconds of its stamp.
+        nanosecond: nanoseconds of its stamp.
+        frame_start: offset of the frame's name, with its length in front.
+        end: offset after the name.
+    """
+
+    second: int
+    nanosecond: int
+    frame_start: int
+    end: int
+
+
+class Ros1Walker:
+    """Positions in a serialized message of ROS 1. All methods raise `struct.error` if the bytes end before.
+
+    Attributes:
+        data: the message.
+        start: offset of the first slot.
+    """
+
+    start = 0
+
+    def __init__(self, data: bytes):
+        self.data = data
+
+    def read_count(self, offset: int) -> Tuple[int, int]:
+        """Return the number of elements of an array, and the offset of the first one."""
+        return _unpack_uint32(self.data, offset)[0], offset + 4
+
+    def read_header(self, offset: int) -> HeaderPosition:
+        """Return the position of a header that begins at an offset: seq, secs, nsecs, and the frame's name."""
+        second, nanosecond, size = _unpack_header(self.data, offset)
+        return HeaderPosition(second, nanosecond, offset + 12, offset + 16 + size)
+
+    @staticmethod
+    def string_start(offset: int) -> int:
+        """Return the offset of the length of a string."""
+        return offset
+
+    def skip_string(self, offset: int) -> int:
+        """Return the offset after a string."""
+        return offset + 4 + int(_unpack_uint32(self.data, offset)[0])
+
+    def skip_slot(self, slot: Field, offset: int) -> int:
+        """Return the offset after a slot."""
+        return find_slot_end(self.data, slot, offset)
+
+    def skip_rest(self, element: _StampedField, start: int, frames_end: int) -> int:
+        """Return the offset after an element with a header, given its start and the end of its frames."""
+        if element.trailing_bytes is not None:
+            return frames_end + element.trailing_bytes
+        return self.skip_slot(element.field._replace(length=None), start)
+
+
+class CdrWalker:
+    """Positions in a CDR message; see `Ros1Walker`."""
+
+    start = ENCAPSULATION_BYTES
+
+    def __init__(self, data: bytes):
+        self.data = data
+        byte_order = BYTE_ORDERS.get(data[:2])
+        if byte_order is None:
+            raise StructError
+        self._unpack_uint32 = Struct(byte_order + "I").unpack_from
+
+    def read_count(self, offset: int) -> Tuple[int, int]:
+        """Return the number of elements of an array, and the offset of the first one before its padding."""
+        offset = offset + 3 & -4
+        return self._unpack_uint32(self.data, offset)[0], offset + 4
+
+    def read_header(self, offset: int) -> HeaderPosition:
+        """Return the position of a header that begins at an offset, before its padding."""
+        second, offset = self.read_count(offset)
+        nanosecond, frame_start = self.read_count(offset)
+        # A negative time has no event form. Decoding the message reports the error.
+        if second > MAX_SECONDS:
+            raise StructError
+        return HeaderPosition(second, nanosecond, frame_start, self.skip_string(frame_start))
+
+    @staticmethod
+    def string_start(offset: int) -> int:
+        """Return the offset of the length of a string, after its padding."""
+        return offset + 3 & -4
+
+    def skip_string(self, offset: int) -> int:
+        """Return the offset after a string."""
+        size, start = self.read_count(offset)
+        return self._check_end(start + size)
+
+    def skip_rest(self, element: _StampedField, start: int, frames_end: int) -> int:
+        """Return the offset after an element with a header, given its start and the end of its frames."""
+        return self.skip_slot(element.field._replace(length=None), start)
+
+    def skip_slot(self, slot: Field, offset: int) -> int:
+        """Return the offset after a slot."""
+        count = 1 if slot.length is None else slot.length
         if count == VARIABLE_LENGTH:
-            (count,) = _unpack_uint32(data, offset)
-            offset += 4
+            count, offset = self.read_count(offset)
+        layout = number_layout(slot)
+        if layout is not None:
+            codes, size = layout
+            if count:
+                offset = aligned_offset(offset, size) + count * len(codes) * size
+            return self._check_end(offset)
+        # Each element has a byte at least, so the end is checked after as many steps.
+        element = slot._replace(length=None)
         for _ in range(count):
-            second, nanosecond, size = _unpack_header(data, offset)
-            end = offset + 16 + size
-            next_field = end
-            if has_child:
-                end += 4 + _unpack_uint32(data, end)[0]
-            if second or nanosecond:
-                stamps.append((data[offset + 12 : end] + suffix, second * SECOND + nanosecond))
+            offset = self._skip_element(element, offset)
+        return offset
+
+    def _skip_element(self, slot: Field, offset: int) -> int:
+        if slot.definition is not None:
+            slots = cdr_slots(slot.definition)
+            for inner in slots:
+                offset = self.skip_slot(inner, offset)
+            return offset if slots else self._check_end(offset + 1)
+        if slot.type in TIMES:
+            return self._check_end((offset + 3 & -4) + 8)
+        if slot.is_wide:
+            # The width of characters is unknown here; the stamps before are returned.
+            raise StructError
+        return self.skip_string(offset)
+
+    def _check_end(self, offset: int) -> int:
+        if offset > len(self.data):
+            raise StructError
+        return offset
+
+
+def _collect_stamps(
+    walker: Union[Ros1Walker, CdrWalker], fields: List[_StampedField], stamps: List[FrameStamp]
+) -> None:
+    """Add the stamps of a message to ``stamps``, so that those before an error are known."""
+    offset = walker.start
+    for field in fields:
+        if field.has_child is None:
+            offset = walker.skip_slot(field.field, offset)
+            continue
+        count = 1 if field.field.length is None else field.field.length
+        if count == VARIABLE_LENGTH:
+            count, offset = walker.read_count(offset)
+        for _ in range(count):
+            header = walker.read_header(offset)
+            frames = walker.data[header.frame_start : header.end]
+            end = header.end
+            if field.has_child:
+                # Without the padding before it, which some implementations do not clear.
+                child_start = walker.string_start(end)
+                end = walker.skip_string(end)
+                frames += walker.data[child_start:end]
+            if header.second or header.nanosecond:
+                stamps.append((frames + field.suffix, header.second * SECOND + header.nanosecond))
             # The child frame is a field of the message itself, so that the loop reaches it next.
-            if field.length is None:
-                offset = next_field
-            elif trailing_bytes is not None:
-                offset = end + trailing_bytes
+            if field.field.length is None:
+                offset = header.end
             else:
-                offset = find_slot_end(data, field._replace(length=None), offset)
+                offset = walker.skip_rest(field, offset, end)

@@ -24,6 +24,7 @@ definitions differently than genmsg:
 
 import logging
 import re
+from enum import Enum
 from struct import calcsize, unpack_from
 from struct import error as StructError
 from typing import (
@@ -77,6 +78,19 @@ FLOATS = frozenset(name for name, code in PRIMITIVES.items() if code in "efd")
 TIMES: Dict[str, str] = {"time": "II", "duration": "ii"}
 BUILTIN = frozenset(PRIMITIVES) | frozenset(TIMES) | {"string"}
 
+
+class SerializationFormat(Enum):
+    """A serialization of messages, with the name that bags have for it."""
+
+    ROS1 = "ros1"
+    """That of ROS 1: little-endian numbers without padding."""
+    CDR = "cdr"
+    """Plain CDR, that of ROS 2; see `cdr_decoder`."""
+
+
+WIDE_STRING_COMMENT = "# wstring"
+"""Comment of a ``string`` that is a ``wstring`` in ROS 2, in definitions that were converted from ROS 2."""
+
 VARIABLE_LENGTH = -1
 """Length of an array whose number of elements is part of the message."""
 
@@ -124,12 +138,14 @@ class Field(NamedTuple):
         type: the type of the slot or of its elements: a built-in one, or ``pkg/Type``.
         length: None for a single value, `VARIABLE_LENGTH` or the number of elements for an array.
         definition: the definition of a ``pkg/Type``, None for built-in types.
+        is_wide: whether strings are of type ``wstring`` in ROS 2.
     """
 
     name: str
     type: str
     length: Optional[int] = None
     definition: Optional["Definition"] = None
+    is_wide: bool = False
 
     @property
     def is_bytes(self) -> bool:
@@ -593,12 +609,13 @@ class _DefinitionReader:
         if match:
             self._add_constant("string", match, offset)
             return
+        comment = _COMMENT.search(line)
         line = _COMMENT.sub("", line)
         if not line.strip():
             return
         match = _FIELD.match(line)
         if match:
-            self._add_field(match, offset)
+            self._add_field(match, offset, comment is not None and comment[0].strip() == WIDE_STRING_COMMENT)
             return
         match = _CONSTANT.match(line)
         if match:
@@ -649,7 +666,7 @@ class _DefinitionReader:
             problem = f"{quote_shortened(text)} is not a value of type {type_name}: {expected}"
             raise self._make_error(problem, position) from None
 
-    def _add_field(self, match: "re.Match[str]", offset: int) -> None:
+    def _add_field(self, match: "re.Match[str]", offset: int, is_wide: bool) -> None:
         self._check_name(match, offset, self.fields)
         type_name, array, length = ros1_type_name(match["type"]), match["array"], None
         if array is not None:
@@ -659,7 +676,9 @@ class _DefinitionReader:
         else:
             definition = self._find_nested(type_name, offset + match.start("type"))
             type_name = definition.name
-        slot = self.fields[match["name"]] = Field(match["name"], type_name, length, definition)
+        slot = self.fields[match["name"]] = Field(
+            match["name"], type_name, length, definition, is_wide and type_name == "string"
+        )
         self.measure = self.measure.plus(slot)
         exceeded_limit = self.measure.exceeded_limit()
         if exceeded_limit:

@@ -31,6 +31,8 @@ from typing import (
 from ..foundation.bounded_caches import Cache
 from ..foundation.errors import MessageError, shorten
 from ..foundation.ros_names import ros1_type_name, type_fault
+from .cdr_decoder import CdrDecoder
+from .cdr_encoder import CdrEncoder
 from .decoder import Decoder
 from .encoder import Encoder
 from .type_definition import (
@@ -40,6 +42,7 @@ from .type_definition import (
     MAX_TYPE_DEPTH,
     Definition,
     Field,
+    SerializationFormat,
     parse,
     split_sections,
     warn_of_ignored_constants,
@@ -362,10 +365,10 @@ _ALIASES = {"tf/tfMessage": "tf2_msgs/TFMessage"}
 _FALLBACK_DEFINITIONS = {"tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms\n"}
 """Types that every robot publishes, and that some systems do not install as text (Debian, ``rosbags``)."""
 
-_TypeKey = Tuple[str, str]
+_TypeKey = Tuple[str, ...]
 """Name of a type with its text or its checksum."""
 
-_DecoderKey = Tuple[str, str, str]
+_DecoderKey = Tuple[str, str, str, str]
 """Type, checksum and name of the events."""
 
 MAX_DEFINITION_CHARACTERS = 1_000_000
@@ -489,7 +492,15 @@ class Definitions:
         for nested in definition.dependencies():
             self._nested.setdefault(nested.name, nested)
 
-    def learn(self, name: str, sent: str, text: str, md5sum: str, event: str = "") -> Learned:
+    def learn(
+        self,
+        name: str,
+        sent: str,
+        text: str,
+        md5sum: str,
+        event: str = "",
+        serialization_format: SerializationFormat = SerializationFormat.ROS1,
+    ) -> Learned:
         """Return the decoder of a publisher's messages as events of the name ``event``; see `received`.
 
         >>> definitions = Definitions()
@@ -503,7 +514,8 @@ class Definitions:
         name, sent = ros1_type_name(name), ros1_type_name(sent)
         is_unknown = name not in self
         definition = self.received(name, sent, text, md5sum)
-        return Learned(self.decoder(definition.as_event(event)), is_unknown and sent != name)
+        decoder = self.decoder(definition.as_event(event), serialization_format)
+        return Learned(decoder, is_unknown and sent != name)
 
     def received(self, name: str, sent: str, text: str, md5sum: str) -> Definition:
         """Return the definition by which a publisher's messages are read as a type: the known one, or the sent one.
@@ -558,21 +570,29 @@ class Definitions:
             return False
         return True
 
-    def decoder(self, definition: Union[Definition, str]) -> Decoder:
-        """Return the decoder of a type, which is compiled once."""
+    def decoder(
+        self,
+        definition: Union[Definition, str],
+        serialization_format: SerializationFormat = SerializationFormat.ROS1,
+    ) -> Decoder:
+        """Return the decoder of a type for messages in a format, which is compiled once."""
         definition = self.find(definition) if isinstance(definition, str) else definition
-        key = (definition.name, definition.md5sum, definition.event)
+        is_cdr = serialization_format is SerializationFormat.CDR
+        # The checksum does not include comments, and these tell wide strings.
+        key = (definition.name, definition.md5sum, definition.event, definition.full_text if is_cdr else "")
         decoder = self._decoders.get(key)
         if decoder is None:
-            decoder = self._decoders.store(
-                key,
-                Decoder(definition, self._max_empty_elements),
-                _BYTES_PER_SLOT * (definition.measure.slot_count + 2),
-            )
+            new_decoder = CdrDecoder(definition) if is_cdr else Decoder(definition, self._max_empty_elements)
+            size = _BYTES_PER_SLOT * (definition.measure.slot_count + 2) + len(key[-1])
+            decoder = self._decoders.store(key, new_decoder, size)
         return decoder
 
-    def encoder(self, definition: Union[Definition, str]) -> Encoder:
-        """Return the encoder of a type, which is compiled once.
+    def encoder(
+        self,
+        definition: Union[Definition, str],
+        serialization_format: SerializationFormat = SerializationFormat.ROS1,
+    ) -> Encoder:
+        """Return the encoder of a type for messages in a format, which is compiled once.
 
         >>> definitions = Definitions()
         >>> bumper = definitions.add("my_robot/Bumper", "bool left")
@@ -580,12 +600,13 @@ class Definitions:
         True
         """
         definition = self.find(definition) if isinstance(definition, str) else definition
-        key = (definition.name, definition.md5sum)
+        is_cdr = serialization_format is SerializationFormat.CDR
+        key = (definition.name, definition.md5sum, definition.full_text if is_cdr else "")
         encoder = self._encoders.get(key)
         if encoder is None:
-            encoder = self._encoders.store(
-                key, Encoder(definition), _BYTES_PER_SLOT * (definition.measure.slot_count + 2)
-            )
+            size = _BYTES_PER_SLOT * (definition.measure.slot_count + 2) + len(key[-1])
+            new_encoder = CdrEncoder(definition) if is_cdr else Encoder(definition)
+            encoder = self._encoders.store(key, new_encoder, size)
         return encoder
 
     def installed_text(self, name: str) -> Optional[Tuple[str, str]]:

@@ -529,7 +529,7 @@ class Diagnostics:
         transport.on_shutdown(self._is_shut_down.set)
         threading.Thread(
             target=self._run,
-            args=(period, publication, definitions.encoder(definition)),
+            args=(period, publication, definitions.encoder(definition, transport.format)),
             name="retalis diagnostics",
             daemon=True,
         ).start()

@@ -13,12 +13,14 @@ from .text_exchange import (
     TEXT_TYPE,
     EventSender,
     SubscribeTexts,
+    TextHandlerFactory,
     format_output,
     make_event_sender,
-    read_text_message,
-    serialize_text,
+    text_reader,
+    text_serializer,
 )
 from .topic_statistics import OutputStatus, describe_publication
+from .transport import MessageSource
 
 
 class PlainTextExchange:
@@ -32,6 +34,7 @@ class PlainTextExchange:
         transport = context.transport
         definition = context.definitions.find(TEXT_TYPE)
         self._reports = context.reports
+        self._serialize = text_serializer(transport.format)
         self._stamp = Receipts(context.time.now).stamp
         self._topics = {
             name: transport.advertise(transport.resolve_topic(name), definition, context.parameters.queue)
@@ -41,13 +44,13 @@ class PlainTextExchange:
 
     def make_event_sender(self, decoder: Decoder) -> Optional[EventSender]:
         """See `TextExchange`."""
-        return make_event_sender(decoder, self._topics[INPUT], self._stamp, self._reports)
+        return make_event_sender(decoder, self._topics[INPUT], self._stamp, self._reports, self._serialize)
 
     def send_output(self, term: Term, topic: str, name: Term) -> None:
         """See `TextExchange`."""
         publication = self._topics[OUTPUT]
         if publication.subscriber_count():
-            publication.send(serialize_text(format_output(term, topic, name)))
+            publication.send(self._serialize(format_output(term, topic, name)))
 
     def is_output_received(self) -> bool:
         """See `TextExchange`: outputs are published by this node."""
@@ -55,13 +58,13 @@ class PlainTextExchange:
 
     def receive_outputs(self, subscribe: SubscribeTexts, publish: Callable[[str], object]) -> None:
         """See `TextExchange`."""
-        subscribe(OUTPUT, lambda decoder, topic, source: lambda data: publish(read_text_message(data)))
+        subscribe(OUTPUT, _make_handler_factory(publish))
 
     def receive_events(
         self, subscribe: SubscribeTexts, post: Callable[[str], object]
     ) -> List[ContextManager[object]]:
         """See `TextExchange`."""
-        return [subscribe(INPUT, lambda decoder, topic, source: lambda data: post(read_text_message(data)))]
+        return [subscribe(INPUT, _make_handler_factory(post))]
 
     def statuses(self) -> List[OutputStatus]:
         """See `TextExchange`."""
@@ -69,3 +72,13 @@ class PlainTextExchange:
             describe_publication(self._names[name], TEXT_TYPE, publication)
             for name, publication in self._topics.items()
         ]
+
+
+def _make_handler_factory(receive: Callable[[str], object]) -> TextHandlerFactory:
+    """Return the factory of handlers that pass on the texts of messages."""
+
+    def make_handler(decoder: Decoder, topic: str, source: MessageSource) -> Callable[[bytes], object]:
+        read = text_reader(decoder.format)
+        return lambda data: receive(read(data))
+
+    return make_handler

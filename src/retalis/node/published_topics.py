@@ -158,7 +158,9 @@ class PublishedTopics:
     def _advertise(self, name: str, message_type: str, latched: bool) -> None:
         definition = self._definitions.find(message_type)
         publication = self._transport.advertise(name, definition, self._queue, latched)
-        self._typed[name] = _TypedTopic(publication, self._definitions.encoder(definition))
+        self._typed[name] = _TypedTopic(
+            publication, self._definitions.encoder(definition, self._transport.format)
+        )
 
     def advertise_learned_types(self) -> None:
         """Advertise the topics whose types have become known through a new connection to a publisher."""

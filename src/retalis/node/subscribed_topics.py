@@ -44,6 +44,7 @@ from ..messages.transform_messages import (
     TRANSFORM_TYPES,
     TransformReader,
 )
+from ..messages.type_definition import SerializationFormat
 from ..messages.type_registry import Definitions
 from .text_exchange import TEXT_TOPICS, resolve_subscribable_topic
 from .topic_statistics import InputCounts, InputStatus, LossMonitor
@@ -255,9 +256,8 @@ class SubscribedTopics:
         """
         for topic in TRANSFORM_TOPICS:
             name = self._transport.resolve_topic(topic)
-            reader = TransformReader(topic == STATIC_TRANSFORM_TOPIC)
             processing = self._processing._replace(
-                make_handler=lambda decoder, topic, source, read=reader.read: lambda data: (read(data), None),  # type: ignore[misc]
+                make_handler=make_transform_handler_factory(topic == STATIC_TRANSFORM_TOPIC),
                 consume_results=consume_results,
                 skew=None,
                 reads_transforms=True,
@@ -315,6 +315,16 @@ class SubscribedTopics:
         """Return the handler of a new source's messages, after others have used a type that it defines."""
         self._on_type_learned()
         return self._factory(decoder, topic, source)
+
+
+def make_transform_handler_factory(is_static: bool) -> HandlerFactory:
+    """Return the factory of handlers that convert messages to pairs of a `TransformMessage` and None."""
+
+    def make_handler(decoder: Decoder, topic: str, source: MessageSource) -> MessageHandler:
+        read = TransformReader(is_static, decoder.format).read
+        return lambda data: (read(data), None)
+
+    return make_handler
 
 
 class SubscribedTopic:
@@ -389,7 +399,9 @@ class SubscribedTopic:
         try:
             decoder = self._find_decoder(source)
             stamp = decoder.stamp
-            monitor = self._make_loss_monitor(source, has_header(decoder.definition))
+            # In ROS 2, headers have no sequence number.
+            is_numbered = decoder.format is SerializationFormat.ROS1 and has_header(decoder.definition)
+            monitor = self._make_loss_monitor(source, is_numbered)
             if processing.skew is not None:
                 decoder = processing.skew.watch(decoder, topic, source.node)
             handler = processing.make_handler(decoder, topic, source)
@@ -421,7 +433,12 @@ class SubscribedTopic:
             known = self._definitions.find(source.message_type if is_named else request.message_type)
             source = source._replace(message_type=known.name, definition=known.full_text, md5sum=known.md5sum)
         learned = self._definitions.learn(
-            request.message_type, source.message_type, source.definition, source.md5sum, request.event
+            request.message_type,
+            source.message_type,
+            source.definition,
+            source.md5sum,
+            request.event,
+            source.format,
         )
         if learned.is_replacement:
             self._options.report_replaced_type(request, source)

@@ -9,8 +9,11 @@ from typing import Any, Callable, ContextManager, Iterable, List, Optional, Prot
 
 from ..engine.runtime.problem_reports import Reports
 from ..foundation.errors import MessageError, RetalisError, UsageError
+from ..messages.cdr_decoder import BYTE_ORDERS, MAX_PADDING_BYTES, not_plain_cdr
+from ..messages.cdr_encoder import LITTLE_ENDIAN_CDR
 from ..messages.decoder import Decoder
 from ..messages.event_text_writer import make_text_writer
+from ..messages.type_definition import SerializationFormat
 from ..prolog.syntax.event_text import event_text, to_text
 from ..prolog.terms.types import Term, atom, functor
 from .topic_statistics import OutputStatus
@@ -33,9 +36,10 @@ TEXT_TYPE = "std_msgs/String"
 EventSender = Callable[[bytes, Optional[int]], None]
 """Sends a serialized message as text, with the stamp of its event in ns, or None."""
 
-SubscribeTexts = Callable[
-    [str, Callable[[Decoder, str, MessageSource], Callable[[bytes], Any]]], ContextManager[object]
-]
+TextHandlerFactory = Callable[[Decoder, str, MessageSource], Callable[[bytes], Any]]
+"""Returns the handler of a source's messages of texts."""
+
+SubscribeTexts = Callable[[str, TextHandlerFactory], ContextManager[object]]
 """Subscribes to a topic of texts with the handler of each source; see `SubscribedTopics.subscribe_texts`."""
 
 _UINT32 = Struct("<I")
@@ -85,9 +89,21 @@ def resolve_subscribable_topic(
 
 
 def make_event_sender(
-    decoder: Decoder, publication: TopicPublication, stamp: Callable[[], int], reports: Reports
+    decoder: Decoder,
+    publication: TopicPublication,
+    stamp: Callable[[], int],
+    reports: Reports,
+    serialize: Callable[[str], bytes],
 ) -> EventSender:
-    """Return the function that sends messages of a type as text. Without a subscriber it does nothing."""
+    """Return the function that sends messages of a type as text. Without a subscriber it does nothing.
+
+    Args:
+        decoder: decoder of the messages.
+        publication: topic of the texts.
+        stamp: returns the instant of an event without one, in ns.
+        reports: receives the errors of single messages.
+        serialize: returns the message of a text; see `text_serializer`.
+    """
     # Without the clock skew check, which is done.
     write = make_text_writer(decoder.plain or decoder)
     count_subscribers = publication.subscriber_count
@@ -101,7 +117,7 @@ def make_event_sender(
             # The event itself is processed.
             reports.error(error, INPUT)
             return
-        publication.send(serialize_text(text))
+        publication.send(serialize(text))
 
     return send
 
@@ -111,14 +127,29 @@ def format_output(term: Term, topic: str, name: Term) -> str:
     return to_text((OUTPUT_EVENT, term, atom(topic), name))
 
 
+def text_serializer(serialization_format: SerializationFormat) -> Callable[[str], bytes]:
+    """Return the function from a text to a serialized ``std_msgs/String``."""
+    return serialize_text if serialization_format is SerializationFormat.ROS1 else _serialize_cdr_text
+
+
 def serialize_text(text: str) -> bytes:
-    """Return a text as a serialized ``std_msgs/String``."""
+    """Return a text as a serialized ``std_msgs/String`` of ROS 1."""
     data = text.encode("utf-8", "surrogateescape")
     return _UINT32.pack(len(data)) + data
 
 
+def _serialize_cdr_text(text: str) -> bytes:
+    data = text.encode("utf-8", "surrogateescape")
+    return LITTLE_ENDIAN_CDR + _UINT32.pack(len(data) + 1) + data + b"\0"
+
+
+def text_reader(serialization_format: SerializationFormat) -> Callable[[bytes], str]:
+    """Return the function from a serialized ``std_msgs/String`` to its text; see `read_text_message`."""
+    return read_text_message if serialization_format is SerializationFormat.ROS1 else _read_cdr_text
+
+
 def read_text_message(data: bytes) -> str:
-    """Return the text of a serialized ``std_msgs/String``.
+    """Return the text of a serialized ``std_msgs/String`` of ROS 1.
 
     Raises:
         MessageError: if the bytes are another message.
@@ -126,3 +157,13 @@ def read_text_message(data: bytes) -> str:
     if len(data) < 4 or _UINT32.unpack_from(data)[0] != len(data) - 4:
         raise MessageError("expected a std_msgs/String, found other bytes")
     return str(data[4:], "utf-8", "replace")
+
+
+def _read_cdr_text(data: bytes) -> str:
+    byte_order = BYTE_ORDERS.get(data[:2])
+    if byte_order is None or len(data) < 8:
+        raise MessageError(not_plain_cdr(TEXT_TYPE, data))
+    end = 8 + Struct(byte_order + "I").unpack_from(data, 4)[0]
+    if not 0 <= len(data) - end <= MAX_PADDING_BYTES:
+        raise MessageError("expected a std_msgs/String, found other bytes")
+    return str(data[8:end].rstrip(b"\0"), "utf-8", "replace")

@@ -15,7 +15,7 @@ sources, timers and requests may overlap; the calls for one source may not. Topi
 from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Protocol, Set
 
 from ..events.knowledge.transform_buffer import TransformBuffer
-from ..messages.type_definition import Definition
+from ..messages.type_definition import Definition, SerializationFormat
 from ..messages.type_registry import InstalledTypes
 
 
@@ -32,6 +32,7 @@ class MessageSource(NamedTuple):
         md5sum: checksum of the type in ROS 1; "" if unknown.
         is_latched: whether it sends its last message to each new subscriber.
         address: identifies the process of the node; "" if unknown.
+        format: serialization of its messages.
     """
 
     node: str
@@ -40,6 +41,7 @@ class MessageSource(NamedTuple):
     md5sum: str = ""
     is_latched: bool = False
     address: str = ""
+    format: SerializationFormat = SerializationFormat.ROS1
 
 
 class MessageReceiver(Protocol):
@@ -133,7 +135,13 @@ class NodeGraph(NamedTuple):
 
 
 class MessageTransport(Protocol):
-    """Topics as a running program sees them."""
+    """Topics as a running program sees them.
+
+    Attributes:
+        format: serialization of the messages that are published; sources state that of theirs.
+    """
+
+    format: SerializationFormat
 
     def now(self) -> int:
         """Return the time in nanoseconds since the epoch; 0 while simulated time is unknown."""

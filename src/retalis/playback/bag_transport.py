@@ -9,7 +9,7 @@ from typing import Dict, Iterable, List, NamedTuple, Set, Tuple
 
 from ..events.clock.clock import StreamClock
 from ..foundation.ros_names import strip_slashes
-from ..messages.type_definition import Definition
+from ..messages.type_definition import Definition, SerializationFormat
 from ..node.transport import Connect, MessageReceiver, MessageSource
 from .bag_locations import Bag
 from .rosbag1 import Topic
@@ -84,6 +84,7 @@ class BagTransport:
     """A bag, or several one after the other, as `MessageTransport`.
 
     Attributes:
+        format: serialization of outputs.
         clock: time of the bag, moved by whoever plays it.
         publications: advertised topics by full name.
         receivers: receivers of the messages of each connection, by the identity of its `Topic`: hashing a topic would
@@ -91,6 +92,7 @@ class BagTransport:
     """
 
     def __init__(self) -> None:
+        self.format = SerializationFormat.ROS1
         self.clock = StreamClock(0)
         self.publications: Dict[str, BagPublication] = {}
         self.receivers: Dict[int, Tuple[MessageReceiver, ...]] = {}
@@ -167,7 +169,9 @@ class BagTransport:
         return joining_names, refused
 
     def _connect_topic(self, topic: Topic, subscription: BagSubscription) -> Iterable[RefusedConnection]:
-        source = MessageSource(topic.caller, topic.type, topic.definition, topic.md5sum, topic.latched)
+        source = MessageSource(
+            topic.caller, topic.type, topic.definition, topic.md5sum, topic.latched, format=topic.format
+        )
         receiver = subscription.connect(source)
         if receiver.error:
             # Transforms are only a part of what the program reads, and a bag may have none.

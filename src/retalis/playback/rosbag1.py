@@ -46,7 +46,7 @@ from ..foundation.errors import RetalisError
 from ..foundation.interrupts import check_interrupt
 from ..foundation.output_files import replace_file
 from ..foundation.ros_names import strip_slashes
-from ..messages.type_definition import Definition
+from ..messages.type_definition import Definition, SerializationFormat
 from .decompression import MAX_CHUNK_MEGABYTES, ChunkLimit, describe_error, unpack
 
 MAX_CHUNKS_AHEAD = 3
@@ -262,6 +262,7 @@ class Topic(NamedTuple):
         messages: number of messages of this connection in the bag.
         latched: whether the publisher latched its last message.
         caller: name of the publishing node, if the bag contains it.
+        format: serialization of the messages.
     """
 
     name: str
@@ -271,6 +272,7 @@ class Topic(NamedTuple):
     messages: int = 0
     latched: bool = False
     caller: str = ""
+    format: SerializationFormat = SerializationFormat.ROS1
 
 
 class UnreadableTopic(NamedTuple):
@@ -282,7 +284,7 @@ class UnreadableTopic(NamedTuple):
 
 
 class Record(NamedTuple):
-    """A message of a bag: its topic, the time of its receipt in nanoseconds, and its serialized bytes.
+    """A message of a bag: its topic, the time of its receipt in nanoseconds, and its bytes in the topic's format.
 
     >>> with BagReader(folder / "talk.bag") as bag:
     ...     (record,) = bag.records()

@@ -1,8 +1,8 @@
-"""Reading of ROS 2 bags (SQLite and MCAP files), with messages converted to ROS 1 serialization.
+"""Reading of ROS 2 bags (SQLite and MCAP files).
 
 `Ros2BagReader` has the interface of `rosbag1.BagReader`. `sqlite_file` and `mcap_file` read one file each; types come
 from the definitions in the bag, from ROS 2 (with the package ``rosbags``), or from the installed messages. An MCAP
-file can also contain messages of ROS 1, which are not converted.
+file can also contain messages of ROS 1.
 
 The files are parsed here instead of with ``rosbags``, so that a malformed file cannot consume more memory or time
 than its size justifies.
@@ -20,12 +20,12 @@ from itertools import islice, takewhile
 from operator import attrgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Callable, Collection, Dict, Iterator, List, NamedTuple, Optional, Tuple, Union
+from typing import Any, Callable, Collection, Dict, Iterator, List, Optional, Tuple, Union
 
 from ..foundation.errors import MessageError, format_count, quote_shortened, shorten
 from ..foundation.ros_names import ros1_type_name, strip_slashes, topic_fault
-from ..messages.ros2_to_ros1 import Ros2Type, parse_ros2_type
-from ..messages.type_definition import Definition
+from ..messages.ros2_definitions import parse_ros2_type
+from ..messages.type_definition import Definition, SerializationFormat
 from ..messages.type_registry import Definitions, InstalledTypes
 from .decompression import MAX_CHUNK_MEGABYTES, ChunkLimit, copy_up_to, describe_error, zstd_reader
 from .mcap_file import McapFile
@@ -55,18 +55,10 @@ A decompressed file may also take at most half of the free disk space.
 MAX_METADATA_BYTES = 4_000_000
 
 
-class _ConvertedTopic(NamedTuple):
-    """A topic, and the conversion of its messages to ROS 1."""
-
-    topic: Topic
-    convert: Callable[[bytes], bytes]
-
-
 class Ros2BagReader:
     """A ROS 2 bag opened for reading: a folder with ``metadata.yaml``, or one of its files.
 
-    Types have the names of ROS 1, and headers have the sequence number 0. Arguments, attributes, and methods are
-    those of `BagReader`.
+    Types have the names of ROS 1. Arguments, attributes, and methods are those of `BagReader`.
 
     Raises:
         BagError: if the bag cannot be read.
@@ -78,9 +70,9 @@ class Ros2BagReader:
         self._stack = ExitStack()
         files, self._has_packed_messages = _open_files(self.path, self._limit, self._stack)
         unreadable: List[UnreadableTopic] = []
-        self._converted_topics = _convert_topics(files, unreadable)
+        self._topics = _read_topics(files, unreadable)
         self.unreadable: Tuple[UnreadableTopic, ...] = tuple(unreadable)
-        self.topics: Tuple[Topic, ...] = tuple(source.topic for source in self._converted_topics.values())
+        self.topics: Tuple[Topic, ...] = tuple(self._topics.values())
         self.messages = sum(connection.messages for file in files for connection in file.connections)
         non_empty_files = [
             file for file in files if any(connection.messages for connection in file.connections)
@@ -98,8 +90,9 @@ class Ros2BagReader:
     ) -> Iterator[Record]:
         """Yield the messages in order of receipt; see `BagReader.records`.
 
-        Topics that cannot be read are left out with a warning. Messages that do not fit their type are dropped, with
+        Topics that cannot be read are left out with a warning. Compressed messages that are broken are dropped, with
         a warning for the first one of a topic and their number.
+
 
         Raises:
             BagError: if the bag is malformed.
@@ -110,9 +103,9 @@ class Ros2BagReader:
         sources: List[Tuple[int, Callable[[], Iterator[Record]]]] = []
         for file in self._files:
             connections = {
-                connection.id: self._converted_topics[connection.topic, connection.type]
+                connection.id: self._topics[connection.topic, connection.type]
                 for connection in file.connections
-                if (connection.topic, connection.type) in self._converted_topics
+                if (connection.topic, connection.type) in self._topics
                 and (wanted is None or strip_slashes(connection.topic) in wanted)
             }
             if connections:
@@ -130,23 +123,26 @@ class Ros2BagReader:
     def _read_file(
         self,
         file: Storage,
-        connections: Dict[int, _ConvertedTopic],
+        connections: Dict[int, Topic],
         start: Optional[int],
         stop: Optional[int],
         dropped: "Counter[str]",
     ) -> Iterator[Record]:
-        """Yield the converted messages of connections of a file; count the dropped ones by topic."""
+        """Yield the messages of connections of a file; count the dropped ones by topic."""
         for identifier, time, data in file.read(connections, start, stop):
-            topic, convert = connections[identifier]
+            topic = connections[identifier]
+            if not self._has_packed_messages:
+                yield Record(topic, time, data)
+                continue
             try:
-                raw = convert(self._limit.unpack_message(data) if self._has_packed_messages else data)
+                message = self._limit.unpack_message(data)
             except MessageError as error:
                 name = _quote_if_invalid(topic.name)
                 if not dropped[name]:
                     log.warning("%s: a message on %s is dropped: %s", self.path, name, error)
                 dropped[name] += 1
                 continue
-            yield Record(topic, time, raw)
+            yield Record(topic, time, message)
 
     def _warn_of_unreadable(self, wanted: Optional[Collection[str]]) -> None:
         """Log the topics that cannot be read, one line for all topics with the same problem."""
@@ -171,9 +167,7 @@ class Ros2BagReader:
         self.close()
 
 
-def _convert_topics(
-    files: List[Storage], unreadable: List[UnreadableTopic]
-) -> Dict[Tuple[str, str], _ConvertedTopic]:
+def _read_topics(files: List[Storage], unreadable: List[UnreadableTopic]) -> Dict[Tuple[str, str], Topic]:
     """Return the readable topics by name and type; append the others to ``unreadable``."""
     merged: Dict[Tuple[str, str], Connection] = {}
     for file in files:
@@ -185,14 +179,14 @@ def _convert_topics(
                 connection = (previous if previous.definition else connection)._replace(messages=messages)
             merged[key] = connection
     types = _Types()
-    sources: Dict[Tuple[str, str], _ConvertedTopic] = {}
+    topics: Dict[Tuple[str, str], Topic] = {}
     for key, connection in merged.items():
         try:
-            sources[key] = types.convert_topic(connection)
+            topics[key] = types.read_topic(connection)
         except MessageError as error:
             problem = str(error).partition("\n")[0]  # without the source line
             unreadable.append(UnreadableTopic(connection.topic, ros1_type_name(connection.type), problem))
-    return sources
+    return topics
 
 
 class _Types:
@@ -205,10 +199,10 @@ class _Types:
         # Types of ROS 2 that bags without definitions refer to.
         self._ros2_store: Any = typesys.get_typestore(typesys.Stores.LATEST)
         self._installed = InstalledTypes()
-        self._by_definition: Dict[Tuple[str, str], Ros2Type] = {}
+        self._by_definition: Dict[Tuple[str, str], Definition] = {}
 
-    def convert_topic(self, connection: Connection) -> _ConvertedTopic:
-        """Return the topic of a connection and the conversion of its messages.
+    def read_topic(self, connection: Connection) -> Topic:
+        """Return the topic of a connection, with its type in ROS 1 form.
 
         Raises:
             MessageError: if its type is not defined, or the definition is invalid.
@@ -216,19 +210,19 @@ class _Types:
         if connection.format == "ros1":
             # Messages that were converted from a ROS 1 bag, with the complete definition.
             definition = Definitions(self._installed).add(connection.type, connection.definition)
-            return _make_topic(connection, definition, bytes)
+            return _make_topic(connection, definition, SerializationFormat.ROS1)
         if connection.format != "cdr":
             raise MessageError(f"its messages are in '{shorten(connection.format)}': expected cdr or ros1")
         key = connection.type, connection.definition
-        message_type = self._by_definition.get(key)
-        if message_type is None:
+        cached_definition = self._by_definition.get(key)
+        if cached_definition is None:
             text = self._find_definition(connection)
             # Writers also store IDL, which begins with its heading, with the encoding of `.msg`.
             is_idl = connection.encoding.endswith("idl") or text.lstrip("=\n").startswith("IDL:")
-            message_type = self._by_definition[key] = parse_ros2_type(
+            cached_definition = self._by_definition[key] = parse_ros2_type(
                 connection.type, text, self._find_text, is_idl
             )
-        return _make_topic(connection, message_type.definition, message_type.to_ros1)
+        return _make_topic(connection, cached_definition, SerializationFormat.CDR)
 
     def _find_definition(self, connection: Connection) -> str:
         """Return the text of the type of a connection."""
@@ -251,13 +245,16 @@ class _Types:
 
 
 def _make_topic(
-    connection: Connection, definition: Definition, convert: Callable[[bytes], bytes]
-) -> _ConvertedTopic:
-    """Return the topic of a connection with the type in ROS 1 form."""
-    topic = Topic(
-        connection.topic, definition.name, definition.full_text, definition.md5sum, connection.messages
+    connection: Connection, definition: Definition, serialization_format: SerializationFormat
+) -> Topic:
+    return Topic(
+        connection.topic,
+        definition.name,
+        definition.full_text,
+        definition.md5sum,
+        connection.messages,
+        format=serialization_format,
     )
-    return _ConvertedTopic(topic, convert)
 
 
 def _quote_if_invalid(name: str) -> str:

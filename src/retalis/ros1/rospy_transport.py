@@ -17,7 +17,7 @@ from rospy.rostime import is_wallclock
 from ..engine.runtime.problem_reports import Reports
 from ..foundation.bounded_caches import Cache
 from ..foundation.errors import RetalisError, UsageError, shorten
-from ..messages.type_definition import Definition
+from ..messages.type_definition import Definition, SerializationFormat
 from ..messages.type_registry import InstalledTypes
 from ..node.transport import Connect, MessageReceiver, MessageSource, NodeGraph
 from .batched_socket_reader import read_in_batches, refuse_own_connection
@@ -196,12 +196,14 @@ class RospyTransport:
         reports: receives the warnings about single messages that are not sent.
 
     Attributes:
+        format: serialization of published messages.
         node_name: full name of this node.
         is_time_simulated: whether time comes from ``/clock``.
         create_transform_buffer: creates the buffer of transforms: tf2's, if it is installed.
     """
 
     def __init__(self, reports: Reports):
+        self.format = SerializationFormat.ROS1
         self._reports = reports
         self._subscriber_wait = SubscriberWait(reports)
         self._clock_subscribers: List[rospy.Subscriber] = []

@@ -260,7 +260,7 @@ class RospyTextExchange:
         """See `TextExchange`."""
         if self._events is None:
             return None
-        return make_event_sender(decoder, self._events, self._stamp, self._reports)
+        return make_event_sender(decoder, self._events, self._stamp, self._reports, serialize_text)
 
     def send_output(self, term: Term, topic: str, name: Term) -> None:
         """See `TextExchange`."""

@@ -6,7 +6,8 @@ from typing import Any, Iterator, List, Tuple
 from retalis import Definitions
 from retalis.messages.event_text_writer import make_text_writer
 from retalis.messages.idl_definitions import convert_idl
-from retalis.messages.ros2_to_ros1 import parse_ros2_type
+from retalis.messages.ros2_definitions import parse_ros2_type
+from retalis.messages.type_definition import SerializationFormat
 from retalis.prolog.syntax.event_text import to_text as text_of
 
 from ..mutate import mutate_text, random_tokens, to_bytes, to_text
@@ -179,21 +180,27 @@ class Inputs(Kind):
         # Types that differ in arrays of nested types only have one checksum in ROS, the key of `Definitions`.
         self.known = Definitions()
         name, _, text = to_text(data).partition("\n")
-        parsed = self.attempt(parse_ros2_type, name, text, KNOWN_TYPES.get, text.startswith("module"))
-        if parsed is None:
+        definition = self.attempt(parse_ros2_type, name, text, KNOWN_TYPES.get, text.startswith("module"))
+        if definition is None:
             return
-        definition = parsed.definition
+        cdr_decoder = self.attempt(self.known.decoder, definition, SerializationFormat.CDR)
+        cdr_encoder = self.attempt(self.known.encoder, definition, SerializationFormat.CDR)
         decoder = self.attempt(self.known.decoder, definition)
         encoder = self.attempt(self.known.encoder, definition)
         if decoder is None or encoder is None:
             return
         write = make_text_writer(decoder)
         for raw in self.messages(data):
-            message = self.attempt(parsed.to_ros1, raw)
+            term = self.attempt(cdr_decoder.decode, raw)
+            if term is None:
+                continue
+            repeated = self.attempt(cdr_encoder.encode, term)
+            if repeated is not None and text_of(cdr_decoder.decode(repeated)) != text_of(term):
+                raise FindingError("difference", "it does not come back from CDR as it was", "ros2")
+            # The term is a message of ROS 1, too, and comes back through text and term.
+            message = self.attempt(encoder.encode, term)
             if message is None:
                 continue
-            # A converted message is a message of the definition; its text and its term can be read again.
-            term = decoder.decode(message)
             if text_of(term) != write(message):
                 raise FindingError("difference", "text and term do not agree", "ros2")
             repeated = self.attempt(encoder.encode, decoder.lazy(message))

@@ -1,0 +1,332 @@
+"""Definitions of ROS 2 message types, converted to the form of ROS 1.
+
+Definitions of ROS 2 extend those of ROS 1 (https://docs.ros.org/en/rolling/Concepts/Basic/About-Interfaces.html) by
+bounds of strings and arrays (``string<=10[<=5] names``), default values (``int32 x 5``), quoted string constants,
+``wstring``, and ``pkg/msg/Type`` for ``pkg/Type``. Bounds and default values do not change the bytes of a message, so
+they are omitted from the ROS 1 definition. A ``byte`` is an octet (``uint8``), a ``wstring`` a ``string`` with the
+comment `WIDE_STRING_COMMENT`, which `cdr_decoder` and `cdr_encoder` need.
+The lines are parsed here instead of with ``get_types_from_msg`` of rosbags: that does not know ``wstring``, rejects
+``wstring<=4``, gives errors no position, and in version 0.9.20 renames slots that are keywords of Python and rejects
+default values of strings without quotes. `idl_definitions` converts definitions in IDL.
+
+The events of a service (``pkg/srv/Type_Event``) are defined by the text of the ``.srv`` file: rosidl generates a
+type with the slot ``info``, and with at most one ``request`` and one ``response``. The text that ``ros2 bag`` stores
+begins with a heading ``SRV: pkg/srv/Type``.
+"""
+
+import re
+from collections import deque
+from typing import Callable, Deque, Dict, List, NamedTuple, Optional, Set
+
+from ..foundation.errors import MessageError, place_at_offset, quote_shortened, shorten
+from ..foundation.ros_names import name_fault, ros1_type_name
+from .idl_definitions import convert_idl
+from .type_definition import (
+    EXPECTED_CONSTANT_TYPE,
+    HEADER,
+    PRIMITIVES,
+    TIMES,
+    WIDE_STRING_COMMENT,
+    Definition,
+    lines_with_offsets,
+    parse_constant,
+    split_sections,
+    warn_of_ignored_constants,
+)
+from .type_registry import MAX_DEFINITION_CHARACTERS, Definitions, InstalledTypes
+
+FindText = Callable[[str], Optional[str]]
+"""Function that returns the definition of ``pkg/Type`` with its nested types, in ROS 2 or ROS 1 form, or None."""
+
+_LINE = re.compile(
+    r"\s*(?P<type>[\w/]+)(?P<bound><=[0-9]+)?(?P<array>\[(?:<=)?[0-9]*\])?\s+(?P<name>\w+)(?P<rest>(?:[\s=#].*)?)$"
+)
+_QUOTED = re.compile(r"""\s*(?:"((?:[^"\\]|\\.)*)"|'((?:[^'\\]|\\.)*)')\s*(?:#.*)?$""")
+
+_ROS1_TYPES = {
+    "byte": "uint8",
+    "octet": "uint8",
+    "wstring": "string",
+    "Header": HEADER,
+    "builtin_interfaces/Time": "time",
+    "builtin_interfaces/Duration": "duration",
+}
+"""Names of types in ROS 1."""
+
+_STRING_TYPES = ("string", "wstring")
+
+_INSTANT = "int32 sec\nuint32 nanosec\n"
+_SERVICE_EVENT_INFO = """\
+uint8 REQUEST_SENT=0
+uint8 REQUEST_RECEIVED=1
+uint8 RESPONSE_SENT=2
+uint8 RESPONSE_RECEIVED=3
+uint8 event_type
+builtin_interfaces/Time stamp
+char[16] client_gid
+int64 sequence_number
+"""
+_BUILTIN_DEFINITIONS = {
+    "builtin_interfaces/Time": _INSTANT,
+    "builtin_interfaces/Duration": _INSTANT,
+    "service_msgs/ServiceEventInfo": _SERVICE_EVENT_INFO,
+}
+"""Types that definitions use without containing them."""
+
+
+_EVENT_SUFFIX = "_Event"
+
+_HEADING = re.compile(r"^={20,}[ \t\r]*\n(MSG|SRV|IDL):[ \t]*(\S*)", re.MULTILINE)
+"""Beginning of the definition of another type in a text."""
+
+
+def parse_ros2_type(name: str, text: str, find: FindText, is_idl: bool = False) -> Definition:
+    """Return the type that a definition of ROS 2 describes, in ROS 1 form.
+
+    Args:
+        name: ``pkg/Type``, ``pkg/msg/Type``, or ``pkg/srv/Type_Event`` for the events of a service.
+        text: the definition, including all nested types that ``find`` does not know; of a service the ``.srv`` file.
+        find: returns the definitions of nested types.
+        is_idl: whether the text before the first heading is in IDL.
+
+    Raises:
+        MessageError: if the text is not a valid definition, is too long, or names an unknown type.
+    """
+    is_service_event = "/srv/" in name and name.endswith(_EVENT_SUFFIX)
+    name = ros1_type_name(name)
+    if len(text) > MAX_DEFINITION_CHARACTERS:
+        raise MessageError(
+            f"the definition of {shorten(name)} has {len(text)} characters: "
+            f"at most {MAX_DEFINITION_CHARACTERS} are allowed"
+        )
+    types = _read_nested_types(name, _split_by_type(name, text, is_idl, is_service_event), find)
+    warn_of_ignored_constants(
+        [problem for section in types.values() for problem in section.ignored_constants]
+    )
+    parts = [types[name].text]
+    parts += [f"{'=' * 80}\nMSG: {nested}\n{types[nested].text}" for nested in types if nested != name]
+    # A registry without installed types: the nested types must be those of CDR, not types of ROS 1 with equal names.
+    registry = Definitions(InstalledTypes([], [], include_rosbags=False))
+    return registry.add(name, "".join(parts))
+
+
+class _Ros2Section(NamedTuple):
+    """Definition of one type, without its nested types.
+
+    Attributes:
+        text: the definition in ROS 1 form.
+        nested_types: types of slots.
+        ignored_constants: reasons why constants are ignored.
+    """
+
+    text: str
+    nested_types: List[str]
+    ignored_constants: List[str]
+
+
+def _split_by_type(
+    name: str, text: str, is_idl: bool = False, is_service_event: bool = False
+) -> Dict[str, str]:
+    """Return the definitions in a concatenated text by their types, ``pkg/Type``, in the syntax of ``.msg`` files."""
+    sections = _list_sections(name, text, "IDL" if is_idl else "SRV" if is_service_event else "MSG")
+    if all(section.syntax == "MSG" for section in sections):
+        return {
+            ros1_type_name(type_name): section for type_name, section in split_sections(name, text).items()
+        }
+    service = name[: -len(_EVENT_SUFFIX)] if is_service_event else name
+    texts: Dict[str, str] = {}
+    for section in sections:
+        if section.syntax == "SRV" and section.text.strip():
+            texts.update(_split_service(service if section.type == name else section.type, section.text))
+        elif section.syntax == "MSG":
+            texts.setdefault(section.type, section.text)
+    if is_idl:
+        # Types that this one does not use may be unreadable.
+        requested = [f"{service}_Request", f"{service}_Response"] if is_service_event else [name]
+    else:
+        requested = [section.type for section in sections if section.syntax == "IDL"]
+    if requested:
+        # The other sections are replaced by empty lines, so that line numbers stay the same.
+        idl_text = "".join(
+            section.text if section.syntax == "IDL" else "\n" * section.line_count for section in sections
+        )
+        for type_name, type_text in convert_idl(name, idl_text, requested).items():
+            texts.setdefault(type_name, type_text)
+    if is_service_event:
+        service_name = service.rpartition("/")[2]
+        texts.setdefault(
+            name,
+            "service_msgs/ServiceEventInfo info\n"
+            f"{service_name}_Request[<=1] request\n{service_name}_Response[<=1] response\n",
+        )
+    return texts
+
+
+class _TextSection(NamedTuple):
+    """Definition of one type in a concatenated text.
+
+    Attributes:
+        syntax: ``MSG``, ``SRV`` or ``IDL``.
+        type: name of the type or service.
+        text: the definition.
+        line_count: number of lines, including those of the heading.
+    """
+
+    syntax: str
+    type: str
+    text: str
+    line_count: int
+
+
+def _list_sections(name: str, text: str, syntax: str) -> List[_TextSection]:
+    """Return the definitions in a text; that before the first heading has the given name and syntax."""
+    headings = list(_HEADING.finditer(text))
+    ends = [*(heading.start() for heading in headings), len(text)]
+    sections = [_TextSection(syntax, name, text[: ends[0]], text.count("\n", 0, ends[0]))]
+    for heading, end in zip(headings, ends[1:]):
+        # The grammar of IDL includes the heading.
+        start = heading.start() if heading[1] == "IDL" else heading.end()
+        line_count = text.count("\n", heading.start(), end)
+        sections.append(_TextSection(heading[1], ros1_type_name(heading[2]), text[start:end], line_count))
+    return sections
+
+
+def _split_service(service: str, text: str) -> Dict[str, str]:
+    """Return the types of the request and the response of a service, from the text of its ``.srv`` file."""
+    lines = text.splitlines(keepends=True)
+    separators = [number for number, line in enumerate(lines) if line.strip() == "---"]
+    if len(separators) != 1:
+        raise MessageError(
+            f"the definition of service {shorten(service)} has {len(separators)} lines '---': expected one, between "
+            "request and response"
+        )
+    return {
+        f"{service}_Request": "".join(lines[: separators[0]]),
+        f"{service}_Response": "".join(lines[separators[0] + 1 :]),
+    }
+
+
+def _read_nested_types(name: str, texts: Dict[str, str], find: FindText) -> Dict[str, _Ros2Section]:
+    """Parse the definitions of a type and of all types nested in it."""
+    types: Dict[str, _Ros2Section] = {}
+    pending: Deque[str] = deque([name])
+    while pending:
+        type_name = pending.popleft()
+        if type_name in types:
+            continue
+        if type_name not in texts:
+            text = _BUILTIN_DEFINITIONS.get(type_name) or find(type_name)
+            if text is None:
+                raise MessageError(
+                    f"the type {shorten(type_name)} is not defined in the bag or on this system"
+                )
+            # Definitions that came with the bag have priority over installed ones.
+            for nested, section_text in _split_by_type(type_name, text).items():
+                texts.setdefault(nested, section_text)
+        types[type_name] = section = _Ros2DefinitionReader(type_name, texts).read()
+        pending += section.nested_types
+    return types
+
+
+class _Ros2DefinitionReader:
+    """Parser of the definition of one type.
+
+    Args:
+        name: ``pkg/Type``.
+        texts: the definitions of all types in the same text.
+
+    Attributes:
+        lines: the lines of the definition in ROS 1 form.
+        slot_types: message types of slots.
+        constants: names of the constants.
+        ignored_constants: reasons why constants are ignored.
+        by_short_name: the types in ``texts`` by their names without package.
+    """
+
+    def __init__(self, name: str, texts: Dict[str, str]):
+        self.name = name
+        self.texts = texts
+        # CDR has no `seq`, but the event terms of headers have the slots of ROS 1.
+        self.lines: List[str] = ["uint32 seq"] if name == HEADER else []
+        self.slot_types: List[str] = []
+        self.constants: Set[str] = set()
+        self.ignored_constants: List[str] = []
+        self.by_short_name: Dict[str, List[str]] = {}
+        for full_name in texts:
+            self.by_short_name.setdefault(full_name.rpartition("/")[2], []).append(full_name)
+
+    def read(self) -> _Ros2Section:
+        """Return the definition in ROS 1 form."""
+        text = self.texts[self.name]
+        for offset, line in lines_with_offsets(text):
+            content = line.strip()
+            if not content or content.startswith("#"):
+                continue
+            match = _LINE.match(line)
+            if match is None or (match["bound"] and match["type"] not in _STRING_TYPES):
+                problem = f"expected 'type name' or 'type NAME=value', found {quote_shortened(content)}"
+            else:
+                problem = self._read_line(match)
+            if problem:
+                place = place_at_offset(self.name, text, offset + len(line) - len(line.lstrip()))
+                raise MessageError(problem, place)
+        return _Ros2Section(
+            "".join(f"{line}\n" for line in self.lines),
+            self.slot_types,
+            self.ignored_constants,
+        )
+
+    def _read_line(self, match: "re.Match[str]") -> str:
+        """Add a slot or a constant; return an error text, or an empty string."""
+        rest = match["rest"].lstrip()
+        if not rest.startswith("="):
+            self._add_slot(match)
+            return ""
+        type_name = _ROS1_TYPES.get(match["type"], match["type"])
+        if type_name not in PRIMITIVES and type_name != "string":
+            return f"a constant cannot be of type {quote_shortened(type_name)}: {EXPECTED_CONSTANT_TYPE}"
+        self._add_constant(type_name, match["name"], rest[1:])
+        return ""
+
+    def _add_constant(self, type_name: str, name: str, text: str) -> None:
+        """Add a constant. One that ROS 1 cannot express is ignored: constants are not part of messages."""
+        quoted = _QUOTED.match(text) if type_name == "string" else None
+        if quoted is not None:
+            value = re.sub(r"\\(.)", r"\1", quoted[1] if quoted[1] is not None else quoted[2])
+        else:
+            value = text.partition("#")[0].strip()
+        problem = f"{quote_shortened(name)} is defined twice" if name in self.constants else name_fault(name)
+        if problem is None:
+            try:
+                parse_constant(type_name, value)
+            except ValueError:
+                problem = f"{quote_shortened(value)} is not a value of type {type_name}"
+        if problem is not None:
+            self.ignored_constants.append(f"{self.name}: {problem}")
+            return
+        self.constants.add(name)
+        self.lines.append(f"{type_name} {name}={value}")
+
+    def _add_slot(self, match: "re.Match[str]") -> None:
+        """Add a slot in ROS 1 form; the match is one of `_LINE`."""
+        type_name, name = match["type"], match["name"]
+        if self.name == HEADER and name == "seq":
+            return
+        comment = f"  {WIDE_STRING_COMMENT}" if type_name == "wstring" else ""
+        type_name = ros1_type_name(type_name)
+        type_name = _ROS1_TYPES.get(type_name, type_name)
+        if type_name not in PRIMITIVES and type_name not in TIMES and type_name != "string":
+            type_name = self._qualify_name(type_name)
+            self.slot_types.append(type_name)
+        # A bounded array is one of variable length.
+        length = (match["array"] or "").replace("<=", "]")
+        self.lines.append(f"{type_name}{length.partition(']')[0] + ']' if length else ''} {name}{comment}")
+
+    def _qualify_name(self, type_name: str) -> str:
+        """Return the name of a nested type with its package."""
+        if "/" in type_name:
+            return type_name
+        # Definitions in bags may name a type of another package without the package, if only one has that name.
+        local_name = f"{self.name.partition('/')[0]}/{type_name}"
+        candidates = self.by_short_name.get(type_name, [])
+        return candidates[0] if local_name not in self.texts and len(candidates) == 1 else local_name
