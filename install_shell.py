@@ -31,6 +31,10 @@ SYSTEM_FOLDERS = ("/usr/bin", "/bin", "/usr/sbin", "/sbin")
 """Program folders. `su` and `env -i` omit the last two, without which root cannot install packages."""
 
 
+MAX_END_SECONDS = 30
+"""Longest wait for a command to end after ctrl-C: pytest first ends its workers."""
+
+
 class Problem(Exception):
     """Error that ends the program; its text is one line for the user."""
 
@@ -149,7 +153,8 @@ class Shell:
                     tick()
         except KeyboardInterrupt:
             try:
-                process.wait(5)  # The terminal has sent the signal to the command, too.
+                # The terminal has sent the signal to the command, too. A second one would interrupt its end.
+                process.wait(MAX_END_SECONDS)
             except subprocess.TimeoutExpired:
                 stop(process)
             raise

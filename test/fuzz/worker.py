@@ -88,7 +88,11 @@ class Worker:
     def run(self, numbers: Any, until: Any = None) -> None:
         """Process the inputs with some numbers."""
         resident, initial = self.watch.resident, None
+        parent = os.getppid()
         for number in numbers:
+            # The campaign has been ended by a signal.
+            if os.getppid() != parent:
+                break
             if number % self.kind.block_size == 0 or number == numbers[0]:
                 if until is not None and time.monotonic() > until:
                     break
