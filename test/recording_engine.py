@@ -1,8 +1,8 @@
 """An engine for tests that records its events and outputs."""
 
-from typing import Any, List
+from typing import Any, List, Optional
 
-from retalis import Engine, Settings
+from retalis import Engine, Reports, Settings
 
 
 class RecordingEngine(Engine):
@@ -13,8 +13,15 @@ class RecordingEngine(Engine):
         outputs: Tuples of an output's text, its topic and the text of the subscription's name.
     """
 
-    def __init__(self, rules: str = "", goals: str = "", clock: Any = None, **settings: Any) -> None:
-        super().__init__(clock, Settings(**settings))
+    def __init__(
+        self,
+        rules: str = "",
+        goals: str = "",
+        clock: Any = None,
+        reports: Optional[Reports] = None,
+        **settings: Any,
+    ) -> None:
+        super().__init__(clock, Settings(**settings), reports)
         self.outputs: List[Any] = []
         self.events: List[Any] = []
         self.on_output(

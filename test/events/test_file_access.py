@@ -10,6 +10,7 @@ from typing import Any, Dict, Iterator, List, Tuple
 import pytest
 from python_path import python_path
 from recording_engine import RecordingEngine
+from recording_reports import RecordingReports
 
 from retalis import Engine, ProgramErrors, RetalisError, Settings, StreamClock, atom, functor, make_list
 from retalis.prolog.terms.types import CONS, NIL
@@ -353,12 +354,11 @@ def test_large_files_are_refused(place: Any) -> None:
 
 def run_persistent_program(place: Any, **settings: Any) -> Tuple[Any, ...]:
     """Run a program with persistent events from its folder; return the engine and its warnings."""
-    engine = engine_of(place, **settings)
-    warnings: List[Any] = []
-    engine.rules.on_warning = lambda warning: warnings.append(str(warning))
+    reports = RecordingReports()
+    engine = engine_of(place, reports=reports, **settings)
     engine.load(rules="persistent_event(b(_)). b(X) <- a(X).", folder=place / "program")
     engine.event("a(1)", 1, 1)
-    return engine, warnings
+    return engine, reports.texts
 
 
 WRITTEN = "event(b(1),[1,1]).\n"

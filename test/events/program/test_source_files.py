@@ -6,6 +6,7 @@ from typing import Any, List
 import pytest
 from checked_access import place_of
 from events.stream_programs import ProgramRunner, format_events
+from recording_reports import RecordingReports
 
 from retalis import Engine, ProgramErrors, PrologError, RetalisError, Settings, StreamClock, atom
 from retalis.prolog.files.source_files import SourceFiles
@@ -219,13 +220,12 @@ def test_invalid_file_name_is_not_written(tmp_path: Path, mode: str) -> None:
 
 
 def _warnings_of_persistent_rule(write_folders: Any = (), **settings: Any) -> Any:
-    engine = Engine(clock=StreamClock(), settings=Settings(write_folders=write_folders, **settings))
-    warnings: List[Any] = []
-    engine.rules.on_warning = lambda warning: warnings.append(str(warning))
+    reports = RecordingReports()
+    engine = Engine(StreamClock(), Settings(write_folders=write_folders, **settings), reports)
     engine.load(rules="persistent_event(b(_)). b(X) <- a(X).")
     for number in range(4):
         engine.event(f"a({number})", number, number)
-    return warnings
+    return reports.texts
 
 
 EXPECTED_FILE = "".join(f"event(b({number}),[{number},{number}]).\n" for number in range(4))
