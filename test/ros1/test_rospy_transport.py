@@ -14,6 +14,7 @@ rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 
 from retalis import UsageError  # noqa: E402
+from retalis.node.transport import MessageSource  # noqa: E402
 from retalis.ros1 import rospy_transport  # noqa: E402
 from retalis.ros1.rospy_transport import (  # noqa: E402
     UNSET_CLOCK_WARNING_SECONDS,
@@ -94,7 +95,7 @@ def test_connection_is_a_source_with_one_receiver(connections: Any) -> None:
         connections.find_handler(header)([data])
     connections.record_end(header, True)
     (receiver,) = connections.receivers
-    assert receiver.source == ("/thermometer", "lab/Temperature", "float32 degrees", "1234", False, "")
+    assert receiver.source == MessageSource("/thermometer", "lab/Temperature", "float32 degrees", "1234")
     assert (receiver.messages, receiver.ends) == ([b"1", b"2"], [True])
 
 

@@ -44,7 +44,7 @@ def _pack_text(encoded_bytes: bytes) -> bytes:
     return pack("<I", len(encoded_bytes) + 1) + encoded_bytes + b"\0"
 
 
-_packed_texts = PackedTexts(_pack_text)
+_packed_texts = PackedTexts(_pack_text, max_entries=2048, max_bytes=1 << 20, max_entry_bytes=1024)
 
 
 def _serialize_wide(term: Term) -> bytes:

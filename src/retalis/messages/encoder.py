@@ -85,10 +85,17 @@ class PackedTexts(Cache[Atom, bytes]):
 
     Args:
         pack_text: returns the serialized string of its bytes.
+        max_entries, max_bytes, max_entry_bytes: see `Cache`.
     """
 
-    def __init__(self, pack_text: Callable[[bytes], bytes]):
-        super().__init__(max_entries=2048, max_bytes=1 << 20, max_entry_bytes=1024)
+    def __init__(
+        self,
+        pack_text: Callable[[bytes], bytes],
+        max_entries: int,
+        max_bytes: int,
+        max_entry_bytes: int,
+    ):
+        super().__init__(max_entries, max_bytes, max_entry_bytes)
         self._pack_text = pack_text
 
     def serialize(self, term: Term) -> bytes:
@@ -106,7 +113,7 @@ def _pack_text(encoded_bytes: bytes) -> bytes:
     return pack("<I", len(encoded_bytes)) + encoded_bytes
 
 
-_packed_texts = PackedTexts(_pack_text)
+_packed_texts = PackedTexts(_pack_text, max_entries=2048, max_bytes=1 << 20, max_entry_bytes=1024)
 
 # Unpacking a term of an unexpected form raises one of these. They select `encode_slot_by_slot`, which raises the
 # error for the caller.

@@ -30,10 +30,10 @@ def test_built_term_equals_copy(term: Any, values: List[Any]) -> None:
     copies = tuple(copy(value) for value in values)
     build = compile_builder(term, order, "term")
     first, second = build(copies), build(copies)
-    assert term_text((G, first, make_list(values))) == term_text(
-        (G, copy(term, dict(zip(order, values))), make_list(values))
+    assert term_text((G, first, make_list(copies))) == term_text(
+        (G, copy(term, dict(zip(order, copies))), make_list(copies))
     )
-    new_variables = set(variables(first)) - set(variables(make_list(values)))
+    new_variables = set(variables(first)) - set(variables(make_list(copies)))
     assert not new_variables & set(variables(second))
 
 
