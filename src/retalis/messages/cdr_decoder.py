@@ -26,7 +26,6 @@ from ..foundation.errors import MessageError
 from ..prolog.terms.byte_texts import text_atom
 from ..prolog.terms.types import Term, atom
 from .decoder import (
-    ArrayDecode,
     Decode,
     Decoder,
     DecoderGenerator,
@@ -77,7 +76,7 @@ class NegativeTimeError(ValueError):
     """A time before 1970."""
 
     def __init__(self, *seconds: int):
-        (second,) = [value for value in seconds if value > MAX_SECONDS][:1]
+        second = next(value for value in seconds if value > MAX_SECONDS)
         super().__init__(f"a time of {second - (1 << 32)} s: expected at least 0 s")
 
 
@@ -98,6 +97,11 @@ def align(offset: str, alignment: int) -> str:
 def aligned_offset(offset: int, alignment: int) -> int:
     """Return an offset after padding; see `align`."""
     return offset + (ENCAPSULATION_BYTES - offset) % alignment
+
+
+def _natural_alignment(code: str) -> int:
+    """Return the alignment of a value, given its `struct` code: that of its size, and none for bytes."""
+    return 1 if code[-1] == "s" else Struct("<" + code).size
 
 
 def number_layout(slot: Field) -> Optional[Tuple[str, int]]:
@@ -229,10 +233,6 @@ class CdrDecoderGenerator(DecoderGenerator):
         swap = self.new_name("swap", _make_byte_swap(self._element_alignment(slot)))
         return f"{swap}({data})"
 
-    def find_array_decoder(self, slot: Field) -> ArrayDecode:
-        """Return the function that decodes the bytes of an array."""
-        return find_number_decoder(slot) or self.compile_records(slot)
-
     def create_element_generator(self) -> "CdrDecoderGenerator":
         """Return a generator for one element of an array."""
         return CdrDecoderGenerator(self.byte_order, self._character_bytes)
@@ -251,7 +251,7 @@ class CdrDecoderGenerator(DecoderGenerator):
             alignment: alignment of the value; by default that of the code.
         """
         size = Struct("<" + code).size
-        alignment = alignment or (1 if code[-1] == "s" else size)
+        alignment = alignment or _natural_alignment(code)
         if alignment > self._alignment:
             self._align(alignment)
         self._add_padding(-self._phase % alignment)
@@ -381,8 +381,7 @@ class CdrFrameDecoderGenerator(FrameDecoderGenerator, CdrDecoderGenerator):
 
     def add_to_run(self, code: str, alignment: int = 0) -> str:
         """Add a value to the run, by its `struct` code; return the variable that holds it."""
-        size = Struct("<" + code).size
-        alignment = alignment or (1 if code[-1] == "s" else size)
+        alignment = alignment or _natural_alignment(code)
         if self.string_variables and not self.run_format:
             self._tail_alignment = alignment
             self._restart("0", alignment)
@@ -407,12 +406,9 @@ class CdrFrameDecoderGenerator(FrameDecoderGenerator, CdrDecoderGenerator):
             raise UnsupportedLayout
         return lines
 
-    def stamp_index(self) -> int:
-        """Return the index of the seconds among the leading numbers, if the message begins with a stamp."""
-        return 2 if self.element_count else 1
-
     def stamp_format(self) -> str:
         """Return the `struct` codes up to the nanoseconds of a stamp at the beginning."""
+        # The representation identifier is in the place of ``seq``, so the index of the seconds is that of ROS 1.
         return "H2x" + "I" * (self.stamp_index() + 1)
 
     def key_statements(self, head_size: int, tail_size: int) -> List[str]:

@@ -93,7 +93,6 @@ class Ros2BagReader:
         Topics that cannot be read are left out with a warning. Compressed messages that are broken are dropped, with
         a warning for the first one of a topic and their number.
 
-
         Raises:
             BagError: if the bag is malformed.
         """
