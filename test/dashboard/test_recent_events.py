@@ -13,7 +13,7 @@ from retalis.dashboard.view_model import (
     RecentEvents,
     format_event_beginning,
 )
-from retalis.events.dispatch.listeners import NOT_READ
+from retalis.events.dispatch.argument_projection import NOT_READ
 from retalis.prolog.terms.types import CONS, Lazy
 
 

@@ -16,7 +16,8 @@ from typing import Any, Callable, Deque, Dict, List, NamedTuple, Optional, Seque
 
 from ..engine.engine import Engine
 from ..engine.engine_status import Status
-from ..events.dispatch.listeners import NOT_READ, Listener, ListenerPhase
+from ..events.dispatch.argument_projection import NOT_READ
+from ..events.dispatch.listeners import Listener, ListenerPhase
 from ..explanation.event_explanations import records_origins
 from ..foundation.errors import printable_json, shorten
 from ..messages.type_definition import functor_name

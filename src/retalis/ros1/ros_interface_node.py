@@ -12,7 +12,7 @@ import threading
 from typing import Iterable, List
 
 from ..engine.runtime.problem_reports import Reports
-from ..events.dispatch.listeners import NOT_READ
+from ..events.dispatch.argument_projection import NOT_READ
 from ..events.program.topic_configuration import Topics, direct_topics
 from ..messages.decoder import Decoder
 from ..messages.event_text_writer import make_text_writer, write_without_unread

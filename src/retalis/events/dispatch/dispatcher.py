@@ -30,6 +30,7 @@ from ...prolog.terms.term_traversal import copy, has_no_variables, is_ground, te
 from ...prolog.terms.types import Atom, EventAction, Frame, Functor, Term, Values, Var, deref
 from ...serialization.field_types import COUNT
 from ...serialization.state_fields import NextNumber, StateFields, StateOwner, field
+from .argument_projection import ArgumentProjection, find_unread_positions
 from .discrimination_tree import Plan, PushdownFilter, SwitchNode, make_plan, matches_all_events
 from .listeners import (
     CALL_LISTENERS,
@@ -39,11 +40,9 @@ from .listeners import (
     RESTORE_CAUSE,
     TERM,
     TOKEN,
-    ArgumentProjection,
     Context,
     Listener,
     ListenerPhase,
-    find_unread_positions,
 )
 from .matcher_compiler import Matcher, compile_matcher
 

@@ -7,8 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retalis import Engine, Var, atom, functor
-from retalis.events.dispatch import listeners
-from retalis.events.dispatch.listeners import NOT_READ, ListenerPhase
+from retalis.events.dispatch import argument_projection
+from retalis.events.dispatch.argument_projection import NOT_READ
+from retalis.events.dispatch.listeners import ListenerPhase
 
 IMAGE = functor("image", 3)
 SEEN = "subscribe(seen(_,_), [], _, t, seen)"
@@ -129,7 +130,7 @@ def test_fused_action_ignores_incomplete_events() -> None:
 
 
 def test_announced_functors_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(listeners, "MAX_PROJECTED_FUNCTORS", 5)
+    monkeypatch.setattr(argument_projection, "MAX_PROJECTED_FUNCTORS", 5)
     engine = OutputEngine(
         goals="".join(f"subscribe(kind{number}(_), [], seen, t, {number})\n" for number in range(10))
     )
