@@ -12,7 +12,7 @@ from threading import Event
 from time import monotonic
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, TypeVar
 
-from ..events.language.rule_head_parser import RULE, is_rule, split_label
+from ..events.language.rule_labels import RULE, is_rule, split_label
 from ..foundation.errors import UsageError
 from ..prolog.machine.resource_limits import NO_LIMITS, Limits
 from ..prolog.syntax.term_reader import ReadTerm, read_term

@@ -7,7 +7,7 @@ from typing import Any, Callable, Dict, List, Optional
 from ..events.clock.clock import Clock
 from ..events.dispatch.dispatcher import Dispatcher
 from ..events.knowledge.knowledge_base import OWN_EVENTS, KnowledgeBase
-from ..events.language.rule_head_parser import WATERMARK_DELAY
+from ..events.language.rule_labels import WATERMARK_DELAY
 from ..events.program.event_file_loader import EventFileLoader
 from ..events.program.event_language_predicates import define_predicates
 from ..events.rules.event_input_predicates import define_new_event

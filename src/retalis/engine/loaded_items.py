@@ -13,7 +13,7 @@ from ..events.knowledge.event_states import DeclaredState
 from ..events.knowledge.knowledge_base import KnowledgeBase
 from ..events.knowledge.memory import MemoryInstance
 from ..events.knowledge.subscriptions import Subscription, SubscriptionKey
-from ..events.language.rule_head_parser import Property
+from ..events.language.rule_labels import Property
 from ..events.network.event_rule import EventRule
 from ..events.program.event_file_loader import EventFileLoader
 from ..events.rules.rule_base import RuleBase

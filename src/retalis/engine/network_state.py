@@ -10,7 +10,7 @@ from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from ..events.knowledge.knowledge_base import KnowledgeBase
 from ..events.knowledge.timeout_queue import TIMEOUT_ALARMS, StoredTimeoutAlarm, TimeoutAlarm, Timeouts
-from ..events.language.rule_head_parser import Property
+from ..events.language.rule_labels import Property
 from ..events.matches.match_types import NO_REPETITIONS, RepetitionChain
 from ..events.network.event_rule import EventRule
 from ..events.network.lineage import LineageCut

@@ -31,8 +31,9 @@ from ..engine.engine import Engine
 from ..engine.loaded_items import LoadedProgram
 from ..events.knowledge.transform_predicates import TF, TRANSFORM_PREDICATES
 from ..events.language.pattern_tree import EventPattern, own_terms, walk
-from ..events.language.rule_head_parser import ALARMS, SYNCHRONIZED, sets_timer
+from ..events.language.rule_heads import ALARMS, SYNCHRONIZED
 from ..events.language.state_parser import queried_state
+from ..events.language.timer_schedules import sets_timer
 from ..foundation.errors import MAX_SHOWN_CHARACTERS, UsageError, format_count, printable, shorten
 from ..foundation.output_files import replace_file
 from ..prolog.database.predicate import Predicate

@@ -26,7 +26,7 @@ from ..language.pattern_tree import (
     WithinPattern,
     children,
 )
-from ..language.rule_head_parser import event_raised_by
+from ..language.rule_heads import event_raised_by
 from .program_model import ProgramModel, SourceRule, Subterm, key_of, subterms, wrap_term
 
 NUMERIC_COMPARISONS = frozenset(functor(name, 2) for name in ("<", ">", "=<", ">=", "=:=", "=\\="))

@@ -24,7 +24,7 @@ from ..language.event_declarations import (
 from ..language.event_operators import ARROWS, OPERATOR_NAMES
 from ..language.pattern_parser import EventTerm, PatternReader
 from ..language.pattern_tree import ActionPattern, EventPattern, walk
-from ..language.rule_head_parser import event_raised_by, makes_event
+from ..language.rule_heads import event_raised_by, makes_event
 from ..language.state_parser import StateForm
 from ..program.topic_configuration import TOPICS
 from .program_model import (

@@ -18,7 +18,7 @@ from ...prolog.terms.types import COMMA, CONS, SLASH, Atom, Functor, Term, Var, 
 from ...prolog.terms.unification import may_unify
 from ..knowledge.transform_predicates import TRANSFORM_PREDICATES
 from ..language.called_predicates import calls
-from ..language.rule_head_parser import SYNCHRONIZED
+from ..language.rule_heads import SYNCHRONIZED
 from ..language.state_parser import HOLDS, queried_state
 from .predicate_checks import ASSERTING_PREDICATES, RETRACTING_PREDICATES, key_of_clause
 from .program_model import ProgramModel, Subterm, key_of, subterms, wrap_term

@@ -36,7 +36,7 @@ from ...prolog.terms.types import (
     functor,
 )
 from ..language.pattern_parser import no_place
-from ..language.rule_head_parser import NEW_EVENT, event_raised_by
+from ..language.rule_heads import NEW_EVENT, event_raised_by
 from ..program.topic_configuration import ATTRIBUTES, TOPICS, read_xml
 from .event_flow_checks import SUBSCRIBE_TO
 from .program_model import (

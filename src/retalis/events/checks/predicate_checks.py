@@ -17,7 +17,7 @@ from ..language.called_predicates import calls
 from ..language.event_operators import OPERATOR_NAMES
 from ..language.pattern_parser import no_place
 from ..language.pattern_tree import EventPattern, walk
-from ..language.rule_head_parser import event_raised_by
+from ..language.rule_heads import event_raised_by
 from ..language.state_parser import queried_state
 from ..program.topic_configuration import GOALS, RULES, read_text
 from .condition_checks import NUMERIC_COMPARISONS, conjunctions_of

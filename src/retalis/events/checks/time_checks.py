@@ -38,7 +38,8 @@ from ..language.pattern_tree import (
     occurrences,
     walk,
 )
-from ..language.rule_head_parser import ALARMS, TIMER, event_raised_by, schedule_error
+from ..language.rule_heads import ALARMS, event_raised_by
+from ..language.timer_schedules import TIMER, schedule_error
 from ..streams.rate_operators import RATE_OPERATORS
 from .condition_checks import IS, NUMERIC_COMPARISONS
 from .program_model import ProgramModel, SourceRule, Subterm, key_of, subterms, wrap_term

@@ -52,7 +52,7 @@ from ..language.pattern_tree import (
     WindowPattern,
     children,
 )
-from ..language.rule_head_parser import ALARMS, SYNCHRONIZED, event_raised_by, makes_event
+from ..language.rule_heads import ALARMS, SYNCHRONIZED, event_raised_by, makes_event
 from ..language.state_parser import HOLDS
 from ..streams.aggregates import AGGREGATES
 from .condition_checks import IS, NUMERIC_COMPARISONS

@@ -20,7 +20,7 @@ from ..language.event_declarations import ValueType, slot_value_type
 from ..language.event_operators import OperatorKind, names_of_kind
 from ..language.pattern_parser import EventTerm, PlaceLookup, no_place
 from ..language.pattern_tree import EventPattern, walk
-from ..language.rule_head_parser import NEW_EVENT, event_raised_by, makes_event
+from ..language.rule_heads import NEW_EVENT, event_raised_by, makes_event
 from ..streams.aggregates import AGGREGATES
 from .condition_checks import NUMERIC_COMPARISONS
 from .event_flow_checks import event_of_consumer, events_of_goals, events_of_rule

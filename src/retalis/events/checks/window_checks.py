@@ -24,7 +24,7 @@ from ..language.pattern_tree import (
     children,
     walk,
 )
-from ..language.rule_head_parser import ALARMS, event_raised_by
+from ..language.rule_heads import ALARMS, event_raised_by
 from ..language.stream_parser import is_event, window_term
 from .program_model import ProgramModel, SourceRule, key_of, subterms, wrap_term
 

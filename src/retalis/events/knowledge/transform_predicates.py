@@ -31,7 +31,7 @@ from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.timestamps import SECOND
 from ...prolog.terms.types import CONS, NIL, Atom, Frame, Functor, String, Term, Var, atom, deref, functor
 from ..dispatch.dispatcher import Dispatcher
-from ..language.rule_head_parser import SYNCHRONIZED
+from ..language.rule_heads import SYNCHRONIZED
 from .memory import QueryEntry, Warn
 from .memory_gaps_and_pose_chains import UNLIMITED_GAP, MemoryGaps
 from .transform_buffer import REPEATED, CoordinateFrame, Numbers, Transform, TransformBuffer

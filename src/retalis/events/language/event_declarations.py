@@ -62,7 +62,7 @@ from .event_operators import (
     names_of_kind,
 )
 from .pattern_parser import EventTerm, PlaceLookup, no_place
-from .rule_head_parser import ALARMS, SYNCHRONIZED, makes_event
+from .rule_heads import ALARMS, SYNCHRONIZED, makes_event
 from .state_parser import declares_state
 
 _RESERVED_NAMES = frozenset(

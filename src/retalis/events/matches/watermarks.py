@@ -21,7 +21,7 @@ from ...prolog.terms.types import Atom, Functor, Term, deref
 from ...serialization.field_types import CLOCK_INSTANT, COUNT, FUNCTOR
 from ...serialization.state_fields import StateFields, StateOwner, field, rows_of
 from ..language.pattern_tree import EventPattern, Pattern, RuleDefinition, walk
-from ..language.rule_head_parser import event_raised_by
+from ..language.rule_heads import event_raised_by
 
 LAG_WINDOW = 10 * SECOND
 """Time in ns after which a maximum of lags begins to be forgotten; after twice that time it is forgotten."""

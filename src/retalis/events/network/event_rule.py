@@ -61,7 +61,7 @@ from ..dispatch.listeners import Listener, ListenerPhase
 from ..dispatch.matcher_compiler import compile_builder
 from ..fused.fused_single_event import Continuation, compile_firing_action
 from ..language.pattern_tree import Pattern, RuleDefinition, WindowPattern
-from ..language.rule_head_parser import resolve_alarm
+from ..language.rule_heads import resolve_alarm
 from ..matches.expiration import ExpirationQueue, smaller_bound
 from ..matches.match_buffer import MatchBuffer
 from ..matches.match_limit import MatchStore

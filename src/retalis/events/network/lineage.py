@@ -38,7 +38,7 @@ from ...serialization.field_types import COUNT, references
 from ...serialization.state_fields import NextNumber, StateFields, StateOwner, field
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import CAUSE, END, PARENT, START, TERM, TOKEN, Context, Listener, ListenerPhase
-from ..language.rule_head_parser import SYNCHRONIZED
+from ..language.rule_heads import SYNCHRONIZED
 from ..matches.consumption_policy import metered
 from ..matches.match_types import PartialMatch, RepetitionChain, lineage_sources
 from .derivation_graph import (

@@ -15,7 +15,7 @@ from ..clock.clock import Clock
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import TERM
 from ..language.pattern_tree import RuleDefinition
-from ..language.rule_head_parser import is_absolute_alarm
+from ..language.rule_heads import is_absolute_alarm
 from ..matches.match_types import NetworkOptions
 from ..matches.watermarks import Watermarks
 from ..streams.stream_operators import KeyBounds

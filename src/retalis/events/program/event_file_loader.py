@@ -40,7 +40,7 @@ from ...prolog.terms.types import Atom, Functor, Term, deref, functor
 from ..language.called_predicates import PredicateCall, calls_in_goals, undefined_call_warnings
 from ..language.pattern_parser import no_place
 from ..language.pattern_tree import RuleDefinition
-from ..language.rule_head_parser import RULE, Property, is_rule
+from ..language.rule_labels import RULE, Property, is_rule
 from ..network.event_rule import EventRule
 from ..rules.rule_base import RuleBase
 from .event_file_parser import (

@@ -41,20 +41,10 @@ from ..language.event_operators import ARROWS, OPERATOR_NAMES, RESERVED_FACT_FUN
 from ..language.likely_mistakes import uncovered_gap_warning
 from ..language.pattern_parser import PatternReader, PlaceLookup, check_aggregate, check_window, no_place
 from ..language.pattern_tree import ActionPattern, Pattern, RuleDefinition, bound_by, occurrences
-from ..language.rule_head_parser import (
-    ALARMS,
-    RULE,
-    SYNCHRONIZED,
-    TIMER,
-    Property,
-    check_head,
-    is_rule,
-    is_unlabelled_rule,
-    label_error,
-    sets_timer,
-    split_label,
-)
+from ..language.rule_heads import ALARMS, SYNCHRONIZED, check_head
+from ..language.rule_labels import RULE, Property, is_rule, is_unlabelled_rule, label_error, split_label
 from ..language.state_parser import HOLDS, STATE, declares_state
+from ..language.timer_schedules import TIMER, sets_timer
 from .file_directives import FileDeclarations, Goals, directive_goals
 
 _CLAUSE = functor(":-", 2)

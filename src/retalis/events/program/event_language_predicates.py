@@ -20,7 +20,7 @@ from ...prolog.terms.types import CONS, NIL, Atom, Term, Var, atom, deref, funct
 from ...prolog.terms.unification import undo
 from ..dispatch.event_recording import enumerate_stored_events
 from ..language.pattern_parser import no_place
-from ..language.rule_head_parser import is_rule
+from ..language.rule_labels import is_rule
 from ..rules.event_input_predicates import EVENT2, define_event_predicates, file_name_of, require_list
 from ..rules.language_flags import FLAGS
 from ..rules.rule_base import RuleBase

@@ -17,7 +17,7 @@ from ...prolog.syntax.term_reader import OF_FILES, Program, ReadTerm, read_progr
 from ...prolog.terms.types import Atom, Term, Var, atom, deref, functor
 from ..language.called_predicates import PredicateCall
 from ..language.pattern_parser import no_place
-from ..language.rule_head_parser import Property
+from ..language.rule_labels import Property
 from ..rules.rule_base import RuleBase
 from .event_file_parser import (
     DIRECTIVES,

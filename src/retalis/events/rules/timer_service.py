@@ -32,7 +32,7 @@ from ...prolog.terms.types import Term, Var, atom, deref, functor
 from ...prolog.terms.unification import may_unify
 from ...serialization.field_types import CALLABLE_TERM, COUNT, INSTANT, TERM, optional
 from ...serialization.state_fields import StateFields, StateOwner, field, rows_of
-from ..language.rule_head_parser import TIMER, Schedule, parse_schedule
+from ..language.timer_schedules import TIMER, Schedule, parse_schedule
 
 if TYPE_CHECKING:
     from .rule_base import RuleBase

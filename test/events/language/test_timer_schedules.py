@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from parsing import parse_term
 
 from retalis import UsageError
-from retalis.events.language.rule_head_parser import parse_schedule, schedule_error, sets_timer
+from retalis.events.language.timer_schedules import parse_schedule, schedule_error, sets_timer
 from retalis.prolog.terms.timestamps import SECOND
 
 DAY = 86_400
