@@ -21,12 +21,7 @@ from ...foundation.errors import (
 from ..program.topic_configuration import read_text
 from .condition_checks import find_impossible_conditions
 from .event_flow_checks import find_declaration_violations, find_unconsumed_events, find_unproduced_events
-from .memory_checks import (
-    find_empty_memories,
-    find_record_mismatches,
-    find_stale_tables,
-    find_unknown_memories,
-)
+from .memory_checks import find_empty_memories, find_record_mismatches, find_unknown_memories
 from .message_checks import (
     find_impossible_values,
     find_message_mismatches,
@@ -48,6 +43,7 @@ from .predicate_checks import (
     find_unloaded_rule_file,
 )
 from .program_model import MAX_SOURCE_CHARACTERS, ProgramModel
+from .stale_table_checks import find_stale_tables
 from .time_checks import (
     find_conditions_after_throttle,
     find_cycles,
