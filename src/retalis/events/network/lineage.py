@@ -2,64 +2,30 @@
 
 `LineageTracker` gives each event an `Occurrence` as its token and links it to its sources. A bounded number of
 occurrences is remembered; older ones are unlinked.
-
-Retraction (``rev(E)``) works in two phases. First, the occurrences of E and everything derived from them are marked
-as retracted and removed from all buffers, before any consequence is computed: a rule that ran in between could still
-use a retracted event. Then a ``rev`` event is dispatched for each derived occurrence, and matches that become valid
-are tried again: those that a retracted event had suppressed, and later results of runs from which a repetition was
-removed.
 """
 
 from collections import deque
 from copy import copy as shallow_copy
-from functools import partial
 from itertools import count
-from operator import attrgetter
-from typing import (
-    TYPE_CHECKING,
-    Any,
-    Callable,
-    Deque,
-    Dict,
-    Hashable,
-    Iterable,
-    Iterator,
-    List,
-    Optional,
-    Sequence,
-    Tuple,
-    Union,
-)
+from typing import TYPE_CHECKING, Any, Callable, Deque, Dict, Hashable, Iterable, List, Optional
 
-from ...prolog.machine.resource_limits import Budget, Meter
+from ...prolog.machine.resource_limits import Budget
 from ...prolog.terms.term_traversal import term_key
-from ...prolog.terms.types import Frame, Term, Values, Var, functor
+from ...prolog.terms.types import Frame, Term, Values, Var
 from ...serialization.field_types import COUNT, references
 from ...serialization.state_fields import NextNumber, StateFields, StateOwner, field
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import CAUSE, END, PARENT, START, TERM, TOKEN, Context, Listener, ListenerPhase
 from ..language.rule_heads import SYNCHRONIZED
-from ..matches.consumption_policy import metered
 from ..matches.match_types import PartialMatch, RepetitionChain, lineage_sources
-from .derivation_graph import (
-    LineageNode,
-    MatchOrPair,
-    Occurrence,
-    Suppressed,
-    lineage_nodes_of,
-    take_unreported_derived,
-)
+from .derivation_graph import MatchOrPair, Occurrence, Suppressed, lineage_nodes_of
+from .retraction import REV, RetractionExecutor
 
 if TYPE_CHECKING:
     from .derivation_graph import SuppressingNode
     from .event_rule import EventRule
     from .kleene_node import KleeneNode
     from .shared_run_buffer import Run
-    from .stream_node import StreamNode
-
-    # Nodes that compute results again without repetitions or elements whose events were retracted.
-    RecomputingNode = Union[KleeneNode, StreamNode]
-    RetryingNode = Union[SuppressingNode, RecomputingNode]
 
 MAX_REMEMBERED_EVENTS = 100_000
 """Maximum number of remembered events.
@@ -67,17 +33,12 @@ MAX_REMEMBERED_EVENTS = 100_000
 When it is exceeded, the oldest event is unlinked and can no longer be retracted or explained.
 """
 
-REV = functor("rev", 1)
-
 _MIN_SWEPT_DEPENDENTS = 64
 """Number of dependents of an occurrence from which discarded matches are removed from the list."""
 
-RetractionStep = Callable[[Frame], Frame]
-"""Function that dispatches or retries something; it takes and returns the next frame."""
-
 
 class LineageTracker(StateOwner):
-    """Recorder of events and their lineage; executes retractions.
+    """Recorder of events and their lineage.
 
     Args:
         dispatcher: dispatches the events.
@@ -101,12 +62,13 @@ class LineageTracker(StateOwner):
         report_nothing_retracted: "Callable[[Term, Optional[EventRule]], None]",
     ):
         self._dispatcher = dispatcher
-        self._budget = budget
-        self._report_nothing_retracted = report_nothing_retracted
         self._tracks_events = False
         self._remembered_events: Deque[Occurrence] = deque()
         self._occurrences_by_term: Dict[Hashable, List[Occurrence]] = {}
         self.listeners: List[Listener] = []
+        self._retractions = RetractionExecutor(
+            dispatcher, budget, report_nothing_retracted, self.occurrences_of
+        )
         self._next_suppressed_number = count()
         self._next_event_number = count(1)
         self._alarm_number = 0
@@ -125,7 +87,9 @@ class LineageTracker(StateOwner):
         dispatcher.track_lineage(self._create_token)
         self.listeners.append(dispatcher.listen(ListenerPhase.TRACE, Var(), self._remember))
         if executes_retractions:
-            self.listeners.append(dispatcher.listen(ListenerPhase.RULES, (REV, Var()), self._retract, (-1,)))
+            self.listeners.append(
+                dispatcher.listen(ListenerPhase.RULES, (REV, Var()), self._retractions.retract, (-1,))
+            )
 
     next_suppressed_number = NextNumber("_next_suppressed_number", "Number of the next suppressed match.")
 
@@ -249,133 +213,6 @@ class LineageTracker(StateOwner):
                 if not occurrence.forgotten:
                     occurrence.suppressed.append(entry)
 
-    def _retract(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
-        """Retract the events of ``rev(E)``: all occurrences of E.
-
-        For a ``rev`` event that another retraction dispatched, only the occurrence that it names is retracted.
-        """
-        token = self._dispatcher.token()
-        retracted = token.retracts
-        retries: List[Tuple[RetryingNode, MatchOrPair]] = []
-        invalidated: List[LineageNode] = []
-        if retracted is None:
-            retracted = [
-                occurrence
-                for occurrence in self._occurrences_by_term.get(term_key(values[0]), ())
-                if not occurrence.retracted
-            ]
-            if not retracted:
-                self._report_nothing_retracted(values[0], token.rule)
-                return frame
-            # The work is charged to the rule that sent ``rev``, else to one that derived an event from the retracted
-            # ones.
-            meter = self._budget.meter(token.rule or _find_deriving_rule(retracted))
-            removal = self._remove_derived(retracted, meter)
-            if removal is None:
-                return frame
-            invalidated, retries = removal
-        else:
-            meter = self._budget.meter(token.rule)
-        steps = self._create_steps([*retracted, *invalidated], retries, start, end)
-        retraction = _RetractionSteps(metered(steps, meter))
-        return retraction.run((retraction, frame))
-
-    def _remove_derived(
-        self, retracted: List[Occurrence], meter: Optional[Meter]
-    ) -> Optional[Tuple[List[LineageNode], List[Tuple["RetryingNode", MatchOrPair]]]]:
-        """Remove events and everything derived from them from all buffers, before consequences are computed.
-
-        Returns:
-            None if the work limit is exceeded; nothing is removed then. Otherwise two lists: the results that became
-            invalid although they do not contain a removed event; and the matches to try again, each with its node,
-            which are suppressed matches and later results of runs that lost a repetition.
-        """
-        marked = _mark_retracted(retracted, meter)
-        if marked is None:
-            return None
-        self._dispatcher.count_retraction()
-        # ``rev(E)`` itself reports the retraction of E, so no further ``rev`` event is dispatched for these.
-        for occurrence in retracted:
-            occurrence.reported = True
-        runs: Dict[Any, RecomputingNode] = {}
-        released_matches: List[Suppressed] = []
-        invalidated: List[LineageNode] = []
-        # Removing events can invalidate results of stream operators that do not contain them, and these can have
-        # derived events of their own: repeat until nothing is added.
-        while marked:
-            affected = self._detach_from_dependents(marked, released_matches)
-            runs.update(affected)
-            invalid = [
-                lost_result
-                for node in dict.fromkeys(affected.values())
-                for lost_result in node.invalid_results()
-                if not lost_result.retracted
-            ]
-            # If the work limit is exceeded here, the loop ends and the invalid results remain.
-            marked = _mark_retracted(invalid, meter)
-            invalidated += invalid if marked else ()
-        # A match that is tried first may consume events of the others, so the order of the first attempt is kept.
-        released_matches.sort(key=attrgetter("number"))
-        retries: List[Tuple[RetryingNode, MatchOrPair]] = [
-            (node, result) for run, node in runs.items() for result in node.recompute_results(run)
-        ]
-        return invalidated, retries + [
-            (suppressed.node, suppressed.match_or_pair)
-            for suppressed in released_matches
-            if suppressed.release()
-        ]
-
-    @staticmethod
-    def _detach_from_dependents(
-        marked: Sequence[LineageNode], released_matches: List[Suppressed]
-    ) -> Dict[Any, "RecomputingNode"]:
-        """Remove events that are marked as retracted from the matches and runs that use them.
-
-        Returns:
-            The affected runs with their nodes. Suppressed matches are appended to ``released_matches``.
-        """
-        runs: Dict[Any, RecomputingNode] = {}
-        for node in marked:
-            dependents, node.dependents = node.dependents, []
-            for dependent in dependents:
-                if isinstance(dependent, PartialMatch):
-                    dependent.discard()
-                    continue
-                run_node, run, repetition = dependent
-                if run_node.remove_retracted(run, repetition):
-                    # A run may have lost several repetitions; its results are computed once, after all are removed.
-                    runs[run] = run_node
-            released_matches += node.suppressed
-            node.suppressed = []
-        return runs
-
-    def _create_steps(
-        self,
-        retracted: Sequence[LineageNode],
-        retries: List[Tuple["RetryingNode", MatchOrPair]],
-        start: int,
-        end: int,
-    ) -> Iterator[RetractionStep]:
-        """Yield the steps of a retraction: ``rev`` events for derived occurrences, then matches to try again."""
-        for occurrence in retracted:
-            for derived in take_unreported_derived(occurrence):
-                yield self._create_rev_step(derived, start, end)
-        for node, match_or_pair in retries:
-            yield partial(self._retry, node, match_or_pair)
-
-    def _retry(self, node: "RetryingNode", match_or_pair: Any, frame: Frame) -> Frame:
-        """Try a match again, and return the next frame."""
-        # Nodes store some matches of an event only when the next event arrives; ``rev`` is such an event.
-        node.rule.store_deferred_of_earlier_events(self._dispatcher.token())
-        return node.retry(match_or_pair, frame)
-
-    def _create_rev_step(self, occurrence: Occurrence, start: int, end: int) -> RetractionStep:
-        """Return the step that dispatches ``rev(E)`` for an occurrence of a derived event E."""
-        term = (REV, occurrence.term)
-        token = Occurrence(term, start, end, None, None)
-        token.retracts = [occurrence]
-        return lambda frame: self._dispatcher.dispatch(term, start, end, frame, token)
-
     def occurrences_of(self, term: Term) -> List[Occurrence]:
         """Return the remembered events with a term that are not retracted, the oldest first."""
         return [
@@ -389,42 +226,6 @@ class LineageTracker(StateOwner):
         return [occurrence for occurrence in self._remembered_events if not occurrence.retracted]
 
 
-def _mark_retracted(retracted: Sequence[LineageNode], meter: Optional[Meter]) -> Optional[List[LineageNode]]:
-    """Mark events and everything derived from them as retracted.
-
-    The work limit must not interrupt the removal from the buffers, because rules would then use retracted events. The
-    work of the removal is therefore counted here, in advance.
-
-    Returns:
-        All marked nodes, or None if the work limit is exceeded; no node is marked then.
-    """
-    stack: List[LineageNode] = [*reversed(retracted)]
-    marked: List[LineageNode] = []
-    while stack:
-        node = stack.pop()
-        if node.retracted:
-            continue
-        if meter is not None and meter(1 + len(node.dependents) + len(node.suppressed)):
-            for node in marked:
-                node.retracted = False
-            return None
-        node.retracted = True
-        marked.append(node)
-        stack += reversed(node.derived)
-    return marked
-
-
-def _find_deriving_rule(retracted: Sequence[Occurrence]) -> Optional["EventRule"]:
-    """Return a rule that derived an event from one of the retracted events, or None."""
-    stack: List[LineageNode] = [*retracted]
-    while stack:
-        for derived in stack.pop().derived:
-            if isinstance(derived, Occurrence):
-                return derived.rule
-            stack.append(derived)
-    return None
-
-
 def _unlink(oldest: Occurrence) -> None:
     """Remove a dropped occurrence from the ``derived`` lists of its repetitions, which live as long as their run."""
     repetition: Any
@@ -436,23 +237,6 @@ def _unlink(oldest: Occurrence) -> None:
 
 def _is_synchronized(term: Term) -> bool:
     return term.__class__ is tuple and term[0] in SYNCHRONIZED
-
-
-class _RetractionSteps:
-    """Code of a frame ``(self, next frame)`` that executes the remaining steps of a retraction."""
-
-    __slots__ = ("steps",)
-
-    def __init__(self, steps: Iterator[RetractionStep]):
-        self.steps = steps
-
-    def run(self, frame: Frame) -> Frame:
-        for step in self.steps:
-            next_frame = step(frame)
-            # The step has created frames. The machine executes them and then returns to this one, for the next step.
-            if next_frame is not frame:
-                return next_frame
-        return frame[1]  # type: ignore[no-any-return]
 
 
 class LineageCut:
