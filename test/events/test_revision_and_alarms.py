@@ -9,8 +9,8 @@ from events.stream_programs import ProgramRunner, format_events, outputs_of
 from retalis import StreamClock
 from retalis.events.matches import consumption_policy, match_limit
 from retalis.events.matches.match_types import RepetitionChain
-from retalis.events.network import lineage
-from retalis.events.network.derivation_graph import Occurrence
+from retalis.events.network import lineage_tracker
+from retalis.events.network.lineage_graph import Occurrence
 from retalis.prolog.terms.timestamps import SECOND
 
 
@@ -286,7 +286,7 @@ def test_alarm_without_delay_is_reported() -> None:
 
 
 def test_forgotten_event_collects_no_derived_events(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lineage, "MAX_REMEMBERED_EVENTS", 20)
+    monkeypatch.setattr(lineage_tracker, "MAX_REMEMBERED_EVENTS", 20)
     program = ProgramRunner("c <- a seq b.", ["revision_flag"], "unrestricted")
     program.feed("a@1")
     (oldest,) = program.engine.rules.tracker.remembered_events()
@@ -298,7 +298,7 @@ def test_forgotten_event_collects_no_derived_events(monkeypatch: pytest.MonkeyPa
 
 
 def test_forgotten_events_keep_no_sources(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lineage, "MAX_REMEMBERED_EVENTS", 20)
+    monkeypatch.setattr(lineage_tracker, "MAX_REMEMBERED_EVENTS", 20)
     program = ProgramRunner("n(M) <- n(N) seq tick where M is N + 1.", ["etalis_justification"], "recent")
     program.feed("n(0)@0 tick@1")
     derived = program.engine.rules.tracker.remembered_events()[-1]
@@ -314,7 +314,7 @@ def count_occurrences() -> Any:
 
 
 def test_forgotten_events_of_a_chain_are_freed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lineage, "MAX_REMEMBERED_EVENTS", 20)
+    monkeypatch.setattr(lineage_tracker, "MAX_REMEMBERED_EVENTS", 20)
     # Matches that have left their buffers remain in the list of arrivals up to this number, with their events.
     monkeypatch.setattr(match_limit, "STALE_ARRIVALS_TOLERANCE", 0)
     program = ProgramRunner("n(M) <- n(N) seq tick where M is N + 1.", ["etalis_justification"], "recent")
@@ -334,7 +334,7 @@ def test_forgotten_events_of_a_chain_are_freed(monkeypatch: pytest.MonkeyPatch) 
     ],
 )
 def test_forgotten_event_has_no_dependents(rule: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lineage, "MAX_REMEMBERED_EVENTS", 20)
+    monkeypatch.setattr(lineage_tracker, "MAX_REMEMBERED_EVENTS", 20)
     program = ProgramRunner(rule, ["revision_flag"], "unrestricted")
     program.feed("e@0 a@1")
     event = program.engine.rules.tracker.remembered_events()[-1]

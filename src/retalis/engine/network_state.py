@@ -13,7 +13,7 @@ from ..events.knowledge.timeout_queue import TIMEOUT_ALARMS, StoredTimeoutAlarm,
 from ..events.language.rule_labels import Property
 from ..events.matches.match_types import NO_REPETITIONS, RepetitionChain
 from ..events.network.event_rule import EventRule
-from ..events.network.lineage import LineageCut
+from ..events.network.lineage_tracker import LineageCut
 from ..events.network.node_timers import RULE_ALARMS, RuleAlarm, StoredRuleAlarm
 from ..events.network.pattern_nodes import NetworkNode
 from ..events.program.event_file_parser import reread_rule

@@ -20,8 +20,8 @@ from ..events.knowledge.subscriptions import Subscription, SubscriptionKey
 from ..events.language.pattern_tree import AggregatePattern, RatePattern, WindowPattern, walk
 from ..events.language.stream_parser import subscription_event
 from ..events.matches.match_types import AfterMatchSkipStrategy
-from ..events.network.derivation_graph import Occurrence
 from ..events.network.event_rule import EventRule
+from ..events.network.lineage_graph import Occurrence
 from ..foundation.cancellation import check_limits, set_limit_check
 from ..foundation.errors import RetalisError, UsageError, format_count
 from ..foundation.similar_names import did_you_mean

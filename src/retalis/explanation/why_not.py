@@ -47,9 +47,9 @@ from ..events.language.pattern_tree import (
 )
 from ..events.language.stream_parser import rate_operator_term, step_term, window_term
 from ..events.matches.match_types import NetworkOptions
-from ..events.network.derivation_graph import Occurrence
 from ..events.network.event_rule import EventRule
 from ..events.network.goal_evaluation import Evaluators
+from ..events.network.lineage_graph import Occurrence
 from ..events.network.stream_compiler import create_rate_operator
 from ..events.network.stream_node import StreamNode
 from ..events.streams.aggregates import SequenceAggregate

@@ -68,7 +68,7 @@ from ..dispatch.matcher_compiler import compile_builder
 from ..language.state_parser import StateForm, parse_state_declaration
 from ..matches.match_types import OPTIONAL_EVENT
 from ..matches.watermarks import PatternWatermark, Watermarks, functor_of
-from ..network.derivation_graph import Occurrence
+from ..network.lineage_graph import Occurrence
 from .memory import Warn
 from .timeout_queue import Timeouts, are_increasing_orders
 

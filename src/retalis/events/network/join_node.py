@@ -44,8 +44,8 @@ from ..matches.interval_index import interval_bounds
 from ..matches.match_buffer import MatchBuffer
 from ..matches.match_types import TOKEN_KEY, ComputedValues, NetworkOptions, PartialMatch, is_retracted
 from ..matches.negation import DeferredNegations, NegationBuffer, RuledOutSweep
-from .derivation_graph import MatchOrPair
 from .goal_evaluation import Test
+from .lineage_graph import MatchOrPair
 from .pattern_nodes import (
     EventNode,
     Fuse,

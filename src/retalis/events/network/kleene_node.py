@@ -64,8 +64,8 @@ from ..matches.match_types import (
 )
 from ..streams.aggregates import SequenceAggregate
 from .condition_placement import RepetitionItems, append_item
-from .derivation_graph import MatchOrPair
 from .goal_evaluation import Test
+from .lineage_graph import MatchOrPair
 from .pattern_nodes import (
     IdentityFunction,
     MatchCheck,

@@ -19,9 +19,9 @@ from ..language.rule_heads import is_absolute_alarm
 from ..matches.match_types import NetworkOptions
 from ..matches.watermarks import Watermarks
 from ..streams.stream_operators import KeyBounds
-from .derivation_graph import Occurrence
 from .goal_evaluation import ConditionState, TimedNode
-from .lineage import LineageTracker
+from .lineage_graph import Occurrence
+from .lineage_tracker import LineageTracker
 from .node_timers import NodeTimers, RuleAlarm
 
 if TYPE_CHECKING:

@@ -20,8 +20,8 @@ from ...serialization.state_fields import rows_of
 from ..clock.clock import Clock
 from ..dispatch.dispatcher import Dispatcher
 from ..matches.match_types import OPTIONAL_EVENT
-from .derivation_graph import Occurrence
 from .goal_evaluation import TimedNode
+from .lineage_graph import Occurrence
 
 if TYPE_CHECKING:
     from .event_rule import EventRule

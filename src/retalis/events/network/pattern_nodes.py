@@ -60,8 +60,8 @@ from ..matches.match_types import (
     identity,
 )
 from ..matches.negation import DeferredNegations, NegatedNode, NegationBuffer, RuledOutSweep
-from .derivation_graph import MatchOrPair
 from .goal_evaluation import RuleGoal, Test
+from .lineage_graph import MatchOrPair
 from .shared_run_buffer import Run, RunGroup, RunGroupBuffer
 
 if TYPE_CHECKING:

@@ -41,8 +41,8 @@ from ..matches.consumption_policy import Emit, emit_each, metered
 from ..matches.interval_index import interval_bounds
 from ..matches.match_buffer import MatchBuffer, key_function
 from ..matches.match_types import NetworkOptions, PartialMatch, identity
-from .derivation_graph import lineage_nodes_of
 from .join_node import JoinNode
+from .lineage_graph import lineage_nodes_of
 from .pattern_nodes import IdentityFunction, MatchCheck, NetworkNode, OperandBuffer, accepts_none
 from .shared_run_buffer import (
     BufferSlice,

@@ -16,12 +16,12 @@ from ...prolog.terms.types import Frame, Term, Values, functor
 from ..dispatch.dispatcher import Dispatcher
 from ..matches.consumption_policy import metered
 from ..matches.match_types import PartialMatch
-from .derivation_graph import LineageNode, MatchOrPair, Occurrence, Suppressed, take_unreported_derived
+from .lineage_graph import LineageNode, MatchOrPair, Occurrence, Suppressed, take_unreported_derived
 
 if TYPE_CHECKING:
-    from .derivation_graph import SuppressingNode
     from .event_rule import EventRule
     from .kleene_node import KleeneNode
+    from .lineage_graph import SuppressingNode
     from .stream_node import StreamNode
 
     # Nodes that compute results again without repetitions or elements whose events were retracted.

@@ -75,7 +75,7 @@ from ..matches.watermarks import PatternWatermark, functors_of
 from ..streams.row_pattern import MAX_STATES_PER_START
 from ..streams.stream_operators import ELEMENT, KeyBounds, StreamElement, StreamOperator, StreamOutput
 from ..streams.windows import KeyedWindow
-from .derivation_graph import lineage_nodes_of
+from .lineage_graph import lineage_nodes_of
 from .pattern_nodes import MatchCheck, NetworkNode, OperandBuffer, checks_of_negations
 
 if TYPE_CHECKING:

@@ -1,6 +1,6 @@
 """Explanations of events as terms: why an event occurred, and why one did not occur.
 
-`Justifier` answers ``justify_event/3`` and ``justification_edge/2`` from the derivation graph of `LineageTracker`.
+`Justifier` answers ``justify_event/3`` and ``justification_edge/2`` from the lineage graph of `LineageTracker`.
 Why-provenance is the tree of an occurrence: the rule that raised it, its match described with the operators of the
 pattern, and recursively the events of that match. Why-not provenance is found for each rule whose head unifies with
 the missing event: its pattern with the remembered events that match parts of it; parts without such an event are
@@ -46,9 +46,9 @@ from ..language.pattern_tree import (
 )
 from ..language.stream_parser import rate_operator_term, window_term
 from ..matches.match_types import ComputedValues, PartialMatch, RepetitionChain
-from ..network.derivation_graph import Occurrence
 from ..network.event_rule import EventRule
-from ..network.lineage import LineageTracker
+from ..network.lineage_graph import Occurrence
+from ..network.lineage_tracker import LineageTracker
 from ..network.shared_run_buffer import repetitions
 
 _EVENT = functor("event", 2)

@@ -1,11 +1,11 @@
-"""Derivation graph: occurrences of events, repetitions, and the links between them.
+"""Lineage graph: occurrences of events, repetitions, and the links between them.
 
 An `Occurrence` is an event that was dispatched, with links in both directions: to the match that it was derived from,
-and to the occurrences derived from it. These links are the derivation graph (why-provenance). Negation adds links of
+and to the occurrences derived from it. These links are the lineage graph (why-provenance). Negation adds links of
 a third kind: a `Suppressed` match would have fired if a negated event had not occurred; if that event is retracted,
 the match is tried again.
 
-Repetitions of a pattern share their events as linked lists of `RepetitionChain`. These are nodes of the derivation
+Repetitions of a pattern share their events as linked lists of `RepetitionChain`. These are nodes of the lineage
 graph as well, so an occurrence has one link for all results of a run, not one per result.
 """
 
@@ -121,7 +121,7 @@ class Occurrence:
 
 
 LineageNode = Union[Occurrence, RepetitionChain]
-"""Node of the derivation graph."""
+"""Node of the lineage graph."""
 
 MatchOrPair = Union[PartialMatch, Tuple[PartialMatch, PartialMatch]]
 """Match, or two matches that are to be joined."""

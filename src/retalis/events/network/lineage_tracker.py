@@ -18,13 +18,13 @@ from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import CAUSE, END, PARENT, START, TERM, TOKEN, Context, Listener, ListenerPhase
 from ..language.rule_heads import SYNCHRONIZED
 from ..matches.match_types import PartialMatch, RepetitionChain, lineage_sources
-from .derivation_graph import MatchOrPair, Occurrence, Suppressed, lineage_nodes_of
+from .lineage_graph import MatchOrPair, Occurrence, Suppressed, lineage_nodes_of
 from .retraction import REV, RetractionExecutor
 
 if TYPE_CHECKING:
-    from .derivation_graph import SuppressingNode
     from .event_rule import EventRule
     from .kleene_node import KleeneNode
+    from .lineage_graph import SuppressingNode
     from .shared_run_buffer import Run
 
 MAX_REMEMBERED_EVENTS = 100_000
