@@ -50,7 +50,7 @@ CACHES = {
     ("messages/type_registry.py", "self._by_text"): (1000, 32 << 20),
     ("messages/type_registry.py", "self._decoders"): (1000, 32 << 20),
     ("messages/type_registry.py", "self._encoders"): (1000, 32 << 20),
-    ("messages/message_notation.py", "self.notations"): (1000, 1 << 20),
+    ("messages/message_slots.py", "self.notations"): (1000, 1 << 20),
     ("messages/encoder.py", "_packed_texts"): (2048, 1 << 20),
     ("messages/cdr_encoder.py", "_packed_texts"): (2048, 1 << 20),
     ("messages/decoder.py", "cache"): (

@@ -6,12 +6,8 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from retalis import Definitions, MessageError, Operators, Var, deref
-from retalis.messages.message_notation import (
-    SlotNames,
-    format_positional,
-    format_with_names,
-    format_with_zeros,
-)
+from retalis.messages.message_slots import SlotNames
+from retalis.messages.message_templates import format_positional, format_with_names, format_with_zeros
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.terms.term_traversal import term_key
 

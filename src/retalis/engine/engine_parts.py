@@ -13,7 +13,7 @@ from ..events.program.event_language_predicates import define_predicates
 from ..events.rules.event_input_predicates import define_new_event
 from ..events.rules.language_flags import MAX_WATERMARK_DELAY, Flags
 from ..events.rules.rule_base import RuleBase
-from ..messages.message_notation import SlotNames
+from ..messages.message_slots import SlotNames
 from ..messages.type_registry import Definitions
 from ..prolog.files.source_files import SourceFiles
 from ..prolog.machine.resource_limits import MEGABYTE, Budget

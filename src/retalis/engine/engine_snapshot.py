@@ -23,7 +23,7 @@ from ..events.knowledge.subscriptions import Subscriptions
 from ..events.matches.watermarks import Watermarks
 from ..events.network.event_rule import EventRule
 from ..foundation.errors import RetalisError, UsageError
-from ..messages.message_notation import SlotNames
+from ..messages.message_slots import SlotNames
 from ..prolog.files.source_files import SourceFiles
 from ..prolog.swi.use_swi import SwiFile, use_swi
 from ..prolog.system.foreign_functions import define_foreign, load_module

@@ -13,7 +13,7 @@ from retalis.events.checks.variable_type_checks import (
     find_type_conflicts,
 )
 from retalis.events.program.topic_configuration import Topics, topic_type
-from retalis.messages.message_notation import SENSOR_PREDICATES
+from retalis.messages.message_templates import SENSOR_PREDICATES
 from retalis.prolog.builtins.builtin_registry import ENTRIES
 
 TOPICS = Topics((topic_type("at", "geometry_msgs/Point"), topic_type("n", "std_msgs/Int32")))

@@ -13,7 +13,7 @@ from decimal import Decimal
 from typing import Any, Dict, Iterator, List, Mapping, NamedTuple, Optional, Set, Tuple
 
 from ...foundation.errors import Place, RuleError
-from ...messages.message_notation import SENSOR_PREDICATES
+from ...messages.message_templates import SENSOR_PREDICATES
 from ...messages.type_definition import FLOATS, PRIMITIVES, Definition, Field, functor_name
 from ...prolog.terms.types import Atom, CompoundTerm, Functor, String, Term, Var, deref, functor
 from ..language.event_declarations import ValueType, slot_value_type

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retalis import Definitions, Operators, SyntaxFault, UsageError
-from retalis.messages.message_notation import SlotNames
+from retalis.messages.message_slots import SlotNames
 from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.syntax.event_text import to_text
 from retalis.prolog.syntax.term_reader import read_term
