@@ -109,6 +109,9 @@ _NOETIC = """
     """
 
 DEPENDENCIES = {
+    "ament_cmake": "pip",
+    "ament_cmake_python": "pip",
+    "builtin_interfaces": "pip",
     "catkin": "catkin",
     "diagnostic_msgs": "python3-diagnostic-msgs",
     "genpy": "python3-genpy",
@@ -122,10 +125,13 @@ DEPENDENCIES = {
     "python3-rospkg": "python3-rospkg",
     "python3-setuptools": "python3-setuptools",
     "python3-tornado": "python3-tornado",
+    "rclpy": "pip",
     "rosbag": "python3-rosbag",
     "rosbash": "rosbash",
     "rosgraph": "python3-rosgraph",
     "rosgraph_msgs": "python3-rosgraph-msgs",
+    "rosidl_default_generators": "pip",
+    "rosidl_default_runtime": "pip",
     "roslaunch": "python3-roslaunch",
     "roslib": "python3-roslib",
     "rospy": "python3-rospy",

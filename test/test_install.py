@@ -499,10 +499,32 @@ def test_lint_checks_types_with_options_of_python(
 def test_dependencies_of_manifest_are_known(install: Any) -> None:
     manifest = (HERE / "package.xml").read_text()
     assert install.find_dependency_problems(manifest) == []
-    names = set(re.findall(r"<\w*depend>([^<]+)<", manifest))
+    names = set(re.findall(r"<\w*depend\b[^>]*>([^<]+)<", manifest))
     assert names == set(install.DEPENDENCIES)
     # The build farms of ROS refuse packages that depend on such a key.
     assert not [name for name in names if name.endswith("-pip")]
+
+
+@pytest.mark.parametrize(
+    ("variables", "build_type", "present", "absent"),
+    [
+        ({}, "catkin", "catkin rospy std_msgs", "rclpy"),
+        ({"ROS_VERSION": "1"}, "catkin", "catkin rospy std_msgs", "rclpy"),
+        ({"ROS_VERSION": "2"}, "ament_cmake", "ament_cmake rclpy std_msgs", "catkin rospy python3-rospkg"),
+    ],
+)
+def test_manifest_has_dependencies_of_each_ros(
+    variables: Dict[str, str], build_type: str, present: str, absent: str
+) -> None:
+    manifest = pytest.importorskip("catkin_pkg.package").parse_package(str(HERE / "package.xml"))
+    manifest.evaluate_conditions(variables)
+    dependencies = [*manifest.buildtool_depends, *manifest.exec_depends]
+    names = {dependency.name for dependency in dependencies if dependency.evaluated_condition}
+    assert set(present.split()) <= names
+    assert not set(absent.split()) & names
+    assert manifest.get_build_type() == build_type
+    groups = [group.name for group in manifest.member_of_groups if group.evaluated_condition]
+    assert groups == (["rosidl_interface_packages"] if build_type == "ament_cmake" else [])
 
 
 @pytest.mark.parametrize("tag", ["exec_depend", "test_depend", "depend"])

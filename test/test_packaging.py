@@ -60,6 +60,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Any:
         "srv",
         "nodes",
         "env-hooks",
+        "cmake",
     ):
         shutil.copytree(
             ROOT / name, sources / name, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info")
@@ -125,6 +126,7 @@ def test_archive_has_files_for_build(built: Any) -> None:
         "examples/nao/make_bag.py",
         "application_source/pub_sub.xml",
         "srv/AddMemory.srv",
+        "cmake/ros2.cmake",
         "install_apt.py",
         "examples/cookbook/door/eventRules.txt",
     }
