@@ -1,4 +1,4 @@
-"""Event text, read by shape, compared with the general reader."""
+"""Event text, read by skeletons, compared with the general reader."""
 
 import re
 from typing import Any, List

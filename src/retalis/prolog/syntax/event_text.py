@@ -1,4 +1,4 @@
-"""Event text: conversion between the text of the String topics and terms, with a cache of templates.
+"""Event text: conversion between the text of the String topics and terms, with a cache of compiled builders.
 
 The texts on a topic differ in their numbers and quoted atoms and in little else. The reader splits these out; the
 rest, the *skeleton*, is the key of a cache of compiled functions (`Builder`) that build the term from them. A builder
@@ -6,7 +6,7 @@ is compiled by parsing the skeleton once with a unique marker in the place of ea
 the resulting term. If a marker does not occur exactly once, as an argument or list item, the skeleton is not cached,
 and its texts are always parsed.
 
-A template must never give another term than the parser. This holds because
+A builder must never give another term than the parser. This holds because
 
 * a number is split out only if it is a whole argument or item: after an opening bracket, comma or bar, and before a
   comma, bar or closing bracket. Its sign belongs to it there, and no other part of the text depends on its value;
@@ -14,7 +14,7 @@ A template must never give another term than the parser. This holds because
 * numbers, quoted atoms and double-quoted atoms leave different skeletons, and a builder checks their counts.
 
 If two successive texts that begin with the same event name have the same skeleton, the next ones are not split. They
-are matched as a whole with a regular expression made from the skeleton (`TextTemplate`), which extracts the same
+are matched as a whole with a regular expression made from the skeleton (`SkeletonRegex`), which extracts the same
 parts. A text that does not match, or that contains a number that only JSON accepts, goes through the steps above.
 Matching takes time in proportion to the text: between two runs of numbers there is a character that occurs in none.
 
@@ -59,7 +59,7 @@ exponents_fit = _EXPONENTS.fullmatch
 """Returns whether each exponent follows a decimal point and is in range, as the parser requires."""
 
 
-class TextTemplate(NamedTuple):
+class SkeletonRegex(NamedTuple):
     """A regular expression for the texts of a skeleton.
 
     Attributes:
@@ -75,8 +75,8 @@ class TextTemplate(NamedTuple):
     may_be_infinite: bool
 
 
-def make_text_template(skeleton: str) -> Optional[TextTemplate]:
-    """Return the template of a skeleton; None if it is impossible or not worthwhile."""
+def compile_skeleton_regex(skeleton: str) -> Optional[SkeletonRegex]:
+    """Return the regular expression of a skeleton; None if it is impossible or not worthwhile."""
     if len(skeleton) > MAX_SKELETON_CHARACTERS or "\\" in skeleton or "\n" in skeleton or '"' in skeleton:
         return None
     parts = _RUN_OR_SPAN.split(skeleton)
@@ -93,7 +93,7 @@ def make_text_template(skeleton: str) -> Optional[TextTemplate]:
         atom_counts.append(place.count("'"))
         source.append(_RUN_PATTERN % (_MEAN_NUMBER_CHARACTERS * count) if count else _span(place))
         source.append(re.escape(literal))
-    return TextTemplate(
+    return SkeletonRegex(
         re.compile("".join(source)),
         number_counts,
         atom_counts,
@@ -153,7 +153,7 @@ _MAX_LOCALS = 200
 """Numbers that are unpacked into variables; if there are more, they are accessed by index."""
 
 
-class TemplateCompiler:
+class BuilderCompiler:
     """Compiles a Python function that builds a term from its marked parts."""
 
     def __init__(self, marks: Dict[Term, str]):
@@ -191,8 +191,8 @@ class TemplateCompiler:
 
     def _make_text_reader(self, skeleton: str, spans: SpanCache) -> Optional[TextReader]:
         """Return the function that reads whole texts; see `Builder`."""
-        template = make_text_template(skeleton) if len(self._marks) <= _MAX_LOCALS else None
-        if template is None:
+        regex = compile_skeleton_regex(skeleton) if len(self._marks) <= _MAX_LOCALS else None
+        if regex is None:
             return None
 
         def store_span(span: str) -> Tuple[Atom, ...]:
@@ -200,7 +200,7 @@ class TemplateCompiler:
 
         names: Dict[str, Any] = {
             **self._bound_names.values,
-            "match": template.pattern.fullmatch,
+            "match": regex.pattern.fullmatch,
             "find_span": spans.get,
             "store_span": store_span,
             "scan_json": scan_json,
@@ -208,7 +208,7 @@ class TemplateCompiler:
             "INFINITY": float("inf"),
             "SCAN_ERRORS": _SCAN_ERRORS,
         }
-        body = [*_extraction_lines(template), *self._lines]
+        body = [*_extraction_lines(regex), *self._lines]
         lines = ["def read(text):", *(" " + line for line in body)]
         read: TextReader = codegen.function(lines, names, "event text", "read")
         return read
@@ -289,16 +289,16 @@ class TemplateCompiler:
         return f"t{len(self._lines) - 1}"
 
 
-def _extraction_lines(template: TextTemplate) -> List[str]:
+def _extraction_lines(regex: SkeletonRegex) -> List[str]:
     """Return the lines that extract numbers and atoms from a text, and return None if it does not match."""
-    groups = [f"g{index}" for index in range(len(template.number_counts))]
+    groups = [f"g{index}" for index in range(len(regex.number_counts))]
     lines = ["whole = match(text)", "if whole is None: return None"]
     if groups:
         lines.append(f"{', '.join(groups)}, = whole.groups()")
     runs: List[List[str]] = []
     numbers: List[str] = []
     atoms = 0
-    for group, count, span in zip(groups, template.number_counts, template.atom_counts):
+    for group, count, span in zip(groups, regex.number_counts, regex.atom_counts):
         if count:
             runs.append([f"n{len(numbers) + index}" for index in range(count)])
             numbers += runs[-1]
@@ -307,7 +307,7 @@ def _extraction_lines(template: TextTemplate) -> List[str]:
             atoms += span
             lines.append(f"{', '.join(names)}, = find_span({group}) or store_span({group})")
     if numbers:
-        texts = [f"[{{{group}}}]" for group, count in zip(groups, template.number_counts) if count]
+        texts = [f"[{{{group}}}]" for group, count in zip(groups, regex.number_counts) if count]
         places = "".join(f"({', '.join(run)},), " for run in runs)
         lines += [
             f'numbers = f"[{",".join(texts)}]"',
@@ -317,7 +317,7 @@ def _extraction_lines(template: TextTemplate) -> List[str]:
             "except SCAN_ERRORS: return None",
         ]
     # JSON reads 1e999 or a number of 400 digits as infinity, which event text writes as `inf`.
-    if template.may_be_infinite:
+    if regex.may_be_infinite:
         values = ", ".join(numbers)
         lines.append(f"if INFINITY in ({values},) or -INFINITY in ({values},): return None")
     return lines
@@ -382,7 +382,7 @@ _MAX_EVENT_NAMES = 256
 
 
 class EventReader:
-    """Reads event text; caches templates in bounded memory.
+    """Reads event text; caches builders in bounded memory.
 
     Event text is Prolog text with `ReadFlags.event_text`: ``nan``, ``inf`` and ``-inf`` are floats, and ``"text"`` is
     the atom ``'"text"'``. Not thread-safe.
@@ -551,7 +551,7 @@ def _new_builder(skeleton: str, operators: Operators) -> Optional[Builder]:
         term = read_term(text, operators, "event text", EVENT_TEXT, positions=False).term
     except SyntaxFault:
         return None
-    return TemplateCompiler(marks).compile(term)
+    return BuilderCompiler(marks).compile(term)
 
 
 def _insert_marks(skeleton: str) -> Tuple[str, Dict[Term, str]]:
