@@ -21,6 +21,7 @@ from ...foundation.errors import (
 from ..program.topic_configuration import read_text
 from .condition_checks import find_impossible_conditions
 from .event_flow_checks import find_declaration_violations, find_unconsumed_events, find_unproduced_events
+from .long_event_window_checks import find_windows_of_long_events
 from .memory_checks import find_empty_memories, find_record_mismatches, find_unknown_memories
 from .message_checks import (
     find_impossible_values,
@@ -58,7 +59,6 @@ from .time_checks import (
 )
 from .value_flow import find_conflicting_flows, find_impossible_flows
 from .variable_type_checks import find_inexact_decimals, find_number_type_mismatches, find_type_conflicts
-from .window_checks import find_windows_of_long_events
 
 ERROR, WARNING, INFO = "error", "warning", "info"
 
