@@ -6,7 +6,7 @@ from typing import Any, List
 
 import pytest
 from checked_access import items
-from events.stream_programs import term_text
+from events.program_runner import term_text
 from events.test_scenarios import BASE, SCENARIOS, expected_results, short
 
 from retalis import Operators, SyntaxFault, deref

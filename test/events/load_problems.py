@@ -3,7 +3,7 @@
 from typing import Any, List, Tuple
 
 import pytest
-from events.stream_programs import ProgramRunner
+from events.program_runner import ProgramRunner
 
 from retalis import ProgramErrors
 

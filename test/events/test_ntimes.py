@@ -4,7 +4,7 @@ import random
 from typing import Any, Dict, List, Optional, Tuple
 
 import pytest
-from events.stream_programs import ProgramRunner, format_events, outputs_of, term_text
+from events.program_runner import ProgramRunner, format_events, outputs_of, term_text
 
 from retalis import Engine
 from retalis.events.network.repeat_node import RepeatNode

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Dict, Iterator
 
 import pytest
-from events.stream_programs import FUTURE, format_events, term_text
+from events.program_runner import FUTURE, format_events, term_text
 
 from retalis import Engine, StreamClock
 from retalis.prolog.terms.timestamps import SECOND, to_term

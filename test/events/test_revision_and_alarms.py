@@ -4,7 +4,7 @@ import gc
 from typing import Any, List, Tuple
 
 import pytest
-from events.stream_programs import ProgramRunner, format_events, outputs_of
+from events.program_runner import ProgramRunner, format_events, outputs_of
 
 from retalis import StreamClock
 from retalis.events.matches import consumption_policy, match_limit

@@ -10,7 +10,7 @@ from typing import Any, List, NamedTuple, Tuple
 import pytest
 from checked_access import number
 from events.contradicted_recordings import CONTRADICTED, Contradiction
-from events.stream_programs import term_text
+from events.program_runner import term_text
 from parsing import parse_term
 
 from retalis import Engine, Operators, RetalisError, Settings, StreamClock, atom, functor

@@ -3,7 +3,7 @@
 from typing import Any, Dict, List, Tuple
 
 import pytest
-from events.stream_programs import ProgramRunner, outputs_of, term_text
+from events.program_runner import ProgramRunner, outputs_of, term_text
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reachability import count_entries, reachable

@@ -3,7 +3,7 @@
 from typing import Any, List
 
 import pytest
-from events.stream_programs import term_text
+from events.program_runner import term_text
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -5,7 +5,7 @@ from typing import Any, List, Optional
 
 import pytest
 from events.load_problems import errors_of, warnings_of
-from events.stream_programs import ProgramRunner
+from events.program_runner import ProgramRunner
 
 COMPARISONS = ["X > 1", "X =< 1", "X == 1", "X = 1", "X \\== 1", "Y is X + 1", "X @< 1", "X =:= 1"]
 

@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from events.stream_programs import ProgramRunner, outputs_of
+from events.program_runner import ProgramRunner, outputs_of
 
 CASES = [
     # pattern, stream, derived events

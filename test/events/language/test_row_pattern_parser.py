@@ -1,7 +1,7 @@
 """Syntax and errors of row patterns."""
 
 import pytest
-from events.stream_programs import ProgramRunner, outputs_of
+from events.program_runner import ProgramRunner, outputs_of
 
 from retalis import ProgramErrors
 

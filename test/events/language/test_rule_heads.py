@@ -3,7 +3,7 @@
 import pytest
 from checked_access import stream_clock
 from events.load_problems import assert_refused, warnings_of
-from events.stream_programs import ProgramRunner, format_events
+from events.program_runner import ProgramRunner, format_events
 
 from retalis import StreamClock
 from retalis.prolog.terms.timestamps import SECOND

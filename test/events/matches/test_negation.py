@@ -5,7 +5,7 @@ from typing import Any, List, Tuple
 
 import pytest
 from checked_access import stream_clock
-from events.stream_programs import ProgramRunner, outputs_of
+from events.program_runner import ProgramRunner, outputs_of
 
 from retalis import Engine
 from retalis.events.matches.expiration import SLICE_ENTRIES

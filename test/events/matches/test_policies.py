@@ -4,7 +4,7 @@ from enum import Enum
 from typing import Any, List, cast
 
 import pytest
-from events.stream_programs import ProgramRunner, format_events, outputs_of
+from events.program_runner import ProgramRunner, format_events, outputs_of
 
 from retalis import Engine, UsageError
 from retalis.events.matches.match_types import ConsumptionPolicy, check_policy

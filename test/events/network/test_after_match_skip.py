@@ -4,7 +4,7 @@ from typing import Any, List, Tuple
 
 import pytest
 from checked_access import required
-from events.stream_programs import ProgramRunner, format_events, outputs_of
+from events.program_runner import ProgramRunner, format_events, outputs_of
 
 from retalis import Engine
 

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 from typing import Any, Dict, List, Optional, Tuple, Union
 
 import pytest
-from events.stream_programs import ProgramRunner, format_events
+from events.program_runner import ProgramRunner, format_events
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

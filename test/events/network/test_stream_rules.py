@@ -6,7 +6,7 @@ from typing import Any, Iterator, List, Tuple
 
 import pytest
 from checked_access import stream_clock
-from events.stream_programs import outputs_of
+from events.program_runner import outputs_of
 from events.streams.operator_driver import entry_count
 
 from retalis import Clock, Engine, StreamClock

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from events.stream_programs import ProgramRunner
+from events.program_runner import ProgramRunner
 
 
 @pytest.fixture

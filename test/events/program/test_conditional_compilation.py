@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from events.stream_programs import ProgramRunner
+from events.program_runner import ProgramRunner
 
 CASES = [
     (":- if(true). a. :- else. b. :- endif.", "a"),

@@ -2,7 +2,7 @@
 
 import pytest
 from events.load_problems import errors_of, warnings_of
-from events.stream_programs import ProgramRunner
+from events.program_runner import ProgramRunner
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from typing import Any, List
 import pytest
 from checked_access import place_of
 from events.load_problems import assert_refused, errors_of
-from events.stream_programs import ProgramRunner, outputs_of
+from events.program_runner import ProgramRunner, outputs_of
 from recorded_calls import recording
 
 from retalis import Engine, ProgramErrors, atom, functor

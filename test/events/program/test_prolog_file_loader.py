@@ -5,7 +5,7 @@ from typing import Any, Dict, List, Tuple
 
 import pytest
 from checked_access import place_of
-from events.stream_programs import ProgramRunner
+from events.program_runner import ProgramRunner
 
 from retalis import Definitions, Engine, Limits, Omission, ProgramErrors, PrologError, Settings
 from retalis.engine.program_check import check_program

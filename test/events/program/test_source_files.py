@@ -5,7 +5,7 @@ from typing import Any, List
 
 import pytest
 from checked_access import place_of
-from events.stream_programs import ProgramRunner, format_events
+from events.program_runner import ProgramRunner, format_events
 from recording_reports import RecordingReports
 
 from retalis import Engine, ProgramErrors, PrologError, RetalisError, Settings, StreamClock, atom

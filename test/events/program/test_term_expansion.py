@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from events.stream_programs import ProgramRunner
+from events.program_runner import ProgramRunner
 
 
 def test_terms_are_expanded() -> None:

@@ -1,17 +1,14 @@
-"""Goals called from Python, nested attempts, limits, and predicates in Python."""
+"""Goals called from Python: solutions, nested attempts, limits, and tracebacks."""
 
 import traceback
-from typing import Any, Iterator, List
+from typing import Any, List
 
 import pytest
-from checked_access import required
 from prolog.support import answers, first, prolog
 
 from retalis import Limits, PrologError, Var, atom, deref, functor
-from retalis.prolog.machine.errors import type_error
-from retalis.prolog.machine.machine import LAST, Code
+from retalis.prolog.machine.machine import Code
 from retalis.prolog.syntax.term_reader import read_term
-from retalis.prolog.system.prolog_system import PrologSystem
 
 
 def goal(logic: Any, text: str, inputs: Any, outputs: Any) -> Any:
@@ -142,48 +139,6 @@ def test_growing_stack_exceeds_memory() -> None:
     logic = prolog("pile(T) :- pile([T,T,T,T,T,T|_]), true. piles(N) :- q(N), piles(N), q(N). q(_).")
     logic.limits = Limits(megabytes=50)
     assert answers(logic, "piles(1)") == ["resource_error(memory)"]
-
-
-def test_predicates_are_defined_in_python() -> None:
-    logic = PrologSystem()
-
-    def double(machine: Any, number: Any, result: Any) -> Any:
-        value = deref(number)
-        if value.__class__ is not int:
-            raise type_error("integer", value)
-        return machine.unify(result, value * 2)
-
-    def divisors(machine: Any, number: Any, result: Any) -> Iterator[Any]:
-        dividend = deref(number)
-        assert isinstance(dividend, int)
-        for value in range(1, dividend + 1):
-            if dividend % value == 0 and machine.unify(result, value):
-                yield LAST if value == dividend else None
-
-    def twice(machine: Any, args: Any, frame: Any) -> Any:
-        return logic.control.call(args[0], required(logic.control.call(args[0], frame)))
-
-    logic.define("double", 2, double)
-    logic.define_nondeterministic("divisor", 2, divisors)
-    logic.define_control("twice", 1, twice)
-    assert answers(logic, "double(4, X)") == [{"X": "8"}]
-    assert answers(logic, "double(a, X)") == ["type_error(integer,a)"]
-    assert [answer["X"] for answer in answers(logic, "divisor(6, X)")] == ["1", "2", "3", "6"]
-    assert answers(logic, "divisor(6, X), X > 2, !") == [{"X": "3"}]
-    assert logic.machine.choices == []
-    assert answers(logic, "twice(nb_setval(n, 1)), nb_getval(n, X)") == [{"X": "1"}]
-
-
-@pytest.mark.parametrize("after", ["", ", X = 1", ", twice"])
-def test_generator_without_arguments_is_backtracked(after: str) -> None:
-    logic = prolog(f"p(X) :- X = 1, twice{after}.\n", 0)
-
-    def twice(machine: Any) -> Iterator[Any]:
-        yield None
-        yield LAST
-
-    logic.define_nondeterministic("twice", 0, twice)
-    assert len(answers(logic, "p(X)")) == (4 if "twice" in after else 2)
 
 
 def test_bindings_of_solutions_last_until_next() -> None:

@@ -1,28 +1,14 @@
-"""Benchmarks of the engine, and the page of performance that is written from their figures."""
+"""Benchmarks of the engine and of nodes, with small numbers."""
 
-import importlib
 import json
 import sys
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Iterator, List
+from typing import Any, List
 
 import pytest
 
-from retalis.foundation.garbage_collection import stop_limiting_gc_pauses
-
 ROOT = Path(__file__).resolve().parents[2]
-MODULES = ("curves", "engine", "offline", "performance", "processes", "workload")
-
-
-@pytest.fixture
-def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
-    """Return the function that imports the module of a benchmark."""
-    monkeypatch.setattr(sys, "path", [str(ROOT / "bench"), str(ROOT / "examples" / "nao"), *sys.path])
-    yield importlib.import_module
-    for name in MODULES:
-        sys.modules.pop(name, None)
-    stop_limiting_gc_pauses()  # the benchmark limits them
 
 
 def test_case_is_printed_in_one_line(
@@ -76,45 +62,6 @@ def test_offline_benchmark_processes_bag(bench: Any, capsys: pytest.CaptureFixtu
     offline = bench("offline")
     assert offline.main(["--seconds", "1", "--runs", "1"]) == 0
     assert "messages" in capsys.readouterr().out
-
-
-def test_page_is_written_between_marks(bench: Any, tmp_path: Path) -> None:
-    performance = bench("performance")
-    page = tmp_path / "page.md"
-    page.write_text("before\n<!-- engine -->\nold\n<!-- end of engine -->\nafter\n")
-    figures = {
-        "machine": {"cpu": "A CPU", "cores": "2", "python": "CPython 3"},
-        "runs": 3,
-        "cases": {"nao": {"terms": 2.0, "reference": 10.0}, "more": {"terms": 1.0}},
-    }
-    (tmp_path / "engine.json").write_text(json.dumps(figures))
-    performance.write_page(tmp_path, page)
-    text = page.read_text()
-    assert "old" not in text
-    assert "| `nao` | 2.00 | 10.00 | 1/5.0 |" in text
-    assert "A CPU, 2 cores, CPython 3." in text
-    assert text.startswith("before")
-    assert text.endswith("after\n")
-
-
-def test_sections_of_page_have_marks(bench: Any) -> None:
-    performance = bench("performance")
-    text = performance.PAGE.read_text(encoding="utf-8")
-    for name in performance.SECTIONS:
-        assert text.count(f"<!-- {name} -->\n") == text.count(f"<!-- end of {name} -->") == 1
-
-
-def test_figures_are_shown_in_tables(bench: Any) -> None:
-    performance = bench("performance")
-    machine = {"cpu": "A CPU", "cores": "2", "python": "CPython 3"}
-    row = {"start": 0.2, "run": 0.9, "messages": 100_000.0, "outputs": 5.0}
-    assert "| 3.11 | 0.20 | 0.90 | 100000 | 9.00 |" in performance.offline(
-        {"machine": machine, "seconds": 60, "rows": {"3.11": row}}
-    )
-    curve = {"title": "rules", "grows": False, "points": [[1, 2.0], [10, 2.0]], "exponent": 0.0}
-    assert "| rules | 1: 2.00, 10: 2.00 | 0.00 |" in performance.curves(
-        {"machine": machine, "rows": {"rules": curve}}
-    )
 
 
 def test_runs_of_nodes_are_summarized_by_median(bench: Any) -> None:
