@@ -10,7 +10,7 @@ from typing import Any, Iterator, List
 
 import pytest
 from checked_access import place_of
-from reachability import reachable
+from reachable_objects import reachable
 
 from retalis import (
     Definitions,

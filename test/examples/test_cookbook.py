@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, List, Tuple
 
 import pytest
-from examples.roboworld import SECOND, START, RobotWorld, to_slots
+from examples.simulated_rospy import SECOND, START, RobotWorld, to_slots
 from script_modules import load_script
 
 from retalis import BagReader, Playback

@@ -22,7 +22,7 @@ from typing import Any, Callable, Iterator, List, NamedTuple, Optional
 from checked_access import compound
 
 from messages.reference_codecs import RandomMessages, check_same, term_of
-from messages.wire import serialize
+from messages.reference_wire_format import serialize
 from retalis import Definition
 from retalis.messages.cdr_decoder import CdrDecoder
 from retalis.messages.cdr_encoder import CdrEncoder

@@ -24,7 +24,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Iterator, List, NamedTuple, Set
 
-from messages.wire import CODES, serialize
+from messages.reference_wire_format import CODES, serialize
 from retalis import Definitions, MessageError, Term, atom, functor
 from retalis.messages.type_definition import VARIABLE_LENGTH
 from retalis.messages.type_registry import InstalledTypes
@@ -61,7 +61,7 @@ BUDGETS = (*[20] * 12, *[200] * 3, 3000)
 
 
 class RandomMessages:
-    """Random values of a type, in the form of `wire`; extreme values are frequent."""
+    """Random values of a type, in the form of `reference_wire_format`; extreme values are frequent."""
 
     def __init__(self, definition: Any, seed: Any) -> None:
         self.definition = definition

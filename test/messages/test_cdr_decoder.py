@@ -9,9 +9,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from messages.reference_wire_format import messages, serialize
 from messages.ros2_types import STORE, cdr, decode_text, find_text, to_ros1
 from messages.ros2_types import read_type as read
-from messages.wire import messages, serialize
 from retalis import Definitions, MessageError
 from retalis.messages.cdr_decoder import CdrDecoder
 from retalis.messages.cdr_encoder import CdrEncoder

@@ -5,7 +5,7 @@ from typing import Any, List
 
 import pytest
 from checked_access import compound, items, name_of
-from reachability import reachable
+from reachable_objects import reachable
 
 from retalis import Definitions, MessageError, Term, atom, deref, functor, list_items, make_list
 from retalis.foundation.bounded_caches import Cache

@@ -10,7 +10,7 @@ from checked_access import compound, required
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from messages.wire import messages, serialize
+from messages.reference_wire_format import messages, serialize
 from retalis import (
     Decoder,
     Definitions,

@@ -11,7 +11,7 @@ from checked_access import compound
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from messages.wire import CODES, messages, serialize, to_term
+from messages.reference_wire_format import CODES, messages, serialize, to_term
 from retalis import Definitions, Operators
 from retalis.messages import encoder
 from retalis.messages.event_text_writer import make_text_writer

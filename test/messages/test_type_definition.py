@@ -8,7 +8,7 @@ from typing import Any, Callable, List, Tuple
 
 import pytest
 from checked_access import fail
-from reachability import reachable
+from reachable_objects import reachable
 
 from retalis import Definitions, MessageError
 from retalis.messages.type_definition import (

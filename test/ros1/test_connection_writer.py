@@ -11,7 +11,7 @@ import pytest
 
 rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
-from reachability import reachable  # noqa: E402
+from reachable_objects import reachable  # noqa: E402
 from rospy.exceptions import TransportTerminated  # noqa: E402
 
 from retalis import Reports  # noqa: E402

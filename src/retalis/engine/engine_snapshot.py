@@ -27,7 +27,7 @@ from ..messages.message_slots import SlotNames
 from ..prolog.files.source_files import SourceFiles
 from ..prolog.swi.use_swi import SwiFile, use_swi
 from ..prolog.system.foreign_functions import define_foreign, load_module
-from ..prolog.system.logic_state import (
+from ..prolog.system.prolog_snapshot import (
     PROGRAM,
     VALUES,
     restore_program,
@@ -74,7 +74,7 @@ from .loaded_items import (
     restore_deployments,
     save_deployments,
 )
-from .network_state import (
+from .rule_network_snapshot import (
     NETWORK,
     RULES,
     NetworkState,

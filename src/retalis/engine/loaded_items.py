@@ -20,7 +20,7 @@ from ..events.rules.rule_base import RuleBase
 from ..events.rules.timer_service import ProgramTimer, Timers
 from ..prolog.database.clause_index import Clause
 from ..prolog.database.predicate import Predicate
-from ..prolog.system.logic_state import CLAUSES, StoredClause, program_predicates
+from ..prolog.system.prolog_snapshot import CLAUSES, StoredClause, program_predicates
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.term_traversal import term_key
 from ..prolog.terms.types import Functor, Term, functor
@@ -36,7 +36,7 @@ from ..serialization.field_types import (
     tuple_of,
 )
 from ..serialization.state_fields import record_of
-from .network_state import PROPERTIES
+from .rule_network_snapshot import PROPERTIES
 
 _CLAUSE_FUNCTOR = functor(":-", 2)
 

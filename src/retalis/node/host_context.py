@@ -7,10 +7,10 @@ from ..engine.runtime.problem_reports import Reports
 from ..events.program.topic_configuration import TOPICS, Topics, read_topics
 from ..foundation.errors import RetalisError
 from ..messages.type_registry import Definitions
-from .host_time import SimulatedTime
 from .latched_deduplication import LatchedMessageDeduplicator
 from .parameters import Parameters
 from .transport import Transport
+from .transport_time import SimulatedTime
 
 
 class HostContext:

@@ -5,7 +5,6 @@ from typing import Callable, ContextManager, List, Optional
 from ..messages.decoder import Decoder
 from ..prolog.terms.types import Term
 from .host_context import HostContext
-from .host_time import Receipts
 from .text_exchange import (
     INPUT,
     OUTPUT,
@@ -21,6 +20,7 @@ from .text_exchange import (
 )
 from .topic_statistics import OutputStatus, describe_publication
 from .transport import MessageSource
+from .transport_time import Receipts
 
 
 class PlainTextExchange:

@@ -34,7 +34,6 @@ from .diagnostics import (
 )
 from .goal_output import log_counts, log_error, print_goal_output
 from .host_context import HostContext
-from .host_time import HostClock
 from .latched_deduplication import LatchedConnection
 from .node_dashboard import NodeDashboard
 from .parameters import DEFAULT_WATCHDOG_SECONDS
@@ -58,6 +57,7 @@ from .subscribed_topics import (
 from .text_exchange import INPUT, OUTPUT, TextExchange
 from .topic_statistics import OutputStatus, StartupWarnings
 from .transport import MessageSource
+from .transport_time import HostClock
 
 log = logging.getLogger("retalis")
 

@@ -19,7 +19,6 @@ from ..messages.event_text_writer import make_text_writer, write_without_unread
 from ..node.diagnostics import Diagnostics, InputRole, NodeHealth, evaluate_program
 from ..node.goal_output import log_error
 from ..node.host_context import HostContext
-from ..node.host_time import Receipts
 from ..node.latched_deduplication import LatchedConnection
 from ..node.parameters import Parameters
 from ..node.published_topics import PublishedTopics
@@ -35,6 +34,7 @@ from ..node.subscribed_topics import (
 from ..node.text_exchange import INPUT, OUTPUT
 from ..node.topic_statistics import OutputStatus, StartupWarnings
 from ..node.transport import MessageSource
+from ..node.transport_time import Receipts
 from ..prolog.syntax.event_text import event_text
 from .internode_topics import InputTopicChanges, ProjectionReceiver, SubscriptionReceiver, announce_direct
 from .node_lifecycle import run_node

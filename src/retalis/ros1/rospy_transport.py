@@ -22,8 +22,8 @@ from ..messages.type_registry import InstalledTypes
 from ..node.transport import Connect, MessageReceiver, MessageSource, NodeGraph
 from .batched_socket_reader import read_in_batches, refuse_own_connection
 from .connection_writer import TopicWriter, serialized_bytes, serialized_class
-from .first_outputs import StartupQueue, SubscriberWait
 from .installed_message_classes import installed_types
+from .startup_queue import StartupQueue, SubscriberWait
 from .tf2_buffer import choose_buffer
 from .topic_names import MASTER_ERRORS, resolve
 

@@ -24,7 +24,6 @@ from ..foundation.errors import UsageError
 from ..messages.decoder import Decoder
 from ..messages.type_registry import Definitions
 from ..node.host_context import HostContext
-from ..node.host_time import Receipts
 from ..node.latched_deduplication import (
     LATCHED_MARK_PREFIX,
     LatchedMessage,
@@ -44,6 +43,7 @@ from ..node.text_exchange import (
     serialize_text,
 )
 from ..node.topic_statistics import OutputStatus, describe_publication
+from ..node.transport_time import Receipts
 from ..prolog.terms.types import Term
 from .connection_writer import TopicWriter
 from .late_joiners import ENGINE, INTERFACE, LateJoinerBuffer, Publishers, SubscriberIdentifier

@@ -4,7 +4,7 @@ import logging
 from typing import Any
 
 import pytest
-from reachability import reachable
+from reachable_objects import reachable
 
 from retalis import Engine, Place, Reports, RetalisError, RuleError
 from retalis.foundation.errors import place_at_offset

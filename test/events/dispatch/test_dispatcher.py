@@ -6,7 +6,7 @@ import pytest
 from events.program_runner import ProgramRunner, outputs_of, term_text
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from reachability import count_entries, reachable
+from reachable_objects import count_entries, reachable
 
 from retalis import Engine, Settings, String, UsageError, Var, atom, functor, make_list
 from retalis.events.dispatch.dispatcher import Dispatcher

@@ -6,7 +6,7 @@ from unittest.mock import patch
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from reachability import reachable
+from reachable_objects import reachable
 
 from retalis import Var, atom
 from retalis.events.matches import match_buffer

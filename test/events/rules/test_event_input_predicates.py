@@ -4,7 +4,7 @@ from typing import Any, Optional, Tuple
 
 import pytest
 from checked_access import required
-from reachability import count_entries
+from reachable_objects import count_entries
 
 from retalis import Operators, RetalisError, functor
 from retalis.events.rules.event_input_predicates import InputReader, event_of

@@ -9,7 +9,7 @@ from parsing import read_clauses
 from prolog.support import answers, first, prolog
 
 from retalis.prolog.database.predicate import NEVER_COMPILE
-from retalis.prolog.system.logic_state import (
+from retalis.prolog.system.prolog_snapshot import (
     restore_program,
     restore_values,
     snapshot_program,

@@ -7,7 +7,7 @@ import pytest
 from checked_access import compound, items
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from reachability import count_entries, reachable
+from reachable_objects import count_entries, reachable
 from sample_terms import shape, terms
 
 from retalis import Operators, SyntaxFault, Var, atom

@@ -8,7 +8,7 @@ import threading
 from typing import Any, List
 
 import pytest
-from reachability import reachable
+from reachable_objects import reachable
 
 from retalis import atom, functor
 from retalis.prolog.terms import types

@@ -7,8 +7,8 @@ import pytest
 from node.memory_transport import MemoryNetwork, MemoryTransport
 
 from retalis import Engine, Reports, functor
-from retalis.node import host_time
-from retalis.node.host_time import HostClock, Receipts, SimulatedTime
+from retalis.node import transport_time
+from retalis.node.transport_time import HostClock, Receipts, SimulatedTime
 from retalis.prolog.terms.timestamps import SECOND
 
 
@@ -93,7 +93,7 @@ def test_engine_time_follows_begun_epoch(clock: Any, monkeypatch: pytest.MonkeyP
     clock.move(0, back=True)
     assert host_clock.now() == 2 * SECOND
     # The wait for the begin of the epoch times out.
-    monkeypatch.setattr(host_time, "MAX_EPOCH_WAIT_SECONDS", -1.0)
+    monkeypatch.setattr(transport_time, "MAX_EPOCH_WAIT_SECONDS", -1.0)
     assert host_clock.now() == 0
 
 

@@ -13,8 +13,8 @@ from retalis import Reports
 
 rospy = pytest.importorskip("rospy")
 
-from retalis.ros1 import first_outputs  # noqa: E402
-from retalis.ros1.first_outputs import StartupQueue, SubscriberWait  # noqa: E402
+from retalis.ros1 import startup_queue  # noqa: E402
+from retalis.ros1.startup_queue import StartupQueue, SubscriberWait  # noqa: E402
 
 
 class RecordingWriter:
@@ -87,13 +87,13 @@ def start_wait(monkeypatch: pytest.MonkeyPatch) -> Any:
 
         monkeypatch.setattr(rospy, "get_master", lambda: master)
         monkeypatch.setattr(rospy, "is_shutdown", lambda: False)
-        monkeypatch.setattr(first_outputs, "wallsleep", check)
+        monkeypatch.setattr(startup_queue, "wallsleep", check)
         reports = Reports()
         wait = SubscriberWait(reports)
         # The body of the thread runs below.
         thread = SimpleNamespace(start=lambda: None)
         monkeypatch.setattr(
-            first_outputs,
+            startup_queue,
             "threading",
             SimpleNamespace(Lock=threading.Lock, Thread=lambda target, **options: thread),
         )
@@ -137,7 +137,7 @@ def test_crashed_subscriber_is_not_awaited(writer: RecordingWriter, queue: Any, 
 def test_missing_connection_is_reported(
     monkeypatch: pytest.MonkeyPatch, writer: RecordingWriter, queue: Any, start_wait: Any, listening_uri: str
 ) -> None:
-    monkeypatch.setattr(first_outputs, "MAX_SUBSCRIBER_WAIT_SECONDS", 0.0)
+    monkeypatch.setattr(startup_queue, "MAX_SUBSCRIBER_WAIT_SECONDS", 0.0)
     queue.send(b"1")
     master = make_master({"/topic": ["/listener"]}, {"/listener": listening_uri})
     assert start_wait({"/topic": queue}, master) == 1
@@ -147,7 +147,7 @@ def test_missing_connection_is_reported(
 def test_topic_without_subscribers_has_no_deadline(
     monkeypatch: pytest.MonkeyPatch, writer: RecordingWriter, queue: Any, start_wait: Any
 ) -> None:
-    monkeypatch.setattr(first_outputs, "MAX_SUBSCRIBER_WAIT_SECONDS", 0.0)
+    monkeypatch.setattr(startup_queue, "MAX_SUBSCRIBER_WAIT_SECONDS", 0.0)
     queue.send(b"1")
     assert start_wait({"/topic": queue}, make_master({}, {})) == 0
     assert writer.written == [b"1"]
