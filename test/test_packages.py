@@ -47,13 +47,7 @@ ORDER = (
 )
 """The packages from the lowest to the highest: each imports only packages before it."""
 
-OWNERS_IN_ANNOTATIONS = (
-    ("prolog.machine.machine", "prolog.system.prolog_system"),
-    ("prolog.machine.machine", "prolog.database.compiled_goal"),
-    ("prolog.builtins.text_streams", "prolog.system.prolog_system"),
-    ("prolog.compiler.clause_nodes", "prolog.database.predicate"),
-    ("prolog.compiler.function_code", "prolog.database.predicate"),
-)
+OWNERS_IN_ANNOTATIONS = (("prolog.machine.machine", "prolog.system.prolog_system"),)
 """Modules of the Prolog system that name their owner in a higher package, in annotations only."""
 
 REPEATED_NAMES = {"errors", "types", "parser", "protocols", "__init__"}

@@ -33,7 +33,7 @@ def run_captured(machine: Machine, goal: Term) -> Tuple[bool, str]:
     """Run a goal once; return whether it succeeds, and its output."""
     logic = machine.logic
     # The capture ends in any case; otherwise, the program's output would go to it after an error.
-    capture = OutputCapture(logic)
+    capture = OutputCapture(machine)
     try:
         succeeded = logic.once(goal)
     finally:

@@ -434,7 +434,7 @@ def with_output_to(machine: Machine, args: Values, continuation: Frame) -> Optio
         raise existence_error("stream", sink) if sink.__class__ is Atom else type_error("output", sink)
     logic = machine.logic
     height = len(machine.choices)
-    capture = OutputCapture(logic)
+    capture = OutputCapture(machine)
     machine.choices.append((_CAPTURE_GUARD, capture, len(machine.trail)))
     return logic.control.call(args[1], (_UNIFY_CAPTURED, machine, height, sink, capture.texts, continuation))
 

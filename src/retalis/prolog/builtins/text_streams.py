@@ -33,7 +33,6 @@ from .text_arguments import check_text_length
 
 if TYPE_CHECKING:
     from ..files.source_files import SourceFiles
-    from ..system.prolog_system import PrologSystem
 
 MAX_OPEN_STREAMS = 64
 """Maximum number of streams that are open at the same time."""
@@ -304,11 +303,12 @@ class OutputCapture:
     stream_type = "text"
     name = opening_name = ""
 
-    def __init__(self, logic: "PrologSystem"):
+    def __init__(self, machine: Machine):
+        logic = machine.logic
         self.texts: List[str] = []
         self.replaced_output = _ReplacedOutput(logic.output, logic.column)
         self._logic = logic
-        self._streams = _streams(logic)
+        self._streams = streams_of(machine)
         self.stream_term: Term = self._streams.new_term()
         self._size = 0
         self._outer_stream, self.stream_output = self._streams.replace_current(None, None)
@@ -340,8 +340,9 @@ class ProgramStreams:
         output: the stream that is the current output; None for the user's output or a capture.
     """
 
-    def __init__(self, logic: "PrologSystem"):
-        self._logic = logic
+    def __init__(self, machine: Machine):
+        self._machine = machine
+        self._logic = machine.logic
         self.open_streams: Dict[int, OpenStream] = {}
         self.aliases: Dict[str, int] = {}
         self.user_input = InputStream("user_input", read_line=self._read_user_line)
@@ -353,7 +354,7 @@ class ProgramStreams:
     def _read_user_line(self) -> Optional[str]:
         ask = self._logic.ask
         # An interrupt while the user is typing ends the goal that reads.
-        with self._logic.machine.budget.ending_entry():
+        with self._machine.budget.ending_entry():
             return None if ask is None else ask()
 
     def open(
@@ -581,13 +582,10 @@ def is_stream_term(term: Term) -> bool:
 
 def streams_of(machine: Machine) -> ProgramStreams:
     """Return the streams of a machine's program."""
-    return _streams(machine.logic)
-
-
-def _streams(logic: "PrologSystem") -> ProgramStreams:
-    streams: Optional[ProgramStreams] = logic.state.get("streams")
+    state = machine.logic.state
+    streams: Optional[ProgramStreams] = state.get("streams")
     if streams is None:
-        streams = logic.state["streams"] = ProgramStreams(logic)
+        streams = state["streams"] = ProgramStreams(machine)
     return streams
 
 

@@ -29,6 +29,7 @@ from typing import (
     Union,
 )
 
+from ...foundation.errors import Place
 from ..machine.errors import type_error
 from ..machine.machine import Machine
 from ..terms.list_terms import conjuncts
@@ -40,6 +41,7 @@ from ..terms.types import (
     TRUE,
     Atom,
     CompoundTerm,
+    FrameCode,
     Functor,
     Lazy,
     Term,
@@ -50,7 +52,6 @@ from ..terms.types import (
 from ..terms.unification import unify
 
 if TYPE_CHECKING:
-    from ..database.predicate import Predicate
     from .function_code import FunctionCode
 
 PredicateFunction = Callable[..., Optional[bool]]
@@ -132,6 +133,44 @@ def functional(
     )
 
 
+class SourceClause(Protocol):
+    """Clause as the compiler reads it; see `Clause`."""
+
+    head: Term
+    body: Term
+    place: Optional[Place]
+
+    @property
+    def is_large(self) -> bool:
+        """True if the clause is too large to be compiled."""
+
+
+class SourcePredicate(FrameCode, Protocol):
+    """Predicate as the compiler reads it; see the attributes of `Predicate`."""
+
+    kind: str
+    function: Optional[Callable[..., Any]]
+    make_pushdown_filter: Optional[Callable[[Functor, Tuple[int, ...]], object]]
+    functional_modes: Optional[FunctionalModes]
+    bound_argument_builtin: Optional[Functor]
+    dynamic: bool
+    is_library_predicate: bool
+    has_only_ground_facts: bool
+
+    @property
+    def hidden_predicate(self) -> Optional[object]:
+        """The predicate that owns the clauses, if calls are answered by tables."""
+
+    def active_clauses(self) -> Iterable[SourceClause]:
+        """Return the clauses that have not been retracted, in order."""
+
+    def __len__(self) -> int:
+        """Return the number of these clauses."""
+
+    def fact_finder(self, first_is_enough: bool, /) -> PredicateFunction:
+        """Return a function of the arguments that looks up a ground fact."""
+
+
 class PredicateResolver(Protocol):
     """Predicates as the compiler reads them: those of the program (`Database`) or of the library (`LibraryView`)."""
 
@@ -149,7 +188,7 @@ class PredicateResolver(Protocol):
     def interpret(self) -> object:
         """Code of frames that run a goal from its term."""
 
-    def predicate(self, key: Functor, /) -> "Predicate":
+    def predicate(self, key: Functor, /) -> SourcePredicate:
         """Return the predicate of a functor."""
 
     def resolve_qualified_goal(self, goal: CompoundTerm, /) -> Term:

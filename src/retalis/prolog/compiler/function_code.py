@@ -10,7 +10,7 @@ ignores further clauses. ``only`` must prove that the solution is unique: it com
 remaining clauses with the arguments at entry, and gives up if another clause may match.
 """
 
-from typing import TYPE_CHECKING, Dict, Iterator, List, Optional, Sequence, Tuple
+from typing import Dict, Iterator, List, Optional, Sequence, Tuple
 
 from ..machine.machine import BAIL
 from ..terms.types import Functor, Term, Trail, functor
@@ -24,13 +24,11 @@ from .clause_nodes import (
     IfThenElse,
     PredicateFunction,
     PredicateResolver,
+    SourcePredicate,
 )
 from .code_scope import ClauseVariables, CompilationUnit, Scope
 from .inline_goals import write_sequence
 from .predicate_code import ClauseParts, PredicateGenerator, key_of, title_of
-
-if TYPE_CHECKING:
-    from ..database.predicate import Predicate
 
 _MAX_FUNCTION_CLAUSES = 8
 """Clauses of a predicate that can be a function."""
@@ -74,7 +72,7 @@ class FunctionCode:
         self._finds_facts = False
         self.reset(None)
 
-    def reset(self, predicate: "Optional[Predicate]") -> None:
+    def reset(self, predicate: Optional[SourcePredicate]) -> None:
         """Discard the functions after a change of the predicate.
 
         Functions that look facts up read the current clauses, so they stay valid as long as all clauses are facts.
@@ -122,12 +120,12 @@ def _cannot_decide(*args: Term) -> None:
     return None
 
 
-def is_fact_table(predicate: "Predicate") -> bool:
+def is_fact_table(predicate: SourcePredicate) -> bool:
     """Return whether a predicate is a table of ground facts, which is searched through its indexes."""
     return predicate.has_only_ground_facts and (predicate.dynamic or len(predicate) > _MAX_FUNCTION_CLAUSES)
 
 
-def clause_parts(predicate: "Predicate") -> List[ClauseParts]:
+def clause_parts(predicate: SourcePredicate) -> List[ClauseParts]:
     """Return the clauses of a predicate for the generator."""
     return [
         ClauseParts(clause.head[1:] if clause.head.__class__ is tuple else (), clause.body, clause.place)

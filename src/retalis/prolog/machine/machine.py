@@ -32,7 +32,6 @@ from .errors import CONTEXT, ERROR, PrologError, first_goal_functor, from_python
 from .resource_limits import SLICE, Budget, BudgetState
 
 if TYPE_CHECKING:
-    from ..database.compiled_goal import CompiledGoal
     from ..system.prolog_system import PrologSystem
 
 
@@ -41,6 +40,20 @@ class OutputCollector(Protocol):
 
     def collect(self, frame: Frame, outputs: Values, /) -> Optional[Frame]:
         """Receive the outputs of a solution; return the next frame, or None to request the next solution."""
+
+
+class AttemptedGoal(Protocol):
+    """Goal that `Machine.attempt` runs: a `CompiledGoal`."""
+
+    @property
+    def function(self) -> Optional[Callable[..., Any]]:
+        """The goal as a function from inputs to outputs, or to `BAIL`; None if it has none."""
+
+    def count_bail(self) -> None:
+        """Count a call of the function that returned `BAIL`."""
+
+    def make_frame(self, values: Values, collector: Frame, /) -> Frame:
+        """Return the frame that runs the goal and passes its outputs to a collector."""
 
 
 BAIL = object()
@@ -540,13 +553,13 @@ class Machine:
 
     def attempt(
         self,
-        goal: "CompiledGoal",
+        goal: AttemptedGoal,
         values: Values,
         then: Callable[[Values], Optional[Frame]],
         otherwise: Optional[Frame],
         on_error: Callable[[PrologError], None],
     ) -> Optional[Frame]:
-        """Run a `CompiledGoal` once as part of a run; return the next frame.
+        """Run a goal once as part of a run; return the next frame.
 
         The outputs of the first solution are resolved, its choice points and bindings are dropped, and the run
         continues with ``then(outputs)``. If there is no solution, or the goal throws, it continues with
@@ -579,7 +592,7 @@ class Machine:
         return (self._enter_code, goal, values, then, on_error, otherwise)
 
     def _enter_attempt(self, frame: Frame) -> Frame:
-        goal: CompiledGoal
+        goal: AttemptedGoal
         _, goal, values, then, on_error, otherwise = frame
         choices = self.choices
         height = len(choices)
