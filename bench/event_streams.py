@@ -304,7 +304,7 @@ class StreamBench:
         self.row = row
         self.size = size
         self.engine = engine = Engine()
-        engine.rules.max_stored = size if row.capped else 10**8
+        engine.rules.network.limit_stored(size if row.capped else 10**8)
         timer_service.MAX_TIMERS = max(timer_service.MAX_TIMERS, size)
         for at in range(0, size if row.declares else 0, 1000):
             names = ", ".join(f"e{number}(x:integer)" for number in range(at, min(at + 1000, size)))

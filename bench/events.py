@@ -275,7 +275,7 @@ def engine_with(policy: str, clock: Optional[StreamClock] = None) -> Engine:
     """Return an engine with a consumption policy; by default its clock stands still, so that nothing expires."""
     engine = Engine(clock or StreamClock())
     engine.load(goals=f"set_etalis_flag(event_consumption_policy, {policy})")
-    engine.rules.max_stored = 10**8
+    engine.rules.network.limit_stored(10**8)
     return engine
 
 

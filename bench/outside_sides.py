@@ -112,7 +112,7 @@ def rules(work: str, events: List[StreamEvent], emit: Emit) -> Run:
     from retalis.events.dispatch.listeners import ListenerPhase
 
     engine = Engine(StreamClock(events[-1][2]))
-    engine.rules.max_stored = 10**8
+    engine.rules.network.limit_stored(10**8)
     engine.load(rules=RULES[work])
 
     def heard(term: Any, values: Any, start: int, end: int, after: Any) -> Any:

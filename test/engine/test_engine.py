@@ -274,9 +274,9 @@ def test_failed_subscriber_does_not_stop_event(caplog: pytest.LogCaptureFixture)
 
 def test_alarms_beyond_limit_are_dropped() -> None:
     engine = Engine()
-    engine.rules.max_stored = 3
+    engine.rules.network.limit_stored(3)
     warnings: List[Any] = []
-    engine.rules.on_warning = lambda warning: warnings.append(str(warning))
+    engine.rules.network.on_warning = lambda warning: warnings.append(str(warning))
     engine.load(rules="exceptionAlarm(late(X), 10) <- e(X).")
     events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append(engine.show(term)))

@@ -405,7 +405,7 @@ def test_flags_of_settings_are_those_of_new_engine() -> None:
     assert Engine.restore(original.snapshot()).query("get_etalis_flag(max_gap, X)") == [{"X": -1}]
     record_origins(original)
     original.event("a", 1)
-    assert not Engine.restore(original.snapshot()).rules.options.tracks_events
+    assert not Engine.restore(original.snapshot()).rules.network.options.tracks_events
 
 
 def test_restored_engine_subscribes_to_same_topics() -> None:

@@ -29,7 +29,7 @@ class FarStamps:
     def __init__(self, rules: Any = TIMED_RULES) -> None:
         self.engine = Engine()
         self.warnings: List[Any] = []
-        self.engine.rules.on_warning = lambda warning: self.warnings.append(warning.message)
+        self.engine.rules.network.on_warning = lambda warning: self.warnings.append(warning.message)
         self.engine.load(rules=rules, goals="timer(beat, every(10)).")
         self.counts: Counter[Any] = Counter()
         self.engine.on_event(lambda term, start, end: self.counts.update([functor_name(self.engine, term)]))
@@ -337,7 +337,7 @@ def test_window_on_receipt_clock_reports_stamp_ahead() -> None:
     clock = StreamClock(START * SECOND)
     engine = Engine(clock)
     warnings: List[Any] = []
-    engine.rules.on_warning = lambda warning: warnings.append(warning.message)
+    engine.rules.network.on_warning = lambda warning: warnings.append(warning.message)
     engine.load(rules="n(N) <- aggregate(count, tick, N, every(5, first)).")
     engine.event("tick", START)
     engine.event("tick", START + 60)

@@ -32,8 +32,8 @@ class ProgramRunner:
         self.errors: List[Any] = []
         self.warnings: List[Any] = []
         self.events: List[Any] = []
-        self.engine.rules.on_error = lambda error: self.errors.append(error)
-        self.engine.rules.on_warning = lambda error: self.warnings.append(error)
+        self.engine.rules.network.on_error = lambda error: self.errors.append(error)
+        self.engine.rules.network.on_warning = lambda error: self.warnings.append(error)
         self.engine.on_event(lambda *event: self.events.append(event))
         if policy:
             self.set("event_consumption_policy", policy)

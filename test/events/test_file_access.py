@@ -532,7 +532,7 @@ def audit(event, arguments):
 
 sys.addaudithook(audit)
 engine = engine_of(place, allow_foreign=True)
-engine.reports.error = engine.rules.on_error = lambda error, kind=None: None
+engine.reports.error = engine.rules.network.on_error = lambda error, kind=None: None
 engine.load(rules="persistent_event(_). done do (nb_getval(goal, t(G)), call(G)) <- in.", folder=place / "program")
 
 def run():

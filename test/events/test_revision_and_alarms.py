@@ -289,7 +289,7 @@ def test_forgotten_event_collects_no_derived_events(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(lineage_tracker, "MAX_REMEMBERED_EVENTS", 20)
     program = ProgramRunner("c <- a seq b.", ["revision_flag"], "unrestricted")
     program.feed("a@1")
-    (oldest,) = program.engine.rules.tracker.remembered_events()
+    (oldest,) = program.engine.rules.network.tracker.remembered_events()
     program.feed("b@2")
     assert len(oldest.derived) == 1
     assert program.feed(" ".join(f"b@{instant}" for instant in range(3, 40))).count("c@") == 37
@@ -301,7 +301,7 @@ def test_forgotten_events_keep_no_sources(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(lineage_tracker, "MAX_REMEMBERED_EVENTS", 20)
     program = ProgramRunner("n(M) <- n(N) seq tick where M is N + 1.", ["etalis_justification"], "recent")
     program.feed("n(0)@0 tick@1")
-    derived = program.engine.rules.tracker.remembered_events()[-1]
+    derived = program.engine.rules.network.tracker.remembered_events()[-1]
     assert [format_events([(source.term, 0, 0)]) for source in derived.sources()] == ["n(0)@0-0", "tick@0-0"]
     program.feed(" ".join(f"tick@{instant}" for instant in range(2, 30)))
     assert derived.forgotten
@@ -337,7 +337,7 @@ def test_forgotten_event_has_no_dependents(rule: str, monkeypatch: pytest.Monkey
     monkeypatch.setattr(lineage_tracker, "MAX_REMEMBERED_EVENTS", 20)
     program = ProgramRunner(rule, ["revision_flag"], "unrestricted")
     program.feed("e@0 a@1")
-    event = program.engine.rules.tracker.remembered_events()[-1]
+    event = program.engine.rules.network.tracker.remembered_events()[-1]
     program.feed("b(2)@2 " + " ".join(f"x@{instant}" for instant in range(3, 50)))
     assert event.forgotten
     program.feed(" ".join(f"b({instant})@{instant} e@{instant}.5" for instant in range(50, 60)))
@@ -348,7 +348,7 @@ def test_forgotten_event_has_no_dependents(rule: str, monkeypatch: pytest.Monkey
 def test_lineage_of_repetitions_is_linear(pattern: str) -> None:
     program = ProgramRunner(f"c(N) <- {pattern}.", ["etalis_justification"], "unrestricted")
     program.feed("s@0 b(7)@0 " + " ".join(f"a({second})@{second}" for second in range(1, 301)))
-    events = program.engine.rules.tracker.remembered_events()
+    events = program.engine.rules.network.tracker.remembered_events()
     links: List[Any] = [
         *events,
         *(chain for event in events for chain in event.derived if isinstance(chain, RepetitionChain)),

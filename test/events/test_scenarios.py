@@ -41,7 +41,7 @@ class ScenarioRun:
         self.engine.on_output(
             lambda term, topic, name: self.outputs.append(term_text((OUTPUT, term, atom(topic), name)))
         )
-        self.engine.rules.on_error = lambda error: self.errors.append(str(error))
+        self.engine.rules.network.on_error = lambda error: self.errors.append(str(error))
         self.engine.logic.define("sleep", 1, self._sleep)
         self.engine.logic.define("current_datime", 1, lambda machine, term: machine.unify(term, to_term(NOW)))
         self._run(data, folder)

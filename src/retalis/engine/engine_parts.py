@@ -187,7 +187,7 @@ class EngineParts:
             program, executor, event_input, reports, self.watchdog, settings.queue
         )
         self._run_state = RunState(
-            clock, rules.watermarks, event_input, dispatcher, executor, knowledge.subscriptions
+            clock, rules.network.watermarks, event_input, dispatcher, executor, knowledge.subscriptions
         )
         self._foreign_sources = ForeignSources(
             logic, files, executor, settings.allow_foreign, settings.allow_swi, reports.warning

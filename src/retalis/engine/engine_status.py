@@ -413,7 +413,9 @@ class StatusReader:
             left_out=LeftOut(omitted_rules, omitted_memories, omitted_subscriptions, omitted_queries),
             transforms=_read_transforms(knowledge.transforms),
             lags=tuple(
-                [LagStatus(str(functor), lag) for functor, lag in rules_of_program.watermarks.lags()][:limit]
+                [LagStatus(str(functor), lag) for functor, lag in rules_of_program.network.watermarks.lags()][
+                    :limit
+                ]
             ),
             ahead=self._event_input.far_ahead_count,
         )

@@ -80,7 +80,7 @@ class EventInput(StateOwner):
         self._clock = clock
         self.stream_clock = clock if isinstance(clock, StreamClock) and clock.follows_events else None
         self._rules = rules
-        self._watermarks = rules.watermarks
+        self._watermarks = rules.network.watermarks
         self._report_alarm_error = report_alarm_error
         self._dispatcher = dispatcher
         self._dispatch = dispatcher.dispatch_input
@@ -197,7 +197,7 @@ class EventInput(StateOwner):
             f"event {name}{others}: its time was {format_distance(jumps.step)} ahead of the other events, which "
             f"have been late since then; the clock returns to their time; {self.far_ahead_count} so far"
         )
-        self._rules.report_far_ahead(lambda: text)
+        self._rules.network.report_far_ahead(lambda: text)
 
     def _dispatch_far_ahead(self, term: Term, start: int, end: int, ground: Optional[bool]) -> None:
         """Dispatch an event whose time is too far ahead of the clock to move it, with one report for all rules."""
@@ -211,7 +211,7 @@ class EventInput(StateOwner):
                 f"debounce ignore it; {self.far_ahead_count} so far"
             )
 
-        self._rules.report_far_ahead(describe, lambda: self._dispatch(term, start, end, ground))
+        self._rules.network.report_far_ahead(describe, lambda: self._dispatch(term, start, end, ground))
 
     def _read_clock_and_run_alarms(self) -> int:
         """Read the clock, clear the state if time went back, run the alarms that are due, and return the time."""

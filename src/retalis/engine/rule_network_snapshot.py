@@ -186,7 +186,7 @@ def restore_rules(rules: RuleBase, saved: StoredRules) -> List[EventRule]:
     restored_rules = []
     for term, label, place, names, serial, name, is_active in saved.definitions:
         definition = reread_rule(term, label, place, names)
-        rule = EventRule(rules, definition._replace(names=MappingProxyType(names)), serial, name)
+        rule = EventRule(rules.network, definition._replace(names=MappingProxyType(names)), serial, name)
         restored_rules.append(rule)
         # Deleted rules are only created for their pending alarms.
         if is_active:
@@ -295,7 +295,7 @@ class NetworkState(StateOwner):
         self.rules = rules
         self._clock = rules.clock
         self.active_rules = rules.rules
-        self.tracker = rules.tracker
+        self.tracker = rules.network.tracker
         self.timers = rules.timers
         self.event_log = rules.event_log
         self.pending_queries = knowledge.pending_queries

@@ -313,7 +313,7 @@ class _Explainer:
     def __init__(self, program: LoadedProgram, reference_time: Optional[int]):
         self._program = program
         self._reference_time = reference_time
-        self._occurrences = self._program.rules.tracker.remembered_events()
+        self._occurrences = self._program.rules.network.tracker.remembered_events()
         self._times = TimeFormat(self._show, reference_time, self._occurrences)
         self._why_not_sent = WhyNotSent(
             self._program.logic, self._program.knowledge.subscriptions.items(), self._show
@@ -349,7 +349,7 @@ class _Explainer:
         # One event, as the dashboard asks for it, is found by its term in an index. The search below takes a second
         # if 100,000 events are recorded.
         candidates: Sequence[Occurrence] = (
-            () if interval is None else self._program.rules.tracker.occurrences_of(term)
+            () if interval is None else self._program.rules.network.tracker.occurrences_of(term)
         ) or [occurrence for occurrence in self._occurrences if _unifies(occurrence.term, term)]
         if interval is None:
             return list(candidates)

@@ -159,7 +159,7 @@ def test_batch_run_logs_first_late_event_and_sum(logged: Any) -> None:
 def test_late_and_dropped_events_have_own_counts(logged: Any) -> None:
     reports = Reports()
     engine = Engine(reports=reports)
-    engine.rules.max_stored = 2
+    engine.rules.network.limit_stored(2)
     engine.load(rules=LATE)
     for instant in (85, 95, 100, 100.1, 100.2, 100.3, 50, 51, 52):
         engine.event("in(1)", instant)

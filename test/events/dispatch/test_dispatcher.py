@@ -236,7 +236,7 @@ def test_depth_limit_applies_to_derived_events(depth: int) -> None:
     engine = Engine(settings=Settings(max_depth=depth))
     errors: List[Any] = []
     events: List[Any] = []
-    engine.rules.on_error = errors.append
+    engine.rules.network.on_error = errors.append
     engine.on_event(lambda term, start, end: events.append(term))
     engine.load(rules=f"n(Y) <- n(X) where (X < {depth + 1}, Y is X + 1).")
     engine.event(f"n({1})", 1)

@@ -74,7 +74,7 @@ def run_program(
     outputs: List[Any] = []
     reports = RecordingReports()
     engine = Engine(None, Settings(), reports)
-    engine.rules.max_stored = max_stored
+    engine.rules.network.limit_stored(max_stored)
     engine.load(goals=goals, rules=text)
 
     def record_output(term: Any, values: Any, start: Any, end: Any, frame: Any) -> Any:
@@ -168,7 +168,7 @@ def test_fused_join_equals_plain_nodes_on_many_streams(batch: Any) -> None:
 @pytest.mark.parametrize("max_stored", [10**6, 50])
 def test_removed_matches_leave_expiration_queue(max_stored: int) -> None:
     engine = Engine(StreamClock(10**6 * SECOND))
-    engine.rules.max_stored = max_stored
+    engine.rules.network.limit_stored(max_stored)
     engine.load(rules="out(K) <- (a(K) seq b(K)) within 100000.")
     [rule] = engine.rules.rules
     left, right = functor("a", 1), functor("b", 1)

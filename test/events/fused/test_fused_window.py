@@ -52,7 +52,7 @@ def run_program(text: Any, events: Any, max_stored: int) -> Tuple[Any, ...]:
     engine.on_event(lambda term, start, end: outputs.append((engine.show(term), start, end)))
     engine.load(rules=text)
     rules = engine.rules
-    rules.max_stored = max_stored
+    rules.network.limit_stored(max_stored)
     now = 1000
     for key, x, y, step, length in events:
         now += step

@@ -116,7 +116,7 @@ def test_late_and_dropped_events_are_counted(monkeypatch: pytest.MonkeyPatch) ->
     rate._warn = engine.reports.warning  # noqa: SLF001
     engine.event("b", 10)
     engine.event("a(1)", 1)
-    engine.rules.max_stored = 2
+    engine.rules.network.limit_stored(2)
     for number in (2, 3, 4):
         engine.event(f"a({number})", 10)
     subscription = engine.status().subscriptions[0]

@@ -103,7 +103,7 @@ def test_alternatives_of_start_are_limited() -> None:
 def test_partial_matches_are_limited() -> None:
     """The elements and the alternatives of each start count."""
     program = ProgramRunner(STARS.format(AMBIGUOUS_STEPS))
-    program.engine.rules.max_stored = 50
+    program.engine.rules.network.limit_stored(50)
     (rule,) = program.engine.rules.rules
     for second in range(120):
         program.feed(f"e({second})@{second}")

@@ -299,10 +299,10 @@ def test_next_sweep_begins_earlier_after_removals(monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.slow
 def test_event_removes_few_expired_matches() -> None:
-    program = ProgramRunner("o(X) <- (a(X) seq b(X)) cnot c(X).")
-    event_count = 20_000
+    program, event_count = ProgramRunner(), 20_000
+    program.engine.rules.network.limit_stored(event_count + 2 * SLICE_ENTRIES)
+    program.engine.load(rules="o(X) <- (a(X) seq b(X)) cnot c(X).")
     (rule,) = program.engine.rules.rules
-    rule.max_stored = event_count + 2 * SLICE_ENTRIES
     previous_count = 0
     for second in range(event_count + 5 * SLICE_ENTRIES):
         # First sides with equal values replace the oldest ones, until the number of matches exceeds the limit.

@@ -131,9 +131,9 @@ def test_timestamp_far_ahead_does_not_advance_rule() -> None:
 
 
 def test_match_limit_drops_oldest() -> None:
-    program = ProgramRunner("c(X) <- a(X) seq b.", policy="chronological")
-    [rule] = program.engine.rules.rules
-    rule.max_stored = 3
+    program = ProgramRunner(policy="chronological")
+    program.engine.rules.network.limit_stored(3)
+    program.engine.load(rules="c(X) <- a(X) seq b.")
     program.feed(" ".join(f"a({i})@{i}" for i in range(10)))
     assert program.engine.rules.match_count == 3
     assert program.feed("b@20") == "c(7)@7-20"

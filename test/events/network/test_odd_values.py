@@ -88,8 +88,8 @@ class OddEngine(Engine):
         self.errors: List[Any] = []
         self.results: Dict[Any, Any] = {}
         self.later_count = 0
-        self.rules.on_error = lambda error: self.errors.append(error.message)
-        self.rules.on_warning = lambda warning: None
+        self.rules.network.on_error = lambda error: self.errors.append(error.message)
+        self.rules.network.on_warning = lambda warning: None
         self.load(rules=f"{CLAUSES}{rule}\nlater(K) <- in(K,_).")
         self.on_event(self._collect)
         for key in "abc":

@@ -21,8 +21,8 @@ same(S, S).
 def load_engine(rules: str) -> Tuple[Any, ...]:
     """Return an engine, its derived events, and its reports."""
     engine, derived, reports = Engine(), [], []
-    rules_of_engine = engine.rules
-    rules_of_engine.on_error = rules_of_engine.on_warning = lambda error: reports.append(error.message)
+    network = engine.rules.network
+    network.on_error = network.on_warning = lambda error: reports.append(error.message)
     engine.load(rules=rules)
     engine.on_event(
         lambda term, start, end: (

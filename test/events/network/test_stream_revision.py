@@ -108,7 +108,7 @@ def test_output_of_long_window_has_limited_sources() -> None:
         engine.event("t", number + 1)
     outputs = [
         event
-        for event in engine.rules.tracker.remembered_events()
+        for event in engine.rules.network.tracker.remembered_events()
         if engine.show(event.term).startswith("out")
     ]
     assert len(outputs) == 300

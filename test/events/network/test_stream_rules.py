@@ -18,13 +18,12 @@ class EngineDriver(Engine):
 
     def __init__(self, rules: Any, max_stored: Any = None, clock: Any = None) -> None:
         super().__init__(clock)
-        rules_of_engine = self.rules
-        rules_of_engine.max_stored = rules_of_engine.max_stored if max_stored is None else max_stored
+        network = self.rules.network
+        if max_stored is not None:
+            network.limit_stored(max_stored)
         self.outputs: List[Any] = []
         self.problems: List[str] = []
-        rules_of_engine.on_error = rules_of_engine.on_warning = lambda error: self.problems.append(
-            error.message
-        )
+        network.on_error = network.on_warning = lambda error: self.problems.append(error.message)
         self.load(rules=rules)
         self.on_event(self._record)
 
@@ -173,7 +172,7 @@ def test_node_has_one_timer() -> None:
     for number in range(400):
         engine.event(f"in({number})", number / 50)
         assert len(clock.alarms) <= 3
-        assert len(rules.node_timers) <= 2 * 3 + 64
+        assert len(rules.network.node_timers) <= 2 * 3 + 64
     assert sum(rule.match_count for rule in engine.event_rules) >= 650
 
 

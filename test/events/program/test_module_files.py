@@ -76,7 +76,7 @@ def test_event_file_is_no_module(folder: Any, monkeypatch: pytest.MonkeyPatch) -
 def test_module_is_closed_after_error(folder: Any) -> None:
     engine = Engine()
     (folder / "wrong.pl").write_text(":- module(wrong, [w/1]).\n:- throw(no).\nw(X) :- v(X).\nv(1).\n")
-    engine.rules.on_warning = lambda warning: None
+    engine.rules.network.on_warning = lambda warning: None
     engine.load_program(folder / "wrong.pl")
     engine.load_rules("v(2).\n")
     assert values(engine, "w(X)") == ["1"]

@@ -33,7 +33,7 @@ class RuleRunner:
         self.engine = Engine()
         self.outputs: List[Any] = []
         self.warnings: List[Any] = []
-        self.engine.rules.on_warning = lambda error: self.warnings.append(error.message)
+        self.engine.rules.network.on_warning = lambda error: self.warnings.append(error.message)
         for name, value in flags:
             assert self.engine.call(f"set_etalis_flag({name}, {value})")
         self.engine.load(rules=f"{label} : found(K, L) <- {pattern}.")

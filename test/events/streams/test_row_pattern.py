@@ -117,7 +117,7 @@ def test_memory_for_element_is_independent_of_matches() -> None:
 def test_aggregate_of_variable_checks_its_values_only(aggregate: str, result: str) -> None:
     """Values of other variables are not checked; a wrong value of the variable is not matched, and reported."""
     engine, events, reports = Engine(), [], []
-    engine.rules.on_error = lambda error: reports.append(error.message)
+    engine.rules.network.on_error = lambda error: reports.append(error.message)
     engine.load(
         rules=f"found(A) <- aggregate(of(b, {aggregate}), reading(V), A, steps([a where V == go, b(2)]))."
     )

@@ -223,7 +223,7 @@ def test_new_budget_needs_no_check() -> None:
 def test_inline_goals_of_rules_are_limited(goal: str) -> None:
     engine = Engine(settings=Settings(limits=Limits(inferences=2000)))
     errors: List[Any] = []
-    engine.rules.on_error = lambda error: errors.append(str(error))
+    engine.rules.network.on_error = lambda error: errors.append(str(error))
     engine.load(rules=f"found(X) do ({goal}) <- e.")
     engine.event("e", 1)
     assert ["resource" in error or "inferences" in error for error in errors] == [True]

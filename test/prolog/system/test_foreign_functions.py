@@ -200,7 +200,7 @@ def test_use_foreign_at_run_time_is_refused(tmp_path: Path, folders: Optional[Tu
     (tmp_path / "helpers.py").write_text("import pathlib\npathlib.Path(__file__).with_name('ran').touch()\n")
     engine = Engine(settings=Settings(allow_foreign=True, folders=folders, write_folders=folders))
     errors: List[str] = []
-    engine.rules.on_error = lambda error: errors.append(str(error))
+    engine.rules.network.on_error = lambda error: errors.append(str(error))
     engine.load(rules="loading(M) do use_foreign(M) <- load(M).", folder=tmp_path)
     for module in ("helpers", "'helpers.py'", f"'{tmp_path}/helpers.py'", "'os.path'"):
         for goal in (f"use_foreign({module})", f"compile_event_rules([(:- use_foreign({module}))])"):

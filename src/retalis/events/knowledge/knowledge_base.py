@@ -84,10 +84,12 @@ class KnowledgeBase:
         self.memories = MemoryInstances(logic, dispatcher, clock.stamp, warn, self.gaps.note_gap)
         self.transforms = Transforms(logic, dispatcher, buffer, self.gaps, warn)
         self.pending_queries = PendingQueries(
-            logic, dispatcher, self.memories, self.transforms, warn, clock, rules.watermarks
+            logic, dispatcher, self.memories, self.transforms, warn, clock, rules.network.watermarks
         )
-        self.subscriptions = Subscriptions(logic, dispatcher, deliver, warn, rules)
-        self.states = StateRegistry(logic, dispatcher, clock, rules.watermarks, warn, self._check_pattern)
+        self.subscriptions = Subscriptions(logic, dispatcher, deliver, warn, rules.network)
+        self.states = StateRegistry(
+            logic, dispatcher, clock, rules.network.watermarks, warn, self._check_pattern
+        )
         self._define_predicates()
         rules.on_reset.add(self.reset)
         logic.undefined_procedures.other_uses.add(self._describe_other_use)
@@ -129,7 +131,7 @@ class KnowledgeBase:
 
     def return_to(self, instant: int) -> None:
         """Remove what is ahead of an instant, because the clock had followed a wrong timestamp."""
-        max_timestamp = self._rules.compute_max_timestamp()
+        max_timestamp = self._rules.network.compute_max_timestamp()
         self.memories.drop_after(max_timestamp)
         self.states.drop_after(max_timestamp)
         self.subscriptions.return_to(instant)

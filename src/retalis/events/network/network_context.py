@@ -79,6 +79,20 @@ class NetworkContext:
         self._is_ahead_reported = False
         self._far_ahead_count = 0
 
+    def configure(self, options: NetworkOptions, key_bounds: KeyBounds, executes_retractions: bool) -> None:
+        """Apply changed flags; rules are configured by `EventRule.configure`."""
+        self.options = options
+        self.key_bounds = key_bounds
+        self.tracker.configure(options.tracks_events, executes_retractions)
+
+    def limit_stored(self, max_stored: int) -> None:
+        """Set the maximum number of partial matches of each rule that is created later, and of alarms."""
+        self.max_stored = max_stored
+
+    def restore_failed_retraction_count(self, count: int) -> None:
+        """Set the number of events ``rev(E)`` without an event E to that of a snapshot."""
+        self.failed_retraction_count = count
+
     def compute_max_timestamp(self) -> int:
         """Return the latest timestamp that may advance the windows of a rule: ``future`` ns after the present time.
 

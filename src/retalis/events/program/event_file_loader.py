@@ -358,7 +358,7 @@ class EventFileLoader:
     def _warn_of_singletons(self, read_term: ReadTerm) -> None:
         if read_term.singletons and self._warns_of_singletons:
             names = ", ".join(read_term.singletons)
-            self._rules.on_warning(RuleError(f"singleton variables: {names}", read_term.place))
+            self._rules.network.on_warning(RuleError(f"singleton variables: {names}", read_term.place))
 
     def _include(
         self,
@@ -409,7 +409,7 @@ class EventFileLoader:
                 errors.append(RuleError(message, call.place))
         rules = self._compile_rules([*parser.rules, *parser.nested_rules], errors)
         for warning in parser.warnings.with_omitted_count():
-            self._rules.on_warning(warning)
+            self._rules.network.on_warning(warning)
         return CheckedProgram(entries, rules, parser.calls)
 
     def _compile_rules(self, definitions: List[RuleDefinition], errors: Errors) -> List[EventRule]:
@@ -505,7 +505,7 @@ class EventFileLoader:
             self._deferred_calls.extend(calls)
             return
         for warning in undefined_call_warnings(self._rules.logic, calls, self._rules.terms):
-            self._rules.on_warning(warning)
+            self._rules.network.on_warning(warning)
 
     def _process_in_module(self, checked: CheckedProgram) -> None:
         with self._modules.loading_file(not checked.rules):
@@ -549,7 +549,7 @@ class EventFileLoader:
     def _run_directive(self, entry: FileEntry) -> None:
         warning = self._directives.run(entry.term, entry.goals, entry.place)
         if warning is not None:
-            self._rules.on_warning(warning)
+            self._rules.network.on_warning(warning)
 
 
 def _sort_errors(errors: Errors) -> Errors:

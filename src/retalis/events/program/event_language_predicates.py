@@ -186,7 +186,7 @@ class _RulePredicates:
             rule.clear()
         self.rules.report_reset(True)
         self.rules.event_log.clear()
-        self.rules.tracker.clear()
+        self.rules.network.tracker.clear()
         return True
 
     def reset_etalis(self, machine: Machine) -> bool:
@@ -296,7 +296,7 @@ class _QueryPredicates:
         logic.database.predicate(functor("event_rule_property", 3)).dynamic = True
 
     def unify_condition_bound(self, machine: Machine, instant: Term, position: int) -> bool:
-        interval = self.rules.condition_state.condition_interval
+        interval = self.rules.network.condition_state.condition_interval
         return interval is not None and bool(machine.unify(instant, lazy_term(interval[position])))
 
     def enumerate_fired_events(self, machine: Machine, event: Term, interval: Term) -> Iterator[bool]:

@@ -155,7 +155,7 @@ class _FileConsultation:
         self._load_file = load_file
         self._warn_of_singletons = warn_of_singletons
         self._record_calls = record_calls
-        self._omitted = _OmittedTerms(rules.on_warning, None)
+        self._omitted = _OmittedTerms(rules.network.on_warning, None)
         self._conditions = ConditionalCompilation(self._condition_holds)
         self._expansion = TermExpansion(rules.logic)
         self._parser = EventFileParser(rules.logic.brief, rules.declared_events.current_declarations())
@@ -164,7 +164,7 @@ class _FileConsultation:
     def load(self, source: PrologSource) -> None:
         """Consult the text, then run the goals that are scheduled for the end."""
         omitted = self._omitted = _OmittedTerms(
-            self._rules.on_warning, self._files.max_omitted(source.source)
+            self._rules.network.on_warning, self._files.max_omitted(source.source)
         )
         program = read_program(source.text, self._logic.operators, source.source, OF_FILES)
         self._process_terms(program)
@@ -272,7 +272,7 @@ class _FileConsultation:
         """Report the findings about a term and activate its rules; return whether there are no errors."""
         if parser.warnings:
             for warning in parser.warnings:
-                self._rules.on_warning(warning)
+                self._rules.network.on_warning(warning)
             parser.warnings.clear()
         if parser.calls:
             self._record_calls(parser.calls[:])
@@ -314,7 +314,7 @@ class _FileConsultation:
         warning = self._directives.run(goal, goals, place)
         self._omitted.record_accepted()
         if warning is not None:
-            self._rules.on_warning(warning)
+            self._rules.network.on_warning(warning)
 
     def _include(self, name: Term, outer_program: Program) -> None:
         path = self._files.find(name)

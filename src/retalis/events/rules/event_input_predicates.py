@@ -295,7 +295,7 @@ class _EventPredicates:
     def fire_event_list(self, machine: Machine, arguments: Sequence[Term], frame: Frame) -> Optional[Frame]:
         goals = list_items(arguments[0])
         if goals is None:
-            self.rules.on_warning(
+            self.rules.network.on_warning(
                 UsageError("fire_event_list: expected a list; the argument is fired as a single event")
             )
             goals = [callable_of(arguments[0])]
@@ -369,7 +369,7 @@ class _GoalStream:
             # The machine then also lets the goal fail; the mark prevents a second report by `_FailureHandler`.
             self.goals = iter([_ERROR_REPORTED, *self.goals])
             text = self.rules.logic.show(goal)
-            self.rules.on_error(UsageError(f"{text} in an event stream: {error.message}"))
+            self.rules.network.on_error(UsageError(f"{text} in an event stream: {error.message}"))
 
         return report_error
 
@@ -391,7 +391,7 @@ class _FailureHandler:
         else:
             stream.goals = iter(remaining)
             text = stream.rules.logic.show(goal)
-            stream.rules.on_error(UsageError(f"{text} in an event stream fails"))
+            stream.rules.network.on_error(UsageError(f"{text} in an event stream fails"))
         return next_frame
 
 

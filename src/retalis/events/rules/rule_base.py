@@ -92,7 +92,7 @@ _NETWORK_FLAGS = frozenset(
 """Flags that change the options of network nodes."""
 
 
-class RuleBase(NetworkContext, StateOwner):
+class RuleBase(StateOwner):
     """The event rules of a program.
 
     Args:
@@ -101,6 +101,8 @@ class RuleBase(NetworkContext, StateOwner):
         is_external_event: returns whether events of a functor come from outside the program without a declaration.
 
     Attributes:
+        logic, dispatcher, clock: see above.
+        network: the context of the rules.
         on_reset: called if a goal drops partial matches, with True if stored events are dropped, too.
         flags: the flags of ``set_etalis_flag/2``.
         declared_events: declared events.
@@ -126,7 +128,10 @@ class RuleBase(NetworkContext, StateOwner):
     ):
         self._rule_index = RuleIndex()
         self.flags = Flags(self._apply_flag)
-        super().__init__(
+        self.logic = logic
+        self.dispatcher = dispatcher
+        self.clock = clock
+        self.network = NetworkContext(
             logic,
             dispatcher,
             clock,
@@ -142,9 +147,18 @@ class RuleBase(NetworkContext, StateOwner):
         self.on_reset: CallbackList[Callable[[bool], None]] = CallbackList()
         self._properties: Dict[Hashable, List[Property]] = {}
         self.declared_events = DeclaredEvents(logic, self._requires_declarations, is_external_event)
-        self.justifier = Justifier(self._rule_index, self.tracker)
+        self.justifier = Justifier(self._rule_index, self.network.tracker)
         self.event_log = EventLog(dispatcher, logic, files.sandbox, on_warning)
         self.timers = Timers(self)
+
+    @property
+    def failed_retraction_count(self) -> int:
+        """Number of events ``rev(E)`` without an event E."""
+        return self.network.failed_retraction_count
+
+    @failed_retraction_count.setter
+    def failed_retraction_count(self, count: int) -> None:
+        self.network.restore_failed_retraction_count(count)
 
     # ---- rules ---------------------------------------------------------------------------------------
 
@@ -166,14 +180,14 @@ class RuleBase(NetworkContext, StateOwner):
             RetalisError: if a goal or pattern cannot be compiled.
         """
         self.serial += 1
-        return EventRule(self, definition, self.serial, self._rule_title(definition))
+        return EventRule(self.network, definition, self.serial, self._rule_title(definition))
 
     def activate(self, rule: EventRule) -> None:
         """Activate a rule, so that it receives events."""
         self._rule_index.add(rule)
-        self.watermarks.note_changed_rules()
+        self.network.watermarks.note_changed_rules()
         if has_timeout(rule.definition.head):
-            self.watermarks.start_observing()
+            self.network.watermarks.start_observing()
         self._configure(rule)
 
     def delete(self, label: Term) -> bool:
@@ -208,7 +222,7 @@ class RuleBase(NetworkContext, StateOwner):
     def remove(self, rule: EventRule) -> None:
         """Remove a rule and its partial matches."""
         was_active = self._rule_index.discard(rule)
-        self.watermarks.note_changed_rules()
+        self.network.watermarks.note_changed_rules()
         rule.unlisten()
         rule.clear()
         if was_active:
@@ -296,7 +310,7 @@ class RuleBase(NetworkContext, StateOwner):
     def _configure(self, rule: EventRule) -> None:
         """Apply the flags and the properties of its label to a rule."""
         times: Dict[str, List[int]] = {}
-        options = self.options
+        options = self.network.options
         delay_values: List[Term] = []
         for prop in self.properties(label_of(rule)):
             if prop.name == WATERMARK_DELAY:
@@ -308,20 +322,20 @@ class RuleBase(NetworkContext, StateOwner):
         for node in rule.nodes:
             if isinstance(node, StreamNode):
                 setting = delay_setting(delay_values[0]) if delay_values else None
-                self.watermarks.configure(node.watermark, bool(delay_values), setting)
+                self.network.watermarks.configure(node.watermark, bool(delay_values), setting)
         windows = times.get("window", []) + times.get("event_rule_window", [])
         rule.configure(options, min(windows) if windows else None, self.flags.garbage_control(times))
 
     def _apply_flag(self, name: str) -> None:
         if name in _NETWORK_FLAGS:
-            self.options = self.flags.network_options()
-            self.key_bounds = self.flags.key_bounds()
-            self.tracker.configure(self.options.tracks_events, self.flags.is_on("revision_flag"))
+            self.network.configure(
+                self.flags.network_options(), self.flags.key_bounds(), self.flags.is_on("revision_flag")
+            )
             # Options are compiled into the nodes, so a change reconfigures all rules.
             for rule in self.rules:
                 self._configure(rule)
         elif name in (WATERMARK_DELAY, MAX_WATERMARK_DELAY):
-            self.watermarks.set_default(
+            self.network.watermarks.set_default(
                 self.flags.watermark_delay(),
                 from_seconds(self.flags.number(MAX_WATERMARK_DELAY)),
             )
@@ -337,11 +351,11 @@ class RuleBase(NetworkContext, StateOwner):
 
     def clear(self) -> None:
         """Remove all partial matches and stored events after time went back; timers start again."""
-        self.node_timers.clear()
-        self.watermarks.clear()
+        self.network.node_timers.clear()
+        self.network.watermarks.clear()
         for rule in self.rules:
             rule.clear()
-        self.tracker.clear()
+        self.network.tracker.clear()
         self.timers.restart()
 
     def return_to(self, instant: int) -> None:
@@ -363,7 +377,7 @@ class RuleBase(NetworkContext, StateOwner):
         self._properties.clear()
         self.declared_events.clear()
         self.event_log.clear()
-        self.tracker.clear()
+        self.network.tracker.clear()
         self.timers.clear()
         self.flags.reset()
         self.files.loaded.clear()

@@ -308,7 +308,7 @@ class Timers(StateOwner):
         if self._jump_count & (self._jump_count - 1) == 0:
             show = self._rules.logic.brief
             seconds = missed_count * schedule.period // SECOND
-            self._rules.on_warning(
+            self._rules.network.on_warning(
                 UsageError(
                     f"time has jumped by {seconds} s: {format_count(missed_count, 'event')} of timer "
                     f"{show(timer.event)}, {show(schedule.term)} left out; {self.omitted_count} of all timers so far"
@@ -324,7 +324,7 @@ class Timers(StateOwner):
 
     def _warn_past(self, timer: ProgramTimer) -> None:
         show = self._rules.logic.brief
-        self._rules.on_warning(
+        self._rules.network.on_warning(
             UsageError(f"timer {show(timer.event)}, {show(timer.schedule.term)}: that instant has passed")
         )
 
