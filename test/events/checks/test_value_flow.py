@@ -339,10 +339,12 @@ def _check_events(definitions: Any, rules: Any, arrivals: Any) -> Any:
 
 
 def test_kinds_of_a_predicate_are_those_of_its_clauses(definitions: Any) -> None:
-    flow = ValueFlow(model_of(definitions, "p(X, Y) :- q(X), Y is 1. q(anna). q([1]). r(_)."))
-    assert [sorted(required(kinds)) for kinds in required(flow.kinds_of_predicate(functor("p", 2)))] == [
+    clauses = "p(X, Y) :- q(X), Y is 1. q(anna). q([1]). r(_)."
+    rules = "e(X, Y) <- t where p(X, Y). f(X) <- t where r(X). g(L) <- t where append(_, _, L)."
+    flow = ValueFlow(model_of(definitions, f"{clauses} {rules}"))
+    assert [sorted(required(kinds)) for kinds in required(flow.kinds_of_event(functor("e", 2)))] == [
         ["atom", "list"],
         ["number"],
     ]
-    assert flow.kinds_of_predicate(functor("r", 1)) == [None]
-    assert flow.kinds_of_predicate(functor("append", 3)) is None
+    assert flow.kinds_of_event(functor("f", 1)) == [None]
+    assert flow.kinds_of_event(functor("g", 1)) == [None]

@@ -237,10 +237,6 @@ class ValueFlow:
         """Return the kinds of the arguments of an event that only this program produces; None for other events."""
         return self._events.get(key)
 
-    def kinds_of_predicate(self, key: Functor) -> Optional[Values]:
-        """Return the kinds of the arguments with which a predicate succeeds; None for an unknown predicate."""
-        return self._predicates.get(key)
-
     # Initial values
 
     def _define_events(self) -> None:
