@@ -45,7 +45,9 @@ def keep_while_running(seconds: float) -> None:
     engine = Engine(Clock())
     engine.load_program(program)
     with tempfile.TemporaryDirectory() as folder:
-        kept = Checkpointer(engine, CheckpointStorage(Path(folder) / "state.db"), program, Reports(), 0.5)
+        checkpointer = Checkpointer(
+            engine, CheckpointStorage(Path(folder) / "state.db"), program, Reports(), 0.5
+        )
         instants = itertools.count()
 
         def take(messages: int) -> None:
@@ -53,18 +55,18 @@ def keep_while_running(seconds: float) -> None:
                 engine.post_text(f"event({message(parent, child, next(instants))})")
 
         take(5 * 2500)
-        kept.write()
-        costs, held = [], []
+        checkpointer.write()
+        costs, pauses = [], []
         for _ in range(max(1, round(2 * seconds))):
             take(950)
-            kept.longest_pause_seconds = 0.0
+            checkpointer.longest_pause_seconds = 0.0
             begin = time.process_time()
-            kept.write()
+            checkpointer.write()
             costs.append(time.process_time() - begin)
-            held.append(kept.longest_pause_seconds)
+            pauses.append(checkpointer.longest_pause_seconds)
     print(
         f"1,900 messages a second: {200 * statistics.mean(costs):.1f} % of a core, "
-        f"held up for {1e3 * statistics.median(held):.1f} ms in the middle, {1e3 * max(held):.1f} ms at most"
+        f"blocked for {1e3 * statistics.median(pauses):.1f} ms (median), {1e3 * max(pauses):.1f} ms at most"
     )
 
 

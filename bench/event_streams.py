@@ -84,7 +84,7 @@ class StreamRow(NamedTuple):
         periods: whether N steps are measured, because some work is done once in N steps.
         fires: whether the rules fire.
         most: largest meaningful N.
-        capped: whether N is a limit, so that the oldest items are evicted.
+        is_limited: whether N is a limit, so that the oldest items are evicted.
         declares: whether N events are declared (e0, e1, ...).
         as_program: whether events are passed as by a Python program, which are validated first.
     """
@@ -97,7 +97,7 @@ class StreamRow(NamedTuple):
     periods: bool = False
     fires: bool = True
     most: int = 10**9
-    capped: bool = False
+    is_limited: bool = False
     declares: bool = False
     as_program: bool = False
 
@@ -110,8 +110,8 @@ def _groups(window: str, about: str, **more: Any) -> StreamRow:
     return StreamRow(about, f"out(X, A) <- aggregate(avg(K), p(X, K), A, {window}).", _keys, **more)
 
 
-def _shape(shape: str, about: str, step: Step, **more: Any) -> StreamRow:
-    return StreamRow(about, f"out(X) <- p(X, K) with {shape}.", step, **more)
+def _rate_operator(operator: str, about: str, step: Step, **more: Any) -> StreamRow:
+    return StreamRow(about, f"out(X) <- p(X, K) with {operator}.", step, **more)
 
 
 def _states(about: str, step: Step, rule: str = "", option: str = "open(1000000)", **more: Any) -> StreamRow:
@@ -165,12 +165,12 @@ STREAMS: Dict[str, StreamRow] = {
     "hopping_groups": _groups("last(#, every(#10))", "N groups of one", periods=True),
     "running": _window("running(every(#))", "`running(every(N))`", periods=True),
     "running_groups": _groups("running(every(#))", "N groups of one", periods=True),
-    "last_full": _window("last(1000000000)", "a window with N, the most that may be held", capped=True),
+    "last_full": _window("last(1000000000)", "a window with N, the most that may be stored", is_limited=True),
     "last_groups_full": StreamRow(
-        "N groups, the most that may be held",
+        "N groups, the most that may be stored",
         "out(X, A) <- aggregate(avg(K), p(X, K), A, last(1000000000)).",
         _always,
-        capped=True,
+        is_limited=True,
     ),
     # Steps.
     "steps": _window("steps([one(#)])", "`steps([one(N)])`", periods=True),
@@ -212,22 +212,28 @@ STREAMS: Dict[str, StreamRow] = {
         fires=False,
     ),
     "absent_full": StreamRow(
-        "N wait, the most that may be held",
+        "N wait, the most that may be stored",
         "out(X) <- p(X, K) seq absent(q(X, _), 100000000).",
         _always,
         fires=False,
-        capped=True,
+        is_limited=True,
     ),
     # Rates and changes.
-    "throttle": _shape("throttle(#2, X)", "`throttle`, N keys", _keys),
-    "throttle_new": _shape("throttle(#, X)", "each of another key than before", _always),
-    "burst": _shape("burst(#2, X)", "`burst`, N keys", _keys, fires=False),
-    "debounce": _shape("debounce(#, X)", "`debounce`, N keys wait, one is due at each event", _always),
-    "debounce_again": _shape("debounce(#2, X)", "N keys wait, one is set back by each", _keys, fires=False),
-    "change": _shape("change(K, X)", "`change`, N keys", _keys),
-    "change_full": _shape("change(K, X)", "N keys, the most that may be held", _always, capped=True),
-    "throttle_full": _shape(
-        "throttle(1000000000, X)", "`throttle`, N keys, the most that may be held", _always, capped=True
+    "throttle": _rate_operator("throttle(#2, X)", "`throttle`, N keys", _keys),
+    "throttle_new": _rate_operator("throttle(#, X)", "each of another key than before", _always),
+    "burst": _rate_operator("burst(#2, X)", "`burst`, N keys", _keys, fires=False),
+    "debounce": _rate_operator(
+        "debounce(#, X)", "`debounce`, N keys wait, one is due at each event", _always
+    ),
+    "debounce_again": _rate_operator(
+        "debounce(#2, X)", "N keys wait, one is set back by each", _keys, fires=False
+    ),
+    "change": _rate_operator("change(K, X)", "`change`, N keys", _keys),
+    "change_full": _rate_operator(
+        "change(K, X)", "N keys, the most that may be stored", _always, is_limited=True
+    ),
+    "throttle_full": _rate_operator(
+        "throttle(1000000000, X)", "`throttle`, N keys, the most that may be stored", _always, is_limited=True
     ),
     # Timers.
     "timers": StreamRow(
@@ -304,7 +310,7 @@ class StreamBench:
         self.row = row
         self.size = size
         self.engine = engine = Engine()
-        engine.rules.network.limit_stored(size if row.capped else 10**8)
+        engine.rules.network.limit_stored(size if row.is_limited else 10**8)
         timer_service.MAX_TIMERS = max(timer_service.MAX_TIMERS, size)
         for at in range(0, size if row.declares else 0, 1000):
             names = ", ".join(f"e{number}(x:integer)" for number in range(at, min(at + 1000, size)))

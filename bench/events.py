@@ -407,7 +407,7 @@ def markdown(rows: Rows) -> Iterator[str]:
 
 
 def _streams(rows: Rows) -> Iterator[str]:
-    """Yield the lines of the table of windows, shapes, timers, states and the like."""
+    """Yield the lines of the table of windows, rate operators, timers, states and the like."""
     sizes = sorted({row["waiting"] for row in rows})
     yield ""
     yield "| row | what | " + " | ".join(f"{size:,}" for size in sizes) + " | exponent |"
