@@ -11,17 +11,13 @@ import rospkg
 
 rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-
 from retalis import UsageError  # noqa: E402
 from retalis.node.transport import MessageSource  # noqa: E402
 from retalis.ros1 import rospy_transport  # noqa: E402
 from retalis.ros1.rospy_transport import (  # noqa: E402
     UNSET_CLOCK_WARNING_SECONDS,
     RospySubscription,
-    fill_message,
     find_default_program,
-    read_request,
     ros_now,
 )
 
@@ -114,21 +110,6 @@ def test_equal_headers_are_separate_sources(connections: Any) -> None:
     for _ in range(2):
         connections.find_handler(dict(HEADER))([b"1"])
     assert len(connections.receivers) == 2
-
-
-def test_request_has_times_in_nanoseconds() -> None:
-    request = SimpleNamespace(__slots__=["goal", "stamp"], goal="a", stamp=rospy.Time(1, 2))
-    assert vars(read_request(request)) == {"goal": "a", "stamp": 1_000_000_002}
-
-
-def test_message_is_filled_from_values() -> None:
-    values = {
-        "header": {"stamp": 3 * 10**9 + 4},
-        "status": [{"name": "a", "values": [{"key": "k", "value": "v"}]}],
-    }
-    message = fill_message(DiagnosticArray(), values)
-    assert message.header.stamp == rospy.Time(3, 4)
-    assert (message.status[0].name, message.status[0].values[0].value) == ("a", "v")
 
 
 def test_default_program_is_found_in_package(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,15 +3,12 @@
 import time
 from pathlib import Path
 from struct import Struct
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Callable, Dict, List, Mapping, NamedTuple, Optional
 
-import genpy
 import rosgraph
 import rospkg
 import rospy
 from rosgraph_msgs.msg import Clock as ClockMessage
-from roslib.message import get_message_class
 from rospy.rostime import is_wallclock
 
 from ..engine.runtime.problem_reports import Reports
@@ -22,6 +19,7 @@ from ..messages.type_registry import InstalledTypes
 from ..node.transport import Connect, MessageReceiver, MessageSource, NodeGraph
 from .batched_socket_reader import read_in_batches, refuse_own_connection
 from .connection_writer import TopicWriter, serialized_bytes, serialized_class
+from .genpy_fields import fill_message, read_fields
 from .installed_message_classes import installed_types
 from .startup_queue import StartupQueue, SubscriberWait
 from .tf2_buffer import choose_buffer
@@ -276,7 +274,7 @@ class RospyTransport:
         create_response = getattr(srv, f"{service_type}Response")
 
         def handle(request: Any) -> Any:
-            return fill_message(create_response(), handler(read_request(request)))
+            return fill_message(create_response(), handler(read_fields(request)))
 
         rospy.Service(name, service_class, handle)
 
@@ -303,39 +301,6 @@ class RospyTransport:
     def is_shut_down(self) -> bool:
         """See `Transport`."""
         return bool(rospy.is_shutdown())
-
-
-def read_request(request: Any) -> SimpleNamespace:
-    """Return the fields of a request, with times and durations in nanoseconds."""
-    values = {field: getattr(request, field) for field in request.__slots__}
-    return SimpleNamespace(
-        **{
-            field: value.to_nsec() if isinstance(value, genpy.TVal) else value
-            for field, value in values.items()
-        }
-    )
-
-
-def fill_message(message: Any, values: Mapping[str, Any]) -> Any:
-    """Assign values to the fields of a message, and return it.
-
-    Args:
-        message: the message.
-        values: values by field. Nested messages are dictionaries; times and durations are integers in nanoseconds.
-    """
-    types = dict(zip(message.__slots__, message._slot_types))
-    for field, value in values.items():
-        default = getattr(message, field)
-        if isinstance(default, genpy.TVal):
-            setattr(message, field, type(default)(0, value))
-        elif isinstance(value, Mapping):
-            fill_message(default, value)
-        elif value.__class__ is list and value and isinstance(value[0], Mapping):
-            element_class = get_message_class(types[field].partition("[")[0])
-            setattr(message, field, [fill_message(element_class(), element) for element in value])
-        else:
-            setattr(message, field, value)
-    return message
 
 
 def find_default_program(arguments: List[str]) -> Path:
