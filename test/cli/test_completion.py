@@ -15,7 +15,7 @@ import pytest
 from python_path import python_path
 
 from retalis import UsageError
-from retalis.cli import completion
+from retalis.cli import completion, node_client_commands
 from retalis.cli.command_line import main, make_parser
 
 
@@ -70,12 +70,12 @@ def test_command_complete_prints_candidates(
 ) -> None:
     assert main(["complete", "words", "1", "retalis", "demo"]) == 0
     assert capsys.readouterr().out.endswith("demo\n")
-    monkeypatch.setattr(completion, "import_ros_module", no_ros)
+    monkeypatch.setattr(node_client_commands, "connect_client", no_ros)
     assert main(["complete", "words", "3", "retalis", "query", "--node"]) == 0  # the third word is empty
     assert capsys.readouterr() == ("", "")
 
 
-def no_ros(name: Any) -> None:
+def no_ros() -> None:
     raise UsageError("there is no ROS")
 
 

@@ -87,15 +87,6 @@ def test_commands_print_answers_of_node(node_of_space: Any) -> None:
     assert not any(re.search(r"\d{9}", line) for line in lines)  # no seconds since the epoch
 
 
-def test_invalid_number_is_an_error_line(node: Any) -> None:
-    for stamp in ("1e12", "-1", "nan"):
-        (line,) = error(node, "query", "true", "--stamp", stamp).splitlines()
-        assert line.startswith("retalis: --stamp: expected seconds since the epoch")
-    for every in ("0", "nan", "inf"):
-        (line,) = error(node, "status", "--every", every).splitlines()
-        assert line.startswith("retalis: --every: expected a number above 0")
-
-
 def test_interface_is_listed(node: Any) -> None:
     node.start(
         "rosrun", "retalis", "retalis_ros_converter.py", "__name:=retalis_ros_interface", "_direct:=false"

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Callable, Dict, Iterable, List, Optional, Sequence
 
 from ..foundation.errors import UsageError
-from .optional_ros_imports import import_ros_module
 
 SCRIPTS = {"bash": "retalis.bash", "zsh": "_retalis", "fish": "retalis.fish"}
 """Files of this folder by their shell; zsh loads a completion from a file of this name."""
@@ -75,10 +74,12 @@ def run(options: argparse.Namespace) -> int:
 def list_names(category: str, node: Optional[str]) -> List[str]:
     """Return the names of nodes, or of a node's memories; none without ROS or without an answer."""
     try:
-        node_names: List[str] = import_ros_module("node_client_commands").list_completions(category, node)
+        # Imported only to complete names of nodes and memories.
+        from .node_client_commands import list_completions  # noqa: PLC0415
+
+        return list_completions(category, node)
     except UsageError:
         return []
-    return node_names
 
 
 def list_candidates(

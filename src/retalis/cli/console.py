@@ -29,10 +29,11 @@ from ..prolog.builtins.tracer import Tracer
 from ..prolog.syntax.term_reader import ReadTerm
 from ..prolog.terms.list_terms import list_items
 from ..prolog.terms.types import COMMA, Atom, String, Term, Var, deref, functor
+from . import node_console
 from .command_options import add_limits, apply_limits
 from .help_search import all_entries, search
 from .option_values import non_negative
-from .optional_ros_imports import installed_definitions, run_ros_command
+from .optional_ros_imports import installed_definitions
 from .stderr_and_progress import StderrReporter
 from .toplevel_io import (
     QUIT_GOALS,
@@ -259,7 +260,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json and not options.goal:
         raise UsageError("console --json: expected a goal with --goal")
     if options.node is not None:
-        return run_ros_command("node_client_commands", options)
+        return node_console.run(options)
     reporter = StderrReporter().attach(show_events=True)
     console = Console(reporter, apply_limits(UNRESTRICTED, options), options.max_solutions, options.json)
     for path in options.files:

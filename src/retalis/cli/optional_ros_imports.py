@@ -1,10 +1,9 @@
-"""Import of package ``ros1`` by commands, and the installed message types, with those generated for ROS only.
+"""Import of package ``ros1`` by commands: connections to running nodes, and generated message types.
 
 Package `cli` does not depend on package `ros1`: the command line works without ROS. Modules of `ros1` are therefore
 imported by name, when a command needs them.
 """
 
-import argparse
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Optional, Sequence
 
@@ -12,6 +11,7 @@ from ..foundation.errors import UsageError
 
 if TYPE_CHECKING:
     from ..messages.type_registry import Definitions, GeneratedClass
+    from .node_client import ClientConnection
 
 
 def import_ros_module(name: str) -> Any:
@@ -28,14 +28,14 @@ def import_ros_module(name: str) -> Any:
         ) from error
 
 
-def run_ros_command(module: str, options: argparse.Namespace) -> int:
-    """Run the command of a module in package ``ros1``.
+def connect_client() -> "ClientConnection":
+    """Return a connection to running nodes.
 
     Raises:
         UsageError: if ROS is not installed.
     """
-    status: int = import_ros_module(module).run(options)
-    return status
+    connection: ClientConnection = import_ros_module("rospy_client").RospyClient()
+    return connection
 
 
 def installed_definitions(extra_folders: Sequence[str] = ()) -> "Definitions":

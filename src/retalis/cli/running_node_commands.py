@@ -1,14 +1,12 @@
 """Options of the commands for a running node: ``query``, ``list``, ``status``, ``explain``, ``watch``, ``reload``.
 
-The commands themselves are in package ``ros1``, which is imported only when a command is executed: the command line
-works without ROS.
+The commands themselves are in `node_client_commands`, which is imported only when a command is executed.
 """
 
 import argparse
 from typing import Callable
 
 from .option_values import any_number, non_negative
-from .optional_ros_imports import run_ros_command
 
 AddCommand = Callable[..., argparse.ArgumentParser]
 
@@ -104,4 +102,7 @@ def _add_node_command(add_command: AddCommand, name: str, summary: str) -> argpa
 
 def run(options: argparse.Namespace) -> int:
     """Run a command for a running node."""
-    return run_ros_command("node_client_commands", options)
+    # Not needed for the parsers, which completion imports.
+    from . import node_client_commands  # noqa: PLC0415
+
+    return node_client_commands.run(options)
