@@ -1,4 +1,4 @@
-"""Requests, texts, messages and headers for a live node; ``test/ros1/malformed_inputs.py`` sends them."""
+"""Requests, texts, messages and headers for a live node; ``test/ros1/rostests/malformed_inputs.py`` sends them."""
 
 import json
 import random

@@ -13,7 +13,7 @@ sys.path.append(str(Path(__file__).resolve().parent))
 from rostest_results import failure_report  # noqa: E402
 
 TEST = Path(__file__).resolve().parents[1]
-TESTS = sorted(path for folder in ("ros1", "faults") for path in (TEST / folder).glob("*.test"))
+TESTS = sorted(path for folder in ("ros1/rostests", "faults") for path in (TEST / folder).glob("*.test"))
 ROSTEST_TIMEOUT_SECONDS = 960
 """Longer than the time limit of every test in the files, with their default arguments."""
 

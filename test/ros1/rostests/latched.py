@@ -17,7 +17,7 @@ import rospy
 import rostest
 from std_msgs.msg import Int32, String
 
-sys.path.append(str(Path(__file__).resolve().parent))
+sys.path.append(str(Path(__file__).resolve().parents[1]))
 from harness import DEFINITIONS, TIMEOUT_SECONDS, Collector, RawPublisher, wait_until  # noqa: E402
 
 from retalis import Operators  # noqa: E402

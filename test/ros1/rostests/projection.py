@@ -12,7 +12,7 @@ import rospy
 import rostest
 from std_msgs.msg import String, UInt8MultiArray
 
-sys.path.append(str(Path(__file__).resolve().parent))
+sys.path.append(str(Path(__file__).resolve().parents[1]))
 from harness import Collector, wait_for_message_path, wait_for_service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402

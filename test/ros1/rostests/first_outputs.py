@@ -13,7 +13,7 @@ import rospy
 import rostest
 from std_msgs.msg import Int32, String
 
-sys.path.append(str(Path(__file__).resolve().parent))
+sys.path.append(str(Path(__file__).resolve().parents[1]))
 from harness import ENGINE, INTERFACE, Collector, NodeProcesses  # noqa: E402
 
 PROGRAM = Path(__file__).resolve().parent / "first_outputs"

@@ -13,8 +13,8 @@ import rostest
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
-sys.path.append(str(Path(__file__).resolve().parent))
-sys.path.append(str(Path(__file__).resolve().parents[2] / "examples" / "nao"))
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[3] / "examples" / "nao"))
 from harness import DEFINITIONS, Collector, RawPublisher, wait_for_message_path, wait_for_service, wait_until  # noqa: E402
 from make_bag import make_bag  # noqa: E402
 
@@ -24,7 +24,7 @@ from retalis import (  # noqa: E402
     srv,  # noqa: E402
 )
 
-PROGRAM = Path(__file__).resolve().parents[2] / "application_source"
+PROGRAM = Path(__file__).resolve().parents[3] / "application_source"
 MARKERS = [f"marker{number}" for number in range(1, 9)]
 BAG_SECONDS = 4.0
 SPEED = 2.0

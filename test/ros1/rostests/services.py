@@ -17,7 +17,7 @@ import rostest
 from rosgraph_msgs.msg import Log
 from std_msgs.msg import Float64, String
 
-sys.path.append(str(Path(__file__).resolve().parent))
+sys.path.append(str(Path(__file__).resolve().parents[1]))
 from harness import Collector, wait_for_message_path, wait_for_service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402

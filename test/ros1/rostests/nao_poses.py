@@ -13,8 +13,8 @@ import rostest
 from geometry_msgs.msg import PoseStamped
 from rosgraph_msgs.msg import Clock
 
-sys.path.append(str(Path(__file__).resolve().parent))
-sys.path.append(str(Path(__file__).resolve().parents[2] / "examples" / "nao"))
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[3] / "examples" / "nao"))
 from harness import DEFINITIONS, Collector, RawPublisher, wait_for_message_path, wait_until  # noqa: E402
 from make_bag import make_bag  # noqa: E402
 

@@ -12,7 +12,7 @@ import rostest
 from rosgraph_msgs.msg import Log
 from std_msgs.msg import Int32, String
 
-sys.path.append(str(Path(__file__).resolve().parent))
+sys.path.append(str(Path(__file__).resolve().parents[1]))
 from harness import ENGINE, INTERFACE, Collector, NodeProcesses, wait_for_service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402

@@ -12,8 +12,8 @@ import rostest
 from rosgraph_msgs.msg import Log
 from std_msgs.msg import String
 
-HERE = Path(__file__).resolve().parent
-sys.path += [str(HERE), str(HERE.parent)]
+TEST = Path(__file__).resolve().parents[2]
+sys.path += [str(TEST / "ros1"), str(TEST)]
 from fuzz.services import FIELDS, Inputs  # noqa: E402
 from harness import (  # noqa: E402
     TIMEOUT_SECONDS,

@@ -17,7 +17,7 @@ from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-sys.path.append(str(Path(__file__).resolve().parent))
+sys.path.append(str(Path(__file__).resolve().parents[1]))
 from harness import ENGINE, INTERFACE, Collector, NodeProcesses, wait_for_service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402

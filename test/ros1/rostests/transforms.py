@@ -12,7 +12,7 @@ import tf2_ros
 from geometry_msgs.msg import TransformStamped
 from std_msgs.msg import String
 
-sys.path.append(str(Path(__file__).resolve().parent))
+sys.path.append(str(Path(__file__).resolve().parents[1]))
 from harness import Collector, wait_until  # noqa: E402
 
 START = 1_700_000_000

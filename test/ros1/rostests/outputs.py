@@ -11,7 +11,7 @@ import rostest
 from rosgraph_msgs.msg import Log
 from std_msgs.msg import String
 
-sys.path.append(str(Path(__file__).resolve().parent))
+sys.path.append(str(Path(__file__).resolve().parents[1]))
 from harness import DEFINITIONS, Collector, RawPublisher, wait_until  # noqa: E402
 
 from retalis import Operators  # noqa: E402

@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PointStamped
 from std_msgs.msg import Float64, String
 
-sys.path.append(str(Path(__file__).resolve().parent))
+sys.path.append(str(Path(__file__).resolve().parents[1]))
 from harness import Collector, wait_for_service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402
