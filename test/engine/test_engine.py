@@ -9,6 +9,7 @@ import pytest
 from checked_access import compound, place_of, stream_clock
 from recorded_calls import recording
 from recording_engine import RecordingEngine
+from recording_reports import RecordingReports
 
 from retalis import (
     Engine,
@@ -273,18 +274,17 @@ def test_failed_subscriber_does_not_stop_event(caplog: pytest.LogCaptureFixture)
 
 
 def test_alarms_beyond_limit_are_dropped() -> None:
-    engine = Engine()
+    reports = RecordingReports()
+    engine = Engine(reports=reports)
     engine.rules.network.limit_stored(3)
-    warnings: List[Any] = []
-    engine.rules.network.on_warning = lambda warning: warnings.append(str(warning))
     engine.load(rules="exceptionAlarm(late(X), 10) <- e(X).")
     events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     for number in range(5):
         engine.event(f"e({number})", 1)
     assert len(engine.clock.alarms) == 3
-    assert "1 have been dropped" in warnings[0]
-    assert "2 have been dropped" in warnings[1]
+    assert "1 have been dropped" in reports.texts[0]
+    assert "2 have been dropped" in reports.texts[1]
     stream_clock(engine).move_to(20 * SECOND)
     engine.advance()
     assert [text for text in events if text.startswith("late")] == ["late(0)", "late(1)", "late(2)"]

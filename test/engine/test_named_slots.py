@@ -5,10 +5,12 @@ from pathlib import Path
 from typing import Any, List
 
 import pytest
+from checked_access import place_of
+from message_registries import empty_registry
+from recording_reports import RecordingReports
 
-from retalis import Definitions, Engine, ProgramErrors, Reports, explain, record_origins
+from retalis import Definitions, Engine, ProgramErrors, explain, record_origins
 from retalis.events.program.topic_configuration import read_topics
-from retalis.messages.type_registry import InstalledTypes
 
 POINT = "my_msgs__0__Point"
 RULES = f"""
@@ -25,19 +27,19 @@ subscribe(others__0__Thing{{z: Y}}, [], _, out, q)
 
 
 @pytest.fixture
-def definitions() -> Any:
-    types = Definitions(InstalledTypes(packages=[], modules=[], include_rosbags=False))
+def definitions() -> Definitions:
+    types = empty_registry()
     types.add("my_msgs/Point", "float64 x\nfloat64 y\n")
     types.add("my_msgs/Named", "string name\nPoint point\n")
     return types
 
 
 @pytest.fixture
-def engine(definitions: Any) -> Any:
+def engine(definitions: Definitions) -> Engine:
     return Engine(definitions=definitions)
 
 
-def test_rules_memories_and_outputs_have_named_slots(engine: Any) -> None:
+def test_rules_memories_and_outputs_have_named_slots(engine: Engine) -> None:
     outputs: List[Any] = []
     engine.on_output(lambda term, topic, name: outputs.append(engine.show(term)))
     engine.load(rules=RULES)
@@ -58,7 +60,7 @@ def test_rules_memories_and_outputs_have_named_slots(engine: Any) -> None:
     assert [str(answer["X"]) for answer in engine.query(f"access_mem(points, {POINT}{{x: X}}, _)")] == ["2.0"]
 
 
-def test_named_slots_are_shown_as_written(engine: Any, capsys: pytest.CaptureFixture[str]) -> None:
+def test_named_slots_are_shown_as_written(engine: Engine, capsys: pytest.CaptureFixture[str]) -> None:
     record_origins(engine)
     engine.load(rules=RULES, goals=f"memorize({POINT}{{x: X}}, [X > 0], _, points, 5)")
     engine.event(f"{POINT}(2, 1)", 1)
@@ -79,7 +81,7 @@ def test_named_slots_are_shown_as_written(engine: Any, capsys: pytest.CaptureFix
 
 
 def test_integer_for_float_slot_matches_message(
-    engine: Any, definitions: Any, capsys: pytest.CaptureFixture[str]
+    engine: Engine, definitions: Definitions, capsys: pytest.CaptureFixture[str]
 ) -> None:
     events: List[Any] = []
     engine.load(rules=f"zero <- {POINT}{{x: 0, y: -2}}.\np :- q({POINT}{{x: 0}}).")
@@ -90,19 +92,8 @@ def test_integer_for_float_slot_matches_message(
     assert capsys.readouterr().out == f"p :-\n    q({POINT}{{x: 0}}).\n\n"
 
 
-class RecordedReports(Reports):
-    """Reports that store their errors."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.texts: List[str] = []
-
-    def error(self, error: Any, key: Any = None) -> None:
-        self.texts.append(str(error))
-
-
-def test_error_shows_named_slots(definitions: Any) -> None:
-    reports = RecordedReports()
+def test_error_shows_named_slots(definitions: Definitions) -> None:
+    reports = RecordingReports()
     engine = Engine(reports=reports, definitions=definitions)
     engine.load(rules=f"{POINT}{{x: X}} <- a(X) where atom_length({POINT}{{y: X}}, 5).")
     engine.event("a(1)", 1)
@@ -110,7 +101,7 @@ def test_error_shows_named_slots(definitions: Any) -> None:
     assert f"rule {POINT}{{x: X}}, at event a(1): goal atom_length({POINT}{{y: X}},5)" in error
 
 
-def test_unknown_slot_of_rule_is_refused_with_place(engine: Any) -> None:
+def test_unknown_slot_of_rule_is_refused_with_place(engine: Engine) -> None:
     with pytest.raises(ProgramErrors) as caught_errors:
         engine.load(
             rules=f"a <- b.\nc <- {POINT}{{xx: 1}}.\nd <- my_msgs__0__Named{{point: {{yy: 1}}}}.",
@@ -129,7 +120,7 @@ TOPICS = """<publish_subscribe>
 </publish_subscribe>"""
 
 
-def test_named_events_have_named_slots(engine: Any, definitions: Any, tmp_path: Path) -> None:
+def test_named_events_have_named_slots(engine: Engine, definitions: Definitions, tmp_path: Path) -> None:
     rules = """a(X) <- left_point{x: X}.
 b <- left_point(_).
 c <- right_point{y: 1}.
@@ -144,7 +135,7 @@ c <- right_point{y: 1}.
         "left_point/1 does not match its type: my_msgs/Point has 2 slots: x, y; "
         "write all of them, or some by name: left_point{x: ...}"
     )
-    assert warning.place.line == 2
+    assert place_of(warning).line == 2
     events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     engine.event("left_point{x: 5}", 1)

@@ -6,6 +6,7 @@ from typing import Any, Dict, List
 
 import pytest
 from checked_access import stream_clock
+from recording_reports import RecordingReports
 
 from retalis import Engine, StreamClock
 from retalis.prolog.terms.timestamps import SECOND, from_seconds
@@ -27,9 +28,8 @@ class FarStamps:
     """An engine with its default clock, its warnings, and counts of its events."""
 
     def __init__(self, rules: Any = TIMED_RULES) -> None:
-        self.engine = Engine()
-        self.warnings: List[Any] = []
-        self.engine.rules.network.on_warning = lambda warning: self.warnings.append(warning.message)
+        self.reports = RecordingReports()
+        self.engine = Engine(reports=self.reports)
         self.engine.load(rules=rules, goals="timer(beat, every(10)).")
         self.counts: Counter[Any] = Counter()
         self.engine.on_event(lambda term, start, end: self.counts.update([functor_name(self.engine, term)]))
@@ -54,7 +54,7 @@ def test_single_stamp_far_ahead_does_not_move_time() -> None:
     assert (counts["last_10"], counts["running"]) == (99, 99)
     for name in ("pair", "silent", "hopping", "from_first", "beat"):
         assert counts[name] == expected[name], name
-    (warning,) = run.warnings
+    (warning,) = run.reports.messages
     assert warning.startswith(
         "event tick: its time is 365.0 days ahead of the clock, which does not follow it"
     )
@@ -73,7 +73,7 @@ def test_clock_returns_from_single_stamp_ahead(distance: int) -> None:
     assert counts["beat"] >= expected["beat"]
     assert run.engine.clock.now() == from_seconds(START + 999.2)
     # One line names the event; the other one is that of a rule with a late event.
-    (warning,) = [text for text in run.warnings if text.startswith("event ")]
+    (warning,) = [text for text in run.reports.messages if text.startswith("event ")]
     assert "event tick/0: its time was " in warning
     assert "ahead of the other events" in warning
     assert run.engine.status().ahead == 1
@@ -109,18 +109,18 @@ def test_burst_of_wrong_stamps_before_other_events() -> None:
 
 
 @pytest.mark.parametrize("offset", [3600, YEAR])
-def test_single_source_of_other_date_moves_no_clock(offset: Any) -> None:
+def test_single_source_of_other_date_moves_no_clock(offset: int) -> None:
     expected = FarStamps().run(range(100))
     run = FarStamps()
     counts = run.run(range(100), dict.fromkeys(range(10, 100), offset))
     assert run.engine.clock.now() == from_seconds(START + 99.2)
     assert expected["pair"] - 3 <= counts["pair"] <= expected["pair"]
     assert run.engine.status().ahead >= 88
-    assert len(run.warnings) < 30, "reports are throttled"
+    assert len(run.reports.messages) < 30, "reports are throttled"
 
 
 @pytest.mark.parametrize("distance", [3600, YEAR])
-def test_clock_returns_from_first_stamp_ahead(distance: Any) -> None:
+def test_clock_returns_from_first_stamp_ahead(distance: int) -> None:
     expected = FarStamps().run(range(100))
     counts = FarStamps().run(range(100), {0: distance})
     assert counts["last_10"] >= 99
@@ -129,7 +129,7 @@ def test_clock_returns_from_first_stamp_ahead(distance: Any) -> None:
 
 
 @pytest.mark.parametrize("offset", [3600, 40 * 86_400, 20 * YEAR])
-def test_stream_with_other_date_is_processed(offset: Any) -> None:
+def test_stream_with_other_date_is_processed(offset: int) -> None:
     run = FarStamps()
     shifted = FarStamps()
     shifted_engine = shifted.engine
@@ -138,7 +138,7 @@ def test_stream_with_other_date_is_processed(offset: Any) -> None:
             run.engine.event(event, START + second + fraction)
             shifted_engine.event(event, START + offset + second + fraction)
     assert {**shifted.counts, "beat": 0} == {**run.counts, "beat": 0}
-    assert shifted.warnings == []
+    assert shifted.reports.messages == []
 
 
 @pytest.mark.parametrize("pause", [11, 3600, 20 * 86_400])
@@ -153,7 +153,7 @@ def test_pause_is_no_error(pause: int) -> None:
             run.engine.event(event, START + 50 + pause // 10 * 10 + second + fraction)
     for name in ("last_10", "running", "pair", "silent", "hopping", "from_first"):
         assert run.counts[name] == expected.counts[name], name
-    assert [text for text in run.warnings if not text.startswith("time has jumped")] == []
+    assert [text for text in run.reports.messages if not text.startswith("time has jumped")] == []
     assert run.engine.status().ahead == 0
 
 
@@ -162,7 +162,7 @@ def test_stream_with_rare_events_moves_clock_at_each() -> None:
     for hour in range(30):
         run.engine.event(f"in({hour})", START + 3600 * hour)
     assert run.counts["late"] == 29
-    assert run.warnings == []
+    assert run.reports.messages == []
 
 
 def test_other_date_of_all_events_moves_clock() -> None:
@@ -334,12 +334,10 @@ def test_restored_engine_has_same_outputs(seed: int, has_receipt_clock: bool) ->
 
 
 def test_window_on_receipt_clock_reports_stamp_ahead() -> None:
-    clock = StreamClock(START * SECOND)
-    engine = Engine(clock)
-    warnings: List[Any] = []
-    engine.rules.network.on_warning = lambda warning: warnings.append(warning.message)
+    reports = RecordingReports()
+    engine = Engine(StreamClock(START * SECOND), reports=reports)
     engine.load(rules="n(N) <- aggregate(count, tick, N, every(5, first)).")
     engine.event("tick", START)
     engine.event("tick", START + 60)
-    assert len(warnings) == 1
-    assert "event tick is 60.0 s ahead of the clock" in warnings[0]
+    (warning,) = reports.messages
+    assert "event tick is 60.0 s ahead of the clock" in warning

@@ -2,6 +2,8 @@
 
 from typing import Any, List
 
+from recording_reports import RecordingReports
+
 from retalis import Engine, Settings, StreamClock, functor
 from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.terms.term_traversal import copy, variables
@@ -10,7 +12,7 @@ from retalis.prolog.terms.timestamps import SECOND
 FUTURE = 1_000_000 * SECOND
 
 
-def term_text(term: Any) -> Any:
+def term_text(term: Any) -> str:
     term = copy(term)
     for number, var in enumerate(variables(term)):
         var.ref = (functor("$VAR", 1), number)
@@ -28,12 +30,9 @@ class ProgramRunner:
         self, rules: str = "", flags: Any = (), policy: Any = None, clock: Any = None, folder: Any = None
     ) -> None:
         settings = Settings() if folder is None else Settings(folders=(str(folder),))
-        self.engine = Engine(clock or StreamClock(FUTURE), settings)
-        self.errors: List[Any] = []
-        self.warnings: List[Any] = []
+        self.reports = RecordingReports()
+        self.engine = Engine(clock or StreamClock(FUTURE), settings, self.reports)
         self.events: List[Any] = []
-        self.engine.rules.network.on_error = lambda error: self.errors.append(error)
-        self.engine.rules.network.on_warning = lambda error: self.warnings.append(error)
         self.engine.on_event(lambda *event: self.events.append(event))
         if policy:
             self.set("event_consumption_policy", policy)
@@ -42,10 +41,18 @@ class ProgramRunner:
         if rules:
             self.engine.load(rules=rules)
 
+    @property
+    def errors(self) -> List[Any]:
+        return self.reports.recorded_errors
+
+    @property
+    def warnings(self) -> List[Any]:
+        return self.reports.recorded_warnings
+
     def set(self, flag: str, value: str) -> None:
         assert self.engine.call(f"set_etalis_flag({flag},{value})")
 
-    def feed(self, stream: Any) -> Any:
+    def feed(self, stream: Any) -> str:
         derived: List[Any] = []
         for item in stream.split():
             term, stamp = item.rsplit("@", 1)

@@ -53,7 +53,7 @@ GOALS = {**LOADING_GOALS, **EXACT_GOALS, **INCLUDING_GOALS}
 
 
 @pytest.fixture
-def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Create the folder of a program with links out of it, a folder outside, and a working folder."""
     program, outside = tmp_path / "program", tmp_path / "outside"
     for folder in (program, program / "sub", outside, tmp_path / "here"):
@@ -111,13 +111,13 @@ def cases(place: Any) -> Dict[str, Any]:
     }
 
 
-def engine_of(place: Any, **settings: Any) -> Any:
+def engine_of(place: Any, **settings: Any) -> RecordingEngine:
     engine = RecordingEngine(clock=StreamClock(), allow_goals=True, **settings)
     engine.load(rules="secret(0). tell(X) :- event(X).", folder=place / "program")
     return engine
 
 
-def was_read(engine: Any) -> Any:
+def was_read(engine: Any) -> bool:
     """Return whether a file has been loaded: its clause is defined, or its event was emitted."""
     return len(engine.query("secret(_)")) > 1 or "secret" in engine.event_texts
 
@@ -153,7 +153,7 @@ def check_access(engine: Any, expected_error: Any, text: Any, name: Any) -> None
 
 @pytest.mark.slow
 @pytest.mark.parametrize("goal", GOALS)
-def test_file_access_of_python_calls(place: Any, goal: Any) -> None:
+def test_file_access_of_python_calls(place: Path, goal: Any) -> None:
     for name, (expected_error, _) in cases(place).items():
         for method in ("call", "query"):
             engine = engine_of(place)
@@ -176,7 +176,7 @@ TRIGGERS = ("do", "where", "clause", "subscription", "memory", "query", "text")
     ],
 )
 def test_file_access_of_goals_of_events(
-    place: Any, caplog: pytest.LogCaptureFixture, goal: Any, trigger: Any
+    place: Path, caplog: pytest.LogCaptureFixture, goal: Any, trigger: Any
 ) -> None:
     for name, (expected_error, _) in cases(place).items():
         engine = engine_of(place)
@@ -207,7 +207,7 @@ def test_file_access_of_goals_of_events(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("goal", GOALS)
-def test_file_access_of_loading_goals(place: Any, goal: Any) -> None:
+def test_file_access_of_loading_goals(place: Path, goal: Any) -> None:
     for name, (_, expected_error) in cases(place).items():
         for place_of_goal in ("goals", "directive"):
             engine = engine_of(place)
@@ -234,7 +234,7 @@ def test_file_access_of_loading_goals(place: Any, goal: Any) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("goal", LOADING_GOALS)
-def test_added_suffix_does_not_extend_access(place: Any, goal: Any) -> None:
+def test_added_suffix_does_not_extend_access(place: Path, goal: str) -> None:
     """A file that may not be opened by its name with the suffix may not be opened without it either."""
     program = place / "program"
     for name, expected_error in {
@@ -259,7 +259,7 @@ def test_added_suffix_does_not_extend_access(place: Any, goal: Any) -> None:
 
 
 @pytest.mark.slow
-def test_files_loaded_by_files_are_restricted(place: Any) -> None:
+def test_files_loaded_by_files_are_restricted(place: Path) -> None:
     program = place / "program"
     for number, text in enumerate(
         (
@@ -280,7 +280,7 @@ def test_files_loaded_by_files_are_restricted(place: Any) -> None:
         assert "No permission" in error_text(engine.call, "consult('../outside/in.pl')")
 
 
-def test_names_are_relative_to_program_folder(place: Any) -> None:
+def test_names_are_relative_to_program_folder(place: Path) -> None:
     engine = engine_of(place)
     assert engine.call("exists_file('in.pl'), exists_file(\"sub/in.pl\"), consult(sub/in)")
     assert was_read(engine)
@@ -289,7 +289,7 @@ def test_names_are_relative_to_program_folder(place: Any) -> None:
     (place / "here" / "new.pl").unlink()
 
 
-def test_exists_file_has_access_of_loading(place: Any) -> None:
+def test_exists_file_has_access_of_loading(place: Path) -> None:
     engine = engine_of(place)
     for name, (expected_error, _) in cases(place).items():
         goal = (functor("exists_file", 1), atom(name))
@@ -304,7 +304,7 @@ def test_exists_file_has_access_of_loading(place: Any) -> None:
             assert ERROR_TEXTS[expected_error] in error_text(engine.call, goal), name[:50]
 
 
-def test_program_without_folder_reads_no_files(place: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_program_without_folder_reads_no_files(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(place / "program")
     engine = RecordingEngine()
     engine.load(rules=":- ensure_loaded(in). secret(0).")
@@ -314,7 +314,7 @@ def test_program_without_folder_reads_no_files(place: Any, monkeypatch: pytest.M
 
 
 @pytest.mark.slow
-def test_settings_allow_folders(place: Any) -> None:
+def test_settings_allow_folders(place: Path) -> None:
     outside = f"'{place}/outside/secret.pl'"
     for settings in (
         {"folders": (str(place / "outside"),)},
@@ -334,13 +334,13 @@ def test_settings_allow_folders(place: Any) -> None:
         Engine(settings=Settings(folders="/data"))  # type: ignore[arg-type]
 
 
-def test_folder_of_loaded_file_is_not_allowed(place: Any) -> None:
+def test_folder_of_loaded_file_is_not_allowed(place: Path) -> None:
     engine = engine_of(place)
     engine.load(goals="consult('../outside/in.pl')", folder=place / "program")
     assert "No permission" in error_text(engine.call, "consult('../outside/secret.pl')")
 
 
-def test_large_files_are_refused(place: Any) -> None:
+def test_large_files_are_refused(place: Path) -> None:
     with (place / "program" / "large.pl").open("wb") as file:
         file.truncate(1_000_001)
     engine = engine_of(place, max_file_megabytes=1)
@@ -364,7 +364,7 @@ def run_persistent_program(place: Any, **settings: Any) -> Tuple[Any, ...]:
 WRITTEN = "event(b(1),[1,1]).\n"
 
 
-def test_no_file_is_written_by_default(place: Any) -> None:
+def test_no_file_is_written_by_default(place: Path) -> None:
     before = sorted(path.name for path in (place / "program").iterdir())
     _, (warning,) = run_persistent_program(place)
     assert warning.startswith(
@@ -373,7 +373,7 @@ def test_no_file_is_written_by_default(place: Any) -> None:
     assert sorted(path.name for path in (place / "program").iterdir()) == before
 
 
-def test_loading_program_writes_to_its_folder(place: Any) -> None:
+def test_loading_program_writes_to_its_folder(place: Path) -> None:
     engine = engine_of(place)
     engine.load(goals="assertz(persistent_event(b(_)))\nevent(b(1), [1,1])", folder=place / "program")
     assert (place / "program" / "persistent.txt").read_text() == WRITTEN
@@ -402,7 +402,7 @@ def make_device(path: Any, place: Any) -> None:
 @pytest.mark.parametrize(
     "make", [make_link, make_dangling, make_pipe, make_device, lambda path, place: path.mkdir()]
 )
-def test_special_file_is_not_written(place: Any, make: Any) -> None:
+def test_special_file_is_not_written(place: Path, make: Any) -> None:
     folder = place / "out"
     folder.mkdir()
     make(folder / "persistent.txt", place)
@@ -411,7 +411,7 @@ def test_special_file_is_not_written(place: Any, make: Any) -> None:
     assert not (place / "outside" / "new.txt").exists()
 
 
-def test_link_to_writable_file_is_followed(place: Any) -> None:
+def test_link_to_writable_file_is_followed(place: Path) -> None:
     folder = place / "out"
     (folder / "more").mkdir(parents=True)
     (folder / "persistent.txt").symlink_to("more/events.txt")
@@ -419,7 +419,7 @@ def test_link_to_writable_file_is_followed(place: Any) -> None:
     assert (folder / "more" / "events.txt").read_text() == WRITTEN
 
 
-def test_file_beyond_size_limit_is_not_written(place: Any) -> None:
+def test_file_beyond_size_limit_is_not_written(place: Path) -> None:
     folder = place / "out"
     folder.mkdir()
     path = folder / "persistent.txt"
@@ -432,7 +432,7 @@ def test_file_beyond_size_limit_is_not_written(place: Any) -> None:
     assert "No such file or directory" in warning
 
 
-def test_surrogate_in_event_is_written_as_escape(place: Any) -> None:
+def test_surrogate_in_event_is_written_as_escape(place: Path) -> None:
     folder = place / "out"
     folder.mkdir()
     engine, warnings = run_persistent_program(place, write_folders=(folder,))
@@ -465,7 +465,7 @@ def swap_pipe(path: Any, outside: Any) -> None:
 @pytest.mark.parametrize("hook", ["lstat", "open"])
 @pytest.mark.parametrize("goal", GOALS)
 def test_file_replaced_before_opening_is_not_read(
-    place: Any, monkeypatch: pytest.MonkeyPatch, goal: Any, swap: Any, hook: str
+    place: Path, monkeypatch: pytest.MonkeyPatch, goal: Any, swap: Any, hook: str
 ) -> None:
     engine = engine_of(place)
     path = place / "program" / "sub" / "in.pl"
@@ -490,7 +490,7 @@ def test_file_replaced_before_opening_is_not_read(
 @pytest.mark.parametrize("swap", [swap_file, swap_folder])
 @pytest.mark.parametrize("calls_before", [0, 1])
 def test_file_replaced_before_opening_is_not_written(
-    place: Any, monkeypatch: pytest.MonkeyPatch, swap: Any, is_there: bool, calls_before: int
+    place: Path, monkeypatch: pytest.MonkeyPatch, swap: Any, is_there: bool, calls_before: int
 ) -> None:
     folder = place / "out"
     folder.mkdir()
@@ -518,6 +518,7 @@ SCRIPT = """
 import json, os, sys
 from events.test_file_access import GOALS, cases, engine_of, unary_goal
 from pathlib import Path
+from recording_reports import RecordingReports
 from retalis import RetalisError, atom, functor
 
 place = Path(sys.argv[1])
@@ -531,8 +532,7 @@ def audit(event, arguments):
         opened.append((event, str(arguments[0])))
 
 sys.addaudithook(audit)
-engine = engine_of(place, allow_foreign=True)
-engine.reports.error = engine.rules.network.on_error = lambda error, kind=None: None
+engine = engine_of(place, allow_foreign=True, reports=RecordingReports())
 engine.load(rules="persistent_event(_). done do (nb_getval(goal, t(G)), call(G)) <- in.", folder=place / "program")
 
 def run():
@@ -550,7 +550,7 @@ print(json.dumps(opened))
 
 
 @pytest.mark.slow
-def test_goals_open_files_of_program_folder_only(place: Any) -> None:
+def test_goals_open_files_of_program_folder_only(place: Path) -> None:
     process = subprocess.run(
         [sys.executable, "-c", SCRIPT, str(place)],
         env={
@@ -572,7 +572,7 @@ def test_goals_open_files_of_program_folder_only(place: Any) -> None:
 
 
 @pytest.mark.parametrize("goal", ["open(F, read, S), read(S, _), close(S)", "see(F), read(_), seen"])
-def test_streams_read_files_that_may_be_loaded(place: Any, goal: str) -> None:
+def test_streams_read_files_that_may_be_loaded(place: Path, goal: str) -> None:
     engine = engine_of(place)
     for name, (expected_error, _) in cases(place).items():
         if expected_error is None:
@@ -595,7 +595,7 @@ WRITING_GOALS = [
 
 
 @pytest.mark.parametrize("goal", WRITING_GOALS)
-def test_streams_write_to_allowed_folders_only(place: Any, goal: Any) -> None:
+def test_streams_write_to_allowed_folders_only(place: Path, goal: str) -> None:
     (place / "out").mkdir()
     (place / "out" / "way.txt").symlink_to(place / "outside" / "in.pl")
     (place / "out" / "away").symlink_to(place / "outside")
@@ -612,7 +612,7 @@ def test_streams_write_to_allowed_folders_only(place: Any, goal: Any) -> None:
     )
 
 
-def test_size_of_text_files_is_limited(place: Any) -> None:
+def test_size_of_text_files_is_limited(place: Path) -> None:
     (place / "program" / "large.txt").write_text("p(1).\n" * 1000)
     engine = engine_of(place)
     engine.rules.files.sandbox.max_bytes = 5999

@@ -7,6 +7,7 @@ from events.program_runner import ProgramRunner, outputs_of, term_text
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reachable_objects import count_entries, reachable
+from recording_reports import RecordingReports
 
 from retalis import Engine, Settings, String, UsageError, Var, atom, functor, make_list
 from retalis.events.dispatch.dispatcher import Dispatcher
@@ -32,7 +33,7 @@ class Recorder:
         self.dispatcher = Dispatcher()
         self.calls: List[Any] = []
 
-    def listen(self, name: str, pattern: Any, phase: Any = ListenerPhase.RULES) -> Any:
+    def listen(self, name: str, pattern: Any, phase: Any = ListenerPhase.RULES) -> Listener:
         def action(term: Any, values: Any, start: Any, end: Any, frame: Any) -> Any:
             self.calls.append((name, values))
             return frame
@@ -233,18 +234,17 @@ def test_listeners_are_called_up_to_depth_limit(depth: int) -> None:
 
 @pytest.mark.parametrize("depth", [1, 3, 4, 5, 6, 1000])
 def test_depth_limit_applies_to_derived_events(depth: int) -> None:
-    engine = Engine(settings=Settings(max_depth=depth))
-    errors: List[Any] = []
+    reports = RecordingReports()
+    engine = Engine(settings=Settings(max_depth=depth), reports=reports)
     events: List[Any] = []
-    engine.rules.network.on_error = errors.append
     engine.on_event(lambda term, start, end: events.append(term))
     engine.load(rules=f"n(Y) <- n(X) where (X < {depth + 1}, Y is X + 1).")
     engine.event(f"n({1})", 1)
-    assert (len(events), errors) == (depth + 1, [])
+    assert (len(events), reports.texts) == (depth + 1, [])
     engine.event(f"n({0})", 2)
     assert len(events) == 2 * (depth + 1)
-    (error,) = errors
-    assert f"more than {depth} events were derived" in str(error)
+    (error,) = reports.texts
+    assert f"more than {depth} events were derived" in error
 
 
 LEAVES = st.sampled_from([atom("x"), atom("y"), 1, 1, 2, 1.0, String("x"), "X", "X", "Y", "Z"])

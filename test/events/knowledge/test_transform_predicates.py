@@ -173,28 +173,40 @@ def test_instant_zero_is_newest_transform() -> None:
     assert program.events[1:] == [f"got({pose(31)})"]
 
 
-def test_failed_lookup_has_reason() -> None:
+@pytest.fixture
+def moving_base() -> TransformEngine:
+    """Return an engine in which the base moves from 1 m to 3 m between 2 s and 4 s."""
     program = TransformEngine(rules="")
     program.transform("map", "base", 2, 1)
     program.transform("map", "base", 4, 3)
     program.transform("other", "lamp", 4, 3)
+    return program
+
+
+def test_lookup_between_transforms_is_interpolated(moving_base: TransformEngine) -> None:
+    program = moving_base
     assert program.answers("tf_lookup(map, base, 3, P)") == [{"P": pose(2)}]
     assert program.answers("tf_lookup(base, map, [3,0], P)") == [
         {"P": "[[-2.0,0.0,0.0],[-0.0,-0.0,-0.0,1.0]]"}
     ]
     moved = program.answers("tf_transform([[1,2,0],[0,0,0,1]], base, map, 3.5, P)")
     assert moved == [{"P": "[[3.5,2.0,0.0],[0.0,0.0,0.0,1.0]]"}]
-    for arguments, reason in (
-        ("map, base, 3", None),
+    assert program.answers("tf_missing(map, base, 3, R)") == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
         ("map, base, 1", "before(base,datime(1970,1,1,0,0,2,0))"),
         ("map, base, 5", "after(base,datime(1970,1,1,0,0,4,0))"),
         ("map, basis, 3", "unknown(basis)"),
         ("lamp, base, 4", "unconnected(lamp,base)"),
         ("map, '', 4", "invalid('')"),
-    ):
-        missing = program.answers(f"tf_missing({arguments}, R)")
-        assert missing == ([] if reason is None else [{"R": reason}]), arguments
-        assert bool(program.answers(f"tf_lookup({arguments}, _)")) == (reason is None)
+    ],
+)
+def test_failed_lookup_has_reason(moving_base: TransformEngine, arguments: str, reason: str) -> None:
+    assert moving_base.answers(f"tf_lookup({arguments}, _)") == []
+    assert moving_base.answers(f"tf_missing({arguments}, R)") == [{"R": reason}]
 
 
 def test_unknown_frame_is_reported_once() -> None:
@@ -292,23 +304,26 @@ def test_invalid_transforms_are_reported() -> None:
     ]
 
 
-def test_transforms_are_required_if_program_reads_them() -> None:
-    for rules, goals, expected in (
+@pytest.mark.parametrize(
+    ("rules", "goals", "is_required"),
+    [
         ("a <- b.", "", False),
         ("a <- tf(map, camera).", "memorize(tf(_, _), [], _, m, 5)", False),
         ("p(P) :- tf_lookup(a, b, 0, P).", "", True),
         ("a <- b where (c ; \\+ tf_missing(a, b, 0, _)).", "", True),
         ("synchronized(a, p, [[m, 1], [tf(a, b), 2]]) <- b.", "", True),
         ("synchronized(a, p, [[m, 1], [tf, 2]]) <- b.", "", False),
-    ):
-        program = TransformEngine(rules=rules, goals=goals)
-        requests: List[Any] = []
-        transforms = program.engine.knowledge.transforms
-        transforms.require_if_mentioned(program.engine.rules.terms())
-        transforms.add_feed(lambda: requests.append(True))  # noqa: B023
-        assert requests == [True] * expected, rules
-        program.engine.call("ignore(tf_lookup(a, b, 0, _))")
-        assert requests == [True]
+    ],
+)
+def test_transforms_are_required_if_program_reads_them(rules: str, goals: str, is_required: bool) -> None:
+    program = TransformEngine(rules=rules, goals=goals)
+    requests: List[str] = []
+    transforms = program.engine.knowledge.transforms
+    transforms.require_if_mentioned(program.engine.rules.terms())
+    transforms.add_feed(lambda: requests.append("feed"))
+    assert requests == ["feed"] * is_required
+    program.engine.call("ignore(tf_lookup(a, b, 0, _))")
+    assert requests == ["feed"]
 
 
 def test_status_counts_transforms() -> None:

@@ -4,11 +4,12 @@ An odd value costs at most its own event. The results of other keys are those of
 value is counted as an error of its rule, no error reaches the caller, and later rules match the event.
 """
 
-from typing import Any, Dict, List, Tuple
+from typing import Any, Dict, Tuple
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from recording_reports import RecordingReports
 
 from retalis import Engine
 
@@ -84,12 +85,11 @@ class OddEngine(Engine):
     """An engine that collects its reports, and its derived events by key."""
 
     def __init__(self, rule: Any) -> None:
-        super().__init__()
-        self.errors: List[Any] = []
+        recording = RecordingReports()
+        super().__init__(reports=recording)
+        self.recording = recording
         self.results: Dict[Any, Any] = {}
         self.later_count = 0
-        self.rules.network.on_error = lambda error: self.errors.append(error.message)
-        self.rules.network.on_warning = lambda warning: None
         self.load(rules=f"{CLAUSES}{rule}\nlater(K) <- in(K,_).")
         self.on_event(self._collect)
         for key in "abc":
@@ -137,7 +137,9 @@ def test_odd_values_change_no_result_of_other_keys(rule: Any, stream: Any) -> No
     results, expected = mixed.feed(arrivals), regular.feed(regular_arrivals)
     for key in set("abc") - odd_keys:
         assert results.get(key) == expected.get(key)
-    assert len(mixed.errors) == sum(event_rule.metrics.error_count for event_rule in mixed.rules.rules)
+    assert len(mixed.recording.recorded_errors) == sum(
+        event_rule.metrics.error_count for event_rule in mixed.rules.rules
+    )
 
 
 @settings(max_examples=20)
@@ -155,5 +157,7 @@ def test_refused_values_are_counted_only(window: Any, aggregate: Any, stream: An
     mixed, regular = OddEngine(rule), OddEngine(rule)
     assert mixed.feed(arrivals) == regular.feed(regular_arrivals)
     assert (
-        mixed.rules.rules[0].metrics.error_count == len(mixed.errors) == len(arrivals) - len(regular_arrivals)
+        mixed.rules.rules[0].metrics.error_count
+        == len(mixed.recording.recorded_errors)
+        == len(arrivals) - len(regular_arrivals)
     )

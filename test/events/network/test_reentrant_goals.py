@@ -4,6 +4,7 @@ from functools import partial
 from typing import Any, List, Tuple
 
 import pytest
+from recording_reports import RecordingReports
 
 from retalis import Engine
 from retalis.events.dispatch.dispatcher import Dispatcher
@@ -20,9 +21,8 @@ same(S, S).
 
 def load_engine(rules: str) -> Tuple[Any, ...]:
     """Return an engine, its derived events, and its reports."""
-    engine, derived, reports = Engine(), [], []
-    network = engine.rules.network
-    network.on_error = network.on_warning = lambda error: reports.append(error.message)
+    reports = RecordingReports()
+    engine, derived = Engine(reports=reports), []
     engine.load(rules=rules)
     engine.on_event(
         lambda term, start, end: (
@@ -54,14 +54,14 @@ EVENT, RESET, FLAG = "event(a(9),[2,2])", "reset_db", "set_etalis_flag(revision_
         ("last(8, every(4))", RESET, "w([3,2,1])"),
     ],
 )
-def test_goal_of_fold_is_deferred_until_event_is_added(window: str, goal: Any, outputs: str) -> None:
+def test_goal_of_fold_is_deferred_until_event_is_added(window: str, goal: str, outputs: str) -> None:
     engine, derived, reports = load_engine(FOLD.format(window=window, goal=goal))
     for number in (1, 2, 3):
         engine.event(f"a({number})", number)
     engine.event("tick", 4 if "every(4)" in window else 7)
     engine.event("tick", 40)
     assert " ".join(derived) == outputs
-    assert reports == []
+    assert reports.messages == []
 
 
 @pytest.mark.parametrize(
@@ -76,14 +76,14 @@ def test_goal_of_fold_is_deferred_until_event_is_added(window: str, goal: Any, o
         (f"{RESET}, {EVENT}", "w([9,3,4])"),
     ],
 )
-def test_condition_of_row_pattern_is_deferred(goal: Any, outputs: str) -> None:
+def test_condition_of_row_pattern_is_deferred(goal: str, outputs: str) -> None:
     engine, derived, reports = load_engine(
         f"w(S) <- aggregate(list(X), a(X), S, steps([s(3) where (X =\\= 2 ; {goal})]))."
     )
     for number in range(1, 6):
         engine.event(f"a({number})", number)
     assert " ".join(derived) == outputs
-    assert reports == []
+    assert reports.messages == []
 
 
 @pytest.mark.parametrize("goal", ["del_event_rule(own)", "reset_etalis"])
@@ -104,7 +104,7 @@ def test_endless_chain_of_events_is_stopped() -> None:
     engine.dispatcher._max_chain_length = 31  # noqa: SLF001
     engine.event("a(1)", 1)
     assert len(derived) < 200
-    assert any("derived one from another" in report for report in reports)
+    assert any("derived one from another" in report for report in reports.messages)
     engine.event("tick", 2)
 
 

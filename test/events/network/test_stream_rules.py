@@ -8,8 +8,10 @@ import pytest
 from checked_access import stream_clock
 from events.program_runner import outputs_of
 from events.streams.operator_driver import entry_count
+from recording_reports import RecordingReports
 
 from retalis import Clock, Engine, StreamClock
+from retalis.events.network.event_rule import EventRule
 from retalis.prolog.terms.timestamps import SECOND
 
 
@@ -17,13 +19,12 @@ class EngineDriver(Engine):
     """An engine that records the events of rules, and the reports."""
 
     def __init__(self, rules: Any, max_stored: Any = None, clock: Any = None) -> None:
-        super().__init__(clock)
-        network = self.rules.network
+        recording = RecordingReports()
+        super().__init__(clock, reports=recording)
+        self.recording = recording
         if max_stored is not None:
-            network.limit_stored(max_stored)
+            self.rules.network.limit_stored(max_stored)
         self.outputs: List[Any] = []
-        self.problems: List[str] = []
-        network.on_error = network.on_warning = lambda error: self.problems.append(error.message)
         self.load(rules=rules)
         self.on_event(self._record)
 
@@ -42,7 +43,11 @@ class EngineDriver(Engine):
         return " ".join(self.outputs)
 
     @property
-    def event_rules(self) -> Any:
+    def problems(self) -> List[str]:
+        return self.recording.messages
+
+    @property
+    def event_rules(self) -> List[EventRule]:
         return self.rules.rules
 
     def streams(self) -> List[Any]:
@@ -142,7 +147,7 @@ RULES_WITH_STATE = {
 
 @pytest.mark.parametrize("name", RULES_WITH_STATE)
 @pytest.mark.parametrize("flags", ["", ":- set_etalis_flag(revision_flag, on).\n"])
-def test_oldest_element_is_dropped_at_limit(name: Any, flags: str) -> None:
+def test_oldest_element_is_dropped_at_limit(name: str, flags: str) -> None:
     """Dropped elements are counted, reported seldom, and not stored."""
     engine = EngineDriver(flags + RULES_WITH_STATE[name], max_stored=5)
     for number in range(150):
@@ -235,7 +240,7 @@ def results_of_patterns(aggregate: str, value: str, factor: str = "") -> Iterato
 @pytest.mark.parametrize("factor", ["", "*1"])
 @pytest.mark.parametrize("value", ["e", "pi", "inf", '"b"', "[98]", "'b'", "1+e", "f(2)", "[]", "Y"])
 @pytest.mark.parametrize("aggregate", [*ADDITIVE, *COMPARATIVE])
-def test_value_that_is_no_number_is_reported(aggregate: Any, value: str, factor: str) -> None:
+def test_value_that_is_no_number_is_reported(aggregate: str, value: str, factor: str) -> None:
     """`is` would evaluate constants such as e and pi, and texts and lists of one character."""
     for result, (report,) in results_of_patterns(aggregate, value, factor):
         assert result in ("", "r(0)", "r(1)", "r(1.0)")
@@ -245,7 +250,7 @@ def test_value_that_is_no_number_is_reported(aggregate: Any, value: str, factor:
 
 
 @pytest.mark.parametrize("aggregate", [*ADDITIVE, *COMPARATIVE])
-def test_only_additive_aggregates_accept_expressions(aggregate: Any) -> None:
+def test_only_additive_aggregates_accept_expressions(aggregate: str) -> None:
     for result, reports in results_of_patterns(aggregate, "1+2"):
         if aggregate in ADDITIVE:
             assert result == {"sum": "r(4)", "avg": "r(2)", "stddev": "r(1.4142135623730951)"}[aggregate]
@@ -279,7 +284,7 @@ def test_timestamp_is_a_number(timestamp: str) -> None:
 
 @pytest.mark.parametrize("value", ["1.0Inf", "-1.0Inf", "1.5NaN"])
 @pytest.mark.parametrize("aggregate", [*ADDITIVE, "median"])
-def test_infinite_value_is_not_added(aggregate: Any, value: str) -> None:
+def test_infinite_value_is_not_added(aggregate: str, value: str) -> None:
     """A sum with such a value would never be a number again."""
     for _, (report,) in results_of_patterns(aggregate, value):
         assert report.endswith(f"the value is '{value}': expected a finite number")
@@ -338,7 +343,7 @@ INNER_PATTERNS = (
 
 @pytest.mark.parametrize("flag", FLAGS)
 @pytest.mark.parametrize("policy", POLICIES)
-def test_timed_output_matches_outer_pattern(policy: Any, flag: Any) -> None:
+def test_timed_output_matches_outer_pattern(policy: str, flag: str) -> None:
     """The output occurs at an instant of the clock, without an input event."""
     value = "general" if flag == "garbage_control" else "on"
     rules = [f":- set_etalis_flag({flag}, {value}), set_etalis_flag(event_consumption_policy, {policy})."]
@@ -544,7 +549,7 @@ def test_average_beyond_floats_is_reported() -> None:
     assert engine.problems[0].endswith("aggregate avg: the result is too large for a float")
 
 
-def test_error_of_alarm_stops_no_other_alarm(caplog: pytest.LogCaptureFixture) -> None:
+def test_error_of_alarm_stops_no_other_alarm() -> None:
     def fail(machine: Any) -> bool:
         raise KeyError("defect")
 
@@ -554,7 +559,7 @@ def test_error_of_alarm_stops_no_other_alarm(caplog: pytest.LogCaptureFixture) -
     engine = EngineDriver(rules)
     engine.logic.define("broken", 0, fail)
     assert engine.feed("in(a)@1 in(b)@2 tick@9") == "other(a)@1-2 other(b)@2-3 last@9-9"
-    assert caplog.text.count("internal error") == 2
+    assert engine.problems == [str(KeyError("defect"))] * 2
     # The rule continues with later events.
     engine.logic.define("broken", 0, lambda machine: True)
     assert engine.feed("in(c)@10 tick@19") == "r(c)@10-11 other(c)@10-11 last@19-19"

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any, List
 
 import pytest
+from recording_reports import RecordingReports
 
 from retalis import Engine
 
@@ -19,7 +20,7 @@ FILES = {
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Any:
+def folder(tmp_path: Path) -> Path:
     for name, text in FILES.items():
         (tmp_path / name).write_text(text)
     return tmp_path
@@ -36,14 +37,14 @@ def check(engine: Any) -> None:
     assert values(engine, "help(X)") == ["part"]
 
 
-def test_module_is_loaded_once(folder: Any) -> None:
+def test_module_is_loaded_once(folder: Path) -> None:
     engine = Engine()
     engine.load_program(folder / "main.pl")
     check(engine)
     assert values(engine, "shared(X)") == ["first", "0"]
 
 
-def test_modules_are_restored_and_reloaded(folder: Any) -> None:
+def test_modules_are_restored_and_reloaded(folder: Path) -> None:
     engine = Engine()
     engine.load_program(folder / "main.pl")
     restored = Engine.restore(engine.snapshot())
@@ -55,7 +56,7 @@ def test_modules_are_restored_and_reloaded(folder: Any) -> None:
     assert values(engine, "b:help(X)") == ["new"]
 
 
-def test_rules_call_predicates_of_modules(folder: Any) -> None:
+def test_rules_call_predicates_of_modules(folder: Path) -> None:
     engine, events = Engine(), []
     engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     engine.load_rules((folder / "eventRules.txt").read_text(), str(folder / "eventRules.txt"), folder)
@@ -64,7 +65,7 @@ def test_rules_call_predicates_of_modules(folder: Any) -> None:
     assert values(engine, "help(X)") == ["rules"]
 
 
-def test_event_file_is_no_module(folder: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_event_file_is_no_module(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     engine = Engine()
     messages: List[str] = []
     monkeypatch.setattr(engine.logic, "message", lambda kind, text: messages.append(text))
@@ -73,10 +74,9 @@ def test_event_file_is_no_module(folder: Any, monkeypatch: pytest.MonkeyPatch) -
     assert engine.call("own")
 
 
-def test_module_is_closed_after_error(folder: Any) -> None:
-    engine = Engine()
+def test_module_is_closed_after_error(folder: Path) -> None:
+    engine = Engine(reports=RecordingReports())
     (folder / "wrong.pl").write_text(":- module(wrong, [w/1]).\n:- throw(no).\nw(X) :- v(X).\nv(1).\n")
-    engine.rules.network.on_warning = lambda warning: None
     engine.load_program(folder / "wrong.pl")
     engine.load_rules("v(2).\n")
     assert values(engine, "w(X)") == ["1"]

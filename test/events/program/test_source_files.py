@@ -30,13 +30,15 @@ def errors_of(operation: Any) -> List[str]:
 
 @pytest.mark.parametrize("form", [":- use_module({})", "use_module({})", ":- ensure_loaded({})"])
 @pytest.mark.parametrize("name", ["'sub/one.pl'", '"sub/one.pl"', "sub/one", "'sub/one'"])
-def test_used_file_is_loaded_before_rules(program: Any, tmp_path: Path, form: str, name: str) -> None:
+def test_used_file_is_loaded_before_rules(
+    program: ProgramRunner, tmp_path: Path, form: str, name: str
+) -> None:
     write(tmp_path, main=f"d <- c.\n{form.format(name)}.", sub__one=":- use_module(two).", sub__two="c <- a.")
     program.engine.program.loader.load_file(tmp_path / "main.pl")
     assert program.feed("a@1") == "c@1-1 d@1-1"
 
 
-def test_ensured_file_is_loaded_once(program: Any, tmp_path: Path) -> None:
+def test_ensured_file_is_loaded_once(program: ProgramRunner, tmp_path: Path) -> None:
     write(
         tmp_path,
         one="c <- a.",
@@ -53,7 +55,7 @@ def test_ensured_file_is_loaded_once(program: Any, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "goal", ["consult('sub/one')", "consult(sub/one)", "[sub/one]", "consult([sub/one])"]
 )
-def test_consulted_file_is_relative_to_directive(program: Any, tmp_path: Path, goal: str) -> None:
+def test_consulted_file_is_relative_to_directive(program: ProgramRunner, tmp_path: Path, goal: str) -> None:
     write(tmp_path, inner__main=f":- {goal}. d <- c.")
     (tmp_path / "inner" / "sub").mkdir()
     write(tmp_path / "inner", sub__one="c <- a.")
@@ -61,7 +63,7 @@ def test_consulted_file_is_relative_to_directive(program: Any, tmp_path: Path, g
     assert program.feed("a@1") == "c@1-1 d@1-1"
 
 
-def test_directive_of_used_file_is_relative_to_it(program: Any, tmp_path: Path) -> None:
+def test_directive_of_used_file_is_relative_to_it(program: ProgramRunner, tmp_path: Path) -> None:
     write(
         tmp_path,
         main=":- use_module('sub/one.pl').",
@@ -72,13 +74,13 @@ def test_directive_of_used_file_is_relative_to_it(program: Any, tmp_path: Path) 
     assert program.feed("a@1") == "c@1-1"
 
 
-def test_files_that_ensure_each_other_are_loaded_once(program: Any, tmp_path: Path) -> None:
+def test_files_that_ensure_each_other_are_loaded_once(program: ProgramRunner, tmp_path: Path) -> None:
     write(tmp_path, one=":- ensure_loaded(two). c <- a.", two=":- ensure_loaded(one). d <- a.")
     program.engine.program.loader.load_file("one.pl")
     assert program.feed("a@1") == "d@1-1 c@1-1"
 
 
-def test_refused_file_may_be_loaded_again(program: Any, tmp_path: Path) -> None:
+def test_refused_file_may_be_loaded_again(program: ProgramRunner, tmp_path: Path) -> None:
     write(tmp_path, one="c <- a. :- no_such_goal.")
     errors_of(lambda: program.engine.load(rules=":- ensure_loaded(one)."))
     write(tmp_path, one="c <- a.")
@@ -86,26 +88,26 @@ def test_refused_file_may_be_loaded_again(program: Any, tmp_path: Path) -> None:
     assert program.feed("a@1") == "c@1-1"
 
 
-def test_reset_allows_loading_file_again(program: Any, tmp_path: Path) -> None:
+def test_reset_allows_loading_file_again(program: ProgramRunner, tmp_path: Path) -> None:
     write(tmp_path, one="c <- a.")
     assert program.engine.call("ensure_loaded(one), reset_etalis, ensure_loaded(one)")
     assert program.feed("a@1") == "c@1-1"
 
 
-def test_included_file_is_read_in_place(program: Any, tmp_path: Path) -> None:
+def test_included_file_is_read_in_place(program: ProgramRunner, tmp_path: Path) -> None:
     write(tmp_path, sub__more=":- op(700, xfx, ===>). :- include(yet). f(a ===> b).", sub__yet="d <- a.")
     program.engine.load(rules="c <- a. :- include(sub/more). e <- a. g(x ===> y).")
     assert program.feed("a@1") == "c@1-1 d@1-1 e@1-1"
     assert program.engine.call("f(===>(a,b)), g(===>(x,y))")
 
 
-def test_compiled_terms_may_include_files(program: Any, tmp_path: Path) -> None:
+def test_compiled_terms_may_include_files(program: ProgramRunner, tmp_path: Path) -> None:
     write(tmp_path, one="c <- a.")
     assert program.engine.call("compile_event_rules([(:- include(one)), (d <- a)])")
     assert program.feed("a@1") == "c@1-1 d@1-1"
 
 
-def test_errors_of_files_are_in_order(program: Any, tmp_path: Path) -> None:
+def test_errors_of_files_are_in_order(program: ProgramRunner, tmp_path: Path) -> None:
     write(tmp_path, one="x <- (.\ny <- a ntimes z.", two="ok <- a.\nz <- a not b.")
     rules = "v <- b ntimes q.\n:- include(one).\n:- use_module(two).\n:- include(none).\nw <- .\n"
     errors = errors_of(lambda: program.engine.load(rules=rules, source="r"))
@@ -122,7 +124,7 @@ def test_errors_of_files_are_in_order(program: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("form", ["include", "use_module"])
-def test_cycle_of_files_is_one_error(program: Any, tmp_path: Path, form: str) -> None:
+def test_cycle_of_files_is_one_error(program: ProgramRunner, tmp_path: Path, form: str) -> None:
     write(tmp_path, one=f"c <- a.\n:- {form}(two).", two=f":- {form}(one).\nd <- a.")
     errors = errors_of(lambda: program.engine.program.loader.load_file("one.pl"))
     assert errors == ["two.pl:1:4: one.pl loads itself"]
@@ -136,7 +138,7 @@ def test_cycle_of_files_is_one_error(program: Any, tmp_path: Path, form: str) ->
     "name",
     ["lists", "apply", "assoc", "pairs", "ordsets", "aggregate", "random", "yall", "dcg/basics"],
 )
-def test_libraries_are_available(program: Any, name: str) -> None:
+def test_libraries_are_available(program: ProgramRunner, name: str) -> None:
     program.engine.load(rules=f":- use_module(library({name})). use_module(library({name})). c <- a.")
     program.engine.load(
         goals=f"use_module(library({name}))\nuse_module(library({name}), [])\nensure_loaded(library({name}))"
@@ -149,7 +151,7 @@ def test_libraries_are_available(program: Any, name: str) -> None:
     ("form", "column"),
     [(":- use_module", 4), ("use_module", 1), (":- ensure_loaded", 4), (":- true, use_module", 10)],
 )
-def test_unknown_library_is_refused(program: Any, form: str, column: int) -> None:
+def test_unknown_library_is_refused(program: ProgramRunner, form: str, column: int) -> None:
     (error,) = errors_of(lambda: program.engine.load(rules=f"c <- a.\n{form}(library(clpfd)).", source="r"))
     assert error.startswith(f"r:2:{column}: ")
     assert "Unknown library: clpfd" in error
@@ -157,7 +159,7 @@ def test_unknown_library_is_refused(program: Any, form: str, column: int) -> Non
 
 @pytest.mark.parametrize("name", ["X", "17", "f(x)", "library(X)", "''", "'a\\\\0\\\\b'"])
 @pytest.mark.parametrize("form", ["include", "use_module", "ensure_loaded"])
-def test_invalid_file_name_is_one_error(program: Any, form: str, name: str) -> None:
+def test_invalid_file_name_is_one_error(program: ProgramRunner, form: str, name: str) -> None:
     (error,) = errors_of(lambda: program.engine.load(rules=f":- {form}({name}).", source="r"))
     assert error.startswith("r:1:4: ")
 
@@ -165,7 +167,7 @@ def test_invalid_file_name_is_one_error(program: Any, form: str, name: str) -> N
 # ---- goal files ------------------------------------------------------------------------------------------
 
 
-def test_paths_of_goal_files_are_relative(program: Any, tmp_path: Path) -> None:
+def test_paths_of_goal_files_are_relative(program: ProgramRunner, tmp_path: Path) -> None:
     write(
         tmp_path,
         sub__rules="c <- a.",
@@ -176,7 +178,7 @@ def test_paths_of_goal_files_are_relative(program: Any, tmp_path: Path) -> None:
     assert len(program.engine.query("f(1)")) == 2
 
 
-def test_errors_of_goal_files_have_positions(program: Any, tmp_path: Path) -> None:
+def test_errors_of_goal_files_have_positions(program: ProgramRunner, tmp_path: Path) -> None:
     write(
         tmp_path,
         sub__more="true\nfail\ninclude('../goals.pl')\ncompile_event_file(none)\n",
@@ -219,7 +221,7 @@ def test_invalid_file_name_is_not_written(tmp_path: Path, mode: str) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def _warnings_of_persistent_rule(write_folders: Any = (), **settings: Any) -> Any:
+def _warnings_of_persistent_rule(write_folders: Any = (), **settings: Any) -> List[str]:
     reports = RecordingReports()
     engine = Engine(StreamClock(), Settings(write_folders=write_folders, **settings), reports)
     engine.load(rules="persistent_event(b(_)). b(X) <- a(X).")
@@ -277,7 +279,7 @@ def test_failed_write_of_persistent_event_is_reported(
     assert "Is a directory" in _warnings_of_persistent_rule([tmp_path])[0]
 
 
-def test_refused_file_keeps_library_predicates(program: Any) -> None:
+def test_refused_file_keeps_library_predicates(program: ProgramRunner) -> None:
     for rules in (
         "memberchk(zz, _) :- true. c <- a ntimes z.",
         "memberchk(zz, _) :- true. min(1, 2, 3) :- true. d <- a. :- no_such_goal.",

@@ -60,7 +60,7 @@ def test_array_results_equal_numpy(aggregate: Any, rows: Any, dtype: Any, as_lis
 
 
 @pytest.mark.parametrize("window", WINDOWS)
-def test_windows_aggregate_arrays(window: Any) -> None:
+def test_windows_aggregate_arrays(window: str) -> None:
     engine, results = engine_of(f"out(K, R) <- aggregate(avg(X), scan(K, X), R, {window}).")
     for second in range(1, 13):
         send(engine, array_term(np.full(6, float(second))), second)

@@ -4,6 +4,7 @@ from typing import Any, List, Tuple
 
 import pytest
 from checked_access import required
+from recording_reports import RecordingReports
 
 from retalis import Engine
 
@@ -30,10 +31,9 @@ class RuleRunner:
     """An engine with one rule, and the outputs of the rule."""
 
     def __init__(self, pattern: Any, *flags: Any, label: str = "r") -> None:
-        self.engine = Engine()
+        self.reports = RecordingReports()
+        self.engine = Engine(reports=self.reports)
         self.outputs: List[Any] = []
-        self.warnings: List[Any] = []
-        self.engine.rules.network.on_warning = lambda error: self.warnings.append(error.message)
         for name, value in flags:
             assert self.engine.call(f"set_etalis_flag({name}, {value})")
         self.engine.load(rules=f"{label} : found(K, L) <- {pattern}.")
@@ -79,7 +79,7 @@ def test_element_after_expired_start_begins_match() -> None:
 
 @pytest.mark.parametrize("bound", ["within", "window", "ttl", "flag", "garbage"])
 @pytest.mark.parametrize("operator", UNTIMED)
-def test_bound_evicts_idle_keys(operator: Any, bound: str) -> None:
+def test_bound_evicts_idle_keys(operator: str, bound: str) -> None:
     pattern, label = UNTIMED[operator], "r"
     flags: List[Tuple[str, Any]] = []
     if bound == "within":
@@ -97,7 +97,7 @@ def test_bound_evicts_idle_keys(operator: Any, bound: str) -> None:
 
 
 @pytest.mark.parametrize("operator", UNTIMED)
-def test_keys_without_bound_are_kept(operator: Any) -> None:
+def test_keys_without_bound_are_kept(operator: str) -> None:
     runner = RuleRunner(UNTIMED[operator])
     for second in range(100):
         runner.feed(f"{second}-up@{second}")
@@ -105,7 +105,7 @@ def test_keys_without_bound_are_kept(operator: Any) -> None:
 
 
 @pytest.mark.parametrize("operator", TIMED)
-def test_times_of_windows_and_rates_evict_keys(operator: Any) -> None:
+def test_times_of_windows_and_rates_evict_keys(operator: str) -> None:
     runner = RuleRunner(TIMED[operator], ("max_keys", 50))
     for second in range(300):
         runner.feed(f"{second}-up@{second}")
@@ -137,7 +137,7 @@ def test_key_idle_beyond_time_to_live_restarts(
 
 
 @pytest.mark.parametrize("operator", UNTIMED)
-def test_key_in_use_is_kept(operator: Any) -> None:
+def test_key_in_use_is_kept(operator: str) -> None:
     runner = RuleRunner(UNTIMED[operator], label="r([property(ttl, 5)])")
     runner.feed(" ".join(f"a-up@{4 * step} {step}-up@{4 * step}" for step in range(20)))
     assert 1 <= runner.rule.keys <= 4
@@ -160,7 +160,7 @@ def test_time_to_live_of_label_overrides_flag() -> None:
 @pytest.mark.parametrize(
     "operator", [*UNTIMED, "sliding", "tumbling", "first", "hopping", "present", "throttle", "burst"]
 )
-def test_least_recently_used_keys_are_evicted(operator: Any) -> None:
+def test_least_recently_used_keys_are_evicted(operator: str) -> None:
     runner = RuleRunner(
         {**UNTIMED, **TIMED}[operator].replace("5", "1000").replace("10,", "1000,"), ("max_keys", 10)
     )
@@ -168,10 +168,11 @@ def test_least_recently_used_keys_are_evicted(operator: Any) -> None:
     assert runner.rule.keys <= 10
     assert runner.rule.dropped in (20, 21)
     assert (
-        "has more than 10 keys; 1 of the least recently used have been dropped so far" in runner.warnings[0]
+        "has more than 10 keys; 1 of the least recently used have been dropped so far"
+        in runner.reports.messages[0]
     )
-    assert "max_keys" in runner.warnings[0]
-    assert len(runner.warnings) == 5  # at 1, 2, 4, 8, 16
+    assert "max_keys" in runner.reports.messages[0]
+    assert len(runner.reports.messages) == 5  # at 1, 2, 4, 8, 16
 
 
 def test_key_in_use_outlives_newer_keys() -> None:

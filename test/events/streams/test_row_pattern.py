@@ -11,6 +11,7 @@ from oracle.patterns import Leaf, Rule, Windowed
 from oracle.row_pattern_matches import steps_of, whole_matches
 from oracle.rule_notation import write_rule
 from oracle.strategies import Generator
+from recording_reports import RecordingReports
 
 from retalis import Engine, Var, functor, make_list
 
@@ -18,7 +19,7 @@ KEY, VALUE, RESULT = Var(), Var(), Var()
 READING, OUTPUT_EVENT = functor("reading", 2), functor("found", 2)
 
 
-def rule_of(steps: Any) -> Any:
+def rule_of(steps: Any) -> str:
     """Return the rule that emits the values of each match with their key."""
     window = Windowed(
         "list", Leaf(READING(KEY, VALUE)), make_list([VALUE]), make_list([RESULT]), "steps", 0, 0, steps
@@ -116,8 +117,8 @@ def test_memory_for_element_is_independent_of_matches() -> None:
 )
 def test_aggregate_of_variable_checks_its_values_only(aggregate: str, result: str) -> None:
     """Values of other variables are not checked; a wrong value of the variable is not matched, and reported."""
-    engine, events, reports = Engine(), [], []
-    engine.rules.network.on_error = lambda error: reports.append(error.message)
+    reports = RecordingReports()
+    engine, events = Engine(reports=reports), []
     engine.load(
         rules=f"found(A) <- aggregate(of(b, {aggregate}), reading(V), A, steps([a where V == go, b(2)]))."
     )
@@ -126,6 +127,6 @@ def test_aggregate_of_variable_checks_its_values_only(aggregate: str, result: st
         engine.event(f"reading({value})", second)
     assert events[-1] == f"found({result})"
     name, value = aggregate.partition("(")[0], "off*1" if "*" in aggregate else "off"
-    assert [report.partition(": ")[2] for report in reports] == [
+    assert [report.partition(": ")[2] for report in reports.messages] == [
         f"aggregate {name}: the value is '{value}': expected a number"
     ]

@@ -7,6 +7,7 @@ from typing import Any, List
 
 import pytest
 from prolog.support import first, prolog
+from recording_reports import RecordingReports
 
 from retalis import Engine, Limits, ProgramErrors, PrologError, Settings, UsageError, Var, atom, functor
 from retalis.foundation.cancellation import check_limits
@@ -51,12 +52,12 @@ RUNAWAY = [
 ]
 
 
-def formal(error: Any) -> Any:
+def formal(error: Any) -> str:
     return writeq(error.term[1])
 
 
 @pytest.fixture
-def engine() -> Any:
+def engine() -> Engine:
     loaded_engine = Engine(settings=Settings(limits=Limits(seconds=0.3, inferences=400_000, megabytes=300)))
     loaded_engine.load(rules=PROGRAM)
     return loaded_engine
@@ -64,14 +65,14 @@ def engine() -> Any:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("goal", RUNAWAY)
-def test_runaway_goal_exceeds_limit(engine: Any, goal: Any) -> None:
+def test_runaway_goal_exceeds_limit(engine: Engine, goal: str) -> None:
     with pytest.raises(PrologError) as caught:
         engine.query(goal)
     assert formal(caught.value).startswith("resource_error")
     assert engine.call("X = 1")
 
 
-def test_growing_steps_exceed_limit(engine: Any) -> None:
+def test_growing_steps_exceed_limit(engine: Engine) -> None:
     with pytest.raises(PrologError) as caught:
         engine.query("double([1])")
     assert formal(caught.value).startswith("resource_error")
@@ -91,7 +92,7 @@ def test_growing_steps_exceed_limit(engine: Any) -> None:
         "X is 7 ^ (7 ^ (7 ^ 7))",
     ],
 )
-def test_single_large_step_is_refused(engine: Any, goal: str) -> None:
+def test_single_large_step_is_refused(engine: Engine, goal: str) -> None:
     with pytest.raises(PrologError) as caught:
         engine.query(goal)
     assert formal(caught.value).startswith("resource_error")
@@ -113,7 +114,7 @@ def test_single_limit_ends_goal(limits: Any, resource: str, goal: str) -> None:
     assert formal(caught.value) == f"resource_error({resource})"
 
 
-def test_program_catches_exceeded_limit(engine: Any) -> None:
+def test_program_catches_exceeded_limit(engine: Engine) -> None:
     (answer,) = engine.query("catch(loop, error(resource_error(R), _), true)")
     assert engine.show(answer["R"]) in ("seconds", "inferences")
 
@@ -161,7 +162,7 @@ def test_endless_chain_of_events_is_cut(caplog: pytest.LogCaptureFixture) -> Non
         "halt",
     ],
 )
-def test_access_to_system_is_refused(engine: Any, goal: str) -> None:
+def test_access_to_system_is_refused(engine: Engine, goal: str) -> None:
     with pytest.raises(PrologError) as caught:
         engine.query(goal)
     assert formal(caught.value).startswith(("existence_error(procedure", "permission_error"))
@@ -221,12 +222,11 @@ def test_new_budget_needs_no_check() -> None:
     "goal", ["numlist(1, 1000000, L), msort(L, M), M = [X|_]", "length(L, 3000000), X = L"]
 )
 def test_inline_goals_of_rules_are_limited(goal: str) -> None:
-    engine = Engine(settings=Settings(limits=Limits(inferences=2000)))
-    errors: List[Any] = []
-    engine.rules.network.on_error = lambda error: errors.append(str(error))
+    reports = RecordingReports()
+    engine = Engine(settings=Settings(limits=Limits(inferences=2000)), reports=reports)
     engine.load(rules=f"found(X) do ({goal}) <- e.")
     engine.event("e", 1)
-    assert ["resource" in error or "inferences" in error for error in errors] == [True]
+    assert ["resource" in error or "inferences" in error for error in reports.texts] == [True]
 
 
 CALLERS = "loop :- loop.\ncount(0).\ncount(N) :- N > 0, M is N - 1, count(M).\n"

@@ -9,6 +9,7 @@ from typing import Any, Dict, Iterator, List, Optional, Tuple
 import numpy
 import pytest
 from checked_access import compound, lazy
+from recording_reports import RecordingReports
 
 from retalis import (
     Compound,
@@ -86,7 +87,7 @@ ALL = (distance, upto, is_even, split, steps, swapped, kind, broken, broken_late
 
 
 @pytest.fixture
-def engine() -> Any:
+def engine() -> Engine:
     empty_engine = Engine()
     empty_engine.add_foreign(*ALL)
     return empty_engine
@@ -120,7 +121,7 @@ def answers(engine: Any, goal: str) -> List[Dict[Any, Any]]:
         ("findall(X, upto(2, X), L)", [{"X": "_", "L": "[1,2]"}]),
     ],
 )
-def test_foreign_function_returns_solutions(engine: Any, goal: str, expected: Any) -> None:
+def test_foreign_function_returns_solutions(engine: Engine, goal: str, expected: Any) -> None:
     solutions = answers(engine, goal)
     assert [
         {name: "_" if value[:2] == "_G" else value for name, value in solution.items()}
@@ -139,7 +140,7 @@ def test_foreign_function_returns_solutions(engine: Any, goal: str, expected: An
         ("broken_later(X), fail", "python_error('KeyError',\"'x'\")"),
     ],
 )
-def test_wrong_arguments_and_exceptions_are_errors(engine: Any, goal: str, formal: str) -> None:
+def test_wrong_arguments_and_exceptions_are_errors(engine: Engine, goal: str, formal: str) -> None:
     with pytest.raises(PrologError) as caught:
         engine.query(goal)
     assert writeq(compound(caught.value.term)[1]) == formal
@@ -198,16 +199,17 @@ def test_use_foreign_loads_module_of_program(tmp_path: Path) -> None:
 @pytest.mark.parametrize("folders", [None, ()])
 def test_use_foreign_at_run_time_is_refused(tmp_path: Path, folders: Optional[Tuple[Any, ...]]) -> None:
     (tmp_path / "helpers.py").write_text("import pathlib\npathlib.Path(__file__).with_name('ran').touch()\n")
-    engine = Engine(settings=Settings(allow_foreign=True, folders=folders, write_folders=folders))
-    errors: List[str] = []
-    engine.rules.network.on_error = lambda error: errors.append(str(error))
+    reports = RecordingReports()
+    engine = Engine(
+        settings=Settings(allow_foreign=True, folders=folders, write_folders=folders), reports=reports
+    )
     engine.load(rules="loading(M) do use_foreign(M) <- load(M).", folder=tmp_path)
     for module in ("helpers", "'helpers.py'", f"'{tmp_path}/helpers.py'", "'os.path'"):
         for goal in (f"use_foreign({module})", f"compile_event_rules([(:- use_foreign({module}))])"):
             with pytest.raises(RetalisError, match="load foreign_module .* only by the program's own files"):
                 engine.call(goal)
         engine.event(f"load({module})", 1)
-        assert "load foreign_module" in errors.pop()
+        assert "load foreign_module" in reports.texts[-1]
     (tmp_path / "more.pl").write_text(":- use_foreign(helpers).\n")
     with pytest.raises(RetalisError, match="more.pl:1:4: .*load foreign_module"):
         engine.call(f"ensure_loaded('{tmp_path}/more.pl')")
@@ -292,7 +294,7 @@ def returns_one_value() -> Any:
 
 
 @foreign(outputs=2)
-def returns_no_tuple() -> Any:
+def returns_no_tuple() -> int:
     return 1
 
 
@@ -312,7 +314,7 @@ def raises_prolog_error(name: str) -> bool:
 
 
 @pytest.fixture
-def forms() -> Any:
+def forms() -> Engine:
     empty_engine = Engine()
     empty_engine.add_foreign(
         endless,
@@ -339,19 +341,19 @@ def forms() -> Any:
         ("findall(X, limit(2, endless(1, X)), _)", [2]),
     ],
 )
-def test_cut_closes_generator(forms: Any, goal: str, last_values: List[int]) -> None:
+def test_cut_closes_generator(forms: Engine, goal: str, last_values: List[int]) -> None:
     assert forms.call(goal)
     assert sorted(CLOSED) == sorted(last_values)
 
 
-def test_endless_generator_exceeds_limit(forms: Any) -> None:
+def test_endless_generator_exceeds_limit(forms: Engine) -> None:
     forms.logic.limits = Limits(inferences=20_000)
     with pytest.raises(PrologError, match="Not enough resources: inferences"):
         forms.call("endless(1, X), X < 0")
 
 
 @pytest.mark.slow
-def test_deep_and_long_terms_are_converted(forms: Any) -> None:
+def test_deep_and_long_terms_are_converted(forms: Engine) -> None:
     forms.load(rules="deep(0, a) :- !.\ndeep(N, s(T)) :- M is N - 1, deep(M, T).")
     assert forms.call("numlist(1, 100000, L), count_items(L, 100000)")
     assert forms.call("deep(50000, T), depth(T, 50000)")
@@ -372,7 +374,7 @@ def test_deep_and_long_terms_are_converted(forms: Any) -> None:
         ("count_items([1])", "existence_error(procedure,count_items/1)"),
     ],
 )
-def test_failed_conversion_is_an_error_of_goal(forms: Any, goal: str, formal: Optional[str]) -> None:
+def test_failed_conversion_is_an_error_of_goal(forms: Engine, goal: str, formal: Optional[str]) -> None:
     with pytest.raises(PrologError) as caught:
         forms.call(goal)
     if formal is None:
@@ -382,7 +384,7 @@ def test_failed_conversion_is_an_error_of_goal(forms: Any, goal: str, formal: Op
     assert forms.call("count_items([1], 1)")
 
 
-def test_endless_result_exceeds_limit(forms: Any) -> None:
+def test_endless_result_exceeds_limit(forms: Engine) -> None:
     forms.logic.limits = Limits(inferences=20_000)
     with pytest.raises(PrologError, match="Not enough resources"):
         forms.call("numbers_without_end(X)")
