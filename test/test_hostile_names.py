@@ -6,10 +6,11 @@ it must be returned unchanged; where ROS defines the form of names, it must be r
 
 import re
 from pathlib import Path
-from typing import Any, Iterator, List
+from typing import Any, Dict, Iterator, List
 
 import pytest
 from checked_access import place_of
+from message_registries import empty_registry
 from reachable_objects import reachable
 
 from retalis import (
@@ -34,7 +35,6 @@ from retalis.foundation.bounded_caches import Cache
 from retalis.foundation.errors import printable
 from retalis.messages.event_text_writer import make_text_writer
 from retalis.messages.ros2_definitions import parse_ros2_type
-from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import writeq
 
@@ -71,7 +71,7 @@ def sources(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     generated: List[Any] = []
     define = codegen.define
 
-    def collect(source: Any, names: Any, title: Any) -> Any:
+    def collect(source: Any, names: Any, title: Any) -> Dict[str, Any]:
         generated.append(source)
         assert "harm" not in source
         assert not any("harm" in key for key in names)
@@ -84,7 +84,7 @@ def sources(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     assert "harm" not in "".join(generated)
 
 
-def quote(name: Any) -> Any:
+def quote(name: Any) -> str:
     return writeq(atom(name))
 
 
@@ -160,7 +160,7 @@ def test_hostile_definition_is_refused_with_position(
 def test_hostile_nested_type_is_refused(name: Any) -> None:
     for text in (f"{name}/Other x\n", f"{name} x\n", f"Other x\n{'=' * 80}\nMSG: {name}\nint8 x\n"):
         with pytest.raises(MessageError):
-            Definitions(InstalledTypes(packages=(), modules=(), include_rosbags=False)).add("pkg/Type", text)
+            empty_registry().add("pkg/Type", text)
         with pytest.raises(MessageError):
             parse_ros2_type("pkg/msg/Type", text, lambda type_name: None)
 
@@ -274,7 +274,7 @@ ERRORS_BY_GOAL = {
 
 @every_name
 @pytest.mark.parametrize("goal", ERRORS_BY_GOAL)
-def test_hostile_flag_module_or_file_is_refused(name: Any, goal: Any) -> None:
+def test_hostile_flag_module_or_file_is_refused(name: Any, goal: str) -> None:
     engine = Engine()
     with pytest.raises(PrologError) as raised:
         engine.query(goal.format(it=quote(name)))

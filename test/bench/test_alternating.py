@@ -1,15 +1,12 @@
 """Comparison of the speed of two checkouts that run alternately."""
 
-import importlib
 import subprocess
-import sys
 from pathlib import Path
-from typing import Any, Iterator
+from typing import Any, Callable
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-IMPORTED_MODULES = ("alternating", "engine", "processes", "workload")
 SCRIPT = """
 import sys
 from pathlib import Path
@@ -22,12 +19,8 @@ print("case", sys.argv[1], "us_per_event", {figures}["{case}"][len(before) % 2])
 
 
 @pytest.fixture
-def alternating(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
-    """Return the module."""
-    monkeypatch.setattr(sys, "path", [str(ROOT / "bench"), str(ROOT / "examples" / "nao"), *sys.path])
-    yield importlib.import_module("alternating")
-    for name in IMPORTED_MODULES:
-        sys.modules.pop(name, None)
+def alternating(import_benchmark: Callable[[str], Any]) -> Any:
+    return import_benchmark("alternating")
 
 
 def write_checkout(folder: Any, first: float, second: float, case: str = "nao") -> Any:

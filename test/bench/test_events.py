@@ -1,28 +1,21 @@
 """The benchmark of partial matches: its figures and tables, without their values."""
 
-import importlib
 import json
 import math
-import sys
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Iterator, List
+from typing import Any, Callable, List
 
 import pytest
 
-BENCH = Path(__file__).resolve().parents[2] / "bench"
-
 
 @pytest.fixture
-def events(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
-    monkeypatch.syspath_prepend(str(BENCH))
-    monkeypatch.delitem(sys.modules, "events", raising=False)
-    module = importlib.import_module("events")
+def events(import_benchmark: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch) -> Any:
+    module: Any = import_benchmark("events")
     # These would collect the garbage of other tests for each figure.
     for name in ("limit_gc_pauses", "restore_gc"):
         monkeypatch.setattr(module.event_streams, name, lambda: None)
-    yield module
-    sys.modules.pop("events", None)
+    return module
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ MAX_RESPONSE_SECONDS = 20
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Any:
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("interrupts")
     interrupts.make_files(folder)
     return folder
@@ -25,7 +25,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", interrupts.CASES)
-def test_interrupt_ends_command(name: Any, folder: Any) -> None:
+def test_interrupt_ends_command(name: Any, folder: Path) -> None:
     seconds, status, errors = interrupts.measure(interrupts.CASES[name], folder)
     assert (status, errors) == (130, "")
     assert seconds < MAX_RESPONSE_SECONDS

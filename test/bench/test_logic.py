@@ -1,27 +1,20 @@
 """The benchmark of Prolog in all available engines, without the values of its figures."""
 
-import importlib
 import json
 import sys
 from pathlib import Path
-from typing import Any, Iterator
+from typing import Any, Callable, Iterator
 
 import pytest
 
-BENCH = Path(__file__).resolve().parents[2] / "bench"
-
 
 @pytest.fixture
-def logic(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
-    monkeypatch.syspath_prepend(str(BENCH))
-    monkeypatch.delitem(sys.modules, "logic", raising=False)
-    bench = importlib.import_module("logic")
-    assert bench.__file__ == str(BENCH / "logic.py")
+def logic(import_benchmark: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    bench = import_benchmark("logic")
     monkeypatch.setattr(bench, "limit_gc_pauses", lambda: None)
     recursion_limit = sys.getrecursionlimit()
     yield bench
     sys.setrecursionlimit(recursion_limit)  # ProbLog raises it for all
-    sys.modules.pop("logic", None)
 
 
 @pytest.mark.slow

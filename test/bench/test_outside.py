@@ -1,28 +1,20 @@
 """The comparison with other systems: all have equal results; their times are not tested."""
 
-import importlib
 import json
 import subprocess
-import sys
 from pathlib import Path
-from typing import Any, Dict, Iterator, List
+from typing import Any, Callable, Dict, List
 
 import pytest
 
-BENCH = Path(__file__).resolve().parents[2] / "bench"
-MODULES = ("outside", "outside_sides")
 EVENTS = 1500
 
 
 @pytest.fixture
-def outside(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+def outside(import_benchmark: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch) -> Any:
     """Return the module with at most 100 open sequences at a time."""
-    monkeypatch.setattr(sys, "path", [str(BENCH), *sys.path])
-    module = importlib.import_module("outside")
-    monkeypatch.setattr(importlib.import_module("outside_sides"), "WAITING", 100)
-    yield module
-    for name in MODULES:
-        sys.modules.pop(name, None)
+    monkeypatch.setattr(import_benchmark("outside_sides"), "WAITING", 100)
+    return import_benchmark("outside")
 
 
 def results(outside: Any, side: str, work: str, number: Any = EVENTS) -> Any:

@@ -1,24 +1,17 @@
 """Costs of snapshots in two checkouts."""
 
-import importlib
 import re
-import sys
 from pathlib import Path
-from typing import Any, Iterator
+from typing import Any, Callable
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-MODULES = ("alternating", "engine", "processes", "snapshots", "workload")
 
 
 @pytest.fixture
-def snapshots(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
-    """Return the module."""
-    monkeypatch.setattr(sys, "path", [str(ROOT / "bench"), str(ROOT / "examples" / "nao"), *sys.path])
-    yield importlib.import_module("snapshots")
-    for name in MODULES:
-        sys.modules.pop(name, None)
+def snapshots(import_benchmark: Callable[[str], Any]) -> Any:
+    return import_benchmark("snapshots")
 
 
 @pytest.mark.slow

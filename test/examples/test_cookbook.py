@@ -5,13 +5,13 @@ import logging
 import re
 import sys
 from pathlib import Path
+from types import ModuleType
 from typing import Any, List, Tuple
 
 import pytest
 from examples.simulated_rospy import SECOND, START, RobotWorld, to_slots
-from script_modules import load_script
 
-from retalis import BagReader, Playback
+from retalis import BagReader, Definitions, Playback
 from retalis.cli.command_line import main
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples" / "cookbook"
@@ -30,16 +30,14 @@ COMPILED_ONLY = {"places"}
 """Recipes whose nodes are only compiled, because they need a buffer of tf2, which `RobotWorld` does not have."""
 
 
-@pytest.fixture(scope="module")
-def recipes() -> Any:
-    """Return the script that writes the bags; it is not imported by name, which the script of the NAO also has."""
-    return load_script(FOLDER / "make_bag.py", "cookbook_make_bag")
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("folder", RECIPES, ids=lambda path: path.name)
 def test_recipe_and_its_node_have_expected_outputs(
-    folder: Any, recipes: Any, definitions: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    folder: Any,
+    recipes: ModuleType,
+    definitions: Definitions,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     outputs = play(folder, recipes, definitions, tmp_path / "recipe.bag", caplog)
     assert outputs
@@ -51,7 +49,9 @@ def test_recipe_and_its_node_have_expected_outputs(
         assert run_node(folder, recipes, definitions) == expected
 
 
-def play(folder: Any, recipes: Any, definitions: Any, path: Any, caplog: pytest.LogCaptureFixture) -> Any:
+def play(
+    folder: Any, recipes: ModuleType, definitions: Any, path: Any, caplog: pytest.LogCaptureFixture
+) -> Any:
     """Return the outputs of a recipe for its bag: time, topic, text and bytes. Nothing may be reported."""
     recipes.make_bag(folder, path, definitions)
     problems: List[Any] = []
@@ -65,7 +65,7 @@ def play(folder: Any, recipes: Any, definitions: Any, path: Any, caplog: pytest.
     return outputs
 
 
-def run_node(folder: Any, recipes: Any, definitions: Any) -> List[Tuple[Any, ...]]:
+def run_node(folder: Any, recipes: ModuleType, definitions: Any) -> List[Tuple[Any, ...]]:
     """Return the outputs of the node of a recipe for the same messages: time, topic and bytes."""
     assert recipes.START * SECOND == START
     recipe = recipes.Recipe(folder)
@@ -75,7 +75,7 @@ def run_node(folder: Any, recipes: Any, definitions: Any) -> List[Tuple[Any, ...
     return [(time, topic, encode(message, recipes, definitions, time)) for time, topic, message in published]
 
 
-def encode(message: Any, recipes: Any, definitions: Any, time: Any) -> bytes:
+def encode(message: Any, recipes: ModuleType, definitions: Any, time: Any) -> bytes:
     term = recipes.to_term(message.definition, to_slots(message), time)
     return definitions.encoder(message.definition).encode(term)
 
@@ -99,7 +99,7 @@ def test_index_names_each_recipe_once() -> None:
 
 
 def test_command_writes_bag(
-    recipes: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    recipes: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "some.bag"
     for _ in range(2):  # an existing bag is replaced
@@ -114,6 +114,6 @@ def test_command_writes_bag(
     assert "is no recipe" in capsys.readouterr().err
 
 
-def test_unknown_slot_is_an_error(recipes: Any, definitions: Any) -> None:
+def test_unknown_slot_is_an_error(recipes: ModuleType, definitions: Definitions) -> None:
     with pytest.raises(SystemExit, match="std_msgs/Bool has no slot daat"):
         recipes.to_term(definitions.find("std_msgs/Bool"), {"daat": True}, 0)

@@ -5,29 +5,29 @@ The bags are read with rosbags, and the messages with numpy only.
 
 import math
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Dict, List, Tuple
 
 import pytest
-from script_modules import load_script
 
 numpy = pytest.importorskip("numpy")
 from rosbags.rosbag1 import Reader  # noqa: E402
 from rosbags.typesys import Stores, get_typestore  # noqa: E402
 
-from retalis import BagReader, Engine, Playback, to_python  # noqa: E402
+from retalis import (  # noqa: E402
+    BagReader,
+    Definitions,  # noqa: E402
+    Engine,
+    Playback,
+    to_python,
+)
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples" / "cookbook"
 STORE = get_typestore(Stores.ROS1_NOETIC)
 
 
-@pytest.fixture(scope="module")
-def recipes() -> Any:
-    """Return the script that writes the bags."""
-    return load_script(FOLDER / "make_bag.py", "cookbook_make_bag")
-
-
 @pytest.fixture
-def play(recipes: Any, definitions: Any, tmp_path: Path) -> Any:
+def play(recipes: ModuleType, definitions: Definitions, tmp_path: Path) -> Any:
     """Return a function that plays a recipe and returns its events and the messages of its bag, read by rosbags."""
 
     def run(name: Any) -> Tuple[Any, ...]:
@@ -165,7 +165,7 @@ def test_mean_efforts_equal_numpy(play: Any) -> None:
 
 @pytest.mark.parametrize("name", ["dark_image", "cloud_zone", "map_cell", "obstacle", "joint_effort"])
 def test_messages_as_text_have_expected_outputs(
-    name: str, recipes: Any, definitions: Any, tmp_path: Path
+    name: str, recipes: ModuleType, definitions: Definitions, tmp_path: Path
 ) -> None:
     """A separate interface node sends messages as text."""
     path = tmp_path / "recipe.bag"

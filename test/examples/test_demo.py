@@ -4,7 +4,7 @@ import io
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 from typing import Any, Iterator, List
 
 import pytest
@@ -14,7 +14,7 @@ NAO = Path(__file__).resolve().parents[2] / "examples" / "nao"
 
 
 @pytest.fixture(scope="module")
-def demo() -> Iterator[Any]:
+def demo() -> Iterator[ModuleType]:
     sys.path.append(str(NAO))
     module = load_script(NAO / "demo.py")
     yield module
@@ -32,7 +32,7 @@ def pose_message(name: str, x: float, y: float, z: float) -> Any:
 
 
 @pytest.fixture
-def processes(demo: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+def processes(demo: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     monkeypatch.setattr(demo.signal, "signal", lambda number, handler: None)
     demo_processes = demo.Processes(tmp_path, {})
     yield demo_processes
@@ -49,14 +49,14 @@ def test_close_ends_running_processes(processes: Any, tmp_path: Path) -> None:
     assert (tmp_path / "short.log").read_text() == "over\n"
 
 
-def test_wait_ends_with_process(demo: Any, processes: Any) -> None:
+def test_wait_ends_with_process(demo: ModuleType, processes: Any) -> None:
     process = processes.start("short", sys.executable, "-c", "pass")
     process.wait(20)
     with pytest.raises(demo.DemoError, match="the master did not start"):
         demo.wait_until(lambda: False, "the master", [process])
 
 
-def test_progress_is_a_bar_on_terminal(demo: Any) -> None:
+def test_progress_is_a_bar_on_terminal(demo: ModuleType) -> None:
     stream = Terminal()
     progress = demo.Progress(stream)
     progress.show(0.5, "5 poses")
@@ -67,7 +67,7 @@ def test_progress_is_a_bar_on_terminal(demo: Any) -> None:
     assert " 50% 5 poses" in line
 
 
-def test_progress_is_a_line_per_quarter_elsewhere(demo: Any) -> None:
+def test_progress_is_a_line_per_quarter_elsewhere(demo: ModuleType) -> None:
     stream = io.StringIO()
     progress = demo.Progress(stream)
     for share in (-1.0, 0.1, 0.26, 0.3, 0.6, 2.0):
@@ -76,7 +76,7 @@ def test_progress_is_a_line_per_quarter_elsewhere(demo: Any) -> None:
     assert [line.strip() for line in stream.getvalue().splitlines()] == ["26%", "60%", "100%"]
 
 
-def test_last_pose_of_marker_counts(demo: Any) -> None:
+def test_last_pose_of_marker_counts(demo: ModuleType) -> None:
     poses = demo.Poses()
     for name, x in (('"4x4_1"', 1.0), ("4x4_1", 2.0), ("4x4_2", 3.0)):
         poses.add(pose_message(name, x, 0.0, 0.0))
@@ -84,7 +84,9 @@ def test_last_pose_of_marker_counts(demo: Any) -> None:
     assert poses.count == 3
 
 
-def test_bag_without_truth_is_reported(demo: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bag_without_truth_is_reported(
+    demo: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     poses = demo.Poses()
     poses.add(pose_message("4x4_1", 1.0, 2.0, 3.0))
     assert not demo.report(poses, tmp_path / "own.bag", {"4x4_1", "4x4_2"})
@@ -99,7 +101,7 @@ def test_bag_without_truth_is_reported(demo: Any, tmp_path: Path, capsys: pytest
 
 
 def test_report_requires_markers_near_truth(
-    demo: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    demo: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bag = tmp_path / "nao.bag"
     markers = dict.fromkeys(("4x4_1", "4x4_2"), ((1.0, 2.0, 0.5), (0.0, 0.0, 0.0, 1.0)))
@@ -117,7 +119,7 @@ def test_report_requires_markers_near_truth(
 
 @pytest.mark.parametrize("argv", [["--bag", "no-such.bag"], ["--seconds", "0"], ["--input", "telepathy"]])
 def test_invalid_arguments_are_usage_errors(
-    demo: Any, argv: List[str], capsys: pytest.CaptureFixture[str]
+    demo: ModuleType, argv: List[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as raised:
         demo.arguments(argv)
@@ -132,7 +134,7 @@ def test_help_needs_no_ros() -> None:
     assert "--input" in process.stdout
 
 
-def test_free_port_is_free(demo: Any) -> None:
+def test_free_port_is_free(demo: ModuleType) -> None:
     port = demo.free_port()
     with demo.socket.socket() as client:
         assert client.connect_ex(("localhost", port)) != 0

@@ -11,6 +11,7 @@ import sys
 from collections import defaultdict
 from pathlib import Path
 from random import Random
+from types import ModuleType
 from typing import Any, List
 
 import pytest
@@ -47,7 +48,7 @@ runpy.run_module("bytewax.run", run_name="__main__")
 """The command of Bytewax in a process that is killed after some lines, before it stores the state."""
 
 
-def load_module(name: str) -> Any:
+def load_module(name: str) -> ModuleType:
     return load_script(FOLDER / f"{name}.py", f"fleet_{name}")
 
 

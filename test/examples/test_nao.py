@@ -12,6 +12,7 @@ from typing import Any, DefaultDict, Dict, List, Set, Tuple
 
 import pytest
 from checked_access import required
+from message_registries import empty_registry
 
 from retalis import Term
 
@@ -23,8 +24,7 @@ import make_bag  # noqa: E402
 import nao_robot  # noqa: E402
 import nao_truth  # noqa: E402
 
-from retalis import BagReader, Definitions, deref, list_items  # noqa: E402
-from retalis.messages.type_registry import InstalledTypes  # noqa: E402
+from retalis import BagReader, deref, list_items  # noqa: E402
 
 pytestmark = pytest.mark.slow
 
@@ -39,7 +39,7 @@ def bag_and_truth(tmp_path_factory: pytest.TempPathFactory) -> Tuple[Any, ...]:
 
 @pytest.fixture(scope="module")
 def records(bag_and_truth: Tuple[Any, ...]) -> Any:
-    definitions = Definitions(InstalledTypes([], [], include_rosbags=False))
+    definitions = empty_registry()
     messages: List[Any] = []
     with BagReader(bag_and_truth[0]) as reader:
         for record in reader.records():

@@ -59,7 +59,7 @@ def test_poses_equal_those_of_memories(tmp_path: Path) -> None:
 
 
 def test_program_has_a_third_of_the_lines() -> None:
-    def count(folder: Any) -> Any:
+    def count(folder: Any) -> int:
         lines = [
             line
             for name in ("eventRules.txt", "goalPredicates.txt")

@@ -7,9 +7,9 @@ import struct
 from typing import Any, Callable, Dict
 
 from checked_access import stream_clock
+from message_registries import empty_registry
 
-from retalis import Definitions, Engine, Operators, Reports, RetalisError, Settings, atom, functor
-from retalis.messages.type_registry import InstalledTypes
+from retalis import Engine, Operators, Reports, RetalisError, Settings, atom, functor
 from retalis.prolog.syntax.event_text import EventReader, event_text, to_text
 from retalis.prolog.syntax.term_reader import read_term
 
@@ -317,7 +317,7 @@ def output_texts() -> Round:
 
 @case
 def message_types() -> Round:
-    known = Definitions(InstalledTypes(packages=[], modules=[], include_rosbags=False))
+    known = empty_registry()
 
     def do(number: int) -> None:
         definition = known.add(
@@ -335,13 +335,13 @@ def message_types() -> Round:
 
 @case
 def unknown_message_types() -> Round:
-    known = Definitions(InstalledTypes(packages=[], modules=[], include_rosbags=False))
+    known = empty_registry()
     return lambda number: f"p/T{number}" in known
 
 
 @case
 def message_texts() -> Round:
-    known = Definitions(InstalledTypes(packages=[], modules=[], include_rosbags=False))
+    known = empty_registry()
     definition = known.add("p/T", "string s\nstring[] t\n")
     decoder, encoder = known.decoder(definition), known.encoder(definition)
 

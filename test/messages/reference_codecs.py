@@ -24,10 +24,10 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Iterator, List, NamedTuple, Set
 
+from message_registries import empty_registry
 from messages.reference_wire_format import CODES, serialize
 from retalis import Definitions, MessageError, Term, atom, functor
 from retalis.messages.type_definition import VARIABLE_LENGTH
-from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.terms.types import CONS, NIL, deref
 
 TEXT_PIECES = (
@@ -89,7 +89,7 @@ class RandomMessages:
             self.budget -= count * slots
         return [self.single(slot) for _ in range(count)]
 
-    def blob(self, length: Any) -> Any:
+    def blob(self, length: Any) -> bytes:
         if self.random.random() < 0.5:
             data = self.random.choice(BYTE_PIECES)
         else:
@@ -134,7 +134,7 @@ class RandomMessages:
             bits |= quiet
         return struct.unpack(code, struct.pack(integer_code, bits))[0]
 
-    def _integer(self, type_name: str) -> Any:
+    def _integer(self, type_name: str) -> int:
         code = CODES[type_name]
         bits = 8 * struct.calcsize(code)
         low, high = (0, (1 << bits) - 1) if code.isupper() else (-(1 << (bits - 1)), (1 << (bits - 1)) - 1)
@@ -204,7 +204,7 @@ def blob_atom(data: Any) -> Any:
     return atom(f'"{data.decode("ascii")}"') if is_text else encoded_atom(data)
 
 
-def encoded_atom(data: bytes) -> Any:
+def encoded_atom(data: bytes) -> Atom:
     digits = b64encode(data).decode()
     lines = [digits[start : start + 76] + "////" for start in range(0, len(digits), 76)]
     return atom(f'"FFFFFFFFFF{"".join(lines)}"')
@@ -295,7 +295,7 @@ def rosbags_types() -> Iterator[Any]:
             yield (
                 type_name,
                 store,
-                Definitions(InstalledTypes([], [], include_rosbags=False)).add(f"{package}/{last}", text),
+                empty_registry().add(f"{package}/{last}", text),
             )
 
 
@@ -346,7 +346,7 @@ def _genpy_reference(definition: Any, message_class: Any) -> Reference:
 def compare_messages(reference: Any, messages: Any, seed: int = 0) -> None:
     """Compare a type with its reference for a number of random messages."""
     definition = reference.definition
-    registry = Definitions(InstalledTypes([], [], include_rosbags=False))
+    registry = empty_registry()
     decode, encode = registry.decoder(definition).decode, registry.encoder(definition).encode
     if reference.md5sum:
         assert definition.md5sum == reference.md5sum, definition.name

@@ -8,7 +8,7 @@ from typing import Any, List
 
 from hypothesis import strategies as st
 
-from retalis import Definition, Term, atom, functor
+from retalis import Atom, Definition, Term, atom, functor
 from retalis.prolog.terms.types import CONS, NIL
 
 CODES = {
@@ -81,7 +81,7 @@ def _single_term(slot: Any, value: Any) -> Any:
     return atom("true" if value else "false") if slot.type == "bool" else value
 
 
-def _text(value: bytes) -> Any:
+def _text(value: bytes) -> Atom:
     return atom('"' + value.decode("ascii") + '"')
 
 

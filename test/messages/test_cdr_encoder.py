@@ -1,6 +1,6 @@
 """Encoding of event terms into CDR."""
 
-from typing import Any
+from typing import Optional
 
 import pytest
 
@@ -51,7 +51,7 @@ def test_slots_are_aligned(slots: str, arguments: str, message: bytes) -> None:
         ("uint8[] a\nint8 b", "[1,2,3],4", None),
     ],
 )
-def test_unusual_forms_are_encoded(slots: str, unusual: str, usual: Any) -> None:
+def test_unusual_forms_are_encoded(slots: str, unusual: str, usual: Optional[str]) -> None:
     definition = read(slots)
     message = encode(definition, f"my_msgs__0__Kind({unusual})")
     if usual is not None:

@@ -9,10 +9,12 @@ import pytest
 from checked_access import compound, required
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from message_registries import empty_registry
 
 from messages.reference_wire_format import messages, serialize
 from retalis import (
     Decoder,
+    Definition,
     Definitions,
     Encoder,
     MessageError,
@@ -25,7 +27,6 @@ from retalis import (
     make_list,
 )
 from retalis.messages.encoder import encode_slot_by_slot, find_fault
-from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.terms import timestamps
 from retalis.prolog.terms.array_terms import array_term
@@ -54,7 +55,7 @@ TYPE = functor("pkg__0__Type", 1)
 
 
 def encoder(text: str, name: str = "pkg/Type") -> Any:
-    registry = Definitions(InstalledTypes([], [], include_rosbags=False))
+    registry = empty_registry()
     return registry.encoder(registry.add(name, text)).encode
 
 
@@ -62,7 +63,7 @@ def encode_slot(kind: str, value: Any, topic: str = "") -> Any:
     return encoder(f"{kind} x\n")((TYPE, value), topic)
 
 
-def error_of(kind: str, value: Any) -> Any:
+def error_of(kind: str, value: Any) -> str:
     with pytest.raises(MessageError) as error:
         encode_slot(kind, value)
     return error.value.message
@@ -314,7 +315,7 @@ def test_text_of_other_length_is_refused(kind: str, value: str, size: int) -> No
 
 
 def test_lazy_array_of_other_type_is_converted() -> None:
-    registry = Definitions(InstalledTypes([], [], include_rosbags=False))
+    registry = empty_registry()
     names = ("float64[6]", "float64[7]", "float32[6]", "float64[]", "int64[6]")
     types = [registry.add(f"pkg/Type{index}", f"{kind} x\n") for index, kind in enumerate(names)]
     six = compound(registry.decoder(types[0]).decode(struct.pack("<6d", *range(6))))[1]
@@ -356,7 +357,7 @@ string[1] name
 ================================================================================
 MSG: pkg/Nothing
 """
-MIXED_TYPE = Definitions(InstalledTypes([], [], include_rosbags=False)).add("pkg/Mixed", MIXED)
+MIXED_TYPE = empty_registry().add("pkg/Mixed", MIXED)
 DECODE = Decoder(MIXED_TYPE).decode
 ENCODE, CHECK = Encoder(MIXED_TYPE).encode, partial(encode_slot_by_slot, MIXED_TYPE)
 
@@ -421,7 +422,7 @@ def test_fast_encoder_agrees_with_checking_one(data: st.DataObject) -> None:
 
 def test_undecoded_parts_are_copied() -> None:
     text = "float32[9] a\nfloat64[] b\nuint8[] c\nstring d\n"
-    registry = Definitions(InstalledTypes([], [], include_rosbags=False))
+    registry = empty_registry()
     definition = registry.add("pkg/Type", text)
     signalling = b"\1\0\xa0\x7f"  # a NaN that no conversion to float preserves
     data = signalling * 9 + struct.pack(
@@ -432,9 +433,7 @@ def test_undecoded_parts_are_copied() -> None:
     assert all(part.decoded_term is None for part in compound(term)[1:])
 
 
-ARRAYS = Definitions(InstalledTypes([], [], include_rosbags=False)).add(
-    "pkg/Arrays", "float32[] a\nint16[6] b\nuint8[] c\n"
-)
+ARRAYS = empty_registry().add("pkg/Arrays", "float32[] a\nint16[6] b\nuint8[] c\n")
 
 
 def fields(array: Any, dtype: str) -> List[Any]:
@@ -466,7 +465,7 @@ def test_array_term_of_other_length_is_refused() -> None:
             encode(term)
 
 
-def define(text: str) -> Any:
+def define(text: str) -> Definition:
     """Return the definition of a type with slots."""
     definitions = Definitions()
     return definitions.decoder(definitions.add("my_robot/Thing", text)).definition
@@ -515,7 +514,7 @@ SLOT_TYPES = ("bool", "int8", "float32", "string", "time", "duration", "Part", "
 
 @pytest.mark.parametrize("array", ["", "[]", "[2]"])
 @pytest.mark.parametrize("slot_type", SLOT_TYPES)
-def test_variable_matches_any_message(slot_type: Any, array: str) -> None:
+def test_variable_matches_any_message(slot_type: str, array: str) -> None:
     definition = define(f"{slot_type}{array} a\n{PARTS}")
     assert find_fault(definition, Var()) is None
     assert find_fault(definition, (functor("my_robot__0__Thing", 1), Var())) is None

@@ -6,10 +6,10 @@ from typing import Any, List
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from message_registries import decoder_of
 
-from retalis import Definitions, MessageError, atom
+from retalis import MessageError, atom
 from retalis.messages.event_text_writer import make_text_writer, write_without_unread
-from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.syntax.event_text import EventReader, event_text, to_text
 from retalis.prolog.terms.term_traversal import freeze
 from retalis.prolog.terms.timestamps import datime
@@ -31,12 +31,7 @@ ODD = [
 ]
 
 
-def decoder(text: str, name: str = "pkg/Type") -> Any:
-    registry = Definitions(InstalledTypes([], [], include_rosbags=False))
-    return registry.decoder(registry.add(name, text))
-
-
-def packed(text: bytes) -> Any:
+def packed(text: bytes) -> bytes:
     return struct.pack("<I", len(text)) + text
 
 
@@ -45,8 +40,8 @@ def pose(frame: bytes, name: bytes, x: float = 0.5, y: float = 0.25, number: int
 
 
 @pytest.mark.parametrize("frame", ODD)
-def test_strings_have_text_of_their_terms(frame: Any) -> None:
-    message_decoder = decoder(POSE)
+def test_strings_have_text_of_their_terms(frame: bytes) -> None:
+    message_decoder = decoder_of(POSE)
     data = pose(frame, frame[::-1])
     for _ in range(2):  # texts before and after they are cached
         assert make_text_writer(message_decoder)(data) == to_text(message_decoder.decode(data))
@@ -75,7 +70,7 @@ def twisted(x: Any, y: Any, z: Any, t: Any, w: Any) -> Any:
 @settings(deadline=None, max_examples=50)
 @given(st.lists(st.lists(st.sampled_from(FLOATS), min_size=7, max_size=7), min_size=2, max_size=4))
 def test_changed_floats_have_text_of_their_terms(rows: List[Any]) -> None:
-    message_decoder = decoder(TWISTED)
+    message_decoder = decoder_of(TWISTED)
     write = make_text_writer(message_decoder)
     for row in rows:
         for _ in range(2):
@@ -92,13 +87,13 @@ def test_leading_floats_have_text_of_their_terms() -> None:
         ),
         ("string name\nfloat64[0] x\nint8 n\n", [packed(b"n") + b"\x05"]),
     ):
-        message_decoder = decoder(text)
+        message_decoder = decoder_of(text)
         write = make_text_writer(message_decoder)
         for message in data * 2:
             assert write(message) == to_text(message_decoder.decode(message))
 
 
-_decoder = decoder(POSE)
+_decoder = decoder_of(POSE)
 _writer = make_text_writer(_decoder)
 
 
@@ -116,12 +111,12 @@ _writer = make_text_writer(_decoder)
     ],
 )
 def test_message_of_each_form_has_text_of_its_term(text: str, data: Any) -> None:
-    message_decoder = decoder(text)
+    message_decoder = decoder_of(text)
     assert make_text_writer(message_decoder)(data) == to_text(message_decoder.decode(data))
 
 
 def test_array_of_any_length_has_text_of_its_term() -> None:
-    message_decoder = decoder("Part[] parts\n" + "=" * 80 + "\nMSG: pkg/Part\nstring name\nfloat64 x\n")
+    message_decoder = decoder_of("Part[] parts\n" + "=" * 80 + "\nMSG: pkg/Part\nstring name\nfloat64 x\n")
     part = packed(b"x") + struct.pack("<d", 2.0)
     for number in range(3):
         data = struct.pack("<I", number) + part * number
@@ -140,7 +135,7 @@ def test_event_text_has_instant_as_interval() -> None:
 
 
 def test_long_unread_arguments_are_replaced() -> None:
-    message_decoder = decoder(
+    message_decoder = decoder_of(
         "Header header\nuint8[] data\nfloat64[] numbers\nstring[] names\nstring text\nint32 size\n" + HEADER
     )
     data = struct.pack("<III", 1, 2, 3) + packed(b"cam") + packed(b"x" * 5000)
@@ -159,7 +154,7 @@ def test_long_unread_arguments_are_replaced() -> None:
 
 
 def test_short_unread_arguments_are_kept() -> None:
-    message_decoder = decoder("string a\nuint8[] b\nint32[] c\n")
+    message_decoder = decoder_of("string a\nuint8[] b\nint32[] c\n")
     data = packed(b"short") + packed(b"data") + struct.pack("<I", 0)
     assert write_without_unread(message_decoder, data, {1, 2, 3}, atom("gone")) == make_text_writer(
         message_decoder

@@ -7,12 +7,12 @@ import pytest
 from checked_access import required
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from message_registries import empty_registry
 
 from retalis import Definitions, MessageError, Operators
 from retalis.messages.event_text_writer import make_text_writer
 from retalis.messages.header_stamps import format_frame_key, make_observed_decoder, make_stamp_reader
 from retalis.messages.type_definition import SerializationFormat
-from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.syntax.event_text import to_text
 from retalis.prolog.syntax.term_reader import read_term
 
@@ -198,7 +198,7 @@ def test_unnamed_frames_are_shown_as_empty(frame: str, child: str) -> None:
 
 def test_observed_decoder_limits_empty_elements() -> None:
     parts = BAR + "MSG: t/Nothing" + HEADER
-    definitions = Definitions(InstalledTypes([], [], include_rosbags=False), max_empty_elements=3)
+    definitions = empty_registry(max_empty_elements=3)
     for number in (3, 4):
         definition = definitions.add(f"t/Type{number}", f"Header header\nNothing[{number}] x{parts}")
         observed = make_observed_decoder(definitions.decoder(definition), {}, lambda definition: None)

@@ -14,7 +14,7 @@ from retalis.messages.idl_definitions import convert_idl  # noqa: E402
 from retalis.messages.ros2_definitions import parse_ros2_type  # noqa: E402
 
 
-def convert(slots: str, before: str = "", name: str = "X") -> Any:
+def convert(slots: str, before: str = "", name: str = "X") -> List[str]:
     """Return the lines of type ``p/X`` with some slots, after other definitions in its module."""
     text = f"module p {{ module msg {{ {before} struct {name} {{ {slots} }}; }}; }};"
     return convert_idl("p/X", text, ["p/X"])["p/X"].splitlines()
@@ -50,7 +50,7 @@ def convert(slots: str, before: str = "", name: str = "X") -> Any:
         ),
     ],
 )
-def test_slots_are_converted(slots: str, expected: Any) -> None:
+def test_slots_are_converted(slots: str, expected: List[str]) -> None:
     assert convert(slots) == expected
 
 

@@ -6,17 +6,17 @@ import pytest
 from checked_access import place_of, required
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from message_registries import empty_registry
 
 from retalis import Definitions, Operators, SyntaxFault, UsageError
 from retalis.messages.message_slots import SlotNames
-from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.syntax.event_text import to_text
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.tokenizer import ReadFlags
 from retalis.prolog.system.prolog_system import PrologSystem
 from retalis.prolog.terms.term_traversal import term_key
 
-DEFINITIONS = Definitions(InstalledTypes(packages=[], modules=[], include_rosbags=False))
+DEFINITIONS = empty_registry()
 DEFINITIONS.add("my_msgs/Point", "float64 x\nfloat64 y\n")
 DEFINITIONS.add("my_msgs/Empty", "")
 DEFINITIONS.add(
@@ -30,7 +30,7 @@ POINT, ALL = "my_msgs__0__Point", "my_msgs__0__All"
 ZERO = f"{POINT}(0.0,0.0)"
 
 
-def slot_names() -> Any:
+def slot_names() -> SlotNames:
     names = SlotNames(DEFINITIONS)
     names.events["spot"] = "my_msgs/Point"
     return names

@@ -10,12 +10,12 @@ import pytest
 from checked_access import compound
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from message_registries import empty_registry
 
 from messages.reference_wire_format import CODES, messages, serialize, to_term
 from retalis import Definitions, Operators
 from retalis.messages import encoder
 from retalis.messages.event_text_writer import make_text_writer
-from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.syntax.event_text import EventReader, to_text
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.tokenizer import ReadFlags
@@ -119,7 +119,7 @@ time stamp
 string frame_id
 """
 REGISTRY = Definitions()
-WITHOUT_ROS = Definitions(InstalledTypes([], [], include_rosbags=False))
+WITHOUT_ROS = empty_registry()
 
 brief = settings(
     max_examples=8,
@@ -161,7 +161,7 @@ odd_texts = st.sampled_from(
 
 
 @pytest.mark.parametrize("shape", SHORT)
-def test_texts_agree_for_all_readers_and_writers(shape: Any) -> None:
+def test_texts_agree_for_all_readers_and_writers(shape: str) -> None:
     definition = WITHOUT_ROS.add(f"test_msgs/{shape.title().replace(' ', '')}", SHORT[shape])
     decoder, encode = WITHOUT_ROS.decoder(definition), WITHOUT_ROS.encoder(definition).encode
     write = make_text_writer(decoder)
@@ -251,7 +251,7 @@ def _without_codes(definition: Any, values: Any) -> Any:
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_message_layout_survives_round_trip(shape: Any) -> None:
+def test_message_layout_survives_round_trip(shape: str) -> None:
     definition = WITHOUT_ROS.add(f"test_msgs/{shape}", SHAPES[shape] + _PARTS)
 
     @settings(brief, max_examples=20)
@@ -271,7 +271,7 @@ slots = st.tuples(numbers | structs, st.sampled_from(["", "", "", "[]", "[0]", "
 @settings(brief, max_examples=100)
 @given(st.lists(slots, max_size=5), st.data())
 def test_random_type_survives_round_trip(slots: List[Any], data: st.DataObject) -> None:
-    definitions = Definitions(InstalledTypes([], [], include_rosbags=False))
+    definitions = empty_registry()
     text = "".join(f"{kind}{array} slot{number}\n" for number, (kind, array) in enumerate(slots))
     definition = definitions.add("test_msgs/Any", text + EVERYTHING[EVERYTHING.index("=") :])
     decoder = definitions.decoder(definition)

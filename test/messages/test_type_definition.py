@@ -8,6 +8,7 @@ from typing import Any, Callable, List, Tuple
 
 import pytest
 from checked_access import fail
+from message_registries import empty_registry, section
 from reachable_objects import reachable
 
 from retalis import Definitions, MessageError
@@ -27,12 +28,8 @@ from retalis.messages.type_registry import InstalledTypes
 HEADER = "uint32 seq\ntime stamp\nstring frame_id\n"
 
 
-def registry() -> Any:
-    return Definitions(InstalledTypes([], [], include_rosbags=False))
-
-
 def read(text: str, name: str = "pkg/Type") -> Any:
-    return registry().add(name, text)
+    return empty_registry().add(name, text)
 
 
 def error_of(text: str) -> Any:
@@ -198,10 +195,6 @@ def test_functor_name_denotes_type() -> None:
     assert type_name("tf") is None
 
 
-def section(name: str, text: str) -> str:
-    return "=" * 80 + f"\nMSG: {name}\n{text}"
-
-
 TOO_LARGE = {
     "digits": ("uint8[" + "9" * 5000 + "] x\n", "an array cannot have more than 4294967295 elements"),
     "length": ("uint8 y\nuint8[4294967295] x\n", "a message cannot have more than 4294967295 bytes"),
@@ -256,7 +249,7 @@ def test_sibling_types_add_no_depth() -> None:
 
 @pytest.mark.slow
 def test_largest_types_are_decoded_and_encoded() -> None:
-    definitions = registry()
+    definitions = empty_registry()
     wide = definitions.add("pkg/Wide", "".join(f"int8 x{n}\n" for n in range(10_000)))
     deep = definitions.add(
         "pkg/T0",
@@ -271,7 +264,7 @@ def test_largest_types_are_decoded_and_encoded() -> None:
 
 @pytest.mark.slow
 def test_number_of_stored_definitions_is_bounded() -> None:
-    definitions = registry()
+    definitions = empty_registry()
     for number in range(3000):
         definitions.decoder(
             definitions.add("pkg/Type", f"int8 x{number}\npkg/N{number} n\n" + section(f"pkg/N{number}", ""))

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, Dict, List
 
 import pytest
+from message_registries import empty_registry
 
 from retalis import Definitions, MessageError
 from retalis.messages.type_registry import GeneratedClass, InstalledTypes
@@ -22,10 +23,6 @@ string frame_id
 """
 
 
-def empty_registry() -> Any:
-    return Definitions(InstalledTypes([], [], include_rosbags=False))
-
-
 def write_package(root: Any, name: str, **messages: Any) -> None:
     folder = root / name / "msg"
     folder.mkdir(parents=True)
@@ -34,25 +31,31 @@ def write_package(root: Any, name: str, **messages: Any) -> None:
         (folder / f"{kind}.msg").write_text(text)
 
 
-def test_received_type_leaves_installed_one() -> None:
+def test_received_definition_does_not_replace_installed_one() -> None:
+    definitions = Definitions()
+    installed = definitions.find("tf/tfMessage").md5sum
+    forged = Definitions().add("tf/tfMessage", "int32 x\n").md5sum
+    received = definitions.received("tf/tfMessage", "tf/tfMessage", "int32 x\n", forged)
+    assert received.md5sum == forged
+    definitions.received("unknown_msgs/Kind", "tf/tfMessage", "int32 x\n", forged)
+    assert definitions.find("tf/tfMessage").md5sum == installed
+    assert definitions.received("tf/tfMessage", "tf2_msgs/TFMessage", "", installed).md5sum == installed
+
+
+def test_received_type_unlike_expected_one_is_refused() -> None:
     definitions = Definitions()
     installed = definitions.find("std_msgs/String").md5sum
-    transforms = definitions.find("tf/tfMessage").md5sum
-    forged = Definitions().add("tf/tfMessage", "int32 x\n").md5sum
     for number in range(1100):  # more than the registry stores
-        with pytest.raises(MessageError, match="expected std_msgs/String, found"):
+        with pytest.raises(MessageError, match=f"expected std_msgs/String, found my_pkg/Type{number}"):
             definitions.received("std_msgs/String", f"my_pkg/Type{number}", f"int32 x{number}\n", "*")
-    with pytest.raises(MessageError, match="expected std_msgs/String, found tf/tfMessage"):
-        definitions.received("std_msgs/String", "tf/tfMessage", "int32 x\n", forged)
-    own = definitions.received("tf/tfMessage", "tf/tfMessage", "int32 x\n", forged)
-    assert own.md5sum == forged
-    definitions.received("unknown_msgs/Kind", "tf/tfMessage", "int32 x\n", forged)
-    assert definitions.find("tf/tfMessage").md5sum == transforms
     assert definitions.find("std_msgs/String").md5sum == installed
-    assert definitions.received("tf/tfMessage", "tf2_msgs/TFMessage", "", transforms).md5sum == transforms
+    assert "my_pkg/Type1" not in definitions
+
+
+def test_received_type_is_registered() -> None:
+    definitions = Definitions()
     assert definitions.received("my_own/Kind", "my_own/Kind", "int32 x\n", "").name == "my_own/Kind"
     assert "my_own/Kind" in definitions
-    assert "my_pkg/Type1" not in definitions
 
 
 def test_added_type_is_found_with_nested_types() -> None:
@@ -74,13 +77,21 @@ def test_types_are_found_by_ros2_names() -> None:
     assert registry.encoder("pkg/msg/Inner") is registry.encoder("pkg/Inner")
     assert "pkg/msg/Inner" in registry
     assert registry.known("pkg/msg/Inner") is registry.known("pkg/Inner")
+
+
+def test_ros2_name_of_received_type_is_shortened() -> None:
+    registry = empty_registry()
     assert registry.received("pkg/msg/Stamped", "pkg/Stamped", STAMPED, "*").name == "pkg/Stamped"
     learned = registry.learn("pkg/msg/Other", "pkg/msg/Inner", "int8 x", "*")
     assert (learned.decoder.definition.name, learned.is_replacement) == ("pkg/Other", True)
-    assert Definitions().misspelt("std_msgs/msg/Strng") == "std_msgs/String"
-    assert Definitions().installed_text("std_msgs/msg/String") == Definitions().installed_text(
-        "std_msgs/String"
-    )
+
+
+def test_installed_type_is_found_by_ros2_name() -> None:
+    definitions = Definitions()
+    assert definitions.misspelt("std_msgs/msg/Strng") == "std_msgs/String"
+    installed = definitions.installed_text("std_msgs/String")
+    assert installed is not None
+    assert definitions.installed_text("std_msgs/msg/String") == installed
 
 
 def test_other_text_for_known_name_is_not_registered() -> None:
@@ -163,7 +174,9 @@ def generated_class(text: str, **changes: Any) -> Any:
     return generated._replace(**changes)
 
 
-def types_with_class(tmp_path: Path, inspect_class: Any, packages: Any = (), **options: Any) -> Any:
+def types_with_class(
+    tmp_path: Path, inspect_class: Any, packages: Any = (), **options: Any
+) -> InstalledTypes:
     """Return the installed types, among which ``pkg/Type`` has a generated module."""
     folder = tmp_path / "modules" / "pkg" / "msg"
     folder.mkdir(parents=True, exist_ok=True)
@@ -202,7 +215,7 @@ def test_class_precedes_files_except_extra_folders(tmp_path: Path) -> None:
     write_package(tmp_path / "extra" / "nested", "pkg", Type="int8 extra\n")
     files, extra = str(tmp_path / "files"), str(tmp_path / "extra")
 
-    def slot(*packages: Any, **options: Any) -> Any:
+    def slot(*packages: Any, **options: Any) -> str:
         installed = types_with_class(
             tmp_path, lambda name: generated_class("int8 generated\n"), packages, **options
         )

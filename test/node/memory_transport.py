@@ -98,7 +98,7 @@ class MemoryPublication:
     def last(self) -> Any:
         return self.messages[-1] if self.messages else None
 
-    def subscriber_count(self) -> Any:
+    def subscriber_count(self) -> int:
         return sum(self in subscription.receivers for subscription in self._subscriptions())
 
     def send(self, *messages: Any) -> None:
@@ -170,7 +170,7 @@ class MemoryTransport:
             raise UsageError(fault)
         return topic if topic.startswith("/") else f"/{topic}"
 
-    def installed_types(self, include_rosbags: bool = True) -> Any:
+    def installed_types(self, include_rosbags: bool = True) -> InstalledTypes:
         return InstalledTypes(include_rosbags=include_rosbags)
 
     def subscribe(
@@ -181,14 +181,16 @@ class MemoryTransport:
         queue_size: Any,
         max_delay: float = 0.0,
         ignores_own: bool = False,
-    ) -> Any:
+    ) -> MemorySubscription:
         subscription = MemorySubscription(self.network, self.node_name, topic, connect, ignores_own)
         self.network.subscriptions.setdefault(topic, []).append(subscription)
         for publication in self.network.publications.get(topic, ()):
             self.network.connect(publication, subscription)
         return subscription
 
-    def advertise(self, topic: Any, definition: Any, queue_size: Any, is_latched: bool = False) -> Any:
+    def advertise(
+        self, topic: Any, definition: Any, queue_size: Any, is_latched: bool = False
+    ) -> MemoryPublication:
         source = MessageSource(
             self.node_name,
             definition.name,
@@ -222,7 +224,7 @@ class MemoryTransport:
     def on_shutdown(self, callback: Any) -> None:
         self.shutdown_callbacks.append(callback)
 
-    def is_shut_down(self) -> Any:
+    def is_shut_down(self) -> bool:
         return self.is_ended
 
     def shut_down(self) -> None:

@@ -45,7 +45,7 @@ class Listener:
         messages: the received messages.
     """
 
-    def __init__(self, network: Any) -> None:
+    def __init__(self, network: MemoryNetwork) -> None:
         self.messages: List[Any] = []
         self._received = threading.Event()
         transport = MemoryTransport(network, "/listener")
@@ -71,7 +71,7 @@ def network() -> Any:
 
 
 @pytest.fixture
-def transport(network: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+def transport(network: MemoryNetwork, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """Return a transport with the type of diagnostics, which does not depend on the installation of ROS."""
     transport = MemoryTransport(network, "/ns/retalis")
     monkeypatch.setattr(transport, "installed_types", lambda include_rosbags=True: InstalledTypes())
@@ -80,7 +80,7 @@ def transport(network: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 
 
 @pytest.fixture
-def listener(network: Any) -> Listener:
+def listener(network: MemoryNetwork) -> Listener:
     return Listener(network)
 
 
@@ -98,13 +98,13 @@ def test_each_part_is_a_status_of_node(transport: Any, listener: Listener) -> No
     assert {status["hardware_id"] for status in message["status"]} == {"robot7"}
 
 
-def test_nothing_is_published_without_period(network: Any, transport: Any) -> None:
+def test_nothing_is_published_without_period(network: MemoryNetwork, transport: Any) -> None:
     Diagnostics(transport, None, HEALTH, Reports())
     assert network.publications == {}
 
 
 def test_missing_package_is_warned_of_once(
-    network: Any, transport: Any, caplog: pytest.LogCaptureFixture
+    network: MemoryNetwork, transport: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
     transport.installed_types = lambda include_rosbags=True: InstalledTypes([], include_rosbags=False)
     Diagnostics(transport, 1.0, HEALTH, Reports())

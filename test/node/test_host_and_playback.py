@@ -59,7 +59,7 @@ std_msgs__0__String(X) <- word('"where"') where (
 
 
 @pytest.fixture(scope="module")
-def definitions() -> Any:
+def definitions() -> Definitions:
     definitions = Definitions()
     for name, text in TYPES.items():
         definitions.add(name, text)
@@ -67,7 +67,7 @@ def definitions() -> Any:
 
 
 @pytest.fixture
-def program(tmp_path: Path) -> Any:
+def program(tmp_path: Path) -> Path:
     (tmp_path / "pub_sub.xml").write_text(TOPICS)
     (tmp_path / "goalPredicates.txt").write_text(GOALS)
     (tmp_path / "rules.txt").write_text(RULES)
@@ -81,7 +81,7 @@ def messages(definitions: Any) -> List[Tuple[Any, ...]]:
         definition = definitions.find(message_type)
         return definitions.encoder(definition).encode(make_message_term(definition, fields))
 
-    def heat(second: int, degrees: float) -> Any:
+    def heat(second: int, degrees: float) -> bytes:
         header = {"stamp": START + second * SECOND, "frame_id": "oven"}
         return serialize("lab/Heat", header=header, degrees=degrees)
 
@@ -167,7 +167,7 @@ def run_on_bag(program: Any, definitions: Any, folder: Any, rows: Any) -> Tuple[
 
 
 def test_network_and_bag_have_equal_results(
-    program: Any, definitions: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    program: Path, definitions: Definitions, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     events, outputs, error_count = run_on_network(program, definitions)
     network_texts = [record.getMessage() for record in caplog.records]
@@ -192,7 +192,7 @@ def test_network_and_bag_have_equal_results(
     ]
 
 
-def test_bag_has_transforms_for_later_goal(program: Any, definitions: Any, tmp_path: Path) -> None:
+def test_bag_has_transforms_for_later_goal(program: Path, definitions: Definitions, tmp_path: Path) -> None:
     # The rules do not show that the program reads transforms, so that the first goal starts to read them.
     goal = "atom_concat(tf_, lookup, N), G =.. [N, map, camera, 0, [[X|_]|_]], call(G)"
     (program / "rules.txt").write_text(f"located(X) <- word(_) where ({goal}).\n")

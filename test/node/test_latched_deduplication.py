@@ -75,7 +75,7 @@ def test_least_recent_publisher_is_evicted(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(latched_deduplication, "MAX_PUBLISHERS", 2)
     deduplicator = LatchedMessageDeduplicator()
 
-    def repeats(topic: Any) -> Any:
+    def repeats(topic: Any) -> bool:
         return deduplicator.record_message(
             LatchedConnection(topic, "/node", "http://robot:1/").describe_message(b"a")
         )

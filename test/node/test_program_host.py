@@ -22,12 +22,7 @@ subscribe(std_msgs__0__String(_), [], _, alarm, s1)
 
 
 @pytest.fixture
-def network() -> Any:
-    return MemoryNetwork()
-
-
-@pytest.fixture
-def start(network: Any, tmp_path: Path) -> Iterator[Any]:
+def start(network: MemoryNetwork, tmp_path: Path) -> Iterator[Any]:
     """Return a function that starts a host with rules and parameters."""
     transports: List[Any] = []
 
@@ -47,7 +42,7 @@ def start(network: Any, tmp_path: Path) -> Iterator[Any]:
 ECHO = "std_msgs__0__String(X) <- scan(X).\n"
 
 
-def test_output_of_rule_is_published(network: Any, start: Any) -> None:
+def test_output_of_rule_is_published(network: MemoryNetwork, start: Any) -> None:
     robot = Robot(network)
     robot.subscribe("/alarm")
     start(ECHO)
@@ -55,7 +50,7 @@ def test_output_of_rule_is_published(network: Any, start: Any) -> None:
     assert robot.received["/alarm"] == ["fire"]
 
 
-def test_alarm_fires_by_time_of_transport(network: Any, start: Any) -> None:
+def test_alarm_fires_by_time_of_transport(network: MemoryNetwork, start: Any) -> None:
     robot = Robot(network)
     robot.subscribe("/alarm")
     start("std_msgs__0__String(silence) <- scan(X) seq absent(scan(_), 5).\n")
@@ -66,7 +61,7 @@ def test_alarm_fires_by_time_of_transport(network: Any, start: Any) -> None:
     assert robot.received["/alarm"] == ["silence"]
 
 
-def test_message_of_wrong_type_is_counted(network: Any, start: Any) -> None:
+def test_message_of_wrong_type_is_counted(network: MemoryNetwork, start: Any) -> None:
     start(ECHO)
     number = DEFINITIONS.find("std_msgs/Int32")
     Robot(network).transport.advertise("/scan", number, 10).send(b"\0\0\0\0")
@@ -76,7 +71,7 @@ def test_message_of_wrong_type_is_counted(network: Any, start: Any) -> None:
     assert (scan["messages"], scan["refused"]) == (1, 1)
 
 
-def test_damaged_message_does_not_stop_next_one(network: Any, start: Any) -> None:
+def test_damaged_message_does_not_stop_next_one(network: MemoryNetwork, start: Any) -> None:
     robot = Robot(network)
     robot.subscribe("/alarm")
     host = start(ECHO)
@@ -85,7 +80,7 @@ def test_damaged_message_does_not_stop_next_one(network: Any, start: Any) -> Non
     assert host.reports.errors == 1
 
 
-def test_latched_message_is_processed_once(network: Any, start: Any) -> None:
+def test_latched_message_is_processed_once(network: MemoryNetwork, start: Any) -> None:
     robot = Robot(network)
     robot.subscribe("/alarm")
     start(ECHO)
@@ -96,7 +91,7 @@ def test_latched_message_is_processed_once(network: Any, start: Any) -> None:
     assert robot.received["/alarm"] == ["map"]
 
 
-def test_services_change_program(network: Any, start: Any) -> None:
+def test_services_change_program(network: MemoryNetwork, start: Any) -> None:
     robot = Robot(network)
     robot.subscribe("/alarm")
     start("", topics=TOPICS.replace('name="scan"', 'name="other"'))
@@ -112,7 +107,7 @@ def test_services_change_program(network: Any, start: Any) -> None:
     assert network.call("/retalis/delete_rule", label=added["label"]) == {"result": "ok"}
 
 
-def test_query_answers_with_bindings(network: Any, start: Any) -> None:
+def test_query_answers_with_bindings(network: MemoryNetwork, start: Any) -> None:
     start("", goals="assert(door(open))\n")
     answer = network.call(
         "/retalis/query",
@@ -127,7 +122,7 @@ def test_query_answers_with_bindings(network: Any, start: Any) -> None:
     assert answer["solutions"] == [{"bindings": [{"name": "X", "text": "open", "json": '"open"'}]}]
 
 
-def test_topic_of_goal_is_subscribed(network: Any, start: Any) -> None:
+def test_topic_of_goal_is_subscribed(network: MemoryNetwork, start: Any) -> None:
     robot = Robot(network)
     robot.subscribe("/alarm")
     start("std_msgs__0__String(X) <- said(X).\n", GOALS + "subscribe_to(speech, 'std_msgs/String', said)\n")
@@ -135,7 +130,7 @@ def test_topic_of_goal_is_subscribed(network: Any, start: Any) -> None:
     assert robot.received["/alarm"] == ["hello"]
 
 
-def test_events_and_outputs_are_exchanged_as_text(network: Any, start: Any) -> None:
+def test_events_and_outputs_are_exchanged_as_text(network: MemoryNetwork, start: Any) -> None:
     robot = Robot(network)
     robot.subscribe("/retalisInputEvents")
     robot.subscribe("/retalisOutputEvents")
@@ -152,7 +147,7 @@ def test_events_and_outputs_are_exchanged_as_text(network: Any, start: Any) -> N
     assert read_text_message(serialize_text("ä")) == "ä"
 
 
-def test_state_is_restored_from_checkpoint(network: Any, start: Any, tmp_path: Path) -> None:
+def test_state_is_restored_from_checkpoint(network: MemoryNetwork, start: Any, tmp_path: Path) -> None:
     robot = Robot(network)
     robot.subscribe("/alarm")
     rules = "std_msgs__0__String(pair) <- scan(_) seq scan(_).\n"

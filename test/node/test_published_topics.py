@@ -32,11 +32,6 @@ def test_excess_outputs_of_load_are_dropped() -> None:
     assert (received, reports.warnings) == ([3, 4], 3)
 
 
-@pytest.fixture
-def network() -> Any:
-    return MemoryNetwork()
-
-
 class Topics(PublishedTopics):
     """Published topics, with their definitions and reports as attributes."""
 
@@ -46,11 +41,11 @@ class Topics(PublishedTopics):
 
 
 @pytest.fixture
-def topics(network: Any) -> Topics:
+def topics(network: MemoryNetwork) -> Topics:
     return Topics(network)
 
 
-def test_output_is_published_as_message(network: Any, topics: Any) -> None:
+def test_output_is_published_as_message(network: MemoryNetwork, topics: Topics) -> None:
     topics.advertise("said", "std_msgs/String")
     topics.publish(TEXT, "said")
     (publication,) = network.publications["/said"]
@@ -59,20 +54,20 @@ def test_output_is_published_as_message(network: Any, topics: Any) -> None:
     assert (status.topic, status.type, status.sent) == ("/said", "std_msgs/String", 1)
 
 
-def test_term_of_another_type_is_reported(network: Any, topics: Any) -> None:
+def test_term_of_another_type_is_reported(network: MemoryNetwork, topics: Topics) -> None:
     topics.advertise("said", "std_msgs/String")
     topics.publish(atom("a"), "said")
     assert (network.publications["/said"][0].messages, topics.reports.errors) == ([], 1)
 
 
-def test_topic_has_one_type(topics: Any) -> None:
+def test_topic_has_one_type(topics: Topics) -> None:
     topics.advertise("said", "std_msgs/String")
     topics.advertise("said", "std_msgs/String")
     with pytest.raises(UsageError, match="topic said already has the type std_msgs/String"):
         topics.advertise("said", "std_msgs/Int8")
 
 
-def test_topic_is_advertised_if_type_is_found(network: Any, topics: Any) -> None:
+def test_topic_is_advertised_if_type_is_found(network: MemoryNetwork, topics: Topics) -> None:
     with pytest.raises(MessageError):
         topics.advertise("door", "lab/Door")
     topics.publish(TEXT, "door")
@@ -86,7 +81,7 @@ def test_topic_is_advertised_if_type_is_found(network: Any, topics: Any) -> None
 @pytest.mark.parametrize(
     ("topic", "warnings"), [("said", 0), ("/said", 0), ("other", 1), (f"{WATCH}1", 0), ("no name!", 1)]
 )
-def test_topic_without_type_is_warned_of_once(network: Any, topic: str, warnings: int) -> None:
+def test_topic_without_type_is_warned_of_once(network: MemoryNetwork, topic: str, warnings: int) -> None:
     reports = Reports()
     checker = UntypedTopicWarnings(MemoryTransport(network), ["said"], reports)
     checker.check(topic)

@@ -32,7 +32,7 @@ class Client:
         outputs: received outputs as texts.
     """
 
-    def __init__(self, network: Any) -> None:
+    def __init__(self, network: MemoryNetwork) -> None:
         self._network = network
         self.robot = Robot(network)
         self.robot.subscribe("/retalisOutputEvents")
@@ -82,12 +82,7 @@ class Client:
 
 
 @pytest.fixture
-def network() -> Any:
-    return MemoryNetwork()
-
-
-@pytest.fixture
-def client(network: Any, tmp_path: Path) -> Iterator[Any]:
+def client(network: MemoryNetwork, tmp_path: Path) -> Iterator[Client]:
     """Return the client of a running program without rules."""
     (tmp_path / "pub_sub.xml").write_text(TOPICS)
     (tmp_path / "goalPredicates.txt").write_text("")
@@ -97,7 +92,7 @@ def client(network: Any, tmp_path: Path) -> Iterator[Any]:
     host.transport.shut_down()
 
 
-def test_subscription_sends_matching_events(client: Any) -> None:
+def test_subscription_sends_matching_events(client: Client) -> None:
     assert client.subscribe("a(X)", conditions="X > 1, X < 9", form="got(X)") == "ok"
     client.send("a(1)", "a(5)", "a(10)", "a(6)")
     assert client.outputs == ["event(got(5),t,s)", "event(got(6),t,s)"]
@@ -106,27 +101,27 @@ def test_subscription_sends_matching_events(client: Any) -> None:
     assert len(client.outputs) == 2
 
 
-def test_full_stops_and_comments_are_ignored(client: Any) -> None:
+def test_full_stops_and_comments_are_ignored(client: Client) -> None:
     assert client.subscribe("c(X).", conditions="X > 1 % large", form="_.") == "ok"
     client.send("c(1)", "c(2)")
     assert client.outputs == ["event(c(2),t,s)"]
 
 
-def test_topic_of_subscription_may_have_slashes(client: Any) -> None:
+def test_topic_of_subscription_may_have_slashes(client: Client) -> None:
     assert client.subscribe("a(X)", topic="/robot/out", name="1") == "ok"
     client.send("a(1)")
     assert client.outputs == ["event(a(1),'/robot/out',1)"]
     assert client.unsubscribe("/robot/out", "1") == "ok"
 
 
-def test_subscription_is_added_once_per_topic(client: Any) -> None:
+def test_subscription_is_added_once_per_topic(client: Client) -> None:
     assert client.subscribe("b(_)") == "ok"
     assert client.subscribe("b(_)").startswith("error: a subscription s of topic t already exists")
     assert client.subscribe("b(_)", topic="other") == "ok"
 
 
 @pytest.mark.parametrize("topic", ["bad topic!", "4x4", "a//b", "über"])
-def test_subscription_of_invalid_topic_is_refused(client: Any, topic: str) -> None:
+def test_subscription_of_invalid_topic_is_refused(client: Client, topic: str) -> None:
     assert client.subscribe("a(X)", topic=topic).startswith("error: topic: expected a topic")
     assert client.unsubscribe(topic).startswith("error: there is no subscription s")
 
@@ -146,7 +141,9 @@ def test_subscription_of_invalid_topic_is_refused(client: Any, topic: str) -> No
         ({"event": "a),(b"}, ("event", "column 2")),
     ],
 )
-def test_error_names_field_and_position(client: Any, fields: Dict[str, Any], parts: Tuple[Any, ...]) -> None:
+def test_error_names_field_and_position(
+    client: Client, fields: Dict[str, Any], parts: Tuple[Any, ...]
+) -> None:
     result = client.subscribe(**fields)
     assert result.startswith("error: ")
     assert "\n" not in result
@@ -155,11 +152,11 @@ def test_error_names_field_and_position(client: Any, fields: Dict[str, Any], par
     assert client.unsubscribe().startswith("error: there is no subscription s")
 
 
-def test_errors_have_one_line(client: Any) -> None:
+def test_errors_have_one_line(client: Client) -> None:
     assert "two lines" in client.unsubscribe(name="two\nlines")
 
 
-def test_memory_is_used_by_conditions(client: Any) -> None:
+def test_memory_is_used_by_conditions(client: Client) -> None:
     assert client.memorize("v(X)", form="kept(X)") == "ok"
     findall = "findall(X, access_mem(m, kept(X), _), L)"
     assert client.subscribe("ask", conditions=findall, form="all(L)") == "ok"
@@ -167,19 +164,19 @@ def test_memory_is_used_by_conditions(client: Any) -> None:
     assert client.outputs == ["event(all([3,2]),t,s)"]
 
 
-def test_topic_without_type_is_warned_of(client: Any, caplog: pytest.LogCaptureFixture) -> None:
+def test_topic_without_type_is_warned_of(client: Client, caplog: pytest.LogCaptureFixture) -> None:
     assert client.subscribe("u(_)", topic="nothing/there") == "ok"
     client.send("u(1)")
     assert "topic nothing/there has no type" in caplog.text
 
 
-def test_memory_without_records_is_warned_of(client: Any, caplog: pytest.LogCaptureFixture) -> None:
+def test_memory_without_records_is_warned_of(client: Client, caplog: pytest.LogCaptureFixture) -> None:
     assert client.memorize("v(X)", "odd", conditions="no_such(X)", form="kept(Y)") == "ok"
     assert "memory odd: there is no predicate no_such/1 yet" in caplog.text
     assert "gives Y in the format a value" in caplog.text
 
 
-def test_input_topic_is_added_and_deleted_once(client: Any) -> None:
+def test_input_topic_is_added_and_deleted_once(client: Client) -> None:
     assert client.add_input("number", "std_msgs/msg/Float64") == "ok"
     assert client.add_input("number", "std_msgs/Float64").startswith("error: ")
     assert client.subscribe("std_msgs__0__Float64(X)", form="number(X)") == "ok"
@@ -204,13 +201,13 @@ def test_input_topic_is_added_and_deleted_once(client: Any) -> None:
         ("speed", "std_msg/Float64", "did you mean std_msgs/Float64?"),
     ],
 )
-def test_invalid_input_topic_is_refused(client: Any, topic: str, message_type: str, part: str) -> None:
+def test_invalid_input_topic_is_refused(client: Client, topic: str, message_type: str, part: str) -> None:
     result = client.add_input(topic, message_type)
     assert result.startswith("error: ")
     assert part in result
 
 
-def test_unknown_or_published_type_is_accepted(client: Any) -> None:
+def test_unknown_or_published_type_is_accepted(client: Client) -> None:
     assert client.add_input("speed", "far_msgs/Unknown") == "ok"
     assert client.delete_input("speed") == "ok"
     definition = DEFINITIONS.add("std_msgs/Flaot64", "int32 x\n")
@@ -227,7 +224,7 @@ def test_unknown_or_published_type_is_accepted(client: Any) -> None:
         ("lab__0__Gate(X, here)", "slot door: expected lab__0__Door/1"),
     ],
 )
-def test_format_unlike_type_of_topic_is_refused(client: Any, topic: str, form: str, reason: str) -> None:
+def test_format_unlike_type_of_topic_is_refused(client: Client, topic: str, form: str, reason: str) -> None:
     client.robot.transport.advertise("/gates", GATE, 10)
     result = client.subscribe("p(X)", topic=topic, form=form)
     assert result.startswith(f"error: format: topic {topic}, lab/Gate")
@@ -235,12 +232,12 @@ def test_format_unlike_type_of_topic_is_refused(client: Any, topic: str, form: s
     assert client.unsubscribe(topic).startswith("error: there is no subscription s")
 
 
-def test_format_of_unknown_type_is_accepted(client: Any) -> None:
+def test_format_of_unknown_type_is_accepted(client: Client) -> None:
     client.robot.transport.advertise("/gates", GATE, 10)
     assert client.subscribe("p(X)", topic="gate", form="X") == "ok"
 
 
-def test_goal_subscribes_topic_of_running_program(client: Any, network: Any) -> None:
+def test_goal_subscribes_topic_of_running_program(client: Client, network: MemoryNetwork) -> None:
     goal = "subscribe_to(asked, 'std_msgs/Float64', asked_number)"
     assert [client.query(goal)["result"] for _ in range(2)] == ["ok", "ok"]
     assert "subscribed already" in client.query("subscribe_to(asked, 'std_msgs/Int8')")["result"]
@@ -256,7 +253,7 @@ def test_goal_subscribes_topic_of_running_program(client: Any, network: Any) -> 
     "template", ["a/b:={}", "a/b({})", 'a/b",{},"'], ids=["assignment", "call", "quotes"]
 )
 def test_names_of_types_are_not_executed(
-    client: Any, network: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture, template: str
+    client: Client, network: MemoryNetwork, tmp_path: Path, caplog: pytest.LogCaptureFixture, template: str
 ) -> None:
     created_file = tmp_path / "harm"
     message_type = template.format(f"__import__('os').system('touch {created_file}')")
@@ -279,7 +276,7 @@ def test_names_of_types_are_not_executed(
         ("compile_event_file('/etc/passwd')", "ermission"),
     ],
 )
-def test_failed_query_has_reason(client: Any, goal: str, part: str) -> None:
+def test_failed_query_has_reason(client: Client, goal: str, part: str) -> None:
     result = client.query(goal)["result"]
     assert result.startswith("error: ")
     assert part in result
@@ -287,7 +284,7 @@ def test_failed_query_has_reason(client: Any, goal: str, part: str) -> None:
 
 
 @pytest.mark.slow
-def test_query_has_limits(client: Any) -> None:
+def test_query_has_limits(client: Client) -> None:
     answer = client.query("repeat", max_solutions=3)
     assert (answer["result"], answer["complete"], len(answer["solutions"])) == ("ok", False, 3)
     assert "inferences" in client.query("repeat, fail", inferences=1000)["result"]
@@ -296,14 +293,14 @@ def test_query_has_limits(client: Any) -> None:
     assert "seconds: expected" in client.query("true", seconds=-1)["result"]
 
 
-def test_solutions_of_query_have_text_and_json(client: Any) -> None:
+def test_solutions_of_query_have_text_and_json(client: Client) -> None:
     answer = client.query("member(X-Y, [1-a, f(Z)-[b, 2.5]])")
     texts = [{binding["name"]: binding["text"] for binding in row["bindings"]} for row in answer["solutions"]]
     assert texts == [{"X": "1", "Y": "a", "Z": "_1"}, {"X": "f(_1)", "Y": "[b,2.5]", "Z": "_1"}]
     assert json.loads(answer["solutions"][1]["bindings"][1]["json"]) == ["b", 2.5]
 
 
-def test_rule_emits_events_until_deleted(client: Any) -> None:
+def test_rule_emits_events_until_deleted(client: Client) -> None:
     added = client.call("/retalis/add_rule", rule="fire(X) <- smoke(X) seq heat(X) where X > 1.", label="hot")
     assert (added["result"], added["label"]) == ("ok", "hot")
     assert client.subscribe("fire(_)") == "ok"
@@ -316,13 +313,13 @@ def test_rule_emits_events_until_deleted(client: Any) -> None:
     assert len(client.outputs) == 1
 
 
-def test_invalid_rule_is_an_error_with_caret(client: Any) -> None:
+def test_invalid_rule_is_an_error_with_caret(client: Client) -> None:
     result = client.call("/retalis/add_rule", rule="a <- b seq\n  (c where X > )", label="")["result"]
     assert result.startswith("error: rule:2:16: ")
     assert result.splitlines()[1:] == ["  (c where X > )", " " * 15 + "^"]
 
 
-def test_events_are_explained(client: Any) -> None:
+def test_events_are_explained(client: Client) -> None:
     client.call("/retalis/add_rule", rule="glow(X) <- warm(X) seq dark(X)", label="glow")
     client.send("warm(1)", "warm(2)", "dark(1)")
     answer = client.call("/retalis/explain", event="glow(1)")
@@ -345,13 +342,13 @@ def test_events_are_explained(client: Any) -> None:
         "new_event(form(1),1,0,2,0).",
     ],
 )
-def test_each_form_of_event_text_is_processed(client: Any, text: str) -> None:
+def test_each_form_of_event_text_is_processed(client: Client, text: str) -> None:
     client.subscribe("form(_)")
     client.robot.publish("/retalisInputEvents").send(serialize_text(text))
     assert client.outputs == ["event(form(1),t,s)"]
 
 
-def test_invalid_texts_are_ignored(client: Any) -> None:
+def test_invalid_texts_are_ignored(client: Client) -> None:
     client.subscribe("after(X)")
     publication = client.robot.publish("/retalisInputEvents")
     for text in (
@@ -369,7 +366,7 @@ def test_invalid_texts_are_ignored(client: Any) -> None:
     assert client.outputs == ["event(after(1),t,s)"]
 
 
-def test_valid_output_texts_are_published(client: Any) -> None:
+def test_valid_output_texts_are_published(client: Client) -> None:
     client.robot.subscribe("/alarm")
     publication = client.robot.publish("/retalisOutputEvents")
     for text in (
@@ -386,13 +383,13 @@ def test_valid_output_texts_are_published(client: Any) -> None:
     assert client.robot.received["/alarm"] == ["x", "y", "last"]
 
 
-def test_burst_is_processed_in_order(client: Any) -> None:
+def test_burst_is_processed_in_order(client: Client) -> None:
     client.subscribe("scan(_)")
     client.robot.publish("/scan").send(*(encode(f"{number}") for number in range(3000)))
     assert client.outputs == [f"event(scan('\"{number}\"'),t,s)" for number in range(3000)]
 
 
-def test_type_of_publisher_is_subscribed(client: Any, network: Any) -> None:
+def test_type_of_publisher_is_subscribed(client: Client, network: MemoryNetwork) -> None:
     assert client.add_input("thing", "nowhere_msgs/Thing") == "ok"
     client.subscribe("nowhere_msgs__0__Thing(_,_)")
     definition = DEFINITIONS.add(

@@ -1,6 +1,5 @@
 """Parsing and size limits of service requests."""
 
-from types import SimpleNamespace
 from typing import Any, Dict, List
 
 import pytest
@@ -15,17 +14,12 @@ from retalis.prolog.terms.term_traversal import variables
 
 
 @pytest.fixture
-def network() -> Any:
-    return MemoryNetwork()
-
-
-@pytest.fixture
-def transport(network: Any) -> Any:
+def transport(network: MemoryNetwork) -> MemoryTransport:
     return MemoryTransport(network)
 
 
 @pytest.fixture
-def engine(transport: Any) -> Any:
+def engine(transport: MemoryTransport) -> Engine:
     """Return an engine with services."""
     engine = Engine()
     untyped_topics = UntypedTopicWarnings(transport, (), Reports())
@@ -36,7 +30,7 @@ def engine(transport: Any) -> Any:
 
 
 def test_long_format_is_traversed_few_times(
-    network: Any, engine: Any, monkeypatch: pytest.MonkeyPatch
+    network: MemoryNetwork, engine: Engine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     traversed: List[Any] = []
     monkeypatch.setattr(services, "variables", recording(traversed, variables))
@@ -47,13 +41,13 @@ def test_long_format_is_traversed_few_times(
 
 
 def test_unbound_variable_of_format_is_warned_of(
-    network: Any, engine: Any, caplog: pytest.LogCaptureFixture
+    network: MemoryNetwork, engine: Engine, caplog: pytest.LogCaptureFixture
 ) -> None:
     network.call("/add_memory", event="a(X)", conditions="", format="b(X,Y)", id="m", size="5")
     assert "memorize m: nothing in event or conditions gives Y in the format a value" in caplog.text
 
 
-def test_long_request_is_not_parsed(network: Any, transport: Any) -> None:
+def test_long_request_is_not_parsed(network: MemoryNetwork, transport: MemoryTransport) -> None:
     handled: List[Any] = []
     offer_service(transport, "~query", "Query", recording(handled, lambda request: {"result": "ok"}))
     half = services.MAX_REQUEST_CHARACTERS // 2
@@ -79,13 +73,15 @@ def test_long_request_is_not_parsed(network: Any, transport: Any) -> None:
         ({"conditions": "3"}, "conditions: expected goals: atoms or compound terms, found 3"),
     ],
 )
-def test_invalid_memory_is_refused(network: Any, engine: Any, changed: Dict[str, Any], error: str) -> None:
+def test_invalid_memory_is_refused(
+    network: MemoryNetwork, engine: Engine, changed: Dict[str, Any], error: str
+) -> None:
     request = {"event": "a(X)", "conditions": "", "format": "_", "id": "m", "size": "5", **changed}
     assert network.call("/add_memory", **request)["result"].startswith(f"error: {error}")
     assert network.call("/retalis/list", most=0)["memories"] == []
 
 
-def test_memory_is_added_and_deleted_once(network: Any, engine: Any) -> None:
+def test_memory_is_added_and_deleted_once(network: MemoryNetwork, engine: Engine) -> None:
     request = {"event": "a(X)", "conditions": "", "format": "_", "id": "m", "size": "5"}
     assert network.call("/add_memory", **request) == {"result": "ok"}
     assert network.call("/add_memory", **request) == {"result": "error: a memory m already exists"}
@@ -94,15 +90,14 @@ def test_memory_is_added_and_deleted_once(network: Any, engine: Any) -> None:
     assert network.call("/delete_memory", id="m") == {"result": "error: there is no memory m"}
 
 
-def test_long_list_is_cut_and_counted(network: Any, engine: Any) -> None:
+def test_long_list_is_cut_and_counted(network: MemoryNetwork, engine: Engine) -> None:
     engine.load(rules="\n".join(f"a{number} <- b{number}." for number in range(5)))
     response = network.call("/retalis/list", most=2)
     assert (len(response["rules"]), response["more_rules"]) == (2, 3)
 
 
-def test_query_of_waiting_memories_times_out(network: Any, engine: Any) -> None:
+def test_query_of_waiting_memories_times_out(network: MemoryNetwork, engine: Engine) -> None:
     network.call("/add_memory", event="a(X)", conditions="", format="_", id="m", size="5")
     request = {"goal": "true", "max_solutions": 0, "seconds": 0.0, "inferences": 0}
     response = network.call("/retalis/query", wait_for=["m"], stamp=10**9, timeout=0.01, **request)
     assert response["result"].startswith("error: ")
-    assert isinstance(SimpleNamespace(**response).result, str)

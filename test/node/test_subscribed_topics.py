@@ -7,7 +7,7 @@ from typing import Any, List
 import pytest
 from node.memory_transport import MemoryNetwork, MemoryTransport
 
-from retalis import Definitions, MessageError, Reports, UsageError
+from retalis import Definitions, MessageError, Reports, TopicType, UsageError
 from retalis.engine.event_input import TopicRequest
 from retalis.engine.runtime.clock_epochs import ClockEpochs
 from retalis.engine.runtime.clock_skew import ClockSkewMonitor
@@ -26,17 +26,7 @@ WARM = struct.pack("<f", 36.5)
 
 
 @pytest.fixture
-def network() -> Any:
-    return MemoryNetwork()
-
-
-@pytest.fixture
-def reports() -> Any:
-    return Reports()
-
-
-@pytest.fixture
-def publish(network: Any) -> Any:
+def publish(network: MemoryNetwork) -> Any:
     """Return a function that publishes messages of a type on ``/heat``, together."""
     transport = MemoryTransport(network, "/thermometer")
 
@@ -50,7 +40,7 @@ def publish(network: Any) -> Any:
 
 
 @pytest.fixture
-def subscribe(network: Any, reports: Any) -> Any:
+def subscribe(network: MemoryNetwork, reports: Reports) -> Any:
     """Return a function that subscribes to ``/heat``, and the results of the handler."""
 
     def subscribe(
@@ -93,7 +83,9 @@ def test_events_have_the_given_name(
 
 
 @pytest.mark.parametrize("message_type", ["*", "std_msgs/String"])
-def test_source_without_definition_has_known_type(subscribe: Any, network: Any, message_type: str) -> None:
+def test_source_without_definition_has_known_type(
+    subscribe: Any, network: MemoryNetwork, message_type: str
+) -> None:
     results = subscribe("std_msgs/String")
     (subscription,) = network.subscriptions["/heat"]
     subscription.connect(MessageSource("", message_type)).receive([b"\1\0\0\0a"])
@@ -105,7 +97,7 @@ def test_source_without_definition_has_known_type(subscribe: Any, network: Any, 
     [("std_msgs/Int8", "expected std_msgs/String, found std_msgs/Int8"), ("lab/Unknown", "lab/Unknown")],
 )
 def test_source_of_other_type_is_refused(
-    subscribe: Any, network: Any, caplog: pytest.LogCaptureFixture, message_type: str, error: str
+    subscribe: Any, network: MemoryNetwork, caplog: pytest.LogCaptureFixture, message_type: str, error: str
 ) -> None:
     results = subscribe("std_msgs/String")
     (subscription,) = network.subscriptions["/heat"]
@@ -127,7 +119,7 @@ def test_misspelt_type_is_named_at_connection(
 
 
 def test_messages_of_other_type_are_counted(
-    subscribe: Any, publish: Any, reports: Any, caplog: pytest.LogCaptureFixture
+    subscribe: Any, publish: Any, reports: Reports, caplog: pytest.LogCaptureFixture
 ) -> None:
     results = subscribe("std_msgs/String")
     publish("lab/Temperature", *[WARM] * 7)
@@ -140,7 +132,7 @@ def test_messages_of_other_type_are_counted(
 
 
 def test_damaged_messages_are_dropped_and_counted(
-    subscribe: Any, publish: Any, reports: Any, caplog: pytest.LogCaptureFixture
+    subscribe: Any, publish: Any, reports: Reports, caplog: pytest.LogCaptureFixture
 ) -> None:
     results = subscribe("lab/Temperature")
     publish("lab/Temperature", *[b"12"] * 7)
@@ -178,7 +170,7 @@ def test_failed_message_does_not_affect_batch(
 
 
 def test_source_without_handler_is_refused_once(
-    subscribe: Any, publish: Any, reports: Any, caplog: pytest.LogCaptureFixture
+    subscribe: Any, publish: Any, reports: Reports, caplog: pytest.LogCaptureFixture
 ) -> None:
     def make_handler(decoder: Any, topic: Any, source: Any) -> None:
         raise KeyError("no such thing")
@@ -190,7 +182,7 @@ def test_source_without_handler_is_refused_once(
     assert texts(caplog)[1] == "topic /heat: internal error: a message of /thermometer is dropped"
 
 
-def test_message_with_distant_stamp_is_refused(subscribe: Any, publish: Any, reports: Any) -> None:
+def test_message_with_distant_stamp_is_refused(subscribe: Any, publish: Any, reports: Reports) -> None:
     definition = Definitions().find("sensor_msgs/Temperature")
     stamps: List[Any] = []
 
@@ -209,7 +201,7 @@ def test_message_with_distant_stamp_is_refused(subscribe: Any, publish: Any, rep
     assert (reports.errors, reports.warnings) == (0, 1)
 
 
-def test_messages_of_next_epoch_are_buffered(subscribe: Any, publish: Any, reports: Any) -> None:
+def test_messages_of_next_epoch_are_buffered(subscribe: Any, publish: Any, reports: Reports) -> None:
     epochs = ClockEpochs(reports, lambda: 0, lambda: None)
     results: List[Any] = []
 
@@ -228,7 +220,7 @@ def test_messages_of_next_epoch_are_buffered(subscribe: Any, publish: Any, repor
 
 
 @pytest.fixture
-def topics(network: Any, reports: Any) -> Any:
+def topics(network: MemoryNetwork, reports: Reports) -> SubscribedTopics:
     processing = MessageProcessing(
         lambda decoder, topic, source: lambda data: data, threading.Lock(), consume_and_discard
     )
@@ -237,7 +229,7 @@ def topics(network: Any, reports: Any) -> Any:
     )
 
 
-def test_topic_is_subscribed_once(topics: Any) -> None:
+def test_topic_is_subscribed_once(topics: SubscribedTopics) -> None:
     topics.subscribe("heat", "std_msgs/String")
     with pytest.raises(UsageError, match=r"topic /heat is already subscribed \(as std_msgs/String\)"):
         topics.subscribe("/heat", "std_msgs/Int8")
@@ -254,14 +246,14 @@ def test_topic_is_subscribed_once(topics: Any) -> None:
         ("tf", "itself"),
     ],
 )
-def test_unsuitable_topic_is_refused(topics: Any, topic: str, error: str) -> None:
-    topics.exclude([("tf", "tf/tfMessage")])
+def test_unsuitable_topic_is_refused(topics: SubscribedTopics, topic: str, error: str) -> None:
+    topics.exclude([TopicType("tf", "tf/tfMessage")])
     with pytest.raises(UsageError, match=error):
         topics.subscribe(topic, "std_msgs/String")
     assert not topics.try_to_subscribe(TopicRequest(topic, "std_msgs/String"))
 
 
-def test_statuses_count_messages(topics: Any, network: Any) -> None:
+def test_statuses_count_messages(topics: SubscribedTopics, network: MemoryNetwork) -> None:
     topics.subscribe("heat", "std_msgs/String")
     publication = MemoryTransport(network, "/talker").advertise(
         "/heat", Definitions().find("std_msgs/String"), 1
@@ -274,7 +266,7 @@ def test_statuses_count_messages(topics: Any, network: Any) -> None:
     assert topics.statuses()[0].missing == 1
 
 
-def test_unknown_type_is_found_without_processing(topics: Any, network: Any) -> None:
+def test_unknown_type_is_found_without_processing(topics: SubscribedTopics, network: MemoryNetwork) -> None:
     topics.learn("heat", "lab/Temperature")
     definition = Definitions().add("lab/Temperature", TEXT)
     MemoryTransport(network, "/thermometer").advertise("/heat", definition, 1).send(WARM)

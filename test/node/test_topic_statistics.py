@@ -1,7 +1,7 @@
 """Warnings about topics without publishers after the start, and detection of lost messages."""
 
 from struct import pack
-from typing import Any, List, Tuple
+from typing import Any, Dict, List, Tuple
 
 import pytest
 
@@ -29,7 +29,7 @@ OWN = {"/retalis", "/retalis_ros_interface"}
         ({}, ""),
     ],
 )
-def test_unpublished_topic_is_warned_of(publishers: Any, suggestion: str) -> None:
+def test_unpublished_topic_is_warned_of(publishers: Dict[str, List[str]], suggestion: str) -> None:
     expected = f"nobody publishes topic /robot/scan (sensor_msgs/LaserScan) 10 s after the start{suggestion}"
     assert list(unpublished_topic_warnings([SCAN], publishers, OWN)) == [expected]
 

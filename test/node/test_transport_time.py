@@ -63,7 +63,7 @@ class SimulatedClock:
 
 
 @pytest.fixture
-def clock() -> Iterator[Any]:
+def clock() -> Iterator[SimulatedClock]:
     clock = SimulatedClock()
     yield clock
     clock.transport.shut_down()
@@ -75,7 +75,7 @@ def clock() -> Iterator[Any]:
             thread.join(60)
 
 
-def test_backward_clock_begins_epoch(clock: Any) -> None:
+def test_backward_clock_begins_epoch(clock: SimulatedClock) -> None:
     for seconds in (8, 9):
         clock.move(seconds)
     clock.move(2, back=True)
@@ -83,7 +83,7 @@ def test_backward_clock_begins_epoch(clock: Any) -> None:
     assert clock.time.now() == 2 * SECOND
 
 
-def test_engine_time_follows_begun_epoch(clock: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_engine_time_follows_begun_epoch(clock: SimulatedClock, monkeypatch: pytest.MonkeyPatch) -> None:
     host_clock = HostClock(clock.transport, clock.time.epochs)
     clock.move(9)
     clock.move(2, back=True)
@@ -97,7 +97,7 @@ def test_engine_time_follows_begun_epoch(clock: Any, monkeypatch: pytest.MonkeyP
     assert host_clock.now() == 0
 
 
-def test_resumed_clock_waits_for_first_time(clock: Any) -> None:
+def test_resumed_clock_waits_for_first_time(clock: SimulatedClock) -> None:
     host_clock = HostClock(clock.transport, clock.time.epochs)
     host_clock.restore({**host_clock.snapshot(), "newest": 5 * SECOND})
     host_clock.start(lambda: None, is_resumed=True)
@@ -106,19 +106,14 @@ def test_resumed_clock_waits_for_first_time(clock: Any) -> None:
     assert (host_clock.now(), host_clock.went_back()) == (9 * SECOND, False)
 
 
-@pytest.fixture
-def network() -> Any:
-    return MemoryNetwork()
-
-
-def make_engine(network: Any) -> Any:
+def make_engine(network: MemoryNetwork) -> Engine:
     clock = HostClock(MemoryTransport(network))
     engine = Engine(clock)
     clock.start(engine.advance)
     return engine
 
 
-def test_started_clock_sets_timer_of_restored_engine(network: Any) -> None:
+def test_started_clock_sets_timer_of_restored_engine(network: MemoryNetwork) -> None:
     engine = make_engine(network)
     engine.load(rules="exceptionAlarm(late(X), 5) <- a(X).")
     engine.post(functor("a", 1)(1))
@@ -136,7 +131,7 @@ def test_started_clock_sets_timer_of_restored_engine(network: Any) -> None:
 
 
 @pytest.mark.parametrize("is_stamped", [True, False])
-def test_absence_is_detected_by_a_timer(network: Any, is_stamped: bool) -> None:
+def test_absence_is_detected_by_a_timer(network: MemoryNetwork, is_stamped: bool) -> None:
     engine = make_engine(network)
     engine.load(rules="gone(K) <- a(K) seq absent(b(K), 5).")
     events: List[Any] = []

@@ -60,3 +60,8 @@ def first(logic: PrologSystem, text: str) -> Any:
     if isinstance(results[0], dict) and len(results[0]) == 1:
         return next(iter(results[0].values()))
     return results[0]
+
+
+def nested_goal(step: str, innermost: str) -> str:
+    """Return a goal that binds G to a term that nests ``step`` 3000 times around ``innermost``."""
+    return f"numlist(1, 3000, _L), foldl([_, A, {step}]>>true, _L, {innermost}, G)"

@@ -1,7 +1,7 @@
 """States with invalid values and valid checksums."""
 
 import sys
-from typing import Any, List
+from typing import Any, Dict, List
 
 import pytest
 from serialization.stored_fields import fields_of, to_fields
@@ -20,7 +20,7 @@ GOALS = "memorize(a(X), [], X, as, 10)\nsubscribe(p(_, _), [], _, t, s)\ntimer(c
 
 
 @pytest.fixture(scope="module")
-def state() -> Any:
+def state() -> Dict[str, bytes]:
     engine = Engine(StreamClock())
     engine.load(RULES, GOALS)
     for now, event in enumerate(("a(1)", "a(2)", "b(1)"), 1):
@@ -28,7 +28,7 @@ def state() -> Any:
     return unpack_sections(engine.snapshot()).sections
 
 
-def changed(state: Any, section: str, path: Any, value: Any) -> Any:
+def changed(state: Any, section: str, path: Any, value: Any) -> bytes:
     """Return a state with another value at a path of a section."""
     data = from_bytes(state[section])
 
@@ -62,7 +62,7 @@ OPERATOR = [*NODES, 1, 1, "stream"]
 """Path of the state of an operator above a single event."""
 
 
-def test_unchanged_state_is_restored(state: Any) -> None:
+def test_unchanged_state_is_restored(state: Dict[str, bytes]) -> None:
     assert Engine.restore(changed(state, "run", ["event_input", "event_count"], 3)).query(
         "memory_size(as, N)"
     ) == [{"N": 10}]
@@ -216,7 +216,9 @@ def test_unchanged_state_is_restored(state: Any) -> None:
         ("memory 0", ["ends", 0], [9, 3], "not ordered by their ends"),
     ],
 )
-def test_invalid_value_is_refused(state: Any, section: str, path: Any, value: Any, message: str) -> None:
+def test_invalid_value_is_refused(
+    state: Dict[str, bytes], section: str, path: Any, value: Any, message: str
+) -> None:
     with pytest.raises(UsageError, match=".*") as caught:
         Engine.restore(changed(state, section, path, value))
     assert message in str(caught.value)
@@ -242,25 +244,22 @@ def test_element_of_two_operators_is_refused() -> None:
 
 
 @pytest.mark.parametrize("missing", ["program", "clauses", "values", "matches", "run", "memory 0"])
-def test_missing_section_is_refused(state: Any, missing: str) -> None:
+def test_missing_section_is_refused(state: Dict[str, bytes], missing: str) -> None:
     with pytest.raises(UsageError, match="no section|expected records for each memory"):
         Engine.restore(pack_sections({name: data for name, data in state.items() if name != missing}))
 
 
-def test_unknown_section_is_refused(state: Any) -> None:
+def test_unknown_section_is_refused(state: Dict[str, bytes]) -> None:
     with pytest.raises(UsageError, match="section 'more' is unknown"):
         Engine.restore(pack_sections({**state, "more": to_bytes(1)}))
 
 
-def test_pickle_format_is_refused(state: Any) -> None:
-    data = pack_sections(state).replace(b'"format": 11', b'"format":  5')
-    with pytest.raises(UsageError, match="format 5, a pickle .* never read: this version reads format 11"):
-        Engine.restore(data)
-
-
-def test_other_format_is_refused(state: Any) -> None:
-    data = pack_sections(state).replace(b'"format": 11', b'"format":  7')
-    with pytest.raises(UsageError, match="the state is of format 7: this version reads format 11"):
+@pytest.mark.parametrize(
+    ("number", "problem"), [(5, "format 5, a pickle .* never read"), (7, "the state is of format 7")]
+)
+def test_other_format_is_refused(state: Dict[str, bytes], number: int, problem: str) -> None:
+    data = pack_sections(state).replace(b'"format": 11', b'"format":  %d' % number)
+    with pytest.raises(UsageError, match=f"{problem}: this version reads format 11"):
         Engine.restore(data)
 
 
@@ -387,7 +386,7 @@ def test_partial_match_of_two_rules_is_refused() -> None:
         Engine.restore(changed(state, "matches", path, matches))
 
 
-def state_of(rules: str, events: List[str], goals: str = "") -> Any:
+def state_of(rules: str, events: List[str], goals: str = "") -> Dict[str, bytes]:
     """Return the sections of an engine with rules that has processed one event per second."""
     engine = Engine(StreamClock())
     engine.load(rules, goals)

@@ -5,6 +5,7 @@ import subprocess
 from itertools import combinations
 from pathlib import Path
 from shutil import which
+from typing import List
 from xml.etree import ElementTree
 from xml.sax.saxutils import escape
 
@@ -59,16 +60,17 @@ def test_terms_have_spaces_at_operators_and_commas() -> None:
     assert rule.text == "alarm(X, Y) <- heat(X) and smoke(Y) where X > 1, Y < 2"
 
 
-def test_chain_of_rules_is_drawn_downwards() -> None:
+@pytest.mark.parametrize(
+    ("rules", "direction"),
+    [
+        pytest.param([f"stage{number + 1}(X) <- stage{number}(X)." for number in range(6)], "TB", id="chain"),
+        pytest.param([f"alarm{number} <- event{number}." for number in range(12)], "LR", id="parallel"),
+    ],
+)
+def test_graph_is_drawn_along_its_longer_side(rules: List[str], direction: str) -> None:
     engine = Engine()
-    engine.load(rules=" ".join(f"stage{number + 1}(X) <- stage{number}(X)." for number in range(6)))
-    assert "rankdir=TB" in dot_text(program_graph(engine), "chain")
-
-
-def test_parallel_rules_are_drawn_to_the_right() -> None:
-    engine = Engine()
-    engine.load(rules=" ".join(f"alarm{number} <- event{number}." for number in range(12)))
-    assert "rankdir=LR" in dot_text(program_graph(engine), "parallel")
+    engine.load(rules=" ".join(rules))
+    assert f"rankdir={direction}" in dot_text(program_graph(engine), "graph")
 
 
 def test_cycle_of_rules_is_drawn() -> None:

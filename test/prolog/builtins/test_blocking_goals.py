@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from prolog.support import answers, prolog
+from prolog.support import answers, nested_goal, prolog
 
 from retalis import PrologError
 from retalis.prolog.syntax.term_reader import read_term
@@ -31,11 +31,6 @@ from retalis.prolog.syntax.term_reader import read_term
 )
 def test_blocking_goals_run_or_are_errors(goal: str, expected: Any) -> None:
     assert answers(prolog(), goal) == expected
-
-
-def nested_goal(step: Any, innermost: str) -> str:
-    """Return a goal that binds G to a term that nests ``step`` 3000 times around ``innermost``."""
-    return f"numlist(1, 3000, _L), foldl([_, A, {step}]>>true, _L, {innermost}, G)"
 
 
 @pytest.mark.parametrize(

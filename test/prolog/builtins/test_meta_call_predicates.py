@@ -1,15 +1,16 @@
 """Meta-calls: limits, lambdas, distinct solutions, and goals of deep terms."""
 
-from typing import Any
+from typing import List
 
 import pytest
-from prolog.support import answers, first, prolog
+from prolog.support import answers, first, nested_goal, prolog
 
 from retalis import Limits
+from retalis.prolog.system.prolog_system import PrologSystem
 
 
 @pytest.fixture
-def logic() -> Any:
+def logic() -> PrologSystem:
     return prolog("count(0) :- !.\ncount(N) :- M is N - 1, count(M).")
 
 
@@ -51,36 +52,31 @@ def logic() -> Any:
         ("aggregate_all(nonsense, X, true, R)", ["domain_error(aggregate_template,nonsense)"]),
     ],
 )
-def test_meta_call_has_results(logic: Any, goal: str, values: Any) -> None:
+def test_meta_call_has_results(logic: PrologSystem, goal: str, values: List[str]) -> None:
     solutions = answers(logic, goal)
     shown = [answer["R"] if isinstance(answer, dict) else answer for answer in solutions]
     assert shown == values
     assert logic.machine.budget.ceilings == {}
 
 
-def nested_goal(step: Any, innermost: str) -> str:
-    """Return a goal that binds G to a term that nests ``step`` 3000 times around ``innermost``."""
-    return f"numlist(1, 3000, _L), foldl([_, A, {step}]>>true, _L, {innermost}, G)"
-
-
 @pytest.mark.parametrize("step", ["\\+ A", "(A -> true)", "((A, _) , true)"])
-def test_goal_beyond_depth_limit_is_an_error(logic: Any, step: str) -> None:
+def test_goal_beyond_depth_limit_is_an_error(logic: PrologSystem, step: str) -> None:
     answer = first(logic, f"{nested_goal(step, 'true')}, catch(G, error(E, _), true)")
     assert answer["E"] == "resource_error(term_size)"
     assert logic.machine.choices == []
 
 
-def test_loading_library_uses_no_inferences(logic: Any) -> None:
+def test_loading_library_uses_no_inferences(logic: PrologSystem) -> None:
     logic.limits = Limits(inferences=2000)
     assert answers(logic, "append([1], [2], L), list_to_assoc([], _)") == [{"L": "[1,2]"}]
 
 
-def test_caret_outside_bagof_calls_goal(logic: Any) -> None:
+def test_caret_outside_bagof_calls_goal(logic: PrologSystem) -> None:
     assert answers(logic, "X^member(X, [1,2])") == [{"X": "1"}, {"X": "2"}]
     assert answers(logic, "_^G") == ["instantiation_error"]
 
 
-def test_distinct_solutions_occur_once(logic: Any) -> None:
+def test_distinct_solutions_occur_once(logic: PrologSystem) -> None:
     assert answers(logic, "distinct(X, member(X-_, [1-a,1-b,2-c]))") == [{"X": "1"}, {"X": "2"}]
     assert answers(logic, "distinct(member(X, [b,b,a]))") == [{"X": "b"}, {"X": "a"}]
 
@@ -99,6 +95,6 @@ def test_distinct_solutions_occur_once(logic: Any) -> None:
         ("maplist(X/[X]>>true, [1,1]), L = X", ["1"]),
     ],
 )
-def test_lambda_shares_free_variables_only(logic: Any, goal: str, values: Any) -> None:
+def test_lambda_shares_free_variables_only(logic: PrologSystem, goal: str, values: List[str]) -> None:
     solutions = answers(logic, goal)
     assert [solution["L"] if isinstance(solution, dict) else solution for solution in solutions] == values
