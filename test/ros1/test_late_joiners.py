@@ -141,9 +141,7 @@ def test_identification_attempts_are_limited(topic_writer: Any, make_buffer: Any
     assert attempts == MAX_IDENTIFICATION_ATTEMPTS
 
 
-def test_full_buffer_drops_and_counts_oldest_texts(
-    topic_writer: Any, make_buffer: Any, reports: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_full_buffer_drops_and_counts_oldest_texts(topic_writer: Any, make_buffer: Any, reports: Any) -> None:
     buffer = make_buffer(queue=5)
     for number in range(4):
         buffer.send(b"%d%d" % (number, number), 2)
@@ -152,15 +150,22 @@ def test_full_buffer_drops_and_counts_oldest_texts(
     buffer.subscribers_to_identify()
     buffer.identify(engine, True)
     assert engine.received == [b"2233"]
+
+
+def test_size_of_buffered_texts_is_limited(
+    make_buffer: Any, reports: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(late_joiners, "MAX_BUFFERED_BYTES", 10)
-    engine.done = True
-    for _ in range(3):
+    buffer = make_buffer()
+    for _ in range(2):
         buffer.send(b"12345", 1)
-    assert reports.warnings == 5
+    assert reports.warnings == 0
+    buffer.send(b"12345", 1)
+    assert reports.warnings == 1
 
 
 def test_number_of_latched_messages_is_limited(
-    topic_writer: Any, make_buffer: Any, reports: Any, monkeypatch: pytest.MonkeyPatch
+    make_buffer: Any, reports: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(late_joiners, "MAX_LATCHED_MESSAGES", 2)
     buffer = make_buffer()
@@ -168,10 +173,18 @@ def test_number_of_latched_messages_is_limited(
         buffer.latch(key, key.encode, 1)
         buffer.send(b"-", 1)
     assert set(buffer.latched_batch_numbers()) == {"b", "c"}
+    assert reports.warnings == 1
+
+
+def test_size_of_latched_messages_is_limited(
+    make_buffer: Any, reports: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(late_joiners, "MAX_BUFFERED_BYTES", 10)
-    buffer.latch("d", b"d".upper, 9)
-    assert set(buffer.latched_batch_numbers()) == {"c", "d"}
-    assert reports.warnings == 2
+    buffer = make_buffer()
+    for key, size in (("a", 1), ("b", 1), ("c", 9)):
+        buffer.latch(key, key.encode, size)
+    assert set(buffer.latched_batch_numbers()) == {"b", "c"}
+    assert reports.warnings == 1
 
 
 def test_discard_keeps_newer_latched_messages(topic_writer: Any, make_buffer: Any) -> None:
@@ -179,10 +192,10 @@ def test_discard_keeps_newer_latched_messages(topic_writer: Any, make_buffer: An
     for key in ("a", "b"):
         buffer.latch(key, key.encode, 1)
         buffer.send(b"-", 1)
-    gone = buffer.latched_batch_numbers()
+    old = buffer.latched_batch_numbers()
     buffer.latch("b", b"B".upper, 1)
     buffer.send(b"-", 1)
-    buffer.discard(gone)
+    buffer.discard(old)
     assert set(buffer.latched_batch_numbers()) == {"b"}
 
 

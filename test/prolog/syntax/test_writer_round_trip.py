@@ -25,7 +25,7 @@ def operator_tables() -> Any:
     return st.lists(st.tuples(priorities, kinds, usable), max_size=12).map(_table)
 
 
-def _table(entries: Any) -> Any:
+def _table(entries: Any) -> Operators:
     operators = Operators.prolog()
     for priority, kind, name in entries:
         if not (name in operators.infix and kind in ("xf", "yf")):  # ISO 13211-1, 8.14.3.3 forbids both
@@ -65,28 +65,31 @@ def _as_atom(item: Any) -> Any:
 
 
 SYMBOLS = (
-    *(
-        "@",
-        "-",
-        "*",
-        ":-",
-        "-->",
-        "\\+",
-        "->",
-        ";",
-        "|",
-        "?-",
-        "=",
-        "!",
-        "[]",
-        "{}",
-        ",",
-        "is",
-        "a",
-        ".",
-        "+",
-    ),
-    *("\\", ":", "$", "#", "dynamic", "table"),
+    "@",
+    "-",
+    "*",
+    ":-",
+    "-->",
+    "\\+",
+    "->",
+    ";",
+    "|",
+    "?-",
+    "=",
+    "!",
+    "[]",
+    "{}",
+    ",",
+    "is",
+    "a",
+    ".",
+    "+",
+    "\\",
+    ":",
+    "$",
+    "#",
+    "dynamic",
+    "table",
 )
 RULES = frozenset(
     spelling
@@ -109,7 +112,7 @@ def _applied(children: Any) -> Any:
 clauses = st.recursive(st.one_of(terms, st.sampled_from(SYMBOLS).map(atom)), _applied, max_leaves=8)
 
 
-def _is_written_differently(item: Any) -> Any:
+def _is_written_differently(item: Any) -> bool:
     """Return whether a functor is written as a variable or read as a rule."""
     return item.__class__ is Functor and (item.name == "$VAR" or item.name in RULES)
 
@@ -136,32 +139,28 @@ def test_written_clause_is_read_as_same_term(term: Any, operators: Any) -> None:
 
 
 FORMS = (
-    *(
-        "{0}",
-        "f({0})",
-        "[{0}]",
-        "[a|{0}]",
-        "- {0}",
-        "{0} = {0}",
-        "({0}, {0})",
-        "{{{0}}}",
-        "{0} --> b",
-        "a --> {0}",
-    ),
-    *(
-        ":- {0}",
-        "a :- {0}",
-        "{0} :- a",
-        "{0} :- {0}",
-        "a :- b, {0}",
-        "a :- \\+ {0}",
-        "a :- ({0} -> {0} ; {0})",
-    ),
+    "{0}",
+    "f({0})",
+    "[{0}]",
+    "[a|{0}]",
+    "- {0}",
+    "{0} = {0}",
+    "({0}, {0})",
+    "{{{0}}}",
+    "{0} --> b",
+    "a --> {0}",
+    ":- {0}",
+    "a :- {0}",
+    "{0} :- a",
+    "{0} :- {0}",
+    "a :- b, {0}",
+    "a :- \\+ {0}",
+    "a :- ({0} -> {0} ; {0})",
 )
 
 
 @pytest.mark.parametrize("name", SYMBOLS)
-def test_operator_as_atom_is_read_as_same_term(name: Any) -> None:
+def test_operator_as_atom_is_read_as_same_term(name: str) -> None:
     """Alone, as argument, operand, item, head and goal."""
     logic = PrologSystem()
     text = f"({write_term(atom(name))})" if name != "," else "','"
