@@ -179,7 +179,7 @@ class Browser:
         if text not in self.problems:
             self.problems.append(text)
 
-    def take_problems(self) -> Any:
+    def take_problems(self) -> List[str]:
         """Return the problems so far, and forget them."""
         # Messages are read during a call only.
         self.ask("0")
@@ -248,7 +248,7 @@ class Browser:
         self.call("Input.dispatchKeyEvent", type="keyDown", key=key, **text)
         self.call("Input.dispatchKeyEvent", type="keyUp", key=key)
 
-    def picture(self, whole: bool = True) -> Any:
+    def picture(self, whole: bool = True) -> bytes:
         """Return the page as PNG, or only the visible part of it."""
         result = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
         return base64.b64decode(result["data"])

@@ -91,7 +91,7 @@ def pytest_collection(session: Any) -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def definitions() -> Any:
+def definitions() -> Definitions:
     """Return the installed message definitions."""
     return Definitions()
 

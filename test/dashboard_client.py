@@ -16,7 +16,7 @@ RULES = "alarm(X) <- smoke(X) seq heat(X). synchronized(seen(X), true, [[fires, 
 GOALS = "memorize(smoke(_), [], _, fires, 10)\nsubscribe(alarm(_), [], _, alarms, a)"
 
 
-def engine() -> Any:
+def engine() -> Engine:
     """Return an engine with a small program."""
     program = Engine()
     record_origins(program)
@@ -25,7 +25,7 @@ def engine() -> Any:
 
 
 @contextmanager
-def serving(program: Any = None, port: int = 0, **source: Any) -> Iterator[Any]:
+def serving(program: Any = None, port: int = 0, **source: Any) -> Iterator[Dashboard]:
     """Serve a page on a port, by default on a free one."""
     page = Dashboard(DashboardSource(program or engine(), "/retalis", **source), port, period=0.05)
     try:

@@ -41,7 +41,7 @@ def packed_zeros(compression: Any, megabytes: Any) -> Any:
 # ---- ROS 1 -------------------------------------------------------------------------------------------
 
 
-def record(fields: Any, data: bytes) -> Any:
+def record(fields: Any, data: bytes) -> bytes:
     """Return a record of a ROS 1 bag."""
     header = b"".join(
         struct.pack("<I", len(name) + 1 + len(value)) + name + b"=" + value for name, value in fields.items()
@@ -49,7 +49,7 @@ def record(fields: Any, data: bytes) -> Any:
     return struct.pack("<I", len(header)) + header + struct.pack("<I", len(data)) + data
 
 
-def number(value: int, code: str = "I") -> Any:
+def number(value: int, code: str = "I") -> bytes:
     return struct.pack(f"<{code}", value)
 
 
@@ -121,7 +121,7 @@ def op(code: int, body: Any) -> Any:
     return struct.pack("<BQ", code, len(body)) + body
 
 
-def text(value: str) -> Any:
+def text(value: str) -> bytes:
     return struct.pack("<I", len(value)) + value.encode()
 
 

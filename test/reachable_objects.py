@@ -25,6 +25,6 @@ def reachable(root: Any, object_type: Any) -> Any:
     return instances
 
 
-def count_entries(root: Any) -> Any:
+def count_entries(root: Any) -> int:
     """Return the number of entries of all dictionaries that are reachable from a root."""
     return sum(map(len, reachable(root, dict)))

@@ -23,7 +23,7 @@ PROGRAM = """\
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Any:
+def folder(tmp_path: Path) -> Path:
     """Return a folder with a program that publishes received texts, and with a bag."""
     (tmp_path / "pub_sub.xml").write_text(PROGRAM)
     (tmp_path / "goalPredicates.txt").write_text("subscribe(std_msgs__0__String(_), [], _, echo, e)\n")
@@ -71,12 +71,12 @@ def run(name: Any, text: Any, folder: Any) -> None:
 
 
 @pytest.mark.parametrize("name", retalis.__all__)
-def test_each_name_has_valid_example(name: Any, folder: Any) -> None:
+def test_each_name_has_valid_example(name: Any, folder: Path) -> None:
     run(name, docstring(name, PUBLIC[name]), folder)
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_each_method_has_valid_example(name: Any, folder: Any) -> None:
+def test_each_method_has_valid_example(name: Any, folder: Path) -> None:
     class_name, _, member = name.partition(".")
     text = inspect.getdoc(METHODS[name]) or ""
     if class_name in WITH_CLASS_EXAMPLES and ">>>" not in text:

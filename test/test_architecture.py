@@ -46,7 +46,7 @@ def names() -> Any:
     return names
 
 
-def member_names(node: Any) -> Iterator[Any]:
+def member_names(node: Any) -> Iterator[str]:
     """Yield the names of the methods and attributes of a class."""
     for inner in ast.walk(node):
         if isinstance(inner, ast.FunctionDef):

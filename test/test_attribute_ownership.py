@@ -47,14 +47,14 @@ SET_BY_OTHERS = {
 """Attributes that modules other than the owner's set, with the reason; None for all attributes of a class."""
 
 
-def text_of(node: Any) -> Any:
+def text_of(node: Any) -> str:
     """Return the dotted name of an expression; calls and other parts are shown as ``()``."""
     if isinstance(node, ast.Attribute):
         return f"{text_of(node.value)}.{node.attr}"
     return node.id if isinstance(node, ast.Name) else "()"
 
 
-def attributes_set_by(cls: Any) -> Iterator[Any]:
+def attributes_set_by(cls: Any) -> Iterator[str]:
     """Yield the names of the attributes that a class assigns to itself."""
     for node in ast.walk(cls):
         if (
@@ -114,7 +114,7 @@ def created_in(scope: Any) -> Set[Any]:
     }
 
 
-def foreign_assignments(path: Any, node: Any, created: Any) -> Iterator[Any]:
+def foreign_assignments(path: Any, node: Any, created: Any) -> Iterator[str]:
     """Yield line and target of each assignment to an attribute of an object that was created elsewhere."""
     for child in ast.iter_child_nodes(node):
         if isinstance(child, (ast.ClassDef, ast.FunctionDef)):
@@ -207,7 +207,7 @@ MODULES_OF_STATE = {
 """Modules that assign an attribute of shared state."""
 
 
-def assigned_attributes(nodes: Any) -> Iterator[Any]:
+def assigned_attributes(nodes: Any) -> Iterator[str]:
     """Yield the attributes that a module assigns."""
     for node in nodes:
         if isinstance(node, ast.Attribute) and isinstance(node.ctx, (ast.Store, ast.Del)):
@@ -215,7 +215,7 @@ def assigned_attributes(nodes: Any) -> Iterator[Any]:
 
 
 @pytest.mark.parametrize("name", MODULES_OF_STATE)
-def test_only_owner_assigns_state(name: Any) -> None:
+def test_only_owner_assigns_state(name: str) -> None:
     assigning_modules = {path for path, nodes in NODES.items() if name in assigned_attributes(nodes)}
     assert assigning_modules
     assert all(path.startswith(MODULES_OF_STATE[name]) for path in assigning_modules), assigning_modules

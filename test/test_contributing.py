@@ -28,7 +28,7 @@ WITHOUT_EXAMPLE = {
 """Files that define the mechanism, or folders with further files."""
 
 
-def is_path(text: Any) -> Any:
+def is_path(text: Any) -> bool:
     return "/" in text and " " not in text
 
 

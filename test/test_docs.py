@@ -12,7 +12,7 @@ import pytest
 from checked_access import stream_clock
 from python_path import python_path
 
-from retalis import Engine, Operators
+from retalis import Definitions, Engine, Operators
 from retalis.events.checks.check_runner import run_checks
 from retalis.events.checks.program_model import ProgramModel
 from retalis.events.program.topic_configuration import Topics
@@ -93,7 +93,7 @@ CHECKS_OF_WHOLE_PROGRAMS = (
 
 
 @pytest.mark.parametrize("text", list(prolog()))
-def test_rules_and_goals_load_without_findings(text: Any, definitions: Any) -> None:
+def test_rules_and_goals_load_without_findings(text: Any, definitions: Definitions) -> None:
     engine = Engine()
     if text.startswith(("memorize(", "subscribe(")):
         engine.call_goals(text, "snippet")
@@ -138,7 +138,7 @@ def test_rules_emit_shown_events(text: Any, line: Any) -> None:
     assert emitted == expected
 
 
-def format_datime(instant: Any) -> Any:
+def format_datime(instant: Any) -> str:
     return Engine().show(timestamps.to_term(instant))
 
 

@@ -96,7 +96,7 @@ def emitted_events(engine: Any, events: Any, first_second: int) -> Any:
 
 @pytest.mark.usefixtures("extensions")
 @pytest.mark.parametrize("name", RULES)
-def test_extension_is_restored_in_middle_of_match(name: Any) -> None:
+def test_extension_is_restored_in_middle_of_match(name: str) -> None:
     outputs: Set[Any] = set()
     for position in range(len(EVENTS)):
         original = Engine()

@@ -8,7 +8,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 from typing import Any, Dict, Iterator, List, Optional, Tuple
 from unittest.mock import patch
 
@@ -19,7 +19,7 @@ HERE = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope="module")
-def install() -> Iterator[Any]:
+def install() -> Iterator[ModuleType]:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(HERE))
         yield importlib.import_module("install")
@@ -33,11 +33,11 @@ def environment() -> Iterator[Any]:
 
 
 @pytest.fixture(scope="module")
-def apt(install: Any) -> Any:
+def apt(install: ModuleType) -> ModuleType:
     return importlib.import_module("install_apt")
 
 
-def test_os_release_is_parsed(install: Any) -> None:
+def test_os_release_is_parsed(install: ModuleType) -> None:
     text = '# made by hand\nID=debian\nVERSION_ID="12"\nPRETTY_NAME="Debian GNU/Linux 12 (bookworm)"\n\n'
     assert install.parse_os_release(text) == {
         "ID": "debian",
@@ -53,43 +53,43 @@ def test_os_release_is_parsed(install: Any) -> None:
         ({"ID": "ubuntu", "VERSION_ID": "20.04"}, "Ubuntu 20.04"),
     ],
 )
-def test_known_platform_is_chosen(install: Any, release: Dict[str, Any], name: str) -> None:
+def test_known_platform_is_chosen(install: ModuleType, release: Dict[str, Any], name: str) -> None:
     assert install.choose_platform(release).name == name
 
 
-def test_unknown_platform_is_an_error_with_advice(install: Any) -> None:
+def test_unknown_platform_is_an_error_with_advice(install: ModuleType) -> None:
     with pytest.raises(install.Problem, match=r"this is Arch Linux; .*/bin/retalis demo") as raised:
         install.choose_platform({"ID": "arch", "PRETTY_NAME": "Arch Linux"})
     assert "\n" not in str(raised.value)
 
 
-def test_platforms_name_each_package_once(install: Any) -> None:
+def test_platforms_name_each_package_once(install: ModuleType) -> None:
     for platform in install.PLATFORMS.values():
         packages = [*platform.packages, *platform.test_packages, install.SWI_PACKAGE]
         assert len(set(packages)) == len(packages)
 
 
-def test_missing_packages_keep_order(install: Any) -> None:
+def test_missing_packages_keep_order(install: ModuleType) -> None:
     report = "b install ok installed\nc deinstall ok config-files\n"
     assert install.find_missing_packages(["d", "c", "b", "a"], report) == ["d", "c", "a"]
 
 
-def test_sudo_is_used_without_root_only(install: Any) -> None:
+def test_sudo_is_used_without_root_only(install: ModuleType) -> None:
     assert install.prefix_sudo(["apt-get", "update"], 0) == ["apt-get", "update"]
     assert install.prefix_sudo(["apt-get", "update"], 1000) == ["sudo", "apt-get", "update"]
 
 
-def test_digest_depends_on_separation_of_texts(install: Any) -> None:
+def test_digest_depends_on_separation_of_texts(install: ModuleType) -> None:
     assert install.short_digest("ab", "c") != install.short_digest("a", "bc")
     assert install.short_digest("ab", "c") == install.short_digest("ab", "c")
 
 
-def test_bash_command_quotes_arguments(install: Any) -> None:
+def test_bash_command_quotes_arguments(install: ModuleType) -> None:
     command = install.make_bash_command(["X=1", 'exec "$@"'], ["printf", "%s|", "a b", "$X", "'"])
     assert subprocess.check_output(command) == b"a b|$X|'|"
 
 
-def test_sourced_script_has_no_arguments(install: Any, tmp_path: Path) -> None:
+def test_sourced_script_has_no_arguments(install: ModuleType, tmp_path: Path) -> None:
     script = tmp_path / "set up.bash"
     script.write_text('seen="$*"\n', encoding="utf-8")
     command = install.make_bash_command(
@@ -98,7 +98,7 @@ def test_sourced_script_has_no_arguments(install: Any, tmp_path: Path) -> None:
     assert subprocess.check_output(command) == b"|--help|a b|"
 
 
-def test_arguments_have_defaults_and_are_passed(install: Any) -> None:
+def test_arguments_have_defaults_and_are_passed(install: ModuleType) -> None:
     options = install.parse_arguments([])
     assert (options.command, options.passed_arguments, options.dry_run) == ("build", [], False)
     assert options.workspace == install.default_workspace(HERE, os.environ).resolve()
@@ -107,7 +107,7 @@ def test_arguments_have_defaults_and_are_passed(install: Any) -> None:
     assert (options.command, options.passed_arguments) == ("demo", ["--bag", "x.bag", "--seconds", "5"])
 
 
-def test_each_clone_has_own_workspace(install: Any) -> None:
+def test_each_clone_has_own_workspace(install: ModuleType) -> None:
     home = {"HOME": "/home/me"}
     workspace = install.default_workspace(Path("/a/retalis"), home)
     assert str(workspace).startswith("/home/me/.cache/retalis/retalis-")
@@ -118,7 +118,7 @@ def test_each_clone_has_own_workspace(install: Any) -> None:
 
 @pytest.mark.parametrize("folder", [".", "build/workspace"])
 def test_workspace_within_clone_is_refused(
-    install: Any, folder: str, capsys: pytest.CaptureFixture[str]
+    install: ModuleType, folder: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit):
         install.parse_arguments(["--workspace", str(HERE / folder)])
@@ -127,7 +127,7 @@ def test_workspace_within_clone_is_refused(
 
 @pytest.mark.parametrize("argv", [["lint", "--fast"], ["--fast"], ["buidl"]])
 def test_invalid_arguments_are_usage_errors(
-    install: Any, argv: List[str], capsys: pytest.CaptureFixture[str]
+    install: ModuleType, argv: List[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as raised:
         install.parse_arguments(argv)
@@ -157,7 +157,7 @@ def report_nothing_installed(*arguments: Any, **options: Any) -> Any:
 
 
 @pytest.fixture
-def noetic(install: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+def noetic(install: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     """Return an installation on Ubuntu 20.04 without ROS and without root."""
     platform = install.UBUNTU_20_04._replace(setup=str(tmp_path / "no" / "setup.bash"))
     monkeypatch.setattr(install.subprocess, "run", report_nothing_installed)
@@ -166,7 +166,11 @@ def noetic(install: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any
 
 
 def test_source_and_key_of_ros_precede_packages(
-    install: Any, apt: Any, noetic: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    install: ModuleType,
+    apt: ModuleType,
+    noetic: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(install, "ros_source_lines", list)
     monkeypatch.setattr(
@@ -189,7 +193,7 @@ def test_source_and_key_of_ros_precede_packages(
 
 
 def test_missing_key_is_an_error_with_advice(
-    install: Any, apt: Any, noetic: Any, monkeypatch: pytest.MonkeyPatch
+    install: ModuleType, apt: ModuleType, noetic: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(url: Any, timeout: Any) -> None:
         raise OSError("no route")
@@ -201,7 +205,7 @@ def test_missing_key_is_an_error_with_advice(
 
 
 def test_certificates_precede_key(
-    install: Any, apt: Any, noetic: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    install: ModuleType, apt: ModuleType, noetic: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(install, "ros_source_lines", list)
     monkeypatch.setattr(install, "CERTIFICATES", str(tmp_path / "none"))
@@ -242,13 +246,13 @@ IFJPUw==
 )
 @pytest.mark.parametrize("fails", [False, True])
 def test_expired_key_is_replaced(
-    install: Any,
-    apt: Any,
+    install: ModuleType,
+    apt: ModuleType,
     noetic: Any,
     monkeypatch: pytest.MonkeyPatch,
     line: str,
     key_file: Optional[str],
-    content: Any,
+    content: bytes,
     fails: bool,
 ) -> None:
     monkeypatch.setattr(install, "ros_source_lines", lambda: [line])
@@ -278,7 +282,7 @@ def test_expired_key_is_replaced(
 
 
 def test_other_failure_of_update_is_an_error(
-    install: Any, noetic: Any, monkeypatch: pytest.MonkeyPatch
+    install: ModuleType, noetic: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
         install, "ros_source_lines", lambda: ["deb http://packages.ros.org/ros/ubuntu focal main"]
@@ -307,7 +311,7 @@ W: Failed to fetch http://deb.debian.org/debian/dists/bookworm/InRelease  Tempor
     ],
 )
 def test_missing_network_is_named(
-    install: Any, noetic: Any, monkeypatch: pytest.MonkeyPatch, update: Any, log: str
+    install: ModuleType, noetic: Any, monkeypatch: pytest.MonkeyPatch, update: str, log: str
 ) -> None:
     monkeypatch.setattr(
         install, "ros_source_lines", lambda: ["deb http://packages.ros.org/ros/ubuntu focal main"]
@@ -325,13 +329,13 @@ def test_missing_network_is_named(
         noetic.install_system_packages()
 
 
-def test_other_failure_is_no_network_problem(apt: Any) -> None:
+def test_other_failure_is_no_network_problem(apt: ModuleType) -> None:
     assert apt.network_problem("E: You don't have enough free space\n", UNREACHABLE) is None
 
 
 @pytest.mark.parametrize("audit", ["The following packages are only half configured:\n catkin\n", ""])
 def test_interrupted_installation_is_finished_first(
-    install: Any, noetic: Any, monkeypatch: pytest.MonkeyPatch, audit: str
+    install: ModuleType, noetic: Any, monkeypatch: pytest.MonkeyPatch, audit: str
 ) -> None:
     def run(command: Any, **options: Any) -> Any:
         return subprocess.CompletedProcess(command, 0, stdout=audit if "--audit" in command else "")
@@ -421,7 +425,7 @@ def test_missing_python_is_installed_with_sudo(bare: Any) -> None:
     ],
 )
 def test_failed_installation_of_python_is_an_error(
-    bare: Any, commands: str, arguments: Any, message: str
+    bare: Any, commands: str, arguments: List[str], message: str
 ) -> None:
     status, errors, calls = bare(commands, *arguments)
     assert (status, errors) == (1, f"install.py: {message}\n")
@@ -452,18 +456,18 @@ def test_closed_pipe_ends_script_without_traceback(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["mein Büro", "a;b$(c)", "(x)"])
-def test_workspace_has_no_special_characters(install: Any, name: str) -> None:
+def test_workspace_has_no_special_characters(install: ModuleType, name: str) -> None:
     workspace = install.default_workspace(Path("/home/me") / name, {"HOME": "/home/me"})
     assert re.fullmatch(r"[\w.-]+", workspace.name, re.ASCII)
     assert workspace != install.default_workspace(Path("/home/me/mein_B_ro"), {"HOME": "/home/me"})
 
 
-def test_invalid_key_is_refused(apt: Any) -> None:
+def test_invalid_key_is_refused(apt: ModuleType) -> None:
     with pytest.raises(apt.Problem, match="is not a key"):
         apt.dearmor(b"<html>")
 
 
-def test_source_lines_of_ros_are_found(apt: Any, tmp_path: Path) -> None:
+def test_source_lines_of_ros_are_found(apt: ModuleType, tmp_path: Path) -> None:
     (tmp_path / "sources.list.d").mkdir()
     (tmp_path / "sources.list").write_text("# deb http://packages.ros.org/ros/ubuntu x\ndeb http://other y\n")
     assert apt.ros_source_lines(tmp_path) == []
@@ -474,7 +478,7 @@ def test_source_lines_of_ros_are_found(apt: Any, tmp_path: Path) -> None:
     assert apt.key_problem("Hit:1 http://packages.ros.org/ros/ubuntu focal InRelease") is None
 
 
-def test_missing_packages_are_named_without_system(install: Any, noetic: Any) -> None:
+def test_missing_packages_are_named_without_system(install: ModuleType, noetic: Any) -> None:
     noetic.system = False
     with pytest.raises(
         install.Problem, match=r"system packages are missing: ca-certificates cmake .*ros-noetic-rospy"
@@ -488,7 +492,11 @@ def test_missing_packages_are_named_without_system(install: Any, noetic: Any) ->
     [((3, 8), ["--no-warn-unused-ignores", "--no-warn-return-any"]), ((3, 9), []), ((3, 11), [])],
 )
 def test_lint_checks_types_with_options_of_python(
-    install: Any, noetic: Any, monkeypatch: pytest.MonkeyPatch, version: Tuple[Any, ...], options: Any
+    install: ModuleType,
+    noetic: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    version: Tuple[Any, ...],
+    options: List[str],
 ) -> None:
     monkeypatch.setattr(install, "sys", SimpleNamespace(version_info=version))
     assert install.run_lint(noetic) == 0
@@ -496,7 +504,7 @@ def test_lint_checks_types_with_options_of_python(
     assert command[command.index("mypy") + 1 :] == options
 
 
-def test_dependencies_of_manifest_are_known(install: Any) -> None:
+def test_dependencies_of_manifest_are_known(install: ModuleType) -> None:
     manifest = (HERE / "package.xml").read_text()
     assert install.find_dependency_problems(manifest) == []
     names = set(re.findall(r"<\w*depend\b[^>]*>([^<]+)<", manifest))
@@ -529,7 +537,7 @@ def test_manifest_has_dependencies_of_each_ros(
 
 @pytest.mark.parametrize("tag", ["exec_depend", "test_depend", "depend"])
 def test_unknown_dependency_fails_lint(
-    install: Any,
+    install: ModuleType,
     noetic: Any,
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
@@ -545,7 +553,7 @@ def test_unknown_dependency_fails_lint(
 
 
 def test_missing_package_of_dependency_fails_lint(
-    install: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    install: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     packages = {*install.DEPENDENCIES.values()} - {"python3-tf2"}
     status = "".join(f"{name} install ok installed\n" for name in packages)
@@ -557,7 +565,7 @@ def test_missing_package_of_dependency_fails_lint(
 
 @pytest.mark.parametrize("command", ["demo", "test", "lint", "docs", "uninstall"])
 @pytest.mark.parametrize("options", [["--workspace", "/some/where"], ["--workspace=/some/where"]])
-def test_options_may_precede_or_follow_command(install: Any, command: str, options: List[str]) -> None:
+def test_options_may_precede_or_follow_command(install: ModuleType, command: str, options: List[str]) -> None:
     before = install.parse_arguments([*options, "--dry-run", command])
     assert before.workspace == Path("/some/where").resolve()
     assert before.dry_run
@@ -568,7 +576,7 @@ def test_options_may_precede_or_follow_command(install: Any, command: str, optio
 
 @pytest.fixture
 def environment_of_tests(
-    install: Any, environment: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    install: ModuleType, environment: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> Any:
     """Return a function that runs install.py up to the command of the tests and returns its environment."""
     environment.update(PYTHONUNBUFFERED="1", RETALIS_SCENARIOS="here")
@@ -600,19 +608,19 @@ def test_run_of_all_tests_prints_duration(
 
 
 @pytest.mark.parametrize("options", [[], ["test/ros1"], ["-m", "not slow", "--ignore", "test/test_api.py"]])
-def test_tests_run_on_two_cores(install: Any, options: Any) -> None:
+def test_tests_run_on_two_cores(install: ModuleType, options: List[str]) -> None:
     assert install.choose_parallel_options(options) == ("-n", "3", "--dist", "worksteal")
 
 
 @pytest.mark.parametrize(
     "options", [["-n", "4"], ["-n0"], ["--pdb"], ["test/test_api.py"], ["test/test_api.py::test_x"], ["--co"]]
 )
-def test_single_file_or_option_disables_parallel_run(install: Any, options: List[str]) -> None:
+def test_single_file_or_option_disables_parallel_run(install: ModuleType, options: List[str]) -> None:
     assert install.choose_parallel_options(options) == ()
 
 
 @pytest.fixture
-def packages(install: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
+def packages(install: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
     """Return a function that returns the packages that a command installs on a platform."""
 
     class StopError(Exception):
@@ -634,13 +642,13 @@ def packages(install: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> A
     return run
 
 
-def test_swi_prolog_is_installed_on_request(install: Any, packages: Any) -> None:
+def test_swi_prolog_is_installed_on_request(install: ModuleType, packages: Any) -> None:
     for platform in install.PLATFORMS.values():
         assert packages(platform, "--with-swi") == [*platform.packages, "swi-prolog-nox"]
         assert packages(platform) == platform.packages
 
 
-def test_shells_and_browser_are_installed_for_tests(install: Any, packages: Any) -> None:
+def test_shells_and_browser_are_installed_for_tests(install: ModuleType, packages: Any) -> None:
     debian, ubuntu = install.DEBIAN_12, install.UBUNTU_20_04
     assert packages(debian, "test") == [*debian.packages, "chromium", "fish", "zsh"]
     assert packages(debian, "test", "--with-swi")[-2:] == ["zsh", "swi-prolog-nox"]
@@ -649,14 +657,14 @@ def test_shells_and_browser_are_installed_for_tests(install: Any, packages: Any)
         assert packages(debian, command) == debian.packages
 
 
-def test_other_options_are_passed_to_tests(install: Any) -> None:
+def test_other_options_are_passed_to_tests(install: ModuleType) -> None:
     options = install.parse_arguments(["test", "-k", "a or b", "--dry-run", "--no-summary", "--inst"])
     assert (options.dry_run, options.no_system, options.install) == (True, False, False)
     assert options.passed_arguments == ["-k", "a or b", "--no-summary", "--inst"]
 
 
 @pytest.fixture
-def workspace(install: Any, tmp_path: Path) -> Any:
+def workspace(install: ModuleType, tmp_path: Path) -> Path:
     """Return a built workspace."""
     workspace = tmp_path / "retalis" / "clone-1"
     for name in (
@@ -676,7 +684,7 @@ def workspace(install: Any, tmp_path: Path) -> Any:
 
 
 def test_uninstall_removes_workspace(
-    install: Any, workspace: Any, capsys: pytest.CaptureFixture[str]
+    install: ModuleType, workspace: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = sorted(workspace.rglob("*"))
     assert install.main(["uninstall", "--workspace", str(workspace), "--dry-run"]) == 0
@@ -692,7 +700,7 @@ def test_uninstall_removes_workspace(
 
 
 def test_uninstall_names_remaining_packages(
-    install: Any, workspace: Any, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    install: ModuleType, workspace: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (workspace / install.PACKAGE_RECORD).write_text("python3\ncatkin\ngone\ncatkin\n")
     status = "catkin install ok installed\npython3 install ok installed\ngone deinstall ok config-files\n"
@@ -707,9 +715,9 @@ def no_address(name: Any) -> None:
 
 
 def test_localhost_is_added_to_hosts(
-    install: Any,
+    install: ModuleType,
     noetic: Any,
-    workspace: Any,
+    workspace: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -726,13 +734,17 @@ def test_localhost_is_added_to_hosts(
         noetic.add_localhost()
 
 
-def test_known_localhost_is_not_added(install: Any, noetic: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_known_localhost_is_not_added(
+    install: ModuleType, noetic: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(install.socket, "gethostbyname", lambda name: "127.0.0.1")
     noetic.add_localhost()
     assert noetic.shell.commands == []
 
 
-def test_installed_packages_are_recorded(install: Any, noetic: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_installed_packages_are_recorded(
+    install: ModuleType, noetic: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(
         install, "ros_source_lines", lambda: ["deb http://packages.ros.org/ros/ubuntu focal main"]
     )
@@ -744,7 +756,7 @@ def test_installed_packages_are_recorded(install: Any, noetic: Any, monkeypatch:
 
 
 def test_uninstall_keeps_other_files(
-    install: Any, workspace: Any, capsys: pytest.CaptureFixture[str]
+    install: ModuleType, workspace: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (workspace / "notes.txt").touch()
     (workspace / "src" / "other").mkdir()
@@ -761,7 +773,7 @@ def test_uninstall_keeps_other_files(
 
 
 def test_uninstall_removes_incomplete_workspace(
-    install: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    install: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     workspace = install.default_workspace(install.HERE, os.environ)
@@ -770,17 +782,21 @@ def test_uninstall_removes_incomplete_workspace(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_uninstall_refuses_workspace_of_other_clone(install: Any, workspace: Any, tmp_path: Path) -> None:
-    (workspace / "src" / "retalis").unlink()
-    for prepare in (lambda: None, lambda: (workspace / "src" / "retalis").symlink_to(tmp_path)):
-        prepare()
+def test_uninstall_refuses_workspace_of_other_clone(
+    install: ModuleType, workspace: Path, tmp_path: Path
+) -> None:
+    link = workspace / "src" / "retalis"
+    link.unlink()
+    for target in (None, tmp_path):
+        if target is not None:
+            link.symlink_to(target)
         with pytest.raises(install.Problem, match="was not built from it"):
             install.main(["uninstall", "--workspace", str(workspace)])
     assert (workspace / "venv").exists()
 
 
 def test_command_where_prints_script(
-    install: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    install: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(install.Problem, match="nothing has been built yet"):
         install.main(["--workspace", str(tmp_path), "where"])
@@ -793,7 +809,7 @@ def test_command_where_prints_script(
 
 
 def test_dangling_link_to_clone_is_replaced(
-    install: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    install: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(install.subprocess, "run", report_nothing_installed)
     installation = install.Installation(install.DEBIAN_12, tmp_path, Recorder(tmp_path / "log"))
@@ -803,7 +819,7 @@ def test_dangling_link_to_clone_is_replaced(
     assert installation.package.resolve() == install.HERE
 
 
-def test_link_to_other_clone_is_refused(install: Any, tmp_path: Path) -> None:
+def test_link_to_other_clone_is_refused(install: ModuleType, tmp_path: Path) -> None:
     installation = install.Installation(install.DEBIAN_12, tmp_path, Recorder(tmp_path / "log"))
     (tmp_path / "other").mkdir()
     installation.package.parent.mkdir()
@@ -813,7 +829,7 @@ def test_link_to_other_clone_is_refused(install: Any, tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def site(install: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
+def site(install: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Recorder:
     """Return the commands of `install.py docs`, with a previously built site."""
     shell = Recorder(tmp_path / "log")
     monkeypatch.setattr(install, "Shell", lambda logs, dry: shell)
@@ -828,7 +844,7 @@ def site(install: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
 
 
 def test_docs_builds_site_in_own_environment(
-    install: Any, site: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    install: ModuleType, site: Recorder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     command = ["docs", "--workspace", str(tmp_path / "workspace")]
     assert install.main(command) == 0
@@ -848,15 +864,19 @@ def test_docs_builds_site_in_own_environment(
 
 
 def test_docs_has_exit_status_of_sphinx(
-    install: Any, site: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    install: ModuleType,
+    site: Recorder,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    site.run_visible = lambda command, cwd: 2
+    monkeypatch.setattr(site, "run_visible", lambda command, cwd: 2)
     assert install.main(["docs", "--workspace", str(tmp_path / "workspace")]) == 2
     assert "is built" not in capsys.readouterr().out
 
 
 def test_docs_installs_package_for_environments(
-    install: Any, site: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    install: ModuleType, site: Recorder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(install.importlib.util, "find_spec", lambda name: None)
     monkeypatch.setattr(install, "parse_os_release", lambda text: {"ID": "debian", "VERSION_ID": "12"})

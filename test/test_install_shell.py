@@ -4,6 +4,7 @@ import importlib
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Iterator, List
 
 import pytest
@@ -13,18 +14,18 @@ HERE = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope="module")
-def shell() -> Iterator[Any]:
+def shell() -> Iterator[ModuleType]:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(HERE))
         yield importlib.import_module("install_shell")
 
 
-def test_tail_is_indented(shell: Any) -> None:
+def test_tail_is_indented(shell: ModuleType) -> None:
     assert shell.tail("1\n2\n3\n\n", 2) == "    2\n    3"
 
 
 def test_step_writes_log_and_prints_title(
-    shell: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    shell: ModuleType, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     shell.Shell(tmp_path / "log").run_logged("Talking", "talk", [sys.executable, "-c", "print('hello')"])
     assert (tmp_path / "log" / "talk.log").read_text() == "hello\n"
@@ -34,7 +35,9 @@ def test_step_writes_log_and_prints_title(
     assert err == ""
 
 
-def test_failed_step_prints_end_of_log(shell: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_failed_step_prints_end_of_log(
+    shell: ModuleType, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     failing = [sys.executable, "-c", "print('reason'); raise SystemExit(3)"]
     with pytest.raises(shell.Problem, match=r"talk failed with exit status 3; .*talk\.log"):
         shell.Shell(tmp_path).run_logged("Talking", "talk", failing)
@@ -43,12 +46,12 @@ def test_failed_step_prints_end_of_log(shell: Any, tmp_path: Path, capfd: pytest
     assert err == "    reason\n"
 
 
-def test_unknown_program_is_an_error(shell: Any, tmp_path: Path) -> None:
+def test_unknown_program_is_an_error(shell: ModuleType, tmp_path: Path) -> None:
     with pytest.raises(shell.Problem, match="no-such-program is not installed"):
         shell.Shell(tmp_path).run_logged("Talking", "talk", ["no-such-program"])
 
 
-def test_dry_run_runs_nothing(shell: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_dry_run_runs_nothing(shell: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     runs = shell.Shell(tmp_path / "log", dry=True)
     runs.run_logged("Talking", "talk", ["touch", str(tmp_path / "a b")])
     assert runs.run_visible(["touch", str(tmp_path / "c")]) == 0
@@ -67,7 +70,7 @@ except KeyboardInterrupt:
 """
 
 
-def test_stop_interrupts_process(shell: Any) -> None:
+def test_stop_interrupts_process(shell: ModuleType) -> None:
     process = subprocess.Popen([sys.executable, "-c", INTERRUPTIBLE], stdout=subprocess.PIPE)
     output = required(process.stdout)
     output.readline()
@@ -76,7 +79,7 @@ def test_stop_interrupts_process(shell: Any) -> None:
     assert process.returncode == 7
 
 
-def test_interrupt_ends_command(shell: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupt_ends_command(shell: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stopped: List[Any] = []
 
     def stop(process: Any) -> None:
@@ -89,7 +92,7 @@ def test_interrupt_ends_command(shell: Any, tmp_path: Path, monkeypatch: pytest.
     class Interrupted(subprocess.Popen):
         wait_count = 0
 
-        def wait(self, timeout: Any = None) -> Any:
+        def wait(self, timeout: Any = None) -> int:
             self.wait_count += 1
             if self.wait_count == 1:
                 raise KeyboardInterrupt
@@ -127,7 +130,7 @@ REMOVED_VARIABLES = {
 }
 
 
-def test_minimal_environment_has_kept_variables_only(shell: Any) -> None:
+def test_minimal_environment_has_kept_variables_only(shell: ModuleType) -> None:
     assert shell.minimal_environment({**KEPT_VARIABLES, **REMOVED_VARIABLES}) == KEPT_VARIABLES
 
 
@@ -141,6 +144,6 @@ def test_script_runs_command_in_minimal_environment() -> None:
     assert output == f"{['a b', names]} {sorted(KEPT_VARIABLES)}\n"
 
 
-def test_search_path_begins_with_distribution(shell: Any) -> None:
+def test_search_path_begins_with_distribution(shell: ModuleType) -> None:
     assert shell.search_path("/opt/bin:/usr/bin:/bin") == "/usr/bin:/opt/bin:/bin:/usr/sbin:/sbin"
     assert shell.search_path("") == "/usr/bin:/bin:/usr/sbin:/sbin"

@@ -57,7 +57,7 @@ def code_lengths(monkeypatch: pytest.MonkeyPatch) -> Any:
     lengths: List[Any] = []
     define = codegen.define
 
-    def count(source: Any, names: Any, title: Any) -> Any:
+    def count(source: Any, names: Any, title: Any) -> Dict[str, Any]:
         lengths.append(len(source))
         return define(source, names, title)
 
@@ -68,7 +68,7 @@ def code_lengths(monkeypatch: pytest.MonkeyPatch) -> Any:
 @pytest.mark.slow
 @pytest.mark.parametrize("pattern", PATTERNS)
 @pytest.mark.parametrize("program", PROGRAMS)
-def test_length_of_code_is_linear(code_lengths: Any, program: Any, pattern: Any) -> None:
+def test_length_of_code_is_linear(code_lengths: Any, program: str, pattern: str) -> None:
     rules, goal = PROGRAMS[program]
     total_lengths: Dict[Any, Any] = {}
     for count in (2000, 4000):
@@ -84,7 +84,7 @@ def test_length_of_code_is_linear(code_lengths: Any, program: Any, pattern: Any)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("pattern", PATTERNS)
-def test_large_pattern_matches(pattern: Any) -> None:
+def test_large_pattern_matches(pattern: str) -> None:
     term = PATTERNS[pattern](2000)
     engine = Engine()
     engine.load(

@@ -50,11 +50,11 @@ def subscriptions(conditions: str, count: Any = SUBSCRIPTION_COUNT) -> str:
 
 
 @pytest.fixture
-def ticking(monkeypatch: pytest.MonkeyPatch) -> Any:
+def ticking(monkeypatch: pytest.MonkeyPatch) -> List[float]:
     """Replace the clock by one that advances by a millisecond with each call; return its time in a list."""
     now = [0.0]
 
-    def tick() -> Any:
+    def tick() -> float:
         now[0] += 0.001
         return now[0]
 
@@ -72,7 +72,7 @@ def test_endless_conditions_share_inferences(caplog: pytest.LogCaptureFixture) -
     )
 
 
-def test_endless_conditions_share_seconds(ticking: Any, caplog: pytest.LogCaptureFixture) -> None:
+def test_endless_conditions_share_seconds(ticking: List[float], caplog: pytest.LogCaptureFixture) -> None:
     engine = make(goals=subscriptions("loop"), seconds=0.5)
     engine.event("in(1)", 1)
     assert ticking[0] < 4 * 0.5  # other threads may read this clock, too

@@ -66,7 +66,7 @@ def test_order_has_all_packages() -> None:
 
 
 @pytest.mark.parametrize("package", ORDER)
-def test_packages_import_lower_packages_only(package: Any) -> None:
+def test_packages_import_lower_packages_only(package: str) -> None:
     below = ORDER[: ORDER.index(package)]
     upward_imports = [
         f"{module.path}: {target.name}"

@@ -23,7 +23,7 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parent.parent
 
 
-def run(*command: Any, cwd: Any, **variables: Any) -> Any:
+def run(*command: Any, cwd: Any, **variables: Any) -> str:
     """Run a command without variables of this clone and of ROS; return its output."""
     inherited = {
         name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "CATKIN"))
@@ -85,7 +85,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 
 @pytest.fixture(scope="module")
-def installed(built: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
+def installed(built: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a virtual environment with the wheel, and with the dependencies of this Python."""
     folder = tmp_path_factory.mktemp("installed")
     run(sys.executable, "-m", "venv", "--without-pip", folder, cwd=folder)
@@ -192,7 +192,7 @@ def test_wheel_is_built_without_site(tmp_path: Path) -> None:
         assert not [name for name in file.namelist() if "/docs/html" in name]
 
 
-def test_installed_command_is_complete(installed: Any, tmp_path: Path) -> None:
+def test_installed_command_is_complete(installed: Path, tmp_path: Path) -> None:
     command = installed / "bin" / "retalis"
     assert run(command, "--version", cwd=tmp_path) == "retalis 1.1.0\n"
     assert "4x4_1" in run(command, "demo", "--seconds", "3", cwd=tmp_path)

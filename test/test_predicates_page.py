@@ -36,7 +36,7 @@ TRANSFORMS = {str(key) for key in Engine().logic.names() if key.name.startswith(
 """Predicates of an engine on this page; the others are on other pages."""
 
 
-def system_for(keys: Any) -> Any:
+def system_for(keys: Any) -> PrologSystem:
     """Return a new system that defines the predicates of a row."""
     return Engine().logic if TRANSFORMS.issuperset(keys) else PrologSystem()
 

@@ -4,7 +4,6 @@ import os
 import re
 import subprocess
 import sys
-from typing import Any
 
 import pytest
 from python_path import ROOT, python_path
@@ -134,7 +133,7 @@ def test_{name}_is_restored(process):
 
 
 @pytest.fixture(scope="module")
-def output(tmp_path_factory: pytest.TempPathFactory) -> Any:
+def output(tmp_path_factory: pytest.TempPathFactory) -> str:
     """Return the output of a run of pytest with tests that leave the process changed or unchanged."""
     folder = tmp_path_factory.mktemp("changes")
     (folder / "conftest.py").write_text(CONFTEST)
@@ -147,13 +146,13 @@ def output(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 
 @pytest.mark.parametrize("name", CHANGES)
-def test_change_is_an_error_and_restored(output: Any, name: Any) -> None:
+def test_change_is_an_error_and_restored(output: str, name: str) -> None:
     place = rf"test_changes\.py::test_{name}"
     message = "the test leaves the process changed: a test restores what it changes:"
     assert re.search(rf"^{place}: {message}\n  {CHANGES[name][1]}\n(?!  )", output, re.MULTILINE), output
     assert re.search(rf"^PASSED {place}_is_restored$", output, re.MULTILINE), output
 
 
-def test_tests_without_change_pass(output: Any) -> None:
+def test_tests_without_change_pass(output: str) -> None:
     count = 2 * len(CHANGES) + 5
     assert re.search(rf"= {count} passed, {len(CHANGES)} errors in ", output), output

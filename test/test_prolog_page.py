@@ -17,7 +17,7 @@ FILES = dict(re.findall(r"<!-- (\S+) -->\n```text\n(.*?)```", PAGE.read_text(enc
 
 
 @pytest.fixture(params=["rules", "goals"])
-def engine(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
+def engine(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Engine:
     try:
         find_library()
     except UsageError as error:
@@ -37,7 +37,7 @@ def engine(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     return engine
 
 
-def test_example_emits_events_of_page(engine: Any) -> None:
+def test_example_emits_events_of_page(engine: Engine) -> None:
     events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     engine.event("wanted(nao, hall, cellar)", 1)
@@ -48,6 +48,6 @@ def test_example_emits_events_of_page(engine: Any) -> None:
     assert len(events) == 4
 
 
-def test_caught_error_has_no_solution(engine: Any) -> None:
+def test_caught_error_has_no_solution(engine: Engine) -> None:
     goal = search(r"`(catch\(reach.*?true\))`", PAGE.read_text(encoding="utf-8")).group(1)
     assert engine.query(goal) == []

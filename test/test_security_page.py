@@ -60,7 +60,7 @@ FIXED_LIMITS = {
 
 
 @pytest.mark.parametrize("name", FIXED_LIMITS)
-def test_page_has_fixed_limit(name: Any) -> None:
+def test_page_has_fixed_limit(name: str) -> None:
     (limit,) = table("| what | limit |")[name]
     assert FIXED_LIMITS[name] in limit
 

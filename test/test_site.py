@@ -39,7 +39,7 @@ def test_start_page_links_to_all_sections() -> None:
 
 
 @pytest.mark.parametrize("section", SECTIONS)
-def test_index_of_section_links_to_all_pages(section: Any) -> None:
+def test_index_of_section_links_to_all_pages(section: str) -> None:
     # Sphinx builds the table of contents from these links.
     folder = DOCS / section
     pages = {*folder.glob("*.md"), *folder.glob("*/index.md")}

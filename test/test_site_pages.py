@@ -108,7 +108,7 @@ def test_captions_name_files_of_code_blocks(browser: Any, page: Any) -> None:
 
 @pytest.mark.parametrize(("width", "column"), [(1920, 1100), (1400, 800)])
 @pytest.mark.parametrize("page", WIDE_PAGES)
-def test_wide_screen_cuts_no_table_or_code(browser: Any, page: Any, width: int, column: int) -> None:
+def test_wide_screen_cuts_no_table_or_code(browser: Any, page: str, width: int, column: int) -> None:
     browser.resize(width, 900)
     open_page(browser, page)
     layout = browser.ask(LAYOUT)
@@ -118,7 +118,7 @@ def test_wide_screen_cuts_no_table_or_code(browser: Any, page: Any, width: int, 
 
 
 @pytest.mark.parametrize("page", WIDE_PAGES)
-def test_narrow_screen_does_not_scroll_sideways(browser: Any, page: Any) -> None:
+def test_narrow_screen_does_not_scroll_sideways(browser: Any, page: str) -> None:
     browser.resize(400, 900)
     open_page(browser, page)
     layout = browser.ask(LAYOUT)

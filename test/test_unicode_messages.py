@@ -28,7 +28,7 @@ subscribe(hello(Text), [], my_msgs__0__Note(Text, '"bytes"'), greeting, hello).
 LONG = "Grüße, 日本 🤖 'quoted' \"twice\" \\ \n" * 100
 
 
-def message(text: str, raw: bytes = b"bytes") -> Any:
+def message(text: str, raw: bytes = b"bytes") -> bytes:
     data = text.encode()
     return struct.pack("<I", len(data)) + data + struct.pack("<I", len(raw)) + raw
 
@@ -55,7 +55,7 @@ def from_shown_text(engine: Any, data: Any) -> None:
 
 @pytest.mark.parametrize("feed", [from_message, from_lazy_message, from_text, from_shown_text])
 @pytest.mark.parametrize("text", ["Jürgen", LONG], ids=["short", "long"])
-def test_rule_matches_and_sends_unicode_text(feed: Any, text: Any) -> None:
+def test_rule_matches_and_sends_unicode_text(feed: Any, text: str) -> None:
     engine = Engine(StreamClock(0))
     engine.load(rules=RULES, goals=GOALS)
     published: List[Any] = []

@@ -14,7 +14,7 @@ from checked_access import compound, items, name_of  # noqa: E402
 from retalis import BagReader, Definitions, deref  # noqa: E402
 
 
-def name(atom: Any) -> Any:
+def name(atom: Any) -> str:
     return name_of(atom).strip('"').lstrip("/")
 
 
@@ -87,12 +87,12 @@ def compose(left: Any, right: Any) -> Tuple[Any, ...]:
     return place, turn
 
 
-def distance(left: Any, right: Any) -> Any:
+def distance(left: Any, right: Any) -> float:
     """Return the distance between two points."""
     return math.dist(left, right)
 
 
-def angle(left: Any, right: Any) -> Any:
+def angle(left: Any, right: Any) -> float:
     """Return the angle between two rotations in radians."""
     dot = abs(sum(a * b for a, b in zip(left, right)))
     norm = math.sqrt(sum(a * a for a in left) * sum(b * b for b in right))

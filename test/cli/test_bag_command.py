@@ -5,7 +5,7 @@ import re
 import sys
 from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import List
 
 import pytest
 
@@ -20,13 +20,13 @@ PROGRAM = str(ROOT / "application_source")
 
 
 @pytest.fixture(scope="module")
-def bag(tmp_path_factory: pytest.TempPathFactory) -> Any:
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("bags") / "nao.bag"
     make_bag(path, 3.0, 1)
     return path
 
 
-def test_outputs_are_printed(bag: Any, capsys: pytest.CaptureFixture[str]) -> None:
+def test_outputs_are_printed(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bag", str(bag), "--program", PROGRAM]) == 0
     captured = capsys.readouterr()
     lines = captured.out.splitlines()
@@ -36,7 +36,7 @@ def test_outputs_are_printed(bag: Any, capsys: pytest.CaptureFixture[str]) -> No
     assert any(line.endswith(",marker1).") for line in lines)
 
 
-def test_outputs_are_written_to_bag(bag: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_outputs_are_written_to_bag(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     target = tmp_path / "out.bag"
     assert main(["bag", str(bag), "--program", PROGRAM, "--output", str(target)]) == 0
     line_count = len(capsys.readouterr().out.splitlines())
@@ -44,12 +44,12 @@ def test_outputs_are_written_to_bag(bag: Any, tmp_path: Path, capsys: pytest.Cap
         assert reader.messages == line_count > 0
 
 
-def test_quiet_option_prints_nothing(bag: Any, capsys: pytest.CaptureFixture[str]) -> None:
+def test_quiet_option_prints_nothing(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bag", str(bag), "--program", PROGRAM, "--quiet"]) == 0
     assert capsys.readouterr().out == ""
 
 
-def test_additional_topic_has_events(bag: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_additional_topic_has_events(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "pub_sub.xml").write_text("<publish_subscribe></publish_subscribe>")
     (tmp_path / "goalPredicates.txt").write_text("subscribe(tf__0__tfMessage(_),[],seen,seen,i)\n")
     status = main(["bag", str(bag), "--program", str(tmp_path), "--topic", "/tf=tf/tfMessage"])
@@ -73,7 +73,7 @@ def tf_program(tmp_path: Path) -> str:
     "options", [[], ["--direct=auto"], ["--direct", "true"], ["--direct", "[tf, tf/tfMessage]"]]
 )
 def test_direct_topics_are_played(
-    bag: Any, tf_program: str, capsys: pytest.CaptureFixture[str], options: Any
+    bag: Path, tf_program: str, capsys: pytest.CaptureFixture[str], options: List[str]
 ) -> None:
     assert main(["bag", str(bag), "--program", tf_program, *options]) == 0
     captured = capsys.readouterr()
@@ -82,7 +82,7 @@ def test_direct_topics_are_played(
 
 
 def test_direct_false_plays_no_direct_topic(
-    bag: Any, tf_program: str, capsys: pytest.CaptureFixture[str]
+    bag: Path, tf_program: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["bag", str(bag), "--program", tf_program, "--direct", "false"]) == 0
     captured = capsys.readouterr()
@@ -92,7 +92,7 @@ def test_direct_false_plays_no_direct_topic(
 
 @pytest.mark.slow
 def test_many_bags_have_same_direct_topics(
-    bag: Any, tf_program: str, capsys: pytest.CaptureFixture[str]
+    bag: Path, tf_program: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for options, has_output in ((["--direct", "false"], False), ([], True)):
         assert main(["bag", str(bag), "--program", tf_program, "--jobs", "1", *options]) == 0
@@ -100,7 +100,7 @@ def test_many_bags_have_same_direct_topics(
 
 
 def test_topic_without_type_is_warned_of_once(
-    bag: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "pub_sub.xml").write_text("<publish_subscribe></publish_subscribe>")
     (tmp_path / "goalPredicates.txt").write_text("subscribe(tf__0__tfMessage(_),[],seen,seen,i)\n")
@@ -111,7 +111,7 @@ def test_topic_without_type_is_warned_of_once(
     assert line.index("seen,i") == caret.index("^")
 
 
-def test_topics_of_written_bag_are_latched(bag: Any, tmp_path: Path) -> None:
+def test_topics_of_written_bag_are_latched(bag: Path, tmp_path: Path) -> None:
     message_type = 'msg_type="std_msgs/String"'
     (tmp_path / "pub_sub.xml").write_text(
         f'<publish_subscribe><publish_to name="a" {message_type} latch="true"/><publish_to name="b" {message_type}/>'
@@ -129,12 +129,12 @@ def test_topics_of_written_bag_are_latched(bag: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("topic", ["tf", "tf=", "tf=tfMessage", "tf=a/b/c"])
-def test_invalid_topic_is_an_error(bag: Any, capsys: pytest.CaptureFixture[str], topic: str) -> None:
+def test_invalid_topic_is_an_error(bag: Path, capsys: pytest.CaptureFixture[str], topic: str) -> None:
     assert main(["bag", str(bag), "--program", PROGRAM, "--topic", topic]) == 1
     assert "expected TOPIC=package/Type" in capsys.readouterr().err
 
 
-def test_missing_program_is_an_error(bag: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_program_is_an_error(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bag", str(bag), "--program", str(tmp_path / "no")]) == 1
     assert str(tmp_path / "no") in capsys.readouterr().err
 
@@ -147,7 +147,7 @@ def test_invalid_or_missing_bag_is_an_error(tmp_path: Path, capsys: pytest.Captu
     assert "no.bag" in capsys.readouterr().err
 
 
-def test_option_times_prints_time_of_bag(bag: Any, capsys: pytest.CaptureFixture[str]) -> None:
+def test_option_times_prints_time_of_bag(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bag", str(bag), "--program", PROGRAM, "--times", "--start", "1", "--duration", "1"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines
@@ -156,7 +156,7 @@ def test_option_times_prints_time_of_bag(bag: Any, capsys: pytest.CaptureFixture
 
 
 @pytest.mark.slow
-def test_json_of_interval_has_all_record_types(bag: Any, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_of_interval_has_all_record_types(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ["--json", "--events", "--start", "1", "--duration", "1"]
     explain_options = ["--explain", "face_by_marker(_,_,_)", "--explain", "never"]
     assert main(["bag", str(bag), "--program", PROGRAM, *options, *explain_options]) == 0
@@ -173,7 +173,7 @@ def test_json_of_interval_has_all_record_types(bag: Any, capsys: pytest.CaptureF
 
 
 @pytest.mark.slow
-def test_option_events_prints_events_and_outputs(bag: Any, capsys: pytest.CaptureFixture[str]) -> None:
+def test_option_events_prints_events_and_outputs(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bag", str(bag), "--program", PROGRAM, "--events", "--duration", "0.5"]) == 0
     record_types = {line.partition("(")[0] for line in capsys.readouterr().out.splitlines()}
     assert record_types == {"event", "output"}
@@ -181,7 +181,7 @@ def test_option_events_prints_events_and_outputs(bag: Any, capsys: pytest.Captur
 
 @pytest.mark.slow
 def test_bag_is_replaced_only_with_overwrite(
-    bag: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     target = tmp_path / "out.bag"
     arguments = ["bag", str(bag), "--program", PROGRAM, "--quiet", "--duration", "1"]
@@ -209,7 +209,7 @@ def test_help_has_defaults_of_limits(capsys: pytest.CaptureFixture[str]) -> None
 
 @pytest.mark.parametrize("folder", ["", "arm_msgs", "arm_msgs/msg"])
 def test_types_of_silent_topic_are_found_in_folder(
-    bag: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], folder: str
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], folder: str
 ) -> None:
     (tmp_path / "arm_msgs" / "msg").mkdir(parents=True)
     (tmp_path / "arm_msgs" / "msg" / "Feedback.msg").write_text("int32 id\nbool ok\n")
@@ -232,7 +232,7 @@ def test_types_of_silent_topic_are_found_in_folder(
 
 
 def test_flush_and_open_options_end_the_bag(
-    bag: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "pub_sub.xml").write_text("<publish_subscribe></publish_subscribe>")
     (tmp_path / "eventRules.txt").write_text(
@@ -254,7 +254,7 @@ def test_flush_and_open_options_end_the_bag(
 
 
 def test_goal_output_with_json_is_on_stderr(
-    tmp_path: Path, bag: Any, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "program"
     folder.mkdir()

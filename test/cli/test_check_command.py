@@ -17,7 +17,7 @@ RULES = "hot(X) <- my_robot__0__Heat(X, _) seq hot(X).\nprint_trigger(hot/1).\n"
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Any:
+def folder(tmp_path: Path) -> Path:
     program = tmp_path / "program"
     program.mkdir()
     (program / "pub_sub.xml").write_text(TOPICS)
@@ -38,13 +38,13 @@ def test_example_has_no_findings(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_default_folder_is_working_folder(
-    capsys: pytest.CaptureFixture[str], folder: Any, monkeypatch: pytest.MonkeyPatch
+    capsys: pytest.CaptureFixture[str], folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)
     assert run_check(capsys) == (0, ".: no errors, no warnings\n")
 
 
-def test_warnings_are_errors_if_strict(capsys: pytest.CaptureFixture[str], folder: Any) -> None:
+def test_warnings_are_errors_if_strict(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
     (folder / "eventRules.txt").write_text(f"{RULES}cold <- hto(_).\nprint_trigger(cold).\n")
     text = (
         f"warning: {folder}/eventRules.txt:3:9: no producer of hto/1: no topic, rule or goal; "
@@ -55,7 +55,7 @@ def test_warnings_are_errors_if_strict(capsys: pytest.CaptureFixture[str], folde
     assert run_check(capsys, folder, "--strict") == (2, text)
 
 
-def test_error_has_status_1(capsys: pytest.CaptureFixture[str], folder: Any) -> None:
+def test_error_has_status_1(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
     (folder / "eventRules.txt").write_text("a <- .\n")
     status, text = run_check(capsys, folder, "--strict")
     assert status == 1
@@ -63,7 +63,7 @@ def test_error_has_status_1(capsys: pytest.CaptureFixture[str], folder: Any) -> 
     assert text.endswith(f"{folder}: 1 error, no warnings\n")
 
 
-def test_json_has_findings(capsys: pytest.CaptureFixture[str], folder: Any) -> None:
+def test_json_has_findings(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
     (folder / "eventRules.txt").write_text(f"{RULES}cold <- hto(_).\nprint_trigger(cold).\n")
     status, text = run_check(capsys, folder, "--format", "json")
     assert status == 0
@@ -88,7 +88,7 @@ def test_json_has_findings(capsys: pytest.CaptureFixture[str], folder: Any) -> N
 
 @pytest.mark.parametrize("folder_name", ["my_robot", "my_robot/msg", "."])
 def test_types_are_found_in_folders(
-    capsys: pytest.CaptureFixture[str], folder: Any, tmp_path: Path, folder_name: str
+    capsys: pytest.CaptureFixture[str], folder: Path, tmp_path: Path, folder_name: str
 ) -> None:
     (tmp_path / "my_robot" / "msg").mkdir(parents=True)
     (tmp_path / "my_robot" / "msg" / "Heat.msg").write_text("float64 heat\n")
@@ -97,7 +97,7 @@ def test_types_are_found_in_folders(
     assert "my_robot__0__Heat/2 does not match its type: my_robot/Heat has 1 slot: heat" in text
 
 
-def test_types_are_found_in_bags(capsys: pytest.CaptureFixture[str], folder: Any, tmp_path: Path) -> None:
+def test_types_are_found_in_bags(capsys: pytest.CaptureFixture[str], folder: Path, tmp_path: Path) -> None:
     with BagWriter(tmp_path / "hot.bag") as bag:
         bag.write(bag.add("/hot", Definitions().add("my_robot/Heat", "float64 heat")), 1, bytes(8))
     assert "my_robot/Heat has 1 slot" in run_check(capsys, folder, "--bag", tmp_path / "hot.bag")[1]
@@ -110,13 +110,13 @@ def test_missing_files_are_errors(capsys: pytest.CaptureFixture[str], tmp_path: 
     assert f"error: cannot read {tmp_path}/goalPredicates.txt: No such file or directory [RT1000]\n" in text
 
 
-def test_goals_print_nothing(capsys: pytest.CaptureFixture[str], folder: Any) -> None:
+def test_goals_print_nothing(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
     (folder / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')\nwrite(hello), nl\n")
     assert run_check(capsys, folder) == (0, f"{folder}: no errors, no warnings\n")
 
 
 def test_forbidden_folder_is_an_error(
-    capsys: pytest.CaptureFixture[str], folder: Any, monkeypatch: pytest.MonkeyPatch
+    capsys: pytest.CaptureFixture[str], folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The system call is replaced, because root may enter all folders."""
     real_stat, real_text = os.stat, Path.read_text
@@ -133,7 +133,7 @@ def test_forbidden_folder_is_an_error(
 
 
 def test_playback_prints_traced_events(
-    capsys: pytest.CaptureFixture[str], folder: Any, tmp_path: Path
+    capsys: pytest.CaptureFixture[str], folder: Path, tmp_path: Path
 ) -> None:
     definition = Definitions().add("my_robot/Heat", "float64 heat\nfloat64 wind")
     with BagWriter(tmp_path / "hot.bag") as bag:
@@ -153,7 +153,7 @@ def test_single_rule_file_is_checked(capsys: pytest.CaptureFixture[str], tmp_pat
     )
 
 
-def test_endless_goal_is_an_error(capsys: pytest.CaptureFixture[str], folder: Any) -> None:
+def test_endless_goal_is_an_error(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
     (folder / "eventRules.txt").write_text(RULES + "forever :- forever.\n:- forever.\n")
     status, text = run_check(capsys, folder, "--max-seconds", "0.1")
     assert status == 1
@@ -162,7 +162,7 @@ def test_endless_goal_is_an_error(capsys: pytest.CaptureFixture[str], folder: An
     )
 
 
-def test_option_json_is_json_format(capsys: pytest.CaptureFixture[str], folder: Any) -> None:
+def test_option_json_is_json_format(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
     texts = [run_check(capsys, folder, *options)[1] for options in (["--json"], ["--format", "json"])]
     assert texts[0] == texts[1]
     assert json.loads(texts[0])["errors"] == 0
@@ -177,7 +177,7 @@ def test_option_json_is_json_format(capsys: pytest.CaptureFixture[str], folder: 
     ],
 )
 def test_topics_are_compared_with_bags(
-    capsys: pytest.CaptureFixture[str], folder: Any, tmp_path: Path, topic: str, message: str
+    capsys: pytest.CaptureFixture[str], folder: Path, tmp_path: Path, topic: str, message: str
 ) -> None:
     heat = Definitions().add("my_robot/Heat", "float64 heat\nfloat64 time")
     with BagWriter(tmp_path / "hot.bag") as bag:
@@ -189,7 +189,7 @@ def test_topics_are_compared_with_bags(
 
 
 def test_type_of_topic_is_compared_with_bags(
-    capsys: pytest.CaptureFixture[str], folder: Any, tmp_path: Path
+    capsys: pytest.CaptureFixture[str], folder: Path, tmp_path: Path
 ) -> None:
     with BagWriter(tmp_path / "hot.bag") as bag:
         bag.write(bag.add("/hot", Definitions().add("my_robot/Cold", "float64 heat")), 1, bytes(8))
@@ -199,7 +199,7 @@ def test_type_of_topic_is_compared_with_bags(
     )
 
 
-def test_rule_in_goal_file_is_reported(capsys: pytest.CaptureFixture[str], folder: Any) -> None:
+def test_rule_in_goal_file_is_reported(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
     (folder / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')\nhot(X) <- cold(X)\n")
     status, printed = run_check(capsys, folder)
     assert status == 1
@@ -207,7 +207,7 @@ def test_rule_in_goal_file_is_reported(capsys: pytest.CaptureFixture[str], folde
 
 
 def test_spans_are_compared_with_rate_of_bags(
-    capsys: pytest.CaptureFixture[str], folder: Any, tmp_path: Path
+    capsys: pytest.CaptureFixture[str], folder: Path, tmp_path: Path
 ) -> None:
     heat = Definitions().add("my_robot/Heat", "float64 heat\nfloat64 time")
     with BagWriter(tmp_path / "hot.bag") as bag:
@@ -226,7 +226,7 @@ def test_spans_are_compared_with_rate_of_bags(
     )
 
 
-def test_missing_topic_file_has_similar_name(capsys: pytest.CaptureFixture[str], folder: Any) -> None:
+def test_missing_topic_file_has_similar_name(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
     (folder / "pub_sub.xml").rename(folder / "pubsub.xml")
     assert (
         "pub_sub.xml: No such file or directory; did you mean pubsub.xml? [RT1000]"

@@ -4,7 +4,7 @@ import argparse
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any, Set
+from typing import Any, Dict, Set
 from xml.etree import ElementTree
 
 import pytest
@@ -12,6 +12,7 @@ from python_path import python_path
 
 from retalis.cli import command_line
 from retalis.cli.command_line import COMMANDS, main, make_parser
+from retalis.cli.command_parser import CommandParser
 
 SOURCES = Path(__file__).resolve().parents[2] / "src"
 
@@ -96,7 +97,7 @@ def test_missing_command_prints_help_as_error(capsys: pytest.CaptureFixture[str]
     assert capsys.readouterr() == ("", text)
 
 
-def parsers() -> Any:
+def parsers() -> Dict[str, CommandParser]:
     """Return the parser of each command by its name."""
     return make_parser([])[1]
 

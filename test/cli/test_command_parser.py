@@ -11,7 +11,7 @@ MAX_LINES = 24
 """Lines of a usual terminal window."""
 
 
-def usage_error(arguments: Any, capsys: pytest.CaptureFixture[str]) -> Any:
+def usage_error(arguments: Any, capsys: pytest.CaptureFixture[str]) -> List[str]:
     with pytest.raises(SystemExit) as raised:
         main(arguments)
     assert raised.value.code == 2
@@ -20,7 +20,7 @@ def usage_error(arguments: Any, capsys: pytest.CaptureFixture[str]) -> Any:
     return captured.err.splitlines()
 
 
-def printed_help(arguments: Any, capsys: pytest.CaptureFixture[str]) -> Any:
+def printed_help(arguments: Any, capsys: pytest.CaptureFixture[str]) -> str:
     with pytest.raises(SystemExit) as raised:
         main(arguments)
     assert not raised.value.code

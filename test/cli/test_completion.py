@@ -19,7 +19,7 @@ from retalis.cli import completion, node_client_commands
 from retalis.cli.command_line import main, make_parser
 
 
-def candidates(*words: Any, names: Any = lambda kind, node: []) -> Any:
+def candidates(*words: Any, names: Any = lambda kind, node: []) -> List[str]:
     """Return the completions of the last word."""
     return completion.list_candidates(make_parser([])[0], words, names)
 
@@ -54,7 +54,7 @@ def names_in_node(kind: Any, node: Any) -> List[str]:
         (["console", "a", "b", "c"], []),
     ],
 )
-def test_words_have_candidates(words: List[str], expected: Any) -> None:
+def test_words_have_candidates(words: List[str], expected: List[str]) -> None:
     assert candidates(*words, names=names_in_node) == expected
 
 

@@ -175,7 +175,7 @@ def test_trace_is_switched_on_and_off(ask: Any) -> None:
     assert captured.err == "     Call: (1) atom(a)\n     Exit: (1) atom(a)\n"
 
 
-def without_variable_names(text: Any) -> Any:
+def without_variable_names(text: Any) -> str:
     return re.sub(r"_G\d+", "_", text)
 
 

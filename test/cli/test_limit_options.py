@@ -3,7 +3,7 @@
 import io
 import sys
 from pathlib import Path
-from typing import Any, List
+from typing import Any, List, Tuple
 
 import pytest
 
@@ -19,7 +19,7 @@ LIMIT_OPTIONS = ("--max-inferences", "100000"), ("--max-seconds", "0.2")
 
 
 @pytest.fixture
-def files(tmp_path: Path) -> Any:
+def files(tmp_path: Path) -> Path:
     (tmp_path / "rules.txt").write_text(RULES)
     (tmp_path / "stream.txt").write_text(STREAM)
     (tmp_path / "goals.txt").write_text("loop\n")
@@ -28,7 +28,7 @@ def files(tmp_path: Path) -> Any:
 
 @pytest.mark.parametrize("option", LIMIT_OPTIONS)
 def test_events_continues_after_endless_goal(
-    files: Any, option: Any, capsys: pytest.CaptureFixture[str]
+    files: Path, option: Tuple[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     status = main(
         ["events", "--rules", str(files / "rules.txt"), "--stream", str(files / "stream.txt"), *option]
@@ -43,7 +43,7 @@ def test_events_continues_after_endless_goal(
     assert "stream.txt:3:1: Not enough resources" in captured.err
 
 
-def test_initial_goals_and_queries_have_limits(files: Any, capsys: pytest.CaptureFixture[str]) -> None:
+def test_initial_goals_and_queries_have_limits(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (files / "queries.txt").write_text("loop.\nX = 1.\n")
     (files / "more.txt").write_text("consult('rules.txt')\nloop\n")
     options = ["--goals", str(files / "more.txt"), "--queries", str(files / "queries.txt")]
@@ -56,7 +56,7 @@ def test_initial_goals_and_queries_have_limits(files: Any, capsys: pytest.Captur
 
 @pytest.mark.parametrize("option", LIMIT_OPTIONS)
 def test_console_continues_after_endless_goal(
-    option: Any, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    option: Tuple[str, str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO("repeat, fail.\nX = 1.\n"))
     assert main(["console", *option]) == 1
@@ -66,7 +66,7 @@ def test_console_continues_after_endless_goal(
     assert "Not enough resources" in captured.err
 
 
-def test_output_is_limited_on_request_only(files: Any, capsys: pytest.CaptureFixture[str]) -> None:
+def test_output_is_limited_on_request_only(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
     goals = ["-g", "forall(between(1, 1100, _), format('~*c', [1000, 0'x]))", "-g", "write('\\e[2J')"]
     assert main(["console", *goals]) == 0
     captured = capsys.readouterr()
@@ -87,7 +87,7 @@ def make_bag(path: Any, count: int) -> None:
 
 @pytest.mark.parametrize("option", LIMIT_OPTIONS)
 def test_bag_continues_after_endless_goal(
-    files: Any, option: Any, capsys: pytest.CaptureFixture[str]
+    files: Path, option: Tuple[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     (files / "pub_sub.xml").write_text(
         '<publish_subscribe><subscribe_to name="in" msg_type="std_msgs/Int32"/>'
@@ -117,7 +117,7 @@ def test_bag_continues_after_endless_goal(
     ],
 )
 def test_invalid_limit_is_a_usage_error(
-    command: List[str], option: Any, value: Any, capsys: pytest.CaptureFixture[str]
+    command: List[str], option: str, value: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as raised:
         main([*command, option, value])

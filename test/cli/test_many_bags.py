@@ -15,7 +15,7 @@ def program(tmp_path: Path) -> str:
 
 
 @pytest.fixture
-def bags(tmp_path: Path) -> Any:
+def bags(tmp_path: Path) -> Path:
     """Return a folder with three bags and a damaged one."""
     for number, name in enumerate(("r1/a", "r1/b", "r2/a")):
         make_bag(tmp_path / "bags" / f"{name}.bag", *"xxyxy"[number:])
@@ -28,7 +28,7 @@ VALID_BAGS = ("r1/a", "r1/b", "r2/a")
 
 @pytest.mark.slow
 def test_output_equals_that_of_single_bags(
-    program: str, bags: Any, capfd: pytest.CaptureFixture[str]
+    program: str, bags: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     options = ["--program", program, "--json", "--events", "--explain", "again(_)"]
     for name in VALID_BAGS:
@@ -46,7 +46,7 @@ def test_output_equals_that_of_single_bags(
 
 @pytest.mark.slow
 def test_results_equal_those_of_single_bags(
-    program: str, bags: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    program: str, bags: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["bag", str(bags), "--program", program, "--jobs", "2", "--output", f"{tmp_path}/new"]) == 1
     assert capfd.readouterr().out == ""
@@ -94,7 +94,7 @@ def cluster() -> Iterator[Any]:
 @pytest.mark.slow
 def test_cluster_has_same_results(
     program: str,
-    bags: Any,
+    bags: Path,
     tmp_path: Path,
     capfd: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
@@ -111,7 +111,7 @@ def test_cluster_has_same_results(
 
 @pytest.mark.slow
 def test_equal_errors_of_bags_are_printed_once(
-    program: str, bags: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    program: str, bags: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "program" / "goalPredicates.txt").write_text("nothing_such(1)\n")
     options = ["bag", f"{bags}/r1/a.bag", f"{bags}/r1/b.bag", "--program", program, "--jobs", "1"]
@@ -141,10 +141,10 @@ CONFLICTS = {
 @pytest.mark.parametrize("arguments", CONFLICTS)
 def test_conflicting_options_are_errors(
     program: str,
-    bags: Any,
+    bags: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
-    arguments: Any,
+    arguments: str,
 ) -> None:
     monkeypatch.chdir(bags.parent)
     (bags.parent / "old" / "r1").mkdir(parents=True)

@@ -19,7 +19,7 @@ FULL_DISK = "retalis: cannot write standard output: No space left on device\n"
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Any:
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a program, a stream of events and a bag."""
     folder = tmp_path_factory.mktemp("streams")
     (folder / "rules.txt").write_text("hot(T) <- temp(T) where T > 38.\n")
@@ -67,14 +67,14 @@ COMMANDS = (
 
 @pytest.mark.slow
 @pytest.mark.parametrize("arguments", COMMANDS)
-def test_full_disk_is_an_error(folder: Any, arguments: Any) -> None:
+def test_full_disk_is_an_error(folder: Path, arguments: str) -> None:
     with open("/dev/full", "w") as full:
         process = run(folder, arguments, stdin=subprocess.DEVNULL, stdout=full)
     assert (process.stderr, process.returncode) == (FULL_DISK, 1)
 
 
 @pytest.mark.slow
-def test_full_disk_is_an_error_in_console(folder: Any) -> None:
+def test_full_disk_is_an_error_in_console(folder: Path) -> None:
     with open("/dev/full", "w") as full:
         process = run(folder, "console", input="X = 1.\nX = 2.\n", stdout=full)
     assert (process.stderr, process.returncode) == (FULL_DISK, 1)
@@ -82,7 +82,7 @@ def test_full_disk_is_an_error_in_console(folder: Any) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("arguments", COMMANDS[:3])
-def test_closed_reader_is_no_error(folder: Any, arguments: Any) -> None:
+def test_closed_reader_is_no_error(folder: Path, arguments: Any) -> None:
     reading, writing = os.pipe()
     os.close(reading)
     try:
@@ -94,13 +94,13 @@ def test_closed_reader_is_no_error(folder: Any, arguments: Any) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("arguments", ["console", "events --rules rules.txt --stream -", "check program"])
-def test_closed_standard_input_is_empty(folder: Any, arguments: str) -> None:
+def test_closed_standard_input_is_empty(folder: Path, arguments: str) -> None:
     process = run(folder, arguments, stdout=subprocess.PIPE, preexec_fn=lambda: os.close(0))
     assert (process.stderr, process.returncode) == ("", 0)
 
 
 @pytest.mark.slow
-def test_closed_standard_output_changes_no_file(folder: Any) -> None:
+def test_closed_standard_output_changes_no_file(folder: Path) -> None:
     page = folder / "run.html"
     process = run(folder, f"plot some.bag --program program -o {page}", preexec_fn=lambda: os.close(1))
     assert (process.stderr, process.returncode) == ("", 0)
@@ -111,7 +111,7 @@ def test_closed_standard_output_changes_no_file(folder: Any) -> None:
 @pytest.mark.parametrize(
     "module", ["retalis.cli.command_line", "retalis.engine.engine", "retalis.playback.playback"]
 )
-def test_interrupt_of_import_has_status_130(folder: Any, module: str) -> None:
+def test_interrupt_of_import_has_status_130(folder: Path, module: str) -> None:
     # The import of a module sends the signal, so that the test depends on no duration.
     program = (
         "import os, signal, sys\n"
@@ -135,7 +135,7 @@ def test_interrupt_of_import_has_status_130(folder: Any, module: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("is_piped", [True, False])
-def test_interrupt_of_goal_has_status_130(folder: Any, is_piped: bool) -> None:
+def test_interrupt_of_goal_has_status_130(folder: Path, is_piped: bool) -> None:
     goal = "write(started), nl, repeat, fail."
     command = subprocess.Popen(
         [sys.executable, "-m", "retalis", "console", *([] if is_piped else ["--goal", goal])],

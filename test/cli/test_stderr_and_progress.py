@@ -2,7 +2,6 @@
 
 import sys
 from io import StringIO
-from typing import Any
 
 import pytest
 
@@ -13,7 +12,7 @@ from retalis.cli.stderr_and_progress import ProgressBar, StderrReporter, paint, 
 class Clock:
     now = 100.0
 
-    def __call__(self) -> Any:
+    def __call__(self) -> float:
         return self.now
 
 

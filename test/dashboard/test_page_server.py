@@ -33,11 +33,11 @@ def page(program: Any) -> Iterator[Any]:
 
 
 @pytest.fixture
-def visitor(page: Any) -> Any:
+def visitor(page: Any) -> Visitor:
     return Visitor(page)
 
 
-def test_only_files_of_page_are_served(visitor: Any) -> None:
+def test_only_files_of_page_are_served(visitor: Visitor) -> None:
     assert {path.name for path in PAGE.iterdir()} == {name for name, _ in FILES.values()}
     for path, (name, content_type) in FILES.items():
         status, headers, body = visitor.ask(path)
@@ -65,7 +65,7 @@ def test_page_has_no_foreign_or_inline_code() -> None:
             assert word not in text, (path, word)
 
 
-def test_each_response_has_security_headers(visitor: Any) -> None:
+def test_each_response_has_security_headers(visitor: Visitor) -> None:
     for path in ("/", "/nothing"):
         _, headers, _ = visitor.ask(path)
         assert "default-src 'none'" in headers["Content-Security-Policy"]
@@ -81,11 +81,11 @@ def test_each_response_has_security_headers(visitor: Any) -> None:
 @pytest.mark.parametrize(
     "host", ["evil.example", "evil.example:80", "127.0.0.1.evil.example", "[::1", "", "[::1]"]
 )
-def test_foreign_host_name_is_refused(visitor: Any, path: str, host: str) -> None:
+def test_foreign_host_name_is_refused(visitor: Visitor, path: str, host: str) -> None:
     assert visitor.ask(path, Host=host)[0] in (400, 403)
 
 
-def test_request_of_foreign_page_is_refused(page: Any, visitor: Any) -> None:
+def test_request_of_foreign_page_is_refused(page: Any, visitor: Visitor) -> None:
     own = f"127.0.0.1:{page.port}"
     for origin in ("http://evil.example", "null", f"https://{own}", "http://127.0.0.1:1", "http://localhost"):
         assert visitor.ask("/stream", Host=own, Origin=origin)[0] == 403, origin
@@ -100,7 +100,7 @@ def test_request_of_foreign_page_is_refused(page: Any, visitor: Any) -> None:
     assert visitor.ask("/", Host="localhost:9000")[0] == 200  # as through a tunnel
 
 
-def test_only_json_of_limited_size_is_accepted(visitor: Any) -> None:
+def test_only_json_of_limited_size_is_accepted(visitor: Visitor) -> None:
     assert visitor.ask("/query", "POST", "{}")[0] == 415
     assert visitor.ask("/query", "POST", "{}", Content_Type="text/plain")[0] == 415
     for body in ("", "[]", "1", "{", "[" * 9000):
@@ -114,7 +114,7 @@ def test_only_json_of_limited_size_is_accepted(visitor: Any) -> None:
     assert visitor.ask("/", "DELETE")[0] == 405
 
 
-def test_unknown_method_is_refused(visitor: Any, caplog: pytest.LogCaptureFixture) -> None:
+def test_unknown_method_is_refused(visitor: Visitor, caplog: pytest.LogCaptureFixture) -> None:
     status, _, body = visitor.ask("/", "FOO")
     assert (status, body) == (405, b"405: Method Not Allowed\n")
     assert caplog.text == ""
@@ -126,7 +126,7 @@ def test_server_is_on_loopback_address_only(page: Any) -> None:
         socket.create_connection(("127.0.0.2", page.port), timeout=5)
 
 
-def test_stream_has_events_and_counters(program: Any, visitor: Any) -> None:
+def test_stream_has_events_and_counters(program: Any, visitor: Visitor) -> None:
     with visitor.stream() as stream:
         snapshot = stream.next()
         assert (snapshot["title"], snapshot["queries"], snapshot["watching"]) == ("/retalis", False, True)
@@ -142,7 +142,7 @@ def test_stream_has_events_and_counters(program: Any, visitor: Any) -> None:
         stream.until(lambda snapshot: snapshot["rates"]["taken"] > 0)
 
 
-def test_changed_graph_is_sent_again(program: Any, visitor: Any) -> None:
+def test_changed_graph_is_sent_again(program: Any, visitor: Visitor) -> None:
     with visitor.stream() as stream:
         graph = stream.next("graph")
         assert {"rule:0", "memory:fires", "event:smoke/1", "output:alarms"} <= {
@@ -169,7 +169,7 @@ def wait_until(condition: Any) -> None:
     raise AssertionError("waited in vain")
 
 
-def test_engine_has_listener_while_page_shows_events(program: Any, visitor: Any) -> None:
+def test_engine_has_listener_while_page_shows_events(program: Any, visitor: Visitor) -> None:
     assert listener_count(program) == 0
     with visitor.stream("/stream?events=0") as quiet:
         assert not quiet.next()["watching"]
@@ -181,7 +181,7 @@ def test_engine_has_listener_while_page_shows_events(program: Any, visitor: Any)
         quiet.until(lambda snapshot: not snapshot["watching"])
 
 
-def test_number_of_open_pages_is_limited(visitor: Any) -> None:
+def test_number_of_open_pages_is_limited(visitor: Visitor) -> None:
     with ExitStack() as stack:
         for _ in range(MAX_OPEN_PAGES):
             assert stack.enter_context(visitor.stream()).status == 200
@@ -196,7 +196,7 @@ def test_number_of_open_pages_is_limited(visitor: Any) -> None:
 
 
 @pytest.mark.slow
-def test_idle_connections_are_closed_before_pages(page: Any, visitor: Any) -> None:
+def test_idle_connections_are_closed_before_pages(page: Any, visitor: Visitor) -> None:
     with visitor.stream() as stream:
         links = [
             socket.create_connection(("127.0.0.1", page.port), timeout=TIMEOUT_SECONDS)
@@ -213,7 +213,7 @@ def test_idle_connections_are_closed_before_pages(page: Any, visitor: Any) -> No
 
 
 @pytest.mark.slow
-def test_slow_reader_does_not_block_others(program: Any, visitor: Any) -> None:
+def test_slow_reader_does_not_block_others(program: Any, visitor: Visitor) -> None:
     program.load(rules="".join(f"a{number} <- b{number}(_). " for number in range(100)))
     with visitor.stream() as slow, visitor.stream() as stream:
         assert slow.status == 200
@@ -221,7 +221,7 @@ def test_slow_reader_does_not_block_others(program: Any, visitor: Any) -> None:
             stream.next()
 
 
-def test_event_is_explained(program: Any, visitor: Any) -> None:
+def test_event_is_explained(program: Any, visitor: Visitor) -> None:
     with visitor.stream() as stream:
         stream.next()
         program.event("smoke(hall)", 1)
@@ -234,7 +234,7 @@ def test_event_is_explained(program: Any, visitor: Any) -> None:
             assert "error" in visitor.post("/explain", {"serial": serial}), serial
 
 
-def test_queries_are_answered_if_allowed(program: Any, visitor: Any) -> None:
+def test_queries_are_answered_if_allowed(program: Any, visitor: Visitor) -> None:
     program.call("assertz(room(hall))")
     assert "dashboard_queries" in visitor.post("/query", {"goal": "room(X)"})["error"]
     with serving(program, allows_queries=True) as allowed:

@@ -8,7 +8,7 @@ import sys
 import threading
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, List, Tuple
+from typing import Any, Dict, List, Tuple
 from zlib import crc32
 
 import pytest
@@ -37,20 +37,20 @@ KILLS = 6
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Any:
+def folder(tmp_path: Path) -> Path:
     (tmp_path / "goalPredicates.txt").write_text(GOALS)
     (tmp_path / "r.txt").write_text(RULES)
     return tmp_path
 
 
-def start_engine(folder: Any) -> Any:
+def start_engine(folder: Any) -> Engine:
     engine = Engine(StreamClock())
     engine.load_program(folder)
     engine.event("begin", 0.5)
     return engine
 
 
-def create_checkpointer(engine: Any, folder: Any, name: str = "state.db") -> Any:
+def create_checkpointer(engine: Any, folder: Any, name: str = "state.db") -> Checkpointer:
     return Checkpointer(engine, CheckpointStorage(folder / name), folder, Reports())
 
 
@@ -77,7 +77,7 @@ def records(engine: Any) -> List[Any]:
     ]
 
 
-def test_resumed_engine_continues_from_last_checkpoint(folder: Any) -> None:
+def test_resumed_engine_continues_from_last_checkpoint(folder: Path) -> None:
     engine = start_engine(folder)
     checkpointer = create_checkpointer(engine, folder)
     for number in range(1, 1200):
@@ -96,7 +96,7 @@ def test_resumed_engine_continues_from_last_checkpoint(folder: Any) -> None:
     assert "n(1171)" in events
 
 
-def test_checkpoint_writes_only_changes(folder: Any) -> None:
+def test_checkpoint_writes_only_changes(folder: Path) -> None:
     engine = start_engine(folder)
     checkpointer = create_checkpointer(engine, folder)
     checkpointer.write()
@@ -122,7 +122,7 @@ def test_checkpoint_writes_only_changes(folder: Any) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
-def test_random_changes_are_restored(folder: Any, seed: Any) -> None:
+def test_random_changes_are_restored(folder: Path, seed: int) -> None:
     generator = random.Random(seed)
     engine = start_engine(folder)
     checkpointer = create_checkpointer(engine, folder)
@@ -149,7 +149,7 @@ def test_random_changes_are_restored(folder: Any, seed: Any) -> None:
     assert record_count > 100
 
 
-def test_checkpoints_are_written_until_stop(folder: Any) -> None:
+def test_checkpoints_are_written_until_stop(folder: Path) -> None:
     engine = start_engine(folder)
     checkpointer = Checkpointer(engine, CheckpointStorage(folder / "state.db"), folder, Reports(), 0.001)
     checkpointer.start()
@@ -161,7 +161,7 @@ def test_checkpoints_are_written_until_stop(folder: Any) -> None:
     assert records(resume_engine(folder)) == records(engine)
 
 
-def test_file_stays_valid_until_next_checkpoint(folder: Any) -> None:
+def test_file_stays_valid_until_next_checkpoint(folder: Path) -> None:
     engine = start_engine(folder)
     engine.event("in(1)", 2)
     create_checkpointer(engine, folder).write()
@@ -173,7 +173,7 @@ def test_file_stays_valid_until_next_checkpoint(folder: Any) -> None:
     assert len(records(resume_engine(folder))) == 2
 
 
-def test_missing_or_empty_file_has_no_checkpoint(folder: Any) -> None:
+def test_missing_or_empty_file_has_no_checkpoint(folder: Path) -> None:
     assert resume_engine(folder) is None
     (folder / "state.db").touch()
     assert resume_engine(folder) is None
@@ -182,7 +182,7 @@ def test_missing_or_empty_file_has_no_checkpoint(folder: Any) -> None:
 
 
 @pytest.mark.parametrize("name", ["r.txt", "goalPredicates.txt", "pub_sub.xml"])
-def test_changed_program_is_refused(folder: Any, name: str) -> None:
+def test_changed_program_is_refused(folder: Path, name: str) -> None:
     engine = start_engine(folder)
     create_checkpointer(engine, folder).write()
     (folder / name).write_text("% changed")
@@ -190,21 +190,21 @@ def test_changed_program_is_refused(folder: Any, name: str) -> None:
         resume_engine(folder)
 
 
-def test_program_in_other_folder_is_refused(folder: Any) -> None:
+def test_program_in_other_folder_is_refused(folder: Path) -> None:
     create_checkpointer(start_engine(folder), folder).write()
     (folder / "other").mkdir()
     with pytest.raises(UsageError, match="it is of another program"):
         resume(folder / "state.db", folder / "other", StreamClock(), Settings(), Reports())
 
 
-def test_other_byte_order_is_refused(folder: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_byte_order_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     create_checkpointer(start_engine(folder), folder).write()
     monkeypatch.setattr("sys.byteorder", "other")
     with pytest.raises(UsageError, match="another byte order: little"):
         resume_engine(folder)
 
 
-def test_unfinished_file_has_no_checkpoint(folder: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unfinished_file_has_no_checkpoint(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = folder / "state.db"
     results: List[Any] = []
     connect = sqlite3.connect
@@ -251,7 +251,7 @@ def test_unfinished_file_has_no_checkpoint(folder: Any, monkeypatch: pytest.Monk
         ("UPDATE sections SET data = x'800495' WHERE name = 'about'", "a checksum is wrong"),
     ],
 )
-def test_other_database_is_refused(folder: Any, statements: str, message: str) -> None:
+def test_other_database_is_refused(folder: Path, statements: str, message: str) -> None:
     checkpointer = create_checkpointer(start_engine(folder), folder)
     checkpointer.stop()
     base = sqlite3.connect(str(folder / "state.db"), isolation_level=None)
@@ -277,7 +277,7 @@ def test_other_database_is_refused(folder: Any, statements: str, message: str) -
         (lambda old: to_bytes(to_fields({**old, "memories": old["memories"] * 2})), "two memories"),
     ],
 )
-def test_invalid_description_is_refused(folder: Any, about: Any, message: str) -> None:
+def test_invalid_description_is_refused(folder: Path, about: Any, message: str) -> None:
     checkpointer = create_checkpointer(start_engine(folder), folder)
     checkpointer.stop()
     base = sqlite3.connect(str(folder / "state.db"), isolation_level=None)
@@ -289,7 +289,7 @@ def test_invalid_description_is_refused(folder: Any, about: Any, message: str) -
         resume_engine(folder)
 
 
-def test_other_file_is_refused(folder: Any) -> None:
+def test_other_file_is_refused(folder: Path) -> None:
     (folder / "state.db").write_bytes(b"no database at all" * 100)
     with pytest.raises(UsageError, match="not a checkpoint, or is damaged"):
         resume_engine(folder)
@@ -302,7 +302,7 @@ def test_other_file_is_refused(folder: Any) -> None:
         resume_engine(folder)
 
 
-def test_schema_with_invalid_name_is_refused(folder: Any) -> None:
+def test_schema_with_invalid_name_is_refused(folder: Path) -> None:
     checkpointer = create_checkpointer(start_engine(folder), folder)
     checkpointer.stop()
     data = (folder / "state.db").read_bytes()
@@ -317,7 +317,7 @@ def test_schema_with_invalid_name_is_refused(folder: Any) -> None:
 
 
 @pytest.mark.parametrize("times", [15, pytest.param(100, marks=pytest.mark.slow)])
-def test_damaged_file_is_refused(folder: Any, times: int) -> None:
+def test_damaged_file_is_refused(folder: Path, times: int) -> None:
     engine = start_engine(folder)
     for number in range(1, 300):
         engine.event(f"in({number})", number)
@@ -342,7 +342,7 @@ def test_damaged_file_is_refused(folder: Any, times: int) -> None:
     assert refused > times // 6
 
 
-def test_refused_file_is_renamed_with_its_log(folder: Any) -> None:
+def test_refused_file_is_renamed_with_its_log(folder: Path) -> None:
     checkpointer = create_checkpointer(start_engine(folder), folder)
     checkpointer.write()
     (folder / "state.db.aside").write_text("older")
@@ -354,7 +354,7 @@ def test_refused_file_is_renamed_with_its_log(folder: Any) -> None:
         rename_refused_file(folder)
 
 
-def test_empty_refused_file_is_renamed_with_its_log(folder: Any) -> None:
+def test_empty_refused_file_is_renamed_with_its_log(folder: Path) -> None:
     storage = CheckpointStorage(folder / "state.db")
     log = (folder / "state.db-wal").read_bytes()
     storage.close()
@@ -367,13 +367,13 @@ def test_empty_refused_file_is_renamed_with_its_log(folder: Any) -> None:
     assert (folder / f"{renamed.name}-wal").read_bytes() == log
 
 
-def test_missing_folder_is_an_error(folder: Any) -> None:
+def test_missing_folder_is_an_error(folder: Path) -> None:
     with pytest.raises(UsageError, match="cannot write a checkpoint to"):
         CheckpointStorage(folder / "not_there" / "state.db")
 
 
 @pytest.mark.slow
-def test_file_is_consistent_after_random_kills(folder: Any) -> None:
+def test_file_is_consistent_after_random_kills(folder: Path) -> None:
     """After each kill the file has one recent state, with all parts of the same time."""
     generator = random.Random(3)
     newest = previous = 0
@@ -406,7 +406,7 @@ def test_file_is_consistent_after_random_kills(folder: Any) -> None:
             output.close()
 
 
-def test_second_writer_stops_first_one(folder: Any, caplog: pytest.LogCaptureFixture) -> None:
+def test_second_writer_stops_first_one(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
     first_engine, second_engine = start_engine(folder), start_engine(folder)
     first = create_checkpointer(first_engine, folder)
     first.write()
@@ -421,7 +421,7 @@ def test_second_writer_stops_first_one(folder: Any, caplog: pytest.LogCaptureFix
     assert records(resume_engine(folder)) == records(second_engine)
 
 
-def test_missing_records_are_an_error(folder: Any) -> None:
+def test_missing_records_are_an_error(folder: Path) -> None:
     engine = start_engine(folder)
     checkpointer = create_checkpointer(engine, folder)
     for number in range(1, 4):
@@ -434,7 +434,7 @@ def test_missing_records_are_an_error(folder: Any) -> None:
         resume_engine(folder)
 
 
-def test_program_edited_after_loading_is_refused(folder: Any) -> None:
+def test_program_edited_after_loading_is_refused(folder: Path) -> None:
     engine = start_engine(folder)
     checkpointer = create_checkpointer(engine, folder)
     (folder / "r.txt").write_text(RULES + "% more\n")
@@ -448,7 +448,7 @@ def test_program_edited_after_loading_is_refused(folder: Any) -> None:
 
 
 def test_unexpected_error_of_writing_is_logged(
-    folder: Any, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     engine = start_engine(folder)
     checkpointer = create_checkpointer(engine, folder)
@@ -458,7 +458,7 @@ def test_unexpected_error_of_writing_is_logged(
     assert "division" in caplog.text
 
 
-def test_stop_does_not_wait_for_blocked_engine(folder: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stop_does_not_wait_for_blocked_engine(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("retalis.engine.checkpoints.FINAL_WRITE_SECONDS", 0.1)
     engine = start_engine(folder)
     checkpointer = create_checkpointer(engine, folder)
@@ -478,7 +478,7 @@ def test_stop_does_not_wait_for_blocked_engine(folder: Any, monkeypatch: pytest.
     thread.join()
 
 
-def test_query_during_checkpoint_binds_no_records(folder: Any) -> None:
+def test_query_during_checkpoint_binds_no_records(folder: Path) -> None:
     """A query for a justification temporarily unifies terms of rules."""
     engine = start_engine(folder)
     engine.call("set_etalis_flag(etalis_justification, on)")
@@ -504,7 +504,7 @@ def test_query_during_checkpoint_binds_no_records(folder: Any) -> None:
     assert "out(7)" in events
 
 
-def test_pause_is_proportional_to_work(folder: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pause_is_proportional_to_work(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     engine = start_engine(folder)
     times = SimpleNamespace(now=0.0, cpu=0.0)
     monkeypatch.setattr(
@@ -525,7 +525,7 @@ def test_pause_is_proportional_to_work(folder: Any, monkeypatch: pytest.MonkeyPa
         times.cpu += 100.0  # of another thread that has captured the state meanwhile
         return result
 
-    def capture(snapshot: Any, **options: Any) -> Any:
+    def capture(snapshot: Any, **options: Any) -> Dict[str, Any]:
         times.now += 0.2
         times.cpu += durations.pop(0)
         return capture_state(snapshot, **options)
@@ -581,7 +581,7 @@ print(event_input[event_input.index("event_count") + 1], sorted(os.listdir(path.
 
 
 @pytest.mark.parametrize("is_killed", [False, True], ids=["closed", "with log"])
-def test_checkpoint_in_read_only_folder_is_read(folder: Any, is_killed: bool) -> None:
+def test_checkpoint_in_read_only_folder_is_read(folder: Path, is_killed: bool) -> None:
     engine = start_engine(folder)
     checkpointer = create_checkpointer(engine, folder)
     checkpointer.write()
@@ -637,7 +637,7 @@ def explanation_of(engine: Any, event: str) -> List[Any]:
     return [line for tree in explain(engine, event).lines for line in tree.indented()]
 
 
-def test_size_of_recorded_events_is_bounded(folder: Any) -> None:
+def test_size_of_recorded_events_is_bounded(folder: Path) -> None:
     sizes: List[Any] = []
     for number_of_events in (400, 1200):
         _, checkpointer = explained(folder, number_of_events)
@@ -647,7 +647,7 @@ def test_size_of_recorded_events_is_bounded(folder: Any) -> None:
     assert sizes[1] < 1.1 * sizes[0]
 
 
-def test_newest_events_are_explained_after_restart(folder: Any) -> None:
+def test_newest_events_are_explained_after_restart(folder: Path) -> None:
     engine, checkpointer = explained(folder, 400)
     checkpointer.write()
     other = resume_engine(folder)
@@ -656,7 +656,7 @@ def test_newest_events_are_explained_after_restart(folder: Any) -> None:
     assert explanation_of(other, "pair(399)") == explanation_of(engine, "pair(399)")
 
 
-def test_older_partial_match_continues_after_restart(folder: Any) -> None:
+def test_older_partial_match_continues_after_restart(folder: Path) -> None:
     engine, checkpointer = explained(folder, 400)
     checkpointer.write()
     other = resume_engine(folder)
@@ -668,13 +668,13 @@ def test_older_partial_match_continues_after_restart(folder: Any) -> None:
     assert third == explanation_of(engine, "next(0)")[-1]
 
 
-def test_snapshot_contains_all_recorded_events(folder: Any) -> None:
+def test_snapshot_contains_all_recorded_events(folder: Path) -> None:
     engine, _ = explained(folder, 400)
     other = Engine.restore(engine.snapshot())
     assert remembered_count(other) == remembered_count(engine) > 1200
 
 
-def test_checkpoint_contains_retractable_events(folder: Any) -> None:
+def test_checkpoint_contains_retractable_events(folder: Path) -> None:
     engine, checkpointer = explained(folder, 400)
     engine.call("set_etalis_flag(revision_flag, on)")
     checkpointer.write()

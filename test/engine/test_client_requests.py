@@ -88,18 +88,18 @@ def test_syntax_error_has_position() -> None:
 
 
 @pytest.fixture
-def engine_with_memories() -> Any:
+def engine_with_memories() -> Engine:
     engine = Engine()
     engine.load(goals="memorize(v(_), [], _, m, 10)\nmemorize(w(_), [], _, n, 10)")
     return engine
 
 
-def test_available_records_need_no_wait(engine_with_memories: Any) -> None:
+def test_available_records_need_no_wait(engine_with_memories: Engine) -> None:
     engine_with_memories.event("v(1)", 5)
     wait_for_memories(engine_with_memories, [atom("m")], 5_000_000_000, 0)
 
 
-def test_engine_processes_events_while_request_waits(engine_with_memories: Any) -> None:
+def test_engine_processes_events_while_request_waits(engine_with_memories: Engine) -> None:
     results: List[Any] = []
 
     def wait() -> None:
@@ -124,19 +124,19 @@ def waiting(engine: Any) -> int:
     return len(engine.knowledge.pending_queries)
 
 
-def test_wait_ends_with_error_after_timeout(engine_with_memories: Any) -> None:
+def test_wait_ends_with_error_after_timeout(engine_with_memories: Engine) -> None:
     engine_with_memories.event("v(1)", 3)
     with pytest.raises(UsageError, match=r"in memory m \(2 s too early\), n \(nothing yet\) after 0.01 s"):
         wait_for_memories(engine_with_memories, [atom("m"), atom("n")], 5_000_000_000, 0.01)
     assert waiting(engine_with_memories) == 0
 
 
-def test_wait_for_unknown_memory_is_an_error(engine_with_memories: Any) -> None:
+def test_wait_for_unknown_memory_is_an_error(engine_with_memories: Engine) -> None:
     with pytest.raises(UsageError, match="there is no memory x"):
         wait_for_memories(engine_with_memories, [atom("x")], 0, 1)
 
 
-def test_deleted_memory_ends_wait(engine_with_memories: Any) -> None:
+def test_deleted_memory_ends_wait(engine_with_memories: Engine) -> None:
     ended: List[Any] = []
 
     def wait() -> None:
@@ -254,7 +254,7 @@ PROGRAM = "null do set_etalis_flag(event_consumption_policy, chronological) <- o
 REFUSED = "~allow_flags"
 
 
-def make_engine(rules: str = "", **settings: Any) -> Any:
+def make_engine(rules: str = "", **settings: Any) -> Engine:
     engine = Engine(settings=Settings(**settings))
     engine.load(rules=PROGRAM + ":- dynamic helper/0.\n" + rules)
     return engine
@@ -285,7 +285,7 @@ def terms(engine: Any, *texts: Any) -> List[Any]:
         f"event(synchronized(x, {SET_FLAG}, []))",
     ],
 )
-def test_query_that_sets_flag_is_refused(goal: Any, caplog: pytest.LogCaptureFixture) -> None:
+def test_query_that_sets_flag_is_refused(goal: str, caplog: pytest.LogCaptureFixture) -> None:
     engine = make_engine()
     engine.event("first", 1)
     before = engine.query("current_prolog_flag(double_quotes, X), current_prolog_flag(unknown, Y)")

@@ -138,7 +138,7 @@ def emissions_of(engine: Engine, events: Any, first: int) -> List[Any]:
 
 
 @pytest.mark.parametrize("name", PROGRAMS)
-def test_restored_engine_emits_same_events(name: Any) -> None:
+def test_restored_engine_emits_same_events(name: str) -> None:
     rules, goals, before, after = PROGRAMS[name]
     original = Engine()
     original.load(rules=rules, goals=goals)
@@ -152,7 +152,7 @@ def test_restored_engine_emits_same_events(name: Any) -> None:
 
 
 @pytest.mark.parametrize("name", QUERIES)
-def test_restored_engine_has_same_solutions(name: Any) -> None:
+def test_restored_engine_has_same_solutions(name: str) -> None:
     rules, goal, query = QUERIES[name]
     original = Engine()
     original.load(rules=rules)
@@ -250,7 +250,7 @@ DUE_AT_ONE_INSTANT = {
 
 
 @pytest.mark.parametrize("name", DUE_AT_ONE_INSTANT)
-def test_restore_keeps_order_of_alarms_at_one_instant(name: Any) -> None:
+def test_restore_keeps_order_of_alarms_at_one_instant(name: str) -> None:
     goals, events = DUE_AT_ONE_INSTANT[name]
     rules = (
         "null do timer(t, after(2)) <- set.\n"

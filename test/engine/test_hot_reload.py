@@ -2,7 +2,7 @@
 
 import threading
 from pathlib import Path
-from typing import Any, List, Tuple
+from typing import Any, List, Optional, Tuple
 
 import pytest
 
@@ -56,7 +56,7 @@ class Program:
             if text is not None:
                 (self.folder / name).write_text(text)
 
-    def reload(self, goals: Any = None, rules: Any = None) -> Any:
+    def reload(self, goals: Any = None, rules: Any = None) -> List[str]:
         self.write(goals, rules)
         return self.engine.reload(self.folder)
 
@@ -385,7 +385,9 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("goals", "rules", "part"), WRONG)
-def test_wrong_program_leaves_previous_one_running(tmp_path: Path, goals: Any, rules: Any, part: Any) -> None:
+def test_wrong_program_leaves_previous_one_running(
+    tmp_path: Path, goals: Optional[str], rules: Optional[str], part: str
+) -> None:
     program = Program(tmp_path, Settings(limits=Limits(inferences=100_000)))
     program.events("fire(hall)", "smoke(1)")
     before = program.state()
@@ -437,7 +439,7 @@ HERE_ONLY = "\\+ here\n"
         (GOALS + HERE_ONLY, ""),
     ],
 )
-def test_failure_in_running_engine_is_rolled_back(program: Program, goals: Any, rules: Any) -> None:
+def test_failure_in_running_engine_is_rolled_back(program: Program, goals: str, rules: Optional[str]) -> None:
     engine = program.engine
     engine.call("dynamic(here/0)")
     goals = goals.replace(HERE_ONLY, "catch(here, _, fail) -> fail ; true\n")
@@ -552,7 +554,7 @@ class TestTimers:
     """Timers of a reloaded program."""
 
     @pytest.fixture
-    def timed(self, tmp_path: Path) -> Any:
+    def timed(self, tmp_path: Path) -> Program:
         program = Program(tmp_path)
         program.reload(goals=GOALS + "timer(a, every(4, from_now))\ntimer(b, after(100))\n")
         program.events("e")
@@ -613,7 +615,7 @@ class TestStates:
     """Declared states of a reloaded program."""
 
     @pytest.fixture
-    def docked(self, tmp_path: Path) -> Any:
+    def docked(self, tmp_path: Path) -> Program:
         program = Program(tmp_path)
         program.reload(goals=GOALS + STATE)
         program.events("dock(a)")

@@ -16,7 +16,7 @@ deep(N) :- M is N + 1, deep(M).
 """
 
 
-def make(rules: str = "", **limits: Any) -> Any:
+def make(rules: str = "", **limits: Any) -> RecordingEngine:
     """Return an engine with the goal ``stop``: an interrupt comes when it runs first, and later it fails."""
     engine = RecordingEngine(limits=Limits(**limits))
     interrupts = [Interrupt()]

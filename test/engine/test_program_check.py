@@ -29,14 +29,14 @@ TOPICS = Topics((topic_type("said", "std_msgs/String"),))
         ("sensor_msgs__0__Range(_, _, _, _, _, _)", ""),
     ],
 )
-def test_pattern_without_producer_is_explained(definitions: Any, pattern: str, warning: str) -> None:
+def test_pattern_without_producer_is_explained(definitions: Definitions, pattern: str, warning: str) -> None:
     engine = Engine()
     engine.load(rules="alarm(T) <- std_msgs__0__String(T). input_event(button/1).")
     term = engine.query(f"X = ({pattern})")[0]["X"]
     assert explain_missing_events(engine, term, definitions, TOPICS, ()) == warning
 
 
-def test_findings_have_order_of_files(tmp_path: Path, definitions: Any) -> None:
+def test_findings_have_order_of_files(tmp_path: Path, definitions: Definitions) -> None:
     (tmp_path / "pub_sub.xml").write_text(
         '<publish_subscribe><subscribe_to name="s" msg_type="a/B" x="1"/></publish_subscribe>'
     )
@@ -51,7 +51,7 @@ def test_findings_have_order_of_files(tmp_path: Path, definitions: Any) -> None:
     assert places == [("goalPredicates.txt", 3), ("pub_sub.xml", 1), ("rules.txt", 1), ("rules.txt", 2)]
 
 
-def test_missing_program_is_one_error(tmp_path: Path, definitions: Any) -> None:
+def test_missing_program_is_one_error(tmp_path: Path, definitions: Definitions) -> None:
     for missing in (tmp_path / "none.pl", tmp_path / "none"):
         (finding,) = check_program(missing, definitions)
         assert finding.problem.message == f"cannot read {missing}: there is no such file or folder"
@@ -89,13 +89,13 @@ def finding_messages(
     return [finding.problem.message for finding in check_program(folder, definitions)]
 
 
-def test_events_of_refused_topics_are_not_reported(tmp_path: Path, definitions: Any) -> None:
+def test_events_of_refused_topics_are_not_reported(tmp_path: Path, definitions: Definitions) -> None:
     topics = '<subscribe_to name="said" msg_type="std_msgs/String" event="Said"/>'
     (message,) = finding_messages(tmp_path, definitions, topics, "a(T) <- said{data: T}. b(T) <- siad(T).")
     assert message.startswith("<subscribe_to>: the name of an event begins with a small letter")
 
 
-def test_predicates_of_refused_rules_are_not_reported(tmp_path: Path, definitions: Any) -> None:
+def test_predicates_of_refused_rules_are_not_reported(tmp_path: Path, definitions: Definitions) -> None:
     goals = "subscribe(low(V), [helper(V)], V, warn, w1)\nmemorize(low(m), [], m, lows, 3)"
     (message,) = finding_messages(
         tmp_path, definitions, rules="low(V) <- heat(V) where helper(V.\nhelper(V) :- V < 3.\n", goals=goals
@@ -103,6 +103,6 @@ def test_predicates_of_refused_rules_are_not_reported(tmp_path: Path, definition
     assert message.startswith('expected ")" for the "("')
 
 
-def test_predicates_of_valid_rules_are_reported(tmp_path: Path, definitions: Any) -> None:
+def test_predicates_of_valid_rules_are_reported(tmp_path: Path, definitions: Definitions) -> None:
     messages = finding_messages(tmp_path, definitions, rules="low(V) <- heat(V) where helper(V).")
     assert "there is no predicate helper/1 yet; define it, or write :- dynamic helper/1." in messages

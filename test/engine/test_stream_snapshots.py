@@ -79,7 +79,7 @@ def emissions_of(engine: Engine, events: Any) -> List[Any]:
 @pytest.mark.slow
 @pytest.mark.parametrize("flags", FLAGS)
 @pytest.mark.parametrize("name", PATTERNS)
-def test_restored_stream_operator_emits_same_events(name: Any, flags: Any) -> None:
+def test_restored_stream_operator_emits_same_events(name: Any, flags: str) -> None:
     original = Engine()
     original.load(rules=FLAGS[flags] + PATTERNS[name])
     events = stream(name)

@@ -33,7 +33,7 @@ CASES = [
 @pytest.mark.parametrize("policy", POLICIES)
 @pytest.mark.parametrize(("short", "long"), CASES)
 @pytest.mark.parametrize("flags", [(), ("out_of_order",), ("etalis_justification",)], ids=str)
-def test_ntimes_equals_written_sequence(short: Any, long: Any, policy: Any, flags: Tuple[Any, ...]) -> None:
+def test_ntimes_equals_written_sequence(short: str, long: str, policy: str, flags: Tuple[Any, ...]) -> None:
     generator = random.Random(f"{short} {policy}")
     for _ in range(4):
         stream: List[Any] = []
@@ -204,7 +204,7 @@ def test_recursive_events_are_repetitions() -> None:
 
 
 @pytest.mark.parametrize("policy", POLICIES)
-def test_explanation_equals_that_of_sequence(policy: Any) -> None:
+def test_explanation_equals_that_of_sequence(policy: str) -> None:
     stream = "a(1,1)@1 a(1,1)@2-3 a(1,2)@3 a(1,2)@4 a(1,1)@5 a(1,1)@6 a(1,1)@7"
     explanations: List[Any] = []
     for pattern in ("a(X,_) ntimes 4", "a(X,_) seq a(X,_) seq a(X,_) seq a(X,_)"):

@@ -180,7 +180,7 @@ IN_ORDER = ["recent", "recent_2", "chronological", "unrestricted"]
         ("o <- (a fnot c) seq (d seq e).", "c@1 a@2 d@3 rev(c)@4 e@5", "o@2-5"),
     ],
 )
-def test_restored_side_of_sequence_has_partners(rules: str, stream: str, expected: str, policy: Any) -> None:
+def test_restored_side_of_sequence_has_partners(rules: str, stream: str, expected: str, policy: str) -> None:
     assert outputs_with_revision(rules, stream, policy) == expected
 
 
@@ -308,7 +308,7 @@ def test_forgotten_events_keep_no_sources(monkeypatch: pytest.MonkeyPatch) -> No
     assert derived.sources() == []
 
 
-def count_occurrences() -> Any:
+def count_occurrences() -> int:
     gc.collect()
     return sum(type(item) is Occurrence for item in gc.get_objects())
 

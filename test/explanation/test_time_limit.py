@@ -1,14 +1,12 @@
 """Time limit of explanations."""
 
-from typing import Any
-
 import pytest
 
 from retalis import Engine, UsageError, explain, record_origins
 
 
 @pytest.fixture
-def engine() -> Any:
+def engine() -> Engine:
     engine = Engine()
     record_origins(engine)
     engine.load(rules="c(X, Y) <- a(X) seq b(Y) where X > 1000.")
@@ -18,7 +16,7 @@ def engine() -> Any:
     return engine
 
 
-def test_explanation_beyond_limit_is_an_error(engine: Any) -> None:
+def test_explanation_beyond_limit_is_an_error(engine: Engine) -> None:
     with pytest.raises(UsageError, match="no explanation within 0 s"):
         explain(engine, "c(_, _)", 0)
     assert not explain(engine, "c(_, _)", 3600).happened
@@ -26,7 +24,7 @@ def test_explanation_beyond_limit_is_an_error(engine: Any) -> None:
     assert engine.query("between(1, 100000, X), X =:= 100000")
 
 
-def test_limits_of_goals_follow_interruption(engine: Any) -> None:
+def test_limits_of_goals_follow_interruption(engine: Engine) -> None:
     with pytest.raises(UsageError):
         explain(engine, "c(_, _)", 0)
     assert not engine.call(

@@ -8,7 +8,7 @@ from retalis import Engine, explain, record_origins
 
 
 @pytest.fixture
-def engine() -> Any:
+def engine() -> Engine:
     engine = Engine()
     record_origins(engine)
     engine.load(
@@ -24,12 +24,12 @@ def explanation_lines(engine: Any, event: str) -> List[str]:
     return [text.strip() for line in explain(engine, event).lines for text in line.indented()]
 
 
-def test_sent_event_has_no_subscription_lines(engine: Any) -> None:
+def test_sent_event_has_no_subscription_lines(engine: Engine) -> None:
     engine.event("cold", 1)
     assert explanation_lines(engine, "cold") == ["cold at 1 came from outside"]
 
 
-def test_false_condition_is_shown_with_values(engine: Any) -> None:
+def test_false_condition_is_shown_with_values(engine: Engine) -> None:
     engine.event("heat(oven, 38)", 1)
     assert explanation_lines(engine, "heat(_, _)") == [
         "heat(oven,38) at 1 came from outside",
@@ -39,14 +39,14 @@ def test_false_condition_is_shown_with_values(engine: Any) -> None:
     ]
 
 
-def test_other_pattern_is_shown(engine: Any) -> None:
+def test_other_pattern_is_shown(engine: Engine) -> None:
     engine.event("heat(hall, 45)", 1)
     assert "subscription a of topic alarms does not take it: it takes heat(oven,_)" in explanation_lines(
         engine, "heat(hall, _)"
     )
 
 
-def test_events_of_converted_output_are_shown(engine: Any) -> None:
+def test_events_of_converted_output_are_shown(engine: Engine) -> None:
     assert explanation_lines(engine, "hot(_)")[:2] == [
         "subscription a of topic alarms sends it of heat(oven,_)",
         "no such event happened",

@@ -1,6 +1,6 @@
 """Explanations of rules with windows, steps and aggregates that did not fire."""
 
-from typing import Any
+from typing import Any, List
 
 import pytest
 
@@ -23,7 +23,7 @@ NOT_FIRED = {
 
 
 @pytest.mark.parametrize("rule", NOT_FIRED)
-def test_explanation_has_reason_of_operator(rule: Any) -> None:
+def test_explanation_has_reason_of_operator(rule: str) -> None:
     engine = Engine()
     record_origins(engine)
     engine.load(rules=rule)
@@ -32,7 +32,7 @@ def test_explanation_has_reason_of_operator(rule: Any) -> None:
     assert NOT_FIRED[rule] in str(explain(engine, "w(9)"))
 
 
-def explanation_lines(rules: str, events: Any, pattern: str, origin: Any = None) -> Any:
+def explanation_lines(rules: str, events: Any, pattern: str, origin: Any = None) -> List[str]:
     """Return the lines of an explanation below the line of the rule, stripped."""
     engine = Engine()
     record_origins(engine)

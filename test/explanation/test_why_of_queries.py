@@ -10,7 +10,7 @@ RULE = "synchronized(found(X), true, [[m, T]]{options}) <- seen(X, T).\nnext(X) 
 
 
 @pytest.fixture(params=["", ", [timeout(60)]"])
-def engine(request: pytest.FixtureRequest) -> Any:
+def engine(request: pytest.FixtureRequest) -> Engine:
     engine = Engine()
     record_origins(engine)
     rules = RULE.format(options=request.param) + "other(N) <- tick(N).\n"
@@ -24,7 +24,7 @@ def explanation_lines(engine: Any, event: str) -> List[str]:
     return [text.split(" by rule")[0].strip() for text in line.indented()]
 
 
-def test_source_of_query_is_trigger_not_release(engine: Any) -> None:
+def test_source_of_query_is_trigger_not_release(engine: Engine) -> None:
     engine.event("seen(a, 5)", 2)
     engine.event("seen(b, 6)", 3)
     assert not explain(engine, "found(_)").happened
@@ -37,7 +37,7 @@ def test_source_of_query_is_trigger_not_release(engine: Any) -> None:
     assert explanation_lines(engine, "next(b)")[-1] == "seen(b,6) at 3 came from outside"
 
 
-def test_later_events_do_not_follow_from_query(engine: Any) -> None:
+def test_later_events_do_not_follow_from_query(engine: Engine) -> None:
     engine.event("seen(a, 5)", 2)
     engine.event("tick(7)", 7)
     assert explanation_lines(engine, "other(7)") == ["other(7) at 7", "tick(7) at 7 came from outside"]

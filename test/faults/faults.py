@@ -164,7 +164,7 @@ class Faults(unittest.TestCase):
         wait_until(publisher.is_connected, f"a subscriber of {topic}")
         return publisher
 
-    def listeners(self) -> Any:
+    def listeners(self) -> int:
         statistics = node("/retalis_ros_interface").getBusStats("/faults")[2][0]
         return sum(len(links) for topic, _, links in statistics if topic == "/face_by_marker")
 
@@ -177,7 +177,7 @@ class Faults(unittest.TestCase):
         del self.log.messages[:]
 
 
-def encode(text: str) -> Any:
+def encode(text: str) -> bytes:
     return pack("<I", len(text)) + text.encode()
 
 

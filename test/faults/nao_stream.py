@@ -172,5 +172,5 @@ def _image(width: Any, height: Any) -> Any:
     return struct.pack("<I", len(body)) + body
 
 
-def _text(text: str) -> Any:
+def _text(text: str) -> bytes:
     return struct.pack("<I", len(text)) + text.encode()

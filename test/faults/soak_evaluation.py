@@ -95,7 +95,7 @@ def verdict(soak: Any) -> Tuple[Any, ...]:
     return all(is_good for is_good, _ in checks), lines
 
 
-def judge(stream: Any, expected: Any, restarts: Any, drops: Any, speed: Any) -> Any:
+def judge(stream: Any, expected: Any, restarts: Any, drops: Any, speed: Any) -> Poses:
     """Return the poses by outcome.
 
     A missing or wrong pose has a reason only if its messages were in transit to a node that was ended, were sent
@@ -134,7 +134,7 @@ def _within(seconds: Any, spans: Any) -> bool:
     return any(first - POSE_MARGIN_SECONDS <= seconds <= last + POSE_MARGIN_SECONDS for first, last in spans)
 
 
-def _where(poses: Any) -> Any:
+def _where(poses: Any) -> str:
     return f": {', '.join(f'{marker} at {seconds}' for marker, seconds in poses[:10])}" if poses else ""
 
 

@@ -51,7 +51,7 @@ def used_names_of(tree: Any) -> Iterator[Any]:
             yield node.module
 
 
-def dotted(node: Any) -> Any:
+def dotted(node: Any) -> str:
     inner = node.value
     return f"{inner.id}.{node.attr}" if isinstance(inner, ast.Name) else f"?.{node.attr}"
 

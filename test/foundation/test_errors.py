@@ -1,7 +1,6 @@
 """Places of errors with a short part of the line, and printable texts."""
 
 import json
-from typing import Any
 from xml.etree import ElementTree
 
 import pytest
@@ -75,7 +74,7 @@ CONTROL_CODES += [*range(0x2060, 0x2070), 0xFEFF, 0xFFFE, 0xFFFF, 0xD800, 0xDFFF
 
 
 @pytest.mark.parametrize("code", CONTROL_CODES, ids=hex)
-def test_control_character_is_shown_as_escape(code: Any) -> None:
+def test_control_character_is_shown_as_escape(code: int) -> None:
     shown = printable(f"a{chr(code)}b")
     assert shown == f"a{ascii(chr(code))[1:-1]}b"
     ElementTree.fromstring(f"<t>{shown}</t>")
@@ -91,7 +90,7 @@ def test_printable_text_is_unchanged(text: str) -> None:
 
 
 @pytest.mark.parametrize("joiner", "\u200c\u200d", ids=ascii)
-def test_joiner_without_neighbor_is_shown_as_escape(joiner: Any) -> None:
+def test_joiner_without_neighbor_is_shown_as_escape(joiner: str) -> None:
     assert printable(f"{joiner}a{joiner}b") == f"{ascii(joiner)[1:-1]}a{ascii(joiner)[1:-1]}b"
 
 

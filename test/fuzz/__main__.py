@@ -55,7 +55,7 @@ def show(campaign: Any, save: Any = None) -> None:
                 (folder / f"{line['seed']}-{line['number']}-{number}").write_bytes(data)
 
 
-def replay_campaign(text: Any) -> Any:
+def replay_campaign(text: Any) -> Campaign:
     """Return the campaign of inputs that are named as ``show`` prints them."""
     kind, _, source = text.partition(":")
     seed, _, numbers = source.partition(":")
@@ -69,7 +69,7 @@ def replay_campaign(text: Any) -> Any:
     return campaign
 
 
-def main(argv: Any) -> Any:
+def main(argv: Any) -> int:
     """Run the command line; return the number of findings, at most 100, as exit status."""
     options = arguments(argv)
     if options.replay:

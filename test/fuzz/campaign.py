@@ -239,7 +239,7 @@ class _Process:
                 self._process.send_signal(signal.SIGABRT)  # faulthandler prints the stack
                 return
 
-    def _cpu(self) -> Any:
+    def _cpu(self) -> float:
         try:
             fields = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
         except OSError:  # it has just ended

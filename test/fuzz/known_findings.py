@@ -23,7 +23,7 @@ class Known(NamedTuple):
 KNOWN: Tuple[Known, ...] = ()
 
 
-def reason(kind: Any, category: Any, place: Any) -> Any:
+def reason(kind: Any, category: Any, place: Any) -> str:
     """Return why a finding is known, or an empty text."""
     for finding in KNOWN:
         if (

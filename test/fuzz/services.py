@@ -126,14 +126,14 @@ class Inputs:
             return rng.choice(ARGUMENTS)
         return mutate_text(rng, rng.choice(texts), texts, PIECES)
 
-    def text(self, number: Any) -> Any:
+    def text(self, number: Any) -> str:
         """Return a text for a topic of type String."""
         rng = self.rng("text", number)
         if rng.random() < 0.3:
             return f"event({rng.choice('ab')}({rng.choice(ARGUMENTS)}))"
         return mutate_text(rng, rng.choice(self.events), self.events, PIECES)
 
-    def message(self, number: Any) -> Any:
+    def message(self, number: Any) -> bytes:
         """Return bytes for a topic of type ``fuzz/A``."""
         rng = self.rng("message", number)
         data = valid(rng, self.definition)

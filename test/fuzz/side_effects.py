@@ -148,7 +148,7 @@ class Watch:
         if peak > self._peak and peak - self._before > self._growth:
             raise FindingError("growth", f"{(peak - self._before) >> 20} MB", "in one step")
 
-    def resident(self) -> Any:
+    def resident(self) -> int:
         """Return the size of the resident memory in bytes."""
         return int(os.pread(self._statm, 100, 0).split()[1]) * _PAGE
 
@@ -207,7 +207,7 @@ class Watch:
         )
 
 
-def place(frame: Any) -> Any:
+def place(frame: Any) -> str:
     """Return the innermost place in the package of a frame or a traceback's frames."""
     while frame is not None:
         location = _place(frame.f_code.co_filename, frame.f_lineno, frame.f_code.co_name)
@@ -217,7 +217,7 @@ def place(frame: Any) -> Any:
     return "outside the package"
 
 
-def raised_at(trace: Any) -> Any:
+def raised_at(trace: Any) -> str:
     """Return the innermost place in the package at which an exception was raised."""
     location = ""
     while trace is not None:
@@ -233,9 +233,9 @@ def _place(path: Any, line: Any, function: Any) -> str:
     return ""
 
 
-def _peak() -> Any:
+def _peak() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
 
 
-def _brief(arguments: Any) -> Any:
+def _brief(arguments: Any) -> str:
     return repr(arguments)[:300]

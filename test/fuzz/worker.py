@@ -213,7 +213,7 @@ class Worker:
             size //= 2
         return data
 
-    def has_same_problem(self, data: Any, problem: Any) -> Any:
+    def has_same_problem(self, data: Any, problem: Any) -> bool:
         """Return whether an input alone causes the same problem."""
         self.kind.reset()
         other = self.find_problem(data)

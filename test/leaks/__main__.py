@@ -45,7 +45,7 @@ def count_objects() -> int:
     return len(gc.get_objects())
 
 
-def count_remaining(name: Any, rounds: Any) -> Any:
+def count_remaining(name: Any, rounds: Any) -> int:
     """Return how many objects more there are after a number of rounds of a case."""
     run_round = CASES[name]()
     for number in range(WARM_UP_ROUNDS):

@@ -25,8 +25,9 @@ from pathlib import Path
 from typing import Any, Iterator, List, NamedTuple, Set
 
 from message_registries import empty_registry
+
 from messages.reference_wire_format import CODES, serialize
-from retalis import Definitions, MessageError, Term, atom, functor
+from retalis import Atom, Definitions, MessageError, Term, atom, functor
 from retalis.messages.type_definition import VARIABLE_LENGTH
 from retalis.prolog.terms.types import CONS, NIL, deref
 

@@ -404,7 +404,7 @@ class Streams(IdentifyingRepetitions):
         }
 
     @staticmethod
-    def _key(term: Term) -> Any:
+    def _key(term: Term) -> str:
         return "open" if term.__class__ is Var else show(term)
 
     @staticmethod

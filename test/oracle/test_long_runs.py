@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from typing import Any
 
 import pytest
 from python_path import ROOT, python_path
@@ -25,7 +24,7 @@ RUNS = [
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("arguments", RUNS)
-def test_long_run_has_no_difference(arguments: Any) -> None:
+def test_long_run_has_no_difference(arguments: str) -> None:
     program, *options = arguments.split()
     run = subprocess.run(
         [sys.executable, "-m", f"oracle.{program}", *options],

@@ -24,7 +24,7 @@ def fired(
     out_of_order: bool = False,
     expiry: bool = True,
     **options: Any,
-) -> Any:
+) -> str:
     derived = run(
         [rule(head, pattern, **options)],
         stream(events),
@@ -98,7 +98,7 @@ TABLE = [
 
 @pytest.mark.parametrize(("pattern", "events", "expected"), TABLE)
 @pytest.mark.parametrize("policy", POLICIES)
-def test_pattern_has_computed_matches(pattern: Any, events: Any, expected: Any, policy: Any) -> None:
+def test_pattern_has_computed_matches(pattern: str, events: str, expected: str, policy: Any) -> None:
     if policy == "unrestricted" and pattern.startswith("ntimes"):
         expected = "out@1-3 out@1-4 out@1-4 out@2-4"  # every three in order
     assert fired(pattern, events, policy=policy) == expected
@@ -134,7 +134,7 @@ POLICY_CASES = {
 @pytest.mark.parametrize("events", POLICY_CASES)
 @pytest.mark.parametrize("policy", POLICIES)
 @pytest.mark.parametrize("operator", ["seq", "and"])
-def test_policy_selects_partners(events: Any, policy: Any, operator: str) -> None:
+def test_policy_selects_partners(events: str, policy: Any, operator: str) -> None:
     assert fired(f"{operator}(a(X),b(Y))", events, "out(X,Y)", policy) == POLICY_CASES[events][policy]
 
 

@@ -44,7 +44,7 @@ CASES = [
 @pytest.mark.parametrize("policy", ["recent", "chronological", "unrestricted"])
 @pytest.mark.parametrize(("head", "pattern", "events", "expected"), CASES)
 def test_revision_has_computed_results(
-    head: Any, pattern: Any, events: Any, expected: Any, policy: str
+    head: str, pattern: str, events: str, expected: Any, policy: str
 ) -> None:
     steps = run_with_revision([rule(head, pattern)], stream(events), policy, False)
     assert len(steps) == len(expected)

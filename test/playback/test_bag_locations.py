@@ -19,7 +19,7 @@ from retalis.playback.bag_locations import (
 
 
 @pytest.fixture
-def fleet(tmp_path: Path) -> Any:
+def fleet(tmp_path: Path) -> Path:
     """Return a folder with bags of two robots, including a ROS 2 bag, and with other files."""
     names = (
         "r2/day.bag",
@@ -44,7 +44,7 @@ BAG_PATHS = ["r1/day.bag", "r1/night.mcap", "r10/ros2", "r2/day.bag"]
 BAG_NAMES = ["r1/day", "r1/night", "r10/ros2", "r2/day"]
 
 
-def test_bags_of_folder_are_sorted_by_name(fleet: Any) -> None:
+def test_bags_of_folder_are_sorted_by_name(fleet: Path) -> None:
     bags = find_bags(["x/z.bag", f"{fleet}/", f"{fleet}/r10/ros2", "y"])
     assert [bag.location for bag in bags] == [
         "x/z.bag",
@@ -62,7 +62,7 @@ def test_compressed_ros2_files_are_bags(tmp_path: Path) -> None:
     assert [bag.name for bag in find_bags(["x/e.db3.zstd", "f.zstd"])] == ["e", "f.zstd"]
 
 
-def test_url_has_same_bags_as_folder(fleet: Any) -> None:
+def test_url_has_same_bags_as_folder(fleet: Path) -> None:
     pytest.importorskip("fsspec")
     bags = find_bags([f"file://{fleet}", f"file://{fleet}/r10/ros2", f"file://{fleet}/r2/day.bag"])
     assert [bag.location for bag in bags] == [
@@ -114,7 +114,7 @@ def test_unknown_protocol_of_url_is_an_error() -> None:
         find_bags(["nowhere://a/b"])
 
 
-def test_downloaded_bag_is_removed_after_use(fleet: Any, tmp_path: Path) -> None:
+def test_downloaded_bag_is_removed_after_use(fleet: Path, tmp_path: Path) -> None:
     with local_copy(str(fleet / "r2/day.bag"), str(tmp_path)) as path:
         assert path == str(fleet / "r2/day.bag")
     pytest.importorskip("fsspec")

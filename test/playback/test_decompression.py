@@ -29,7 +29,7 @@ from retalis.playback.decompression import ChunkLimit, copy_up_to, read_up_to, u
 
 @pytest.mark.parametrize("compression", PACK)
 @pytest.mark.parametrize("data", [b"", b"a", bytes(range(256)) * 900], ids=len)
-def test_only_data_of_stated_size_is_unpacked(compression: Any, data: Any) -> None:
+def test_only_data_of_stated_size_is_unpacked(compression: Any, data: bytes) -> None:
     packed = PACK[compression](data)
     assert unpack(compression, packed, len(data)) == data
     with pytest.raises(

@@ -140,7 +140,7 @@ WRONG_MCAP = [
 
 
 @pytest.mark.parametrize(("data", "expected"), WRONG_MCAP, ids=range(len(WRONG_MCAP)))
-def test_malicious_file_is_an_error(tmp_path: Path, data: Any, expected: Any) -> None:
+def test_malicious_file_is_an_error(tmp_path: Path, data: Any, expected: str) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(data)
     with pytest.raises(BagError, match=expected):

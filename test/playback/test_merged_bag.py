@@ -164,7 +164,7 @@ module my_msgs {
 """
 
 
-def cdr_message(*fields: Any) -> Any:
+def cdr_message(*fields: Any) -> bytes:
     """Return a message in CDR with fields, each a format of `struct` and its values."""
     return b"\0\1\0\0" + b"".join(struct.pack(f"<{code}", *values) for code, *values in fields)
 
@@ -287,7 +287,7 @@ def test_idl_definition_is_read(tmp_path: Path) -> None:
     ],
 )
 def test_invalid_idl_is_reported_with_position(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, text: Any, problem: str
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, text: str, problem: str
 ) -> None:
     raw = cdr_message(("I3sx", 3, b"hi\0"))
     folder = typed_bag(tmp_path / "two", STORAGES[-1], ("/few", "my_msgs/msg/Few", text, raw))
@@ -333,7 +333,7 @@ def test_messages_of_wrong_size_are_counted(tmp_path: Path, caplog: pytest.LogCa
 def compressed(tmp_path: Path) -> Any:
     """Return a function that writes one compressed file of a ROS 2 bag."""
 
-    def write(storage: Any) -> Any:
+    def write(storage: Any) -> Path:
         folder = typed_bag(
             tmp_path / "two", storage, ("/chatter", "std_msgs/msg/String", "string data\n", HELLO)
         )

@@ -36,7 +36,7 @@ STAMPED = (
 
 
 @pytest.fixture
-def definitions() -> Any:
+def definitions() -> Definitions:
     definitions = Definitions()
     definitions.add("my_msgs/Point", POINT)
     definitions.add("my_msgs/Stamped", STAMPED)
@@ -59,7 +59,7 @@ def program(tmp_path: Path) -> Any:
 
 
 @pytest.fixture
-def bag(tmp_path: Path, definitions: Any) -> Any:
+def bag(tmp_path: Path, definitions: Definitions) -> Any:
     def write(*messages: Any) -> Any:
         path = tmp_path / "some.bag"
         with BagWriter(path) as writer:
@@ -103,7 +103,7 @@ IN = '<subscribe_to name="in" msg_type="my_msgs/Point"/>'
 OUT = '<publish_to name="out" msg_type="my_msgs/Point"/>'
 
 
-def test_outputs_for_messages_are_messages(program: Any, bag: Any, definitions: Any) -> None:
+def test_outputs_for_messages_are_messages(program: Any, bag: Any, definitions: Definitions) -> None:
     path = bag((7 * SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(6.5)"))
     goals = "subscribe(my_msgs__0__Point(X), [Y is X * 2], my_msgs__0__Point(Y), out, 1)"
     outputs, events, problems = run(program("", goals, IN + OUT), path)
@@ -115,7 +115,7 @@ def test_outputs_for_messages_are_messages(program: Any, bag: Any, definitions: 
     assert decoded == parse_term("my_msgs__0__Point(13.0)")
 
 
-def test_trailing_slash_of_topic_is_ignored(program: Any, bag: Any, definitions: Any) -> None:
+def test_trailing_slash_of_topic_is_ignored(program: Any, bag: Any, definitions: Definitions) -> None:
     path = bag((7 * SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(6.5)"))
     goals = "subscribe(my_msgs__0__Point(X), [], my_msgs__0__Point(X), '/out', 1)"
     topics = IN.replace('"in"', '"/in/"') + OUT.replace('"out"', '"/out/"')
@@ -144,7 +144,7 @@ def test_unnamed_topic_is_played_only_on_request(program: Any, bag: Any) -> None
 
 
 @pytest.fixture
-def tf_bag(bag: Any, definitions: Any) -> Any:
+def tf_bag(bag: Any, definitions: Definitions) -> Any:
     definitions.add("tf/tfMessage", "float64[] transforms\n")
     return bag(
         (SECOND, "/tf", "tf/tfMessage", "tf__0__tfMessage([1.0])"),

@@ -63,7 +63,7 @@ WRONG_SQLITE = [
 
 
 @pytest.mark.parametrize(("changes", "expected"), WRONG_SQLITE, ids=range(len(WRONG_SQLITE)))
-def test_malicious_database_is_an_error(tmp_path: Path, changes: Any, expected: Any) -> None:
+def test_malicious_database_is_an_error(tmp_path: Path, changes: Any, expected: str) -> None:
     path = sqlite_bag(tmp_path / "a.db3", **changes)
     with pytest.raises(BagError, match=expected):
         read(path)
@@ -169,7 +169,7 @@ def digests(folder: Any) -> Dict[Any, Any]:
 
 
 @pytest.mark.parametrize("stored", [[1, 2], []])
-def test_write_ahead_log_is_read_without_writing(tmp_path: Path, stored: Any) -> None:
+def test_write_ahead_log_is_read_without_writing(tmp_path: Path, stored: List[int]) -> None:
     path = interrupted_bag(tmp_path / "bag", stored, [3, 4, 5])
     before = digests(path.parent)
     assert sorted(before) == ["w.db3", "w.db3-wal"]

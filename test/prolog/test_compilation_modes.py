@@ -1,7 +1,5 @@
 """Independence of answers from compilation; ``compilation_modes.py`` compares those of all suites."""
 
-from typing import Any
-
 import pytest
 from prolog.compilation_modes import compare
 from prolog.test_differential import recorded
@@ -95,7 +93,7 @@ GOALS = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize("goal", GOALS)
-def test_answers_are_independent_of_mode(goal: Any) -> None:
+def test_answers_are_independent_of_mode(goal: str) -> None:
     assert compare(PROGRAM, [goal]) == {}
 
 

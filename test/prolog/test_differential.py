@@ -19,7 +19,7 @@ def differing() -> Dict[Any, Any]:
     return {goal: reason for reason, goal in (line.split("\t", 1) for line in lines)}
 
 
-def recorded() -> Any:
+def recorded() -> Dict[str, str]:
     """Return the recorded goals with SWI-Prolog's answers."""
     names = ("goals.tsv", "goals_kinds.tsv", "goals_wrong_arguments.tsv")
     texts = [(FOLDER / name).read_text(encoding="utf-8") for name in names]

@@ -19,6 +19,7 @@ from retalis.prolog.machine.resource_limits import NO_LIMITS
 from retalis.prolog.syntax.literals import integer, integer_text
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import writeq
+from retalis.prolog.system.prolog_system import PrologSystem
 from retalis.prolog.terms.term_traversal import copy, is_ground
 from retalis.prolog.terms.unification import compare, unify
 
@@ -47,19 +48,19 @@ MAX_INFERENCES = 200_000
 
 
 @pytest.fixture(scope="module")
-def shared_logic() -> Any:
+def shared_logic() -> PrologSystem:
     return prolog(PROGRAM)
 
 
 @pytest.fixture
-def logic(shared_logic: Any) -> Iterator[Any]:
+def logic(shared_logic: PrologSystem) -> Iterator[Any]:
     """A Prolog system with the program, whose limits and output each test may set."""
     output = shared_logic.output
     yield shared_logic
     shared_logic.limits, shared_logic.output = NO_LIMITS, output
 
 
-def error_of(logic: Any, goal: str, **limits: Any) -> Any:
+def error_of(logic: Any, goal: str, **limits: Any) -> str:
     logic.limits = Limits(**limits)
     with pytest.raises(PrologError) as error:
         logic.once(read_term(goal, logic.operators).term)

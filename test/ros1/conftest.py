@@ -54,7 +54,7 @@ class Space:
         """Return the command for a shell that sources setup.bash."""
         return ["bash", "-c", 'source "$0" && exec "$@"', str(self.script), *words]
 
-    def run(self, *words: Any) -> Any:
+    def run(self, *words: Any) -> str:
         """Run a command to its end and return its output."""
         return subprocess.run(
             self.command(*words),
@@ -164,7 +164,7 @@ def make_space(name: str, port: Any, logs: Any) -> Space:
 
 
 @pytest.fixture(params=SPACES)
-def space(request: pytest.FixtureRequest, port: Any, tmp_path: Path) -> Iterator[Any]:
+def space(request: pytest.FixtureRequest, port: Any, tmp_path: Path) -> Iterator[Space]:
     """Return each of the spaces, one after the other."""
     space = make_space(request.param, port, tmp_path)
     yield space
@@ -172,7 +172,7 @@ def space(request: pytest.FixtureRequest, port: Any, tmp_path: Path) -> Iterator
 
 
 @pytest.fixture
-def devel(port: Any, tmp_path: Path) -> Iterator[Any]:
+def devel(port: Any, tmp_path: Path) -> Iterator[Space]:
     """Return the devel space, for tests that do not differ between spaces."""
     space = make_space("devel", port, tmp_path)
     yield space

@@ -26,7 +26,7 @@ def _failures_in(path: Any) -> List[str]:
     ]
 
 
-def _shortened(outcome: Any) -> Any:
+def _shortened(outcome: Any) -> str:
     """Return the last lines of the message of a failure or error."""
     lines = (outcome.text or outcome.get("message") or outcome.get("type") or "").strip().splitlines()
     # The last line names the exception; pytest shows the first line of an assertion in its summary.

@@ -28,7 +28,7 @@ from retalis.ros1.batched_socket_reader import (  # noqa: E402
 HEADER = {"type": "std_msgs/String", "callerid": "/talker"}
 
 
-def frame(data: bytes) -> Any:
+def frame(data: bytes) -> bytes:
     return struct.pack("<I", len(data)) + data
 
 
@@ -70,7 +70,7 @@ def make_subscriber(callbacks: Any = (callback,), **topic: Any) -> Any:
     return SimpleNamespace(impl=impl, callback=callback)
 
 
-def new_reader(link: Any, batches: Any, callbacks: Any = (callback,)) -> Any:
+def new_reader(link: Any, batches: Any, callbacks: Any = (callback,)) -> ConnectionReader:
     return ConnectionReader(
         link, make_subscriber(callbacks), lambda header: batches.append, 0.001, _ignore_end
     )

@@ -15,7 +15,7 @@ GOALS = "compile_event_file('rules.txt')\nmemorize(in(_), [], _, m, 5)\n"
 
 
 @pytest.fixture
-def program(tmp_path: Path) -> Any:
+def program(tmp_path: Path) -> Path:
     folder = tmp_path / "program"
     folder.mkdir()
     (folder / "pub_sub.xml").write_text("<publish_subscribe/>")
@@ -25,7 +25,7 @@ def program(tmp_path: Path) -> Any:
 
 
 @pytest.fixture
-def node(devel: Any, program: Any, tmp_path: Path) -> Any:
+def node(devel: Any, program: Path, tmp_path: Path) -> Any:
     """Return a function that starts the node and waits for it."""
     devel.start_master()
 
@@ -49,7 +49,7 @@ def kill(space: Any, process: Any) -> None:
     process.wait(60)
 
 
-def written_at(path: Any) -> Any:
+def written_at(path: Any) -> float:
     """Return the time at which the state in a file was written, 0 without a state."""
     checkpoint = read_checkpoint(path)
     return 0.0 if checkpoint is None else checkpoint.written_at
@@ -80,7 +80,7 @@ def test_killed_node_continues_from_checkpoint(devel: Any, node: Any, tmp_path: 
     assert "Traceback" not in devel.printed()
 
 
-def test_invalid_checkpoint_is_not_restored(devel: Any, node: Any, program: Any, tmp_path: Path) -> None:
+def test_invalid_checkpoint_is_not_restored(devel: Any, node: Any, program: Path, tmp_path: Path) -> None:
     path = tmp_path / "state.db"
     process = node()
     devel.expect(lambda nodes, services: written_at(path))

@@ -28,7 +28,7 @@ MD5SUM = (
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Return the folder of modules of a package on the module path."""
     folder = tmp_path / "made_msgs" / "msg"
     folder.mkdir(parents=True)
@@ -44,7 +44,7 @@ def write(folder: Any, name: str, source: str, init: Any = None) -> None:
     (folder / "__init__.py").write_text(f"from ._{name} import {name}\n" if init is None else init)
 
 
-def registry() -> Any:
+def registry() -> Definitions:
     return Definitions(installed_types(include_rosbags=False))
 
 
@@ -59,7 +59,7 @@ def test_installed_type_is_defined_by_its_class() -> None:
     assert generated.source.endswith("/std_msgs/msg/_Header.py")
 
 
-def test_slot_named_by_keyword_is_read(folder: Any) -> None:
+def test_slot_named_by_keyword_is_read(folder: Path) -> None:
     write(folder, "Made", MODULE.format(name="Made", md5sum=MD5SUM))
     assert registry().find("made_msgs/Made").fields[0].name == "lambda"
 
@@ -74,7 +74,7 @@ def test_slot_named_by_keyword_is_read(folder: Any) -> None:
     ],
 )
 def test_failed_import_is_an_error_with_reason(
-    folder: Any, name: str, source: str, init: Optional[str], reason: str
+    folder: Path, name: str, source: str, init: Optional[str], reason: str
 ) -> None:
     write(folder, name, source, init)
     with pytest.raises(MessageError) as raised:

@@ -22,7 +22,7 @@ WARNING = "the master was started anew"
 
 
 @pytest.fixture
-def program(tmp_path: Path) -> Any:
+def program(tmp_path: Path) -> Path:
     folder = tmp_path / "program"
     folder.mkdir()
     for name, text in FILES.items():
@@ -68,12 +68,12 @@ class Master:
 
 
 @pytest.fixture
-def nodes(devel: Any, program: Any) -> Any:
+def nodes(devel: Any, program: Path) -> Any:
     """Return a function that starts both nodes, and the master."""
     master = Master(devel)
     master.uri.setParam("/test", "/use_sim_time", False)
 
-    def start(configuration: Any) -> Any:
+    def start(configuration: Any) -> Master:
         arguments = (f"_program:={program}", *CONFIGURATIONS[configuration])
         devel.start("rosrun", "retalis", "retalis_node", *arguments)
         if configuration != "embedded":
@@ -94,7 +94,7 @@ def probe(space: Any, text: str) -> None:
 
 
 @pytest.mark.parametrize("configuration", CONFIGURATIONS)
-def test_nodes_register_with_new_master(devel: Any, nodes: Any, configuration: Any) -> None:
+def test_nodes_register_with_new_master(devel: Any, nodes: Any, configuration: str) -> None:
     master = nodes(configuration)
     before = master.registrations()
     parameters = master.parameters()

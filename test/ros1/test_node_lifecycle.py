@@ -54,7 +54,7 @@ def end_by_signal(process: Any, number: Any) -> Any:
 
 @pytest.mark.parametrize("name", NODES)
 @pytest.mark.parametrize("number", SIGNALS)
-def test_node_without_master_ends(devel: Any, node: Any, program: Any, name: Any, number: Any) -> None:
+def test_node_without_master_ends(devel: Any, node: Any, program: Any, name: str, number: Any) -> None:
     process = node(name, program())
     devel.expect_printed(f"no master answers at http://localhost:{devel.port}")
     assert end_by_signal(process, number) == 0
@@ -108,7 +108,7 @@ def lose_interrupt() -> None:
 
 @pytest.mark.parametrize("name", NODES)
 @pytest.mark.parametrize("number", SIGNALS)
-def test_idle_node_ends(devel: Any, master: Any, node: Any, program: Any, name: Any, number: Any) -> None:
+def test_idle_node_ends(devel: Any, master: Any, node: Any, program: Any, name: str, number: Any) -> None:
     process = node(name, program())
     service = "/add_memory" if name == "retalis_node" else "/add_input_subscription"
     devel.expect(lambda nodes, services: service in services)
@@ -147,7 +147,7 @@ c <- begin do (forall(between(1, 50000, N), event(a([[[N], [N]], [[N], [N]], [[N
     assert spent < 1.0
 
 
-def seconds_of_children() -> Any:
+def seconds_of_children() -> float:
     """Return the processor time of all ended child processes, in seconds."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
@@ -206,7 +206,7 @@ def test_signal_while_master_is_silent_ends_construction(
 
 
 @pytest.mark.parametrize("name", NODES)
-def test_missing_program_is_an_error(devel: Any, master: Any, node: Any, tmp_path: Path, name: Any) -> None:
+def test_missing_program_is_an_error(devel: Any, master: Any, node: Any, tmp_path: Path, name: str) -> None:
     process = node(name, f"_program:={tmp_path}/nowhere")
     assert process.wait(TIMEOUT_SECONDS) == 1
     assert f"{tmp_path}/nowhere does not exist: give the absolute path" in devel.printed()

@@ -12,7 +12,7 @@ RULES = "alarm(X) <- smoke(X) seq heat(X).\n"
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Any:
+def folder(tmp_path: Path) -> Path:
     program = tmp_path / "program"
     program.mkdir()
     (program / "pub_sub.xml").write_text("<publish_subscribe/>\n")
@@ -52,7 +52,7 @@ def add_events(space: Any, *events: Any) -> None:
     output(space, "query", ", ".join(f"new_event({event}, {second}, 0)" for event, second in events))
 
 
-def test_changed_program_is_reloaded(devel: Any, folder: Any) -> None:
+def test_changed_program_is_reloaded(devel: Any, folder: Path) -> None:
     start(devel, folder)
     add_events(devel, ("smoke(hall)", 1), ("heat(hall)", 2), ("smoke(attic)", 3))
     assert "rules: 0 new, 0 gone, 1 kept, with 1 partial match\n" in output(devel, "reload")
@@ -75,7 +75,7 @@ def test_changed_program_is_reloaded(devel: Any, folder: Any) -> None:
     assert "is not closed" in error(devel, "reload")
 
 
-def test_writable_program_is_not_reloaded(devel: Any, folder: Any) -> None:
+def test_writable_program_is_not_reloaded(devel: Any, folder: Path) -> None:
     start(devel, folder, f"_write_folders:=[{folder.parent}]")
     assert "of ~write_folders" in error(devel, "reload")
     assert output(devel, "query", "memory_counter(alarms, N)") == "N = 0\n"

@@ -21,7 +21,7 @@ RULES = ":- use_swi('doors.pl').\nreached(Y) <- asked(X, Y) where way(X, Y).\n"
 
 
 @pytest.fixture
-def program(tmp_path: Path) -> Any:
+def program(tmp_path: Path) -> Path:
     folder = tmp_path / "program"
     folder.mkdir()
     goals = "compile_event_file('rules.txt')\nmemorize(reached(_), [], _, m, 5)\n"
@@ -40,7 +40,7 @@ def start(space: Any, program: Any, *words: Any) -> Any:
     return space.start("rosrun", "retalis", "retalis_node", f"_program:={program}", "_direct:=false", *words)
 
 
-def test_swi_predicates_are_goals_of_node(devel: Any, program: Any) -> None:
+def test_swi_predicates_are_goals_of_node(devel: Any, program: Path) -> None:
     try:
         find_library()
     except UsageError as error:

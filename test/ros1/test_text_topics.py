@@ -16,7 +16,7 @@ UNUSED: Any = None
 """Decoder and source of messages, which a receiver of texts does not read."""
 
 
-def message(text: str) -> Any:
+def message(text: str) -> bytes:
     data = text.encode()
     return struct.pack("<I", len(data)) + data
 
@@ -27,13 +27,13 @@ def processed() -> List[Any]:
 
 
 @pytest.fixture
-def epochs() -> Any:
+def epochs() -> ClockEpochs:
     epochs = ClockEpochs(Reports(), lambda: 0, lambda: None)
     epochs.update_clock(9_000_000_000)
     return epochs
 
 
-def test_texts_of_next_epoch_are_buffered(processed: List[Any], epochs: Any) -> None:
+def test_texts_of_next_epoch_are_buffered(processed: List[Any], epochs: ClockEpochs) -> None:
     receive = make_text_handler_factory(processed.append, epochs)(UNUSED, "/texts", UNUSED)
     for text in (format_epoch_mark(0), "event(a)", format_epoch_mark(1), "event(b)"):
         receive(message(text))
@@ -43,7 +43,7 @@ def test_texts_of_next_epoch_are_buffered(processed: List[Any], epochs: Any) -> 
     assert processed == ["event(a)", "event(b)"]
 
 
-def test_epochs_of_senders_are_separate(processed: List[Any], epochs: Any) -> None:
+def test_epochs_of_senders_are_separate(processed: List[Any], epochs: ClockEpochs) -> None:
     make_handler = make_text_handler_factory(processed.append, epochs)
     late, silent = make_handler(UNUSED, "/texts", UNUSED), make_handler(UNUSED, "/texts", UNUSED)
     late(message(format_epoch_mark(7)))
@@ -61,7 +61,7 @@ def test_epochs_of_senders_are_separate(processed: List[Any], epochs: Any) -> No
     "text",
     ["event(retalis_run(x))", "event(retalis_run(-1))", "event(retalis_run(1), [1,1])", "event(retalis_run("],
 )
-def test_malformed_epoch_mark_is_an_event(text: str, processed: List[Any], epochs: Any) -> None:
+def test_malformed_epoch_mark_is_an_event(text: str, processed: List[Any], epochs: ClockEpochs) -> None:
     make_text_handler_factory(processed.append, epochs)(UNUSED, "/texts", UNUSED)(message(text))
     assert processed == [text]
 

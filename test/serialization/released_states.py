@@ -8,7 +8,7 @@ writes the files of a release to ``test/data/states``: once, with the commit tha
 import json
 import sys
 from pathlib import Path
-from typing import Any, Dict
+from typing import Any, Dict, List
 
 from retalis import Engine, StreamClock
 from retalis.prolog.terms.timestamps import SECOND
@@ -73,7 +73,7 @@ AFTER = ("b(2, 1)", "a(1)", "c(7)", "closed(x)", "a(2)", "b(1, 9)", "a(2)", "b(2
 QUERIES = ("seen(X)", "nb_getval(count, X)", "memory_size(m, N)", "holds(open(X))", "access_mem(m, R, I)")
 
 
-def engine_with_state(flags: Any) -> Any:
+def engine_with_state(flags: Any) -> Engine:
     """Return an engine in the middle of matches of all kinds."""
     engine = Engine() if flags == CLOCK_OF_EVENTS else Engine(StreamClock())
     engine.load(RULES, FLAGS[flags] + GOALS)
@@ -90,7 +90,7 @@ def emit(engine: Any, events: Any, first_second: int) -> None:
         engine.event(event, second)
 
 
-def continued_outputs(engine: Any) -> Any:
+def continued_outputs(engine: Any) -> List[str]:
     """Return what an engine with the state outputs for further events, and its answers to queries."""
     outputs = [f"{query}: {engine.query(query)}" for query in QUERIES]
     engine.on_event(lambda term, start, end: outputs.append(f"{engine.show(term)} {int(start)} {int(end)}"))

@@ -1,7 +1,7 @@
 """State files of released versions, and of made-up older formats, are restored."""
 
 import json
-from typing import Any, List
+from typing import Any, Dict, List
 
 import pytest
 from serialization.released_states import FLAGS, FOLDER, continued_outputs, engine_with_state
@@ -47,7 +47,7 @@ def test_states_of_release_have_all_records(monkeypatch: pytest.MonkeyPatch) -> 
     checked, kinds = set(), set()
     check_state = StateFields.check_state
 
-    def record_check(fields: Any, value: Any, owner: Any, scope: Any) -> Any:
+    def record_check(fields: Any, value: Any, owner: Any, scope: Any) -> Dict[str, Any]:
         checked.add(fields.record_name)
         return check_state(fields, value, owner, scope)
 
@@ -122,7 +122,7 @@ def as_older(data: Any) -> Any:
 
 
 @pytest.fixture
-def older_state() -> Any:
+def older_state() -> bytes:
     """Return the state of an engine in the oldest of the made-up formats."""
     sections = unpack_sections(engine_with_state("plain").snapshot()).sections
     older = {
@@ -133,14 +133,14 @@ def older_state() -> Any:
     return pack_sections(older, FORMAT_NUMBER - 2)
 
 
-def test_older_state_is_migrated(monkeypatch: pytest.MonkeyPatch, older_state: Any) -> None:
+def test_older_state_is_migrated(monkeypatch: pytest.MonkeyPatch, older_state: bytes) -> None:
     for number, changes in OLDER_FORMATS.items():
         monkeypatch.setitem(MIGRATIONS, number, changes)
     restored = Engine.restore(older_state)
     assert continued_outputs(restored) == continued_outputs(engine_with_state("plain"))
 
 
-def test_state_older_than_migrations_is_refused(monkeypatch: pytest.MonkeyPatch, older_state: Any) -> None:
+def test_state_older_than_migrations_is_refused(monkeypatch: pytest.MonkeyPatch, older_state: bytes) -> None:
     monkeypatch.setitem(MIGRATIONS, FORMAT_NUMBER - 1, OLDER_FORMATS[FORMAT_NUMBER - 1])
     expected = (
         f"format {FORMAT_NUMBER - 2}: this version reads formats {FORMAT_NUMBER - 1} to {FORMAT_NUMBER}"
@@ -150,7 +150,7 @@ def test_state_older_than_migrations_is_refused(monkeypatch: pytest.MonkeyPatch,
 
 
 def test_missing_field_is_refused_without_migration(
-    monkeypatch: pytest.MonkeyPatch, older_state: Any
+    monkeypatch: pytest.MonkeyPatch, older_state: bytes
 ) -> None:
     monkeypatch.setitem(MIGRATIONS, FORMAT_NUMBER - 2, {})
     monkeypatch.setitem(MIGRATIONS, FORMAT_NUMBER - 1, {})

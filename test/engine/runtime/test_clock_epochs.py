@@ -162,7 +162,7 @@ def test_constant_offset_of_stamps_is_accepted(node: SimulatedNode, ahead: float
 
 
 @pytest.fixture(params=[(1000, 1001), (1001, 1002), (1000, 1001, 1002), (1003, 1004)])
-def late_node(node: SimulatedNode, request: pytest.FixtureRequest) -> Any:
+def late_node(node: SimulatedNode, request: pytest.FixtureRequest) -> SimulatedNode:
     """A node that has received the clock on time and some messages late, as on a busy machine."""
     late = request.param
     for stamp in BAG_STAMPS:
@@ -176,13 +176,13 @@ def late_node(node: SimulatedNode, request: pytest.FixtureRequest) -> Any:
     return node
 
 
-def test_early_message_waits_after_late_ones(late_node: Any) -> None:
+def test_early_message_waits_after_late_ones(late_node: SimulatedNode) -> None:
     late_node.send(1000)
     late_node.clock(1000)
     assert late_node.processed == [*BAG_STAMPS, "epoch", 1000]
 
 
-def test_previous_epoch_is_dropped_after_late_messages(late_node: Any) -> None:
+def test_previous_epoch_is_dropped_after_late_messages(late_node: SimulatedNode) -> None:
     late_node.clock(1000)
     for stamp in (1004.1, 1004.2, 1000.1):
         late_node.send(stamp)
@@ -215,7 +215,7 @@ UNRELATED_STAMPS = {
 
 
 @pytest.mark.parametrize("name", UNRELATED_STAMPS)
-def test_stamps_unrelated_to_clock_are_accepted(node: SimulatedNode, name: Any) -> None:
+def test_stamps_unrelated_to_clock_are_accepted(node: SimulatedNode, name: str) -> None:
     expected: List[Any] = []
     for _ in range(2):
         for index, stamp in enumerate(UNRELATED_STAMPS[name]):

@@ -23,7 +23,7 @@ REFUSED = (
 )
 
 
-def in_child(work: Any) -> Any:
+def in_child(work: Any) -> str:
     """Return the result of a function in a forked process, or the text of its error; "" after the time limit."""
     reading, writing = os.pipe()
     pid = os.fork()
@@ -46,13 +46,13 @@ def in_child(work: Any) -> Any:
 
 
 @pytest.fixture
-def engine() -> Any:
+def engine() -> Engine:
     engine = Engine(settings=Settings(limits=Limits(seconds=30.0)))
     engine.load(rules="out(X) <- in(X).\ncount(0).\ncount(N) :- N > 0, M is N - 1, count(M).")
     return engine
 
 
-def test_idle_engine_works_in_both_processes(engine: Any) -> None:
+def test_idle_engine_works_in_both_processes(engine: Engine) -> None:
     def use() -> Tuple[Any, ...]:
         events: List[Any] = []
         engine.on_event(lambda term, start, end: events.append(engine.show(term)))
@@ -67,7 +67,7 @@ def test_idle_engine_works_in_both_processes(engine: Any) -> None:
 
 
 @pytest.fixture
-def busy(engine: Any) -> Iterator[Any]:
+def busy(engine: Engine) -> Iterator[Any]:
     """An engine that another thread is using."""
     started, released = threading.Event(), threading.Event()
 
@@ -102,7 +102,7 @@ def test_child_can_create_engine(busy: Any) -> None:
     assert in_child(lambda: Engine().call("true")) == "True"
 
 
-def test_working_thread_may_fork(engine: Any) -> None:
+def test_working_thread_may_fork(engine: Engine) -> None:
     results: List[Any] = []
 
     def fork(*_: Any) -> None:
@@ -116,7 +116,7 @@ def test_working_thread_may_fork(engine: Any) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["fork", "multiprocessing"])
-def test_fork_during_other_query_does_not_hang(engine: Any, kind: str) -> None:
+def test_fork_during_other_query_does_not_hang(engine: Engine, kind: str) -> None:
     ending = threading.Event()
 
     def ask() -> None:

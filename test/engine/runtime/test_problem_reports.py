@@ -117,7 +117,7 @@ def test_control_characters_are_escaped_in_log(caplog: pytest.LogCaptureFixture)
 LATE = "w(N) <- aggregate(count, in(_), N, last(2))."
 
 
-def feed_late_events(reports: Any, count: int) -> Any:
+def feed_late_events(reports: Any, count: int) -> Engine:
     engine = Engine(reports=reports)
     engine.load(rules=LATE)
     # Several times that agree: a single one would be taken for an error, and its clock would return.

@@ -262,7 +262,7 @@ def test_full_queue_drops_nothing_while_it_progresses(monkeypatch: pytest.Monkey
             self._lock = threading.Lock()
             self.release = self._lock.release
 
-        def acquire(self, blocking: bool = True, timeout: float = -1) -> Any:
+        def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:
             if timeout == -1:
                 return self._lock.acquire(blocking)
             posting.set()

@@ -241,7 +241,7 @@ def test_limit_holds_if_warning_fails(
 
     monkeypatch.setattr(watchdog_module, "_make_slow_work_warning", changed_meanwhile)
 
-    def hold(machine: Any) -> Any:
+    def hold(machine: Any) -> bool:
         watchdog.sample(0.0)
         watchdog.sample(1.5)
         return budget.needs_check

@@ -48,7 +48,7 @@ def test_each_finding_has_a_code(tmp_path: Path) -> None:
         ("% retalis: ignore-file=RT1201", []),
     ],
 )
-def test_comment_in_line_suppresses_finding(tmp_path: Path, comment: str, codes: Any) -> None:
+def test_comment_in_line_suppresses_finding(tmp_path: Path, comment: str, codes: List[str]) -> None:
     assert codes_of(tmp_path, f"hot(T) <- warm(T).\nfire <- hot(_, _). {comment}\n") == codes
 
 

@@ -6,6 +6,7 @@ from typing import Any, Dict, List
 import pytest
 from events.checks.test_reported_mistakes import findings_text, write
 
+from retalis import Definitions
 from retalis.engine.client_requests import add_rule
 from retalis.engine.engine import Engine
 
@@ -38,7 +39,7 @@ INPUT_EVENT = "input_event(near/2).\n"
     ],
 )
 def test_rule_before_declaration_is_checked(
-    tmp_path: Path, definitions: Any, program: Dict[str, Any], positions: List[str]
+    tmp_path: Path, definitions: Definitions, program: Dict[str, Any], positions: List[str]
 ) -> None:
     write(tmp_path, **program)
     lines = [
@@ -69,7 +70,7 @@ def test_rule_before_declaration_is_checked(
     ],
 )
 def test_values_of_messages_fit_declared_events(
-    tmp_path: Path, definitions: Any, rule: str, message: str
+    tmp_path: Path, definitions: Definitions, rule: str, message: str
 ) -> None:
     write(tmp_path, rule=f"{INPUT_EVENT}{DECLARATION}\n{rule}")
     lines = [
@@ -80,7 +81,7 @@ def test_values_of_messages_fit_declared_events(
     assert [line.split(": ", 2)[2][: len(message)] for line in lines] == ([message] if message else [])
 
 
-def test_earlier_added_rule_is_checked(tmp_path: Path, definitions: Any) -> None:
+def test_earlier_added_rule_is_checked(tmp_path: Path, definitions: Definitions) -> None:
     engine = Engine()
     add_rule(engine, "alarm <- near(_)", "mine")
     engine.call("declare_event(near(thing:atom, distance:number))")
@@ -105,7 +106,7 @@ def test_earlier_added_rule_is_checked(tmp_path: Path, definitions: Any) -> None
     ],
 )
 def test_named_event_of_topic_fits_declaration(
-    tmp_path: Path, definitions: Any, arguments: str, message: str
+    tmp_path: Path, definitions: Definitions, arguments: str, message: str
 ) -> None:
     topic = '  <subscribe_to name="cold" msg_type="sensor_msgs/Temperature" event="near"/>'
     write(tmp_path, rule=f":- event near({arguments}).", topic=topic)

@@ -78,7 +78,7 @@ def test_possible_record_is_not_reported(tmp_path: Path, goal: str, rules: str) 
 @pytest.mark.parametrize(
     ("size", "messages"), [(0, ["memory m keeps 0 records: write a size of 1 or more"]), (1, [])]
 )
-def test_memory_of_size_zero_is_reported(tmp_path: Path, size: int, messages: Any) -> None:
+def test_memory_of_size_zero_is_reported(tmp_path: Path, size: int, messages: List[str]) -> None:
     engine = Engine()
     engine.load(rules=f":- memorize(t(X), [], X, m, {size}).")
     findings = engine.warnings(tmp_path, Definitions())

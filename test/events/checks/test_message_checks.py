@@ -16,7 +16,7 @@ WARM = f"Header header\nfloat64 warmth\n{'=' * 80}\nMSG: std_msgs/Header\n{HEADE
 
 
 @pytest.fixture
-def definitions() -> Any:
+def definitions() -> Definitions:
     definitions_with_types = Definitions()
     definitions_with_types.add("my_msgs/Warm", WARM)
     definitions_with_types.add("my_msgs/Empty", "")
@@ -62,13 +62,13 @@ def warnings(
     ],
 )
 def test_message_that_does_not_match_type_is_reported(
-    definitions: Any, tmp_path: Path, rules: str, warning: str
+    definitions: Definitions, tmp_path: Path, rules: str, warning: str
 ) -> None:
     (text,) = warnings(definitions, tmp_path, rules)
     assert text.startswith(f"text:1:1: {warning} [RT1104]\n")
 
 
-def test_memories_and_subscriptions_are_named(definitions: Any, tmp_path: Path) -> None:
+def test_memories_and_subscriptions_are_named(definitions: Definitions, tmp_path: Path) -> None:
     goals = "memorize(my_msgs__0__Warm(_), [], _, m, 5)\nsubscribe(my_msgs__0__Warm(_, _, _), [], _, out, s)"
     slots = (
         "does not match its type: my_msgs/Warm has 2 slots: header, warmth; "
@@ -81,19 +81,19 @@ def test_memories_and_subscriptions_are_named(definitions: Any, tmp_path: Path) 
     ]
 
 
-def test_valid_and_unknown_messages_are_not_reported(definitions: Any, tmp_path: Path) -> None:
+def test_valid_and_unknown_messages_are_not_reported(definitions: Definitions, tmp_path: Path) -> None:
     rules = "a(X) <- my_msgs__0__Warm(std_msgs__0__Header(_, _, _), X). b <- other__0__Thing(_)."
     assert warnings(definitions, tmp_path, rules) == []
 
 
-def test_quoted_texts_are_not_reported(definitions: Any, tmp_path: Path) -> None:
+def test_quoted_texts_are_not_reported(definitions: Definitions, tmp_path: Path) -> None:
     header = "std_msgs__0__Header(0, [0,0], {})".format
     right = header("""'"ann"'""")
     rules = f"my_msgs__0__Warm({header('ann')}, 1) <- my_msgs__0__Warm({right}, X) where X = {header('b')}."
     assert warnings(definitions, tmp_path, rules) == []
 
 
-def test_types_known_later_are_not_reported(definitions: Any, tmp_path: Path) -> None:
+def test_types_known_later_are_not_reported(definitions: Definitions, tmp_path: Path) -> None:
     rules = "a(X) <- far_msgs__0__WarmFeedback(far_msgs__0__Warm(X), my_msgs__0__Warm(_, _))."
     assert warnings(definitions, tmp_path, rules, types=["my_msgs/Warm", "far_msgs/WarmFeedback"]) == []
 
@@ -179,12 +179,12 @@ def output_warnings(definitions: Any, folder: Any, goal: str, rules: str = "") -
         "subscribe(seen(_, H) with throttle(1), [], H, out, s1)",
     ],
 )
-def test_variable_template_may_be_message(definitions: Any, tmp_path: Path, goal: str) -> None:
+def test_variable_template_may_be_message(definitions: Definitions, tmp_path: Path, goal: str) -> None:
     assert output_warnings(definitions, tmp_path, goal) == []
 
 
 @pytest.mark.parametrize("form", ["_", "Event", "seen(H)"])
-def test_output_that_is_no_message_is_reported(definitions: Any, tmp_path: Path, form: str) -> None:
+def test_output_that_is_no_message_is_reported(definitions: Definitions, tmp_path: Path, form: str) -> None:
     (text,) = output_warnings(definitions, tmp_path, f"subscribe(seen(H), [], {form}, out, s1)")
     assert "expected my_msgs__0__Warm/2, got seen/1" in text
 
@@ -206,7 +206,7 @@ def shared_events(folder: Any, definitions: Any, topics: Any, rules: str) -> Lis
     return [finding.problem.message for finding in findings if finding.problem.code == "RT1110"]
 
 
-def test_topics_with_one_event_are_reported(tmp_path: Path, definitions: Any) -> None:
+def test_topics_with_one_event_are_reported(tmp_path: Path, definitions: Definitions) -> None:
     (message,) = shared_events(tmp_path, definitions, TWO_FLAGS, "opened <- my_msgs__0__Flag(true).")
     assert message.startswith("my_msgs__0__Flag/1 is the event of both door and bumper")
     (message,) = shared_events(tmp_path, definitions, TWO_WARM, "warm(W) <- my_msgs__0__Warm(_, W).")
@@ -226,12 +226,12 @@ def test_topics_with_one_event_are_reported(tmp_path: Path, definitions: Any) ->
     ids=["unused", "event", "frame", "one frame", "header", "one topic"],
 )
 def test_distinguishable_topics_are_not_reported(
-    tmp_path: Path, definitions: Any, topics: Any, rules: str
+    tmp_path: Path, definitions: Definitions, topics: Any, rules: str
 ) -> None:
     assert shared_events(tmp_path, definitions, topics, rules) == []
 
 
-def test_exchanged_topic_and_id_are_named(tmp_path: Path, definitions: Any) -> None:
+def test_exchanged_topic_and_id_are_named(tmp_path: Path, definitions: Definitions) -> None:
     (tmp_path / "pub_sub.xml").write_text(
         '<publish_subscribe><publish_to name="warn" msg_type="my_msgs/Flag"/></publish_subscribe>'
     )
@@ -252,7 +252,7 @@ def test_exchanged_topic_and_id_are_named(tmp_path: Path, definitions: Any) -> N
     ],
 )
 def test_letter_in_place_of_a_number_may_be_a_variable(
-    tmp_path: Path, definitions: Any, rules: str, message: str
+    tmp_path: Path, definitions: Definitions, rules: str, message: str
 ) -> None:
     (tmp_path / "rules.txt").write_text(rules)
     findings = check_program(tmp_path / "rules.txt", definitions)

@@ -81,7 +81,7 @@ def findings_of_rules(folder: Any, rules: Any, code: str, definitions: Any) -> A
     ],
 )
 def test_constant_meant_as_variable_is_reported(
-    tmp_path: Path, definitions: Any, rules: str, name: str
+    tmp_path: Path, definitions: Definitions, rules: str, name: str
 ) -> None:
     (message,) = findings_of_rules(tmp_path, rules, "RT1408", definitions)
     assert message.startswith(f"{name} is a constant")
@@ -102,7 +102,7 @@ def test_constant_meant_as_variable_is_reported(
         "alarm(m) <- ok cnot temp(m, _).",
     ],
 )
-def test_constant_that_is_known_is_not_reported(tmp_path: Path, definitions: Any, rules: str) -> None:
+def test_constant_that_is_known_is_not_reported(tmp_path: Path, definitions: Definitions, rules: str) -> None:
     assert findings_of_rules(tmp_path, rules, "RT1408", definitions) == []
 
 
@@ -117,7 +117,7 @@ COUNTER = "c(N) do (retract(count(M)), N is M + 1, assertz(count(N))) <- tick."
         "next(N) :- count(M), N is M + 1, retract(count(M)), assertz(count(N)).\nc(N) <- tick where next(N).",
     ],
 )
-def test_counter_without_first_fact_is_reported(tmp_path: Path, definitions: Any, rules: Any) -> None:
+def test_counter_without_first_fact_is_reported(tmp_path: Path, definitions: Definitions, rules: str) -> None:
     write_program(tmp_path, rules)
     (message,) = findings_of(tmp_path, "RT1404", definitions)
     assert message == (
@@ -138,16 +138,18 @@ def test_counter_without_first_fact_is_reported(tmp_path: Path, definitions: Any
         f"{COUNTER}\nnull do assertz(F) <- fact(F).",
     ],
 )
-def test_counter_with_first_fact_is_not_reported(tmp_path: Path, definitions: Any, rules: str) -> None:
+def test_counter_with_first_fact_is_not_reported(
+    tmp_path: Path, definitions: Definitions, rules: str
+) -> None:
     write_program(tmp_path, rules)
     assert findings_of(tmp_path, "RT1404", definitions) == []
 
 
-def test_counter_of_single_file_is_not_reported(tmp_path: Path, definitions: Any) -> None:
+def test_counter_of_single_file_is_not_reported(tmp_path: Path, definitions: Definitions) -> None:
     assert findings_of_rules(tmp_path, COUNTER, "RT1404", definitions) == []
 
 
-def test_clause_is_not_suggested_for_its_own_call(tmp_path: Path, definitions: Any) -> None:
+def test_clause_is_not_suggested_for_its_own_call(tmp_path: Path, definitions: Definitions) -> None:
     rules = "near(X) :- nearr(X).\na <- b(X) where near(X)."
     (message,) = findings_of_rules(tmp_path, rules, "RT1402", definitions)
     assert message == "there is no predicate nearr/1: define it, or assert facts of it"

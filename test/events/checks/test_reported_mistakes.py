@@ -7,6 +7,7 @@ from typing import Any, Iterator
 import pytest
 from source import ROOT
 
+from retalis import Definitions
 from retalis.engine.program_check import check_program
 
 TABLE = ROOT / "test" / "data" / "mistakes.txt"
@@ -58,7 +59,9 @@ def findings_text(folder: Path, definitions: Any) -> str:
 
 
 @pytest.mark.parametrize("mistake", list(mistakes()))
-def test_mistake_has_one_finding_with_position(tmp_path: Path, definitions: Any, mistake: Any) -> None:
+def test_mistake_has_one_finding_with_position(
+    tmp_path: Path, definitions: Definitions, mistake: Any
+) -> None:
     write(tmp_path, **mistake)
     assert findings_text(tmp_path, definitions) == mistake["said"]
 
@@ -67,12 +70,12 @@ def test_table_has_thirty_mistakes() -> None:
     assert len(list(mistakes())) >= 30
 
 
-def test_program_without_mistakes_has_no_findings(tmp_path: Path, definitions: Any) -> None:
+def test_program_without_mistakes_has_no_findings(tmp_path: Path, definitions: Definitions) -> None:
     write(tmp_path)
     assert findings_text(tmp_path, definitions) == ""
 
 
-def test_timestamp_is_number_of_arithmetic(tmp_path: Path, definitions: Any) -> None:
+def test_timestamp_is_number_of_arithmetic(tmp_path: Path, definitions: Definitions) -> None:
     header = "sensor_msgs__0__Temperature(std_msgs__0__Header(_, T, _), _, _)"
     write(tmp_path, rule=f"hit <- {header} check (t2(E), E - T > 0.5).")
     assert findings_text(tmp_path, definitions) == ""
@@ -87,7 +90,7 @@ def test_timestamp_is_number_of_arithmetic(tmp_path: Path, definitions: Any) -> 
         "std_msgs__0__Float64(X) <- reading(X) where X \\== unknown.",
     ],
 )
-def test_converted_values_are_not_reported(tmp_path: Path, definitions: Any, rule: str) -> None:
+def test_converted_values_are_not_reported(tmp_path: Path, definitions: Definitions, rule: str) -> None:
     write(tmp_path, rule=rule)
     assert [
         finding.problem for finding in check_program(tmp_path, definitions) if finding.check == "kinds"
@@ -95,5 +98,5 @@ def test_converted_values_are_not_reported(tmp_path: Path, definitions: Any, rul
 
 
 @pytest.mark.slow
-def test_example_has_no_findings(definitions: Any) -> None:
+def test_example_has_no_findings(definitions: Definitions) -> None:
     assert findings_text(ROOT / "application_source", definitions) == ""

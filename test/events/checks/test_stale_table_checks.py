@@ -83,7 +83,7 @@ OPAQUE = "; where it is meant so, :- table t/1 as opaque"
         ),
     ],
 )
-def test_stale_table_is_reported(tmp_path: Path, rules: Any, text: str) -> None:
+def test_stale_table_is_reported(tmp_path: Path, rules: str, text: str) -> None:
     assert stale_table_messages(tmp_path, rules) == [text]
 
 
@@ -122,7 +122,7 @@ def test_each_table_of_chain_is_named(tmp_path: Path) -> None:
         ":- table t/1.\nt(X) :- length(X, 2).\nuser :- t(_), prev(pos, _, _, _, [1,0]).\n",
     ],
 )
-def test_table_that_cannot_be_stale_is_not_reported(tmp_path: Path, rules: Any) -> None:
+def test_table_that_cannot_be_stale_is_not_reported(tmp_path: Path, rules: str) -> None:
     assert stale_table_messages(tmp_path, rules) == []
 
 

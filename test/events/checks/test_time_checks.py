@@ -111,7 +111,7 @@ KEYED = [
 
 
 @pytest.mark.parametrize("rule", KEYED)
-def test_state_of_keys_that_no_time_ends_is_named(rule: Any) -> None:
+def test_state_of_keys_that_no_time_ends_is_named(rule: str) -> None:
     (message,) = unbounded(rule)
     assert "no time ends the state" in message
     assert "property(ttl, SECONDS), or property(ttl, 0)" in message
@@ -203,7 +203,7 @@ def test_likely_seconds_are_not_reported(rule: str) -> None:
     [(3000, 0.1, 1), (250, 0.1, 1), (250, 0.5, 0), (600, 0.1, 0), (30, 0.001, 0), (3000, None, 0)],
 )
 def test_span_is_compared_with_the_rate_of_a_bag(
-    span: int, period: Optional[float], count: int, definitions: Any
+    span: int, period: Optional[float], count: int, definitions: Definitions
 ) -> None:
     rules = f"heard(T) <- std_msgs__0__String(T). x <- heard(T) seq absent(heard(T), {span})."
     engine = Engine()

@@ -8,7 +8,7 @@ import pytest
 from checked_access import required, stream_clock
 from doc_pages import ROOT
 
-from retalis import Engine
+from retalis import Definitions, Engine
 from retalis.engine.program_check import check_program
 from retalis.events.checks.program_model import ProgramModel
 from retalis.events.checks.value_flow import ValueFlow, find_conflicting_flows, find_impossible_flows
@@ -21,7 +21,7 @@ FENCE = re.compile(r"^```prolog\n(.*?)^```", re.MULTILINE | re.DOTALL)
 EVENT = re.compile(r"(\S.*?) \[([\d.]+),([\d.]+)\](?:, |$)")
 
 
-def model_of(definitions: Any, rules: str) -> Any:
+def model_of(definitions: Any, rules: str) -> ProgramModel:
     engine = Engine()
     engine.load(rules=rules)
     return ProgramModel(engine.rules, engine.knowledge, definitions, Topics())
@@ -71,7 +71,9 @@ QUOTES = "a text keeps its quotes in events, write '\"anna\"'"
         ),
     ],
 )
-def test_constant_of_no_event_is_reported_with_advice(definitions: Any, rules: Any, message: str) -> None:
+def test_constant_of_no_event_is_reported_with_advice(
+    definitions: Definitions, rules: str, message: str
+) -> None:
     assert impossible_values(definitions, rules) == [message]
     assert type_conflicts(definitions, rules) == []
 
@@ -113,7 +115,7 @@ def test_constant_of_no_event_is_reported_with_advice(definitions: Any, rules: A
         ":- declare_event(reading(celsius:float)). c(X) <- reading(X). d <- c(high).",
     ],
 )
-def test_values_flow_to_an_event(definitions: Any, rules: Any) -> None:
+def test_values_flow_to_an_event(definitions: Definitions, rules: str) -> None:
     (message,) = impossible_values(definitions, rules)
     assert message.startswith(
         ("argument 1 of c/1 is", "argument 1 of c/2 is", "argument 1 of on/1 is", "argument 1 of text/1")
@@ -164,7 +166,7 @@ def test_values_flow_to_an_event(definitions: Any, rules: Any) -> None:
         ),
     ],
 )
-def test_conflict_is_reported_with_advice(definitions: Any, rules: str, message: str) -> None:
+def test_conflict_is_reported_with_advice(definitions: Definitions, rules: str, message: str) -> None:
     rules = rules if rules.startswith("ok(N)") else TEXT + rules
     assert type_conflicts(definitions, rules) == [message]
     assert impossible_values(definitions, rules) == []
@@ -197,7 +199,7 @@ def test_conflict_is_reported_with_advice(definitions: Any, rules: str, message:
         "ok(N) <- aggregate(count, text(X), N, steps([one where X == anna])).",
     ],
 )
-def test_values_flow_to_a_goal(definitions: Any, rules: str) -> None:
+def test_values_flow_to_a_goal(definitions: Definitions, rules: str) -> None:
     assert len(type_conflicts(definitions, TEXT + rules)) == 1
 
 
@@ -242,7 +244,7 @@ def test_values_flow_to_a_goal(definitions: Any, rules: str) -> None:
         "p(X) :- p(X). ok <- go where p(3).",
     ],
 )
-def test_possible_and_unknown_values_are_not_reported(definitions: Any, rules: Any) -> None:
+def test_possible_and_unknown_values_are_not_reported(definitions: Definitions, rules: str) -> None:
     assert impossible_values(definitions, rules) + type_conflicts(definitions, rules) == []
 
 
@@ -254,7 +256,7 @@ def test_use_in_rule_of_message_is_reported_once(check: Any) -> None:
 
 
 @pytest.fixture
-def check(tmp_path: Path, definitions: Any) -> Any:
+def check(tmp_path: Path, definitions: Definitions) -> Any:
     """Return a function that checks rules, without the findings about missing topics."""
 
     def run(rules: Any) -> List[Any]:
@@ -279,7 +281,7 @@ def test_constant_of_other_file_has_its_place(tmp_path: Path, check: Any) -> Non
     assert "argument 1 of allowed/1 is an atom (anna in line 1 of people.pl)" in finding.problem.message
 
 
-def test_change_of_a_file_is_checked_at_reload(tmp_path: Path, definitions: Any) -> None:
+def test_change_of_a_file_is_checked_at_reload(tmp_path: Path, definitions: Definitions) -> None:
     (tmp_path / "pub_sub.xml").write_text("<publish_subscribe/>")
     (tmp_path / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')\n")
     rules = tmp_path / "eventRules.txt"
@@ -296,7 +298,7 @@ def test_change_of_a_file_is_checked_at_reload(tmp_path: Path, definitions: Any)
     assert "RT1105" in codes()
 
 
-def test_values_flow_through_long_chains_in_any_order(definitions: Any) -> None:
+def test_values_flow_through_long_chains_in_any_order(definitions: Definitions) -> None:
     rules = [f"e{number + 1}(X) <- e{number}(X) where true." for number in range(300)]
     clauses = [f"p{number + 1}(X) :- p{number}(X)." for number in range(300)]
     ends = "e0(X) <- std_msgs__0__String(X). d <- e300(anna). ok(X) <- e300(X) where p300(X). p0(5)."
@@ -305,7 +307,7 @@ def test_values_flow_through_long_chains_in_any_order(definitions: Any) -> None:
 
 
 @pytest.mark.slow
-def test_events_of_examples_have_kinds(definitions: Any) -> None:
+def test_events_of_examples_have_kinds(definitions: Definitions) -> None:
     checked = 0
     for page in sorted((ROOT / "docs").rglob("*.md")):
         for text in FENCE.findall(page.read_text(encoding="utf-8")):
@@ -317,7 +319,7 @@ def test_events_of_examples_have_kinds(definitions: Any) -> None:
     assert checked > 100
 
 
-def _check_events(definitions: Any, rules: Any, arrivals: Any) -> Any:
+def _check_events(definitions: Any, rules: Any, arrivals: Any) -> int:
     """Run an example, compare its events with their computed kinds, and return the number of compared arguments."""
     engine = Engine()
     engine.load(rules=rules)
@@ -338,7 +340,7 @@ def _check_events(definitions: Any, rules: Any, arrivals: Any) -> Any:
     return checked
 
 
-def test_kinds_of_a_predicate_are_those_of_its_clauses(definitions: Any) -> None:
+def test_kinds_of_a_predicate_are_those_of_its_clauses(definitions: Definitions) -> None:
     clauses = "p(X, Y) :- q(X), Y is 1. q(anna). q([1]). r(_)."
     rules = "e(X, Y) <- t where p(X, Y). f(X) <- t where r(X). g(L) <- t where append(_, _, L)."
     flow = ValueFlow(model_of(definitions, f"{clauses} {rules}"))

@@ -4,7 +4,7 @@ from typing import Any, List, Optional
 
 import pytest
 
-from retalis import Engine
+from retalis import Definitions, Engine
 from retalis.events.checks.program_model import ProgramModel
 from retalis.events.checks.variable_type_checks import (
     _ARRAY_PREDICATES,
@@ -57,7 +57,7 @@ def messages_of(
     ],
 )
 def test_comparison_with_other_number_type_is_reported(
-    definitions: Any, rules: str, goals: str, message: str
+    definitions: Definitions, rules: str, goals: str, message: str
 ) -> None:
     assert messages_of(definitions, rules, goals) == [message]
 
@@ -75,7 +75,7 @@ def test_comparison_with_other_number_type_is_reported(
         "a <- geometry_msgs__0__Point(X, _, _) where (Y = 0 ; Y = 1), X > Y.",
     ],
 )
-def test_possible_comparison_is_not_reported(definitions: Any, rules: str) -> None:
+def test_possible_comparison_is_not_reported(definitions: Definitions, rules: str) -> None:
     assert messages_of(definitions, rules) == []
 
 
@@ -100,13 +100,13 @@ def test_possible_comparison_is_not_reported(definitions: Any, rules: str) -> No
     ],
 )
 def test_arguments_of_array_predicates_are_checked(
-    definitions: Any, goal: str, message: Optional[str]
+    definitions: Definitions, goal: str, message: Optional[str]
 ) -> None:
     rules = f"a <- sensor_msgs__0__Image{{data: D, width: W}} where {goal}."
     assert messages_of(definitions, rules, check=find_type_conflicts) == ([message] if message else [])
 
 
-def test_array_as_number_is_reported(definitions: Any) -> None:
+def test_array_as_number_is_reported(definitions: Definitions) -> None:
     (message,) = messages_of(
         definitions, "a <- sensor_msgs__0__LaserScan{ranges: R} where R < 1.", check=find_type_conflicts
     )
@@ -141,7 +141,7 @@ def test_array_and_message_predicates_are_known() -> None:
         ),
     ],
 )
-def test_windows_accept_arrays(definitions: Any, pattern: str, message: Any) -> None:
+def test_windows_accept_arrays(definitions: Definitions, pattern: str, message: List[str]) -> None:
     definitions.add("msgs/Scan", "float32 a\nfloat32[] ranges\nstring id\n")
     engine = Engine(definitions=definitions)
     engine.load(rules=f"a(D) <- {pattern}.")
@@ -169,7 +169,7 @@ def test_windows_accept_arrays(definitions: Any, pattern: str, message: Any) -> 
         ),
     ],
 )
-def test_equality_with_inexact_decimal_is_reported(definitions: Any, rule: str, message: str) -> None:
+def test_equality_with_inexact_decimal_is_reported(definitions: Definitions, rule: str, message: str) -> None:
     assert messages_of(definitions, rule, check=find_inexact_decimals) == [message]
 
 
@@ -185,5 +185,5 @@ def test_equality_with_inexact_decimal_is_reported(definitions: Any, rule: str, 
         "a <- b(0.1).",
     ],
 )
-def test_exact_or_unmeasured_numbers_are_not_reported(definitions: Any, rule: str) -> None:
+def test_exact_or_unmeasured_numbers_are_not_reported(definitions: Definitions, rule: str) -> None:
     assert messages_of(definitions, rule, check=find_inexact_decimals) == []

@@ -84,7 +84,7 @@ def test_stamp_at_once_is_next_stamp_if_nothing_is_due() -> None:
     assert clock.stamp() == 61
 
 
-def confirmed_clock(instant: int) -> Any:
+def confirmed_clock(instant: int) -> StreamClock:
     """Return a clock whose first timestamps, 11 s before, were confirmed by later ones."""
     clock = StreamClock()
     for second in (-11, -5, 0):

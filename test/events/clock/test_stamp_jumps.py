@@ -1,6 +1,6 @@
 """Steps of timestamps ahead: which the clock follows, and from which it returns."""
 
-from typing import Any
+from typing import Any, List
 
 import pytest
 
@@ -44,7 +44,7 @@ def times_after(stamps: Any, jumps: Any = None) -> Any:
         ([1, HOUR, HOUR + 8, HOUR + 11, 2, 3, 4, 5], [1, HOUR, HOUR + 8] + [HOUR + 11] * 5),
     ],
 )
-def test_clock_follows_or_returns(stamps: Any, times: Any) -> None:
+def test_clock_follows_or_returns(stamps: List[int], times: Any) -> None:
     assert times_after(stamps) == times
 
 

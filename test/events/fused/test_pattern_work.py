@@ -29,7 +29,7 @@ def steps_per_event(rules: Any) -> Any:
 
 
 @pytest.mark.parametrize("path", RULES)
-def test_fused_path_counts_steps_of_plain_nodes(path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fused_path_counts_steps_of_plain_nodes(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
     fused = steps_per_event(RULES[path])
     monkeypatch.setattr(*PATHS[path])
     assert fused == steps_per_event(RULES[path])

@@ -35,7 +35,7 @@ class StateEngine(Engine):
         return [self.show(answer["X"]) for answer in self.query(goal)]
 
 
-def load_engine(rules: Any = DOCKED + ALARM, clock: Any = None) -> Any:
+def load_engine(rules: Any = DOCKED + ALARM, clock: Any = None) -> StateEngine:
     engine = StateEngine(clock)
     engine.load(rules=rules)
     return engine
@@ -68,7 +68,9 @@ def test_open_state_holds_immediately() -> None:
         ([("dock(a)", 1), ("dock(b)", 2), ("undock(a)", 3)], [("docked(a)", 1, 3)]),
     ],
 )
-def test_events_begin_and_end_state(events: List[Tuple[Any, ...]], expected: Any) -> None:
+def test_events_begin_and_end_state(
+    events: List[Tuple[Any, ...]], expected: List[Tuple[str, int, int]]
+) -> None:
     assert load_engine().feed(*events) == expected
 
 

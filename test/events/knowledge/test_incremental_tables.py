@@ -68,7 +68,7 @@ READING_GOALS = [
 
 
 @pytest.mark.parametrize("goal", READING_GOALS)
-def test_each_reading_goal_is_a_dependency(goal: Any) -> None:
+def test_each_reading_goal_is_a_dependency(goal: str) -> None:
     own_memory = "memory(Id, X) :- access_mem(Id, pos(X), _), X \\== none.\n"
     program = TableEngine(
         rules=f"{own_memory}:- table t/1 as incremental.\nt(X) :- {goal}.\nplain(X) :- {goal}.\n"
@@ -167,7 +167,7 @@ STATE_GOALS = [
 
 @pytest.mark.parametrize("goal", STATE_GOALS)
 @pytest.mark.parametrize("flag", ["", ":- set_etalis_flag(revision_flag, on).\n"])
-def test_table_depends_on_states(goal: Any, flag: str) -> None:
+def test_table_depends_on_states(goal: str, flag: str) -> None:
     rules = f"{flag}{DOCKED}:- table t/1 as incremental.\nt(X) :- {goal}.\nplain(X) :- {goal}.\n"
     program = TableEngine("true", rules)
     generator = random.Random(goal + flag)

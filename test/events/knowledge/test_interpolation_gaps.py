@@ -18,7 +18,7 @@ gap(Id, Sec, NSec, G) :- convert_to_datime([Sec, NSec], T), memory_gap(Id, T, G)
 """
 
 
-def engine_with(*timestamps: Any, settings: Any = None, size: int = 100, memories: Any = ("m",)) -> Any:
+def engine_with(*timestamps: Any, settings: Any = None, size: int = 100, memories: Any = ("m",)) -> Engine:
     """Return an engine whose memories have a record at each timestamp in milliseconds."""
     engine = Engine(StreamClock(1000 * SECOND), settings, Reports())
     engine.load(rules=BETWEEN)

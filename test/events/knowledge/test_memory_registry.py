@@ -55,14 +55,14 @@ def test_variables_of_recorded_event_are_renamed() -> None:
 
 
 @pytest.fixture
-def engine_with_three_records() -> Any:
+def engine_with_three_records() -> RecordingEngine:
     engine = RecordingEngine(goals="memorize(v(X), [], _, m, 3)")
     for value, time in ((1, 10), (2, 20), (3, 30), (4, 25), (5, 5)):
         engine.event(f"v({value})", time)
     return engine
 
 
-def test_newest_records_are_kept_in_order(engine_with_three_records: Any) -> None:
+def test_newest_records_are_kept_in_order(engine_with_three_records: RecordingEngine) -> None:
     assert records(engine_with_three_records) == ["v(3)", "v(4)", "v(2)"]
 
 
@@ -88,7 +88,7 @@ def test_newest_records_are_kept_in_order(engine_with_three_records: Any) -> Non
     ],
 )
 def test_lookups_return_nearest_record(
-    engine_with_three_records: Any, goal: str, expected: Optional[str]
+    engine_with_three_records: RecordingEngine, goal: str, expected: Optional[str]
 ) -> None:
     answers = engine_with_three_records.query(goal)
     if expected is None:
@@ -109,7 +109,7 @@ def test_lookups_keep_form_of_interval() -> None:
     assert engine.query("prev(m, v(2), _, _, datime(2014,10,19,19,50,5,981209993))") != []
 
 
-def test_size_and_count_are_queried(engine_with_three_records: Any) -> None:
+def test_size_and_count_are_queried(engine_with_three_records: RecordingEngine) -> None:
     assert engine_with_three_records.query("memory_size(m, N), memory_counter(m, C)") == [{"N": 3, "C": 4}]
     assert [name_of(answer["Id"]) for answer in engine_with_three_records.query("memory_size(Id, _)")] == [
         "m"
@@ -218,7 +218,7 @@ def test_id_may_be_any_ground_term() -> None:
     assert records(engine, "1.0") == []
 
 
-def test_reader_ignores_records_added_meanwhile(engine_with_three_records: Any) -> None:
+def test_reader_ignores_records_added_meanwhile(engine_with_three_records: RecordingEngine) -> None:
     (answer,) = engine_with_three_records.query(
         "findall(X, (access_mem(m, v(X), _), new_event(v(9), 99, 0)), L)"
     )
@@ -247,7 +247,7 @@ def test_failed_condition_restores_current_event() -> None:
         ("E, [E = v(1)], seen(E)", ["seen(v(1))"]),
     ],
 )
-def test_conditions_bind_variables_of_event(definition: str, expected: Any) -> None:
+def test_conditions_bind_variables_of_event(definition: str, expected: List[str]) -> None:
     engine = RecordingEngine(goals=f"memorize({definition}, m, 10)")
     engine.event("v(_)", 1)
     assert [re.sub(r"_\w+", "A", record) for record in records(engine)] == expected

@@ -337,7 +337,9 @@ def test_depth_after_omitted_event() -> None:
         ("done(A), A = T, [[m, 1], [m, 1]]", ["done(true)"]),
     ],
 )
-def test_omission_of_event_keeps_query(head: str, expected: Any, caplog: pytest.LogCaptureFixture) -> None:
+def test_omission_of_event_keeps_query(
+    head: str, expected: List[str], caplog: pytest.LogCaptureFixture
+) -> None:
     reports: List[Any] = []
     for engine_type in (RecordingEngine, SelectiveEngine):
         condition = " where N = 3" if "N" in head else ""

@@ -30,7 +30,9 @@ CHAIN = ("map", "base", "neck", "camera")
 LAST_POSE = [[1.0, -0.5, 0.25], [0.1, -0.7, 0.1, 0.7]]
 
 
-def engine_with(rules: Any = SINGLE_STEPS, memories: int = 3, form: str = "tf(V, Q)", size: int = 100) -> Any:
+def engine_with(
+    rules: Any = SINGLE_STEPS, memories: int = 3, form: str = "tf(V, Q)", size: int = 100
+) -> Engine:
     engine = Engine(StreamClock(1000 * SECOND), None, Reports())
     engine.load(rules=rules)
     for number in range(memories):
@@ -185,7 +187,7 @@ def test_records_may_have_several_forms(form: str) -> None:
         ("pose_chain([m0], 1, [[2.0|_]|_]), P = yes", []),
     ],
 )
-def test_chain_has_pose_at_instant(goal: str, expected: Any) -> None:
+def test_chain_has_pose_at_instant(goal: str, expected: List[str]) -> None:
     assert solutions(engine_with_transforms(FIXED_ROTATION, memories=2), goal) == expected
 
 

@@ -14,7 +14,7 @@ def memory_of(engine: Any) -> Any:
 
 
 @pytest.fixture
-def objects() -> Any:
+def objects() -> RecordingEngine:
     engine = RecordingEngine(goals="memorize(seen(Name, Place), [], o(Name, Place), objects, 5)")
     for time, name in ((1, "cup"), (2, "cup"), (3, "cup"), (4, "pen"), (5, "pen"), (6, "box"), (7, "pen")):
         engine.event(f"seen({name}, p({time}))", time)
@@ -51,12 +51,12 @@ def objects() -> Any:
         ("next_matching(nothing, o(cup, _), _, T, 1, 2)", None),
     ],
 )
-def test_lookup_returns_matching_record(objects: Any, goal: str, expected: Optional[int]) -> None:
+def test_lookup_returns_matching_record(objects: RecordingEngine, goal: str, expected: Optional[int]) -> None:
     assert [deref(answer["T"]) for answer in objects.query(goal)] == ([] if expected is None else [expected])
 
 
 @pytest.mark.parametrize("instant", ["_", "foo", "[a,0]"])
-def test_invalid_timestamp_is_refused(objects: Any, instant: str) -> None:
+def test_invalid_timestamp_is_refused(objects: RecordingEngine, instant: str) -> None:
     for goal in (
         f"prev_matching(objects, _, _, _, {instant})",
         f"next_matching(nothing, _, _, _, 1, {instant})",

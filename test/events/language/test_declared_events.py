@@ -18,7 +18,7 @@ VALUE = f"value of temperature/2 is a number, found hot; declared as {FORM}"
 
 
 @pytest.fixture
-def engine() -> Any:
+def engine() -> RecordingEngine:
     return RecordingEngine(DECLARATION)
 
 
@@ -38,7 +38,7 @@ def engine() -> Any:
         ("ins_event_rule(a <- temperature(_))", "a <- temperature(_): " + ARITY),
     ],
 )
-def test_goal_against_declaration_is_refused(engine: Any, goal: str, message: Any) -> None:
+def test_goal_against_declaration_is_refused(engine: RecordingEngine, goal: str, message: str) -> None:
     if message:
         with pytest.raises(Exception, match="declared|declaration") as caught:
             engine.call(goal)
@@ -50,7 +50,7 @@ def test_goal_against_declaration_is_refused(engine: Any, goal: str, message: An
     assert not list(engine.knowledge.subscriptions)
 
 
-def test_event_against_declaration_is_refused(engine: Any) -> None:
+def test_event_against_declaration_is_refused(engine: RecordingEngine) -> None:
     with pytest.raises(UsageError, match="event refused: value of temperature/2 is a number"):
         engine.event("temperature(left, hot)", 1)
     engine.event("temperature(left, 3)", 1)
@@ -58,7 +58,9 @@ def test_event_against_declaration_is_refused(engine: Any) -> None:
     assert engine.event_texts == ["temperature(left,3)", "temperatures(left)"]
 
 
-def test_text_against_declaration_is_refused(engine: Any, caplog: pytest.LogCaptureFixture) -> None:
+def test_text_against_declaration_is_refused(
+    engine: RecordingEngine, caplog: pytest.LogCaptureFixture
+) -> None:
     for _ in range(4):
         engine.post_text("event(temperature(left,hot),[1,1])")
     engine.post_text("event(temperature(left,90.5),[1,1])")
@@ -67,12 +69,12 @@ def test_text_against_declaration_is_refused(engine: Any, caplog: pytest.LogCapt
     assert [record.getMessage().partition("\n")[0] for record in caplog.records] == [message] * 3
 
 
-def test_added_rule_is_checked(engine: Any) -> None:
+def test_added_rule_is_checked(engine: RecordingEngine) -> None:
     with pytest.raises(ProgramErrors, match="value of temperature/2 is a number"):
         add_rule(engine, "a <- temperature(_, hot)")
 
 
-def test_undeclared_event_is_refused_if_flag_is_set(engine: Any) -> None:
+def test_undeclared_event_is_refused_if_flag_is_set(engine: RecordingEngine) -> None:
     engine.call("set_etalis_flag(undeclared_events, error)")
     with pytest.raises(UsageError, match="smoke/1 is not declared; write :- event smoke"):
         engine.event("smoke(hall)", 1)
@@ -84,7 +86,7 @@ def test_undeclared_event_is_refused_if_flag_is_set(engine: Any) -> None:
     assert engine.event_texts[-1] == "smoke(hall)"
 
 
-def test_reset_removes_declarations(engine: Any) -> None:
+def test_reset_removes_declarations(engine: RecordingEngine) -> None:
     engine.call("reset_etalis")
     engine.event("temperature(1)", 1)
     engine.load(rules=":- event temperature(value:number).")
@@ -92,7 +94,7 @@ def test_reset_removes_declarations(engine: Any) -> None:
     assert engine.event_texts == ["temperature(1)", "temperature(2)"]
 
 
-def test_file_with_error_declares_nothing(engine: Any) -> None:
+def test_file_with_error_declares_nothing(engine: RecordingEngine) -> None:
     with pytest.raises(ProgramErrors):
         engine.load(rules=":- event smoke(room:atom).\na <- .")
     with pytest.raises(ProgramErrors):
@@ -101,13 +103,13 @@ def test_file_with_error_declares_nothing(engine: Any) -> None:
     assert engine.event_texts == ["smoke(1)"]
 
 
-def test_invalid_asserted_declaration_is_ignored(engine: Any) -> None:
+def test_invalid_asserted_declaration_is_ignored(engine: RecordingEngine) -> None:
     engine.call("assertz('$declared_event'(3))")
     engine.event("temperature(left, 3)", 1)
     assert engine.event_texts == ["temperature(left,3)"]
 
 
-def test_declarations_are_restored(engine: Any) -> None:
+def test_declarations_are_restored(engine: RecordingEngine) -> None:
     restored = Engine.restore(engine.snapshot())
     with pytest.raises(UsageError, match="event refused"):
         restored.event("temperature(left, hot)", 1)
@@ -115,7 +117,7 @@ def test_declarations_are_restored(engine: Any) -> None:
         restored.load(rules="a <- temperature(_).")
 
 
-def test_reload_replaces_declarations(engine: Any, tmp_path: Path) -> None:
+def test_reload_replaces_declarations(tmp_path: Path) -> None:
     (tmp_path / "goalPredicates.txt").write_text("compile_event_file('rules.txt')\nevent smoke(room:atom)")
     rules = tmp_path / "rules.txt"
     rules.write_text(":- event heat(value:number).\na <- heat(3).")

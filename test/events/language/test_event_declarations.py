@@ -75,13 +75,13 @@ def test_written_declaration_is_parsed_again(declarations: List[Any]) -> None:
 def test_rules_that_follow_declarations_have_no_errors(data: st.DataObject, declarations: List[Any]) -> None:
     """Arguments are values of the declared types, or variables with one name for each type."""
 
-    def value(value_type: Any) -> Any:
+    def value(value_type: Any) -> str:
         if value_type.items is not None:
             return f"[{value(value_type.items)}]"
         name = writeq(value_type.term, OPERATORS)
         return data.draw(st.sampled_from([*VALUES[name], f"V_{name}", "_"]))
 
-    def event() -> Any:
+    def event() -> str:
         declaration = data.draw(st.sampled_from(declarations))
         arguments = ", ".join(value(argument.value_type) for argument in declaration.arguments)
         name = writeq(atom(declaration.name), OPERATORS)

@@ -11,7 +11,7 @@ COMPARISONS = ["X > 1", "X =< 1", "X == 1", "X = 1", "X \\== 1", "Y is X + 1", "
 
 
 @pytest.mark.parametrize("text", COMPARISONS)
-def test_comparison_as_pattern_is_reported(text: Any) -> None:
+def test_comparison_as_pattern_is_reported(text: str) -> None:
     ((line, column, message),) = warnings_of(f"% first\nc <- a(X) and {text}.")
     assert (line, column) == (2, 17)
     assert message == "this is an event; a condition is written after where"

@@ -1,7 +1,5 @@
 """Each operator: condition and interval of its matches."""
 
-from typing import Any
-
 import pytest
 from events.program_runner import ProgramRunner, outputs_of
 
@@ -65,7 +63,7 @@ CASES = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("pattern", "stream", "expected"), CASES)
-def test_operator_has_condition_and_interval(pattern: Any, stream: Any, expected: Any) -> None:
+def test_operator_has_condition_and_interval(pattern: str, stream: str, expected: str) -> None:
     assert outputs_of(f"c <- {pattern}.", stream) == expected
 
 

@@ -1,7 +1,5 @@
 """Errors in labels and properties."""
 
-from typing import Any
-
 import pytest
 from events.load_problems import assert_refused, warnings_of
 
@@ -37,7 +35,7 @@ LABEL_ADVICE = "a label is an atom, or Label([property(Name, Value), ...])"
         ("event_rule_property(l, out_of_order, yes).", 38, "property out_of_order is off or on"),
     ],
 )
-def test_invalid_label_is_refused(rule: str, column: int, part: Any) -> None:
+def test_invalid_label_is_refused(rule: str, column: int, part: str) -> None:
     assert_refused(rule, column, part)
 
 

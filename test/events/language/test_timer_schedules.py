@@ -1,6 +1,6 @@
 """Schedules of timers."""
 
-from typing import Any
+from typing import Optional
 
 import pytest
 from checked_access import required
@@ -39,7 +39,9 @@ def test_next_instant_is_first_multiple_after_present(milliseconds: int, now: in
         ("after(2.5)", 7, 9.5),
     ],
 )
-def test_next_instant_of_day_and_of_single_schedules(text: str, now: Any, expected: Any) -> None:
+def test_next_instant_of_day_and_of_single_schedules(
+    text: str, now: float, expected: Optional[float]
+) -> None:
     next_instant = parse_schedule(parse_term(text)).next_instant(int(now * SECOND))
     assert next_instant == (None if expected is None else round(expected * SECOND))
 

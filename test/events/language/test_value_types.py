@@ -30,7 +30,7 @@ VALUES = {
 
 
 @pytest.mark.parametrize("value", VALUES)
-def test_value_is_accepted_by_its_types_only(value: Any) -> None:
+def test_value_is_accepted_by_its_types_only(value: str) -> None:
     type_names = [*VALUE_TYPES, "std_msgs__0__Empty", "std_msgs__0__Bool"]
     accepting_types = [
         name for name in type_names if parse_value_type(parse_term(name)).accepts(parse_term(value))

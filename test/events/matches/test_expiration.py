@@ -65,7 +65,7 @@ def add_by_start(queue: Any, match: Any, waiting: Any) -> None:
     queue.add(10, match, waiting)
 
 
-def fill(queue: Any, add: Any, match_count: Any) -> Any:
+def fill(queue: Any, add: Any, match_count: Any) -> List[CountingMatch]:
     """Add matches, remove three quarters of them, and return all."""
     matches = [CountingMatch(order) for order in range(match_count)]
     for match in matches:

@@ -38,7 +38,7 @@ def test_identities_of_equal_parts_are_equal() -> None:
     assert hash(first) == hash(second)
 
 
-def nested_match(depth: int, name: str) -> Any:
+def nested_match(depth: int, name: str) -> PartialMatch:
     """Return a match whose first part has a first part, and so on, ``depth`` levels deep."""
     match = PartialMatch((), 0, 0, 1, atom(name), None)
     for level in range(1, depth):

@@ -189,7 +189,7 @@ def _eager_sweeps(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("policy", ["recent", "recent_2", "chronological", "unrestricted"])
 @pytest.mark.parametrize("rule", IN_ORDER)
 def test_dropping_ruled_out_matches_changes_no_output(
-    rule: Any, policy: str, monkeypatch: pytest.MonkeyPatch
+    rule: str, policy: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rng = random.Random(f"{rule} {policy}")
     dropping = ProgramRunner(rule, policy=policy)

@@ -16,7 +16,7 @@ def events(names: str) -> List[Any]:
     ]
 
 
-def chain(*slices: Any) -> Any:
+def chain(*slices: Any) -> BufferSlice:
     """Return a chain of slices, each ``(names, begin, end)``."""
     return BufferSlice(tuple((SharedLog(events(names)), begin, end) for names, begin, end in slices))
 

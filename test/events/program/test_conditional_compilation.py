@@ -24,7 +24,7 @@ def defined_predicates(program: Any) -> str:
 
 @pytest.mark.parametrize("rule", ["", " out <- in."], ids=["prolog", "rules"])
 @pytest.mark.parametrize(("text", "expected"), CASES)
-def test_branch_of_true_condition_is_loaded(text: Any, expected: Any, rule: str) -> None:
+def test_branch_of_true_condition_is_loaded(text: str, expected: str, rule: str) -> None:
     program = ProgramRunner(text + rule)
     assert defined_predicates(program) == expected
     assert program.warnings == []

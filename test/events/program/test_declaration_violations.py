@@ -1,7 +1,6 @@
 """Violations of a file's event declarations, with their places."""
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 from events.load_problems import errors_of
@@ -51,7 +50,7 @@ CONFLICT = "V is a number (value of temperature/2) and, here, an atom (motor of 
         ("go(V) :- event(temperature(a, V)), event(temperature(V, 1)).", 54, CONFLICT),
     ],
 )
-def test_violation_is_reported_at_position(rule: str, column: int, message: Any) -> None:
+def test_violation_is_reported_at_position(rule: str, column: int, message: str) -> None:
     assert errors_of(f"{DECLARATION}{rule}") == [(2, column, message)]
 
 
@@ -73,7 +72,7 @@ def test_all_violations_are_reported() -> None:
         (DECLARATION + "a <- temprature(X).", 1),
     ],
 )
-def test_earlier_or_uncertain_events_are_no_errors(text: Any, number: int) -> None:
+def test_earlier_or_uncertain_events_are_no_errors(text: str, number: int) -> None:
     engine = Engine()
     engine.load_rules(text)
     assert len(engine.rules.rules) == number

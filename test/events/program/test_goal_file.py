@@ -7,7 +7,7 @@ from checked_access import place_of
 
 from retalis import Operators, SyntaxFault
 from retalis.events.program.goal_file import read_goals
-from retalis.prolog.syntax.term_reader import read_term
+from retalis.prolog.syntax.term_reader import ReadTerm, read_term
 from retalis.prolog.syntax.term_writer import writeq
 
 
@@ -67,7 +67,7 @@ def characters_read(monkeypatch: pytest.MonkeyPatch, text: Any) -> Any:
     """Return the number of characters that are parsed for a text."""
     lengths: List[Any] = []
 
-    def counting_read_term(text: Any, *args: Any, **options: Any) -> Any:
+    def counting_read_term(text: Any, *args: Any, **options: Any) -> ReadTerm:
         lengths.append(len(text))
         return read_term(text, *args, **options)
 

@@ -23,7 +23,7 @@ def warnings_of(program: Any) -> List[Tuple[Any, ...]]:
     return [(warning.place.line, warning.place.column, warning.message) for warning in program.warnings]
 
 
-def test_invalid_term_is_omitted(program: Any) -> None:
+def test_invalid_term_is_omitted(program: ProgramRunner) -> None:
     program.engine.load(
         rules="""p(1).
 p(2.
@@ -46,24 +46,24 @@ p(4).
 @pytest.mark.parametrize(
     "rest", ["c <- a.", "l : c <- a.", "a do true.", ":- set_etalis_flag(out_of_order, on)."]
 )
-def test_invalid_event_file_is_refused_as_a_whole(program: Any, rest: str) -> None:
+def test_invalid_event_file_is_refused_as_a_whole(program: ProgramRunner, rest: str) -> None:
     with pytest.raises(ProgramErrors):
         program.engine.load(rules=f"p(1).\np(2.\n{rest}\n")
     assert not program.engine.call("catch(p(_), _, fail)")
     assert program.engine.rules.rules == []
 
 
-def test_event_predicates_are_defined(program: Any) -> None:
+def test_event_predicates_are_defined(program: ProgramRunner) -> None:
     names = {key.name for key in program.engine.logic.names()}
     assert sorted(_EVENT_PREDICATES - names) == []
 
 
-def test_rule_words_in_clauses_make_no_event_file(program: Any) -> None:
+def test_rule_words_in_clauses_make_no_event_file(program: ProgramRunner) -> None:
     program.engine.load(rules="% do <- iff\np('<-', do, \"a <- b\").\np(.\n")
     assert program.engine.call("p(_, do, _)")
 
 
-def test_included_rules_make_an_event_file(program: Any, tmp_path: Path) -> None:
+def test_included_rules_make_an_event_file(program: ProgramRunner, tmp_path: Path) -> None:
     (tmp_path / "rules.pl").write_text("c <- a.")
     with pytest.raises(ProgramErrors):
         program.engine.load(rules=":- include(rules). p(1). p(2.")
@@ -71,7 +71,7 @@ def test_included_rules_make_an_event_file(program: Any, tmp_path: Path) -> None
     assert program.feed("a@1") == "c@1-1"
 
 
-def test_errors_of_used_prolog_file_keep_rules(program: Any, tmp_path: Path) -> None:
+def test_errors_of_used_prolog_file_keep_rules(program: ProgramRunner, tmp_path: Path) -> None:
     (tmp_path / "kb.pl").write_text("p(1).\np(.\n:- op(700, xfx, ===>).\nq(a ===> b).\n")
     program.engine.load(rules=":- use_module(kb). c(X) <- a where p(X).")
     assert program.feed("a@1") == "c(1)@1-1"
@@ -79,14 +79,14 @@ def test_errors_of_used_prolog_file_keep_rules(program: Any, tmp_path: Path) -> 
     assert program.engine.call("X = (a ===> b), q(X)")
 
 
-def test_file_without_valid_terms_is_refused(program: Any) -> None:
+def test_file_without_valid_terms_is_refused(program: ProgramRunner) -> None:
     with pytest.raises(ProgramErrors) as caught:
         program.engine.load(rules="p(.\n:- no_such_goal.\n")
     assert [place_of(error).line for error in caught.value.errors] == [1, 2]
     assert program.warnings == []
 
 
-def test_first_omissions_are_shown_and_others_counted(program: Any) -> None:
+def test_first_omissions_are_shown_and_others_counted(program: ProgramRunner) -> None:
     program.engine.load(rules="p(1).\n" + "q(.\n" * 150)
     assert len(program.warnings) == 101
     assert program.warnings[-1].message == "there are 50 more"
@@ -101,7 +101,7 @@ def test_exceeded_limit_rolls_back_file() -> None:
         engine.call("p(_)")
 
 
-def test_directive_runs_before_next_term(program: Any) -> None:
+def test_directive_runs_before_next_term(program: ProgramRunner) -> None:
     program.engine.load(
         rules="""
 declare :- op(700, xfx, ===>).
@@ -114,13 +114,13 @@ p(a ===> b).
     assert program.engine.call("seen(a, b), X = (c ===> d), X =.. [===>, c, d]")
 
 
-def test_flag_of_quotes_is_local_to_file(program: Any) -> None:
+def test_flag_of_quotes_is_local_to_file(program: ProgramRunner) -> None:
     program.engine.load(rules=':- set_prolog_flag(double_quotes, codes). p("a").')
     program.engine.load(rules='q("a").')
     assert program.engine.call("p([97]), q(S), string(S), current_prolog_flag(double_quotes, string)")
 
 
-def test_initialization_goals_are_called_after_load(program: Any) -> None:
+def test_initialization_goals_are_called_after_load(program: ProgramRunner) -> None:
     program.engine.load(
         rules="""
 :- initialization(note(end)).
@@ -139,17 +139,17 @@ note(X) :- assertz(noted(X)).
     assert "is not called" in message
 
 
-def test_initialization_follows_rules(program: Any) -> None:
+def test_initialization_follows_rules(program: ProgramRunner) -> None:
     program.engine.load(rules=":- initialization(event(a)). c do assertz(done) <- a.")
     assert program.engine.call("done")
 
 
-def test_pushback_and_single_sided_rules_are_read(program: Any) -> None:
+def test_pushback_and_single_sided_rules_are_read(program: ProgramRunner) -> None:
     program.engine.load(rules="a, [b] --> [c]. p(a, X) => X = 1. p(_, X) => X = 2.")
     assert program.engine.call("a([c, d], [b, d]), p(a, 1), p(Z, 2), var(Z)")
 
 
-def test_unknown_flags_are_ignored(program: Any) -> None:
+def test_unknown_flags_are_ignored(program: ProgramRunner) -> None:
     program.engine.load(
         rules=":- set_prolog_flag(generate_debug_info, false). :- style_check(-singleton). :- mode(p). p."
     )
@@ -157,13 +157,13 @@ def test_unknown_flags_are_ignored(program: Any) -> None:
     assert program.engine.call("p")
 
 
-def test_reading_stops_at_end_of_file_term(program: Any) -> None:
+def test_reading_stops_at_end_of_file_term(program: ProgramRunner) -> None:
     program.engine.load(rules="p(1). end_of_file. p(2). p(")
     assert program.warnings == []
     assert [answer["X"] for answer in answers(program, "p(X)")] == ["1"]
 
 
-def test_nested_files_are_relative_to_their_file(program: Any, tmp_path: Path) -> None:
+def test_nested_files_are_relative_to_their_file(program: ProgramRunner, tmp_path: Path) -> None:
     (tmp_path / "sub" / "deep").mkdir(parents=True)
     (tmp_path / "sub" / "one.pl").write_text(":- ensure_loaded('deep/two'). one.")
     (tmp_path / "sub" / "deep" / "two.pl").write_text(":- [three]. two. :- op(700, xfx, ===>).")
@@ -173,13 +173,13 @@ def test_nested_files_are_relative_to_their_file(program: Any, tmp_path: Path) -
     assert [warning.place.source for warning in program.warnings] == ["sub/deep/three.pl"]
 
 
-def test_clause_may_replace_library_predicate(program: Any) -> None:
+def test_clause_may_replace_library_predicate(program: ProgramRunner) -> None:
     program.engine.load(rules="last([X], X). last([_|T], X) :- last(T, X). subtract(a, b, c).")
     assert program.warnings == []
     assert program.engine.call("subtract(a, b, c), last([1, 2], 2)")
 
 
-def test_fact_of_event_predicate_is_omitted(program: Any) -> None:
+def test_fact_of_event_predicate_is_omitted(program: ProgramRunner) -> None:
     program.engine.load(rules="p(1). memorize(a, [], a, m, 5).")
     (warning,) = program.warnings
     assert "would replace the built-in predicate" in warning.message
@@ -209,25 +209,25 @@ def test_reload_keeps_known_omissions(tmp_path: Path) -> None:
     assert [answer["X"] for answer in answers(program, "p(X)")] == ["2"]
 
 
-def test_refused_file_defines_no_operators(program: Any) -> None:
+def test_refused_file_defines_no_operators(program: ProgramRunner) -> None:
     with pytest.raises(ProgramErrors):
         program.engine.load(rules=":- op(700, xfx, ===>). c <- a. :- throw(x).")
     assert "===>" not in program.engine.operators
 
 
-def test_interpreter_line_is_ignored(program: Any) -> None:
+def test_interpreter_line_is_ignored(program: ProgramRunner) -> None:
     program.engine.load(rules="#!/usr/bin/env swipl\np(1).\nq(.\n")
     assert [(line, column) for line, column, _ in warnings_of(program)] == [(3, 3)]
     assert program.engine.call("p(1)")
 
 
-def test_quoted_text_may_span_lines(program: Any) -> None:
+def test_quoted_text_may_span_lines(program: ProgramRunner) -> None:
     program.engine.load(rules="p(\"a\nb.\nc\"). q('d\n''e').\n")
     assert program.warnings == []
     assert program.engine.call("p(\"a\\nb.\\nc\"), q('d\\n\\'e')")
 
 
-def test_unclosed_quote_omits_clause(program: Any) -> None:
+def test_unclosed_quote_omits_clause(program: ProgramRunner) -> None:
     program.engine.load(rules="p(1).\np('2).\np(3).\nq('it''s', 'here').\np(4).\np(\"5).\nq(\"a\", b).\n")
     assert [(line, column) for line, column, _ in warnings_of(program)] == [(2, 3), (6, 3)]
     assert all("not closed on its line" in message for _, _, message in warnings_of(program))
@@ -235,13 +235,13 @@ def test_unclosed_quote_omits_clause(program: Any) -> None:
     assert program.engine.call("q(_, here), q(_, b)")
 
 
-def test_unknown_library_is_one_warning(program: Any) -> None:
+def test_unknown_library_is_one_warning(program: ProgramRunner) -> None:
     program.engine.load(rules=":- use_module(library(clpfd)).\np(X) :- X #> 3, X in 0..9.\nq(1).\n")
     assert [line for line, _, _ in warnings_of(program)] == [1]
     assert program.engine.call("q(1), clause(p(_), _)")
 
 
-def test_load_context_has_folder_of_file(program: Any, tmp_path: Path) -> None:
+def test_load_context_has_folder_of_file(program: ProgramRunner, tmp_path: Path) -> None:
     (tmp_path / "sub").mkdir()
     (tmp_path / "sub" / "one.pl").write_text(":- prolog_load_context(directory, D), assertz(folder(D)). one.")
     assert program.engine.call(
@@ -251,14 +251,14 @@ def test_load_context_has_folder_of_file(program: Any, tmp_path: Path) -> None:
     assert program.engine.call("reconsult('sub/one'), \\+ prolog_load_context(directory, _)")
 
 
-def test_file_extension_may_be_omitted(program: Any, tmp_path: Path) -> None:
+def test_file_extension_may_be_omitted(program: ProgramRunner, tmp_path: Path) -> None:
     (tmp_path / "kb-1.2.pl").write_text("p(1).")
     (tmp_path / "more.prolog").write_text("q(1).")
     program.engine.load(rules=":- ['kb-1.2', more]. r.")
     assert program.engine.call("p(1), q(1)")
 
 
-def test_module_may_have_name_of_its_file(program: Any, tmp_path: Path) -> None:
+def test_module_may_have_name_of_its_file(program: ProgramRunner, tmp_path: Path) -> None:
     (tmp_path / "named.pl").write_text(":- module(_, [p/1]).\np(1).\nhidden(1).\n")
     program.engine.load(rules=":- autoload(named). :- reexport(named, [p/1]). q(X) :- p(X). hidden(2).")
     assert program.warnings == []
@@ -268,14 +268,14 @@ def test_module_may_have_name_of_its_file(program: Any, tmp_path: Path) -> None:
     assert program.engine.call("s(1), current_module(other)")
 
 
-def test_available_libraries_may_be_used(program: Any) -> None:
+def test_available_libraries_may_be_used(program: ProgramRunner) -> None:
     program.engine.load(
         rules=":- use_module(library(dcg/basics)). :- use_module(library(pairs)). :- autoload(library(apply)). p."
     )
     assert program.warnings == []
 
 
-def test_imported_predicates_may_be_renamed(program: Any, tmp_path: Path) -> None:
+def test_imported_predicates_may_be_renamed(program: ProgramRunner, tmp_path: Path) -> None:
     (tmp_path / "kb.pl").write_text(":- module(kb, [p/1, q//1, go/0]).\np(1).\np(2).\nq(X) --> [X].\ngo.\n")
     (tmp_path / "user.pl").write_text(
         ":- module(user_of, [r/1]).\n:- use_module(kb, except([q//1, p/1 as small])).\nr(X) :- small(X).\n"
@@ -304,7 +304,7 @@ def test_imported_predicates_may_be_renamed(program: Any, tmp_path: Path) -> Non
         ":- use_module(a, [have/1 as has]). :- use_module(b, except([item/1])).",
     ],
 )
-def test_shared_module_is_loaded_once(program: Any, tmp_path: Path, directives: str) -> None:
+def test_shared_module_is_loaded_once(program: ProgramRunner, tmp_path: Path, directives: str) -> None:
     (tmp_path / "b.pl").write_text(":- module(b, [item/1]).\nitem(cup).\nitem(pan).\n")
     (tmp_path / "a.pl").write_text(":- module(a, [have/1]).\n:- use_module(b).\nhave(X) :- item(X).\n")
     (tmp_path / "d.pl").write_text(":- module(d, [other/1]).\n:- use_module(a).\nother(X) :- have(X).\n")
@@ -315,7 +315,9 @@ def test_shared_module_is_loaded_once(program: Any, tmp_path: Path, directives: 
 
 
 @pytest.mark.parametrize("directive_form", [":- {}.", "{}."])
-def test_renamed_predicate_is_that_of_its_module(program: Any, tmp_path: Path, directive_form: str) -> None:
+def test_renamed_predicate_is_that_of_its_module(
+    program: ProgramRunner, tmp_path: Path, directive_form: str
+) -> None:
     (tmp_path / "b.pl").write_text(":- module(b, [size/1]).\nsize(1).\n")
     (tmp_path / "c.pl").write_text(":- module(c, [size/1]).\nsize(7).\n")
     named = directive_form.format("use_module('./c.pl', [size/1 as csize])")
@@ -323,7 +325,7 @@ def test_renamed_predicate_is_that_of_its_module(program: Any, tmp_path: Path, d
     assert program.engine.call("findall(X, csize(X), [7]), findall(X, size(X), [1])")
 
 
-def test_second_file_of_module_is_reported(program: Any, tmp_path: Path) -> None:
+def test_second_file_of_module_is_reported(program: ProgramRunner, tmp_path: Path) -> None:
     for name in ("x", "y"):
         (tmp_path / f"{name}.pl").write_text(f":- module(x, []).\np({name}).\n")
     warnings: List[Any] = []
@@ -336,7 +338,7 @@ def test_second_file_of_module_is_reported(program: Any, tmp_path: Path) -> None
     assert program.engine.call("findall(X, x:p(X), [x, y])")
 
 
-def test_qualified_goal_is_checked_in_module(program: Any, tmp_path: Path) -> None:
+def test_qualified_goal_is_checked_in_module(program: ProgramRunner, tmp_path: Path) -> None:
     (tmp_path / "b.pl").write_text(":- module(b, [size/2]).\nsize(cup, 1).\nbig(X) :- size(X, _).\nzzyx.\n")
     program.engine.load(
         rules=":- use_module(b).\nk(L) <- tick where findall(X, b:big(X), L).\n"

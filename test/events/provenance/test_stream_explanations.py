@@ -10,7 +10,7 @@ from retalis import Engine
 FLAGS = ":- set_etalis_flag(etalis_justification, on).\n"
 
 
-def explanation_of(rules: str, stream: Any, event: str) -> Any:
+def explanation_of(rules: str, stream: Any, event: str) -> str:
     """Return the explanation of an event after a stream, events as ``term@end``."""
     engine = Engine()
     engine.load(rules=FLAGS + rules)
@@ -72,7 +72,7 @@ EXPLANATIONS = {
 
 
 @pytest.mark.parametrize("name", EXPLANATIONS)
-def test_event_is_explained_by_sources(name: Any) -> None:
+def test_event_is_explained_by_sources(name: str) -> None:
     rules, event, expected = EXPLANATIONS[name]
     assert explanation_of(rules, STREAM, event) == expected
 

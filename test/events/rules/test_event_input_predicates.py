@@ -58,7 +58,7 @@ def outcome(read: Any, text: Any) -> Optional[Tuple[Any, ...]]:
 
 
 @pytest.mark.parametrize("text", TEXTS)
-def test_short_path_equals_complete_path(text: Any) -> None:
+def test_short_path_equals_complete_path(text: str) -> None:
     reader = InputReader(Operators.prolog())
 
     def read_completely(text: Any) -> Any:

@@ -156,7 +156,7 @@ def test_infinite_value_of_flag_is_refused(name: Any, number: str) -> None:
 
 
 @pytest.mark.parametrize(("flag", "expected"), [("on", ["a(1)", "a(9)", "b(1)", "out(1)"]), ("off", [])])
-def test_events_are_stored_if_flag_is_on(flag: str, expected: Any) -> None:
+def test_events_are_stored_if_flag_is_on(flag: str, expected: List[str]) -> None:
     engine, _ = engine_and_outputs(RULE, store_fired_events=flag)
     assert [engine.show(answer["E"]) for answer in engine.query("stored_event(event(E,_))")] == expected
     assert [engine.show(answer["E"]) for answer in engine.query("fired_event(E,_)")] == expected

@@ -31,12 +31,12 @@ class TimerEngine(Engine):
             self.event("e", instant)
         return list(self.events)
 
-    def timers(self) -> Any:
+    def timers(self) -> str:
         (answer,) = self.query("timers(L)")
         return self.show(answer["L"])
 
 
-def load_engine(goals: str = "", rules: str = "", clock: Any = None) -> Any:
+def load_engine(goals: str = "", rules: str = "", clock: Any = None) -> TimerEngine:
     engine = TimerEngine(clock)
     engine.load(rules=rules, goals=goals)
     return engine

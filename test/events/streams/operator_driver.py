@@ -57,7 +57,7 @@ def _arrivals_of_rows(rows: Any) -> Any:
     return arrivals
 
 
-def element_of(arrival: Any) -> Any:
+def element_of(arrival: Any) -> StreamElement:
     """Return the stream element of an arrival; its match is the number of the arrival."""
     return StreamElement(arrival.number, arrival.start, arrival.end, (arrival.key,), (arrival.value,))
 
@@ -110,7 +110,7 @@ class OperatorDriver:
             assert self.operator.next_deadline is None or self.operator.next_deadline > deadline
 
 
-def entry_count(container: Any) -> Any:
+def entry_count(container: Any) -> int:
     """Return the number of entries in all lists, queues and dictionaries that are attributes of an object."""
     attributes = [getattr(container, name) for name in getattr(container, "__slots__", ())]
     attributes = attributes or vars(container).values()

@@ -120,7 +120,7 @@ def test_later_end_replaces_earlier_one(arrivals: Any, restore_before: Any, span
     assert sorted(outputs) == sorted(outputs_of_latest_ends(arrivals, span))
 
 
-def operator_after(span: int, arrivals: Any) -> Any:
+def operator_after(span: int, arrivals: Any) -> AbsenceTimeout:
     """Return an operator that has processed the arrivals."""
     operator = AbsenceTimeout(span, correlation_of(arrivals, True))
     for arrival in arrivals:

@@ -43,7 +43,7 @@ class Inputs(Kind):
     def report(self, error: Any) -> None:
         str(error)
 
-    def generate(self, rng: Any) -> Any:
+    def generate(self, rng: Any) -> bytes:
         return mutate_bytes(rng, rng.choice(self.corpus), self.corpus)
 
     def prepare(self, data: Any) -> None:

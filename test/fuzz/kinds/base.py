@@ -132,7 +132,7 @@ log = logging.getLogger("retalis")
 log.addHandler(LOGGED)
 
 
-def create_silent_engine(settings: Any = SETTINGS) -> Any:
+def create_silent_engine(settings: Any = SETTINGS) -> Engine:
     """Return an engine that prints nothing."""
     engine = Engine(settings=settings)
     engine.logic.output = engine.logic.error_output = lambda text: None

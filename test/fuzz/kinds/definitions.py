@@ -62,7 +62,7 @@ class Inputs(Kind):
     def reset(self) -> None:
         self.known = Definitions(self.installed)
 
-    def generate(self, rng: Any) -> Any:
+    def generate(self, rng: Any) -> bytes:
         if rng.random() < 0.2:
             return to_bytes("pkg/Soup\n" + random_tokens(rng, PIECES, 12))
         return to_bytes(mutate_text(rng, rng.choice(self.texts), self.texts, PIECES))

@@ -55,7 +55,7 @@ class Inputs(Kind):
         self.engine.load(rules=RULES, goals=GOALS)
         self.engine.on_output(lambda term, topic, name: self.engine.show(term))
 
-    def generate(self, rng: Any) -> Any:
+    def generate(self, rng: Any) -> bytes:
         if rng.random() < 0.15:
             return to_bytes("event(" + random_tokens(rng, PIECES))
         if rng.random() < 0.3:

@@ -45,7 +45,7 @@ def grow() -> None:
     del blocks[:]
 
 
-def endless() -> Any:
+def endless() -> int:
     return sum(repeat(0))
 
 

@@ -39,7 +39,7 @@ class Inputs(Kind):
             "foo(1). foo(2). foo(f(X)) :- foo(X). a(X) <- b(X). p(X) --> [X], q. q --> []. q --> [x], q."
         )
 
-    def generate(self, rng: Any) -> Any:
+    def generate(self, rng: Any) -> bytes:
         if rng.random() < 0.5:
             return to_bytes(mutate_text(rng, rng.choice(self.texts), self.texts, ARGUMENTS))
         goals = [self.goal(rng) for _ in range(rng.choice((1, 1, 2, 3)))]

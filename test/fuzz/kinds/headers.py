@@ -29,7 +29,7 @@ class Inputs(Kind):
     def reset(self) -> None:
         self.known = Definitions(self.installed)
 
-    def generate(self, rng: Any) -> Any:
+    def generate(self, rng: Any) -> bytes:
         header = dict(rng.choice(self.headers))
         for _ in range(rng.randint(1, 3)):
             field = rng.choice((*FIELDS, "message_definition", "wanted"))
@@ -50,7 +50,7 @@ class Inputs(Kind):
             return
         self.attempt(self.process_header, header)
 
-    def process_header(self, header: Any) -> Any:
+    def process_header(self, header: Any) -> bool:
         """Process a header as the ROS interface does for a connection."""
         requested_type = header.get("wanted", "pkg/Type")
         text, md5sum = header.get("message_definition", ""), header.get("md5sum", "*")

@@ -65,7 +65,7 @@ class Inputs(Kind):
     def reset(self) -> None:
         self.engine = create_silent_engine(SETTINGS)
 
-    def generate(self, rng: Any) -> Any:
+    def generate(self, rng: Any) -> bytes:
         if self.texts and rng.random() < 0.1:
             return to_bytes(mutate_text(rng, rng.choice(self.texts), self.texts, VALUES + JOINS))
         policy = rng.choice(POLICIES)
@@ -134,7 +134,7 @@ class Inputs(Kind):
             lines.append(f"{max(0.0, late)} {event}")
         return lines
 
-    def subject(self, data: Any) -> Any:
+    def subject(self, data: Any) -> str:
         return "unrestricted" if b"unrestricted" in data else "other policies"
 
     def run(self, data: Any) -> None:

@@ -193,7 +193,7 @@ class Inputs(Kind):
         random.Random(2).shuffle(inputs)
         return inputs
 
-    def goal(self, name: Any, values: Any, places: Any = None, head: str = "") -> Any:
+    def goal(self, name: Any, values: Any, places: Any = None, head: str = "") -> bytes:
         """Return the input that calls a predicate with some values, or with those at some places."""
         places = range(len(values)) if places is None else places
         parts = [
@@ -222,7 +222,7 @@ class Inputs(Kind):
             values.append(rng.choice(choice))
         return self.goal(name, values, places, "answer of " if rng.random() < 0.05 else "")
 
-    def subject(self, data: Any) -> Any:
+    def subject(self, data: Any) -> str:
         return to_text(data).partition("\n")[0][:60]
 
     def run(self, data: Any) -> None:

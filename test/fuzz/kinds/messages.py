@@ -106,7 +106,7 @@ class Inputs(Kind):
     def reset(self) -> None:
         self.reader = EventReader()
 
-    def generate(self, rng: Any) -> Any:
+    def generate(self, rng: Any) -> bytes:
         if not self.valid:
             self._create_messages()
         name = rng.choice(self.names)

@@ -10,7 +10,7 @@ from typing import Any, List, Tuple
 
 from checked_access import compound
 
-from retalis import Definitions, atom, functor
+from retalis import Definitions, atom, functor, to_python
 from retalis.messages.event_text_writer import make_text_writer
 from retalis.messages.type_definition import functor_name
 from retalis.messages.type_registry import InstalledTypes
@@ -276,7 +276,7 @@ class Inputs(Kind):
     def in_string(self, name: Any) -> None:
         text = writeq(atom(name), self.engine.operators)
         solutions = self.engine.query(f'atom_string({text}, S), atom_length(S, N), string_concat(S, "", S)')
-        self.check_equal(solutions[0]["S"].text, name)
+        self.check_equal(to_python(solutions[0]["S"]), name)
         self.engine.load(rules=f"s({text}) <- a(X) where X = {text}.")
         self.engine.event(f"a({text})", 1)
 

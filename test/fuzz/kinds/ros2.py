@@ -148,7 +148,7 @@ class Inputs(Kind):
             "".encode(encoding)
         convert_idl("pkg/Kind", f"{IDL_START}}}; }}; }};", ["pkg/Kind"])  # imports lark
 
-    def generate(self, rng: Any) -> Any:
+    def generate(self, rng: Any) -> bytes:
         draw = rng.random()
         if draw < 0.05:
             name = rng.choice(("pkg/msg/Kind", "pkg/srv/Kind_Event"))

@@ -104,7 +104,7 @@ class Inputs(Kind):
         self.engine = create_silent_engine()
         self.time = 0
 
-    def generate(self, rng: Any) -> Any:
+    def generate(self, rng: Any) -> bytes:
         if rng.random() < 0.1:
             return to_bytes(random_tokens(rng, PIECES))
         if rng.random() < 0.4:

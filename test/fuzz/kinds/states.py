@@ -255,7 +255,7 @@ class Inputs(Kind):
             ) from error
         LOGGED.check()
 
-    def restored(self, data: Any) -> Any:
+    def restored(self, data: Any) -> Engine:
         """Return an engine that is restored from an input, or None if the input has no state."""
         return Engine.restore(data, settings=SETTINGS)
 

@@ -29,7 +29,7 @@ class Inputs(Kind):
     def setup(self) -> None:
         create_silent_engine().load(DYNAMIC + FACTS)  # reads the library
 
-    def generate(self, rng: Any) -> Any:
+    def generate(self, rng: Any) -> bytes:
         names, tabled, plain = ["n", "s", "up"], [], []
         for number in range(rng.choice((1, 2, 3, 4))):
             name = f"p{number}"

@@ -55,7 +55,7 @@ class Inputs(Kind):
         self.events = EventReader(self.operators)
         self.flags = (ReadFlags(), ReadFlags(iso=True, double_quotes="codes"), ReadFlags(event_text=True))
 
-    def generate(self, rng: Any) -> Any:
+    def generate(self, rng: Any) -> bytes:
         if rng.random() < 0.4:
             return to_bytes(random_tokens(rng, PIECES if rng.random() < 0.3 else TOKENS))
         return to_bytes(mutate_text(rng, rng.choice(self.texts), self.texts, PIECES))

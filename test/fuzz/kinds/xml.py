@@ -46,7 +46,7 @@ class Inputs(Kind):
         self.path = self.scratch / "pub_sub.xml"
         self.file = os.open(str(self.path), os.O_RDWR | os.O_CREAT)
 
-    def generate(self, rng: Any) -> Any:
+    def generate(self, rng: Any) -> bytes:
         draw = rng.random()
         if draw < 0.1:
             return to_bytes(random_tokens(rng, PIECES))

@@ -35,7 +35,7 @@ ERRORS = {
 
 
 @pytest.mark.parametrize("goal", ERRORS)
-def test_wrong_argument_is_an_error(goal: Any) -> None:
+def test_wrong_argument_is_an_error(goal: str) -> None:
     assert answers(prolog(), goal) == [ERRORS[goal]]
 
 
@@ -53,7 +53,7 @@ ANSWERS = {
 
 
 @pytest.mark.parametrize("goal", ANSWERS)
-def test_partial_argument_is_completed(goal: Any) -> None:
+def test_partial_argument_is_completed(goal: str) -> None:
     assert answers(prolog(), goal, len(ANSWERS[goal])) == ANSWERS[goal]
 
 

@@ -6,6 +6,7 @@ import pytest
 from prolog.support import answers, prolog
 
 from retalis.prolog.syntax.term_reader import read_term
+from retalis.prolog.system.prolog_system import PrologSystem
 
 MEMBER = "member(X, [1,2,3])"
 
@@ -16,7 +17,7 @@ def written() -> List[Any]:
 
 
 @pytest.fixture
-def logic(written: List[Any]) -> Any:
+def logic(written: List[Any]) -> PrologSystem:
     system = prolog("""
         cut(G) :- setup_call_cleanup(write(s), G, write(c)), write(g), !, write(e).
         first(G) :- setup_call_cleanup(true, G, write(c)), !.
@@ -50,22 +51,22 @@ def logic(written: List[Any]) -> Any:
         (f"findall(X, limit(2, call_cleanup({MEMBER}, write(c))), L), write(L)", "c[1,2]"),
     ],
 )
-def test_cleanup_runs_once(logic: Any, written: List[Any], goal: str, text: str) -> None:
+def test_cleanup_runs_once(logic: PrologSystem, written: List[Any], goal: str, text: str) -> None:
     assert logic.once(read_term(goal, logic.operators).term)
     assert "".join(written).replace("\n", "") == text
     assert logic.machine.choices == []
 
 
-def test_cut_undoes_bindings_of_cleanup(logic: Any) -> None:
+def test_cut_undoes_bindings_of_cleanup(logic: PrologSystem) -> None:
     assert answers(logic, f"call_cleanup({MEMBER}, Y = 1), !, Z = Y") == [{"X": "1", "Y": "A", "Z": "A"}]
 
 
-def test_cleanup_uses_bindings_of_goal(logic: Any, written: List[Any]) -> None:
+def test_cleanup_uses_bindings_of_goal(logic: PrologSystem, written: List[Any]) -> None:
     assert answers(logic, f"call_cleanup({MEMBER}, write(X)), !") == [{"X": "1"}]
     assert written == ["1"]
 
 
-def test_closed_solutions_run_cleanup(logic: Any, written: List[Any]) -> None:
+def test_closed_solutions_run_cleanup(logic: PrologSystem, written: List[Any]) -> None:
     solutions = logic.solutions(read_term(f"call_cleanup({MEMBER}, write(c))", logic.operators).term)
     next(solutions)
     assert written == []
@@ -73,7 +74,7 @@ def test_closed_solutions_run_cleanup(logic: Any, written: List[Any]) -> None:
     assert written == ["c"]
 
 
-def test_setup_may_bind_cleanup(logic: Any, written: List[Any]) -> None:
+def test_setup_may_bind_cleanup(logic: PrologSystem, written: List[Any]) -> None:
     assert answers(logic, "setup_call_cleanup(G = write(x), true, G)") == [{"G": "write(x)"}]
     assert written == ["x"]
     assert answers(logic, "setup_call_cleanup(true, true, _)") == ["instantiation_error"]

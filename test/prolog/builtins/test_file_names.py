@@ -1,12 +1,13 @@
 """Parts of file names, and resolution of files."""
 
 from pathlib import Path
-from typing import Any, Optional
+from typing import Optional
 
 import pytest
 from prolog.support import answers, first, prolog
 
 from retalis import Engine, Settings
+from retalis.prolog.system.prolog_system import PrologSystem
 
 
 @pytest.mark.parametrize(
@@ -59,7 +60,7 @@ def test_invalid_file_name_is_an_error(goal: str, error: str) -> None:
 
 
 @pytest.fixture
-def logic(tmp_path: Path) -> Any:
+def logic(tmp_path: Path) -> PrologSystem:
     (tmp_path / "kb.pl").write_text("p(1).\n")
     (tmp_path / "maps").mkdir()
     (tmp_path / "maps" / "hall.pl").write_text("room(hall).\n")
@@ -80,13 +81,13 @@ def logic(tmp_path: Path) -> Any:
     ],
 )
 def test_file_name_is_resolved_in_program_folder(
-    logic: Any, tmp_path: Path, goal: str, expected: str
+    logic: PrologSystem, tmp_path: Path, goal: str, expected: str
 ) -> None:
     path = f"{tmp_path}{expected}" if expected.startswith("/") else f"/{expected}"
     assert first(logic, goal) == f"'{path}'"
 
 
-def test_missing_file_is_reported(logic: Any, tmp_path: Path) -> None:
+def test_missing_file_is_reported(logic: PrologSystem, tmp_path: Path) -> None:
     assert answers(logic, "exists_directory(maps)") == [{}]
     assert answers(logic, "exists_directory('kb.pl')") == []
     assert answers(logic, "absolute_file_name(none, _, [access(read)])") == [

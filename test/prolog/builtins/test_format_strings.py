@@ -21,7 +21,7 @@ FORMATS = [
 
 
 @pytest.mark.parametrize(("form", "arguments", "text"), FORMATS)
-def test_format_directives_are_expanded(form: Any, arguments: Any, text: Any) -> None:
+def test_format_directives_are_expanded(form: str, arguments: str, text: str) -> None:
     result = first(prolog(), f'format(atom(A), "{form}", {arguments})')
     assert result.strip("'").replace("\\'", "'") == text
 

@@ -3,6 +3,7 @@
 import random
 import shutil
 from pathlib import Path
+from types import ModuleType
 from typing import Any, List
 
 import pytest
@@ -12,6 +13,7 @@ from script_modules import load_script
 from retalis import Limits
 from retalis.prolog.builtins.tabling import Table, tables_of
 from retalis.prolog.syntax.term_reader import read_term
+from retalis.prolog.system.prolog_system import PrologSystem
 
 PROGRAM = """
 :- dynamic edge/2 as incremental.
@@ -47,7 +49,7 @@ other(1).
 
 
 @pytest.fixture(params=[0, NEVER])
-def logic(request: pytest.FixtureRequest) -> Any:
+def logic(request: pytest.FixtureRequest) -> PrologSystem:
     system = prolog(PROGRAM, request.param)
     system.limits = Limits(inferences=5_000_000)
     return system
@@ -58,7 +60,7 @@ def values(logic: Any, goal: str) -> List[Any]:
     return sorted(answer["X"] for answer in answers(logic, goal, 100))
 
 
-def test_change_reaches_tables_that_read_it(logic: Any) -> None:
+def test_change_reaches_tables_that_read_it(logic: PrologSystem) -> None:
     assert values(logic, "path(a, X)") == ["b", "c"]
     assert first(logic, "count(N)") == "3"
     assert answers(logic, "assertz(edge(c, d))") == [{}]
@@ -88,7 +90,7 @@ def test_only_changes_of_read_facts_reevaluate() -> None:
     assert first(logic, "aggregate_all(count, runs(_), N)") == "2"
 
 
-def test_negated_and_collected_facts_are_read(logic: Any) -> None:
+def test_negated_and_collected_facts_are_read(logic: PrologSystem) -> None:
     assert values(logic, "alone(X)") == []
     assert values(logic, "unreached(X)") == ["a"]
     assert answers(logic, "assertz(node(d))") == [{}]
@@ -99,14 +101,14 @@ def test_negated_and_collected_facts_are_read(logic: Any) -> None:
     assert values(logic, "unreached(X)") == ["a"]
 
 
-def test_moded_table_follows_changes_both_ways(logic: Any) -> None:
+def test_moded_table_follows_changes_both_ways(logic: PrologSystem) -> None:
     assert first(logic, "cost(a, c, X)") == "2"
     assert first(logic, "assertz(edge(a, c)), cost(a, c, X)") == "1"
     assert first(logic, "retract(edge(a, c)), cost(a, c, X)") == "2"
     assert first(logic, "retract(edge(b, c)), (cost(a, c, X) -> true ; X = none)") == "none"
 
 
-def test_mutually_recursive_tables_follow_changes(logic: Any) -> None:
+def test_mutually_recursive_tables_follow_changes(logic: PrologSystem) -> None:
     assert values(logic, "even(X)") == ["a", "c"]
     assert values(logic, "odd(X)") == ["b"]
     assert answers(logic, "assertz(edge(c, a))") == [{}]
@@ -117,7 +119,7 @@ def test_mutually_recursive_tables_follow_changes(logic: Any) -> None:
     assert values(logic, "odd(X)") == []
 
 
-def test_tables_ignore_changes_of_opaque_facts(logic: Any) -> None:
+def test_tables_ignore_changes_of_opaque_facts(logic: PrologSystem) -> None:
     assert values(logic, "plain(X)") == values(logic, "over(X)") == ["a", "b", "c"]
     assert values(logic, "stored(X)") == ["1"]
     assert answers(logic, "assertz(node(d)), assertz(other(2))") == [{}]
@@ -160,7 +162,7 @@ def test_any_read_of_facts_is_recorded(reads: str, compile_after: Any) -> None:
         assert first(logic, "retract(fact(1)), t(L)") == "[]"
 
 
-def test_table_depends_on_reads_of_complete_table(logic: Any) -> None:
+def test_table_depends_on_reads_of_complete_table(logic: PrologSystem) -> None:
     clause = "size(_N) :- findall(_X-_Y, path(_X, _Y), _L), length(_L, _N)"
     assert answers(logic, f"table(size/1 as incremental), assertz(({clause}))") == [{}]
     assert answers(logic, "findall(_X, path(_X, _), _)") == [{}]
@@ -215,7 +217,7 @@ def test_evaluation_that_changes_its_facts_is_repeated() -> None:
     assert values(logic, "a(X)") == ["9"]
 
 
-def test_change_between_answers_keeps_remaining_ones(logic: Any) -> None:
+def test_change_between_answers_keeps_remaining_ones(logic: PrologSystem) -> None:
     goal = "findall(X, (path(a, X), retractall(edge(_, _))), X)"
     assert first(logic, goal) in ("[b,c]", "[c,b]")
     assert values(logic, "path(a, X)") == []
@@ -290,7 +292,7 @@ def test_later_declaration_changes_options() -> None:
     assert values(logic, "assertz(q(4)), t(X)") == ["1", "2", "3"]
 
 
-def test_properties_and_listing_show_options(logic: Any) -> None:
+def test_properties_and_listing_show_options(logic: PrologSystem) -> None:
     def properties(goal: str) -> List[Any]:
         return [
             name
@@ -502,7 +504,7 @@ def _calls_itself_or_later(rule: Any) -> bool:
     return any(f"{name}(X" in body or f"{name}(_" in body or f"({name}," in body for name in later)
 
 
-def load_neighbor(name: str) -> Any:
+def load_neighbor(name: str) -> ModuleType:
     """Return a module of the folder above, which is not a package."""
     return load_script(Path(__file__).parents[1] / f"{name}.py")
 

@@ -2,7 +2,7 @@
 
 import random
 from functools import cmp_to_key
-from typing import Any
+from typing import List
 
 import pytest
 from prolog.random_terms import random_term
@@ -58,7 +58,7 @@ downwards(O, A, B) :- compare(O, B, A).
         ("predsort(user:by_key, [2-a,1-b,0-c], L)", ["[0-c,1-b,2-a]"]),
     ],
 )
-def test_predsort_follows_order_of_goal(goal: str, lists: Any) -> None:
+def test_predsort_follows_order_of_goal(goal: str, lists: List[str]) -> None:
     assert [answer["L"] for answer in answers(prolog(PREDSORT), goal)] == lists
 
 

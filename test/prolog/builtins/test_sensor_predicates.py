@@ -12,7 +12,19 @@ numpy = pytest.importorskip("numpy")
 from hypothesis import given  # noqa: E402
 from hypothesis import strategies as st  # noqa: E402
 
-from retalis import Definitions, Limits, PrologError, String, Var, atom, deref, functor, list_items, make_list  # noqa: E402
+from retalis import (  # noqa: E402
+    Atom,  # noqa: E402
+    Definitions,
+    Limits,
+    PrologError,
+    String,
+    Var,
+    atom,
+    deref,
+    functor,
+    list_items,
+    make_list,
+)
 from retalis.prolog.builtins import sensor_predicates  # noqa: E402
 from retalis.prolog.system.prolog_system import PrologSystem  # noqa: E402
 from retalis.prolog.terms import byte_texts  # noqa: E402
@@ -28,7 +40,7 @@ IMAGE = functor("sensor_msgs__0__Image", 7)
 BOOLEANS = {True: atom("true"), False: atom("false")}
 
 
-def text(name: str) -> Any:
+def text(name: str) -> Atom:
     return atom(f'"{name}"')
 
 
@@ -63,7 +75,7 @@ def decoded(term: Any) -> Any:
     return DEFINITIONS.decoder(definition).lazy(DEFINITIONS.encoder(definition).encode(term))
 
 
-def equal_numbers(left: Any, right: Any) -> Any:
+def equal_numbers(left: Any, right: Any) -> bool:
     """Return whether two lists contain the same numbers, where nan equals nan."""
     return len(left) == len(right) and all(
         type(left_number) is type(right_number)

@@ -1,7 +1,5 @@
 """Single-sided unification rules, as in SWI-Prolog 9."""
 
-from typing import Any
-
 import pytest
 
 from retalis import Engine, PrologError
@@ -19,7 +17,7 @@ none => fail.
 
 
 @pytest.fixture(scope="module")
-def engine() -> Any:
+def engine() -> Engine:
     rule_engine = Engine()
     rule_engine.load(rules=RULES)
     return rule_engine
@@ -40,12 +38,12 @@ def engine() -> Any:
         "clause(none, _)",
     ],
 )
-def test_first_matching_rule_is_committed(engine: Any, goal: str) -> None:
+def test_first_matching_rule_is_committed(engine: Engine, goal: str) -> None:
     assert engine.call(goal)
 
 
 @pytest.mark.parametrize("goal", ["p(_, _)", "p(f(1,_), _)", "p(b, _)", "q(_, _)", "q(A, f(_))", "len(_, _)"])
-def test_call_without_matching_rule_is_an_error(engine: Any, goal: str) -> None:
+def test_call_without_matching_rule_is_an_error(engine: Engine, goal: str) -> None:
     with pytest.raises(PrologError) as error:
         engine.call(goal)
     assert "matching_rule" in engine.show(error.value.term)

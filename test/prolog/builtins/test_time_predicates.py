@@ -1,7 +1,5 @@
 """Predicates of timestamps."""
 
-from typing import Any
-
 import pytest
 from prolog.support import answers, first, prolog
 
@@ -47,7 +45,7 @@ TIMESTAMPS = [
 
 
 @pytest.mark.parametrize(("goal", "value"), TIMESTAMPS)
-def test_timestamp_predicate_has_value(goal: Any, value: Any) -> None:
+def test_timestamp_predicate_has_value(goal: str, value: str) -> None:
     assert first(prolog(), goal) == value
 
 

@@ -5,13 +5,15 @@ from typing import Any, List
 import pytest
 from prolog.support import answers, first, prolog
 
+from retalis.prolog.system.prolog_system import PrologSystem
+
 
 @pytest.fixture
-def logic() -> Any:
+def logic() -> PrologSystem:
     return prolog("p(1).\np(2) :- p(1).")
 
 
-def test_trace_prints_ports(logic: Any) -> None:
+def test_trace_prints_ports(logic: PrologSystem) -> None:
     lines: List[Any] = []
     logic.error_output = lines.append
     assert answers(logic, "trace(p(X)), X > 1, p(_)", 1) == [{"X": "2"}]
@@ -24,7 +26,7 @@ def test_trace_prints_ports(logic: Any) -> None:
     ]
 
 
-def test_error_ends_tracing(logic: Any) -> None:
+def test_error_ends_tracing(logic: PrologSystem) -> None:
     lines: List[Any] = []
     logic.error_output = lines.append
     assert answers(logic, "catch(trace(throw(x)), x, true)") == [{}]

@@ -20,7 +20,7 @@ def table(random: Any, size: Any, with_bodies: Any) -> str:
     return "\n".join([*clauses, *[f"q({number})." for number in range(size) if number % 3]])
 
 
-def calls(random: Any, size: Any) -> Iterator[Any]:
+def calls(random: Any, size: Any) -> Iterator[str]:
     for _ in range(25):
         known = [*VALUES, "X", "Y", str(random.randrange(size)), f"k{random.randrange(size)}", "f(X)", "zzz"]
         yield f"p({', '.join(random.choice(known) for _ in range(3))}, N)"
@@ -139,7 +139,7 @@ INLINE_GOALS = {
 
 @pytest.mark.parametrize("compile_after", [0, NEVER], ids=["compiled", "interpreted"])
 @pytest.mark.parametrize("goal", INLINE_GOALS)
-def test_inline_goals_have_answers_of_builtins(goal: Any, compile_after: Any) -> None:
+def test_inline_goals_have_answers_of_builtins(goal: str, compile_after: Any) -> None:
     names = sorted(set("ABCNTUXYZ") & set(goal))
     call = f"go({', '.join(names)})" if names else "go"
     text = f"{call} :- {goal}."

@@ -103,7 +103,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("text", "values", "expected", "is_function"), CASES)
-def test_functions_return_answers_of_frames(text: Any, values: Any, expected: Any, is_function: Any) -> None:
+def test_functions_return_answers_of_frames(text: str, values: Any, expected: Any, is_function: bool) -> None:
     logic = prolog(PROGRAM)
     outputs = [name for name in "YZ" if name in text]
     inputs = ["X"] if values else []
@@ -207,7 +207,7 @@ def test_attempts_use_functions_or_frames() -> None:
         assert results == [expected]
 
 
-def body(rng: Any, names: Any) -> Any:
+def body(rng: Any, names: Any) -> str:
     goals: List[Any] = []
     for _ in range(rng.randint(0, 3)):
         kind = rng.random()

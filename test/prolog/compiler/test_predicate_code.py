@@ -77,7 +77,7 @@ def program(seed: Any) -> str:
 CALLS = ("p3(X,Y)", "p3(a,Y)", "p3(X,X)", "p3(f(A,B),[1|C])", "p3([A|A],2)", "p2(X,1)", "p2(X,X)", "p1(Y,[])")
 
 
-def check(seed: Any) -> Any:
+def check(seed: Any) -> int:
     """Compare the answers of a random program and return their number."""
     count = 0
     text = program(seed)
@@ -212,7 +212,7 @@ BUILT = {
 
 @pytest.mark.parametrize("compile_after", [0, NEVER], ids=["compiled", "interpreted"])
 @pytest.mark.parametrize("goal", BUILT)
-def test_list_building_clauses_have_answers(goal: Any, compile_after: Any) -> None:
+def test_list_building_clauses_have_answers(goal: str, compile_after: Any) -> None:
     assert answers(prolog(BUILDERS, compile_after), goal, 4) == BUILT[goal]
 
 
@@ -250,7 +250,7 @@ QUALIFIED_ANSWERS = {
 
 @pytest.mark.parametrize("compile_after", [0, NEVER], ids=["compiled", "interpreted"])
 @pytest.mark.parametrize("goal", QUALIFIED_ANSWERS)
-def test_qualified_goals_have_answers(goal: Any, compile_after: Any) -> None:
+def test_qualified_goals_have_answers(goal: str, compile_after: Any) -> None:
     assert answers(prolog(QUALIFIED, compile_after), goal, 4) == QUALIFIED_ANSWERS[goal]
 
 

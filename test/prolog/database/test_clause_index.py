@@ -1,7 +1,7 @@
 """Clause indexes: candidates for a key, in order of addition."""
 
 from random import Random
-from typing import Any, List, Optional, Tuple
+from typing import Any, Dict, List, Optional, Tuple
 
 import pytest
 from prolog.support import NEVER, answers, prolog
@@ -77,7 +77,9 @@ FACTS = "p(7, X, X). p(8, X, f(X, _)). p(_, none, none). " + " ".join(
         ("p(X, 12, Y)", [{"X": "7", "Y": "12"}, {"X": "8", "Y": "f(12,A)"}, {"X": "12", "Y": "a"}]),
     ],
 )
-def test_facts_with_variables_match_in_both_modes(call: str, expected: Any, compile_after: Any) -> None:
+def test_facts_with_variables_match_in_both_modes(
+    call: str, expected: List[Dict[str, str]], compile_after: Any
+) -> None:
     assert answers(prolog(FACTS, compile_after), call) == expected
 
 

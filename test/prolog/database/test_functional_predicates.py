@@ -9,6 +9,7 @@ from prolog.support import NEVER, answers, prolog
 
 from retalis import PrologError, atom, deref, functor
 from retalis.prolog.machine.errors import type_error
+from retalis.prolog.system.prolog_system import PrologSystem
 
 PROGRAM = """
 half(X, Y) :- half_of(X, Y).
@@ -35,7 +36,7 @@ def split(term: Any) -> Tuple[Any, ...]:
 
 
 @pytest.fixture(params=[0, NEVER], ids=["compiled", "interpreted"])
-def logic(request: pytest.FixtureRequest) -> Any:
+def logic(request: pytest.FixtureRequest) -> PrologSystem:
     system = prolog(PROGRAM, request.param)
     system.define_function("half_of", 2, half_of)
     shows = (None, lambda value: (functor("f", 2), value, atom("end")))
@@ -71,7 +72,7 @@ CASES = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("goal", "expected"), CASES)
-def test_functions_have_answers_of_predicates(logic: Any, goal: Any, expected: Any) -> None:
+def test_functions_have_answers_of_predicates(logic: PrologSystem, goal: str, expected: Any) -> None:
     for _ in range(2):
         assert answers(logic, goal) == expected
     assert logic.machine.trail == []
@@ -98,7 +99,7 @@ def test_function_is_used_if_first_argument_is_known(compile_after: Any) -> None
     numbers = {"a": 1, "b": 2}
     enumerated: List[Any] = []
 
-    def enumerate_numbers(machine: Any, name: Any, value: Any) -> Iterator[Any]:
+    def enumerate_numbers(machine: Any, name: Any, value: Any) -> Iterator[bool]:
         enumerated.append(name)
         for key, number in numbers.items():
             if machine.unify_all((name, atom(key)), (value, number)):

@@ -4,7 +4,7 @@ import errno
 import os
 from functools import partial
 from pathlib import Path
-from typing import Any, Set
+from typing import Any, List, Optional, Set
 
 import pytest
 
@@ -232,7 +232,12 @@ def test_errors_distinguish_reads_and_writes(sandbox: Any, tmp_path: Path) -> No
     ],
 )
 def test_settings_define_readable_and_writable_folders(
-    sandbox: Any, tmp_path: Path, read: Any, write: Any, readable: Set[Any], writable: Set[Any]
+    sandbox: Any,
+    tmp_path: Path,
+    read: Optional[List[str]],
+    write: Optional[List[str]],
+    readable: Set[Any],
+    writable: Set[Any],
 ) -> None:
     sandbox.allow(
         *(None if names is None else [tmp_path / name for name in names] for names in (read, write))

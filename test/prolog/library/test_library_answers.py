@@ -20,16 +20,16 @@ MAX_SOLUTIONS = 5
 
 
 @pytest.fixture(scope="module")
-def logic() -> Any:
+def logic() -> PrologSystem:
     return PrologSystem(compile_after=1 << 60)  # each goal is called once only
 
 
 @pytest.mark.parametrize(("goal", "answer"), ROWS, ids=[goal for goal, _ in ROWS])
-def test_library_goal_has_answer_of_swi_prolog(logic: Any, goal: Any, answer: Any) -> None:
+def test_library_goal_has_answer_of_swi_prolog(logic: PrologSystem, goal: Any, answer: Any) -> None:
     assert answered(logic, goal) == answer
 
 
-def answered(logic: Any, goal: Any) -> Any:
+def answered(logic: Any, goal: Any) -> str:
     read = read_term(goal, logic.operators)
     names = [name for name in read.names if name[0] != "_"]
     solutions: List[Any] = []

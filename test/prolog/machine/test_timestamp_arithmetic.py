@@ -1,7 +1,7 @@
 """Arithmetic with timestamps: exact to the nanosecond in all forms, interpreted and compiled."""
 
 import random
-from typing import Any
+from typing import Any, List
 
 import pytest
 from hypothesis import given, settings
@@ -25,7 +25,7 @@ greatest(A, B, X) :- X is max(A, B).
 SYSTEMS = [prolog(PROGRAM), prolog(PROGRAM, compile_after=NEVER)]
 
 
-def forms(instant: Any) -> Any:
+def forms(instant: Any) -> List[str]:
     """Return all terms that denote an instant (ns)."""
     year, month, day, hour, minute, second, rest = timestamps.datime_fields(instant)
     terms = [
@@ -38,7 +38,7 @@ def forms(instant: Any) -> Any:
     return terms
 
 
-def common_answer(goal: str) -> Any:
+def common_answer(goal: str) -> str:
     """Return the first answer to a goal, which is the same interpreted and compiled."""
     results = {str(first(logic, goal)) for logic in SYSTEMS}
     assert len(results) == 1

@@ -1,12 +1,13 @@
 """SWI-Prolog for these tests. Without RETALIS_TEST_SWI=1 they are skipped; with it they fail if it is missing."""
 
 import os
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from retalis import Engine, Limits, Settings, UsageError
-from retalis.prolog.swi.libswipl import find_library
+from retalis.prolog.swi.libswipl import SwiLibrary, find_library
 
 SWI_VARIABLE = "RETALIS_TEST_SWI"
 """Environment variable that enables these tests."""
@@ -56,7 +57,7 @@ pokes_later(X) :- retalis(near(a, X)), poke, X == c.
 
 
 @pytest.fixture(scope="session")
-def swi() -> Any:
+def swi() -> SwiLibrary:
     """Return the library of SWI-Prolog; fail if these tests are enabled and it is missing."""
     try:
         return find_library()
@@ -67,7 +68,7 @@ def swi() -> Any:
 
 
 @pytest.fixture(scope="session")
-def folder(swi: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
+def folder(swi: SwiLibrary, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of the file for SWI-Prolog; all tests of the process share both."""
     path = tmp_path_factory.mktemp("swi")
     (path / "kb.pl").write_text(KB)
@@ -75,10 +76,10 @@ def folder(swi: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 
 @pytest.fixture
-def program(folder: Any) -> Any:
+def program(folder: Path) -> Any:
     """Return a function that creates an engine with the file for SWI-Prolog and rules."""
 
-    def make(rules: str = "", **limits: Any) -> Any:
+    def make(rules: str = "", **limits: Any) -> Engine:
         engine = Engine(settings=Settings(allow_swi=True))
         engine.load(rules=f":- use_swi('kb.pl').\n{rules}", folder=folder)
         engine.logic.limits = Limits(**limits)  # after loading, which has no limits

@@ -6,6 +6,7 @@ from typing import Any, List
 import pytest
 
 from retalis import Engine, PrologError, Settings
+from retalis.prolog.swi.libswipl import SwiLibrary
 
 FOLDER = Path(__file__).resolve().parent / "bases"
 
@@ -22,7 +23,7 @@ def derived_events(swi: Any, rules: Any, *events: Any) -> List[Any]:
 
 
 @pytest.mark.slow
-def test_rules_query_finite_domain_constraints(swi: Any) -> None:
+def test_rules_query_finite_domain_constraints(swi: SwiLibrary) -> None:
     rules = (
         ":- use_swi('shifts.pl').\n"
         "planned(H) <- wanted(W) where (plan(W, H), H = [10|_]).\n"
@@ -39,7 +40,7 @@ def test_rules_query_finite_domain_constraints(swi: Any) -> None:
 
 
 @pytest.mark.slow
-def test_rules_query_constraint_handling_rules(swi: Any) -> None:
+def test_rules_query_constraint_handling_rules(swi: SwiLibrary) -> None:
     rules = (
         ":- use_swi('doors.pl').\n"
         "near(L) <- doors(From, Doors) where ways(From, Doors, L).\n"
@@ -55,7 +56,7 @@ def test_rules_query_constraint_handling_rules(swi: Any) -> None:
 
 
 @pytest.mark.slow
-def test_rules_query_and_change_triples(swi: Any) -> None:
+def test_rules_query_and_change_triples(swi: SwiLibrary) -> None:
     rules = (
         ":- use_swi('things.pl').\n"
         "stands(T, P) <- asked(T) where on(T, P).\n"
@@ -73,7 +74,7 @@ def test_rules_query_and_change_triples(swi: Any) -> None:
     ]
 
 
-def test_variable_with_chr_constraints_is_refused(swi: Any, tmp_path: Path) -> None:
+def test_variable_with_chr_constraints_is_refused(swi: SwiLibrary, tmp_path: Path) -> None:
     (tmp_path / "order.pl").write_text(
         ":- module(order, [under/2]).\n:- use_module(library(chr)).\n:- chr_constraint under(?, ?).\n"
         "under(X, X) <=> fail.\nunder(X, Y), under(Y, X) <=> fail.\n"

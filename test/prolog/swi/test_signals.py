@@ -55,7 +55,7 @@ def test_signal_stack_of_thread_is_kept(program: Any, goal: str) -> None:
 
 
 def test_signal_before_callback_is_handled(
-    engine: Any, alarms: Any, capfd: pytest.CaptureFixture[str]
+    engine: Any, alarms: None, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """The handler runs when the callback enters Python."""
     for _ in range(5):
@@ -66,7 +66,7 @@ def test_signal_before_callback_is_handled(
     assert capfd.readouterr().err == ""
 
 
-def test_signal_after_callback_ends_goal(engine: Any, alarms: Any) -> None:
+def test_signal_after_callback_ends_goal(engine: Any, alarms: None) -> None:
     with pytest.raises(Interrupt):
         engine.query("pokes_later(X)")
     assert len(engine.query("upto(2, A), inc(A, X)")) == 2

@@ -2,6 +2,7 @@
 
 import gc
 import threading
+from pathlib import Path
 from typing import Any, Dict, List
 
 import pytest
@@ -48,7 +49,7 @@ def values(engine: Any, goal: str, name: str = "X") -> List[Any]:
         ("near(a, A), both(A, X)", ["b", "c"]),
     ],
 )
-def test_goal_has_all_solutions(engine: Any, goal: str, expected: Any) -> None:
+def test_goal_has_all_solutions(engine: Any, goal: str, expected: List[str]) -> None:
     assert values(engine, goal) == expected
 
 
@@ -197,7 +198,7 @@ def test_callback_exceeds_limit(program: Any) -> None:
     assert values(engine, "inc(1, X)") == ["2"]
 
 
-def test_swi_goal_reads_memories(folder: Any, program: Any) -> None:
+def test_swi_goal_reads_memories(folder: Path, program: Any) -> None:
     (folder / "reading.pl").write_text(
         ":- module(reading, [newest/2, between_them/3, all/1]).\n"
         "newest(At, X) :- prev(m, number(X), _, _, At).\n"

@@ -1,5 +1,6 @@
 """Round trip of terms through SWI-Prolog."""
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -38,7 +39,7 @@ PAIR = functor("-", 2)
 
 
 @pytest.fixture(scope="module")
-def logic(folder: Any) -> Any:
+def logic(folder: Path) -> PrologSystem:
     system = PrologSystem()
     path = str(folder / "kb.pl")
     use_swi(system, SwiFile(path, atom(path), NIL), warn=print)
@@ -55,13 +56,13 @@ def echo(logic: Any, term: Any) -> Any:
 @pytest.mark.slow
 @settings(max_examples=50)
 @given(term=TERMS)
-def test_terms_are_converted_both_ways(logic: Any, term: Any) -> None:
+def test_terms_are_converted_both_ways(logic: PrologSystem, term: Any) -> None:
     back = echo(logic, term)
     assert variant_key((PAIR, term, back)) == variant_key((PAIR, term, term))
 
 
 @pytest.mark.slow
-def test_large_terms_are_converted_both_ways(logic: Any) -> None:
+def test_large_terms_are_converted_both_ways(logic: PrologSystem) -> None:
     nested: Term = 0
     for _ in range(30_000):
         nested = (functor("f", 1), nested)
@@ -73,6 +74,6 @@ def test_large_terms_are_converted_both_ways(logic: Any) -> None:
 
 
 @pytest.mark.slow
-def test_thousands_of_atoms_are_converted(logic: Any) -> None:
+def test_thousands_of_atoms_are_converted(logic: PrologSystem) -> None:
     for number in range(4_500):
         assert echo(logic, atom(f"atom {number}")).name == f"atom {number}"

@@ -13,6 +13,7 @@ from source import ROOT
 
 from retalis import Engine, ProgramErrors, RetalisError, Settings, UsageError
 from retalis.prolog.swi import libswipl
+from retalis.prolog.swi.libswipl import SwiLibrary
 
 ALLOWED = Settings(allow_swi=True)
 
@@ -23,7 +24,7 @@ def test_use_swi_requires_permission(tmp_path: Path) -> None:
         Engine().load(rules=":- use_swi('any.pl').", folder=tmp_path)
 
 
-def test_use_swi_at_run_time_is_refused(folder: Any) -> None:
+def test_use_swi_at_run_time_is_refused(folder: Path) -> None:
     engine = Engine(settings=ALLOWED)
     engine.load(rules="near(a).", folder=folder)
     with pytest.raises(RetalisError, match="load swi_file .* only what the program's own files ask for"):
@@ -93,7 +94,7 @@ def test_enabled_tests_fail_without_swi_prolog() -> None:
     assert "skipped" not in process.stdout
 
 
-def test_named_predicates_are_defined(swi: Any, folder: Any) -> None:
+def test_named_predicates_are_defined(swi: SwiLibrary, folder: Path) -> None:
     (folder / "plain.pl").write_text("near(a, b).\nnear(b, c).\nnext_to(X, Y) :- near(X, Y).\n")
     engine = Engine(settings=ALLOWED)
     engine.load(rules=":- use_swi('plain.pl', [next_to/2, near/2 as close_by]).", folder=folder)
@@ -102,7 +103,7 @@ def test_named_predicates_are_defined(swi: Any, folder: Any) -> None:
         engine.query("near(a, X)")
 
 
-def test_library_predicates_are_defined(swi: Any) -> None:
+def test_library_predicates_are_defined(swi: SwiLibrary) -> None:
     engine = Engine(settings=ALLOWED)
     engine.load(goals="use_swi(library(ugraphs), [vertices_edges_to_ugraph/3, reachable/3])")
     (answer,) = engine.query("vertices_edges_to_ugraph([], [a-b, b-c], G), reachable(b, G, L)")
@@ -125,14 +126,14 @@ def test_library_predicates_are_defined(swi: Any) -> None:
     ],
 )
 def test_invalid_use_is_reported(
-    swi: Any, folder: Any, tmp_path: Path, text: str, call: str, message: str
+    swi: SwiLibrary, folder: Path, tmp_path: Path, text: str, call: str, message: str
 ) -> None:
     (tmp_path / "wrong.pl").write_text(text)
     with pytest.raises(ProgramErrors, match=message):
         Engine(settings=ALLOWED).load(rules=f":- {call}.", folder=tmp_path)
 
 
-def test_warning_of_swi_is_logged(swi: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_warning_of_swi_is_logged(swi: SwiLibrary, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "doubtful.pl").write_text(
         ":- module(doubtful, [lonely/1]).\nlonely(X) :- near(Y).\nnear(1).\n"
     )
@@ -142,7 +143,7 @@ def test_warning_of_swi_is_logged(swi: Any, tmp_path: Path, caplog: pytest.LogCa
     assert "doubtful.pl:2: Singleton variables" in caplog.text
 
 
-def test_changed_file_is_loaded_again(swi: Any, tmp_path: Path) -> None:
+def test_changed_file_is_loaded_again(swi: SwiLibrary, tmp_path: Path) -> None:
     path = tmp_path / "changing.pl"
     text = (
         ":- module(changing, [version/1, to/2]).\n:- table to/2.\nto(X, Y) :- to(X, Z), Y is Z + 1, Y < 5.\n"
@@ -159,7 +160,7 @@ def test_changed_file_is_loaded_again(swi: Any, tmp_path: Path) -> None:
     assert len(first.query("to(1, X)")) == 4
 
 
-def test_restored_engine_loads_swi_file_again(swi: Any, tmp_path: Path) -> None:
+def test_restored_engine_loads_swi_file_again(swi: SwiLibrary, tmp_path: Path) -> None:
     (tmp_path / "kept.pl").write_text(
         ":- module(kept, [learn/1, known/1]).\n:- dynamic known/1.\nknown(0).\nlearn(X) :- assertz(known(X)).\n"
     )

@@ -14,7 +14,7 @@ from retalis.prolog.syntax.tokenizer import ReadFlags
 OPERATORS = Operators.prolog()
 
 
-def read(text: str, flags: Any = None) -> Any:
+def read(text: str, flags: Any = None) -> str:
     return writeq(read_term(text, OPERATORS, flags=flags or ReadFlags()).term, OPERATORS)
 
 

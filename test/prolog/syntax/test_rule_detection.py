@@ -95,7 +95,7 @@ RULES = {
 
 
 @pytest.mark.parametrize("text", RULES)
-def test_rule_is_read_as_canonical_term(text: Any) -> None:
+def test_rule_is_read_as_canonical_term(text: str) -> None:
     read = read_term(text, OPERATORS)
     names = {variable: name for name, variable in read.names.items()}
     canonical = write_term(read.term, Operators(), variable_names=names).replace("'rule:'", "rule:")

@@ -1,6 +1,6 @@
 """Syntax errors: messages and places."""
 
-from typing import Any
+from typing import Any, List
 
 import pytest
 from checked_access import compound, place_of, required
@@ -80,7 +80,7 @@ FAULTS = [
 
 
 @pytest.mark.parametrize(("text", "column", "parts"), FAULTS)
-def test_syntax_error_has_message_and_column(text: Any, column: Any, parts: Any) -> None:
+def test_syntax_error_has_message_and_column(text: str, column: int, parts: List[str]) -> None:
     with pytest.raises(SyntaxFault) as error:
         read_term(text, OPERATORS, "rules.txt")
     fault = error.value

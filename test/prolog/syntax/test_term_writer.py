@@ -1,7 +1,6 @@
 """Written terms: ISO 13211-1, and SWI-Prolog 9 where the standard leaves it open."""
 
 import math
-from typing import Any
 
 import pytest
 
@@ -105,7 +104,7 @@ WRITTEN = {
 
 
 @pytest.mark.parametrize("text", WRITTEN)
-def test_writeq_quotes_and_spaces_terms(text: Any) -> None:
+def test_writeq_quotes_and_spaces_terms(text: str) -> None:
     assert writeq(read_term(text, OPERATORS).term, OPERATORS) == WRITTEN[text]
 
 

@@ -153,7 +153,7 @@ TERMS = {
 
 
 @pytest.mark.parametrize("text", TERMS)
-def test_operators_are_read_as_canonical_term(text: Any) -> None:
+def test_operators_are_read_as_canonical_term(text: str) -> None:
     assert write_term(read(text), ignore_ops=True) == TERMS[text]
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from retalis import Operators, SyntaxFault
 from retalis.prolog.syntax import term_reader
-from retalis.prolog.syntax.term_reader import ReadTerm, read_program
+from retalis.prolog.syntax.term_reader import Parser, ReadTerm, read_program
 from retalis.prolog.syntax.term_writer import writeq
 
 OPERATORS = Operators.prolog()
@@ -17,7 +17,7 @@ def tokens_read(monkeypatch: pytest.MonkeyPatch, text: Any) -> Tuple[Any, ...]:
     counts: List[Any] = []
     parser = term_reader.Parser
 
-    def counted(clause: Any, *args: Any) -> Any:
+    def counted(clause: Any, *args: Any) -> Parser:
         counts.append(len(clause) - 3)  # without the three end tokens
         return parser(clause, *args)
 

@@ -16,7 +16,7 @@ def searches(monkeypatch: pytest.MonkeyPatch) -> Any:
     names: List[Any] = []
     find_similar = undefined_procedure_hints.find_similar
 
-    def find(logic: Any, key: Any) -> Any:
+    def find(logic: Any, key: Any) -> List[str]:
         names.append(str(key))
         return find_similar(logic, key)
 

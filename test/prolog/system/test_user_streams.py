@@ -1,7 +1,7 @@
 """Output of goals to ``user_output`` and ``user_error``: escapes for control characters, and the limit of output."""
 
 from pathlib import Path
-from typing import Any, List, Optional
+from typing import List, Optional
 
 import pytest
 
@@ -29,7 +29,7 @@ class PrintingEngine(Engine):
 
 
 @pytest.fixture
-def engine() -> Any:
+def engine() -> PrintingEngine:
     return PrintingEngine()
 
 
@@ -46,7 +46,7 @@ def engine() -> Any:
         "tell(user), write('\\e[2J'), told",
     ],
 )
-def test_escape_characters_are_replaced_in_output(engine: Any, goal: str) -> None:
+def test_escape_characters_are_replaced_in_output(engine: PrintingEngine, goal: str) -> None:
     engine.query(goal)
     text = "".join(engine.output)
     assert "\x1b" not in text
@@ -62,19 +62,19 @@ def test_escape_characters_are_replaced_in_output(engine: Any, goal: str) -> Non
         "format(user_error, \"~w\", ['\\e[2J'])",
     ],
 )
-def test_escape_characters_are_replaced_in_user_error(engine: Any, goal: str) -> None:
+def test_escape_characters_are_replaced_in_user_error(engine: PrintingEngine, goal: str) -> None:
     engine.query(goal)
     assert "\\x1b[2J" in "".join(engine.error_output)
     assert "\x1b" not in "".join(engine.error_output)
 
 
-def test_rule_output_has_no_escape_characters(engine: Any) -> None:
+def test_rule_output_has_no_escape_characters(engine: PrintingEngine) -> None:
     engine.load(rules="null_event do (write(X), nl) <- in(X).")
     engine.event("in('\\e[31m\\x202e\\')", 1)
     assert "".join(engine.output) == "\\x1b[31m\\u202e\n"
 
 
-def test_printable_text_is_written_unchanged(engine: Any) -> None:
+def test_printable_text_is_written_unchanged(engine: PrintingEngine) -> None:
     engine.query("write('a\\tb é 日本'), nl, write([1,'x y'])")
     assert "".join(engine.output) == "a\tb é 日本\n[1,x y]"
 

@@ -88,7 +88,7 @@ def test_numpy_numbers_are_converted_to_terms() -> None:
     assert type(to_term(numpy.int32(3))) is int
 
 
-def as_json(text: Any) -> Any:
+def as_json(text: Any) -> str:
     return to_json(read_term(text, Operators.prolog(), "test").term, {}, 1000)
 
 

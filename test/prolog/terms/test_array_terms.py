@@ -93,7 +93,7 @@ def test_bound_variables_are_dereferenced() -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"text", b"\x00\xff", bytes(range(256)) * 8])
-def test_byte_array_is_converted_to_array(data: Any) -> None:
+def test_byte_array_is_converted_to_array(data: bytes) -> None:
     lazy = Lazy(LAZY_STRING_FUNCTOR, BLOB, data)
     assert array_of(lazy).tobytes() == data
     assert lazy.decoded_term is None

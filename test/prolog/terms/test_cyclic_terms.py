@@ -6,6 +6,7 @@ import pytest
 from prolog.support import answers, prolog
 
 from retalis import Limits, Var, functor, make_list
+from retalis.prolog.system.prolog_system import PrologSystem
 from retalis.prolog.terms.term_traversal import contains_itself
 from retalis.prolog.terms.types import CONS
 from retalis.prolog.terms.unification import unify
@@ -14,7 +15,7 @@ REFUSED = ["resource_error(term_size)"]
 
 
 @pytest.fixture(scope="module")
-def logic() -> Any:
+def logic() -> PrologSystem:
     system = prolog(compile_after=1 << 60)
     system.limits = Limits(seconds=20)
     system.output = lambda text: None
@@ -39,7 +40,7 @@ def logic() -> Any:
         ("unify_with_occurs_check(f(A,B,A,1), f(a(A),a(B),B,2))", False),
     ],
 )
-def test_cyclic_terms_compare_as_infinite_terms(logic: Any, goal: str, holds: bool) -> None:
+def test_cyclic_terms_compare_as_infinite_terms(logic: PrologSystem, goal: str, holds: bool) -> None:
     assert bool(answers(logic, f"\\+ \\+ ({goal})")) is holds
 
 
@@ -60,7 +61,7 @@ def test_cyclic_terms_compare_as_infinite_terms(logic: Any, goal: str, holds: bo
         "X = f(X), term_hash(X, _)",
     ],
 )
-def test_traversal_of_cyclic_term_is_refused(logic: Any, goal: str) -> None:
+def test_traversal_of_cyclic_term_is_refused(logic: PrologSystem, goal: str) -> None:
     assert answers(logic, goal) == REFUSED
 
 

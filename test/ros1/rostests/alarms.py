@@ -60,7 +60,7 @@ class Alarms(unittest.TestCase):
         """Advance time until an output is received: a timer that starts after a jump counts from there."""
         remaining_seconds = iter(seconds)
 
-        def moved() -> Any:
+        def moved() -> bool:
             second = next(remaining_seconds, None)
             if second is not None:
                 self.clock.publish(Clock(rospy.Time(START + second, 0)))

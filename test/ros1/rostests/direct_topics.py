@@ -167,7 +167,7 @@ class Direct(unittest.TestCase):
         log.close()
 
 
-def count_subscribers(publisher: Any) -> Any:
+def count_subscribers(publisher: Any) -> int:
     """Return the number of connected subscribers; rospy also counts those that have been killed."""
     return sum(not has_ended(connection) for connection in publisher.impl.connections)
 

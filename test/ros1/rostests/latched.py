@@ -90,7 +90,7 @@ class Nodes(unittest.TestCase):
         self.running[name] = subprocess.Popen(command, start_new_session=True)
         wait_until(lambda: self.is_ready(name), f"node {name}", pause=0.05)
 
-    def is_ready(self, name: Any) -> Any:
+    def is_ready(self, name: Any) -> bool:
         """Return whether a node is ready: it offers its last service and subscribes to its topics."""
         published, subscribed, offered = rosgraph.Master("/latched").getSystemState()
         if name == "publisher":

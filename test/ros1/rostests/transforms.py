@@ -53,7 +53,7 @@ class Transforms(unittest.TestCase):
     def send(self, *transforms: Any) -> None:
         self.moving.sendTransform([stamped(*transform) for transform in transforms])
 
-    def ask(self, frame: str, seconds: Any) -> Any:
+    def ask(self, frame: str, seconds: Any) -> str:
         """Query the position of a frame; return the name of the answer."""
         type(self).request_count += 1
         name = f"q{self.request_count}"
