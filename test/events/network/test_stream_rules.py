@@ -559,7 +559,7 @@ def test_error_of_alarm_stops_no_other_alarm() -> None:
     engine = EngineDriver(rules)
     engine.logic.define("broken", 0, fail)
     assert engine.feed("in(a)@1 in(b)@2 tick@9") == "other(a)@1-2 other(b)@2-3 last@9-9"
-    assert engine.problems == [str(KeyError("defect"))] * 2
+    assert engine.problems.count(str(KeyError("defect"))) == 2
     # The rule continues with later events.
     engine.logic.define("broken", 0, lambda machine: True)
     assert engine.feed("in(c)@10 tick@19") == "r(c)@10-11 other(c)@10-11 last@19-19"
