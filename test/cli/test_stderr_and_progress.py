@@ -2,6 +2,7 @@
 
 import sys
 from io import StringIO
+from typing import Type
 
 import pytest
 
@@ -14,6 +15,11 @@ class Clock:
 
     def __call__(self) -> float:
         return self.now
+
+
+class Terminal(StringIO):
+    def isatty(self) -> bool:
+        return True
 
 
 def test_bar_shows_rate_and_remaining_time() -> None:
@@ -49,21 +55,19 @@ def test_no_bar_is_drawn_without_terminal(capsys: pytest.CaptureFixture[str]) ->
     assert capsys.readouterr().err == ""
 
 
-class Terminal(StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
-def test_labels_are_coloured_on_terminals_only(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("make_file", "expected"),
+    [(Terminal, "\033[1;31merror\033[0m: it is hot\n"), (StringIO, "error: it is hot\n")],
+)
+def test_labels_are_coloured_on_terminals_only(
+    monkeypatch: pytest.MonkeyPatch, make_file: Type[StringIO], expected: str
+) -> None:
     monkeypatch.delenv("NO_COLOR", raising=False)
     monkeypatch.setenv("TERM", "xterm")
-    for file, expected in (
-        (Terminal(), "\033[1;31merror\033[0m: it is hot\n"),
-        (StringIO(), "error: it is hot\n"),
-    ):
-        monkeypatch.setattr(sys, "stderr", file)
-        StderrReporter()(RetalisError("it is hot"))
-        assert file.getvalue() == expected
+    file = make_file()
+    monkeypatch.setattr(sys, "stderr", file)
+    StderrReporter()(RetalisError("it is hot"))
+    assert file.getvalue() == expected
 
 
 @pytest.mark.parametrize(("name", "value"), [("NO_COLOR", "1"), ("TERM", "dumb")])

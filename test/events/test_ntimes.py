@@ -92,7 +92,7 @@ OUTER_PATTERNS = [
 
 
 def random_stream(generator: Any, has_late_events: Any, has_retractions: Any) -> Any:
-    """Return events: some touching or overlapping, some with variables, some late or taken back."""
+    """Return events: some touching or overlapping, some with variables, some late or retracted."""
     events: List[Any] = []
     retractable: List[Any] = []
     clock_time = 10
@@ -127,8 +127,34 @@ def random_flags(generator: Any, has_late_events: Any, has_retractions: Any) -> 
     return flags
 
 
+def random_flag_changes(generator: random.Random) -> Dict[int, List[Tuple[str, str]]]:
+    """Return the flags that are set before the event of a position, with their values."""
+    changes: Dict[int, List[Tuple[str, str]]] = {}
+    if generator.random() < 0.25:
+        for position in generator.sample(range(12), 2):
+            policy = ("event_consumption_policy", generator.choice(POLICIES))
+            out_of_order = ("out_of_order", generator.choice(["on", "off"]))
+            changes[position] = [generator.choice([policy, out_of_order])]
+    return changes
+
+
+def random_rules(generator: random.Random) -> Tuple[str, str]:
+    """Return a rule with ``ntimes``, and the same rule with a written sequence."""
+    pattern = generator.choice(REPEATED_PATTERNS)
+    times = generator.randrange(1, 6)
+    outer_pattern = generator.choice(OUTER_PATTERNS)
+    window = generator.choice([2, 4, 8])
+    label = f"r([property(event_rule_window,{window})]) : " if generator.random() < 0.2 else ""
+    head = generator.choice(["c(X,Y,N)", "c(X)", "c"])
+    short, long = f"({pattern} ntimes {times})", f"({' seq '.join([pattern] * times)})"
+    return (
+        f"{label}{head} <- {outer_pattern.format(short)}.",
+        f"{label}{head} <- {outer_pattern.format(long)}.",
+    )
+
+
 def outputs_and_match_count(rule: Any, policy: Any, flags: Any, stream: Any, changes: Any) -> Tuple[Any, ...]:
-    """Return what follows from each event, and how many partial matches wait in the end."""
+    """Return the outputs for each event, and the number of partial matches at the end."""
     program = ProgramRunner(rule, flags, policy)
     outputs: List[Any] = []
     for number, event in enumerate(stream):
@@ -145,41 +171,14 @@ def outputs_and_match_count(rule: Any, policy: Any, flags: Any, stream: Any, cha
 def test_random_ntimes_equal_written_sequences(group: Any) -> None:
     for number in range(25):
         generator = random.Random(f"{group} {number}")
-        policy, has_late_events, has_retractions = (
-            generator.choice(POLICIES),
-            generator.random() < 0.3,
-            generator.random() < 0.3,
-        )
-        changes: Dict[Any, Any] = {}
-        if generator.random() < 0.25:
-            for position in generator.sample(range(12), 2):
-                changes[position] = [
-                    generator.choice(
-                        [
-                            ("event_consumption_policy", generator.choice(POLICIES)),
-                            ("out_of_order", generator.choice(["on", "off"])),
-                        ]
-                    )
-                ]
-        pattern, times, outer_pattern = (
-            generator.choice(REPEATED_PATTERNS),
-            generator.randrange(1, 6),
-            generator.choice(OUTER_PATTERNS),
-        )
-        label = (
-            f"r([property(event_rule_window,{generator.choice([2, 4, 8])})]) : "
-            if generator.random() < 0.2
-            else ""
-        )
-        head = generator.choice(["c(X,Y,N)", "c(X)", "c"])
+        policy = generator.choice(POLICIES)
+        has_late_events, has_retractions = generator.random() < 0.3, generator.random() < 0.3
+        changes = random_flag_changes(generator)
+        short, long = random_rules(generator)
         flags = random_flags(generator, has_late_events, has_retractions)
         stream = random_stream(generator, has_late_events, has_retractions)
         if policy == "unrestricted" or changes:
             stream = stream[:12]
-        short, long = (
-            f"{label}{head} <- {outer_pattern.format(text)}."
-            for text in (f"({pattern} ntimes {times})", f"({' seq '.join([pattern] * times)})")
-        )
         settings = (policy, flags, stream, changes)
         assert outputs_and_match_count(short, *settings) == outputs_and_match_count(long, *settings), (
             short,

@@ -114,20 +114,26 @@ def test_unknown_protocol_of_url_is_an_error() -> None:
         find_bags(["nowhere://a/b"])
 
 
-def test_downloaded_bag_is_removed_after_use(fleet: Path, tmp_path: Path) -> None:
+def test_local_bag_is_not_copied(fleet: Path, tmp_path: Path) -> None:
     with local_copy(str(fleet / "r2/day.bag"), str(tmp_path)) as path:
         assert path == str(fleet / "r2/day.bag")
+
+
+@pytest.mark.parametrize(("bag", "file"), [("r2/day.bag", ""), ("r10/ros2", "metadata.yaml")])
+def test_downloaded_bag_is_removed_after_use(fleet: Path, tmp_path: Path, bag: str, file: str) -> None:
     pytest.importorskip("fsspec")
     scratch = tmp_path / "scratch"
     scratch.mkdir()
-    with local_copy(f"file://{fleet}/r2/day.bag", str(scratch)) as path:
+    with local_copy(f"file://{fleet}/{bag}", str(scratch)) as path:
         assert path.startswith(f"{scratch}/")
-        assert path.endswith("/day.bag")
-        assert Path(path).read_text() == "r2/day.bag"
-    with local_copy(f"file://{fleet}/r10/ros2", str(scratch)) as path:
-        assert Path(path, "metadata.yaml").read_text() == "r10/ros2/metadata.yaml"
+        assert Path(path).name == Path(bag).name
+        assert Path(path, file).read_text() == str(Path(bag, file))
     assert list(scratch.iterdir()) == []
-    with pytest.raises(BagError, match="none.bag: "), local_copy(f"file://{fleet}/none.bag", str(scratch)):
+
+
+def test_download_of_missing_bag_is_an_error(fleet: Path, tmp_path: Path) -> None:
+    pytest.importorskip("fsspec")
+    with pytest.raises(BagError, match="none.bag: "), local_copy(f"file://{fleet}/none.bag", str(tmp_path)):
         pytest.fail("there is nothing to fetch")
 
 

@@ -12,6 +12,8 @@ from retalis.engine.checkpoints import read_checkpoint
 
 RULES = "pair(X, Y) <- in(X) seq in(Y).\n"
 GOALS = "compile_event_file('rules.txt')\nmemorize(in(_), [], _, m, 5)\n"
+READY = "1 event rule"
+"""Text that the node prints when it has loaded the program."""
 
 
 @pytest.fixture
@@ -38,9 +40,6 @@ def node(devel: Any, program: Path, tmp_path: Path) -> Any:
         return process
 
     return start
-
-
-READY = "1 event rule"
 
 
 def kill(space: Any, process: Any) -> None:

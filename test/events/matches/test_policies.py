@@ -24,7 +24,7 @@ EQUAL_EVENTS = "a@1 a@2 b@3 b@4"
     ],
 )
 @pytest.mark.parametrize("operator", ["seq", "and"])
-def test_policy_of_joins(policy: str, operator: str, different: str, identical: str) -> None:
+def test_policy_selects_partners_of_joins(policy: str, operator: str, different: str, identical: str) -> None:
     assert outputs_of(f"c(X) <- a(X) {operator} b.", DISTINCT_EVENTS, policy) == different
     assert outputs_of(f"d <- a {operator} b.", EQUAL_EVENTS, policy) == identical
 
@@ -37,7 +37,7 @@ def test_policy_of_joins(policy: str, operator: str, different: str, identical: 
         ("unrestricted", "c(1)@1-1 c(2)@2-2 c(1)@1-3 c(2)@2-3"),
     ],
 )
-def test_policy_of_runs(policy: str, expected: str) -> None:
+def test_policy_selects_starts_of_runs(policy: str, expected: str) -> None:
     assert outputs_of("c(X) <- a(X) seq b star_times.", "a(1)@1 a(2)@2 b@3", policy) == expected
 
 
@@ -109,7 +109,7 @@ def test_window_property_limits_matches(property_name: str) -> None:
     assert outputs_of(rules, "a@1 b@3 a@4 b@6.000000001") == "c@1-3"
 
 
-def test_window_of_unlabeled_rules() -> None:
+def test_window_applies_to_unlabeled_rules() -> None:
     assert outputs_of("event_rule_property(unlabeled,window,2). c <- a and b.", "a@1 b@9 a@10") == "c@9-10"
 
 
@@ -140,14 +140,19 @@ def test_match_limit_drops_oldest() -> None:
     assert "partial matches" in str(program.warnings[0])
 
 
-def test_out_of_order_flag_accepts_late_events() -> None:
-    rules, stream = "c <- a seq b.", "b@2 a@1"
-    assert outputs_of(rules, stream) == ""
-    assert outputs_of(rules, stream, flags=["out_of_order"]) == "c@1-2"
-    assert outputs_of("c <- (a seq b) cnot d.", "d@2 b@3 a@1", flags=["out_of_order"]) == ""
-    assert outputs_of("c(X) <- a(X) forall_seq b.", "b@3 a(1)@1", flags=["out_of_order"]) == "c(1)@1-3"
-    assert outputs_of("c <- a seq b seq d.", "d@3 b@2 a@1", flags=["out_of_order"]) == "c@1-3"
-    assert outputs_of("c <- a forall_seq a.", "a@33 a@29-31", flags=["out_of_order"]) == "c@29-33"
+@pytest.mark.parametrize(
+    ("rule", "stream", "expected"),
+    [
+        ("c <- a seq b.", "b@2 a@1", "c@1-2"),
+        ("c <- (a seq b) cnot d.", "d@2 b@3 a@1", ""),
+        ("c(X) <- a(X) forall_seq b.", "b@3 a(1)@1", "c(1)@1-3"),
+        ("c <- a seq b seq d.", "d@3 b@2 a@1", "c@1-3"),
+        ("c <- a forall_seq a.", "a@33 a@29-31", "c@29-33"),
+    ],
+)
+def test_out_of_order_flag_accepts_late_events(rule: str, stream: str, expected: str) -> None:
+    assert outputs_of(rule, stream) == ""
+    assert outputs_of(rule, stream, flags=["out_of_order"]) == expected
 
 
 @pytest.mark.parametrize(
@@ -225,9 +230,12 @@ class PolicyWithoutJoin(Enum):
     consumes_partners = replaces_identical = property(lambda self: False)
 
 
+@pytest.mark.parametrize("policy", ConsumptionPolicy)
+def test_policy_with_join_is_accepted(policy: ConsumptionPolicy) -> None:
+    check_policy(policy)
+
+
 def test_policy_without_join_is_refused() -> None:
-    for policy in ConsumptionPolicy:
-        check_policy(policy)
     with pytest.raises(UsageError, match="policy newest_of_all: the network has no join"):
         check_policy(cast("ConsumptionPolicy", PolicyWithoutJoin.NEWEST))
 

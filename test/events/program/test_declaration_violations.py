@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from events.load_problems import errors_of
 
-from retalis import Engine
+from retalis import Engine, ProgramErrors
 
 DECLARATION = ":- event temperature(motor:atom, value:number).\n"
 FORM = "temperature(motor:atom,value:number)"
@@ -76,7 +76,7 @@ def test_earlier_or_uncertain_events_are_no_errors(text: str, number: int) -> No
     engine = Engine()
     engine.load_rules(text)
     assert len(engine.rules.rules) == number
-    with pytest.raises(Exception, match="does not match its declaration"):  # later rules are checked
+    with pytest.raises(ProgramErrors, match="does not match its declaration"):  # later rules are checked
         engine.load_rules("late <- temperature(X).")
     assert len(engine.rules.rules) == number
 
@@ -86,9 +86,9 @@ def test_declaration_may_be_earlier_or_included(tmp_path: Path) -> None:
     engine = Engine()
     engine.load(goals="event temperature(motor:atom, value:number)")
     other_engine = Engine()
-    with pytest.raises(Exception, match="does not match its declaration"):
+    with pytest.raises(ProgramErrors, match="does not match its declaration"):
         engine.load_rules("a <- temperature(X).")
-    with pytest.raises(Exception, match="does not match its declaration"):
+    with pytest.raises(ProgramErrors, match="does not match its declaration"):
         other_engine.load_rules(":- include('events.txt').\na <- temperature(X).", folder=tmp_path)
     assert engine.rules.rules == other_engine.rules.rules == []
 

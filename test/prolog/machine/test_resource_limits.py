@@ -1,6 +1,7 @@
 """Budgets: remaining limits, nested entries, and limits of calls."""
 
 import threading
+from types import SimpleNamespace
 from typing import Any, Dict, Iterator, List, Optional, Tuple
 from unittest.mock import patch
 
@@ -82,15 +83,13 @@ def test_equal_ceilings_become_distinct(budget: Any) -> None:
 
 
 def test_memory_growth_beyond_limit_is_error(budget: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    used, now = [50 * MEGABYTE], [1.0]
-    monkeypatch.setattr(resource_limits, "resident_bytes", lambda: used[0])
-    monkeypatch.setattr(resource_limits, "monotonic", lambda: now[0])
+    process = SimpleNamespace(size=50 * MEGABYTE, now=1.0)
+    monkeypatch.setattr(resource_limits, "resident_bytes", lambda: process.size)
+    monkeypatch.setattr(resource_limits, "monotonic", lambda: process.now)
     budget.set_limits(Limits(megabytes=2))
-    for used[0] in (50 * MEGABYTE, 52 * MEGABYTE):
-        now[0] += 1.0
+    for process.now, process.size in ((2.0, 50 * MEGABYTE), (3.0, 52 * MEGABYTE)):
         budget.check_limits(1)
-    now[0] += 1.0
-    used[0] += 1
+    process.now, process.size = 4.0, 52 * MEGABYTE + 1
     with pytest.raises(LimitError, match="memory"):
         budget.check_limits(1)
 
@@ -107,19 +106,21 @@ def test_remaining_memory_counts_from_present_size(
 
 
 def test_exceeded_seconds_are_granted_once_again(budget: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    now = [100.0]
-    monkeypatch.setattr(resource_limits, "monotonic", lambda: now[0])
+    clock = SimpleNamespace(now=100.0)
+    monkeypatch.setattr(resource_limits, "monotonic", lambda: clock.now)
     budget.set_limits(Limits(seconds=10.0))
     budget.check_limits(1)
-    for final in (False, True):
-        now[0] += 10.5
-        with pytest.raises(LimitError, match="seconds") as error:
-            budget.check_limits(1)
-        assert error.value.is_final == final
-        if not final:
-            budget.check_limits(1)  # begins the time of the handler
-            now[0] += 9.5
-            budget.check_limits(1)
+    clock.now = 110.5
+    with pytest.raises(LimitError, match="seconds") as error:
+        budget.check_limits(1)
+    assert not error.value.is_final
+    budget.check_limits(1)  # begins the time of the handler
+    clock.now = 120.0
+    budget.check_limits(1)
+    clock.now = 121.0
+    with pytest.raises(LimitError, match="seconds") as error:
+        budget.check_limits(1)
+    assert error.value.is_final
 
 
 def test_refusal_of_goals_ends_with_entry(budget: Any) -> None:
