@@ -1,6 +1,7 @@
 """Bags and a program for tests of many bags: it publishes each received text, and texts that are received twice."""
 
 import struct
+from pathlib import Path
 from typing import Any
 
 from retalis import BagWriter, Definitions
@@ -9,7 +10,7 @@ SECOND = 10**9
 STRING = Definitions().add("std_msgs/String", "string data")
 
 
-def make_program(folder: Any) -> Any:
+def make_program(folder: Path) -> Any:
     """Write the program; return its folder."""
     folder.mkdir()
     message_type = 'msg_type="std_msgs/String"'

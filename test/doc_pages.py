@@ -25,7 +25,7 @@ PROGRAMS = {"retalis": [sys.executable, "-m", "retalis"], "python3": [sys.execut
 """The command line of each program that pages call."""
 
 
-def run_commands(text: Any, folder: Any) -> str:
+def run_commands(text: str, folder: Any) -> str:
     """Run the commands of a console block; return the block with their present output."""
     blocks: List[Any] = []
     for line in text.splitlines():
@@ -44,7 +44,7 @@ def run_commands(text: Any, folder: Any) -> str:
     return "".join(blocks)
 
 
-def call_goals(text: Any, engine: Any) -> str:
+def call_goals(text: str, engine: Any) -> str:
     """Call the goals of a console block; return the block with the present answers of the engine."""
     blocks: List[Any] = []
     for block in text.strip().split("\n\n"):

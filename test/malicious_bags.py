@@ -4,6 +4,7 @@ import bz2
 import sqlite3
 import struct
 from contextlib import closing
+from pathlib import Path
 from typing import Any
 
 import lz4.frame
@@ -221,7 +222,7 @@ def sqlite_bag(
     return path
 
 
-def folder_bag(folder: Any, name: Any, storage: Any, mode: str = "none", topics: Any = ()) -> Any:
+def folder_bag(folder: Path, name: Any, storage: Any, mode: str = "none", topics: Any = ()) -> Any:
     """Write the metadata of a bag of ROS 2 with one file."""
     folder.mkdir(exist_ok=True)
     (folder / "metadata.yaml").write_text(

@@ -76,7 +76,7 @@ def test_each_name_has_valid_example(name: Any, folder: Path) -> None:
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_each_method_has_valid_example(name: Any, folder: Path) -> None:
+def test_each_method_has_valid_example(name: str, folder: Path) -> None:
     class_name, _, member = name.partition(".")
     text = inspect.getdoc(METHODS[name]) or ""
     if class_name in WITH_CLASS_EXAMPLES and ">>>" not in text:

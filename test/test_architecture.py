@@ -86,7 +86,7 @@ def excerpts() -> List[Tuple[Any, ...]]:
     return [(match["path"], match["name"], match["text"].splitlines()) for match in EXCERPT.finditer(text)]
 
 
-def find_definition(path: Any, name: Any) -> Any:
+def find_definition(path: Any, name: str) -> Any:
     """Return the syntax node of a function or method."""
     node = ast.parse((SOURCE / path).read_text(encoding="utf-8"))
     for part in name.split("."):

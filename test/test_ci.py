@@ -38,7 +38,7 @@ SWI = "install.py test --with-swi -n 0 test/prolog/swi"
 OLD_TESTS = "python3.8 -m pytest -n 2 --dist worksteal -m not slow --ignore test/ros1"
 
 
-def write_program(path: Any, text: str) -> None:
+def write_program(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text)
     path.chmod(0o755)

@@ -37,7 +37,7 @@ LINK_TO_HEADING = re.compile(r"\]\((?!https?:)([^)#]*)#([^)]+)\)")
 HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
 
 
-def snippets(page: Any) -> List[Any]:
+def snippets(page: Path) -> List[Any]:
     return list(SNIPPET.finditer(page.read_text(encoding="utf-8")))
 
 
@@ -93,7 +93,7 @@ CHECKS_OF_WHOLE_PROGRAMS = (
 
 
 @pytest.mark.parametrize("text", list(prolog()))
-def test_rules_and_goals_load_without_findings(text: Any, definitions: Definitions) -> None:
+def test_rules_and_goals_load_without_findings(text: str, definitions: Definitions) -> None:
     engine = Engine()
     if text.startswith(("memorize(", "subscribe(")):
         engine.call_goals(text, "snippet")
@@ -153,19 +153,19 @@ def test_pages_have_links() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_targets_of_links_exist(page: Any) -> None:
+def test_targets_of_links_exist(page: Path) -> None:
     for target in LINK.findall(page.read_text(encoding="utf-8")):
         assert (page.parent / target).exists(), target
 
 
-def heading_ids(page: Any) -> Set[Any]:
+def heading_ids(page: Path) -> Set[Any]:
     """Return the anchors of the headings of a page, as the site and web pages of repositories define them."""
     headings = HEADING.findall(page.read_text(encoding="utf-8"))
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_headings_of_links_exist(page: Any) -> None:
+def test_headings_of_links_exist(page: Path) -> None:
     for target, heading in LINK_TO_HEADING.findall(page.read_text(encoding="utf-8")):
         assert heading in heading_ids(page.parent / target if target else page), f"{target}#{heading}"
 

@@ -85,7 +85,7 @@ RULES = {
 }
 
 
-def emitted_events(engine: Any, events: Any, first_second: int) -> Any:
+def emitted_events(engine: Engine, events: Any, first_second: int) -> Any:
     """Return the events that rules emit when an engine gets one event per second."""
     emitted: List[Any] = []
     engine.on_event(lambda term, start, end: emitted.append((engine.show(term), int(start), int(end))))

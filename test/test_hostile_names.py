@@ -181,7 +181,7 @@ def test_hostile_ros2_type_is_refused(name: Any, type_name: str) -> None:
 
 
 @every_name
-def test_value_of_constant_is_unchanged(name: Any) -> None:
+def test_value_of_constant_is_unchanged(name: str) -> None:
     line = name.split("\n")[0].split("\u2028")[0]
     definition = Definitions().add("pkg/Type", f"string X={line}\nint32 x\n")
     assert definition.constants[0].value == line.strip()

@@ -2,7 +2,6 @@
 
 import re
 from pathlib import Path
-from typing import Any
 
 import pytest
 from doc_pages import ROOT, PageRun
@@ -14,7 +13,7 @@ MAX_WORDS, MAX_WORDS_OF_PAGE = 10900, 700
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_snippets_have_output_of_page(page: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_snippets_have_output_of_page(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     run = PageRun(tmp_path)
     for section in re.split(r"^(?=## )", page.read_text(encoding="utf-8"), flags=re.MULTILINE):
@@ -23,7 +22,7 @@ def test_snippets_have_output_of_page(page: Any, tmp_path: Path, monkeypatch: py
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_page_ends_with_links_and_is_short(page: Any) -> None:
+def test_page_ends_with_links_and_is_short(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert text.rstrip().splitlines()[-1].startswith("**See also**: ")
     assert len(text.split()) <= MAX_WORDS_OF_PAGE

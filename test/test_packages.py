@@ -3,6 +3,7 @@
 import ast
 import re
 from collections import Counter
+from pathlib import Path
 from typing import Any, Iterator, List
 
 import pytest
@@ -195,7 +196,7 @@ def imports_of_scripts() -> Iterator[Any]:
                         yield path.relative_to(ROOT).as_posix(), node.module, alias.name
 
 
-def is_python(path: Any) -> Any:
+def is_python(path: Path) -> Any:
     """Return whether a file is a Python script."""
     if path.suffix:
         return path.suffix == ".py"

@@ -4,7 +4,6 @@ A test with a master runs the tutorial about a live robot: ``test/ros1/test_live
 """
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 from doc_pages import ROOT, PageRun
@@ -21,6 +20,6 @@ PAGES = [
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_snippets_have_output_of_page(page: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_snippets_have_output_of_page(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     PageRun(tmp_path).check_fences(page.read_text(encoding="utf-8"))

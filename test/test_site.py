@@ -14,7 +14,7 @@ SECTIONS = ("tutorials", "how-to", "reference", "reference/language", "explanati
 LINK = re.compile(r"\]\(([^)#]+\.md)")
 
 
-def links(page: Any) -> Set[Any]:
+def links(page: Path) -> Set[Any]:
     """Return the Markdown files that a page links to."""
     return {
         (page.parent / target).resolve()

@@ -99,7 +99,7 @@ def test_contributing_page_has_links(browser: Any) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES_WITH_FILES, ids=lambda page: page.stem)
-def test_captions_name_files_of_code_blocks(browser: Any, page: Any) -> None:
+def test_captions_name_files_of_code_blocks(browser: Any, page: Path) -> None:
     open_page(browser, page.relative_to(DOCS).with_suffix("").as_posix())
     fences = [fence for fence in FENCE.finditer(page.read_text(encoding="utf-8")) if fence["name"]]
     captioned_blocks = [(name, text.strip("\n")) for name, text in browser.ask(CAPTIONED_BLOCKS)]
@@ -159,7 +159,7 @@ def test_site_without_repository_has_no_source_links(browser: Any) -> None:
     assert "Repository" not in browser.ask("document.querySelector('.sidebar-tree').innerText")
 
 
-def build_copy_with_repository(folder: Any, address: Any) -> Any:
+def build_copy_with_repository(folder: Path, address: Any) -> Any:
     """Copy the sources, set the repository in package.xml, build the site of the copy, and return the site."""
     ignored = shutil.ignore_patterns(".*", "_build", "__pycache__")
     shutil.copytree(ROOT, folder, ignore=ignored, symlinks=True)

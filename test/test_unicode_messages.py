@@ -37,11 +37,11 @@ def decode(data: bytes) -> Term:
     return DEFINITIONS.decoder(NOTE).decode(data)
 
 
-def from_message(engine: Any, data: Any) -> None:
+def from_message(engine: Engine, data: Any) -> None:
     engine.post(decode(data))
 
 
-def from_lazy_message(engine: Any, data: Any) -> None:
+def from_lazy_message(engine: Engine, data: Any) -> None:
     engine.post(DEFINITIONS.decoder(NOTE).lazy(data))
 
 
@@ -49,7 +49,7 @@ def from_text(engine: Any, data: Any) -> None:
     engine.post_text(f"event({to_text(decode(data))})")
 
 
-def from_shown_text(engine: Any, data: Any) -> None:
+def from_shown_text(engine: Engine, data: Any) -> None:
     engine.event(engine.show(decode(data)))
 
 

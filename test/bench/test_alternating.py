@@ -23,7 +23,7 @@ def alternating(import_benchmark: Callable[[str], Any]) -> Any:
     return import_benchmark("alternating")
 
 
-def write_checkout(folder: Any, first: float, second: float, case: str = "nao") -> Any:
+def write_checkout(folder: Path, first: float, second: float, case: str = "nao") -> Any:
     """Write a checkout whose only case takes two times (µs) alternately."""
     script = folder / "bench" / "engine.py"
     script.parent.mkdir(parents=True, exist_ok=True)

@@ -27,7 +27,7 @@ def ask(capsys: pytest.CaptureFixture[str]) -> Any:
     return ask
 
 
-def write(path: Any, text: str, second: int) -> None:
+def write(path: Path, text: str, second: int) -> None:
     """Write a file with a given modification time, because the clock of the file system is coarse."""
     path.write_text(text)
     os.utime(path, (second, second))

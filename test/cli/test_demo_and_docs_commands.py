@@ -114,7 +114,7 @@ def test_missing_browser_is_an_error_with_path(
     assert capsys.readouterr().err == f"retalis docs: no browser can be started: open {page}\n"
 
 
-def test_missing_site_is_an_error_with_command(page: Any, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_site_is_an_error_with_command(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page.unlink()
     assert main(["docs", "--print-path"]) == 1
     assert "the documentation site is not built: run ./install.py docs" in capsys.readouterr().err

@@ -75,7 +75,7 @@ def write_option(name: str, lines: Any) -> Any:
     return [f"--{name.rstrip('0123456789')}", f"{name}.in"]
 
 
-def read_printed_terms(text: Any) -> Any:
+def read_printed_terms(text: str) -> Any:
     """Return the printed terms, without other lines that a program prints."""
     printed_terms: List[Any] = []
     for line in text.splitlines():
@@ -103,7 +103,7 @@ def events_agree(events: Any, expected_events: Any) -> bool:
 @pytest.mark.slow
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
 def test_recorded_scenario_is_reproduced(
-    path: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     data = json.loads(path.read_text(encoding="utf-8"))
     monkeypatch.chdir(tmp_path)

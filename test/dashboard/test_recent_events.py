@@ -32,7 +32,7 @@ def recent(engine: Any) -> Any:
     return recent
 
 
-def test_events_are_stored_while_observed(engine: Any, recent: Any) -> None:
+def test_events_are_stored_while_observed(engine: Engine, recent: Any) -> None:
     engine.event("smoke(hall)", 1, 2)
     recent.set_observing(False)
     engine.event("heat(hall)", 3)
@@ -41,7 +41,7 @@ def test_events_are_stored_while_observed(engine: Any, recent: Any) -> None:
     assert recent.get_counts() == {"smoke/1": (1, 2 * 10**9)}
 
 
-def test_rare_event_is_not_evicted_by_many(engine: Any, recent: Any) -> None:
+def test_rare_event_is_not_evicted_by_many(engine: Engine, recent: Any) -> None:
     engine.event("smoke(hall)", 1)
     for second in range(2, 1000):
         engine.event("tick", second)
@@ -51,7 +51,7 @@ def test_rare_event_is_not_evicted_by_many(engine: Any, recent: Any) -> None:
     assert recent.get_counts()["tick/0"].number_of_events == 998
 
 
-def test_numbers_of_events_are_limited(engine: Any, recent: Any) -> None:
+def test_numbers_of_events_are_limited(engine: Engine, recent: Any) -> None:
     for number in range(3 * MAX_FUNCTORS):
         engine.event(f"e{number}(1)", number + 1)
     assert len(recent.take_latest()) == MAX_SHOWN_EVENTS
@@ -87,7 +87,7 @@ def test_deep_event_is_cut(engine: Any) -> None:
 
 
 @pytest.mark.parametrize("text", ["f(A,_,A)", "f([],[a|B])", "f('A b',\"text\",-1.5)", "atom", "1 + 2"])
-def test_short_event_is_whole(engine: Any, recent: Any, text: str) -> None:
+def test_short_event_is_whole(engine: Engine, recent: Any, text: str) -> None:
     engine.event(text, 1)
     (event,) = recent.take_latest()
     assert event.whole
@@ -98,7 +98,7 @@ def recent_term(recent: Any) -> Any:
     return recent.find(recent.take_latest()[0].serial)[1]
 
 
-def test_stored_event_can_be_explained(engine: Any, recent: Any) -> None:
+def test_stored_event_can_be_explained(engine: Engine, recent: Any) -> None:
     engine.event("smoke(hall)", 1.000000001)
     engine.event("heat(hall)", 2)
     alarm = recent.take_latest()[0]

@@ -54,7 +54,7 @@ def create_checkpointer(engine: Any, folder: Any, name: str = "state.db") -> Che
     return Checkpointer(engine, CheckpointStorage(folder / name), folder, Reports())
 
 
-def record_events(engine: Any) -> Any:
+def record_events(engine: Engine) -> Any:
     events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     return events
@@ -65,12 +65,12 @@ def resume_engine(folder: Any, name: str = "state.db") -> Any:
     return None if result is None else result[0]
 
 
-def remembered_count(engine: Any) -> int:
+def remembered_count(engine: Engine) -> int:
     """Return the number of events that an engine remembers for retractions and explanations."""
     return len(engine.rules.network.tracker.remembered_events())
 
 
-def records(engine: Any) -> List[Any]:
+def records(engine: Engine) -> List[Any]:
     return [
         engine.show(solution["R"]) + engine.show(solution["I"])
         for solution in engine.query("access_mem(m, R, I)")
@@ -609,7 +609,7 @@ def test_checkpoint_in_read_only_folder_is_read(folder: Path, is_killed: bool) -
     assert (process.stdout, process.stderr) == (f"{engine.event_input.event_count} {expected}\n", "")
 
 
-def explained(folder: Any, number_of_events: int) -> Tuple[Any, ...]:
+def explained(folder: Path, number_of_events: int) -> Tuple[Any, ...]:
     """Return a checkpointer of an engine that has recorded events for explanations."""
     (folder / "r.txt").write_text(
         "pair(X) <- first(X) seq second(X).\nnext(X) <- (pair(X) where X < 9) seq third(X).\n"
@@ -624,7 +624,7 @@ def explained(folder: Any, number_of_events: int) -> Tuple[Any, ...]:
     return engine, create_checkpointer(engine, folder)
 
 
-def size_of_matches(folder: Any) -> Any:
+def size_of_matches(folder: Path) -> Any:
     """Return the size of the section with partial matches and recorded events."""
     database = sqlite3.connect(str(folder / "state.db"))
     try:

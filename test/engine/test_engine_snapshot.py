@@ -123,7 +123,7 @@ QUERIES = {
 }
 
 
-def feed(engine: Any, events: Any, first: int) -> None:
+def feed(engine: Engine, events: Any, first: int) -> None:
     """Feed one event per second from a first second on; an event may be a pair with its own time."""
     for second, event in enumerate(events, first):
         text, seconds = event if isinstance(event, tuple) else (event, second)

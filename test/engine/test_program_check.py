@@ -81,7 +81,7 @@ def test_output_of_other_type_is_explained(subscription: str, mismatch: str) -> 
 
 
 def finding_messages(
-    folder: Any, definitions: Any, topics: str = "", rules: str = "", goals: str = ""
+    folder: Path, definitions: Any, topics: str = "", rules: str = "", goals: str = ""
 ) -> List[Any]:
     (folder / "pub_sub.xml").write_text(f"<publish_subscribe>{topics}</publish_subscribe>")
     (folder / "eventRules.txt").write_text(rules)

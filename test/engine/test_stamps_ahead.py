@@ -287,7 +287,7 @@ def random_stream(random: Any) -> Any:
     return events
 
 
-def outputs_of(engine: Any) -> Any:
+def outputs_of(engine: Engine) -> Any:
     outputs: List[Any] = []
     engine.on_event(lambda term, start, end: outputs.append((engine.show(term), start, end)))
     return outputs

@@ -63,7 +63,7 @@ def stream(seed: Any, number: int = 60) -> Any:
     return events
 
 
-def feed(engine: Any, events: Any) -> None:
+def feed(engine: Engine, events: Any) -> None:
     """Feed events to an engine."""
     for event, start, end in events:
         engine.event(event, start, end)

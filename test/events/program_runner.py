@@ -52,7 +52,7 @@ class ProgramRunner:
     def set(self, flag: str, value: str) -> None:
         assert self.engine.call(f"set_etalis_flag({flag},{value})")
 
-    def feed(self, stream: Any) -> str:
+    def feed(self, stream: str) -> str:
         derived: List[Any] = []
         for item in stream.split():
             term, stamp = item.rsplit("@", 1)

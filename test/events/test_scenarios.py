@@ -116,7 +116,7 @@ def short(events: Any) -> str:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
-def test_scenario_has_recorded_results(path: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_scenario_has_recorded_results(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     data = json.loads(path.read_text())
     for name, text in (data.get("files") or {}).items():
         (tmp_path / name).write_text(text)

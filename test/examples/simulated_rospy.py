@@ -4,6 +4,7 @@ import heapq
 import sys
 from contextlib import contextmanager
 from itertools import count
+from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any, Dict, Iterator, List
 
@@ -153,7 +154,7 @@ class RobotWorld:
         self._callbacks: Dict[Any, Any] = {}
         self._timers: List[Any] = []
 
-    def run(self, script: Any, messages: Any) -> Any:
+    def run(self, script: Path, messages: Any) -> Any:
         """Run the script of a node over messages: tuples of time, topic, definition and slots by name."""
         self.messages = messages
         code = compile(script.read_text(encoding="utf-8"), str(script), "exec")
@@ -239,7 +240,7 @@ class Messages(ModuleType):
         super().__init__(f"{package}.msg")
         self._package, self._definitions = package, definitions
 
-    def __getattr__(self, name: Any) -> Any:
+    def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
             raise AttributeError(name)
         message_class_by_name = message_class(self._definitions.find(f"{self._package}/{name}"))

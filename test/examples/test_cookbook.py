@@ -33,7 +33,7 @@ COMPILED_ONLY = {"places"}
 @pytest.mark.slow
 @pytest.mark.parametrize("folder", RECIPES, ids=lambda path: path.name)
 def test_recipe_and_its_node_have_expected_outputs(
-    folder: Any,
+    folder: Path,
     recipes: ModuleType,
     definitions: Definitions,
     tmp_path: Path,
@@ -65,7 +65,7 @@ def play(
     return outputs
 
 
-def run_node(folder: Any, recipes: ModuleType, definitions: Any) -> List[Tuple[Any, ...]]:
+def run_node(folder: Path, recipes: ModuleType, definitions: Any) -> List[Tuple[Any, ...]]:
     """Return the outputs of the node of a recipe for the same messages: time, topic and bytes."""
     assert recipes.START * SECOND == START
     recipe = recipes.Recipe(folder)
@@ -81,7 +81,7 @@ def encode(message: Any, recipes: ModuleType, definitions: Any, time: Any) -> by
 
 
 @pytest.mark.parametrize("folder", RECIPES, ids=lambda path: path.name)
-def test_recipe_is_complete(folder: Any) -> None:
+def test_recipe_is_complete(folder: Path) -> None:
     assert {path.name for path in folder.iterdir() if path.suffix not in (".bag", "")} == FILES
     page = (folder / "README.md").read_text(encoding="utf-8")
     (rules,) = re.findall(r"```prolog\n(.*?)```", page, re.DOTALL)

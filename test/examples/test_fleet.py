@@ -56,11 +56,11 @@ robot = load_module("robot")
 make_events = load_module("make_events")
 
 
-def text_of(path: Any) -> str:
+def text_of(path: Path) -> str:
     return path.read_text(encoding="utf-8")
 
 
-def write_events(events: Any, path: Any) -> None:
+def write_events(events: Any, path: Path) -> None:
     path.write_text("".join(json.dumps(event) + "\n" for event in events), encoding="utf-8")
 
 
@@ -178,7 +178,7 @@ def test_flink_has_same_outputs(tmp_path: Path) -> None:
     assert by_robot("".join(parts)) == expected
 
 
-def resume_epochs(recovery: Any) -> List[Any]:
+def resume_epochs(recovery: Path) -> List[Any]:
     """Return the snapshot that each start of a dataflow has resumed."""
     epochs: List[Any] = []
     for path in recovery.glob("*.sqlite3"):

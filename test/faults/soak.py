@@ -179,7 +179,7 @@ def call(name: Any, *fields: Any) -> Any:
 class Soak:
     """A run with its options."""
 
-    def __init__(self, options: Any, folder: Any) -> None:
+    def __init__(self, options: Any, folder: Path) -> None:
         self.options = options
         (folder / "program").mkdir()
         port = int(os.environ["ROS_MASTER_URI"].rsplit(":", 1)[1])

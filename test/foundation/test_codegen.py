@@ -58,7 +58,7 @@ def dotted(node: Any) -> str:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_code_is_generated_by_codegen_only(path: Any) -> None:
+def test_code_is_generated_by_codegen_only(path: Path) -> None:
     used_names = set(used_names_of(ast.parse(path.read_text(encoding="utf-8"))))
     forbidden_names = used_names & (
         FORBIDDEN_BUILTINS | FORBIDDEN_MODULES | {"builtins." + name for name in FORBIDDEN_BUILTINS}

@@ -9,7 +9,7 @@ import pytest
 from retalis.foundation.output_files import OutputFailed, open_output, replace_file, target_name_of
 
 
-def names_in(folder: Any) -> List[Any]:
+def names_in(folder: Path) -> List[Any]:
     return sorted(path.name for path in folder.iterdir())
 
 

@@ -27,7 +27,7 @@ def database_with_log(tmp_path: Path) -> Path:
     return path
 
 
-def contents(folder: Any) -> Dict[Any, Any]:
+def contents(folder: Path) -> Dict[Any, Any]:
     return {file.name: file.read_bytes() for file in folder.iterdir()}
 
 

@@ -55,7 +55,7 @@ def show(campaign: Any, save: Any = None) -> None:
                 (folder / f"{line['seed']}-{line['number']}-{number}").write_bytes(data)
 
 
-def replay_campaign(text: Any) -> Campaign:
+def replay_campaign(text: str) -> Campaign:
     """Return the campaign of inputs that are named as ``show`` prints them."""
     kind, _, source = text.partition(":")
     seed, _, numbers = source.partition(":")

@@ -165,7 +165,7 @@ class Watch:
             self._armed = False
             raise UsageExceeded("growth", f"{growth >> 20} MB", place(frame))
 
-    def _audit(self, event: Any, arguments: Any) -> None:
+    def _audit(self, event: str, arguments: Any) -> None:
         if not self._armed or event in ALLOWED_EVENTS:
             return
         if event in ("exec", "compile"):

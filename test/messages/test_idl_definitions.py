@@ -228,7 +228,7 @@ def test_any_text_is_converted_or_an_error(text: str) -> None:
 IDL_NAMES = {"bool": "boolean", "float32": "float", "float64": "double", "byte": "octet"}
 
 
-def write_idl(name: Any, constants: Any, slots: Any) -> str:
+def write_idl(name: str, constants: Any, slots: Any) -> str:
     """Return the definition of a type of rosbags in IDL, in the form that ROS 2 generates."""
     package, _, short_name = name.split("/")
     lines = [f'#include "{package}/msg/Other.idl"', f"module {package} {{", "module msg {"]

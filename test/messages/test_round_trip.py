@@ -186,7 +186,7 @@ def test_texts_agree_for_all_readers_and_writers(shape: str) -> None:
     every_message()
 
 
-def genpy_class(name: Any) -> Any:
+def genpy_class(name: str) -> Any:
     package, kind = name.split("/")
     try:
         return getattr(importlib.import_module(package + ".msg"), kind)

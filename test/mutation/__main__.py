@@ -115,7 +115,7 @@ def _sample(options: Any) -> Any:
     return sampled
 
 
-def _key(line: Any) -> Tuple[Any, ...]:
+def _key(line: str) -> Tuple[Any, ...]:
     """Return what identifies a mutant in a line of the log, whatever its line number is now."""
     _, place, operator, text = line.split(": ", 3)
     return place.rsplit(":", 1)[0], operator, text

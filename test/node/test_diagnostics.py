@@ -130,7 +130,7 @@ def test_error_of_evaluation_does_not_end_publishing(transport: Any, listener: L
 TOPIC = InputStatus("/tf", "tf/tfMessage", 1, 0, 0, 0, 0, None, None)
 
 
-def engine_health(engine: Any, now: float = 0.0, health: Any = None, **changed: Any) -> Dict[Any, Any]:
+def engine_health(engine: Engine, now: float = 0.0, health: Any = None, **changed: Any) -> Dict[Any, Any]:
     parts = (health or EngineHealth(1.0, 10.0)).evaluate(now, engine.status()._replace(**changed))
     return {part.name: part for part in parts}
 

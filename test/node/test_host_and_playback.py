@@ -142,7 +142,7 @@ def run_on_network(program: Any, definitions: Any) -> Tuple[Any, ...]:
     return events, outputs, reports.errors
 
 
-def run_on_bag(program: Any, definitions: Any, folder: Any, rows: Any) -> Tuple[Any, ...]:
+def run_on_bag(program: Any, definitions: Any, folder: Path, rows: Any) -> Tuple[Any, ...]:
     """Return events, outputs, outputs on a topic without a type, and errors of the playback of a bag."""
     path = folder / "recorded.bag"
     with BagWriter(path) as writer:

@@ -76,7 +76,7 @@ def test_stream_is_read_and_copied_up_to_size() -> None:
     assert MEGABYTE < copy_up_to(io.BytesIO(data), io.BytesIO(), MEGABYTE) <= 2 * MEGABYTE
 
 
-def bombs(folder: Any) -> Any:
+def bombs(folder: Path) -> Any:
     """Write small files that contain or state 200 MB; return each path with a part of its error message."""
     zeros = {compression: packed_zeros(compression, 200) for compression in ("bz2", "lz4", "zstd")}
     size = 200 * MEGABYTE

@@ -137,7 +137,7 @@ def test_large_database_is_read_with_large_limit(tmp_path: Path) -> None:
 # ---- write-ahead log ---------------------------------------------------------------------------------
 
 
-def interrupted_bag(folder: Any, stored: Any, logged: List[int]) -> Any:
+def interrupted_bag(folder: Path, stored: Any, logged: List[int]) -> Any:
     """Write the database of a killed recorder.
 
     Args:
@@ -164,7 +164,7 @@ def interrupted_bag(folder: Any, stored: Any, logged: List[int]) -> Any:
     return path
 
 
-def digests(folder: Any) -> Dict[Any, Any]:
+def digests(folder: Path) -> Dict[Any, Any]:
     return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir()}
 
 

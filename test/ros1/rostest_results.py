@@ -1,5 +1,6 @@
 """Failed test cases in the JUnit XML files that rostest writes."""
 
+from pathlib import Path
 from typing import Any, List
 from xml.etree import ElementTree
 
@@ -7,7 +8,7 @@ MAX_MESSAGE_LINES = 30
 """Maximum number of lines shown of the message of a test case: the last ones, which name the error."""
 
 
-def failed_cases(folder: Any) -> List[Any]:
+def failed_cases(folder: Path) -> List[Any]:
     """Return the failed test cases of all XML files in a folder and below it, each as a text with its message."""
     return [text for path in sorted(folder.rglob("*.xml")) for text in _failures_in(path)]
 

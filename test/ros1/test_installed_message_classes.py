@@ -39,7 +39,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         del sys.modules[name]
 
 
-def write(folder: Any, name: str, source: str, init: Any = None) -> None:
+def write(folder: Path, name: str, source: str, init: Any = None) -> None:
     (folder / f"_{name}.py").write_text(source)
     (folder / "__init__.py").write_text(f"from ._{name} import {name}\n" if init is None else init)
 

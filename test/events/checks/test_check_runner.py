@@ -11,7 +11,7 @@ from retalis.engine.program_check import check_program
 from retalis.events.checks.check_runner import CHECKS, LOAD_CODES
 
 
-def codes_of(folder: Any, text: str) -> List[Any]:
+def codes_of(folder: Path, text: str) -> List[Any]:
     """Return the codes of the findings in a file of rules."""
     path = folder / "rules.txt"
     path.write_text(text)

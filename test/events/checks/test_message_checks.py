@@ -197,7 +197,7 @@ TWO_WARM = (
 )
 
 
-def shared_events(folder: Any, definitions: Any, topics: Any, rules: str) -> List[Any]:
+def shared_events(folder: Path, definitions: Any, topics: Any, rules: str) -> List[Any]:
     definitions.add("my_msgs/Flag", "bool on")
     (folder / "pub_sub.xml").write_text(f"<publish_subscribe>{topics}</publish_subscribe>")
     (folder / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')\n")

@@ -50,7 +50,7 @@ def test_folder_without_permission_is_no_error(tmp_path: Path, monkeypatch: pyte
     assert unread_files(Engine(), tmp_path) == []
 
 
-def write_program(folder: Any, rules: Any) -> None:
+def write_program(folder: Path, rules: Any) -> None:
     (folder / "pub_sub.xml").write_text("<publish_subscribe/>")
     (folder / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')\n")
     (folder / "eventRules.txt").write_text(f"{rules}\n")
@@ -64,7 +64,7 @@ def findings_of(path: Any, code: str, definitions: Any) -> List[Any]:
     ]
 
 
-def findings_of_rules(folder: Any, rules: Any, code: str, definitions: Any) -> Any:
+def findings_of_rules(folder: Path, rules: Any, code: str, definitions: Any) -> Any:
     path = folder / "rules.txt"
     path.write_text(f"{rules}\n")
     return findings_of(path, code, definitions)

@@ -45,7 +45,7 @@ def mistakes() -> Iterator[Any]:
         yield pytest.param({part: "\n".join(lines) for part, lines in lines_by_part.items()}, id=name)
 
 
-def write(folder: Any, rule: str = "", goal: str = "", topic: str = "", said: str = "") -> None:
+def write(folder: Path, rule: str = "", goal: str = "", topic: str = "", said: str = "") -> None:
     """Write a program that has additions."""
     (folder / "pub_sub.xml").write_text(f"{TOPICS}{topic}\n</publish_subscribe>\n")
     (folder / "goalPredicates.txt").write_text(f"{GOALS}{goal}\n")

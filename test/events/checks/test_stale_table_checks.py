@@ -18,7 +18,7 @@ go(1) <- pos(_).
 """
 
 
-def messages_of_check(folder: Any, rules: Any, check: str) -> List[Any]:
+def messages_of_check(folder: Path, rules: Any, check: str) -> List[Any]:
     """Return the findings of a check in a program without errors."""
     (folder / "pub_sub.xml").write_text("<publish_subscribe></publish_subscribe>\n")
     (folder / "goalPredicates.txt").write_text(f"compile_event_file('rules.txt')\n{MEMORY}")

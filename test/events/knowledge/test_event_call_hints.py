@@ -1,7 +1,5 @@
 """Hints for goals that call an event or a state as a predicate."""
 
-from typing import Any
-
 import pytest
 
 from retalis.engine.engine import Engine
@@ -21,7 +19,7 @@ def engine() -> Engine:
     return engine
 
 
-def error_text(engine: Any, goal: str) -> str:
+def error_text(engine: Engine, goal: str) -> str:
     with pytest.raises(PrologError) as error:
         engine.query(goal)
     return error.value.message

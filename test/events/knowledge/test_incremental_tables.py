@@ -240,7 +240,7 @@ def test_snapshot_excludes_answers_of_tables(tmp_path: Path) -> None:
     assert all_of("t(X)") == ["1", "2"]
 
 
-def write(folder: Any, rules: Any, goals: str) -> None:
+def write(folder: Path, rules: Any, goals: str) -> None:
     (folder / "goalPredicates.txt").write_text(f"compile_event_file('rules.txt')\n{goals}\n")
     (folder / "rules.txt").write_text(rules)
 

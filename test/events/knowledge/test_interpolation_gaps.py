@@ -29,7 +29,7 @@ def engine_with(*timestamps: Any, settings: Any = None, size: int = 100, memorie
     return engine
 
 
-def weights(engine: Any, milliseconds: int, name: str = "m") -> List[Any]:
+def weights(engine: Engine, milliseconds: int, name: str = "m") -> List[Any]:
     seconds, remainder = divmod(milliseconds, 1000)
     return [answer["W"] for answer in engine.query(f"between({name}, {seconds}, {remainder * 10**6}, W)")]
 

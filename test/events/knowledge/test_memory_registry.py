@@ -12,7 +12,7 @@ from retalis import Engine, PrologError, UsageError, atom, deref, list_items
 from retalis.prolog.terms.timestamps import SECOND
 
 
-def records(engine: Any, name: str = "m") -> List[Any]:
+def records(engine: Engine, name: str = "m") -> List[Any]:
     answers = engine.query(f"access_mem({name}, R, _)")
     return [engine.show(deref(answer["R"])) for answer in answers]
 

@@ -48,7 +48,7 @@ def engine_with_transforms(transforms: Any, **options: Any) -> Any:
     return engine
 
 
-def solutions(engine: Any, goal: str) -> List[Any]:
+def solutions(engine: Engine, goal: str) -> List[Any]:
     return [engine.show(solutions_or_error["P"]) for solutions_or_error in engine.query(goal)]
 
 

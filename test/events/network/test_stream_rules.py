@@ -370,7 +370,7 @@ def test_clock_emits_output_without_event() -> None:
     assert engine.outputs == ["a(1)@0-2"]
 
 
-def recorded_events(engine: Any) -> Any:
+def recorded_events(engine: Engine) -> Any:
     events: List[Any] = []
     engine.on_event(lambda term, start, end: events.append(engine.show(term)))
     return events

@@ -26,7 +26,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def values(engine: Any, goal: str) -> List[Any]:
+def values(engine: Engine, goal: str) -> List[Any]:
     return [engine.show(answer["X"]) for answer in engine.query(goal)]
 
 

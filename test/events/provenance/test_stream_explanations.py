@@ -1,7 +1,5 @@
 """Explanations of events and missing events for rules with stream operators."""
 
-from typing import Any
-
 import pytest
 from checked_access import compound
 
@@ -10,7 +8,7 @@ from retalis import Engine
 FLAGS = ":- set_etalis_flag(etalis_justification, on).\n"
 
 
-def explanation_of(rules: str, stream: Any, event: str) -> str:
+def explanation_of(rules: str, stream: str, event: str) -> str:
     """Return the explanation of an event after a stream, events as ``term@end``."""
     engine = Engine()
     engine.load(rules=FLAGS + rules)

@@ -25,7 +25,7 @@ def engine_and_outputs(rules: str, stream: Any = EVENTS, **flags: Any) -> Tuple[
     return engine, [event for event in events if event[0].startswith("out")]
 
 
-def value(engine: Any, name: Any) -> Any:
+def value(engine: Engine, name: Any) -> Any:
     (answer,) = engine.query(f"get_etalis_flag({name}, V)")
     return engine.show(answer["V"])
 

@@ -44,7 +44,7 @@ def outputs_of_rule(rule: Any, readings: Any, restore_before: Any = None) -> Lis
     """Return the outputs of a rule; the engine is restored before the reading at position ``restore_before``."""
     events: List[Any] = []
 
-    def record_events(engine: Any) -> Any:
+    def record_events(engine: Engine) -> Any:
         engine.on_event(lambda term, *interval: events.append(engine.show(term)))
         return engine
 

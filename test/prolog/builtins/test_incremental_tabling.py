@@ -498,7 +498,7 @@ def test_incremental_tables_equal_untabled_predicates(seed: int) -> None:
         assert tabled_answers == plain_answers, (goal, rules)
 
 
-def _calls_itself_or_later(rule: Any) -> bool:
+def _calls_itself_or_later(rule: str) -> bool:
     own, body = rule.split(" :- ")
     later = _NAMES[_NAMES.index(own[0]) :]
     return any(f"{name}(X" in body or f"{name}(_" in body or f"({name}," in body for name in later)

@@ -93,7 +93,7 @@ def engine() -> Engine:
     return empty_engine
 
 
-def answers(engine: Any, goal: str) -> List[Dict[Any, Any]]:
+def answers(engine: Engine, goal: str) -> List[Dict[Any, Any]]:
     return [
         {name: engine.show(value) for name, value in answer.items() if name[0] != "_"}
         for answer in engine.query(goal)
