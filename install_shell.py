@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import IO, Callable, Dict, Mapping, Optional, Sequence
+from typing import IO, Callable, Dict, List, Mapping, Optional, Sequence
 
 SHOWN_LOG_LINES = 15  # lines of a log shown when a step fails
 
@@ -62,6 +62,20 @@ def search_path(path: str) -> str:
 def tail(text: str, count: int = SHOWN_LOG_LINES) -> str:
     """Return the last lines of a text, indented."""
     return "\n".join("    " + line for line in text.rstrip().splitlines()[-count:])
+
+
+def format_source_line(script: str) -> str:
+    """Return a line of bash that sources a script.
+
+    A sourced script sees the arguments of the shell, and catkin's acts on options such as ``--help``; inside a
+    function without arguments it sees none.
+    """
+    return "sourced() { source " + shlex.quote(script) + "; } && sourced"
+
+
+def make_bash_command(lines: Sequence[str], command: Sequence[str]) -> List[str]:
+    """Return a command that runs a shell script with another command as its arguments."""
+    return ["bash", "-c", " && ".join(lines), "bash", *command]
 
 
 def stop(process: "subprocess.Popen[bytes]") -> None:

@@ -79,14 +79,14 @@ def run(tmp_path: Path) -> Any:
 
 def test_run_without_stage_runs_each_test_once(run: Any) -> None:
     status, lines, calls = run()
-    assert (status, lines[-1]) == (0, "passed: test")
+    assert (status, lines[-1]) == (0, "passed: test --ros2")
     foreground = [line for line in calls if line not in (OLD_TESTS, "bare")]
     sites = ["python3.8 install.py docs", "install.py docs"]
-    assert foreground == ["install.py lint", SWI, *sites, "install.py test"]
+    assert foreground == ["install.py lint", SWI, *sites, "install.py test", "install.py test --ros2"]
     assert calls.count(OLD_TESTS) == calls.count("bare") == 1
 
 
-@pytest.mark.parametrize("failure", ["test", "test --with-swi -n 0 test/prolog/swi"])
+@pytest.mark.parametrize("failure", ["test", "test --ros2", "test --with-swi -n 0 test/prolog/swi"])
 def test_last_line_is_summary_of_failed_run(run: Any, failure: str) -> None:
     status, lines, calls = run(failure=failure)
     assert (status, lines[-1]) == (1, "1 failed in 2.00s")
@@ -95,11 +95,12 @@ def test_last_line_is_summary_of_failed_run(run: Any, failure: str) -> None:
 
 
 def test_stages_run_parts(run: Any) -> None:
-    status, lines, calls = run("fast", "ros", "slow")
+    status, lines, calls = run("fast", "ros", "ros2", "slow")
     assert (status, lines[-1]) == (0, "passed: test -m slow --ignore test/ros1")
     assert sorted(line for line in calls if line.startswith("install.py")) == [
         "install.py docs",
         "install.py lint",
+        "install.py test --ros2",
         "install.py test --with-swi -n 0 test/prolog/swi",
         "install.py test --with-swi test/ros1",
         "install.py test -m not slow --ignore test/ros1",
@@ -112,5 +113,5 @@ def test_nightly_stage_runs_nightly_tests(run: Any) -> None:
 
 
 def test_unknown_stage_is_refused(run: Any) -> None:
-    message = ".ci/run: unknown stage 'quick': expected fast, ros, slow or nightly"
+    message = ".ci/run: unknown stage 'quick': expected fast, ros, ros2, slow or nightly"
     assert run("fast", "quick") == (2, [message], [])

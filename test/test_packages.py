@@ -58,7 +58,7 @@ MAX_LINES = 1_000
 
 ROS = {"genpy", "rosgraph", "rosgraph_msgs", "roslib", "rospy", "rostopic", "std_msgs"}
 
-TESTED_ELSEWHERE = ("bench", "examples", "oracle", "fuzz", "leaks", "faults", "mutation")
+TESTED_ELSEWHERE = ("bench", "examples", "oracle", "fuzz", "leaks", "faults", "mutation", "ros2")
 """Folders of tests without a package of their own."""
 
 
