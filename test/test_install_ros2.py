@@ -248,7 +248,7 @@ def test_option_chooses_distribution(
 @pytest.mark.parametrize(
     ("argv", "message"),
     [
-        (["lint", "--ros2"], "'lint' has no option --ros2: expected it with build, test, where"),
+        (["lint", "--ros2"], "'lint' has no option --ros2: expected it with build, demo, test, where"),
         (["build", "--ros2=humble"], "invalid choice: 'humble'"),
     ],
 )
@@ -290,6 +290,12 @@ def test_tests_of_ros2_are_default(run: Any, shell: Recorder, arguments: Any, ex
     assert run("test", "--ros2", *arguments) == 0
     (command,) = shell.commands
     assert command[command.index("pytest") + 1 :] == expected
+
+
+def test_demo_of_ros2_gets_arguments(run: Any, shell: Recorder) -> None:
+    assert run("demo", "--ros2", "--seconds", "5") == 0
+    (command,) = shell.commands
+    assert command[-3:] == [str(HERE / "examples" / "nao" / "demo_ros2.py"), "--seconds", "5"]
 
 
 def test_build_names_setup_file(run: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
