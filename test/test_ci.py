@@ -49,13 +49,16 @@ def run(tmp_path: Path) -> Any:
     """Return a function that runs `.ci/run`; it returns exit status, output lines and calls."""
     folder, home, calls = tmp_path / "clone", tmp_path / "home", tmp_path / "calls"
     script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
-    write_program(folder / ".ci" / "run", script.replace("/usr/bin/python3", sys.executable))
+    script = script.replace("/usr/bin/python3", sys.executable)
+    release = tmp_path / "os-release"
+    write_program(folder / ".ci" / "run", script.replace("/etc/os-release", str(release)))
     write_program(folder / ".ci" / "bare", BARE)
     write_program(folder / "install.py", INSTALL.format(python=sys.executable))
     shutil.copy(ROOT / "install_shell.py", folder)
     write_program(home / ".pyenv" / "versions" / "3.8.18" / "bin" / "python3", OLD_PYTHON)
 
-    def run(*stages: Any, failure: str = "") -> Tuple[Any, ...]:
+    def run(*stages: Any, failure: str = "", codename: str = "bookworm") -> Tuple[Any, ...]:
+        release.write_text(f"VERSION_CODENAME={codename}\n", encoding="utf-8")
         environment = {
             "PATH": os.environ["PATH"],
             "HOME": str(home),
@@ -92,6 +95,13 @@ def test_last_line_is_summary_of_failed_run(run: Any, failure: str) -> None:
     assert (status, lines[-1]) == (1, "1 failed in 2.00s")
     assert "FAILED test/test_x.py::test_x" in lines[lines.index("== results") :]
     assert "install.py test" in calls
+
+
+def test_ros2_is_left_out_on_other_system(run: Any) -> None:
+    status, lines, calls = run(codename="focal")
+    assert (status, lines[-1]) == (0, "passed: test")
+    assert "install.py test --ros2" not in calls
+    assert "NOT RUN: tests on ROS 2: they need Debian 12" in lines
 
 
 def test_stages_run_parts(run: Any) -> None:
