@@ -126,6 +126,8 @@ DEPENDENCIES = {
     "diagnostic_msgs": "python3-diagnostic-msgs",
     "genpy": "python3-genpy",
     "geometry_msgs": "python3-geometry-msgs",
+    "launch": "",
+    "launch_ros": "",
     "message_generation": "ros-message-generation",
     "message_runtime": "ros-message-runtime",
     "python3-hypothesis": "pip",
@@ -152,7 +154,8 @@ DEPENDENCIES = {
     "tf2_py": "python3-tf2",
     "tf2_ros": "python3-tf2-ros",
 }
-"""rosdep keys that package.xml may contain, with their Debian 12 packages; ``pip`` for those in the requirements.
+"""rosdep keys that package.xml may contain, with their Debian 12 packages; ``pip`` for those in the requirements,
+and nothing for those of ROS 2 that only a distribution has.
 
 rosdep's own data need a network, and catkin_lint accepts any name without them.
 """
@@ -519,7 +522,7 @@ def run_lint(installation: Installation) -> int:
         failed_checks += bool(installation.run(check))
     problems = find_dependency_problems((HERE / "package.xml").read_text())
     if installation.platform is DEBIAN_12:
-        packages = [name for name in DEPENDENCIES.values() if name != "pip"]
+        packages = [name for name in DEPENDENCIES.values() if name not in ("", "pip")]
         missing = find_missing_packages(packages, query_installed_packages(packages))
         problems += [f"DEPENDENCIES in install.py: '{name}' is not installed" for name in missing]
     for problem in problems:
