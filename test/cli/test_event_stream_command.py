@@ -630,6 +630,12 @@ def test_open_states_are_printed_at_end(run: Any) -> None:
     assert lines[-1] == '{"open": "docked(b)", "start": 12000000000}'
 
 
+def test_relative_times_are_rounded_once(run: Any) -> None:
+    stream = "event(a, [1.0, 1.0]).\nevent(b, [1.013, 1.097]).\n"
+    lines = run("--times=relative", rules="c <- a.\n", stream=stream)[1]
+    assert lines == ["event(a,[0.0,0.0]).", "event(c,[0.0,0.0]).", "event(b,[0.013,0.097])."]
+
+
 OPEN_WINDOW_RULES = """\
 by_time(R, N) <- aggregate(count, task(R), N, every(10)).
 by_first(N) <- aggregate(count, task(_), N, every(30, first)).

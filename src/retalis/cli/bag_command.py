@@ -373,7 +373,7 @@ class _RunPrinter:
         if self._options.times:
             instant: Term = timestamps.to_term(int(output.time))
             if self._origin is not None:
-                instant = timestamps.to_seconds(self._origin.relative(output.time))
+                instant = self._origin.relative_seconds(output.time)
             print(f"{to_text((_TIMED_OUTPUT_FUNCTOR, output.term, topic, instant))}.")
         else:
             print(f"{to_text((_OUTPUT_FUNCTOR, output.term, topic))}.")

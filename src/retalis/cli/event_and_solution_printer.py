@@ -52,6 +52,10 @@ class TimeOrigin:
             self.start = int(instant)
         return max(0, int(instant) - self.start)
 
+    def relative_seconds(self, instant: int) -> float:
+        """Return the seconds from the start to an instant, rounded once, so that 13 ms are printed as 0.013."""
+        return self.relative(instant) / timestamps.SECOND
+
     def relative_record(self, record: Mapping[str, Any]) -> Dict[str, Any]:
         """Return a record of a run with relative times."""
         return {
@@ -105,8 +109,7 @@ class Printer:
                 self._clock_form.convert(start), self._clock_form.convert(end)
             )
             if self._origin is not None:
-                times = [self._origin.relative(instant) for instant in (start, end)]
-                interval = make_list(list(map(timestamps.to_seconds, times)))
+                interval = make_list(list(map(self._origin.relative_seconds, (start, end))))
             print(
                 f"{canonical_text((MEMORY_EVENT_FUNCTOR if is_memory_event else EVENT_FUNCTOR, term, interval))}.",
                 flush=True,
@@ -151,7 +154,7 @@ class Printer:
             # Not converted to an int, which would lose the form in which the event states its time.
             instant: Term = timestamps.lazy_term(self._clock_form.convert(start))
             if self._origin is not None:
-                instant = timestamps.to_seconds(self._origin.relative(start))
+                instant = self._origin.relative_seconds(start)
             details = ""
             # The first field tells the types apart, as in lines of JSON.
             if "open" in record:
