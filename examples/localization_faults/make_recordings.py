@@ -48,6 +48,9 @@ DRIVE = (
 NO_FIX = (50.0, 64.0)
 """Time under a bridge: the receiver reports that it has no fix, and the filter rejects its positions."""
 
+NO_NETWORK = (62.0, 65.0)
+"""Time without any message in the recording that resembles a node that died."""
+
 TOPICS = {
     "/imu/data": "sensor_msgs/msg/Imu",
     "/wheel/twist": "geometry_msgs/msg/TwistWithCovarianceStamped",
@@ -108,7 +111,10 @@ class Robot:
 
     def messages(self) -> Iterator[Message]:
         """Yield the messages of the recording in the order of their receipt."""
-        yield from sorted(self._simulate(), key=lambda message: message.time)
+        for message in sorted(self._simulate(), key=lambda message: message.time):
+            # A network that fails loses the messages of all nodes, which live.
+            if not (self.resembles("filter_died") and NO_NETWORK[0] <= message.time < NO_NETWORK[1]):
+                yield message
 
     def _simulate(self) -> Iterator[Message]:
         ticks = 50
