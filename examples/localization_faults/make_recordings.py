@@ -13,6 +13,7 @@ import argparse
 import math
 import random
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any, Dict, Iterator, List, NamedTuple, Tuple
 
@@ -308,6 +309,8 @@ class MessageTypes:
         if "tf2_msgs/msg/TFMessage" not in self.store.types:
             definition = "geometry_msgs/TransformStamped[] transforms\n"
             self.store.register(get_types_from_msg(definition, "tf2_msgs/msg/TFMessage"))
+        # Old versions of rosbags have the upper-case name.
+        self._definitions = getattr(self.store, "fielddefs", None) or self.store.FIELDDEFS
 
     def serialize(self, fields: Dict[str, Any], name: str) -> bytes:
         """Return a message as its bytes in a bag. Fields that are not named are zero, empty or false."""
@@ -318,7 +321,7 @@ class MessageTypes:
 
     def create(self, fields: Dict[str, Any], name: str) -> Any:
         """Return a message of rosbags."""
-        definitions = dict(self.store.fielddefs[name][1])
+        definitions = dict(self._definitions[name][1])
         values = {field: self._value(kind, fields.get(field)) for field, kind in definitions.items()}
         return self.store.types[name](**values)
 
@@ -344,17 +347,17 @@ def write_recording(path: Path, messages: List[Message], bag_format: str) -> Non
     if path.exists():
         raise RecordingError(f"{path}: it exists already: remove it, or choose another folder")
     types = MessageTypes(1 if bag_format == "bag" else 2)
-    unfinished = path.parent / ".unfinished"
-    unfinished.mkdir(exist_ok=True)
-    with open_writer(unfinished / path.name, bag_format) as writer:
-        connections = {
-            topic: writer.add_connection(topic, name, typestore=types.store) for topic, name in TOPICS.items()
-        }
-        for message in messages:
-            data = types.serialize(message.fields, TOPICS[message.topic])
-            writer.write(connections[message.topic], START * SECOND + round(message.time * SECOND), data)
-    (unfinished / path.name).rename(path)
-    unfinished.rmdir()
+    with tempfile.TemporaryDirectory(prefix=".unfinished-", dir=path.parent) as folder:
+        unfinished = Path(folder) / path.name
+        with open_writer(unfinished, bag_format) as writer:
+            connections = {
+                topic: writer.add_connection(topic, name, typestore=types.store)
+                for topic, name in TOPICS.items()
+            }
+            for message in messages:
+                data = types.serialize(message.fields, TOPICS[message.topic])
+                writer.write(connections[message.topic], START * SECOND + round(message.time * SECOND), data)
+        unfinished.rename(path)
 
 
 def open_writer(path: Path, bag_format: str) -> Any:

@@ -13,6 +13,7 @@ import pytest
 
 pytest.importorskip("rosbags")
 pytest.importorskip("numpy")
+from rosbags import rosbag2  # noqa: E402
 from script_modules import load_script  # noqa: E402
 
 from retalis import Playback, to_python  # noqa: E402
@@ -22,6 +23,9 @@ from retalis.playback.bag_locations import MergedBag  # noqa: E402
 PROGRAM = Path(__file__).resolve().parents[2] / "examples" / "localization_faults"
 PAGE = (PROGRAM / "README.md").read_text(encoding="utf-8")
 RULES = (PROGRAM / "eventRules.txt").read_text(encoding="utf-8")
+ROS2 = "mcap" if hasattr(rosbag2, "StoragePlugin") else "db3"
+"""Format of the bags of ROS 2: old versions of rosbags write databases only."""
+
 SECOND = 10**9
 ERROR = 2
 
@@ -106,7 +110,7 @@ def play(script: Any, path: Any, caplog: pytest.LogCaptureFixture, program: Any 
     return Run(messages, changes)
 
 
-def write(script: Any, folder: Any, case: str, faulty: bool, bag_format: str = "mcap") -> Any:
+def write(script: Any, folder: Any, case: str, faulty: bool, bag_format: str = ROS2) -> Any:
     """Write a recording of a case; return its path."""
     path = folder / ("recording.bag" if bag_format == "bag" else "recording")
     script.write_recording(path, list(script.Robot(case, faulty, 1).messages()), bag_format)
@@ -122,7 +126,7 @@ def test_program_has_no_findings() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("bag_format", ["mcap", "bag"])
+@pytest.mark.parametrize("bag_format", [ROS2, "bag"])
 @pytest.mark.parametrize("case", list(FAULTS))
 def test_fault_has_its_alarm_only(
     case: str, bag_format: str, script: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
@@ -154,7 +158,7 @@ def test_fault_has_its_alarm_only(
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("case", "bag_format"),
-    [*((case, "mcap") for case in FAULTS), ("gps_rejected", "bag"), ("gyro_sign", "db3")],
+    [*((case, ROS2) for case in FAULTS), ("gps_rejected", "bag"), ("gyro_sign", "db3")],
 )
 def test_healthy_recording_has_no_alarm(
     case: str, bag_format: str, script: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
@@ -209,6 +213,17 @@ def test_check_without_its_condition_has_wrong_alarms(
     (program / "eventRules.txt").write_text(rules, encoding="utf-8")
     alarms = play(script, write(script, tmp_path, case, faulty), caplog, program).alarms()
     assert status in alarms
+
+
+def test_failed_recording_leaves_no_file(
+    script: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    messages = list(script.Robot("backwards", True, 1).messages())[:9]
+    monkeypatch.setitem(script.TOPICS, "/tf", "std_msgs/msg/Float64")
+    messages.append(script.Message(1.0, "/tf", {"data": "text"}))
+    with pytest.raises(Exception, match=r"float|argument|convert"):
+        script.write_recording(tmp_path / "recording.bag", messages, "bag")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_existing_recording_is_not_replaced(
