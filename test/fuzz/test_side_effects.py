@@ -7,16 +7,16 @@ import pytest
 
 from fuzz import campaign as campaign_module
 from fuzz.campaign import Campaign
-from fuzz.kinds.forbidden_acts import ACTS
+from fuzz.kinds.planted_findings import ACTS
 from fuzz.known_findings import reason
 
 
 @pytest.fixture(scope="module")
 def findings() -> Dict[str, Tuple[str, str]]:
-    """The findings by the acts of ``kinds/forbidden_acts.py``."""
+    """The findings by the acts of ``kinds/planted_findings.py``."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(campaign_module, "MAX_INPUT_CPU_SECONDS", 1.5)
-        campaign = Campaign("forbidden_acts")
+        campaign = Campaign("planted_findings")
         campaign.run(len(ACTS))
     acts = list(ACTS)
     return {acts[line["number"]]: (line["category"], line["detail"]) for line in campaign.findings.values()}
@@ -62,7 +62,7 @@ def test_forbidden_act_is_a_finding(findings: Dict[str, Tuple[str, str]], act: s
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("act", "category", "frame"),
-    [("crash", "died (-6)", "forbidden_acts.py"), ("endless", "hang", "in endless")],
+    [("crash", "died (-6)", "planted_findings.py"), ("endless", "hang", "in endless")],
 )
 def test_crash_or_uninterruptible_step_is_a_finding(
     findings: Dict[str, Tuple[str, str]], act: str, category: str, frame: str
@@ -74,7 +74,7 @@ def test_crash_or_uninterruptible_step_is_a_finding(
 def test_input_file_is_replayed(tmp_path: Path) -> None:
     path = tmp_path / "input"
     path.write_text("swallowed")
-    campaign = Campaign("forbidden_acts")
+    campaign = Campaign("planted_findings")
     campaign.file(path)
     ((line),) = campaign.counted
     assert (line["category"], bytes.fromhex(line["input"])) == ("action", b"swallowed")

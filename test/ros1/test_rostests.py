@@ -18,7 +18,7 @@ ROSTEST_TIMEOUT_SECONDS = 960
 """Longer than the time limit of every test in the files, with their default arguments."""
 
 LONG_RUNS = {
-    "attacks": ["requests:=2000", "characters:=10000000"],
+    "port_attacks": ["requests:=2000", "characters:=10000000"],
     "first_outputs": ["starts:=20"],
     "latched_direct": ["orders:=all"],
     "latched_text": ["orders:=all"],

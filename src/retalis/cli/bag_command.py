@@ -41,8 +41,8 @@ from ..playback.bag_locations import (
     result_file,
 )
 from ..playback.playback import Output, Playback, RunRecorder, RunTable, make_output_record
-from ..playback.process_and_dask_pool import Unfinished, run_in_processes, run_on_cluster
 from ..playback.rosbag1 import BagWriter
+from ..playback.worker_pools import Unfinished, run_in_processes, run_on_cluster
 from ..prolog.syntax.event_text import to_text
 from ..prolog.syntax.term_reader import read_term
 from ..prolog.terms import timestamps

@@ -19,7 +19,7 @@ from ..events.knowledge.event_states import DeclaredState, OpenState
 from ..events.knowledge.subscriptions import Subscription, SubscriptionKey
 from ..events.language.pattern_tree import AggregatePattern, RatePattern, WindowPattern, walk
 from ..events.language.stream_parser import subscription_event
-from ..events.matches.match_types import AfterMatchSkipStrategy
+from ..events.matches.network_options import AfterMatchSkipStrategy
 from ..events.network.event_rule import EventRule
 from ..events.network.lineage_graph import Occurrence
 from ..foundation.cancellation import check_limits, set_limit_check

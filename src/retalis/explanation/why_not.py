@@ -46,7 +46,7 @@ from ..events.language.pattern_tree import (
     occurrences,
 )
 from ..events.language.stream_parser import rate_operator_term, step_term, window_term
-from ..events.matches.match_types import NetworkOptions
+from ..events.matches.network_options import NetworkOptions
 from ..events.network.event_rule import EventRule
 from ..events.network.goal_evaluation import Evaluators
 from ..events.network.lineage_graph import Occurrence

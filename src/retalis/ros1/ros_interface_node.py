@@ -5,7 +5,7 @@ With ``direct:=false``, or a list of topics, it converts messages to event texts
 (`TextInterfaceNode`). It then keeps the conversion and the TCP connections to publishers out of the process of the
 engine. Messages go to node ``retalis`` as texts on one topic, in the order in which they were received; outputs come
 back as texts on another. Fields that the program does not read are left out of the texts (projection pushdown,
-`internode_topics`).
+`control_topics`).
 """
 
 import threading
@@ -36,7 +36,7 @@ from ..node.topic_statistics import OutputStatus, StartupWarnings
 from ..node.transport import MessageSource
 from ..node.transport_time import Receipts
 from ..prolog.syntax.event_text import event_text
-from .internode_topics import InputTopicChanges, ProjectionReceiver, SubscriptionReceiver, announce_direct
+from .control_topics import InputTopicChanges, ProjectionReceiver, SubscriptionReceiver, announce_direct
 from .node_lifecycle import run_node
 from .rospy_transport import RospyTransport
 from .text_topics import NO_TEXT_HINT, EventTextPublisher, make_text_handler_factory
@@ -107,7 +107,7 @@ class TextInterfaceNode:
         self._direct = announce_direct(parameters.direct)
         InterfaceServices(transport, subscribed)
         ListService(transport, subscribed.statuses, reports=reports)
-        # After the services: they identify this node to node retalis as soon as it connects; see `late_joiners`.
+        # After the services: they identify this node to node retalis as soon as it connects; see `late_peer_buffer`.
         subscribed.subscribe_texts(OUTPUT, make_text_handler_factory(self._published.publish_text))
         program_status = evaluate_program(errors, [])
         StartupWarnings(transport, subscribed.statuses, [topic for topic, _ in topics.subscribed])

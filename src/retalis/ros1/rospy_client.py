@@ -14,8 +14,8 @@ from std_msgs.msg import String
 from .. import srv
 from ..cli.node_client import RunningNodes
 from ..foundation.errors import UsageError
+from .control_topics import INPUT_CHANGES_TOPIC
 from .genpy_fields import fill_message, read_fields
-from .internode_topics import INPUT_CHANGES_TOPIC
 from .master_watch import MasterWatch
 
 MASTER_TIMEOUT_SECONDS = 5.0

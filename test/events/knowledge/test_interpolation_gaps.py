@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retalis import Engine, Reports, Settings, StreamClock
-from retalis.events.knowledge.memory_gaps_and_pose_chains import MAX_NOTED_GAPS
+from retalis.events.knowledge.memory_interpolation import MAX_NOTED_GAPS
 from retalis.prolog.terms.timestamps import SECOND
 
 BETWEEN = """

@@ -4,7 +4,7 @@ import pytest
 from events.load_problems import assert_refused, warnings_of
 
 from retalis.events.language.rule_labels import WORD_PROPERTIES
-from retalis.events.matches.match_types import AfterMatchSkipStrategy, ConsumptionPolicy
+from retalis.events.matches.network_options import AfterMatchSkipStrategy, ConsumptionPolicy
 
 LABEL_ADVICE = "a label is an atom, or Label([property(Name, Value), ...])"
 

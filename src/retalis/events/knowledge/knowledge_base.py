@@ -20,7 +20,7 @@ from ..matches.watermarks import functor_of
 from ..rules.rule_base import RuleBase
 from .event_states import StateRegistry
 from .memory import UPDATED, MemoryInstance, Warn, key_of
-from .memory_gaps_and_pose_chains import MemoryGaps, TransformChains
+from .memory_interpolation import MemoryGaps, TransformChains
 from .memory_registry import (
     CREATED,
     DELETED,

@@ -33,7 +33,7 @@ from ...prolog.terms.types import CONS, NIL, Atom, Frame, Functor, String, Term,
 from ..dispatch.dispatcher import Dispatcher
 from ..language.rule_heads import SYNCHRONIZED
 from .memory import QueryEntry, Warn
-from .memory_gaps_and_pose_chains import UNLIMITED_GAP, MemoryGaps
+from .memory_interpolation import UNLIMITED_GAP, MemoryGaps
 from .transform_buffer import REPEATED, CoordinateFrame, Numbers, Transform, TransformBuffer
 
 TF: Functor = functor("tf", 2)

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Deque, Iterable, Optional, Sequence
 
 from ...serialization.state_fields import StateOwner
 from .expiration import VISITED_SLICE_ENTRIES, StartExpirationQueue, remove_stale_entries
-from .match_types import NetworkOptions, PartialMatch
+from .match_types import PartialMatch
 from .negation import RuledOutSweep
+from .network_options import NetworkOptions
 
 if TYPE_CHECKING:
     from ...prolog.machine.resource_limits import Meter

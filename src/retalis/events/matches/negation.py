@@ -22,7 +22,8 @@ from typing import TYPE_CHECKING, Callable, Deque, Dict, Hashable, List, Optiona
 from ...prolog.terms.types import Frame, Values
 from .interval_index import BEFORE, BETWEEN, MAX_VALUE, MIN_VALUE
 from .match_buffer import MatchBuffer, has_equal_key, key_function
-from .match_types import NetworkOptions, PartialMatch, unify_sides
+from .match_types import PartialMatch, unify_sides
+from .network_options import NetworkOptions
 
 if TYPE_CHECKING:
     from .match_limit import MatchStore

@@ -48,7 +48,7 @@ from ..matches.match_types import PartialMatch
 from ..matches.negation import DeferredNegations, NegationBuffer
 from .goal_evaluation import RuleGoal, Test, compile_condition_test
 from .pattern_nodes import BoundedNode, EventNode, NetworkNode
-from .shared_run_buffer import NO_ITEMS
+from .repetition_runs import NO_ITEMS
 
 if TYPE_CHECKING:
     from .event_rule import EventRule

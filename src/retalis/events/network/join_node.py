@@ -42,8 +42,9 @@ from ..matches.consumption_policy import (
 from ..matches.expiration import retention_for_late
 from ..matches.interval_index import interval_bounds
 from ..matches.match_buffer import MatchBuffer
-from ..matches.match_types import TOKEN_KEY, ComputedValues, NetworkOptions, PartialMatch, is_retracted
+from ..matches.match_types import TOKEN_KEY, ComputedValues, PartialMatch, is_retracted
 from ..matches.negation import DeferredNegations, NegationBuffer, RuledOutSweep
+from ..matches.network_options import NetworkOptions
 from .goal_evaluation import Test
 from .lineage_graph import MatchOrPair
 from .pattern_nodes import (

@@ -54,7 +54,6 @@ from ..matches.match_buffer import MatchBuffer, has_equal_key
 from ..matches.match_types import (
     ComputedValues,
     EventMatch,
-    NetworkOptions,
     PartialMatch,
     RepetitionChain,
     arrival_number_of,
@@ -62,6 +61,7 @@ from ..matches.match_types import (
     unify_sides,
     unify_values,
 )
+from ..matches.network_options import NetworkOptions
 from ..streams.aggregates import SequenceAggregate
 from .condition_placement import RepetitionItems, append_item
 from .goal_evaluation import Test
@@ -74,7 +74,7 @@ from .pattern_nodes import (
     checks_of_negations,
     computed_values_getter,
 )
-from .shared_run_buffer import NO_ITEMS, Run, identity_by_start, identity_by_start_interval
+from .repetition_runs import NO_ITEMS, Run, identity_by_start, identity_by_start_interval
 
 if TYPE_CHECKING:
     from ..matches.negation import DeferredNegations

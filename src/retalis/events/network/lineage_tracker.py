@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from .event_rule import EventRule
     from .kleene_node import KleeneNode
     from .lineage_graph import SuppressingNode
-    from .shared_run_buffer import Run
+    from .repetition_runs import Run
 
 MAX_REMEMBERED_EVENTS = 100_000
 """Maximum number of remembered events.

@@ -16,7 +16,7 @@ from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import TERM
 from ..language.pattern_tree import RuleDefinition
 from ..language.rule_heads import is_absolute_alarm
-from ..matches.match_types import NetworkOptions
+from ..matches.network_options import NetworkOptions
 from ..matches.watermarks import Watermarks
 from ..streams.stream_operators import KeyBounds
 from .goal_evaluation import ConditionState, TimedNode

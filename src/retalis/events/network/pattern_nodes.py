@@ -52,17 +52,12 @@ from ..language.pattern_tree import (
 from ..matches.consumption_policy import Emit
 from ..matches.expiration import Retention
 from ..matches.match_buffer import MatchBuffer
-from ..matches.match_types import (
-    ComputedValues,
-    IdentityWithValues,
-    NetworkOptions,
-    PartialMatch,
-    identity,
-)
+from ..matches.match_types import ComputedValues, IdentityWithValues, PartialMatch, identity
 from ..matches.negation import DeferredNegations, NegatedNode, NegationBuffer, RuledOutSweep
+from ..matches.network_options import NetworkOptions
 from .goal_evaluation import RuleGoal, Test
 from .lineage_graph import MatchOrPair
-from .shared_run_buffer import Run, RunGroup, RunGroupBuffer
+from .repetition_runs import Run, RunGroup, RunGroupBuffer
 
 if TYPE_CHECKING:
     from .event_rule import EventRule

@@ -2,7 +2,7 @@
 
 ``Q ntimes N`` means the same as ``Q seq Q seq ... seq Q``, which would need N - 1 join nodes and would move every
 open sequence from one buffer to the next with each repetition. In the usual case each repetition extends *all* open
-sequences, so `RepeatNode` keeps them in a `RunGroup` (see `shared_run_buffer`), and a repetition costs the same for
+sequences, so `RepeatNode` keeps them in a `RunGroup` (see `repetition_runs`), and a repetition costs the same for
 any N.
 
 A sequence leaves its group and is stored separately, by number of repetitions, if it cannot be extended by the same
@@ -40,11 +40,12 @@ from ..language.pattern_tree import SEQ
 from ..matches.consumption_policy import Emit, emit_each, metered
 from ..matches.interval_index import interval_bounds
 from ..matches.match_buffer import MatchBuffer, key_function
-from ..matches.match_types import NetworkOptions, PartialMatch, identity
+from ..matches.match_types import PartialMatch, identity
+from ..matches.network_options import NetworkOptions
 from .join_node import JoinNode
 from .lineage_graph import lineage_nodes_of
 from .pattern_nodes import IdentityFunction, MatchCheck, NetworkNode, OperandBuffer, accepts_none
-from .shared_run_buffer import (
+from .repetition_runs import (
     BufferSlice,
     RunCursor,
     RunGroup,

@@ -37,7 +37,8 @@ from ..language.pattern_tree import (
 from ..language.stream_parser import split_condition
 from ..matches.expiration import UNLIMITED, Retention
 from ..matches.match_buffer import key_function
-from ..matches.match_types import NetworkOptions, PartialMatch, unify_sides
+from ..matches.match_types import PartialMatch, unify_sides
+from ..matches.network_options import NetworkOptions
 from ..streams.absence_timeout import AbsenceTimeout, Correlation
 from ..streams.aggregates import AGGREGATES
 from ..streams.rate_operators import RATE_OPERATORS

@@ -65,12 +65,12 @@ from ..matches.match_types import (
     NO_REPETITIONS,
     ComputedValues,
     EventMatch,
-    NetworkOptions,
     PartialMatch,
     RepetitionChain,
     arrival_number_of,
     is_retracted,
 )
+from ..matches.network_options import NetworkOptions
 from ..matches.watermarks import PatternWatermark, functors_of
 from ..streams.row_pattern import MAX_STATES_PER_START
 from ..streams.stream_operators import ELEMENT, KeyBounds, StreamElement, StreamOperator, StreamOutput

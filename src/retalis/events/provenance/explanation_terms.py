@@ -49,7 +49,7 @@ from ..matches.match_types import ComputedValues, PartialMatch, RepetitionChain
 from ..network.event_rule import EventRule
 from ..network.lineage_graph import Occurrence
 from ..network.lineage_tracker import LineageTracker
-from ..network.shared_run_buffer import repetitions
+from ..network.repetition_runs import repetitions
 
 _EVENT = functor("event", 2)
 _CLAUSE_BODY = functor("clause_body", 2)

@@ -24,7 +24,7 @@ from ..language.event_declarations import STRICTLY, UNDECLARED, DeclaredEvents
 from ..language.pattern_tree import RuleDefinition
 from ..language.rule_heads import has_timeout
 from ..language.rule_labels import WATERMARK_DELAY, Property
-from ..matches.match_types import options_with_property
+from ..matches.network_options import options_with_property
 from ..matches.watermarks import delay_setting
 from ..network.event_rule import EventRule
 from ..network.network_context import NetworkContext

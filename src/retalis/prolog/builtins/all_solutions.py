@@ -31,8 +31,8 @@ from ..terms.types import (
 from ..terms.unification import unify
 from .argument_checks import is_iso, natural, partial_items
 from .builtin_registry import control
-from .comparison_and_arithmetic import is_variant
 from .list_predicates import sort_by, sort_unique
+from .term_tests_and_arithmetic import is_variant
 
 _HAT = functor("^", 2)
 _MAX, _MIN = EVALUABLE[functor("max", 2)], EVALUABLE[functor("min", 2)]

@@ -15,9 +15,15 @@ from ...foundation.errors import Place
 from ..compiler.body_code import BodyGenerator
 from ..compiler.clause_nodes import BodyParser, CallNode, GoalNode, Height, needed_by
 from ..compiler.code_scope import ClauseVariables, CompilationUnit, Scope
-from ..compiler.function_code import body_cost, calls_in, function_parser, give_up, mark_first_solution_calls
 from ..compiler.inline_goals import write_sequence
 from ..compiler.predicate_code import title_of
+from ..compiler.predicate_functions import (
+    body_cost,
+    calls_in,
+    function_parser,
+    give_up,
+    mark_first_solution_calls,
+)
 from ..machine.errors import PrologError, from_python
 from ..machine.machine import BAIL, Code, OutputCollector
 from ..machine.resource_limits import LimitError

@@ -31,7 +31,7 @@ from .clause_index import (
 )
 
 if TYPE_CHECKING:
-    from ..compiler.function_code import FunctionCode
+    from ..compiler.predicate_functions import FunctionCode
     from .predicate_table import Database
 
 NEVER_COMPILE = 1 << 62

@@ -13,7 +13,7 @@ from source import ROOT
 from worker_tasks import run_task, run_task_in_folder
 
 from retalis import UsageError
-from retalis.playback.process_and_dask_pool import (
+from retalis.playback.worker_pools import (
     MAX_WORKER_DEATHS,
     Unfinished,
     run_in_processes,
@@ -56,7 +56,7 @@ def test_workers_end_with_killed_parent() -> None:
     script = (
         "import os, signal\n"
         "from worker_tasks import run_task\n"
-        "from retalis.playback.process_and_dask_pool import run_in_processes\n"
+        "from retalis.playback.worker_pools import run_in_processes\n"
         "if __name__ == '__main__':\n"
         "    for number, process in run_in_processes(run_task, ['pid'] * 2, 1, '', print):\n"
         "        os.kill(os.getpid(), signal.SIGKILL)\n"
@@ -94,7 +94,7 @@ def test_cluster_retries_task_of_lost_worker(cluster: Any, tmp_path: Path) -> No
 
 
 def test_unreachable_scheduler_is_an_error(monkeypatch: pytest.MonkeyPatch, distributed: Any) -> None:
-    monkeypatch.setattr("retalis.playback.process_and_dask_pool._CONNECT_TIMEOUT_SECONDS", 0.2)
+    monkeypatch.setattr("retalis.playback.worker_pools._CONNECT_TIMEOUT_SECONDS", 0.2)
     with pytest.raises(UsageError, match="--scheduler tcp://127.0.0.1:1: no scheduler answers: "):
         list(run_on_cluster(run_task, ["pid"], "tcp://127.0.0.1:1"))
     with pytest.raises(UsageError, match="--scheduler nonsense://: no scheduler answers: "):

@@ -6,7 +6,7 @@ import pytest
 
 from retalis import atom
 from retalis.events.matches.match_types import PartialMatch
-from retalis.events.network.shared_run_buffer import BufferSlice, SharedLog, repetitions
+from retalis.events.network.repetition_runs import BufferSlice, SharedLog, repetitions
 
 
 def events(names: str) -> List[Any]:

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Attacks on the ports of running nodes from the loopback address: malformed XML-RPC requests, large service calls.
 
-rostest retalis attacks.test requests:=20000 seed:=2 characters:=10000000
+rostest retalis port_attacks.test requests:=20000 seed:=2 characters:=10000000
 """
 
 import random

@@ -12,7 +12,7 @@ rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 from retalis import MessageError, UsageError, functor  # noqa: E402
 from retalis.engine.event_input import TopicRequest  # noqa: E402
 from retalis.engine.runtime.problem_reports import Reports  # noqa: E402
-from retalis.ros1.internode_topics import (  # noqa: E402
+from retalis.ros1.control_topics import (  # noqa: E402
     MAX_CONTROL_CHARACTERS,
     InputTopicChangesReceiver,
     ProjectionReceiver,
