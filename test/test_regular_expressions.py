@@ -133,7 +133,7 @@ CASES: Dict[str, Case] = {
     "\0([(,\\[|] *)\0": Case(
         "search", "the blanks behind a comma once more", ("", "\0,"), (" ", "\0", "\0,", "\0, ")
     ),
-    # foundation/ros_names.py
+    # foundation/ros_name_checks.py
     r"([^/]+)/(?:msg|srv|action)/([^/]+)": Case(
         "match", "each part once", ("", "a/", "a/msg/"), ("a", "/", "a/msg/", "/msg", "msg")
     ),

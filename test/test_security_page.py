@@ -15,7 +15,7 @@ from retalis.events.knowledge import event_states
 from retalis.events.language import state_parser
 from retalis.events.program import topic_configuration
 from retalis.events.rules import timer_service
-from retalis.foundation import errors, ros_names
+from retalis.foundation import errors, ros_name_checks
 from retalis.foundation.errors import MAX_MESSAGE_CHARACTERS, MAX_SHOWN_CHARACTERS
 from retalis.messages import type_definition, type_registry
 from retalis.prolog.builtins import text_arguments, text_streams
@@ -41,7 +41,7 @@ def millions(number: Any) -> str:
 
 STATES = f"{event_states.MAX_STATES:,} declarations; of each {state_parser.DEFAULT_MAX_OPEN:,} open and {state_parser.DEFAULT_MAX_PAST:,} past ones"
 FIXED_LIMITS = {
-    "names of packages, types, slots": f"beginning with a letter; {ros_names.MAX_NAME_CHARACTERS} characters",
+    "names of packages, types, slots": f"beginning with a letter; {ros_name_checks.MAX_NAME_CHARACTERS} characters",
     "text of an event": f"{millions(MAX_EVENT_TEXT_CHARACTERS)} characters",
     "type definitions that publishers send": (
         f"{type_registry.MAX_ADDED_TYPES:,} types, {millions(type_registry.MAX_ADDED_CHARACTERS)} characters in all; each "

@@ -8,7 +8,7 @@ from typing import Any, Callable, Dict, List
 
 from retalis import UsageError
 from retalis.events.knowledge.transform_buffer import TransformBuffer
-from retalis.foundation.ros_names import topic_fault
+from retalis.foundation.ros_name_checks import topic_fault
 from retalis.messages.type_definition import SerializationFormat
 from retalis.messages.type_registry import InstalledTypes
 from retalis.node.transport import MessageSource, NodeGraph

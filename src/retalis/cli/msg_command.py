@@ -7,7 +7,7 @@ from typing import Callable, Dict, List, Tuple
 
 from ..foundation.errors import MessageError, UsageError, printable
 from ..foundation.output_files import print_json
-from ..foundation.ros_names import ros1_type_name, type_fault
+from ..foundation.ros_name_checks import ros1_type_name, type_fault
 from ..messages.message_templates import format_positional, format_with_names, format_with_zeros
 from ..messages.type_definition import Definition
 from ..messages.type_registry import Definitions

@@ -25,7 +25,7 @@ from ..events.knowledge.knowledge_base import DELETE_MEMORY, MEMORIZE, SUBSCRIBE
 from ..events.program.topic_configuration import Topics, TopicType
 from ..foundation.errors import RetalisError, UsageError, format_count
 from ..foundation.garbage_collection import count_records_of
-from ..foundation.ros_names import strip_slashes
+from ..foundation.ros_name_checks import strip_slashes
 from ..messages.transform_messages import TransformMessage
 from ..messages.type_registry import Definitions
 from ..prolog.syntax.operators import Operators

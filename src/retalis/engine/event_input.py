@@ -24,7 +24,7 @@ from ..events.rules.event_input_predicates import InputReader
 from ..events.rules.rule_base import RuleBase
 from ..foundation.errors import RetalisError, UsageError, shorten
 from ..foundation.interrupts import PENDING, is_interrupted
-from ..foundation.ros_names import ros1_type_name, strip_slashes, topic_fault, type_fault
+from ..foundation.ros_name_checks import ros1_type_name, strip_slashes, topic_fault, type_fault
 from ..messages.message_slots import SlotNames
 from ..messages.transform_messages import TransformMessage
 from ..prolog.machine.errors import Halt, domain_error, instantiation_error, permission_error, resource_error

@@ -36,7 +36,7 @@ from ..foundation.errors import (
     UndefinedPredicate,
     UnknownMessage,
 )
-from ..foundation.ros_names import strip_slashes
+from ..foundation.ros_name_checks import strip_slashes
 from ..messages.type_registry import Definitions
 from ..prolog.terms.types import CompoundTerm, Functor, Term
 from .engine import Engine

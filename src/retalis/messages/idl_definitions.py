@@ -35,7 +35,7 @@ from typing import (
 )
 
 from ..foundation.errors import MessageError, Place, install_hint, place_at_offset, quote_shortened, shorten
-from ..foundation.ros_names import ros1_type_name
+from ..foundation.ros_name_checks import ros1_type_name
 
 _GRAMMAR = r"""
 start: definition*

@@ -19,7 +19,7 @@ from collections import deque
 from typing import Callable, Deque, Dict, List, NamedTuple, Optional, Set
 
 from ..foundation.errors import MessageError, place_at_offset, quote_shortened, shorten
-from ..foundation.ros_names import name_fault, ros1_type_name
+from ..foundation.ros_name_checks import name_fault, ros1_type_name
 from .idl_definitions import convert_idl
 from .type_definition import (
     EXPECTED_CONSTANT_TYPE,

@@ -51,7 +51,7 @@ from ..foundation.errors import (
     quote_shortened,
     shorten,
 )
-from ..foundation.ros_names import name_fault, ros1_type_name, type_fault
+from ..foundation.ros_name_checks import name_fault, ros1_type_name, type_fault
 
 log = logging.getLogger("retalis")
 

@@ -30,7 +30,7 @@ from typing import (
 
 from ..foundation.bounded_caches import Cache
 from ..foundation.errors import MessageError, shorten
-from ..foundation.ros_names import ros1_type_name, type_fault
+from ..foundation.ros_name_checks import ros1_type_name, type_fault
 from .cdr_decoder import CdrDecoder
 from .cdr_encoder import CdrEncoder
 from .decoder import Decoder

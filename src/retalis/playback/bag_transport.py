@@ -8,7 +8,7 @@ bag that is played, and whoever plays the bag calls `MessageReceiver.convert` fo
 from typing import Dict, Iterable, List, NamedTuple, Set, Tuple
 
 from ..events.clock.clock import StreamClock
-from ..foundation.ros_names import strip_slashes
+from ..foundation.ros_name_checks import strip_slashes
 from ..messages.type_definition import Definition, SerializationFormat
 from ..node.transport import Connect, MessageReceiver, MessageSource
 from .bag_locations import Bag

@@ -62,7 +62,7 @@ from ..foundation.errors import (
     quote_shortened,
 )
 from ..foundation.interrupts import check_interrupt, interruptible
-from ..foundation.ros_names import ros1_type_name, topic_fault, type_fault
+from ..foundation.ros_name_checks import ros1_type_name, topic_fault, type_fault
 from ..messages.transform_messages import TRANSFORM_TOPICS
 from ..messages.type_definition import Definition
 from ..messages.type_registry import Definitions

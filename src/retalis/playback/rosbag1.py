@@ -45,7 +45,7 @@ from typing import (
 from ..foundation.errors import RetalisError
 from ..foundation.interrupts import check_interrupt
 from ..foundation.output_files import replace_file
-from ..foundation.ros_names import strip_slashes
+from ..foundation.ros_name_checks import strip_slashes
 from ..messages.type_definition import Definition, SerializationFormat
 from .decompression import MAX_CHUNK_MEGABYTES, ChunkLimit, describe_error, unpack
 

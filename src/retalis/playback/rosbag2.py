@@ -23,7 +23,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Callable, Collection, Dict, Iterator, List, Optional, Tuple, Union
 
 from ..foundation.errors import MessageError, format_count, quote_shortened, shorten
-from ..foundation.ros_names import ros1_type_name, strip_slashes, topic_fault
+from ..foundation.ros_name_checks import ros1_type_name, strip_slashes, topic_fault
 from ..messages.ros2_definitions import parse_ros2_type
 from ..messages.type_definition import Definition, SerializationFormat
 from ..messages.type_registry import Definitions, InstalledTypes

@@ -7,7 +7,7 @@ import rosgraph
 import rospy
 
 from ..foundation.errors import UsageError
-from ..foundation.ros_names import topic_fault
+from ..foundation.ros_name_checks import topic_fault
 
 MASTER_ERRORS = (OSError, Error, HTTPException, rosgraph.MasterException, rosgraph.MasterError)
 """Errors of a call of the master that does not answer, or not as expected."""

@@ -17,7 +17,7 @@ from ...foundation.errors import (
     printable,
     shorten,
 )
-from ...foundation.ros_names import strip_slashes
+from ...foundation.ros_name_checks import strip_slashes
 from ...foundation.similar_names import closest_name, did_you_mean
 from ...messages.encoder import find_fault
 from ...messages.type_definition import Definition, Field, type_name

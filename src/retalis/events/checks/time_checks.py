@@ -11,7 +11,7 @@ from itertools import combinations_with_replacement
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 
 from ...foundation.errors import Place, RuleError
-from ...foundation.ros_names import strip_slashes
+from ...foundation.ros_name_checks import strip_slashes
 from ...messages.type_definition import functor_name
 from ...prolog.terms.term_traversal import copy, term_key, variables
 from ...prolog.terms.types import Atom, Functor, Term, Trail, Var, atom, deref, functor

@@ -27,7 +27,7 @@ from typing import (
 )
 
 from ...foundation.errors import Place, RuleError, UsageError, format_count
-from ...foundation.ros_names import name_fault
+from ...foundation.ros_name_checks import name_fault
 from ...foundation.similar_names import closest_name, did_you_mean
 from ...messages.type_definition import Field, type_name
 from ...prolog.database.clause_index import Clause

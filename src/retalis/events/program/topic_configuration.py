@@ -24,7 +24,7 @@ from ...foundation.errors import (
     shorten,
     suggest_file,
 )
-from ...foundation.ros_names import ros1_type_name, topic_fault, type_fault
+from ...foundation.ros_name_checks import ros1_type_name, topic_fault, type_fault
 from ..language.event_declarations import event_name_error
 
 GOALS = "goalPredicates.txt"

@@ -3,7 +3,7 @@
 import pytest
 from checked_access import required
 
-from retalis.foundation.ros_names import name_fault, ros1_type_name, topic_fault, type_fault
+from retalis.foundation.ros_name_checks import name_fault, ros1_type_name, topic_fault, type_fault
 
 INVALID_NAMES = ["x²", "ﬁle", "x\0", "\ud800", "x y", "x\n", "1x", "", "a:b", "\u212a", "x" * 256, "x;y", "é"]
 
