@@ -49,10 +49,8 @@ def run(*command: Any, cwd: Path) -> str:
     return process.stdout
 
 
-@pytest.fixture(scope="module")
-def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a built workspace of colcon."""
-    workspace = tmp_path_factory.mktemp("colcon")
+def build_workspace(workspace: Path) -> None:
+    """Build a clean copy of the sources in a workspace of colcon."""
     package = workspace / "src" / "retalis"
     package.mkdir(parents=True)
     for name in SOURCES:
@@ -68,7 +66,6 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copy(ROOT / name, package / name)
     options = ("--cmake-args", "-GNinja", f"-DPython3_EXECUTABLE={sys.executable}")
     run("colcon", "build", "--event-handlers", "console_direct+", *options, cwd=workspace)
-    return workspace
 
 
 def run_in_installation(workspace: Path, *command: Any) -> str:
@@ -76,13 +73,13 @@ def run_in_installation(workspace: Path, *command: Any) -> str:
     return run("bash", "-c", script, "bash", *command, cwd=workspace)
 
 
-def test_installed_program_starts(workspace: Path) -> None:
+def check_that_program_starts(workspace: Path) -> None:
     program = workspace / "install" / "retalis" / "lib" / "retalis" / "retalis"
     assert run_in_installation(workspace, program, "--help").startswith("usage: retalis")
     assert run_in_installation(workspace, "retalis", "help", "debounce").strip()
 
 
-def test_modules_and_generated_classes_are_merged(workspace: Path) -> None:
+def check_that_generated_classes_are_merged(workspace: Path) -> None:
     program = """
 import retalis
 from retalis.msg import AwaitedMemory
@@ -96,14 +93,14 @@ print(retalis.__path__[0], retalis.Engine.__name__, AwaitedMemory().instant.sec)
     assert rest == ["Engine", "0"]
 
 
-def test_times_have_types_of_ros2(workspace: Path) -> None:
+def check_types_of_times(workspace: Path) -> None:
     definition = (workspace / "install/retalis/share/retalis/msg/AwaitedMemory.msg").read_text()
     assert "builtin_interfaces/Time instant\n" in definition
     assert "builtin_interfaces/Duration behind\n" in definition
     assert "# Time that the memory has to reach\n" in definition
 
 
-def test_package_is_in_index_of_ament(workspace: Path) -> None:
+def check_index_of_ament(workspace: Path) -> None:
     program = (
         "from ament_index_python import get_package_share_directory as f, get_resource as r\n"
         "print(f('retalis'))\nprint(r('rosidl_interfaces', 'retalis')[0])"
@@ -113,3 +110,12 @@ def test_package_is_in_index_of_ament(workspace: Path) -> None:
     for name in ("application_source/pub_sub.xml", "examples/nao/make_bag.py", "docs/how-to/debounce.md"):
         assert Path(share, name).is_file()
     assert not list(Path(share).rglob("*.launch"))
+
+
+def test_clean_copy_is_built_and_installed(tmp_path: Path) -> None:
+    # One test, because parallel processes would each build the workspace.
+    build_workspace(tmp_path)
+    check_that_program_starts(tmp_path)
+    check_that_generated_classes_are_merged(tmp_path)
+    check_types_of_times(tmp_path)
+    check_index_of_ament(tmp_path)
