@@ -265,16 +265,6 @@ def test_status_continues_after_error(
     assert json.loads(texts.out)["node"] == "/retalis"
 
 
-@pytest.fixture
-def signal_handlers() -> Iterator[None]:
-    """Restore the signal handlers that ``watch`` installs."""
-    numbers = (signal.SIGTERM, signal.SIGHUP)
-    handlers = [signal.getsignal(number) for number in numbers]
-    yield
-    for number, handler in zip(numbers, handlers):
-        signal.signal(number, handler)
-
-
 def watch_after(network: Any, *events: str) -> Callable[[str], None]:
     """Return a function that publishes events when a subscription has been added."""
 
@@ -289,9 +279,7 @@ def subscriptions_of(network: Any) -> List[str]:
     return [item["topic"] for item in network.call("/retalis/list", most=0)["subscriptions"]]
 
 
-def test_events_are_watched(
-    signal_handlers: None, node: Any, network: Any, connect: Any, output: Any
-) -> None:
+def test_events_are_watched(node: Any, network: Any, connect: Any, output: Any) -> None:
     client = connect(after_call=watch_after(network, "fever_('A b')", "other", "fever_(2)"))
     assert (
         output("watch", "--event", "fever_(_)", "--count", "2") == "event: fever_('A b')\nevent: fever_(2)\n"
@@ -300,9 +288,7 @@ def test_events_are_watched(
     assert client.started_nodes == ["retalis_watch"]
 
 
-def test_inputs_and_outputs_are_watched(
-    signal_handlers: None, node: Any, network: Any, connect: Any, output: Any
-) -> None:
+def test_inputs_and_outputs_are_watched(node: Any, network: Any, connect: Any, output: Any) -> None:
     connect(after_call=watch_after(network, "std_msgs__0__String(hot)"))
     lines = output("watch", "--event", "none", "--inputs", "--count", "2", "--json").splitlines()
     assert sorted((json.loads(line) for line in lines), key=lambda line: line["kind"]) == [
@@ -311,9 +297,7 @@ def test_inputs_and_outputs_are_watched(
     ]
 
 
-def test_outputs_of_other_watchers_are_ignored(
-    signal_handlers: None, node: Any, network: Any, connect: Any, output: Any
-) -> None:
+def test_outputs_of_other_watchers_are_ignored(node: Any, network: Any, connect: Any, output: Any) -> None:
     other = {"conditions": "", "format": "_", "topic": "retalis_watch_0", "id": "0"}
     network.call("/add_output_subscription", event="x", **other)
     connect(after_call=watch_after(network, "x", "y"))
@@ -321,7 +305,7 @@ def test_outputs_of_other_watchers_are_ignored(
 
 
 def test_interrupted_watch_deletes_subscriptions(
-    signal_handlers: None, node: Any, network: Any, connect: Any, monkeypatch: pytest.MonkeyPatch
+    node: Any, network: Any, connect: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupt(service: str) -> None:
         if service == "/add_output_subscription":
@@ -333,11 +317,30 @@ def test_interrupted_watch_deletes_subscriptions(
     assert subscriptions_of(network) == ["alarm"]
 
 
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_ended_watch_deletes_subscriptions(
+    node: Any, network: Any, connect: Any, monkeypatch: pytest.MonkeyPatch, number: Any
+) -> None:
+    monkeypatch.setattr(
+        node_client_commands, "_print_received", lambda *arguments: signal.raise_signal(number)
+    )
+    connect()
+    # Under nohup, SIGHUP is ignored.
+    previous_handler = signal.signal(number, signal.SIG_DFL)
+    try:
+        with pytest.raises(SystemExit) as raised:
+            main(["watch", "--event", "fever_(_)"])
+    finally:
+        signal.signal(number, previous_handler)
+    assert raised.value.code == 128 + number
+    assert subscriptions_of(network) == ["alarm"]
+
+
 def raise_interrupt(*arguments: Any) -> None:
     raise KeyboardInterrupt
 
 
-def test_refused_pattern_is_an_error(signal_handlers: None, client: MemoryClient, error: Any) -> None:
+def test_refused_pattern_is_an_error(client: MemoryClient, error: Any) -> None:
     assert "column" in error("watch", "--event", "f(")
 
 

@@ -245,33 +245,53 @@ def _watch_node(
     if options.inputs:
         input_topic = output_topic[: -len(OUTPUT)] + INPUT
         connection.subscribe(input_topic, lambda text: received.put(("input", text)))
-    # The subscriptions exist in the node, so they must be deleted however this process ends. Under nohup, SIGHUP is
-    # ignored and must stay so.
-    for signal_number in (signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(signal_number) is not signal.SIG_IGN:
-            signal.signal(signal_number, _raise_system_exit)
     subscription_ids = []
+    # The subscriptions exist in the node, so they must be deleted however this process ends.
+    with _exit_by_exception():
+        try:
+            for index, pattern in enumerate(options.event):
+                # A subscription whose format is a variable sends the event itself.
+                fields = {
+                    "event": pattern,
+                    "conditions": "",
+                    "format": "_",
+                    "topic": own_topic,
+                    "id": str(index),
+                }
+                require_ok(
+                    node.call_relative_service("add_output_subscription", "AddOutputSubscription", **fields)
+                )
+                subscription_ids.append(str(index))
+            _print_received(received, own_topic, options, output)
+        finally:
+            for subscription_id in subscription_ids:
+                node.call_relative_service(
+                    "delete_output_subscription",
+                    "DeleteOutputSubscription",
+                    topic=own_topic,
+                    id=subscription_id,
+                )
+
+
+@contextmanager
+def _exit_by_exception() -> Iterator[None]:
+    """Raise SystemExit after the signals that end a process.
+
+    Under nohup, SIGHUP is ignored and must stay so.
+    """
+    handlers = {
+        number: signal.signal(number, _raise_system_exit)
+        for number in (signal.SIGTERM, signal.SIGHUP)
+        if signal.getsignal(number) is not signal.SIG_IGN
+    }
     try:
-        for index, pattern in enumerate(options.event):
-            # A subscription whose format is a variable sends the event itself.
-            fields = {"event": pattern, "conditions": "", "format": "_", "topic": own_topic, "id": str(index)}
-            require_ok(
-                node.call_relative_service("add_output_subscription", "AddOutputSubscription", **fields)
-            )
-            subscription_ids.append(str(index))
-        _print_received(received, own_topic, options, output)
+        yield
     finally:
-        for subscription_id in subscription_ids:
-            node.call_relative_service(
-                "delete_output_subscription",
-                "DeleteOutputSubscription",
-                topic=own_topic,
-                id=subscription_id,
-            )
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
 
 
 def _raise_system_exit(signal_number: int, frame: Any) -> None:
-    """Exit after a signal, so that the subscriptions are deleted."""
     raise SystemExit(128 + signal_number)
 
 
