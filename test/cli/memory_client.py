@@ -20,11 +20,13 @@ class MemoryClient:
         network: a `MemoryNetwork`.
         namespace: namespace of the shell.
         interfaces: names of the interface nodes of a node.
+        scope: end of errors about missing nodes.
         after_call: called with the name of each service after it was called.
 
     Attributes:
         started_nodes: names of the started nodes.
         requested_names: arguments of `find_nodes`.
+        response_limits: time limits of the calls.
         is_ended: whether the connection has ended.
     """
 
@@ -33,9 +35,11 @@ class MemoryClient:
         network: Any,
         namespace: str = "/",
         interfaces: Any = None,
+        scope: str = "",
         after_call: Callable[[str], object] = lambda service: None,
     ) -> None:
-        self.namespace = namespace
+        self.namespace, self.scope = namespace, scope
+        self.response_limits: List[float] = []
         self.started_nodes: List[str] = []
         self.requested_names: List[Optional[str]] = []
         self.is_ended = False
@@ -51,7 +55,8 @@ class MemoryClient:
         graph = MemoryTransport(self._network).graph()
         return RunningNodes(graph.servers, graph.publishers, self._interfaces)
 
-    def call(self, service: str, service_type: str, fields: Mapping[str, Any]) -> Any:
+    def call(self, service: str, service_type: str, fields: Mapping[str, Any], max_seconds: float) -> Any:
+        self.response_limits.append(max_seconds)
         request_fields, response_fields = read_service_fields(service_type)
         request = {name: _default(field_type) for name, field_type in request_fields.items()}
         assert set(fields) <= set(request)

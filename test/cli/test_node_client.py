@@ -123,6 +123,24 @@ def test_published_topics_and_interfaces_are_of_node(network: Any) -> None:
     assert client.published_topics == []
 
 
+def test_scope_is_part_of_errors(network: Any) -> None:
+    with pytest.raises(UsageError, match="^no node retalis runs in domain 5$"):
+        NodeClient(MemoryClient(network, scope=" in domain 5"))
+    with pytest.raises(UsageError, match="^there is no node /a; no node retalis runs in domain 5$"):
+        NodeClient(MemoryClient(network, scope=" in domain 5"), "a")
+
+
+def test_time_limit_includes_times_of_request(network: Any) -> None:
+    start_engine(network, "/retalis")
+    offer(network, "/retalis", "~query")
+    connection = MemoryClient(network)
+    client = NodeClient(connection)
+    client.call("reload", "Reload")
+    MemoryTransport(network).offer_service("~query", "Query", lambda request: {"result": "ok"})
+    client.call("query", "Query", goal="a", seconds=5.0, timeout=0.5)
+    assert connection.response_limits == [60.0, 65.5]
+
+
 def test_engine_nodes_are_sorted() -> None:
     services = {"/x/add_memory": {"/b"}, "/add_memory": {"/a"}, "/add_input_subscription": {"/0"}}
     assert find_engine_nodes(services) == ["/a", "/b"]

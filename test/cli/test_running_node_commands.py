@@ -10,9 +10,10 @@ from retalis.cli.command_line import main
 
 @pytest.fixture
 def no_ros(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("rospy", "rosgraph", "genpy"):
+    monkeypatch.delenv("ROS_VERSION", raising=False)
+    for name in ("rospy", "rosgraph", "genpy", "rclpy"):
         monkeypatch.setitem(sys.modules, name, None)
-    for name in [name for name in sys.modules if name.startswith("retalis.ros1.")]:
+    for name in [name for name in sys.modules if name.startswith(("retalis.ros1.", "retalis.ros2."))]:
         monkeypatch.delitem(sys.modules, name)
 
 

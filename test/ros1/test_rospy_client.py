@@ -44,4 +44,4 @@ def test_missing_service_does_not_answer(monkeypatch: pytest.MonkeyPatch) -> Non
 
     monkeypatch.setattr(rospy.ServiceProxy, "__call__", call)
     with pytest.raises(UsageError, match="^service /retalis/list does not answer: no such service$"):
-        RospyClient().call("/retalis/list", "List", {"most": 5})
+        RospyClient().call("/retalis/list", "List", {"most": 5}, 60.0)

@@ -36,6 +36,9 @@ TIME_FIELDS = frozenset(("instant", "last_fired", "newest", "now", "oldest", "si
 DURATION_FIELDS = frozenset(("age", "behind", "lag", "work_time"))
 """Fields of responses that are durations in nanoseconds; `NO_DURATION` if absent."""
 
+MAX_RESPONSE_SECONDS = 60.0
+"""Seconds after which a service counts as silent, in addition to the times that its request states."""
+
 _SECOND = 10**9
 
 
@@ -58,9 +61,11 @@ class ClientConnection(Protocol):
 
     Attributes:
         namespace: namespace of this shell, with a slash at its end.
+        scope: where nodes are searched, as the end of an error; may be empty.
     """
 
     namespace: str
+    scope: str
 
     def resolve_node(self, name: str) -> str:
         """Return the full name of a node, which may be relative to the namespace."""
@@ -76,13 +81,15 @@ class ClientConnection(Protocol):
             UsageError: if the middleware does not answer.
         """
 
-    def call(self, service: str, service_type: str, fields: Mapping[str, Any]) -> Any:
+    def call(self, service: str, service_type: str, fields: Mapping[str, Any], max_seconds: float) -> Any:
         """Call a service of package ``retalis``.
 
         Args:
             service: full name of the service.
             service_type: name of its type, such as ``List`` for ``srv/List.srv``.
             fields: plain values of the request; missing fields are zero or empty, times are in nanoseconds.
+            max_seconds: time limit for the response. A middleware with connections ignores it: they show whether the
+                node still exists.
 
         Returns:
             An object with the fields of the response, in their order, in ``__dict__``. Nested messages are such
@@ -155,10 +162,11 @@ class NodeClient:
         self._services = nodes.services
         engine_nodes = find_engine_nodes(self._services)
         if full_name is None:
-            self.name = _select_only_node(engine_nodes, connection.namespace)
+            self.name = _select_only_node(engine_nodes, connection)
         else:
             self.name = full_name
-            _check_node(full_name, find_engine_nodes(self._services, include_interfaces), self._services)
+            named_nodes = find_engine_nodes(self._services, include_interfaces)
+            _check_node(full_name, named_nodes, self._services, connection.scope)
         self.has_engine = self.name in engine_nodes
         self._reported_errors: Set[str] = set()
         # They send the subscriptions that their services add.
@@ -189,7 +197,7 @@ class NodeClient:
             raise UsageError(
                 f"node {self.name} has no service ~{service}: it is a ROS interface, or of an older version"
             )
-        return self._connection.call(name, service_type, fields)
+        return self._call(name, service_type, fields)
 
     def call_relative_service(self, service: str, service_type: str, **fields: Any) -> Any:
         """Call a service of the node that is not private; see `call`.
@@ -199,11 +207,15 @@ class NodeClient:
         """
         for name, nodes in self._services.items():
             if name.endswith(f"/{service}") and self.name in nodes:
-                return self._connection.call(name, service_type, fields)
+                return self._call(name, service_type, fields)
         raise UsageError(f"node {self.name} has no service {service}")
 
+    def _call(self, name: str, service_type: str, fields: Mapping[str, Any]) -> Any:
+        max_seconds = MAX_RESPONSE_SECONDS + fields.get("seconds", 0.0) + fields.get("timeout", 0.0)
+        return self._connection.call(name, service_type, fields, max_seconds)
 
-def _check_node(name: str, nodes: List[str], services: Container[str]) -> None:
+
+def _check_node(name: str, nodes: List[str], services: Container[str], scope: str) -> None:
     """Check that a node of this package has a name.
 
     Raises:
@@ -211,29 +223,31 @@ def _check_node(name: str, nodes: List[str], services: Container[str]) -> None:
     """
     if name not in nodes and f"{name}/list" not in services:
         # Each node of this package offers `list`, an interface node, too.
-        raise UsageError(f"there is no node {name}; {_name_running_nodes(nodes)}")
+        raise UsageError(f"there is no node {name}; {_name_running_nodes(nodes, scope)}")
 
 
-def _select_only_node(nodes: List[str], namespace: str) -> str:
-    """Return the only node in a namespace.
+def _select_only_node(nodes: List[str], connection: ClientConnection) -> str:
+    """Return the only node in the namespace of a connection.
 
     Raises:
         UsageError: if there are none or several.
     """
+    namespace, scope = connection.namespace, connection.scope
     in_namespace = [name for name in nodes if name.startswith(namespace)]
     if len(in_namespace) == 1:
         return in_namespace[0]
     if in_namespace:
-        raise UsageError(f"which node? {_name_running_nodes(in_namespace)}; choose one by --node")
+        raise UsageError(f"which node? {_name_running_nodes(in_namespace, scope)}; choose one by --node")
     if nodes:
         raise UsageError(
-            f"no node retalis runs in namespace {namespace[:-1]} (ROS_NAMESPACE); {_name_running_nodes(nodes)}"
+            f"no node retalis runs in namespace {namespace[:-1]} (ROS_NAMESPACE); "
+            f"{_name_running_nodes(nodes, scope)}"
         )
-    raise UsageError(_name_running_nodes(nodes))
+    raise UsageError(_name_running_nodes(nodes, scope))
 
 
-def _name_running_nodes(nodes: List[str]) -> str:
-    return f"those that run are {', '.join(nodes)}" if nodes else "no node retalis runs"
+def _name_running_nodes(nodes: List[str], scope: str) -> str:
+    return f"those that run are {', '.join(nodes)}" if nodes else f"no node retalis runs{scope}"
 
 
 def require_ok(response: Any) -> Any:

@@ -1,17 +1,21 @@
-"""Import of package ``ros1`` by commands: connections to running nodes, and generated message types.
+"""Import of packages ``ros1`` and ``ros2`` by commands: connections to running nodes, and generated types.
 
-Package `cli` does not depend on package `ros1`: the command line works without ROS. Modules of `ros1` are therefore
+Package `cli` does not depend on these packages: the command line works without ROS. Their modules are therefore
 imported by name, when a command needs them.
 """
 
+import os
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Optional, Sequence
+from typing import TYPE_CHECKING, Any, List, Optional, Sequence
 
 from ..foundation.errors import UsageError
 
 if TYPE_CHECKING:
     from ..messages.type_registry import Definitions, GeneratedClass
     from .node_client import ClientConnection
+
+_CLIENTS = {"1": ("ros1.rospy_client", "RospyClient"), "2": ("ros2.rclpy_client", "RclpyClient")}
+"""Module and class of a connection, by ``ROS_VERSION``."""
 
 
 def import_ros_module(name: str) -> Any:
@@ -23,19 +27,33 @@ def import_ros_module(name: str) -> Any:
     try:
         return import_module(f"retalis.ros1.{name}")
     except ImportError as error:
-        raise UsageError(
-            f"this needs ROS ({error}): source its setup.bash, and that of the workspace"
-        ) from error
+        raise _missing_ros(error) from error
 
 
 def connect_client() -> "ClientConnection":
     """Return a connection to running nodes.
 
+    They are nodes of the ROS that ``ROS_VERSION`` states. Without it, ROS 1 precedes ROS 2 if both can be imported.
+
     Raises:
         UsageError: if ROS is not installed.
     """
-    connection: ClientConnection = import_ros_module("rospy_client").RospyClient()
-    return connection
+    version = os.environ.get("ROS_VERSION", "")
+    clients = [_CLIENTS[version]] if version in _CLIENTS else list(_CLIENTS.values())
+    errors: List[ImportError] = []
+    for module, class_name in clients:
+        try:
+            client_class = getattr(import_module(f"retalis.{module}"), class_name)
+        except ImportError as error:
+            errors.append(error)
+            continue
+        connection: ClientConnection = client_class()
+        return connection
+    raise _missing_ros(errors[0]) from errors[0]
+
+
+def _missing_ros(error: ImportError) -> UsageError:
+    return UsageError(f"this needs ROS ({error}): source its setup.bash, and that of the workspace")
 
 
 def installed_definitions(extra_folders: Sequence[str] = ()) -> "Definitions":

@@ -29,7 +29,10 @@ class RospyClient:
 
     Attributes:
         namespace: namespace of the environment variable ``ROS_NAMESPACE``.
+        scope: empty: there is one master.
     """
+
+    scope = ""
 
     def __init__(self) -> None:
         self.namespace = str(rosgraph.names.get_ros_namespace())
@@ -44,7 +47,7 @@ class RospyClient:
         publishers, subscribers, services = map(_nodes_by_name, get_system_state())
         return RunningNodes(services, publishers, _find_interfaces(publishers, subscribers))
 
-    def call(self, service: str, service_type: str, fields: Mapping[str, Any]) -> Any:
+    def call(self, service: str, service_type: str, fields: Mapping[str, Any], max_seconds: float) -> Any:
         """See `ClientConnection`."""
         service_class = getattr(srv, service_type)
         request = fill_message(getattr(srv, f"{service_type}Request")(), fields)
