@@ -1,8 +1,12 @@
 """Time limit of explanations."""
 
+from itertools import chain, repeat
+from typing import List
+
 import pytest
 
 from retalis import Engine, UsageError, explain, record_origins
+from retalis.explanation import event_explanations
 
 
 @pytest.fixture
@@ -30,3 +34,22 @@ def test_limits_of_goals_follow_interruption(engine: Engine) -> None:
     assert not engine.call(
         "catch(call_with_inference_limit(numlist(1, 100000, _), 100, R), _, true), R == true"
     )
+
+
+@pytest.mark.parametrize("check_count", range(20))
+def test_rules_are_unchanged_after_interruption(check_count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    engine = Engine()
+    record_origins(engine)
+    engine.load(rules="alarm(X) <- smoke(X) seq heat(X).", goals="subscribe(alarm(_), [], _, alarms, a)")
+    published: List[str] = []
+    engine.on_output(lambda term, topic, name: published.append(engine.show(term)))
+    for number in range(30):
+        engine.event(f"smoke(room({number}))", number)
+    # The first call computes the end of the limit, each further one checks it.
+    times = chain([0.0] * (check_count + 1), repeat(10.0))
+    monkeypatch.setattr(event_explanations, "monotonic", lambda: next(times))
+    with pytest.raises(UsageError, match="no explanation within 1 s"):
+        explain(engine, "alarm(kitchen)", seconds=1.0)
+    engine.event("smoke(bath)", 100)
+    engine.event("heat(bath)", 101)
+    assert published == ["alarm(bath)"]

@@ -418,17 +418,12 @@ class _Explainer:
             if head is None or rule in above:
                 continue
             trail: Trail = []
-            if unify(_get_head_event(head), copy(term), trail):
-                why_not = WhyNot(self._program.logic, self._occurrences, rule, self._reference_time)
-                part = why_not.evaluate(rule.definition.pattern)
-                lines.append(
-                    ExplanationLine(self._format_rule(rule), [self._explain_part(part, (*above, rule))])
-                )
-                if part.matches:
-                    lines[-1].below.append(
-                        ExplanationLine(f"- but {_explain_no_firing(rule, part, interval)}", [])
-                    )
-            undo(trail, 0)
+            # The variables of the loaded rule are bound, so a time limit must not end this without `undo`.
+            try:
+                if unify(_get_head_event(head), copy(term), trail):
+                    lines.append(self._explain_rule(rule, interval, above))
+            finally:
+                undo(trail, 0)
         lines += self._explain_states(term, above)
         if not above:
             lines += self._explain_missing_messages(term)
@@ -439,6 +434,17 @@ class _Explainer:
                 )
             lines += self._find_retracted(term) + self._find_events_with_name(term)
         return lines
+
+    def _explain_rule(
+        self, rule: EventRule, interval: Optional[Tuple[int, int]], above: Tuple[_EventSource, ...]
+    ) -> ExplanationLine:
+        """Return why a rule, whose head is unified with the missing event, did not fire."""
+        why_not = WhyNot(self._program.logic, self._occurrences, rule, self._reference_time)
+        part = why_not.evaluate(rule.definition.pattern)
+        line = ExplanationLine(self._format_rule(rule), [self._explain_part(part, (*above, rule))])
+        if part.matches:
+            line.below.append(ExplanationLine(f"- but {_explain_no_firing(rule, part, interval)}", []))
+        return line
 
     def _explain_states(self, term: Term, above: Tuple[_EventSource, ...]) -> List[ExplanationLine]:
         """Return which declared states are open for an event at the end of a state, or why none has begun."""
@@ -622,10 +628,8 @@ _ALARM_FUNCTORS = frozenset((functor("exceptionAlarm", 2), functor("exceptionAla
 
 def _unifies(first: Term, second: Term) -> bool:
     """Return whether two terms without common variables unify; their variables stay unbound."""
-    trail: Trail = []
-    result = unify(copy(first), copy(second), trail)
-    undo(trail, 0)
-    return result
+    # Only variables of the copies are bound, so no binding has to be undone.
+    return bool(unify(copy(first), copy(second), []))
 
 
 def _has_interval(occurrence: Occurrence, interval: Tuple[int, int]) -> bool:

@@ -251,11 +251,13 @@ class WhyNot:
         for occurrence in self._occurrences:
             check_limits(1)
             trail: Trail = []
-            if unify(pattern.term, copy(occurrence.term), trail):
-                matches.append(
-                    Candidate(copy(self._rule_variables), occurrence.start, occurrence.end, occurrence)
-                )
-            undo(trail, 0)
+            try:
+                if unify(pattern.term, copy(occurrence.term), trail):
+                    matches.append(
+                        Candidate(copy(self._rule_variables), occurrence.start, occurrence.end, occurrence)
+                    )
+            finally:
+                undo(trail, 0)
         text = f"{self._show(pattern.term)}: {self._format_result(matches, 'did not happen', pattern.term)}"
         return PartResult(text, matches[-MAX_CANDIDATES:], [], copy(pattern.term))
 
@@ -545,29 +547,29 @@ class WhyNot:
     def _join_values(self, first: Candidate, second: Candidate) -> Optional[Term]:
         """Return the values of two matches together; None if they disagree."""
         check_limits(1)
-        trail: Trail = []
+        # Only variables of the copies are bound, so no binding has to be undone.
         values = copy(first.values)
-        result = copy(values) if unify(values, copy(second.values), trail) else None
-        undo(trail, 0)
-        return result
+        return copy(values) if unify(values, copy(second.values), []) else None
 
     def _instantiate(self, values: Term, term: Term) -> Term:
         """Return a copy of a term with the values of a match."""
         trail: Trail = []
-        unify(self._rule_variables, copy(values), trail)
-        result = copy(term)
-        undo(trail, 0)
-        return result
+        try:
+            unify(self._rule_variables, copy(values), trail)
+            return copy(term)
+        finally:
+            undo(trail, 0)
 
     def _extend(self, values: Term, bindings: Sequence[Tuple[Term, Term]]) -> Optional[Term]:
         """Return the values extended by further bindings, or None if these do not unify."""
         trail: Trail = []
-        is_consistent = unify(self._rule_variables, copy(values), trail) and all(
-            unify(term, copy(value), trail) for term, value in bindings
-        )
-        result = copy(self._rule_variables) if is_consistent else None
-        undo(trail, 0)
-        return result
+        try:
+            is_consistent = unify(self._rule_variables, copy(values), trail) and all(
+                unify(term, copy(value), trail) for term, value in bindings
+            )
+            return copy(self._rule_variables) if is_consistent else None
+        finally:
+            undo(trail, 0)
 
     def _solve(self, goal: Term, match: Candidate) -> Optional[Term]:
         """Return the values extended by those of the first solution of a goal, or None."""

@@ -5,7 +5,8 @@ from typing import Any, List
 
 import pytest
 
-from retalis import Engine, atom, functor
+from retalis import Engine, Var, atom, functor, make_list
+from retalis.events.dispatch.matcher_compiler import unify_pattern
 from retalis.events.matches.match_types import (
     EventMatch,
     Identity,
@@ -13,7 +14,10 @@ from retalis.events.matches.match_types import (
     PartialMatch,
     arrival_number_of,
     identity,
+    unify_values,
 )
+from retalis.foundation.cancellation import set_limit_check
+from retalis.prolog.terms.types import deref
 
 
 @pytest.mark.parametrize(
@@ -103,3 +107,34 @@ def test_match_of_instant_is_short() -> None:
     [match] = engine.rules.rules[0].arrivals
     assert match.__class__ is EventMatch
     assert match.start is match.end
+
+
+@pytest.mark.parametrize(
+    "unify_terms",
+    [
+        lambda event, pattern: unify_values((event,), (pattern,)),
+        lambda event, pattern: unify_pattern(pattern, [], event),
+    ],
+    ids=["values", "pattern"],
+)
+def test_variables_of_event_are_unbound_after_limit(unify_terms: Any) -> None:
+    class LimitExceeded(Exception):
+        pass
+
+    def raise_after_binding(work: int, size: int) -> None:
+        if deref(event_variable) is not event_variable:
+            raise LimitExceeded
+
+    event_variable = Var()
+    numbers = list(range(10_000))
+    event, pattern = (
+        functor("a", 2)(event_variable, make_list(numbers)),
+        functor("a", 2)(1, make_list(numbers)),
+    )
+    previous = set_limit_check(raise_after_binding)
+    try:
+        with pytest.raises(LimitExceeded):
+            unify_terms(event, pattern)
+    finally:
+        set_limit_check(previous)
+    assert deref(event_variable) is event_variable

@@ -172,9 +172,10 @@ def _is_selected_by(pattern: Term, event: Term) -> bool:
         )
     # A copy of the pattern is unified, because facts are shared.
     trail: Trail = []
-    result = unify(copy(pattern), event, trail)
-    undo(trail, 0)
-    return result
+    try:
+        return unify(copy(pattern), event, trail)
+    finally:
+        undo(trail, 0)
 
 
 def enumerate_stored_events(

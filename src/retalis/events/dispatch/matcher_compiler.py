@@ -158,11 +158,12 @@ def unify_pattern(pattern: Term, pattern_vars: List[Var], term: Term) -> Optiona
     # A copy, because the pattern is shared by all events and must stay unbound.
     new_vars: Dict[Var, Term] = {var: Var() for var in pattern_vars}
     trail: Trail = []
-    values: Optional[Values] = None
-    if unify(copy(pattern, new_vars), term, trail):
-        values = tuple(resolve(new_vars[var]) for var in pattern_vars)
-    undo(trail, 0)
-    return values
+    try:
+        if unify(copy(pattern, new_vars), term, trail):
+            return tuple(resolve(new_vars[var]) for var in pattern_vars)
+        return None
+    finally:
+        undo(trail, 0)
 
 
 def compile_builder(term: Term, value_vars: Sequence[Var], title: str) -> Callable[[Values], Term]:

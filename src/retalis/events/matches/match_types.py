@@ -559,11 +559,12 @@ def unify_sides(
 def unify_values(left: Values, right: Values) -> Optional[Values]:
     """Unify values pairwise and return them; None if they do not unify."""
     trail: Trail = []
-    result = None
-    if all(unify(left_value, right_value, trail) for left_value, right_value in zip(left, right)):
-        result = tuple([resolve(left_value) for left_value in left])
-    undo(trail, 0)
-    return result
+    try:
+        if all(unify(left_value, right_value, trail) for left_value, right_value in zip(left, right)):
+            return tuple([resolve(left_value) for left_value in left])
+        return None
+    finally:
+        undo(trail, 0)
 
 
 def _rename_variables(values: Values) -> Values:

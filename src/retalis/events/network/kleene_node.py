@@ -239,11 +239,12 @@ class KleeneValues(NetworkNode):
     def _bind_free_vars(self, run: Run, values: Values, value: Term) -> Tuple[Values, Term]:
         """Bind the variables that no repetition binds by the values that conditions gave them."""
         trail: Trail = []
-        for var, position in zip(run.free_vars, self._free_positions):
-            unify(var, values[position], trail)
-        bound = tuple([resolve(element) for element in values]), resolve(value)
-        undo(trail, 0)
-        return bound
+        try:
+            for var, position in zip(run.free_vars, self._free_positions):
+                unify(var, values[position], trail)
+            return tuple([resolve(element) for element in values]), resolve(value)
+        finally:
+            undo(trail, 0)
 
     def _insert_result(self, values: Values, value: Term) -> Optional[Values]:
         """Put the result in the place of its variables in the values."""
@@ -255,11 +256,10 @@ class KleeneValues(NetworkNode):
     def _unify_result(self, values: Values, value: Term) -> Optional[Values]:
         term = self.make_result(values)
         trail: Trail = []
-        result = None
-        if unify(term, value, trail):
-            result = tuple([resolve(element) for element in values])
-        undo(trail, 0)
-        return result
+        try:
+            return tuple([resolve(element) for element in values]) if unify(term, value, trail) else None
+        finally:
+            undo(trail, 0)
 
 
 class KleeneNode(KleeneValues):

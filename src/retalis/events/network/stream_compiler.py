@@ -417,11 +417,12 @@ def compile_window_result(
         result_values = (*key_values, *(Var() for _ in unknown_vars))
         results = (make_list(list(output)),) if is_listed else output
         trail: List[Any] = []
-        unified = None
-        if all(unify(build(result_values), value, trail) for build, value in zip(builders, results)):
-            unified = tuple([resolve(element) for element in result_values])
-        undo(trail, 0)
-        return unified
+        try:
+            if all(unify(build(result_values), value, trail) for build, value in zip(builders, results)):
+                return tuple([resolve(element) for element in result_values])
+            return None
+        finally:
+            undo(trail, 0)
 
     return value_vars, unify_results
 

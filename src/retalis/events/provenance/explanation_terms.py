@@ -377,6 +377,7 @@ def _label_of(rule: Optional[EventRule]) -> Term:
 
 def _can_unify(*pairs: Tuple[Term, Term]) -> bool:
     trail: Trail = []
-    result = all(unify(copy(left), right, trail) for left, right in pairs)
-    undo(trail, 0)
-    return result
+    try:
+        return all(unify(copy(left), right, trail) for left, right in pairs)
+    finally:
+        undo(trail, 0)

@@ -163,9 +163,10 @@ def _may_unify(goal: CompoundTerm, call: CompoundTerm) -> bool:
     """Return whether a goal, which may lack the last arguments, unifies with a call."""
     trail: Trail = []
     pairs = zip(copy(goal)[1:], call[1:])
-    unifies = all(unify(left, right, trail) for left, right in pairs)
-    undo(trail, 0)
-    return unifies
+    try:
+        return all(unify(left, right, trail) for left, right in pairs)
+    finally:
+        undo(trail, 0)
 
 
 def find_similar(logic: "PredicateTable", key: Functor) -> List[str]:
