@@ -33,22 +33,22 @@ def test_false_condition_is_shown_with_values(engine: Engine) -> None:
     engine.event("heat(oven, 38)", 1)
     assert explanation_lines(engine, "heat(_, _)") == [
         "heat(oven,38) at 1 came from outside",
-        "subscription a of topic alarms does not take it: its condition 38 > 40 is false",
-        "subscription b of topic alarms does not take it: its condition 38 > soon ends with an error: "
+        "subscription a of topic alarms does not select it: its condition 38 > 40 is false",
+        "subscription b of topic alarms does not select it: its condition 38 > soon ends with an error: "
         "Type error: `evaluable' expected, found `soon/0' (in (>)/2)",
     ]
 
 
 def test_other_pattern_is_shown(engine: Engine) -> None:
     engine.event("heat(hall, 45)", 1)
-    assert "subscription a of topic alarms does not take it: it takes heat(oven,_)" in explanation_lines(
+    assert "subscription a of topic alarms does not select it: it selects heat(oven,_)" in explanation_lines(
         engine, "heat(hall, _)"
     )
 
 
 def test_events_of_converted_output_are_shown(engine: Engine) -> None:
     assert explanation_lines(engine, "hot(_)")[:2] == [
-        "subscription a of topic alarms sends it of heat(oven,_)",
+        "subscription a of topic alarms publishes it for heat(oven,_)",
         "no such event happened",
     ]
     engine.event("heat(oven, 38)", 1)
@@ -57,7 +57,7 @@ def test_events_of_converted_output_are_shown(engine: Engine) -> None:
     assert explanation_lines(engine, "hot(_)")[1:4] == [
         "heat(oven,38) at 1: its condition 38 > 40 is false",
         "heat(oven,50) at 2: sent",
-        "heat(hall,50) at 3: it takes heat(oven,_)",
+        "heat(hall,50) at 3: it selects heat(oven,_)",
     ]
 
 

@@ -18,7 +18,7 @@ NOT_FIRED = {
     "w(9) <- in(2) seq absent(no, 5).": "absent 5: the time after it is not over",
     "w(9) <- in(2) seq absent(no, 1.5).": "absent 1.5: ruled out by what must not happen",
     "w(9) <- never seq absent(no, 1.5).": "? absent 1.5: not tested",
-    "w(9) <- in(_) with throttle(5) do fail.": "throttle did not let it through after others",
+    "w(9) <- in(_) with throttle(5) do fail.": "throttle dropped it because of earlier events",
 }
 
 

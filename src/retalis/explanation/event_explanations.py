@@ -86,7 +86,7 @@ class WhyNotSent:
             reason = self._explain_rejection(subscription, event)
             if reason:
                 count += 1
-                yield f"{subscription.description} does not take it: {reason}"
+                yield f"{subscription.description} does not select it: {reason}"
             if count == _MAX_SUBSCRIPTIONS:
                 return
 
@@ -100,7 +100,10 @@ class WhyNotSent:
             # Only tested, not bound: the subscription is used with its own variables afterwards.
             if _unifies(template, message) and count < _MAX_SUBSCRIPTIONS:
                 count += 1
-                yield f"{subscription.description} sends it of {self._show(subscription.event)}", subscription
+                yield (
+                    f"{subscription.description} publishes it for {self._show(subscription.event)}",
+                    subscription,
+                )
 
     def explain_events(
         self, subscription: _SubscriptionCopy, occurrences: Sequence[Occurrence]
@@ -126,7 +129,7 @@ class WhyNotSent:
         trail: Trail = []
         try:
             if not unify(pattern, copy(event), trail):
-                return f"it takes {self._show(pattern)}"
+                return f"it selects {self._show(pattern)}"
             goals = list_items(conditions) or []
             goal_texts = [self._show(goal) for goal in goals]
             # The first condition without a solution is the reason: conditions are tested with all those before it.
@@ -320,6 +323,8 @@ class _Explainer:
         )
         self._expanded_ids: Set[int] = set()
         """Ids of the occurrences whose causes have been shown."""
+        self._has_explanation: Dict[str, bool] = {}
+        """For each missing event: whether it has an explanation above; False while it is being explained."""
         self._causes_by_id: Optional[Dict[int, List[Occurrence]]] = None
 
     def explain(self, request: Term) -> Explanation:
@@ -327,6 +332,9 @@ class _Explainer:
         term, interval = _parse_request(request)
         occurrences = self._find_occurrences(term, interval)
         if not occurrences:
+            # A part of a rule can be the asked event again.
+            if interval is None:
+                self._has_explanation[self._show(term)] = False
             return Explanation(False, self._explain_missing(term, interval, ()))
         lines = [
             self._explain_occurrence(occurrence, 0) for occurrence in occurrences[:_MAX_SHOWN_OCCURRENCES]
@@ -393,7 +401,7 @@ class _Explainer:
         self._expanded_ids.add(id(occurrence))
         sources = [self._explain_occurrence(source, depth + 1) for source in source_occurrences]
         if occurrence.rule is None:
-            verb = "is over: it held from" if self._is_state(occurrence) else "was released by"
+            verb = "has ended; it began and ended with" if self._is_state(occurrence) else "was released by"
             return ExplanationLine(f"{text} {verb}", sources)
         return ExplanationLine(f"{text} by {self._format_rule(occurrence.rule)}", sources)
 
@@ -435,6 +443,22 @@ class _Explainer:
             lines += self._find_retracted(term) + self._find_events_with_name(term)
         return lines
 
+    def _explain_missing_once(
+        self, term: Term, above: Tuple[_EventSource, ...]
+    ) -> Tuple[str, List[ExplanationLine]]:
+        """Return the lines about a missing event, and the end of the text of the line that they belong to.
+
+        Alternative rules that share missing events would make the tree grow exponentially, so each event is explained
+        once. The text refers to that explanation afterwards.
+        """
+        key = self._show(term)
+        if key in self._has_explanation:
+            return (", see above" if self._has_explanation[key] else ""), []
+        self._has_explanation[key] = False
+        lines = self._explain_missing(term, None, above)
+        self._has_explanation[key] = bool(lines)
+        return "", lines
+
     def _explain_rule(
         self, rule: EventRule, interval: Optional[Tuple[int, int]], above: Tuple[_EventSource, ...]
     ) -> ExplanationLine:
@@ -463,22 +487,21 @@ class _Explainer:
                 continue
             pair: Any = copy((_COMMA_FUNCTOR, declaration.form.state, declaration.form.begin_event))
             _, state_term, begin_event = pair
-            trail: Trail = []
-            if unify(state_term, copy(term), trail):
+            # Only variables of the copies are bound, so no binding has to be undone.
+            if unify(state_term, copy(term), []):
                 begin_occurrences = self._find_occurrences(begin_event, None)
                 text = f"state {self._show(state_term)} is not open"
+                below: List[ExplanationLine] = []
                 if begin_occurrences:
                     text += f", though {self._format_event(begin_occurrences[-1])} begins it"
-                    below = []
                 else:
-                    text += f": {self._show(begin_event)}, which begins it, did not happen"
-                    below = self._explain_missing(begin_event, None, (*above, declaration))
+                    reference, below = self._explain_missing_once(begin_event, (*above, declaration))
+                    text += f": {self._show(begin_event)}, which begins it, did not happen{reference}"
                 lines.append(ExplanationLine(text, below))
-            undo(trail, 0)
         return lines
 
     def _explain_open_state(self, state: OpenState) -> ExplanationLine:
-        # The property drops openings whose events were retracted, so the first one that is left is valid.
+        # `openings` omits those whose events were retracted, so the first one is valid.
         start = state.start or 0
         _, beginning = state.openings[0]
         since = self._times.format_instant(start)
@@ -513,9 +536,11 @@ class _Explainer:
     def _explain_part(self, part: PartResult, above: Tuple[_EventSource, ...]) -> ExplanationLine:
         """Return the line of a part of a pattern; a missing event is explained below it."""
         below = [self._explain_part(inner, above) for inner in part.parts]
+        reference = ""
         if part.event is not None and not part.matches:
-            below += self._explain_missing(part.event, None, above)
-        return ExplanationLine(f"{part.symbol} {part.text}", below)
+            reference, lines = self._explain_missing_once(part.event, above)
+            below += lines
+        return ExplanationLine(f"{part.symbol} {part.text}{reference}", below)
 
     def _find_retracted(self, term: Term) -> List[ExplanationLine]:
         """Return matching events that happened and were retracted."""
@@ -583,9 +608,9 @@ def _explain_no_firing(rule: EventRule, part: PartResult, interval: Optional[Tup
     has_window = any(isinstance(subpattern, WindowPattern) for subpattern in walk(rule.definition.pattern))
     has_interval = any((match.start, match.end) == interval for match in part.matches)
     if interval is not None and not has_window and not has_interval:
-        return "nowhere with that interval"
+        return "no match has that interval"
     if rule.window is not None and all(match.end - match.start > rule.window for match in part.matches):
-        return f"all took longer than the window of the rule's label, {timestamps.to_seconds(rule.window):g} seconds"
+        return f"all matches exceed the window of the rule's label, {timestamps.to_seconds(rule.window):g} seconds"
     return _describe_likely_reasons(rule)
 
 
@@ -600,18 +625,18 @@ def _describe_likely_reasons(rule: EventRule) -> str:
             rate_operators.append(part.operator)
     # The explained event fixes the result of an aggregate, and the rule has computed other ones.
     if any(deref(result).__class__ is not Var for result in aggregate_results):
-        return "with other results, or other matches consumed all of it"
+        return "the aggregate had other results, or other matches consumed the events"
     if rate_operators:
-        return f"{rate_operators[0]} did not let it through after others, or other matches consumed all of it"
+        return (
+            f"{rate_operators[0]} dropped it because of earlier events, or other matches consumed the events"
+        )
     strategy = rule.options.after_match
     skipped = (
-        ""
-        if strategy is AfterMatchSkipStrategy.KEEP
-        else f"a match that had fired skipped it ({strategy.value}), "
+        "" if strategy is AfterMatchSkipStrategy.KEEP else f"an earlier match skipped it ({strategy.value}), "
     )
     return (
-        f"{skipped}other matches consumed all of it, it came in another order, its window had ended, or a goal after "
-        "do failed"
+        f"{skipped}other matches consumed the events, the events arrived in another order, the window had ended, or "
+        "a goal after do failed"
     )
 
 

@@ -301,7 +301,7 @@ def test_explanation_names_begin_and_end_of_state() -> None:
     engine.feed(("dock(a)", 1), ("undock(a)", 3))
     lines = [line for entry in explain(engine, "docked(a)").lines for line in entry.indented()]
     assert lines == [
-        "docked(a) [1,3] is over: it held from",
+        "docked(a) [1,3] has ended; it began and ended with",
         "  dock(a) at 1 came from outside",
         "  undock(a) at 3 came from outside",
     ]
