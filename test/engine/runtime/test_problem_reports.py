@@ -1,13 +1,14 @@
 """Problem reports: rates and texts of the log, counts, and late events."""
 
 import logging
+from functools import partial
 from typing import Any
 
 import pytest
 from reachable_objects import reachable
 
 from retalis import Engine, Place, Reports, RetalisError, RuleError
-from retalis.foundation.errors import place_at_offset
+from retalis.foundation.errors import RecurringWarning, place_at_offset
 
 
 @pytest.fixture
@@ -166,3 +167,47 @@ def test_late_and_dropped_events_have_own_counts(logged: Any) -> None:
     reports.sum_up()
     assert sum("have been dropped" in record.message for record in logged.records) == 2
     assert logged.records[-1].message.startswith("3 times in all: ")
+
+
+def test_warning_with_once_is_logged_once_and_summed_up(logged: Any) -> None:
+    reports = Reports()
+    for number in range(5):
+        reports.warning(f"number {number}", "refused", once=True)
+    assert [record.message for record in logged.records] == ["number 0"]
+    reports.sum_up()
+    assert [record.message for record in logged.records][1:] == ["5 times in all: number 0"]
+    assert reports.warnings == 5
+
+
+def test_kinds_with_equal_hashes_are_separate(logged: Any) -> None:
+    reports = Reports()
+    assert hash(("line", -1)) == hash(("line", -2))
+    reports.warning("first", ("line", -1))
+    reports.warning("second", ("line", -2))
+    reports.sum_up()
+    assert [record.message for record in logged.records] == ["first", "second"]
+
+
+def test_occurrences_of_source_are_counted_once_despite_eviction(logged: Any) -> None:
+    reports = Reports()
+    counts = {"late": 0}
+    for source_count, expected_warnings in ((4, 4), (8, 1008), (11, 2011)):
+        counts["late"] = source_count
+        reports.warning(RecurringWarning("an event is late", None, "late", lambda: counts["late"]))
+        assert reports.warnings == expected_warnings
+        for number in range(1000):
+            reports.warning(f"kind {source_count} {number}")
+    reports.sum_up()
+    assert reports.warnings == 3011
+
+
+def test_summary_counts_evicted_occurrences_of_sources(logged: Any) -> None:
+    reports = Reports()
+    counts = [1] * 1001
+    for source in range(1001):
+        reports.warning(RecurringWarning("late", None, source, partial(counts.__getitem__, source)))
+        counts[source] = 3
+    reports.sum_up()
+    # At the last source the table is full. 500 sources are removed, with two unlogged occurrences each.
+    assert logged.records[-1].message == "1000 more problems were not shown"
+    assert reports.warnings == 3 * 1001

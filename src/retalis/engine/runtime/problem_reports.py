@@ -2,6 +2,7 @@
 
 import logging
 import traceback
+from hashlib import blake2b
 from typing import Callable, Dict, Optional, Set
 
 from ...foundation.errors import (
@@ -19,6 +20,8 @@ COUNTED_ATTRIBUTE = "counted"
 """Attribute of log records whose problems `Reports` has counted."""
 
 _MAX_PROBLEMS = 1000
+_MAX_KEPT_PROBLEMS = _MAX_PROBLEMS // 2
+"""Maximum number of problems, counted by their sources, that are kept when the table is full."""
 
 
 class Reports:
@@ -44,8 +47,8 @@ class Reports:
         self.errors = 0
         self.warnings = 0
         self.once = once
-        self._problems: Dict[int, _RecurringProblem] = {}
-        """Problems by the hash of their kind, because kinds may be large objects."""
+        self._problems: Dict[bytes, _RecurringProblem] = {}
+        """Problems by the digest of their kind, because kinds may be large objects."""
         self._evicted_count = 0
         """Number of unlogged occurrences of problems that were evicted from the table."""
 
@@ -112,7 +115,7 @@ class Reports:
     def _log_recurring(self, warning: RecurringWarning) -> None:
         """Log a warning whose source counts the occurrences and has decided to show this one."""
         text = printable(str(warning))
-        problem = self._find_problem(hash(warning.category), logging.WARNING, text)
+        problem = self._find_problem(_digest(warning.category), logging.WARNING, text)
         problem.count_occurrences = warning.count_occurrences
         self._update_count(problem)
         if self.once and problem.logged_count:
@@ -130,7 +133,7 @@ class Reports:
 
     def _log(self, level: int, kind: object, text: str, max_texts: int = 1, first_only: bool = False) -> None:
         """Count a problem, and log it at its 1st, 2nd, 4th, ... occurrence, or if its text is new."""
-        key = hash(kind)
+        key = _digest(kind)
         text = printable(shorten(text, MAX_MESSAGE_CHARACTERS))
         problem = self._find_problem(key, level, text)
         problem.count = count = problem.count + 1
@@ -144,21 +147,43 @@ class Reports:
         logged_text = text if is_new else f"{text}\n({count} times so far)"
         log.log(level, "%s", logged_text, extra={COUNTED_ATTRIBUTE: True})
 
-    def _find_problem(self, key: int, level: int, text: str) -> "_RecurringProblem":
+    def _find_problem(self, key: bytes, level: int, text: str) -> "_RecurringProblem":
         """Return the problem with a key, possibly a new one."""
         problem = self._problems.get(key)
         if problem is None:
-            # The whole table is cleared: evicting single entries would need their order, for a case that only a
-            # program with more than `_MAX_PROBLEMS` kinds of problems reaches.
             if len(self._problems) >= _MAX_PROBLEMS:
-                self._evicted_count += sum(
-                    evicted.count - evicted.logged_count for evicted in list(self._problems.values())
-                )
-                self._problems.clear()
+                self._evict()
             problem = self._problems[key] = _RecurringProblem(
                 level, text[:MAX_SHOWN_CHARACTERS].split("\n", 1)[0]
             )
         return problem
+
+    def _evict(self) -> None:
+        """Remove the problems from the full table, and count their unlogged occurrences.
+
+        The whole table is cleared: evicting single entries would need their order, for a case that only a program
+        with more than `_MAX_PROBLEMS` kinds of problems reaches. Problems that their sources count are kept, the
+        newest `_MAX_KEPT_PROBLEMS` of them. Otherwise `_update_count` would add all their occurrences again.
+        """
+        problems = list(self._problems.items())
+        kept = dict(
+            [(key, problem) for key, problem in problems if problem.count_occurrences is not None][
+                -_MAX_KEPT_PROBLEMS:
+            ]
+        )
+        for key, problem in problems:
+            if key not in kept:
+                self._update_count(problem)
+                self._evicted_count += problem.count - problem.logged_count
+        self._problems = kept
+
+
+def _digest(kind: object) -> bytes:
+    """Return a key of fixed size for a kind of problems.
+
+    A hash could be the same for different kinds: those of -1 and -2 are equal.
+    """
+    return blake2b(repr(kind).encode("utf-8", "surrogatepass"), digest_size=16).digest()
 
 
 class _RecurringProblem:
