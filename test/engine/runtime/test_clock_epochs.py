@@ -415,3 +415,60 @@ def test_failed_callback_of_epoch_is_reported() -> None:
     node.real_time += 60
     node.epochs.update()
     assert (len(ends), node.reports.errors, node.epochs.is_buffering) == (1, 1, False)
+
+
+class ReportingLock:
+    """A lock that calls a function once after it has been released a number of times."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._release_count = 0
+        self.action: Any = None
+
+    def call_after_release(self, count: int, action: Any) -> None:
+        self._release_count, self.action = count, action
+
+    def __enter__(self) -> None:
+        self._lock.acquire()
+
+    def __exit__(self, *error: object) -> None:
+        self._lock.release()
+        self._release_count -= 1
+        if self._release_count == 0:
+            self.action()
+
+
+def test_sender_that_reports_during_timeout_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    lock = ReportingLock()
+    with monkeypatch.context() as patched:
+        patched.setattr(threading, "Lock", lambda: lock)
+        node = SimulatedNode()
+    node.epochs.register_callbacks([], lambda end: None)
+    node.clock(1000)
+    node.epochs.report_epoch("other", 0)
+    node.clock(10)
+    lock.call_after_release(1, lambda: node.epochs.report_epoch("other", 1))
+    node.pass_time(2)
+    # A removed sender would define a new offset, and this report would belong to the current epoch.
+    node.epochs.report_epoch("other", 2)
+    assert node.epochs.epoch == 1
+    assert node.epochs.must_buffer_texts("other")
+
+
+def test_eviction_of_late_sender_during_timeout_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    lock = ReportingLock()
+    with monkeypatch.context() as patched:
+        patched.setattr(threading, "Lock", lambda: lock)
+        node = SimulatedNode()
+    node.epochs.register_callbacks([], lambda end: None)
+    node.clock(1000)
+    node.epochs.report_epoch("other", 0)
+    node.clock(10)
+
+    def report_of_many() -> None:
+        for number in range(clock_epochs.MAX_SENDERS):
+            node.epochs.report_epoch(number, 0)
+
+    lock.call_after_release(1, report_of_many)
+    node.pass_time(2)
+    assert node.epochs.epoch == 1

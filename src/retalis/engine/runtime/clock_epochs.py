@@ -165,8 +165,8 @@ class ClockEpochs:
 
     def report_epoch(self, sender: object, sender_epoch: int) -> None:
         """Store that all further texts of a sender belong to an epoch, which is given by the sender's own count."""
-        reset_count = self._time.reset_count
         with self._lock:
+            reset_count = self._time.reset_count
             # The first report of a sender defines the offset between the two counts.
             _, offset = self._senders.get(sender, (0, reset_count - sender_epoch))
             if sender not in self._senders and len(self._senders) >= MAX_SENDERS:
@@ -244,8 +244,7 @@ class ClockEpochs:
                         self._early_allowed_from = now + PAUSE_AFTER_TIMEOUT_SECONDS
                     self._release_buffer()
             # The clock went back. Senders that have not reported within the time limit are removed.
-            elif now >= self._deadline or not self._find_late_senders(reset_count):
-                self._remove_senders(self._find_late_senders(reset_count))
+            elif self._check_senders(reset_count, is_timed_out=now >= self._deadline):
                 self.epoch = reset_count
                 self.epoch_start = self._monotonic()
                 self._early_allowed_from = 0.0
@@ -262,15 +261,19 @@ class ClockEpochs:
                 # A callback may raise any exception.
                 self._reports.error(error)
 
-    def _find_late_senders(self, reset_count: int) -> List[object]:
-        """Return the senders of texts that have not reported an epoch yet."""
-        with self._lock:
-            return [sender for sender, (epoch, _) in self._senders.items() if epoch < reset_count]
+    def _check_senders(self, reset_count: int, is_timed_out: bool) -> bool:
+        """Return whether an epoch can begin: each sender of texts has reported it, or the wait has timed out.
 
-    def _remove_senders(self, senders: List[object]) -> None:
+        After a timeout, the senders that have not reported the epoch are removed.
+        """
+        # Searched and removed under one lock: a sender that reports in between must not be removed.
         with self._lock:
-            for sender in senders:
+            late_senders = [sender for sender, (epoch, _) in self._senders.items() if epoch < reset_count]
+            if late_senders and not is_timed_out:
+                return False
+            for sender in late_senders:
                 del self._senders[sender]
+        return True
 
     def _start_buffering(self) -> None:
         if not self.is_buffering:
