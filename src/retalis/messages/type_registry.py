@@ -362,7 +362,10 @@ def _read_rosbags_type(package: str, type_name: str) -> Optional[InstalledType]:
 _ALIASES = {"tf/tfMessage": "tf2_msgs/TFMessage"}
 """Types that are another type under an old name, with equal text and checksum."""
 
-_FALLBACK_DEFINITIONS = {"tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms\n"}
+_FALLBACK_DEFINITIONS = {
+    "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",
+    "retalis/GraphChange": "string kind\nstring node\nstring topic\nstring detail\n",
+}
 """Types that every robot publishes, and that some systems do not install as text (Debian, ``rosbags``)."""
 
 _TypeKey = Tuple[str, ...]
