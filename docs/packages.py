@@ -166,6 +166,7 @@ TOP_PACKAGES = (
     "cli",
     "node",
     "ros1",
+    "ros2",
 )
 """Packages directly below ``retalis``, from left to right."""
 

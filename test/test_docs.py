@@ -174,7 +174,18 @@ def test_headings_of_links_exist(page: Path) -> None:
 def test_commands_of_readme_exist() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     commands = [shlex.split(line, comments=True) for line in re.findall(r"^    (\S.*)$", text, re.MULTILINE)]
-    programs = {"./install.py", "source", "roslaunch", "rosservice", "rosrun", "python3", "pip", "retalis"}
+    programs = {
+        "./install.py",
+        "source",
+        "roslaunch",
+        "rosservice",
+        "rosrun",
+        "python3",
+        "pip",
+        "retalis",
+        "colcon",
+        "ros2",
+    }
     assert {command[0] for command in commands} <= programs
     for command in commands:
         if command[0] == "./install.py":
