@@ -45,6 +45,7 @@ ORDER = (
     "playback",
     "cli",
     "ros1",
+    "ros2",
 )
 """The packages from the lowest to the highest: each imports only packages before it."""
 
@@ -58,7 +59,7 @@ MAX_LINES = 1_000
 
 ROS = {"genpy", "rosgraph", "rosgraph_msgs", "roslib", "rospy", "rostopic", "std_msgs"}
 
-TESTED_ELSEWHERE = ("bench", "examples", "oracle", "fuzz", "leaks", "faults", "mutation", "ros2")
+TESTED_ELSEWHERE = ("bench", "examples", "oracle", "fuzz", "leaks", "faults", "mutation")
 """Folders of tests without a package of their own."""
 
 
@@ -153,6 +154,16 @@ def test_only_the_nodes_import_ros() -> None:
         if base.split(".")[0] in ROS
     }
     assert importing == {"ros1"}
+
+
+def test_only_package_ros2_imports_rclpy() -> None:
+    importing = {
+        module.package
+        for module in MODULES.values()
+        for base, _ in module.imports
+        if base.split(".")[0] == "rclpy"
+    }
+    assert importing == {"ros2"}
 
 
 def test_one_module_compiles_source() -> None:

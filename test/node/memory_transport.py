@@ -8,6 +8,7 @@ from typing import Any, Callable, Dict, List
 
 from retalis import UsageError
 from retalis.events.knowledge.transform_buffer import TransformBuffer
+from retalis.events.program.topic_configuration import ANY_QUALITY, QualityOfService
 from retalis.foundation.ros_name_checks import topic_fault
 from retalis.messages.type_definition import SerializationFormat
 from retalis.messages.type_registry import InstalledTypes
@@ -21,6 +22,7 @@ class MemoryNetwork:
         now: the time in ns.
         subscriptions: subscriptions by topic.
         publications: publications by topic.
+        qualities: demands on the quality of service, by the topic that was subscribed or published last.
         services: node and handler by the full name of a service.
     """
 
@@ -28,6 +30,7 @@ class MemoryNetwork:
         self.now = now
         self.subscriptions: Dict[Any, Any] = {}
         self.publications: Dict[Any, Any] = {}
+        self.qualities: Dict[str, QualityOfService] = {}
         self.services: Dict[Any, Any] = {}
         self.timers: List[Any] = []
 
@@ -181,7 +184,9 @@ class MemoryTransport:
         queue_size: Any,
         max_delay: float = 0.0,
         ignores_own: bool = False,
+        quality: QualityOfService = ANY_QUALITY,
     ) -> MemorySubscription:
+        self.network.qualities[topic] = quality
         subscription = MemorySubscription(self.network, self.node_name, topic, connect, ignores_own)
         self.network.subscriptions.setdefault(topic, []).append(subscription)
         for publication in self.network.publications.get(topic, ()):
@@ -189,8 +194,14 @@ class MemoryTransport:
         return subscription
 
     def advertise(
-        self, topic: Any, definition: Any, queue_size: Any, is_latched: bool = False
+        self,
+        topic: Any,
+        definition: Any,
+        queue_size: Any,
+        is_latched: bool = False,
+        quality: QualityOfService = ANY_QUALITY,
     ) -> MemoryPublication:
+        self.network.qualities[topic] = quality
         source = MessageSource(
             self.node_name,
             definition.name,
@@ -219,6 +230,11 @@ class MemoryTransport:
                 if entries
             },
             {name: {node} for name, (node, _) in self.network.services.items()},
+            {
+                topic: {subscription.node for subscription in entries}
+                for topic, entries in self.network.subscriptions.items()
+                if entries
+            },
         )
 
     def on_shutdown(self, callback: Any) -> None:

@@ -1,5 +1,6 @@
 """Parameters of a node: defaults, conversions and errors."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -7,7 +8,7 @@ import pytest
 
 from retalis import Limits, Settings, TopicType, UsageError
 from retalis.dashboard.page_server import DASHBOARD_PORT
-from retalis.node.parameters import read_parameters
+from retalis.node.parameters import PARAMETER_DESCRIPTIONS, read_parameters
 from retalis.prolog.machine.resource_limits import NO_LIMITS
 
 
@@ -188,3 +189,8 @@ def test_dashboard_is_disabled_by_default(read: Any) -> None:
             UsageError, match="parameter ~dashboard: expected true, false or the number of a port"
         ):
             read(dashboard=value)
+
+
+def test_descriptions_and_reference_have_same_parameters() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "nodes.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"^\| `~(\w+)` \|", page, re.MULTILINE)) == set(PARAMETER_DESCRIPTIONS)

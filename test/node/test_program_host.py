@@ -7,6 +7,7 @@ import pytest
 from node.hosts import DEFINITIONS, Robot, encode, start_host
 from node.memory_transport import MemoryNetwork
 
+from retalis.events.program.topic_configuration import ANY_QUALITY, QualityOfService
 from retalis.node.text_exchange import read_text_message, serialize_text
 
 TOPICS = """
@@ -48,6 +49,16 @@ def test_output_of_rule_is_published(network: MemoryNetwork, start: Any) -> None
     start(ECHO)
     robot.publish("/scan").send(encode("fire"))
     assert robot.received["/alarm"] == ["fire"]
+
+
+def test_demands_on_quality_of_service_reach_transport(network: MemoryNetwork, start: Any) -> None:
+    topics = TOPICS.replace('event="scan"', 'event="scan" depth="5"').replace(
+        'name="alarm"', 'name="alarm" reliability="best_effort"'
+    )
+    start(ECHO, topics=topics)
+    assert network.qualities["/scan"] == QualityOfService(depth=5)
+    assert network.qualities["/alarm"] == QualityOfService(is_reliable=False)
+    assert network.qualities["/tf"] == ANY_QUALITY
 
 
 def test_alarm_fires_by_time_of_transport(network: MemoryNetwork, start: Any) -> None:

@@ -82,6 +82,24 @@ def test_events_have_the_given_name(
     assert texts(caplog) == []
 
 
+def test_messages_that_transport_has_lost_are_counted(network: Any, caplog: pytest.LogCaptureFixture) -> None:
+    topic = SubscribedTopic(
+        MemoryTransport(network),
+        Definitions(),
+        Reports(),
+        TopicRequest("/heat", "std_msgs/String"),
+        MessageProcessing(lambda decoder, name, source: decoder.decode, threading.Lock()),
+        ReadingOptions(5),
+    )
+    (subscription,) = network.subscriptions["/heat"]
+    subscription.connect(MessageSource("/sensor", "std_msgs/String")).record_lost(3)
+    assert topic.status().missing == 3
+    assert texts(caplog) == [
+        "topic /heat: /sensor sends faster than this node reads: 3 messages lost; have it publish more slowly, with "
+        "a longer queue, or end later (rosbag play --keep-alive)"
+    ]
+
+
 @pytest.mark.parametrize("message_type", ["*", "std_msgs/String"])
 def test_source_without_definition_has_known_type(
     subscribe: Any, network: MemoryNetwork, message_type: str

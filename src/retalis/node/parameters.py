@@ -23,37 +23,38 @@ DEFAULT_WATCHDOG_SECONDS = 1.0
 """Default of ``~watchdog``: seconds after which work in progress is logged."""
 
 
-PARAMETER_NAMES = (
-    "program",
-    "direct",
-    "embedded",
-    "queue",
-    "allow_goals",
-    "allow_flags",
-    "allow_foreign",
-    "allow_swi",
-    "folders",
-    "write_folders",
-    "max_file_megabytes",
-    "max_depth",
-    "max_elements",
-    "max_seconds",
-    "max_inferences",
-    "max_megabytes",
-    "max_output_megabytes",
-    "max_skew",
-    "max_gap",
-    "watermark_delay",
-    "max_watermark_delay",
-    "tf_cache",
-    "watchdog",
-    "diagnostics",
-    "hardware_id",
-    "dashboard",
-    "dashboard_queries",
-    "explain",
-    "checkpoint",
-)
+PARAMETER_DESCRIPTIONS = {
+    "program": "Folder of the program, an absolute path",
+    "direct": "Topics that the node subscribes to itself: auto, true, false, or a list of topics and types",
+    "embedded": "Whether this node offers all services, and no message passes as text",
+    "queue": "Maximum length of each queue, in events or messages",
+    "allow_goals": "Whether any goal that is received on retalisInputEvents is called",
+    "allow_flags": "Whether goals of services and of the dashboard may change flags",
+    "allow_foreign": "Whether programs may load Python modules",
+    "allow_swi": "Whether programs may load files into SWI-Prolog",
+    "folders": "Folders in which goals of events, queries and services may read files, beside the program's folder",
+    "write_folders": "Folders in which these goals may write and read files; the first has the persistent events",
+    "max_file_megabytes": "Largest file that the program may read or write, in megabytes",
+    "max_depth": "Maximum length of a chain of derived events",
+    "max_elements": "Maximum number of array elements without bytes in a message",
+    "max_seconds": "Time limit of an event, a query or a service call, in seconds; 0: no limit",
+    "max_inferences": "Maximum number of inferences of an event, a query or a service call; 0: no limit",
+    "max_megabytes": "Maximum growth of the process during such a call, in megabytes; 0: no limit",
+    "max_output_megabytes": "Maximum text that the goals of such a call write, in megabytes; 0: no limit",
+    "max_skew": "Maximum difference between a stamp and the expected time, in seconds; 0: no limit",
+    "max_gap": "Maximum gap between records over which poses are interpolated, in seconds; 0: no limit",
+    "watermark_delay": "Time to wait for late events, in seconds, or auto",
+    "max_watermark_delay": "Upper bound of the automatic delay, in seconds",
+    "tf_cache": "History of the transforms of each frame, in seconds",
+    "watchdog": "Seconds after which a running event, query or call is logged; 0: never",
+    "diagnostics": "Interval of messages on /diagnostics, in seconds; 0: no messages",
+    "hardware_id": "Hardware id on /diagnostics",
+    "dashboard": "Web page on the loopback address: true, false, or the number of a port",
+    "dashboard_queries": "Whether users of the page may call goals",
+    "explain": "Whether the origin of events is recorded for the service ~explain",
+    "checkpoint": "File to which the node saves its state, and from which it continues after a restart",
+}
+"""Names of the parameters, with a description for tools that list them."""
 
 
 class Parameters(NamedTuple):
@@ -165,12 +166,12 @@ def read_parameters(values: Mapping[str, Any], find_program: Callable[[], Path])
 def _warn_about_unknown_parameters(values: Mapping[str, Any]) -> None:
     for name in values:
         # A misspelt parameter would otherwise be ignored without notice.
-        if name not in PARAMETER_NAMES:
-            closest = closest_name(name, PARAMETER_NAMES)
+        if name not in PARAMETER_DESCRIPTIONS:
+            closest = closest_name(name, PARAMETER_DESCRIPTIONS)
             hint = (
                 f"did you mean ~{closest}?"
                 if closest
-                else f"the parameters are ~{', ~'.join(PARAMETER_NAMES)}"
+                else f"the parameters are ~{', ~'.join(PARAMETER_DESCRIPTIONS)}"
             )
             log.warning("there is no parameter ~%s; %s", printable(shorten(name)), hint)
 

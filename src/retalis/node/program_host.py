@@ -33,6 +33,7 @@ from .diagnostics import (
     evaluate_program,
 )
 from .goal_output import log_counts, log_error, print_goal_output
+from .graph_watch import GraphWatch
 from .host_context import HostContext
 from .latched_deduplication import LatchedConnection
 from .node_dashboard import NodeDashboard
@@ -329,6 +330,10 @@ class ProgramHost:
             self._reports,
             parameters.hardware_id,
         )
+        try:
+            GraphWatch(transport, self._topics, self._context.definitions, self._reports)
+        except RetalisError as error:
+            self._errors += log_error(error)
         self._dashboard = NodeDashboard(
             transport,
             self._reports,

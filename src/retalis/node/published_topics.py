@@ -6,7 +6,13 @@ from collections import deque
 from typing import Any, Callable, Deque, Dict, Iterable, List, NamedTuple, Optional, Set
 
 from ..engine.runtime.problem_reports import Reports
-from ..events.program.topic_configuration import TOPICS, Topics
+from ..events.program.topic_configuration import (
+    ANY_QUALITY,
+    TOPICS,
+    QualityOfService,
+    Topics,
+    quality_of,
+)
 from ..foundation.bounded_caches import Cache
 from ..foundation.errors import MessageError, RetalisError, UsageError, printable, shorten
 from ..messages.encoder import Encoder
@@ -78,10 +84,11 @@ class _TypedTopic(NamedTuple):
 
 
 class _UnadvertisedTopic(NamedTuple):
-    """A topic with an unknown type, and whether it will be latched."""
+    """A topic with an unknown type, and how it will be advertised."""
 
     message_type: str
     latched: bool
+    quality: QualityOfService
 
 
 class PublishedTopics:
@@ -117,13 +124,20 @@ class PublishedTopics:
         self._report_unpublished = report_unpublished or TextOnlyOutputs(reports).report
         self._text_reader = EventReader()
 
-    def advertise(self, topic: str, message_type: str, latched: bool = False) -> None:
+    def advertise(
+        self,
+        topic: str,
+        message_type: str,
+        latched: bool = False,
+        quality: QualityOfService = ANY_QUALITY,
+    ) -> None:
         """Advertise a topic with a message type.
 
         Args:
             topic: name of the topic.
             message_type: message type; if it is unknown, the topic is advertised when the type becomes known.
             latched: whether each new subscriber receives the last message.
+            quality: what the program demands of the quality of service.
 
         Raises:
             MessageError: if the type is unknown yet, or invalid.
@@ -137,9 +151,9 @@ class PublishedTopics:
                     raise UsageError(f"topic {topic} already has the type {known_type}")
                 return
             try:
-                self._advertise(name, message_type, latched)
+                self._advertise(name, message_type, latched, quality)
             except MessageError:
-                self._unadvertised[name] = _UnadvertisedTopic(message_type, latched)
+                self._unadvertised[name] = _UnadvertisedTopic(message_type, latched, quality)
                 raise
 
     def statuses(self) -> List[OutputStatus]:
@@ -155,9 +169,9 @@ class PublishedTopics:
             return self._typed[name].encoder.definition.name
         return self._unadvertised[name].message_type if name in self._unadvertised else None
 
-    def _advertise(self, name: str, message_type: str, latched: bool) -> None:
+    def _advertise(self, name: str, message_type: str, latched: bool, quality: QualityOfService) -> None:
         definition = self._definitions.find(message_type)
-        publication = self._transport.advertise(name, definition, self._queue, latched)
+        publication = self._transport.advertise(name, definition, self._queue, latched, quality)
         self._typed[name] = _TypedTopic(
             publication, self._definitions.encoder(definition, self._transport.format)
         )
@@ -168,9 +182,9 @@ class PublishedTopics:
         if not self._unadvertised:
             return
         with self._lock:
-            for name, (message_type, latched) in list(self._unadvertised.items()):
+            for name, (message_type, latched, quality) in list(self._unadvertised.items()):
                 if message_type in self._definitions:
-                    self._advertise(name, message_type, latched)
+                    self._advertise(name, message_type, latched, quality)
                     del self._unadvertised[name]
                     log.info(
                         "topic %s is published: its type %s was learned from a publisher", name, message_type
@@ -300,7 +314,8 @@ def advertise_topics(published: PublishedTopics, topics: Topics, may_be_learned:
     """
     for topic, message_type in topics.published:
         try:
-            published.advertise(topic, message_type, topic in topics.latched)
+            quality = quality_of(topics.published_quality, topic)
+            published.advertise(topic, message_type, topic in topics.latched, quality)
         except RetalisError as error:
             if may_be_learned and isinstance(error, MessageError):
                 log.info("%s: topic %s: %s; it may come with a message", TOPICS, topic, error)

@@ -17,7 +17,14 @@ from typing import Callable, Iterable, List, NamedTuple, Optional, Tuple
 from ..engine.engine import Engine
 from ..engine.event_input import TopicRequest
 from ..engine.runtime.problem_reports import Reports
-from ..events.program.topic_configuration import DirectTopics, Topics, TopicType, direct_topics
+from ..events.program.topic_configuration import (
+    DEFAULT_DIRECT_TOPICS,
+    DirectTopics,
+    Topics,
+    TopicType,
+    direct_topics,
+    quality_of,
+)
 from ..foundation.errors import RetalisError
 from ..messages.decoder import Decoder
 from ..messages.type_registry import Definitions
@@ -106,7 +113,9 @@ class RunningProgram:
             definitions,
             reports,
             processing._replace(consume_results=engine.post_each),
-            options,
+            options._replace(
+                quality_of=lambda topic: quality_of(topics.subscribed_quality, topic, transport.resolve_topic)
+            ),
             self.published.advertise_learned_types,
         )
         self.untyped_topics = UntypedTopicWarnings(
@@ -135,9 +144,15 @@ class RunningProgram:
     def subscribe_direct_topics(self) -> None:
         """Subscribe to the topics of ``~direct``. Errors are logged."""
         resolve_topic = self._context.transport.resolve_topic
-        for topic, message_type in self.direct:
+        for direct_topic in self.direct:
+            topic, message_type = direct_topic
             event = self._context.topics.event_name_of(topic, resolve_topic)
-            self.subscribed.try_to_subscribe(TopicRequest(topic, message_type, event), "parameter ~direct")
+            request = TopicRequest(topic, message_type, event)
+            # Many robots have neither of the default topics, and rclpy cannot subscribe to types that are missing.
+            is_default = direct_topic in DEFAULT_DIRECT_TOPICS
+            self.subscribed.try_to_subscribe(
+                request, "parameter ~direct", logging.INFO if is_default else logging.ERROR
+            )
 
     def start_transforms(self, start_feed: Callable[[], object]) -> None:
         """Call a function once, as soon as the program reads transforms; it calls `subscribe_transforms`."""

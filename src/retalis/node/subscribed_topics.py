@@ -35,7 +35,14 @@ from ..engine.event_input import TopicRequest
 from ..engine.runtime.clock_epochs import ClockEpochs
 from ..engine.runtime.clock_skew import ClockSkewMonitor, EarlyMessage, RefusedMessage
 from ..engine.runtime.problem_reports import Reports
-from ..events.program.topic_configuration import TOPICS, Topics, TopicType, topic_type
+from ..events.program.topic_configuration import (
+    ANY_QUALITY,
+    TOPICS,
+    QualityOfService,
+    Topics,
+    TopicType,
+    topic_type,
+)
 from ..foundation.errors import MessageError, RetalisError, UsageError, printable, shorten
 from ..messages.decoder import Decoder, has_header
 from ..messages.transform_messages import (
@@ -119,6 +126,7 @@ class ReadingOptions(NamedTuple):
         loss_hint: how to lose fewer messages, for warnings about losses.
         ignores_own: whether messages of this node are not received.
         reserved: topics that a program may not subscribe to.
+        quality_of: returns what the program demands of a topic's quality of service, by its full name.
         report_replaced_type: called if a source's type is used in place of an unknown one.
     """
 
@@ -127,6 +135,7 @@ class ReadingOptions(NamedTuple):
     loss_hint: str = LOSS_HINT
     ignores_own: bool = False
     reserved: Tuple[str, ...] = TEXT_TOPICS
+    quality_of: Callable[[str], QualityOfService] = lambda topic: ANY_QUALITY
     report_replaced_type: Callable[[TopicRequest, MessageSource], object] = log_replaced_type
 
 
@@ -205,15 +214,16 @@ class SubscribedTopics:
         """
         return resolve_subscribable_topic(topic, self._transport.resolve_topic, self._options.reserved)
 
-    def try_to_subscribe(self, request: TopicRequest, requester: str = "subscribe_to") -> bool:
+    def try_to_subscribe(
+        self, request: TopicRequest, requester: str = "subscribe_to", error_level: int = logging.ERROR
+    ) -> bool:
         """Subscribe to a topic; return whether it succeeds. An error is logged, with the name of the requester."""
         try:
             self.subscribe(*request)
         except RetalisError as error:
             # A node that is being shut down can subscribe no more.
-            log.log(
-                logging.DEBUG if self._transport.is_shut_down() else logging.ERROR, "%s: %s", requester, error
-            )
+            level = logging.DEBUG if self._transport.is_shut_down() else error_level
+            log.log(level, "%s: %s", requester, error)
             return False
         return True
 
@@ -365,6 +375,7 @@ class SubscribedTopic:
             options.queue_size,
             options.max_delay,
             options.ignores_own,
+            options.quality_of(request.topic),
         )
 
     def status(self) -> InputStatus:
@@ -571,6 +582,7 @@ class SourceReader:
         self.convert = convert
         self.receive = receive
         self.close = monitor.close
+        self.record_lost = monitor.record_lost
         self.reads_transforms = reads_transforms
         self.error = error
 

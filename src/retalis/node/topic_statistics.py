@@ -113,6 +113,11 @@ class LossMonitor:
         """Record that the messages have been processed."""
         self._end = self._now()
 
+    def record_lost(self, count: int) -> None:
+        """Record messages that the transport knows to be lost."""
+        self._counts.missing += count
+        self._report(f"{format_count(count, 'message')} lost")
+
     def close(self, is_incomplete: bool) -> None:
         """Record that the publisher has closed the connection, possibly within a message."""
         if is_incomplete:

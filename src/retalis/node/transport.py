@@ -12,9 +12,22 @@ sources, timers and requests may overlap; the calls for one source may not. Topi
 `Transport.resolve_topic` returns them.
 """
 
-from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Protocol, Set
+from typing import (
+    AbstractSet,
+    Any,
+    Callable,
+    Dict,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Protocol,
+    Sequence,
+    Set,
+)
 
 from ..events.knowledge.transform_buffer import TransformBuffer
+from ..events.program.topic_configuration import ANY_QUALITY, QualityOfService
 from ..messages.type_definition import Definition, SerializationFormat
 from ..messages.type_registry import InstalledTypes
 
@@ -68,6 +81,9 @@ class MessageReceiver(Protocol):
         The time between two calls shows whether the source waits for this node, which is a sign of lost messages.
         """
 
+    def record_lost(self, count: int) -> None:
+        """Record that the transport has lost messages of the source, if it knows. They are counted and reported."""
+
     def close(self, is_incomplete: bool) -> None:
         """Record that the source has ended its connection, within a message if it is incomplete.
 
@@ -120,18 +136,40 @@ class Timer(Protocol):
         """Do not call it, if it has not been called."""
 
 
+class Mismatch(NamedTuple):
+    """A publisher and a subscriber of one topic that cannot connect.
+
+    Attributes:
+        topic: full name of the topic.
+        publisher: full name of the publishing node.
+        subscriber: full name of the subscribing node.
+        reason: the publisher and the reason, as text.
+    """
+
+    topic: str
+    publisher: str
+    subscriber: str
+    reason: str
+
+
 class NodeGraph(NamedTuple):
-    """Topics and services of all nodes.
+    """Nodes with their topics and services.
 
     Attributes:
         types: message type of each published topic, ``package/Type``.
         publishers: names of the nodes that publish each topic, this node included.
         servers: names of the nodes that offer each service, this node included.
+        subscribers: names of the nodes that subscribe to each topic, this node included.
+        nodes: names of nodes that may have neither topics nor services.
+        mismatches: publishers and subscribers that cannot connect.
     """
 
     types: Mapping[str, str]
     publishers: Mapping[str, Set[str]]
     servers: Mapping[str, Set[str]]
+    subscribers: Mapping[str, Set[str]] = {}
+    nodes: AbstractSet[str] = frozenset()
+    mismatches: Sequence[Mismatch] = ()
 
 
 class MessageTransport(Protocol):
@@ -161,6 +199,7 @@ class MessageTransport(Protocol):
         queue_size: int,
         max_delay: float = 0.0,
         ignores_own: bool = False,
+        quality: QualityOfService = ANY_QUALITY,
     ) -> TopicSubscription:
         """Subscribe to a topic.
 
@@ -172,10 +211,16 @@ class MessageTransport(Protocol):
             queue_size: number of messages to queue, if the transport has a queue; beyond it, the oldest are dropped.
             max_delay: seconds for which a message of a fast topic may wait for the next ones; may be ignored.
             ignores_own: whether messages of this node are not received.
+            quality: what the program demands; ignored by middlewares that have no quality of service.
         """
 
     def advertise(
-        self, topic: str, definition: Definition, queue_size: int, is_latched: bool = False
+        self,
+        topic: str,
+        definition: Definition,
+        queue_size: int,
+        is_latched: bool = False,
+        quality: QualityOfService = ANY_QUALITY,
     ) -> TopicPublication:
         """Publish a topic.
 
@@ -187,6 +232,7 @@ class MessageTransport(Protocol):
             definition: type of its messages.
             queue_size: number of messages to queue for one subscriber; beyond it, the oldest are dropped.
             is_latched: whether each new subscriber receives the last message.
+            quality: what the program demands; see `subscribe`.
         """
 
     def is_shut_down(self) -> bool:
@@ -247,7 +293,7 @@ class Transport(MessageTransport, Protocol):
         """
 
     def graph(self) -> Optional[NodeGraph]:
-        """Return the topics and services of all nodes; None if they cannot be found out now.
+        """Return the nodes with their topics and services; None if they cannot be found out now.
 
         Topics without publishers may be missing.
         """

@@ -8,6 +8,7 @@ bag that is played, and whoever plays the bag calls `MessageReceiver.convert` fo
 from typing import Dict, Iterable, List, NamedTuple, Set, Tuple
 
 from ..events.clock.clock import StreamClock
+from ..events.program.topic_configuration import ANY_QUALITY, QualityOfService
 from ..foundation.ros_name_checks import strip_slashes
 from ..messages.type_definition import Definition, SerializationFormat
 from ..node.transport import Connect, MessageReceiver, MessageSource
@@ -116,6 +117,7 @@ class BagTransport:
         queue_size: int,
         max_delay: float = 0.0,
         ignores_own: bool = False,
+        quality: QualityOfService = ANY_QUALITY,
     ) -> BagSubscription:
         """Subscribe to a topic of the present bag and of later ones; see `MessageTransport.subscribe`."""
         subscription = BagSubscription(topic, connect)
@@ -124,7 +126,12 @@ class BagTransport:
         return subscription
 
     def advertise(
-        self, topic: str, definition: Definition, queue_size: int, is_latched: bool = False
+        self,
+        topic: str,
+        definition: Definition,
+        queue_size: int,
+        is_latched: bool = False,
+        quality: QualityOfService = ANY_QUALITY,
     ) -> BagPublication:
         """Publish a topic; see `MessageTransport.advertise`."""
         publication = self.publications[topic] = BagPublication(definition)

@@ -12,6 +12,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from rospy.rostime import is_wallclock
 
 from ..engine.runtime.problem_reports import Reports
+from ..events.program.topic_configuration import ANY_QUALITY, QualityOfService
 from ..foundation.bounded_caches import Cache
 from ..foundation.errors import RetalisError, UsageError, shorten
 from ..messages.type_definition import Definition, SerializationFormat
@@ -245,6 +246,7 @@ class RospyTransport:
         queue_size: int,
         max_delay: float = 0.0,
         ignores_own: bool = False,
+        quality: QualityOfService = ANY_QUALITY,
     ) -> RospySubscription:
         """See `Transport`."""
         try:
@@ -254,7 +256,12 @@ class RospyTransport:
             raise RetalisError(f"topic {shorten(topic)}: {error}") from error
 
     def advertise(
-        self, topic: str, definition: Definition, queue_size: int, is_latched: bool = False
+        self,
+        topic: str,
+        definition: Definition,
+        queue_size: int,
+        is_latched: bool = False,
+        quality: QualityOfService = ANY_QUALITY,
     ) -> RospyPublication:
         """See `Transport`."""
         topic_writer = TopicWriter(
@@ -282,7 +289,7 @@ class RospyTransport:
         """See `Transport`."""
         master = rosgraph.Master(self.node_name)
         try:
-            published, _, services = master.getSystemState()
+            published, subscribed, services = master.getSystemState()
             types = dict(master.getTopicTypes())
         except MASTER_ERRORS:
             # Reported by `MasterWatch`.
@@ -292,6 +299,7 @@ class RospyTransport:
             {topic: message_type for topic, message_type in types.items() if topic in publishers},
             publishers,
             {service: set(nodes) for service, nodes in services},
+            {topic: set(nodes) for topic, nodes in subscribed},
         )
 
     def on_shutdown(self, callback: Callable[[], object]) -> None:

@@ -8,9 +8,13 @@ from checked_access import place_of
 
 from retalis import Engine, ProgramErrors, PrologError, Settings, TopicType, UsageError
 from retalis.events.program.topic_configuration import (
+    ANY_QUALITY,
     DEFAULT_DIRECT_TOPICS,
+    QualityOfService,
+    TopicQuality,
     Topics,
     direct_topics,
+    quality_of,
     read_direct,
     read_text,
     read_topics,
@@ -49,6 +53,37 @@ def test_type_names_of_ros_2_are_accepted(tmp_path: Path) -> None:
     )
     assert topics.subscribed == (TopicType("a", "geometry_msgs/Point"),)
     assert topics.published == (TopicType("b", "geometry_msgs/Pose"),)
+
+
+def test_quality_of_service_is_read(tmp_path: Path) -> None:
+    topics = read_configuration(
+        tmp_path,
+        '<publish_subscribe><subscribe_to name="scan" msg_type="a/B" reliability="best_effort" depth="5"/>'
+        '<subscribe_to name="odom" msg_type="a/B" reliability="auto"/>'
+        '<publish_to name="map" msg_type="a/B" reliability="reliable" durability="transient_local"/>'
+        "</publish_subscribe>",
+    )
+    assert topics.subscribed_quality == (TopicQuality("scan", QualityOfService(False, None, 5)),)
+    assert topics.published_quality == (TopicQuality("map", QualityOfService(True, True, None)),)
+    assert quality_of(topics.subscribed_quality, "/scan", lambda topic: topic.strip("/")).depth == 5
+    assert quality_of(topics.subscribed_quality, "odom") == ANY_QUALITY
+
+
+@pytest.mark.parametrize(
+    ("attribute", "error"),
+    [
+        ('reliability="strict"', 'reliability is reliable, best_effort, auto, found "strict"'),
+        ('durability="latched"', 'durability is transient_local, volatile, auto, found "latched"'),
+        ('depth="0"', 'depth is auto or a number from 1 to 1000000, found "0"'),
+        ('depth="1000000000000"', 'depth is auto or a number from 1 to 1000000, found "1000000000000"'),
+        ('depth="-1"', 'depth is auto or a number from 1 to 1000000, found "-1"'),
+    ],
+)
+def test_invalid_quality_of_service_is_refused(tmp_path: Path, attribute: str, error: str) -> None:
+    line = f'<subscribe_to name="scan" msg_type="a/B" {attribute}/>'
+    with pytest.raises(ProgramErrors) as caught:
+        read_configuration(tmp_path, f"<publish_subscribe>{line}</publish_subscribe>")
+    assert [problem.message for problem in caught.value.errors] == [f"<subscribe_to>: {error}"]
 
 
 def test_latched_topics_are_read(tmp_path: Path) -> None:

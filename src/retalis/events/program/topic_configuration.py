@@ -31,8 +31,17 @@ GOALS = "goalPredicates.txt"
 TOPICS = "pub_sub.xml"
 RULES = "eventRules.txt"
 
-ATTRIBUTES = {"subscribe_to": ("name", "msg_type", "event"), "publish_to": ("name", "msg_type", "latch")}
+QUALITY_ATTRIBUTES = ("reliability", "durability", "depth")
+"""Attributes of both elements for the quality of service of ROS 2; ROS 1 has none."""
+
+ATTRIBUTES = {
+    "subscribe_to": ("name", "msg_type", "event", *QUALITY_ATTRIBUTES),
+    "publish_to": ("name", "msg_type", "latch", *QUALITY_ATTRIBUTES),
+}
 """Elements of ``pub_sub.xml`` with their attributes."""
+
+MAX_QUEUE_DEPTH = 1_000_000
+"""Largest number of messages that a topic may queue."""
 
 MAX_XML_CHARACTERS = 4_000_000
 """Maximum length of ``pub_sub.xml``."""
@@ -91,6 +100,31 @@ class TopicEvent(NamedTuple):
     event: str
 
 
+class QualityOfService(NamedTuple):
+    """Demands of a program on a topic of ROS 2; the node chooses the rest.
+
+    Attributes:
+        is_reliable: whether lost messages are sent again; None for no demand.
+        is_transient_local: whether late subscribers receive the last messages; None for no demand.
+        depth: number of messages to queue; None for no demand.
+    """
+
+    is_reliable: Optional[bool] = None
+    is_transient_local: Optional[bool] = None
+    depth: Optional[int] = None
+
+
+ANY_QUALITY = QualityOfService()
+"""The quality of a topic without demands."""
+
+
+class TopicQuality(NamedTuple):
+    """Name of a topic as written, and the demanded quality of service."""
+
+    topic: str
+    quality: QualityOfService
+
+
 class Topics(NamedTuple):
     """Contents of ``pub_sub.xml``.
 
@@ -99,12 +133,16 @@ class Topics(NamedTuple):
         published: topics for outputs, with their types.
         latched: names of latched topics, whose last message is sent to each new subscriber.
         events: subscribed topics with a name for their events.
+        subscribed_quality: subscribed topics with demands on the quality of service.
+        published_quality: published topics with such demands.
     """
 
     subscribed: Tuple[TopicType, ...] = ()
     published: Tuple[TopicType, ...] = ()
     latched: FrozenSet[str] = frozenset()
     events: Tuple[TopicEvent, ...] = ()
+    subscribed_quality: Tuple[TopicQuality, ...] = ()
+    published_quality: Tuple[TopicQuality, ...] = ()
 
     def event_name_of(self, topic: str, canonical_name: Callable[[str], str] = str) -> str:
         """Return the name of the events of a topic, or "" if they are named by the message type.
@@ -115,6 +153,22 @@ class Topics(NamedTuple):
         """
         canonical_topic = canonical_name(topic)
         return next((event for name, event in self.events if canonical_name(name) == canonical_topic), "")
+
+
+def quality_of(
+    qualities: Tuple[TopicQuality, ...], topic: str, canonical_name: Callable[[str], str] = str
+) -> QualityOfService:
+    """Return the demanded quality of service of a topic.
+
+    Args:
+        qualities: the topics with demands.
+        topic: name of the topic.
+        canonical_name: returns the canonical form of a topic name.
+    """
+    canonical_topic = canonical_name(topic)
+    return next(
+        (quality for name, quality in qualities if canonical_name(name) == canonical_topic), ANY_QUALITY
+    )
 
 
 def read_text(path: Union[str, Path], encoding: str = "utf-8") -> str:
@@ -255,6 +309,7 @@ class _TopicReader:
         self.topics_by_tag: Dict[str, List[TopicType]] = {"subscribe_to": [], "publish_to": []}
         self.latched: Set[str] = set()
         self.events: List[TopicEvent] = []
+        self.qualities: Dict[str, List[TopicQuality]] = {"subscribe_to": [], "publish_to": []}
         self.errors = Errors()
 
     def read(self) -> Topics:
@@ -275,7 +330,14 @@ class _TopicReader:
         if self.errors:
             raise ProgramErrors(self.errors)
         subscribed, published = (tuple(self.topics_by_tag[tag]) for tag in ("subscribe_to", "publish_to"))
-        return Topics(subscribed, published, frozenset(self.latched), tuple(self.events))
+        return Topics(
+            subscribed,
+            published,
+            frozenset(self.latched),
+            tuple(self.events),
+            tuple(self.qualities["subscribe_to"]),
+            tuple(self.qualities["publish_to"]),
+        )
 
     def place_at(self, line: int, offset: int) -> Place:
         text = self.lines[line - 1] if line <= len(self.lines) else ""
@@ -318,6 +380,7 @@ class _TopicReader:
             self.record_latch(topic.topic, attributes.get("latch", "false").strip(), place)
         else:
             self.add_event_name(topic.topic, attributes.get("event"), place)
+        self.add_quality(tag, topic.topic, attributes, place)
         self.topics_by_tag[tag].append(topic)
 
     def add_event_name(self, topic: str, event: Optional[str], place: Place) -> None:
@@ -330,6 +393,21 @@ class _TopicReader:
         else:
             self.add_error(f"<subscribe_to>: {error_text}", place)
 
+    def add_quality(self, tag: str, topic: str, attributes: Dict[str, str], place: Place) -> None:
+        texts = {name: attributes.get(name, "auto").strip() for name in QUALITY_ATTRIBUTES}
+        try:
+            quality = QualityOfService(
+                _read_policy("reliability", texts["reliability"], "reliable", "best_effort"),
+                _read_policy("durability", texts["durability"], "transient_local", "volatile"),
+                _read_depth(texts["depth"]),
+            )
+        except UsageError as error:
+            self.add_error(f"<{tag}>: {error.message}", place)
+            return
+        # Of several entries for a topic the first one counts.
+        if quality != ANY_QUALITY and all(entry.topic != topic for entry in self.topics_by_tag[tag]):
+            self.qualities[tag].append(TopicQuality(topic, quality))
+
     def record_latch(self, topic: str, value: str, place: Place) -> None:
         if value == "true":
             self.latched.add(topic)
@@ -338,3 +416,20 @@ class _TopicReader:
 
     def add_error(self, message: str, place: Place) -> None:
         self.errors.append(RuleError(message, place))
+
+
+def _read_policy(name: str, text: str, strict: str, lenient: str) -> Optional[bool]:
+    """Return whether a policy is the strict one; None for ``auto``."""
+    policies = {strict: True, lenient: False, "auto": None}
+    if text not in policies:
+        raise UsageError(f'{name} is {", ".join(policies)}, found "{shorten(text)}"')
+    return policies[text]
+
+
+def _read_depth(text: str) -> Optional[int]:
+    """Return the depth of a queue; None for ``auto``."""
+    if text == "auto":
+        return None
+    if not (text.isascii() and text.isdecimal() and len(text) < 10 and 0 < int(text) <= MAX_QUEUE_DEPTH):
+        raise UsageError(f'depth is auto or a number from 1 to {MAX_QUEUE_DEPTH}, found "{shorten(text)}"')
+    return int(text)

@@ -1,0 +1,50 @@
+"""Requests and responses of services, as classes that rosidl has generated."""
+
+from importlib import import_module
+from types import SimpleNamespace
+from typing import Any, Mapping
+
+_NANOSECONDS = 10**9
+
+
+def read_request(request: Any) -> SimpleNamespace:
+    """Return the fields of a request, with times and durations in nanoseconds."""
+    values = {field: getattr(request, field) for field in request.get_fields_and_field_types()}
+    return SimpleNamespace(
+        **{
+            field: value.sec * _NANOSECONDS + value.nanosec if _is_instant(value) else value
+            for field, value in values.items()
+        }
+    )
+
+
+def fill_message(message: Any, values: Mapping[str, Any]) -> Any:
+    """Assign values to the fields of a message, and return it.
+
+    Args:
+        message: the message.
+        values: values by field. Nested messages are dictionaries; times and durations are integers in nanoseconds.
+    """
+    types = message.get_fields_and_field_types()
+    for field, value in values.items():
+        default = getattr(message, field)
+        if _is_instant(default):
+            default.sec, default.nanosec = divmod(value, _NANOSECONDS)
+        elif isinstance(value, Mapping):
+            fill_message(default, value)
+        elif isinstance(value, (list, tuple)) and value and isinstance(value[0], Mapping):
+            element_class = _element_class(types[field])
+            setattr(message, field, [fill_message(element_class(), element) for element in value])
+        else:
+            setattr(message, field, value)
+    return message
+
+
+def _is_instant(value: Any) -> bool:
+    return hasattr(value, "nanosec")
+
+
+def _element_class(sequence_type: str) -> Any:
+    """Return the class of the elements of ``sequence<pkg/Type>``."""
+    package, _, type_name = sequence_type[len("sequence<") :].partition(">")[0].partition("/")
+    return getattr(import_module(f"{package}.msg"), type_name)

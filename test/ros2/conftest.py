@@ -1,0 +1,48 @@
+"""Fixtures of the tests on ROS 2: nodes of rclpy in a domain of their own.
+
+The tests are skipped where rclpy, or the generated classes of this package, are not installed.
+"""
+
+import os
+import socket
+from pathlib import Path
+
+import pytest
+
+import retalis
+
+FIRST_PORT, PORTS_PER_DOMAIN, MAX_DOMAIN = 7400, 250, 100
+"""UDP ports of DDS: those of a domain begin at FIRST_PORT + PORTS_PER_DOMAIN * domain."""
+
+
+def add_generated_classes() -> None:
+    """Extend the package of the sources by the generated classes of an installation."""
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        for folder in Path(prefix).glob("lib/python3*/site-packages/retalis"):
+            if str(folder) not in retalis.__path__:
+                retalis.__path__.append(str(folder))
+
+
+add_generated_classes()
+
+
+def is_unused(domain: int) -> bool:
+    """Return whether no process on this machine takes part in a domain."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind(("", FIRST_PORT + PORTS_PER_DOMAIN * domain + 10))
+        except OSError:
+            return False
+    return True
+
+
+@pytest.fixture
+def domain(monkeypatch: pytest.MonkeyPatch) -> int:
+    """Return an unused domain, which the processes of the test use, on this machine only."""
+    first = os.getpid() % MAX_DOMAIN
+    candidates = [1 + (first + offset) % MAX_DOMAIN for offset in range(MAX_DOMAIN)]
+    unused = next(candidate for candidate in candidates if is_unused(candidate))
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(unused))
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setenv("ROS_LOCALHOST_ONLY", "1")  # Humble
+    return unused

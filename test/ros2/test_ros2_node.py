@@ -1,0 +1,157 @@
+"""The node as a user starts it: a process, with another node of rclpy that sees its topics and services."""
+
+from pathlib import Path
+from typing import Any, Callable, Iterator, List
+
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed")
+pytest.importorskip("retalis.srv", reason="the classes of this package's services have not been generated")
+
+from geometry_msgs.msg import PoseStamped
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
+from rclpy.parameter import Parameter
+from ros2.node_processes import NodeProcess
+from ros2.rclpy_nodes import TIMEOUT_SECONDS, Network, wait_until
+from std_msgs.msg import String
+
+from retalis.node.parameters import PARAMETER_DESCRIPTIONS
+from retalis.srv import List as ListService
+from retalis.srv import Query
+
+PUB_SUB = """\
+<publish_subscribe>
+  <subscribe_to name="pose" msg_type="geometry_msgs/PoseStamped"/>
+  <publish_to name="frames" msg_type="std_msgs/String"/>
+</publish_subscribe>
+"""
+GOALS = """\
+memorize(geometry_msgs__0__PoseStamped(H, _), [], H, header, 10)
+subscribe(geometry_msgs__0__PoseStamped(std_msgs__0__Header(_, _, F), _), [], std_msgs__0__String(F), frames, f)
+"""
+
+
+@pytest.fixture
+def program(tmp_path: Path) -> Path:
+    folder = tmp_path / "program"
+    folder.mkdir()
+    (folder / "pub_sub.xml").write_text(PUB_SUB)
+    (folder / "goalPredicates.txt").write_text(GOALS)
+    return folder
+
+
+@pytest.fixture
+def network(domain: int) -> Iterator[Network]:
+    network = Network()
+    yield network
+    network.close()
+
+
+@pytest.fixture
+def start_node(domain: int, tmp_path: Path) -> Iterator[Callable[..., NodeProcess]]:
+    started: List[NodeProcess] = []
+
+    def start(*arguments: str) -> NodeProcess:
+        started.append(NodeProcess(tmp_path / f"{len(started)}.log", *arguments))
+        return started[-1]
+
+    yield start
+    for node in started:
+        node.kill()
+
+
+def call(node: Any, service_class: Any, name: str, **fields: Any) -> Any:
+    """Return the response of a service."""
+    client = node.create_client(service_class, name)
+    assert client.wait_for_service(TIMEOUT_SECONDS)
+    future = client.call_async(service_class.Request(**fields))
+    wait_until(future.done)
+    return future.result()
+
+
+@pytest.mark.slow
+def test_node_publishes_outputs_of_messages(network: Network, start_node: Any, program: Path) -> None:
+    frames: List[str] = []
+    peer = network.add_node()
+    peer.create_subscription(String, "frames", lambda message: frames.append(message.data), 10)
+    node = start_node("-p", f"program:={program}")
+    publisher = peer.create_publisher(PoseStamped, "pose", 10)
+    wait_until(publisher.get_subscription_count)
+    message = PoseStamped()
+    message.header.frame_id = "map"
+    message.header.stamp.sec = 5
+    publisher.publish(message)
+    wait_until(lambda: frames)
+    response = call(peer, Query, "/retalis/query", goal="X is 1 + 2", max_solutions=1)
+    assert response.result == "ok"
+    assert [binding.text for binding in response.solutions[0].bindings] == ["3"]
+    status = call(peer, ListService, "/retalis/list")
+    assert status.result == "ok"
+    assert [(memory.id, memory.records, memory.newest.sec) for memory in status.memories] == [
+        ("header", 1, 5)
+    ]
+    assert [(topic.topic, topic.messages) for topic in status.inputs if topic.topic == "/pose"] == [
+        ("/pose", 1)
+    ]
+    assert node.interrupt() == 0
+    assert frames == ["map"]
+    assert "[ERROR]" not in node.log()
+    assert "Traceback" not in node.log()
+
+
+@pytest.mark.slow
+def test_name_and_remapping_of_node_are_followed(network: Network, start_node: Any, program: Path) -> None:
+    node = start_node(
+        "-p", f"program:={program}", "-r", "__node:=monitor", "-r", "__ns:=/robot", "-r", "pose:=other"
+    )
+    publisher = network.add_node().create_publisher(PoseStamped, "/robot/other", 10)
+    wait_until(publisher.get_subscription_count)
+    assert call(network.add_node("caller"), ListService, "/robot/monitor/list").result == "ok"
+    assert node.interrupt() == 0
+
+
+@pytest.mark.slow
+def test_parameters_are_described_and_read_only(network: Network, start_node: Any, program: Path) -> None:
+    node = start_node("-p", f"program:={program}", "-p", "queue:=7")
+    peer = network.add_node()
+    descriptions = call(peer, DescribeParameters, "/retalis/describe_parameters", names=["queue", "max_skew"])
+    assert [(each.description, each.read_only) for each in descriptions.descriptors] == [
+        (PARAMETER_DESCRIPTIONS[name], True) for name in ("queue", "max_skew")
+    ]
+    values = call(peer, GetParameters, "/retalis/get_parameters", names=["queue", "max_skew"])
+    assert [(value.type, value.integer_value) for value in values.values] == [
+        (ParameterType.PARAMETER_INTEGER, 7),
+        (ParameterType.PARAMETER_NOT_SET, 0),
+    ]
+    parameter = Parameter("queue", value=8).to_parameter_msg()
+    (result,) = call(peer, SetParameters, "/retalis/set_parameters", parameters=[parameter]).results
+    assert not result.successful
+    assert node.interrupt() == 0
+
+
+@pytest.mark.slow
+def test_invalid_parameter_ends_node(start_node: Any, program: Path) -> None:
+    node = start_node("-p", f"program:={program}", "-p", "queue:=-1")
+    assert node.process.wait(TIMEOUT_SECONDS) == 1
+    assert "parameter ~queue: expected" in node.log()
+    assert "Traceback" not in node.log()
+
+
+@pytest.mark.slow
+def test_node_ends_while_query_waits(network: Network, start_node: Any, program: Path) -> None:
+    node = start_node("-p", f"program:={program}")
+    client = network.add_node().create_client(Query, "/retalis/query")
+    assert client.wait_for_service(TIMEOUT_SECONDS)
+    client.call_async(Query.Request(goal="true", wait_for=["header"], stamp=make_time(9), timeout=600.0))
+    other = client.call_async(Query.Request(goal="true"))
+    wait_until(other.done)
+    assert node.interrupt() == 0
+    assert "Traceback" not in node.log()
+
+
+def make_time(seconds: int) -> Any:
+    """Return a time for a request."""
+    stamp = Query.Request().stamp
+    stamp.sec = seconds
+    return stamp
