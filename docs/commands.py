@@ -31,7 +31,7 @@ The exit status is 0 for success, 1 for errors, 2 for wrong usage, and 130 after
 command states other values.
 
 Without the option `--node`, the commands `query`, `explain`, `list`, `status`, `watch` and `reload` use
-the only node in the namespace of `ROS_NAMESPACE`.
+the only node, on ROS 1 in the namespace of `ROS_NAMESPACE`.
 """
 
 HEADER = ["| argument | meaning |", "| --- | --- |"]

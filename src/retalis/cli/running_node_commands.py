@@ -10,7 +10,9 @@ from .option_values import any_number, non_negative
 
 AddCommand = Callable[..., argparse.ArgumentParser]
 
-DESCRIPTION = "The node is that of --node, or the only one that runs in the namespace of ROS_NAMESPACE."
+DESCRIPTION = (
+    "The node is that of --node, or the only one that runs, on ROS 1 in the namespace of ROS_NAMESPACE."
+)
 
 EXIT_STATUS_HELP = "The exit status is 0 with a solution, 1 without one or with an error."
 

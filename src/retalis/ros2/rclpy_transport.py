@@ -27,7 +27,7 @@ from .installed_interfaces import InstalledInterfaces
 from .message_intake import MessageIntake
 from .quality_of_service import choose_published_quality, find_mismatches, full_node_name, join_node_name
 from .ros_clock import RosClock
-from .service_messages import fill_message, read_request
+from .service_messages import fill_message, read_fields
 from .timers import ScheduledCall, Timers
 from .topic_publication import OwnMessages, RclpyPublication
 from .topic_subscription import RclpySubscription, TopicOptions
@@ -223,7 +223,7 @@ class RclpyTransport:
 
         def answer(request: Any, response: Any) -> None:
             try:
-                fill_message(response, handler(read_request(request)))
+                fill_message(response, handler(read_fields(request)))
             except Exception as error:
                 self._reports.error(error)
                 response.result = "error: internal error; the log of the node has the details"

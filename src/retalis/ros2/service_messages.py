@@ -7,15 +7,21 @@ from typing import Any, Mapping
 _NANOSECONDS = 10**9
 
 
-def read_request(request: Any) -> SimpleNamespace:
-    """Return the fields of a request, with times and durations in nanoseconds."""
-    values = {field: getattr(request, field) for field in request.get_fields_and_field_types()}
+def read_fields(message: Any) -> SimpleNamespace:
+    """Return the fields of a message, with times and durations in nanoseconds; nested messages in the same form."""
     return SimpleNamespace(
-        **{
-            field: value.sec * _NANOSECONDS + value.nanosec if _is_instant(value) else value
-            for field, value in values.items()
-        }
+        **{field: _read_value(getattr(message, field)) for field in message.get_fields_and_field_types()}
     )
+
+
+def _read_value(value: Any) -> Any:
+    if _is_instant(value):
+        return value.sec * _NANOSECONDS + value.nanosec
+    if hasattr(value, "get_fields_and_field_types"):
+        return read_fields(value)
+    if isinstance(value, (list, tuple)):
+        return [_read_value(item) for item in value]
+    return value
 
 
 def fill_message(message: Any, values: Mapping[str, Any]) -> Any:
