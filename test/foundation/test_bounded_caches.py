@@ -29,6 +29,7 @@ CACHED_FUNCTIONS = {
 """Functions with a cache that counts entries, with the reason why that bounds its bytes."""
 
 CACHES = {
+    ("ros2/rclpy_transport.py", "self._resolved"): (1000, 1 << 20),
     ("ros1/rospy_transport.py", "self._receivers"): (1000, 16 << 20),
     ("engine/runtime/clock_skew.py", "frames"): (5000, 4 << 20),  # for each topic
     ("node/published_topics.py", "self._checked"): (1000, 1 << 20),

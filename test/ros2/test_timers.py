@@ -6,7 +6,7 @@ from typing import Any, Callable, Iterator, List
 
 import pytest
 
-from retalis.ros2.timers import Timers
+from retalis.ros2.timers import TransportTimers
 
 SECOND = 10**9
 
@@ -28,11 +28,11 @@ class TestClock:
 
 
 @pytest.fixture
-def make_timers() -> Iterator[Callable[..., Timers]]:
-    created: List[Timers] = []
+def make_timers() -> Iterator[Callable[..., TransportTimers]]:
+    created: List[TransportTimers] = []
 
-    def make(now: Callable[[], int], is_simulated: bool = False, on_error: Any = print) -> Timers:
-        created.append(Timers(now, is_simulated, on_error))
+    def make(now: Callable[[], int], is_simulated: bool = False, on_error: Any = print) -> TransportTimers:
+        created.append(TransportTimers(now, is_simulated, on_error))
         return created[-1]
 
     yield make

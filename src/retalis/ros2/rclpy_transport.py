@@ -28,7 +28,7 @@ from .message_intake import MessageIntake
 from .quality_of_service import choose_published_quality, find_mismatches, full_node_name, join_node_name
 from .ros_clock import RosClock
 from .service_messages import fill_message, read_fields
-from .timers import ScheduledCall, Timers
+from .timers import ScheduledCall, TransportTimers
 from .topic_publication import OwnMessages, RclpyPublication
 from .topic_subscription import RclpySubscription, TopicOptions
 
@@ -79,9 +79,9 @@ class RclpyTransport:
         self._definitions = Definitions(self._interfaces)
         self._resolved: Cache[str, str] = Cache(1000, 1 << 20)
         self._clock = RosClock(self.is_time_simulated)
-        self._timers = Timers(self._clock.now, self.is_time_simulated, reports.error)
+        self._timers = TransportTimers(self._clock.now, self.is_time_simulated, reports.error)
         # For the transport itself: the clock of the machine may be set, and the engine may run in the other one.
-        self._own_timers = Timers(time.monotonic_ns, False, reports.error)
+        self._own_timers = TransportTimers(time.monotonic_ns, False, reports.error)
         self._intake = MessageIntake(node, reports.error)
         self._requests = RequestThreads()
         # Of its own: a request that waits would block the other callbacks of the node's group.

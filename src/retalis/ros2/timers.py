@@ -32,7 +32,7 @@ class ScheduledCall:
         self.callback = None
 
 
-class Timers:
+class TransportTimers:
     """Calls functions at instants of a clock, in a thread of its own.
 
     Args:
