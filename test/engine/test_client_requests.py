@@ -1,10 +1,10 @@
 """Requests of clients: limits, added rules, permission to set flags, and synchronization with memories."""
 
-import threading
 from pathlib import Path
 from typing import Any, List, Tuple
 
 import pytest
+from checked_threads import CheckedThread, wait_until
 from recording_engine import RecordingEngine
 
 from retalis import (
@@ -97,6 +97,7 @@ def engine_with_memories() -> Engine:
 def test_available_records_need_no_wait(engine_with_memories: Engine) -> None:
     engine_with_memories.event("v(1)", 5)
     wait_for_memories(engine_with_memories, [atom("m")], 5_000_000_000, 0)
+    assert waiting(engine_with_memories) == 0
 
 
 def test_engine_processes_events_while_request_waits(engine_with_memories: Engine) -> None:
@@ -108,14 +109,14 @@ def test_engine_processes_events_while_request_waits(engine_with_memories: Engin
             [solution[0].text for solution in ask(engine_with_memories, "access_mem(m, v(X), _)").solutions]
         )
 
-    thread = threading.Thread(target=wait)
+    thread = CheckedThread(wait)
     thread.start()
-    while not engine_with_memories.query("true") or not waiting(engine_with_memories):
-        pass
+    wait_until(lambda: waiting(engine_with_memories), "the request waits")
+    assert engine_with_memories.query("true")
     engine_with_memories.event("v(1)", 6)
     assert waiting(engine_with_memories) == 1
     engine_with_memories.event("w(1)", 7)
-    thread.join(60)
+    thread.end()
     assert results == [["1"]]
     assert waiting(engine_with_memories) == 0
 
@@ -137,20 +138,16 @@ def test_wait_for_unknown_memory_is_an_error(engine_with_memories: Engine) -> No
 
 
 def test_deleted_memory_ends_wait(engine_with_memories: Engine) -> None:
-    ended: List[Any] = []
-
     def wait() -> None:
         with pytest.raises(UsageError, match="deleted"):
             wait_for_memories(engine_with_memories, [atom("m")], 5_000_000_000, 60)
-        ended.append(True)
 
-    thread = threading.Thread(target=wait)
+    thread = CheckedThread(wait)
     thread.start()
-    while not waiting(engine_with_memories):
-        pass
+    wait_until(lambda: waiting(engine_with_memories), "the request waits")
     engine_with_memories.delete_memory(atom("m"))
-    thread.join(60)
-    assert ended
+    thread.end()
+    assert waiting(engine_with_memories) == 0
     assert engine_with_memories.query("true")
 
 
@@ -305,8 +302,17 @@ def test_reset_of_changed_program_is_refused() -> None:
     engine.call(SET_FLAG)
     with pytest.raises(PrologError, match=REFUSED):
         ask(engine, "reset_etalis")
+
+
+def test_reset_of_unchanged_program_is_allowed() -> None:
     engine = make_engine()
+    engine.event("own(1)", 1)
+    assert policy(engine) == "chronological"
+    engine = make_engine()
+    add_rule(engine, "b <- a")
     ask(engine, "reset_etalis")
+    assert [rule.name for rule in engine.rules.rules] == []
+    assert policy(engine) == "recent"
 
 
 def test_setting_allows_flags_in_queries() -> None:
@@ -329,24 +335,42 @@ def test_program_and_owner_set_flags() -> None:
 @pytest.mark.parametrize(
     "rule",
     [
-        f"null do {SET_FLAG} <- a(_).",
+        f"null do {SET_FLAG} <- b8(_).",
         f"x <- a(_) where {SET_FLAG}.",
         f"x <- a(X) where (X > 0, {SET_FLAG}, X > 0).",
         f"x <- a(_) event_multiply {SET_FLAG}.",
         f"synchronized(x, {SET_FLAG}, []) <- a(_).",
-        f"null do (G = {SET_FLAG}, call(G)) <- a(_).",
-        "a2(X) <- a(X). a3(X) <- a2(X).",
+        f"null do (G = {SET_FLAG}, call(G)) <- b8(_).",
     ],
 )
 def test_added_rule_that_sets_flag_is_refused(rule: str, caplog: pytest.LogCaptureFixture) -> None:
-    engine = make_engine("".join(f"b{number + 1}(X) <- b{number}(X).\n" for number in range(8)))
-    for text in rule.split(". "):
-        add_rule(engine, text.replace("a(", "b8(") if "null" in text else text)
-    engine.event("a(1)", 1)
-    engine.event("b0(1)", 2)
-    engine.event("a(_)", 3)
+    engine = make_engine_with_chain()
+    add_rule(engine, rule)
+    feed_chain(engine)
     assert policy(engine) == "recent"
-    assert (REFUSED in caplog.text) == (SET_FLAG in rule)
+    assert REFUSED in caplog.text
+
+
+def test_added_rules_without_flags_are_not_refused(caplog: pytest.LogCaptureFixture) -> None:
+    engine = make_engine_with_chain()
+    events: List[str] = []
+    engine.on_event(lambda term, start, end: events.append(engine.show(term)))
+    add_rule(engine, "a2(X) <- a(X)")
+    add_rule(engine, "a3(X) <- a2(X)")
+    feed_chain(engine)
+    assert "a3(1)" in events
+    assert "b8(1)" in events
+    assert REFUSED not in caplog.text
+
+
+def make_engine_with_chain() -> Engine:
+    """Return an engine whose rules derive ``b8(X)`` from ``b0(X)`` in eight steps."""
+    return make_engine("".join(f"b{number + 1}(X) <- b{number}(X).\n" for number in range(8)))
+
+
+def feed_chain(engine: Engine) -> None:
+    for instant, event in enumerate(("a(1)", "b0(1)", "a(_)"), 1):
+        engine.event(event, instant)
 
 
 def test_added_rule_is_refused_after_change_of_flags(caplog: pytest.LogCaptureFixture) -> None:

@@ -5,6 +5,7 @@ import threading
 from typing import Any, List
 
 import pytest
+from checked_threads import CheckedThread, wait_until
 
 from retalis import Engine, Limits, Settings, StreamClock, foreign
 
@@ -147,15 +148,21 @@ def test_status_of_busy_engine_names_its_work() -> None:
     engine = Engine(settings=Settings(limits=Limits(seconds=60.0)))
     engine.add_foreign(waits_until_released)
     engine.load(rules="alarm <- fire where waits_until_released.", source="mine")
-    thread = threading.Thread(target=engine.event, args=("fire", 1), daemon=True)
+    thread = CheckedThread(engine.event, "fire", 1)
     thread.start()
-    work = None
-    while work is None or not work.goal:  # until the goal is running
+
+    def find_running_goal() -> Any:
         work = engine.status().work
-    engine.post_text("event(fire)")
-    status = engine.status()
-    released.set()
-    thread.join()
+        return work if work is not None and work.goal else None
+
+    try:
+        wait_until(find_running_goal, "the goal is running")
+        work = find_running_goal()
+        engine.post_text("event(fire)")
+        status = engine.status()
+    finally:
+        released.set()
+    thread.end()
     assert status.work is not None
     assert status.work.what == "fire"
     assert status.work.event == "fire"

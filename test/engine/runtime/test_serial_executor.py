@@ -1,13 +1,13 @@
 """Serial executor: order, errors, waiting calls, full queues, and callbacks."""
 
 import threading
-import time
 from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import Any, Callable, Iterator, List, Tuple
 
 import pytest
 from checked_access import fail
+from checked_threads import CheckedThread, wait_until
 
 from retalis import UsageError
 from retalis.engine.runtime import serial_executor
@@ -29,11 +29,15 @@ def make(size: int = 100, **options: Any) -> Tuple[Any, ...]:
 
 def in_threads(work: Any) -> None:
     """Call a function in four threads, with the number of the thread, and wait for them."""
-    threads = [threading.Thread(target=work, args=(thread,)) for thread in range(4)]
+    threads = [CheckedThread(work, number) for number in range(4)]
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(30)
+        thread.end()
+
+
+def wait_for_caller(executor: Any) -> None:
+    wait_until(lambda: executor.caller_count, "a call waits")
 
 
 def test_error_in_entry_does_not_stop_later_entries() -> None:
@@ -66,7 +70,7 @@ def test_other_work_is_executed_between_entries() -> None:
     def ask() -> None:
         executor.call(lambda: done.append("called"))
 
-    caller = threading.Thread(target=ask)
+    caller = CheckedThread(ask)
 
     def work(number: int, then: Any) -> None:
         done.append(number)
@@ -74,14 +78,12 @@ def test_other_work_is_executed_between_entries() -> None:
             executor.post(done.append, "posted")
         elif then == "call":
             caller.start()
-            deadline = time.monotonic() + 10
-            while not executor.caller_count and time.monotonic() < deadline:  # until the call waits
-                pass
+            wait_for_caller(executor)
         elif then == "each":
             executor.post_each(lambda *pair: done.append(pair), [(7, 8), (9, 10)])
 
     executor.post_each(work, [(1, "post"), (2, "call"), (3, "each"), (4, "")])
-    caller.join(10)
+    caller.end()
     assert done == [1, "posted", 2, "called", 3, (7, 8), (9, 10), 4]
 
 
@@ -95,13 +97,13 @@ def busy() -> Any:
         assert resume.wait(10)
 
     def begin(executor: Any) -> Any:
-        worker = threading.Thread(target=executor.post, args=(first,))
+        worker = CheckedThread(executor.post, first)
         worker.start()
         assert is_working.wait(10)
 
         def end() -> None:
             resume.set()
-            worker.join(10)
+            worker.end()
 
         return end
 
@@ -236,9 +238,9 @@ def test_full_queue_drops_oldest_entries(monkeypatch: pytest.MonkeyPatch) -> Non
 
     def slow() -> None:
         started.set()
-        resume.wait(10)
+        assert resume.wait(10)
 
-    worker = threading.Thread(target=executor.post, args=(slow,))
+    worker = CheckedThread(executor.post, slow)
     worker.start()
     assert started.wait(10)
     for number in range(4):
@@ -246,7 +248,7 @@ def test_full_queue_drops_oldest_entries(monkeypatch: pytest.MonkeyPatch) -> Non
     assert done == []
     assert drops == [1, 2]
     resume.set()
-    worker.join(10)
+    worker.end()
     assert done == [2, 3]
     assert executor.dropped == 2
 
@@ -280,14 +282,14 @@ def test_full_queue_drops_nothing_while_it_progresses(monkeypatch: pytest.Monkey
     with monkeypatch.context() as patched:
         patched.setattr(threading, "RLock", Lock)
         executor, drops, _ = make(size=2)
-    worker = threading.Thread(target=executor.post, args=(first,))
+    worker = CheckedThread(executor.post, first)
     worker.start()
     assert started.wait(10)
     executor.post(second)
     executor.post(done.append, 1)
     executor.post(done.append, 2)
     end.set()
-    worker.join(10)
+    worker.end()
     assert drops == []
     assert done == [1, 2]
 
@@ -322,16 +324,15 @@ def test_working_thread_does_not_wait_for_full_queue() -> None:
 def test_call_is_executed_before_queued_entries() -> None:
     executor, _, _ = make()
     done: List[Any] = []
-    caller = threading.Thread(target=executor.call, args=(lambda: done.append("called"),))
+    caller = CheckedThread(executor.call, lambda: done.append("called"))
 
     def first() -> None:
         executor.post(done.append, "posted")
         caller.start()
-        while not executor.caller_count:  # until the call waits
-            pass
+        wait_for_caller(executor)
 
     executor.post(first)
-    caller.join(10)
+    caller.end()
     assert done == ["called", "posted"]
 
 
@@ -425,7 +426,6 @@ def test_exception_within_work_makes_executor_unusable(exception: Any) -> None:
 def test_exception_within_work_is_an_error_of_waiting_caller() -> None:
     executor, _, _ = make()
     is_working, resume = threading.Event(), threading.Event()
-    refusals: List[Any] = []
 
     def interrupted() -> None:
         is_working.set()
@@ -439,18 +439,16 @@ def test_exception_within_work_is_an_error_of_waiting_caller() -> None:
     def second() -> None:
         with pytest.raises(UsageError) as error:
             executor.call(lambda: 2)
-        refusals.append(str(error.value))
+        assert str(error.value) == HALF_CHANGED
 
-    threads = [threading.Thread(target=first), threading.Thread(target=second)]
+    threads = [CheckedThread(first), CheckedThread(second)]
     threads[0].start()
     assert is_working.wait(10)
     threads[1].start()
-    while not executor.caller_count:  # until the call waits
-        pass
+    wait_for_caller(executor)
     resume.set()
     for thread in threads:
-        thread.join(10)
-    assert refusals == [HALF_CHANGED]
+        thread.end()
 
 
 def test_exception_while_error_is_handled_makes_executor_unusable() -> None:
@@ -466,6 +464,37 @@ def test_exception_while_error_is_handled_makes_executor_unusable() -> None:
         executor.call(lambda: 1)
 
 
+class RecordedRecovery(Recovery):
+    """A recovery of numbered states, which records the restored ones."""
+
+    def __init__(self) -> None:
+        self.state_count = 0
+        self.restored: List[object] = []
+
+    def state(self) -> object:
+        self.state_count += 1
+        return self.state_count
+
+    def restore(self, state: object) -> None:
+        self.restored.append(state)
+
+
+@pytest.mark.parametrize(("error", "restored"), [(ValueError("wrong"), [2, 1]), (UsageError("wrong"), [])])
+def test_nested_call_restores_state_at_its_start(error: Exception, restored: List[int]) -> None:
+    executor, _, errors = make()
+    recovery = RecordedRecovery()
+    executor.add_recovery(recovery)
+
+    def outermost() -> int:
+        with pytest.raises(type(error)):
+            executor.call(lambda: executor.call(end_with(error)))
+        return recovery.state_count
+
+    assert executor.call(outermost) == 2
+    assert recovery.restored == restored
+    assert errors == []
+
+
 def test_timed_out_call_is_not_executed_later() -> None:
     executor, _, _ = make(callback_timeout=0)
     done: List[Any] = []
@@ -475,9 +504,9 @@ def test_timed_out_call_is_not_executed_later() -> None:
             executor.call(lambda: done.append("asked"))
 
     def wait() -> None:
-        thread = threading.Thread(target=ask)
+        thread = CheckedThread(ask)
         thread.start()
-        thread.join(10)
+        thread.end()
         done.append("waited")
 
     def work() -> None:
@@ -539,9 +568,9 @@ def at_end_of_turn(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def run_in_thread(name: str, work: Any) -> None:
-    thread = threading.Thread(target=work, name=name)
+    thread = CheckedThread(work, name=name)
     thread.start()
-    thread.join(30)
+    thread.end()
 
 
 def test_posting_thread_takes_over_from_caller(at_end_of_turn: Any) -> None:
@@ -566,17 +595,17 @@ def test_posting_thread_takes_over_from_caller(at_end_of_turn: Any) -> None:
 
 def test_waiting_caller_takes_over_from_posting_thread(at_end_of_turn: Any) -> None:
     executor, _, _ = make(10_000)
-    workers, callers = [], []
+    workers: List[str] = []
+    callers: List[CheckedThread] = []
 
     def work(number: int) -> None:
         workers.append(threading.current_thread().name)
 
     def begin_call() -> None:
-        caller = threading.Thread(target=executor.call, args=(lambda: work(0),), name="caller")
+        caller = CheckedThread(executor.call, lambda: work(0), name="caller")
         callers.append(caller)
         caller.start()
-        while not executor.caller_count:
-            time.sleep(0.001)
+        wait_for_caller(executor)
 
     def post_burst() -> None:
         for number in range(MAX_ENTRIES_PER_TURN - 1):
@@ -585,7 +614,7 @@ def test_waiting_caller_takes_over_from_posting_thread(at_end_of_turn: Any) -> N
         for number in range(MAX_ENTRIES_PER_TURN):
             executor.post(work, number)
 
-    at_end_of_turn(lambda: callers[0].join(30))
+    at_end_of_turn(lambda: callers[0].end())
     executor.post(lambda: run_in_thread("burst", post_burst))
     this_thread = threading.current_thread().name
     assert workers == [this_thread] * (MAX_ENTRIES_PER_TURN - 1) + ["caller"] * (MAX_ENTRIES_PER_TURN + 1)

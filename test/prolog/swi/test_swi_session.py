@@ -1,15 +1,16 @@
 """Goals in SWI-Prolog: solutions, cuts, errors, limits, threads, and callbacks."""
 
 import gc
-import threading
 from pathlib import Path
 from typing import Any, Dict, List
 
 import pytest
 from checked_access import compound
+from checked_threads import CheckedThread
 
 from retalis import Limits, PrologError, RetalisError, Var, deref, functor
 from retalis.prolog.machine.resource_limits import LimitError
+from retalis.prolog.swi.swi_session import start
 
 
 def shown(engine: Any, goal: str) -> List[Dict[Any, Any]]:
@@ -102,6 +103,7 @@ def test_synchronized_query_calls_swi_predicate(program: Any) -> None:
 def test_errors_and_unsupported_terms_are_errors(engine: Any, goal: str, message: str) -> None:
     with pytest.raises(PrologError, match=message):
         engine.query(goal)
+    # The session can be used after the error.
     assert values(engine, "inc(1, X)") == ["2"]
 
 
@@ -217,32 +219,25 @@ def test_swi_goal_reads_memories(folder: Path, program: Any) -> None:
 
 
 def test_threads_query_in_turn(engine: Any) -> None:
-    results, errors = [], []
-
-    def query() -> None:
-        try:
-            results.append(values(engine, "upto(2, A), inc(A, X)"))
-        except RetalisError as error:
-            errors.append(error)
-
-    threads = [threading.Thread(target=query) for _ in range(10)]
+    results: List[Any] = []
+    threads = [
+        CheckedThread(lambda: results.append(values(engine, "upto(2, A), inc(A, X)"))) for _ in range(10)
+    ]
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join()
-    assert (results, errors) == ([["2", "3"]] * 10, [])
+        thread.end()
+    assert results == [["2", "3"]] * 10
 
 
 def test_tabling_works_in_each_thread(engine: Any) -> None:
     """Tabling measures the free part of the C stack, which differs between threads."""
     results: List[Any] = []
-    deeper = [
-        threading.Thread(target=lambda: results.append(values(engine, "count(2, X)"))) for _ in range(4)
-    ]
+    deeper = [CheckedThread(lambda: results.append(values(engine, "count(2, X)"))) for _ in range(4)]
     results.append(values(engine, "count(1, X)"))
     for thread in deeper:
         thread.start()
-        thread.join()
+        thread.end()
     results.append(values(engine, "reach(39, X)"))
     assert sorted(results.pop()) == ["40", "41"]
     assert results == [["40"], *[["39"]] * 4]
@@ -252,18 +247,17 @@ def test_solutions_of_other_thread_are_refused(program: Any) -> None:
     logic = program().logic
     solutions = logic.solutions((functor("upto", 2), 3, Var()))
     next(solutions)
-    refusals: List[Any] = []
 
     def continue_in_thread() -> None:
         with pytest.raises(RetalisError, match="by the thread that requested the first one"):
             next(solutions)
-        refusals.append(True)
 
-    thread = threading.Thread(target=continue_in_thread)
+    thread = CheckedThread(continue_in_thread)
     thread.start()
-    thread.join()
-    solutions.close()
-    assert refusals == [True]
+    try:
+        thread.end()
+    finally:
+        solutions.close()
     assert logic.once((functor("inc", 2), 1, 2))
 
 
@@ -271,18 +265,28 @@ def test_unfinished_solutions_of_thread_are_closed(engine: Any) -> None:
     def query() -> None:
         assert len(engine.query("upto(1000, X), upto(1000, Y)", most=3)) == 3
 
-    thread = threading.Thread(target=query)
+    thread = CheckedThread(query)
     thread.start()
-    thread.join()
+    thread.end()
     assert values(engine, "upto(2, X)") == ["1", "2"]
 
 
 def test_new_engines_reuse_swi(program: Any) -> None:
+    runtime = start()
+    assert program().call("forgets")
+    gc.collect()
+    engine_count = len(runtime.engines)
     for number in range(5):
         engine = program(f"own({number}).\n")
-        assert values(engine, "upto(3, X), own(_), !") == ["1"]
+        assert values(engine, "upto(3, _), own(X), !") == [str(number)]
+        # The clauses of the file are those of the first engine.
+        assert values(engine, "noted(X)") == [str(earlier) for earlier in range(number)]
+        engine.query(f"marks(_, {number}), !")
+    assert engine.call("forgets")
+    assert start() is runtime
     del engine
     gc.collect()
+    assert len(runtime.engines) == engine_count
 
 
 def test_many_open_goals_keep_their_solutions(program: Any) -> None:
