@@ -4,9 +4,11 @@ import io
 import os
 import pty
 import re
+import select
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, List
@@ -21,8 +23,6 @@ from retalis.cli.console import Console
 from retalis.cli.stderr_and_progress import StderrReporter
 from retalis.cli.toplevel_io import PipedInput, TerminalInput, find_completions, format_bindings
 from retalis.prolog.syntax.term_reader import read_term
-
-SOURCE = Path(__file__).resolve().parents[2] / "src"
 
 
 @pytest.fixture
@@ -80,6 +80,7 @@ def test_console_continues_after_error(ask: Any) -> None:
 def test_error_after_output_is_on_new_line(ask: Any) -> None:
     captured = ask("write(a), atom_length(X, Y).\n")
     assert captured.out == "a\n"
+    assert captured.err.startswith("error: Arguments are not sufficiently instantiated")
 
 
 def test_syntax_error_has_position_and_caret(ask: Any) -> None:
@@ -162,11 +163,30 @@ def test_trace_has_exceptions_and_meta_calls(ask: Any) -> None:
     assert ports == ["Call:", "Call:", "Exception:", "Exit:"]
 
 
+TRACE_WITH_CUTS = """\
+     Call: (1) p(_)
+     Call: (2) q(_)
+     Exit: (2) q(1)
+     Exit: (1) p(1)
+     Call: (1) p(3)
+     Call: (2) q(3)
+     Fail: (2) q(3)
+     Fail: (1) p(3)
+     Call: (1) p(_)
+     Call: (2) q(_)
+     Exit: (2) q(1)
+     Exit: (1) p(1)
+     Call: (1) _=1
+     Exit: (1) 1=1
+"""
+
+
 def test_trace_respects_cuts(ask: Any) -> None:
     console = Console(StderrReporter())
     ask("[user].\np(X) :- q(X), !.\nq(1).\nq(2).\nend_of_file.\n", console)
     captured = ask("trace(p(X)).\ntrace(\\+ p(3)).\ntrace((p(X) -> Y = X ; Y = none)).\n", console)
     assert captured.out == "X = 1.\ntrue.\nX = Y, Y = 1.\n"
+    assert without_variable_names(captured.err) == TRACE_WITH_CUTS
 
 
 def test_trace_is_switched_on_and_off(ask: Any) -> None:
@@ -241,7 +261,18 @@ def test_terminal_has_solutions_and_interrupts(tmp_path: Path) -> None:
         }
         signal.signal(signal.SIGINT, signal.SIG_DFL)  # background processes of a shell ignore it
         os.execve(sys.executable, [sys.executable, "-m", "retalis", "console"], environment)
-    screen = Screen(terminal)
+    try:
+        use_console(Screen(terminal))
+    except BaseException:
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+        raise
+    assert os.waitpid(pid, 0)[1] == 0
+    assert "member(X, [1,2,3])." in (tmp_path / ".retalis_history").read_text()
+
+
+def use_console(screen: "Screen") -> None:
+    """Type goals, an interrupt, a completion, and the end of the input."""
     screen.until("?- ")
     screen.type("member(X, [1,2,3]).\n")
     screen.until("X = 1")
@@ -259,8 +290,6 @@ def test_terminal_has_solutions_and_interrupts(tmp_path: Path) -> None:
     screen.until("N = 3.")
     screen.until("?- ")
     screen.type("\x04")
-    assert os.waitpid(pid, 0)[1] == 0
-    assert "member(X, [1,2,3])." in (tmp_path / ".retalis_history").read_text()
 
 
 class Screen:
@@ -272,7 +301,10 @@ class Screen:
         os.write(self._terminal, text.encode())
 
     def until(self, text: str) -> None:
+        deadline = time.monotonic() + 60
         while text not in self._text:
+            readable, _, _ = select.select([self._terminal], [], [], max(0.0, deadline - time.monotonic()))
+            assert readable, f"{text!r} is not shown within 60 s, only {self._text!r}"
             self._text += os.read(self._terminal, 4096).decode()
         self._text = self._text.split(text, 1)[1]
 
