@@ -159,7 +159,9 @@ def test_callback_of_nested_call_ends_outer_event() -> None:
     with pytest.raises(Interrupt):
         engine.event("a", 1)
     assert engine.dispatcher.current is None
+    del engine.events[:]
     engine.event("b", 2)
+    assert engine.event_texts == ["b"]
 
 
 def test_exception_at_any_point_makes_engine_unusable() -> None:

@@ -86,7 +86,10 @@ def test_long_run_is_thinned_evenly() -> None:
     lane = run.lanes[0]
     assert lane.total == count
     assert MAX_MARKS / 2 <= len(lane.marks) <= MAX_MARKS
-    assert round(lane.marks[-1][0] * SECOND) > count - 5
+    indexes = [round(mark[0] * SECOND) for mark in lane.marks]
+    (distance,) = {later - earlier for earlier, later in zip(indexes, indexes[1:])}
+    assert distance > 1
+    assert (indexes[0], indexes[-1]) == (0, (count - 1) // distance * distance)
     assert len(run.lanes) == MAX_LANES
     assert run.omitted_lane_count == 4
 
