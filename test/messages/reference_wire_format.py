@@ -123,7 +123,8 @@ def _element(slot: Any, texts: Any) -> Any:
         return st.booleans()
     if slot.type.startswith("float"):
         # Event text has one NaN only, so other NaNs do not survive it.
-        floats = st.floats(width=32 if slot.type == "float32" else 64)
+        bit_count: Any = 8 * struct.calcsize(f"<{CODES[slot.type]}")
+        floats = st.floats(width=bit_count)
         return floats.map(lambda value: NAN if value != value else value)
     code = CODES[slot.type]
     bits = 8 * struct.calcsize(code)
