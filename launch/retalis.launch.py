@@ -10,13 +10,14 @@ import yaml
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
+from launch_ros.actions import LifecycleNode
 
 from retalis.node.parameters import PARAMETER_DESCRIPTIONS
 
 ARGUMENTS = {
     "name": ("retalis", "Name of the node"),
     "namespace": ("", "Namespace of the node"),
+    "autostart": ("true", "Configure and activate the node when it starts"),
     "use_sim_time": ("false", "Use the time on the topic /clock, which a bag or a simulator publishes"),
     "params_file": ("", "YAML file with parameters; an absolute path"),
     "respawn": ("false", "Start the node again when it ends"),
@@ -38,7 +39,7 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription([*declared, OpaqueFunction(function=create_node)])
 
 
-def create_node(context: LaunchContext) -> List[Node]:
+def create_node(context: LaunchContext) -> List[LifecycleNode]:
     """Return the node with the parameters that are given."""
 
     def read(name: str) -> str:
@@ -48,9 +49,10 @@ def create_node(context: LaunchContext) -> List[Node]:
     given: Dict[str, Any] = {
         name: yaml.safe_load(read(name)) for name in PARAMETER_DESCRIPTIONS if read(name)
     }
-    parameters.append({"use_sim_time": yaml.safe_load(read("use_sim_time")), **given})
+    own = {name: yaml.safe_load(read(name)) for name in ("autostart", "use_sim_time")}
+    parameters.append({**own, **given})
     return [
-        Node(
+        LifecycleNode(
             package="retalis",
             executable="retalis_node",
             name=read("name"),

@@ -10,6 +10,7 @@ from recording_reports import RecordingReports
 
 from retalis import Reports
 from retalis.node.transport import MessageSource
+from retalis.ros2.node_executor import NodeExecutor
 from retalis.ros2.rclpy_transport import RclpyTransport
 
 TIMEOUT_SECONDS = 60.0
@@ -77,6 +78,7 @@ class Network:
         rclpy.init(context=self.context)
         self.reports = RecordingReports()
         self._transports: List[RclpyTransport] = []
+        self._node_executors: List[NodeExecutor] = []
         self._executor = SingleThreadedExecutor(context=self.context)
         self._thread = threading.Thread(target=self._executor.spin, daemon=True)
         self._thread.start()
@@ -99,7 +101,10 @@ class Network:
             allow_undeclared_parameters=True,
             automatically_declare_parameters_from_overrides=True,
         )
-        transport = RclpyTransport(node, reports or self.reports)
+        reports = reports or self.reports
+        executor = NodeExecutor(node, reports.error)
+        self._node_executors.append(executor)
+        transport = RclpyTransport(node, executor.executor, reports)
         self._transports.append(transport)
         return transport
 
@@ -107,6 +112,8 @@ class Network:
         """End all nodes."""
         for transport in self._transports:
             transport.shut_down()
+        for executor in self._node_executors:
+            executor.stop()
         self._executor.shutdown()
         self._thread.join()
         for node in self._nodes:

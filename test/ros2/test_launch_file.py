@@ -34,7 +34,7 @@ def launch_file(monkeypatch: pytest.MonkeyPatch) -> Dict[str, Any]:
         "launch.actions": {"DeclareLaunchArgument": Argument, "OpaqueFunction": SimpleNamespace},
         "launch.substitutions": {"LaunchConfiguration": Configuration},
         "launch_ros": {},
-        "launch_ros.actions": {"Node": SimpleNamespace},
+        "launch_ros.actions": {"LifecycleNode": SimpleNamespace},
     }
     for name, members in stand_ins.items():
         module = ModuleType(name)
@@ -60,7 +60,7 @@ def test_each_parameter_is_argument(launch_file: Dict[str, Any]) -> None:
 def test_node_of_package_is_started(launch_file: Dict[str, Any]) -> None:
     node = launch(launch_file)
     assert (node.package, node.executable, node.name) == ("retalis", "retalis_node", "retalis")
-    assert node.parameters == [{"use_sim_time": False}]
+    assert node.parameters == [{"autostart": True, "use_sim_time": False}]
 
 
 def test_given_arguments_become_parameters(launch_file: Dict[str, Any]) -> None:
@@ -68,10 +68,17 @@ def test_given_arguments_become_parameters(launch_file: Dict[str, Any]) -> None:
         launch_file, program="/p", queue="10", max_seconds="0.5", use_sim_time="true", direct="[tf, a/B]"
     )
     assert node.parameters == [
-        {"use_sim_time": True, "program": "/p", "queue": 10, "max_seconds": 0.5, "direct": ["tf", "a/B"]}
+        {
+            "autostart": True,
+            "use_sim_time": True,
+            "program": "/p",
+            "queue": 10,
+            "max_seconds": 0.5,
+            "direct": ["tf", "a/B"],
+        }
     ]
 
 
 def test_file_of_parameters_precedes_arguments(launch_file: Dict[str, Any]) -> None:
     node = launch(launch_file, params_file="/p.yaml", queue="10")
-    assert node.parameters == ["/p.yaml", {"use_sim_time": False, "queue": 10}]
+    assert node.parameters == ["/p.yaml", {"autostart": True, "use_sim_time": False, "queue": 10}]

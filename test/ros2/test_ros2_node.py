@@ -9,6 +9,8 @@ pytest.importorskip("rclpy", reason="rclpy is not installed")
 pytest.importorskip("retalis.srv", reason="the classes of this package's services have not been generated")
 
 from geometry_msgs.msg import PoseStamped
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
 from rclpy.parameter import Parameter
@@ -127,6 +129,56 @@ def test_parameters_are_described_and_read_only(network: Network, start_node: An
     parameter = Parameter("queue", value=8).to_parameter_msg()
     (result,) = call(peer, SetParameters, "/retalis/set_parameters", parameters=[parameter]).results
     assert not result.successful
+    assert node.interrupt() == 0
+
+
+def find_state(node: Any) -> str:
+    """Return the state of the life cycle."""
+    return str(call(node, GetState, "/retalis/get_state").current_state.label)
+
+
+def change_state(node: Any, transition: int) -> bool:
+    """Return whether a transition of the life cycle succeeds."""
+    request = Transition(id=transition)
+    return bool(call(node, ChangeState, "/retalis/change_state", transition=request).success)
+
+
+@pytest.mark.slow
+def test_program_runs_while_node_is_active(network: Network, start_node: Any, program: Path) -> None:
+    node = start_node("-p", f"program:={program}", "-p", "autostart:=false")
+    frames: List[str] = []
+    peer = network.add_node()
+    peer.create_subscription(String, "frames", lambda message: frames.append(message.data), 10)
+    publisher = peer.create_publisher(PoseStamped, "pose", 10)
+    message = PoseStamped()
+    message.header.frame_id = "map"
+    assert find_state(peer) == "unconfigured"
+    assert change_state(peer, Transition.TRANSITION_CONFIGURE)
+    assert publisher.get_subscription_count() == 0
+    for round_number in (1, 2):
+        assert change_state(peer, Transition.TRANSITION_ACTIVATE)
+        assert find_state(peer) == "active"
+        wait_until(publisher.get_subscription_count)
+        publisher.publish(message)
+        wait_until(lambda: len(frames) == round_number)  # noqa: B023 - called at once
+        assert change_state(peer, Transition.TRANSITION_DEACTIVATE)
+        wait_until(lambda: not publisher.get_subscription_count())
+    assert change_state(peer, Transition.TRANSITION_CLEANUP)
+    assert find_state(peer) == "unconfigured"
+    assert change_state(peer, Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)
+    assert node.process.wait(TIMEOUT_SECONDS) == 0
+    assert "Traceback" not in node.log()
+
+
+@pytest.mark.slow
+def test_node_with_invalid_parameter_stays_unconfigured(
+    network: Network, start_node: Any, program: Path
+) -> None:
+    node = start_node("-p", f"program:={program}", "-p", "autostart:=false", "-p", "queue:=-1")
+    peer = network.add_node()
+    assert not change_state(peer, Transition.TRANSITION_CONFIGURE)
+    assert find_state(peer) == "unconfigured"
+    assert "parameter ~queue: expected" in node.log()
     assert node.interrupt() == 0
 
 

@@ -139,11 +139,22 @@ class MessageIntake:
             return None
 
     def stop(self) -> None:
-        """Read no more messages; return when the thread has ended, unless it waits for the engine for long."""
+        """Read no more messages, and destroy the subscriptions unless the thread waits for the engine for long."""
         self._is_stopped = True
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._wake_up.trigger()
             self._thread.join(timeout=1.0)
+        if not self._thread.is_alive():
+            self._destroy()
+
+    def _destroy(self) -> None:
+        """Destroy the subscriptions, for which nobody waits any more."""
+        with self._lock:
+            subscriptions = [*self._consumers, *self._removed]
+            self._consumers, self._removed = {}, []
+        for subscription in subscriptions:
+            self._node.destroy_subscription(subscription)
+        self._node.destroy_guard_condition(self._wake_up)
 
     def _check_wait_set(self) -> Any:
         """Return the reason why the wait set cannot be used; None if it can."""

@@ -9,7 +9,7 @@ from typing import Any, Callable, Dict, List, Mapping, Optional, Set
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.exceptions import InvalidHandle, InvalidTopicNameException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.task import Future
 
@@ -47,18 +47,22 @@ MAX_DEPTH = 1000
 MAX_LARGE_DEPTH = 50
 """Largest number for types with arrays of bytes, such as images and point clouds, which may have megabytes."""
 
-RCLPY_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides")
-"""Parameters that rclpy declares itself."""
+AUTOSTART = "autostart"
+"""Parameter: whether the node activates itself."""
+
+NODE_PARAMETERS = (AUTOSTART, "use_sim_time", "start_type_description_service", "qos_overrides")
+"""Parameters of the node itself, and of rclpy."""
 
 
 class RclpyTransport:
     """rclpy as a transport; see `Transport`.
 
-    Callbacks run in four kinds of threads: one reads messages, one calls timers, one runs rclpy's executor for
-    events and parameters, and each service request has one of its own, because it may wait.
+    Callbacks run in four kinds of threads: one reads messages, one calls timers, one is that of the executor, and
+    each service request has one of its own, because it may wait.
 
     Args:
         node: the node.
+        executor: runs the callbacks of the node.
         reports: receives errors and warnings of single messages.
 
     Attributes:
@@ -68,12 +72,13 @@ class RclpyTransport:
         create_transform_buffer: creates the buffer of transforms.
     """
 
-    def __init__(self, node: Node, reports: Reports):
+    def __init__(self, node: Node, executor: SingleThreadedExecutor, reports: Reports):
         self.format = SerializationFormat.CDR
         self.node_name = str(node.get_fully_qualified_name())
         self.create_transform_buffer: Callable[[float], TransformBuffer] = TransformBuffer
         self.is_time_simulated = bool(node.get_parameter("use_sim_time").value)
         self._node = node
+        self._executor = executor
         self._reports = reports
         self._interfaces = InstalledInterfaces()
         self._definitions = Definitions(self._interfaces)
@@ -88,15 +93,12 @@ class RclpyTransport:
         self._service_group = ReentrantCallbackGroup()
         self._own_messages: Dict[str, OwnMessages] = {}
         self._publications: List[RclpyPublication] = []
+        self._services: List[Any] = []
         self._shutdown_callbacks: List[Callable[[], object]] = []
         self._is_shut_down = False
         if self.is_time_simulated:
             self._clock.on_tick(lambda now: self._timers.notify())
             self._subscribe_clock()
-        self._executor = SingleThreadedExecutor(context=node.context)
-        self._executor.add_node(node)
-        self._executor_thread = threading.Thread(target=self._spin, daemon=True, name="executor")
-        self._executor_thread.start()
 
     # ---- time
 
@@ -232,8 +234,10 @@ class RclpyTransport:
             await self._run_in_thread(lambda: answer(request, response))
             return response
 
-        self._node.create_service(
-            service_class, _private_name(name), handle, callback_group=self._service_group
+        self._services.append(
+            self._node.create_service(
+                service_class, _private_name(name), handle, callback_group=self._service_group
+            )
         )
 
     def _run_in_thread(self, function: Callable[[], object]) -> Future:
@@ -302,7 +306,7 @@ class RclpyTransport:
         return self._is_shut_down or not self._node.context.ok()
 
     def shut_down(self) -> None:
-        """End the node."""
+        """End the topics, services and timers of the node; the node itself goes on."""
         self._is_shut_down = True
         self._intake.stop()
         for timers in (self._timers, self._own_timers):
@@ -314,19 +318,8 @@ class RclpyTransport:
             except Exception as error:
                 self._reports.error(error)
         self._requests.stop()
-        self._executor.shutdown(timeout_sec=MAX_WAIT_SECONDS)
-        self._executor_thread.join(timeout=MAX_WAIT_SECONDS)
-
-    def _spin(self) -> None:
-        while not self.is_shut_down():
-            try:
-                self._executor.spin()
-            except ExternalShutdownException:
-                return
-            except Exception as error:
-                # The failure of one callback must not end the others.
-                if not self._is_shut_down:
-                    self._reports.error(error)
+        for service in self._services:
+            self._node.destroy_service(service)
 
 
 class RequestThreads:
@@ -398,6 +391,10 @@ def declare_parameters(node: Node) -> None:
 
     Those that are not given have no value. Parameters with other names stay as they are.
     """
+    if not node.has_parameter(AUTOSTART):
+        node.declare_parameter(
+            AUTOSTART, True, ParameterDescriptor(description="Whether the node activates itself")
+        )
     for name, description in PARAMETER_DESCRIPTIONS.items():
         descriptor = ParameterDescriptor(
             name=name, description=description, read_only=True, dynamic_typing=True
@@ -413,7 +410,7 @@ def read_node_parameters(node: Node) -> Dict[str, Any]:
     values: Dict[str, Any] = {}
     for name, parameter in node.get_parameters_by_prefix("").items():
         *path, last = name.split(".")
-        if (path or [last])[0] in RCLPY_PARAMETERS or parameter.value is None:
+        if (path or [last])[0] in NODE_PARAMETERS or parameter.value is None:
             continue
         target = values
         for part in path:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import List, Optional
 
 import rclpy
-from rclpy.node import Node
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 
 from ..engine.runtime.problem_reports import Reports
@@ -22,12 +22,13 @@ from ..foundation.errors import RetalisError, UsageError
 from ..foundation.garbage_collection import collect_when_idle, limit_gc_pauses, stop_collecting
 from ..foundation.interrupts import check_interrupt, deferred_interrupts, interruptible
 from ..node.host_context import HostContext
-from ..node.parameters import read_parameters
+from ..node.parameters import Parameters, read_parameters
 from ..node.plain_text_exchange import PlainTextExchange
 from ..node.program_host import ProgramHost
 from .installed_interfaces import ament_prefixes
+from .node_executor import NodeExecutor
 from .rclpy_log import forward_log
-from .rclpy_transport import RclpyTransport, declare_parameters, read_node_parameters
+from .rclpy_transport import AUTOSTART, RclpyTransport, declare_parameters, read_node_parameters
 
 log = logging.getLogger("retalis")
 
@@ -58,28 +59,90 @@ def find_default_program() -> Path:
     )
 
 
-class RetalisNode:
-    """The node with its program.
+class RetalisNode(LifecycleNode):
+    """A node with a life cycle, whose program runs while it is active.
 
-    Args:
-        node: the node of rclpy.
+    Its parameters are read when it is configured. A program that is activated again starts anew, or from its
+    checkpoint.
 
-    Raises:
-        UsageError: if a parameter is invalid.
+    Attributes:
+        is_finalized: whether the node has reached the end of its life cycle.
     """
 
-    def __init__(self, node: Node):
-        reports = Reports()
-        self.transport = RclpyTransport(node, reports)
+    def __init__(self) -> None:
+        super().__init__(
+            "retalis", allow_undeclared_parameters=True, automatically_declare_parameters_from_overrides=True
+        )
+        declare_parameters(self)
+        self.is_finalized = False
+        self._reports = Reports()
+        self._program_parameters: Optional[Parameters] = None
+        self._transport: Optional[RclpyTransport] = None
+        self._host: Optional[ProgramHost] = None
+        self._node_executor = NodeExecutor(self, self._reports.error)
+
+    def start(self) -> bool:
+        """Configure and activate the node; return whether it is active."""
+        success = TransitionCallbackReturn.SUCCESS
+        return bool(self.trigger_configure() == success and self.trigger_activate() == success)
+
+    def end(self) -> None:
+        """End the program and the node."""
+        self._end_program()
+        self._node_executor.stop()
+        self.destroy_node()
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Read the parameters."""
         try:
-            parameters = read_parameters(read_node_parameters(node), find_default_program)
-            # There is no other node that could offer a part of the services.
-            context = HostContext(self.transport, parameters._replace(embedded=True), reports)
-            check_interrupt()
-            self.host = ProgramHost(context, PlainTextExchange(context))
-        except BaseException:
-            self.transport.shut_down()
-            raise
+            self._program_parameters = read_parameters(read_node_parameters(self), find_default_program)
+        except RetalisError as error:
+            log.critical("%s", error)
+            return TransitionCallbackReturn.FAILURE
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Start the program."""
+        try:
+            self._start_program()
+        except RetalisError as error:
+            log.critical("%s", error)
+            self._end_program()
+            return TransitionCallbackReturn.FAILURE
+        # All objects of the program and of rclpy are exempted from later collections.
+        limit_gc_pauses()
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End the program."""
+        self._end_program()
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Forget the parameters."""
+        self._program_parameters = None
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End the program and the process."""
+        self._end_program()
+        self.is_finalized = True
+        return TransitionCallbackReturn.SUCCESS
+
+    def _start_program(self) -> None:
+        assert self._program_parameters is not None
+        self._transport = RclpyTransport(self, self._node_executor.executor, self._reports)
+        # There is no other node that could offer a part of the services.
+        context = HostContext(
+            self._transport, self._program_parameters._replace(embedded=True), self._reports
+        )
+        check_interrupt()
+        self._host = ProgramHost(context, PlainTextExchange(context))
+
+    def _end_program(self) -> None:
+        if self._transport is not None:
+            self._transport.shut_down()
+        self._transport = self._host = None
 
 
 def main(arguments: Optional[List[str]] = None) -> int:
@@ -104,30 +167,21 @@ def main(arguments: Optional[List[str]] = None) -> int:
 
 
 def _run_until_shutdown() -> int:
-    node = rclpy.create_node(
-        "retalis", allow_undeclared_parameters=True, automatically_declare_parameters_from_overrides=True
-    )
+    node = RetalisNode()
     forward_log(log, node)
-    declare_parameters(node)
     try:
-        retalis_node = RetalisNode(node)
-    except RetalisError as error:
-        log.critical("%s", error)
-        return 1
-    try:
-        # After construction: all objects of the program and of rclpy are exempted from later collections.
-        limit_gc_pauses()
-        _wait_for_shutdown(retalis_node.transport)
+        if node.get_parameter(AUTOSTART).value and not node.start():
+            return 1
+        _wait_for_shutdown(node)
     finally:
         _ignore_signals()
         _start_last_resort(0)
-        retalis_node.transport.shut_down()
-        node.destroy_node()
+        node.end()
     return 0
 
 
-def _wait_for_shutdown(transport: RclpyTransport) -> None:
-    while not transport.is_shut_down():
+def _wait_for_shutdown(node: RetalisNode) -> None:
+    while node.context.ok() and not node.is_finalized:
         cpu_time = time.process_time()
         with interruptible():
             time.sleep(SHUTDOWN_CHECK_SECONDS)

@@ -116,6 +116,7 @@ class RclpyPublication:
             self._send_waiting()
         finally:
             self._is_ended = True
+            self._node.destroy_publisher(self._publisher)
 
     def _store(self, waiting: Deque[bytes], message: bytes) -> None:
         self.sent += 1
