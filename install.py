@@ -137,6 +137,7 @@ DEPENDENCIES = {
     "python3-rospkg": "python3-rospkg",
     "python3-setuptools": "python3-setuptools",
     "python3-tornado": "python3-tornado",
+    "rcl_interfaces": "pip",
     "rclpy": "pip",
     "rosbag": "python3-rosbag",
     "rosbash": "rosbash",
