@@ -2,7 +2,6 @@
 
 import logging
 import traceback
-from hashlib import blake2b
 from typing import Callable, Dict, Optional, Set
 
 from ...foundation.errors import (
@@ -183,6 +182,8 @@ def _digest(kind: object) -> bytes:
 
     A hash could be the same for different kinds: those of -1 and -2 are equal.
     """
+    from hashlib import blake2b  # noqa: PLC0415 - most engines have no problems
+
     return blake2b(repr(kind).encode("utf-8", "surrogatepass"), digest_size=16).digest()
 
 
