@@ -40,8 +40,12 @@ install(
 foreach(destination lib/${PROJECT_NAME} bin)
   install(PROGRAMS nodes/${PROJECT_NAME} DESTINATION ${destination})
 endforeach()
-file(GLOB nodes CONFIGURE_DEPENDS ${CMAKE_CURRENT_SOURCE_DIR}/nodes/ros2/*)
-install(PROGRAMS ${nodes} DESTINATION lib/${PROJECT_NAME})
+# In the sources it has another name: rosrun of ROS 1 searches them, and needs a single program of a name.
+install(
+  PROGRAMS nodes/ros2/${PROJECT_NAME}_ros2_node
+  DESTINATION lib/${PROJECT_NAME}
+  RENAME ${PROJECT_NAME}_node
+)
 
 install(
   DIRECTORY application_source examples

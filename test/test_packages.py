@@ -217,6 +217,12 @@ def is_python(path: Path) -> Any:
 SCRIPT_IMPORTS = sorted(set(imports_of_scripts()))
 
 
+def test_programs_of_nodes_have_unique_names() -> None:
+    """Programs of one name in two folders make rosrun ask which one is meant, or roslaunch refuse the node."""
+    names = Counter(path.name for path in (ROOT / "nodes").rglob("*") if path.is_file())
+    assert [name for name, count in names.items() if count > 1] == []
+
+
 def test_imports_of_nodes_are_checked() -> None:
     assert {path for path, _, _ in SCRIPT_IMPORTS} >= {
         f"nodes/{name}" for name in ("retalis", "retalis_node")
