@@ -23,9 +23,9 @@ from events.streams.test_row_pattern import VALUE, expected_outputs, outputs_of_
 from retalis import Clock, Engine, list_items, make_list
 from retalis.events.knowledge.event_states import DeclaredState
 from retalis.events.network import stream_compiler
+from retalis.events.network.network_context import NetworkContext
 from retalis.events.network.node_timers import NodeTimers
 from retalis.events.network.stream_node import StreamNode
-from retalis.events.rules.rule_base import RuleBase
 from retalis.events.streams import row_pattern
 from retalis.events.streams.absence_timeout import AbsenceTimeout
 from retalis.events.streams.rate_operators import RATE_OPERATORS, Debounce, DistinctUntilChanged, Throttle
@@ -342,7 +342,7 @@ MECHANISMS: Dict[str, Mechanism] = {
     ),
     "groups and keys": Mechanism(one_key, oracle_about(has_key)),
     "timestamps too far ahead": Mechanism(
-        method(RuleBase, "compute_max_timestamp", lambda rules: 1 << 64), ahead
+        method(NetworkContext, "compute_max_timestamp", lambda network: 1 << 64), ahead
     ),
     "alarms of the clock": Mechanism(method(NodeTimers, "_on_alarm", nothing), oracle_about(is_clocked)),
     "order of deadlines": Mechanism(method(NodeTimers, "add", younger_first), oracle_about(is_clocked, 2)),
