@@ -24,6 +24,7 @@ from ..node.parameters import Parameters, read_parameters
 from .master_watch import MasterWatch, wait_for_master
 from .ros_log import forward_log, use_line_buffering
 from .rospy_transport import find_default_program
+from .topic_names import MASTER_ERRORS
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -86,12 +87,24 @@ def _shut_down(status: int) -> None:
     """Shut the node down; signals are ignored meanwhile."""
     _ignore_signals()
     threading.Thread(target=_exit_after_timeout, args=(status,), daemon=True, name="last resort").start()
+    _clear_connection()
     rospy.signal_shutdown("ended")
     # Another thread has begun the shutdown (``rosnode kill``).
     while not rospy.is_shutdown():
         time.sleep(_SHUTDOWN_POLL_SECONDS)
     # With 100,000 recorded events, each of the interpreter's collections at exit would take seconds.
     stop_collecting()
+
+
+def _clear_connection() -> None:
+    """Call the master once, so that the next call, by which rospy unregisters everything, succeeds.
+
+    An interrupt may have left the connection within a call. `xmlrpc.client` closes it after errors, but a
+    `KeyboardInterrupt` is none; the next call fails, and closes it.
+    """
+    if rospy.core.is_initialized():
+        with suppress(*MASTER_ERRORS):
+            rospy.get_master().getPid()
 
 
 def _run_until_shutdown(name: str, create_node: Callable[[Parameters], object]) -> int:
