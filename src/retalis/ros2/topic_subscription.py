@@ -185,10 +185,12 @@ class RclpySubscription:
         try:
             self._end_overlap()
             publisher_count = self._node.count_publishers(self._options.topic)
-            if publisher_count != self._publisher_count or self._check_count % CHECKS_PER_CHOICE == 0:
+            has_changed = publisher_count != self._publisher_count
+            if has_changed:
                 self._publisher_count = publisher_count
                 # The numbers of other publishers say nothing about losses.
                 self._last_number = 0
+            if has_changed or self._check_count % CHECKS_PER_CHOICE == 0:
                 self._choose_again()
                 self._poll_lost_messages()
             self._check_count += 1
