@@ -7,7 +7,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
 MAX_WAIT_SECONDS = 1.0
-"""Longest wait for the thread when the node ends."""
+"""Longest wait for each thread when the node ends."""
 
 
 class NodeExecutor:

@@ -25,6 +25,7 @@ from ..node.parameters import PARAMETER_DESCRIPTIONS
 from ..node.transport import Connect, Mismatch, NodeGraph
 from .installed_interfaces import InstalledInterfaces
 from .message_intake import MessageIntake
+from .node_executor import MAX_WAIT_SECONDS
 from .quality_of_service import choose_published_quality, find_mismatches, full_node_name, join_node_name
 from .ros_clock import RosClock
 from .service_messages import fill_message, read_fields
@@ -37,9 +38,6 @@ CLOCK_TYPE = "rosgraph_msgs/Clock"
 
 MAX_CONCURRENT_REQUESTS = 64
 """Number of service requests that are handled at the same time; synchronized queries wait for seconds."""
-
-MAX_WAIT_SECONDS = 1.0
-"""Longest wait for each thread when the node ends."""
 
 MAX_DEPTH = 1000
 """Largest number of messages that the middleware stores for a topic, if the program does not demand a number."""
